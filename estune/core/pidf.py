@@ -1,0 +1,156 @@
+"""The PIDF controller, (32) to (34), discrete at the rig's sampling rate.
+
+In continuous time, with setpoint r, measurement y and effort u,
+
+    C_y(s) = K (1 + 1/(Ti s) + Td s)                                    (32)
+    C_r(s) = K (1 + 1/(Ti s))                                           (33)
+    u = C_r F r - C_y y,  so that  T = F G C_r / (1 + G C_y)            (34)
+
+with P = K, I = K/Ti, D = K Td and F = 1/(tau_F s + 1): the derivative acts on the measurement
+alone. As the paper says after (34), the two terms are not run as two integrators whose difference
+would lose digits; the error is formed first and integrated once.
+
+The functions use arithmetic and numpy's `exp`, `minimum` and `maximum` only, so that the one text
+serves floats on the rig, arrays in a batch, and CasADi symbols in simulation, fit and export.
+"""
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from estune.core.gains import Gains
+from estune.errors import InvalidInput
+
+Signal = Any
+"""A float, an array, or a CasADi expression."""
+
+
+@dataclass(frozen=True, slots=True)
+class ControllerSettings:
+    """The part of the controller that is not tuned.
+
+    Attributes:
+        sampling_Hz: Sampling rate.
+        derivative_filter_s: Time constant of the first-order filter on the derivative, s.
+        output_min_N: Least effort, N; the anti-windup knows it.
+        output_max_N: Greatest effort, N.
+
+    Raises:
+        InvalidInput: a value is out of its range, or the limits are the wrong way round.
+    """
+
+    sampling_Hz: float
+    derivative_filter_s: float
+    output_min_N: float
+    output_max_N: float
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.sampling_Hz) and self.sampling_Hz > 0.0):
+            raise InvalidInput(f"sampling rate is {self.sampling_Hz} Hz; it must be above zero")
+        if not (np.isfinite(self.derivative_filter_s) and self.derivative_filter_s >= 0.0):
+            raise InvalidInput(
+                f"derivative filter is {self.derivative_filter_s} s; it must be zero or above"
+            )
+        if not self.output_min_N < self.output_max_N:
+            raise InvalidInput(
+                f"output limits {self.output_min_N} to {self.output_max_N} N are the wrong way round"
+            )
+
+
+class Coefficients(NamedTuple):
+    """The controller's difference equation, computed once per set of gains."""
+
+    P: Signal
+    I_per_sample: Signal  # I h
+    D: Signal
+    setpoint_pole: Signal  # exp(-h/tau_F), the exact discrete filter
+    derivative_span_s: Signal  # tau_d + h, from the backward difference of s/(tau_d s + 1)
+    sample_s: Signal
+    tracking: Signal  # share of the excess taken out of the integral per sample
+    output_min_N: Signal
+    output_max_N: Signal
+
+
+class PidfState(NamedTuple):
+    """What the controller remembers between samples."""
+
+    integral_N: Signal
+    filtered_setpoint_N: Signal
+    filtered_measurement_N: Signal
+
+
+def coefficients(settings: ControllerSettings, gains: Gains) -> Coefficients:
+    """The difference equation of these gains at this sampling rate."""
+    return symbolic_coefficients(settings, *gains.as_tuple())
+
+
+def symbolic_coefficients(
+    settings: ControllerSettings, P: Signal, I: Signal, D: Signal, setpoint_filter_s: Signal  # noqa: E741
+) -> Coefficients:
+    """The same, for gains that may be arrays or CasADi symbols, which `Gains` cannot check."""
+    h = 1.0 / settings.sampling_Hz
+    return Coefficients(
+        P=P,
+        I_per_sample=I * h,
+        D=D,
+        setpoint_pole=np.exp(-h / np.maximum(setpoint_filter_s, 1e-12)),
+        derivative_span_s=settings.derivative_filter_s + h,
+        sample_s=h,
+        # Back-calculation with tracking time Ti = P/I, at most the whole excess at once.
+        tracking=np.minimum(1.0, h * I / P),
+        output_min_N=settings.output_min_N,
+        output_max_N=settings.output_max_N,
+    )
+
+
+def step(
+    c: Coefficients, state: PidfState, setpoint_N: Signal, measurement_N: Signal
+) -> tuple[PidfState, Signal, Signal]:
+    """One sample of the controller.
+
+    Args:
+        c: The difference equation.
+        state: What the last sample left.
+        setpoint_N: Setpoint r before its filter, N.
+        measurement_N: Measurement y, N.
+
+    Returns:
+        The next state, the effort within its limits in N, and how much the limits cut off in N
+        (zero where they did not act).
+    """
+    r, error, derivative = _terms(c, state, setpoint_N, measurement_N)
+    wanted = c.P * error + state.integral_N - c.D * derivative
+    effort = np.minimum(np.maximum(wanted, c.output_min_N), c.output_max_N)
+    excess = wanted - effort
+    following = PidfState(
+        integral_N=state.integral_N + c.I_per_sample * error - c.tracking * excess,
+        filtered_setpoint_N=r,
+        filtered_measurement_N=state.filtered_measurement_N + c.sample_s * derivative,
+    )
+    return following, effort, excess
+
+
+def at_rest(tension_N: Signal, effort_N: Signal) -> PidfState:
+    """The state of a loop that has settled at a tension with a constant effort."""
+    return PidfState(effort_N, tension_N, tension_N)
+
+
+def bumpless(
+    c: Coefficients, state: PidfState, setpoint_N: Signal, measurement_N: Signal, effort_N: Signal
+) -> PidfState:
+    """The state from which the next `step` gives exactly `effort_N`, whatever the gains were before.
+
+    Only the integral moves: the filters have seen the same signals under any gains.
+    """
+    _, error, derivative = _terms(c, state, setpoint_N, measurement_N)
+    return state._replace(integral_N=effort_N - c.P * error + c.D * derivative)
+
+
+def _terms(
+    c: Coefficients, state: PidfState, setpoint_N: Signal, measurement_N: Signal
+) -> tuple[Signal, Signal, Signal]:
+    """Filtered setpoint, error, and filtered derivative of the measurement."""
+    r = c.setpoint_pole * state.filtered_setpoint_N + (1.0 - c.setpoint_pole) * setpoint_N
+    derivative = (measurement_N - state.filtered_measurement_N) / c.derivative_span_s
+    return r, r - measurement_N, derivative
