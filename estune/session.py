@@ -16,7 +16,7 @@ from estune.core.cost import StepCost
 from estune.core.gains import Gains
 from estune.core.tuners import Tuner
 from estune.core.tuners.observation import Observation
-from estune.errors import InvalidInput, UnsafeStart
+from estune.errors import InvalidInput
 from estune.trial import Outcome, StepProfile, TrialRequest
 
 
@@ -35,7 +35,7 @@ class Plan:
     Attributes:
         run: Name of the run; its trials' ids begin with it.
         tuner: The tuner and its settings; its search space is centred on `start`.
-        start: The gains live on the rig when the run began.
+        start: The gains the run begins from: the rig's live ones, unless others were given.
         step: The step trial.
         cost: How a trial is scored.
         trials: Greatest number of search trials.
@@ -92,6 +92,7 @@ class Session:
         candidates: Gains to be confirmed, once the search is over.
         confirmed: Costs of each candidate, in their order; infinite where a trial was unsafe.
         search_end: Why the search ended; empty while it goes on.
+        failure: Why the run can't go on at all; empty while it can.
     """
 
     plan: Plan
@@ -104,10 +105,13 @@ class Session:
     candidates: tuple[Gains, ...] = ()
     confirmed: tuple[tuple[float, ...], ...] = ()
     search_end: str = ""
+    failure: str = ""
 
     @property
     def phase(self) -> Phase | None:
-        """The phase of the trial to be asked next; None when the run is complete."""
+        """The phase of the trial to be asked next; None when there is none."""
+        if self.failure:
+            return None
         if len(self.baseline) < self.plan.repeats:
             return Phase.BASELINE
         if not self.search_end:
@@ -128,7 +132,7 @@ def begin(plan: Plan) -> Session:
 
 
 def next_request(session: Session) -> TrialRequest | None:
-    """The trial to be run next, or None when the run is complete."""
+    """The trial to be run next, or None when the run is complete or has failed."""
     plan, phase = session.plan, session.phase
     if phase is None:
         return None
@@ -153,9 +157,6 @@ def told(session: Session, outcome: Outcome, cost: float) -> Session:
         session: Where the run stood.
         outcome: How the trial ended.
         cost: Its cost eta; ignored unless the trial is done.
-
-    Raises:
-        UnsafeStart: the start gains themselves are unsafe, so that there is nothing to fall back on.
     """
     if outcome.is_void:
         return replace(session, attempt=session.attempt + 1)
@@ -163,7 +164,7 @@ def told(session: Session, outcome: Outcome, cost: float) -> Session:
     session = replace(session, number=session.number + 1, attempt=0)
     if phase is Phase.BASELINE:
         if censored:
-            raise UnsafeStart(_unsafe_start(session, outcome, cost))
+            return replace(session, failure=_unsafe_start(session, outcome, cost))
         return replace(session, baseline=(*session.baseline, cost))
     if phase is Phase.SEARCH:
         return _told_search(session, Observation(math.nan if censored else cost, censored))
@@ -200,8 +201,8 @@ def verdict(session: Session) -> Verdict:
     plan = session.plan
     start_cost, start_error = _mean(session.baseline)
     best, best_cost, best_error = plan.start, start_cost, start_error
-    if session.phase is not None:
-        message = f"stopped after {session.number} trials, before any gains were confirmed"
+    if session.failure or session.phase is not None:
+        message = session.failure or f"stopped after {session.number} trials, before any gains were confirmed"
         return Verdict(best, start_cost, start_error, start_cost, start_error, False, message, False)
     for gains, costs in zip(session.candidates, session.confirmed, strict=True):
         mean, error = _mean(costs)

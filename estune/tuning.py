@@ -1,10 +1,10 @@
 """The loop that joins a session to a rig: ask, run, score, commit, tell."""
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from estune.core.gains import Gains
-from estune.errors import JournalError
+from estune.errors import JournalError, UnsafeStart
 from estune.journal import Entry, Journal
 from estune.score import score
 from estune.session import (
@@ -38,6 +38,18 @@ class Progress:
 
 Watcher = Callable[[Progress], None]
 """Told of each trial after it was committed; must return quickly."""
+
+
+class Stopped(KeyboardInterrupt):
+    """The user interrupted a run.
+
+    Attributes:
+        description: The rig as it said it is after the stop, with the gains that are live.
+    """
+
+    def __init__(self, description: RigDescription) -> None:
+        super().__init__(f"stopped; {description.name} runs its live gains {description.gains}")
+        self.description = description
 
 
 @dataclass(slots=True)
@@ -78,7 +90,6 @@ def replay(plan: Plan, description: RigDescription, journal: Journal) -> Tuning:
 
     Raises:
         JournalError: the journal's trials are not the ones this plan asks for.
-        UnsafeStart: the run had ended so.
     """
     tuning = start(plan, description, journal)
     for entry in journal.entries():
@@ -106,18 +117,18 @@ def run(tuning: Tuning, rig: Rig, watchers: Iterable[Watcher] = ()) -> None:
         UnsafeStart: the start gains are unsafe.
         RigError: the rig cannot be reached; the run can be resumed.
         JournalError: a trial could not be committed; the run can be resumed.
-        KeyboardInterrupt: the user stopped it; the rig is back at its live gains when this is raised.
+        Stopped: the user interrupted it; the rig is back at its live gains.
     """
     watchers = tuple(watchers)
-    request = next_request(tuning.session)
-    _commit(tuning, None, request)
-    while request is not None:
-        try:
-            record = rig.run(request)
-        except KeyboardInterrupt:
-            rig.abort()
-            raise
-        request = _tell(tuning, request, record, watchers)
+    try:
+        request = next_request(tuning.session)
+        _commit(tuning, None, request)
+        while request is not None:
+            request = _tell(tuning, request, rig.run(request), watchers)
+    except KeyboardInterrupt:
+        raise Stopped(rig.abort()) from None
+    if tuning.session.failure:
+        raise UnsafeStart(tuning.session.failure)
 
 
 def _tell(
@@ -134,12 +145,8 @@ def _tell(
         reason=record.reason,
         cost=cost,
     )
-    try:
-        tuning.session = told(before, record.outcome, cost)
-        following = next_request(tuning.session)
-    except BaseException:
-        _commit(tuning, (request, record, cost), None)
-        raise
+    tuning.session = told(before, record.outcome, cost)
+    following = next_request(tuning.session)
     _commit(tuning, (request, record, cost), following)
     tuning.entries.append(entry)
     if phase is Phase.CONFIRM or tuning.first is None:

@@ -1,0 +1,195 @@
+"""The library call: tune a target, resume a run, load one."""
+
+import contextlib
+from collections.abc import Iterator, Mapping
+from datetime import datetime
+from pathlib import Path
+from typing import Any, Literal
+
+from estune import progress, result, tuning
+from estune.core.cost import StepCost
+from estune.core.gains import Gains
+from estune.core.tuners import Tuner
+from estune.errors import EstuneError, InvalidInput, RigError
+from estune.journal import Journal
+from estune.planning import (
+    description_from_json,
+    description_to_json,
+    make_plan,
+    plan_from_json,
+    plan_to_json,
+)
+from estune.result import TuneResult
+from estune.targets import open_target
+from estune.trial import Rig, RigDescription, StepProfile
+from estune.tuning import Stopped, Tuning, Watcher
+
+RUNS = "runs"
+"""Folder that runs are kept in, below the one estune is called from."""
+
+
+def tune(
+    target: Any,
+    *,
+    tuner: str | Tuner[Any] = "least_squares_gradient",
+    trials: int = 120,
+    repeats: int = 3,
+    start: Gains | None = None,
+    bounds: Mapping[str, tuple[float, float]] | None = None,
+    step: StepProfile | None = None,
+    cost: StepCost | None = None,
+    eta_max: float | None = None,
+    run: str | None = None,
+    folder: str | Path = RUNS,
+    journal: bool = True,
+    rig: str | None = None,
+    watch: Watcher | Literal["auto"] | None = "auto",
+) -> TuneResult:
+    """Tunes the PIDF gains of a rig by step trials.
+
+    The rig keeps the gains it has: each trial swaps its own in and puts the live ones back. What
+    was found is in the result, and is made live only by `estune apply` or `Rig.apply`.
+
+    Args:
+        target: An endpoint ("tcp/127.0.0.1:7447"), a plant ("plants:reference_reel", or the object)
+            or a rig.
+        tuner: Name of a tuner, or one ready-made.
+        trials: Greatest number of search trials.
+        repeats: Trials of the start before the search, and of each candidate after it.
+        start: Gains to begin from; the rig's live ones by default.
+        bounds: Least and greatest value of gains, by name (P, I, D, setpoint_filter_s); a hundredth
+            and a hundred times the start by default.
+        step: The step trial; the one the rig suggests by default.
+        cost: How a trial is scored; (35) with a move penalty and the rig's settling time by default.
+        eta_max: Cost above which a trial is unsafe; three times the start's by default.
+        run: Name of the run; the time of day by default.
+        folder: Where runs are kept.
+        journal: Whether to keep the run on disk, so that it survives and can be resumed.
+        rig: Name of the rig, where several answer at the endpoint.
+        watch: Told of each trial; "auto" shows progress, None nothing.
+
+    Raises:
+        InvalidInput: a value is not usable.
+        RigError: the rig cannot be reached or refuses.
+        JournalError: the run cannot be written.
+        UnsafeStart: the start gains are unsafe.
+        Stopped: interrupted (a KeyboardInterrupt); the rig is back at its live gains.
+
+    Example:
+        >>> import estune, plants
+        >>> result = estune.tune(plants.reference_reel(), trials=40, journal=False, watch=None)
+        >>> result.success
+        True
+    """
+    with open_target(target, rig) as the_rig:
+        description = the_rig.describe()
+        name = run or _free_name(Path(folder))
+        if not name.replace("-", "").replace("_", "").isalnum():
+            raise InvalidInput(f"run name {name!r} may hold only letters, digits, - and _")
+        plan = make_plan(
+            *(description, name),
+            **{"tuner": tuner, "start": start, "bounds": bounds, "step": step, "cost": cost},
+            **{"trials": trials, "repeats": repeats, "eta_max": eta_max},
+        )
+        description.limits.check(plan.step)
+        book = None
+        if journal:
+            facts = {
+                "plan": plan_to_json(plan),
+                "rig": description_to_json(description),
+                "target": target if isinstance(target, str) else None,
+                "rig_name": rig,
+                "created_at": datetime.now().astimezone().isoformat(timespec="seconds"),
+                "status": "running",
+            }
+            book = Journal.create(Path(folder) / name, facts)
+        return _run(tuning.start(plan, description, book), the_rig, watch)
+
+
+def resume(
+    run_folder: str | Path,
+    target: Any = None,
+    *,
+    watch: Watcher | Literal["auto"] | None = "auto",
+) -> TuneResult:
+    """Goes on with a run that was stopped, with the proposals it would have made undisturbed.
+
+    Args:
+        run_folder: The run's folder.
+        target: Where its rig is now; by default where it was.
+        watch: As in `tune`.
+
+    Raises:
+        InvalidInput: the run was made on an object of this or another program; pass it as target.
+        JournalError: the run cannot be read, or another process is writing it.
+        RigError: the rig cannot be reached, or is not the one the run was made on.
+    """
+    journal = Journal.open(Path(run_folder), write=True)
+    try:
+        tuning_ = tuning.replay(*_stored(journal), journal)
+        target = journal.fact("target") if target is None else target
+        if target is None:
+            raise InvalidInput(f"{run_folder} was made on an object; pass it: estune.resume(folder, rig)")
+        with open_target(target, journal.fact("rig_name")) as rig:
+            _check_same_rig(tuning_.description, rig.describe())
+            return _run(tuning_, rig, watch)
+    finally:
+        journal.close()
+
+
+def load(run_folder: str | Path) -> TuneResult:
+    """The result of a run on disk, finished or not; no rig is needed.
+
+    Raises:
+        JournalError: the run cannot be read.
+    """
+    with Journal.open(Path(run_folder)) as journal:
+        return result.from_tuning(tuning.replay(*_stored(journal), journal))
+
+
+def _run(tuning_: Tuning, rig: Rig, watch: Watcher | Literal["auto"] | None) -> TuneResult:
+    with _noted(tuning_.journal), progress.watching(watch, tuning_) as watchers:
+        tuning.run(tuning_, rig, watchers)
+    return result.from_tuning(tuning_)
+
+
+@contextlib.contextmanager
+def _noted(journal: Journal | None) -> Iterator[None]:
+    """Notes in the journal how a run ended, and closes it."""
+    status = "finished"
+    try:
+        yield
+    except Stopped:
+        status = "stopped"
+        raise
+    except EstuneError as error:
+        status = f"failed: {error}"
+        raise
+    except BaseException as error:
+        status = f"failed: {type(error).__name__}"
+        raise
+    finally:
+        if journal is not None:
+            with contextlib.suppress(EstuneError):  # what went wrong is being raised already
+                journal.note(status=status)
+            journal.close()
+
+
+def _stored(journal: Journal) -> tuple[Any, RigDescription]:
+    return plan_from_json(journal.fact("plan")), description_from_json(journal.fact("rig"))
+
+
+def _check_same_rig(then: RigDescription, now: RigDescription) -> None:
+    """A run goes on only on the rig it began on."""
+    for what in ("name", "controller", "newtons_per_ampere", "cable_length_m"):
+        if getattr(then, what) != getattr(now, what):
+            raise RigError(
+                f"the run was made on a rig whose {what} is {getattr(then, what)}, this one's is "
+                f"{getattr(now, what)}; connect the rig of the run, or begin a new run"
+            )
+
+
+def _free_name(folder: Path) -> str:
+    name = datetime.now().astimezone().strftime("%Y%m%d-%H%M%S")
+    taken = {path.name for path in folder.glob(f"{name}*")}
+    return next(n for n in (name, *(f"{name}-{i}" for i in range(2, 1000))) if n not in taken)

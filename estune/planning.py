@@ -1,0 +1,116 @@
+"""A plan from what a user says and a rig suggests, and its way to JSON and back."""
+
+import dataclasses
+import importlib
+from collections.abc import Mapping
+from typing import Any
+
+from pydantic import TypeAdapter, ValidationError
+
+from estune.core.cost import StepCost
+from estune.core.gains import Gains
+from estune.core.search_space import SearchSpace
+from estune.core.tuners import TUNERS, Tuner
+from estune.errors import InvalidInput, JournalError
+from estune.session import Plan
+from estune.trial import RigDescription, StepProfile
+
+MOVE_WEIGHT = 0.2
+"""Default price on effort: without one the cost (35) has no interior optimum on a good plant."""
+
+
+def make_tuner(
+    tuner: str | Tuner[Any], start: Gains, bounds: Mapping[str, tuple[float, float]] | None
+) -> Tuner[Any]:
+    """The tuner named, searching around the start; a tuner given ready-made is taken as it is.
+
+    Raises:
+        InvalidInput: there is no tuner of that name, or the bounds are not usable.
+    """
+    if not isinstance(tuner, str):
+        if bounds is not None:
+            raise InvalidInput("a ready-made tuner has its own search space; give bounds to that one")
+        return tuner
+    if tuner not in TUNERS:
+        raise InvalidInput(f"there is no tuner {tuner!r}; the tuners are {', '.join(TUNERS)}")
+    return TUNERS[tuner](space=SearchSpace.around(start, bounds=bounds))
+
+
+def make_plan(
+    description: RigDescription,
+    run: str,
+    *,
+    tuner: str | Tuner[Any],
+    start: Gains | None,
+    bounds: Mapping[str, tuple[float, float]] | None,
+    step: StepProfile | None,
+    cost: StepCost | None,
+    **rest: Any,
+) -> Plan:
+    """The plan of a run: what the user left open is filled in by what the rig suggests."""
+    start = start or description.gains
+    return Plan(
+        run=run,
+        tuner=make_tuner(tuner, start, bounds),
+        start=start,
+        step=step or description.step,
+        cost=cost or StepCost(description.settling_time_s, move_weight=MOVE_WEIGHT),
+        **rest,
+    )
+
+
+def plan_to_json(plan: Plan) -> dict[str, Any]:
+    """The plan as JSON values; floats survive exactly.
+
+    Raises:
+        InvalidInput: the tuner is not a dataclass, so that its settings cannot be stored.
+    """
+    kind = type(plan.tuner)
+    if not dataclasses.is_dataclass(kind):
+        raise InvalidInput(f"tuner {kind.__qualname__} is not a dataclass; only one can be journalled")
+    shown = {
+        f.name: TypeAdapter(type(value)).dump_python(value, mode="json")
+        for f in dataclasses.fields(plan)
+        if f.name != "tuner" and (value := getattr(plan, f.name)) is not None
+    }
+    settings = TypeAdapter(kind).dump_python(plan.tuner, mode="json")
+    return {"tuner": {"kind": f"{kind.__module__}:{kind.__qualname__}", **settings}, **shown}
+
+
+def plan_from_json(values: dict[str, Any]) -> Plan:
+    """The plan that was stored.
+
+    Raises:
+        JournalError: what was stored is not a plan of this version.
+    """
+    try:
+        settings = dict(values["tuner"])
+        module, _, name = settings.pop("kind").partition(":")
+        tuner = TypeAdapter(getattr(importlib.import_module(module), name)).validate_python(settings)
+        types = {"start": Gains, "step": StepProfile, "cost": StepCost}
+        rest = {
+            key: TypeAdapter(types[key]).validate_python(value) if key in types else value
+            for key, value in values.items()
+            if key != "tuner"
+        }
+        return Plan(tuner=tuner, **rest)
+    except (KeyError, ImportError, AttributeError, TypeError, ValidationError) as error:
+        raise JournalError(f"the stored plan cannot be read ({error}); it is of another version") from error
+
+
+def description_to_json(description: RigDescription) -> dict[str, Any]:
+    """The rig's description as JSON values."""
+    shown: dict[str, Any] = TypeAdapter(RigDescription).dump_python(description, mode="json")
+    return shown
+
+
+def description_from_json(values: dict[str, Any]) -> RigDescription:
+    """The description that was stored.
+
+    Raises:
+        JournalError: what was stored is not a description of this version.
+    """
+    try:
+        return TypeAdapter(RigDescription).validate_python(values)
+    except ValidationError as error:
+        raise JournalError(f"the stored rig cannot be read ({error}); it is of another version") from error
