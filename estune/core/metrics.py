@@ -1,0 +1,121 @@
+"""What a step response looks like in numbers: rise, settling, overshoot, steady-state error.
+
+The definitions are the usual ones of a step response, taken between two given values, so that they
+hold for a step from 10 N to 11 N, downwards, or to zero; and for a record, which has noise, an end,
+and perhaps no steady state. python-control's `step_info` is meant for ideal responses from zero.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+FloatArray = NDArray[np.float64]
+
+STEADY_SHARE = 10
+"""The steady-state error is the mean over the last tenth of the samples after the step."""
+
+
+class StepMetrics(NamedTuple):
+    """Metrics of one step response; NaN where the response does not have them.
+
+    Attributes:
+        rise_time_s: From 10 % to 90 % of the step, s; NaN if 90 % is not reached.
+        settling_time_s: From the step until the response stays in the band, s; NaN if it ends
+            outside it.
+        overshoot: Furthest past the final value, as a fraction of the step; zero if it never is.
+            Noise counts: it is the largest sample.
+        steady_state_error: Final value less the mean over the last tenth of the samples after the
+            step, in the unit of the measurement.
+    """
+
+    rise_time_s: float
+    settling_time_s: float
+    overshoot: float
+    steady_state_error: float
+
+
+NO_METRICS = StepMetrics(math.nan, math.nan, math.nan, math.nan)
+
+
+def step_metrics(
+    time_s: ArrayLike,
+    measurement: ArrayLike,
+    *,
+    step_time_s: float,
+    initial: float,
+    final: float,
+    band: float = 0.02,
+) -> StepMetrics:
+    """Measures a step response between the values it was to go from and to.
+
+    Bad data are not an error: with a value that is not finite, fewer than two samples after the
+    step, times that do not increase, columns of different length, or no step at all, every metric
+    is NaN.
+
+    Args:
+        time_s: Time of each sample, s, shape (samples,).
+        measurement: Measured response, shape (samples,), any unit.
+        step_time_s: Time of the step, s.
+        initial: Value the step starts from, in the unit of the measurement.
+        final: Value the response should settle at.
+        band: Half-width of the settling band, as a fraction of the step.
+
+    Returns:
+        The metrics. Times between samples are interpolated along straight lines.
+    """
+    time = np.asarray(time_s, dtype=np.float64)
+    values = np.asarray(measurement, dtype=np.float64)
+    span = final - initial
+    if time.ndim != 1 or time.shape != values.shape or not math.isfinite(span) or span == 0.0:
+        return NO_METRICS
+    if not ((time[1:] > time[:-1]).all() and math.isfinite(step_time_s)):
+        return NO_METRICS
+    first = int(time.searchsorted(step_time_s))
+    t = time[first:]
+    with np.errstate(over="ignore", invalid="ignore"):
+        z = (values[first:] - initial) / span
+    if len(z) < 2 or not np.isfinite(z).all():
+        return NO_METRICS
+    tail = values[-max(1, len(z) // STEADY_SHARE) :]
+    return StepMetrics(
+        rise_time_s=_rise_time(t, z),
+        settling_time_s=_settling_time(t, z, band) - step_time_s,
+        overshoot=max(0.0, float(z.max()) - 1.0),
+        steady_state_error=float(final - tail.mean()),
+    )
+
+
+def _rise_time(t: FloatArray, z: FloatArray) -> float:
+    """From the last sample below 10 % ahead of the first crossing of 90 %, to that crossing.
+
+    Taking the last such sample keeps noise about the initial value out of the rise.
+    """
+    above = z >= 0.9
+    high = int(above.argmax())
+    if not above[high]:
+        return math.nan
+    below = z[:high] <= 0.1
+    low = high - 1 - int(below[::-1].argmax()) if below.any() else -1
+    return _crossing(t, z, high - 1, 0.9) - _crossing(t, z, low, 0.1)
+
+
+def _settling_time(t: FloatArray, z: FloatArray, band: float) -> float:
+    """The time from which the response stays within the band; NaN if it ends outside."""
+    outside = np.abs(z - 1.0) > band
+    if outside[-1]:
+        return math.nan
+    if not outside.any():
+        return float(t[0])
+    last = len(z) - 1 - int(outside[::-1].argmax())
+    return _crossing(t, z, last, 1.0 + math.copysign(band, z[last] - 1.0))
+
+
+def _crossing(t: FloatArray, z: FloatArray, before: int, level: float) -> float:
+    """When the line from sample `before` to the next meets the level; the first sample for -1."""
+    if before < 0:
+        return float(t[0])
+    z0, z1 = float(z[before]), float(z[before + 1])
+    t0, t1 = float(t[before]), float(t[before + 1])
+    return t0 + (t1 - t0) * (level - z0) / (z1 - z0)
