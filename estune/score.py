@@ -80,6 +80,6 @@ def _check_length(record: TrialRecord, step: StepProfile) -> None:
         sent = len(getattr(record, name))
         if sent != asked:
             raise RigError(
-                f"trial {record.trial_id} of rig {record.rig} is reported done with {sent} samples "
-                f"of {name}, where {asked} were asked for; check the rig's sampling rate"
+                f"trial {record.trial_id} of rig {record.rig} is reported done with {sent} "
+                f"samples of {name} where {asked} were asked for; check the rig's sampling rate"
             )

@@ -72,7 +72,7 @@ class StepCost:
                 f"time unit is {self.time_unit!r}; it must be 'second' or 'settling_time'"
             )
 
-    def evaluate(
+    def evaluate(  # noqa: PLR0917  the loop's own order: where the step is, then r, y, u
         self,
         sampling_Hz: float,
         step_index: int,
@@ -81,7 +81,7 @@ class StepCost:
         measurement_N: ArrayLike,
         effort_N: ArrayLike,
     ) -> float | FloatArray:
-        """eta of a sampled step response, or of a batch of them.
+        """The cost eta of a sampled step response, or of a batch of them.
 
         Args:
             sampling_Hz: Sampling rate.
@@ -149,13 +149,15 @@ def _normalised_weights(cost: StepCost, sampling_Hz: float, samples: int) -> Flo
             f"settling time {t_s:g} s is longer than the {samples * h:g} s recorded after the "
             "step; make the trial longer, step earlier, or choose a shorter settling time"
         )
-    t = np.arange(samples) * h
+    t = np.arange(samples, dtype=np.float64) * h
     sign = 1.0 if cost.weight == "printed" else -1.0
     exponent = sign * np.pi * (t - t_s) / (2.0 * t_s)
     # Past t_s the sigmoid is not used; only its overflow would be noticed.
     sigmoid = 1.0 / (1.0 + np.exp(np.minimum(exponent, 700.0)))
     unit = 1.0 if cost.time_unit == "second" else t_s
-    weights = t / unit**2 * _trapezoid(t, h, t[-1]) + sigmoid / t_s * _trapezoid(t, h, t_s)
+    weights: FloatArray = t / unit**2 * _trapezoid(t, h, t[-1]) + sigmoid / t_s * _trapezoid(
+        t, h, t_s
+    )
     weights /= weights @ np.exp(-4.0 * t / t_s) ** 2
     weights.flags.writeable = False
     return weights

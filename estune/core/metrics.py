@@ -1,8 +1,9 @@
 """What a step response looks like in numbers: rise, settling, overshoot, steady-state error.
 
-The definitions are the usual ones of a step response, taken between two given values, so that they
-hold for a step from 10 N to 11 N, downwards, or to zero; and for a record, which has noise, an end,
-and perhaps no steady state. python-control's `step_info` is meant for ideal responses from zero.
+The definitions are the usual ones of a step response, taken between two given values, so that
+they hold for a step from 10 N to 11 N, downwards, or to zero; and for a record, which has noise,
+an end, and perhaps no steady state. python-control's `step_info` is meant for ideal responses
+from zero.
 """
 
 import math
