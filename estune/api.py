@@ -51,16 +51,17 @@ def tune(
     was found is in the result, and is made live only by `estune apply` or `Rig.apply`.
 
     Args:
-        target: An endpoint ("tcp/127.0.0.1:7447"), a plant ("plants:reference_reel", or the object)
+        target: An endpoint ("tcp/127.0.0.1:7447"), a plant ("plants:reference_reel" or the object),
             or a rig.
         tuner: Name of a tuner, or one ready-made.
         trials: Greatest number of search trials.
         repeats: Trials of the start before the search, and of each candidate after it.
         start: Gains to begin from; the rig's live ones by default.
-        bounds: Least and greatest value of gains, by name (P, I, D, setpoint_filter_s); a hundredth
-            and a hundred times the start by default.
+        bounds: Least and greatest value of gains, by name (P, I, D, setpoint_filter_s); by default
+            a hundredth and a hundred times the start.
         step: The step trial; the one the rig suggests by default.
-        cost: How a trial is scored; (35) with a move penalty and the rig's settling time by default.
+        cost: How a trial is scored; by default (35) with a move penalty and the settling time the
+            rig suggests.
         eta_max: Cost above which a trial is unsafe; three times the start's by default.
         run: Name of the run; the time of day by default.
         folder: Where runs are kept.
@@ -88,8 +89,14 @@ def tune(
             raise InvalidInput(f"run name {name!r} may hold only letters, digits, - and _")
         plan = make_plan(
             *(description, name),
-            **{"tuner": tuner, "start": start, "bounds": bounds, "step": step, "cost": cost},
-            **{"trials": trials, "repeats": repeats, "eta_max": eta_max},
+            tuner=tuner,
+            start=start,
+            bounds=bounds,
+            step=step,
+            cost=cost,
+            trials=trials,
+            repeats=repeats,
+            eta_max=eta_max,
         )
         description.limits.check(plan.step)
         book = None
@@ -129,7 +136,9 @@ def resume(
         tuning_ = tuning.replay(*_stored(journal), journal)
         target = journal.fact("target") if target is None else target
         if target is None:
-            raise InvalidInput(f"{run_folder} was made on an object; pass it: estune.resume(folder, rig)")
+            raise InvalidInput(
+                f"{run_folder} was made on an object; pass it: estune.resume(folder, rig)"
+            )
         with open_target(target, journal.fact("rig_name")) as rig:
             _check_same_rig(tuning_.description, rig.describe())
             return _run(tuning_, rig, watch)

@@ -11,7 +11,7 @@
     └── UnsafeStart        6  no safe gains to begin from or to fall back on
 
 Each message is one line: what is wrong, where, and what to do about it. The number is the exit
-code of the command line. A trial that fails is not an exception but data: see `estune.trial.Outcome`.
+code of the command line. A trial that fails is not an exception but data: `estune.trial.Outcome`.
 """
 
 from typing import ClassVar

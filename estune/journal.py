@@ -83,7 +83,8 @@ class Journal:
         """
         if (folder / FILE_NAME).exists():
             raise JournalError(
-                f"{folder} holds a run already; choose another name, or go on with: estune resume {folder}"
+                f"{folder} holds a run already; "
+                f"choose another name, or go on with: estune resume {folder}"
             )
         with _explained(folder):
             folder.mkdir(parents=True, exist_ok=True)
@@ -115,16 +116,25 @@ class Journal:
         with _explained(folder):
             lock = _lock(folder) if write else None
             # Without the right to write, SQLite cannot make the shared index a WAL reader needs.
-            unshared = not os.access(folder, os.W_OK) and not (folder / f"{FILE_NAME}-wal").exists()
+            unshared = (
+                not os.access(folder, os.W_OK) and not (folder / f"{FILE_NAME}-wal").exists()
+            )
             mode = "rw" if write else "ro&immutable=1" if unshared else "ro"
             connection = sqlite3.connect(
-                f"{path.resolve().as_uri()}?mode={mode}", uri=True, isolation_level=None, timeout=2.0
+                f"{path.resolve().as_uri()}?mode={mode}",
+                uri=True,
+                isolation_level=None,
+                timeout=2.0,
             )
             version = connection.execute("PRAGMA user_version").fetchone()[0]
             if version != SCHEMA_VERSION:
                 raise JournalError(
                     f"{path} has schema version {version}, this estune knows {SCHEMA_VERSION}; "
-                    + ("use a newer estune" if version > SCHEMA_VERSION else "it is not a run of estune")
+                    + (
+                        "use a newer estune"
+                        if version > SCHEMA_VERSION
+                        else "it is not a run of estune"
+                    )
                 )
             if write:
                 connection.execute("PRAGMA synchronous=FULL")
@@ -246,7 +256,7 @@ def _lock(folder: Path) -> IO[str]:
     except BlockingIOError:
         lock.close()
         raise JournalError(
-            f"the run in {folder} is being written by another process; wait for it or stop it first"
+            f"the run in {folder} is being written by another process; wait for it or stop it"
         ) from None
     return lock
 

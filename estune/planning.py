@@ -29,7 +29,9 @@ def make_tuner(
     """
     if not isinstance(tuner, str):
         if bounds is not None:
-            raise InvalidInput("a ready-made tuner has its own search space; give bounds to that one")
+            raise InvalidInput(
+                "a ready-made tuner has its own search space; give bounds to that one"
+            )
         return tuner
     if tuner not in TUNERS:
         raise InvalidInput(f"there is no tuner {tuner!r}; the tuners are {', '.join(TUNERS)}")
@@ -67,7 +69,9 @@ def plan_to_json(plan: Plan) -> dict[str, Any]:
     """
     kind = type(plan.tuner)
     if not dataclasses.is_dataclass(kind):
-        raise InvalidInput(f"tuner {kind.__qualname__} is not a dataclass; only one can be journalled")
+        raise InvalidInput(
+            f"tuner {kind.__qualname__} is not a dataclass; only one can be journalled"
+        )
     shown = {
         f.name: TypeAdapter(type(value)).dump_python(value, mode="json")
         for f in dataclasses.fields(plan)
@@ -86,7 +90,9 @@ def plan_from_json(values: dict[str, Any]) -> Plan:
     try:
         settings = dict(values["tuner"])
         module, _, name = settings.pop("kind").partition(":")
-        tuner = TypeAdapter(getattr(importlib.import_module(module), name)).validate_python(settings)
+        tuner = TypeAdapter(getattr(importlib.import_module(module), name)).validate_python(
+            settings
+        )
         types = {"start": Gains, "step": StepProfile, "cost": StepCost}
         rest = {
             key: TypeAdapter(types[key]).validate_python(value) if key in types else value
@@ -95,7 +101,9 @@ def plan_from_json(values: dict[str, Any]) -> Plan:
         }
         return Plan(tuner=tuner, **rest)
     except (KeyError, ImportError, AttributeError, TypeError, ValidationError) as error:
-        raise JournalError(f"the stored plan cannot be read ({error}); it is of another version") from error
+        raise JournalError(
+            f"the stored plan cannot be read ({error}); it is of another version"
+        ) from error
 
 
 def description_to_json(description: RigDescription) -> dict[str, Any]:
@@ -113,4 +121,6 @@ def description_from_json(values: dict[str, Any]) -> RigDescription:
     try:
         return TypeAdapter(RigDescription).validate_python(values)
     except ValidationError as error:
-        raise JournalError(f"the stored rig cannot be read ({error}); it is of another version") from error
+        raise JournalError(
+            f"the stored rig cannot be read ({error}); it is of another version"
+        ) from error

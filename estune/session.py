@@ -7,7 +7,7 @@ with it every later proposal, bit for bit.
 """
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from statistics import fmean, variance
 from typing import Any
@@ -71,10 +71,10 @@ class Plan:
 
 
 UNSAFE_RATIO = 3.0
-"""A trial that costs this many times the start is taken for unsafe unless the user says otherwise."""
+"""A trial that costs this many times the start is unsafe, unless the user says otherwise."""
 
 UNSAFE_IN_A_ROW = 12
-"""So many unsafe trials one after the other end the search: the tuner is not finding its way back."""
+"""So many unsafe trials in a row end the search: the tuner is not finding its way back."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,7 +120,7 @@ class Session:
 
     @property
     def eta_max(self) -> float:
-        """The cost above which a trial is unsafe; infinite until there is a baseline to judge by."""
+        """The cost above which a trial is unsafe; infinite until there is a baseline."""
         if self.plan.eta_max is not None:
             return self.plan.eta_max
         return UNSAFE_RATIO * fmean(self.baseline) if self.baseline else math.inf
@@ -183,7 +183,7 @@ class Verdict:
         start_cost_error: Standard error of that mean.
         improved: Whether the gains beat the start by more than two standard errors.
         message: The verdict in a sentence.
-        complete: Whether the run was confirmed; otherwise `gains` are the start.
+        complete: Whether the run came to its end; otherwise `gains` are the start.
     """
 
     gains: Gains
@@ -193,30 +193,42 @@ class Verdict:
     start_cost_error: float
     improved: bool
     message: str
-    complete: bool = field(default=True)
+    complete: bool
 
 
 def verdict(session: Session) -> Verdict:
     """What the run came to, so far as it went."""
     plan = session.plan
     start_cost, start_error = _mean(session.baseline)
-    best, best_cost, best_error = plan.start, start_cost, start_error
+    as_it_was = Verdict(
+        gains=plan.start,
+        cost=start_cost,
+        cost_error=start_error,
+        start_cost=start_cost,
+        start_cost_error=start_error,
+        improved=False,
+        complete=False,
+        message=session.failure
+        or f"stopped after {session.number} trials, before any gains were confirmed",
+    )
     if session.failure or session.phase is not None:
-        message = session.failure or f"stopped after {session.number} trials, before any gains were confirmed"
-        return Verdict(best, start_cost, start_error, start_cost, start_error, False, message, False)
-    for gains, costs in zip(session.candidates, session.confirmed, strict=True):
-        mean, error = _mean(costs)
-        if mean < best_cost:
-            best, best_cost, best_error = gains, mean, error
-    gain = start_cost - best_cost
-    improved = gain > 2.0 * math.hypot(start_error, best_error) and gain > 0.0
-    if not improved:
-        message = f"no gains beat the start beyond the scatter of {plan.repeats} repeats; keep the start"
-        return Verdict(
-            plan.start, start_cost, start_error, start_cost, start_error, False, message
+        return as_it_was
+    means = [_mean(costs) for costs in session.confirmed]
+    (cost, error), gains = min(
+        zip(means, session.candidates, strict=True), key=lambda pair: pair[0]
+    )
+    if start_cost - cost > 2.0 * math.hypot(start_error, error):
+        message = f"the cost fell from {start_cost:.3g} to {cost:.3g}; {session.search_end}"
+        return replace(
+            as_it_was,
+            **{"gains": gains, "cost": cost, "cost_error": error},
+            **{"improved": True, "complete": True, "message": message},
         )
-    message = f"cost {start_cost:.3g} -> {best_cost:.3g}; {session.search_end}"
-    return Verdict(best, best_cost, best_error, start_cost, start_error, True, message)
+    message = (
+        f"no gains beat the start beyond the scatter of {plan.repeats} repeats; "
+        f"keep the start; {session.search_end}"
+    )
+    return replace(as_it_was, complete=True, message=message)
 
 
 def _told_search(session: Session, observation: Observation) -> Session:

@@ -53,8 +53,8 @@ def open_target(target: Any, rig: str | None = None) -> Iterator[Rig]:
     else:
         raise InvalidInput(
             f"{target!r} is no target: give an endpoint such as tcp/127.0.0.1:7447, a plant such as "
-            "plants.reference_reel(), or a rig; wrap a python-control system in plants.linear_plant "
-            "and a function in plants.python_plant"
+            "plants.reference_reel(), or a rig; wrap a python-control system in "
+            "plants.linear_plant and a function in plants.python_plant"
         )
 
 
@@ -67,7 +67,8 @@ def load(reference: str, settings: Mapping[str, Any] | None = None) -> Any:
     module_name, colon, attribute = reference.partition(":")
     if not colon or not module_name or not attribute:
         raise InvalidInput(
-            f"{reference!r} is neither an endpoint (tcp/127.0.0.1:7447) nor module:attribute (plants:reference_reel)"
+            f"{reference!r} is neither an endpoint such as tcp/127.0.0.1:7447 "
+            "nor module:attribute such as plants:reference_reel"
         )
     try:
         found = getattr(importlib.import_module(module_name), attribute)
@@ -77,7 +78,9 @@ def load(reference: str, settings: Mapping[str, Any] | None = None) -> Any:
         raise InvalidInput(f"{reference}: {module_name} has no {attribute!r}") from error
     if hasattr(found, "rig") and not isinstance(found, type):
         if settings:
-            raise InvalidInput(f"{reference} is made already and takes no settings {dict(settings)}")
+            raise InvalidInput(
+                f"{reference} is made already and takes no settings {dict(settings)}"
+            )
         return found
     try:
         inspect.signature(found).bind(**(settings or {}))

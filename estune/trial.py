@@ -14,7 +14,7 @@ from estune.errors import InvalidInput
 FloatArray = NDArray[np.float64]
 
 SATURATED, GUARD, LATE = 1, 2, 4
-"""Bits of the `flags` column: the command was limited, the guard stepped in, the sample was late."""
+"""Bits of the `flags` column: command limited, guard stepped in, sample late."""
 
 
 class Outcome(StrEnum):
@@ -207,11 +207,13 @@ class RigLimits:
             if not self.tension_min_N <= tension <= self.tension_max_N:
                 raise InvalidInput(
                     f"setpoint {tension:g} N is outside the rig's range "
-                    f"{self.tension_min_N:g} to {self.tension_max_N:g} N; choose another preload or step"
+                    f"{self.tension_min_N:g} to {self.tension_max_N:g} N; "
+                    "choose another preload or step"
                 )
         if step.duration_s > self.duration_max_s:
             raise InvalidInput(
-                f"a trial of {step.duration_s:g} s is longer than the rig's limit of {self.duration_max_s:g} s"
+                f"a trial of {step.duration_s:g} s is longer than the rig's limit of "
+                f"{self.duration_max_s:g} s; choose a shorter one"
             )
 
 

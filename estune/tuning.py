@@ -96,8 +96,9 @@ def replay(plan: Plan, description: RigDescription, journal: Journal) -> Tuning:
         request = next_request(tuning.session)
         if request is None or request.trial_id != entry.trial_id or request.gains != entry.gains:
             raise JournalError(
-                f"{journal.folder}: trial {entry.trial_id} with {entry.gains} is not what the plan asks for "
-                f"({request and request.gains}); the journal is of another version or was changed"
+                f"{journal.folder}: trial {entry.trial_id} with {entry.gains} is not what the plan "
+                f"asks for ({request and request.gains}); "
+                "the journal is of another version or was changed"
             )
         if entry.outcome is not None:
             tuning.entries.append(entry)
@@ -157,7 +158,9 @@ def _tell(
 
 
 def _commit(
-    tuning: Tuning, done: tuple[TrialRequest, TrialRecord, float] | None, asked: TrialRequest | None
+    tuning: Tuning,
+    done: tuple[TrialRequest, TrialRecord, float] | None,
+    asked: TrialRequest | None,
 ) -> None:
     phase = tuning.session.phase
     if tuning.journal is not None and (done is not None or asked is not None):

@@ -15,14 +15,14 @@ class Gains:
         P: Proportional gain, output unit per input unit (N/N on a reel); above zero.
         I: Integral gain, 1/s times the unit of P; zero or above.
         D: Derivative gain, s times the unit of P; zero or above.
-        setpoint_filter_s: Time constant of the first-order setpoint filter F, s; zero is no filter.
+        setpoint_filter_s: Time constant of the setpoint filter F, first order, s; zero is none.
 
     Raises:
         InvalidInput: a value is not finite, or below what it may be.
     """
 
     P: float
-    I: float  # noqa: E741  the field's own name for the integral gain
+    I: float
     D: float
     setpoint_filter_s: float
 
@@ -60,5 +60,12 @@ class Gains:
         """(P, I, D, setpoint_filter_s)."""
         return self.P, self.I, self.D, self.setpoint_filter_s
 
+    def __str__(self) -> str:
+        return (
+            f"P {self.P:.4g} N/N, I {self.I:.4g} 1/s, D {self.D:.4g} s, "
+            f"setpoint filter {self.setpoint_filter_s:.4g} s"
+        )
+
 
 GAIN_NAMES = ("P", "I", "D", "setpoint_filter_s")
+GAIN_UNITS = {"P": "N/N", "I": "1/s", "D": "s", "setpoint_filter_s": "s"}

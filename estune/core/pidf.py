@@ -54,7 +54,7 @@ class ControllerSettings:
             )
         if not self.output_min_N < self.output_max_N:
             raise InvalidInput(
-                f"output limits {self.output_min_N} to {self.output_max_N} N are the wrong way round"
+                f"output limits {self.output_min_N} to {self.output_max_N} N: the first must be less"
             )
 
 
@@ -86,7 +86,11 @@ def coefficients(settings: ControllerSettings, gains: Gains) -> Coefficients:
 
 
 def symbolic_coefficients(
-    settings: ControllerSettings, P: Signal, I: Signal, D: Signal, setpoint_filter_s: Signal  # noqa: E741
+    settings: ControllerSettings,
+    P: Signal,
+    I: Signal,
+    D: Signal,
+    setpoint_filter_s: Signal,
 ) -> Coefficients:
     """The same, for gains that may be arrays or CasADi symbols, which `Gains` cannot check."""
     h = 1.0 / settings.sampling_Hz
@@ -139,7 +143,7 @@ def at_rest(tension_N: Signal, effort_N: Signal) -> PidfState:
 def bumpless(
     c: Coefficients, state: PidfState, setpoint_N: Signal, measurement_N: Signal, effort_N: Signal
 ) -> PidfState:
-    """The state from which the next `step` gives exactly `effort_N`, whatever the gains were before.
+    """The state from which the next `step` gives exactly `effort_N`, whatever the gains were.
 
     Only the integral moves: the filters have seen the same signals under any gains.
     """

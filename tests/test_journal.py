@@ -1,0 +1,254 @@
+"""The journal: what is committed stays, and a run goes on from it bit for bit."""
+
+import json
+import shutil
+import sqlite3
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from estune.core.tuners import TUNERS
+
+import estune
+from estune import tuning
+from estune.errors import JournalError
+from estune.journal import FILE_NAME, Journal
+from estune.planning import (
+    description_from_json,
+    description_to_json,
+    make_plan,
+    plan_from_json,
+    plan_to_json,
+)
+from estune.trial import Outcome
+from tests.support_runs import ArithmeticRig
+
+
+class Killed(BaseException):
+    """Stands for the process ending at this very point."""
+
+
+class Doomed:
+    """Lets a run get to a certain event, keeps the files as a kill leaves them, and ends it."""
+
+    def __init__(self, folder: Path, dies_at: int) -> None:
+        self.folder, self.dies_at, self.events = folder, dies_at, 0
+
+    def event(self) -> None:
+        if self.events == self.dies_at:
+            shutil.copytree(self.folder, self.folder.with_name("left"))
+            raise Killed
+        self.events += 1
+
+    def around(self, function):
+        def doomed(*args):
+            self.event()
+            result = function(*args)
+            self.event()
+            return result
+
+        return doomed
+
+
+def begin(folder: Path, tuner: str, rig: ArithmeticRig) -> tuning.Tuning:
+    plan = make_plan(
+        *(rig.describe(), "run"),
+        tuner=tuner,
+        start=None,
+        bounds=None,
+        step=None,
+        cost=None,
+        trials=11,
+        repeats=2,
+    )
+    facts = {"plan": plan_to_json(plan), "rig": description_to_json(rig.describe())}
+    return tuning.start(plan, rig.describe(), Journal.create(folder, facts))
+
+
+def go_on(folder: Path, rig: ArithmeticRig) -> tuning.Tuning:
+    journal = Journal.open(folder, write=True)
+    plan = plan_from_json(journal.fact("plan"))
+    resumed = tuning.replay(plan, description_from_json(journal.fact("rig")), journal)
+    tuning.run(resumed, rig)
+    return resumed
+
+
+def trace(entries) -> list[tuple]:
+    return [(e.number, e.phase, e.gains.as_tuple(), e.cost) for e in entries]
+
+
+@pytest.mark.parametrize("tuner", TUNERS)
+def test_a_run_killed_at_any_event_goes_on_as_if_nothing_had_been(tuner, tmp_path):
+    rig = ArithmeticRig()
+    whole = begin(tmp_path / "whole", tuner, rig)
+    tuning.run(whole, rig)
+    whole.journal.close()
+    expected, dies_at, finished = trace(whole.entries), 0, False
+    while not finished:
+        folder = tmp_path / f"dies-{dies_at}" / "run"
+        doomed, rig = Doomed(folder, dies_at), ArithmeticRig()
+        dying = begin(folder, tuner, rig)
+        dying.journal.commit = doomed.around(dying.journal.commit)
+        rig.run = doomed.around(rig.run)
+        try:
+            tuning.run(dying, rig)
+            finished = True
+        except Killed:
+            told_before = len(list(Journal.open(folder.with_name("left")).entries()))
+            again = ArithmeticRig()
+            resumed = go_on(folder.with_name("left"), again)
+            assert trace(resumed.entries) == expected
+            # Only what had not been told is run: never a trial whose record is there.
+            assert len(again.asked) >= len(expected) - told_before
+            assert len(again.asked) <= len(expected) - max(told_before - 1, 0)
+            resumed.journal.close()
+        dying.journal.close()
+        dies_at += 1
+    assert dies_at == 2 * len(expected) + 2 * (len(expected) + 1) + 1
+
+
+def test_records_come_back_bit_for_bit(tmp_path):
+    rig = ArithmeticRig()
+    run = begin(tmp_path / "run", "otis", rig)
+    tuning.run(run, rig)
+    run.journal.close()
+    with Journal.open(tmp_path / "run") as journal:
+        for request in rig.asked:
+            record, stored = ArithmeticRig().run(request), journal.record(request.trial_id)
+            for column in ("time_s", "setpoint_N", "tension_N", "current_A", "angle_rad", "flags"):
+                np.testing.assert_array_equal(getattr(stored, column), getattr(record, column))
+            assert stored.gains == request.gains
+            assert stored.outcome is Outcome.DONE
+
+
+def test_a_loaded_result_equals_the_one_first_returned(tmp_path):
+    made = estune.tune(ArithmeticRig(), trials=11, folder=tmp_path, run="a", watch=None)
+    loaded = estune.load(tmp_path / "a")
+    assert loaded.verdict == made.verdict
+    assert loaded.to_frame().equals(made.to_frame())
+
+
+def test_a_second_writer_is_kept_out_and_a_reader_is_not(tmp_path):
+    run = begin(tmp_path / "run", "otis", ArithmeticRig())
+    with pytest.raises(JournalError, match="another process"):
+        Journal.open(tmp_path / "run", write=True)
+    with Journal.open(tmp_path / "run") as reader:
+        assert reader.fact("plan")["run"] == "run"
+    run.journal.close()
+
+
+def test_a_name_in_use_is_not_written_over(tmp_path):
+    begin(tmp_path / "run", "otis", ArithmeticRig()).journal.close()
+    with pytest.raises(JournalError, match="holds a run already"):
+        begin(tmp_path / "run", "otis", ArithmeticRig())
+
+
+def test_a_file_locked_by_another_program_is_said_and_nothing_is_lost(tmp_path):
+    rig = ArithmeticRig()
+    run = begin(tmp_path / "run", "otis", rig)
+    other = sqlite3.connect(tmp_path / "run" / FILE_NAME, isolation_level=None)
+    other.execute("BEGIN EXCLUSIVE")
+    with pytest.raises(JournalError, match=r"locked.*estune resume"):
+        tuning.run(run, rig)
+    other.execute("ROLLBACK")
+    other.close()
+    run.journal.close()
+    assert len(go_on(tmp_path / "run", rig).entries) == run.plan.most_trials
+
+
+@pytest.mark.parametrize(
+    ("damage", "words"),
+    [
+        (lambda path: path.write_bytes(path.read_bytes()[: path.stat().st_size // 2]), "damaged"),
+        (
+            lambda path: path.write_bytes(b"not a database, but long enough to look at" * 50),
+            "damaged",
+        ),
+        (lambda path: path.unlink(), "no run"),
+    ],
+    ids=["torn", "foreign", "missing"],
+)
+def test_a_damaged_journal_is_refused_with_what_to_do(damage, words, tmp_path):
+    rig = ArithmeticRig()
+    run = begin(tmp_path / "run", "otis", rig)
+    tuning.run(run, rig)
+    run.journal.close()
+    damage(tmp_path / "run" / FILE_NAME)
+    with pytest.raises(JournalError, match=words):
+        go_on(tmp_path / "run", rig)
+
+
+def test_a_journal_from_a_newer_version_is_left_alone(tmp_path):
+    begin(tmp_path / "run", "otis", ArithmeticRig()).journal.close()
+    path = tmp_path / "run" / FILE_NAME
+    with sqlite3.connect(path) as connection:
+        connection.execute("PRAGMA user_version=99")
+    connection.close()
+    before = path.read_bytes()
+    with pytest.raises(JournalError, match=r"version 99.*newer estune"):
+        Journal.open(tmp_path / "run", write=True)
+    assert path.read_bytes() == before
+
+
+def test_a_full_disk_ends_the_run_and_keeps_what_was_committed(tmp_path):
+    rig = ArithmeticRig()
+    run = begin(tmp_path / "run", "otis", rig)
+    pages = run.journal._connection.execute("PRAGMA page_count").fetchone()[0]
+    run.journal._connection.execute(f"PRAGMA max_page_count={pages + 12}")
+    with pytest.raises(JournalError, match=r"full.*estune resume"):
+        tuning.run(run, rig)
+    run.journal.close()
+    with Journal.open(tmp_path / "run") as journal:
+        assert (
+            sum(entry.outcome is not None for entry in journal.entries()) == len(run.entries) > 0
+        )
+    assert len(go_on(tmp_path / "run", rig).entries) == run.plan.most_trials
+
+
+def test_a_changed_journal_is_noticed_before_anything_moves(tmp_path):
+    rig = ArithmeticRig()
+    run = begin(tmp_path / "run", "otis", rig)
+    tuning.run(run, rig)
+    run.journal.close()
+    with sqlite3.connect(tmp_path / "run" / FILE_NAME) as connection:
+        connection.execute("UPDATE trial SET P = P * 1.01 WHERE number = 5")
+    connection.close()
+    ran = len(rig.asked)
+    with pytest.raises(JournalError, match="not what the plan asks for"):
+        go_on(tmp_path / "run", rig)
+    assert len(rig.asked) == ran
+
+
+_TUNE = """
+import sys, estune
+from tests.support_runs import ArithmeticRig
+estune.tune(ArithmeticRig(), trials=400, folder=sys.argv[1], run="run", watch=None)
+"""
+
+
+@pytest.mark.slow
+def test_a_process_killed_in_earnest_loses_nothing_it_had_told(tmp_path):
+    process = subprocess.Popen(
+        [sys.executable, "-c", _TUNE, tmp_path], cwd=Path(__file__).parents[1]
+    )
+    try:
+        while process.poll() is None:
+            try:
+                with Journal.open(tmp_path / "run") as journal:
+                    if sum(entry.outcome is not None for entry in journal.entries()) >= 60:
+                        break
+            except JournalError:
+                continue
+    finally:
+        process.kill()
+        process.wait()
+    with Journal.open(tmp_path / "run") as journal:
+        left = [entry for entry in journal.entries() if entry.outcome is not None]
+        assert json.dumps(journal.fact("status")) == '"running"'
+    assert len(left) >= 60
+    resumed = estune.resume(tmp_path / "run", ArithmeticRig(), watch=None)
+    whole = estune.tune(ArithmeticRig(), trials=400, journal=False, run="run", watch=None)
+    assert trace(resumed.entries)[: len(left)] == trace(left)
+    assert trace(resumed.entries) == trace(whole.entries)
