@@ -51,7 +51,7 @@ def tune(
     was found is in the result, and is made live only by `estune apply` or `Rig.apply`.
 
     Args:
-        target: An endpoint ("tcp/127.0.0.1:7447"), a plant ("plants:reference_reel" or the object),
+        target: An endpoint ("tcp/127.0.0.1:7447"), a plant ("plants:reference_reel" or an object),
             or a rig.
         tuner: Name of a tuner, or one ready-made.
         trials: Greatest number of search trials.

@@ -221,8 +221,12 @@ def verdict(session: Session) -> Verdict:
         message = f"the cost fell from {start_cost:.3g} to {cost:.3g}; {session.search_end}"
         return replace(
             as_it_was,
-            **{"gains": gains, "cost": cost, "cost_error": error},
-            **{"improved": True, "complete": True, "message": message},
+            gains=gains,
+            cost=cost,
+            cost_error=error,
+            improved=True,
+            complete=True,
+            message=message,
         )
     message = (
         f"no gains beat the start beyond the scatter of {plan.repeats} repeats; "

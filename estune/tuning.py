@@ -94,11 +94,11 @@ def replay(plan: Plan, description: RigDescription, journal: Journal) -> Tuning:
     tuning = start(plan, description, journal)
     for entry in journal.entries():
         request = next_request(tuning.session)
-        if request is None or request.trial_id != entry.trial_id or request.gains != entry.gains:
+        asked = request and (request.trial_id, request.gains)
+        if asked != (entry.trial_id, entry.gains):
             raise JournalError(
                 f"{journal.folder}: trial {entry.trial_id} with {entry.gains} is not what the plan "
-                f"asks for ({request and request.gains}); "
-                "the journal is of another version or was changed"
+                f"asks for ({asked}); the journal is of another version or was changed"
             )
         if entry.outcome is not None:
             tuning.entries.append(entry)

@@ -54,7 +54,7 @@ class ControllerSettings:
             )
         if not self.output_min_N < self.output_max_N:
             raise InvalidInput(
-                f"output limits {self.output_min_N} to {self.output_max_N} N: the first must be less"
+                f"output limits {self.output_min_N} to {self.output_max_N} N: not in order"
             )
 
 
