@@ -1,0 +1,216 @@
+"""The binary form of a trial record, on the link and in the journal.
+
+::
+
+    offset 0   4 bytes   the magic, "RTR1"; another digit is another version of the frame
+           4   u32       length of the header in bytes, a multiple of 8
+           8   u32       length of the body in bytes
+          12   u32       CRC-32 of everything else
+          16             header: JSON, padded with spaces
+                         body: the columns one after the other, `samples` float64 each,
+                         and the flags, `samples` bytes
+
+All numbers are little-endian. A microcontroller writes the body with one copy per column; here it
+is read without copying. One flipped bit anywhere, or any burst of up to 32, is always noticed.
+"""
+
+import struct
+import zlib
+from dataclasses import dataclass, fields
+from functools import cache
+from typing import TYPE_CHECKING, ClassVar, Literal
+
+import numpy as np
+
+from estune.core.gains import Gains
+from estune.errors import ProtocolError
+from estune.trial import Outcome, TrialRecord
+
+if TYPE_CHECKING:
+    from pydantic import TypeAdapter
+
+MAX_BYTES = 16 * 2**20
+"""The largest frame, about 340 000 samples: long for a trial, short for a machine's memory."""
+
+HEADER_MAX_BYTES = 64 * 2**10
+"""The largest header; all but the reason of a failed trial has a fixed, small size."""
+
+_FAMILY, _VERSION = b"RTR", b"1"
+_PREFIX = struct.Struct("<4sIII")
+_COLUMNS = ("time_s", "setpoint_N", "tension_N", "current_A", "angle_rad")
+_OPTIONAL_COLUMN = "reference_N"
+_FLOAT = np.dtype("<f8")
+
+
+@dataclass(frozen=True, slots=True)
+class Header:
+    """The part of a record that is not a column, and which columns follow in which order."""
+
+    __pydantic_config__: ClassVar = {
+        "extra": "forbid",
+        "strict": True,
+        "allow_inf_nan": False,
+        "ser_json_inf_nan": "constants",  # so that a NaN is refused when read, not turned into null
+    }
+
+    columns: tuple[str, ...]
+    samples: int
+    trial_id: str
+    rig: str
+    sampling_Hz: float
+    cable_length_m: float | None
+    preload_N: float
+    gains: Gains
+    outcome: Outcome
+    reason: str
+    started_at: str
+    software: str
+    loop: Literal["closed", "open"]
+    profile: Literal["step", "triangle", "multisine", "chirp", "custom"]
+
+
+_FACTS = tuple(field.name for field in fields(Header) if field.name not in ("columns", "samples"))
+
+
+def size(samples: int, *, reference: bool = False) -> int:
+    """Bytes of the frame of a record of so many samples, at most."""
+    return _PREFIX.size + HEADER_MAX_BYTES + _body_size(samples, reference)
+
+
+def encode(record: TrialRecord) -> bytes:
+    """The frame of a record.
+
+    Raises:
+        ProtocolError: the columns differ in length or shape, a number outside the columns is not
+            finite, or the frame would be too large.
+    """
+    columns = _COLUMNS if record.reference_N is None else (*_COLUMNS, _OPTIONAL_COLUMN)
+    arrays = [np.ascontiguousarray(getattr(record, name), _FLOAT) for name in columns]
+    arrays.append(np.ascontiguousarray(record.flags, np.uint8))
+    shapes = {array.shape for array in arrays}
+    if len(shapes) != 1 or arrays[0].ndim != 1:
+        raise ProtocolError(
+            f"record of trial {record.trial_id}: columns have shapes {sorted(shapes)}; "
+            "they must be one-dimensional and of one length"
+        )
+    header = _header_json(record, columns, arrays[0].size)
+    body = b"".join(array.tobytes() for array in arrays)
+    length = _PREFIX.size + len(header) + len(body)
+    if length > MAX_BYTES or len(header) > HEADER_MAX_BYTES:
+        raise ProtocolError(
+            f"record of trial {record.trial_id} takes {length} bytes, {len(header)} of them its "
+            f"header; a frame holds {MAX_BYTES} and {HEADER_MAX_BYTES}: run a shorter trial"
+        )
+    magic = _FAMILY + _VERSION
+    checksum = _checksum(_PREFIX.pack(magic, len(header), len(body), 0), header, body)
+    return _PREFIX.pack(magic, len(header), len(body), checksum) + header + body
+
+
+def decode(data: bytes) -> TrialRecord:
+    """The record in a frame. Its columns are read-only views of the frame.
+
+    Raises:
+        ProtocolError: the frame is of another version, corrupt, truncated, too long or too large.
+    """
+    header_length, body_length = _check_envelope(data)
+    body_at = _PREFIX.size + header_length
+    header = _parse_header(data[_PREFIX.size : body_at])
+    optional = header.columns[len(_COLUMNS) :]
+    if header.columns[: len(_COLUMNS)] != _COLUMNS or optional not in ((), (_OPTIONAL_COLUMN,)):
+        raise ProtocolError(f"record frame: unknown columns {', '.join(header.columns)} in header")
+    if header.samples < 0 or _body_size(header.samples, bool(optional)) != body_length:
+        raise ProtocolError(
+            f"record frame: body of {body_length} bytes does not hold the "
+            f"{len(header.columns)} columns of {header.samples} samples the header announces"
+        )
+    columns = {
+        name: np.frombuffer(
+            data, _FLOAT, header.samples, body_at + index * header.samples * _FLOAT.itemsize
+        )
+        for index, name in enumerate(header.columns)
+    }
+    facts = {name: getattr(header, name) for name in _FACTS}
+    flags = np.frombuffer(data, np.uint8, header.samples, len(data) - header.samples)
+    return TrialRecord(**facts, **columns, flags=flags)
+
+
+def _check_envelope(data: bytes) -> tuple[int, int]:
+    """Lengths of header and body, once magic, lengths and checksum are found right."""
+    if len(data) > MAX_BYTES:
+        raise ProtocolError(f"record frame of {len(data)} bytes; the limit is {MAX_BYTES}")
+    if len(data) < _PREFIX.size:
+        raise ProtocolError(
+            f"record frame cut short: {len(data)} bytes, its prefix alone takes {_PREFIX.size}"
+        )
+    magic, header_length, body_length, checksum = _PREFIX.unpack_from(data)
+    if magic[:3] != _FAMILY:
+        raise ProtocolError(f"not a record frame: it begins with {magic!r}, not {_FAMILY!r}")
+    if magic[3:] != _VERSION:
+        raise ProtocolError(
+            f"record frame of version {magic[3:]!r} at byte 3; this estune reads {_VERSION!r}: "
+            "use the estune that wrote it, or a newer one"
+        )
+    expected = _PREFIX.size + header_length + body_length
+    if len(data) != expected:
+        raise ProtocolError(
+            f"record frame of {len(data)} bytes; its prefix announces {expected} "
+            f"({abs(len(data) - expected)} {'missing' if len(data) < expected else 'too many'})"
+        )
+    body_at = _PREFIX.size + header_length
+    view = memoryview(data)
+    prefix = _PREFIX.pack(magic, header_length, body_length, 0)
+    if checksum != _checksum(prefix, view[_PREFIX.size : body_at], view[body_at:]):
+        raise ProtocolError(f"record frame of {len(data)} bytes is corrupt: wrong checksum")
+    if header_length % 8 or header_length > HEADER_MAX_BYTES:
+        raise ProtocolError(
+            f"record frame: header of {header_length} bytes; it must be a multiple of 8 and "
+            f"at most {HEADER_MAX_BYTES}"
+        )
+    return header_length, body_length
+
+
+def _checksum(prefix: bytes, header: bytes | memoryview, body: bytes | memoryview) -> int:
+    """CRC-32 over the whole frame, its own field taken as zero."""
+    return zlib.crc32(body, zlib.crc32(header, zlib.crc32(prefix)))
+
+
+def _body_size(samples: int, reference: bool) -> int:  # noqa: FBT001  private, always by name above
+    return samples * (_FLOAT.itemsize * (len(_COLUMNS) + reference) + 1)
+
+
+@cache
+def _adapter() -> "TypeAdapter[Header]":
+    from pydantic import TypeAdapter  # noqa: PLC0415  slow to import, not needed by every command
+
+    return TypeAdapter(Header)
+
+
+def _header_json(record: TrialRecord, columns: tuple[str, ...], samples: int) -> bytes:
+    """The header, padded with spaces so that the body begins on a multiple of 8."""
+    facts = {name: getattr(record, name) for name in _FACTS}
+    try:
+        text = _adapter().dump_json(Header(columns, samples, **facts), warnings=False)
+        _adapter().validate_json(text)  # what is written can be read
+    except ValueError as error:
+        raise ProtocolError(
+            f"record of trial {record.trial_id!r} cannot be framed: {one_line(error)}"
+        ) from error
+    return text + b" " * (-len(text) % 8)
+
+
+def _parse_header(text: bytes) -> Header:
+    try:
+        return _adapter().validate_json(text)
+    except ValueError as error:
+        raise ProtocolError(f"record frame: header: {one_line(error)}") from error
+
+
+def one_line(error: ValueError) -> str:
+    """The first thing pydantic found wrong, and where, in one line."""
+    from pydantic import ValidationError  # noqa: PLC0415  as above
+
+    if not isinstance(error, ValidationError):
+        return str(error)
+    first = error.errors(include_url=False, include_context=False)[0]
+    where = ".".join(str(part) for part in first["loc"])
+    return f"{where}: {first['msg']}" if where else first["msg"]
