@@ -97,8 +97,8 @@ def replay(plan: Plan, description: RigDescription, journal: Journal) -> Tuning:
         asked = request and (request.trial_id, request.gains)
         if asked != (entry.trial_id, entry.gains):
             raise JournalError(
-                f"{journal.folder}: trial {entry.trial_id} with {entry.gains} is not what the plan "
-                f"asks for ({asked}); the journal is of another version or was changed"
+                f"{journal.folder}: trial {entry.trial_id} with {entry.gains} is not what the "
+                f"plan asks for ({asked}); the journal is of another version or was changed"
             )
         if entry.outcome is not None:
             tuning.entries.append(entry)
