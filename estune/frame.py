@@ -18,7 +18,7 @@ import struct
 import zlib
 from dataclasses import dataclass, fields
 from functools import cache
-from typing import TYPE_CHECKING, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 
@@ -50,7 +50,7 @@ class Header:
         "extra": "forbid",
         "strict": True,
         "allow_inf_nan": False,
-        "ser_json_inf_nan": "constants",  # so that a NaN is refused when read, not turned into null
+        "ser_json_inf_nan": "constants",  # a NaN is then refused when read, not turned into null
     }
 
     columns: tuple[str, ...]
@@ -123,13 +123,13 @@ def decode(data: bytes) -> TrialRecord:
             f"record frame: body of {body_length} bytes does not hold the "
             f"{len(header.columns)} columns of {header.samples} samples the header announces"
         )
-    columns = {
+    columns: dict[str, Any] = {
         name: np.frombuffer(
             data, _FLOAT, header.samples, body_at + index * header.samples * _FLOAT.itemsize
         )
         for index, name in enumerate(header.columns)
     }
-    facts = {name: getattr(header, name) for name in _FACTS}
+    facts: dict[str, Any] = {name: getattr(header, name) for name in _FACTS}
     flags = np.frombuffer(data, np.uint8, header.samples, len(data) - header.samples)
     return TrialRecord(**facts, **columns, flags=flags)
 
