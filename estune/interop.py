@@ -1,0 +1,189 @@
+"""To and from python-control: the controller, the plant, and the margins of their loop."""
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from estune.core.gains import Gains
+from estune.core.margins import Margins, loop_margins, sample_plant
+from estune.core.pidf import ControllerSettings
+from estune.errors import InvalidInput
+from estune.trial import FloatArray, LinearModel
+
+if TYPE_CHECKING:  # python-control takes more than a second to import
+    from control import StateSpace, TransferFunction
+
+__all__ = ["Margins", "from_control", "linear_model", "margins", "to_control"]
+
+
+def margins(model: LinearModel, gains: Gains, settings: ControllerSettings) -> Margins:
+    """Gain and phase margin of the sampled loop of a plant and the PIDF.
+
+    Args:
+        model: The plant, with its dead time.
+        gains: Gains of the controller; its setpoint filter is outside the loop.
+        settings: Sampling rate and derivative filter; the limits play no part.
+
+    Returns:
+        The margins, or a note that the closed loop is unstable.
+    """
+    n = len(model.B)
+    plant = sample_plant(
+        np.reshape(np.asarray(model.A, dtype=np.float64), (n, n)),
+        np.asarray(model.B, dtype=np.float64),
+        np.asarray(model.C, dtype=np.float64),
+        model.E,
+        dead_time_s=model.dead_time_s,
+        sample_s=1.0 / settings.sampling_Hz,
+    )
+    return loop_margins(plant, gains, settings)
+
+
+def to_control(
+    gains: Gains, settings: ControllerSettings
+) -> "tuple[TransferFunction, TransferFunction, TransferFunction]":
+    """The controller in continuous time, as python-control transfer functions.
+
+    Args:
+        gains: Gains and setpoint filter.
+        settings: The derivative filter tau_d is taken from here; zero is the ideal derivative.
+
+    Returns:
+        F = 1/(tau_F s + 1), C_r = P + I/s, and C_y = P + I/s + D s/(tau_d s + 1), so that
+        u = C_r F r - C_y y, (32) to (34).
+    """
+    from control import tf  # noqa: PLC0415  slow to import
+
+    P, I, D, lag = gains.P, gains.I, gains.D, settings.derivative_filter_s
+    if D == 0.0:
+        lag = 0.0
+    F = tf([1.0], [gains.setpoint_filter_s, 1.0])
+    C_r = tf([P, I], [1.0, 0.0]) if I > 0.0 else tf([P], [1.0])
+    if I > 0.0:
+        C_y = tf([P * lag + D, P + I * lag, I], [lag, 1.0, 0.0])
+    else:
+        C_y = tf([P * lag + D, P], [lag, 1.0])
+    return F, C_r, C_y
+
+
+def from_control(C_y: "TransferFunction", setpoint_filter_s: float = 0.0) -> Gains:
+    """The gains of a PID controller given as a python-control transfer function.
+
+    P, PI, PD and PID are recognised, the derivative ideal or with a first-order filter. The
+    filter's time constant is not one of the gains: give it to `ControllerSettings`.
+
+    Args:
+        C_y: The controller from measurement to effort, without the minus sign of the feedback.
+        setpoint_filter_s: Time constant of the setpoint filter F, s.
+
+    Raises:
+        InvalidInput: the transfer function is not of that form, or not continuous and
+            single-input, single-output, or a gain is out of its range.
+    """
+    from control import TransferFunction  # noqa: PLC0415  slow to import
+
+    if not isinstance(C_y, TransferFunction):
+        raise InvalidInput(
+            f"the controller is a {type(C_y).__name__}; give a python-control TransferFunction, "
+            "for instance by control.tf"
+        )
+    _check_siso_continuous(C_y, "controller")
+    numerator, denominator = _coprime(C_y.num[0][0], C_y.den[0][0])
+    if not np.isfinite([*numerator, *denominator]).all():
+        raise InvalidInput("the controller has a coefficient that is not finite")
+    if len(denominator) > 3 or len(numerator) > 3:
+        raise _not_a_pid("it has more than two poles or two zeros")
+    c0, c1, c2 = _ascending(denominator)
+    n0, n1, n2 = _ascending(numerator)
+    if c0 != 0.0 and c2 == 0.0:  # no integral action: (n0 + n1 s)/(c0 + c1 s)
+        if n2 != 0.0:
+            raise _not_a_pid("it differentiates twice or has a second zero without an integrator")
+        lag, P, I = c1 / c0, n0 / c0, 0.0
+        D = n1 / c0 - P * lag
+    elif c0 == 0.0 and c1 != 0.0:  # (n0 + n1 s + n2 s^2)/(s (c1 + c2 s))
+        lag, I = c2 / c1, n0 / c1
+        P = n1 / c1 - I * lag
+        D = n2 / c1 - P * lag
+    else:
+        raise _not_a_pid("its poles are not one at the origin and one of a derivative filter")
+    if lag < 0.0:
+        raise _not_a_pid(f"its derivative filter has an unstable pole, time constant {lag:g} s")
+    return Gains(P, I, D, setpoint_filter_s)
+
+
+def linear_model(system: "TransferFunction | StateSpace", dead_time_s: float = 0.0) -> LinearModel:
+    """The plant given as a python-control transfer function or state space.
+
+    Args:
+        system: Continuous, proper, single input (effort, N) and single output (tension, N).
+        dead_time_s: Dead time of the plant, s; python-control's systems have none of their own.
+
+    Raises:
+        InvalidInput: the system is of another kind, or the dead time is negative or not finite.
+    """
+    from control import StateSpace, TransferFunction, ss  # noqa: PLC0415  slow to import
+    from scipy.linalg import matrix_balance  # noqa: PLC0415  slow to import
+
+    if not (math.isfinite(dead_time_s) and dead_time_s >= 0.0):
+        raise InvalidInput(f"dead time is {dead_time_s} s; it must be finite, and zero or above")
+    if not isinstance(system, (TransferFunction, StateSpace)):
+        raise InvalidInput(
+            f"the plant is a {type(system).__name__}; give a TransferFunction or StateSpace: "
+            "linearise a nonlinear system with control.linearize, fit frequency data first"
+        )
+    _check_siso_continuous(system, "plant")
+    try:
+        states = ss(system)
+    except ValueError as error:
+        raise InvalidInput(
+            "the plant has more zeros than poles; add the pole that bounds it at high frequency"
+        ) from error
+    A, B, C, E = (
+        np.asarray(part, dtype=np.float64) for part in (states.A, states.B, states.C, states.D)
+    )
+    if not all(np.isfinite(part).all() for part in (A, B, C, E)):
+        raise InvalidInput("the plant has a coefficient that is not finite")
+    if A.size:
+        # A transfer function of fast modes gives a state matrix of numbers many decades apart.
+        A, (scale, _) = matrix_balance(A, permute=False, separate=True)
+        B, C = B / scale[:, None], C * scale
+    return LinearModel(
+        A=tuple(tuple(map(float, row)) for row in A),
+        B=tuple(map(float, B.ravel())),
+        C=tuple(map(float, C.ravel())),
+        E=float(E[0, 0]),
+        dead_time_s=float(dead_time_s),
+    )
+
+
+def _check_siso_continuous(system: "TransferFunction | StateSpace", what: str) -> None:
+    if (system.ninputs, system.noutputs) != (1, 1):
+        raise InvalidInput(
+            f"the {what} has {system.ninputs} inputs and {system.noutputs} outputs; choose one of "
+            "each, as in system[0, 0]"
+        )
+    if not system.isctime():
+        raise InvalidInput(
+            f"the {what} is discrete, sampled every {system.dt} s; give it in continuous time"
+        )
+
+
+def _coprime(numerator: FloatArray, denominator: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Without leading zeros, and without powers of s that both have. Highest power first."""
+    numerator, denominator = np.trim_zeros(numerator, "f"), np.trim_zeros(denominator, "f")
+    while numerator.size and numerator[-1] == 0.0 == denominator[-1]:
+        numerator, denominator = numerator[:-1], denominator[:-1]
+    return numerator, denominator
+
+
+def _ascending(polynomial: FloatArray) -> tuple[float, float, float]:
+    """The coefficients of 1, s and s^2 of a polynomial given highest power first."""
+    c0, c1, c2 = (*map(float, polynomial[::-1]), 0.0, 0.0, 0.0)[:3]
+    return c0, c1, c2
+
+
+def _not_a_pid(why: str) -> InvalidInput:
+    return InvalidInput(
+        f"the controller is not P + I/s + D s/(tau s + 1): {why}; give such a one, or its gains"
+    )
