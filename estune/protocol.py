@@ -303,6 +303,18 @@ def decode_trial(data: bytes) -> Answer | TrialRecord:
     return decode(Answer, data) if data.startswith(b"{") else frame.decode(data)
 
 
+def decode_description(data: bytes) -> Description:
+    """What a rig answers to `describe`.
+
+    Raises:
+        ProtocolError: it is no description.
+        EstuneError: what the rig raised instead.
+    """
+    if data.startswith(b'{"verdict"'):
+        decode(Answer, data).check()
+    return decode(Description, data)
+
+
 @cache
 def _adapters() -> "dict[type, TypeAdapter[Any]]":
     from pydantic import TypeAdapter  # noqa: PLC0415  slow to import, not needed by every command

@@ -1,0 +1,168 @@
+"""The record frame: what goes in comes out bit for bit, and nothing else is taken for a record."""
+
+import json
+import struct
+import zlib
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from estune import frame
+from estune.core.gains import Gains
+from estune.errors import ProtocolError
+from estune.trial import Outcome, TrialRecord, TrialRequest
+from tests.support_rigs import description, response, same
+
+finite = st.floats(allow_nan=False, allow_infinity=False)
+positive = st.floats(min_value=0.0, exclude_min=True, allow_infinity=False)
+text = st.text(st.characters(codec="utf-8"), max_size=20)
+
+
+@st.composite
+def records(draw) -> TrialRecord:
+    samples = draw(st.integers(0, 40))
+    column = arrays(np.float64, samples)  # NaN with any payload, infinities, subnormals included
+    return TrialRecord(
+        trial_id=draw(text),
+        rig=draw(text),
+        sampling_Hz=draw(positive),
+        cable_length_m=draw(st.none() | finite),
+        preload_N=draw(finite),
+        gains=Gains(draw(positive), *(abs(draw(finite)) for _ in range(3))),
+        outcome=draw(st.sampled_from(Outcome)),
+        reason=draw(text),
+        started_at=draw(text),
+        software=draw(text),
+        time_s=draw(column),
+        setpoint_N=draw(column),
+        tension_N=draw(column),
+        current_A=draw(column),
+        angle_rad=draw(column),
+        flags=draw(arrays(np.uint8, samples)),
+        reference_N=draw(st.none() | column),
+        loop=draw(st.sampled_from(["closed", "open"])),
+        profile=draw(st.sampled_from(["step", "triangle", "multisine", "chirp", "custom"])),
+    )
+
+
+@pytest.fixture(scope="module")
+def record() -> TrialRecord:
+    rig = description()
+    return response(TrialRequest("run", 7, rig.gains, rig.step))
+
+
+@pytest.fixture(scope="module")
+def framed(record) -> bytes:
+    return frame.encode(record)
+
+
+@given(records())
+def test_a_record_comes_out_as_it_went_in(record):
+    data = frame.encode(record)
+    decoded = frame.decode(data)
+    assert same(record, decoded)
+    assert frame.encode(decoded) == data
+    assert len(data) <= frame.size(record.time_s.size, reference=record.reference_N is not None)
+
+
+@given(st.data())
+def test_any_corruption_of_a_few_bits_is_refused(framed, data):
+    """Single bits anywhere, and bursts up to the length the checksum is certain to notice."""
+    start = data.draw(st.integers(0, 8 * len(framed) - 32))
+    burst = data.draw(st.integers(1, 2**32 - 1))
+    damaged = int.from_bytes(framed, "little") ^ (burst << start)
+    with pytest.raises(ProtocolError):
+        frame.decode(damaged.to_bytes(len(framed), "little"))
+
+
+@given(st.data())
+def test_a_frame_cut_short_or_continued_is_refused(framed, data):
+    end = data.draw(st.integers(0, len(framed) - 1))
+    more = data.draw(st.binary(min_size=1, max_size=20))
+    with pytest.raises(ProtocolError, match=r"cut short|missing"):
+        frame.decode(framed[:end])
+    with pytest.raises(ProtocolError, match="too many"):
+        frame.decode(framed + more)
+
+
+@given(st.binary(max_size=200), st.booleans())
+def test_what_is_no_frame_is_refused(data, sealed):
+    with pytest.raises(ProtocolError):
+        frame.decode(seal(data) if sealed else data)
+
+
+def seal(header: bytes, body: bytes = b"", magic: bytes = b"RTR1") -> bytes:
+    """A frame with right lengths and checksum, whatever it holds; written from the description."""
+    lengths = struct.pack("<4sII", magic, len(header), len(body))
+    checksum = zlib.crc32(lengths + bytes(4) + header + body)
+    return lengths + struct.pack("<I", checksum) + header + body
+
+
+def test_the_layout_is_as_described(framed, record):
+    header_length = struct.unpack_from("<I", framed, 4)[0]
+    header = framed[16 : 16 + header_length]
+    body = framed[16 + header_length :]
+    assert seal(header, body) == framed
+    assert header_length % 8 == 0
+    assert json.loads(header)["samples"] == record.time_s.size
+    assert body.startswith(record.time_s.astype("<f8").tobytes())
+    assert body.endswith(record.flags.tobytes())
+
+
+def test_a_frame_of_another_version_is_named(framed):
+    with pytest.raises(ProtocolError, match=r"version b'2' at byte 3; this estune reads b'1'"):
+        frame.decode(b"RTR2" + framed[4:])
+
+
+@pytest.mark.parametrize(
+    ("change", "complaint"),
+    [
+        ({"samples": 101}, "does not hold"),
+        ({"samples": -1}, "does not hold"),
+        ({"samples": 10**30}, "does not hold"),
+        ({"columns": ["time_s", "flags"]}, "unknown columns"),
+        ({"sampling_Hz": float("nan")}, "sampling_Hz: .*finite"),
+        ({"outcome": "splendid"}, "outcome"),
+        ({"gains": {"P": -1.0, "I": 0.0, "D": 0.0, "setpoint_filter_s": 0.0}}, "gains: .*above"),
+        ({"colour": "red"}, "colour"),
+    ],
+)
+def test_a_header_that_is_wrong_is_refused_though_the_checksum_is_right(framed, change, complaint):
+    length = struct.unpack_from("<I", framed, 4)[0]
+    header = json.dumps(json.loads(framed[16 : 16 + length]) | change).encode()
+    header += b" " * (-len(header) % 8)
+    with pytest.raises(ProtocolError, match=complaint):
+        frame.decode(seal(header, framed[16 + length :]))
+
+
+def test_a_frame_over_the_limit_is_refused_on_both_sides(record):
+    samples = frame.MAX_BYTES // 40
+    column = np.zeros(samples)
+    large = replace(
+        record,
+        **dict.fromkeys(("time_s", "setpoint_N", "tension_N", "current_A", "angle_rad"), column),
+        reference_N=None,
+        flags=np.zeros(samples, np.uint8),
+    )
+    with pytest.raises(ProtocolError, match=f"a frame holds {frame.MAX_BYTES}"):
+        frame.encode(large)
+    with pytest.raises(ProtocolError, match=f"the limit is {frame.MAX_BYTES}"):
+        frame.decode(bytes(frame.MAX_BYTES + 1))
+
+
+@pytest.mark.parametrize(
+    ("change", "complaint"),
+    [
+        ({"tension_N": np.zeros(3)}, "shapes"),
+        ({"tension_N": np.zeros((100, 1))}, "shapes"),
+        ({"cable_length_m": float("nan")}, "cable_length_m: .*finite"),
+        ({"reason": "\ud800"}, "surrogates"),
+    ],
+)
+def test_what_could_not_be_read_is_not_written(record, change, complaint):
+    with pytest.raises(ProtocolError, match=complaint):
+        frame.encode(replace(record, **change))

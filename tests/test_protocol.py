@@ -1,0 +1,203 @@
+"""The protocol: what may be said, and whom it reaches."""
+
+import json
+from dataclasses import replace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from estune import errors, protocol
+from estune.core.gains import Gains
+from estune.errors import InvalidInput, ProtocolError, RigError
+from estune.protocol import (
+    Answer,
+    Cancel,
+    Description,
+    Inquire,
+    Keys,
+    Presence,
+    SetGains,
+    Status,
+    Submit,
+)
+from estune.trial import StepProfile, TrialRequest
+from tests.support_rigs import description
+
+finite = st.floats(allow_nan=False, allow_infinity=False)
+positive = st.floats(min_value=0.0, exclude_min=True, allow_infinity=False)
+gains = st.builds(Gains, positive, *[finite.map(abs)] * 3)
+steps = st.builds(
+    lambda preload, size, at, rest: StepProfile(preload, size, at, at + rest),
+    *(finite, finite.filter(bool), st.floats(0.0, 10.0), st.floats(0.1, 10.0)),
+)
+requests = st.builds(
+    TrialRequest,
+    st.text(st.characters(codec="utf-8"), max_size=20),
+    st.integers(0, 10**9),
+    gains,
+    steps,
+    st.integers(0, 99),
+)
+REQUEST = TrialRequest("run", 3, Gains(0.5, 10.0, 0.0, 0.02), StepProfile(10.0, 5.0, 0.1, 0.5))
+SUBMIT = protocol.encode(Submit(REQUEST, protocol.digest(REQUEST)))
+
+
+@given(requests)
+def test_a_request_arrives_as_it_was_sent(request):
+    sent = Submit(request, protocol.digest(request))
+    received = protocol.decode(Submit, protocol.encode(sent))
+    assert received == sent
+    assert protocol.digest(received.request) == sent.digest
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        *(Inquire("ab"), Cancel("run-00003"), SetGains(REQUEST.gains), Status("", 3)),
+        *(Answer("refused", "run-00003", "InvalidInput", "too far"), Answer("unknown")),
+        Description(description(), "4f1c"),
+    ],
+    ids=lambda message: type(message).__name__,
+)
+def test_a_message_arrives_as_it_was_sent(message):
+    assert protocol.decode(type(message), protocol.encode(message)) == message
+
+
+def test_a_request_of_whole_numbers_has_the_digest_of_the_same_in_floats():
+    whole = replace(REQUEST, step=StepProfile(10, 5, 0.1, 0.5))
+    received = protocol.decode(Submit, protocol.encode(Submit(whole, protocol.digest(whole))))
+    assert protocol.digest(received.request) == received.digest == protocol.digest(REQUEST)
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        replace(REQUEST, gains=replace(REQUEST.gains, D=5e-324)),
+        replace(REQUEST, step=replace(REQUEST.step, duration_s=0.5000000000000001)),
+        replace(REQUEST, attempt=1),
+    ],
+)
+def test_requests_that_differ_at_all_have_different_digests(other):
+    assert protocol.digest(other) != protocol.digest(REQUEST)
+
+
+@pytest.mark.parametrize(
+    ("where", "value", "complaint"),
+    [
+        ((), ("colour", "red"), "colour"),
+        (("request",), ("colour", "red"), "request.colour"),
+        (("request", "gains"), ("P", float("nan")), "request.gains.P: .*finite"),
+        (("request", "gains"), ("I", float("inf")), "request.gains.I: .*finite"),
+        (("request", "gains"), ("P", -1.0), "request.gains: .*above zero"),
+        (("request", "gains"), ("P", "1"), "request.gains.P: .*number"),
+        (("request", "step"), ("step_N", 0.0), "request.step: .*no response"),
+        (("request",), ("number", 1.5), "request.number: .*integer"),
+        (("request",), ("number", True), "request.number: .*integer"),
+        (("request",), ("run", None), "request.run: .*string"),
+    ],
+)
+def test_a_command_that_is_wrong_is_refused_with_the_place(where, value, complaint):
+    command = json.loads(SUBMIT)
+    part = command
+    for name in where:
+        part = part[name]
+    part.update([value])
+    with pytest.raises(ProtocolError, match=f"^Submit message: {complaint}"):
+        protocol.decode(Submit, json.dumps(command).encode())
+
+
+def test_a_command_with_a_field_missing_is_refused():
+    command = json.loads(SUBMIT)
+    del command["request"]["step"]
+    with pytest.raises(ProtocolError, match=r"request\.step: .*required"):
+        protocol.decode(Submit, json.dumps(command).encode())
+
+
+@given(st.sampled_from([Submit, Inquire, Cancel, SetGains, Answer, Description]), st.binary())
+def test_what_is_no_message_is_refused(kind, data):
+    with pytest.raises(ProtocolError):
+        protocol.decode(kind, data)
+
+
+@given(st.data())
+def test_a_command_cut_short_is_refused(data):
+    with pytest.raises(ProtocolError):
+        protocol.decode(Submit, SUBMIT[: data.draw(st.integers(0, len(SUBMIT) - 1))])
+
+
+def test_a_command_over_the_limit_is_refused_on_both_sides():
+    with pytest.raises(ProtocolError, match="the limit is 2048"):
+        protocol.encode(Submit(replace(REQUEST, run="x" * 2048), ""))
+    with pytest.raises(ProtocolError, match="the limit is 2048"):
+        protocol.decode(Submit, SUBMIT + b" " * 2048)
+
+
+def test_a_description_of_another_protocol_is_refused():
+    text = protocol.encode(Description(description(), "4f1c"))
+    with pytest.raises(ProtocolError, match="protocol"):
+        protocol.decode_description(text.replace(b'"protocol":1', b'"protocol":2'))
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [
+        *(errors.InvalidInput, errors.PlantError, errors.RigError, errors.ProtocolError),
+        *(errors.UnsafeStart, errors.JournalError),
+    ],
+)
+def test_the_client_raises_what_the_rig_raised(kind):
+    answer = protocol.encode(protocol.refusal(kind("20 N is too much")))
+    with pytest.raises(errors.EstuneError, match=r"^20 N is too much$") as raised:
+        protocol.decode(Answer, answer).check()
+    assert raised.type is kind
+
+
+def test_an_error_of_an_unknown_kind_is_still_an_error_of_the_rig():
+    with pytest.raises(RigError, match="oil low"):
+        Answer("refused", error="SystemExit", sentence="oil low").check()
+
+
+def present(*rigs: str) -> set[Presence]:
+    return {Presence.parse(f"reel/{rig}") for rig in rigs}
+
+
+A, B, A_AGAIN, A_NEXT = "v1/a/alive/01", "v1/b/alive/02", "v1/a/alive/03", "v2/a/alive/04"
+
+
+@pytest.mark.parametrize(
+    ("found", "rig", "instance"),
+    [([A], None, "01"), ([A, B], "b", "02"), ([B, A_NEXT], None, "02"), ([A, A_NEXT], "a", "01")],
+)
+def test_the_one_rig_meant_is_chosen(found, rig, instance):
+    assert protocol.choose(present(*found), rig, "here").instance == instance
+
+
+@pytest.mark.parametrize(
+    ("found", "rig", "kind", "complaint"),
+    [
+        ([], None, RigError, "no rig answers at here; start one"),
+        ([], "a", RigError, "no rig answers at here; start one"),
+        ([A, B], "c", RigError, "no rig named 'c' at here; there is: a, b"),
+        ([A, B], None, RigError, "2 rigs at here: a, b; name the one"),
+        ([A, B, A_AGAIN], "a", RigError, r"2 processes .* named 'a' \(instances 01, 03\); stop"),
+        ([A, A_AGAIN], None, RigError, "2 processes .* named 'a'"),
+        ([A_NEXT], None, ProtocolError, "'a' at here speaks protocol v2, this estune v1; update"),
+        ([B, A_NEXT], "a", ProtocolError, "speaks protocol v2"),
+    ],
+)
+def test_where_it_is_not_clear_which_rig_is_meant_the_error_says_why(found, rig, kind, complaint):
+    with pytest.raises(RigError, match=complaint) as raised:
+        protocol.choose(present(*found), rig, "here")
+    assert raised.type is kind
+
+
+@pytest.mark.parametrize("name", ["", "a/b", "*", "a*", "a$b", "@a", "a?b", "a#b", " a", "a\n"])
+def test_a_name_that_would_change_the_key_is_refused(name):
+    with pytest.raises(InvalidInput, match="cannot be used on the link"):
+        Keys(name)
+
+
+@pytest.mark.parametrize("name", ["a", "reel 2", "Spule-3_ü.1", "x" * 128])
+def test_other_names_are_taken(name):
+    assert Presence.parse(Keys(name).alive("0f")) == Presence(name, "v1", "0f")
