@@ -1,0 +1,41 @@
+"""What every tuner does about a trial that was unsafe (the paper's guard, eta < eta_max).
+
+The centre goes back to the best safe point seen, the filters or the regression begin anew, and
+the tuner's caution, a number that multiplies the dither and the steps, is halved. It recovers by a
+tenth with every safe trial, up to one: eight safe trials make up for an unsafe one.
+"""
+
+from typing import NamedTuple
+
+from estune.core.search_space import Point
+from estune.core.tuners.observation import Observation, usable_cost
+
+CAUTION_LEAST = 1.0 / 64.0
+"""Below this the dither would tell nothing from noise."""
+
+
+class Best(NamedTuple):
+    """The best safe trial so far."""
+
+    point: Point
+    cost: float | None  # None until there was a safe trial; the point is the start until then
+
+
+def best_after(best: Best, point: Point, observation: Observation) -> Best:
+    """The best safe trial, once a safe trial has been told.
+
+    Raises:
+        InvalidInput: the cost is not finite although the observation is not censored.
+    """
+    cost = usable_cost(observation)
+    return Best(point, cost) if best.cost is None or cost < best.cost else best
+
+
+def caution_after_unsafe(caution: float) -> float:
+    """The caution after an unsafe trial: halved."""
+    return max(0.5 * caution, CAUTION_LEAST)
+
+
+def caution_after_safe(caution: float) -> float:
+    """The caution after a safe trial: a tenth of the way up again."""
+    return min(1.1 * caution, 1.0)
