@@ -166,14 +166,14 @@ class TrialRecord:
 
 @dataclass(frozen=True, slots=True)
 class LinearModel:
-    """The plant linearised at its operating point: `x' = A x + B u(t - dead time), y = C x + E u`.
+    """The plant at its operating point: `x' = A x + B v, y = C x + E v, v(t) = u(t - dead time)`.
 
     Attributes:
         A: State matrix as rows, shape (n, n), 1/s.
         B: Input vector, shape (n,).
         C: Output vector, shape (n,).
         E: Direct feed-through.
-        dead_time_s: Delay between input and state, s.
+        dead_time_s: Delay of the input u, s.
     """
 
     A: tuple[tuple[float, ...], ...]

@@ -25,7 +25,7 @@ Response = Callable[[FloatArray], ComplexArray]
 """A function of the angle theta = omega h on the unit circle, rad/sample."""
 
 POINTS_PER_DECADE = 100
-POINTS_PER_TURN = 32
+POINTS_PER_TURN = 20
 """Grid per turn of z^-d, with d the dead time in samples."""
 FINEST_TURN_rad = math.pi / 8.0
 """The grid is halved wherever a response turns by more from one point to the next."""
