@@ -23,6 +23,7 @@ from estune.session import Phase
 from estune.trial import Outcome, TrialRecord, TrialRequest
 
 FILE_NAME = "run.sqlite"
+LOCK_NAME = "writer.lock"
 SCHEMA_VERSION = 1
 
 _SCHEMA = """
@@ -248,9 +249,23 @@ class Journal:
                 raise
 
 
+def being_written(folder: Path) -> bool:
+    """Whether a process holds the right to write the run in this folder."""
+    try:
+        with (folder / LOCK_NAME).open() as lock:
+            fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    except (
+        OSError
+    ):  # no lock was ever taken, or this user may not look: nothing says it is written
+        return False
+    return False
+
+
 def _lock(folder: Path) -> IO[str]:
     """The right to write, held until closed and let go by the system if the process dies."""
-    lock = (folder / "writer.lock").open("w")
+    lock = (folder / LOCK_NAME).open("w")
     try:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:

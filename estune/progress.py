@@ -13,6 +13,7 @@ from contextlib import contextmanager
 from statistics import fmean
 from typing import Any, Literal, NamedTuple, Protocol, TextIO
 
+import numpy as np
 from rich.console import Console, RenderableType
 from rich.live import Live
 from rich.progress_bar import ProgressBar
@@ -34,7 +35,9 @@ _LINES = 12
 
 
 @contextmanager
-def watching(watch: Watcher | Literal["auto"] | None, tuning: Tuning) -> Iterator[tuple[Watcher, ...]]:
+def watching(
+    watch: Watcher | Literal["auto"] | None, tuning: Tuning
+) -> Iterator[tuple[Watcher, ...]]:
     """The watchers of a run, ready for as long as the block lasts.
 
     Args:
@@ -94,7 +97,9 @@ class Tally:
         # A resumed run: what its earlier trials came to.
         unsafe = [not math.isfinite(e.cost) or e.cost > tuning.session.eta_max for e in told]
         self._unsafe = sum(unsafe)
-        self._best = min((e.cost for e, bad in zip(told, unsafe, strict=True) if not bad), default=math.nan)
+        self._best = min(
+            (e.cost for e, bad in zip(told, unsafe, strict=True) if not bad), default=math.nan
+        )
 
     def saw(self, progress: Progress) -> None:
         """Takes note of a trial."""
@@ -105,14 +110,14 @@ class Tally:
         if progress.censored:
             self._unsafe += 1
         else:
-            self._best = min(progress.entry.cost, self._best) if self._best == self._best else progress.entry.cost
+            self._best = float(np.fmin(self._best, progress.entry.cost))
 
     def status(self) -> Status:
         """Everything, now."""
         last, tuning = self._last, self._tuning
         session = tuning.session if last is None else last.session
         here = session.number - self._first
-        # Once the search is over the number of trials left is known: it has fewer candidates, or ended early.
+        # Once the search is over it is known how many candidates there are to confirm.
         most = tuning.plan.most_trials
         if session.search_end:
             missing = sum(tuning.plan.repeats - len(costs) for costs in session.confirmed)
@@ -194,7 +199,7 @@ class PlainDisplay:
 
 
 class NotebookDisplay:
-    """One output of a cell, updated in place by the notebook's own display messages: no widgets."""
+    """One output of a cell, updated in place by plain display messages: no widgets."""
 
     def __init__(self, tuning: Tuning) -> None:
         self._tally = Tally(tuning)
@@ -235,10 +240,9 @@ def render(status: Status) -> RenderableType:
         Text(f"{duration(status.left_s)} left" if status.done < status.most else "", style="dim"),
     )
     grid.add_row(Text(phase, style="bold"), bar)
-    costs = Text.assemble(
-        ("now ", "dim"), f"{number(status.cost):<9}", (" best ", "dim"), (f"{number(status.best):<9}", "bold"),
-        (" start ", "dim"), f"{number(status.start):<9}",
-    )  # fmt: skip
+    costs = Text()
+    for label, value in (("now", status.cost), ("best", status.best), ("start", status.start)):
+        costs.append(f"{label} ", style="dim").append(f"{number(value):<9}")
     if status.unsafe:
         costs.append(f" {status.unsafe} unsafe", style="yellow")
     grid.add_row("cost", costs)

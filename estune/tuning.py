@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from pathlib import Path
 
 from estune.core.gains import Gains
 from estune.errors import JournalError, UnsafeStart
@@ -45,11 +46,13 @@ class Stopped(KeyboardInterrupt):
 
     Attributes:
         description: The rig as it said it is after the stop, with the gains that are live.
+        folder: The run on disk, to be resumed; None if it was not journalled.
     """
 
-    def __init__(self, description: RigDescription) -> None:
+    def __init__(self, description: RigDescription, folder: Path | None) -> None:
         super().__init__(f"stopped; {description.name} runs its live gains {description.gains}")
         self.description = description
+        self.folder = folder
 
 
 @dataclass(slots=True)
@@ -127,7 +130,8 @@ def run(tuning: Tuning, rig: Rig, watchers: Iterable[Watcher] = ()) -> None:
         while request is not None:
             request = _tell(tuning, request, rig.run(request), watchers)
     except KeyboardInterrupt:
-        raise Stopped(rig.abort()) from None
+        folder = tuning.journal.folder if tuning.journal else None
+        raise Stopped(rig.abort(), folder) from None
     if tuning.session.failure:
         raise UnsafeStart(tuning.session.failure)
 

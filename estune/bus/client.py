@@ -5,6 +5,7 @@ import threading
 import time
 import weakref
 from collections.abc import Callable
+from operator import attrgetter
 from typing import Self
 
 import zenoh
@@ -61,6 +62,25 @@ def connect(endpoint: str, rig: str | None = None, timeout_s: float = 3.0) -> "R
     except BaseException:
         close_session(session)
         raise
+
+
+def find(endpoint: str, timeout_s: float = 3.0) -> tuple[Presence, ...]:
+    """The rigs that answer at an endpoint, by name; none is spoken to.
+
+    Args:
+        endpoint: Where a rig, or a Zenoh router that knows rigs, listens.
+        timeout_s: How long to wait for something to listen there, s.
+
+    Raises:
+        InvalidInput: the endpoint is not one.
+        RigError: nothing listens there.
+    """
+    check_endpoint(endpoint)
+    session = _open(endpoint, time.monotonic() + timeout_s)
+    try:
+        return tuple(sorted(_present(session, protocol.ANY_RIG), key=attrgetter("rig")))
+    finally:
+        close_session(session)
 
 
 def _open(endpoint: str, deadline: float) -> zenoh.Session:

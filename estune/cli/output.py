@@ -1,0 +1,91 @@
+"""What commands print: the before/after table, remarks, tables of other things, JSON."""
+
+import dataclasses
+import json
+import math
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from estune.result import TuneResult
+
+FIGURE_NAME = "figure.png"
+
+
+def console() -> Console:
+    """Where results go; in a pipe lines are not cut to the width of a terminal."""
+    out = Console(highlight=False)
+    if not out.is_terminal:
+        out.width = 160
+    return out
+
+
+def show_result(result: TuneResult) -> None:
+    """Prints how a run ended, its before/after table and what is to be known beside it."""
+    out = console()
+    out.print(Text(result.heading(), style="bold green" if result.success else "bold yellow"))
+    table = Table(box=None, pad_edge=False, padding=(0, 3, 0, 0))
+    table.add_column("", style="dim")
+    table.add_column("start", justify="right")
+    if result.tuned:
+        table.add_column("tuned", justify="right", style="bold")
+    for row in result.rows():
+        table.add_row(*(row if result.tuned else row[:2]))
+    out.print(table)
+    for remark in result.remarks():
+        out.print(Text(remark), soft_wrap=True)
+
+
+def save_figure(result: TuneResult) -> Path | None:
+    """Draws the run's figure into its folder; None for a run without a folder or a trial."""
+    if result.folder is None or not result.entries:
+        return None
+    from estune import figures  # noqa: PLC0415  slow to import
+    from estune.export import replace_file  # noqa: PLC0415  of no use to most commands
+
+    path = result.folder / FIGURE_NAME
+    replace_file(path, figures.to_png(result.figure()))
+    return path
+
+
+def show_next(facts: Mapping[str, object]) -> None:
+    """Prints a short list of names and values: paths, and what to type next."""
+    out = console()
+    width = max(map(len, facts))
+    for name, value in facts.items():
+        line = Text.assemble((f"{name:<{width}}", "dim"), "  ", str(value))
+        out.print(line, soft_wrap=True)
+
+
+def show_table(columns: Iterable[str], rows: Iterable[Iterable[str]]) -> None:
+    """Prints a plain table."""
+    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
+    for column in columns:
+        table.add_column(column, header_style="dim", no_wrap=True)
+    for row in rows:
+        table.add_row(*(Text(cell) for cell in row))
+    console().print(table)
+
+
+def print_json(value: Any) -> None:
+    """Prints a value as JSON; numbers that are not finite become null."""
+    print(json.dumps(plain(value), indent=2, allow_nan=False))
+
+
+def plain(value: Any) -> Any:
+    """The same in JSON's own types."""
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else None
+    if isinstance(value, tuple) and hasattr(value, "_asdict"):
+        value = value._asdict()
+    elif dataclasses.is_dataclass(value) and not isinstance(value, type):
+        value = {f.name: getattr(value, f.name) for f in dataclasses.fields(value)}
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    return str(value) if isinstance(value, Path) else value

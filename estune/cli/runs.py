@@ -1,0 +1,150 @@
+"""`estune list`, `estune show` and `estune export`: runs on disk."""
+
+import math
+from pathlib import Path
+from typing import Annotated, Any
+
+from cyclopts import Parameter
+
+from estune import api
+from estune.cli import output
+from estune.core.gains import GAIN_NAMES
+from estune.errors import EstuneError, InvalidInput, JournalError
+from estune.journal import FILE_NAME, Journal, being_written
+from estune.result import TuneResult
+
+_Flag = Parameter(negative=())
+
+
+def list_runs(
+    *,
+    folder: Path = Path(api.RUNS),
+    json: Annotated[bool, _Flag] = False,
+) -> None:
+    """List the runs of a folder.
+
+    Args:
+        folder: Folder that runs are kept in.
+        json: Print JSON.
+    """
+    found = [_listed(path.parent) for path in sorted(folder.glob(f"*/{FILE_NAME}"))]
+    if json:
+        output.print_json(found)
+    elif not found:
+        print(f"no runs in {folder}; make one with: estune tune TARGET")
+    else:
+        columns = ("run", "created_at", "rig", "trials", "state", "start_cost", "cost")
+        heads = ("run", "begun", "rig", "trials", "state", "start cost", "cost")
+        output.show_table(heads, ([_cell(row[name]) for name in columns] for row in found))
+
+
+def show(
+    run: str,
+    /,
+    *,
+    folder: Path = Path(api.RUNS),
+    trials: Annotated[bool, _Flag] = False,
+    json: Annotated[bool, _Flag] = False,
+) -> None:
+    """Show what a run came to.
+
+    Args:
+        run: The run: its name, or its folder.
+        folder: Folder that runs are kept in.
+        trials: Show every trial too.
+        json: Print JSON.
+    """
+    result = api.load(find_run(run, folder))
+    if json:
+        output.print_json(_as_json(result, trials=trials))
+        return
+    output.show_result(result)
+    if trials:
+        frame = result.to_frame()[["number", "phase", *GAIN_NAMES, "cost", "best_cost", "outcome"]]
+        output.show_table(
+            frame.columns, (map(_cell, row) for row in frame.itertuples(index=False))
+        )
+    output.show_next({"run": result.folder})
+
+
+def export(
+    run: str,
+    /,
+    *,
+    csv: Annotated[bool, _Flag] = False,
+    parquet: Annotated[bool, _Flag] = False,
+    out: Path | None = None,
+    folder: Path = Path(api.RUNS),
+) -> None:
+    """Write the trial records of a run as files, one per trial.
+
+    Args:
+        run: The run: its name, or its folder.
+        csv: Write TRIAL.csv with the columns, and TRIAL.json with everything else.
+        parquet: Write TRIAL.parquet with everything.
+        out: Folder for the files; csv or parquet in the run's own folder by default.
+        folder: Folder that runs are kept in.
+    """
+    from estune.export import export_run  # noqa: PLC0415  no other command here needs it
+
+    if csv == parquet:
+        raise InvalidInput("say which form to write: either --csv or --parquet")
+    path, form = find_run(run, folder), "csv" if csv else "parquet"
+    target = out or path / form
+    written = export_run(path, target, "csv" if csv else "parquet")
+    print(f"{len(written)} trials written to {target}")
+
+
+def find_run(run: str, folder: Path) -> Path:
+    """The folder of a run given by its name or its path.
+
+    Raises:
+        JournalError: there is no such run.
+    """
+    for path in (Path(run), folder / run):
+        if (path / FILE_NAME).is_file():
+            return path
+    raise JournalError(
+        f"there is no run {run}, neither as a folder nor in {folder}; see what there is with: "
+        "estune list"
+    )
+
+
+def _listed(path: Path) -> dict[str, Any]:
+    """A run in one row; one that cannot be read says why in its place."""
+    row: dict[str, Any] = dict.fromkeys(("created_at", "rig", "trials", "start_cost", "cost"))
+    try:
+        with Journal.open(path) as journal:
+            created, status = journal.fact("created_at"), journal.fact("status")
+        result = api.load(path)
+    except EstuneError as error:
+        return {"run": path.name, **row, "state": f"unreadable: {error}"}
+    return {
+        "run": path.name,
+        "created_at": created,
+        "rig": result.rig.name,
+        "trials": result.nfev,
+        "start_cost": result.start.cost,
+        "cost": result.fun if result.success else None,
+        "state": "running" if status == "running" and being_written(path) else str(result.ending),
+    }
+
+
+def _as_json(result: TuneResult, *, trials: bool) -> dict[str, Any]:
+    names = ("ending", "message", "folder", "gains", "start_gains", "findings")
+    shown = {name: output.plain(getattr(result, name)) for name in names}
+    for name in ("start", "tuned"):
+        performance = output.plain(getattr(result, name))
+        if performance is not None:
+            del performance["record"], performance["gains"]
+        shown[name] = performance
+    shown.update(rig=result.rig.name, trials_run=result.nfev)
+    if trials:
+        shown["trials"] = result.to_frame().to_dict(orient="records")
+    return shown
+
+
+def _cell(value: object) -> str:
+    if isinstance(value, float):
+        return f"{value:.4g}" if math.isfinite(value) else "-"
+    return "-" if value is None else str(value)

@@ -1,0 +1,68 @@
+"""`estune serve`: a plant as a rig in a process of its own."""
+
+import sys
+import threading
+from contextlib import suppress
+from typing import Annotated, Any
+
+from cyclopts import Parameter
+
+from estune import bus
+from estune.cli.values import settings_from
+from estune.errors import InvalidInput
+from estune.targets import load
+from estune.trial import Rig
+
+_Flag = Parameter(negative=())
+
+
+def serve(
+    plant: str = "plants:reference_reel",
+    /,
+    *,
+    listen: str = "tcp/127.0.0.1:0",
+    name: str = "reel",
+    seed: int = 0,
+    pace: float = 0.0,
+    set_: Annotated[
+        tuple[str, ...], Parameter(name="--set", negative=(), show_default=False)
+    ] = (),
+    allow_remote: Annotated[bool, _Flag] = False,
+    stop_on_eof: Annotated[bool, _Flag] = False,
+) -> None:
+    """Serve a simulated reel, or any plant, as a rig on the network, until Ctrl-C.
+
+    Args:
+        plant: The plant, as module:attribute.
+        listen: Where to listen; port 0 picks a free one, which is printed.
+        name: Name of the rig.
+        seed: Seed of the measurement noise.
+        pace: Seconds a second of a trial takes: 1 is real time, 0 as fast as it can be simulated.
+        set_: A setting of the plant, as cable_length_m=1.1 or tension_N=20; repeat for more.
+        allow_remote: Let other machines reach the rig; nobody is asked for a password.
+        stop_on_eof: Stop when standard input is closed, too: when a parent process has ended.
+    """
+    rig = _rig(load(plant, settings_from(set_)), plant, name=name, seed=seed, pace=pace)
+    with suppress(KeyboardInterrupt), bus.serve(rig, listen, allow_remote=allow_remote) as server:
+        print(f"rig {name} at {server.endpoint}", flush=True)
+        print(f"tune it with: estune tune {server.endpoint}    stop with Ctrl-C", flush=True)
+        if stop_on_eof:
+            threading.Thread(target=_close_at_eof, args=(server,), daemon=True).start()
+        server.wait()
+    rig.close()
+
+
+def _rig(plant: Any, reference: str, **settings: Any) -> Rig:
+    if not hasattr(plant, "rig"):
+        raise InvalidInput(
+            f"{reference} is no plant: it has no rig(); make one with plants.linear_plant or "
+            "plants.python_plant"
+        )
+    made: Rig = plant.rig(**settings)
+    return made
+
+
+def _close_at_eof(server: bus.RigServer) -> None:
+    while sys.stdin.buffer.read(4096):
+        pass
+    server.close()

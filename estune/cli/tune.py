@@ -1,0 +1,187 @@
+"""`estune tune` and `estune resume`."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from cyclopts import Group, Parameter
+
+from estune import api
+from estune.cli import output
+from estune.cli.runs import find_run
+from estune.cli.values import numbers_from, ranges_from
+from estune.core.cost import StepCost
+from estune.core.gains import GAIN_NAMES, Gains
+from estune.errors import InvalidInput
+from estune.planning import MOVE_WEIGHT
+from estune.result import Ending, TuneResult
+from estune.targets import open_target
+from estune.trial import RigDescription, StepProfile
+
+_STEP = Group("The step trial", sort_key=1)
+_COST = Group("The cost of a trial, (35)", sort_key=2)
+
+TunerName = Literal["killingsworth", "otis", "least_squares_gradient"]
+
+
+@Parameter(name="*", group=_STEP)
+@dataclass(frozen=True, kw_only=True)
+class StepOptions:
+    """The step trial; what is left out is what the rig suggests.
+
+    Attributes:
+        preload_N: Tension held before the step, N.
+        step_N: Size of the step, N; negative steps down.
+        step_at_s: Time of the step from the start of the trial, s.
+        duration_s: Length of the whole trial, s.
+    """
+
+    preload_N: Annotated[float | None, Parameter(name="--preload-N")] = None
+    step_N: Annotated[float | None, Parameter(name="--step-N")] = None
+    step_at_s: float | None = None
+    duration_s: float | None = None
+
+
+@Parameter(name="*", group=_COST)
+@dataclass(frozen=True, kw_only=True)
+class CostOptions:
+    """How a trial is scored; what is left out is the usual.
+
+    Attributes:
+        settling_time_s: Settling time asked for, s; the one the rig suggests by default.
+        weight: Weight over the transient: as the paper prints it, or rising as its prose says.
+        time_unit: Unit of the time weight: seconds as printed, or the settling time.
+        move_weight: Price on jumps of the effort; 0.2 by default, 0 is none, as printed.
+    """
+
+    settling_time_s: float | None = None
+    weight: Literal["printed", "rising"] | None = None
+    time_unit: Literal["second", "settling_time"] | None = None
+    move_weight: float | None = None
+
+
+_NO_STEP, _NO_COST = StepOptions(), CostOptions()
+
+
+def tune(
+    target: str,
+    /,
+    *,
+    tuner: TunerName = "least_squares_gradient",
+    trials: int = 120,
+    repeats: int = 3,
+    eta_max: float | None = None,
+    start: Annotated[tuple[str, ...], Parameter(negative=(), show_default=False)] = (),
+    bounds: Annotated[tuple[str, ...], Parameter(negative=(), show_default=False)] = (),
+    rig: str | None = None,
+    run: str | None = None,
+    folder: Path = Path(api.RUNS),
+    quiet: Annotated[bool, Parameter(negative=())] = False,
+    step: StepOptions = _NO_STEP,
+    cost: CostOptions = _NO_COST,
+) -> None:
+    """Tune a rig by step trials.
+
+    Args:
+        target: Where the rig is: an endpoint such as tcp/127.0.0.1:7447, or module:attribute such
+            as plants:reference_reel.
+        tuner: How gains are proposed.
+        trials: Greatest number of search trials.
+        repeats: Trials of the start gains before the search, and of each candidate after it.
+        eta_max: Cost above which a trial counts as unsafe; three times the start's by default.
+        start: A gain to begin from instead of the rig's own, as P=0.5; repeat for more.
+        bounds: Least and greatest value of a gain, as P=0.1:10; repeat for more. The gains are P,
+            I, D and setpoint_filter_s.
+        rig: Name of the rig, where several answer at the endpoint.
+        run: Name of the run; the time of day by default.
+        folder: Folder that runs are kept in.
+        quiet: Show no progress.
+        step: The step trial.
+        cost: How a trial is scored.
+    """
+    chosen = _chosen(target, rig, numbers_from(start), step, cost)
+    result = api.tune(
+        target,
+        tuner=tuner,
+        trials=trials,
+        repeats=repeats,
+        eta_max=eta_max,
+        start=chosen.start,
+        bounds=ranges_from(bounds) or None,
+        step=chosen.step,
+        cost=chosen.cost,
+        rig=rig,
+        run=run,
+        folder=folder,
+        watch=None if quiet else "auto",
+    )
+    finish(result, target)
+
+
+def resume(
+    run: str,
+    /,
+    *,
+    target: str | None = None,
+    folder: Path = Path(api.RUNS),
+    quiet: Annotated[bool, Parameter(negative=())] = False,
+) -> None:
+    """Go on with a run that was stopped or cut off.
+
+    Args:
+        run: The run: its name, or its folder.
+        target: Where its rig is now; by default where it was.
+        folder: Folder that runs are kept in.
+        quiet: Show no progress.
+    """
+    path = find_run(run, folder)
+    finish(api.resume(path, target, watch=None if quiet else "auto"), target)
+
+
+def finish(result: TuneResult, target: str | None) -> None:
+    """Prints a result, saves its figure, and says what to type next."""
+    output.show_result(result)
+    facts: dict[str, object] = {"run": result.folder}
+    figure = output.save_figure(result)
+    if figure:
+        facts["figure"] = figure
+    if result.ending is Ending.TUNED and target:
+        facts["make live"] = f"estune apply {result.folder} {target}"
+    facts["trials"] = f"estune export {result.folder} --csv"
+    output.show_next(facts)
+
+
+@dataclass(frozen=True)
+class _Chosen:
+    """What the user settled; None where the library's own default holds."""
+
+    start: Gains | None
+    step: StepProfile | None
+    cost: StepCost | None
+
+
+def _chosen(
+    target: str, rig: str | None, start: Mapping[str, float], step: StepOptions, cost: CostOptions
+) -> _Chosen:
+    """Fills in what the user left open by asking the rig, if there is anything to fill in."""
+    unknown = set(start) - set(GAIN_NAMES)
+    if unknown:
+        raise InvalidInput(
+            f"there is no gain {', '.join(sorted(unknown))}; the gains are {', '.join(GAIN_NAMES)}"
+        )
+    if not start and step == _NO_STEP and cost == _NO_COST:
+        return _Chosen(None, None, None)
+    with open_target(target, rig) as the_rig:
+        suggested: RigDescription = the_rig.describe()
+    usual = StepCost(suggested.settling_time_s, move_weight=MOVE_WEIGHT)
+    return _Chosen(
+        replace(suggested.gains, **start),
+        replace(suggested.step, **_given(step)),
+        replace(usual, **_given(cost)),
+    )
+
+
+def _given(options: StepOptions | CostOptions) -> dict[str, Any]:
+    values = {field.name: getattr(options, field.name) for field in fields(options)}
+    return {name: value for name, value in values.items() if value is not None}

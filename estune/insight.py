@@ -1,0 +1,322 @@
+"""What a run's trials say beside its result: gains at a bound, flat directions of the cost.
+
+Both are reasons not to take a number at its word. A gain at its bound was not chosen by the cost
+but by whoever set the bound; along a flat direction any value would have done as well.
+
+Flat directions are read off a quadratic in the search coordinates, fitted to the safe trials near
+the best gains,
+
+    J(z) = c + g' z + z' H z / 2,
+    z_i = ln(value_i / best_i), or (value_i - best_i) / (high_i - low_i) on a linear scale,
+
+with a wide Gaussian prior on g and H (ridge regression), so that a direction the trials did not
+explore comes out as uncertain and not as flat. A direction is called flat only over the range the
+trials covered, and only where the change of the cost, its uncertainty included, stays in the
+scatter.
+"""
+
+import math
+from collections.abc import Iterable, Sequence
+from itertools import combinations_with_replacement
+from statistics import fmean
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estune.core.gains import GAIN_UNITS
+from estune.core.search_space import Point, SearchSpace
+
+FloatArray = NDArray[np.float64]
+
+FLAT_FACTOR = 2.0
+"""A parameter free to move by less than this factor is not worth a sentence."""
+
+FLAT_SHARE = 0.25
+"""The same for a parameter on a linear scale, as a share of the range between its bounds."""
+
+AT_BOUND = 0.02
+"""Within this share of the range between its bounds, a parameter is at its bound."""
+
+LEAST_CHANGE = 0.01
+"""A change of the cost by less than this share of it matters to nobody, however quiet the rig."""
+
+_CONFIDENCE = 1.645  # one-sided 95 % of a normal distribution
+
+
+class _Axis(NamedTuple):
+    """One tuned parameter."""
+
+    name: str
+    label: str
+    unit: str
+    low: float
+    high: float
+    log: bool
+
+    def coordinate(self, value: float, origin: float) -> float:
+        """Where a value lies from the origin: a logarithm, or a share of the range."""
+        return math.log(value / origin) if self.log else (value - origin) / (self.high - self.low)
+
+    def value(self, coordinate: float, origin: float) -> float:
+        """The value at a coordinate."""
+        if self.log:
+            return origin * math.exp(coordinate)
+        return origin + coordinate * (self.high - self.low)
+
+    @property
+    def flat_width(self) -> float:
+        """Width, in its coordinate, from which on the parameter counts as free."""
+        return math.log(FLAT_FACTOR) if self.log else FLAT_SHARE
+
+
+class Finding(NamedTuple):
+    """One remark on the result.
+
+    Attributes:
+        kind: `bound`, `flat`, or `unknown` where the trials cannot tell.
+        parameters: What it is about.
+        sentence: The remark in words.
+    """
+
+    kind: Literal["bound", "flat", "unknown"]
+    parameters: tuple[str, ...]
+    sentence: str
+
+
+def at_bounds(space: SearchSpace, best: Point) -> tuple[Finding, ...]:
+    """Names the parameters that the bounds decided.
+
+    Args:
+        space: The tuned parameters and their bounds.
+        best: The value of each.
+    """
+    sides = space.at_bound(best, AT_BOUND)
+    found = []
+    for axis in _axes(space):
+        if axis.name in sides:
+            low = sides[axis.name] == "low"
+            side, bound = ("lower", axis.low) if low else ("upper", axis.high)
+            sentence = (
+                f"{axis.label} is at its {side} bound of {_shown(axis, bound)}: "
+                "the bound chose it, not the cost"
+            )
+            found.append(Finding("bound", (axis.name,), sentence))
+    return tuple(found)
+
+
+def scatter(groups: Iterable[Sequence[float]]) -> float:
+    """Pooled standard deviation of repeats, nan without any.
+
+    Args:
+        groups: Costs of repeated trials, one sequence per set of gains; not finite ones do not
+            count.
+    """
+    squares, freedom = 0.0, 0
+    for group in groups:
+        costs = [cost for cost in group if math.isfinite(cost)]
+        if len(costs) > 1:
+            mean = fmean(costs)
+            squares += sum((cost - mean) ** 2 for cost in costs)
+            freedom += len(costs) - 1
+    return math.sqrt(squares / freedom) if freedom else math.nan
+
+
+def flat_directions(
+    space: SearchSpace,
+    best: Point,
+    best_cost: float,
+    *,
+    points: FloatArray,
+    costs: FloatArray,
+    noise: float,
+) -> tuple[Finding, ...]:
+    """Names the parameters, alone or together, that may move without the cost telling.
+
+    Args:
+        space: The tuned parameters.
+        best: The value of each at the best gains.
+        best_cost: The cost there.
+        points: Parameters of the safe trials, shape (trials, parameters).
+        costs: Their costs, shape (trials,).
+        noise: Standard deviation of the cost between repeats.
+
+    Returns:
+        Flat directions, then one finding for the parameters the trials cannot tell of.
+    """
+    axes = _axes(space)
+    if not math.isfinite(noise):
+        sentence = "without repeats there is no scatter to judge flat directions by"
+        return (Finding("unknown", space.names, sentence),)
+    tolerance = max(2.0 * noise, LEAST_CHANGE * abs(best_cost))
+    z = np.array(
+        [[a.coordinate(v, o) for a, v, o in zip(axes, p, best, strict=True)] for p in points]
+    ).reshape(-1, len(axes))
+    fit = _fit_near(z, np.asarray(costs, dtype=np.float64), best_cost, tolerance, noise)
+    if fit is None:
+        return (_unknown(axes),)
+    within = (
+        f"its scatter ({tolerance:.2g})" if tolerance == 2.0 * noise else f"{LEAST_CHANGE:.0%}"
+    )
+    found, flat, unknown = [], [], []
+    for i, axis in enumerate(axes):
+        low, high, decided = _reach(fit, np.eye(len(axes))[i], tolerance)
+        if high - low >= axis.flat_width:
+            found.append(Finding("flat", (axis.name,), _flat(axis, best[i], low, high, within)))
+            flat.append(i)
+        elif not decided:
+            unknown.append(axis)
+    joint = list(_joint(axes, fit, tolerance, within, set(flat)))
+    found.extend(joint)
+    unknown = [axis for axis in unknown if not any(axis.name in f.parameters for f in joint)]
+    if unknown:
+        found.append(_unknown(unknown))
+    return tuple(found)
+
+
+def _axes(space: SearchSpace) -> list[_Axis]:
+    units = {**GAIN_UNITS, "K": "N/N", "Ti": "s", "Td": "s"}
+    labels = {"setpoint_filter_s": "setpoint filter"}
+    return [
+        _Axis(name, labels.get(name, name), units[name], low, high, space.scale == "log")
+        for name, low, high in zip(space.names, space.low, space.high, strict=True)
+    ]
+
+
+class _Fit(NamedTuple):
+    """The quadratic near the best: coefficients of `_terms` without the constant."""
+
+    z: FloatArray  # trials it rests on
+    beta: FloatArray
+    covariance: FloatArray
+
+    def change(self, step: FloatArray) -> tuple[float, float]:
+        """Change of the cost from the best to `step`, and its standard error."""
+        terms = _terms(step[None, :])[0, 1:]
+        return float(terms @ self.beta), math.sqrt(
+            max(0.0, float(terms @ self.covariance @ terms))
+        )
+
+
+def _terms(z: FloatArray) -> FloatArray:
+    """1, z_i, and z_i z_j for i <= j (halved on the diagonal), shape (trials, terms)."""
+    pairs = combinations_with_replacement(range(z.shape[1]), 2)
+    squares = [z[:, i] * z[:, j] * (0.5 if i == j else 1.0) for i, j in pairs]
+    return np.column_stack([np.ones(len(z)), z, *squares])
+
+
+def _inverse(matrix: FloatArray) -> FloatArray:
+    return np.asarray(np.linalg.inv(matrix), dtype=np.float64)
+
+
+def _fit_near(
+    z: FloatArray, costs: FloatArray, best_cost: float, tolerance: float, noise: float
+) -> _Fit | None:
+    """Fits the trials whose cost is near the best, the wider neighbourhood the better it holds.
+
+    The neighbourhood is a level set of the cost, wide against the scatter, and is halved until the
+    quadratic describes it to within the tolerance. None with too few trials.
+    """
+    fit, reach = None, max(8.0 * tolerance, float(np.ptp(costs)) if len(costs) else 0.0)
+    while reach >= 4.0 * tolerance:
+        near = costs <= best_cost + reach
+        terms = _terms(z[near])
+        freedom = len(terms) - terms.shape[1]
+        if freedom < terms.shape[1] // 2:
+            break
+        # Prior: over one unit of a coordinate the cost may change by several times what it did.
+        prior = (4.0 * reach) ** 2
+        precision = np.eye(terms.shape[1]) / prior
+        precision[0, 0] = 0.0  # the constant is free
+        variance = max(noise, 1e-3 * tolerance) ** 2
+        for _ in range(3):  # what the quadratic misses counts as noise
+            covariance = _inverse(precision + terms.T @ terms / variance)
+            beta = covariance @ (terms.T @ costs[near]) / variance
+            missed = float(np.sum((costs[near] - terms @ beta) ** 2)) / freedom
+            variance = max(noise**2, missed, 1e-6 * tolerance**2)
+        fit = _Fit(z[near], beta[1:], covariance[1:, 1:])
+        if missed <= tolerance**2:
+            break
+        reach /= 2.0
+    return fit
+
+
+def _reach(fit: _Fit, direction: FloatArray, tolerance: float) -> tuple[float, float, bool]:
+    """How far the best may move along a unit direction with the cost inside the tolerance.
+
+    Returns:
+        The way down and the way up, within what the trials covered, and whether the trials decide:
+        not where they covered too little, or leave the change of the cost uncertain.
+    """
+    covered = fit.z @ direction
+    ends, decided = [], False
+    for limit in (min(0.0, float(covered.min())), max(0.0, float(covered.max()))):
+        end = 0.0
+        for t in np.linspace(0.0, limit, 41)[1:]:
+            change, error = fit.change(t * direction)
+            if abs(change) - _CONFIDENCE * error > tolerance:
+                decided = True  # it certainly matters
+            if abs(change) + _CONFIDENCE * error > tolerance:
+                break
+            end = float(t)
+        ends.append(end)
+    return ends[0], ends[1], decided
+
+
+def _joint(
+    axes: Sequence[_Axis], fit: _Fit, tolerance: float, within: str, flat: set[int]
+) -> Iterable[Finding]:
+    """Flat directions that lie across parameters none of which is flat by itself."""
+    rest = [i for i in range(len(axes)) if i not in flat]
+    if len(rest) < 2:
+        return
+    d = len(axes)
+    hessian = np.zeros((d, d))
+    for value, (i, j) in zip(
+        fit.beta[d:], combinations_with_replacement(range(d), 2), strict=True
+    ):
+        hessian[i, j] = hessian[j, i] = value
+    _, vectors = np.linalg.eigh(hessian[np.ix_(rest, rest)])
+    for vector in vectors.T:
+        direction = np.zeros(d)
+        direction[rest] = vector
+        lead = int(np.argmax(np.abs(direction)))
+        direction *= np.sign(direction[lead])
+        low, high, _ = _reach(fit, direction, tolerance)
+        moved = [i for i in rest if abs(direction[i]) >= 0.3 * direction[lead]]
+        if len(moved) > 1 and (high - low) * direction[lead] >= axes[lead].flat_width:
+            ways = _listed([_way(axes[i], direction[i] * (high - low)) for i in moved])
+            sentence = (
+                f"{_listed([axes[i].label for i in moved])} are not determined one by one: "
+                f"{ways} together does not change the cost by more than {within}"
+            )
+            yield Finding("flat", tuple(axes[i].name for i in moved), sentence)
+
+
+def _flat(axis: _Axis, origin: float, low: float, high: float, within: str) -> str:
+    bottom, top = axis.value(low, origin), axis.value(high, origin)
+    factor = f" by a factor {top / bottom:.2g}" if axis.log else ""
+    return (
+        f"{axis.label} may move{factor}, from {bottom:.2g} to {_shown(axis, top)}, "
+        f"without the cost changing by more than {within}"
+    )
+
+
+def _way(axis: _Axis, moved: float) -> str:
+    verb = "raising" if moved > 0 else "lowering"
+    size = f"a factor {math.exp(abs(moved)):.2g}" if axis.log else f"{abs(moved):.0%} of its range"
+    return f"{verb} {axis.label} by {size}"
+
+
+def _unknown(axes: Sequence[_Axis]) -> Finding:
+    listed = _listed([axis.label for axis in axes])
+    sentence = f"too few trials near the best gains to tell how much the cost depends on {listed}"
+    return Finding("unknown", tuple(axis.name for axis in axes), sentence)
+
+
+def _shown(axis: _Axis, value: float) -> str:
+    return f"{value:.2g} {axis.unit}".rstrip()
+
+
+def _listed(words: Sequence[str]) -> str:
+    return " and ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)

@@ -1,0 +1,362 @@
+"""What a run came to, as a value to look at, compute with and draw.
+
+A result is an `OptimizeResult`, so that what knows scipy knows it. How the run ended is told first
+and everywhere: only a run whose gains were confirmed to beat the start shows a column "tuned".
+"""
+
+import html
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from scipy.optimize import OptimizeResult
+
+from estune import insight
+from estune.core.gains import GAIN_NAMES, GAIN_UNITS, Gains
+from estune.core.metrics import StepMetrics
+from estune.core.search_space import Point, SearchSpace
+from estune.errors import JournalError
+from estune.interop import Margins, margins
+from estune.journal import Entry, Journal
+from estune.score import score
+from estune.session import Plan, Session, Verdict, is_censored, verdict
+from estune.trial import RigDescription, TrialRecord
+from estune.tuning import Tuning
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+
+class Ending(StrEnum):
+    """How a run ended; the value is what it is called."""
+
+    TUNED = "tuned"
+    NO_IMPROVEMENT = "no improvement"
+    STOPPED = "stopped"
+    UNSAFE_START = "unsafe start"
+
+    @property
+    def status(self) -> int:
+        """The status number of the `OptimizeResult`: zero is success."""
+        return list(Ending).index(self)
+
+
+@dataclass(frozen=True, slots=True)
+class Performance:
+    """How a set of gains does on the rig.
+
+    Attributes:
+        gains: The gains.
+        cost: Mean cost of their repeats; nan or infinite where there is none.
+        cost_error: Standard error of that mean.
+        metrics: Step metrics of `record`.
+        margins: Margins on the rig's linear model, or None where it gives none.
+        record: A trial with these gains, or None.
+    """
+
+    gains: Gains
+    cost: float
+    cost_error: float
+    metrics: StepMetrics | None
+    margins: Margins | None
+    record: TrialRecord | None
+
+
+class Row(NamedTuple):
+    """A line of the before/after table, as text; `tuned` is empty where nothing was tuned."""
+
+    label: str
+    start: str
+    tuned: str
+
+
+class TuneResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type information
+    """The result of a run, finished or not.
+
+    Attributes:
+        x: The gains to use, shape (4,): P, I, D, setpoint_filter_s.
+        fun: Their mean cost.
+        nit: Search trials run.
+        nfev: Trials run, with baseline, confirmation and void ones.
+        success: Whether gains were confirmed to beat the start.
+        status: 0 tuned, 1 no improvement, 2 stopped, 3 the start is unsafe.
+        message: How the run ended, in a sentence.
+        ending: The same as an `Ending`.
+        gains: The gains to use; the start where nothing was confirmed to beat it.
+        start_gains: The gains the run began from.
+        verdict: What the repeats came to.
+        entries: Every trial told, void ones too.
+        folder: The run on disk, or None.
+        plan: What decided the run.
+        rig: The rig as it was when the run began.
+        start: Performance of the start gains.
+        tuned: Performance of the tuned gains, or None.
+        findings: Remarks: gains at a bound, flat directions of the cost.
+    """
+
+    x: "np.ndarray[tuple[int], np.dtype[np.float64]]"
+    fun: float
+    nit: int
+    nfev: int
+    success: bool
+    status: int
+    message: str
+    ending: Ending
+    gains: Gains
+    start_gains: Gains
+    verdict: Verdict
+    entries: tuple[Entry, ...]
+    folder: Path | None
+    plan: Plan
+    rig: RigDescription
+    start: Performance
+    tuned: Performance | None
+    findings: tuple[insight.Finding, ...]
+    session: Session
+
+    def to_frame(self) -> "pd.DataFrame":
+        """The trials, one row each: number, phase, gains, cost, best cost so far, outcome."""
+        import pandas as pd  # noqa: PLC0415  slow to import
+
+        rows = [
+            (
+                *(e.number, e.attempt, e.trial_id, str(e.phase), *e.gains.as_tuple(), e.cost),
+                *(_is_unsafe(self.session, e), str(e.outcome), e.reason),
+            )
+            for e in self.entries
+        ]
+        before, after = ("number", "attempt", "trial_id", "phase"), ("unsafe", "outcome", "reason")
+        frame = pd.DataFrame(rows, columns=[*before, *GAIN_NAMES, "cost", *after])
+        frame["unsafe"] = frame["unsafe"].astype(bool)
+        safe = frame["cost"].where(~frame["unsafe"]).to_numpy(dtype=float)
+        place = list(frame.columns).index("cost") + 1
+        frame.insert(place, "best_cost", np.fmin.accumulate(safe))
+        return frame
+
+    def record(self, number: int) -> TrialRecord:
+        """What the rig measured in one trial.
+
+        Raises:
+            JournalError: there was no such trial, or the run was not kept on disk.
+        """
+        entry = next((e for e in reversed(self.entries) if e.number == number), None)
+        if entry is None:
+            raise JournalError(
+                f"there is no trial {number}; the run has trials 0 to {self.session.number - 1}"
+            )
+        if self.folder is not None:
+            with Journal.open(self.folder) as journal:
+                return journal.record(entry.trial_id)
+        for kept in (self.start, self.tuned):
+            if kept and kept.record and kept.record.trial_id == entry.trial_id:
+                return kept.record
+        raise JournalError(
+            f"the record of trial {number} was not kept; tune with journal=True to keep every one"
+        )
+
+    def plot_cost(self, ax: "Axes | None" = None) -> "Axes":
+        """Draws the cost per trial with the best so far, on `ax` or a figure of its own."""
+        from estune import figures  # noqa: PLC0415  slow to import
+
+        return figures.draw_cost(
+            ax or figures.new_axes(), self.to_frame(), self.start.cost, self.session.eta_max
+        )
+
+    def plot_response(self, ax: "Axes | None" = None) -> "Axes":
+        """Draws the step response before and after, on `ax` or a figure of its own."""
+        from estune import figures  # noqa: PLC0415  slow to import
+
+        return figures.draw_response(
+            *(ax or figures.new_axes(), self.plan.step, self.start.record),
+            self.tuned.record if self.tuned else None,
+        )
+
+    def plot_gains(self, ax: "Axes | None" = None) -> "Axes":
+        """Draws the gains over the trials, on `ax` or a figure of its own."""
+        from estune import figures  # noqa: PLC0415  slow to import
+
+        return figures.draw_gains(
+            ax or figures.new_axes(), self.to_frame(), self.start_gains, self.gains
+        )
+
+    def figure(self) -> "Figure":
+        """All three figures on one page; pyplot is not touched."""
+        from estune import figures  # noqa: PLC0415  slow to import
+
+        page = figures.new_figure(7.2, 6.6)
+        grid = page.add_gridspec(2, 2)
+        self.plot_response(page.add_subplot(grid[0, :]))
+        self.plot_cost(page.add_subplot(grid[1, 0]))
+        self.plot_gains(page.add_subplot(grid[1, 1]))
+        page.suptitle(self.heading(), fontsize=10)
+        return page
+
+    def heading(self) -> str:
+        """The run in one line, its ending first."""
+        if self.ending is Ending.TUNED:
+            came = f"cost {self.start.cost:.3g} → {self.verdict.cost:.3g}"
+        else:
+            came = "the rig's start gains stand"
+        return f"{self.ending.upper()}: {self.rig.name}, {len(self.entries)} trials, {came}"
+
+    def rows(self) -> tuple[Row, ...]:
+        """The before/after table as text; the last column is empty unless the run tuned."""
+        start = _cells(self.start)
+        tuned = _cells(self.tuned) if self.tuned else dict.fromkeys(start, "")
+        return tuple(Row(label, start[label], tuned[label]) for label in start)
+
+    def remarks(self) -> tuple[str, ...]:
+        """What is to be known beside the table, a sentence each."""
+        said = (self.message, *(finding.sentence for finding in self.findings))
+        return tuple(f"{sentence[:1].upper()}{sentence[1:]}." for sentence in said)
+
+    def __repr__(self) -> str:
+        rows = self.rows()
+        columns = [("", "start", "tuned" if self.tuned else ""), *rows]
+        widths = [max(len(row[i]) for row in columns) for i in range(3)]
+        table = [
+            f"  {label:<{widths[0]}}  {start:>{widths[1]}}  {tuned:>{widths[2]}}".rstrip()
+            for label, start, tuned in columns
+        ]
+        where = [f"run: {self.folder}"] if self.folder else []
+        return "\n".join([self.heading(), *table, *self.remarks(), *where])
+
+    def __str__(self) -> str:
+        return repr(self)
+
+    def _repr_html_(self) -> str:
+        from estune import figures  # noqa: PLC0415  slow to import
+
+        def cells(tag: str, *texts: str) -> str:
+            shown = texts if self.tuned else texts[:2]
+            return "<tr>" + "".join(f"<{tag}>{html.escape(t)}</{tag}>" for t in shown) + "</tr>"
+
+        colour = figures.GREEN if self.success else figures.VERMILION
+        head = cells("th", "", "start", "tuned")
+        table = head + "".join(cells("td", *row) for row in self.rows())
+        remarks = "".join(f"<p>{html.escape(remark)}</p>" for remark in self.remarks())
+        where = f"<p><code>{html.escape(str(self.folder))}</code></p>" if self.folder else ""
+        return (
+            f'<div><p style="border-left:4px solid {colour};padding-left:8px">'
+            f"<b>{html.escape(self.heading())}</b></p><table>{table}</table>{remarks}{where}"
+            f"{figures.to_svg(self.figure())}</div>"
+        )
+
+
+def from_tuning(tuning: Tuning) -> TuneResult:
+    """The result of a run so far as it went."""
+    session, plan = tuning.session, tuning.plan
+    found = verdict(session)
+    if session.failure:
+        ending = Ending.UNSAFE_START
+    elif not found.complete:
+        ending = Ending.STOPPED
+    else:
+        ending = Ending.TUNED if found.improved else Ending.NO_IMPROVEMENT
+    then, now = (found.start_cost, found.start_cost_error), (found.cost, found.cost_error)
+    start = _performance(tuning, plan.start, then, tuning.first)
+    tuned = None
+    if found.improved:
+        tuned = _performance(tuning, found.gains, now, tuning.kept.get(found.gains))
+    return TuneResult(
+        x=np.array(found.gains.as_tuple()),
+        fun=found.cost,
+        nit=session.searched,
+        nfev=len(tuning.entries),
+        success=found.improved,
+        status=ending.status,
+        message=found.message,
+        ending=ending,
+        gains=found.gains,
+        start_gains=plan.start,
+        verdict=found,
+        entries=tuple(tuning.entries),
+        folder=tuning.journal.folder if tuning.journal else None,
+        plan=plan,
+        rig=tuning.description,
+        start=start,
+        tuned=tuned,
+        findings=_findings(tuning, found) if tuned else (),
+        session=session,
+    )
+
+
+def _performance(
+    tuning: Tuning, gains: Gains, cost: tuple[float, float], record: TrialRecord | None
+) -> Performance:
+    plan, rig = tuning.plan, tuning.description
+    metrics = None
+    if record is not None:
+        metrics = score(record, plan.step, plan.cost, rig.newtons_per_ampere).metrics
+    on_model = margins(rig.linear_model, gains, rig.controller) if rig.linear_model else None
+    return Performance(gains, *cost, metrics, on_model, record)
+
+
+def _findings(tuning: Tuning, found: Verdict) -> tuple[insight.Finding, ...]:
+    space: SearchSpace = tuning.plan.tuner.space
+    safe = [
+        e
+        for e in tuning.entries
+        if e.outcome and not e.outcome.is_void and not _is_unsafe(tuning.session, e)
+    ]
+    best = _point(space, found.gains)
+    return insight.at_bounds(space, best) + insight.flat_directions(
+        *(space, best, found.cost),
+        points=np.array([_point(space, e.gains) for e in safe]),
+        costs=np.array([e.cost for e in safe]),
+        noise=insight.scatter(tuning.session.confirmed),
+    )
+
+
+def _point(space: SearchSpace, gains: Gains) -> Point:
+    """The tuned parameters of gains."""
+    K, Ti, Td = gains.to_standard()
+    values = dict(zip(GAIN_NAMES, gains.as_tuple(), strict=True)) | {"K": K, "Ti": Ti, "Td": Td}
+    return tuple(values[name] for name in space.names)
+
+
+def _is_unsafe(session: Session, entry: Entry) -> bool:
+    """Whether the trial was over the guard, or ended badly; a void one says nothing."""
+    if entry.outcome is None or entry.outcome.is_void:
+        return False
+    return is_censored(session, entry.outcome, entry.cost)
+
+
+def _cells(of: Performance) -> dict[str, str]:
+    cells = {_GAIN_LABELS[n]: f"{getattr(of.gains, n):.4g} {GAIN_UNITS[n]}" for n in GAIN_NAMES}
+    error = f" ± {of.cost_error:.1g}" if of.cost_error > 0.0 else ""
+    cells["cost η"] = f"{of.cost:.3g}{error}" if math.isfinite(of.cost) else "-"
+    return {**cells, **dict(_metric_cells(of.metrics)), **dict(_margin_cells(of.margins))}
+
+
+_GAIN_LABELS = {"P": "P", "I": "I", "D": "D", "setpoint_filter_s": "setpoint filter"}
+
+
+def _metric_cells(metrics: StepMetrics | None) -> Iterator[tuple[str, str]]:
+    def shown(value: float | None, scale: float, unit: str, never: str) -> str:
+        if value is None:
+            return "-"
+        return f"{value * scale:.3g} {unit}" if math.isfinite(value) else never
+
+    m = metrics
+    yield "rise time", shown(m and m.rise_time_s, 1e3, "ms", "not reached")
+    yield "settling time (2 %)", shown(m and m.settling_time_s, 1e3, "ms", "not settled")
+    yield "overshoot", shown(m and m.overshoot, 100.0, "%", "-")
+    yield "steady-state error", shown(m and m.steady_state_error, 1.0, "N", "-")
+
+
+def _margin_cells(found: Margins | None) -> Iterator[tuple[str, str]]:
+    if found is None:
+        yield from (("gain margin", "-"), ("phase margin", "-"))
+    elif not found.stable:
+        yield from (("gain margin", "unstable"), ("phase margin", "unstable"))
+    else:
+        gain_dB, angle = 20.0 * math.log10(found.gain_margin), found.phase_margin_deg
+        yield "gain margin", f"{gain_dB:.1f} dB" if math.isfinite(gain_dB) else "∞"
+        yield "phase margin", f"{angle:.0f}°" if math.isfinite(angle) else "∞"
