@@ -1,0 +1,293 @@
+"""The cost (35): its normalisation, its closed forms, and what it refuses."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.integrate import quad
+
+from estune.core.cost import StepCost
+from estune.core.gains import Gains
+from estune.core.metrics import NO_METRICS, step_metrics
+from estune.errors import InvalidInput, RigError
+from estune.score import score
+from estune.trial import Outcome, StepProfile, TrialRecord
+
+SAMPLING_Hz, SAMPLES, STEP_INDEX = 632.0, 632, 100
+AFTER_STEP_s = (SAMPLES - STEP_INDEX) / SAMPLING_Hz
+
+costs = st.builds(
+    StepCost,
+    st.floats(0.01, AFTER_STEP_s),
+    st.sampled_from(["printed", "rising"]),
+    st.sampled_from(["second", "settling_time"]),
+)
+
+
+def columns(error_of_t, step_N=5.0, preload_N=10.0, sampling_Hz=SAMPLING_Hz, samples=SAMPLES):
+    """Setpoint, measurement and effort of a step whose error is `step_N error_of_t(t)`."""
+    t = (np.arange(samples) - STEP_INDEX) / sampling_Hz
+    setpoint = np.where(t >= 0.0, preload_N + step_N, preload_N)
+    measurement = setpoint - np.where(t >= 0.0, step_N * error_of_t(np.maximum(t, 0.0)), 0.0)
+    return setpoint, measurement, 0.3 * measurement
+
+
+def evaluate(cost, error_of_t, **shape):
+    sampling_Hz, step_N = shape.get("sampling_Hz", SAMPLING_Hz), shape.get("step_N", 5.0)
+    return cost.evaluate(sampling_Hz, STEP_INDEX, step_N, *columns(error_of_t, **shape))
+
+
+def ringing(t):
+    return np.exp(-9.0 * t) * np.cos(55.0 * t)
+
+
+@given(costs, st.sampled_from([5.0, -5.0, 1e-3]))
+def test_a_first_order_response_that_settles_in_time_costs_one(cost, step_N):
+    eta = evaluate(cost, lambda t: np.exp(-4.0 * t / cost.settling_time_s), step_N=step_N)
+    assert eta == pytest.approx(1.0, rel=1e-9)
+
+
+@given(costs, st.floats(1e-3, 1e3) | st.floats(-1e3, -1e-3), st.floats(0.0, 2.0))
+def test_the_size_and_the_sign_of_the_step_do_not_matter(cost, step_N, move_weight):
+    cost = StepCost(cost.settling_time_s, cost.weight, cost.time_unit, move_weight)
+    assert evaluate(cost, ringing, step_N=step_N, preload_N=0.0) == pytest.approx(
+        evaluate(cost, ringing, step_N=1.0, preload_N=0.0), rel=1e-9
+    )
+
+
+@given(costs, st.floats(1e-2, 1e2))
+def test_with_time_in_settling_times_the_speed_of_the_loop_does_not_matter(cost, faster):
+    t_s = cost.settling_time_s
+    plain = StepCost(t_s, cost.weight, "settling_time")
+    quick = StepCost(t_s / faster, cost.weight, "settling_time")
+    assert evaluate(
+        quick, lambda t: ringing(t * faster), sampling_Hz=SAMPLING_Hz * faster
+    ) == pytest.approx(evaluate(plain, ringing), rel=1e-9)
+
+
+def test_with_time_in_seconds_as_printed_it_does():
+    quick = evaluate(StepCost(0.4), lambda t: np.exp(-4.0 * t))
+    slow = evaluate(StepCost(40.0), lambda t: np.exp(-0.04 * t), sampling_Hz=SAMPLING_Hz / 100.0)
+    assert slow > 1.2 * quick  # the slower loop is charged more for the same slow tail
+
+
+@pytest.mark.parametrize("weight", ["printed", "rising"])
+@pytest.mark.parametrize("time_unit", ["second", "settling_time"])
+@pytest.mark.parametrize("t_s", [0.1, 0.2503])  # on a sample or between two
+@pytest.mark.parametrize("decay", [6.0, 25.0])
+def test_an_exponential_error_costs_what_the_integrals_say(weight, time_unit, t_s, decay):
+    sampling_Hz = 20_000.0
+    samples = STEP_INDEX + 24_000
+    end = (samples - 1 - STEP_INDEX) / sampling_Hz
+    sign = 1.0 if weight == "printed" else -1.0
+    unit = 1.0 if time_unit == "second" else t_s
+
+    def N(rate):
+        def squared(t):
+            return math.exp(-2.0 * rate * t)
+
+        def sigmoid(t):
+            return 1.0 / (1.0 + math.exp(sign * math.pi * (t - t_s) / (2.0 * t_s)))
+
+        itse, _ = quad(lambda t: t / unit**2 * squared(t), 0.0, end, epsabs=1e-13)
+        early, _ = quad(lambda t: sigmoid(t) * squared(t), 0.0, t_s, epsabs=1e-13)
+        return itse + early / t_s
+
+    eta = evaluate(
+        StepCost(t_s, weight, time_unit),
+        lambda t: np.exp(-decay * t),
+        sampling_Hz=sampling_Hz,
+        samples=samples,
+    )
+    assert eta == pytest.approx(N(decay) / N(4.0 / t_s), rel=1e-5)
+
+
+@given(costs, st.floats(1.01, 100.0))
+def test_a_larger_error_costs_its_square_more(cost, scale):
+    small, large = evaluate(cost, ringing), evaluate(cost, lambda t: scale * ringing(t))
+    assert large == pytest.approx(scale**2 * small, rel=1e-9)
+
+
+def test_the_printed_weight_looks_at_the_transient_more_than_the_rising_one():
+    def early(t):
+        return np.where(t < 0.05, 1.0, 0.0)
+
+    def late(t):
+        return np.where((t >= 0.2) & (t < 0.25), 0.2, 0.0)
+
+    ratios = [
+        evaluate(StepCost(0.3, weight), early) / evaluate(StepCost(0.3, weight), late)
+        for weight in ("printed", "rising")
+    ]
+    assert ratios[0] > ratios[1]
+
+
+def test_the_move_penalty_adds_the_squared_moves_from_the_step_on():
+    setpoint, measurement, _ = columns(ringing)
+    effort = np.random.default_rng(3).normal(size=SAMPLES)
+    moves = [(effort[k] - effort[k - 1]) / 5.0 for k in range(STEP_INDEX, SAMPLES)]
+    plain, priced = (
+        StepCost(0.3, move_weight=w).evaluate(
+            SAMPLING_Hz, STEP_INDEX, 5.0, setpoint, measurement, effort
+        )
+        for w in (0.0, 0.2)
+    )
+    assert priced - plain == pytest.approx(0.2 * sum(move**2 for move in moves))
+
+
+@pytest.mark.parametrize("move_weight", [0.0, 0.4])
+def test_a_batch_costs_what_its_members_cost(move_weight):
+    rng = np.random.default_rng(5)
+    setpoint, measurement, _ = columns(ringing)
+    measurements = measurement + rng.normal(size=(2, 7, SAMPLES))
+    efforts = rng.normal(size=(2, 7, SAMPLES))
+    cost = StepCost(0.3, move_weight=move_weight)
+    batch = cost.evaluate(SAMPLING_Hz, STEP_INDEX, 5.0, setpoint, measurements, efforts)
+    one_by_one = [
+        [
+            cost.evaluate(SAMPLING_Hz, STEP_INDEX, 5.0, setpoint, y, u)
+            for y, u in zip(ys, us, strict=True)
+        ]
+        for ys, us in zip(measurements, efforts, strict=True)
+    ]
+    assert np.shape(batch) == (2, 7)
+    assert isinstance(one_by_one[0][0], float)
+    np.testing.assert_allclose(batch, one_by_one, rtol=1e-12)
+
+
+@pytest.mark.parametrize("where", [STEP_INDEX, SAMPLES // 2, SAMPLES - 1])
+def test_not_a_number_in_the_response_gives_not_a_number(where):
+    setpoint, measurement, effort = columns(ringing)
+    measurement[where] = math.nan
+    cost = StepCost(0.3)
+    assert math.isnan(cost.evaluate(SAMPLING_Hz, STEP_INDEX, 5.0, setpoint, measurement, effort))
+
+
+def test_a_response_too_large_to_square_costs_infinity_without_a_warning():
+    setpoint, measurement, effort = columns(ringing)
+    measurement[-1] = 1e200
+    cost = StepCost(0.3)
+    assert cost.evaluate(SAMPLING_Hz, STEP_INDEX, 5.0, setpoint, measurement, effort) == math.inf
+
+
+def test_a_settling_time_longer_than_the_record_is_refused_with_both_numbers_and_a_remedy():
+    with pytest.raises(
+        InvalidInput, match=r"0\.9 s is longer than the 0\.841772 s .*make the trial longer"
+    ):
+        evaluate(StepCost(0.9), ringing)
+    assert evaluate(StepCost(AFTER_STEP_s), ringing) > 0.0
+
+
+@pytest.mark.parametrize("bad", [-0.1, 0.0, math.nan, math.inf])
+def test_a_settling_time_that_cannot_be_is_refused(bad):
+    with pytest.raises(InvalidInput, match=f"settling time is {bad} s"):
+        StepCost(bad)
+
+
+@pytest.mark.parametrize("bad", [-0.1, math.nan, math.inf])
+def test_a_move_weight_that_cannot_be_is_refused(bad):
+    with pytest.raises(InvalidInput, match=f"move weight is {bad}"):
+        StepCost(0.3, move_weight=bad)
+
+
+@pytest.mark.parametrize("option", [{"weight": "falling"}, {"time_unit": "ms"}])
+def test_an_option_that_does_not_exist_is_refused_with_those_that_do(option):
+    with pytest.raises(InvalidInput, match=r"it must be '\w+' or '\w+'"):
+        StepCost(0.3, **option)
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"step_N": 0.0}, "step size is 0.0 N"),
+        ({"step_N": math.nan}, "step size is nan N"),
+        ({"sampling_Hz": 0.0}, "sampling rate is 0.0 Hz"),
+        ({"step_index": -1}, "outside the record of 632 samples"),
+        ({"step_index": SAMPLES}, "outside the record of 632 samples"),
+        ({"step_index": SAMPLES - 1}, "the step is at the last sample"),
+        ({"step_index": 0}, "the step at the first sample has no effort before it"),
+        ({"setpoint_N": np.zeros(5)}, "5, 632 and 632 samples"),
+        ({"effort_N": np.zeros(7)}, "632, 632 and 7 samples"),
+    ],
+)
+def test_a_response_that_cannot_be_scored_is_refused(changed, message):
+    names = ("setpoint_N", "measurement_N", "effort_N")
+    asked = {
+        "sampling_Hz": SAMPLING_Hz,
+        "step_index": STEP_INDEX,
+        "step_N": 5.0,
+        **dict(zip(names, columns(ringing), strict=True)),
+        **changed,
+    }
+    with pytest.raises(InvalidInput, match=message):
+        StepCost(0.3, move_weight=0.1).evaluate(**asked)
+
+
+STEP = StepProfile(10.0, 5.0, STEP_INDEX / SAMPLING_Hz, 1.0)
+
+
+def record(outcome=Outcome.DONE, samples=SAMPLES, **changed):
+    setpoint, measurement, effort = (column[:samples] for column in columns(ringing))
+    parts = {
+        "time_s": np.arange(samples) / SAMPLING_Hz,
+        "setpoint_N": setpoint,
+        "tension_N": measurement,
+        "current_A": effort / 20.0,
+        "angle_rad": np.zeros(samples),
+        "flags": np.zeros(samples, np.uint8),
+        **changed,
+    }
+    return TrialRecord(
+        *("run-00000", "bench", SAMPLING_Hz, None, 10.0, Gains(1.0, 1.0, 0.0, 0.0)),
+        *(outcome, "", "2026-01-01T00:00:00+00:00", "test"),
+        **parts,
+    )
+
+
+def test_a_score_is_the_cost_of_the_tension_and_the_effort_and_the_metrics_of_the_tension():
+    cost = StepCost(0.3, move_weight=0.2)
+    setpoint, measurement, effort = columns(ringing)
+    result = score(record(), STEP, cost, newtons_per_ampere=20.0)
+    assert result.cost == pytest.approx(
+        cost.evaluate(SAMPLING_Hz, STEP_INDEX, 5.0, setpoint, measurement, effort)
+    )
+    assert result.metrics == step_metrics(
+        np.arange(SAMPLES) / SAMPLING_Hz,
+        measurement,
+        step_time_s=STEP_INDEX / SAMPLING_Hz,
+        initial=10.0,
+        final=15.0,
+    )
+    assert all(map(math.isfinite, result.metrics))
+
+
+def spoiled(value, index):
+    column = np.full(SAMPLES, 12.0)
+    column[index] = value
+    return column
+
+
+@pytest.mark.parametrize(
+    "unscorable",
+    [
+        *(record(outcome) for outcome in Outcome if outcome is not Outcome.DONE),
+        record(Outcome.GUARD, samples=150),
+        record(Outcome.CANCELLED, samples=0),
+        record(tension_N=spoiled(math.nan, 300)),
+        record(tension_N=spoiled(math.inf, 3)),
+        record(current_A=spoiled(math.nan, 631)),
+        record(tension_N=spoiled(1e200, 300)),
+    ],
+    ids=lambda r: f"{r.outcome} {r.time_s.size}",
+)
+def test_a_trial_that_was_cut_short_or_is_not_finite_has_no_numbers(unscorable):
+    cost, metrics = score(unscorable, STEP, StepCost(0.3), 20.0)
+    assert math.isnan(cost)
+    assert list(map(math.isnan, metrics)) == [True] * len(NO_METRICS)
+
+
+def test_a_record_of_another_length_than_asked_for_is_refused():
+    with pytest.raises(RigError, match="600 samples of time_s where 632 were asked for"):
+        score(record(samples=600), STEP, StepCost(0.3), 20.0)
