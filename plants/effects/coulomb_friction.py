@@ -1,0 +1,43 @@
+"""Dry friction of constant size."""
+
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import ClassVar
+
+import casadi as ca
+
+from plants.effects.effect import Effect, Port, Signal, Site, parameter
+
+
+@dataclass(frozen=True)
+class CoulombFriction(Effect):
+    """Dry friction in the drum's bearings: `tau = -F sign(omega)`, and |tau| <= F at rest.
+
+    The torque is held over a substep and chosen by the velocity the substep ends with (a proximal
+    step, Moreau 1988): it is the torque that brings the drum to rest, cut at F. So it opposes the
+    motion, sticks exactly, does not chatter and needs no smoothing.
+
+    Attributes:
+        torque_Nm: Size F of the friction, N m.
+    """
+
+    name: ClassVar[str] = "coulomb_friction"
+    title: ClassVar[str] = "Coulomb friction of the drum"
+    appearance: ClassVar[str] = (
+        "current and tension differ by a constant whose sign is that of the velocity; "
+        "small steps stop short of the setpoint"
+    )
+    port: ClassVar[Port] = Port.DRUM
+
+    torque_Nm: float = parameter(0.02, low=0.0, high=2.0, unit="N m")
+
+    @staticmethod
+    def respond(
+        p: SimpleNamespace,
+        state: Signal,
+        signal: Signal,  # noqa: ARG004  friction does not depend on the torque of other effects
+        site: Site,
+    ) -> tuple[Signal, Signal]:
+        """The torque that would end the substep at rest, no larger than F."""
+        stopping = -site.velocity_rad_s * site.torque_per_velocity
+        return state, ca.fmin(ca.fmax(stopping, -p.torque_Nm), p.torque_Nm)

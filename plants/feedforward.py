@@ -1,0 +1,149 @@
+"""Friction and inertia compensation at work: the paper's Figs. 16 and 17, and its instability.
+
+The reel holds the tension of a platform that a wrench moves to and fro along the cable. Friction
+and inertia are fed forward from the encoder alone.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from estune.core.gains import Gains
+from estune.core.pidf import at_rest, coefficients
+from estune.core.pidf import step as pidf_step
+from estune.reel.friction import FeedForward, StribeckFriction
+from estune.reel.velocity import Motion, MotionState, Windows
+from estune.reel.velocity import step as estimate
+from estune.trial import FloatArray
+from plants.platform import Platform
+from plants.reel import Reel
+
+Compensation = Callable[[Motion], float]
+"""Torque fed forward at a sample, N m, from the motion estimated at it."""
+
+
+@dataclass(frozen=True)
+class WrenchTrial:
+    """A sinusoidal wrench on the platform while the reel holds its tension.
+
+    Attributes:
+        platform: The bench.
+        feed_forward: What is compensated.
+        windows: The velocity estimator.
+        gains: Gains of the tension PIDF.
+        wrench_N: Amplitude of the force along the cable, N.
+        wrench_Hz: Its frequency, Hz.
+        duration_s: Length of the trial, s.
+        seed: Of the gauge's noise.
+    """
+
+    platform: Platform
+    feed_forward: FeedForward
+    windows: Windows
+    gains: Gains = Gains(P=0.6, I=12.0, D=0.01, setpoint_filter_s=0.02)
+    wrench_N: float = 4.0
+    wrench_Hz: float = 1.0
+    duration_s: float = 3.0
+    seed: int = 0
+
+
+class WrenchTraces(NamedTuple):
+    """One run of the trial; columns have shape (samples,), forces are at the cable, N.
+
+    Attributes:
+        time_s: Time.
+        position_m: Platform's position, outward.
+        velocity_rad_s: The drum's true velocity.
+        velocity_estimate_rad_s: What the encoder lets the controller know of it.
+        tension_N: Tension of the cable.
+        effort_N: The whole effort, PIDF and feed-forward.
+        friction_N: Friction component of the feed-forward.
+        inertia_N: Inertia component of the feed-forward; zero below its noise floor.
+        true_friction_N: Dry friction (10) at the true velocity.
+        true_inertia_N: Inertia times the true acceleration.
+    """
+
+    time_s: FloatArray
+    position_m: FloatArray
+    velocity_rad_s: FloatArray
+    velocity_estimate_rad_s: FloatArray
+    tension_N: FloatArray
+    effort_N: FloatArray
+    friction_N: FloatArray
+    inertia_N: FloatArray
+    true_friction_N: FloatArray
+    true_inertia_N: FloatArray
+
+
+def run_wrench(
+    trial: WrenchTrial,
+    friction: Compensation | None = None,
+) -> WrenchTraces:
+    """Runs the trial.
+
+    Args:
+        trial: What is run.
+        friction: Friction torque fed forward, N m, in place of `FeedForward.friction_Nm`.
+    """
+    bench, reel = trial.platform, trial.platform.reel
+    compensate = friction or trial.feed_forward.friction_Nm
+    c = coefficients(reel.controller, trial.gains)
+    T, R = reel.tension_N, reel.drum_radius_m
+    x, pidf, motion_state = bench.at_rest(), at_rest(T, T), MotionState()
+    times = np.arange(round(trial.duration_s * reel.sampling_Hz)) / reel.sampling_Hz
+    noise = np.random.default_rng(trial.seed).normal(0.0, reel.gauge_noise_N, times.size)
+    count = 2.0 * math.pi / reel.encoder_counts
+    rows = []
+    for now, error in zip(times.tolist(), noise.tolist(), strict=True):
+        tension = bench.tension_N(x)
+        motion_state, motion = estimate(
+            trial.windows, motion_state, now, count * round(x.angle_rad / count)
+        )
+        forward = compensate(motion) / R, trial.feed_forward.inertia_Nm(motion) / R
+        pidf, feedback, _ = pidf_step(c, pidf, T, tension + error)
+        limit = reel.controller.output_max_N
+        effort = min(max(float(feedback) + sum(forward), -limit), limit)
+        rows.append(
+            (x.position_m, x.velocity_rad_s, motion.velocity_rad_s, tension, effort, *forward)
+        )
+        wrench = trial.wrench_N * math.sin(2.0 * math.pi * trial.wrench_Hz * now)
+        x = bench.step(x, effort, T + wrench)
+    columns = np.array(rows).T
+    velocity = columns[1]
+    acceleration = np.gradient(velocity, 1.0 / reel.sampling_Hz)
+    return WrenchTraces(
+        times,
+        *columns,
+        true_friction_N=bench.friction.torque_Nm(velocity) / R,
+        true_inertia_N=reel.drum_inertia_kg_m2 * acceleration / R,
+    )
+
+
+def reference_wrench_trial(encoder_counts: float = 2048.0) -> WrenchTrial:
+    """The trial of Fig. 16 on the reference reel: high amplitude, and the paper's encoder.
+
+    Args:
+        encoder_counts: Counts per turn of the drum; the paper's reel has 2048.
+    """
+    reel = replace(Reel(cable_length_m=0.8, tension_N=15.0), encoder_counts=encoder_counts)
+    dry = StribeckFriction(coulomb_Nm=0.02, static_Nm=0.03, stribeck_rad_s=0.5)
+    return WrenchTrial(
+        Platform(reel, dry, damping_Ns_m=8.0, centring_N_m=20.0),
+        FeedForward(dry, reel.drum_inertia_kg_m2),
+        Windows(2.0 * math.pi / encoder_counts),
+    )
+
+
+def run_high_and_low(
+    trial: WrenchTrial, low_share: float = 0.1
+) -> tuple[WrenchTraces, WrenchTraces]:
+    """The data of Figs. 16 and 17: the trial, and the same with a small wrench.
+
+    Args:
+        trial: The one of Fig. 16.
+        low_share: Wrench of Fig. 17 as a share of it.
+    """
+    return run_wrench(trial), run_wrench(replace(trial, wrench_N=low_share * trial.wrench_N))

@@ -1,0 +1,313 @@
+"""Signals that find a frequency response: multisine, chirp and stepped sine.
+
+All are periodic, and a period is a whole number of samples: a period's Fourier transform then has
+no leakage, the scatter between periods is the noise, and what a nonlinear reel adds falls on
+harmonics of its own. Lines are multiples of the period's frequency. An excitation without even
+lines leaves those to the even distortion (a square law, slack); left-out odd lines show the odd
+distortion (a cubic law, friction, saturation) (Pintelon & Schoukens, System Identification, 2nd
+ed., chapter 4).
+"""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estune.errors import InvalidInput
+from estune.trial import FloatArray
+
+Lines = NDArray[np.int64]
+
+FEWEST_PERIODS = 2
+"""Scatter needs two periods; with two it is known badly, four or more are better."""
+CREST_ROUNDS = 300
+CLIP = 0.9
+"""Share of the peak at which a round of the crest search clips."""
+ODD_GROUP = 4
+"""One line out of so many odd ones is left out to show the odd distortion."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Segment:
+    """A stretch of an excitation in which one period repeats.
+
+    Attributes:
+        period_N: One period of the signal, shape (period samples,), N.
+        settling_periods: Periods run first and not evaluated, while the plant settles.
+        periods: Periods evaluated.
+        excited: Lines that carry the signal.
+        even: Unexcited lines that show even distortion.
+        odd: Unexcited lines that show odd distortion.
+    """
+
+    period_N: FloatArray
+    settling_periods: int
+    periods: int
+    excited: Lines
+    even: Lines
+    odd: Lines
+
+    @property
+    def samples(self) -> int:
+        """Samples in all, settling included."""
+        return self.period_N.size * (self.settling_periods + self.periods)
+
+
+@dataclass(frozen=True, eq=False)
+class Excitation:
+    """A signal to be added to the preload, and what to look for where in the answer.
+
+    Made by `multisine`, `chirp` and `stepped_sine`.
+
+    Attributes:
+        profile: Its kind, as a trial record names it; a stepped sine is `custom`.
+        sampling_Hz: Sampling rate.
+        segments: One after the other: one for multisine and chirp, one per frequency for the
+            stepped sine.
+    """
+
+    profile: Literal["multisine", "chirp", "custom"]
+    sampling_Hz: float
+    segments: tuple[Segment, ...]
+
+    @cached_property
+    def waveform_N(self) -> FloatArray:
+        """The whole signal without the preload, shape (samples,), N."""
+        repeats = [(s.period_N, s.settling_periods + s.periods) for s in self.segments]
+        return np.concatenate([np.tile(period, count) for period, count in repeats])
+
+    @property
+    def duration_s(self) -> float:
+        """Length of the whole signal, s."""
+        return sum(segment.samples for segment in self.segments) / self.sampling_Hz
+
+    @property
+    def crest_factor(self) -> float:
+        """Peak over root mean square; the input is held, so the peak lies on a sample."""
+        return float(np.abs(self.waveform_N).max() / self.waveform_N.std())
+
+
+@dataclass(frozen=True, slots=True)
+class Band:
+    """The frequencies to be excited, and for how long.
+
+    Attributes:
+        low_Hz: Lowest frequency.
+        high_Hz: Highest frequency, below half the sampling rate.
+        period_s: Length of a period; its inverse is the spacing of the lines.
+        periods: Periods evaluated.
+        settling_periods: Periods run before them. The plant's slowest mode should have died away
+            to below the noise in them: `frequency_response` checks.
+
+    Raises:
+        InvalidInput: a value is out of its range.
+    """
+
+    low_Hz: float
+    high_Hz: float
+    period_s: float = 2.0
+    periods: int = 4
+    settling_periods: int = 1
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.period_s) and self.period_s > 0.0):
+            raise InvalidInput(f"period is {self.period_s} s; it must be finite and above zero")
+        if not 0.0 < self.low_Hz < self.high_Hz < math.inf:
+            raise InvalidInput(
+                f"band {self.low_Hz} to {self.high_Hz} Hz: give two frequencies above zero, "
+                "the lower one first"
+            )
+        if self.low_Hz * self.period_s < 1.0 - 1e-9:
+            raise InvalidInput(
+                f"period of {self.period_s:g} s is shorter than one cycle of {self.low_Hz:g} Hz; "
+                f"use {1.0 / self.low_Hz:.3g} s or longer, or a higher low end"
+            )
+        if self.periods < FEWEST_PERIODS:
+            raise InvalidInput(
+                f"{self.periods} periods: {FEWEST_PERIODS} or more are needed to tell the signal "
+                "from the noise"
+            )
+        if self.settling_periods < 0:
+            raise InvalidInput(f"settling periods are {self.settling_periods}; give 0 or more")
+
+    def lines(self, sampling_Hz: float) -> tuple[int, Lines]:
+        """Samples in a period, and the numbers of the lines inside the band.
+
+        Raises:
+            InvalidInput: the band passes half the sampling rate, or a period is not a whole number
+                of samples.
+        """
+        if not (math.isfinite(sampling_Hz) and sampling_Hz > 0.0):
+            raise InvalidInput(f"sampling rate is {sampling_Hz} Hz; it must be above zero")
+        samples = round(self.period_s * sampling_Hz)
+        if abs(samples - self.period_s * sampling_Hz) > 1e-6 * samples:
+            raise InvalidInput(
+                f"period of {self.period_s} s is {self.period_s * sampling_Hz:.6g} samples; "
+                f"use {samples / sampling_Hz:.9g} s, a whole number of samples"
+            )
+        if not self.high_Hz < sampling_Hz / 2.0:
+            raise InvalidInput(
+                f"band ends at {self.high_Hz:g} Hz; it must end below half the sampling rate, "
+                f"{sampling_Hz / 2.0:g} Hz"
+            )
+        first = math.ceil(self.low_Hz * self.period_s - 1e-9)
+        last = math.floor(self.high_Hz * self.period_s + 1e-9)
+        return samples, np.arange(first, last + 1)
+
+
+def multisine(
+    sampling_Hz: float,
+    band: Band,
+    peak_N: float,
+    *,
+    slope: float = 0.0,
+    corner_Hz: float = 0.0,
+    seed: int = 0,
+) -> Excitation:
+    """A sum of sines on odd lines, its phases chosen for a low crest factor.
+
+    Out of every four odd lines one, drawn by lot, is left out to show odd distortion; the lowest
+    and the highest are kept. Phases start from Schroeder's and are then improved by clipping
+    in time and keeping the phases of the clipped signal (van der Ouderaa, Schoukens & Renneboog
+    1988).
+
+    Args:
+        sampling_Hz: Sampling rate.
+        band: Frequencies and periods.
+        peak_N: Largest size of the signal, N.
+        slope: Amplitudes go with `(f/corner)^slope` above the corner and are equal below it. A reel
+            falls off with f^2 above its resonance: a slope of 1 or 1.5 spends the current limit
+            where the gauge sees little, and spares the resonance.
+        corner_Hz: Where the slope begins; zero is at the lowest line.
+        seed: Chooses the lines left out.
+
+    Raises:
+        InvalidInput: a value is out of its range, or the band holds fewer than eight odd lines.
+    """
+    _check_peak(peak_N)
+    samples, lines = band.lines(sampling_Hz)
+    odd = lines[lines % 2 == 1]
+    if odd.size < 2 * ODD_GROUP:
+        raise InvalidInput(
+            f"the band holds {odd.size} odd lines; {2 * ODD_GROUP} or more are needed: use a "
+            "longer period or a wider band"
+        )
+    inner = odd[1:-1]
+    draws = np.random.default_rng(seed).integers(0, ODD_GROUP, inner.size // ODD_GROUP)
+    left_out = inner[np.arange(draws.size) * ODD_GROUP + draws]
+    excited = np.setdiff1d(odd, left_out)
+    frequency = excited * sampling_Hz / samples
+    amplitude = np.maximum(frequency / max(corner_Hz, frequency[0]), 1.0) ** slope
+    even = lines[lines % 2 == 0]
+    period = peak_N * _low_crest(samples, excited, amplitude)
+    segment = Segment(period, band.settling_periods, band.periods, excited, even, left_out)
+    return Excitation("multisine", sampling_Hz, (segment,))
+
+
+def chirp(sampling_Hz: float, band: Band, peak_N: float) -> Excitation:
+    """A linear sweep through the band, repeated with changed sign, so that it has odd lines only.
+
+    Its crest factor is near sqrt(2), better than a multisine's, but its spectrum cannot be shaped
+    and no odd line is free: it shows even distortion only.
+
+    Args:
+        sampling_Hz: Sampling rate.
+        band: Frequencies and periods; a period holds two sweeps.
+        peak_N: Amplitude, N.
+
+    Raises:
+        InvalidInput: a value is out of its range, a period is an odd number of samples, or too
+            short to sweep the band.
+    """
+    _check_peak(peak_N)
+    samples, lines = band.lines(sampling_Hz)
+    if samples % 2:
+        raise InvalidInput(
+            f"a period of {samples} samples cannot be halved; use "
+            f"{(samples + 1) / sampling_Hz:.9g} s, an even number of samples"
+        )
+    half = samples // 2
+    # Whole half-cycles in each sweep let the next, inverted or not, begin where this one ends.
+    cycles = (band.low_Hz + band.high_Hz) / 2.0 * half / sampling_Hz
+    whole = round(cycles)
+    odd = lines[lines % 2 == 1]
+    if whole < 2 or odd.size < 2 * ODD_GROUP:
+        raise InvalidInput(
+            f"a period of {band.period_s:g} s is too short to sweep {band.low_Hz:g} to "
+            f"{band.high_Hz:g} Hz; use a longer one"
+        )
+    t = np.arange(half) / half
+    low = band.low_Hz * half / sampling_Hz
+    sweep = peak_N * np.sin(2.0 * np.pi * (low * t + (whole - low) * t**2))
+    segment = Segment(
+        np.concatenate([sweep, -sweep]),
+        band.settling_periods,
+        band.periods,
+        odd,
+        lines[lines % 2 == 0],
+        np.empty(0, np.int64),
+    )
+    return Excitation("chirp", sampling_Hz, (segment,))
+
+
+def stepped_sine(sampling_Hz: float, band: Band, peak_N: float, points: int = 20) -> Excitation:
+    """One sine after the other, spaced evenly in log frequency; the harmonics show distortion.
+
+    All the amplitude goes into one line at a time: the least noise per line and the longest
+    record.
+
+    Args:
+        sampling_Hz: Sampling rate.
+        band: Frequencies, and the periods spent at each of them.
+        peak_N: Amplitude, N.
+        points: Number of frequencies; those that fall on the same line are measured once.
+
+    Raises:
+        InvalidInput: a value is out of its range.
+    """
+    _check_peak(peak_N)
+    if points < 2:
+        raise InvalidInput(f"{points} points: a response needs two frequencies or more")
+    samples, lines = band.lines(sampling_Hz)
+    chosen = np.unique(np.rint(np.geomspace(lines[0], lines[-1], points)).astype(np.int64))
+    k = np.arange(samples)
+    segments = []
+    for line in chosen:
+        harmonics = np.arange(2 * line, (samples + 1) // 2, line)
+        segments.append(
+            Segment(
+                peak_N * np.sin(2.0 * np.pi * line * k / samples),
+                band.settling_periods,
+                band.periods,
+                np.array([line]),
+                harmonics[::2],
+                harmonics[1::2],
+            )
+        )
+    return Excitation("custom", sampling_Hz, tuple(segments))
+
+
+def _check_peak(peak_N: float) -> None:
+    if not (math.isfinite(peak_N) and peak_N > 0.0):
+        raise InvalidInput(f"peak of the excitation is {peak_N} N; it must be above zero")
+
+
+def _low_crest(samples: int, lines: Lines, amplitude: FloatArray) -> FloatArray:
+    """One period of peak one with these amplitudes on these lines, shape (samples,)."""
+    power = amplitude**2 / (amplitude**2).sum()
+    # Schroeder 1970: phases of a sweep that dwells on each line as long as its power asks for.
+    spent = np.concatenate([[0.0], np.cumsum(power)[:-1]])
+    phase = -2.0 * np.pi * np.cumsum(spent)
+    best, least = np.empty(0), math.inf
+    for _ in range(CREST_ROUNDS):
+        spectrum = np.zeros(samples // 2 + 1, np.complex128)
+        spectrum[lines] = amplitude * np.exp(1j * phase)
+        signal = np.fft.irfft(spectrum, samples)
+        peak = np.abs(signal).max()
+        if peak < least:
+            best, least = signal / peak, peak
+        phase = np.angle(np.fft.rfft(np.clip(signal, -CLIP * peak, CLIP * peak))[lines])
+    return best

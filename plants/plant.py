@@ -1,0 +1,234 @@
+"""What a plant is to the rest of the project, and what a simulated trial gives back."""
+
+import math
+from dataclasses import dataclass
+from importlib.metadata import version
+from typing import TYPE_CHECKING, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estune.core.gains import Gains
+from estune.core.pidf import ControllerSettings
+from estune.errors import InvalidInput, UnsafeStart
+from estune.trial import FloatArray, LinearModel, RigDescription, RigLimits, StepProfile
+
+if TYPE_CHECKING:
+    from plants.rig import SimulatedRig
+
+SOFTWARE = f"estune {version('estune')}"
+
+
+class Columns(NamedTuple):
+    """What a batch of trials measured; samples from `ended` on are not filled.
+
+    Attributes:
+        tension_N: Measured tension, shape (trials, samples).
+        effort_N: Effort of the controller, same shape.
+        angle_rad: Measured drum angle, same shape; zero where the plant has no drum.
+        flags: `SATURATED` where the controller's limits acted, same shape.
+        ended: For each trial the first sample that left the bound or is not finite, or the number
+            of samples, shape (trials,).
+    """
+
+    tension_N: FloatArray
+    effort_N: FloatArray
+    angle_rad: FloatArray
+    flags: NDArray[np.uint8]
+    ended: NDArray[np.int64]
+
+    @classmethod
+    def empty(cls, trials: int, samples: int) -> "Columns":
+        """Room for a batch of trials."""
+        signals = np.empty((3, trials, samples))
+        flags = np.zeros((trials, samples), np.uint8)
+        return cls(signals[0], signals[1], signals[2], flags, np.empty(trials, np.int64))
+
+
+class Plant(Protocol):
+    """Anything whose closed-loop step trial can be simulated."""
+
+    @property
+    def controller(self) -> ControllerSettings:
+        """The fixed part of the controller it is run with."""
+        ...
+
+    @property
+    def profile(self) -> StepProfile:
+        """A step trial that suits it."""
+        ...
+
+    @property
+    def noise_rms_N(self) -> float:
+        """Root mean square of the measurement noise, N."""
+        ...
+
+    @property
+    def newtons_per_ampere(self) -> float:
+        """Effort per motor current, N/A."""
+        ...
+
+    def respond(
+        self,
+        coefficients: FloatArray,
+        profile: StepProfile,
+        noise_N: FloatArray | None,
+        bound_N: float,
+    ) -> Columns:
+        """Runs a batch of closed-loop trials, one after the other.
+
+        Args:
+            coefficients: The controllers' difference equations, one row each in the order of
+                `estune.core.pidf.Coefficients`, shape (trials, 9).
+            profile: The setpoint. The trial starts settled at its preload.
+            noise_N: What the measurement noise adds, shape (trials, samples), or None.
+            bound_N: A trial ends where the measurement's size passes it.
+
+        Raises:
+            PlantError: the plant cannot be simulated.
+        """
+        ...
+
+    def describe(self, name: str, gains: Gains | None) -> RigDescription:
+        """What a rig that runs this plant says of itself; without gains, with safe ones.
+
+        Raises:
+            UnsafeStart: no gains were given and no safe ones are known.
+        """
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Mounting:
+    """What goes with a model that does not know it itself, to make a rig of it.
+
+    Attributes:
+        controller: The fixed part of the controller.
+        profile: A step trial that suits the model.
+        settling_time_s: The settling time a good tuning can reach, s.
+        limits: What the rig will accept.
+        noise_rms_N: Root mean square of the measurement noise, N.
+        gains: Safe live gains, or None where none are known.
+
+    Raises:
+        InvalidInput: the settling time or the noise is out of its range.
+    """
+
+    controller: ControllerSettings
+    profile: StepProfile
+    settling_time_s: float
+    limits: RigLimits
+    noise_rms_N: float = 0.0
+    gains: Gains | None = None
+
+    def __post_init__(self) -> None:
+        check_above_zero("settling time", self.settling_time_s, "s")
+        check_not_negative("measurement noise", self.noise_rms_N, "N rms")
+
+    def describe(
+        self, name: str, gains: Gains | None, linear_model: LinearModel | None
+    ) -> RigDescription:
+        """What a rig with this mounting says of itself.
+
+        Raises:
+            UnsafeStart: no gains were given and no safe ones are known.
+        """
+        live = gains or self.gains
+        if live is None:
+            raise UnsafeStart(
+                f"no safe gains are known for {name}; give some that hold it stable, "
+                "as .rig(gains=Gains(...))"
+            )
+        return RigDescription(
+            name=name,
+            gains=live,
+            controller=self.controller,
+            newtons_per_ampere=1.0,
+            limits=self.limits,
+            step=self.profile,
+            settling_time_s=self.settling_time_s,
+            linear_model=linear_model,
+            software=SOFTWARE,
+        )
+
+
+class Mounted:
+    """Gives a model that carries a `Mounting` the rest of what a `Plant` is."""
+
+    mounting: Mounting
+    newtons_per_ampere = 1.0
+
+    @property
+    def controller(self) -> ControllerSettings:
+        """The fixed part of the controller it is run with."""
+        return self.mounting.controller
+
+    @property
+    def profile(self) -> StepProfile:
+        """A step trial that suits it."""
+        return self.mounting.profile
+
+    @property
+    def noise_rms_N(self) -> float:
+        """Root mean square of the measurement noise, N."""
+        return self.mounting.noise_rms_N
+
+
+class ServesAsRig:
+    """Gives a plant its `rig`."""
+
+    def rig(
+        self: Plant,
+        name: str = "simulated-reel",
+        seed: int = 0,
+        gains: Gains | None = None,
+        pace: float = 0.0,
+    ) -> "SimulatedRig":
+        """A rig in this process that runs the plant.
+
+        Args:
+            name: The rig's name.
+            seed: Seed of the measurement noise.
+            gains: The live gains to begin with; None is the plant's own safe ones.
+            pace: Seconds of wall-clock time that a second of a trial takes; 0 is at once.
+
+        Raises:
+            InvalidInput: the seed or the pace is out of its range.
+            UnsafeStart: no gains were given and no safe ones are known.
+        """
+        # A rig is built on plants, so that the import can only be here.
+        from plants.rig import SimulatedRig  # noqa: PLC0415
+
+        return SimulatedRig(self, name=name, seed=seed, gains=gains, pace=pace)
+
+
+def check_above_zero(what: str, value: float, unit: str) -> None:
+    """Refuses what is not finite and above zero.
+
+    Raises:
+        InvalidInput: it is not.
+    """
+    if not (math.isfinite(value) and value > 0.0):
+        raise InvalidInput(f"{what} is {value} {unit}; it must be finite and above zero")
+
+
+def check_not_negative(what: str, value: float, unit: str) -> None:
+    """Refuses what is not finite and zero or above.
+
+    Raises:
+        InvalidInput: it is not.
+    """
+    if not (math.isfinite(value) and value >= 0.0):
+        raise InvalidInput(f"{what} is {value} {unit}; it must be finite, and zero or above")
+
+
+def whole_and_fraction(dead_time_s: float, sampling_Hz: float) -> tuple[int, float]:
+    """A dead time as whole samples and the remaining fraction of one.
+
+    A remainder within rounding of a whole sample is none, so that 1/632 s is one sample at 632 Hz.
+    """
+    samples = dead_time_s * sampling_Hz
+    whole = round(samples)
+    if abs(samples - whole) <= 1e-9 * max(1.0, samples):
+        return whole, 0.0
+    return math.floor(samples), samples - math.floor(samples)

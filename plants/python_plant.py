@@ -1,0 +1,204 @@
+"""Any Python function as a plant, run sample by sample with the controller of the rig."""
+
+import copy
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from estune.core import pidf
+from estune.core.gains import Gains
+from estune.core.pidf import ControllerSettings
+from estune.errors import PlantError
+from estune.trial import SATURATED, FloatArray, RigDescription, RigLimits, StepProfile
+from plants.linear_plant import UNLIMITED_N, LONGEST_TRIAL_samples
+from plants.plant import (
+    Columns,
+    Mounted,
+    Mounting,
+    ServesAsRig,
+    check_above_zero,
+    check_not_negative,
+    whole_and_fraction,
+)
+
+Step = Callable[[Any, float, float], tuple[Any, float]]
+"""(state, effort in N, time step in s) -> (next state, measurement in N at its end)."""
+
+
+@dataclass(frozen=True)
+class PythonPlant(Mounted, ServesAsRig):
+    """A plant given as a function; made by `python_plant`.
+
+    Attributes:
+        mounting: Controller, suggested step, limits and noise.
+        step: The function.
+        initial_state: Its state at the start of every trial; each trial gets a copy.
+        initial_effort_N: Effort in force until the dead time has passed, and of the controller.
+        initial_measurement_N: Measurement at the start.
+        dead_time_s: Delay of the effort, s.
+    """
+
+    mounting: Mounting
+    step: Step
+    initial_state: Any
+    initial_effort_N: float
+    initial_measurement_N: float
+    dead_time_s: float
+
+    def respond(
+        self,
+        coefficients: FloatArray,
+        profile: StepProfile,
+        noise_N: FloatArray | None,
+        bound_N: float,
+    ) -> Columns:
+        """Runs a batch of closed-loop trials; see `Plant.respond`."""
+        setpoint = profile.setpoint(self.controller.sampling_Hz)
+        columns = Columns.empty(len(coefficients), len(setpoint))
+        for n, row in enumerate(coefficients):
+            noise = np.zeros(len(setpoint)) if noise_N is None else noise_N[n]
+            one = Columns(*(column[n] for column in columns))
+            columns.ended[n] = self._trial(
+                pidf.Coefficients(*row.tolist()), setpoint, noise, bound_N, one
+            )
+        return columns
+
+    def _trial(
+        self,
+        coefficients: pidf.Coefficients,
+        setpoint: FloatArray,
+        noise: FloatArray,
+        bound_N: float,
+        columns: Columns,
+    ) -> int:
+        """The loop of `trial_loop.c` around the function; returns where it ended."""
+        h = coefficients.sample_s
+        delay, fraction = whole_and_fraction(self.dead_time_s, self.controller.sampling_Hz)
+        ring = [self.initial_effort_N] * (delay + 2)
+        memory = pidf.at_rest(self.initial_measurement_N, self.initial_effort_N)
+        state, y = copy.deepcopy(self.initial_state), self.initial_measurement_N
+        for k, r in enumerate(setpoint.tolist()):
+            measured = y + float(noise[k])
+            memory, effort, excess = pidf.step(coefficients, memory, r, measured)
+            columns.tension_N[k], columns.effort_N[k], columns.angle_rad[k] = measured, effort, 0.0
+            if not -bound_N <= measured <= bound_N:
+                return k
+            columns.flags[k] = SATURATED if excess else 0
+            ring[(k + delay + 1) % (delay + 2)] = float(effort)
+            before, after = ring[k % (delay + 2)], ring[(k + 1) % (delay + 2)]
+            if fraction:
+                state, y = self._call(state, before, h * fraction, k)
+            state, y = self._call(state, after, h * (1.0 - fraction), k)
+        return len(setpoint)
+
+    def _call(self, state: Any, effort: float, dt_s: float, k: int) -> tuple[Any, float]:
+        """One call of the function, and what is wrong with its answer if anything is."""
+        expected = "expected (state, measurement), the measurement a finite number"
+        try:
+            answer = self.step(state, effort, dt_s)
+        except Exception as error:
+            raise PlantError(
+                f"the plant's function raised {type(error).__name__} at sample {k}: {error}"
+            ) from error
+        if not isinstance(answer, tuple | list):
+            raise PlantError(
+                f"the plant's function returned a {type(answer).__name__} at sample {k}; "
+                f"{expected}"
+            )
+        if len(answer) != 2:
+            raise PlantError(
+                f"the plant's function returned {len(answer)} values at sample {k}; {expected}"
+            )
+        following, y = answer
+        if np.size(y) != 1:
+            raise PlantError(
+                f"the plant's function returned a measurement of shape {np.shape(y)} at sample "
+                f"{k}; {expected}"
+            )
+        try:
+            measurement = float(np.asarray(y).item())
+        except (TypeError, ValueError) as error:
+            raise PlantError(
+                f"the plant's function returned the measurement {y!r} at sample {k}; {expected}"
+            ) from error
+        if not math.isfinite(measurement):
+            raise PlantError(
+                f"the plant's function returned the measurement {measurement} at sample {k}; "
+                f"{expected}"
+            )
+        return following, measurement
+
+    def describe(self, name: str, gains: Gains | None) -> RigDescription:
+        """What a rig that runs this plant says of itself."""
+        return self.mounting.describe(name, gains, None)
+
+
+def python_plant(
+    step: Step,
+    initial_state: Any,
+    *,
+    sampling_Hz: float,
+    settling_time_s: float,
+    gains: Gains | None = None,
+    profile: StepProfile | None = None,
+    dead_time_s: float = 0.0,
+    initial_effort_N: float = 0.0,
+    initial_measurement_N: float = 0.0,
+    output_min_N: float = -UNLIMITED_N,
+    output_max_N: float = UNLIMITED_N,
+    derivative_filter_s: float = 0.0,
+    noise_rms_N: float = 0.0,
+    limits: RigLimits | None = None,
+) -> PythonPlant:
+    """A plant from a function `step(state, effort, dt_s) -> (state, measurement)`.
+
+    Each trial starts from a copy of the initial state; give the effort and the measurement that
+    belong to it at rest. A dead time that is no whole number of samples calls the function twice
+    in a sample, with the parts of it.
+
+    Args:
+        step: Advances the plant by `dt_s` under a constant effort, and measures at the end.
+        initial_state: Anything the function takes.
+        sampling_Hz: Rate of the controller.
+        settling_time_s: Settling time a good tuning can reach, s.
+        gains: Safe live gains of a rig of it; a function tells nothing to choose them by.
+        profile: The step suggested; None is a step of one from the initial measurement, followed
+            for five settling times.
+        dead_time_s: Delay of the effort, s.
+        initial_effort_N: Effort at rest in the initial state.
+        initial_measurement_N: Measurement in the initial state.
+        output_min_N: Least effort of the controller.
+        output_max_N: Greatest effort.
+        derivative_filter_s: Time constant of the controller's derivative filter, s.
+        noise_rms_N: Measurement noise, rms.
+        limits: What a rig of it accepts; None is practically everything.
+
+    Raises:
+        PlantError: the step is no function.
+        InvalidInput: a value is out of its range.
+    """
+    if not callable(step):
+        raise PlantError(
+            f"the plant is a {type(step).__name__}; expected a function step(state, effort, dt_s)"
+        )
+    check_above_zero("sampling rate", sampling_Hz, "Hz")
+    check_above_zero("settling time", settling_time_s, "s")
+    check_not_negative("dead time", dead_time_s, "s")
+    start = 0.5 * settling_time_s
+    mounting = Mounting(
+        controller=ControllerSettings(
+            sampling_Hz, derivative_filter_s, output_min_N, output_max_N
+        ),
+        profile=profile
+        or StepProfile(initial_measurement_N, 1.0, start, start + 5.0 * settling_time_s),
+        settling_time_s=settling_time_s,
+        limits=limits or RigLimits(-UNLIMITED_N, UNLIMITED_N, LONGEST_TRIAL_samples / sampling_Hz),
+        noise_rms_N=noise_rms_N,
+        gains=gains,
+    )
+    return PythonPlant(
+        mounting, step, initial_state, initial_effort_N, initial_measurement_N, dead_time_s
+    )

@@ -1,0 +1,204 @@
+"""One simulated trial, and batches of them on all cores."""
+
+import os
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from estune.core import pidf
+from estune.core.cost import StepCost
+from estune.core.gains import Gains
+from estune.errors import InvalidInput
+from estune.trial import FloatArray, StepProfile
+from plants.noise import NoiseSource
+from plants.plant import Plant
+
+CHUNK = 64
+"""Trials a thread takes at once: their columns stay within a core's cache."""
+
+DIVERGED_AT = 100.0
+"""A response has diverged where it passes the largest setpoint this many times over."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Response:
+    """A simulated trial; columns have shape (samples,), fewer if it diverged.
+
+    Attributes:
+        time_s: Time from the start.
+        setpoint_N: The setpoint before its filter.
+        tension_N: The measurement.
+        effort_N: The controller's effort within its limits.
+        angle_rad: The drum angle measured; zero where the plant has no drum.
+        flags: `SATURATED` where the limits acted.
+        diverged_at: The first sample that left the bound or was not finite; it and those after it
+            are not in the columns. None if the trial ran to its end.
+    """
+
+    time_s: FloatArray
+    setpoint_N: FloatArray
+    tension_N: FloatArray
+    effort_N: FloatArray
+    angle_rad: FloatArray
+    flags: NDArray[np.uint8]
+    diverged_at: int | None
+
+
+def simulate(
+    plant: Plant,
+    gains: Gains,
+    step: StepProfile | None = None,
+    *,
+    noise_N: FloatArray | None = None,
+    bound_N: float | None = None,
+) -> Response:
+    """Runs one closed-loop step trial that starts settled at the preload.
+
+    Args:
+        plant: The plant; it brings the fixed part of the controller.
+        gains: The controller's gains.
+        step: The setpoint; None is the plant's own.
+        noise_N: What the measurement noise adds, N, shape (samples,); None is no noise.
+        bound_N: The trial ends where the measurement's size passes it; None is 100 times the
+            largest setpoint.
+
+    Raises:
+        InvalidInput: the noise is of another length, or the trial too short to sample.
+        PlantError: the plant cannot be simulated. One that merely diverges is no error.
+    """
+    profile = step or plant.profile
+    rate = plant.controller.sampling_Hz
+    time, setpoint = timeline(profile, rate)
+    if noise_N is not None and noise_N.shape != time.shape:
+        raise InvalidInput(
+            f"the noise has shape {noise_N.shape} where the trial has {len(time)} samples"
+        )
+    row = np.array([pidf.coefficients(plant.controller, gains)])
+    columns = plant.respond(
+        row,
+        profile,
+        None if noise_N is None else noise_N[np.newaxis],
+        bound(profile) if bound_N is None else bound_N,
+    )
+    ended = int(columns.ended[0])
+    kept = slice(ended)
+    return Response(
+        time[kept],
+        setpoint[kept],
+        columns.tension_N[0, kept],
+        columns.effort_N[0, kept],
+        columns.angle_rad[0, kept],
+        columns.flags[0, kept],
+        None if ended == len(time) else ended,
+    )
+
+
+def batch_costs(
+    plant: Plant,
+    gains: ArrayLike,
+    step: StepProfile | None,
+    cost: StepCost,
+    *,
+    seed: int | None = None,
+    workers: int | None = None,
+) -> FloatArray:
+    """The cost of many sets of gains, on all cores; memory does not grow with their number.
+
+    Args:
+        plant: The plant.
+        gains: P, I, D and setpoint filter, one row a trial, shape (trials, 4).
+        step: The setpoint; None is the plant's own.
+        cost: The cost (35).
+        seed: Seed of the measurement noise, row n being trial n; None is no noise.
+        workers: Threads; None is one for each core this process may use.
+
+    Returns:
+        Shape (trials,); NaN where the trial diverged.
+
+    Raises:
+        InvalidInput: a gain is out of its range, or the trial does not fit the cost.
+        PlantError: the plant cannot be simulated.
+    """
+    profile = step or plant.profile
+    rate = plant.controller.sampling_Hz
+    timeline(profile, rate)
+    rows = _coefficients(plant, gains)
+    costs = np.empty(len(rows))
+
+    def chunk(start: int) -> None:
+        part = slice(start, min(start + CHUNK, len(rows)))
+        noise = None if seed is None else _noise(plant, profile, seed, part)
+        columns = plant.respond(rows[part], profile, noise, bound(profile))
+        setpoint = timeline(profile, rate)[1]
+        done = columns.ended == len(setpoint)
+        # What a diverged trial did not fill could be anything.
+        columns.tension_N[~done], columns.effort_N[~done] = np.nan, np.nan
+        costs[part] = cost.evaluate(
+            rate,
+            profile.step_index(rate),
+            profile.step_N,
+            setpoint,
+            columns.tension_N,
+            columns.effort_N,
+        )
+
+    starts = range(0, len(rows), CHUNK)
+    threads = min(workers or len(os.sched_getaffinity(0)), len(starts))
+    if threads <= 1:
+        for start in starts:
+            chunk(start)
+    else:
+        with ThreadPoolExecutor(threads) as pool:
+            list(pool.map(chunk, starts))  # the list is there to raise what a thread raised
+    return costs
+
+
+def bound(profile: StepProfile) -> float:
+    """Size of the measurement, N, past which a response to this step has diverged."""
+    return DIVERGED_AT * max(
+        abs(profile.preload_N), abs(profile.preload_N + profile.step_N), abs(profile.step_N)
+    )
+
+
+@lru_cache(maxsize=64)
+def timeline(profile: StepProfile, sampling_Hz: float) -> tuple[FloatArray, FloatArray]:
+    """Time and setpoint at each sample, shared and read-only.
+
+    Raises:
+        InvalidInput: at this rate no sample lies before the end, or none after the step.
+    """
+    samples, index = profile.samples(sampling_Hz), profile.step_index(sampling_Hz)
+    if not index < samples:
+        raise InvalidInput(
+            f"a trial of {profile.duration_s:g} s with its step at {profile.step_at_s:g} s has no "
+            f"sample after the step at {sampling_Hz:g} Hz; make it longer"
+        )
+    time, setpoint = np.arange(samples) / sampling_Hz, profile.setpoint(sampling_Hz)
+    time.flags.writeable = setpoint.flags.writeable = False
+    return time, setpoint
+
+
+def _coefficients(plant: Plant, gains: ArrayLike) -> FloatArray:
+    """The controllers' difference equations, shape (trials, 9)."""
+    table = np.asarray(gains, dtype=np.float64)
+    if table.ndim != 2 or table.shape[1] != 4:
+        raise InvalidInput(
+            f"the gains have shape {table.shape}; give one row a trial of P, I, D, "
+            "setpoint_filter_s"
+        )
+    wrong = ~(np.isfinite(table).all(axis=1) & (table[:, 0] > 0.0) & (table >= 0.0).all(axis=1))
+    if wrong.any():
+        # The first wrong row, so that the one place that knows the limits can say what is wrong.
+        Gains(*table[np.argmax(wrong)].tolist())
+    c = pidf.symbolic_coefficients(plant.controller, *table.T)
+    return np.stack([np.broadcast_to(value, len(table)) for value in c], axis=1)
+
+
+def _noise(plant: Plant, profile: StepProfile, seed: int, part: slice) -> FloatArray:
+    source, samples = NoiseSource(seed), profile.samples(plant.controller.sampling_Hz)
+    return np.stack(
+        [source.draw(n, samples, plant.noise_rms_N) for n in range(part.start, part.stop)]
+    )

@@ -1,0 +1,264 @@
+"""The closed-loop trial: controller and plant as one sample, run as C or in a virtual machine."""
+
+import ctypes
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol
+
+import casadi as ca
+import numpy as np
+
+from estune.core import pidf
+from estune.trial import SATURATED, FloatArray
+from plants import compiler
+from plants.equations import Equations
+from plants.plant import Columns
+
+COEFFICIENTS = len(pidf.Coefficients._fields)
+PIDF_STATES = len(pidf.PidfState._fields)
+
+
+class Structure(Protocol):
+    """What a plant's equations depend on besides numbers; hashable."""
+
+    def equations(self) -> Equations:
+        """The plant's equations of one sample."""
+        ...
+
+
+class Batch(NamedTuple):
+    """Trials to be run.
+
+    Attributes:
+        parameters: The plant's, shape (parameters,) for all trials alike, or one row each.
+        coefficients: The controllers', shape (trials, 9).
+        preload_N: Setpoint at which each trial starts settled, N.
+        setpoint_N: Shape (samples,).
+        noise_N: Shape (trials, samples), or None.
+        delay: Whole samples of dead time.
+        bound_N: A trial ends where the measurement's size passes it.
+    """
+
+    parameters: FloatArray
+    coefficients: FloatArray
+    preload_N: float
+    setpoint_N: FloatArray
+    noise_N: FloatArray | None
+    delay: int
+    bound_N: float
+
+
+class TrialLoop(Protocol):
+    """Runs trials of all plants of one structure."""
+
+    def run(self, batch: Batch) -> Columns:
+        """Runs the trials, one after the other."""
+        ...
+
+
+@lru_cache(maxsize=64)
+def trial_loop(structure: Structure) -> TrialLoop:
+    """The trial of a structure: compiled where there is a compiler, else in a virtual machine."""
+    functions = _functions(structure.equations())
+    try:
+        return CompiledLoop(functions)
+    except compiler.CompilerMissing as error:
+        compiler.notice(str(error))
+        return VirtualLoop(functions)
+
+
+def _functions(plant: Equations) -> tuple[Any, Any, Any]:
+    """`prepare`, `sense` and `move` of controller and plant together, as CasADi functions.
+
+    prepare: (parameters, preload) -> (constants, state, controller state, drive at rest).
+    sense: (constants, state, drive in force, noise, coefficients, controller state, setpoint) ->
+        (state, measurement, angle, controller state, effort, drive, excess).
+    move: (constants, state, drive before, drive after) -> state.
+    """
+    parameters, preload = plant.prepare.sx_in()
+    constants, rest, rest_effort = plant.prepare(parameters, preload)
+    _, rest_drive = plant.drive(constants, rest, rest_effort)
+    start = ca.vertcat(*pidf.at_rest(preload, rest_effort))
+    prepare = ca.Function(
+        "estune_prepare", [parameters, preload], [constants, rest, start, rest_drive]
+    )
+
+    c, x, in_force, noise = plant.observe.sx_in()
+    coefficients = ca.SX.sym("coefficients", COEFFICIENTS)
+    memory, setpoint = ca.SX.sym("memory", PIDF_STATES), ca.SX.sym("setpoint")
+    observed, measurement, angle = plant.observe(c, x, in_force, noise)
+    following, effort, excess = pidf.step(
+        pidf.Coefficients(*ca.vertsplit(coefficients)),
+        pidf.PidfState(*ca.vertsplit(memory)),
+        setpoint,
+        measurement,
+    )
+    driven, drive = plant.drive(c, observed, effort)
+    outputs = [driven, measurement, angle, ca.vertcat(*following), effort, drive, excess]
+    sense = ca.Function(
+        "estune_sense",
+        [c, x, in_force, noise, coefficients, memory, setpoint],
+        [ca.densify(output) for output in outputs],  # C writes structural nonzeros only
+    )
+    arguments = plant.move.sx_in()
+    move = ca.Function("estune_move", arguments, [plant.move(*arguments)])
+    return prepare, sense, move
+
+
+class CompiledLoop:
+    """The trial as a C library. Calls release the interpreter's lock."""
+
+    def __init__(self, functions: tuple[Any, Any, Any]) -> None:
+        """Compiles the functions inside the loop of `trial_loop.c`.
+
+        Raises:
+            CompilerMissing: no compiler, or it failed.
+        """
+        library = compiler.load(_source(functions))
+        self._trials = library.estune_trials
+        address, count = ctypes.c_void_p, ctypes.c_long
+        self._trials.argtypes = (
+            *(count, count, count, ctypes.c_double, ctypes.c_double),
+            *(address, count, address, address, address, count),
+            *(address, address, address, address, address),
+        )
+        self._trials.restype = ctypes.c_int
+
+    def run(self, batch: Batch) -> Columns:
+        """Runs the trials, one after the other."""
+        # Kept by name, so that they outlive the call that has their addresses.
+        parameters = np.ascontiguousarray(batch.parameters)
+        coefficients = np.ascontiguousarray(batch.coefficients)
+        setpoint = np.ascontiguousarray(batch.setpoint_N)
+        noise = None if batch.noise_N is None else np.ascontiguousarray(batch.noise_N)
+        trials, samples = len(coefficients), len(setpoint)
+        columns = Columns.empty(trials, samples)
+        failed = self._trials(
+            *(trials, samples, batch.delay, batch.bound_N, batch.preload_N),
+            _address(parameters),
+            parameters.shape[1] if parameters.ndim > 1 else 0,
+            _address(coefficients),
+            _address(setpoint),
+            None if noise is None else _address(noise),
+            samples,
+            *map(_address, columns),
+        )
+        if failed:
+            raise MemoryError(f"no memory for a dead time of {batch.delay} samples")
+        return columns
+
+
+def _address(array: Any) -> int:
+    """Where an array's numbers are; a fifth of the time `array.ctypes.data` takes."""
+    if array.flags.writeable and array.size:
+        return ctypes.addressof(ctypes.c_char.from_buffer(array))
+    return int(array.__array_interface__["data"][0])
+
+
+def _source(functions: tuple[Any, Any, Any]) -> str:
+    """The whole C file: sizes, generated functions, loop."""
+    prepare, _, move = functions
+    generator = ca.CodeGenerator("estune_generated.c", {"with_header": False})
+    for function in functions:
+        generator.add(function)
+    sizes = {
+        "CONSTANTS": prepare.numel_out(0),
+        "STATES": move.numel_out(0),
+        "PIDF_STATES": PIDF_STATES,
+        "COEFFICIENTS": COEFFICIENTS,
+    }
+    loop = Path(__file__).with_suffix(".c").read_text(encoding="utf-8")
+    return "\n".join(
+        [
+            # A branch that is foretold costs nothing, where a minimum waits for its arguments.
+            "#if defined(__GNUC__) && !defined(__clang__)",
+            '#pragma GCC optimize ("no-if-conversion", "no-if-conversion2")',
+            "#endif",
+            # Nothing but the loop is seen from outside, and the compiler may inline the rest.
+            "#define CASADI_SYMBOL_EXPORT static",
+            *(f"#define {name} {value}" for name, value in sizes.items()),
+            generator.dump(),
+            loop,
+        ]
+    )
+
+
+class VirtualLoop:
+    """The same trial in CasADi's virtual machine, sample by sample through its buffers."""
+
+    def __init__(self, functions: tuple[Any, Any, Any]) -> None:
+        self._functions = functions
+
+    def run(self, batch: Batch) -> Columns:
+        """Runs the trials, one after the other."""
+        trials, samples = len(batch.coefficients), len(batch.setpoint_N)
+        columns = Columns.empty(trials, samples)
+        parameters = np.broadcast_to(batch.parameters, (trials, batch.parameters.shape[-1]))
+        noise = np.zeros((1, samples)) if batch.noise_N is None else batch.noise_N
+        noise = np.broadcast_to(noise, (trials, samples))
+        machine = _Machine(self._functions)
+        for n in range(trials):
+            machine.start(parameters[n], batch.preload_N, batch.coefficients[n])
+            one = Columns(*(column[n] for column in columns))
+            columns.ended[n] = machine.trial(batch, noise[n], one)
+        return columns
+
+
+class _Machine:
+    """CasADi's buffers: memory of fixed place that the functions read and write."""
+
+    def __init__(self, functions: tuple[Any, Any, Any]) -> None:
+        prepare, sense, move = functions
+        scalars = ["preload", "setpoint", "noise", "before", "after"]
+        scalars += ["y", "angle", "effort", "drive", "excess"]
+        room = dict.fromkeys(scalars, 1)
+        room |= {"parameters": prepare.numel_in(0), "coefficients": COEFFICIENTS}
+        room |= {"constants": prepare.numel_out(0), "pidf": PIDF_STATES, "following": PIDF_STATES}
+        room |= {"state": move.numel_out(0), "driven": move.numel_out(0)}
+        self.memory: dict[str, Any] = {n: np.zeros(size).data for n, size in room.items()}
+        self._bound: list[Any] = []
+        self.prepare = self._bind(prepare, "parameters preload", "constants state pidf drive")
+        self.sense = self._bind(
+            sense,
+            "constants state before noise coefficients pidf setpoint",
+            "driven y angle following effort drive excess",
+        )
+        self.move = self._bind(move, "constants driven before after", "state")
+
+    def _bind(self, function: Any, inputs: str, outputs: str) -> Any:
+        """The function as a call without arguments on this memory."""
+        buffer, call = function.buffer()
+        for n, name in enumerate(inputs.split()):
+            buffer.set_arg(n, self.memory[name])
+        for n, name in enumerate(outputs.split()):
+            buffer.set_res(n, self.memory[name])
+        self._bound.append(buffer)
+        return call
+
+    def start(self, parameters: FloatArray, preload_N: float, coefficients: FloatArray) -> None:
+        """Puts controller and plant at rest."""
+        self.memory["parameters"][:] = np.ascontiguousarray(parameters).data
+        self.memory["coefficients"][:] = np.ascontiguousarray(coefficients).data
+        self.memory["preload"][0] = preload_N
+        self.prepare()
+
+    def trial(self, batch: Batch, noise_N: FloatArray, columns: Columns) -> int:
+        """Runs the loop of `trial_loop.c`; returns where it ended."""
+        m, size = self.memory, batch.delay + 2
+        ring = [m["drive"][0]] * size
+        for k, (setpoint, noise) in enumerate(
+            zip(batch.setpoint_N.tolist(), noise_N.tolist(), strict=True)
+        ):
+            m["setpoint"][0], m["noise"][0], m["before"][0] = setpoint, noise, ring[k % size]
+            self.sense()
+            y = m["y"][0]
+            columns.tension_N[k], columns.effort_N[k] = y, m["effort"][0]
+            columns.angle_rad[k] = m["angle"][0]
+            if not -batch.bound_N <= y <= batch.bound_N:
+                return k
+            columns.flags[k] = SATURATED if m["excess"][0] else 0
+            m["pidf"][:] = m["following"]
+            ring[(k + batch.delay + 1) % size] = m["drive"][0]
+            m["after"][0] = ring[(k + 1) % size]
+            self.move()
+        return len(batch.setpoint_N)
