@@ -33,11 +33,16 @@ GAIN_LOOKS = {
     "P": (BLUE, "-", "P"),
     "I": (VERMILION, "-", "I"),
     "D": (GREEN, (0, (4, 1.2)), "D"),
-    "setpoint_filter_s": (PURPLE, (0, (1.5, 0.8)), "setpoint filter"),
+    "setpoint_filter_s": (PURPLE, (0, (1.5, 0.8)), "filter"),
 }
 
 _STYLE: dict[str, Any] = {"fontsize": 9}
-_LEGEND: dict[str, Any] = {"fontsize": 8, "frameon": False, "handlelength": 2.2}
+_LEGEND: dict[str, Any] = {
+    "fontsize": 8,
+    "frameon": False,
+    "handlelength": 1.8,
+    "columnspacing": 1.2,
+}
 _DECADE = 10.0
 
 
@@ -90,7 +95,7 @@ def draw_cost(ax: Axes, frame: "pd.DataFrame", start_cost: float, eta_max: float
         part = shown[shown["phase"] == phase]
         ax.plot(
             part["number"], part["cost"], marker, color=colour, label=label, zorder=3,
-            markersize=3.2 if phase == "search" else 4.5, markeredgewidth=0, alpha=0.85,
+            markersize=3.2 if phase == "search" else 4.0, markeredgewidth=0, alpha=0.85,
         )  # fmt: skip
     # The confirmation repeats given gains: a lucky repeat of theirs is no news of a better place.
     searched = frame[frame["phase"] != "confirm"]
@@ -108,7 +113,7 @@ def draw_cost(ax: Axes, frame: "pd.DataFrame", start_cost: float, eta_max: float
     ax.set_ylabel("cost η (1 = as good as first order)", **_STYLE)
     ax.xaxis.set_major_locator(MaxNLocator(integer=True, steps=[1, 2, 5, 10]))
     _finish(ax)
-    ax.legend(loc="best", **_LEGEND)
+    _legend_above(ax, columns=3)
     return ax
 
 
@@ -185,8 +190,7 @@ def draw_gains(ax: Axes, frame: "pd.DataFrame", start: Gains, recommended: Gains
     ax.set_ylabel("gain / start gain", **_STYLE)
     ax.xaxis.set_major_locator(MaxNLocator(integer=True, steps=[1, 2, 5, 10]))
     _finish(ax)
-    # Above the axes: lines that move over decades leave no corner free.
-    ax.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, **_LEGEND)
+    _legend_above(ax, columns=2)
     return ax
 
 
@@ -207,6 +211,11 @@ def _draw_unsafe(ax: Axes, unsafe: "pd.DataFrame", safe: Any, eta_max: float) ->
             unsafe["number"], np.full(len(unsafe), 0.965), "x", color=VERMILION, markersize=5,
             markeredgewidth=1.3, transform=ax.get_xaxis_transform(), label="unsafe", zorder=3,
         )  # fmt: skip
+
+
+def _legend_above(ax: Axes, columns: int) -> None:
+    """A legend above the axes, where points over decades leave no corner free."""
+    ax.legend(loc="lower left", bbox_to_anchor=(-0.12, 1.0), ncols=columns, **_LEGEND)
 
 
 def _finish(ax: Axes) -> None:

@@ -251,15 +251,12 @@ def _reach(fit: _Fit, direction: FloatArray, tolerance: float) -> tuple[float, f
     covered = fit.z @ direction
     ends, decided = [], False
     for limit in (min(0.0, float(covered.min())), max(0.0, float(covered.max()))):
-        end = 0.0
-        for t in np.linspace(0.0, limit, 41)[1:]:
-            change, error = fit.change(t * direction)
-            if abs(change) - _CONFIDENCE * error > tolerance:
-                decided = True  # it certainly matters
-            if abs(change) + _CONFIDENCE * error > tolerance:
-                break
-            end = float(t)
-        ends.append(end)
+        steps = np.linspace(0.0, limit, 41)
+        changes = [fit.change(t * direction) for t in steps]
+        free = [abs(change) + _CONFIDENCE * error <= tolerance for change, error in changes]
+        ends.append(float(steps[free.index(False) - 1] if False in free else limit))
+        matters = (abs(change) - _CONFIDENCE * error > tolerance for change, error in changes)
+        decided = decided or any(matters)
     return ends[0], ends[1], decided
 
 

@@ -151,6 +151,7 @@ class TerminalDisplay:
 
     def __init__(self, tuning: Tuning, console: Console) -> None:
         self._tally = Tally(tuning)
+        self._heading = heading(tuning)
         self._live = Live(
             console=console,
             refresh_per_second=1.0 / _REDRAW_S,
@@ -163,6 +164,7 @@ class TerminalDisplay:
         self._tally.saw(progress)
 
     def __enter__(self) -> None:
+        self._live.console.print(self._heading, style="dim", highlight=False, soft_wrap=True)
         self._live.start()
 
     def __exit__(self, *_: object) -> None:
@@ -174,6 +176,7 @@ class PlainDisplay:
 
     def __init__(self, tuning: Tuning, stream: TextIO) -> None:
         self._tally = Tally(tuning)
+        self._heading = heading(tuning)
         self._stream = stream
         self._every = max(1, tuning.plan.most_trials // _LINES)
         self._shown: tuple[Phase | None, int] = (None, -self._every)
@@ -190,7 +193,7 @@ class PlainDisplay:
         print(line(self._tally.status()), file=self._stream, flush=True)
 
     def __enter__(self) -> None:
-        pass
+        print(self._heading, file=self._stream, flush=True)
 
     def __exit__(self, *_: object) -> None:
         status = self._tally.status()
@@ -249,6 +252,16 @@ def render(status: Status) -> RenderableType:
     grid.add_row("tried", str(status.tried))
     grid.add_row("live", Text(f"{status.live}  on {status.rig}, between trials and after them"))
     return grid
+
+
+def heading(tuning: Tuning) -> str:
+    """What is about to go on, where it is kept, and how to stop it."""
+    where = f", kept in {tuning.journal.folder}" if tuning.journal else ""
+    again = f" from trial {tuning.session.number} on" if tuning.session.number else ""
+    return (
+        f"tuning {tuning.description.name} with {tuning.plan.tuner.name}{again}{where}; "
+        "Ctrl-C stops and leaves the rig its own gains"
+    )
 
 
 def line(status: Status) -> str:

@@ -28,6 +28,7 @@ app = App(
     name="estune",
     help="Tunes the PIDF controller of a cable reel by step trials. Begin with: estune demo",
     version=_version,
+    suppress_keyboard_interrupt=False,  # `run` says what became of the rig
 )
 for _name, _where, _help in (
     ("demo", "demo:demo", "Watch a simulated reel in another process being tuned over Zenoh."),

@@ -11,6 +11,7 @@ from estune import api
 from estune.cli import output
 from estune.cli.tune import TunerName, finish
 from estune.errors import RigError
+from estune.tuning import Stopped
 
 _START_S = 60.0
 """How long the other process may take to serve the reel: the first time it compiles the model."""
@@ -39,7 +40,14 @@ def demo(
         print(
             f"a simulated reel runs in another process; Zenoh reaches it at {endpoint}", flush=True
         )
-        result = api.tune(endpoint, tuner=tuner, trials=trials, folder=folder)
+        try:
+            result = api.tune(endpoint, tuner=tuner, trials=trials, folder=folder)
+        except Stopped:
+            print(
+                "the demo's reel ends with it; to go on, bring it back first with: "
+                f"estune serve --listen {endpoint} --seed {seed} --pace {pace:g}"
+            )
+            raise
     finish(result, target=None)
     output.show_next(
         {
