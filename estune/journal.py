@@ -10,7 +10,7 @@ import json
 import os
 import sqlite3
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -87,12 +87,11 @@ class Journal:
                 f"{folder} holds a run already; "
                 f"choose another name, or go on with: estune resume {folder}"
             )
-        with _explained(folder):
+        with _explained(folder), ExitStack() as opened:
             folder.mkdir(parents=True, exist_ok=True)
-            lock = _lock(folder)
-            connection = sqlite3.connect(folder / FILE_NAME, isolation_level=None, timeout=2.0)
+            lock = opened.enter_context(_lock(folder))
+            connection = _connect(opened, folder, "rwc")
             connection.execute("PRAGMA journal_mode=WAL")
-            connection.execute("PRAGMA synchronous=FULL")
             connection.execute("BEGIN IMMEDIATE")
             for statement in _SCHEMA.split(";"):
                 connection.execute(statement)
@@ -101,6 +100,7 @@ class Journal:
             )
             connection.execute(f"PRAGMA user_version={SCHEMA_VERSION}")
             connection.execute("COMMIT")
+            opened.pop_all()
         return cls(folder, connection, lock)
 
     @classmethod
@@ -114,34 +114,26 @@ class Journal:
         path = folder / FILE_NAME
         if not path.is_file():
             raise JournalError(f"there is no run in {folder}; see what there is with: estune list")
-        with _explained(folder):
-            lock = _lock(folder) if write else None
+        with _explained(folder), ExitStack() as opened:
+            lock = opened.enter_context(_lock(folder)) if write else None
             # Without the right to write, SQLite cannot make the shared index a WAL reader needs.
             unshared = (
                 not os.access(folder, os.W_OK) and not (folder / f"{FILE_NAME}-wal").exists()
             )
             mode = "rw" if write else "ro&immutable=1" if unshared else "ro"
-            connection = sqlite3.connect(
-                f"{path.resolve().as_uri()}?mode={mode}",
-                uri=True,
-                isolation_level=None,
-                timeout=2.0,
-            )
+            connection = _connect(opened, folder, mode)
             version = connection.execute("PRAGMA user_version").fetchone()[0]
             if version != SCHEMA_VERSION:
+                remedy = "use a newer" if version > SCHEMA_VERSION else "it is not a run of"
                 raise JournalError(
                     f"{path} has schema version {version}, this estune knows {SCHEMA_VERSION}; "
-                    + (
-                        "use a newer estune"
-                        if version > SCHEMA_VERSION
-                        else "it is not a run of estune"
-                    )
+                    f"{remedy} estune"
                 )
             if write:
-                connection.execute("PRAGMA synchronous=FULL")
                 fault = connection.execute("PRAGMA quick_check(1)").fetchone()[0]
                 if fault != "ok":
                     raise JournalError(f"{path} is damaged ({fault}); restore it from a copy")
+            opened.pop_all()
         return cls(folder, connection, lock)
 
     def fact(self, key: str) -> Any:
@@ -261,6 +253,15 @@ def being_written(folder: Path) -> bool:
     ):  # no lock was ever taken, or this user may not look: nothing says it is written
         return False
     return False
+
+
+def _connect(opened: ExitStack, folder: Path, mode: str) -> sqlite3.Connection:
+    """A connection whose transactions are ours to begin and end, closed again on failure."""
+    address = f"{(folder / FILE_NAME).resolve().as_uri()}?mode={mode}"
+    connection = sqlite3.connect(address, uri=True, isolation_level=None, timeout=2.0)
+    opened.callback(connection.close)
+    connection.execute("PRAGMA synchronous=FULL")
+    return connection
 
 
 def _lock(folder: Path) -> IO[str]:
