@@ -86,7 +86,7 @@ class ScriptedRig:
     """Answers each trial from a function; implements `estune.trial.Rig`.
 
     Attributes:
-        ran: The trials that were really run, in order.
+        asked: The trials it was asked for, in order, repeats included.
     """
 
     def __init__(
@@ -97,7 +97,7 @@ class ScriptedRig:
         **changes,
     ) -> None:
         """`duration_s` is how long each trial takes; `changes` are changes to the description."""
-        self.ran: list[TrialRequest] = []
+        self.asked: list[TrialRequest] = []
         self._answer = answer
         self._duration_s = duration_s
         self._description = description(**changes)
@@ -113,6 +113,7 @@ class ScriptedRig:
 
     def run(self, request: TrialRequest) -> TrialRecord:
         self._check_open()
+        self.asked.append(request)
         with self._idle:
             if request.trial_id in self._records:
                 asked, record = self._records[request.trial_id]
@@ -133,7 +134,6 @@ class ScriptedRig:
         live = self._description
         self._description = replace(live, gains=request.gains)
         try:
-            self.ran.append(request)
             record = replace(self._answer(request), rig=live.name)
             if self._stop.wait(self._duration_s):
                 record = replace(record, outcome=Outcome.CANCELLED, reason="stopped")

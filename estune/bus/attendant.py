@@ -75,10 +75,8 @@ class Attendant:
             if state is None:
                 state = self._take_in(request)
             trial = self._trial
-        if not isinstance(state, bytes) and trial is not None and trial.request == request:
-            trial.ended.wait(PROMPT_S)
-            with self._lock:
-                state = self._ledger.find(request.trial_id, command.digest) or state
+        if trial and trial.request == request and trial.ended.wait(PROMPT_S):
+            return self.result(request.trial_id, command.digest)
         return state
 
     def result(self, trial_id: str, request_digest: str) -> Answer | bytes:

@@ -1,0 +1,418 @@
+"""The link over Zenoh: who is found, what it survives, how it ends."""
+
+import json
+import signal
+import socket
+import subprocess
+import sys
+import threading
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import zenoh
+
+from estune import bus, protocol
+from estune.bus.client import _RECORDS_MAX_BYTES
+from estune.bus.session import open_session, with_port
+from estune.core.gains import Gains
+from estune.errors import InvalidInput, ProtocolError, RigError
+from estune.protocol import Keys, Submit, digest
+from estune.trial import Outcome, TrialRequest
+from tests.serve_rig import served
+from tests.support_links import Wire
+from tests.support_rigs import ScriptedRig, description, response, same
+
+SOON_S = 0.3
+"""How long a test waits for a rig that it knows is not there."""
+ENDS_WITHIN_S = 30.0
+"""A generous time for a process that is not hung, on a slow machine."""
+
+
+def trial(number: int = 0, **changes) -> TrialRequest:
+    gains = Gains(0.7, 12.0, 0.004, 0.01)
+    return TrialRequest("run", number, gains, replace(description().step, **changes))
+
+
+@contextmanager
+def session(role: str, endpoint: str):
+    """A session beside the ones under test; a router where the role is `listen`."""
+    ends = {"listen" if role == "listen" else "connect": (endpoint,)}
+    opened = open_session(
+        "peer" if role == "listen" else "client", message_max_bytes=_RECORDS_MAX_BYTES, **ends
+    )
+    try:
+        yield opened
+    finally:
+        opened.close()
+
+
+@contextmanager
+def router():
+    """A Zenoh router of the test's own, and its endpoint."""
+    endpoint = with_port("tcp/127.0.0.1:0")
+    closed = {"multicast": {"enabled": False}, "gossip": {"enabled": False}}
+    config = {"mode": "router", "listen": {"endpoints": [endpoint]}, "scouting": closed}
+    with zenoh.open(zenoh.Config.from_json5(json.dumps(config))):
+        yield endpoint
+
+
+def forever(call) -> None:
+    """Calls until the call raises: for what another process is about to bring about."""
+    while True:
+        call()
+
+
+# --- who is found ---
+
+
+def test_the_only_rig_is_found_and_so_is_the_one_named():
+    with served("scripted", "drum") as server:
+        for name in (None, "drum"):
+            with bus.connect(server.endpoint, rig=name) as rig:
+                assert rig.describe().name == rig.name == "drum"
+
+
+def test_several_rigs_behind_a_router_are_told_apart_by_name():
+    with (
+        router() as hub,
+        served("scripted", "a", "tcp/127.0.0.1:0", hub),
+        served("scripted", "b", "tcp/127.0.0.1:0", hub),
+    ):
+        for name in "ab":
+            with bus.connect(hub, rig=name) as rig:
+                assert rig.run(trial()).rig == name
+        with pytest.raises(RigError, match=r"2 rigs at .*: a, b; name the one"):
+            bus.connect(hub, timeout_s=SOON_S)
+        with pytest.raises(RigError, match=r"no rig named 'c' at .*; there is: a, b"):
+            bus.connect(hub, rig="c", timeout_s=SOON_S)
+
+
+def test_one_name_served_by_two_processes_is_refused():
+    with (
+        router() as hub,
+        served("scripted", "a", "tcp/127.0.0.1:0", hub),
+        bus.connect(hub, rig="a") as early,
+        served("scripted", "a", "tcp/127.0.0.1:0", hub),
+    ):
+        with pytest.raises(RigError, match=r"2 processes at .* serve a rig named 'a'"):
+            forever(lambda: bus.connect(hub, rig="a", timeout_s=SOON_S).close())
+        assert same(early.run(trial()), replace(response(trial()), rig="a"))
+
+
+def test_where_nothing_listens_the_error_says_so():
+    endpoint = with_port("tcp/127.0.0.1:0")
+    with pytest.raises(RigError, match=rf"nothing .* listens at {endpoint}; start a rig"):
+        bus.connect(endpoint, timeout_s=SOON_S)
+
+
+def test_a_listener_that_does_not_speak_zenoh_is_not_taken_for_a_rig():
+    with (
+        socket.create_server(("127.0.0.1", 0)) as mute,
+        pytest.raises(RigError, match="nothing that speaks Zenoh listens"),
+    ):
+        bus.connect(f"tcp/127.0.0.1:{mute.getsockname()[1]}", timeout_s=SOON_S)
+
+
+def test_where_there_is_no_rig_the_error_says_so():
+    with router() as hub, pytest.raises(RigError, match=f"no rig answers at {hub}; start one"):
+        bus.connect(hub, timeout_s=SOON_S)
+
+
+def test_a_rig_of_another_protocol_version_is_named():
+    endpoint = with_port("tcp/127.0.0.1:0")
+    with session("listen", endpoint) as later:
+        token = later.liveliness().declare_token("reel/v2/drum/alive/0f")
+        with pytest.raises(
+            ProtocolError, match=r"'drum' at .* speaks protocol v2, this estune v1"
+        ):
+            bus.connect(endpoint)
+        token.undeclare()
+
+
+@pytest.mark.parametrize(
+    "endpoint", ["", "127.0.0.1:7447", "tcp/127.0.0.1", "tcp/127.0.0.1:70000", "tcp/a b:1"]
+)
+def test_what_is_no_endpoint_is_refused(endpoint):
+    with pytest.raises(InvalidInput, match="write it as tcp/host:port"):
+        bus.connect(endpoint)
+    with pytest.raises(InvalidInput, match="write it as tcp/host:port"):
+        bus.serve(ScriptedRig(), endpoint)
+
+
+@pytest.mark.parametrize("timeout_s", [0.0, -1.0, float("nan"), float("inf")])
+def test_a_timeout_that_is_none_is_refused(timeout_s):
+    with pytest.raises(InvalidInput, match="timeout is"):
+        bus.connect("tcp/127.0.0.1:7447", timeout_s=timeout_s)
+
+
+# --- closed defaults ---
+
+
+@pytest.mark.parametrize("endpoint", ["tcp/0.0.0.0:0", "tcp/[::]:0", "tcp/192.0.2.1:7447"])
+def test_a_rig_is_not_shown_to_the_network_unless_asked_for(endpoint):
+    with pytest.raises(InvalidInput, match="any machine on the network"):
+        bus.serve(ScriptedRig(), endpoint)
+
+
+def test_a_rig_is_shown_to_the_network_where_that_is_asked_for():
+    with bus.serve(ScriptedRig(), "tcp/0.0.0.0:0", allow_remote=True) as server:
+        assert server.endpoint.startswith("tcp/0.0.0.0:")
+
+
+def test_a_port_that_is_taken_is_named():
+    with (
+        bus.serve(ScriptedRig()) as server,
+        pytest.raises(RigError, match=f"cannot listen at {server.endpoint}: address already in"),
+    ):
+        bus.serve(ScriptedRig(), server.endpoint)
+
+
+@pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="reads Linux's socket tables")
+def test_a_server_has_one_socket_open_to_others_and_that_on_this_machine_only():
+    with served("scripted") as server:
+        process = Path("/proc") / str(server.process.pid)
+        mine = {str(fd.readlink()) for fd in (process / "fd").iterdir()}
+        found = []
+        for table in ("tcp", "tcp6", "udp", "udp6"):
+            for line in (process / "net" / table).read_text().splitlines()[1:]:
+                _, local, _, state, *rest = line.split()
+                listening = state == "0A" or table.startswith("udp")
+                if listening and f"socket:[{rest[5]}]" in mine:
+                    found.append((table, local))
+        port = int(server.endpoint.rpartition(":")[2])
+        assert found == [("tcp", f"0100007F:{port:04X}")]
+
+
+def test_no_wildcard_reaches_a_command():
+    rig = ScriptedRig()
+    with bus.serve(rig) as server, session("connect", server.endpoint) as snoop:
+        payload = protocol.encode(Submit(trial(), digest(trial())))
+        for key in ("reel/**", "**", "reel/v1/*/*/*/submit"):
+            list(snoop.get(key, payload=payload, target=zenoh.QueryTarget.ALL, timeout=5.0))
+        assert rig.asked == []
+
+
+def test_a_command_that_is_garbage_is_refused_and_harms_nothing():
+    rig = ScriptedRig()
+    with bus.serve(rig) as server, session("connect", server.endpoint) as vandal:
+        keys = Keys(server.name)
+        for key in (
+            *(keys.command(server.instance, verb) for verb in ("submit", "cancel", "gains")),
+            keys.result("run-00000"),
+        ):
+            for payload in (b"", b"\xff" * 100, b'{"x":1}', b"[" * 2000, b"x" * 10_000):
+                (reply,) = vandal.get(key, payload=payload, timeout=5.0)
+                answer = protocol.decode(protocol.Answer, reply.ok.payload.to_bytes())
+                assert (answer.verdict, answer.error) == ("refused", "ProtocolError")
+        with bus.connect(server.endpoint) as client:
+            assert client.run(trial()).outcome is Outcome.DONE
+
+
+# --- what it survives ---
+
+
+def test_a_second_client_is_told_that_the_rig_is_busy():
+    with (
+        served("slow scripted") as server,
+        bus.connect(server.endpoint) as first,
+        bus.connect(server.endpoint) as second,
+    ):
+        records = []
+        running = threading.Thread(target=lambda: records.append(first.run(trial())))
+        running.start()
+        with pytest.raises(RigError, match="busy with trial run-00000"):
+            forever(lambda: second.apply(trial().gains))
+        with pytest.raises(RigError, match="busy with trial run-00000"):
+            second.run(trial(1))
+        second.abort()
+        running.join()
+        assert records[0].outcome is Outcome.CANCELLED
+
+
+def test_trials_over_a_wire_cut_again_and_again_run_once_each_and_arrive():
+    rig = ScriptedRig(duration_s=0.02)
+    trials = [trial(number) for number in range(25)]
+    with (
+        bus.serve(rig) as server,
+        Wire(server.endpoint) as wire,
+        bus.connect(wire.endpoint) as client,
+    ):
+        done = threading.Event()
+
+        def cut() -> None:
+            while not done.wait(0.07):
+                wire.cut()
+
+        cutting = threading.Thread(target=cut)
+        cutting.start()
+        try:
+            records = [client.run(request) for request in trials]
+        finally:
+            done.set()
+            cutting.join()
+    assert rig.asked == trials
+    assert all(same(response(t), r) for t, r in zip(trials, records, strict=True))
+
+
+def test_a_trial_whose_first_answer_is_lost_runs_once_all_the_same():
+    rig = ScriptedRig()
+    trials = [trial(number) for number in range(5)]
+    with (
+        bus.serve(rig) as server,
+        Wire(server.endpoint) as wire,
+        bus.connect(wire.endpoint) as client,
+    ):
+        for request in trials:
+            wire.lose_next_answer()
+            assert same(client.run(request), response(request))
+    assert rig.asked == trials
+
+
+def test_a_trial_survives_a_rig_that_hangs_longer_than_its_lease():
+    with served("unhurried") as server, bus.connect(server.endpoint, timeout_s=10.0) as client:
+        server.process.send_signal(signal.SIGSTOP)
+        threading.Timer(2.5, server.process.send_signal, [signal.SIGCONT]).start()
+        assert same(client.run(trial()), replace(response(trial()), rig="reel"))
+
+
+def test_a_rig_killed_in_a_trial_is_gone_and_the_error_says_what_is_known():
+    with (
+        served("slow scripted") as server,
+        bus.connect(server.endpoint, timeout_s=SOON_S) as client,
+    ):
+        threading.Timer(0.2, server.process.kill).start()
+        with pytest.raises(RigError, match=r"is gone.* trial run-00000 may have run.* resume"):
+            client.run(trial())
+        with pytest.raises(RigError, match=r"is gone.* start it again"):
+            client.describe()
+
+
+def test_a_rig_restarted_in_a_trial_is_not_asked_for_it_again():
+    with served("slow scripted") as server, bus.connect(server.endpoint) as client:
+        failures = []
+
+        def run() -> None:
+            try:
+                client.run(trial())
+            except RigError as error:
+                failures.append(str(error))
+
+        running = threading.Thread(target=run)
+        running.start()
+        server.process.kill()
+        server.process.wait()
+        with served("scripted", "reel", server.endpoint):
+            running.join()
+        assert len(failures) == 1
+        assert "was restarted; trial run-00000 may have run" in failures[0]
+
+
+def test_what_a_rigs_own_program_raises_reaches_the_client():
+    with served("broken") as server, bus.connect(server.endpoint) as client:
+        for _ in range(2):
+            with pytest.raises(RigError, match="ZeroDivisionError: no answer to 0"):
+                client.run(trial())
+
+
+# --- how it ends ---
+
+
+def script(text: str, *arguments: str, **options) -> subprocess.Popen:
+    """A process that runs a few lines of Python."""
+    return subprocess.Popen(
+        [sys.executable, "-c", text, *arguments],
+        cwd=Path(__file__).parent.parent,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        **options,
+    )
+
+
+def end(process: subprocess.Popen) -> str:
+    """What a process printed, once it has ended by itself, in good order."""
+    try:
+        output, _ = process.communicate(timeout=ENDS_WITHIN_S)
+    finally:
+        process.kill()
+        process.wait()
+    assert process.returncode == 0, output
+    return output
+
+
+def test_a_client_that_forgets_to_close_ends_all_the_same():
+    text = """
+import sys
+from estune import bus
+from tests.test_bus import trial
+rig = bus.connect(sys.argv[1])
+print(rig.run(trial()).outcome)
+"""
+    with served("scripted") as server:
+        assert end(script(text, server.endpoint)).split() == ["done"]
+
+
+def test_a_server_that_forgets_to_close_stops_its_trial_and_ends():
+    text = """
+import threading
+from estune import bus
+from tests.support_rigs import ScriptedRig
+from tests.test_bus import trial
+
+class Telling(ScriptedRig):
+    def _perform(self, request):
+        record = super()._perform(request)
+        print(record.outcome)
+        return record
+
+rig = Telling(duration_s=100.0)
+server = bus.serve(rig)
+client = bus.connect(server.endpoint)
+threading.Thread(target=client.run, args=(trial(),), daemon=True).start()
+while not rig.asked:
+    pass
+"""
+    assert "cancelled" in end(script(text))
+
+
+def test_ctrl_c_gets_through_while_a_trial_runs_and_the_trial_can_be_stopped():
+    text = """
+import sys
+from estune import bus
+from tests.test_bus import trial
+with bus.connect(sys.argv[1]) as rig:
+    try:
+        print("running", flush=True)
+        rig.run(trial())
+    except KeyboardInterrupt:
+        print(rig.abort().name)
+"""
+    with served("slow scripted") as server, bus.connect(server.endpoint) as witness:
+        process = script(text, server.endpoint)
+        assert process.stdout.readline() == "running\n"
+        with pytest.raises(RigError, match="busy with trial run-00000"):
+            forever(lambda: witness.apply(trial().gains))
+        process.send_signal(signal.SIGINT)
+        assert end(process).split() == ["reel"]
+        witness.apply(trial().gains)
+
+
+def test_a_rig_let_go_of_closes_its_session():
+    with bus.serve(ScriptedRig()) as server:
+        client = bus.connect(server.endpoint)
+        session = client._session
+        del client
+        assert session.is_closed()
+
+
+def test_a_closed_server_is_not_found_and_its_port_is_free():
+    server = bus.serve(ScriptedRig())
+    server.close()
+    server.wait()
+    with pytest.raises(RigError, match="nothing"):
+        bus.connect(server.endpoint, timeout_s=SOON_S)
+    with bus.serve(ScriptedRig(), server.endpoint) as again:
+        assert again.instance != server.instance
+    server.close()
