@@ -35,7 +35,8 @@ def make_tuner(
         return tuner
     if tuner not in TUNERS:
         raise InvalidInput(f"there is no tuner {tuner!r}; the tuners are {', '.join(TUNERS)}")
-    return TUNERS[tuner](space=SearchSpace.around(start, bounds=bounds))
+    made: Tuner[Any] = TUNERS[tuner](space=SearchSpace.around(start, bounds=bounds))
+    return made
 
 
 def make_plan(
@@ -67,7 +68,7 @@ def plan_to_json(plan: Plan) -> dict[str, Any]:
     Raises:
         InvalidInput: the tuner is not a dataclass, so that its settings cannot be stored.
     """
-    kind = type(plan.tuner)
+    kind: type[Any] = type(plan.tuner)
     if not dataclasses.is_dataclass(kind):
         raise InvalidInput(
             f"tuner {kind.__qualname__} is not a dataclass; only one can be journalled"
