@@ -15,7 +15,14 @@ from numpy.typing import ArrayLike, NDArray
 FloatArray = NDArray[np.float64]
 
 STEADY_SHARE = 10
-"""The steady-state error is the mean over the last tenth of the samples after the step."""
+"""The last tenth of the samples after the step shows the steady state: the error there is its
+mean, and a response is settled only if it stays in the band throughout."""
+
+NOISE_SIGMAS = 4.0
+WIDEST_NOISE_BAND = 0.05
+"""Noise widens the settling band to four standard deviations of the measurement before the step,
+for otherwise one sample in a hundred would decide; but only to 5 % of the step, the widest band in
+common use, so that a loop that oscillates before the step is not called settled after it."""
 
 
 class StepMetrics(NamedTuple):
@@ -23,8 +30,9 @@ class StepMetrics(NamedTuple):
 
     Attributes:
         rise_time_s: From 10 % to 90 % of the step, s; NaN if 90 % is not reached.
-        settling_time_s: From the step until the response stays in the band, s; NaN if it ends
-            outside it.
+        settling_time_s: From the step until the response stays in the band, s; NaN if it leaves
+            it in the last tenth of the samples. Noise before the step widens the band, to 5 % at
+            most.
         overshoot: Furthest past the final value, as a fraction of the step; zero if it never is.
             Noise counts: it is the largest sample.
         steady_state_error: Final value less the mean over the last tenth of the samples after the
@@ -61,7 +69,7 @@ def step_metrics(
         step_time_s: Time of the step, s.
         initial: Value the step starts from, in the unit of the measurement.
         final: Value the response should settle at.
-        band: Half-width of the settling band, as a fraction of the step.
+        band: Half-width of the settling band, as a fraction of the step, where noise lets it be.
 
     Returns:
         The metrics. Times between samples are interpolated along straight lines.
@@ -74,18 +82,27 @@ def step_metrics(
     if not ((time[1:] > time[:-1]).all() and math.isfinite(step_time_s)):
         return NO_METRICS
     first = int(time.searchsorted(step_time_s))
-    t = time[first:]
-    with np.errstate(over="ignore", invalid="ignore"):
-        z = (values[first:] - initial) / span
-    if len(z) < 2 or not np.isfinite(z).all():
-        return NO_METRICS
-    tail = values[-max(1, len(z) // STEADY_SHARE) :]
-    return StepMetrics(
-        rise_time_s=_rise_time(t, z),
-        settling_time_s=_settling_time(t, z, band) - step_time_s,
-        overshoot=max(0.0, float(z.max()) - 1.0),
-        steady_state_error=float(final - tail.mean()),
-    )
+    t, tail = time[first:], values[-_steady_samples(len(values) - first) :]
+    with np.errstate(over="ignore", invalid="ignore"):  # of a response that has run away
+        shares = (values - initial) / span
+        before, z = shares[:first], shares[first:]
+        if len(z) < 2 or not np.isfinite(shares).all():
+            return NO_METRICS
+        noise_band = min(NOISE_SIGMAS * _deviation(before), WIDEST_NOISE_BAND)
+        return StepMetrics(
+            rise_time_s=_rise_time(t, z),
+            settling_time_s=_settling_time(t, z, max(band, noise_band)) - step_time_s,
+            overshoot=max(0.0, float(z.max()) - 1.0),
+            steady_state_error=float(final - tail.sum() / len(tail)),
+        )
+
+
+def _deviation(values: FloatArray) -> float:
+    """Standard deviation, at a third of the time of `std`; zero of nothing."""
+    if not len(values):
+        return 0.0
+    centred = values - values.sum() / len(values)
+    return math.sqrt(centred.dot(centred) / len(values))
 
 
 def _rise_time(t: FloatArray, z: FloatArray) -> float:
@@ -103,14 +120,18 @@ def _rise_time(t: FloatArray, z: FloatArray) -> float:
 
 
 def _settling_time(t: FloatArray, z: FloatArray, band: float) -> float:
-    """The time from which the response stays within the band; NaN if it ends outside."""
+    """The time from which the response stays within the band; NaN if that is not shown."""
     outside = np.abs(z - 1.0) > band
-    if outside[-1]:
-        return math.nan
     if not outside.any():
         return float(t[0])
     last = len(z) - 1 - int(outside[::-1].argmax())
+    if last >= len(z) - _steady_samples(len(z)):
+        return math.nan
     return _crossing(t, z, last, 1.0 + math.copysign(band, z[last] - 1.0))
+
+
+def _steady_samples(after_step: int) -> int:
+    return max(1, after_step // STEADY_SHARE)
 
 
 def _crossing(t: FloatArray, z: FloatArray, before: int, level: float) -> float:
