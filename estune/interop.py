@@ -109,6 +109,8 @@ def from_control(C_y: "TransferFunction", setpoint_filter_s: float = 0.0) -> Gai
         raise _not_a_pid("its poles are not one at the origin and one of a derivative filter")
     if lag < 0.0:
         raise _not_a_pid(f"its derivative filter has an unstable pole, time constant {lag:g} s")
+    if abs(D) <= 1e-12 * abs(P) * lag:  # rounding, where zero and pole of the filter cancel
+        D = 0.0
     return Gains(P, I, D, setpoint_filter_s)
 
 

@@ -1,0 +1,380 @@
+"""Exchange with python-control, and the margins against it, brute force and the loop itself."""
+
+import math
+import subprocess
+import sys
+
+import control
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from estune.core.gains import Gains
+from estune.core.margins import controller_response, sample_plant
+from estune.core.pidf import ControllerSettings, PidfState, at_rest, coefficients, step
+from estune.errors import InvalidInput
+from estune.interop import from_control, linear_model, margins, to_control
+
+s = control.tf("s")
+
+magnitude = st.floats(1e-3, 1e3)
+gain_values = st.builds(
+    Gains, magnitude, st.just(0.0) | magnitude, st.just(0.0) | magnitude, st.just(0.0) | magnitude
+)
+
+
+def settings(sampling_Hz, derivative_filter_s):
+    return ControllerSettings(sampling_Hz, derivative_filter_s, -math.inf, math.inf)
+
+
+# --- the controller --------------------------------------------------------------------------
+
+
+@given(gain_values, st.just(0.0) | st.floats(1e-4, 1e-1))
+def test_the_controller_goes_to_python_control_and_back(gains, derivative_filter_s):
+    F, _, C_y = to_control(gains, settings(632.0, derivative_filter_s))
+    setpoint_filter_s = F.den[0][0][0] if F.den[0][0].size > 1 else 0.0
+    back = from_control(C_y, setpoint_filter_s)
+    # The filter mixes the coefficients: P + I tau and D + P tau; what is lost is their rounding.
+    lag = derivative_filter_s if gains.D > 0.0 else 0.0
+    assert back.I == gains.I
+    assert back.setpoint_filter_s == gains.setpoint_filter_s
+    assert pytest.approx(gains.P, rel=0.0, abs=3e-16 * (gains.P + gains.I * lag)) == back.P
+    assert (
+        pytest.approx(gains.D, rel=0.0, abs=1e-15 * (gains.D + lag * (gains.P + gains.I * lag)))
+        == back.D
+    )
+
+
+@given(gain_values)
+def test_with_an_ideal_derivative_the_way_there_and_back_is_exact_to_the_bit(gains):
+    F, C_r, C_y = to_control(gains, settings(632.0, 0.0))
+    assert from_control(C_y, gains.setpoint_filter_s) == gains
+    assert from_control(C_r) == Gains(gains.P, gains.I, 0.0, 0.0)
+    assert F(0.0) == 1.0
+
+
+@given(gain_values, st.floats(0.1, 1e3))
+def test_the_transfer_functions_are_those_of_the_equations(gains, omega):
+    tau_d, jw = 0.004, 1j * omega
+    F, C_r, C_y = to_control(gains, settings(632.0, tau_d))
+    P, I, D, tau_F = gains.as_tuple()
+    assert F(jw) == pytest.approx(1.0 / (tau_F * jw + 1.0), rel=1e-9)
+    assert C_r(jw) == pytest.approx(P + I / jw, rel=1e-9)
+    assert C_y(jw) == pytest.approx(P + I / jw + D * jw / (tau_d * jw + 1.0), rel=1e-9)
+
+
+def test_a_controller_written_in_s_is_recognised():
+    K, Ti, Td, tau = 2.0, 0.5, 0.1, 0.01
+    ideal = K * (1 + 1 / (Ti * s) + Td * s)
+    filtered = K * (1 + 1 / (Ti * s) + Td * s / (tau * s + 1))
+    for controller in (ideal, filtered):
+        assert from_control(controller, 0.03).as_tuple() == pytest.approx((2.0, 4.0, 0.2, 0.03))
+    cancelled = (2 * s + 3) * (0.7 * s + 1) / (s * (0.7 * s + 1))
+    assert from_control(cancelled).as_tuple() == pytest.approx((2.0, 3.0, 0.0, 0.0))
+    assert from_control(control.tf([3.0], [1.0])) == Gains(3.0, 0.0, 0.0, 0.0)
+    assert from_control(control.tf([4.0, 3.0, 0.0], [2.0, 0.0])) == Gains(1.5, 0.0, 2.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("controller", "why"),
+    [
+        ((1 + s) / s**2, "not one at the origin and one of a derivative filter"),
+        (
+            (1 + s) / ((1 + s / 5) * (2 + s)),
+            "not one at the origin and one of a derivative filter",
+        ),
+        ((1 + s) ** 3 / s, "more than two poles or two zeros"),
+        ((1 + s) ** 2 / (s * (1 + s / 9) ** 2), "more than two poles or two zeros"),
+        (1 + s**2, "differentiates twice"),
+        ((1 + s) ** 2 / (s * (1 - 0.01 * s)), "unstable pole, time constant -0.01 s"),
+        ((1 - s) ** 2 / s, "gain P is -2"),
+        ((1 + s / 9) / (1 + s), "gain D is -"),
+        (control.tf([1.0, 1.0], [1.0, 0.0], 0.1), "discrete, sampled every 0.1 s"),
+        (control.tf([[[1.0], [1.0]]], [[[1.0], [1.0]]]), "2 inputs and 1 outputs"),
+        (control.ss([[-1.0]], [[1.0]], [[1.0]], [[0.0]]), "is a StateSpace"),
+        (control.tf([math.nan, 1.0], [1.0, 0.0]), "not finite"),
+        (3.0, "is a float"),
+    ],
+)
+def test_a_controller_that_is_no_pid_is_refused_and_told_why(controller, why):
+    with pytest.raises(InvalidInput, match=why):
+        from_control(controller)
+
+
+# --- the plant -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "system",
+    [
+        1 / (1 + 10 * s) ** 8,
+        (1 - 5 * s) / ((1 + 10 * s) * (1 + 20 * s)),
+        3e12 * (s + 2) / ((s**2 + 80 * s + 4e4) * (s**2 + 100 * s + 3.3e6) * (s + 900)),
+        (2 * s + 1) / (s + 3),
+        control.tf([5.0], [1.0]),
+        control.ss([[0.0, 1.0], [-4.0, -0.4]], [[0.0], [1.0]], [[1.0, 0.2]], [[0.1]]),
+    ],
+    ids=["eight lags", "non-minimum phase", "fast modes", "feed-through", "gain", "state space"],
+)
+def test_a_linear_model_has_the_frequency_response_of_the_system(system):
+    model = linear_model(system, 0.25)
+    A, B, C = (np.array(part) for part in (model.A, model.B, model.C))
+    for omega in np.geomspace(1e-3, 1e4, 15):
+        response = model.E
+        if B.size:
+            response = response + C @ np.linalg.solve(1j * omega * np.eye(B.size) - A, B)
+        assert response == pytest.approx(system(1j * omega), rel=1e-9)
+    assert model.dead_time_s == 0.25
+
+
+@pytest.mark.parametrize(
+    ("system", "dead_time_s", "why"),
+    [
+        (s**2 / (s + 1), 0.0, "more zeros than poles; add the pole"),
+        (control.tf([1.0], [1.0, 1.0], 0.1), 0.0, "discrete, sampled every 0.1 s"),
+        (control.ss(-np.eye(2), np.eye(2), np.eye(2), 0.0), 0.0, "2 inputs and 2 outputs; choose"),
+        (control.frd([1.0, 0.5], [1.0, 2.0]), 0.0, "FrequencyResponseData; .* fit"),
+        (control.ss([[math.inf]], [[1.0]], [[1.0]], [[0.0]]), 0.0, "not finite"),
+        ("1/(s+1)", 0.0, "is a str"),
+        (1 / (s + 1), -1.0, "dead time is -1.0 s"),
+        (1 / (s + 1), math.nan, "dead time is nan s"),
+        (1 / (s + 1), math.inf, "dead time is inf s"),
+    ],
+)
+def test_a_plant_of_another_kind_is_refused_with_what_to_do(system, dead_time_s, why):
+    with pytest.raises(InvalidInput, match=why):
+        linear_model(system, dead_time_s)
+
+
+def matrices(model):
+    n = len(model.B)
+    A = np.reshape(np.asarray(model.A, dtype=float), (n, n))
+    return A, np.array(model.B, dtype=float), np.array(model.C, dtype=float), model.E
+
+
+def sampled(model, sampling_Hz):
+    return sample_plant(
+        *matrices(model), dead_time_s=model.dead_time_s, sample_s=1.0 / sampling_Hz
+    )
+
+
+@pytest.mark.parametrize("dead_time_samples", [0.0, 0.3, 1.0, 2.75])
+def test_the_sampled_plant_is_the_plant_held_between_samples(dead_time_samples):
+    """Against the step response written down in closed form, delayed by hand."""
+    sampling_Hz, dead_time_s = 50.0, dead_time_samples / 50.0
+    plant = sampled(linear_model(1 / (0.1 * s + 1), dead_time_s), sampling_Hz)
+    commands = np.random.default_rng(2).normal(size=40)
+    moves = np.diff(commands, prepend=0.0)
+
+    state, past, simulated = np.zeros(1), np.zeros(plant.delay + 1), []
+    for command in commands:
+        simulated.append(float(plant.C @ state) + plant.E * past[-1])
+        line = np.concatenate([[command], past])
+        state = plant.Phi @ state + plant.now * line[-2] + plant.before * line[-1]
+        past = line[:-1]
+
+    t = np.arange(40) / sampling_Hz
+    since = t[:, None] - t[None, :] - dead_time_s
+    expected = (np.where(since > 0.0, 1.0 - np.exp(-since / 0.1), 0.0) * moves).sum(axis=1)
+    np.testing.assert_allclose(simulated, expected, atol=1e-12)
+
+
+# --- the margins -----------------------------------------------------------------------------
+
+REEL = (
+    (188.0**2 / (s**2 + 2 * 0.15 * 188.0 * s + 188.0**2))
+    * (1822.0**2 / (s**2 + 2 * 0.03 * 1822.0 * s + 1822.0**2)),
+    1.0 / 632.0,
+    Gains(0.5, 20.0, 0.001, 0.01),
+    settings(632.0, 5e-4),
+)
+LAG = 1 / (1 + 20 * s)
+LOOPS = {
+    "reel with a gauge mode": REEL,
+    "lag and dead time": (
+        *(LAG, 5.0),
+        *(Gains.from_standard(3.58, 27.8, 2.15), settings(10.0, 0.1)),
+    ),
+    "dead time of 2000 samples": (
+        *(LAG, 20.0),
+        *(Gains.from_standard(0.93, 30.1, 6.06), settings(100.0, 0.1)),
+    ),
+    "fraction of a sample": (4 / (s + 4), 0.0137, Gains(2.0, 3.0, 0.0, 0.0), settings(50.0, 0.0)),
+    "eight lags, sampled fast": (
+        *(1 / (1 + 10 * s) ** 8, 0.0),
+        *(Gains.from_standard(0.684, 54.9, 19.5), settings(100.0, 1.0)),
+    ),
+    "undamped": (
+        *(100 / (s**2 + 100), 0.001),
+        *(Gains(0.1, 0.1, 0.1, 0.0), settings(640.0, 0.001)),
+    ),
+    "integrators": (1 / s**2, 0.001, Gains(1.0, 0.1, 1.0, 0.0), settings(632.0, 0.001)),
+    "gain alone": (
+        *(control.tf([2.0], [1.0]), 0.013),
+        *(Gains(0.1, 0.5, 0.001, 0.0), settings(100.0, 0.01)),
+    ),
+}
+
+
+def closed_loop_radius(model, gains, controller):
+    """Largest eigenvalue of the loop, from the controller's own step, signal by signal."""
+    plant, c = sampled(model, controller.sampling_Hz), coefficients(controller, gains)
+    n, d = plant.C.size, plant.delay
+
+    def advance(loop):
+        x, past, (integral, filtered) = loop[:n], loop[n : n + d + 1], loop[n + d + 1 :]
+        y = plant.C @ x + plant.E * past[-1]
+        state, u, _ = step(c, PidfState(integral, 0.0, filtered), 0.0, y)
+        line = np.concatenate([[u], past])
+        x = plant.Phi @ x + plant.now * line[-2] + plant.before * line[-1]
+        return np.concatenate([x, line[:-1], [state.integral_N, state.filtered_measurement_N]])
+
+    kept = [True] * (n + d + 1) + [gains.I > 0.0, gains.D > 0.0]
+    matrix = np.array([advance(unit) for unit in np.eye(len(kept))]).T[np.ix_(kept, kept)]
+    return float(np.abs(np.linalg.eigvals(matrix)).max())
+
+
+def scaled(gains, factor):
+    P, I, D, setpoint_filter_s = gains.as_tuple()
+    return Gains(factor * P, factor * I, factor * D, setpoint_filter_s)
+
+
+def test_the_controllers_frequency_response_is_that_of_its_difference_equation():
+    gains, controller = Gains(1.3, 60.0, 0.01, 0.0), settings(632.0, 0.004)
+    theta = np.array([0.03, 0.4, 2.5])
+    c = coefficients(controller, gains)
+    for angle, response in zip(theta, controller_response(gains, controller, theta), strict=True):
+        state, effort = at_rest(0.0, 0.0), []
+        k = np.arange(40_000)
+        for y in np.cos(angle * k).tolist():
+            state, u, _ = step(c, state, 0.0, y)
+            effort.append(-u)
+        late = slice(20_000, None)
+        basis = np.column_stack([np.cos(angle * k), -np.sin(angle * k), np.ones(k.size)])[late]
+        real, imaginary, _ = np.linalg.lstsq(basis, np.array(effort)[late], rcond=None)[0]
+        assert complex(real, imaginary) == pytest.approx(response, rel=1e-6)
+
+
+@pytest.mark.parametrize("name", LOOPS)
+def test_the_margins_are_those_of_a_brute_force_scan(name):
+    system, dead_time_s, gains, controller = LOOPS[name]
+    model = linear_model(system, dead_time_s)
+    found = margins(model, gains, controller)
+    assert found.stable
+
+    theta = np.unique(np.r_[np.geomspace(1e-5, np.pi, 200_000), np.linspace(1e-5, np.pi, 200_000)])
+    loop = controller_response(gains, controller, theta) * sampled(
+        model, controller.sampling_Hz
+    ).response(theta)
+    at_one = np.flatnonzero(np.diff(np.sign(np.abs(loop) - 1.0)))
+    turns = np.abs(np.angle(-loop[at_one], deg=True))
+    real_axis = np.flatnonzero((np.diff(np.sign(loop.imag)) != 0) & (loop.real[1:] < 0.0))
+    real_axis = real_axis[np.abs(loop[real_axis]) < 1e4]  # not across an undamped pole
+    factors = 1.0 / np.abs(np.append(loop[real_axis], loop[-1] if loop[-1].real < 0.0 else 1e-9))
+    nearest = factors[np.abs(np.log(factors)).argmin()]
+    assert found.phase_margin_deg == pytest.approx(turns.min(initial=np.inf), abs=0.02)
+    assert found.gain_margin == pytest.approx(nearest, rel=1e-3)
+    per_sample = controller.sampling_Hz / (2.0 * np.pi)
+    if turns.size:
+        crossover_Hz = theta[at_one[turns.argmin()]] * per_sample
+        assert found.gain_crossover_Hz == pytest.approx(crossover_Hz, rel=1e-3)
+
+
+def test_where_polynomials_keep_their_digits_python_control_finds_the_same_margins():
+    system, dead_time_s, gains, controller = REEL
+    h, lag = 1.0 / controller.sampling_Hz, controller.derivative_filter_s
+    z = control.tf([1.0, 0.0], [1.0], h)
+    C_y = gains.P + gains.I * h / (z - 1) + gains.D * (z - 1) / ((lag + h) * z - lag)
+    loop = C_y * control.tf(control.sample_system(control.ss(system), h, "zoh")) / z
+    gain, phase, _, phase_rad_s, gain_rad_s, _ = control.stability_margins(loop, method="poly")
+    found = margins(linear_model(system, dead_time_s), gains, controller)
+    assert found.gain_margin == pytest.approx(gain, rel=1e-5)
+    assert found.phase_margin_deg == pytest.approx(phase, rel=1e-5)
+    assert found.phase_crossover_Hz == pytest.approx(phase_rad_s / (2.0 * np.pi), rel=1e-5)
+    assert found.gain_crossover_Hz == pytest.approx(gain_rad_s / (2.0 * np.pi), rel=1e-5)
+
+
+@pytest.mark.parametrize("name", [name for name in LOOPS if "2000" not in name])
+def test_at_the_gain_margin_the_closed_loop_is_on_the_verge(name):
+    system, dead_time_s, gains, controller = LOOPS[name]
+    model = linear_model(system, dead_time_s)
+    factor = margins(model, gains, controller).gain_margin
+    for share, stable in ((0.98, True), (1.02, False)):
+        there = scaled(gains, factor**share)
+        assert margins(model, there, controller).stable is stable
+        assert (closed_loop_radius(model, there, controller) < 1.0) is stable
+
+
+def test_stability_is_that_of_the_eigenvalues_for_loops_of_all_kinds():
+    rng = np.random.default_rng(1)
+    stable = 0
+    for _ in range(120):
+        sampling_Hz = 10.0 ** rng.uniform(0.0, 4.0)
+        system = control.tf([1.0], [1.0])
+        for _ in range(rng.integers(1, 4)):
+            a, b = sampling_Hz * 10.0 ** rng.uniform(-3.0, 0.3, 2)
+            system = system * rng.choice(
+                [1 / (1 + s / a), (1 - s / b) / (1 + s / a), 1 / (1 + s * 0.02 / a + (s / a) ** 2)]
+            )
+        P = 10.0 ** rng.uniform(-2.0, 1.0)
+        gains = Gains(
+            P,
+            P * sampling_Hz * 10.0 ** rng.uniform(-3.0, 0.0) * rng.integers(0, 2),
+            P / sampling_Hz * 10.0 ** rng.uniform(-1.0, 2.0) * rng.integers(0, 2),
+            0.0,
+        )
+        controller = settings(sampling_Hz, rng.uniform(0.0, 10.0) / sampling_Hz)
+        model = linear_model(system, rng.choice([0.0, 3.0, rng.uniform(0.0, 30.0)]) / sampling_Hz)
+        radius = closed_loop_radius(model, gains, controller)
+        if abs(radius - 1.0) > 1e-6:
+            assert margins(model, gains, controller).stable is (radius < 1.0)
+            stable += radius < 1.0
+    assert 20 < stable < 100
+
+
+@pytest.mark.parametrize(
+    ("system", "gains"),
+    [
+        (REEL[0], Gains(3.0, 20.0, 0.001, 0.0)),
+        (1 / (s - 2), Gains(1.0, 0.0, 0.0, 0.0)),
+        (s / (s + 1), Gains(1.0, 1.0, 0.0, 0.0)),  # the integrator is cancelled and drifts
+    ],
+    ids=["too much gain", "unstable plant", "no gain at rest"],
+)
+def test_an_unstable_loop_is_called_unstable_and_has_no_margins(system, gains):
+    found = margins(linear_model(system), gains, settings(632.0, 5e-4))
+    assert found.stable is False
+    assert list(map(math.isnan, found[:4])) == [True] * 4
+
+
+def test_an_unstable_plant_that_the_controller_holds_has_margins():
+    found = margins(linear_model(1 / (s - 2)), Gains(6.0, 1.0, 0.0, 0.0), settings(632.0, 0.0))
+    assert found.stable
+    assert found.gain_margin == pytest.approx(1.0 / 3.0, rel=1e-3)  # s^2 + (6 k - 2) s + k
+    assert found.phase_margin_deg > 40.0
+
+
+def test_a_loop_below_one_at_every_frequency_has_no_crossover():
+    found = margins(linear_model(0.2 / (s + 1)), Gains(0.5, 0.0, 0.0, 0.0), settings(100.0, 0.0))
+    assert found.phase_margin_deg == math.inf
+    assert math.isnan(found.gain_crossover_Hz)
+    assert found.gain_margin > 100.0
+
+
+def test_margins_of_a_model_need_no_import_of_python_control():
+    program = (
+        "import sys\n"
+        "from estune.interop import margins\n"
+        "from estune.core.gains import Gains\n"
+        "from estune.core.pidf import ControllerSettings\n"
+        "from estune.trial import LinearModel\n"
+        "model = LinearModel(A=((-1.0,),), B=(1.0,), C=(1.0,))\n"
+        "print(margins(model, Gains(1, 1, 0, 0), ControllerSettings(50, 0, -1, 1)).stable)\n"
+        "print('control' in sys.modules)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, check=True, text=True
+    )
+    assert done.stdout.split() == ["True", "False"]
