@@ -356,8 +356,9 @@ def test_an_unstable_plant_that_the_controller_holds_has_margins():
     assert found.phase_margin_deg > 40.0
 
 
-def test_a_loop_below_one_at_every_frequency_has_no_crossover():
-    found = margins(linear_model(0.2 / (s + 1)), Gains(0.5, 0.0, 0.0, 0.0), settings(100.0, 0.0))
+@pytest.mark.parametrize("system", [0.2 / (s + 1), control.tf([0.0], [1.0, 1.0])])
+def test_a_loop_below_one_at_every_frequency_has_no_crossover(system):
+    found = margins(linear_model(system), Gains(0.5, 0.0, 0.0, 0.0), settings(100.0, 0.0))
     assert found.phase_margin_deg == math.inf
     assert math.isnan(found.gain_crossover_Hz)
     assert found.gain_margin > 100.0

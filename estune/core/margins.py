@@ -232,8 +232,9 @@ def _resolved(theta: FloatArray, loop: Response, without_poles: Response) -> Flo
 
 
 def _turns(response: ComplexArray) -> FloatArray:
-    """How far a response turns from each point to the next, rad, without sign."""
-    return np.abs(np.angle(response[1:] / response[:-1]))
+    """How far a response turns from each point to the next, rad, without sign; NaN about zero."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.abs(np.angle(response[1:] / response[:-1]))
 
 
 def _is_stable(return_difference: ComplexArray) -> bool:
