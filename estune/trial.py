@@ -86,7 +86,7 @@ class StepProfile:
 
     def setpoint(self, sampling_Hz: float) -> FloatArray:
         """The setpoint at each sample, N, shape (samples,)."""
-        setpoint = np.full(self.samples(sampling_Hz), self.preload_N + self.step_N)
+        setpoint = np.full(self.samples(sampling_Hz), float(self.preload_N + self.step_N))
         setpoint[: self.step_index(sampling_Hz)] = self.preload_N
         return setpoint
 

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from plants.effects import CoulombFriction, Effect
-    from plants.linear_plant import LinearPlant, linear_plant
+    from plants.function import PythonPlant, python_plant
+    from plants.linear import LinearPlant, linear_plant
     from plants.plant import Plant
-    from plants.python_plant import PythonPlant, python_plant
     from plants.reel import Reel, reference_reel
     from plants.rig import SimulatedRig
-    from plants.simulate import Response, batch_costs, simulate
+    from plants.simulation import Response, batch_costs, simulate
 
 __all__ = [
     "CoulombFriction",
@@ -35,17 +35,17 @@ __all__ = [
 _HOMES = {
     "CoulombFriction": "plants.effects",
     "Effect": "plants.effects",
-    "LinearPlant": "plants.linear_plant",
+    "LinearPlant": "plants.linear",
     "Plant": "plants.plant",
-    "PythonPlant": "plants.python_plant",
+    "PythonPlant": "plants.function",
     "Reel": "plants.reel",
-    "Response": "plants.simulate",
+    "Response": "plants.simulation",
     "SimulatedRig": "plants.rig",
-    "batch_costs": "plants.simulate",
-    "linear_plant": "plants.linear_plant",
-    "python_plant": "plants.python_plant",
+    "batch_costs": "plants.simulation",
+    "linear_plant": "plants.linear",
+    "python_plant": "plants.function",
     "reference_reel": "plants.reel",
-    "simulate": "plants.simulate",
+    "simulate": "plants.simulation",
 }
 
 

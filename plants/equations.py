@@ -63,7 +63,7 @@ def pack(constants: Constants) -> tuple[Expression, Constants]:
 
 def column_of(constants: tuple[Any, ...]) -> Expression:
     """The structural nonzeros of all the constants, as one dense column."""
-    return ca.densify(ca.vertcat(*(value.nz[:] for value in constants)))
+    return ca.densify(ca.vertcat(*(ca.vec(value.nz[:]) for value in constants)))
 
 
 def held_input(

@@ -23,7 +23,7 @@ from plants.plant import (
 from plants.reel_equations import ReelStructure, drum_stiffness_Nm_rad, viscous_friction_Nms
 from plants.trial_loop import Batch, trial_loop
 
-SAFE_GAINS = Gains(P=0.25, I=6.0, D=0.006, setpoint_filter_s=0.05)
+SAFE_GAINS = Gains(P=0.4, I=12.0, D=0.01, setpoint_filter_s=0.03)
 """Deliberately mediocre: stable with room to spare over the lengths and tensions of the reel."""
 
 _MAY_BE_ZERO = (

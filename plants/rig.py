@@ -15,7 +15,7 @@ from estune.errors import RigError
 from estune.trial import Outcome, RigDescription, TrialRecord, TrialRequest
 from plants.noise import NoiseSource
 from plants.plant import SOFTWARE, Plant, check_not_negative
-from plants.simulate import Response, simulate, timeline
+from plants.simulation import Response, simulate, timeline
 
 Scalar = TypeVar("Scalar", bound=np.generic)
 

@@ -127,10 +127,10 @@ class CompiledLoop:
     def run(self, batch: Batch) -> Columns:
         """Runs the trials, one after the other."""
         # Kept by name, so that they outlive the call that has their addresses.
-        parameters = np.ascontiguousarray(batch.parameters)
-        coefficients = np.ascontiguousarray(batch.coefficients)
-        setpoint = np.ascontiguousarray(batch.setpoint_N)
-        noise = None if batch.noise_N is None else np.ascontiguousarray(batch.noise_N)
+        parameters = np.ascontiguousarray(batch.parameters, np.float64)
+        coefficients = np.ascontiguousarray(batch.coefficients, np.float64)
+        setpoint = np.ascontiguousarray(batch.setpoint_N, np.float64)
+        noise = None if batch.noise_N is None else np.ascontiguousarray(batch.noise_N, np.float64)
         trials, samples = len(coefficients), len(setpoint)
         columns = Columns.empty(trials, samples)
         failed = self._trials(

@@ -1,5 +1,6 @@
 """Any linear model of python-control, with a dead time beside it, as a plant."""
 
+import itertools
 import math
 from dataclasses import dataclass
 from functools import cached_property
@@ -117,13 +118,12 @@ class LinearPlant(Mounted, ServesAsRig):
         gain = float(np.abs(self.sampled.response(np.array([min(slow * h, 3.0)])))[0])
         if not (math.isfinite(gain) and gain > 0.0):
             return None
-        P = 0.5 / gain
-        for _ in range(20):
-            gains = Gains(P, P * slow / 2.0, 0.0, 0.0)
+        # A plant that integrates by itself bears little integral action, at any P.
+        for P, share in itertools.product(0.5 / gain / 2.0 ** np.arange(20), (0.5, 0.125, 0.03)):
+            gains = Gains(float(P), float(P) * slow * share, 0.0, 0.0)
             found = loop_margins(self.sampled, gains, self.controller)
             if found.stable and found.gain_margin >= 3.0 and found.phase_margin_deg >= 60.0:
                 return gains
-            P /= 2.0
         return None
 
 

@@ -13,7 +13,7 @@ from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
 from estune.errors import PlantError
 from estune.trial import SATURATED, FloatArray, RigDescription, RigLimits, StepProfile
-from plants.linear_plant import UNLIMITED_N, LONGEST_TRIAL_samples
+from plants.linear import UNLIMITED_N, LONGEST_TRIAL_samples
 from plants.plant import (
     Columns,
     Mounted,

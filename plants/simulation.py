@@ -146,7 +146,7 @@ def batch_costs(
         )
 
     starts = range(0, len(rows), CHUNK)
-    threads = min(workers or len(os.sched_getaffinity(0)), len(starts))
+    threads = min(workers or _cores(), len(starts))
     if threads <= 1:
         for start in starts:
             chunk(start)
@@ -179,6 +179,13 @@ def timeline(profile: StepProfile, sampling_Hz: float) -> tuple[FloatArray, Floa
     time, setpoint = np.arange(samples) / sampling_Hz, profile.setpoint(sampling_Hz)
     time.flags.writeable = setpoint.flags.writeable = False
     return time, setpoint
+
+
+def _cores() -> int:
+    """Cores this process may use, where the system says; else all."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 def _coefficients(plant: Plant, gains: ArrayLike) -> FloatArray:
