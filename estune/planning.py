@@ -78,7 +78,8 @@ def plan_to_json(plan: Plan) -> dict[str, Any]:
         for f in dataclasses.fields(plan)
         if f.name != "tuner" and (value := getattr(plan, f.name)) is not None
     }
-    settings = TypeAdapter(kind).dump_python(plan.tuner, mode="json")
+    tuner: Any = plan.tuner
+    settings = TypeAdapter(kind).dump_python(tuner, mode="json")
     return {"tuner": {"kind": f"{kind.__module__}:{kind.__qualname__}", **settings}, **shown}
 
 
