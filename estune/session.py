@@ -44,7 +44,8 @@ class Plan:
             `UNSAFE_RATIO` times the start's own cost.
 
     Raises:
-        InvalidInput: a count is too small or the limit is not above zero.
+        InvalidInput: a count is too small, the limit is not above zero, or the settling time is
+            longer than the trial.
     """
 
     run: str
@@ -63,6 +64,12 @@ class Plan:
             )
         if self.eta_max is not None and not (math.isfinite(self.eta_max) and self.eta_max > 0.0):
             raise InvalidInput(f"eta_max is {self.eta_max}; it must be finite and above zero")
+        after_s = self.step.duration_s - self.step.step_at_s
+        if self.cost.settling_time_s > after_s:
+            raise InvalidInput(
+                f"settling time {self.cost.settling_time_s:g} s is longer than the {after_s:g} s "
+                "after the step; make the trial longer, or choose a shorter settling time"
+            )
 
     @property
     def most_trials(self) -> int:

@@ -1,0 +1,97 @@
+"""Exported records: the same numbers to the last bit, in the columns others expect."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+import estune
+from estune.core.gains import GAIN_NAMES
+from estune.errors import JournalError
+from estune.export import export_run
+from estune.journal import Journal
+from estune.tuning import Stopped
+from tests.support_runs import ArithmeticRig
+
+COLUMNS = ["time_s", "setpoint_N", "tension_N", "current_A", "angle_rad", "flags"]
+METADATA = {
+    *("rig", "trial_id", "sampling_Hz", "cable_length_m", "preload_N", "loop", "gains", "profile"),
+    *("outcome", "reason", "started_at", "software"),
+}
+
+
+class Referenced(ArithmeticRig):
+    """Has an outside gauge too."""
+
+    def run(self, request):
+        record = super().run(request)
+        return replace(record, reference_N=record.tension_N / 3.0)
+
+
+@pytest.fixture(params=[ArithmeticRig, Referenced])
+def run(request, tmp_path):
+    return estune.tune(
+        request.param(), trials=2, repeats=1, folder=tmp_path, run="run", watch=None
+    )
+
+
+def read(path):
+    """Columns and metadata of an exported trial, by readers that are not ours."""
+    if path.suffix == ".parquet":
+        table = pq.read_table(path)
+        columns = {name: table[name].to_numpy() for name in table.column_names}
+        return columns, json.loads(table.schema.metadata[b"estune"])
+    names = path.read_text().splitlines()[0].split(",")
+    values = np.loadtxt(path, delimiter=",", skiprows=1)
+    return dict(zip(names, values.T, strict=True)), json.loads(
+        path.with_suffix(".json").read_text()
+    )
+
+
+@pytest.mark.parametrize("form", ["csv", "parquet"])
+def test_every_record_comes_back_bit_for_bit(run, form, tmp_path):
+    written = export_run(run.folder, tmp_path / "out", form)
+    assert [path.name for path in written] == [f"{e.trial_id}.{form}" for e in run.entries]
+    for path, entry in zip(written, run.entries, strict=True):
+        record = run.record(entry.number)
+        columns, about = read(path)
+        referenced = ["reference_N"] if record.reference_N is not None else []
+        assert list(columns) == COLUMNS[:-1] + referenced + COLUMNS[-1:]
+        for name, column in columns.items():
+            np.testing.assert_array_equal(column, getattr(record, name))
+        assert about.keys() == METADATA
+        assert about["gains"] == dict(zip(GAIN_NAMES, entry.gains.as_tuple(), strict=True))
+        assert about["outcome"] == "done"
+
+
+def test_a_second_export_replaces_the_first_and_leaves_no_other_file(run, tmp_path):
+    out = tmp_path / "out"
+    first = export_run(run.folder, out, "csv")
+    content = first[0].read_bytes()
+    first[0].write_text("half a fi")
+    assert export_run(run.folder, out, "csv") == first
+    assert first[0].read_bytes() == content
+    assert {path.suffix for path in out.iterdir()} == {".csv", ".json"}
+    assert len(list(out.iterdir())) == 2 * len(first)
+
+
+def test_a_trial_that_was_asked_for_but_never_told_is_left_out(tmp_path):
+    class Stopping(ArithmeticRig):
+        def run(self, request):
+            if request.number == 2:
+                raise KeyboardInterrupt
+            return super().run(request)
+
+    with pytest.raises(Stopped):
+        estune.tune(Stopping(), folder=tmp_path, run="cut", watch=None)
+    with Journal.open(tmp_path / "cut") as journal:
+        assert len(list(journal.entries())) == 3
+    assert len(export_run(tmp_path / "cut", tmp_path / "out", "csv")) == 2
+
+
+def test_a_folder_that_cannot_be_written_is_named(run, tmp_path):
+    (tmp_path / "file").write_text("in the way")
+    with pytest.raises(JournalError, match="file"):
+        export_run(run.folder, tmp_path / "file" / "out", "csv")

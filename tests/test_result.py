@@ -1,0 +1,245 @@
+"""What a run came to: an OptimizeResult, a frame, a table, figures; plain about how it ended."""
+
+import math
+import pickle
+import re
+import sys
+from dataclasses import replace
+from xml.etree import ElementTree as ET
+
+import numpy as np
+import pytest
+from scipy.optimize import OptimizeResult
+
+import estune
+from estune import figures, progress
+from estune.core.gains import Gains
+from estune.errors import JournalError
+from estune.journal import Journal
+from estune.result import Ending
+from estune.score import score
+from estune.session import Phase
+from estune.trial import LinearModel, Outcome
+from estune.tuning import Stopped, replay
+from tests.support_runs import START, ArithmeticRig
+
+
+class Unlucky(ArithmeticRig):
+    """Diverges in some trials and is interrupted before one."""
+
+    def __init__(self, *, diverging=(), stop_before=None, **changes):
+        super().__init__(**changes)
+        self.diverging, self.stop_before = diverging, stop_before
+
+    def run(self, request):
+        if request.number == self.stop_before:
+            raise KeyboardInterrupt
+        record = super().run(request)
+        if request.number in self.diverging:
+            return replace(record, outcome=Outcome.DIVERGED, reason="left the range")
+        return record
+
+
+@pytest.fixture(scope="module")
+def tuned(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("runs")
+    rig = Unlucky(diverging=(9, 12))
+    return estune.tune(rig, trials=40, folder=folder, run="run", watch=None)
+
+
+@pytest.fixture(scope="module")
+def stopped(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("runs")
+    with pytest.raises(Stopped):
+        estune.tune(Unlucky(stop_before=7), folder=folder, run="cut", watch=None)
+    return estune.load(folder / "cut")
+
+
+@pytest.fixture(scope="module")
+def unimproved():
+    rig = ArithmeticRig(gains=ArithmeticRig.best)
+    return estune.tune(rig, trials=6, journal=False, watch=None)
+
+
+def test_it_is_an_optimize_result(tuned):
+    assert isinstance(tuned, OptimizeResult)
+    assert tuned.success
+    assert tuned["status"] == tuned.status == 0
+    assert Gains(*tuned.x) == tuned.gains != START == tuned.start_gains
+    assert tuned.fun == tuned.verdict.cost < tuned.verdict.start_cost
+    assert (tuned.nit, tuned.nfev) == (40, len(tuned.entries))
+
+
+def test_it_survives_pickling(tuned):
+    again = pickle.loads(pickle.dumps(tuned))  # noqa: S301  our own
+    assert repr(again) == repr(tuned)
+    assert again.to_frame().equals(tuned.to_frame())
+
+
+def test_the_frame_has_a_row_per_trial_and_the_best_never_rises(tuned):
+    frame = tuned.to_frame()
+    assert list(frame["number"]) == list(range(tuned.nfev))
+    assert list(frame["trial_id"]) == [e.trial_id for e in tuned.entries]
+    assert list(frame.loc[frame["unsafe"], "number"]) == [9, 12]
+    assert set(frame["phase"]) == set(map(str, Phase))
+    best = frame["best_cost"].to_numpy()
+    assert (np.diff(best) <= 0.0).all()
+    assert best[-1] == frame.loc[~frame["unsafe"], "cost"].min()
+    row = frame.iloc[5]
+    assert Gains(row.P, row.I, row.D, row.setpoint_filter_s) == tuned.entries[5].gains
+
+
+def test_a_record_is_read_back_by_its_number(tuned):
+    record = tuned.record(5)
+    assert record.gains == tuned.entries[5].gains
+    cost = score(record, tuned.plan.step, tuned.plan.cost, tuned.rig.newtons_per_ampere).cost
+    assert cost == tuned.entries[5].cost
+    with pytest.raises(JournalError, match="no trial 999"):
+        tuned.record(999)
+
+
+def test_a_run_without_a_journal_keeps_the_records_it_shows(unimproved):
+    assert unimproved.record(0).trial_id == unimproved.entries[0].trial_id
+    with pytest.raises(JournalError, match="journal=True"):
+        unimproved.record(4)
+
+
+def test_the_table_shows_the_records_of_the_first_and_the_last_trial_of_the_gains(tuned):
+    start, found = tuned.start.record, tuned.tuned.record
+    assert start.trial_id == tuned.entries[0].trial_id
+    same = [
+        e.trial_id for e in tuned.entries if e.phase is Phase.CONFIRM and e.gains == found.gains
+    ]
+    assert found.gains == tuned.gains
+    assert found.trial_id == same[-1]
+    metrics = score(found, tuned.plan.step, tuned.plan.cost, tuned.rig.newtons_per_ampere).metrics
+    shown = {row.label: row.tuned for row in tuned.rows()}
+    assert shown["rise time"] == f"{metrics.rise_time_s * 1e3:.3g} ms"
+
+
+@pytest.mark.parametrize(
+    ("model", "start"),
+    [
+        (None, ("-", "-")),
+        # An integrator under P > 0 and I > 0 is stable.
+        (LinearModel(((0.0,),), (1.0,), (1.0,)), None),
+        (LinearModel(((500.0,),), (1.0,), (1.0,)), ("unstable", "unstable")),
+    ],
+    ids=["no model", "stable", "unstable"],
+)
+def test_margins_are_those_of_the_rigs_model_or_said_to_be_missing(model, start):
+    rig = ArithmeticRig(linear_model=model)
+    result = estune.tune(rig, trials=1, repeats=1, journal=False, watch=None)
+    shown = {row.label: row.start for row in result.rows()}
+    margins = (shown["gain margin"], shown["phase margin"])
+    if start is None:
+        on_model = result.start.margins
+        gain_dB = 20.0 * math.log10(on_model.gain_margin)
+        start = (f"{gain_dB:.1f} dB", f"{on_model.phase_margin_deg:.0f}°")
+    assert margins == start
+
+
+@pytest.mark.parametrize("kind", ["stopped", "unimproved"])
+def test_a_run_that_found_nothing_does_not_look_like_one_that_did(kind, request, tuned):
+    result = request.getfixturevalue(kind)
+    assert not result.success
+    assert result.status != 0
+    assert result.gains == result.start_gains
+    assert result.ending in (Ending.STOPPED, Ending.NO_IMPROVEMENT)
+    for shown in (repr(result), result._repr_html_()):
+        assert result.ending.upper() in shown
+        assert "TUNED" not in shown
+    assert "tuned" not in repr(result)
+    assert all(row.tuned == "" for row in result.rows())
+    assert not result.findings
+    assert repr(tuned).startswith("TUNED")
+
+
+def test_unsafe_start_gains_are_an_ending_of_their_own(tmp_path):
+    with pytest.raises(estune.EstuneError, match="unsafe"):
+        estune.tune(Unlucky(diverging=(0,)), folder=tmp_path, run="unsafe", watch=None)
+    result = estune.load(tmp_path / "unsafe")
+    assert result.ending is Ending.UNSAFE_START
+    assert "UNSAFE START" in repr(result)
+    assert result.figure()
+
+
+def test_the_html_is_well_formed_and_escapes_what_others_wrote(tuned):
+    rig = ArithmeticRig(name="<script>&")
+    strange = estune.tune(rig, trials=1, repeats=1, journal=False, watch=None)
+    html = strange._repr_html_()
+    ET.fromstring(html)  # noqa: S314  our own text
+    assert "<script>" not in html
+    assert "&lt;script&gt;&amp;" in html
+    assert tuned._repr_html_().count("<svg") == 1
+
+
+def test_plots_take_an_ax_and_give_it_back_with_units_and_without_pyplot(tuned):
+    ax = figures.new_axes()
+    assert tuned.plot_cost(ax) is ax
+    labels = [tuned.plot_response().get_xlabel(), tuned.plot_response().get_ylabel()]
+    assert labels == ["time from the step, s", "tension, N"]
+    assert tuned.plot_gains().get_yscale() == "log"
+    assert "matplotlib.pyplot" not in sys.modules
+    assert figures.to_png(tuned.figure()).startswith(b"\x89PNG")
+
+
+def test_unsafe_trials_are_marked_and_do_not_set_the_scale(tuned):
+    ax = tuned.plot_cost()
+    crosses = next(line for line in ax.lines if line.get_label() == "unsafe")
+    assert list(crosses.get_xdata()) == [9, 12]
+    assert ax.get_ylim()[1] < 2.0 * tuned.to_frame().loc[~tuned.to_frame()["unsafe"], "cost"].max()
+
+
+def test_the_cost_axis_is_logarithmic_only_over_more_than_a_decade(tuned):
+    frame = tuned.to_frame()
+    narrow = figures.draw_cost(figures.new_axes(), frame, 1.0, math.inf)
+    frame.loc[frame["number"] == 4, "cost"] = 1000.0
+    wide = figures.draw_cost(figures.new_axes(), frame, 1.0, math.inf)
+    assert (narrow.get_yscale(), wide.get_yscale()) == ("linear", "log")
+
+
+def test_a_run_of_one_trial_or_none_can_be_drawn(tmp_path):
+    for stop_before in (0, 1):
+        rig = Unlucky(stop_before=stop_before)
+        with pytest.raises(Stopped):
+            estune.tune(rig, folder=tmp_path, run=f"run{stop_before}", watch=None)
+        result = estune.load(tmp_path / f"run{stop_before}")
+        assert result.nfev == stop_before
+        assert figures.to_png(result.figure())
+        assert "STOPPED" in repr(result)
+
+
+def test_plain_progress_is_a_heading_and_some_lines_whatever_the_number_of_trials(capsys):
+    for trials in (40, 400):
+        estune.tune(ArithmeticRig(), trials=trials, journal=False)
+        lines = capsys.readouterr().err.splitlines()
+        assert 8 <= len(lines) <= 20
+        assert "Ctrl-C" in lines[0]
+        assert lines[1].startswith("baseline")
+        done, most = re.search(r"confirm +(\d+) of (\d+)", lines[-1]).groups()
+        assert done == most
+
+
+def test_a_resumed_run_counts_its_best_and_unsafe_trials_from_the_beginning(tmp_path):
+    rig = Unlucky(diverging=(5,), stop_before=20)
+    with pytest.raises(Stopped):
+        estune.tune(rig, trials=40, folder=tmp_path, run="cut", watch=None)
+    before = estune.load(tmp_path / "cut")
+    seen = []
+
+    def watch(shown):
+        seen.append(shown)
+
+    with Journal.open(tmp_path / "cut") as journal:
+        tally = progress.Tally(replay(before.plan, before.rig, journal))
+    assert tally.status().unsafe == 1
+    assert tally.status().best == before.to_frame()["best_cost"].iloc[-1]
+    assert tally.status().done == 20
+    rig.stop_before = None
+    estune.resume(tmp_path / "cut", rig, watch=watch)
+    assert seen[0].entry.number == 20
+
+
+def test_a_result_is_the_same_from_memory_and_from_disk(tuned):
+    assert repr(estune.load(tuned.folder)) == repr(tuned)
