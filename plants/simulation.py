@@ -1,6 +1,7 @@
 """One simulated trial, and batches of them on all cores."""
 
 import os
+import sys
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
@@ -81,7 +82,8 @@ def simulate(
         row,
         profile,
         None if noise_N is None else noise_N[np.newaxis],
-        bound(profile) if bound_N is None else bound_N,
+        # A response that is not finite has diverged whatever the bound.
+        bound(profile) if bound_N is None else min(bound_N, sys.float_info.max),
     )
     ended = int(columns.ended[0])
     kept = slice(ended)

@@ -1,0 +1,274 @@
+import logging
+import os
+import subprocess
+import sys
+import threading
+
+import control
+import numpy as np
+import pytest
+
+import plants
+from estune.core.cost import StepCost
+from estune.core.gains import Gains
+from estune.errors import InvalidInput, PlantError
+from estune.trial import SATURATED, StepProfile
+from plants import compiler
+from plants.noise import NoiseSource
+from plants.trial_loop import CompiledLoop, VirtualLoop, _functions, trial_loop
+
+GAINS = Gains(1.2, 50.0, 0.02, 0.004)
+FRICTION = plants.reference_reel() + plants.CoulombFriction(torque_Nm=0.03)
+
+
+@pytest.fixture
+def cache(tmp_path, monkeypatch):
+    """An empty cache of its own."""
+    folder = tmp_path / "cache"
+    monkeypatch.setenv("ESTUNE_CACHE", str(folder))
+    return folder
+
+
+def libraries(folder):
+    return sorted(folder.glob("*.so"))
+
+
+PLANTS = {
+    "reel": FRICTION,
+    "fraction": plants.reference_reel(dead_time_s=2.4 / 632.0) + plants.CoulombFriction(),
+    "slow gauge": plants.reference_reel(gauge_Hz=40.0, sampling_Hz=100.0, dead_time_s=0.0),
+    "linear": plants.linear_plant(control.tf([1.0], [0.2, 1.0]), 0.31, 50.0),
+    "saturated": plants.linear_plant(control.tf([1.0], [0.2, 1.0]), 0.0, 50.0, output_max_N=0.9),
+}
+
+
+@pytest.mark.parametrize("name", PLANTS)
+def test_the_virtual_machine_gives_the_numbers_of_the_compiled_trial(name, monkeypatch):
+    plant = PLANTS[name]
+    profile = StepProfile(15.0, 10.0, 0.1, 0.6)
+    samples = profile.samples(plant.controller.sampling_Hz)
+    noise = np.random.default_rng(4).normal(0.0, 0.05, samples)
+    compiled = plants.simulate(plant, GAINS, profile, noise_N=noise)
+    virtual_loop = VirtualLoop(_functions(plant.structure.equations()))
+    for home in ("plants.reel", "plants.linear"):
+        monkeypatch.setattr(f"{home}.trial_loop", lambda _: virtual_loop)
+    virtual = plants.simulate(plant, GAINS, profile, noise_N=noise)
+    for column in ("tension_N", "effort_N", "angle_rad"):
+        assert getattr(virtual, column) == pytest.approx(
+            getattr(compiled, column), rel=1e-10, abs=1e-10
+        )
+    assert np.array_equal(virtual.flags, compiled.flags)
+    assert virtual.diverged_at == compiled.diverged_at
+
+
+def test_one_structure_is_compiled_once(cache):
+    a = trial_loop.__wrapped__(plants.reference_reel(0.5, 8.0).structure)
+    b = trial_loop.__wrapped__(plants.reference_reel(1.4, 30.0, gauge_Hz=250.0).structure)
+    assert isinstance(a, CompiledLoop)
+    assert isinstance(b, CompiledLoop)
+    assert len(libraries(cache)) == 1
+
+
+@pytest.mark.parametrize(
+    "damage", [lambda b: b[: len(b) // 2], lambda _: b"", lambda b: b[:-9] + b"corrupted"]
+)
+def test_a_spoilt_library_is_made_anew(cache, damage):
+    source = "int estune_spoilt(void) { return 41; }"
+    source = source.replace("int", '__attribute__((visibility("default"))) int', 1)
+    assert compiler.load(source).estune_spoilt() == 41
+    (library,) = libraries(cache)
+    whole = library.read_bytes()
+    library.unlink()  # a new file, for this process still has the old one in memory
+    library.write_bytes(damage(whole))
+    assert compiler.load(source).estune_spoilt() == 41
+    (again,) = libraries(cache)
+    assert again.read_bytes() == whole
+
+
+def test_many_processes_may_compile_the_same_at_once(cache):
+    code = (
+        "import plants; from estune.core.gains import Gains;"
+        "r = plants.simulate(plants.reference_reel(), Gains(1.0, 30.0, 0.01, 0.01));"
+        "print(repr(float(r.tension_N.sum())))"
+    )
+    started = [
+        subprocess.Popen(
+            [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        )
+        for _ in range(4)
+    ]
+    answers = [process.communicate(timeout=120) for process in started]
+    assert {error for _, error in answers} == {""}
+    assert len({out for out, _ in answers}) == 1
+    assert {path.suffix for path in cache.iterdir()} == {".so"}  # nothing half made is left
+
+
+def run_elsewhere(**environment):
+    """A trial in a new process: its answer and what it said."""
+    code = (
+        "import plants; from estune.core.gains import Gains; from plants import trial_loop;"
+        "a = plants.reference_reel(); b = a + plants.CoulombFriction();"
+        "g = Gains(1.2, 50.0, 0.02, 0.004);"
+        "n = [float(plants.simulate(r, g).tension_N.sum()) for r in (a, b, a)];"
+        "print(type(trial_loop.trial_loop(a.structure)).__name__, n[0])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        capture_output=True, text=True, timeout=120, check=True, env={**os.environ, **environment},
+    )  # fmt: skip
+    kind, total = done.stdout.split()
+    return kind, float(total), done.stderr
+
+
+TOTAL = float(plants.simulate(plants.reference_reel(), GAINS).tension_N.sum())
+
+
+def test_without_a_compiler_the_virtual_machine_serves_and_says_so_once(cache):
+    kind, total, said = run_elsewhere(PATH=str(cache), CC="")
+    assert kind == "VirtualLoop"
+    assert total == pytest.approx(TOTAL, rel=1e-12)
+    assert said.count("virtual machine") == 1
+    assert "no C compiler found" in said
+
+
+def test_a_compiler_that_fails_is_named(tmp_path, cache):
+    broken = tmp_path / "broken-cc"
+    broken.write_text("#!/bin/sh\necho 'out of ideas' >&2\nexit 3\n")
+    broken.chmod(0o755)
+    kind, total, said = run_elsewhere(CC=str(broken))
+    assert (kind, total) == ("VirtualLoop", pytest.approx(TOTAL, rel=1e-12))
+    assert "broken-cc failed: out of ideas" in said
+    assert libraries(cache) == []
+
+
+def test_a_cache_that_cannot_be_written_gives_way_to_a_temporary_folder(tmp_path):
+    blocked = tmp_path / "file"
+    blocked.write_text("in the way")
+    kind, total, said = run_elsewhere(ESTUNE_CACHE=str(blocked / "cache"))
+    assert (kind, total, said) == ("CompiledLoop", TOTAL, "")
+
+
+def test_the_notice_is_given_once(caplog, monkeypatch):
+    monkeypatch.setattr(compiler, "_noticed", threading.Event())
+    with caplog.at_level(logging.WARNING):
+        compiler.notice("first")
+        compiler.notice("second")
+    (record,) = caplog.records
+    assert record.getMessage().endswith("first")
+
+
+@pytest.mark.parametrize("plant", [FRICTION, PLANTS["linear"]])
+def test_a_batch_costs_what_its_trials_cost_one_by_one(plant):
+    step = StepProfile(15.0, 5.0, 0.1, 1.5)
+    cost = StepCost(0.5, move_weight=0.2)
+    rate = plant.controller.sampling_Hz
+    table = np.exp(np.random.default_rng(2).normal(0.0, 0.3, (150, 4))) * GAINS.as_tuple()
+    expected = []
+    for row in table:
+        trial = plants.simulate(plant, Gains(*row), step)
+        finished = trial.diverged_at is None
+        expected.append(
+            cost.evaluate(
+                rate, step.step_index(rate), step.step_N,
+                trial.setpoint_N, trial.tension_N, trial.effort_N,
+            ) if finished else np.nan
+        )  # fmt: skip
+    for workers in (1, 2, None):
+        found = plants.batch_costs(plant, table, step, cost, workers=workers)
+        assert found == pytest.approx(np.array(expected), rel=1e-12, nan_ok=True)
+
+
+def test_the_noise_of_a_batch_is_that_of_the_rig():
+    reel, step, cost = plants.reference_reel(), StepProfile(15.0, 10.0, 0.2, 1.0), StepCost(0.13)
+    costs = plants.batch_costs(reel, [GAINS.as_tuple()] * 70, step, cost, seed=9)
+    noise = NoiseSource(9).draw(66, 632, reel.gauge_noise_N)
+    trial = plants.simulate(reel, GAINS, step, noise_N=noise)
+    alone = cost.evaluate(632.0, 126, 10.0, trial.setpoint_N, trial.tension_N, trial.effort_N)
+    assert costs[66] == pytest.approx(alone, rel=1e-12)
+    assert np.ptp(costs) > 0.0
+
+
+def test_an_empty_batch_costs_nothing():
+    assert plants.batch_costs(FRICTION, np.empty((0, 4)), None, StepCost(0.1)).shape == (0,)
+
+
+UNSTABLE = plants.linear_plant(control.tf([1.0], [1.0, -1.0]), 0.0, 20.0)
+
+
+def test_divergence_ends_the_trial_and_tells_the_sample():
+    step = StepProfile(0.0, 1.0, 0.5, 40.0)
+    trial = plants.simulate(UNSTABLE, Gains(0.1, 0.0, 0.0, 0.0), step)
+    assert trial.diverged_at is not None
+    columns = (trial.time_s, trial.setpoint_N, trial.tension_N, trial.effort_N, trial.angle_rad)
+    assert {len(column) for column in (*columns, trial.flags)} == {trial.diverged_at}
+    assert np.abs(trial.tension_N).max() <= 100.0  # a hundred times the step
+    further = plants.simulate(UNSTABLE, Gains(0.1, 0.0, 0.0, 0.0), step, bound_N=1e3)
+    assert further.diverged_at > trial.diverged_at
+    assert np.abs(further.tension_N[trial.diverged_at]) > 100.0
+    stable = plants.simulate(UNSTABLE, Gains(3.0, 1.0, 0.0, 0.0), step)
+    assert stable.diverged_at is None
+
+
+def test_a_response_that_is_not_finite_has_diverged_whatever_the_bound():
+    step = StepProfile(0.0, 1.0, 0.5, 2000.0)
+    trial = plants.simulate(UNSTABLE, Gains(0.1, 0.0, 0.0, 0.0), step, bound_N=float("inf"))
+    assert trial.diverged_at is not None
+    assert np.isfinite(trial.tension_N).all()
+
+
+def test_a_diverged_trial_of_a_batch_has_no_cost():
+    step = StepProfile(0.0, 1.0, 0.5, 40.0)
+    costs = plants.batch_costs(
+        UNSTABLE, [(0.1, 0.0, 0.0, 0.0), (3.0, 1.0, 0.0, 0.0)], step, StepCost(5.0)
+    )
+    assert np.isnan(costs[0])
+    assert np.isfinite(costs[1])
+
+
+def test_saturation_is_flagged_where_the_limits_act():
+    trial = plants.simulate(
+        PLANTS["saturated"], Gains(3.0, 5.0, 0.0, 0.0), StepProfile(0.0, 0.8, 0.1, 3.0)
+    )
+    assert set(np.unique(trial.flags)) == {0, SATURATED}
+    assert np.all(trial.effort_N[trial.flags == SATURATED] == 0.9)
+
+
+def cost_of(gains, settling_time_s=0.1):
+    return plants.batch_costs(FRICTION, gains, None, StepCost(settling_time_s))
+
+
+@pytest.mark.parametrize(
+    ("call", "told"),
+    [
+        (lambda: cost_of([[1.0, 2.0]]), r"shape \(1, 2\)"),
+        (lambda: cost_of([(1, 1, 0, 0), (1, np.nan, 0, 0)]), "gain I is nan"),
+        (lambda: cost_of([(-1, 1, 0, 0)]), "gain P is -1"),
+        (lambda: cost_of([(1, 1, 0, 0)], 9.0), "settling time 9 s"),
+        (lambda: plants.simulate(FRICTION, GAINS, noise_N=np.zeros(3)), "632 samples"),
+        (lambda: plants.simulate(FRICTION, GAINS, StepProfile(15, 1, 1e-4, 2e-4)), "longer"),
+        (lambda: NoiseSource(-1), "seed is -1"),
+        (lambda: NoiseSource(1.5), "seed is 1.5"),
+    ],
+)
+def test_what_cannot_be_simulated_is_told_in_a_line(call, told):
+    with pytest.raises(InvalidInput, match=told) as caught:
+        call()
+    assert "\n" not in str(caught.value)
+
+
+def test_an_error_in_a_thread_reaches_the_caller():
+    plant = plants.python_plant(lambda *_: None, 0.0, sampling_Hz=20.0, settling_time_s=1.0)
+    with pytest.raises(PlantError, match="NoneType"):
+        plants.batch_costs(plant, [(1, 1, 0, 0)] * 200, None, StepCost(1.0), workers=2)
+
+
+def test_noise_is_white_and_depends_on_seed_and_number_alone():
+    source = NoiseSource(5)
+    first = source.draw(3, 4000, 0.04)
+    source.draw(8, 10, 1.0)
+    assert np.array_equal(source.draw(3, 4000, 0.04), first)
+    assert np.array_equal(NoiseSource(5).draw(3, 632, 0.04), first[:632])
+    others = (NoiseSource(5).draw(4, 4000, 0.04), NoiseSource(6).draw(3, 4000, 0.04))
+    for other in (*others, np.roll(first, 1)):
+        assert abs(np.corrcoef(first, other)[0, 1]) < 0.06
+    assert np.std(first) == pytest.approx(0.04, rel=0.05)

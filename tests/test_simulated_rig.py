@@ -1,0 +1,177 @@
+import threading
+import time
+
+import control
+import numpy as np
+import pytest
+
+import plants
+from estune.core.gains import Gains
+from estune.errors import InvalidInput, RigError
+from estune.interop import margins
+from estune.trial import Outcome, StepProfile, TrialRequest
+
+GAINS = Gains(1.0, 40.0, 0.015, 0.005)
+STEP = StepProfile(15.0, 10.0, 0.2, 1.0)
+
+
+def ask(number=0, gains=GAINS, step=STEP, run="run", attempt=0):
+    return TrialRequest(run, number, gains, step, attempt)
+
+
+def columns(record):
+    names = ("time_s", "setpoint_N", "tension_N", "current_A", "angle_rad", "flags")
+    return [getattr(record, name) for name in names]
+
+
+def test_a_record_says_what_was_run():
+    rig = plants.reference_reel().rig(name="left", seed=3)
+    record = rig.run(ask(4))
+    assert (record.trial_id, record.rig, record.outcome) == ("run-00004", "left", Outcome.DONE)
+    assert (record.gains, record.preload_N, record.cable_length_m) == (GAINS, 15.0, 0.8)
+    assert {len(column) for column in columns(record)} == {632}
+    assert np.array_equal(record.setpoint_N, STEP.setpoint(632.0))
+    assert record.time_s[-1] == pytest.approx(631 / 632)
+    assert record.tension_N[-60:].mean() == pytest.approx(25.0, abs=0.1)
+    assert record.current_A[-60:].mean() == pytest.approx(25.0 / 20.0, abs=0.02)
+    assert np.std(record.tension_N[:60]) == pytest.approx(0.04, rel=0.3)
+
+
+def test_noise_depends_on_the_seed_and_the_trial_number_alone():
+    a, b, c = (plants.reference_reel().rig(seed=seed) for seed in (1, 1, 2))
+    a.run(ask(0))
+    once = a.run(ask(7)).tension_N
+    assert np.array_equal(once, b.run(ask(7, run="other", attempt=2)).tension_N)
+    assert not np.array_equal(once, c.run(ask(7)).tension_N)
+    assert not np.array_equal(once, a.run(ask(8)).tension_N)
+
+
+def test_a_trial_asked_for_again_is_not_run_again():
+    rig = plants.reference_reel().rig()
+    first = rig.run(ask())
+    assert rig.run(ask()) is first
+    with pytest.raises(RigError, match="run-00000 has run with other gains"):
+        rig.run(ask(gains=Gains(2.0, 40.0, 0.015, 0.005)))
+    assert rig.run(ask(attempt=1)).trial_id == "run-00000.1"
+
+
+def test_records_handed_out_cannot_be_changed():
+    record = plants.reference_reel().rig().run(ask())
+    for column in columns(record):
+        with pytest.raises(ValueError, match="read-only"):
+            column[0] = 1.0
+
+
+def test_the_number_of_records_kept_is_bounded():
+    rig = plants.reference_reel().rig()
+    first = rig.run(ask())
+    for number in range(1, 300):
+        rig.run(ask(number))
+    again = rig.run(ask())
+    assert again is not first
+    assert np.array_equal(again.tension_N, first.tension_N)
+
+
+def test_a_trial_leaves_the_live_gains_alone():
+    rig = plants.reference_reel().rig()
+    before = rig.describe().gains
+    rig.run(ask())
+    assert rig.describe().gains == before
+    rig.apply(GAINS)
+    assert rig.describe().gains == GAINS
+    assert plants.reference_reel().rig(gains=GAINS).describe().gains == GAINS
+
+
+@pytest.mark.parametrize(
+    "step",
+    [
+        StepProfile(2.0, 10.0, 0.2, 1.0),
+        StepProfile(35.0, 10.0, 0.2, 1.0),
+        StepProfile(15.0, -12.0, 0.2, 1.0),
+        StepProfile(15.0, 10.0, 0.2, 100.0),
+    ],
+)
+def test_a_request_outside_the_limits_is_refused(step):
+    rig = plants.reference_reel().rig()
+    with pytest.raises(InvalidInput):
+        rig.run(ask(step=step))
+    assert rig.run(ask()).outcome is Outcome.DONE  # the id was not used up
+
+
+def test_a_closed_rig_refuses():
+    rig = plants.reference_reel().rig(name="left")
+    rig.close()
+    rig.close()
+    for call in (rig.describe, rig.abort, lambda: rig.run(ask()), lambda: rig.apply(GAINS)):
+        with pytest.raises(RigError, match="left is closed"):
+            call()
+
+
+def test_divergence_is_an_outcome():
+    plant = plants.linear_plant(control.tf([1.0], [1.0, -1.0]), 0.0, 20.0)
+    rig = plant.rig(gains=Gains(3.0, 1.0, 0.0, 0.0))
+    record = rig.run(ask(gains=Gains(0.1, 0.0, 0.0, 0.0), step=StepProfile(0.0, 1.0, 0.5, 40.0)))
+    assert record.outcome is Outcome.DIVERGED
+    assert f"at sample {len(record.time_s)}," in record.reason
+    assert all(np.isfinite(column).all() for column in columns(record))
+
+
+def test_abort_ends_a_trial_that_takes_its_time():
+    rig = plants.reference_reel().rig(pace=1.0)
+    step = StepProfile(15.0, 10.0, 0.2, 60.0)
+    records = []
+    trial = threading.Thread(target=lambda: records.append(rig.run(ask(step=step))))
+    trial.start()
+    while not rig._running:
+        time.sleep(0.001)
+    before = rig.describe().gains
+    assert rig.abort().gains == before
+    trial.join(timeout=30.0)
+    (record,) = records
+    assert record.outcome is Outcome.CANCELLED
+    assert {len(column) for column in columns(record)} == {len(record.time_s)}
+    assert len(record.time_s) < step.samples(632.0)
+    assert rig.run(ask(step=step)) is record
+    assert rig.run(ask(1, step=StepProfile(15.0, 10.0, 0.01, 0.02))).outcome is Outcome.DONE
+
+
+def test_abort_without_a_trial_does_nothing_to_the_next():
+    rig = plants.reference_reel().rig(pace=0.001)
+    assert rig.abort() == rig.describe()
+    assert rig.run(ask()).outcome is Outcome.DONE
+
+
+def test_a_paced_trial_takes_its_time():
+    rig = plants.reference_reel().rig(pace=1.0)
+    began = time.monotonic()
+    record = rig.run(ask(step=StepProfile(15.0, 10.0, 0.05, 0.2)))
+    assert record.outcome is Outcome.DONE
+    assert time.monotonic() - began >= 0.19  # waiting can only be too long, never too short
+
+
+@pytest.mark.parametrize("length", [0.5, 0.8, 1.1, 1.4])
+@pytest.mark.parametrize("tension", [5.0, 15.0, 40.0])
+def test_the_reels_own_gains_are_safe_over_its_range(length, tension):
+    rig = plants.reference_reel(length, tension).rig()
+    told = rig.describe()
+    found = margins(told.linear_model, told.gains, told.controller)
+    assert found.gain_margin > 4.0
+    assert found.phase_margin_deg > 45.0
+    record = rig.run(ask(gains=told.gains, step=told.step))
+    final = told.step.preload_N + told.step.step_N
+    assert record.tension_N[-60:].mean() == pytest.approx(final, abs=0.05 * abs(told.step.step_N))
+    assert told.settling_time_s < told.step.duration_s - told.step.step_at_s
+
+
+def test_a_rig_describes_its_reel():
+    reel = plants.reference_reel(1.1, 20.0)
+    told = reel.rig(name="right").describe()
+    stiffness = 1.0 / (1.0 / 20e3 + 1.1 / 10e3)
+    natural = 0.025 * np.sqrt(stiffness / 2e-3)
+    assert told.settling_time_s == pytest.approx(2 * np.pi / natural, rel=1e-3)
+    assert (told.name, told.cable_length_m, told.newtons_per_ampere) == ("right", 1.1, 20.0)
+    assert told.step == StepProfile(20.0, 10.0, 0.2, 1.0)
+    assert told.linear_model.dead_time_s == pytest.approx(1 / 632)
+    assert told.software.startswith("estune ")
+    with pytest.raises(InvalidInput, match="pace"):
+        reel.rig(pace=float("nan"))
