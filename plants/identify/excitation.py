@@ -178,9 +178,9 @@ def multisine(
         sampling_Hz: Sampling rate.
         band: Frequencies and periods.
         peak_N: Largest size of the signal, N.
-        slope: Amplitudes go with `(f/corner)^slope` above the corner and are equal below it. A reel
-            falls off with f^2 above its resonance: a slope of 1 or 1.5 spends the current limit
-            where the gauge sees little, and spares the resonance.
+        slope: Amplitudes go with `(f/corner)^slope` above the corner and are equal below it. A
+            reel falls off with f^2 above its resonance: a slope of 1 or 1.5 spends the current
+            limit where the gauge sees little, and spares the resonance.
         corner_Hz: Where the slope begins; zero is at the lowest line.
         seed: Chooses the lines left out.
 

@@ -1,0 +1,397 @@
+"""Gains to begin a tuning from, by rule from the second-order model of the plant.
+
+The paper takes its initial gains from the identified second-order model by the rules of Shen &
+Chiang ("PID tuning rules for second order systems", 5th Asian Control Conference, 2004). The
+formulas of those rules are not given in the paper nor reproduced here; `sensitivity_limited`
+answers the same question, the PID gains of a second-order plant with dead time, from first
+principles (it is not their rule), and the common rules stand beside it. Every proposal carries the
+margins of the loop as it will run: sampled, held, with the derivative filter.
+
+All rules take the setpoint filter's time constant as P/I, which cancels the zero that the setpoint
+path `C_r = P + I/s`, (33), would add.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal, NamedTuple, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estune.core.gains import Gains
+from estune.core.margins import (
+    Margins,
+    SampledPlant,
+    controller_response,
+    loop_margins,
+    sample_plant,
+)
+from estune.core.pidf import ControllerSettings
+from estune.core.second_order import SecondOrder
+from estune.errors import InvalidInput, UnsafeStart
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+Rule = Literal["sensitivity_limited", "imc", "pole_placement", "ziegler_nichols"]
+RULES: tuple[Rule, ...] = get_args(Rule)
+
+LEAST_GAIN_MARGIN = 1.5
+LEAST_PHASE_MARGIN_deg = 25.0
+"""A start with less is refused: the first dithered trials would be on the edge."""
+
+GRID_POINTS = 600
+"""Frequencies at which the sensitivity is held down."""
+ROUNDS = 60
+
+
+class Proposal(NamedTuple):
+    """Gains by a rule, and what the loop makes of them.
+
+    Attributes:
+        rule: The rule.
+        gains: What it says.
+        margins: Margins of the sampled loop with the model; `stable` says whether it is.
+    """
+
+    rule: Rule
+    gains: Gains
+    margins: Margins
+
+    @property
+    def safe(self) -> bool:
+        """Whether the loop is stable with room to spare."""
+        return (
+            self.margins.stable
+            and self.margins.phase_margin_deg >= LEAST_PHASE_MARGIN_deg
+            and max(self.margins.gain_margin, 1.0 / self.margins.gain_margin) >= LEAST_GAIN_MARGIN
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class SensitivityLimits:
+    """How far `sensitivity_limited` may go.
+
+    Attributes:
+        sensitivity: Greatest |1/(1 + L)|: 1.4 is cautious, 2 bold.
+        setpoint_peak: Greatest |T|, from setpoint to output through the filter: 1 is no resonance.
+        noise_gain: Greatest C_y at half the sampling rate, N of effort per N of noise.
+
+    Raises:
+        InvalidInput: a value is out of its range.
+    """
+
+    sensitivity: float = 1.6
+    setpoint_peak: float = 1.02
+    noise_gain: float = 8.0
+
+    def __post_init__(self) -> None:
+        for what, value in (
+            ("sensitivity limit", self.sensitivity),
+            ("setpoint peak", self.setpoint_peak),
+        ):
+            if not (math.isfinite(value) and value > 1.0):
+                raise InvalidInput(f"{what} is {value}; it must be finite and above 1")
+        if not (math.isfinite(self.noise_gain) and self.noise_gain > 0.0):
+            raise InvalidInput(
+                f"noise gain limit is {self.noise_gain}; it must be finite and above zero"
+            )
+
+
+def initial_gains(
+    model: SecondOrder, settings: ControllerSettings, rule: Rule = "sensitivity_limited"
+) -> Gains:
+    """The gains of one rule, refused where they would not be safe to begin from.
+
+    Args:
+        model: The plant with the effort as its input: gain in N/N.
+        settings: Sampling rate and derivative filter of the controller.
+        rule: Which rule.
+
+    Raises:
+        InvalidInput: there is no such rule, or it does not apply to the model.
+        UnsafeStart: the loop would be unstable, or near it.
+    """
+    if rule not in RULES:
+        raise InvalidInput(f"there is no rule {rule!r}; choose one of {', '.join(RULES)}")
+    proposal = propose(model, settings, rule)
+    if not proposal.safe:
+        m = proposal.margins
+        how = (
+            f"gain margin {m.gain_margin:.2f} and phase margin {m.phase_margin_deg:.0f} degrees, "
+            f"where {LEAST_GAIN_MARGIN} and {LEAST_PHASE_MARGIN_deg:.0f} are the least"
+            if m.stable
+            else "the loop is unstable"
+        )
+        raise UnsafeStart(
+            f"the gains by {rule} are no safe start: {how}; use sensitivity_limited, or check "
+            "the identified model"
+        )
+    return proposal.gains
+
+
+def proposals(model: SecondOrder, settings: ControllerSettings) -> tuple[Proposal, ...]:
+    """What each rule says, in the order of `RULES`; those that do not apply are left out."""
+    found = []
+    for rule in RULES:
+        try:
+            found.append(propose(model, settings, rule))
+        except InvalidInput:
+            continue
+    return tuple(found)
+
+
+def propose(model: SecondOrder, settings: ControllerSettings, rule: Rule) -> Proposal:
+    """What one rule says, safe or not.
+
+    Raises:
+        InvalidInput: the rule does not apply to the model.
+    """
+    rules: dict[Rule, Callable[[SecondOrder, ControllerSettings], Gains]] = {
+        "sensitivity_limited": sensitivity_limited,
+        "imc": imc,
+        "pole_placement": pole_placement,
+        "ziegler_nichols": ziegler_nichols,
+    }
+    gains = rules[rule](model, settings)
+    return Proposal(rule, gains, loop_margins(_sampled(model, settings), gains, settings))
+
+
+def ziegler_nichols(model: SecondOrder, settings: ControllerSettings) -> Gains:
+    """`K = 0.6 K_u, Ti = T_u/2, Td = T_u/8` (Ziegler & Nichols 1942), K_u of the sampled loop.
+
+    Made for overdamped plants; on a resonant reel it says little, and is often unstable.
+
+    Raises:
+        InvalidInput: no proportional gain makes the loop oscillate.
+    """
+    # Low enough to be stable whatever the resonance adds.
+    small = Gains(0.02 * model.damping / model.gain, 0.0, 0.0, 0.0)
+    edge = loop_margins(_sampled(model, settings), small, settings)
+    if not math.isfinite(edge.gain_margin) or not edge.phase_crossover_Hz > 0.0:
+        raise InvalidInput(
+            "no proportional gain brings the loop to oscillate, so Ziegler-Nichols has no "
+            "ultimate gain; use another rule"
+        )
+    period_s = 1.0 / edge.phase_crossover_Hz
+    return _with_filter(0.6 * small.P * edge.gain_margin, period_s / 2.0, period_s / 8.0)
+
+
+def imc(
+    model: SecondOrder, settings: ControllerSettings, closed_loop_s: float | None = None
+) -> Gains:
+    """Internal model control (Rivera, Morari & Skogestad 1986): zeros on the plant's poles.
+
+    `K = 2 zeta/(w k (lambda + theta)), Ti = 2 zeta/w, Td = 1/(2 zeta w)`, so that the loop is
+    `1/((lambda + theta) s)` with the dead time theta. Disturbances and, as the derivative acts on
+    the measurement alone, setpoints still ring at the plant's own damping: of little use to a
+    reel.
+
+    Args:
+        model: The plant.
+        settings: The dead time counts half a sample for the hold and the derivative filter.
+        closed_loop_s: Time constant lambda of the closed loop, s; None is a quarter of
+            `2 pi/w`, the longest settling time the paper allows in (35), or theta if longer.
+
+    Raises:
+        InvalidInput: lambda is not above zero.
+    """
+    w, zeta = model.natural_frequency_rad_s, model.damping
+    theta = _effective_dead_time_s(model, settings)
+    wanted = max(math.pi / (2.0 * w), theta) if closed_loop_s is None else closed_loop_s
+    if not (math.isfinite(wanted) and wanted > 0.0):
+        raise InvalidInput(f"closed-loop time constant is {wanted} s; it must be above zero")
+    K = 2.0 * zeta / (w * model.gain * (wanted + theta))
+    return _with_filter(K, 2.0 * zeta / w, 1.0 / (2.0 * zeta * w))
+
+
+def pole_placement(
+    model: SecondOrder,
+    settings: ControllerSettings,
+    frequency_rad_s: float | None = None,
+    damping: float = 0.8,
+) -> Gains:
+    """Dominant pole placement (Persson & Astrom 1992), exact with the dead time.
+
+    Puts three closed-loop poles, a pair of the given frequency and damping and a real one at the
+    same distance from the origin, by solving `1 + C_y(s) G(s) = 0` at them: three linear equations
+    in P, I and D.
+
+    Args:
+        model: The plant.
+        settings: The dead time counts half a sample for the hold and the derivative filter.
+        frequency_rad_s: Distance of the poles from the origin, rad/s; None is 1.5 times the
+            plant's natural frequency, or what half a radian of dead time leaves, if less.
+        damping: Damping ratio of the pair.
+
+    Raises:
+        InvalidInput: the poles ask for a gain that is not above zero.
+    """
+    theta = _effective_dead_time_s(model, settings)
+    w = model.natural_frequency_rad_s
+    wanted = min(1.5 * w, 0.5 / theta) if frequency_rad_s is None else frequency_rad_s
+    if not (math.isfinite(wanted) and wanted > 0.0 and 0.0 < damping <= 1.0):
+        raise InvalidInput(
+            f"poles of {wanted} rad/s with damping {damping}: give a frequency above zero and a "
+            "damping from 0 to 1"
+        )
+    pair = wanted * complex(-damping, math.sqrt(1.0 - damping**2 * (1.0 - 1e-12)))
+    rows, right = [], []
+    for s in (complex(-wanted), pair):
+        inverse = -(s**2 + 2.0 * model.damping * w * s + w**2) / (model.gain * w**2)
+        target = inverse * np.exp(s * theta)
+        rows += [[1.0, (1.0 / s).real, s.real], [0.0, (1.0 / s).imag, s.imag]]
+        right += [target.real, target.imag]
+    kept = [0, 2, 3]  # the real pole's imaginary equation is empty
+    P, I, D = np.linalg.solve(np.array(rows)[kept], np.array(right)[kept])
+    if not (P > 0.0 and I > 0.0 and D >= 0.0):
+        raise InvalidInput(
+            f"poles at {wanted:.4g} rad/s ask for P {P:.3g}, I {I:.3g}, D {D:.3g}, which are not "
+            "all positive; place them elsewhere, or use another rule"
+        )
+    return Gains(float(P), float(I), float(D), float(P / I))
+
+
+def sensitivity_limited(
+    model: SecondOrder,
+    settings: ControllerSettings,
+    limits: SensitivityLimits | None = None,
+) -> Gains:
+    """The largest integral gain that keeps sensitivity, setpoint response and noise within limits.
+
+    1/I is the integral of the error after a load step, so that the largest I resists loads best.
+    `|1 + L| >= 1/M_s` and `|1 + L| >= I |G/s|/M_t` over frequency are not convex in the gains, but
+    L is linear in them: each round replaces |1 + L| by its tangent at the last gains, which lies
+    below it, and solves the linear programme (convex-concave procedure: Hast, Astrom, Bernhardsson
+    & Boyd, PID design by convex-concave optimization, European Control Conference 2013). The
+    rounds begin at nearly no gain and never let 1 + L pass zero, so that the loop stays stable.
+
+    On a reel it gives P near one and I that falls with the length of the cable.
+
+    Args:
+        model: The plant.
+        settings: Sampling rate and derivative filter; the loop is the sampled one.
+        limits: Of sensitivity, setpoint response and noise.
+
+    Raises:
+        InvalidInput: the model is so near instability that no gains keep the limits.
+    """
+    from scipy.optimize import linprog  # noqa: PLC0415  slow to import
+
+    limits = limits or SensitivityLimits()
+    constraints = _Constraints.of(model, settings, limits)
+    x = np.array([1e-4 * model.damping, 1e-4 * model.damping, 0.0])
+    for _ in range(ROUNDS):
+        rows, room = constraints.tangent(x)
+        found = linprog(
+            [0.0, -1.0, 0.0], A_ub=rows, b_ub=room, bounds=[(1e-6, None), (0.0, None), (0.0, None)]
+        )
+        if not found.success:
+            raise InvalidInput(
+                f"no gains hold the sensitivity to {limits.sensitivity:g} for a damping ratio of "
+                f"{model.damping:.3g}; raise the limit, or use another rule"
+            )
+        x, last = found.x, x
+        if x[1] - last[1] < 1e-4 * x[1]:
+            break
+    P, I, D = (float(value) for value in x * constraints.scale)
+    return Gains(P, I, D, P / I)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Constraints:
+    """What bounds (P, I, D), each over its scale, in `sensitivity_limited`.
+
+    Attributes:
+        scale: Of the gains, shape (3,).
+        loop: The loop's response to one unit of each gain, shape (frequencies, 3).
+        setpoint: |G/s| per unit of the integral gain, over M_t, shape (frequencies,).
+        noise: C_y at half the sampling rate per unit of each gain, shape (3,).
+        limits: The limits.
+    """
+
+    scale: FloatArray
+    loop: ComplexArray
+    setpoint: FloatArray
+    noise: FloatArray
+    limits: SensitivityLimits
+
+    @classmethod
+    def of(
+        cls, model: SecondOrder, settings: ControllerSettings, limits: SensitivityLimits
+    ) -> "_Constraints":
+        theta = _sensitivity_grid(model, settings)
+        controller = np.column_stack([_unit_response(n, settings, theta) for n in range(3)])
+        w = model.natural_frequency_rad_s
+        scale = np.array([1.0, w, 1.0 / w]) / model.gain
+        loop = _sampled(model, settings).response(theta)[:, None] * controller * scale
+        # The filter takes the zero out of C_r = (P s + I)/s, so that |T| = |I G/s| / |1 + L|.
+        setpoint = np.abs(loop[:, 1]) / limits.setpoint_peak
+        return cls(scale, loop, setpoint, controller[-1].real * scale, limits)
+
+    def tangent(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """The half planes `rows x <= room` that touch the constraints at these gains."""
+        back = 1.0 + self.loop @ x
+        toward = back.conj() / np.abs(back)
+        # |1 + L| >= Re(toward (1 + L)), and equal at x.
+        away, room = -(toward[:, None] * self.loop).real, toward.real
+        with_setpoint = away + np.outer(self.setpoint, [0.0, 1.0, 0.0])
+        return (
+            np.vstack([away, with_setpoint, self.noise]),
+            np.concatenate([room - 1.0 / self.limits.sensitivity, room, [self.limits.noise_gain]]),
+        )
+
+
+def _with_filter(K: float, Ti: float, Td: float) -> Gains:
+    return Gains.from_standard(K, Ti, Td, setpoint_filter_s=Ti)
+
+
+def _effective_dead_time_s(model: SecondOrder, settings: ControllerSettings) -> float:
+    """Dead time, hold, and lags that a continuous rule does not see, s."""
+    _check_sign(model)
+    lag = settings.derivative_filter_s + 0.5 / settings.sampling_Hz
+    if model.gauge is not None:
+        lag += 2.0 * model.gauge.damping / model.gauge.natural_frequency_rad_s
+    return model.dead_time_s + lag
+
+
+def _check_sign(model: SecondOrder) -> None:
+    if model.gain < 0.0:
+        raise InvalidInput(
+            f"model gain is {model.gain:.4g}: more effort lowers the output; turn the sign of the "
+            "input, for the controller's gains are positive"
+        )
+
+
+def _sampled(model: SecondOrder, settings: ControllerSettings) -> SampledPlant:
+    _check_sign(model)
+    A, B, C, E = model.state_space()
+    return sample_plant(
+        A, B, C, E, dead_time_s=model.dead_time_s, sample_s=1.0 / settings.sampling_Hz
+    )
+
+
+def _sensitivity_grid(model: SecondOrder, settings: ControllerSettings) -> FloatArray:
+    """Angles from well below the resonance to half the sampling rate, dense about the modes."""
+    h = 1.0 / settings.sampling_Hz
+    angles = [np.geomspace(1e-3 * model.natural_frequency_rad_s * h, math.pi, GRID_POINTS)]
+    modes = [(model.natural_frequency_rad_s, model.damping)]
+    if model.gauge is not None:
+        modes.append((model.gauge.natural_frequency_rad_s, model.gauge.damping))
+    for w, zeta in modes:
+        angles.append(w * h * (1.0 + zeta * np.linspace(-4.0, 4.0, 81)))
+    joined = np.concatenate(angles)
+    return np.unique(np.append(joined[(joined > 0.0) & (joined < math.pi)], math.pi))
+
+
+def _unit_response(n: int, settings: ControllerSettings, theta: FloatArray) -> ComplexArray:
+    """Response of the controller to one of P, I, D at one and the others at zero.
+
+    `Gains` keeps P above zero, so that I and D are had as a difference.
+    """
+    only_P = controller_response(Gains(1.0, 0.0, 0.0, 0.0), settings, theta)
+    if n == 0:
+        return only_P
+    both = Gains(1.0, 1.0, 0.0, 0.0) if n == 1 else Gains(1.0, 0.0, 1.0, 0.0)
+    return controller_response(both, settings, theta) - only_P

@@ -1,0 +1,223 @@
+"""How resonance, damping, gain and dead time depend on cable length and tension.
+
+Between the conditions at which a reel has been identified the model is interpolated by a cubic
+spline in scattered points (Duchon 1977; scipy's `RBFInterpolator`), that passes through every
+point. It works on 1/w^2 and 2 zeta w, which are the flexibility and the friction, each over the
+inertia: a cable makes both nearly straight lines in its length. Over the tension it works in 1/T,
+in which the sag's share of the flexibility is smooth.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estune.core.second_order import GaugeMode, SecondOrder
+from estune.errors import InvalidInput
+from estune.trial import FloatArray
+from plants.identify.second_order import Estimate, SecondOrderFit
+
+BEYOND = 1e-6
+"""Share of the range by which a condition may lie outside it: rounding, not extrapolation."""
+
+
+class Condition(NamedTuple):
+    """A fit and where it was made.
+
+    Attributes:
+        cable_length_m: Deployed cable length, m.
+        tension_N: Preload, N.
+        fit: What was identified there.
+    """
+
+    cable_length_m: float
+    tension_N: float
+    fit: SecondOrderFit
+
+
+@dataclass(frozen=True, eq=False)
+class Dependence:
+    """The identified model at any length and tension between those measured.
+
+    A quantity that was the same in all conditions is held: identified at one tension, the model
+    answers at that tension alone.
+
+    Attributes:
+        conditions: What it interpolates.
+
+    Raises:
+        InvalidInput: there are too few conditions, two at one place, all on one line although both
+            length and tension vary, or of fits with and without a gauge mode.
+    """
+
+    conditions: Sequence[Condition]
+
+    def __post_init__(self) -> None:
+        places = np.array([(c.cable_length_m, c.tension_N) for c in self.conditions])
+        if len(places) < 3:
+            raise InvalidInput(
+                f"{len(places)} conditions: three or more are needed to interpolate; identify at "
+                "further lengths or tensions"
+            )
+        if not (np.isfinite(places).all() and (places > 0.0).all()):
+            raise InvalidInput("cable lengths and tensions must be finite and above zero")
+        unit = _scaled(places, places)[:, self._varying]
+        apart = np.linalg.norm(unit[:, None] - unit[None, :], axis=2) + np.eye(len(unit))
+        if apart.min() < 1e-9:
+            first, _ = np.unravel_index(apart.argmin(), apart.shape)
+            raise InvalidInput(
+                f"two conditions are at {places[first, 0]:g} m and {places[first, 1]:g} N; keep "
+                "one of them"
+            )
+        spread = np.linalg.svd(unit - unit.mean(axis=0), compute_uv=False)
+        if spread[-1] < 1e-3 * spread[0]:
+            raise InvalidInput(
+                "length and tension vary together in all conditions, so their effects cannot be "
+                "told apart; vary one while the other stays"
+            )
+        if len({c.fit.model.gauge is None for c in self.conditions}) > 1:
+            raise InvalidInput(
+                "some fits have a gauge mode and some have none; fit all in the same way"
+            )
+
+    @property
+    def _varying(self) -> NDArray[np.bool_]:
+        places = np.array([(c.cable_length_m, c.tension_N) for c in self.conditions])
+        return np.asarray(np.ptp(places, axis=0) > BEYOND * places.max(axis=0))
+
+    def at(self, cable_length_m: float, tension_N: float) -> SecondOrder:
+        """The model at a length and a tension.
+
+        Raises:
+            InvalidInput: the place lies outside the conditions.
+        """
+        w, zeta, gain, dead_time, *gauge = self._values(cable_length_m, tension_N)[0]
+        mode = GaugeMode(gauge[0], gauge[1]) if gauge else None
+        return SecondOrder(gain, w, zeta, max(0.0, dead_time), mode)
+
+    def estimates(self, cable_length_m: float, tension_N: float) -> dict[str, Estimate]:
+        """`natural_frequency_Hz`, `damping`, `gain` and `dead_time_s` there.
+
+        The intervals are those of the fits, carried through the interpolation; what the true curve
+        does between the conditions is not in them: see `left_out`.
+
+        Raises:
+            InvalidInput: the place lies outside the conditions.
+        """
+        values, covariance = self._values(cable_length_m, tension_N)
+        quantile = self.conditions[0].fit.quantile
+        errors = np.sqrt(np.diag(covariance))
+        names = {
+            "natural_frequency_Hz": (0, 1.0 / (2.0 * math.pi), "Hz"),
+            "damping": (1, 1.0, ""),
+            "gain": (2, 1.0, "N/unit"),
+            "dead_time_s": (3, 1.0, "s"),
+        }
+        found = {}
+        for name, (n, factor, unit) in names.items():
+            value, error = float(values[n] * factor), float(errors[n] * factor)
+            half = quantile * error
+            found[name] = Estimate(value, error, value - half, value + half, unit)
+        return found
+
+    def left_out(self) -> dict[str, float]:
+        """How well each condition is foretold by the others, at worst, relative to its own value.
+
+        Only conditions inside the range of the others are asked for. A corner of the grid is
+        foretold from one side, so that inside it the interpolation does better than this.
+
+        Raises:
+            InvalidInput: no condition lies inside the range of the others.
+        """
+        worst = {"natural_frequency": 0.0, "damping": 0.0}
+        foretold = 0
+        for n, condition in enumerate(self.conditions):
+            others = [*self.conditions[:n], *self.conditions[n + 1 :]]
+            try:
+                model = Dependence(others).at(condition.cable_length_m, condition.tension_N)
+            except InvalidInput:
+                continue
+            foretold += 1
+            own = condition.fit.model
+            for name, found, true in (
+                (
+                    "natural_frequency",
+                    model.natural_frequency_rad_s,
+                    own.natural_frequency_rad_s,
+                ),
+                ("damping", model.damping, own.damping),
+            ):
+                worst[name] = max(worst[name], float(abs(found / true - 1.0)))
+        if foretold == 0:
+            raise InvalidInput(
+                "no condition lies between the others, so none can be checked; identify at "
+                "further lengths or tensions"
+            )
+        return worst
+
+    def _values(self, cable_length_m: float, tension_N: float) -> tuple[FloatArray, FloatArray]:
+        """(w, zeta, gain, dead time, ...) there, and their covariance from that of the fits."""
+        weights = self._weights(cable_length_m, tension_N)
+        straight, covariances = self._straight
+        t = weights @ straight
+        spread = np.einsum("i,ijk->jk", weights**2, covariances)
+        if not (t[0] > 0.0 and 0.0 < t[1] * math.sqrt(t[0]) < 2.0):
+            raise InvalidInput(
+                f"the interpolation breaks down at {cable_length_m:g} m, {tension_N:g} N: the "
+                "conditions are too far apart; identify nearer to it"
+            )
+        w = 1.0 / math.sqrt(t[0])
+        values = np.concatenate([[w, t[1] / (2.0 * w)], t[2:]])
+        back = np.eye(t.size)
+        back[0, 0] = -0.5 * w**3
+        back[1, :2] = t[1] / (4.0 * w * t[0]), 1.0 / (2.0 * w)
+        return values, back @ spread @ back.T
+
+    @cached_property
+    def _straight(self) -> tuple[FloatArray, FloatArray]:
+        """(1/w^2, 2 zeta w, gain, dead time, ...) per condition, and their covariances."""
+        values, covariances = [], []
+        for condition in self.conditions:
+            model, covariance = condition.fit.model, condition.fit.covariance
+            w, zeta = model.natural_frequency_rad_s, model.damping
+            row = [w**-2, 2.0 * zeta * w, model.gain, model.dead_time_s]
+            if model.gauge is not None:
+                row += [model.gauge.natural_frequency_rad_s, model.gauge.damping]
+            slope = np.eye(len(row))[:, : len(covariance)]  # a gauge held fixed has no variance
+            slope[0, 0], slope[1, :2] = -2.0 * w**-3, (2.0 * zeta, 2.0 * w)
+            values.append(row)
+            covariances.append(slope @ covariance @ slope.T)
+        return np.array(values), np.array(covariances)
+
+    def _weights(self, cable_length_m: float, tension_N: float) -> FloatArray:
+        """Each condition's share in the interpolated value, shape (conditions,).
+
+        Raises:
+            InvalidInput: the place lies outside the conditions.
+        """
+        from scipy.interpolate import RBFInterpolator  # noqa: PLC0415  slow to import
+
+        places = np.array([(c.cable_length_m, c.tension_N) for c in self.conditions])
+        asked = np.array([[cable_length_m, tension_N]], dtype=np.float64)
+        for n, (what, unit) in enumerate((("cable length", "m"), ("tension", "N"))):
+            low, high = places[:, n].min(), places[:, n].max()
+            room = BEYOND * high
+            if not low - room <= asked[0, n] <= high + room:
+                raise InvalidInput(
+                    f"{what} {asked[0, n]:g} {unit} lies outside the identified range of {low:g} "
+                    f"to {high:g} {unit}; identify there too"
+                )
+        points = _scaled(places, places)[:, self._varying]
+        spline = RBFInterpolator(points, np.eye(len(points)), kernel="cubic", degree=1)
+        return np.asarray(spline(_scaled(asked, places)[:, self._varying])[0], dtype=np.float64)
+
+
+def _scaled(asked: FloatArray, places: FloatArray) -> FloatArray:
+    """Length and inverse tension, each in units of its range over the conditions."""
+    asked, places = (np.column_stack([p[:, 0], 1.0 / p[:, 1]]) for p in (asked, places))
+    low, size = places.min(axis=0), np.ptp(places, axis=0)
+    return np.asarray((asked - low) / np.where(size > 0.0, size, 1.0))
