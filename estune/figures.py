@@ -53,9 +53,17 @@ class ShownFigure(Figure):
         return to_png(self)
 
 
+class ShownAxes(Axes):
+    """Axes that a notebook displays as their whole figure."""
+
+    def _repr_png_(self) -> bytes:
+        return to_png(self.get_figure(root=True) or ShownFigure())
+
+
 def new_axes() -> Axes:
     """Axes on a figure of their own."""
-    return new_figure(6.4, 3.2).add_subplot()
+    axes: Axes = new_figure(6.4, 3.2).add_subplot(axes_class=ShownAxes)
+    return axes
 
 
 def new_figure(width_in: float, height_in: float) -> Figure:

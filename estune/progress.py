@@ -206,6 +206,7 @@ class NotebookDisplay:
 
     def __init__(self, tuning: Tuning) -> None:
         self._tally = Tally(tuning)
+        self._heading = heading(tuning)
         self._output: Any = importlib.import_module("IPython.display")
         self._handle: Any = None
         self._shown_s = -math.inf
@@ -227,7 +228,9 @@ class NotebookDisplay:
         self._shown_s = time.monotonic()
 
     def _content(self) -> dict[str, str]:
-        return {"text/plain": line(self._tally.status())}
+        status = self._tally.status()
+        lines = (self._heading, *_parts(status), f"live  {status.live}")
+        return {"text/plain": "\n".join(lines)}
 
 
 def render(status: Status) -> RenderableType:
@@ -266,17 +269,21 @@ def heading(tuning: Tuning) -> str:
 
 def line(status: Status) -> str:
     """The run in one line."""
+    return "  ".join(_parts(status))
+
+
+def _parts(status: Status) -> tuple[str, str]:
+    """How the run stands, and the gains it tried last."""
     parts = [
         f"{status.phase or 'done':<8} {status.done:>{len(str(status.most))}} of {status.most}",
         f"cost {number(status.cost)}",
         f"best {number(status.best)}",
         f"start {number(status.start)}",
         f"{status.unsafe} unsafe",
-        str(status.tried),
     ]
     if status.done < status.most and math.isfinite(status.left_s):
         parts.append(f"{duration(status.left_s)} left")
-    return "  ".join(parts)
+    return "  ".join(parts), f"tried {status.tried}"
 
 
 def number(value: float) -> str:

@@ -1,0 +1,125 @@
+"""What is shown while a run goes on: on a terminal, in a pipe, in a notebook."""
+
+import io
+import re
+import sys
+from dataclasses import replace
+from types import SimpleNamespace
+
+import pytest
+from rich.console import Console
+
+import estune
+from estune import progress
+from estune.journal import Journal
+from estune.trial import Outcome
+from estune.tuning import Stopped, replay
+from tests.support_runs import START, ArithmeticRig
+
+
+class Unlucky(ArithmeticRig):
+    """Diverges in one trial and is interrupted before another."""
+
+    def __init__(self, *, diverging, stop_before):
+        super().__init__()
+        self.diverging, self.stop_before = diverging, stop_before
+
+    def run(self, request):
+        if request.number == self.stop_before:
+            raise KeyboardInterrupt
+        record = super().run(request)
+        return (
+            replace(record, outcome=Outcome.DIVERGED)
+            if request.number == self.diverging
+            else record
+        )
+
+
+def test_plain_progress_is_a_heading_and_some_lines_whatever_the_number_of_trials(capsys):
+    for trials in (40, 400):
+        estune.tune(ArithmeticRig(), trials=trials, journal=False)
+        lines = capsys.readouterr().err.splitlines()
+        assert 8 <= len(lines) <= 20
+        assert "Ctrl-C" in lines[0]
+        assert lines[1].startswith("baseline")
+        done, most = re.search(r"confirm +(\d+) of (\d+)", lines[-1]).groups()
+        assert done == most
+
+
+def test_a_resumed_run_counts_its_best_and_unsafe_trials_from_the_beginning(tmp_path):
+    rig = Unlucky(diverging=5, stop_before=20)
+    with pytest.raises(Stopped):
+        estune.tune(rig, trials=40, folder=tmp_path, run="cut", watch=None)
+    before = estune.load(tmp_path / "cut")
+    seen = []
+
+    def watch(shown):
+        seen.append(shown)
+
+    with Journal.open(tmp_path / "cut") as journal:
+        tally = progress.Tally(replay(before.plan, before.rig, journal))
+    assert tally.status().unsafe == 1
+    assert tally.status().best == before.to_frame()["best_cost"].iloc[-1]
+    assert tally.status().done == 20
+    rig.stop_before = None
+    estune.resume(tmp_path / "cut", rig, watch=watch)
+    assert seen[0].entry.number == 20
+
+
+class Cell:
+    """A notebook cell's display, as IPython offers it."""
+
+    def __init__(self):
+        self.shown = []
+
+    def display(self, content, **options):
+        assert options == {"raw": True, "display_id": True}
+        self.update(content, raw=True)
+        return self
+
+    def update(self, content, *, raw):
+        assert raw
+        self.shown.append(content)
+
+
+def test_a_notebook_gets_one_updated_output_without_widgets(monkeypatch, capsys):
+    cell = Cell()
+    shell = SimpleNamespace(get_ipython=lambda: SimpleNamespace(kernel=object()))
+    monkeypatch.setitem(sys.modules, "IPython", shell)
+    monkeypatch.setitem(sys.modules, "IPython.display", SimpleNamespace(display=cell.display))
+    # A clock that stands still: however many trials, no time for a second drawing passes.
+    monkeypatch.setattr(progress.time, "monotonic", lambda: 0.0)
+    estune.tune(ArithmeticRig(), trials=40, journal=False)
+    assert [set(content) for content in cell.shown] == [{"text/plain"}] * 3
+    assert re.search(r"confirm +(\d+) of \1\b", cell.shown[-1]["text/plain"])
+    assert f"live  {START}" in cell.shown[-1]["text/plain"]
+    assert capsys.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("width", [80, 120])
+def test_a_terminal_shows_where_the_run_stands_and_which_gains_are_live(tmp_path, width):
+    out = io.StringIO()
+    console = Console(file=out, force_terminal=True, width=width, legacy_windows=False)
+
+    with pytest.raises(Stopped):
+        estune.tune(Unlucky(diverging=9, stop_before=20), folder=tmp_path, run="cut", watch=None)
+    result = estune.load(tmp_path / "cut")
+    with Journal.open(tmp_path / "cut") as journal:
+        tuning = replay(result.plan, result.rig, journal)
+        with progress.TerminalDisplay(tuning, console):
+            pass
+    text = re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", out.getvalue())
+    assert str(tmp_path / "cut") in text.replace("\n", "")
+    shown = " ".join(text.split())
+    assert "20 of 129 trials" in shown
+    assert "1 unsafe" in shown
+    assert f"start {result.start.cost:.3g}" in shown
+    assert "live P 0.5 N/N" in shown
+    assert "on arithmetic" in shown
+
+
+@pytest.mark.parametrize(
+    ("seconds", "shown"), [(0.2, "0:00"), (61.0, "1:01"), (3725.0, "1:02:05"), (float("nan"), "-")]
+)
+def test_durations_read_as_a_clock(seconds, shown):
+    assert progress.duration(seconds) == shown
