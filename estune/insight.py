@@ -190,12 +190,11 @@ class _Fit(NamedTuple):
     beta: FloatArray
     covariance: FloatArray
 
-    def change(self, step: FloatArray) -> tuple[float, float]:
-        """Change of the cost from the best to `step`, and its standard error."""
-        terms = _terms(step[None, :])[0, 1:]
-        return float(terms @ self.beta), math.sqrt(
-            max(0.0, float(terms @ self.covariance @ terms))
-        )
+    def change(self, steps: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Change of the cost from the best to each of `steps`, and its standard error."""
+        terms = _terms(steps)[:, 1:]
+        variance = np.einsum("ni,ij,nj->n", terms, self.covariance, terms)
+        return terms @ self.beta, np.sqrt(np.maximum(variance, 0.0))
 
 
 def _terms(z: FloatArray) -> FloatArray:
@@ -252,11 +251,10 @@ def _reach(fit: _Fit, direction: FloatArray, tolerance: float) -> tuple[float, f
     ends, decided = [], False
     for limit in (min(0.0, float(covered.min())), max(0.0, float(covered.max()))):
         steps = np.linspace(0.0, limit, 41)
-        changes = [fit.change(t * direction) for t in steps]
-        free = [abs(change) + _CONFIDENCE * error <= tolerance for change, error in changes]
-        ends.append(float(steps[free.index(False) - 1] if False in free else limit))
-        matters = (abs(change) - _CONFIDENCE * error > tolerance for change, error in changes)
-        decided = decided or any(matters)
+        change, error = fit.change(np.outer(steps, direction))
+        free = np.abs(change) + _CONFIDENCE * error <= tolerance
+        ends.append(float(steps[np.argmin(free) - 1] if not free.all() else limit))
+        decided = decided or bool(np.any(np.abs(change) - _CONFIDENCE * error > tolerance))
     return ends[0], ends[1], decided
 
 

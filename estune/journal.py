@@ -18,7 +18,7 @@ from typing import IO, Any, Self
 
 from estune import frame
 from estune.core.gains import Gains
-from estune.errors import JournalError
+from estune.errors import JournalError, ProtocolError
 from estune.session import Phase
 from estune.trial import Outcome, TrialRecord, TrialRequest
 
@@ -206,7 +206,7 @@ class Journal:
         """The record of one trial.
 
         Raises:
-            JournalError: the run holds no record of that trial.
+            JournalError: the run holds no record of that trial, or a damaged one.
         """
         with _explained(self.folder):
             row = self._connection.execute(
@@ -214,7 +214,13 @@ class Journal:
             ).fetchone()
         if row is None or row[0] is None:
             raise JournalError(f"{self.folder} holds no record of trial {trial_id}")
-        return frame.decode(row[0])
+        try:
+            return frame.decode(row[0])
+        except ProtocolError as error:
+            raise JournalError(
+                f"{self.folder / FILE_NAME}: the record of trial {trial_id} is damaged ({error}); "
+                "restore the file from a copy"
+            ) from error
 
     def close(self) -> None:
         """Closes the file and lets go of the lock. The journal is complete at any time before."""

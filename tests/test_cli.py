@@ -14,8 +14,9 @@ from typing import get_args
 import pytest
 
 import estune
-from estune.cli import app, run
+from estune.cli import Interrupts, app, run
 from estune.core.tuners import TUNERS
+from estune.errors import RigError
 from estune.journal import FILE_NAME, Journal
 from tests.support_runs import ArithmeticRig
 
@@ -300,6 +301,44 @@ def test_a_run_that_is_not_there_or_of_another_version_is_one_line_with_code_5(
     for command in ("show", "resume"):
         code, said = refused(command, arithmetic_run)
         assert (code, "damaged" in said) == (5, True)
+
+
+def test_a_damaged_record_is_one_line_with_code_5_that_names_the_trial(refused, arithmetic_run):
+    with contextlib.closing(sqlite3.connect(arithmetic_run / FILE_NAME)) as connection:
+        connection.execute("UPDATE trial SET record = substr(record, 1, 100) WHERE number = 0")
+        connection.commit()
+    code, said = refused("show", arithmetic_run)
+    assert (code, "record of trial one-00000 is damaged" in said) == (5, True)
+
+
+def test_an_impatient_second_ctrl_c_does_not_cut_off_the_wait_for_the_rig(capsys):
+    interrupts = Interrupts()
+    with pytest.raises(KeyboardInterrupt):
+        interrupts(signal.SIGINT, None)
+    interrupts(signal.SIGINT, None)
+    assert "waiting for the rig to confirm its gains" in capsys.readouterr().err
+    with pytest.raises(KeyboardInterrupt):
+        interrupts(signal.SIGINT, None)
+
+
+def test_a_rig_lost_while_it_is_being_stopped_is_not_called_confirmed(
+    monkeypatch, capsys, tmp_path
+):
+    handlers = {}
+    monkeypatch.setattr(signal, "signal", handlers.__setitem__)
+
+    class Lost(ArithmeticRig):
+        def run(self, _request):
+            return handlers[signal.SIGINT](signal.SIGINT, None)
+
+        def abort(self):
+            raise RigError("the rig is gone")
+
+    monkeypatch.setattr("estune.targets.load", lambda _: Lost())
+    assert run(["tune", REEL, *QUIET, str(tmp_path)]) == 130
+    said = capsys.readouterr().err
+    assert "has not confirmed which gains are live; check it: the rig is gone" in said
+    assert said.count("\n") == 1
 
 
 def test_list_shows_the_other_runs_beside_one_that_cannot_be_read(arithmetic_run, here):

@@ -126,6 +126,7 @@ def _listed(path: Path) -> dict[str, Any]:
         "trials": result.nfev,
         "start_cost": result.start.cost,
         "cost": result.fun if result.success else None,
+        "status": status,
         "state": "running" if status == "running" and being_written(path) else str(result.ending),
     }
 
