@@ -1,4 +1,4 @@
-"""Dither frequencies that can be told apart, and steps that are never too long."""
+"""Dither frequencies that can be told apart."""
 
 import math
 from functools import lru_cache
@@ -16,9 +16,3 @@ def odd_frequencies(parameters: int) -> tuple[float, ...]:
     """
     period = 4 * (parameters + 1)
     return tuple(2.0 * math.pi * (2 * i + 1) / period for i in range(1, parameters + 1))
-
-
-def limited(step: tuple[float, ...], limit: float) -> tuple[float, ...]:
-    """The step, shortened to a length of at most the limit."""
-    length = math.hypot(*step)
-    return step if length <= limit else tuple([limit * (s / length) for s in step])

@@ -1,8 +1,8 @@
 """What every tuner does about a trial that was unsafe (the paper's guard, eta < eta_max).
 
 The centre goes back to the best safe point seen, the filters or the regression begin anew, and
-the tuner's caution, a number that multiplies the dither and the steps, is halved. It recovers by a
-tenth with every safe trial, up to one: eight safe trials make up for an unsafe one.
+the tuner's caution, a number that multiplies the dither and the steps, falls by 30 %. It recovers
+by 5 % with every safe trial, up to one: eight safe trials make up for an unsafe one.
 """
 
 from typing import NamedTuple
@@ -32,10 +32,10 @@ def best_after(best: Best, point: Point, observation: Observation) -> Best:
 
 
 def caution_after_unsafe(caution: float) -> float:
-    """The caution after an unsafe trial: halved."""
-    return max(0.5 * caution, CAUTION_LEAST)
+    """The caution after an unsafe trial."""
+    return max(0.7 * caution, CAUTION_LEAST)
 
 
 def caution_after_safe(caution: float) -> float:
-    """The caution after a safe trial: a tenth of the way up again."""
-    return min(1.1 * caution, 1.0)
+    """The caution after a safe trial."""
+    return min(1.05 * caution, 1.0)

@@ -8,8 +8,8 @@ with dither, the printed law is
     theta_i(k+1) = th_i(k+1) + alpha_i cos(w_i (k+1)),    w_i = a^i pi              (KK 3)
 
 (KK 3) defines theta from the second trial on, so the first one applies the start itself, and the
-washout is at rest on its cost; trials count from k = 1. With these two readings the published
-transient of the first plant comes out as printed; starting at k = 0 or from zeta = 0 it does not.
+washout is at rest on its cost; trials count from k = 1. These readings, which are ours, come
+nearest to the published transient of the first plant.
 
 The law is kept as it is, with its defects: the washout leads by 44 to 76 degrees at the published
 frequencies and the demodulation ignores it, so parameters adapt at unequal rates by the order they
@@ -29,7 +29,7 @@ from estune.core.tuners.settings import check_above_zero, check_below_one
 from estune.errors import InvalidInput
 
 RELATIVE_AMPLITUDE = 0.2
-ADAPTATION_GAIN = 2.0
+ADAPTATION_GAIN = 1.0
 
 
 class KillingsworthState(NamedTuple):
@@ -51,7 +51,7 @@ class Killingsworth:
         space: What is tuned. The order of the names matters to this law.
         dither_amplitudes: alpha_i, in coordinates; left empty, 0.2 on a logarithmic scale and
             0.2 of the start on a linear one.
-        adaptation_gains: gamma_i, 1/cost; left empty, 2.
+        adaptation_gains: gamma_i, 1/cost; left empty, 1.
         frequency_base: a, between 0 and 1.
         frequency_exponents: The power of a for each parameter; left empty, 1, 2, ... as printed.
         washout_h: h, between 0 and 1.

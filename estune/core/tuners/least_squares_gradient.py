@@ -4,7 +4,7 @@ The trials visit neighbours of the centre on an orthogonal design, the logarithm
 regressed on where they were, and the centre steps against the slope:
 
     minimise over (c, g)   sum_m lambda^(k-m) [l(m) - c - g . x(m)]^2
-    th(k+1) = th(k) - gamma g, no longer than the step limit
+    th(k+1) = th(k) - gamma g, limited and straightened as in `steps`
 
 with x the logarithms of the parameters and l that of the cost. The regression forgets with
 lambda = n/(n+1), a memory of n + 1 trials, the fewest that determine a slope; so the centre can
@@ -17,10 +17,11 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 from estune.core.search_space import Coordinates, Point, SearchSpace
-from estune.core.tuners.dither import limited, odd_frequencies
+from estune.core.tuners.dither import odd_frequencies
 from estune.core.tuners.guard import Best, best_after, caution_after_safe, caution_after_unsafe
 from estune.core.tuners.observation import Observation, log_cost
 from estune.core.tuners.settings import check_above_zero, check_logarithmic
+from estune.core.tuners.steps import limited, straightened
 
 
 class LeastSquaresGradientState(NamedTuple):
@@ -30,6 +31,8 @@ class LeastSquaresGradientState(NamedTuple):
     centre: Coordinates  # th(k), logarithms
     regressed: int  # trials in the regression since it last began
     moments: tuple[float, ...]  # sum lambda^(k-m) v v' with v = (1, x, l), upper triangle by rows
+    drift: tuple[float, ...]  # mean step wanted, see `straightened`
+    path: float  # mean length of it
     caution: float
     best_point: Point
     best_cost: float | None
@@ -52,7 +55,7 @@ class LeastSquaresGradient:
 
     space: SearchSpace
     dither_amplitude: float = 0.3
-    adaptation_gain: float = 0.2
+    adaptation_gain: float = 0.5
     step_limit: float = 0.1
     name: Literal["least_squares_gradient"] = "least_squares_gradient"
 
@@ -68,6 +71,8 @@ class LeastSquaresGradient:
             centre=self.space.coordinates(self.space.start),
             regressed=0,
             moments=_no_moments(len(self.space.names)),
+            drift=(0.0,) * len(self.space.names),
+            path=0.0,
             caution=1.0,
             best_point=self.space.start,
             best_cost=None,
@@ -94,6 +99,8 @@ class LeastSquaresGradient:
                 centre=self.space.coordinates(state.best_point),
                 regressed=0,
                 moments=_no_moments(n),
+                drift=(0.0,) * n,
+                path=0.0,
                 caution=caution_after_unsafe(state.caution),
             )
         point = self.ask(state)
@@ -102,12 +109,13 @@ class LeastSquaresGradient:
         origin = self.space.coordinates(self.space.start)
         x = [c - o for c, o in zip(self.space.coordinates(point), origin, strict=True)]
         moments = _moments_with(state.moments, n / (n + 1), [1.0, *x, log_cost(observation)])
-        centre = state.centre
+        centre, drift, path = state.centre, state.drift, state.path
         if state.regressed >= n:
-            step = limited(
+            wanted = limited(
                 tuple([-self.adaptation_gain * g for g in slope(moments, n)]),
                 state.caution * self.step_limit,
             )
+            step, drift, path = straightened(wanted, drift, path)
             centre = self.space.clipped(
                 tuple([th + s for th, s in zip(centre, step, strict=True)])
             )
@@ -116,6 +124,8 @@ class LeastSquaresGradient:
             centre=centre,
             regressed=state.regressed + 1,
             moments=moments,
+            drift=drift,
+            path=path,
             caution=caution_after_safe(state.caution),
             best_point=best.point,
             best_cost=best.cost,

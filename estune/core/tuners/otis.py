@@ -7,7 +7,7 @@ demodulation beside the high-pass (washout) before it. With l(k) the logarithm o
     b(k)    = l(k) - (1+h) zeta(k),  zeta(k+1) = -h zeta(k) + l(k)        high-pass
     d_i(k)  = (2/alpha) cos(w_i k + phi_i) b(k) / |W(w_i)|                demodulation
     g_i(k)  = g_i(k-1) + lambda [d_i(k) - g_i(k-1)]                       low-pass: the slope of l
-    th(k+1) = th(k) - gamma g(k), no longer than the step limit
+    th(k+1) = th(k) - gamma g(k), limited and straightened as in `steps`
     x_i(k)  = th_i(k) + alpha cos(w_i k),   x = logarithms of the parameters
 
 The paper prints no numbers for these and none for the frequencies; where it is silent:
@@ -27,10 +27,11 @@ from typing import Literal, NamedTuple
 
 from estune.core.filters import low_pass, washout, washout_at_rest, washout_response
 from estune.core.search_space import Coordinates, Point, SearchSpace
-from estune.core.tuners.dither import limited, odd_frequencies
+from estune.core.tuners.dither import odd_frequencies
 from estune.core.tuners.guard import Best, best_after, caution_after_safe, caution_after_unsafe
 from estune.core.tuners.observation import Observation, log_cost
 from estune.core.tuners.settings import check_above_zero, check_below_one, check_logarithmic
+from estune.core.tuners.steps import limited, straightened
 from estune.errors import InvalidInput
 
 
@@ -41,6 +42,8 @@ class OtisState(NamedTuple):
     centre: Coordinates  # th(k), logarithms
     zeta: float | None  # None: the washout will be at rest on the next cost
     slope: tuple[float, ...]  # g(k-1)
+    drift: tuple[float, ...]  # mean step wanted, see `straightened`
+    path: float  # mean length of it
     caution: float
     best_point: Point
     best_cost: float | None
@@ -53,7 +56,7 @@ class Otis:
     Attributes:
         space: What is tuned, on a logarithmic scale.
         demodulation: "phase_compensated" for the washout's lead and gain, or "published".
-        dither_amplitude: alpha, in logarithms: 0.2 moves each gain by 20 %.
+        dither_amplitude: alpha, in logarithms: 0.2 moves each gain by about a fifth.
         adaptation_gain: gamma, step in logarithms per slope of the logarithm of the cost.
         step_limit: Longest step of the centre between two trials, in logarithms.
         low_pass_share: lambda, the share of what is new in the low-pass filter.
@@ -67,9 +70,9 @@ class Otis:
     space: SearchSpace
     demodulation: Literal["phase_compensated", "published"] = "phase_compensated"
     dither_amplitude: float = 0.2
-    adaptation_gain: float = 0.2
+    adaptation_gain: float = 0.5
     step_limit: float = 0.2
-    low_pass_share: float = 0.1
+    low_pass_share: float = 0.15
     washout_h: float = 0.5
     name: Literal["otis"] = "otis"
 
@@ -92,6 +95,8 @@ class Otis:
             centre=self.space.coordinates(self.space.start),
             zeta=None,
             slope=(0.0,) * len(self.space.names),
+            drift=(0.0,) * len(self.space.names),
+            path=0.0,
             caution=1.0,
             best_point=self.space.start,
             best_cost=None,
@@ -115,6 +120,8 @@ class Otis:
                 centre=self.space.coordinates(state.best_point),
                 zeta=None,
                 slope=(0.0,) * len(state.slope),
+                drift=(0.0,) * len(state.drift),
+                path=0.0,
                 caution=caution_after_unsafe(state.caution),
             )
         best = best_after(Best(state.best_point, state.best_cost), self.ask(state), observation)
@@ -127,9 +134,10 @@ class Otis:
                 for g, d in zip(state.slope, self._demodulated(state.k, washed), strict=True)
             ]
         )
-        step = limited(
+        wanted = limited(
             tuple([-self.adaptation_gain * g for g in slope]), state.caution * self.step_limit
         )
+        step, drift, path = straightened(wanted, state.drift, state.path)
         return OtisState(
             k=state.k + 1,
             centre=self.space.clipped(
@@ -137,6 +145,8 @@ class Otis:
             ),
             zeta=zeta,
             slope=slope,
+            drift=drift,
+            path=path,
             caution=caution_after_safe(state.caution),
             best_point=best.point,
             best_cost=best.cost,

@@ -1,0 +1,382 @@
+"""Does our extremum seeking do what was published, and does any of our tuners do better?
+
+The four plants of Killingsworth & Krstic, "PID tuning using extremum seeking", IEEE Control
+Systems Magazine 26(1), 2006, from the Ziegler-Nichols start. The cost is the error after t0 alone,
+J = 1/(T - t0) int_{t0}^T e^2 dt, so that settling counts and rising does not. Everything is
+simulated here, with an ideal derivative and an exact dead time (the paper's was a third-order Pade
+approximation).
+
+The metric is the gap closed, (J_ZN - J)/(J_ZN - J*), by the best trial so far. "Within 5 % of J*"
+would be out of reach of anything that dithers: the masked cost is so steep about its optimum that
+the dither itself costs a multiple of J*.
+
+G4 is run with an actuator limit. As published it has no usable optimum: the response can settle
+before t0, so that J falls towards zero while the effort grows without end. The limit is the effort
+of the published ES row, the greatest of the published ones, and a trial over it is aborted: if it
+merely saturated, the optimum would run away all the same.
+
+The PID values of the published rows are marked S where they were found in a source (the plants'
+settings and windows too, but for the window of G2) and R where they are recalled and only checked
+by what they cost here. Two readings of the frequencies w_i = a^p_i pi are run: p = (1, 2, 3), as
+the law is printed, and p = (2, 1, 3), the nearest to the published transient of the first plant
+(J = 0.0195 at first, 5.5e-4 at k = 5, 2.3e-4 to 3.5e-4 from k = 8) of the orders that were tried.
+It is not the same transient: at k = 4 the published cost has fallen to about 1.3e-3, this one not.
+"""
+
+import argparse
+import contextlib
+import io
+import json
+import math
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import control
+import numpy as np
+from scipy.optimize import minimize
+
+from estune.core.gains import Gains
+from estune.core.metrics import step_metrics
+from estune.core.search_space import Point, SearchSpace
+from estune.core.tuners import TUNERS, Tuner
+from estune.core.tuners.killingsworth import Killingsworth
+from estune.core.tuners.observation import Observation
+from estune.trial import StepProfile
+from plants.linear import LinearPlant, linear_plant
+from plants.simulation import Response, simulate
+
+SAMPLING_HZ = 100.0
+ETA_MAX_RATIO = 3.0  # eta_max over the cost of the start
+BOUNDS_FACTOR = 10.0  # bounds of the search, over and under the start
+
+
+@dataclass(frozen=True)
+class Benchmark:
+    """One of the four plants, with what was published on it.
+
+    Attributes:
+        name: What the paper calls it.
+        numerator: Of the transfer function, falling powers of s.
+        poles_s: Time constants of its poles, s.
+        dead_time_s: Dead time, s.
+        window_s: (t0, T), s.
+        rows: Published (K, Ti, Td) and where they are from: S sourced, R recalled.
+        amplitudes: Published dither amplitudes alpha of K, Ti, Td.
+        gains: Published adaptation gains gamma of K, Ti, Td.
+        effort_max: Greatest effort the actuator gives; a trial that asks for more is aborted.
+    """
+
+    name: str
+    numerator: tuple[float, ...]
+    poles_s: tuple[float, ...]
+    dead_time_s: float
+    window_s: tuple[float, float]
+    rows: dict[str, tuple[Point, str]]
+    amplitudes: tuple[float, ...]
+    gains: tuple[float, ...]
+    effort_max: float = math.inf
+
+    @property
+    def start(self) -> Point:
+        """The Ziegler-Nichols K, Ti, Td."""
+        return self.rows["ZN"][0]
+
+    def plant(self) -> LinearPlant:
+        """The plant with its controller, from rest, at 100 Hz."""
+        denominator = np.array([1.0])
+        for tau in self.poles_s:
+            denominator = np.convolve(denominator, [tau, 1.0])
+        return linear_plant(
+            control.tf(list(self.numerator), denominator.tolist()),
+            dead_time_s=self.dead_time_s,
+            sampling_Hz=SAMPLING_HZ,
+            profile=StepProfile(0.0, 1.0, 0.0, self.window_s[1]),
+        )
+
+
+BENCHMARKS = (
+    Benchmark(
+        "G1", (1.0,), (20.0,), 5.0, (10.0, 100.0),
+        {
+            "ZN": ((4.06, 9.25, 2.31), "S"),
+            "IFT": ((3.67, 27.7, 2.11), "R"),
+            "IMC": ((3.4, 22.5, 2.22), "R"),
+            "ES published": ((3.58, 27.8, 2.15), "R"),
+        },
+        (0.1, 1.0, 0.1), (200.0, 1200.0, 200.0),
+    ),
+    Benchmark(
+        "G2", (1.0,), (20.0,), 20.0, (50.0, 300.0),
+        {
+            "ZN": ((1.33, 31.0, 7.74), "S"),
+            "IFT": ((0.93, 30.5, 6.06), "R"),
+            "IMC": ((0.94, 30.0, 6.67), "R"),
+            "ES published": ((0.93, 30.1, 6.06), "R"),
+        },
+        (0.06, 0.3, 0.2), (2500.0, 2500.0, 2500.0),
+    ),
+    Benchmark(
+        "G3", (1.0,), (10.0,) * 8, 0.0, (140.0, 500.0),
+        {
+            "ZN": ((1.10, 75.9, 19.0), "S"),
+            "IFT": ((0.664, 54.0, 18.2), "R"),
+            "IMC": ((0.76, 64.7, 14.4), "R"),
+            "ES published": ((0.684, 54.9, 19.5), "S"),
+        },
+        (0.06, 1.1, 0.5), (800.0, 3500.0, 300.0),
+    ),
+    Benchmark(
+        "G4", (-5.0, 1.0), (10.0, 20.0), 0.0, (30.0, 200.0),
+        {
+            "ZN": ((3.53, 16.8, 4.20), "S"),
+            "IFT": ((3.03, 46.3, 6.08), "R"),
+            "IMC": ((3.39, 31.6, 3.90), "R"),
+            "ES published": ((3.35, 49.2, 6.40), "R"),
+        },
+        (0.05, 0.6, 0.2), (2000.0, 10000.0, 2000.0),
+        effort_max=7.22,
+    ),
+)  # fmt: skip
+
+
+def cost(benchmark: Benchmark, plant: LinearPlant, point: Point) -> float:
+    """J of a K, Ti, Td; infinite where the response diverges or exceeds the actuator."""
+    response = _response(plant, point)
+    if response.diverged_at is not None or _peak(response) > benchmark.effort_max:
+        return math.inf
+    error = 1.0 - response.tension_N[round(benchmark.window_s[0] * SAMPLING_HZ) :]
+    return float(np.mean(error * error))
+
+
+def optimum(
+    benchmark: Benchmark, plant: LinearPlant, starts: list[Point], evaluations: int
+) -> tuple[Point, float]:
+    """The least cost found from any of the starts, by Nelder-Mead in the logarithms."""
+
+    def logarithmic(x: Any) -> float:
+        return min(cost(benchmark, plant, tuple(np.exp(np.clip(x, -9.0, 9.0)).tolist())), 1e9)
+
+    runs = [
+        minimize(
+            logarithmic,
+            np.log(start),
+            method="Nelder-Mead",
+            options={"maxfev": evaluations, "xatol": 1e-5, "fatol": 0.0},
+        )
+        for start in starts
+    ]
+    best = min(runs, key=lambda run: float(run.fun))
+    return tuple(np.exp(best.x).tolist()), float(best.fun)
+
+
+def tuners(benchmark: Benchmark) -> dict[str, Tuner[Any]]:
+    """What is run: the published law and settings in two orders, and our others by default."""
+    names, start = ("K", "Ti", "Td"), benchmark.start
+    space = SearchSpace.around(Gains.from_standard(*start), BOUNDS_FACTOR, form="standard")
+    linear = SearchSpace(names, start, space.low, space.high, scale="linear", form="standard")
+    published = {
+        f"killingsworth {exponents}": Killingsworth(
+            linear, benchmark.amplitudes, benchmark.gains, frequency_exponents=exponents
+        )
+        for exponents in ((1, 2, 3), (2, 1, 3))
+    }
+    ours = ("otis", "least_squares_gradient")
+    return {**published, **{name: TUNERS[name](space=space) for name in ours}}
+
+
+@dataclass(frozen=True)
+class Search:
+    """What a tuner did: the costs of its trials, the best of them, where it would settle."""
+
+    costs: tuple[float, ...]
+    best: Point
+    recommended: Point
+
+    def trials_to(self, share: float, start_cost: float, least: float) -> int | None:
+        """Number of trials after which the best one has closed this share of the gap."""
+        wanted = start_cost - share * (start_cost - least)
+        return next((k for k, J in enumerate(self.costs, 1) if wanted >= J), None)
+
+
+def search(tuner: Tuner[Any], trial_cost: Callable[[Point], float], trials: int) -> Search:
+    """Runs a tuner from the start; a trial over eta_max is told as censored."""
+    state, costs = tuner.start(), []
+    limit = ETA_MAX_RATIO * trial_cost(tuner.space.start)
+    for _ in range(trials):
+        J = trial_cost(tuner.ask(state))
+        costs.append(J)
+        state = tuner.tell(state, Observation(J, censored=not limit >= J))
+    return Search(tuple(costs), state.best_point, tuner.recommend(state))
+
+
+def study(benchmark: Benchmark, trials: int, evaluations: int) -> dict[str, Any]:
+    """Runs one plant, prints its tables, and returns its figures."""
+    plant = benchmark.plant()
+
+    def trial_cost(point: Point) -> float:
+        return cost(benchmark, plant, point)
+
+    start_cost = trial_cost(benchmark.start)
+    searches = {name: search(t, trial_cost, trials) for name, t in tuners(benchmark).items()}
+    starts = [point for point, _ in benchmark.rows.values()]
+    starts += [min((s.best for s in searches.values()), key=trial_cost)]
+    best_point, least = optimum(benchmark, plant, starts, evaluations)
+    table = {
+        **{f"{name} ({source})": point for name, (point, source) in benchmark.rows.items()},
+        **{f"{name}, best trial": s.best for name, s in searches.items()},
+        "optimum": best_point,
+    }
+    _print_heading(benchmark, start_cost)
+    figures: dict[str, Any] = {"start_cost": start_cost, "optimum_cost": least}
+    for name, point in table.items():
+        figures[name] = row = _row(benchmark, plant, point)
+        row["gap_closed"] = (start_cost - row["J"]) / (start_cost - least)
+        print(
+            f"{name:36s} {row['K']:7.4g} {row['Ti']:7.4g} {row['Td']:7.4g} {row['J']:10.3e} "
+            f"{100 * row['overshoot']:7.1f} {row['settling_s']:7.1f} "
+            f"{100 * row['gap_closed']:8.2f}"
+        )
+    print(f"\n{'trials to close':36s} {'90 %':>7s} {'97 %':>7s}   closed after {trials}")
+    for name, s in searches.items():
+        to_90, to_97 = (s.trials_to(share, start_cost, least) for share in (0.90, 0.97))
+        closed = (start_cost - min(s.costs)) / (start_cost - least)
+        print(f"{name:36s} {to_90 or '-':>7} {to_97 or '-':>7}   {100 * closed:.2f} %")
+        figures[f"{name}: trials"] = {"90 %": to_90, "97 %": to_97, "closed": closed}
+        figures[f"{name}: costs"] = [J if math.isfinite(J) else None for J in s.costs]
+    if benchmark.effort_max < math.inf:
+        figures["without limit"] = _without_limit(benchmark, plant, best_point, evaluations)
+    return figures
+
+
+def targets(figures: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
+    """What has to be reached, from the figures of G1 and G2."""
+    g1, g2 = figures["G1"], figures["G2"]
+    published = g1["killingsworth (2, 1, 3): costs"]
+
+    def slowness(name: str) -> float:
+        """The worse of the two counts of trials, over its limit."""
+        counts = g1[f"{name}: trials"]["97 %"], g2[f"{name}: trials"]["90 %"]
+        return max((n or math.inf) / limit for n, limit in zip(counts, (7, 21), strict=True))
+
+    best = min(tuners(BENCHMARKS[0]), key=slowness)
+    to_97, to_90 = g1[f"{best}: trials"]["97 %"], g2[f"{best}: trials"]["90 %"]
+    start, fifth, plateau = g1["start_cost"], published[5], min(published[:9])
+    rows = {
+        "G1 start cost, published 0.0195": (start, 0.0195, round(start, 4) == 0.0195),
+        "G1 cost at k = 5, published 5.5e-4 (within 10 %)": (
+            fifth,
+            5.5e-4,
+            abs(fifth / 5.5e-4 - 1.0) <= 0.1,
+        ),
+        "G1 best cost by k = 8, published plateau under 3.5e-4": (
+            plateau,
+            3.5e-4,
+            plateau <= 3.5e-4,
+        ),
+        f"G1 trials to close 97 %, {best}": (to_97, 7, to_97 is not None and to_97 <= 7),
+        f"G2 trials to close 90 %, {best}": (to_90, 21, to_90 is not None and to_90 <= 21),
+    }
+    return {
+        name: {"value": value, "limit": limit, "met": bool(met)}
+        for name, (value, limit, met) in rows.items()
+    }
+
+
+def _response(plant: LinearPlant, point: Point) -> Response:
+    return simulate(plant, Gains.from_standard(*point))
+
+
+def _row(benchmark: Benchmark, plant: LinearPlant, point: Point) -> dict[str, float]:
+    """One line of the table."""
+    response = _response(plant, point)
+    metrics = step_metrics(
+        response.time_s, response.tension_N, step_time_s=0.0, initial=0.0, final=1.0
+    )
+    return {
+        **dict(zip(("K", "Ti", "Td"), point, strict=True)),
+        "J": cost(benchmark, plant, point),
+        "overshoot": metrics.overshoot,
+        "settling_s": metrics.settling_time_s,  # every row settles: its cost is small
+    }
+
+
+def _print_heading(benchmark: Benchmark, start_cost: float) -> None:
+    limit = f", effort within {benchmark.effort_max:g}" * (benchmark.effort_max < math.inf)
+    t0, end = benchmark.window_s
+    print(f"\n{benchmark.name}: error from {t0:g} to {end:g} s{limit}, J_ZN = {start_cost:.4e}")
+    print(
+        f"{'':36s} {'K':>7s} {'Ti':>7s} {'Td':>7s} {'J':>10s} "
+        f"{'OS %':>7s} {'Ts s':>7s} {'gap %':>8s}"
+    )
+
+
+def _without_limit(
+    benchmark: Benchmark, plant: LinearPlant, start: Point, evaluations: int
+) -> dict[str, float]:
+    """Why the actuator is limited: what the optimum comes to without."""
+    point, least = optimum(replace(benchmark, effort_max=math.inf), plant, [start], evaluations)
+    effort = _peak(_response(plant, point))
+    print(
+        f"\nWithout the limit: K = {point[0]:.3g}, J = {least:.1e} and falling, "
+        f"effort {effort:.3g} instead of {benchmark.effort_max:g}"
+    )
+    return {"K": point[0], "J": least, "effort": effort}
+
+
+def _peak(response: Response) -> float:
+    """Greatest effort."""
+    return float(np.abs(response.effort_N).max())
+
+
+def save_figure(figures: dict[str, dict[str, Any]], path: Path) -> None:
+    """Cost of each trial, one panel for each plant."""
+    import matplotlib as mpl  # noqa: PLC0415  slow to import
+
+    mpl.use("Agg")
+    from matplotlib import pyplot as plt  # noqa: PLC0415  after the backend is chosen
+
+    figure, panels = plt.subplots(
+        1, len(figures), figsize=(4.5 * len(figures), 4.0), layout="constrained"
+    )
+    for panel, (name, found) in zip(np.atleast_1d(panels), figures.items(), strict=True):
+        for key, costs in found.items():
+            if key.endswith(": costs"):
+                finite = [math.nan if J is None else J for J in costs]
+                panel.semilogy(finite, label=key.removesuffix(": costs"), linewidth=1.0)
+        panel.axhline(found["optimum_cost"], color="k", linestyle=":", label="optimum")
+        panel.set(title=name, xlabel="trial", ylabel="cost J")
+    np.atleast_1d(panels)[0].legend(fontsize="small")
+    path.parent.mkdir(exist_ok=True)
+    figure.savefig(path, dpi=120)
+    plt.close(figure)
+
+
+def main() -> int:
+    """Prints the tables, or with --json one object; returns 1 where a target is missed."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n", maxsplit=1)[0])
+    parser.add_argument("--json", action="store_true", help="print one JSON object alone")
+    parser.add_argument("--quick", action="store_true", help="G1 and G2 alone, 30 trials")
+    parser.add_argument("--trials", type=int, default=100, help="trials of each tuner")
+    options = parser.parse_args()
+    benchmarks = BENCHMARKS[:2] if options.quick else BENCHMARKS
+    trials, evaluations = (30, 150) if options.quick else (options.trials, 600)
+    image = Path(__file__).parent / "out" / "killingsworth.png"
+    # With --json the tables go nowhere.
+    with contextlib.redirect_stdout(io.StringIO() if options.json else sys.stdout):
+        figures = {b.name: study(b, trials, evaluations) for b in benchmarks}
+        found = targets(figures)
+        print()
+        for name, target in found.items():
+            print(f"{'met   ' if target['met'] else 'MISSED'} {name}: {target['value']:.4g}")
+        save_figure(figures, image)
+        print(f"figure: {image}")
+    if options.json:
+        print(json.dumps({"figures": figures, "targets": found}))
+    return 0 if all(target["met"] for target in found.values()) else 1
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,109 @@
+"""The search space: coordinates, bounds, gains, and what it refuses."""
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from estune.core.gains import Gains
+from estune.core.search_space import SearchSpace
+from estune.errors import InvalidInput
+
+GAINS = Gains(1.3, 50.0, 0.02, 0.01)
+SPACE = SearchSpace.around(GAINS, 100.0)
+
+
+def space(**changes):
+    plain = {"names": ("P", "I"), "start": (1.0, 10.0), "low": (0.1, 1.0), "high": (10.0, 100.0)}
+    return SearchSpace(**{**plain, **changes})
+
+
+@given(st.lists(st.floats(allow_nan=False), min_size=4, max_size=4))
+def test_a_point_is_within_the_bounds_whatever_the_coordinates(coordinates):
+    for scale in ("log", "linear"):
+        bounded = SearchSpace(SPACE.names, SPACE.start, SPACE.low, SPACE.high, scale=scale)
+        point = bounded.point(tuple(coordinates))
+        rows = zip(SPACE.low, point, SPACE.high, strict=True)
+        assert all(low <= value <= high for low, value, high in rows)
+
+
+@given(st.tuples(*[st.floats(-4.6, 4.6)] * 4))
+def test_coordinates_of_a_point_are_those_it_was_made_from(offsets):
+    origin = SPACE.coordinates(SPACE.start)
+    wanted = tuple(o + d for o, d in zip(origin, offsets, strict=True))
+    assert SPACE.coordinates(SPACE.point(wanted)) == pytest.approx(wanted, abs=1e-12)
+
+
+def test_a_space_around_gains_starts_at_them_and_reaches_as_far_as_the_factor():
+    assert SPACE.gains(SPACE.start) == GAINS
+    assert SPACE.low == pytest.approx([v / 100 for v in GAINS.as_tuple()])
+    assert SPACE.high == pytest.approx([v * 100 for v in GAINS.as_tuple()])
+    assert SearchSpace.around(GAINS, bounds={"I": (40, 60)}).low[1] == 40.0
+
+
+def test_a_gain_of_zero_is_held_at_zero_because_it_has_no_logarithm():
+    found = SearchSpace.around(Gains(1.0, 10.0, 0.0, 0.0))
+    assert found.names == ("P", "I")
+    assert found.gains((2.0, 20.0)) == Gains(2.0, 20.0, 0.0, 0.0)
+
+
+def test_the_standard_form_holds_the_same_gains_as_the_parallel_one():
+    standard = SearchSpace.around(GAINS, form="standard")
+    assert standard.names == ("K", "Ti", "Td", "setpoint_filter_s")
+    assert standard.gains(standard.start).as_tuple() == pytest.approx(GAINS.as_tuple())
+    K, Ti, Td, tau = 2.0, 0.5, 0.1, 0.01
+    assert standard.gains((K, Ti, Td, tau)) == Gains(K, K / Ti, K * Td, tau)
+
+
+def test_parameters_that_are_not_tuned_keep_their_fixed_value():
+    found = space(fixed=(("D", 0.02),)).gains((2.0, 20.0))
+    assert found == Gains(2.0, 20.0, 0.02, 0.0)
+
+
+def test_parameters_at_a_bound_are_named_with_the_side():
+    low, high = SPACE.low, SPACE.high
+    inside = tuple(math.sqrt(a * b) for a, b in zip(low, high, strict=True))
+    assert SPACE.at_bound(inside) == {}
+    assert SPACE.at_bound((low[0], high[1], *inside[2:])) == {"P": "low", "I": "high"}
+    assert SPACE.at_bound((low[0] * 1.001, *inside[1:])) == {"P": "low"}
+    assert SPACE.at_bound((low[0] * 1.1, *inside[1:])) == {}
+
+
+@pytest.mark.parametrize(
+    ("changes", "named"),
+    [
+        ({"low": (20.0, 1.0)}, ["P", "lower bound 20", "upper bound 10", "swap"]),
+        ({"start": (11.0, 10.0)}, ["P", "start 11", "0.1 to 10", "widen the bounds"]),
+        ({"start": (math.nan, 10.0)}, ["P", "start is nan", "finite"]),
+        ({"high": (10.0, math.inf)}, ["I", "upper bound is inf", "finite"]),
+        ({"low": (0.0, 1.0)}, ["P", "lower bound 0", "logarithm", "above zero"]),
+        ({"low": (-1.0, 1.0)}, ["P", "lower bound -1", "logarithm"]),
+        ({"low": (-1.0, 1.0), "scale": "linear"}, ["P", "lower bound -1", "negative"]),
+        ({"names": ("P", "Ti")}, ["Ti", "parallel", "P, I, D"]),
+        ({"names": ("P", "P")}, ["P", "more than once"]),
+        ({"names": ("I", "D")}, ["P is neither tuned nor fixed"]),
+        ({"names": ("P", "I", "D")}, ["names 3", "gives 2"]),
+        ({"names": (), "start": (), "low": (), "high": ()}, ["no parameter"]),
+        ({"fixed": (("D", -1.0),)}, ["D", "-1", "zero or above"]),
+        ({"scale": "decibel"}, ["decibel", "'log' or 'linear'"]),
+        ({"form": "series"}, ["series", "'parallel' or 'standard'"]),
+    ],
+)
+def test_a_space_that_cannot_be_searched_is_refused_in_one_line_with_the_remedy(changes, named):
+    with pytest.raises(InvalidInput) as caught:
+        space(**changes)
+    message = str(caught.value)
+    assert "\n" not in message
+    assert all(part in message for part in named), message
+
+
+@pytest.mark.parametrize("factor", [1.0, 0.5, math.nan, math.inf])
+def test_a_factor_that_leaves_no_room_is_refused(factor):
+    with pytest.raises(InvalidInput, match="factor"):
+        SearchSpace.around(GAINS, factor)
+
+
+def test_bounds_of_an_unknown_parameter_are_refused():
+    with pytest.raises(InvalidInput, match="'Ti'"):
+        SearchSpace.around(GAINS, bounds={"Ti": (1.0, 2.0)})

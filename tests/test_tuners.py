@@ -1,0 +1,373 @@
+"""What every tuner promises, and what each law is by itself."""
+
+import json
+import math
+import pickle
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import TypeAdapter
+from scipy import signal
+
+from estune.core.filters import low_pass, washout, washout_at_rest, washout_response
+from estune.core.gains import Gains
+from estune.core.search_space import SearchSpace
+from estune.core.tuners import TUNERS, state_from_json, state_to_json
+from estune.core.tuners.dither import odd_frequencies
+from estune.core.tuners.killingsworth import Killingsworth
+from estune.core.tuners.least_squares_gradient import LeastSquaresGradient, slope
+from estune.core.tuners.observation import Observation
+from estune.core.tuners.otis import Otis
+from estune.core.tuners.steps import limited, straightened
+from estune.errors import InvalidInput
+
+START = Gains(0.5, 20.0, 0.01, 0.03)
+WIDE = SearchSpace.around(START)
+LINEAR = SearchSpace(WIDE.names, WIDE.start, WIDE.low, WIDE.high, scale="linear")
+CENSORED = Observation(math.nan, censored=True)
+
+ALL = {
+    **{name: kind(space=WIDE) for name, kind in TUNERS.items()},
+    "killingsworth, linear": Killingsworth(LINEAR),
+    "otis, published": Otis(WIDE, demodulation="published"),
+}
+every_tuner = pytest.mark.parametrize("tuner", ALL.values(), ids=ALL.keys())
+
+observations = st.lists(
+    st.builds(Observation, st.floats(allow_nan=False, allow_infinity=False))
+    | st.builds(Observation, st.floats(1e-6, 1e6))
+    | st.just(CENSORED),
+    max_size=60,
+)
+
+
+def bowl(point, best=(0.8, 35.0, 0.02, 0.015)):
+    """A cost of one at its best, and quadratic in the logarithms."""
+    return 1.0 + sum((math.log(p) - math.log(b)) ** 2 for p, b in zip(point, best, strict=True))
+
+
+def told(tuner, state, cost, trials):
+    """The state after so many trials of a cost."""
+    for _ in range(trials):
+        state = tuner.tell(state, Observation(cost(tuner.ask(state))))
+    return state
+
+
+def dither(tuner, state):
+    """How far the proposal lies from the centre, in coordinates."""
+    asked, centre = map(tuner.space.coordinates, (tuner.ask(state), tuner.recommend(state)))
+    return math.dist(asked, centre)
+
+
+# What every tuner promises.
+
+
+@every_tuner
+@given(told_each=observations)
+def test_proposals_stay_within_the_bounds_whatever_is_told(tuner, told_each):
+    state = tuner.start()
+    for observation in (*told_each, CENSORED):
+        for point in (tuner.ask(state), tuner.recommend(state)):
+            rows = zip(tuner.space.low, point, tuner.space.high, strict=True)
+            assert all(low <= value <= high for low, value, high in rows)
+        state = tuner.tell(state, observation)
+
+
+@every_tuner
+@given(told_each=observations, cut=st.integers(0, 60))
+def test_a_stored_state_goes_on_bit_for_bit(tuner, told_each, cut):
+    state = stored = tuner.start()
+    for k, observation in enumerate(told_each):
+        if k == cut:
+            stored = pickle.loads(pickle.dumps(stored))  # noqa: S301  our own bytes
+            stored = state_from_json(tuner, json.loads(json.dumps(state_to_json(stored))))
+        state, stored = tuner.tell(state, observation), tuner.tell(stored, observation)
+    assert stored == state
+    assert tuner.ask(stored) == tuner.ask(state)
+
+
+@every_tuner
+def test_settings_survive_a_journal(tuner):
+    kind = TypeAdapter(type(tuner))
+    stored = json.loads(json.dumps(kind.dump_python(tuner, mode="json")))
+    assert kind.validate_python(stored) == tuner
+
+
+@every_tuner
+def test_the_search_descends_and_gets_over_unsafe_trials(tuner):
+    start = bowl(tuner.space.start)
+    state = tuner.start()
+    for k in range(1000):
+        point = tuner.ask(state)
+        observation = CENSORED if k in (5, 100, 101, 102, 300) else Observation(bowl(point))
+        state = tuner.tell(state, observation)
+    assert bowl(tuner.recommend(state)) - 1.0 < 0.1 * (start - 1.0)
+
+
+@every_tuner
+def test_an_unsafe_trial_puts_the_centre_on_the_best_safe_point_with_less_dither(tuner):
+    state = told(tuner, tuner.start(), bowl, 20)
+    safe = tuner.tell(state, Observation(bowl(tuner.ask(state))))
+    unsafe = tuner.tell(state, CENSORED)
+    assert tuner.recommend(unsafe) == pytest.approx(state.best_point, rel=1e-12)
+    assert 0.0 < dither(tuner, unsafe) < dither(tuner, safe)
+    assert unsafe.best_cost == state.best_cost
+
+
+@every_tuner
+def test_caution_wears_off_with_safe_trials(tuner):
+    state = tuner.tell(tuner.start(), CENSORED)
+    assert state.caution < 1.0
+    assert told(tuner, state, bowl, 10).caution == 1.0
+
+
+@every_tuner
+@given(costs=st.lists(st.floats(0.1, 10.0) | st.none(), max_size=30))
+def test_the_best_safe_point_is_the_cheapest_that_was_told(tuner, costs):
+    state, seen = tuner.start(), []
+    assert (state.best_point, state.best_cost) == (tuner.space.start, None)
+    for cost in costs:
+        if cost is not None:
+            seen.append((cost, tuner.ask(state)))
+        state = tuner.tell(state, CENSORED if cost is None else Observation(cost))
+    if seen:
+        cheapest = min(seen, key=lambda row: row[0])
+        assert (state.best_cost, state.best_point) == cheapest
+    else:
+        assert (state.best_cost, state.best_point) == (None, tuner.space.start)
+
+
+@every_tuner
+@pytest.mark.parametrize("cost", [math.nan, math.inf, -math.inf])
+def test_a_cost_that_is_not_finite_must_be_told_as_censored(tuner, cost):
+    with pytest.raises(InvalidInput, match="censored=True"):
+        tuner.tell(tuner.start(), Observation(cost))
+    tuner.tell(tuner.start(), Observation(cost, censored=True))
+
+
+@pytest.mark.parametrize(
+    ("kind", "setting", "value"),
+    [
+        (Killingsworth, "dither_amplitudes", (0.1, 0.1, math.nan, 0.1)),
+        (Killingsworth, "adaptation_gains", (1.0, 1.0)),
+        (Killingsworth, "frequency_base", 1.0),
+        (Killingsworth, "washout_h", -0.5),
+        (Otis, "demodulation", "none"),
+        (Otis, "low_pass_share", 0.0),
+        (Otis, "space", LINEAR),
+        (LeastSquaresGradient, "step_limit", math.inf),
+        (LeastSquaresGradient, "dither_amplitude", 0.0),
+        (LeastSquaresGradient, "space", LINEAR),
+    ],
+)
+def test_a_setting_out_of_its_range_is_refused_by_name(kind, setting, value):
+    with pytest.raises(InvalidInput, match=setting):
+        kind(**{"space": WIDE, setting: value})
+
+
+# Killingsworth & Krstic, 2006.
+
+
+def test_the_published_law_is_that_of_the_printed_equations():
+    start, low, high = (4.06, 9.25, 2.31), (1e-6,) * 3, (1e6,) * 3
+    tuner = Killingsworth(
+        SearchSpace(("K", "Ti", "Td"), start, low, high, scale="linear", form="standard"),
+        dither_amplitudes=(0.1, 1.0, 0.1),
+        adaptation_gains=(200.0, 1200.0, 200.0),
+    )
+
+    def cost(K, Ti, Td):
+        return 2e-4 + 2e-3 * (K - 3.6) ** 2 + 5e-5 * (Ti - 27.0) ** 2 + 1e-3 * (Td - 2.1) ** 2 * K
+
+    # The equations once more, on arrays and in the printed order, indices from 1.
+    alpha, gamma = np.array([0.1, 1.0, 0.1]), np.array([200.0, 1200.0, 200.0])
+    omega, h = np.array([0.8, 0.8**2, 0.8**3]) * np.pi, 0.5
+    th, theta, J_before = np.array(start), np.array(start), cost(*start)
+    zeta = J_before / (1 + h)  # at rest: zeta = -h zeta + J
+    state = tuner.start()
+    for k in range(1, 101):
+        assert tuner.ask(state) == pytest.approx(tuple(theta), rel=1e-9)
+        assert tuner.recommend(state) == pytest.approx(tuple(th), rel=1e-9)
+        zeta = -h * zeta + J_before
+        J = cost(*theta)
+        th = th - gamma * alpha * np.cos(omega * k) * (J - (1 + h) * zeta)
+        theta = th + alpha * np.cos(omega * (k + 1))
+        J_before = J
+        state = tuner.tell(state, Observation(cost(*tuner.ask(state))))
+    assert abs(th[1] - start[1]) > 1.0  # it went somewhere
+
+
+# The paper's form of it.
+
+
+def still(**settings):
+    """The paper's tuner with a centre that practically stands still, so that it only measures."""
+    return Otis(WIDE, adaptation_gain=1e-9, dither_amplitude=0.02, low_pass_share=0.5, **settings)
+
+
+def mean_slope(tuner, cost):
+    """The measured slope, over one period of the dither once the filters have settled."""
+    state = told(tuner, tuner.start(), cost, 200)
+    found = []
+    for _ in range(4 * (len(tuner.space.names) + 1)):
+        state = told(tuner, state, cost, 1)
+        found.append(state.slope)
+    return np.mean(found, axis=0)
+
+
+TRUE_SLOPE = (1.0, -0.5, 0.25, 2.0)
+
+
+def exponential(point):
+    """A cost whose logarithm is linear in those of the parameters."""
+    return math.prod(p**g for p, g in zip(point, TRUE_SLOPE, strict=True))
+
+
+def test_compensated_demodulation_reads_the_slope_of_every_parameter_alike():
+    assert mean_slope(still(), exponential) == pytest.approx(TRUE_SLOPE, rel=1e-5)
+
+
+def test_published_demodulation_reads_the_in_phase_part_of_the_washout_alone():
+    responses = [washout_response(0.5, w) for w in odd_frequencies(4)]
+    in_phase = [gain * math.cos(lead) for gain, lead in responses]
+    expected = [g * share for g, share in zip(TRUE_SLOPE, in_phase, strict=True)]
+    published = mean_slope(still(demodulation="published"), exponential)
+    assert published == pytest.approx(expected, rel=1e-5)
+    assert max(in_phase) > 4.0 * min(in_phase)
+
+
+def test_the_curvature_of_the_cost_does_not_reach_the_slope():
+    centre = WIDE.coordinates(WIDE.start)
+
+    def curved(point):
+        x = np.array(WIDE.coordinates(point)) - centre
+        return math.exp(x @ x + 5.0 * x[0] * x[1] - 3.0 * x[1] * x[3] + 2.0 * x[2] * x[3])
+
+    assert np.abs(mean_slope(still(), curved)).max() < 1e-6
+
+
+@pytest.mark.parametrize("parameters", [1, 2, 3, 4, 5, 6])
+def test_dither_lines_of_first_and_second_order_are_distinct(parameters):
+    period = 4 * (parameters + 1)
+    first = [w * period / (2.0 * math.pi) for w in odd_frequencies(parameters)]
+    second = [2 * a for a in first]
+    second += [a + sign * b for i, a in enumerate(first) for b in first[:i] for sign in (1, -1)]
+
+    def aliased(line):
+        return abs((line + period / 2) % period - period / 2)
+
+    lines = [aliased(a) for a in first]
+    assert min(abs(a - b) for i, a in enumerate(lines) for b in [*lines[:i], 0.0]) > 0.9
+    assert min(abs(a - aliased(b)) for a in lines for b in second) > 0.9
+
+
+@pytest.mark.parametrize("parameters", [1, 2, 3, 4, 5, 6])
+def test_dithers_are_an_orthogonal_design_over_one_period(parameters):
+    period = 4 * (parameters + 1)
+    design = np.cos(np.outer(np.arange(period), odd_frequencies(parameters)))
+    assert design.sum(axis=0) == pytest.approx(np.zeros(parameters), abs=1e-9)
+    assert design.T @ design == pytest.approx(np.eye(parameters) * period / 2, abs=1e-9)
+
+
+# Least-squares gradient.
+
+
+def test_the_regressed_slope_is_exact_on_a_linear_cost_while_the_centre_moves():
+    tuner = LeastSquaresGradient(WIDE)
+    state = told(tuner, tuner.start(), exponential, 4)
+    for _ in range(30):
+        before = tuner.space.coordinates(tuner.recommend(state))
+        state = told(tuner, state, exponential, 1)
+        assert slope(state.moments, 4) == pytest.approx(TRUE_SLOPE, rel=1e-7)
+        step = np.subtract(tuner.space.coordinates(tuner.recommend(state)), before)
+        wanted = -tuner.step_limit * np.array(TRUE_SLOPE) / np.linalg.norm(TRUE_SLOPE)
+        assert step == pytest.approx(wanted, rel=1e-6)
+
+
+def test_the_regression_is_weighted_least_squares():
+    tuner = LeastSquaresGradient(WIDE)
+    state, rows, costs = tuner.start(), [], []
+    for _ in range(25):
+        point = tuner.ask(state)
+        rows.append([1.0, *tuner.space.coordinates(point)])
+        costs.append(bowl(point))
+        state = tuner.tell(state, Observation(costs[-1]))
+    weight = np.sqrt(0.8 ** np.arange(24, -1, -1))
+    expected = np.linalg.lstsq(weight[:, None] * rows, weight * np.log(costs))[0][1:]
+    assert slope(state.moments, 4) == pytest.approx(expected, rel=1e-6)
+
+
+def test_a_direction_that_was_not_explored_has_no_slope():
+    x, costs = np.array([[1.0, 0.3, 0.0], [1.0, -0.2, 0.0], [1.0, 0.5, 0.0]]), [0.3, -0.2, 0.5]
+    table = np.column_stack([x, costs])
+    moments = (table.T @ table)[np.triu_indices(4)]
+    assert slope(tuple(moments.tolist()), 2) == pytest.approx((1.0, 0.0))
+
+
+def test_a_step_is_shortened_to_the_limit_and_never_lengthened():
+    assert limited((3.0, 4.0), 1.0) == pytest.approx((0.6, 0.8))
+    assert limited((0.3, 0.4), 1.0) == (0.3, 0.4)
+    assert limited((0.0, 0.0), 1.0) == (0.0, 0.0)
+
+
+def test_steps_that_point_alike_keep_their_length():
+    drift, path = (0.0, 0.0), 0.0
+    for _ in range(50):
+        step, drift, path = straightened((0.3, -0.4), drift, path)
+        assert step == pytest.approx((0.3, -0.4))
+
+
+def test_steps_that_circle_are_shortened_to_the_least():
+    drift, path = (0.0, 0.0), 0.0
+    for k in range(200):
+        wanted = (math.cos(2.0 * k), math.sin(2.0 * k))
+        step, drift, path = straightened(wanted, drift, path)
+    assert math.hypot(*step) == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize("kind", [Otis, LeastSquaresGradient])
+def test_the_search_settles_on_a_cost_too_steep_for_its_gain(kind):
+    best = np.log([0.8, 35.0, 0.02, 0.015])
+
+    def steep(point):
+        return math.exp(2.5 * np.sum((np.log(point) - best) ** 2))
+
+    tuner = kind(WIDE)
+    assert tuner.adaptation_gain * 5.0 > 2.0  # plain descent with this gain never settles here
+    state, late = told(tuner, tuner.start(), steep, 250), []
+    for _ in range(50):
+        state = told(tuner, state, steep, 1)
+        late.append(steep(tuner.recommend(state)))
+    assert np.mean(late) < 1.05
+
+
+# The filters.
+
+
+def test_the_washout_is_its_transfer_function():
+    levels = np.random.default_rng(3).normal(size=50)
+    zeta, washed = washout_at_rest(0.4, levels[0]), []
+    for level in levels:
+        output, zeta = washout(0.4, zeta, level)
+        washed.append(output)
+    numerator, denominator = [1.0, -1.0], [1.0, 0.4]
+    rest = signal.lfilter_zi(numerator, denominator) * levels[0]
+    expected = signal.lfilter(numerator, denominator, levels, zi=rest)[0]
+    assert washed == pytest.approx(expected)
+
+
+@given(st.floats(0.01, 3.1), st.floats(0.05, 0.95))
+def test_the_washout_response_is_that_of_its_transfer_function(frequency, h):
+    gain, lead = washout_response(h, frequency)
+    expected = signal.freqz([1.0, -1.0], [1.0, h], [frequency])[1][0]
+    assert gain * np.exp(1j * lead) == pytest.approx(expected)
+
+
+def test_the_low_pass_is_its_transfer_function():
+    signals, level, found = np.random.default_rng(4).normal(size=50), 0.0, []
+    for value in signals:
+        level = low_pass(0.1, level, value)
+        found.append(level)
+    assert found == pytest.approx(signal.lfilter([0.1], [1.0, -0.9], signals))
