@@ -176,7 +176,7 @@ def flat_directions(
 
 def _axes(space: SearchSpace) -> list[_Axis]:
     units = {**GAIN_UNITS, "K": "N/N", "Ti": "s", "Td": "s"}
-    labels = {"setpoint_filter_s": "setpoint filter"}
+    labels = {"setpoint_filter_s": "the setpoint filter"}
     return [
         _Axis(name, labels.get(name, name), units[name], low, high, space.scale == "log")
         for name, low, high in zip(space.names, space.low, space.high, strict=True)

@@ -99,6 +99,26 @@ def test_every_command_has_help_for_every_option(capsys):
         assert capsys.readouterr().out.startswith(f"Usage: estune {name}")
 
 
+def test_a_plant_of_the_users_own_is_found_in_the_current_folder(tmp_path):
+    (tmp_path / "my_reel.py").write_text(
+        "import plants\n\n\ndef short():\n    return plants.reference_reel(cable_length_m=0.5)\n"
+    )
+    script = "from estune.cli import main; main()"
+    options = [
+        "tune",
+        "my_reel:short",
+        "--trials",
+        "1",
+        "--repeats",
+        "1",
+        "--run",
+        "one",
+        "--quiet",
+    ]
+    subprocess.run([sys.executable, "-P", "-c", script, *options], cwd=tmp_path, check=True)
+    assert estune.load(tmp_path / "runs" / "one").rig.cable_length_m == 0.5
+
+
 def test_version_is_the_packages():
     from importlib.metadata import version  # noqa: PLC0415  its only use
 

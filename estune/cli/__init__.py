@@ -8,6 +8,7 @@ Ctrl-C, and a polite request to end from the system, stop the rig first.
 import signal
 import sys
 from collections.abc import Sequence
+from pathlib import Path
 from types import FrameType
 
 from cyclopts import App, CycloptsError
@@ -26,11 +27,11 @@ def _version() -> str:
 
 app = App(
     name="estune",
-    help="Tunes the PIDF controller of a cable reel by step trials. Begin with: estune demo",
+    help="Tunes a cable reel's PIDF controller by step trials. Begin with: estune demo",
     version=_version,
     suppress_keyboard_interrupt=False,  # `run` says what became of the rig
 )
-for _name, _where, _help in (
+_COMMANDS = (
     ("demo", "demo:demo", "Watch a simulated reel in another process being tuned over Zenoh."),
     ("serve", "serve:serve", "Serve a simulated reel, or any plant, as a rig on the network."),
     ("tune", "tune:tune", "Tune a rig by step trials."),
@@ -40,12 +41,14 @@ for _name, _where, _help in (
     ("export", "runs:export", "Write the trial records of a run as CSV or Parquet files."),
     ("apply", "rigs:apply", "Make a run's gains, or its start gains, live on a rig."),
     ("rigs", "rigs:rigs", "Say which rigs answer at an endpoint, and how they stand."),
-):
-    app.command(f"estune.cli.{_where}", name=_name, help=_help)
+)
+for _place, (_name, _where, _help) in enumerate(_COMMANDS):
+    app.command(f"estune.cli.{_where}", name=_name, help=_help, sort_key=_place)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Runs the command line and ends the process with its exit code."""
+    sys.path.append(str(Path.cwd()))  # where a user's own module:attribute is looked for, at last
     sys.exit(run(sys.argv[1:] if arguments is None else arguments))
 
 

@@ -8,7 +8,6 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from estune import api
-from estune.cli import output
 from estune.cli.tune import TunerName, finish
 from estune.errors import RigError
 from estune.tuning import Stopped
@@ -48,14 +47,12 @@ def demo(
                 f"estune serve --listen {endpoint} --seed {seed} --pace {pace:g}"
             )
             raise
-    finish(result, target=None)
-    output.show_next(
-        {
-            "next": "estune serve --listen tcp/127.0.0.1:7447    in one terminal",
-            "": "estune tune tcp/127.0.0.1:7447              in another",
-            "notebook": f"import estune; estune.load({str(result.folder)!r})",
-        }
-    )
+    more = {
+        "next": "estune serve --listen tcp/127.0.0.1:7447    in one terminal",
+        "": "estune tune tcp/127.0.0.1:7447              in another",
+        "notebook": f"import estune; estune.load({str(result.folder)!r})",
+    }
+    finish(result, None, more)
 
 
 @contextmanager

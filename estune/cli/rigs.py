@@ -34,7 +34,7 @@ def apply(
     target: str,
     /,
     *,
-    start: Annotated[bool, Parameter(negative=())] = False,
+    start: Annotated[bool, Parameter(negative=(), show_default=False)] = False,
     rig: str | None = None,
     folder: Path = Path(api.RUNS),
 ) -> None:

@@ -13,7 +13,7 @@ from estune.errors import EstuneError, InvalidInput, JournalError
 from estune.journal import FILE_NAME, Journal, being_written
 from estune.result import TuneResult
 
-_Flag = Parameter(negative=())
+_Flag = Parameter(negative=(), show_default=False)
 
 
 def list_runs(

@@ -13,7 +13,7 @@ from estune.errors import InvalidInput
 from estune.targets import load
 from estune.trial import Rig
 
-_Flag = Parameter(negative=())
+_Flag = Parameter(negative=(), show_default=False)
 
 
 def serve(

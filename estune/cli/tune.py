@@ -77,7 +77,7 @@ def tune(
     rig: str | None = None,
     run: str | None = None,
     folder: Path = Path(api.RUNS),
-    quiet: Annotated[bool, Parameter(negative=())] = False,
+    quiet: Annotated[bool, Parameter(negative=(), show_default=False)] = False,
     step: StepOptions = _NO_STEP,
     cost: CostOptions = _NO_COST,
 ) -> None:
@@ -125,7 +125,7 @@ def resume(
     *,
     target: str | None = None,
     folder: Path = Path(api.RUNS),
-    quiet: Annotated[bool, Parameter(negative=())] = False,
+    quiet: Annotated[bool, Parameter(negative=(), show_default=False)] = False,
 ) -> None:
     """Go on with a run that was stopped or cut off.
 
@@ -139,8 +139,8 @@ def resume(
     finish(api.resume(path, target, watch=None if quiet else "auto"), target)
 
 
-def finish(result: TuneResult, target: str | None) -> None:
-    """Prints a result, saves its figure, and says what to type next."""
+def finish(result: TuneResult, target: str | None, more: Mapping[str, str] | None = None) -> None:
+    """Prints a result, saves its figure, and says what to type next, and `more` below that."""
     output.show_result(result)
     facts: dict[str, object] = {"run": result.folder}
     figure = output.save_figure(result)
@@ -149,7 +149,7 @@ def finish(result: TuneResult, target: str | None) -> None:
     if result.ending is Ending.TUNED and target:
         facts["make live"] = f"estune apply {result.folder} {target}"
     facts["trials"] = f"estune export {result.folder} --csv"
-    output.show_next(facts)
+    output.show_next({**facts, **(more or {})})
 
 
 @dataclass(frozen=True)
