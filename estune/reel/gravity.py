@@ -1,0 +1,105 @@
+"""Feed-forward of the cable's weight, added to the tension setpoint of the reel.
+
+The force F_g is what the compensator pulls more: below zero where the cable goes up from the reel
+and hangs on its far end, above zero where the reel carries the far end's side. z points up, end 1
+is the attachment at the reel, end 3 the far end.
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from estune.errors import InvalidInput
+
+Numbers = Any
+"""A float, or an array of float64: scalars in, scalars out."""
+
+
+def gravity_force_N(
+    weight_N_m: ArrayLike, length_m: ArrayLike, *, tension_1z_N: ArrayLike, tension_1_N: ArrayLike
+) -> Numbers:
+    """The compensation from the tension vector at the reel, `-F_g = mu g ds T_1z/|T_1|`.
+
+    Implements (8).
+
+    The share of the cable's weight along its direction at the reel, so `|F_g| <= mu g ds`. A cable
+    with no tension, or with less than none read by a noisy gauge, hangs down from the reel: the
+    limit `F_g = mu g ds`.
+
+    Args:
+        weight_N_m: Weight per length mu g, N/m, zero or above; any shape.
+        length_m: Deployed length ds, m, zero or above.
+        tension_1z_N: Vertical tension at the reel T_1z, N.
+        tension_1_N: Tension at the reel |T_1|, N; any sign, see above.
+
+    Returns:
+        F_g in N.
+
+    Raises:
+        InvalidInput: a value is not finite, or a weight or length below zero.
+    """
+    weight = _checked("weight_N_m", weight_N_m, "N/m", least=0.0) * _checked(
+        "length_m", length_m, "m", least=0.0
+    )
+    V_1 = _checked("tension_1z_N", tension_1z_N, "N")
+    return _limited(weight, V_1, _checked("tension_1_N", tension_1_N, "N"))
+
+
+def gravity_force_by_position_N(
+    weight_N_m: ArrayLike, length_m: ArrayLike, *, rise_m: ArrayLike, tension_1_N: ArrayLike
+) -> Numbers:
+    """The compensation from the far end's height, with the limit at low tension.
+
+    Implements (9).
+
+    `-F_g = mu g dz (1 + mu g dz/(2 |T_1|)) - (mu g ds)^2/(2 |T_1|)`, that is (8) with T_1z from
+    (4) (the paper says from (5), which it cannot be). At low tension the last term grows without
+    bound: the tension is then below what the cable's weight alone asks for, and no T_1z within
+    `|T_1|` belongs to it. So F_g is kept within `mu g ds`, the bound that (8) has by itself.
+
+    What the weight really adds between the ends is `|T_3| - |T_1| = mu g dz`; (9) is less by
+    `(mu g)^2 (ds^2 - dz^2)/(2 |T_1|)`, the second order in weight over tension.
+
+    Args:
+        weight_N_m: Weight per length mu g, N/m, zero or above; any shape.
+        length_m: Deployed length ds, m, zero or above.
+        rise_m: Height of the far end above the reel dz, m.
+        tension_1_N: Tension at the reel |T_1|, N; zero or below counts as a slack cable.
+
+    Returns:
+        F_g in N.
+
+    Raises:
+        InvalidInput: a value is not finite, or a weight or length below zero.
+    """
+    w = _checked("weight_N_m", weight_N_m, "N/m", least=0.0)
+    s = _checked("length_m", length_m, "m", least=0.0)
+    z = _checked("rise_m", rise_m, "m")
+    T_1 = _checked("tension_1_N", tension_1_N, "N")
+    # Multiplied by |T_1|/(mu g ds), so that nothing is divided by a tension that may be zero.
+    share = np.divide(z, s, out=np.zeros(np.broadcast(z, s).shape), where=s > 0.0)
+    V_1 = share * (T_1 + 0.5 * w * z) - 0.5 * w * s
+    return _limited(w * s, V_1, T_1)
+
+
+def _limited(
+    weight: NDArray[np.float64], V_1: NDArray[np.float64], T_1: NDArray[np.float64]
+) -> Numbers:
+    """`-weight V_1/T_1` within plus and minus the weight; the weight where there is no tension."""
+    weight, V_1, T_1 = np.broadcast_arrays(weight, V_1, T_1)
+    inside = np.abs(V_1) < T_1
+    cosine = np.divide(V_1, T_1, out=np.sign(V_1), where=inside)
+    force = np.where(T_1 > 0.0, -cosine, 1.0) * weight
+    return force.item() if force.ndim == 0 else force
+
+
+def _checked(
+    name: str, values: ArrayLike, unit: str, least: float = -np.inf
+) -> NDArray[np.float64]:
+    array = np.asarray(values, dtype=np.float64)
+    bad = ~np.isfinite(array) | (array < least)
+    if bad.any():
+        limit = f" and {least:g} or more" if np.isfinite(least) else ""
+        raise InvalidInput(f"{name} is {array[bad].flat[0]:g} {unit}; it must be finite{limit}")
+    return array
