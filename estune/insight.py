@@ -1,7 +1,8 @@
-"""What a run's trials say beside its result: gains at a bound, flat directions of the cost.
+"""What is to be said beside a result: thin margins, gains at a bound, flat directions of the cost.
 
-Both are reasons not to take a number at its word. A gain at its bound was not chosen by the cost
-but by whoever set the bound; along a flat direction any value would have done as well.
+All are reasons not to take a number at its word. A cost can be least where the loop is close to
+ringing; a gain at its bound was not chosen by the cost but by whoever set the bound; along a flat
+direction any value would have done as well.
 
 Flat directions are read off a quadratic in the search coordinates, fitted to the safe trials near
 the best gains,
@@ -25,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estune.core.gains import GAIN_UNITS
+from estune.core.margins import Margins
 from estune.core.search_space import Point, SearchSpace
 
 FloatArray = NDArray[np.float64]
@@ -40,6 +42,9 @@ AT_BOUND = 0.02
 
 LEAST_CHANGE = 0.01
 """A change of the cost by less than this share of it matters to nobody, however quiet the rig."""
+
+PHASE_MARGIN_LEAST_deg, GAIN_MARGIN_LEAST = 30.0, 2.0
+"""What textbooks ask of a loop at the least (Astrom & Hagglund, Advanced PID Control, 2006)."""
 
 _CONFIDENCE = 1.645  # one-sided 95 % of a normal distribution
 
@@ -74,14 +79,40 @@ class Finding(NamedTuple):
     """One remark on the result.
 
     Attributes:
-        kind: `bound`, `flat`, or `unknown` where the trials cannot tell.
+        kind: `margin`, `bound`, `flat`, or `unknown` where the trials cannot tell.
         parameters: What it is about.
         sentence: The remark in words.
     """
 
-    kind: Literal["bound", "flat", "unknown"]
+    kind: Literal["margin", "bound", "flat", "unknown"]
     parameters: tuple[str, ...]
     sentence: str
+
+
+def thin_margins(found: Margins | None) -> tuple[Finding, ...]:
+    """Says where the linear model has less margin than is usual, or is unstable.
+
+    Args:
+        found: Margins of the tuned loop; None where the rig gives no model.
+    """
+    if found is None:
+        return ()
+    remedy = "a larger move weight makes the tuning gentler"
+    if not found.stable:
+        sentence = f"these gains make the rig's own linear model unstable; {remedy}"
+    elif found.phase_margin_deg < PHASE_MARGIN_LEAST_deg:
+        sentence = (
+            f"the phase margin of {found.phase_margin_deg:.0f}° is thin "
+            f"(under {PHASE_MARGIN_LEAST_deg:.0f}°); {remedy}"
+        )
+    elif 1.0 / GAIN_MARGIN_LEAST < found.gain_margin < GAIN_MARGIN_LEAST:
+        sentence = (
+            f"the gain margin of {found.gain_margin:.2g} is thin "
+            f"(within a factor {GAIN_MARGIN_LEAST:.0f}); {remedy}"
+        )
+    else:
+        return ()
+    return (Finding("margin", (), sentence),)
 
 
 def at_bounds(space: SearchSpace, best: Point) -> tuple[Finding, ...]:

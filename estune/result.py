@@ -97,7 +97,7 @@ class TuneResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type i
         rig: The rig as it was when the run began.
         start: Performance of the start gains.
         tuned: Performance of the tuned gains, or None.
-        findings: Remarks: gains at a bound, flat directions of the cost.
+        findings: Remarks: thin margins, gains at a bound, flat directions of the cost.
     """
 
     x: "np.ndarray[tuple[int], np.dtype[np.float64]]"
@@ -282,7 +282,7 @@ def from_tuning(tuning: Tuning) -> TuneResult:
         rig=tuning.description,
         start=start,
         tuned=tuned,
-        findings=_findings(tuning, found) if tuned else (),
+        findings=_findings(tuning, tuned) if tuned else (),
         session=session,
     )
 
@@ -298,20 +298,21 @@ def _performance(
     return Performance(gains, *cost, metrics, on_model, record)
 
 
-def _findings(tuning: Tuning, found: Verdict) -> tuple[insight.Finding, ...]:
+def _findings(tuning: Tuning, tuned: Performance) -> tuple[insight.Finding, ...]:
     space: SearchSpace = tuning.plan.tuner.space
     safe = [
         e
         for e in tuning.entries
         if e.outcome and not e.outcome.is_void and not _is_unsafe(tuning.session, e)
     ]
-    best = _point(space, found.gains)
-    return insight.at_bounds(space, best) + insight.flat_directions(
-        *(space, best, found.cost),
+    best = _point(space, tuned.gains)
+    flat = insight.flat_directions(
+        *(space, best, tuned.cost),
         points=np.array([_point(space, e.gains) for e in safe]),
         costs=np.array([e.cost for e in safe]),
         noise=insight.scatter(tuning.session.confirmed),
     )
+    return insight.thin_margins(tuned.margins) + insight.at_bounds(space, best) + flat
 
 
 def _point(space: SearchSpace, gains: Gains) -> Point:

@@ -1,4 +1,6 @@
-"""Bounds and flat directions, on costs whose bounds and flat directions are known."""
+"""Remarks, on costs and margins for which it is known what is to be said."""
+
+import math
 
 import numpy as np
 import pytest
@@ -6,8 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from estune.core.gains import Gains
+from estune.core.margins import Margins
 from estune.core.search_space import SearchSpace
-from estune.insight import at_bounds, flat_directions, scatter
+from estune.insight import at_bounds, flat_directions, scatter, thin_margins
 
 BEST = (1.0, 10.0, 0.01, 0.005)
 SPACE = SearchSpace.around(Gains(*BEST))
@@ -98,3 +101,19 @@ def test_the_scatter_is_pooled_over_gains_and_leaves_their_difference_out():
     groups = [(1.0, 3.0), (11.0, 13.0), (5.0,), (7.0, float("inf"))]
     assert scatter(groups) == pytest.approx(np.sqrt(2.0))
     assert np.isnan(scatter([(1.0,)]))
+
+
+@pytest.mark.parametrize(
+    ("found", "words"),
+    [
+        (Margins(4.0, 55.0, 5.0, 20.0, stable=True), None),
+        (Margins(4.0, 20.0, 5.0, 20.0, stable=True), "phase margin of 20°"),
+        (Margins(1.5, 55.0, 5.0, 20.0, stable=True), "gain margin of 1.5"),
+        (Margins(math.nan, math.nan, math.nan, math.nan, stable=False), "unstable"),
+        (None, None),
+    ],
+)
+def test_margins_thinner_than_usual_are_said(found, words):
+    said = [finding.sentence for finding in thin_margins(found)]
+    assert len(said) == (words is not None)
+    assert all(words in sentence for sentence in said)

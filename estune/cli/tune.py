@@ -16,7 +16,7 @@ from estune.core.gains import GAIN_NAMES, Gains
 from estune.errors import InvalidInput
 from estune.planning import MOVE_WEIGHT
 from estune.result import Ending, TuneResult
-from estune.targets import open_target
+from estune.targets import is_endpoint, open_target
 from estune.trial import RigDescription, StepProfile
 
 _STEP = Group("The step trial", sort_key=1)
@@ -146,7 +146,7 @@ def finish(result: TuneResult, target: str | None, more: Mapping[str, str] | Non
     figure = output.save_figure(result)
     if figure:
         facts["figure"] = figure
-    if result.ending is Ending.TUNED and target:
+    if result.ending is Ending.TUNED and is_endpoint(target):
         facts["make live"] = f"estune apply {result.folder} {target}"
     facts["trials"] = f"estune export {result.folder} --csv"
     output.show_next({**facts, **(more or {})})
