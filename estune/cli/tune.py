@@ -14,6 +14,7 @@ from estune.cli.values import numbers_from, ranges_from
 from estune.core.cost import StepCost
 from estune.core.gains import GAIN_NAMES, Gains
 from estune.errors import InvalidInput
+from estune.journal import Journal
 from estune.planning import MOVE_WEIGHT
 from estune.result import Ending, TuneResult
 from estune.targets import is_endpoint, open_target
@@ -136,7 +137,9 @@ def resume(
         quiet: Show no progress.
     """
     path = find_run(run, folder)
-    finish(api.resume(path, target, watch=None if quiet else "auto"), target)
+    with Journal.open(path) as journal:
+        where = target or journal.fact("target")
+    finish(api.resume(path, where, watch=None if quiet else "auto"), where)
 
 
 def finish(result: TuneResult, target: str | None, more: Mapping[str, str] | None = None) -> None:
