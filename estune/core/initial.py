@@ -231,12 +231,12 @@ def pole_placement(
     theta = _effective_dead_time_s(model, settings)
     w = model.natural_frequency_rad_s
     wanted = min(1.5 * w, 0.5 / theta) if frequency_rad_s is None else frequency_rad_s
-    if not (math.isfinite(wanted) and wanted > 0.0 and 0.0 < damping <= 1.0):
+    if not (math.isfinite(wanted) and wanted > 0.0 and 0.0 < damping < 1.0):
         raise InvalidInput(
             f"poles of {wanted} rad/s with damping {damping}: give a frequency above zero and a "
-            "damping from 0 to 1"
+            "damping between 0 and 1"
         )
-    pair = wanted * complex(-damping, math.sqrt(1.0 - damping**2 * (1.0 - 1e-12)))
+    pair = wanted * complex(-damping, math.sqrt(1.0 - damping**2))
     rows, right = [], []
     for s in (complex(-wanted), pair):
         inverse = -(s**2 + 2.0 * model.damping * w * s + w**2) / (model.gain * w**2)
@@ -281,11 +281,16 @@ def sensitivity_limited(
 
     limits = limits or SensitivityLimits()
     constraints = _Constraints.of(model, settings, limits)
-    x = np.array([1e-4 * model.damping, 1e-4 * model.damping, 0.0])
+    # P has a floor: a plant that would rather have none still gets gains with a logarithm.
+    least = 0.01 * model.damping
+    x = np.array([least, 0.01 * least, 0.0])
     for _ in range(ROUNDS):
         rows, room = constraints.tangent(x)
         found = linprog(
-            [0.0, -1.0, 0.0], A_ub=rows, b_ub=room, bounds=[(1e-6, None), (0.0, None), (0.0, None)]
+            [0.0, -1.0, 0.0],
+            A_ub=rows,
+            b_ub=room,
+            bounds=[(least, None), (0.0, None), (0.0, None)],
         )
         if not found.success:
             raise InvalidInput(

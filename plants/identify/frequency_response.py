@@ -25,7 +25,11 @@ FOREIGN_INPUT = 0.05
 FLAT_TOP_samples = 4
 """So many equal samples in a row at the extreme, and it is a limit: noise would part them."""
 DETECTED = 1e-3
-"""Chance below which distortion is taken as there, and a record as not settled."""
+"""Chance below which distortion is taken as there; all it does is to widen the band."""
+NOT_SETTLED = 1e-6
+"""Chance below which a record is refused as not settled: a sound one hardly ever is."""
+NEGLIGIBLE = 1e-4
+"""Share of the output by which the first period may always differ: it moves no estimate."""
 
 
 class Distortion(NamedTuple):
@@ -339,10 +343,10 @@ def _check_settled(excitation: Excitation, parts: list[_Segment]) -> None:
     first = float(np.sum(np.abs(spectra[0] - rest) ** 2)) * (periods - 1) / periods
     n = spectra.shape[1]
     size = float(np.sum(np.abs(rest) ** 2))
-    if first <= 1e-12 * size:  # no noise to compare with, and nothing to settle
+    if first <= NEGLIGIBLE**2 * size:  # without noise, anything would stand out
         return
-    if among == 0.0 or f.sf(first / among, 2 * n, 2 * n * (periods - 2)) < DETECTED:
-        share = 100.0 * math.sqrt(first / size)
+    if among == 0.0 or f.sf(first / among, 2 * n, 2 * n * (periods - 2)) < NOT_SETTLED:
+        share = 100.0 * math.sqrt((first - among) / size)
         raise InvalidInput(
             f"the first evaluated period differs from the later ones by {share:.2g} % of the "
             f"output: not settled after {excitation.segments[0].settling_periods} periods; give "
