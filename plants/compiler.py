@@ -18,7 +18,7 @@ from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
-from estune.errors import EstuneError
+from estune.errors import PlantError
 
 _log = logging.getLogger(__name__)
 _noticed = threading.Event()
@@ -29,10 +29,6 @@ FLAGS = ("-std=gnu90", "-O3", "-fPIC", "-shared", "-fno-math-errno", "-fvisibili
 COMPILE_LIMIT_s = 120.0
 
 
-class CompilerMissing(EstuneError):
-    """There is no working C compiler, or nowhere to put what it makes."""
-
-
 def load(source: str) -> ctypes.CDLL:
     """The library made from a C source, from the cache where it is there.
 
@@ -40,7 +36,7 @@ def load(source: str) -> ctypes.CDLL:
     be written, a temporary folder serves this process.
 
     Raises:
-        CompilerMissing: no compiler is there, it failed, or what it made cannot be loaded.
+        PlantError: no compiler is there, it failed, or what it made cannot be loaded.
     """
     command = compiler()
     key = _key(source, command)
@@ -50,7 +46,7 @@ def load(source: str) -> ctypes.CDLL:
             return _loaded(folder, key) or _made(folder, key, source, command)
         except OSError as error:
             reason = f"{folder}: {error.strerror or error}"
-    raise CompilerMissing(reason)
+    raise PlantError(reason)
 
 
 def notice(reason: str) -> None:
@@ -64,7 +60,7 @@ def compiler() -> tuple[str, ...]:
     """The compiler's command: `CC` where it is set, else `cc` or `gcc`.
 
     Raises:
-        CompilerMissing: there is none.
+        PlantError: there is none.
     """
     for name in filter(None, (os.environ.get("CC"), "cc", "gcc", "clang")):
         command = shlex.split(name)
@@ -72,8 +68,8 @@ def compiler() -> tuple[str, ...]:
         if program:
             return (program, *command[1:])
         if name == os.environ.get("CC"):
-            raise CompilerMissing(f"the compiler named by CC, {name!r}, is not there")
-    raise CompilerMissing("no C compiler found; install gcc or clang, or name one in CC")
+            raise PlantError(f"the compiler named by CC, {name!r}, is not there")
+    raise PlantError("no C compiler found; install gcc or clang, or name one in CC")
 
 
 def _key(source: str, command: tuple[str, ...]) -> str:
@@ -122,12 +118,12 @@ def _made(folder: Path, key: str, source: str, command: tuple[str, ...]) -> ctyp
                 arguments, capture_output=True, text=True, timeout=COMPILE_LIMIT_s, check=False
             )
         except subprocess.TimeoutExpired as error:
-            raise CompilerMissing(
+            raise PlantError(
                 f"{command[0]} did not finish within {COMPILE_LIMIT_s:g} s"
             ) from error
         if done.returncode or not product.exists():
             lines = done.stderr.strip().splitlines() or ["no message"]
-            raise CompilerMissing(f"{command[0]} failed: {lines[0]}")
+            raise PlantError(f"{command[0]} failed: {lines[0]}")
         path = folder / _name(key, product.read_bytes())
         product.replace(path)
     return ctypes.CDLL(str(path))

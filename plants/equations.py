@@ -28,13 +28,23 @@ class Equations(NamedTuple):
         prepare: (parameters, preload) -> (constants, state at rest, effort at rest).
         observe: (constants, state, drive in force, noise) -> (state, measurement, angle).
         drive: (constants, state, effort) -> (state, drive).
-        move: (constants, state, drive before, drive after) -> state one sample later.
+        substep: (constants, state, drive before, drive after, n) -> state after the nth substep.
+        substeps: Number of substeps in a sample.
     """
 
     prepare: Expression
     observe: Expression
     drive: Expression
-    move: Expression
+    substep: Expression
+    substeps: int
+
+    def move(
+        self, constants: Expression, state: Expression, before: Expression, after: Expression
+    ) -> Expression:
+        """The state one sample later."""
+        for n in range(self.substeps):
+            state = self.substep(constants, state, before, after, n)
+        return state
 
 
 Constants = TypeVar("Constants", bound=tuple[Any, ...])

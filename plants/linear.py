@@ -172,7 +172,8 @@ class LinearStructure:
                 "observe", [constants, x, before, noise], [x, c.C @ x + c.E * before + noise, 0.0]
             ),
             drive=ca.Function("drive", [constants, x, effort], [x, effort]),
-            move=ca.Function("move", [constants, x, before, after], [moved]),
+            substep=ca.Function("substep", [constants, x, before, after, ca.SX.sym("n")], [moved]),
+            substeps=1,
         )
 
 

@@ -58,10 +58,12 @@ class Constants(NamedTuple):
     transition: Expression  # Phi, 4 x 4
     by_torque: Expression  # Gamma for a torque on the drum, 4 x 1
     by_current: Expression  # Gamma for a motor current, 4 x 1
-    by_current_after: Expression  # share of it after the drive has changed, 4 x SUBSTEPS
+    by_current_after: Expression  # share of it after the drive's change in midst of a substep
+    change: Expression  # number of the substep in which the drive changes
     by_tension: Expression  # Gamma for tension beyond the linear law, 4 x 1
     torque_per_velocity: Expression  # inverse of by_torque[OMEGA]
     tension_per_angle: Expression  # k R
+    tension_per_velocity: Expression  # k R times half a substep: to the angle at midspan
     substep_s: Expression
     amperes_per_newton: Expression
     current_limit_A: Expression
@@ -127,9 +129,8 @@ class ReelStructure:
         stages = _Stages(c, self.effects)
         rest = ca.vertcat(preload / _tension_per_angle(p, preload), 0.0, preload, 0.0)
         rest = ca.vertcat(rest, ca.SX.zeros(x.shape[0] - STATES))
-        moved = x
-        for n in range(SUBSTEPS):
-            moved = self._substep(stages, moved, self._driven(c, n, before, after))
+        n = ca.SX.sym("n")
+        moved = self._substep(stages, x, self._driven(c, n, before, after))
         return Equations(
             prepare=ca.Function(
                 "prepare", [parameters, preload], [values, ca.densify(rest), preload]
@@ -138,7 +139,8 @@ class ReelStructure:
                 "observe", [constants, x, before, noise], stages.observe(x, noise)
             ),
             drive=ca.Function("drive", [constants, x, effort], stages.drive(x, effort)),
-            move=ca.Function("move", [constants, x, before, after], [ca.densify(moved)]),
+            substep=ca.Function("substep", [constants, x, before, after, n], [ca.densify(moved)]),
+            substeps=SUBSTEPS,
         )
 
     def _constants(self, p: SimpleNamespace, preload: Expression) -> Constants:
@@ -156,16 +158,22 @@ class ReelStructure:
         B[OMEGA, 0] = 1.0 / J
         B[OMEGA, 1], B[READING_RATE, 1] = -p.drum_radius_m / J, w**2
         transition, gamma = held_input(A, B, h, self.squarings)
+        change = ca.floor(SUBSTEPS * p.dead_time_fraction)
+        rest_of_substep = h * (change + 1 - SUBSTEPS * p.dead_time_fraction)
+        by_current = B[:, 0] * p.torque_constant_Nm_A
+        _, after = held_input(A, by_current, rest_of_substep, self.squarings)
+        if not self.fractional:
+            change, after = ca.SX(0, 0), ca.SX(STATES, 0)
         return Constants(
             transition=transition,
             by_torque=gamma[:, 0],
             by_current=gamma[:, 0] * p.torque_constant_Nm_A,
-            by_current_after=self._after(
-                A, B[:, 0] * p.torque_constant_Nm_A, p.dead_time_fraction, h
-            ),
+            by_current_after=after,
+            change=change,
             by_tension=gamma[:, 1],
             torque_per_velocity=1.0 / gamma[OMEGA, 0],
             tension_per_angle=_tension_per_angle(p, preload),
+            tension_per_velocity=_tension_per_angle(p, preload) * 0.5 * h,
             substep_s=h,
             amperes_per_newton=p.drum_radius_m / p.torque_constant_Nm_A,
             current_limit_A=p.current_limit_A,
@@ -173,30 +181,23 @@ class ReelStructure:
             effects=p.effects,
         )
 
-    def _after(self, A: Expression, B: Expression, fraction: Expression, h: Expression) -> Any:
-        """What the current does in the part of each substep that lies after the drive's change."""
-        if not self.fractional:
-            return ca.SX(STATES, 0)
-        parts = []
-        for n in range(SUBSTEPS):
-            span = h * ca.fmin(ca.fmax(n + 1 - SUBSTEPS * fraction, 0.0), 1.0)
-            parts.append(held_input(A, B, span, self.squarings)[1])
-        return ca.horzcat(*parts)
-
-    def _driven(self, c: Constants, n: int, before: Expression, after: Expression) -> Expression:
+    def _driven(
+        self, c: Constants, n: Expression, before: Expression, after: Expression
+    ) -> Expression:
         """What the motor current adds to the state over the nth substep."""
         if not self.fractional:
             return c.by_current * after
-        changed = c.by_current_after[:, n]
-        return (c.by_current - changed) * before + changed * after
+        first = ca.if_else(n > c.change, after, before)
+        last = ca.if_else(n < c.change, before, after)
+        return (c.by_current - c.by_current_after) * first + c.by_current_after * last
 
     @staticmethod
     def _substep(stages: "_Stages", x: Expression, driven: Expression) -> Expression:
         """The state one substep later."""
         c = stages.c
-        linear = c.tension_per_angle * (x[THETA] + 0.5 * c.substep_s * x[OMEGA])
-        x, tension = stages.cable(x, linear)
-        free = c.transition @ x[:STATES] + driven + c.by_tension * (tension - linear)
+        linear = c.tension_per_angle * x[THETA] + c.tension_per_velocity * x[OMEGA]
+        x, tension, beyond = stages.cable(x, linear)
+        free = c.transition @ x[:STATES] + driven + c.by_tension * beyond
         x, friction = stages.drum(x, free[OMEGA], tension)
         return ca.vertcat(free + c.by_torque * friction, x[STATES:])
 
@@ -218,9 +219,14 @@ class _Stages:
         limit = self.c.current_limit_A
         return [x, ca.fmin(ca.fmax(current, -limit), limit)]
 
-    def cable(self, x: Expression, linear: Expression) -> tuple[Expression, Expression]:
-        """Cable: tension, which never pushes."""
-        return self._pass(Port.CABLE, x, ca.fmax(linear, 0.0), span=self.c.substep_s)
+    def cable(
+        self, x: Expression, linear: Expression
+    ) -> tuple[Expression, Expression, Expression]:
+        """Cable, which never pushes: tension, and how far it is beyond the linear law."""
+        # Not as the difference of the two tensions, which each substep would have to wait for.
+        slack = ca.fmax(-linear, 0.0)
+        x, tension = self._pass(Port.CABLE, x, linear + slack, span=self.c.substep_s)
+        return x, tension, slack + (tension - (linear + slack))
 
     def drum(
         self, x: Expression, free_velocity: Expression, tension: Expression

@@ -185,6 +185,6 @@ class SimulatedRig:
 
 
 def _read_only(column: NDArray[Scalar], kept: int) -> NDArray[Scalar]:
-    part = column[:kept]
+    part = column if kept == len(column) else column[:kept]
     part.flags.writeable = False
     return part

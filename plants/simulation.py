@@ -17,8 +17,9 @@ from estune.trial import FloatArray, StepProfile
 from plants.noise import NoiseSource
 from plants.plant import Plant
 
-CHUNK = 64
-"""Trials a thread takes at once: their columns stay within a core's cache."""
+CHUNK = 128
+"""Trials a thread takes at once: enough that the interpreter's lock, which only one thread can
+hold between chunks, is seldom waited for; few enough that memory stays small."""
 
 DIVERGED_AT = 100.0
 """A response has diverged where it passes the largest setpoint this many times over."""
@@ -86,15 +87,18 @@ def simulate(
         bound(profile) if bound_N is None else min(bound_N, sys.float_info.max),
     )
     ended = int(columns.ended[0])
+    tension, effort, angle, flags = (column[0] for column in columns[:4])
+    if ended == len(time):
+        return Response(time, setpoint, tension, effort, angle, flags, None)
     kept = slice(ended)
     return Response(
         time[kept],
         setpoint[kept],
-        columns.tension_N[0, kept],
-        columns.effort_N[0, kept],
-        columns.angle_rad[0, kept],
-        columns.flags[0, kept],
-        None if ended == len(time) else ended,
+        tension[kept],
+        effort[kept],
+        angle[kept],
+        flags[kept],
+        ended,
     )
 
 

@@ -1,31 +1,26 @@
 /* The closed-loop trial: a fixed loop around the generated functions
- * estune_prepare, estune_sense and estune_move, which precede this text in the compiled file
- * together with the sizes PARAMETERS, CONSTANTS, STATES, PIDF_STATES and COEFFICIENTS.
+ * estune_prepare, estune_sense and estune_substep, which precede this text in the compiled file
+ * together with the sizes CONSTANTS, STATES, SUBSTEPS, PIDF_STATES and COEFFICIENTS.
  *
  * The dead time is a ring of past drives, so that a long one costs no more than a short one.
  * During sample k the plant is driven by drive[k - delay - 1] until the dead time's fraction of
  * a sample has passed, then by drive[k - delay].
  */
 #include <stdlib.h>
-#include <string.h>
-
-/* CasADi writes outputs before it has read all inputs, so that in and out must not be one. */
-struct loop {
-  double constants[CONSTANTS + 1], state[2][STATES + 1], pidf[2][PIDF_STATES];
-};
 
 static long one_trial(long samples, long delay, double bound, double preload,
                       const double *parameters, const double *coefficients,
                       const double *setpoint, const double *noise, double *ring,
                       double *tension, double *effort, double *angle, unsigned char *flags) {
-  struct loop l;
-  double drive, excess;
-  long k, n, now = delay + 1, before = 0, after = 1;
+  /* CasADi writes outputs before it has read all inputs, so that in and out must not be one. */
+  double constants[CONSTANTS], state[STATES], moved[STATES], pidf[PIDF_STATES];
+  double following[PIDF_STATES], drive, excess;
+  long i, k, n, now = delay + 1, before = 0, after = 1;
   {
     const double *arg[2];
     double *res[4];
     arg[0] = parameters; arg[1] = &preload;
-    res[0] = l.constants; res[1] = l.state[0]; res[2] = l.pidf[0]; res[3] = &drive;
+    res[0] = constants; res[1] = state; res[2] = pidf; res[3] = &drive;
     estune_prepare(arg, res, 0, 0, 0);
   }
   for (n = 0; n < delay + 2; n++) ring[n] = drive;
@@ -33,23 +28,26 @@ static long one_trial(long samples, long delay, double bound, double preload,
     {
       const double *arg[7];
       double *res[7];
-      arg[0] = l.constants; arg[1] = l.state[0]; arg[2] = ring + before;
+      arg[0] = constants; arg[1] = state; arg[2] = ring + before;
       arg[3] = noise ? noise + k : 0;  /* no address reads as zero */
-      arg[4] = coefficients; arg[5] = l.pidf[0]; arg[6] = setpoint + k;
-      res[0] = l.state[1]; res[1] = tension + k; res[2] = angle + k;
-      res[3] = l.pidf[1]; res[4] = effort + k; res[5] = ring + now; res[6] = &excess;
+      arg[4] = coefficients; arg[5] = pidf; arg[6] = setpoint + k;
+      res[0] = moved; res[1] = tension + k; res[2] = angle + k;
+      res[3] = following; res[4] = effort + k; res[5] = ring + now; res[6] = &excess;
       estune_sense(arg, res, 0, 0, 0);
     }
     /* Written so that a NaN ends the trial too. */
     if (!(tension[k] <= bound && tension[k] >= -bound)) return k;
     flags[k] = excess != 0.0;
-    memcpy(l.pidf[0], l.pidf[1], sizeof l.pidf[0]);
-    {
-      const double *arg[4];
-      double *res[1];
-      arg[0] = l.constants; arg[1] = l.state[1]; arg[2] = ring + before; arg[3] = ring + after;
-      res[0] = l.state[0];
-      estune_move(arg, res, 0, 0, 0);
+    for (i = 0; i < PIDF_STATES; i++) pidf[i] = following[i];
+    for (i = 0; i < STATES; i++) state[i] = moved[i];
+    for (n = 0; n < SUBSTEPS; n++) {
+      const double *arg[5];
+      double *res[1], place = n;
+      arg[0] = constants; arg[1] = state; arg[2] = ring + before; arg[3] = ring + after;
+      arg[4] = &place;
+      res[0] = moved;
+      estune_substep(arg, res, 0, 0, 0);
+      for (i = 0; i < STATES; i++) state[i] = moved[i];
     }
     before = after;
     if (++after == delay + 2) after = 0;

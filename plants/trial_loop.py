@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 
 from estune.core import pidf
+from estune.errors import PlantError
 from estune.trial import SATURATED, FloatArray
 from plants import compiler
 from plants.equations import Equations
@@ -59,22 +60,35 @@ class TrialLoop(Protocol):
 @lru_cache(maxsize=64)
 def trial_loop(structure: Structure) -> TrialLoop:
     """The trial of a structure: compiled where there is a compiler, else in a virtual machine."""
-    functions = _functions(structure.equations())
+    functions = loop_functions(structure.equations())
     try:
         return CompiledLoop(functions)
-    except compiler.CompilerMissing as error:
+    except PlantError as error:
         compiler.notice(str(error))
         return VirtualLoop(functions)
 
 
-def _functions(plant: Equations) -> tuple[Any, Any, Any]:
-    """`prepare`, `sense` and `move` of controller and plant together, as CasADi functions.
+class Functions(NamedTuple):
+    """Controller and plant together, as CasADi functions.
 
-    prepare: (parameters, preload) -> (constants, state, controller state, drive at rest).
-    sense: (constants, state, drive in force, noise, coefficients, controller state, setpoint) ->
-        (state, measurement, angle, controller state, effort, drive, excess).
-    move: (constants, state, drive before, drive after) -> state.
+    Attributes:
+        prepare: (parameters, preload) -> (constants, state, controller state, drive at rest).
+        sense: (constants, state, drive in force, noise, coefficients, controller state, setpoint)
+            -> (state, measurement, angle, controller state, effort, drive, excess).
+        substep: (constants, state, drive before, drive after, n) -> state.
+        move: (constants, state, drive before, drive after) -> state one sample later.
+        substeps: Number of substeps in a sample.
     """
+
+    prepare: Any
+    sense: Any
+    substep: Any
+    move: Any
+    substeps: int
+
+
+def loop_functions(plant: Equations) -> Functions:
+    """The closed loop of a plant and the PIDF."""
     parameters, preload = plant.prepare.sx_in()
     constants, rest, rest_effort = plant.prepare(parameters, preload)
     _, rest_drive = plant.drive(constants, rest, rest_effort)
@@ -100,19 +114,20 @@ def _functions(plant: Equations) -> tuple[Any, Any, Any]:
         [c, x, in_force, noise, coefficients, memory, setpoint],
         [ca.densify(output) for output in outputs],  # C writes structural nonzeros only
     )
-    arguments = plant.move.sx_in()
+    *arguments, n = plant.substep.sx_in()
+    substep = ca.Function("estune_substep", [*arguments, n], [plant.substep(*arguments, n)])
     move = ca.Function("estune_move", arguments, [plant.move(*arguments)])
-    return prepare, sense, move
+    return Functions(prepare, sense, substep, move, plant.substeps)
 
 
 class CompiledLoop:
     """The trial as a C library. Calls release the interpreter's lock."""
 
-    def __init__(self, functions: tuple[Any, Any, Any]) -> None:
+    def __init__(self, functions: Functions) -> None:
         """Compiles the functions inside the loop of `trial_loop.c`.
 
         Raises:
-            CompilerMissing: no compiler, or it failed.
+            PlantError: no compiler, or it failed.
         """
         library = compiler.load(_source(functions))
         self._trials = library.estune_trials
@@ -132,7 +147,9 @@ class CompiledLoop:
         setpoint = np.ascontiguousarray(batch.setpoint_N, np.float64)
         noise = None if batch.noise_N is None else np.ascontiguousarray(batch.noise_N, np.float64)
         trials, samples = len(coefficients), len(setpoint)
-        columns = Columns.empty(trials, samples)
+        signals = np.empty((3, trials, samples))
+        flags, ended = np.empty((trials, samples), np.uint8), np.empty(trials, np.int64)
+        tension, signal_bytes = _address(signals), 8 * trials * samples
         failed = self._trials(
             *(trials, samples, batch.delay, batch.bound_N, batch.preload_N),
             _address(parameters),
@@ -141,11 +158,13 @@ class CompiledLoop:
             _address(setpoint),
             None if noise is None else _address(noise),
             samples,
-            *map(_address, columns),
+            *(tension, tension + signal_bytes, tension + 2 * signal_bytes),
+            _address(flags),
+            _address(ended),
         )
         if failed:
             raise MemoryError(f"no memory for a dead time of {batch.delay} samples")
-        return columns
+        return Columns(signals[0], signals[1], signals[2], flags, ended)
 
 
 def _address(array: Any) -> int:
@@ -155,15 +174,15 @@ def _address(array: Any) -> int:
     return int(array.__array_interface__["data"][0])
 
 
-def _source(functions: tuple[Any, Any, Any]) -> str:
+def _source(functions: Functions) -> str:
     """The whole C file: sizes, generated functions, loop."""
-    prepare, _, move = functions
     generator = ca.CodeGenerator("estune_generated.c", {"with_header": False})
-    for function in functions:
+    for function in (functions.prepare, functions.sense, functions.substep):
         generator.add(function)
     sizes = {
-        "CONSTANTS": prepare.numel_out(0),
-        "STATES": move.numel_out(0),
+        "CONSTANTS": functions.prepare.numel_out(0),
+        "STATES": functions.substep.numel_out(0),
+        "SUBSTEPS": functions.substeps,
         "PIDF_STATES": PIDF_STATES,
         "COEFFICIENTS": COEFFICIENTS,
     }
@@ -186,7 +205,7 @@ def _source(functions: tuple[Any, Any, Any]) -> str:
 class VirtualLoop:
     """The same trial in CasADi's virtual machine, sample by sample through its buffers."""
 
-    def __init__(self, functions: tuple[Any, Any, Any]) -> None:
+    def __init__(self, functions: Functions) -> None:
         self._functions = functions
 
     def run(self, batch: Batch) -> Columns:
@@ -207,8 +226,8 @@ class VirtualLoop:
 class _Machine:
     """CasADi's buffers: memory of fixed place that the functions read and write."""
 
-    def __init__(self, functions: tuple[Any, Any, Any]) -> None:
-        prepare, sense, move = functions
+    def __init__(self, functions: Functions) -> None:
+        prepare, sense, _, move, _ = functions
         scalars = ["preload", "setpoint", "noise", "before", "after"]
         scalars += ["y", "angle", "effort", "drive", "excess"]
         room = dict.fromkeys(scalars, 1)

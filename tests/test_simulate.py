@@ -15,7 +15,7 @@ from estune.errors import InvalidInput, PlantError
 from estune.trial import SATURATED, StepProfile
 from plants import compiler
 from plants.noise import NoiseSource
-from plants.trial_loop import CompiledLoop, VirtualLoop, _functions, trial_loop
+from plants.trial_loop import CompiledLoop, VirtualLoop, loop_functions, trial_loop
 
 GAINS = Gains(1.2, 50.0, 0.02, 0.004)
 FRICTION = plants.reference_reel() + plants.CoulombFriction(torque_Nm=0.03)
@@ -49,7 +49,7 @@ def test_the_virtual_machine_gives_the_numbers_of_the_compiled_trial(name, monke
     samples = profile.samples(plant.controller.sampling_Hz)
     noise = np.random.default_rng(4).normal(0.0, 0.05, samples)
     compiled = plants.simulate(plant, GAINS, profile, noise_N=noise)
-    virtual_loop = VirtualLoop(_functions(plant.structure.equations()))
+    virtual_loop = VirtualLoop(loop_functions(plant.structure.equations()))
     for home in ("plants.reel", "plants.linear"):
         monkeypatch.setattr(f"{home}.trial_loop", lambda _: virtual_loop)
     virtual = plants.simulate(plant, GAINS, profile, noise_N=noise)

@@ -1,0 +1,395 @@
+"""How fast is a simulated trial, beside hand-written C and python-control?
+
+One run, one core (but for the batch), everything that is compared timed turn by turn, medians. The
+nonlinear trial is the reference reel with its gauge mode, Coulomb friction, slack, current limit
+and dead time, 632 samples; the same equations stand in reference_trial.c, written by hand, and
+below as a discrete-time NonlinearIOSystem of python-control. The linear trial is the same reel
+without what is nonlinear, a dead time of one sample as a first-order Pade approximation in
+python-control. Numbers are compared before times are.
+"""
+
+import argparse
+import ctypes
+import gc
+import itertools
+import json
+import math
+import os
+import statistics
+import subprocess
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import control
+import numpy as np
+from scipy.linalg import expm
+
+import plants
+from estune import interop
+from estune.core import pidf
+from estune.core.cost import StepCost
+from estune.core.gains import Gains
+from estune.core.search_space import SearchSpace
+from estune.core.tuners import TUNERS
+from estune.core.tuners.observation import Observation
+from estune.score import score
+from estune.trial import FloatArray, Outcome, TrialRequest
+from plants import compiler
+from plants.noise import NoiseSource
+from plants.reel import Reel
+from plants.reel_equations import cable_stiffness_N_m, viscous_friction_Nms
+from plants.simulation import bound
+from plants.trial_loop import Batch, VirtualLoop, loop_functions, trial_loop
+
+GAINS = Gains(P=1.2, I=50.0, D=0.02, setpoint_filter_s=0.004)
+REEL = plants.reference_reel()
+FRICTION = plants.CoulombFriction(torque_Nm=0.02)
+
+# name: (limit, "at most" or "at least", what it is)
+TARGETS: dict[str, tuple[float, str, str]] = {
+    "times_hand_written_C": (1.5, "most", "compiled trial over hand-written C"),
+    "difference_from_C_N": (1e-9, "most", "largest difference from it, N"),
+    "difference_from_C_when_slack_N": (1e-9, "most", "the same where the cable goes slack, N"),
+    "faster_than_step_response": (100.0, "least", "linear trial, times faster than step_response"),
+    "faster_than_input_output_response": (
+        300.0,
+        "least",
+        "nonlinear trial, times faster than input_output_response",
+    ),
+    "batch_speedup_two_cores": (1.8, "least", "batch on two cores over one"),
+    "memory_growth_MB": (2.0, "most", "memory grown over further batches, MB"),
+    "slowest_ask_and_tell_us": (50.0, "most", "slowest tuner's ask + tell, us"),
+    "loop_trials_per_s": (5000.0, "least", "ask, simulate, score, tell: trials/s"),
+}
+
+
+class Timed(NamedTuple):
+    """What is timed: each round times `blocks` blocks of `calls` calls."""
+
+    call: Callable[[], Any]
+    blocks: int = 1
+    calls: int = 1
+
+
+def alternate(timed: dict[str, Timed], rounds: int) -> dict[str, float]:
+    """Median time of a call, in us.
+
+    The calls take turns, so that all meet the same machine, and the blocks are short, so that the
+    median block is one that no other program interrupted.
+    """
+    times: dict[str, list[float]] = {name: [] for name in timed}
+    for one in timed.values():
+        one.call()
+    gc.disable()
+    for _ in range(rounds):
+        for name, (call, blocks, calls) in timed.items():
+            for _ in range(blocks):
+                began = time.perf_counter()
+                for _ in range(calls):
+                    call()
+                times[name].append((time.perf_counter() - began) / calls * 1e6)
+    gc.enable()
+    return {name: statistics.median(values) for name, values in times.items()}
+
+
+def reference_library() -> ctypes.CDLL:
+    """reference_trial.c, compiled and loaded."""
+    source = Path(__file__).with_name("reference_trial.c")
+    with tempfile.TemporaryDirectory() as folder:
+        library = str(Path(folder, "reference_trial.so"))
+        command = [*compiler.compiler(), "-O3", "-shared", "-fPIC", "-o", library, str(source)]
+        subprocess.run([*command, "-lm"], check=True)  # noqa: S603  the user's own compiler
+        return ctypes.CDLL(library)
+
+
+def hand_written(library: ctypes.CDLL, batch: Batch) -> Callable[[], FloatArray]:
+    """The first trial of a batch by hand-written C, called through ctypes."""
+    trial = library.reference_trial
+    address, real, count = ctypes.c_void_p, ctypes.c_double, ctypes.c_long
+    trial.argtypes = (address, address, real, count, count, real, *[address] * 6)
+    trial.restype = count
+    kept = (batch.parameters, batch.coefficients, batch.setpoint_N, batch.noise_N)
+    parameters, row, setpoint, noise = map(where, kept)
+    samples = len(batch.setpoint_N)
+
+    def call() -> FloatArray:
+        signals, flags = np.empty((3, samples)), np.empty(samples, np.uint8)
+        outputs = where(signals)
+        trial(
+            *(parameters, row, batch.preload_N, batch.delay, samples, batch.bound_N),
+            *(setpoint, noise, outputs, outputs + 8 * samples, outputs + 16 * samples),
+            where(flags),
+        )
+        return signals
+
+    return call
+
+
+def where(array: Any) -> int:
+    """Address of an array's numbers."""
+    return ctypes.addressof(ctypes.c_char.from_buffer(array))
+
+
+def nonlinear_system(reel: Reel) -> Any:
+    """The same trial as a discrete-time system of python-control."""
+    k = cable_stiffness_N_m(reel, reel.profile.preload_N)
+    R, J, b = reel.drum_radius_m, reel.drum_inertia_kg_m2, viscous_friction_Nms(reel)
+    w, zeta, h = 2 * math.pi * reel.gauge_Hz, reel.gauge_damping, 0.25 / reel.sampling_Hz
+    A = np.zeros((6, 6))  # theta, omega, g, g', and the inputs torque and tension beyond k R theta
+    A[0, 1], A[1, :2] = 1.0, (-k * R * R / J, -b / J)
+    A[2, 3], A[3, :4] = 1.0, (w * w * k * R, 0.0, -w * w, -2.0 * zeta * w)
+    A[1, 4], A[1, 5], A[3, 5] = 1.0 / J, -R / J, w * w
+    both = expm(A * h)
+    Phi, torque, beyond = both[:4, :4], both[:4, 4], both[:4, 5]
+    c = pidf.coefficients(reel.controller, GAINS)
+    Kt, limit, F = reel.torque_constant_Nm_A, reel.current_limit_A, FRICTION.torque_Nm
+
+    def update(_t: float, x: FloatArray, u: FloatArray, _p: Any) -> FloatArray:
+        body, memory, current = x[:4], pidf.PidfState(*x[4:7].tolist()), x[7]
+        memory, effort, _ = pidf.step(c, memory, u[0], body[2] + u[1])
+        for _ in range(4):
+            linear = k * R * (body[0] + 0.5 * h * body[1])
+            free = Phi @ body + torque * (Kt * current) + beyond * (max(linear, 0.0) - linear)
+            body = free + torque * min(max(-free[1] / torque[1], -F), F)
+        return np.array([*body, *memory, min(max(effort * R / Kt, -limit), limit)])
+
+    def output(_t: float, x: FloatArray, u: FloatArray, _p: Any) -> FloatArray:
+        return np.array([x[2] + u[1]])
+
+    return control.nlsys(update, output, inputs=2, outputs=1, states=8, dt=1.0 / reel.sampling_Hz)
+
+
+def nonlinear_start(reel: Reel) -> FloatArray:
+    """Its state at rest."""
+    preload = reel.profile.preload_N
+    theta = preload / (cable_stiffness_N_m(reel, preload) * reel.drum_radius_m)
+    current = preload / reel.newtons_per_ampere
+    return np.array([theta, 0.0, preload, 0.0, preload, preload, preload, current])
+
+
+def measure_nonlinear(rounds: int) -> dict[str, float]:
+    """The nonlinear trial against hand-written C, the virtual machine and python-control."""
+    reel = REEL + FRICTION
+    profile = reel.profile
+    noise = NoiseSource(0).draw(0, 632, reel.gauge_noise_N)
+    batch = Batch(
+        reel.parameter_values,
+        np.array([pidf.coefficients(reel.controller, GAINS)]),
+        profile.preload_N,
+        profile.setpoint(reel.sampling_Hz),
+        noise[np.newaxis],
+        delay=1,
+        bound_N=bound(profile),
+    )
+    library, compiled = reference_library(), trial_loop(reel.structure)
+    virtual = VirtualLoop(loop_functions(reel.structure.equations()))
+    by_hand = hand_written(library, batch)
+    system, start = nonlinear_system(reel), nonlinear_start(reel)
+    t, inputs = np.arange(632) / reel.sampling_Hz, np.vstack([batch.setpoint_N, noise])
+
+    def peer() -> Any:
+        return control.input_output_response(system, t, inputs, start).outputs
+
+    # A setpoint that the cable cannot follow, so that it goes slack and taut again.
+    slack = batch._replace(setpoint_N=np.where(batch.setpoint_N > profile.preload_N, -20.0, 15.0))
+    ours = compiled.run(batch).tension_N[0]
+    figures = {
+        "difference_from_C_N": largest(ours - by_hand()[0]),
+        "difference_from_C_when_slack_N": largest(
+            compiled.run(slack).tension_N[0] - hand_written(library, slack)()[0]
+        ),
+        "difference_from_virtual_machine_N": largest(ours - virtual.run(batch).tension_N[0]),
+        "difference_from_python_control_N": largest(ours - peer()),
+    }
+    figures |= alternate(
+        {
+            "hand_written_C_us": Timed(by_hand, 20, 20),
+            "compiled_us": Timed(lambda: compiled.run(batch), 20, 20),
+            "simulate_us": Timed(lambda: plants.simulate(reel, GAINS, noise_N=noise), 20, 20),
+            "virtual_machine_us": Timed(lambda: virtual.run(batch), 5),
+            "input_output_response_us": Timed(peer),
+        },
+        rounds,
+    )
+    figures["times_hand_written_C"] = figures["compiled_us"] / figures["hand_written_C_us"]
+    figures["faster_than_input_output_response"] = (
+        figures["input_output_response_us"] / figures["compiled_us"]
+    )
+    return figures
+
+
+def largest(difference: FloatArray) -> float:
+    """Largest size in it."""
+    return float(np.abs(difference).max())
+
+
+def measure_linear(rounds: int) -> dict[str, float]:
+    """The linear trial against python-control's step response, closing the loop counted apart."""
+    plant = plants.linear_plant(
+        control.ss(*linear_matrices(REEL)),
+        REEL.dead_time_s,
+        REEL.sampling_Hz,
+        derivative_filter_s=REEL.derivative_filter_s,
+        profile=REEL.profile,
+    )
+    row = np.array([pidf.coefficients(plant.controller, GAINS)])
+    loop, limit = linear_loop(), bound(plant.profile)
+    t = np.arange(632 - plant.profile.step_index(REEL.sampling_Hz)) / REEL.sampling_Hz
+    figures = alternate(
+        {
+            "linear_compiled_us": Timed(
+                lambda: plant.respond(row, plant.profile, None, limit), 20, 20
+            ),
+            "step_response_us": Timed(lambda: control.step_response(loop, t)),
+            "closing_the_loop_us": Timed(linear_loop),
+        },
+        rounds,
+    )
+    figures["faster_than_step_response"] = (
+        figures["step_response_us"] / figures["linear_compiled_us"]
+    )
+    return figures
+
+
+def linear_matrices(reel: Reel) -> tuple[Any, Any, Any, float]:
+    """The reel's linear model in the form python-control takes."""
+    model = reel.linear_model()
+    return np.array(model.A), np.array(model.B)[:, None], np.array(model.C)[None], model.E
+
+
+def linear_loop() -> Any:
+    """T = F G C_r/(1 + G C_y), (34), in python-control."""
+    F, C_r, C_y = interop.to_control(GAINS, REEL.controller)
+    late = control.tf(*control.pade(REEL.dead_time_s, 1))
+    plant = control.ss(*linear_matrices(REEL)) * control.ss(late)
+    return control.feedback(plant, control.ss(C_y)) * control.ss(C_r * F)
+
+
+def measure_batch(trials: int, rounds: int) -> dict[str, float]:
+    """Batches on one and two cores, and the memory they leave behind."""
+    reel, cost = REEL + FRICTION, StepCost(0.13, move_weight=0.2)
+    spread = np.random.default_rng(0).normal(0.0, 0.2, (trials, 4))
+    table = np.exp(spread) * GAINS.as_tuple()
+
+    def run(workers: int) -> FloatArray:
+        return plants.batch_costs(reel, table, None, cost, workers=workers)
+
+    if not np.array_equal(run(1), run(2), equal_nan=True):
+        raise SystemExit("the batch gives other costs on two cores than on one")
+    times = alternate({"one": Timed(lambda: run(1)), "two": Timed(lambda: run(2))}, rounds)
+    for _ in range(5):  # until every thread's memory pool has been made
+        run(2)
+    before = memory_MB()
+    for _ in range(10):
+        run(2)
+    after = memory_MB()
+    return {
+        "batch_trials": float(trials),
+        "batch_one_core_s": times["one"] / 1e6,
+        "batch_two_cores_s": times["two"] / 1e6,
+        "batch_speedup_two_cores": times["one"] / times["two"],
+        "memory_before_MB": before,
+        "memory_after_MB": after,
+        "memory_growth_MB": after - before,
+    }
+
+
+def memory_MB() -> float:
+    """Resident memory of this process."""
+    gc.collect()
+    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+def measure_tuners(trials: int) -> dict[str, float]:
+    """Ask and tell alone, and the whole loop in this process."""
+    figures: dict[str, float] = {}
+    for name, kind in TUNERS.items():
+        tuner = kind(SearchSpace.around(Gains(0.4, 12.0, 0.01, 0.03)))
+        figures[f"ask_and_tell_{name}_us"] = median_block(asking(tuner), trials)
+        figures[f"loop_{name}_trials_per_s"] = 1e6 / median_block(tuning(tuner, name), trials)
+    figures["slowest_ask_and_tell_us"] = max(
+        value for name, value in figures.items() if name.startswith("ask_and_tell")
+    )
+    figures["loop_trials_per_s"] = min(
+        value for name, value in figures.items() if name.startswith("loop")
+    )
+    return figures
+
+
+def median_block(trials: Iterator[None], count: int) -> float:
+    """Time of a trial in us, the median over blocks of 20 trials that follow each other."""
+    times = []
+    gc.disable()
+    for _ in range(count // 20):
+        began = time.perf_counter()
+        for _ in range(20):
+            next(trials)
+        times.append((time.perf_counter() - began) / 20 * 1e6)
+    gc.enable()
+    return statistics.median(times)
+
+
+def asking(tuner: Any) -> Iterator[None]:
+    """Tell and ask, trial after trial, with a cost made up."""
+    state = tuner.start()
+    for number in itertools.count():
+        state = tuner.tell(state, Observation(1.0 + 0.1 * math.sin(number)))
+        tuner.ask(state)
+        yield
+
+
+def tuning(tuner: Any, run: str) -> Iterator[None]:
+    """Ask, simulate, score, tell, trial after trial, without a journal."""
+    rig = (REEL + FRICTION).rig()
+    told = rig.describe()
+    cost = StepCost(told.settling_time_s, move_weight=0.2)
+    state = tuner.start()
+    for number in itertools.count():
+        gains = tuner.space.gains(tuner.ask(state))
+        record = rig.run(TrialRequest(run, number, gains, told.step))
+        eta = score(record, told.step, cost, told.newtons_per_ampere).cost
+        unsafe = record.outcome is not Outcome.DONE or not math.isfinite(eta)
+        state = tuner.tell(state, Observation(eta, censored=unsafe))
+        yield
+
+
+def judged(figures: dict[str, float]) -> dict[str, dict[str, Any]]:
+    """Each target with its value and whether it is met."""
+    verdicts = {}
+    for name, (limit, side, _) in TARGETS.items():
+        value = figures[name]
+        met = value <= limit if side == "most" else value >= limit
+        verdicts[name] = {"value": value, "limit": limit, "met": met}
+    return verdicts
+
+
+def main() -> int:
+    """Measures, prints, and says by its exit code whether every target was met."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--json", action="store_true", help="print one JSON object instead")
+    parser.add_argument("--quick", action="store_true", help="fewer repeats and smaller batches")
+    options = parser.parse_args()
+    rounds, batch, trials = (3, 2000, 500) if options.quick else (15, 10_000, 5000)
+    figures = measure_nonlinear(rounds) | measure_linear(rounds)
+    figures |= measure_batch(batch, rounds)
+    figures |= measure_tuners(trials)
+    targets = judged(figures)
+    if options.json:
+        print(json.dumps({"figures": figures, "targets": targets}))
+    else:
+        for name, value in figures.items():
+            print(f"{name:45s} {value:14.6g}")
+        print()
+        for name, verdict in targets.items():
+            _, side, text = TARGETS[name]
+            word = "met" if verdict["met"] else "NOT MET"
+            print(f"{text:58s} {verdict['value']:10.4g}  at {side} {verdict['limit']:<8g} {word}")
+    return 0 if all(verdict["met"] for verdict in targets.values()) else 1
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
