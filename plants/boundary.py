@@ -1,8 +1,9 @@
 """The platform at the boundary of its workspace: the paper's Fig. 18, with and without hand-over.
 
 The user pushes the platform out until the tension distribution has no solution, which is so while
-the platform is beyond the boundary, and keeps pushing. The hybrid controller then holds the cable's
-length at the boundary and gives way to tension control whenever the platform comes back inside.
+the platform is beyond the boundary, and keeps pushing. The hybrid controller then holds the
+cable's length at the boundary and gives way to tension control whenever the platform comes back
+inside.
 """
 
 import math
@@ -17,8 +18,11 @@ from estune.core.pidf import PidfState, at_rest, coefficients
 from estune.reel import hybrid
 from estune.reel.friction import StribeckFriction
 from estune.trial import FloatArray
-from plants.platform import Platform
+from plants.platform import TENSION_GAINS, Platform
 from plants.reel import Reel
+
+POSITION_GAINS = Gains(P=2000.0, I=6000.0, D=120.0, setpoint_filter_s=0.0)
+RULES = hybrid.SwitchingRules(tension_min_N=2.0, margin_N=1.0)
 
 
 @dataclass(frozen=True)
@@ -39,9 +43,9 @@ class BoundaryTrial:
     """
 
     platform: Platform
-    position: Gains = Gains(P=2000.0, I=6000.0, D=120.0, setpoint_filter_s=0.0)
-    tension: Gains = Gains(P=0.6, I=12.0, D=0.01, setpoint_filter_s=0.02)
-    rules: hybrid.SwitchingRules = hybrid.SwitchingRules(tension_min_N=2.0, margin_N=1.0)
+    position: Gains = POSITION_GAINS
+    tension: Gains = TENSION_GAINS
+    rules: hybrid.SwitchingRules = RULES
     boundary_m: float = 0.02
     push_N: float = 5.0
     push_swing_N: float = 6.0

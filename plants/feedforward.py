@@ -18,7 +18,7 @@ from estune.reel.friction import FeedForward, StribeckFriction
 from estune.reel.velocity import Motion, MotionState, Windows
 from estune.reel.velocity import step as estimate
 from estune.trial import FloatArray
-from plants.platform import Platform
+from plants.platform import TENSION_GAINS, Platform
 from plants.reel import Reel
 
 Compensation = Callable[[Motion], float]
@@ -36,16 +36,19 @@ class WrenchTrial:
         gains: Gains of the tension PIDF.
         wrench_N: Amplitude of the force along the cable, N.
         wrench_Hz: Its frequency, Hz.
+        encoder_noise_rad: Noise of the angle before it is counted, rad rms: vibration of the
+            encoder, or samples taken late.
         duration_s: Length of the trial, s.
-        seed: Of the gauge's noise.
+        seed: Of the noise of gauge and encoder.
     """
 
     platform: Platform
     feed_forward: FeedForward
     windows: Windows
-    gains: Gains = Gains(P=0.6, I=12.0, D=0.01, setpoint_filter_s=0.02)
+    gains: Gains = TENSION_GAINS
     wrench_N: float = 4.0
     wrench_Hz: float = 1.0
+    encoder_noise_rad: float = 0.0
     duration_s: float = 3.0
     seed: int = 0
 
@@ -94,13 +97,14 @@ def run_wrench(
     T, R = reel.tension_N, reel.drum_radius_m
     x, pidf, motion_state = bench.at_rest(), at_rest(T, T), MotionState()
     times = np.arange(round(trial.duration_s * reel.sampling_Hz)) / reel.sampling_Hz
-    noise = np.random.default_rng(trial.seed).normal(0.0, reel.gauge_noise_N, times.size)
+    noise = np.random.default_rng(trial.seed).normal(size=(times.size, 2))
+    noise *= reel.gauge_noise_N, trial.encoder_noise_rad
     count = 2.0 * math.pi / reel.encoder_counts
     rows = []
-    for now, error in zip(times.tolist(), noise.tolist(), strict=True):
+    for now, (error, shake) in zip(times.tolist(), noise.tolist(), strict=True):
         tension = bench.tension_N(x)
         motion_state, motion = estimate(
-            trial.windows, motion_state, now, count * round(x.angle_rad / count)
+            trial.windows, motion_state, now, count * round((x.angle_rad + shake) / count)
         )
         forward = compensate(motion) / R, trial.feed_forward.inertia_Nm(motion) / R
         pidf, feedback, _ = pidf_step(c, pidf, T, tension + error)
@@ -111,12 +115,17 @@ def run_wrench(
         )
         wrench = trial.wrench_N * math.sin(2.0 * math.pi * trial.wrench_Hz * now)
         x = bench.step(x, effort, T + wrench)
-    columns = np.array(rows).T
-    velocity = columns[1]
+    position, velocity, estimated, tensions, efforts, dry, inertial = np.array(rows).T
     acceleration = np.gradient(velocity, 1.0 / reel.sampling_Hz)
     return WrenchTraces(
-        times,
-        *columns,
+        time_s=times,
+        position_m=position,
+        velocity_rad_s=velocity,
+        velocity_estimate_rad_s=estimated,
+        tension_N=tensions,
+        effort_N=efforts,
+        friction_N=dry,
+        inertia_N=inertial,
         true_friction_N=bench.friction.torque_Nm(velocity) / R,
         true_inertia_N=reel.drum_inertia_kg_m2 * acceleration / R,
     )
@@ -147,3 +156,47 @@ def run_high_and_low(
         low_share: Wrench of Fig. 17 as a share of it.
     """
     return run_wrench(trial), run_wrench(replace(trial, wrench_N=low_share * trial.wrench_N))
+
+
+def run_limits(trial: WrenchTrial) -> tuple[WrenchTraces, WrenchTraces]:
+    """The instability the paper warns of: the trial without and with the limits on friction.
+
+    Without, the torque fed forward is (10) of the estimated velocity; with, it is
+    `FeedForward.friction_Nm`.
+    """
+    dry = trial.feed_forward.friction
+
+    def unlimited(motion: Motion) -> float:
+        return float(dry.torque_Nm(motion.velocity_rad_s))
+
+    return run_wrench(trial, unlimited), run_wrench(trial)
+
+
+def unstable_wrench_trial(
+    coefficient_share: float = 3.0, noise_counts: float = 0.3
+) -> WrenchTrial:
+    """A trial that `run_limits` shows to be unstable without them, on a reel of high friction.
+
+    A small wrench, at the least tension. It takes both causes: with a share of one, or with no
+    noise, the platform rests in either case.
+
+    Args:
+        coefficient_share: Friction coefficients fed forward, as multiples of the drum's.
+        noise_counts: Noise of the encoder, counts rms. The band of the velocity windows is one
+            count and three deviations to either side.
+    """
+    trial = reference_wrench_trial()
+    reel = replace(trial.platform.reel, tension_N=trial.platform.reel.tension_min_N)
+    coulomb, static, velocity = 0.08, 0.12, 0.5
+    believed = StribeckFriction(coefficient_share * coulomb, coefficient_share * static, velocity)
+    count = 2.0 * math.pi / reel.encoder_counts
+    return replace(
+        trial,
+        platform=replace(
+            trial.platform, reel=reel, friction=StribeckFriction(coulomb, static, velocity)
+        ),
+        feed_forward=FeedForward(believed, 0.0, trial.feed_forward.fraction),
+        windows=Windows((1.0 + 6.0 * noise_counts) * count),
+        wrench_N=0.1,
+        encoder_noise_rad=noise_counts * count,
+    )

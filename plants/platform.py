@@ -5,8 +5,8 @@
     T = max(0, k (R theta + x))                         cable; theta grows as it is wound in
 
 T_o is the pull of the reels on the other side, k_c and c the stiffness and damping with which they
-centre the platform, and F the force of the user along the cable. Dry friction is the proximal step
-of the reel's effects: the torque that brings the drum to rest over a substep, at most that of (10).
+centre the platform, and F the force of the user along the cable. Dry friction is a proximal step,
+as in the reel's effects: the torque that brings the drum to rest, at most that of (10).
 A reel is tuned against a fixed cable end; here the end moves, which is what compensations and the
 hybrid controller are for.
 """
@@ -14,6 +14,7 @@ hybrid controller are for.
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from estune.core.gains import Gains
 from estune.errors import InvalidInput
 from estune.reel.friction import StribeckFriction
 from plants.plant import check_above_zero, check_not_negative
@@ -22,6 +23,9 @@ from plants.reel_equations import cable_stiffness_N_m, viscous_friction_Nms
 
 SUBSTEPS = 16
 """Symplectic Euler steps per sample: 10 kHz, over 100 per period of the fastest mode."""
+
+TENSION_GAINS = Gains(P=0.6, I=12.0, D=0.01, setpoint_filter_s=0.02)
+"""Tension PIDF that is well damped with the platform free or held, reference reel."""
 
 
 class PlatformState(NamedTuple):

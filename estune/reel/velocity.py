@@ -1,0 +1,265 @@
+"""Velocity and acceleration of the drum from its encoder, by adaptive windows.
+
+First-order adaptive windowing (Janabi-Sharifi, Hayward & Chen 2000, end-fit form): the velocity is
+the slope of the chord from the newest sample back over the longest window in which every sample
+between lies as near to the chord as the encoder's error allows. A slow drum gets a long window and
+a quiet estimate, one that accelerates a short window and a small lag.
+
+The acceleration is the same estimate made of the velocities, each with the error its own window
+allows and at the middle of its window, where the slope of a chord is the velocity exactly as long
+as the acceleration is constant. Two thresholds on it, as in Canny's edge detector (1986), decide
+whether it is more than encoder error: it is given out from a sample that passes the strong one for
+as long as it stays above the weak one with the same sign, and is exactly zero otherwise. Canny
+also joins weak samples that come before a strong one; a rig does not know them in time.
+
+Error bounds. With angles read within a band e from peak to peak (one count of an encoder, at any
+rounding), a drum at constant velocity gives
+
+    |velocity - estimate| <= e / window,
+    |acceleration estimate| <= (bound now + bound at the window's far end) / window:
+
+the first because the errors of two angles differ by e at most, the second because the velocities
+err by their bounds at most. Both are given out with the estimates. Thresholds are multiples of the
+second bound, so a drum at constant velocity never shows any acceleration.
+
+The published test allows a sample between the peak of the noise to either side of the chord. It
+may be off by its own error and by that of the ends, so here it is allowed both: the window of a
+drum at constant velocity then always grows to its full length. Times are those of the samples, so
+that late samples do no harm.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from estune.errors import InvalidInput
+
+FloatArray = NDArray[np.float64]
+
+ROUNDING = 1.0 + 1e-9
+"""A count is a round number of bits only by luck: the band is widened by this factor."""
+
+
+@dataclass(frozen=True, slots=True)
+class Windows:
+    """The settings of the estimator.
+
+    Attributes:
+        angle_error_rad: Width from peak to peak of the angle's error, rad; one encoder count, or
+            more where the encoder or its wiring is noisy.
+        velocity_intervals: Longest window of the velocity, in sampling intervals.
+        acceleration_intervals: Longest window of the acceleration, in sampling intervals.
+        weak: Acceleration that goes on counting, in units of its error bound; one or above.
+        strong: Acceleration that begins to count, in units of its error bound; weak or above.
+
+    Raises:
+        InvalidInput: a value is out of its range.
+    """
+
+    angle_error_rad: float
+    velocity_intervals: int = 20
+    acceleration_intervals: int = 20
+    weak: float = 1.0
+    strong: float = 2.0
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.angle_error_rad) and self.angle_error_rad > 0.0):
+            raise InvalidInput(
+                f"angle error is {self.angle_error_rad} rad; give the angle of one encoder count"
+            )
+        for name in ("velocity_intervals", "acceleration_intervals"):
+            if getattr(self, name) < 1:
+                raise InvalidInput(f"{name} is {getattr(self, name)}; it must be 1 or above")
+        if not 1.0 <= self.weak <= self.strong < math.inf:
+            raise InvalidInput(
+                f"thresholds weak {self.weak} and strong {self.strong} must be finite, in order "
+                "and 1 or above"
+            )
+
+    def acceleration_floor_rad_s2(self, sampling_Hz: float) -> float:
+        """Least acceleration that begins to count once both windows are full, rad/s2.
+
+        Args:
+            sampling_Hz: Sampling rate.
+        """
+        spans_s2 = self.velocity_intervals * self.acceleration_intervals / sampling_Hz**2
+        return self.strong * 2.0 * self.angle_error_rad / spans_s2
+
+
+class Motion(NamedTuple):
+    """The drum's motion at a sample, or at each of a record's (then arrays of its shape).
+
+    Attributes:
+        velocity_rad_s: Velocity; zero before two samples are known.
+        velocity_bound_rad_s: Its error at constant velocity, at most; infinite before two samples.
+        velocity_window_s: Length of its window; zero before two samples.
+        acceleration_rad_s2: Acceleration; zero below its noise floor.
+        acceleration_bound_rad_s2: What encoder error alone can make of it, at most.
+    """
+
+    velocity_rad_s: Any
+    velocity_bound_rad_s: Any
+    velocity_window_s: Any
+    acceleration_rad_s2: Any
+    acceleration_bound_rad_s2: Any
+
+
+class MotionState(NamedTuple):
+    """What the estimator remembers between samples, newest first."""
+
+    times_s: tuple[float, ...] = ()
+    angles_rad: tuple[float, ...] = ()
+    middles_s: tuple[float, ...] = ()
+    velocities_rad_s: tuple[float, ...] = ()
+    bounds_rad_s: tuple[float, ...] = ()
+    direction: int = 0  # sign of the acceleration while it counts, zero while it does not
+
+
+def step(
+    windows: Windows, state: MotionState, time_s: float, angle_rad: float
+) -> tuple[MotionState, Motion]:
+    """One sample of the estimator.
+
+    Args:
+        windows: The settings.
+        state: What the last sample left; `MotionState()` at the start.
+        time_s: When the angle was read, s.
+        angle_rad: The angle read, rad.
+
+    Returns:
+        The next state, and the motion at this sample.
+
+    Raises:
+        InvalidInput: the time or the angle is not finite, or time did not go on.
+    """
+    if not (math.isfinite(time_s) and math.isfinite(angle_rad)):
+        raise InvalidInput(f"angle {angle_rad} rad at {time_s} s is not finite; leave it out")
+    if state.times_s and not time_s > state.times_s[0]:
+        raise InvalidInput(
+            f"a sample at {time_s} s follows one at {state.times_s[0]} s; give them in time order"
+        )
+    intervals = max(windows.velocity_intervals, windows.acceleration_intervals)
+    times = (time_s, *state.times_s[:intervals])
+    angles = (angle_rad, *state.angles_rad[:intervals])
+    half_band = (0.5 * windows.angle_error_rad * ROUNDING,) * len(angles)
+    velocity, bound, span = _longest_chord(times, angles, half_band, windows.velocity_intervals)
+    middles = (time_s - 0.5 * span, *state.middles_s[:intervals])
+    velocities = (velocity, *state.velocities_rad_s[:intervals])
+    bounds = (bound, *state.bounds_rad_s[:intervals])
+    raw, floor, _ = _longest_chord(middles, velocities, bounds, windows.acceleration_intervals)
+
+    direction = int(raw > 0.0) - int(raw < 0.0)
+    goes_on = direction == state.direction and abs(raw) >= windows.weak * floor
+    counts = abs(raw) >= windows.strong * floor or goes_on
+    following = MotionState(times, angles, middles, velocities, bounds, direction if counts else 0)
+    return following, Motion(velocity, bound, span, raw if counts else 0.0, floor)
+
+
+def _longest_chord(
+    times: tuple[float, ...],
+    values: tuple[float, ...],
+    errors: tuple[float, ...],
+    intervals: int,
+) -> tuple[float, float, float]:
+    """Slope of the longest chord from the newest sample, its error bound, and its length in s.
+
+    A chord back to sample n passes within the errors of every sample i between where
+    |values_i - values_0 - slope (t_i - t_0)| <= errors_0 + errors_i: a range of slopes each, so
+    one pass keeps their intersection. Where a longer chord would end on a sample of so large an
+    error that its bound is worse, the shorter one is kept. Middles of windows need not follow
+    each other as the samples do; a pair out of order is passed over.
+    """
+    slope, bound, length = 0.0, math.inf, 0.0
+    least, greatest = -math.inf, math.inf
+    for n in range(1, min(intervals, len(times) - 1) + 1):
+        span = times[0] - times[n]
+        if not span > 0.0:
+            continue
+        candidate = (values[0] - values[n]) / span
+        if not least <= candidate <= greatest:
+            break
+        error = errors[0] + errors[n]
+        if error / span < bound:
+            slope, bound, length = candidate, error / span, span
+        least = max(least, candidate - error / span)
+        greatest = min(greatest, candidate + error / span)
+    return slope, bound, length
+
+
+def motion(windows: Windows, time_s: ArrayLike, angle_rad: ArrayLike) -> Motion:
+    """The motion at each sample of a record: the very numbers `step` gives sample by sample.
+
+    Args:
+        windows: The settings.
+        time_s: When the angles were read, s, shape (samples,).
+        angle_rad: The angles read, rad, shape (..., samples).
+
+    Returns:
+        Arrays of shape (..., samples).
+
+    Raises:
+        InvalidInput: a value is not finite, times do not rise, or the shapes do not match.
+    """
+    times = np.asarray(time_s, dtype=np.float64)
+    angles = np.asarray(angle_rad, dtype=np.float64)
+    if times.ndim != 1 or angles.shape[-1:] != times.shape:
+        raise InvalidInput(
+            f"times have shape {times.shape} and angles {angles.shape}; "
+            "give one time for each sample along the last axis"
+        )
+    if not (np.isfinite(times).all() and np.isfinite(angles).all()):
+        raise InvalidInput("times or angles hold a value that is not finite; leave it out")
+    if not (np.diff(times) > 0.0).all():
+        raise InvalidInput("times do not rise from sample to sample; give them in time order")
+    half_band = np.full(angles.shape, 0.5 * windows.angle_error_rad * ROUNDING)
+    velocity, bound, span = _longest_chords(times, angles, half_band, windows.velocity_intervals)
+    middles = times - 0.5 * span
+    raw, floor, _ = _longest_chords(middles, velocity, bound, windows.acceleration_intervals)
+    counts = _connected(
+        np.sign(raw), np.abs(raw) >= windows.weak * floor, np.abs(raw) >= windows.strong * floor
+    )
+    return Motion(velocity, bound, span, np.where(counts, raw, 0.0), floor)
+
+
+def _longest_chords(
+    times: FloatArray, values: FloatArray, errors: FloatArray, intervals: int
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """`_longest_chord` at every sample at once, with the loop over lengths of the window."""
+    slope = np.zeros(values.shape)
+    bound = np.full(values.shape, np.inf)
+    length = np.zeros(values.shape)
+    least, greatest = -bound, bound.copy()
+    grows = np.ones(values.shape, dtype=np.bool_)
+    for n in range(1, min(intervals, values.shape[-1] - 1) + 1):
+        here = np.s_[..., n:]
+        span = times[here] - times[..., :-n]
+        ordered = span > 0.0
+        span = np.where(ordered, span, 1.0)  # never used, but divided by
+        candidate = (values[here] - values[..., :-n]) / span
+        allowed = (errors[here] + errors[..., :-n]) / span
+        fits = (least[here] <= candidate) & (candidate <= greatest[here])
+        grows[here] &= fits | ~ordered
+        better = grows[here] & ordered & (allowed < bound[here])
+        slope[here] = np.where(better, candidate, slope[here])
+        bound[here] = np.where(better, allowed, bound[here])
+        length[here] = np.where(better, span, length[here])
+        least[here] = np.where(ordered, np.maximum(least[here], candidate - allowed), least[here])
+        greatest[here] = np.where(
+            ordered, np.minimum(greatest[here], candidate + allowed), greatest[here]
+        )
+    return slope, bound, length
+
+
+def _connected(
+    sign: FloatArray, weak: NDArray[np.bool_], strong: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
+    """Weak samples joined to an earlier strong one by an unbroken run of weak ones of one sign."""
+    index = np.arange(sign.shape[-1])
+    breaks = ~weak
+    breaks[..., 1:] |= sign[..., 1:] != sign[..., :-1]
+    run_start = np.maximum.accumulate(np.where(breaks, index, 0), axis=-1)
+    last_strong = np.maximum.accumulate(np.where(strong, index, -1), axis=-1)
+    return weak & (last_strong >= run_start)

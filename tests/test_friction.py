@@ -1,0 +1,282 @@
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+
+from estune.errors import InvalidInput
+from estune.reel.friction import FeedForward, LuGreFriction, StribeckFriction
+from estune.reel.velocity import Motion
+from plants.feedforward import (
+    reference_wrench_trial,
+    run_high_and_low,
+    run_limits,
+    unstable_wrench_trial,
+)
+from plants.friction_fit import fit_friction
+from plants.ramp import RampRecord
+
+DRY = StribeckFriction(coulomb_Nm=0.02, static_Nm=0.03, stribeck_rad_s=0.8)
+COUNTS = 8192.0
+
+
+def bristles(lugre, velocity, duration):
+    """Friction over time at constant velocity, from the differential equation of the bristles."""
+    dry = lugre.dry
+
+    def rate(_, z):
+        g = dry.coulomb_Nm + (dry.static_Nm - dry.coulomb_Nm) * math.exp(
+            -((velocity / dry.stribeck_rad_s) ** 2)
+        )
+        return velocity - lugre.stiffness_Nm_rad * abs(velocity) * z / g
+
+    solved = solve_ivp(rate, (0.0, duration), [0.0], "Radau", rtol=1e-10, atol=1e-16)
+    z = solved.y[0, -1]
+    torque = lugre.stiffness_Nm_rad * z + lugre.damping_Nms_rad * rate(0.0, z)
+    return z, torque + lugre.viscous_Nms_rad * velocity
+
+
+@pytest.mark.equation(10)
+@pytest.mark.parametrize("velocity", [-5.0, -0.7, -0.01, 0.02, 0.4, 0.8, 3.0])
+def test_stribeck_friction_is_where_the_bristles_settle(velocity):
+    lugre = LuGreFriction(DRY, 50.0, 0.1, 0.01)
+    _, settled = bristles(lugre, velocity, duration=0.1 / abs(velocity))
+    assert DRY.torque_Nm(velocity) == pytest.approx(settled - 0.01 * velocity, rel=1e-6)
+    assert lugre.steady_Nm(velocity) == pytest.approx(settled, rel=1e-6)
+
+
+@pytest.mark.equation(10)
+def test_stribeck_friction_has_the_limits_its_coefficients_name():
+    v = np.array([-1e-9, 0.0, 1e-9, 100.0])
+    assert DRY.torque_Nm(v) == pytest.approx([-0.03, 0.0, 0.03, 0.02])
+
+
+def test_bristles_before_they_settle_follow_their_differential_equation():
+    lugre = LuGreFriction(DRY, 50.0, 0.1, 0.01)
+    for velocity in (-0.5, 0.0, 1e-4, 0.3):
+        span = 4e-4
+        assert lugre.step(0.0, velocity, span) == pytest.approx(
+            bristles(lugre, velocity, span), rel=1e-7, abs=1e-12
+        )
+
+
+torques = st.floats(0.001, 1.0)
+
+
+@st.composite
+def identified_friction(draw):
+    coulomb = draw(torques)
+    return StribeckFriction(coulomb, coulomb + draw(torques), draw(st.floats(0.01, 10.0)))
+
+
+@given(
+    identified=identified_friction(),
+    fraction=st.floats(0.0, 0.99),
+    velocity=st.floats(-50.0, 50.0),
+    bound=st.one_of(st.just(0.0), st.floats(1e-6, 10.0), st.just(math.inf)),
+    truth=st.floats(1.0, 3.0),
+)
+def test_compensation_never_drives_a_drum_whose_friction_is_a_fraction_of_the_identified_one(
+    identified, fraction, velocity, bound, truth
+):
+    forward = FeedForward(identified, 2e-3, fraction)
+
+    def given_at(v):
+        return forward.friction_Nm(Motion(v, bound, 0.01, 0.0, 1.0))
+
+    share = truth * fraction
+    true = StribeckFriction(
+        share * identified.coulomb_Nm, share * identified.static_Nm, identified.stribeck_rad_s
+    )
+    given_Nm = given_at(velocity)
+    assert velocity * (true.torque_Nm(velocity) - given_Nm) >= -1e-14
+    assert given_at(-velocity) == -given_Nm
+    if bound > 0.0:  # no step at rest, however fine the velocity
+        steepest = 0.0 if math.isinf(bound) else identified.static_Nm / bound
+        assert abs(given_at(1e-9)) <= steepest * 1e-9
+
+
+def test_compensation_beyond_the_noise_is_the_fraction_of_the_identified_curve():
+    v = np.array([-3.0, -0.5, 0.2, 0.8, 5.0])
+    seen = Motion(v, np.full(5, 0.1), 0.01, np.zeros(5), 1.0)
+    assert FeedForward(DRY, 0.0, 0.7).friction_Nm(seen) == pytest.approx(0.7 * DRY.torque_Nm(v))
+
+
+def test_high_coefficients_on_a_noisy_velocity_shake_the_cable_and_the_limits_prevent_it():
+    shaking = {}
+    for share in (1.0, 3.0):
+        for noise in (0.0, 0.3):
+            free, limited = run_limits(unstable_wrench_trial(share, noise))
+            shaking[share, noise] = np.std(free.tension_N) / np.std(limited.tension_N)
+            assert limited.tension_N.min() > 4.5  # of 5 N
+    assert shaking[3.0, 0.3] > 10.0
+    del shaking[3.0, 0.3]  # either cause alone does no harm
+    assert max(shaking.values()) < 1.2
+    free, _ = run_limits(unstable_wrench_trial(3.0, 1.0))
+    assert free.tension_N.min() < 0.5
+
+
+def test_inertia_is_compensated_at_high_speed_and_not_at_all_at_low_speed():
+    high, low = run_high_and_low(reference_wrench_trial())
+    assert np.mean(high.inertia_N != 0.0) > 0.5
+    left = np.std(high.true_inertia_N - high.inertia_N)
+    assert left < 0.5 * np.std(high.true_inertia_N)
+    assert (low.inertia_N == 0.0).all()
+    for traces in (high, low):  # friction is compensated at either, never beyond the true one
+        moving = np.abs(traces.velocity_rad_s) > 0.3
+        assert np.mean(np.abs(traces.friction_N[moving]) > 0.5) > 0.8
+        assert np.abs(traces.friction_N).max() <= np.abs(traces.true_friction_N).max()
+
+
+TRUTH = {"inertia": 2e-3, "viscous": 0.022, "coulomb": 0.02, "static": 0.03, "stribeck": 0.8}
+
+
+def ramp(
+    *,
+    slope=0.03,
+    duration=3.5,
+    rate=316.0,
+    phase=0.3,
+    sign=1.0,
+    held=False,
+    stiffness=None,
+    **truth,
+):
+    """A torque ramp on a drum, integrated by scipy with an event at break-away."""
+    p = {**TRUTH, **truth}
+    t = np.arange(round(duration * rate)) / rate
+    late = 1.5 / rate if held else 0.0  # a held command, and a sample of dead time
+
+    def dry(v):
+        return p["coulomb"] + (p["static"] - p["coulomb"]) * math.exp(-((v / p["stribeck"]) ** 2))
+
+    def torque(now):
+        now = math.floor(now * rate + 1e-9) / rate - 1.0 / rate if held else now
+        return slope * max(now, 0.0)
+
+    def slipping(now, x):
+        return [x[1], (torque(now) - p["viscous"] * x[1] - dry(x[1])) / p["inertia"]]
+
+    def bristly(now, x):
+        z_rate = x[1] - stiffness * abs(x[1]) * x[2] / dry(x[1])
+        friction = stiffness * x[2] + 0.02 * z_rate + p["viscous"] * x[1]
+        return [x[1], (torque(now) - friction) / p["inertia"], z_rate]
+
+    if stiffness is None:
+        starts, law, x = min(p["static"] / slope + late, t[-1]), slipping, [0.0, 0.0]
+    else:
+        starts, law, x = 0.0, bristly, [0.0, 0.0, 0.0]
+    solved = solve_ivp(
+        law, (starts, t[-1] + 1.0), x, "LSODA", rtol=1e-9, atol=1e-12, max_step=1.0 / rate,
+        dense_output=True,
+    )  # fmt: skip
+    turned = np.where(t > starts, solved.sol(np.maximum(t, starts))[0], 0.0)
+    count = 2.0 * math.pi / COUNTS
+    angle = sign * np.floor(turned / count + phase) * count
+    return RampRecord(t, sign * slope * t, angle, COUNTS, dead_time_s=late)
+
+
+def estimates(fit):
+    return {
+        "inertia": fit.inertia_kgm2,
+        "viscous": fit.viscous_Nms_rad,
+        "coulomb": fit.coulomb_Nm,
+        "static": fit.static_Nm,
+        "stribeck": fit.stribeck_rad_s,
+    }
+
+
+def test_ramps_in_both_directions_give_friction_and_inertia_back_with_the_commands_held():
+    fit = fit_friction([ramp(held=True), ramp(held=True, sign=-1.0, slope=0.05)], 0.999)
+    for name, found in estimates(fit).items():
+        assert found.low <= TRUTH[name] <= found.high, name
+        assert found.value == pytest.approx(TRUTH[name], rel=0.03), name
+    assert fit.residual_counts == pytest.approx(1.0 / math.sqrt(12.0), rel=0.1)  # counting alone
+    assert fit.feed_forward().friction == fit.friction
+
+
+def test_what_bristles_do_to_the_fit_fades_as_they_stiffen():
+    off = {}
+    for stiffness in (60.0, 300.0):  # the drum creeps half a count before it slips, and a tenth
+        found = estimates(fit_friction([ramp(stiffness=stiffness)]))
+        off[stiffness] = {name: abs(e.value / TRUTH[name] - 1.0) for name, e in found.items()}
+    for name in ("coulomb", "static", "inertia", "stribeck"):
+        assert off[300.0][name] < 0.3 * off[60.0][name], name
+        assert off[300.0][name] < 0.05, name
+
+
+def drawn_ramp(rng):
+    """A ramp on a drum drawn at random, and the truth about it."""
+    spread = np.exp(0.2 * rng.normal(size=5))
+    truth = dict(zip(TRUTH, np.array(list(TRUTH.values())) * spread, strict=True))
+    truth["static"] = truth["coulomb"] * rng.uniform(1.3, 1.9)
+    return ramp(duration=2.6, rate=200.0, phase=rng.random(), **truth), truth
+
+
+@pytest.mark.slow
+def test_the_confidence_intervals_cover_the_truth_as_often_as_they_say():
+    rng = np.random.default_rng(0)
+    covered = []
+    for _ in range(12):
+        record, truth = drawn_ramp(rng)
+        found = estimates(fit_friction([record], confidence=0.9))
+        covered.append([e.low <= truth[name] <= e.high for name, e in found.items()])
+    # Fewer than 8 of 12 intervals at 90 % cover with a probability of 0.4 %.
+    assert (np.sum(covered, axis=0) >= 8).all()
+    # Nor are they so wide that none ever misses: all 60 would cover with one of 0.2 %.
+    assert np.mean(covered) < 1.0
+
+
+@pytest.mark.parametrize(
+    ("record", "says"),
+    [
+        (lambda: ramp(static=0.2, coulomb=0.1), "no break-away"),
+        (lambda: replace(ramp(), torque_Nm=0.05 * np.sin(ramp().time_s)), "not monotone"),
+        (lambda: replace(ramp(), torque_Nm=np.zeros(1106)), "ends at 0 N m"),
+        (lambda: replace(ramp(), angle_rad=0.1 * ramp().time_s), "moves from sample"),
+        (lambda: replace(ramp(), angle_rad=np.full(1106, math.nan)), "not finite"),
+        (lambda: replace(ramp(), time_s=ramp().time_s ** 2), "constant rate"),
+        (lambda: replace(ramp(), time_s=ramp().time_s[:-1]), "equally long"),
+        (lambda: replace(ramp(), dead_time_s=-1.0), "dead time"),
+        (lambda: ramp(duration=0.1), "80 or more"),
+    ],
+)
+def test_a_record_that_cannot_show_friction_is_refused(record, says):
+    with pytest.raises(InvalidInput, match=says):
+        record()
+
+
+@pytest.mark.parametrize(
+    ("record", "says"),
+    [
+        (lambda: ramp(slope=3.0, duration=0.5, static=0.3, coulomb=0.02), "slower ramp"),
+        (lambda: ramp(stribeck=8.0), "end the ramp higher"),
+        (lambda: ramp(static=0.02), "Coulomb friction alone|slower ramp"),
+    ],
+)
+def test_a_ramp_that_does_not_resolve_the_stribeck_velocity_is_refused(record, says):
+    with pytest.raises(InvalidInput, match=says):
+        fit_friction([record()])
+
+
+@pytest.mark.parametrize(
+    ("call", "says"),
+    [
+        (lambda: StribeckFriction(0.03, 0.02, 1.0), "static one not below"),
+        (lambda: StribeckFriction(-0.1, 0.02, 1.0), "zero or above"),
+        (lambda: StribeckFriction(0.02, 0.03, 0.0), "Stribeck velocity"),
+        (lambda: StribeckFriction(0.02, math.nan, 1.0), "not finite"),
+        (lambda: LuGreFriction(DRY, 0.0), "bristle stiffness"),
+        (lambda: LuGreFriction(StribeckFriction(0.0, 0.03, 1.0), 50.0), "bristles need"),
+        (lambda: FeedForward(DRY, -1.0), "inertia"),
+        (lambda: FeedForward(DRY, 1e-3, 1.0), "below 1"),
+        (lambda: fit_friction([]), "one or more"),
+        (lambda: fit_friction([ramp()], confidence=95.0), "between 0 and 1"),
+    ],
+)
+def test_bad_input_is_refused_with_its_remedy(call, says):
+    with pytest.raises(InvalidInput, match=says):
+        call()
