@@ -178,9 +178,14 @@ class Reel(ServesAsRig):
         )
 
     @cached_property
+    def _dead_time(self) -> tuple[int, float]:
+        """Whole samples and the fraction of one."""
+        return whole_and_fraction(self.dead_time_s, self.sampling_Hz)
+
+    @cached_property
     def structure(self) -> ReelStructure:
         """What the equations depend on besides numbers."""
-        _, fraction = whole_and_fraction(self.dead_time_s, self.sampling_Hz)
+        _, fraction = self._dead_time
         kappa = drum_stiffness_Nm_rad(self, self.tension_max_N)
         J, b = self.drum_inertia_kg_m2, viscous_friction_Nms(self)
         fastest = max(2.0 * math.pi * self.gauge_Hz, math.sqrt(kappa / J), b / J)
@@ -193,7 +198,7 @@ class Reel(ServesAsRig):
     @cached_property
     def parameter_values(self) -> FloatArray:
         """The numbers the equations take, in the order of `ReelStructure.parameter_names`."""
-        _, fraction = whole_and_fraction(self.dead_time_s, self.sampling_Hz)
+        _, fraction = self._dead_time
         own = [getattr(self, name) for name in ReelStructure.OWN[:-1]]
         added = [getattr(e, name) for e in self.effects for name in e.parameters()]
         return np.array([*own, fraction, *added])
@@ -206,7 +211,7 @@ class Reel(ServesAsRig):
         bound_N: float,
     ) -> Columns:
         """Runs a batch of closed-loop trials; see `Plant.respond`."""
-        whole, _ = whole_and_fraction(self.dead_time_s, self.sampling_Hz)
+        whole, _ = self._dead_time
         batch = Batch(
             parameters=self.parameter_values,
             coefficients=coefficients,

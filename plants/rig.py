@@ -88,12 +88,14 @@ class SimulatedRig:
                 self._stop.clear()
                 self._running = True
             try:
-                earlier = self._records.get(request.trial_id)
-                if earlier is not None:
-                    return self._again(request, *earlier)
+                trial_id = request.trial_id
+                if trial_id in self._records:
+                    return self._again(request, *self._records[trial_id])
                 limits.check(request.step)
                 record = self._perform(request)
-                self._remember(request, record)
+                self._records[trial_id] = (request, record)
+                if len(self._records) > REMEMBERED:
+                    self._records.popitem(last=False)
                 return record
             finally:
                 with self._state:
@@ -173,11 +175,6 @@ class SimulatedRig:
                 "a trial id is used once: ask under a new run name or attempt"
             )
         return record
-
-    def _remember(self, request: TrialRequest, record: TrialRecord) -> None:
-        self._records[request.trial_id] = (request, record)
-        if len(self._records) > REMEMBERED:
-            self._records.popitem(last=False)
 
     def _check_open(self) -> None:
         if self._closed:
