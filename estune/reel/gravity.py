@@ -5,15 +5,10 @@ and hangs on its far end, above zero where the reel carries the far end's side. 
 is the attachment at the reel, end 3 the far end.
 """
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from estune.errors import InvalidInput
-
-Numbers = Any
-"""A float, or an array of float64: scalars in, scalars out."""
+from estune.core.quantities import FloatArray, Numbers, checked, plain
 
 
 def gravity_force_N(
@@ -39,11 +34,11 @@ def gravity_force_N(
     Raises:
         InvalidInput: a value is not finite, or a weight or length below zero.
     """
-    weight = _checked("weight_N_m", weight_N_m, "N/m", least=0.0) * _checked(
+    weight = checked("weight_N_m", weight_N_m, "N/m", least=0.0) * checked(
         "length_m", length_m, "m", least=0.0
     )
-    V_1 = _checked("tension_1z_N", tension_1z_N, "N")
-    return _limited(weight, V_1, _checked("tension_1_N", tension_1_N, "N"))
+    V_1 = checked("tension_1z_N", tension_1z_N, "N")
+    return _limited(weight, V_1, checked("tension_1_N", tension_1_N, "N"))
 
 
 def gravity_force_by_position_N(
@@ -73,33 +68,17 @@ def gravity_force_by_position_N(
     Raises:
         InvalidInput: a value is not finite, or a weight or length below zero.
     """
-    w = _checked("weight_N_m", weight_N_m, "N/m", least=0.0)
-    s = _checked("length_m", length_m, "m", least=0.0)
-    z = _checked("rise_m", rise_m, "m")
-    T_1 = _checked("tension_1_N", tension_1_N, "N")
+    w = checked("weight_N_m", weight_N_m, "N/m", least=0.0)
+    s = checked("length_m", length_m, "m", least=0.0)
+    z = checked("rise_m", rise_m, "m")
+    T_1 = checked("tension_1_N", tension_1_N, "N")
     # Multiplied by |T_1|/(mu g ds), so that nothing is divided by a tension that may be zero.
     share = np.divide(z, s, out=np.zeros(np.broadcast(z, s).shape), where=s > 0.0)
     V_1 = share * (T_1 + 0.5 * w * z) - 0.5 * w * s
     return _limited(w * s, V_1, T_1)
 
 
-def _limited(
-    weight: NDArray[np.float64], V_1: NDArray[np.float64], T_1: NDArray[np.float64]
-) -> Numbers:
-    """`-weight V_1/T_1` within plus and minus the weight; the weight where there is no tension."""
-    weight, V_1, T_1 = np.broadcast_arrays(weight, V_1, T_1)
-    inside = np.abs(V_1) < T_1
-    cosine = np.divide(V_1, T_1, out=np.sign(V_1), where=inside)
-    force = np.where(T_1 > 0.0, -cosine, 1.0) * weight
-    return force.item() if force.ndim == 0 else force
-
-
-def _checked(
-    name: str, values: ArrayLike, unit: str, least: float = -np.inf
-) -> NDArray[np.float64]:
-    array = np.asarray(values, dtype=np.float64)
-    bad = ~np.isfinite(array) | (array < least)
-    if bad.any():
-        limit = f" and {least:g} or more" if np.isfinite(least) else ""
-        raise InvalidInput(f"{name} is {array[bad].flat[0]:g} {unit}; it must be finite{limit}")
-    return array
+def _limited(weight: FloatArray, V_1: FloatArray, T_1: FloatArray) -> Numbers:
+    """`-weight V_1/T_1` within the weight either way; the weight where there is no tension."""
+    cosine = np.clip(V_1, -np.abs(T_1), np.abs(T_1)) / np.where(T_1 > 0.0, T_1, 1.0)
+    return plain(np.asarray(np.where(T_1 > 0.0, -cosine, 1.0) * weight))

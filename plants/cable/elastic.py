@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from estune.core.quantities import FloatArray, Numbers, at, checked, first, plain
 from estune.errors import InvalidInput
-from plants.cable.quantities import FloatArray, Numbers, at, checked, first, plain
 from plants.cable.roots import newton
 from plants.cable.taut import GRAVITY_M_S2
 

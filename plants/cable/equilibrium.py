@@ -14,8 +14,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from estune.core.quantities import FloatArray
 from plants.cable import roots
-from plants.cable.quantities import FloatArray
 
 
 class Shape(NamedTuple):

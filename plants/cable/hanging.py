@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from estune.core.quantities import BoolArray, FloatArray, Numbers, at, checked, first, plain
 from estune.errors import InvalidInput
 from plants.cable.equilibrium import Known, Shape, shapes
-from plants.cable.quantities import BoolArray, FloatArray, Numbers, at, checked, first, plain
 from plants.cable.reasons import reason
 from plants.cable.triples import NAMES, Solution, check_triple
 

@@ -15,7 +15,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from plants.cable.quantities import FloatArray
+from estune.core.quantities import FloatArray
 
 _BLOCK = 1 << 14  # elements; what the processor's cache holds of a dozen arrays
 _ITERATIONS = 100

@@ -3,8 +3,8 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
+from estune.core.quantities import Numbers, at, checked, first, plain
 from estune.errors import InvalidInput
-from plants.cable.quantities import Numbers, at, checked, first, plain
 
 GRAVITY_M_S2 = 9.80665
 """Standard gravity, ISO 80000-3."""

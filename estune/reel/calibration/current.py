@@ -1,0 +1,142 @@
+"""Calibration of the current controller, C1, from current to commanded counts and back."""
+
+from dataclasses import asdict, dataclass
+from typing import Any, Self
+
+import numpy as np
+from numpy.polynomial import polynomial
+from numpy.typing import ArrayLike
+
+from estune.core.quantities import FloatArray, Numbers, checked, plain
+from estune.errors import InvalidInput
+from estune.reel.calibration.monotone import (
+    Axis,
+    check_between,
+    check_columns,
+    check_distinct,
+    check_order,
+    check_slope,
+    extremes,
+    invert,
+)
+from estune.reel.calibration.regression import Regression, regress
+
+
+@dataclass(frozen=True, slots=True)
+class CurrentCalibration:
+    """The current controller C1: motor current as a polynomial of the commanded counts.
+
+    Attributes:
+        command: Calibrated range of the command, counts.
+        regression: The fit; coefficients are those of u^k, u the scaled command; residuals in A.
+
+    Raises:
+        InvalidInput: the curve is not monotone within its range.
+    """
+
+    command: Axis
+    regression: Regression
+
+    def __post_init__(self) -> None:
+        c = np.asarray(self.regression.coefficients)
+        slope = polynomial.polyder(c)
+        for u in extremes(slope, self.command.reach):
+            row = np.concatenate([[0.0], np.arange(1, c.size) * u ** np.arange(c.size - 1)])
+            check_slope(
+                c[:, None],
+                float(polynomial.polyval(u, slope)),
+                float(self.regression.half_width(row)),
+                f"command {self.command.natural(np.asarray(u)):g}",
+            )
+
+    @classmethod
+    def fit(
+        cls, command: ArrayLike, current_A: ArrayLike, *, order: int = 3, margin: float = 0.0
+    ) -> Self:
+        """Calibrates the current controller from commanded counts and measured currents.
+
+        Args:
+            command: Counts commanded, shape (n,); repeats make a test of the curve's form
+                possible.
+            current_A: Motor current measured, A, shape (n,).
+            order: Order of the polynomial, one or more.
+            margin: Share of the range by which the rig may go beyond either end.
+
+        Raises:
+            InvalidInput: values not finite or not of one shape, too few or too few different
+                points, points that do not tell the coefficients apart, or currents that do not
+                rise, or fall, with the command throughout.
+        """
+        counts, current = (
+            checked("command", command, "counts"),
+            checked("current_A", current_A, "A"),
+        )
+        check_columns({"command": counts, "current_A": current})
+        if order < 1:
+            raise InvalidInput(f"order is {order}; a current calibration has order 1 or more")
+        check_distinct("command", counts, order + 1)
+        axis = Axis("command", "counts", float(counts.min()), float(counts.max()), margin)
+        design = axis.scaled(counts)[:, None] ** np.arange(order + 1)
+        fitted = regress(design, current, counts[:, None])
+        check_order(counts[:, None], current, "command", "counts")
+        return cls(axis, fitted)
+
+    def current_A(self, command: ArrayLike) -> Numbers:
+        """Current that a command gives, A.
+
+        Raises:
+            InvalidInput: a value is not finite or outside the calibrated range.
+        """
+        return plain(self._curve(self.command.scaled(command)))
+
+    def counts(self, current_A: ArrayLike) -> Numbers:
+        """Command that gives a current, counts, not rounded: C1 as the rig uses it.
+
+        Raises:
+            InvalidInput: a value is not finite, or a current that no calibrated command gives.
+        """
+        current = checked("current_A", current_A, "A")
+        reach = self.command.reach
+        ends = self._curve(np.asarray(-reach)), self._curve(np.asarray(reach))
+        check_between("current_A", current, *ends, self.command)
+        slope = polynomial.polyder(np.asarray(self.regression.coefficients))
+        u = invert(self._curve, lambda u: np.asarray(polynomial.polyval(u, slope)), current, reach)
+        return plain(self.command.natural(u))
+
+    def confidence_A(
+        self, command: ArrayLike, *, level: float = 0.95, repeats: int | None = None
+    ) -> Numbers:
+        """Half the width of the confidence band, in A, at a command.
+
+        Args:
+            command: Counts.
+            level: Confidence.
+            repeats: None for the curve alone; else for the mean of so many new measurements.
+
+        Raises:
+            InvalidInput: a value is not finite or outside its range.
+        """
+        order = len(self.regression.coefficients) - 1
+        rows = self.command.scaled(command)[..., None] ** np.arange(order + 1)
+        return plain(self.regression.half_width(rows, level, repeats=repeats))
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain numbers, lists and dictionaries, for JSON."""
+        return asdict(self)
+
+    @classmethod
+    def from_dict(cls, stored: dict[str, Any]) -> Self:
+        """The calibration that `as_dict` and JSON made of one.
+
+        Raises:
+            InvalidInput: something is missing, not of its kind, or not monotone.
+        """
+        try:
+            return cls(Axis(**stored["command"]), Regression.from_dict(stored["regression"]))
+        except (KeyError, TypeError) as error:
+            raise InvalidInput(
+                f"stored calibration is damaged: {error!r}; calibrate anew"
+            ) from None
+
+    def _curve(self, u: FloatArray) -> FloatArray:
+        return np.asarray(polynomial.polyval(u, np.asarray(self.regression.coefficients)))

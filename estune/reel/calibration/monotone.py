@@ -1,0 +1,215 @@
+"""What every calibration curve must be: defined on a range, monotone on it, invertible."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.polynomial import polynomial
+from numpy.typing import ArrayLike
+
+from estune.core.quantities import FloatArray, checked
+from estune.errors import InvalidInput
+from estune.reel.calibration.regression import pure_error
+
+_REVERSAL_LEVEL = 0.999
+"""One-sided confidence at which means of repeated points count as out of order."""
+
+_FLAT = 1e-9  # slope per largest coefficient; less is rounding
+
+_ITERATIONS = 100
+
+
+@dataclass(frozen=True, slots=True)
+class Axis:
+    """A calibrated range of a quantity, scaled to -1..1.
+
+    Attributes:
+        name: The quantity, for errors.
+        unit: Its unit.
+        low: Least value calibrated.
+        high: Greatest value calibrated.
+        margin: How far beyond either end values are accepted, as a share of the range.
+
+    Raises:
+        InvalidInput: not finite, empty, or a margin below zero.
+    """
+
+    name: str
+    unit: str
+    low: float
+    high: float
+    margin: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.low) and math.isfinite(self.high) and self.low < self.high):
+            raise InvalidInput(
+                f"{self.name} is calibrated from {self.low} to {self.high} {self.unit}; a "
+                "calibration needs different, finite values"
+            )
+        if not (math.isfinite(self.margin) and self.margin >= 0.0):
+            raise InvalidInput(f"margin of {self.name} is {self.margin}; it must be zero or above")
+
+    @property
+    def reach(self) -> float:
+        """The greatest scaled value accepted."""
+        return 1.0 + 2.0 * self.margin
+
+    def scaled(self, values: ArrayLike) -> FloatArray:
+        """The values on the scale.
+
+        Raises:
+            InvalidInput: a value is not finite, or outside the range and its margin.
+        """
+        array = checked(self.name, values, self.unit)
+        scale = (array - 0.5 * (self.low + self.high)) / (0.5 * (self.high - self.low))
+        # Ends computed by way of the inverse may lie outside by rounding.
+        outside = np.abs(scale) > self.reach * (1.0 + 1e-9)
+        if outside.any():
+            room = self.margin * (self.high - self.low)
+            raise InvalidInput(
+                f"{self.name} {array[outside].flat[0]:g} {self.unit} is outside the calibrated "
+                f"{self.low - room:g} to {self.high + room:g} {self.unit}; calibrate over a wider "
+                "range, or allow a margin"
+            )
+        return np.clip(scale, -self.reach, self.reach)
+
+    def natural(self, scaled: FloatArray) -> FloatArray:
+        """Values from the scale."""
+        return np.asarray(0.5 * (self.low + self.high) + 0.5 * (self.high - self.low) * scaled)
+
+
+def check_columns(columns: dict[str, FloatArray]) -> None:
+    """Refuses data that are not columns of one length."""
+    shapes = {name: column.shape for name, column in columns.items()}
+    if len(set(shapes.values())) > 1 or any(len(shape) != 1 for shape in shapes.values()):
+        told = ", ".join(f"{name} {shape}" for name, shape in shapes.items())
+        raise InvalidInput(f"calibration data must be columns of one length; shapes are {told}")
+
+
+def check_distinct(name: str, column: FloatArray, least: int) -> None:
+    """Refuses data with too few different settings."""
+    distinct = np.unique(column).size
+    if distinct < least:
+        raise InvalidInput(
+            f"{name} has {distinct} different values in {column.size} points; this curve needs "
+            f"{least} or more"
+        )
+
+
+def check_order(settings: FloatArray, response: FloatArray, name: str, unit: str) -> None:
+    """Refuses readings that do not keep the order of what was set.
+
+    Neighbours are compared by their means. Where points were repeated, a reversal counts beyond
+    what their scatter allows; where none was, nothing tells noise from a fault, and any counts.
+
+    Args:
+        settings: Shape (n, k); the last column is compared among points that agree in the others.
+        response: Shape (n,).
+        name: Of the last column, for the error.
+        unit: Its unit.
+
+    Raises:
+        InvalidInput: a reversal.
+    """
+    distinct, group = np.unique(settings, axis=0, return_inverse=True)
+    count = np.bincount(group.ravel())
+    mean = np.bincount(group.ravel(), weights=response) / count
+    scatter, repeats, _ = pure_error(response, settings)
+    allowed = np.zeros(mean.size - 1)
+    if repeats:
+        from scipy.special import stdtrit  # noqa: PLC0415  slow to load
+
+        t = float(stdtrit(repeats, _REVERSAL_LEVEL))
+        allowed = t * np.sqrt(scatter / repeats * (1.0 / count[1:] + 1.0 / count[:-1]))
+    comparable = (distinct[1:, :-1] == distinct[:-1, :-1]).all(axis=1)
+    rise, apart = np.diff(mean), np.diff(distinct[:, -1])
+    direction = np.sign(np.sum((rise * apart)[comparable]))
+    reversed_ = comparable & (rise * direction < -allowed)
+    if reversed_.any():
+        i = int(np.flatnonzero(reversed_)[0])
+        low, high = distinct[i : i + 2, -1]
+        raise InvalidInput(
+            f"the data are not monotone: {mean[i]:.6g} at {name} {low:g} {unit}, but "
+            f"{mean[i + 1]:.6g} at {high:g} {unit}, against the trend; look for mixed-up rows, a "
+            "slipped load or friction, or repeat each point to show that it is noise"
+        )
+
+
+def check_slope(coefficients: FloatArray, slope: float, half_width: float, where: str) -> None:
+    """Refuses a curve that is not surely monotone.
+
+    Args:
+        coefficients: Of the powers of the scaled variable, shape (k, ...); [1, 0] is the slope in
+            the middle.
+        slope: Slope at an extreme, per unit of the scaled variable.
+        half_width: Of its confidence band.
+        where: The extreme, for the error.
+
+    Raises:
+        InvalidInput: the slope at an extreme, less its confidence band, has not the sign it has in
+            the middle.
+    """
+    middle = float(coefficients[1, 0])
+    if not abs(middle) > _FLAT * float(np.max(np.abs(coefficients))):
+        raise InvalidInput(
+            f"the fitted curve is flat: over the calibrated range it changes by {2.0 * middle:g}; "
+            "check that the reading is connected to what was set"
+        )
+    if not slope * math.copysign(1.0, middle) > half_width:
+        raise InvalidInput(
+            f"the fitted curve is not surely monotone: at {where} its slope is "
+            f"{slope / middle:.3g} +- {half_width / abs(middle):.2g} of that in the middle; "
+            "calibrate a narrower range, take more points, or lower the order or margin"
+        )
+
+
+def extremes(slope: FloatArray, reach: float) -> list[float]:
+    """Where a polynomial can be extreme on -reach..reach: its ends and stationary points."""
+    stationary = polynomial.polyroots(polynomial.polytrim(polynomial.polyder(slope)))
+    inside = [float(r.real) for r in stationary if r.imag == 0.0 and abs(r.real) < reach]
+    return [-reach, *inside, reach]
+
+
+def check_between(
+    name: str, values: FloatArray, end: FloatArray, other: FloatArray, axis: Axis
+) -> None:
+    """Refuses values that the curve does not take on its range.
+
+    Raises:
+        InvalidInput: a value outside.
+    """
+    low, high = np.minimum(end, other), np.maximum(end, other)
+    rounding = 1e-9 * (high - low)
+    outside = (values < low - rounding) | (values > high + rounding)
+    if outside.any():
+        values, low, high = np.broadcast_arrays(values, low, high)
+        raise InvalidInput(
+            f"{name} {values[outside].flat[0]:g} is outside {low[outside].flat[0]:g} to "
+            f"{high[outside].flat[0]:g}, what the calibrated {axis.name} of {axis.low:g} to "
+            f"{axis.high:g} {axis.unit} gives; calibrate over a wider range, or allow a margin"
+        )
+
+
+def invert(
+    curve: Callable[[FloatArray], FloatArray],
+    slope: Callable[[FloatArray], FloatArray],
+    values: FloatArray,
+    reach: float,
+) -> FloatArray:
+    """Where a monotone curve takes these values on -reach..reach: Newton's method in a bracket."""
+    low, high = np.full(values.shape, -reach), np.full(values.shape, reach)
+    rising = bool(curve(np.asarray(reach)) > curve(np.asarray(-reach)))
+    u = np.zeros(values.shape)
+    for _ in range(_ITERATIONS):
+        miss = curve(u) - values
+        above = (miss > 0.0) == rising
+        low, high = np.where(above, low, u), np.where(above, u, high)
+        following = u - miss / slope(u)
+        inside = (following >= low) & (following <= high)
+        following = np.where(inside, following, 0.5 * (low + high))
+        settled = np.abs(following - u) <= 1e-15 * reach
+        u = following
+        if settled.all():
+            break
+    return u
