@@ -22,7 +22,7 @@ from estune.core.search_space import Point, SearchSpace
 from estune.errors import JournalError
 from estune.interop import Margins, margins
 from estune.journal import Entry, Journal
-from estune.score import score
+from estune.score import metrics_of
 from estune.session import Plan, Session, Verdict, is_censored, verdict
 from estune.trial import RigDescription, TrialRecord
 from estune.tuning import Tuning
@@ -291,9 +291,7 @@ def _performance(
     tuning: Tuning, gains: Gains, cost: tuple[float, float], record: TrialRecord | None
 ) -> Performance:
     plan, rig = tuning.plan, tuning.description
-    metrics = None
-    if record is not None:
-        metrics = score(record, plan.step, plan.cost, rig.newtons_per_ampere).metrics
+    metrics = None if record is None else metrics_of(record, plan.step)
     on_model = margins(rig.linear_model, gains, rig.controller) if rig.linear_model else None
     return Performance(gains, *cost, metrics, on_model, record)
 

@@ -1,7 +1,6 @@
-"""From a trial record to its cost and the numbers beside it."""
+"""From a trial record to its cost and to the numbers beside it."""
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
@@ -11,26 +10,10 @@ from estune.errors import RigError
 from estune.trial import Outcome, StepProfile, TrialRecord
 
 
-class Score(NamedTuple):
-    """How good a trial was.
-
-    Attributes:
-        cost: eta of (35), with its options; NaN unless the trial ran to its end and every value in
-            it is finite.
-        metrics: Rise time, settling time, overshoot and steady-state error; NaN with the cost.
-    """
-
-    cost: float
-    metrics: StepMetrics
-
-
-UNSCORED = Score(math.nan, NO_METRICS)
-
-
-def score(
+def cost_of(
     record: TrialRecord, step: StepProfile, cost: StepCost, newtons_per_ampere: float
-) -> Score:
-    """The cost and the metrics of one step trial, measured between the two levels of the setpoint.
+) -> float:
+    """The cost of one step trial: eta of (35), with its options.
 
     Args:
         record: What the rig measured.
@@ -39,39 +22,57 @@ def score(
         newtons_per_ampere: Tension at rest per motor current, N/A: turns current into effort.
 
     Returns:
-        The score, without a number in it if the trial did not end well or holds values that are
-        not finite.
+        The cost; NaN if the trial did not end well or holds values that are not finite.
 
     Raises:
         InvalidInput: the settling time is longer than what was recorded after the step.
         RigError: the rig says the trial ran to its end, but sent another number of samples than
             were asked for.
     """
-    if record.outcome is not Outcome.DONE:
-        return UNSCORED
-    columns = (record.setpoint_N, record.tension_N, record.current_A)
-    _check_length(record, step)
-    if not all(np.isfinite(column).all() for column in columns):
-        return UNSCORED
-    index = step.step_index(record.sampling_Hz)
+    if not _is_whole(record, step):
+        return math.nan
     eta = cost.evaluate(
         record.sampling_Hz,
-        index,
+        step.step_index(record.sampling_Hz),
         step.step_N,
         record.setpoint_N,
         record.tension_N,
         record.current_A * newtons_per_ampere,
     )
-    if not np.isfinite(eta):
-        return UNSCORED
-    metrics = step_metrics(
+    return float(eta) if np.isfinite(eta) else math.nan
+
+
+def metrics_of(record: TrialRecord, step: StepProfile) -> StepMetrics:
+    """Rise, settling, overshoot and steady-state error between the two levels of the setpoint.
+
+    Args:
+        record: What the rig measured.
+        step: The step that was asked for.
+
+    Returns:
+        The metrics, all NaN if the trial did not end well or holds values that are not finite.
+
+    Raises:
+        RigError: as in `cost_of`.
+    """
+    if not _is_whole(record, step):
+        return NO_METRICS
+    return step_metrics(
         record.time_s,
         record.tension_N,
-        step_time_s=float(record.time_s[index]),
+        step_time_s=float(record.time_s[step.step_index(record.sampling_Hz)]),
         initial=step.preload_N,
         final=step.preload_N + step.step_N,
     )
-    return Score(float(eta), metrics)
+
+
+def _is_whole(record: TrialRecord, step: StepProfile) -> bool:
+    """Whether the trial ran to its end and every value that is looked at is finite."""
+    if record.outcome is not Outcome.DONE:
+        return False
+    _check_length(record, step)
+    columns = (record.setpoint_N, record.tension_N, record.current_A)
+    return all(np.isfinite(column).all() for column in columns)
 
 
 def _check_length(record: TrialRecord, step: StepProfile) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 from estune.core.gains import Gains
 from estune.errors import JournalError, UnsafeStart
 from estune.journal import Entry, Journal
-from estune.score import score
+from estune.score import cost_of
 from estune.session import (
     Phase,
     Plan,
@@ -141,7 +141,7 @@ def _tell(
 ) -> TrialRequest | None:
     """Scores and commits one trial, moves the session on, and gives the next request."""
     plan, before = tuning.plan, tuning.session
-    cost = score(record, plan.step, plan.cost, tuning.description.newtons_per_ampere).cost
+    cost = cost_of(record, plan.step, plan.cost, tuning.description.newtons_per_ampere)
     phase = before.phase or Phase.CONFIRM
     censored = is_censored(before, record.outcome, cost)
     entry = Entry(

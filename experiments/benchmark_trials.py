@@ -35,7 +35,7 @@ from estune.core.gains import Gains
 from estune.core.search_space import SearchSpace
 from estune.core.tuners import TUNERS
 from estune.core.tuners.observation import Observation
-from estune.score import score
+from estune.score import cost_of
 from estune.trial import FloatArray, Outcome, TrialRequest
 from plants import compiler
 from plants.noise import NoiseSource
@@ -351,7 +351,7 @@ def tuning(tuner: Any, run: str) -> Iterator[None]:
     for number in itertools.count():
         gains = tuner.space.gains(tuner.ask(state))
         record = rig.run(TrialRequest(run, number, gains, told.step))
-        eta = score(record, told.step, cost, told.newtons_per_ampere).cost
+        eta = cost_of(record, told.step, cost, told.newtons_per_ampere)
         unsafe = record.outcome is not Outcome.DONE or not math.isfinite(eta)
         state = tuner.tell(state, Observation(eta, censored=unsafe))
         yield

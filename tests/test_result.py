@@ -15,7 +15,7 @@ from estune import figures
 from estune.core.gains import Gains
 from estune.errors import JournalError
 from estune.result import Ending
-from estune.score import score
+from estune.score import cost_of, metrics_of
 from estune.session import Phase
 from estune.trial import LinearModel, Outcome
 from estune.tuning import Stopped
@@ -90,7 +90,7 @@ def test_the_frame_has_a_row_per_trial_and_the_best_never_rises(tuned):
 def test_a_record_is_read_back_by_its_number(tuned):
     record = tuned.record(5)
     assert record.gains == tuned.entries[5].gains
-    cost = score(record, tuned.plan.step, tuned.plan.cost, tuned.rig.newtons_per_ampere).cost
+    cost = cost_of(record, tuned.plan.step, tuned.plan.cost, tuned.rig.newtons_per_ampere)
     assert cost == tuned.entries[5].cost
     with pytest.raises(JournalError, match="no trial 999"):
         tuned.record(999)
@@ -110,7 +110,7 @@ def test_the_table_shows_the_records_of_the_first_and_the_last_trial_of_the_gain
     ]
     assert found.gains == tuned.gains
     assert found.trial_id == same[-1]
-    metrics = score(found, tuned.plan.step, tuned.plan.cost, tuned.rig.newtons_per_ampere).metrics
+    metrics = metrics_of(found, tuned.plan.step)
     shown = {row.label: row.tuned for row in tuned.rows()}
     assert shown["rise time"] == f"{metrics.rise_time_s * 1e3:.3g} ms"
 
