@@ -168,14 +168,16 @@ def told(session: Session, outcome: Outcome, cost: float) -> Session:
     if outcome.is_void:
         return replace(session, attempt=session.attempt + 1)
     phase, censored = session.phase, is_censored(session, outcome, cost)
-    session = replace(session, number=session.number + 1, attempt=0)
-    if phase is Phase.BASELINE:
-        if censored:
-            return replace(session, failure=_unsafe_start(session, outcome, cost))
-        return replace(session, baseline=(*session.baseline, cost))
-    if phase is Phase.SEARCH:
-        return _told_search(session, Observation(math.nan if censored else cost, censored))
-    return _told_confirm(session, math.inf if censored else cost)
+    changed: dict[str, Any]
+    if phase is Phase.BASELINE and censored:
+        changed = {"failure": _unsafe_start(session, outcome, cost)}
+    elif phase is Phase.BASELINE:
+        changed = {"baseline": (*session.baseline, cost)}
+    elif phase is Phase.SEARCH:
+        changed = _after_search(session, Observation(math.nan if censored else cost, censored))
+    else:
+        changed = {"confirmed": _confirmed_with(session, math.inf if censored else cost)}
+    return replace(session, number=session.number + 1, attempt=0, **changed)
 
 
 @dataclass(frozen=True, slots=True)
@@ -242,33 +244,32 @@ def verdict(session: Session) -> Verdict:
     return replace(as_it_was, complete=True, message=message)
 
 
-def _told_search(session: Session, observation: Observation) -> Session:
+def _after_search(session: Session, observation: Observation) -> dict[str, Any]:
+    """What a search trial changes."""
     tuner = session.plan.tuner
-    session = replace(
-        session,
-        tuner_state=tuner.tell(session.tuner_state, observation),
-        searched=session.searched + 1,
-        unsafe_in_a_row=session.unsafe_in_a_row + 1 if observation.censored else 0,
-    )
-    if session.unsafe_in_a_row >= UNSAFE_IN_A_ROW:
+    state = tuner.tell(session.tuner_state, observation)
+    searched = session.searched + 1
+    unsafe = session.unsafe_in_a_row + 1 if observation.censored else 0
+    changed = {"tuner_state": state, "searched": searched, "unsafe_in_a_row": unsafe}
+    if unsafe >= UNSAFE_IN_A_ROW:
         end = f"the search ended after {UNSAFE_IN_A_ROW} unsafe trials in a row"
-    elif session.searched >= session.plan.trials:
+    elif searched >= session.plan.trials:
         end = f"the search used its {session.plan.trials} trials"
     else:
-        return session
+        return changed
     # The tuner's centre is its considered answer; the best single trial may be luck, or may not.
-    points = (tuner.recommend(session.tuner_state), session.tuner_state.best_point)
+    points = (tuner.recommend(state), state.best_point)
     candidates = tuple(dict.fromkeys(tuner.space.gains(point) for point in points))
-    return replace(
-        session, search_end=end, candidates=candidates, confirmed=((),) * len(candidates)
+    confirmed = ((),) * len(candidates)
+    return {**changed, "search_end": end, "candidates": candidates, "confirmed": confirmed}
+
+
+def _confirmed_with(session: Session, cost: float) -> tuple[tuple[float, ...], ...]:
+    """The costs of the candidates with one more of the one that was asked for."""
+    index = _unconfirmed(session)
+    return tuple(
+        (*costs, cost) if i == index else costs for i, costs in enumerate(session.confirmed)
     )
-
-
-def _told_confirm(session: Session, cost: float) -> Session:
-    index = _unconfirmed(session) or 0
-    confirmed = list(session.confirmed)
-    confirmed[index] = (*confirmed[index], cost)
-    return replace(session, confirmed=tuple(confirmed))
 
 
 def _unconfirmed(session: Session) -> int | None:
