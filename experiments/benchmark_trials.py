@@ -280,6 +280,14 @@ def measure_batch(trials: int, rounds: int) -> dict[str, float]:
     if not np.array_equal(run(1), run(2), equal_nan=True):
         raise SystemExit("the batch gives other costs on two cores than on one")
     times = alternate({"one": Timed(lambda: run(1)), "two": Timed(lambda: run(2))}, rounds)
+    # The processor time of both, which other programs on the machine do not lengthen: what two
+    # cores would gain if they were free is 2 over this.
+    work = {}
+    for workers in (1, 2):
+        began = time.process_time()
+        run(workers)
+        work[workers] = time.process_time() - began
+    gc.collect()
     for _ in range(5):  # until every thread's memory pool has been made
         run(2)
     before = memory_MB()
@@ -291,6 +299,7 @@ def measure_batch(trials: int, rounds: int) -> dict[str, float]:
         "batch_one_core_s": times["one"] / 1e6,
         "batch_two_cores_s": times["two"] / 1e6,
         "batch_speedup_two_cores": times["one"] / times["two"],
+        "batch_work_two_cores_over_one": work[2] / work[1],
         "memory_before_MB": before,
         "memory_after_MB": after,
         "memory_growth_MB": after - before,
@@ -321,14 +330,14 @@ def measure_tuners(trials: int) -> dict[str, float]:
 
 
 def median_block(trials: Iterator[None], count: int) -> float:
-    """Time of a trial in us, the median over blocks of 20 trials that follow each other."""
+    """Time of a trial in us, the median over blocks of 5 trials that follow each other."""
     times = []
     gc.disable()
-    for _ in range(count // 20):
+    for _ in range(count // 5):
         began = time.perf_counter()
-        for _ in range(20):
+        for _ in range(5):
             next(trials)
-        times.append((time.perf_counter() - began) / 20 * 1e6)
+        times.append((time.perf_counter() - began) / 5 * 1e6)
     gc.enable()
     return statistics.median(times)
 
