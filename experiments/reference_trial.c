@@ -11,7 +11,7 @@ enum { SUBSTEPS = 4, MAX_DELAY = 64 };
 struct parameters {
   double length_m, radius_m, inertia, friction, friction_per_m, structure_N_m, EA_N, density,
       torque_constant, current_limit, gauge_Hz, gauge_damping, encoder_counts, sampling_Hz,
-      dead_time_fraction, coulomb_Nm;
+      dead_time_s, delay_samples, coulomb_Nm;
 };
 
 struct controller {

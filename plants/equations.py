@@ -30,6 +30,8 @@ class Equations(NamedTuple):
         drive: (constants, state, effort) -> (state, drive).
         substep: (constants, state, drive before, drive after, n) -> state after the nth substep.
         substeps: Number of substeps in a sample.
+        outside: (constants, state) -> what a gauge outside the reel reads; None where there is
+            no such gauge.
     """
 
     prepare: Expression
@@ -37,6 +39,7 @@ class Equations(NamedTuple):
     drive: Expression
     substep: Expression
     substeps: int
+    outside: Expression | None = None
 
     def move(
         self, constants: Expression, state: Expression, before: Expression, after: Expression

@@ -3,6 +3,7 @@
 import math
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,7 @@ from plants.plant import (
     whole_and_fraction,
 )
 from plants.reel_equations import ReelStructure, drum_stiffness_Nm_rad, viscous_friction_Nms
+from plants.stages import amended
 from plants.trial_loop import Batch, trial_loop
 
 SAFE_GAINS = Gains(P=0.4, I=12.0, D=0.01, setpoint_filter_s=0.03)
@@ -178,30 +180,47 @@ class Reel(ServesAsRig):
         )
 
     @cached_property
+    def _amended(self) -> SimpleNamespace:
+        """The reel's own numbers as the effects leave them."""
+        own = SimpleNamespace(**{name: getattr(self, name) for name in ReelStructure.OWN})
+        return amended(own, [(type(e), SimpleNamespace(**vars(e))) for e in self.effects])
+
+    @property
+    def _moved(self) -> set[str]:
+        """Which of the reel's own numbers the effects may change."""
+        p = self._amended
+        return {name for e in self.effects for name in e.amend(SimpleNamespace(**vars(e)), p)}
+
+    @cached_property
     def _dead_time(self) -> tuple[int, float]:
-        """Whole samples and the fraction of one."""
-        return whole_and_fraction(self.dead_time_s, self.sampling_Hz)
+        """Whole samples and the fraction of one, with what effects add."""
+        return whole_and_fraction(self._amended.dead_time_s, self.sampling_Hz)
+
+    @property
+    def delay_samples(self) -> int:
+        """Whole samples of the dead time, with what effects add."""
+        return self._dead_time[0]
 
     @cached_property
     def structure(self) -> ReelStructure:
         """What the equations depend on besides numbers."""
-        _, fraction = self._dead_time
-        kappa = drum_stiffness_Nm_rad(self, self.tension_max_N)
-        J, b = self.drum_inertia_kg_m2, viscous_friction_Nms(self)
-        fastest = max(2.0 * math.pi * self.gauge_Hz, math.sqrt(kappa / J), b / J)
+        p = self._amended
+        kappa = drum_stiffness_Nm_rad(p, self.tension_max_N)
+        J, b = p.drum_inertia_kg_m2, viscous_friction_Nms(p)
+        fastest = max(2.0 * math.pi * p.gauge_Hz, math.sqrt(kappa / J), b / J)
         return ReelStructure(
             effects=tuple(type(effect) for effect in self.effects),
-            fractional=fraction > 0.0,
+            # A dead time that an effect may move is whole by chance only.
+            fractional=self._dead_time[1] > 0.0 or "dead_time_s" in self._moved,
             squarings=ReelStructure.squarings_for(fastest, self.sampling_Hz),
         )
 
     @cached_property
     def parameter_values(self) -> FloatArray:
         """The numbers the equations take, in the order of `ReelStructure.parameter_names`."""
-        _, fraction = self._dead_time
-        own = [getattr(self, name) for name in ReelStructure.OWN[:-1]]
+        own = [getattr(self, name) for name in ReelStructure.OWN]
         added = [getattr(e, name) for e in self.effects for name in e.parameters()]
-        return np.array([*own, fraction, *added])
+        return np.array([*own, self.delay_samples, *added])
 
     def respond(
         self,
@@ -211,14 +230,13 @@ class Reel(ServesAsRig):
         bound_N: float,
     ) -> Columns:
         """Runs a batch of closed-loop trials; see `Plant.respond`."""
-        whole, _ = self._dead_time
         batch = Batch(
             parameters=self.parameter_values,
             coefficients=coefficients,
             preload_N=profile.preload_N,
             setpoint_N=profile.setpoint(self.sampling_Hz),
             noise_N=noise_N,
-            delay=whole,
+            delay=self.delay_samples,
             bound_N=bound_N,
         )
         return trial_loop(self.structure).run(batch)

@@ -5,7 +5,8 @@ encoder beside it:
 
     i = limited command, after the dead time
     J theta'' + b theta' + R T = Kt i + friction,    b = b_0 + b_L L
-    T = max(0, k R theta),    1/k = 1/k_s + L/(EA) + w^2 L^3/(12 T_0^3)
+    T_o = max(0, k R theta),    1/k = 1/k_s + L/(EA) + w^2 L^3/(12 T_0^3)
+    T = T_o inside the eyelet as outside
     g'' + 2 zeta w_g g' + w_g^2 g = w_g^2 T
 
 theta is zero where the cable is just taut. The last term of 1/k is the sag's share of the
@@ -17,19 +18,23 @@ at its value for the angle predicted at midspan (second order); friction is a pr
 """
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any, ClassVar, NamedTuple
 
 import casadi as ca
 
-from plants.effects import Effect, Port, Site
+from plants.effects.effect import Effect, Port, Site
 from plants.equations import Equations, Expression, column_of, held_input, pack
+from plants.stages import Stages, amended
 
 GRAVITY_m_s2 = 9.80665
 SUBSTEPS = 4
 THETA, OMEGA, READING, READING_RATE = range(4)
 STATES = 4
+REST_ROUNDS = 20
+"""Rounds of the fixed point at rest, where a cable effect depends on the angle it leads to."""
 
 
 def cable_stiffness_N_m(p: Any, preload_N: Any) -> Any:
@@ -62,13 +67,15 @@ class Constants(NamedTuple):
     change: Expression  # number of the substep in which the drive changes
     by_tension: Expression  # Gamma for tension beyond the linear law, 4 x 1
     torque_per_velocity: Expression  # inverse of by_torque[OMEGA]
+    drum_radius_m: Expression
+    torque_constant_Nm_A: Expression
     tension_per_angle: Expression  # k R
     tension_per_velocity: Expression  # k R times half a substep: to the angle at midspan
     substep_s: Expression
     amperes_per_newton: Expression
     current_limit_A: Expression
     encoder_step_rad: Expression
-    effects: Expression  # parameters of the effects
+    effects: Expression  # parameters of the effects, and what they prepared
 
 
 @dataclass(frozen=True)
@@ -100,7 +107,7 @@ class ReelStructure:
         "gauge_damping",
         "encoder_counts",
         "sampling_Hz",
-        "dead_time_fraction",
+        "dead_time_s",
     )
 
     @staticmethod
@@ -112,38 +119,61 @@ class ReelStructure:
     def parameter_names(self) -> tuple[str, ...]:
         """The parameters in order; those of the nth effect as `n.name`."""
         added = (f"{n}.{name}" for n, e in enumerate(self.effects) for name in e.parameters())
-        return (*self.OWN, *added)
+        return (*self.OWN, "delay_samples", *added)
+
+    @property
+    def has_outside_gauge(self) -> bool:
+        """Whether the tension outside the eyelet is another than inside, and is recorded."""
+        return any(Port.EYELET in effect.ports() for effect in self.effects)
 
     def equations(self) -> Equations:
         """The reel's equations of one sample."""
         parameters = ca.SX.sym("parameters", len(self.parameter_names))
-        p = SimpleNamespace(
-            **{name: parameters[n] for n, name in enumerate(self.OWN)},
-            effects=parameters[len(self.OWN) :],
-        )
         preload, noise, effort = (ca.SX.sym(name) for name in ("preload", "noise", "effort"))
-        before, after = ca.SX.sym("before"), ca.SX.sym("after")
-        values, c = pack(self._constants(p, preload))
+        before, after, n = (ca.SX.sym(name) for name in ("before", "after", "n"))
+        values, numbers = self._constants(parameters, preload)
+        column, c = pack(values)
         constants = column_of(c)
-        x = ca.SX.sym("x", STATES + sum(effect.states for effect in self.effects))
-        stages = _Stages(c, self.effects)
-        rest = ca.vertcat(preload / _tension_per_angle(p, preload), 0.0, preload, 0.0)
-        rest = ca.vertcat(rest, ca.SX.zeros(x.shape[0] - STATES))
-        n = ca.SX.sym("n")
-        moved = self._substep(stages, x, self._driven(c, n, before, after))
+        at_rest = _Reel(values, self._stages(numbers), self.has_outside_gauge)
+        rest, rest_effort = at_rest.rest(preload)
+        symbols = iter(ca.vertsplit(c.effects))
+        reel = _Reel(
+            c,
+            self._stages([{name: next(symbols) for name in known} for known in numbers]),
+            self.has_outside_gauge,
+        )
+        x = ca.SX.sym("x", reel.stages.states)
+        moved = reel.substep(x, self._driven(c, n, before, after))
         return Equations(
             prepare=ca.Function(
-                "prepare", [parameters, preload], [values, ca.densify(rest), preload]
+                "prepare", [parameters, preload], [column, ca.densify(rest), rest_effort]
             ),
-            observe=ca.Function(
-                "observe", [constants, x, before, noise], stages.observe(x, noise)
-            ),
-            drive=ca.Function("drive", [constants, x, effort], stages.drive(x, effort)),
+            observe=ca.Function("observe", [constants, x, before, noise], reel.observe(x, noise)),
+            drive=ca.Function("drive", [constants, x, effort], reel.drive(x, effort)),
             substep=ca.Function("substep", [constants, x, before, after, n], [ca.densify(moved)]),
             substeps=SUBSTEPS,
+            outside=ca.Function("outside", [constants, x], [reel.outside(x)])
+            if self.has_outside_gauge
+            else None,
         )
 
-    def _constants(self, p: SimpleNamespace, preload: Expression) -> Constants:
+    def _stages(self, numbers: list[dict[str, Expression]]) -> Stages:
+        return Stages(self.effects, numbers, STATES + self.has_outside_gauge)
+
+    def _effects(self, parameters: Expression) -> Iterator[tuple[type[Effect], SimpleNamespace]]:
+        """The effects with their parameters."""
+        symbols = iter(ca.vertsplit(parameters))
+        for effect in self.effects:
+            yield effect, SimpleNamespace(**{name: next(symbols) for name in effect.parameters()})
+
+    def _constants(
+        self, parameters: Expression, preload: Expression
+    ) -> tuple[Constants, list[dict[str, Expression]]]:
+        """The constants, and each effect's part of them by name."""
+        own, delay = parameters[: len(self.OWN)], parameters[len(self.OWN)]
+        effects = list(self._effects(parameters[len(self.OWN) + 1 :]))
+        nominal = SimpleNamespace(**dict(zip(self.OWN, ca.vertsplit(own), strict=True)))
+        p = amended(nominal, effects)
         kappa = drum_stiffness_Nm_rad(p, preload)
         J, b = p.drum_inertia_kg_m2, viscous_friction_Nms(p)
         w = 2.0 * math.pi * p.gauge_Hz
@@ -158,13 +188,23 @@ class ReelStructure:
         B[OMEGA, 0] = 1.0 / J
         B[OMEGA, 1], B[READING_RATE, 1] = -p.drum_radius_m / J, w**2
         transition, gamma = held_input(A, B, h, self.squarings)
-        change = ca.floor(SUBSTEPS * p.dead_time_fraction)
-        rest_of_substep = h * (change + 1 - SUBSTEPS * p.dead_time_fraction)
+        fraction = p.dead_time_s * p.sampling_Hz - delay
+        change = ca.floor(SUBSTEPS * fraction)
+        rest_of_substep = h * (change + 1 - SUBSTEPS * fraction)
         by_current = B[:, 0] * p.torque_constant_Nm_A
         _, after = held_input(A, by_current, rest_of_substep, self.squarings)
         if not self.fractional:
             change, after = ca.SX(0, 0), ca.SX(STATES, 0)
-        return Constants(
+        facts = SimpleNamespace(
+            **vars(p),
+            preload_N=preload,
+            gravity_m_s2=GRAVITY_m_s2,
+            stiffness_N_m=cable_stiffness_N_m(p, preload),
+            sample_s=1.0 / p.sampling_Hz,
+            substep_s=h,
+        )
+        numbers = [vars(known) | effect.prepare(known, facts) for effect, known in effects]
+        constants = Constants(
             transition=transition,
             by_torque=gamma[:, 0],
             by_current=gamma[:, 0] * p.torque_constant_Nm_A,
@@ -172,14 +212,17 @@ class ReelStructure:
             change=change,
             by_tension=gamma[:, 1],
             torque_per_velocity=1.0 / gamma[OMEGA, 0],
+            drum_radius_m=p.drum_radius_m,
+            torque_constant_Nm_A=p.torque_constant_Nm_A,
             tension_per_angle=_tension_per_angle(p, preload),
             tension_per_velocity=_tension_per_angle(p, preload) * 0.5 * h,
             substep_s=h,
-            amperes_per_newton=p.drum_radius_m / p.torque_constant_Nm_A,
+            amperes_per_newton=nominal.drum_radius_m / nominal.torque_constant_Nm_A,
             current_limit_A=p.current_limit_A,
             encoder_step_rad=2.0 * math.pi / p.encoder_counts,
-            effects=p.effects,
+            effects=ca.densify(ca.vertcat(*(v for known in numbers for v in known.values()))),
         )
+        return constants, numbers
 
     def _driven(
         self, c: Constants, n: Expression, before: Expression, after: Expression
@@ -191,91 +234,95 @@ class ReelStructure:
         last = ca.if_else(n < c.change, before, after)
         return (c.by_current - c.by_current_after) * first + c.by_current_after * last
 
-    @staticmethod
-    def _substep(stages: "_Stages", x: Expression, driven: Expression) -> Expression:
-        """The state one substep later."""
-        c = stages.c
-        linear = c.tension_per_angle * x[THETA] + c.tension_per_velocity * x[OMEGA]
-        x, tension, beyond = stages.cable(x, linear)
-        free = c.transition @ x[:STATES] + driven + c.by_tension * beyond
-        x, friction = stages.drum(x, free[OMEGA], tension)
-        return ca.vertcat(free + c.by_torque * friction, x[STATES:])
-
 
 def _tension_per_angle(p: SimpleNamespace, preload: Expression) -> Expression:
     return cable_stiffness_N_m(p, preload) * p.drum_radius_m
 
 
-class _Stages:
-    """The stages along the signal's path, with the effects that sit at each."""
+class _Reel(NamedTuple):
+    """The stages of the signal's path: constants, effects, and whether there is a gauge outside.
 
-    def __init__(self, c: Constants, effects: tuple[type[Effect], ...]) -> None:
-        self.c = c
-        self.effects = effects
+    With a gauge outside the eyelet the state holds, after the reel's own four numbers, how far
+    the tension there is beyond the linear law.
+    """
+
+    c: Constants
+    stages: Stages
+    has_outside_gauge: bool
 
     def drive(self, x: Expression, effort: Expression) -> list[Expression]:
         """Actuator: effort to current within its limit."""
-        x, current = self._pass(Port.ACTUATOR, x, effort * self.c.amperes_per_newton)
+        site = self._now(Port.ACTUATOR, x)
+        x, current = self.stages.forward(x, effort * self.c.amperes_per_newton, site)
         limit = self.c.current_limit_A
         return [x, ca.fmin(ca.fmax(current, -limit), limit)]
 
-    def cable(
-        self, x: Expression, linear: Expression
-    ) -> tuple[Expression, Expression, Expression]:
-        """Cable, which never pushes: tension, and how far it is beyond the linear law."""
+    def substep(self, x: Expression, driven: Expression) -> Expression:
+        """The state one substep later; `driven` is what the motor current adds to it."""
+        c = self.c
+        linear = c.tension_per_angle * x[THETA] + c.tension_per_velocity * x[OMEGA]
+        site = Site(
+            port=Port.CABLE,
+            span_s=c.substep_s,
+            angle_rad=x[THETA] + 0.5 * c.substep_s * x[OMEGA],
+            start_velocity_rad_s=x[OMEGA],
+            velocity_rad_s=x[OMEGA],
+            tension_N=linear,
+            torque_per_velocity=c.torque_per_velocity,
+        )
+        x, stretched = self.stages.forward(x, linear, site)
+        slack = ca.fmax(-stretched, 0.0)  # a cable never pushes
+        outside = stretched + slack
+        x, tension = self.stages.forward(x, outside, site._replace(port=Port.EYELET))
         # Not as the difference of the two tensions, which each substep would have to wait for.
-        slack = ca.fmax(-linear, 0.0)
-        x, tension = self._pass(Port.CABLE, x, linear + slack, span=self.c.substep_s)
-        return x, tension, slack + (tension - (linear + slack))
-
-    def drum(
-        self, x: Expression, free_velocity: Expression, tension: Expression
-    ) -> tuple[Expression, Expression]:
-        """Drum: the torque that effects add, each seeing the velocity the others leave."""
-        torque = ca.SX(0.0)
-        for effect, p, own in self._at(Port.DRUM):
-            velocity = free_velocity + torque / self.c.torque_per_velocity
-            site = Site(self.c.substep_s, x[THETA], velocity, tension, self.c.torque_per_velocity)
-            remembered, added = effect.respond(p, x[own], torque, site)
-            x = _with(x, own, remembered)
-            torque = torque + added
-        return x, torque
+        beyond = slack + (stretched - linear)
+        if self.has_outside_gauge:
+            x = ca.vertcat(x[:STATES], beyond, x[STATES + 1 :])
+        beyond = beyond + (tension - outside)
+        free = c.transition @ x[:STATES] + driven + c.by_tension * beyond
+        at_drum = site._replace(port=Port.DRUM, velocity_rad_s=free[OMEGA], tension_N=tension)
+        x, torque = self.stages.torque(x, at_drum, c.by_torque[OMEGA])
+        return ca.vertcat(free + c.by_torque * torque, x[STATES:])
 
     def observe(self, x: Expression, noise: Expression) -> list[Expression]:
         """Gauge and encoder: what is read of the tension and the angle."""
-        x, tension = self._pass(Port.GAUGE, x, x[READING])
-        x, angle = self._pass(Port.ENCODER, x, x[THETA])
+        x, tension = self.stages.forward(x, x[READING], self._now(Port.GAUGE, x))
+        x, angle = self.stages.forward(x, x[THETA], self._now(Port.ENCODER, x))
         step = self.c.encoder_step_rad
         return [x, tension + noise, ca.floor(angle / step + 0.5) * step]
 
-    def _pass(
-        self, port: Port, x: Expression, signal: Expression, span: Expression | None = None
-    ) -> tuple[Expression, Expression]:
-        """The signal after the effects of one port."""
-        for effect, p, own in self._at(port):
-            tension = self.c.tension_per_angle * x[THETA]
-            span = self.c.substep_s * SUBSTEPS if span is None else span
-            site = Site(span, x[THETA], x[OMEGA], tension, self.c.torque_per_velocity)
-            remembered, signal = effect.respond(p, x[own], signal, site)
-            x = _with(x, own, remembered)
-        return x, signal
+    def outside(self, x: Expression) -> Expression:
+        """Tension outside the eyelet, beyond the linear law by as much as over the substep."""
+        return ca.fmax(self.c.tension_per_angle * x[THETA] + x[STATES], 0.0)
 
-    def _at(self, port: Port) -> list[tuple[type[Effect], SimpleNamespace, slice]]:
-        """The effects of a port, their parameters and their place in the state."""
-        found, first_parameter, first_state = [], 0, STATES
-        for effect in self.effects:
-            names = list(effect.parameters())
-            if effect.port is port:
-                symbols = (self.c.effects[first_parameter + n] for n in range(len(names)))
-                own = slice(first_state, first_state + effect.states)
-                found.append(
-                    (effect, SimpleNamespace(**dict(zip(names, symbols, strict=True))), own)
-                )
-            first_parameter += len(names)
-            first_state += effect.states
-        return found
+    def rest(self, preload: Expression) -> tuple[Expression, Expression]:
+        """State and effort of the reel settled where the gauge reads the preload."""
+        c, stages = self.c, self.stages
+        x = ca.SX.zeros(stages.states)
+        x, tension = stages.back(x, preload, self._now(Port.GAUGE, x))
+        x, outside = stages.back(x, tension, self._now(Port.EYELET, x))
+        linear = outside
+        for _ in range(REST_ROUNDS):
+            x[THETA] = linear / c.tension_per_angle
+            x, linear = stages.back(x, outside, self._now(Port.CABLE, x))
+        x[THETA], x[READING] = linear / c.tension_per_angle, tension
+        if self.has_outside_gauge:
+            x[STATES] = outside - linear
+        at_drum = self._now(Port.DRUM, x)._replace(tension_N=tension)
+        x, torque = stages.rest_torque(x, at_drum)
+        current = (c.drum_radius_m * tension - torque) / c.torque_constant_Nm_A
+        x, command = stages.back(x, current, self._now(Port.ACTUATOR, x))
+        x, _ = stages.back(x, x[THETA], self._now(Port.ENCODER, x))
+        return x, command / c.amperes_per_newton
 
-
-def _with(x: Expression, own: slice, remembered: Expression) -> Expression:
-    """The state with one effect's part renewed."""
-    return ca.vertcat(x[: own.start], remembered, x[own.stop :])
+    def _now(self, port: Port, x: Expression) -> Site:
+        """A port that is visited once a sample, or the reel at rest."""
+        return Site(
+            port=port,
+            span_s=self.c.substep_s * SUBSTEPS,
+            angle_rad=x[THETA],
+            start_velocity_rad_s=x[OMEGA],
+            velocity_rad_s=x[OMEGA],
+            tension_N=self.c.tension_per_angle * x[THETA],
+            torque_per_velocity=self.c.torque_per_velocity,
+        )

@@ -1,6 +1,136 @@
-"""Physical effects that may be added to a reel, one small class each."""
+"""Physical effects that may be added to a reel, one small class each.
 
+`reel + Effect(...)` is a new reel. Its equations are written with CasADi once; the trial is
+simulated, differentiated and fitted from the same text. An effect of one's own is a class like
+those of this package, here a spring that winds the cable in, as of a reel for a hose:
+
+```python
+from dataclasses import dataclass
+from typing import ClassVar
+from plants.effects import Effect, Port, parameter
+
+
+@dataclass(frozen=True)
+class RewindSpring(Effect):
+    name: ClassVar[str] = "rewind_spring"
+    title: ClassVar[str] = "spring that rewinds the drum"
+    appearance: ClassVar[str] = "less current than the tension takes, less still when paid out"
+    port: ClassVar[Port] = Port.DRUM
+    torque_Nm: float = parameter(0.05, low=0.0, high=1.0, unit="N m", neutral=0.0)
+    turns: float = parameter(5.0, low=1.0, high=50.0, unit="")
+
+    @staticmethod
+    def respond(p, state, signal, site):
+        return state, p.torque_Nm * (1.0 - site.angle_rad / (6.2832 * p.turns))
+
+    rest = respond  # the same when settled
+```
+
+It is found by `find("module:RewindSpring")`, or by its slug once its package declares the entry
+point `rewind_spring = "module:RewindSpring"` in the group `estune.effects`.
+"""
+
+import importlib
+from importlib.metadata import entry_points
+
+from estune.errors import InvalidInput
+from plants.effects.backlash import Backlash
+from plants.effects.cable_creep import CableCreep
+from plants.effects.cable_slack import CableSlack
+from plants.effects.cable_stiffening import CableStiffening
+from plants.effects.cable_weight import CableWeight
 from plants.effects.coulomb_friction import CoulombFriction
-from plants.effects.effect import Effect, Parameter, Port, Site, parameter
+from plants.effects.current_saturation import CurrentSaturation
+from plants.effects.dahl_hysteresis import DahlHysteresis
+from plants.effects.dead_time import DeadTime
+from plants.effects.drum_eccentricity import DrumEccentricity
+from plants.effects.effect import Effect, Parameter, Port, Signal, Site, parameter
+from plants.effects.eyelet_friction import EyeletFriction
+from plants.effects.gain_error import GainError
+from plants.effects.gauge_drift import GaugeDrift
+from plants.effects.gauge_nonlinearity import GaugeNonlinearity
+from plants.effects.gauge_offset import GaugeOffset
+from plants.effects.gauge_resonance import GaugeResonance
+from plants.effects.mains_interference import MainsInterference
+from plants.effects.quantisation import Quantisation
+from plants.effects.rate_limit import RateLimit
+from plants.effects.stribeck_friction import StribeckFriction
+from plants.effects.string_mode import StringMode
+from plants.effects.structural_mode import StructuralMode
+from plants.effects.torque_ripple import TorqueRipple
+from plants.effects.viscous_damping import ViscousDamping
 
-__all__ = ["CoulombFriction", "Effect", "Parameter", "Port", "Site", "parameter"]
+__all__ = [
+    "EFFECTS",
+    "Backlash",
+    "CableCreep",
+    "CableSlack",
+    "CableStiffening",
+    "CableWeight",
+    "CoulombFriction",
+    "CurrentSaturation",
+    "DahlHysteresis",
+    "DeadTime",
+    "DrumEccentricity",
+    "Effect",
+    "EyeletFriction",
+    "GainError",
+    "GaugeDrift",
+    "GaugeNonlinearity",
+    "GaugeOffset",
+    "GaugeResonance",
+    "MainsInterference",
+    "Parameter",
+    "Port",
+    "Quantisation",
+    "RateLimit",
+    "Signal",
+    "Site",
+    "StribeckFriction",
+    "StringMode",
+    "StructuralMode",
+    "TorqueRipple",
+    "ViscousDamping",
+    "find",
+    "parameter",
+]
+
+EFFECTS: dict[str, type[Effect]] = {
+    found.name: found
+    for found in list(vars().values())
+    if isinstance(found, type) and issubclass(found, Effect) and found is not Effect
+}
+"""The effects of this package by slug."""
+
+GROUP = "estune.effects"
+"""Entry point group in which packages declare effects of their own."""
+
+
+def find(name: str) -> type[Effect]:
+    """The effect of a slug, one declared by another package, or one named as module:attribute.
+
+    Args:
+        name: A slug such as `coulomb_friction`, or "module:attribute".
+
+    Raises:
+        InvalidInput: there is none, or what is there is no effect.
+    """
+    if name in EFFECTS:
+        return EFFECTS[name]
+    module, colon, attribute = name.partition(":")
+    declared = {point.name: point for point in entry_points(group=GROUP)}
+    try:
+        if colon:
+            found = getattr(importlib.import_module(module), attribute)
+        elif name in declared:
+            found = declared[name].load()
+        else:
+            known = ", ".join(sorted({*EFFECTS, *declared}))
+            raise InvalidInput(
+                f"there is no effect {name!r}; there are {known}, and your own as module:attribute"
+            )
+    except (ImportError, AttributeError, ValueError) as error:
+        raise InvalidInput(f"effect {name!r} cannot be loaded: {error}") from error
+    if not (isinstance(found, type) and issubclass(found, Effect)):
+        raise InvalidInput(f"{name!r} is {found!r}; an effect is a class derived from Effect")
+    return found

@@ -28,8 +28,9 @@ class CoulombFriction(Effect):
         "small steps stop short of the setpoint"
     )
     port: ClassVar[Port] = Port.DRUM
+    resists: ClassVar[bool] = True
 
-    torque_Nm: float = parameter(0.02, low=0.0, high=2.0, unit="N m")
+    torque_Nm: float = parameter(0.02, low=0.0, high=2.0, unit="N m", neutral=0.0)
 
     @staticmethod
     def respond(

@@ -1,11 +1,11 @@
 """How a physical effect is declared, so that `reel + effect` is a new model."""
 
 import math
-from abc import ABC, abstractmethod
+from abc import ABC
 from dataclasses import MISSING, dataclass, field, fields
 from enum import StrEnum
 from types import SimpleNamespace
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, Self
 
 from estune.errors import InvalidInput
 
@@ -17,13 +17,14 @@ class Port(StrEnum):
     """Where on the signal's path through the reel an effect sits, and which signal it changes.
 
     At the drum the effect adds to the torque that acts over a substep; at every other port it
-    maps the signal as it passes. The cable and the drum are visited every substep, the others
+    maps the signal as it passes. Drum, cable and eyelet are visited every substep, the others
     once a sample.
     """
 
     ACTUATOR = "actuator"  # commanded current, A
     DRUM = "drum"  # torque on the drum, N m
-    CABLE = "cable"  # tension, N
+    CABLE = "cable"  # tension outside the eyelet, N; below zero by what the linear law is slack
+    EYELET = "eyelet"  # from the tension outside to that between eyelet and drum, N
     GAUGE = "gauge"  # tension read, N
     ENCODER = "encoder"  # angle read, rad
 
@@ -32,17 +33,22 @@ class Site(NamedTuple):
     """What an effect may know of the moment it acts in.
 
     Attributes:
+        port: The port being visited.
         span_s: Time the effect's answer is held for, s.
-        angle_rad: Drum angle; zero where the cable is just taut.
-        velocity_rad_s: Drum velocity; at the drum port, the one the span would end with if the
-            effect gave no torque.
-        tension_N: Tension of the cable.
+        angle_rad: Drum angle, zero where the cable is just taut; at drum, cable and eyelet in the
+            middle of the span.
+        start_velocity_rad_s: Drum velocity at the start of the span.
+        velocity_rad_s: At the drum, the velocity the span would end with if the effect gave no
+            torque; elsewhere as at the start.
+        tension_N: At the drum, the tension that acts on it; elsewhere that of the linear law.
         torque_per_velocity: Torque that, held over the span, adds one unit of velocity at its
             end, N m per rad/s.
     """
 
+    port: Port
     span_s: Signal
     angle_rad: Signal
+    start_velocity_rad_s: Signal
     velocity_rad_s: Signal
     tension_N: Signal
     torque_per_velocity: Signal
@@ -54,29 +60,41 @@ class Parameter(NamedTuple):
     Attributes:
         low: Least value it may take.
         high: Greatest value.
-        unit: Its unit.
+        unit: Its unit; empty for a plain number.
+        neutral: The value at which the effect does nothing, whatever its other parameters; None
+            where there is no such value.
     """
 
     low: float
     high: float
     unit: str
+    neutral: float | None
 
 
-def parameter(value: float, *, low: float, high: float, unit: str) -> Any:
-    """Declares a field of an effect as a parameter with its usual value, range and unit."""
-    return field(default=value, metadata={"parameter": Parameter(low, high, unit)})
+def parameter(
+    value: float, *, low: float, high: float, unit: str, neutral: float | None = None
+) -> Any:
+    """Declares a field of an effect as a parameter: usual value, range, unit, neutral value."""
+    return field(default=value, metadata={"parameter": Parameter(low, high, unit, neutral)})
 
 
 @dataclass(frozen=True)
 class Effect(ABC):
     """A physical effect: every field is a `parameter`, the law is `respond`.
 
+    One parameter at least has a neutral value. `amend`, `prepare` and `rest` are there for the
+    effects that need them.
+
     Class attributes:
         name: Its slug.
         title: Its name in plain words.
         appearance: One sentence on what it looks like in data.
         port: Where it sits.
-        states: How many numbers it remembers; they start at zero.
+        also: Further ports it is visited at; `respond` tells them apart by `site.port`.
+        states: How many numbers it remembers.
+        resists: At the drum, whether it answers to the motion that all else leaves, as friction
+            does: it is then visited after those that do not.
+        smooth: Whether the trial has a derivative by the parameters that is worth following.
 
     Raises:
         InvalidInput: a parameter is outside its range.
@@ -86,10 +104,13 @@ class Effect(ABC):
     title: ClassVar[str]
     appearance: ClassVar[str]
     port: ClassVar[Port]
+    also: ClassVar[tuple[Port, ...]] = ()
     states: ClassVar[int] = 0
+    resists: ClassVar[bool] = False
+    smooth: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        for name, (low, high, unit) in self.parameters().items():
+        for name, (low, high, unit, _) in self.parameters().items():
             value = getattr(self, name)
             if not (math.isfinite(value) and low <= value <= high):
                 raise InvalidInput(
@@ -105,15 +126,47 @@ class Effect(ABC):
                 raise InvalidInput(f"{cls.__name__}.{name} has to be declared with parameter(...)")
         return declared
 
+    @classmethod
+    def neutral(cls) -> Self:
+        """The effect with the parameters at which it does nothing."""
+        declared = cls.parameters().items()
+        return cls(**{name: p.neutral for name, p in declared if p.neutral is not None})
+
     @staticmethod
-    @abstractmethod
+    def amend(p: SimpleNamespace, reel: SimpleNamespace) -> dict[str, Any]:  # noqa: ARG004  most effects amend nothing
+        """What the effect changes of the reel's own numbers; also called with floats.
+
+        Args:
+            p: The parameters by name.
+            reel: The attributes of the `Reel` by name, as amended by the effects before.
+
+        Returns:
+            The new values by attribute.
+        """
+        return {}
+
+    @staticmethod
+    def prepare(p: SimpleNamespace, reel: SimpleNamespace) -> dict[str, Signal]:  # noqa: ARG004  most effects prepare nothing
+        """What is worked out once per trial, and joins the parameters under the names given.
+
+        Args:
+            p: The parameters by name.
+            reel: The attributes of the `Reel` by name, and beside them `preload_N`,
+                `stiffness_N_m` of the linear law, `gravity_m_s2`, `sample_s` and `substep_s`.
+        """
+        return {}
+
+    @staticmethod
     def respond(
-        p: SimpleNamespace, state: Signal, signal: Signal, site: Site
+        p: SimpleNamespace,  # noqa: ARG004  an effect that only amends does nothing here
+        state: Signal,
+        signal: Signal,
+        site: Site,
     ) -> tuple[Signal, Signal]:
         """The law, written with CasADi expressions.
 
         Args:
-            p: The parameters by name.
+            p: The parameters by name, and what `prepare` added to them.
             state: What the effect remembers, a column of `states` numbers.
             signal: The signal at the port; at the drum, the torque other effects have added.
             site: The moment it acts in.
@@ -121,3 +174,34 @@ class Effect(ABC):
         Returns:
             The next state and the changed signal; at the drum, the torque this effect adds.
         """
+        return state, (0.0 if site.port is Port.DRUM else signal)
+
+    @staticmethod
+    def rest(
+        p: SimpleNamespace,  # noqa: ARG004  most effects let what is steady pass unchanged
+        state: Signal,
+        signal: Signal,
+        site: Site,
+    ) -> tuple[Signal, Signal]:
+        """The effect in a reel that has settled, traced back from what the gauge then reads.
+
+        An effect that changes a steady signal has to say here what goes in, or trials will begin
+        with a transient.
+
+        Args:
+            p: The parameters by name, and what `prepare` added to them.
+            state: Zeros, a column of `states` numbers.
+            signal: What steadily comes out at the port; at the encoder, what goes in; at the drum,
+                the torque other effects have added.
+            site: The moment; the velocities are zero.
+
+        Returns:
+            What the effect remembers then, and what steadily goes in; at the drum, the torque this
+            effect adds.
+        """
+        return state, (0.0 if site.port is Port.DRUM else signal)
+
+    @classmethod
+    def ports(cls) -> tuple[Port, ...]:
+        """All the ports it is visited at."""
+        return (cls.port, *cls.also)

@@ -11,7 +11,7 @@ from estune.errors import InvalidInput, PlantError
 from estune.trial import SATURATED, FloatArray, Outcome, TrialRecord
 from plants.identify.excitation import Excitation
 from plants.noise import NoiseSource
-from plants.plant import SOFTWARE, whole_and_fraction
+from plants.plant import SOFTWARE
 from plants.reel import SAFE_GAINS, Reel
 from plants.reel_equations import ReelStructure
 
@@ -75,8 +75,7 @@ def _respond(
     reel: Reel, effort_N: FloatArray, noise_N: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Tension and angle at each sample, shape (samples,) each."""
-    delay, _ = whole_and_fraction(reel.dead_time_s, reel.sampling_Hz)
-    start, loop = _open_loop(reel.structure, delay, effort_N.size)
+    start, loop = _open_loop(reel.structure, reel.delay_samples, effort_N.size)
     constants, rest = start(reel.parameter_values, reel.tension_N)
     _, measured = loop(rest, constants, np.vstack([effort_N, noise_N]))
     tension, angle = np.asarray(measured, dtype=np.float64)

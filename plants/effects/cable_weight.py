@@ -1,0 +1,76 @@
+"""A cable heavier than the reel's own."""
+
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import ClassVar
+
+import casadi as ca
+
+from plants.effects.effect import Effect, Port, Signal, Site, parameter
+
+TINY_N3 = 1e-30
+"""Keeps the third root differentiable where nothing is added."""
+
+
+@dataclass(frozen=True)
+class CableWeight(Effect):
+    """More weight on the cable than the reel's linear law has, and its sag at any tension.
+
+        R theta = T/k - q/T^2 + q/T_0^2,    q = ((w + dw)^2 - w^2) L^3/24,    w = mu g
+
+    The last two terms are the length that the parabola's sag takes up (Irvine 1981), beyond that
+    of the reel's own weight w at the preload T_0; the law's slope there is Ernst's. The root is
+    found anew in each substep by one step of Newton's method from where the last two lead, and
+    never lies below a bound of its own: such a cable does not go slack.
+
+    Attributes:
+        density_kg_m: Mass dmu added per length, kg/m.
+    """
+
+    name: ClassVar[str] = "cable_weight"
+    title: ClassVar[str] = "weight of the cable"
+    appearance: ClassVar[str] = (
+        "the cable is softer at low tension, the more so the longer it is, "
+        "and the resonance falls with the tension"
+    )
+    port: ClassVar[Port] = Port.CABLE
+    states: ClassVar[int] = 2
+
+    density_kg_m: float = parameter(0.03, low=0.0, high=0.5, unit="kg/m", neutral=0.0)
+
+    @staticmethod
+    def prepare(p: SimpleNamespace, reel: SimpleNamespace) -> dict[str, Signal]:
+        """The constant k q in N^3, its third root, and k q/T_0^2."""
+        density = reel.cable_density_kg_m
+        weights = (density + p.density_kg_m) ** 2 - density**2
+        q = weights * reel.gravity_m_s2**2 * reel.cable_length_m**3 / 24.0
+        cube = q * reel.stiffness_N_m + TINY_N3
+        return {"cube": cube, "root": cube ** (1.0 / 3.0), "shift": cube / reel.preload_N**2}
+
+    @staticmethod
+    def respond(
+        p: SimpleNamespace,
+        state: Signal,
+        signal: Signal,
+        site: Site,  # noqa: ARG004  the law is the same at all times
+    ) -> tuple[Signal, Signal]:
+        """The root T of T - s - kq/T^2, which is concave: Newton's steps end below it."""
+        s = signal - p.shift
+        # T^2 = kq/(T - s), where T is at most the third root plus s.
+        least = p.root * p.root / (p.root + ca.fmax(-s, 0.0))
+        start = ca.fmax(2.0 * state[0] - state[1], least)
+        square = start * start
+        found = start * (s * square + 3.0 * p.cube) / (start * square + 2.0 * p.cube)
+        found = ca.fmax(found, ca.fmax(s, least))
+        return ca.vertcat(found, state[0]), found
+
+    @staticmethod
+    def rest(
+        p: SimpleNamespace,
+        state: Signal,  # noqa: ARG004  it is the tension
+        signal: Signal,
+        site: Site,  # noqa: ARG004  the law is the same at all times
+    ) -> tuple[Signal, Signal]:
+        """The linear law's tension."""
+        tension = ca.fmax(signal, p.root)
+        return ca.vertcat(tension, tension), tension - p.cube / tension**2 + p.shift

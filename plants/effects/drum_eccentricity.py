@@ -1,0 +1,63 @@
+"""A drum that is not round about its axis."""
+
+import math
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import ClassVar
+
+import casadi as ca
+
+from plants.effects.effect import Effect, Port, Signal, Site, parameter
+
+
+@dataclass(frozen=True)
+class DrumEccentricity(Effect):
+    """A drum whose radius varies over a turn: `R(theta) = R (1 + e cos(theta + phi))`.
+
+    The length wound in is the integral of the radius, and the tension's arm is the radius:
+
+        l = k R (theta + e (sin(theta + phi) - sin phi)),    tau = -R e cos(theta + phi) T
+
+    The torque is what the reel's own -R T lacks.
+
+    Attributes:
+        eccentricity: Eccentricity e, relative to the radius.
+        phase_rad: Angle phi past the largest radius where the cable is just taut, rad.
+    """
+
+    name: ClassVar[str] = "drum_eccentricity"
+    title: ClassVar[str] = "eccentricity of the drum"
+    appearance: ClassVar[str] = (
+        "the ratios of current to tension and of tension to angle vary once per turn"
+    )
+    port: ClassVar[Port] = Port.CABLE
+    also: ClassVar[tuple[Port, ...]] = (Port.DRUM,)
+
+    eccentricity: float = parameter(0.02, low=0.0, high=0.2, unit="", neutral=0.0)
+    phase_rad: float = parameter(0.0, low=-math.pi, high=math.pi, unit="rad")
+
+    @staticmethod
+    def prepare(p: SimpleNamespace, reel: SimpleNamespace) -> dict[str, Signal]:
+        """What the eccentricity stands for in tension and in arm."""
+        arm = p.eccentricity * reel.drum_radius_m
+        return {"arm_m": arm, "swing_N": arm * reel.stiffness_N_m, "zero": ca.sin(p.phase_rad)}
+
+    @staticmethod
+    def respond(
+        p: SimpleNamespace, state: Signal, signal: Signal, site: Site
+    ) -> tuple[Signal, Signal]:
+        """At the cable the tension for the length wound in, at the drum the arm's torque."""
+        place = site.angle_rad + p.phase_rad
+        if site.port is Port.DRUM:
+            return state, -p.arm_m * ca.cos(place) * site.tension_N
+        return state, signal + p.swing_N * (ca.sin(place) - p.zero)
+
+    @staticmethod
+    def rest(
+        p: SimpleNamespace, state: Signal, signal: Signal, site: Site
+    ) -> tuple[Signal, Signal]:
+        """The same, traced back at the cable."""
+        place = site.angle_rad + p.phase_rad
+        if site.port is Port.DRUM:
+            return state, -p.arm_m * ca.cos(place) * site.tension_N
+        return state, signal - p.swing_N * (ca.sin(place) - p.zero)

@@ -1,0 +1,78 @@
+"""A second mode of the gauge."""
+
+import math
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import ClassVar
+
+import casadi as ca
+
+from plants.effects.effect import Effect, Port, Signal, Site, parameter
+from plants.equations import held_input
+
+SQUARINGS = 7
+"""Enough for the highest frequency at 100 Hz; see `plants.equations.held_input`."""
+
+
+@dataclass(frozen=True)
+class GaugeResonance(Effect):
+    """A second mode of the gauge beside the reel's: part of the reading goes through it.
+
+        y = (1 - s) T + s g,    g'' + 2 zeta w g' + w^2 g = w^2 T
+
+    Propagated exactly for a tension that is straight from sample to sample.
+
+    Attributes:
+        share: Share s of the mode in the reading.
+        frequency_Hz: Natural frequency w/(2 pi), Hz.
+        damping: Damping ratio zeta.
+    """
+
+    name: ClassVar[str] = "gauge_resonance"
+    title: ClassVar[str] = "second resonance of the gauge"
+    appearance: ClassVar[str] = (
+        "the reading rings at a high frequency after each blow while current and angle do not"
+    )
+    port: ClassVar[Port] = Port.GAUGE
+    states: ClassVar[int] = 3
+
+    share: float = parameter(0.2, low=0.0, high=1.0, unit="", neutral=0.0)
+    frequency_Hz: float = parameter(150.0, low=20.0, high=2000.0, unit="Hz")
+    damping: float = parameter(0.03, low=1e-3, high=0.9, unit="")
+
+    @staticmethod
+    def prepare(p: SimpleNamespace, reel: SimpleNamespace) -> dict[str, Signal]:
+        """Exact propagation over a sample of mode and input together."""
+        w = 2.0 * math.pi * p.frequency_Hz
+        A, B = ca.SX(3, 3), ca.SX(3, 1)  # g, g'/w, T; the slope of T is the input
+        A[0, 1] = w
+        A[1, 0], A[1, 1], A[1, 2] = -w, -2.0 * p.damping * w, w
+        B[2] = 1.0 / reel.sample_s
+        transition, gamma = held_input(A, B, reel.sample_s, SQUARINGS)
+        entries = {f"a{n}{m}": transition[n, m] for n in range(2) for m in range(3)}
+        return entries | {"b0": gamma[0], "b1": gamma[1]}
+
+    @staticmethod
+    def respond(
+        p: SimpleNamespace,
+        state: Signal,
+        signal: Signal,
+        site: Site,  # noqa: ARG004  the span is in the numbers prepared
+    ) -> tuple[Signal, Signal]:
+        """The tension read."""
+        g, rate, before = state[0], state[1], state[2]
+        change = signal - before
+        following = p.a00 * g + p.a01 * rate + p.a02 * before + p.b0 * change
+        rate = p.a10 * g + p.a11 * rate + p.a12 * before + p.b1 * change
+        read = signal + p.share * (following - signal)
+        return ca.vertcat(following, rate, signal), read
+
+    @staticmethod
+    def rest(
+        p: SimpleNamespace,  # noqa: ARG004  the mode has settled
+        state: Signal,  # noqa: ARG004  it is the tension
+        signal: Signal,
+        site: Site,  # noqa: ARG004  the same anywhere
+    ) -> tuple[Signal, Signal]:
+        """The mode follows what is steady."""
+        return ca.vertcat(signal, 0.0, signal), signal
