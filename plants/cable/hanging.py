@@ -1,6 +1,7 @@
 """A heavy cable in static equilibrium between two points, from any three of its quantities."""
 
 from dataclasses import dataclass
+from functools import reduce
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -64,7 +65,7 @@ class Catenary:
             _relative(V_3, -V_1, -W),  # (6), vertical component
             _relative(T_3 * T_3, -H * H, -V_3 * V_3),  # (6), magnitude
         ]
-        return plain(np.max(np.asarray(errors), axis=0))
+        return plain(np.asarray(reduce(np.maximum, errors)))
 
     def points(self, count: int = 101) -> tuple[FloatArray, FloatArray, FloatArray]:
         """The cable's course at points evenly spaced along it, end 1 first.
@@ -94,7 +95,10 @@ class Catenary:
 
 
 def _relative(*terms: Numbers) -> FloatArray:
-    return np.asarray(np.abs(sum(terms)) / np.max(np.abs(np.broadcast_arrays(*terms)), axis=0))
+    total, largest = terms[0], np.abs(terms[0])
+    for term in terms[1:]:
+        total, largest = total + term, np.maximum(largest, np.abs(term))
+    return np.asarray(np.abs(total) / largest)
 
 
 def catenary(
