@@ -73,6 +73,7 @@ def test_with_time_in_seconds_as_printed_it_does():
     assert slow > 1.2 * quick  # the slower loop is charged more for the same slow tail
 
 
+@pytest.mark.equation(35)
 @pytest.mark.parametrize("weight", ["printed", "rising"])
 @pytest.mark.parametrize("time_unit", ["second", "settling_time"])
 @pytest.mark.parametrize("t_s", [0.1, 0.2503])  # on a sample or between two

@@ -42,6 +42,9 @@ def efforts(gains, settings, setpoint, measurement):
     return effort
 
 
+@pytest.mark.equation(32)
+@pytest.mark.equation(33)
+@pytest.mark.equation(34)
 @pytest.mark.parametrize(
     "gains",
     [

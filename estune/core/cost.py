@@ -5,10 +5,10 @@ With the error eps = r - y, the step dT and the time t measured from the step,
     eta = N(eps) / N(eps_1)                                                              (35)
     N(eps) = int t eps^2 dt + 1/t_s int_0^{t_s} eps^2 / (1 + exp(pi (t - t_s)/(2 t_s))) dt
 
-where eps_1 = dT exp(-4 t/t_s) is the error of a first-order system that settles within 2 % in the
-desired time t_s. Divided by it, eta depends on neither the size nor the sign of the step, and
-eta = 1 reads "as good as first order". The paper advises t_s <= 2 pi / omega_n, with omega_n the
-plant's natural frequency in rad/s.
+Implements (35), where eps_1 = dT exp(-4 t/t_s) is the error of a first-order system that settles
+within 2 % in the desired time t_s. Divided by it, eta depends on neither the size nor the sign of
+the step, and eta = 1 reads "as good as first order". The paper advises t_s <= 2 pi / omega_n, with
+omega_n the plant's natural frequency in rad/s.
 
 Two things in the paper do not agree, and are options here:
 

@@ -6,9 +6,9 @@ In continuous time, with setpoint r, measurement y and effort u,
     C_r(s) = K (1 + 1/(Ti s))                                           (33)
     u = C_r F r - C_y y,  so that  T = F G C_r / (1 + G C_y)            (34)
 
-with P = K, I = K/Ti, D = K Td and F = 1/(tau_F s + 1): the derivative acts on the measurement
-alone. As the paper says after (34), the two terms are not run as two integrators whose difference
-would lose digits; the error is formed first and integrated once.
+Implements (32) to (34), with P = K, I = K/Ti, D = K Td and F = 1/(tau_F s + 1): the derivative
+acts on the measurement alone. As the paper says after (34), the two terms are not run as two
+integrators whose difference would lose digits; the error is formed first and integrated once.
 
 The functions use arithmetic and numpy's `exp`, `minimum` and `maximum` only, so that the one text
 serves floats on the rig, arrays in a batch, and CasADi symbols in simulation, fit and export.

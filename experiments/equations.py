@@ -1,0 +1,113 @@
+"""Where is each numbered equation of the paper implemented, and which test checks it?
+
+Reads the docstrings that say `Implements (n).` and the tests marked `equation(n)`, and writes
+docs/equations.md. Run it after either has changed: python -m experiments.equations
+"""
+
+import argparse
+import ast
+import re
+from collections import defaultdict
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+ROOT = Path(__file__).parents[1]
+TABLE = ROOT / "docs" / "equations.md"
+NUMBERS = range(1, 38)
+
+_DECLARED = re.compile(r"Implements\s+((?:\(\d+\)(?:,\s+|\s+and\s+|\s+to\s+)?)+)")
+_HEAD = """# The paper's equations in the code
+
+Written by `python -m experiments.equations` from the docstrings and the tests.
+
+| equation | what | where | checked by |
+| --- | --- | --- | --- |
+"""
+
+
+class Place(NamedTuple):
+    """A docstring that declares an equation.
+
+    Attributes:
+        name: Dotted name of the module, class or function.
+        title: First line of the docstring.
+    """
+
+    name: str
+    title: str
+
+
+def implementations(folders: tuple[str, ...] = ("estune", "plants")) -> dict[int, list[Place]]:
+    """The docstrings that implement each equation; there should be one for each."""
+    found = defaultdict(list)
+    for path in sorted(p for folder in folders for p in (ROOT / folder).rglob("*.py")):
+        module = ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
+        for name, docstring in _docstrings(ast.parse(path.read_text("utf-8")), module):
+            for declared in _DECLARED.finditer(docstring):
+                for number in _numbers(declared.group(1)):
+                    found[number].append(Place(name, docstring.strip().splitlines()[0]))
+    return dict(found)
+
+
+def checks() -> dict[int, list[str]]:
+    """The tests marked with each equation."""
+    found = defaultdict(list)
+    for path in sorted((ROOT / "tests").glob("test_*.py")):
+        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+            if isinstance(node, ast.FunctionDef):
+                for number in _marks(node):
+                    found[number].append(f"{path.stem}.{node.name}")
+    return dict(found)
+
+
+def table() -> str:
+    """The page, as Markdown."""
+    where, checked = implementations(), checks()
+    rows = []
+    for number in NUMBERS:
+        places, tests = where.get(number, []), checked.get(number, [])
+        title = places[0].title.rstrip(".") if places else "missing"
+        names = ", ".join(f"`{place.name}`" for place in places)
+        rows.append(f"| ({number}) | {title} | {names} | {', '.join(f'`{t}`' for t in tests)} |\n")
+    return _HEAD + "".join(rows)
+
+
+def _docstrings(tree: ast.Module, module: str) -> Iterator[tuple[str, str]]:
+    """Name and docstring of the module and of everything in it that has one."""
+    inside: list[tuple[str, ast.Module | ast.ClassDef | ast.FunctionDef]] = [(module, tree)]
+    while inside:
+        name, node = inside.pop(0)
+        if docstring := ast.get_docstring(node):
+            yield name, docstring
+        named = (n for n in node.body if isinstance(n, ast.ClassDef | ast.FunctionDef))
+        inside.extend((f"{name}.{child.name}", child) for child in named)
+
+
+def _numbers(declared: str) -> Iterator[int]:
+    """The numbers of "(3), (4) and (5)" or "(32) to (34)"."""
+    numbers = [int(n) for n in re.findall(r"\d+", declared)]
+    yield from range(numbers[0], numbers[-1] + 1) if " to " in declared else numbers
+
+
+def _marks(node: ast.FunctionDef) -> Iterator[int]:
+    for decorator in node.decorator_list:
+        if isinstance(decorator, ast.Call) and ast.unparse(decorator.func).endswith("equation"):
+            yield from (int(ast.literal_eval(argument)) for argument in decorator.args)
+
+
+def main() -> None:
+    """Writes the page and says what is missing."""
+    argparse.ArgumentParser(description=__doc__).parse_args()
+    TABLE.write_text(table(), "utf-8")
+    where, checked = implementations(), checks()
+    print(f"{len(where)} equations implemented, {len(checked)} checked: {TABLE}")
+    for number in NUMBERS:
+        if len(where.get(number, [])) != 1 or number not in checked:
+            print(
+                f"({number}): {len(where.get(number, []))} places, {len(checked.get(number, []))} tests"
+            )
+
+
+if __name__ == "__main__":
+    main()
