@@ -21,6 +21,7 @@ from estune.journal import FILE_NAME, Journal
 from tests.support_runs import ArithmeticRig
 
 COMMAND = [sys.executable, "-m", "estune.cli"]
+COMMANDS = {"demo", "serve", "tune", "resume", "list", "show", "export", "apply", "rigs", "paper"}
 HERE = Path(__file__).parent.parent
 HEAVY = {
     "casadi",
@@ -87,12 +88,11 @@ def test_help_names_every_command_and_loads_nothing_heavy():
     shown = subprocess.run(
         [sys.executable, "-c", script], cwd=HERE, capture_output=True, text=True, check=True
     ).stdout
-    names = {"demo", "serve", "tune", "resume", "list", "show", "export", "apply", "rigs"}
-    assert names <= set(re.findall(r"^│ (\w+)", shown, re.MULTILINE))
+    assert COMMANDS <= set(re.findall(r"^│ (\w+)", shown, re.MULTILINE))
 
 
 def test_every_command_has_help_for_every_option(capsys):
-    for name in ("demo", "serve", "tune", "resume", "list", "show", "export", "apply", "rigs"):
+    for name in sorted(COMMANDS):
         for argument in app[name].assemble_argument_collection(parse_docstring=True):
             assert argument.parameter.help, f"{name} {argument.name}"
         assert run([name, "--help"]) == 0

@@ -41,6 +41,7 @@ _COMMANDS = (
     ("export", "runs:export", "Write the trial records of a run as CSV or Parquet files."),
     ("apply", "rigs:apply", "Make a run's gains, or its start gains, live on a rig."),
     ("rigs", "rigs:rigs", "Say which rigs answer at an endpoint, and how they stand."),
+    ("paper", "paper:paper", "Make the paper's figures again; say which of its claims hold here."),
 )
 for _place, (_name, _where, _help) in enumerate(_COMMANDS):
     app.command(f"estune.cli.{_where}", name=_name, help=_help, sort_key=_place)

@@ -1,0 +1,139 @@
+"""The paper's figures made again, and the page that shows them."""
+
+import base64
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+from xml.etree import ElementTree as ET
+
+import pytest
+
+from estune.cli import run
+from estune.errors import InvalidInput
+from experiments import paper
+from experiments.paper.page import page
+from plants.reel import Reel
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """What `estune paper --quick` makes: each figure, and the page it writes."""
+    figures, original = [], paper.make
+
+    def kept(number, *, quick):
+        figures.append(original(number, quick=quick))
+        return figures[-1]
+
+    out = tmp_path_factory.mktemp("paper") / "page.html"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(paper, "make", kept)
+        assert run(["paper", "--quick", "--out", str(out)]) == 0
+    return {figure.number: figure for figure in figures}, out
+
+
+class Page(HTMLParser):
+    """The page's words, the addresses it refers to, and its open elements."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.words, self.addresses, self.open, self.ids = [], [], [], set()
+        self.feed(text)
+
+    def handle_starttag(self, tag, attributes):
+        found = dict(attributes)
+        self.addresses += [found[name] for name in ("src", "href", "action") if name in found]
+        self.ids |= {found["id"]} if "id" in found else set()
+        if tag not in {"meta", "img", "link"}:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.words.append(data)
+
+
+@pytest.mark.slow
+def test_the_page_has_every_figure_with_its_claim_and_its_verdict(made):
+    figures, out = made
+    assert set(figures) == set(paper.NUMBERS)
+    shown = Page(out.read_text())
+    text = re.sub(r"\s+", " ", "".join(shown.words))
+    assert not shown.open
+    for figure in figures.values():
+        assert f"Fig. {figure.number}. {figure.title}" in text
+        for sentence in (figure.claim, figure.measured, figure.rule, figure.caveat):
+            assert sentence in text
+        assert f"figure-{figure.number}" in shown.ids
+    verdicts = re.findall(r"(Holds|Does not hold) here\.", text)
+    assert verdicts == ["Holds" if f.holds else "Does not hold" for f in figures.values()]
+    assert [p.name for p in out.parent.iterdir()] == [out.name]
+
+
+@pytest.mark.slow
+def test_the_page_asks_nothing_of_the_network_or_of_another_file(made):
+    _, out = made
+    text = out.read_text()
+    shown = Page(text)
+    assert "://" not in text
+    assert not re.search(r"@import|url\(|<script|<link", text)
+    drawings = [a for a in shown.addresses if not a.startswith("#")]
+    assert len(drawings) == len(paper.NUMBERS)
+    for address in drawings:
+        kind, content = address.split(",", 1)
+        assert kind == "data:image/svg+xml;base64"
+        drawing = ET.fromstring(base64.b64decode(content))  # noqa: S314  our own drawing
+        assert drawing.tag == "{http://www.w3.org/2000/svg}svg"
+        for element in drawing.iter():
+            links = [v for name, v in element.attrib.items() if name.endswith("href")]
+            assert all(link.startswith("#") for link in links)
+            assert element.tag.rpartition("}")[2] != "script"
+    targets = {a[1:] for a in shown.addresses if a.startswith("#")}
+    assert targets == {f"figure-{number}" for number in paper.NUMBERS}
+
+
+@pytest.mark.slow
+def test_what_a_figure_says_follows_from_its_numbers(made):
+    figures, _ = made
+    for figure in figures.values():
+        text = figure.measured.replace("\N{MINUS SIGN}", "-")
+        said = [float(n) for n in re.findall(r"-?\d+(?:\.\d+)?(?:e[+-]?\d+)?", text)]
+        for name, value in figure.numbers.items():
+            near = min(abs(n / scale - value) for n in said for scale in (1.0, 100.0, 1000.0))
+            assert near <= 0.06 * abs(value) + 1e-9, (figure.number, name, value)
+
+
+@pytest.mark.slow
+def test_what_is_measured_of_the_bandwidth_is_what_the_reels_were_built_with(made):
+    figures, _ = made
+    for number, length in ((10, 0.5), (11, 1.4)):
+        low, high = (Reel(length, T).natural_frequency_rad_s for T in (5.0, 40.0))
+        found = figures[number].numbers
+        ratio = found["resonance_high_Hz"] / found["resonance_low_Hz"]
+        assert ratio == pytest.approx(high / low, rel=0.01)
+    for name, length in (("damping_short", 0.5), ("damping_long", 1.4)):
+        reel = Reel(length, 15.0)
+        friction = 0.010 + 0.015 * length  # N m s/rad, the reference reel's
+        damping = friction / (2.0 * reel.drum_inertia_kg_m2 * reel.natural_frequency_rad_s)
+        assert figures[9].numbers[name] == pytest.approx(damping, rel=0.02)
+
+
+def test_a_claim_that_fails_is_shown_as_such():
+    held = paper.make(18, quick=True)
+    failed = replace(held, holds=False, caveat="Because <a> & <b>.")
+    text = page([held, failed])
+    assert "1 of its 2 claims hold here, and those that do not" in text
+    assert '<span class="no">does not hold</span>' in text
+    assert '<span class="no">Does not hold here.</span>' in text
+    assert "Because &lt;a&gt; &amp; &lt;b&gt;." in text
+
+
+def test_the_same_figure_gives_the_same_page():
+    first, second = (page([paper.make(18, quick=True)]) for _ in range(2))
+    assert first == second
+
+
+def test_a_page_that_cannot_be_written_is_refused_before_the_work(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(paper, "make", lambda *_, **__: pytest.fail("worked in vain"))
+    assert run(["paper", "--out", str(tmp_path / "nowhere" / "p.html")]) == InvalidInput.exit_code
+    assert "no folder" in capsys.readouterr().err
