@@ -88,7 +88,7 @@ def test_help_names_every_command_and_loads_nothing_heavy():
     shown = subprocess.run(
         [sys.executable, "-c", script], cwd=HERE, capture_output=True, text=True, check=True
     ).stdout
-    assert COMMANDS <= set(re.findall(r"^│ (\w+)", shown, re.MULTILINE))
+    assert set(re.findall(r"^│ (\w+)", shown, re.MULTILINE)) >= COMMANDS
 
 
 def test_every_command_has_help_for_every_option(capsys):
