@@ -52,8 +52,8 @@ def open_target(target: Any, rig: str | None = None) -> Iterator[Rig]:
         yield target
     else:
         raise InvalidInput(
-            f"{target!r} is no target: give an endpoint such as tcp/127.0.0.1:7447, a plant like "
-            "plants.reference_reel(), or a rig; wrap a python-control system in "
+            f"a {type(target).__name__} is no target: give an endpoint (tcp/127.0.0.1:7447), "
+            "a plant (plants.reference_reel()) or a rig; wrap a python-control system in "
             "plants.linear_plant and a function in plants.python_plant"
         )
 
