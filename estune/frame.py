@@ -14,6 +14,8 @@ All numbers are little-endian. A microcontroller writes the body with one copy p
 is read without copying. One flipped bit anywhere, or any burst of up to 32, is always noticed.
 """
 
+import json
+import math
 import struct
 import zlib
 from dataclasses import dataclass, fields
@@ -22,7 +24,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 
-from estune.core.gains import Gains
+from estune.core.gains import GAIN_NAMES, Gains
 from estune.errors import ProtocolError
 from estune.trial import Outcome, TrialRecord
 
@@ -40,18 +42,14 @@ _PREFIX = struct.Struct("<4sIII")
 _COLUMNS = ("time_s", "setpoint_N", "tension_N", "current_A", "angle_rad")
 _OPTIONAL_COLUMN = "reference_N"
 _FLOAT = np.dtype("<f8")
+_to_json = json.JSONEncoder(ensure_ascii=False, separators=(",", ":")).encode
 
 
 @dataclass(frozen=True, slots=True)
 class Header:
     """The part of a record that is not a column, and which columns follow in which order."""
 
-    __pydantic_config__: ClassVar = {
-        "extra": "forbid",
-        "strict": True,
-        "allow_inf_nan": False,
-        "ser_json_inf_nan": "constants",  # a NaN is then refused when read, not turned into null
-    }
+    __pydantic_config__: ClassVar = {"extra": "forbid", "strict": True, "allow_inf_nan": False}
 
     columns: tuple[str, ...]
     samples: int
@@ -71,6 +69,8 @@ class Header:
 
 _FACTS = tuple(field.name for field in fields(Header) if field.name not in ("columns", "samples"))
 
+_latest: tuple[TrialRecord | None, bytes] = None, b""
+
 
 def size(samples: int, *, reference: bool = False) -> int:
     """Bytes of the frame of a record of so many samples, at most."""
@@ -84,6 +84,9 @@ def encode(record: TrialRecord) -> bytes:
         ProtocolError: the columns differ in length or shape, a number outside the columns is not
             finite, or the frame would be too large.
     """
+    latest, data = _latest
+    if record is latest:
+        return data
     columns = _COLUMNS if record.reference_N is None else (*_COLUMNS, _OPTIONAL_COLUMN)
     arrays = [np.ascontiguousarray(getattr(record, name), _FLOAT) for name in columns]
     arrays.append(np.ascontiguousarray(record.flags, np.uint8))
@@ -94,20 +97,24 @@ def encode(record: TrialRecord) -> bytes:
             "they must be one-dimensional and of one length"
         )
     header = _header_json(record, columns, arrays[0].size)
-    body = b"".join(array.tobytes() for array in arrays)
-    length = _PREFIX.size + len(header) + len(body)
+    body_length = sum(array.nbytes for array in arrays)
+    length = _PREFIX.size + len(header) + body_length
     if length > MAX_BYTES or len(header) > HEADER_MAX_BYTES:
         raise ProtocolError(
             f"record of trial {record.trial_id} takes {length} bytes, {len(header)} of them its "
             f"header; a frame holds {MAX_BYTES} and {HEADER_MAX_BYTES}: run a shorter trial"
         )
-    magic = _FAMILY + _VERSION
-    checksum = _checksum(_PREFIX.pack(magic, len(header), len(body), 0), header, body)
-    return _PREFIX.pack(magic, len(header), len(body), checksum) + header + body
+    prefix = (_FAMILY + _VERSION, len(header), body_length)
+    # Joined from views, so that the columns are copied once: memory of this size is slow to get.
+    parts: list[bytes | memoryview] = [header, *(array.data for array in arrays)]
+    checksum = _checksum(_PREFIX.pack(*prefix, 0), *parts)
+    return b"".join((_PREFIX.pack(*prefix, checksum), *parts))
 
 
 def decode(data: bytes) -> TrialRecord:
     """The record in a frame. Its columns are read-only views of the frame.
+
+    Encoded next, it is that very frame again: what a rig sends is what the journal keeps.
 
     Raises:
         ProtocolError: the frame is of another version, corrupt, truncated, too long or too large.
@@ -123,15 +130,16 @@ def decode(data: bytes) -> TrialRecord:
             f"record frame: body of {body_length} bytes does not hold the "
             f"{len(header.columns)} columns of {header.samples} samples the header announces"
         )
-    columns: dict[str, Any] = {
-        name: np.frombuffer(
-            data, _FLOAT, header.samples, body_at + index * header.samples * _FLOAT.itemsize
-        )
-        for index, name in enumerate(header.columns)
-    }
-    facts: dict[str, Any] = {name: getattr(header, name) for name in _FACTS}
+    shape = len(header.columns), header.samples
+    floats = np.frombuffer(data, _FLOAT, shape[0] * shape[1], body_at).reshape(shape)
     flags = np.frombuffer(data, np.uint8, header.samples, len(data) - header.samples)
-    return TrialRecord(**facts, **columns, flags=flags)
+    columns: dict[str, Any] = dict(zip(header.columns, floats, strict=True))
+    record = TrialRecord(
+        **{name: getattr(header, name) for name in _FACTS}, **columns, flags=flags
+    )
+    global _latest  # noqa: PLW0603  a memory of one; a record and its frame never change
+    _latest = record, data
+    return record
 
 
 def _check_envelope(data: bytes) -> tuple[int, int]:
@@ -156,10 +164,8 @@ def _check_envelope(data: bytes) -> tuple[int, int]:
             f"record frame of {len(data)} bytes; its prefix announces {expected} "
             f"({abs(len(data) - expected)} {'missing' if len(data) < expected else 'too many'})"
         )
-    body_at = _PREFIX.size + header_length
-    view = memoryview(data)
     prefix = _PREFIX.pack(magic, header_length, body_length, 0)
-    if checksum != _checksum(prefix, view[_PREFIX.size : body_at], view[body_at:]):
+    if checksum != _checksum(prefix, memoryview(data)[_PREFIX.size :]):
         raise ProtocolError(f"record frame of {len(data)} bytes is corrupt: wrong checksum")
     if header_length % 8 or header_length > HEADER_MAX_BYTES:
         raise ProtocolError(
@@ -169,9 +175,12 @@ def _check_envelope(data: bytes) -> tuple[int, int]:
     return header_length, body_length
 
 
-def _checksum(prefix: bytes, header: bytes | memoryview, body: bytes | memoryview) -> int:
+def _checksum(*parts: bytes | memoryview) -> int:
     """CRC-32 over the whole frame, its own field taken as zero."""
-    return zlib.crc32(body, zlib.crc32(header, zlib.crc32(prefix)))
+    checksum = 0
+    for part in parts:
+        checksum = zlib.crc32(part, checksum)
+    return checksum
 
 
 def _body_size(samples: int, reference: bool) -> int:  # noqa: FBT001  private, always by name above
@@ -187,14 +196,18 @@ def _adapter() -> "TypeAdapter[Header]":
 
 def _header_json(record: TrialRecord, columns: tuple[str, ...], samples: int) -> bytes:
     """The header, padded with spaces so that the body begins on a multiple of 8."""
-    facts = {name: getattr(record, name) for name in _FACTS}
+    gains = {name: getattr(record.gains, name) for name in GAIN_NAMES}
+    facts: dict[str, Any] = {name: getattr(record, name) for name in _FACTS}
+    facts |= {"columns": columns, "samples": samples, "gains": gains}
+    for name in ("sampling_Hz", "cable_length_m", "preload_N"):
+        if facts[name] is not None and not math.isfinite(facts[name]):
+            raise ProtocolError(
+                f"record of trial {record.trial_id}: {name} is {facts[name]}; it must be finite"
+            )
     try:
-        text = _adapter().dump_json(Header(columns, samples, **facts), warnings=False)
-        _adapter().validate_json(text)  # what is written can be read
-    except ValueError as error:
-        raise ProtocolError(
-            f"record of trial {record.trial_id!r} cannot be framed: {one_line(error)}"
-        ) from error
+        text = _to_json(facts).encode()
+    except (TypeError, ValueError) as error:
+        raise ProtocolError(f"record of trial {record.trial_id!r}: {error}") from error
     return text + b" " * (-len(text) % 8)
 
 

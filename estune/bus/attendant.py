@@ -1,14 +1,19 @@
-"""Stands between the link and a rig: takes trials in, has them run one at a time, remembers them.
+"""Stands between the link and a rig: takes trials in, runs them one at a time, remembers them.
 
-Every answer is given within milliseconds; the trials run in a thread of their own. A trial that
-ends within `PROMPT_S` is answered with its record at once, as a simulated rig's usually are.
+The thread that brings a trial in runs it; for as long as it does, another must be there to bring
+the next question. Every question is answered within milliseconds, with one exception that saves a
+quick rig half of its overhead: if the last trial took less than `PROMPT_S`, as a simulated one
+does, this one's record is awaited and is itself the answer to the submit. Should it take longer
+after all, the client asks again, is told by the other thread, and nothing is lost.
 """
 
 import logging
 import threading
+import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import partial
 from queue import SimpleQueue
 
 import numpy as np
@@ -16,10 +21,10 @@ import numpy as np
 from estune import frame
 from estune.bus.ledger import Ledger
 from estune.errors import EstuneError, InvalidInput, RigError
-from estune.protocol import Answer, Cancel, SetGains, Status, Submit, check_name, digest, refusal
+from estune.protocol import Answer, Cancel, SetGains, Status, Submit, check_name, refusal
 from estune.trial import Outcome, Rig, RigDescription, TrialRecord, TrialRequest
 
-PROMPT_S = 0.002
+PROMPT_S = 0.01
 CLOSE_WITHIN_S = 10.0
 _ABORT_AGAIN_S = 0.05
 _RIG_WITHIN_S = 0.2
@@ -32,9 +37,9 @@ class _Trial:
     """The trial under way."""
 
     request: TrialRequest
+    polled: bool = False  # somebody was told that it has not ended yet
     cancelled: bool = False
     abort_failed: EstuneError | None = None
-    ended: threading.Event = field(default_factory=threading.Event)
 
 
 class Attendant:
@@ -44,45 +49,53 @@ class Attendant:
         """Begins to attend.
 
         Args:
-            rig: The rig. It is called from one thread at a time, but for `abort`.
-            changed: Called, from the trials' thread, when a trial has ended.
+            rig: The rig. It is called by one thread at a time, not always the same; `abort` by
+                another.
+            changed: Called when a trial has ended and somebody was told before that it had not.
         """
         self._rig = rig
         self._changed = changed
         self._ledger = Ledger()
-        self._lock = threading.Lock()  # guards the ledger and the four below
+        self._lock = threading.Condition()  # guards the ledger and the four below
         self._trial: _Trial | None = None
+        self._prompt = False
         self._ended = 0
         self._closing = False
         self._description = rig.describe()
         self._rig_free = threading.Lock()
-        self._waiting: SimpleQueue[_Trial | None] = SimpleQueue()
         self._stopping: SimpleQueue[_Trial | None] = SimpleQueue()
-        # Daemons: a trial that will not end must not keep the process from ending. Both stand
-        # ready from the start, since no thread can be made while the interpreter shuts down.
-        self._runner = threading.Thread(target=self._run_trials, name="trials", daemon=True)
-        self._stopper = threading.Thread(target=self._stop_trials, name="aborts", daemon=True)
-        self._runner.start()
-        self._stopper.start()
+        # Ready from the start: no thread can be made while the interpreter shuts down. A daemon:
+        # a rig that will not stop must not keep the process from ending.
+        threading.Thread(target=self._stop_trials, name="aborts", daemon=True).start()
 
-    def submit(self, command: Submit) -> Answer | bytes:
-        """Takes a trial in, unless it has been before; the record if it has ended by then."""
-        request = command.request
-        if digest(request) != command.digest:
-            return refusal(RigError(f"trial {request.trial_id}: digest and request do not agree"))
+    def submit(self, command: Submit, answer: Callable[[Answer | bytes], None]) -> None:
+        """Takes a trial in, unless it has been before, and runs it.
+
+        Args:
+            command: The trial.
+            answer: Called once, with the record in a frame if it is at hand, else with why there
+                is none (yet). Must not raise.
+        """
         with self._lock:
-            state = self._ledger.find(request.trial_id, command.digest)
-            if state is None:
-                state = self._take_in(request)
-            trial = self._trial
-        if trial and trial.request == request and trial.ended.wait(PROMPT_S):
-            return self.result(request.trial_id, command.digest)
-        return state
+            found = self._find(command.request.trial_id, command.digest)
+            taken = found or self._take_in(command)
+            prompt = self._prompt
+        if not isinstance(taken, _Trial):
+            answer(taken)
+            return
+        if not prompt:
+            taken.polled = True
+            answer(Answer("accepted", command.request.trial_id))
+        result = self._perform(taken)
+        if prompt:
+            answer(result)
+        if taken.polled:
+            self._changed()
 
     def result(self, trial_id: str, request_digest: str) -> Answer | bytes:
         """The state of a trial: its record in a frame once it has ended."""
         with self._lock:
-            return self._ledger.find(trial_id, request_digest) or Answer("unknown", trial_id)
+            return self._find(trial_id, request_digest) or Answer("unknown", trial_id)
 
     def cancel(self, command: Cancel) -> Answer:
         """Has the trial under way stopped. The answer names it until the live gains are back."""
@@ -132,18 +145,24 @@ class Attendant:
     def close(self) -> None:
         """Stops the trial under way, and returns once the live gains are back."""
         with self._lock:
-            already, self._closing = self._closing, True
-        if already:
-            return
+            self._closing = True
         self.cancel(Cancel())
-        self._waiting.put(None)
         self._stopping.put(None)
-        self._runner.join(CLOSE_WITHIN_S)
-        if self._runner.is_alive():
+        with self._lock:
+            ended = self._lock.wait_for(lambda: self._trial is None, CLOSE_WITHIN_S)
+        if not ended:
             _log.error("the trial under way has not stopped within %g s", CLOSE_WITHIN_S)
 
-    def _take_in(self, request: TrialRequest) -> Answer:
-        """Queues a new trial. The lock is held."""
+    def _find(self, trial_id: str, request_digest: str) -> Answer | bytes | None:
+        """The state of a trial, None if it was never taken in. The lock is held."""
+        found = self._ledger.find(trial_id, request_digest)
+        if isinstance(found, Answer) and found.verdict == "known" and self._trial is not None:
+            self._trial.polled = True
+        return found
+
+    def _take_in(self, command: Submit) -> "_Trial | Answer":
+        """Notes a new trial as the one under way, or says why not. The lock is held."""
+        request = command.request
         if self._closing:
             return refusal(RigError("the rig is being shut down"))
         if self._trial is not None:
@@ -152,10 +171,9 @@ class Attendant:
             self._check(request)
         except InvalidInput as error:
             return refusal(error)
-        self._ledger.add(request.trial_id, digest(request))
+        self._ledger.add(request.trial_id, command.digest)
         self._trial = _Trial(request)
-        self._waiting.put(self._trial)
-        return Answer("accepted", request.trial_id)
+        return self._trial
 
     def _check(self, request: TrialRequest) -> None:
         check_name("trial id", request.trial_id)
@@ -174,15 +192,18 @@ class Attendant:
         )
         return Answer("busy", trial_id, RigError.__name__, sentence)
 
-    def _run_trials(self) -> None:
-        while (trial := self._waiting.get()) is not None:
-            result = self._run(trial)
-            with self._lock:
-                self._ledger.end(trial.request.trial_id, result)
-                self._ended += 1
-                self._trial = None
-            trial.ended.set()
-            self._changed()
+    def _perform(self, trial: _Trial) -> Answer | bytes:
+        """Runs the trial under way, and notes what came of it."""
+        began = time.monotonic()
+        result = self._run(trial)
+        ran = isinstance(result, bytes) and not trial.cancelled
+        with self._lock:
+            self._ledger.end(trial.request.trial_id, result)
+            self._ended += 1
+            self._trial = None
+            self._prompt = ran and time.monotonic() - began < PROMPT_S
+            self._lock.notify_all()
+        return result
 
     def _run(self, trial: _Trial) -> Answer | bytes:
         trial_id = trial.request.trial_id
@@ -191,22 +212,26 @@ class Attendant:
                 if trial.cancelled:
                     return frame.encode(_never_begun(trial.request, self._description))
                 return frame.encode(self._rig.run(trial.request))
-        except Exception as error:  # noqa: BLE001  what a rig raises must reach the one who waits
+        except BaseException as error:  # noqa: BLE001  even SystemExit: somebody waits for the trial
             return refusal(named(error, f"trial {trial_id}"), trial_id)
 
     def _stop_trials(self) -> None:
         while (trial := self._stopping.get()) is not None:
-            # Again and again: the first call may come before the trial has begun.
-            while not trial.ended.is_set():
+            ended = False
+            while not ended:  # again and again: the first call may come before the trial begins
                 try:
                     self._rig.abort()
-                except Exception as error:  # noqa: BLE001  as above
+                except BaseException as error:  # noqa: BLE001  as above
                     trial.abort_failed = named(error, "stopping the trial")
                     break
-                trial.ended.wait(_ABORT_AGAIN_S)
+                with self._lock:
+                    ended = self._lock.wait_for(partial(self._has_ended, trial), _ABORT_AGAIN_S)
+
+    def _has_ended(self, trial: _Trial) -> bool:
+        return self._trial is not trial
 
 
-def named(error: Exception, doing: str) -> EstuneError:
+def named(error: BaseException, doing: str) -> EstuneError:
     """An error of the tree for whatever a rig has raised; the trace of a stranger is logged."""
     if isinstance(error, EstuneError):
         return error

@@ -167,7 +167,6 @@ class RemoteRig:
             protocol.encode(Submit(request, request_digest)),
             about,
         )
-        inquiry = protocol.encode(Inquire(request_digest))
         pause_s = _POLL_FIRST_S
         while isinstance(state := protocol.decode_trial(data), Answer):
             state.check()
@@ -176,6 +175,7 @@ class RemoteRig:
             self._changed.wait(pause_s)  # the rig tells when a trial has ended; else ask again
             self._changed.clear()
             pause_s = min(pause_s * _POLL_GROWTH, _POLL_MAX_S)
+            inquiry = protocol.encode(Inquire(request_digest))
             data = self._insist(self._keys.result(trial_id), inquiry, about)
         if state.trial_id != trial_id:
             raise ProtocolError(

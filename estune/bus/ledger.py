@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from estune.errors import RigError
 from estune.protocol import Answer, refusal
 
-FRAMES_MAX_BYTES = 64 * 2**20
+FRAMES_MAX_BYTES = 8 * 2**20
 TRIALS_MAX = 100_000
 
 

@@ -5,7 +5,7 @@ import logging
 import secrets
 import threading
 from collections.abc import Callable, Iterable
-from queue import Full, Queue
+from functools import partial
 from typing import Self
 
 import zenoh
@@ -26,9 +26,10 @@ from estune.trial import Rig
 
 _PORT_TRIES = 5
 _WAITING_MAX = 256
+_END_WITHIN_S = 1.0
 
 _log = logging.getLogger(__name__)
-_Answerer = Callable[[str, bytes], bytes]
+_Reply = Callable[[object], None]
 
 
 def serve(
@@ -99,6 +100,7 @@ class RigServer:
         self._keys = keys
         self._session = session
         self._closed = threading.Event()
+        self._threads: list[threading.Thread] = []
         self._attendant = Attendant(rig, self._publish_status)
         # No thread of ours keeps the interpreter from getting there.
         atexit.register(self.close)
@@ -117,6 +119,9 @@ class RigServer:
         atexit.unregister(self.close)
         self._attendant.close()
         close_session(self._session)
+        # The interpreter must not shut down under a thread that is inside Zenoh: it would abort.
+        for thread in self._threads:
+            thread.join(_END_WITHIN_S)
         self._closed.set()
 
     def __enter__(self) -> Self:
@@ -126,90 +131,72 @@ class RigServer:
         self.close()
 
     def _declare(self) -> None:
-        # Commands and questions wait in lanes of their own, so that no client that is slow to
-        # take in a large record keeps another's `cancel` waiting.
-        commands, questions = self._lane("commands"), self._lane("questions")
-        for key, answer, lane in (
-            (self._keys.command(self.instance, "submit"), self._submit, commands),
-            (self._keys.command(self.instance, "cancel"), self._cancel, commands),
-            (self._keys.command(self.instance, "gains"), self._set_gains, commands),
-            (self._keys.result("*"), self._result, questions),
-            (self._keys.status, self._status, questions),
-            (self._keys.describe, self._describe, questions),
-        ):
-            # Zenoh's own thread only puts the query into the lane: it must never wait.
-            enqueue = zenoh.handlers.Callback(_into(lane, answer), indirect=False)
-            self._session.declare_queryable(key, enqueue, complete=True)
+        # Two threads take the commands in: one may be running a trial. Questions have a third,
+        # so that no client that is slow to take in a large record keeps another's `cancel`
+        # waiting. Rings: where clients flood the rig, the oldest queries are dropped (their
+        # senders ask again), and Zenoh's own threads never wait for ours.
+        command = self._keys.command(self.instance, "*")
+        for key, threads in ((command, 2), (self._keys.anything, 1)):
+            ring: zenoh.handlers.RingChannel[zenoh.Query] = zenoh.handlers.RingChannel(
+                _WAITING_MAX
+            )
+            queryable = self._session.declare_queryable(key, ring, complete=True)
+            for _ in range(threads):
+                thread = threading.Thread(target=self._answer_all, args=(queryable,), daemon=True)
+                self._threads.append(thread)
+                thread.start()
         # Last, so that who finds the rig can ask it anything. Kept: dropped, it would vanish.
         self._token = self._session.liveliness().declare_token(self._keys.alive(self.instance))
 
-    def _lane(self, name: str) -> "Queue[tuple[zenoh.Query, _Answerer]]":
-        lane: Queue[tuple[zenoh.Query, _Answerer]] = Queue(_WAITING_MAX)
-        threading.Thread(target=self._answer_all, args=(lane,), name=name, daemon=True).start()
-        return lane
-
-    def _answer_all(self, lane: "Queue[tuple[zenoh.Query, _Answerer]]") -> None:
+    def _answer_all(self, queries: "zenoh.Queryable[zenoh.Handler[zenoh.Query]]") -> None:
         while True:
-            query, answer = lane.get()
             try:
-                # Left undropped, a query keeps its sender waiting until it times out.
-                with query:
-                    self._answer(query, answer)
-            except zenoh.ZError as error:
-                if self._session.is_closed():
-                    return
-                _log.warning("no answer to %s: %s", query.key_expr, error)
-            del query, answer
+                query = queries.recv()
+            except zenoh.ZError:
+                return  # the session is closed
+            self._answer(query)
+            del query  # held on to, it would keep its sender waiting
 
-    def _answer(self, query: zenoh.Query, answer: _Answerer) -> None:
+    def _answer(self, query: zenoh.Query) -> None:
         key = str(query.key_expr)
-        if "*" in key:
-            return  # somebody looks around; there is nothing to answer as one
         payload = b"" if query.payload is None else query.payload.to_bytes()
+        reply = partial(self._reply, query)
         try:
-            data = answer(key, payload)
-        except Exception as error:  # noqa: BLE001  what a rig raises must reach the one who waits
-            data = protocol.encode(protocol.refusal(named(error, key)))
-        query.reply(query.key_expr, data, attachment=self.instance)
+            self._act(key.split("/")[3:], payload, reply)
+        except BaseException as error:  # noqa: BLE001  even SystemExit: somebody waits for it
+            reply(protocol.refusal(named(error, key)))
 
-    def _submit(self, _: str, payload: bytes) -> bytes:
-        return _encode(self._attendant.submit(protocol.decode(Submit, payload)))
+    def _act(self, key: list[str], payload: bytes, reply: _Reply) -> None:
+        """Does what is asked. The key begins after the rig's name."""
+        attendant = self._attendant
+        match key:
+            case ["@cmd", _, "submit"]:
+                attendant.submit(protocol.decode(Submit, payload), reply)
+            case ["@cmd", _, "cancel"]:
+                reply(attendant.cancel(protocol.decode(Cancel, payload)))
+            case ["@cmd", _, "gains"]:
+                reply(attendant.set_gains(protocol.decode(SetGains, payload)))
+            case ["result", trial_id]:
+                inquiry = protocol.decode(Inquire, payload)
+                reply(attendant.result(trial_id, inquiry.digest))
+            case ["status"]:
+                reply(attendant.status())
+            case ["describe"]:
+                reply(Description(attendant.describe(), self.instance))
+            case _:
+                pass  # somebody looks around with a wildcard, or asks for what does not exist
 
-    def _cancel(self, _: str, payload: bytes) -> bytes:
-        return _encode(self._attendant.cancel(protocol.decode(Cancel, payload)))
-
-    def _set_gains(self, _: str, payload: bytes) -> bytes:
-        return _encode(self._attendant.set_gains(protocol.decode(SetGains, payload)))
-
-    def _result(self, key: str, payload: bytes) -> bytes:
-        trial_id = key.rpartition("/")[2]
-        return _encode(self._attendant.result(trial_id, protocol.decode(Inquire, payload).digest))
-
-    def _status(self, _: str, __: bytes) -> bytes:
-        return protocol.encode(self._attendant.status())
-
-    def _describe(self, _: str, __: bytes) -> bytes:
-        return protocol.encode(Description(self._attendant.describe(), self.instance))
+    def _reply(self, query: zenoh.Query, message: object) -> None:
+        data = message if isinstance(message, bytes) else protocol.encode(message)
+        try:
+            with query:  # left undropped, it would keep its sender waiting
+                query.reply(query.key_expr, data, attachment=self.instance)
+        except zenoh.ZError as error:
+            _log.debug("no answer to %s: %s", query.key_expr, error)
 
     def _publish_status(self) -> None:
         """Tells whoever waits for a trial that one has ended."""
         try:
             self._session.put(self._keys.status, protocol.encode(self._attendant.status()))
-        except zenoh.ZError:
-            _log.debug("nobody to tell: the session is closed")
-
-
-def _into(
-    lane: "Queue[tuple[zenoh.Query, _Answerer]]", answer: _Answerer
-) -> Callable[[zenoh.Query], None]:
-    def enqueue(query: zenoh.Query) -> None:
-        try:
-            lane.put_nowait((query, answer))
-        except Full:
-            query.drop()  # type: ignore[no-untyped-call]  # an empty reply; the client asks again
-
-    return enqueue
-
-
-def _encode(state: protocol.Answer | bytes) -> bytes:
-    return state if isinstance(state, bytes) else protocol.encode(state)
+        except zenoh.ZError as error:
+            _log.debug("nobody told that a trial has ended: %s", error)

@@ -62,7 +62,12 @@ def open_session(
             "shared_memory": {"enabled": False},
             "unicast": {"open_timeout": 2000, "accept_timeout": 2000},
             "link": {
-                "tx": {"lease": LEASE_MS, "keep_alive": 4},
+                "tx": {
+                    "lease": LEASE_MS,
+                    "keep_alive": 4,
+                    # Batching waits a millisecond for more to send, which here never comes.
+                    "queue": {"batching": {"enabled": False}},
+                },
                 "rx": {"max_message_size": message_max_bytes},
             },
         },
