@@ -1,11 +1,13 @@
 """The paper's figures made again, and the page that shows them."""
 
 import base64
+import math
 import re
 from dataclasses import replace
 from html.parser import HTMLParser
 from xml.etree import ElementTree as ET
 
+import numpy as np
 import pytest
 
 from estune.cli import run
@@ -58,7 +60,7 @@ def test_the_page_has_every_figure_with_its_claim_and_its_verdict(made):
     figures, out = made
     assert set(figures) == set(paper.NUMBERS)
     shown = Page(out.read_text())
-    text = re.sub(r"\s+", " ", "".join(shown.words))
+    text = re.sub(r"\s+", " ", "".join(shown.words)).replace("\N{MINUS SIGN}", "-")
     assert not shown.open
     for figure in figures.values():
         assert f"Fig. {figure.number}. {figure.title}" in text
@@ -96,8 +98,8 @@ def test_the_page_asks_nothing_of_the_network_or_of_another_file(made):
 def test_what_a_figure_says_follows_from_its_numbers(made):
     figures, _ = made
     for figure in figures.values():
-        text = figure.measured.replace("\N{MINUS SIGN}", "-")
-        said = [float(n) for n in re.findall(r"-?\d+(?:\.\d+)?(?:e[+-]?\d+)?", text)]
+        number = r"-?\d+(?:\.\d+)?(?:e[+-]?\d+)?"
+        said = [float(n) for n in re.findall(number, figure.measured)]
         for name, value in figure.numbers.items():
             near = min(abs(n / scale - value) for n in said for scale in (1.0, 100.0, 1000.0))
             assert near <= 0.06 * abs(value) + 1e-9, (figure.number, name, value)
@@ -116,6 +118,22 @@ def test_what_is_measured_of_the_bandwidth_is_what_the_reels_were_built_with(mad
         friction = 0.010 + 0.015 * length  # N m s/rad, the reference reel's
         damping = friction / (2.0 * reel.drum_inertia_kg_m2 * reel.natural_frequency_rad_s)
         assert figures[9].numbers[name] == pytest.approx(damping, rel=0.02)
+
+
+@pytest.mark.slow
+def test_what_is_measured_of_the_eyelets_is_what_the_benches_were_built_with(made):
+    figures, _ = made
+
+    def lost(coefficient, turn_rad):  # (22) as a quadratic equation
+        bent = 1.0 + coefficient**2 * math.cos(math.pi - turn_rad)
+        return 1.0 - min(np.roots([1.0, -2.0 * bent / (1.0 - coefficient**2), 1.0]))
+
+    for name in ("B_low", "B_high"):
+        built = 1.0 - lost(0.1, math.pi - 2.1)
+        assert figures[7].numbers[name] == pytest.approx(built, abs=0.002)
+    for turn in (15.0, 40.0, 60.0, 95.0):
+        found = figures[15].numbers[f"loss_at_{turn:g}_deg"]
+        assert found == pytest.approx(lost(0.1, math.radians(turn)), rel=0.05)
 
 
 def test_a_claim_that_fails_is_shown_as_such():

@@ -40,7 +40,7 @@ class Power(NamedTuple):
     @property
     def rounded(self) -> str:
         """The value alone."""
-        return f"{self.value:.2g}".replace("-", "\N{MINUS SIGN}")
+        return f"{self.value:.2g}"
 
     def __str__(self) -> str:
         return f"{self.rounded} ± {self.standard_error:.1g}"
@@ -115,7 +115,6 @@ def of_tension(number: int, length_m: float, tensions_N: tuple[float, ...]) -> P
         "out what was built in, and how little sag is left at these tensions.",
         numbers={
             "power_of_tension": shift.value,
-            "standard_error": shift.standard_error,
             "power_of_a_string": string.value,
             "resonance_low_Hz": peaks[0],
             "resonance_high_Hz": peaks[-1],

@@ -64,7 +64,7 @@ def make(*, quick: bool = False) -> PaperFigure:
         measured=f"The cost falls with a time constant of {listed} trials (means of "
         f"{count} runs), the longest {100.0 * excess:.1f} % above the "
         "shortest; so large a difference would come of the gauge's noise alone with a "
-        f"chance of {chance:.0e}. The cost begins at {begin[0]:.2f} and ends at "
+        f"chance of {chance:.1e}. The cost begins at {begin[0]:.2f} and ends at "
         f"{end[0]:.2f} at {first:g} m, {begin[1]:.2f} and {end[1]:.2f} at {last:g} m.",
         rule="The time constant differs between the lengths by more than chance would have it "
         f"between runs, at {100.0 * CHANCE:g} % (one-way analysis of variance).",

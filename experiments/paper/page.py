@@ -95,8 +95,9 @@ def _verdict(made: PaperFigure, yes: str, no: str) -> str:
 
 
 def _text(plain: str) -> str:
-    """Escaped, with numbers kept on one line with their units."""
-    return re.sub(r"(?<=\d) (?=[A-Za-z%])", "&nbsp;", escape(plain))
+    """Escaped, with true minus signs, and numbers on one line with their errors and units."""
+    signed = re.sub(r"(?<!\S)-(?=[\d ])", "&minus;", escape(plain))
+    return re.sub(r"(?<=\d) (?=[A-Za-z%±])|(?<=±) ", "&nbsp;", signed)
 
 
 def _drawing(made: PaperFigure) -> str:
