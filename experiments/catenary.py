@@ -1,0 +1,92 @@
+"""How exactly, and how fast, is a hanging cable found from any three of its quantities?
+
+Random cables over six decades of tension and weight, from nearly taut to very slack and either end
+up; each of the 52 admissible triples of knowns, and both cables where two fit, gives the whole
+cable back. Printed are the worst relative residual of (3) to (6) and the time for all of them.
+"""
+
+import argparse
+import json
+import statistics
+import sys
+import time
+from typing import Any
+
+import numpy as np
+
+from plants import cable
+
+LIMITS = {"worst_residual": 1e-9, "worst_s_per_million": 1.0}
+
+
+def random_cables(count: int) -> cable.Catenary:
+    """Cables drawn blind: tension, weight, slope at the middle and span over sag."""
+    random = np.random.default_rng(3)
+    tension_x_N = np.exp(random.uniform(-3.0, 3.0, count))
+    weight_N_m = np.exp(random.uniform(-5.0, 2.0, count))
+    middle = random.uniform(-3.0, 3.0, count)
+    half = np.exp(random.uniform(np.log(1e-3), np.log(3.0), count))
+    # A cable along x is the catenary's piece about `middle`, of half-width `half`, in units T_x/w.
+    scale = tension_x_N / weight_N_m
+    return cable.catenary(
+        weight_N_m,
+        span_m=2.0 * half * scale,
+        rise_m=2.0 * np.sinh(middle) * np.sinh(half) * scale,
+        length_m=2.0 * np.cosh(middle) * np.sinh(half) * scale,
+    )
+
+
+def measure(count: int) -> list[dict[str, Any]]:
+    """Residual and time of each triple and solution."""
+    truth, rows = random_cables(count), []
+    for triple, solutions in cable.ADMISSIBLE.items():
+        known = {name: getattr(truth, name) for name in cable.NAMES if name in triple}
+        for solution in solutions:
+            began = time.process_time()
+            found = cable.catenary(truth.weight_N_m, solution=solution, **known)
+            took = time.process_time() - began
+            residual = float(np.max(found.residual()))
+            rows.append(
+                {"known": ", ".join(known), "solution": solution, "s": took, "residual": residual}
+            )
+    return rows
+
+
+def main() -> int:
+    """Prints the table, or with --json one object; returns 1 where a target is missed."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
+    parser.add_argument("--json", action="store_true", help="print one JSON object alone")
+    parser.add_argument("--quick", action="store_true", help="fewer cables")
+    options = parser.parse_args()
+    count = 50_000 if options.quick else 1_000_000
+    rows = measure(count)
+    per_million = [row["s"] * 1e6 / count for row in rows]
+    figures = {
+        "cables": count,
+        "worst_residual": max(row["residual"] for row in rows),
+        "median_s_per_million": statistics.median(per_million),
+        "worst_s_per_million": max(per_million),
+    }
+    targets = {
+        name: {"value": figures[name], "limit": limit, "met": figures[name] < limit}
+        for name, limit in (
+            ("worst_residual", MOST_RESIDUAL),
+            ("worst_s_per_million", MOST_TIME_s),
+        )
+    }
+    if options.json:
+        print(json.dumps({"figures": figures, "targets": targets}))
+    else:
+        for row in rows:
+            print(
+                f"{row['known']:45} {row['solution']:8} {row['residual']:9.1e} {row['s']:7.2f} s"
+            )
+        for name, value in figures.items():
+            print(f"{name:45} {value:.3g}")
+        for name, target in targets.items():
+            print(f"{'met' if target['met'] else 'MISSED':6} {name} under {target['limit']:g}")
+    return 0 if all(target["met"] for target in targets.values()) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
