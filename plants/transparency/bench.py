@@ -1,4 +1,4 @@
-"""A simulated two-reel bench: drums, an elastic cable, and two eyelets at which it sticks or slides.
+"""A simulated two-reel bench: drums, an elastic cable, and eyelets where it sticks or slides.
 
 Quasi-static: the cable has no mass, and in each period the tensions are those at which no eyelet
 holds more than its friction can. From X to Y there are three pieces of cable. With w the length
@@ -12,6 +12,7 @@ says nothing of the tension at the other.
 """
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 
@@ -20,6 +21,11 @@ from estune.errors import InvalidInput, PlantError
 from plants.transparency.bench_parts import Eyelet, ReelModel
 from plants.transparency.friction_ratio import log_loss
 from plants.transparency.rig import BenchRecord, Reading
+
+_ROUNDS = 200
+"""Sliding at one eyelet after the other; each round leaves less than half of what was missing."""
+
+_ROUNDING_N = 1e-10
 
 _SLIDING_MEMORY_s = 0.1
 """Friction follows the sliding velocity with this lag, as contacts of a state and a rate do."""
@@ -37,7 +43,7 @@ class SimulatedReel:
         self.angle_rad = 0.0
         self.scatter_due = True
         self._path_N_m = path_N_m
-        self._law = self._servo
+        self._law: Callable[[float, float], None] = self._servo
         self._target = self._goal = self.wound_m
         self._slope = self._effort = 0.0
         self._seen_N = tension_N
@@ -243,28 +249,19 @@ class SimulatedBench:
             contact.velocity_m_s += share * (velocity - contact.velocity_m_s)
 
     def _slide(self) -> None:
-        """Lets each eyelet slide in turn until neither holds more than its friction can."""
-        x, y, k_o = self.x, self.y, self._outer_N_m
-        ratios = [
+        """Lets the eyelets slide until neither holds more than its friction can."""
+        x, y = self.x, self.y
+        B_x, B_y = (
             contact.ratio(reel.tension_N)
             for reel, contact in zip((x, y), self._contacts, strict=True)
-        ]
-        for _ in range(200):  # each round leaves less than k_o/(k_o + B k) of what was missing
-            moved = 0.0
-            for reel, other, B in ((x, y, ratios[0]), (y, x, ratios[1])):
-                k = reel.model.stiffness_N_m
-                inside = k * (reel.wound_m - reel.slid_m)
-                outside = k_o * (reel.slid_m + other.slid_m)
-                if outside < B * inside:
-                    share = B * k  # slides in until T_o = B T
-                elif B * outside > inside:
-                    share = k / B  # slides out until T = B T_o
-                else:
-                    continue
-                slid = (share * reel.wound_m - k_o * other.slid_m) / (k_o + share)
-                moved = max(moved, abs(slid - reel.slid_m))
-                reel.slid_m = slid
-            if moved < 1e-13:
+        )
+        for _ in range(_ROUNDS):
+            before_x, before_y = x.slid_m, y.slid_m
+            share_x = self._slide_one(x, y, B_x)
+            share_y = self._slide_one(y, x, B_y)
+            if share_x and share_y:
+                self._slide_both(share_x, share_y, x.slid_m - before_x, y.slid_m - before_y)
+            elif not (share_x or share_y):
                 break
         for reel in (x, y):
             reel.tension_N = reel.model.stiffness_N_m * (reel.wound_m - reel.slid_m)
@@ -273,6 +270,33 @@ class SimulatedBench:
                 f"the cable became slack at {self.time_s:.2f} s; raise the tension at which the "
                 "reels start or turn round"
             )
+
+    def _slide_one(self, reel: SimulatedReel, other: SimulatedReel, B: float) -> float:
+        """Slides the cable at one eyelet, and returns `dT_o/dw` of its drum; 0 where it sticks."""
+        k, k_o = reel.model.stiffness_N_m, self._outer_N_m
+        inside = k * (reel.wound_m - reel.slid_m)
+        outside = k_o * (reel.slid_m + other.slid_m)
+        if B * inside - outside > _ROUNDING_N:
+            share = B * k  # slides in until T_o = B T
+        elif outside - inside / B > _ROUNDING_N:
+            share = k / B  # slides out until T = B T_o
+        else:
+            return 0.0
+        reel.slid_m = (share * reel.wound_m - k_o * other.slid_m) / (k_o + share)
+        return share
+
+    def _slide_both(self, share_x: float, share_y: float, first_x: float, first_y: float) -> None:
+        """Where both slide, slides them on to where they come to rest together.
+
+        Not where one of them would have to slide back for that: it sticks.
+        """
+        x, y = self.x, self.y
+        outer = (x.wound_m + y.wound_m) / (1.0 / self._outer_N_m + 1.0 / share_x + 1.0 / share_y)
+        on_x = x.wound_m - outer / share_x - x.slid_m
+        on_y = y.wound_m - outer / share_y - y.slid_m
+        if on_x * first_x >= 0.0 and on_y * first_y >= 0.0:
+            x.slid_m += on_x
+            y.slid_m += on_y
 
     def _disturbances(self, samples: int) -> FloatArray:
         """Noise and wander of both gauges, N, shape (samples, 2)."""

@@ -4,11 +4,13 @@ The piece of cable at the contact is pulled by T_2 towards the reel and by T_1 a
 presses on the contact with their sum. Friction is F_R along the cable and F_L along the line. A
 point is a line constraint along `P_1 x P_2`, where the sum has no part along the line.
 
-Friction is in proportion to the size of the whole force on the contact, (20). The capstan's model,
-for a cable that lies around a drum, and that of a single point, where only the part of the force
-along the bisector is normal, differ from it for sharp bends: with a coefficient of 0.2 the loss of
-tension is 10.0 % beside 9.9 % and 10.2 % where the cable turns by 30 degrees, and 25 % beside 27 %
-and 33 % where it turns by 90. A coefficient found with one model belongs to it.
+By (20) friction is in proportion to the whole force on the contact, of which it is a part, and not
+to the normal part as in Coulomb's law: C_R is the sine of the friction angle, and Coulomb's mu its
+tangent, `C_R / sqrt(1 - C_R^2)`, 2 % more at 0.2. With `T_1 = exp(-u) T_2`, and the cable turned
+by `w = pi - gamma`, a single contact has `sinh(u/2) = mu sin(w/2)` here, `u/2 = mu w/2` on a drum
+that it lies around (the capstan), and `tanh(u/2) = mu tan(w/2)` at a sharp point whose normal is
+the bisector. For mu = 0.2 and a turn of 30 degrees the losses are 9.8, 9.9 and 10.2 %, for one of
+90 degrees 25, 27 and 33 %: a coefficient found with one model belongs to it.
 """
 
 from typing import NamedTuple
@@ -82,8 +84,8 @@ def tension_outside_N(tension_2_N: ArrayLike, friction_N: ArrayLike) -> Numbers:
     if (T_1 < 0.0).any():
         place = first(T_1 < 0.0)
         raise InvalidInput(
-            f"friction exceeds the tension inside by {-T_1[place]:g} N{at(place)}; the cable would "
-            "be slack outside, check the friction coefficient"
+            f"friction exceeds the tension inside by {-T_1[place]:g} N{at(place)}; the cable "
+            "would be slack outside, check the friction coefficient"
         )
     return plain(T_1)
 

@@ -57,6 +57,10 @@ class FrictionCurve(NamedTuple):
         """Whether the measurement does not contradict Coulomb's law."""
         return self.quadratic_chance >= SUSPICIOUS
 
+    def ratio(self, tension_N: FloatArray) -> FloatArray:
+        """B at tensions inside the reel, N."""
+        return np.asarray(1.0 - self.linear.value - self.quadratic.value * tension_N)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TwoReelResult:
@@ -104,7 +108,11 @@ class TwoReelResult:
         """The gauge of Y, from its readings and the tension at them.
 
         The print takes `y_2 = B x_2`, but the tension at Y when it reads x_1 is `B^2 x_1`, which
-        is `x_2/B^2`, and `sqrt(x_1 x_2)` without knowing B; that is what stands here.
+        is `x_2/B^2`, and `sqrt(x_1 x_2)` without knowing B; that is what stands here, times
+        `sqrt(B(x_1)/B(x_2))` where B changes with tension.
+
+        Each reading is moved along the curve to the mean tension of its setpoint, so that the
+        sweeps are repeats, and the calibration can test its form against their scatter.
 
         Args:
             margin: Share of the range by which it may be used beyond either end.
@@ -112,15 +120,22 @@ class TwoReelResult:
         Raises:
             InvalidInput: the readings do not rise, or fall, throughout.
         """
-        return GaugeCalibration.fit(
-            self.tension_y_N.ravel(), self.reading_y.ravel(), margin=margin
+        middle = float(self.tension_y_N.mean())
+        slopes = np.polyder(
+            np.polyfit(self.tension_y_N.ravel() - middle, self.reading_y.ravel(), 2)
         )
+        at = np.broadcast_to(self.tension_y_N.mean(axis=0), self.tension_y_N.shape)
+        moved = np.polyval(slopes, 0.5 * (self.tension_y_N + at) - middle) * (
+            at - self.tension_y_N
+        )
+        return GaugeCalibration.fit(at.ravel(), (self.reading_y + moved).ravel(), margin=margin)
 
     def transparency(self, limit: float = WEBER_LIMIT) -> StaticTransparency:
         """Static transparency (27) to (29), from B at each setpoint."""
         found = self.ratio_at_setpoints()
         columns = np.array([(e.value, e.low, e.high) for e in found])
-        return static_transparency(*np.clip(columns, _LEAST_B, 1.0).T, limit)
+        value, low, high = np.clip(columns, _LEAST_B, 1.0).T
+        return static_transparency(value, low, high, limit)
 
 
 def evaluate(
@@ -179,7 +194,7 @@ def evaluate(
         tension_N=tension.mean(axis=0),
         ratios=ratios,
         reading_y=y_1,
-        tension_y_N=np.sqrt(x_1 * x_2),
+        tension_y_N=np.sqrt(x_1 * x_2 * curve.ratio(x_1) / curve.ratio(x_2)),
         probability=probability,
         angles_x_rad=angles_x,
         angles_y_rad=angles_y,
@@ -189,19 +204,17 @@ def evaluate(
 def _table(measurements: Sequence[Measurement]) -> FloatArray:
     """The measurements, shape (sweeps, setpoints, 6), setpoints rising."""
     rows = sorted(measurements, key=lambda m: (m.sweep, m.setpoint_N))
-    sweeps = len({m.sweep for m in rows})
+    sweeps, setpoints = len({m.sweep for m in rows}), len({m.setpoint_N for m in rows})
     if sweeps < LEAST_SWEEPS:
         raise InvalidInput(
-            f"{sweeps} sweeps cannot tell scatter from friction; take {LEAST_SWEEPS}"
+            f"{sweeps} sweeps cannot tell scatter from friction; take {LEAST_SWEEPS} or more"
         )
-    setpoints = len(rows) // sweeps
     if setpoints < LEAST_SETPOINTS:
-        raise InvalidInput(
-            f"{setpoints} setpoints per sweep; {LEAST_SETPOINTS} or more are needed"
-        )
+        raise InvalidInput(f"{setpoints} setpoints; {LEAST_SETPOINTS} or more are needed")
     if len(rows) != sweeps * setpoints:
         raise InvalidInput(
-            f"{len(rows)} measurements are not {sweeps} whole sweeps; leave out the others"
+            f"{len(rows)} measurements are not {sweeps} whole sweeps of {setpoints} setpoints; "
+            "leave out the broken ones"
         )
     table = np.array(rows, dtype=np.float64).reshape(sweeps, setpoints, len(Measurement._fields))
     if not np.isfinite(table).all():
@@ -341,7 +354,7 @@ def _remarks(
     spread = float(np.sqrt(rest @ rest / (per_sweep.size - 2) / (order @ order)))
     if chance(slope, spread, per_sweep.size - 2) < SUSPICIOUS:
         said.append(
-            f"B drifts by {slope:.2g} per sweep, so that the intervals do not hold; let gauges and "
-            "eyelets settle, and measure again"
+            f"B drifts by {slope:.2g} per sweep, so that the intervals do not hold; let gauges "
+            "and eyelets settle, and measure again"
         )
     return said

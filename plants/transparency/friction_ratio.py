@@ -225,5 +225,5 @@ def _checked_angles(angles_rad: tuple[ArrayLike, ...]) -> list[FloatArray]:
 
 
 def _tangent(coefficient_R: Numbers) -> Numbers:
-    """`t = C_R / sqrt(1 - C_R^2)`, the tangent of the angle whose sine is C_R."""
+    """`t = C_R / sqrt(1 - C_R^2)`, tangent of the friction angle, whose sine is C_R."""
     return coefficient_R / np.sqrt((1.0 - coefficient_R) * (1.0 + coefficient_R))

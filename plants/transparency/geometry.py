@@ -69,8 +69,8 @@ def _direction(
     if behind.any():
         place = first(behind)
         raise InvalidInput(
-            f"{theta_name} is {theta[place]:g} rad{at(place)}; a cable through the eyelet has less "
-            "than pi/2 on either side, turn the eyelet towards it"
+            f"{theta_name} is {theta[place]:g} rad{at(place)}; a cable through the eyelet has "
+            "less than pi/2 on either side, turn the eyelet towards it"
         )
     theta, phi = np.broadcast_arrays(theta, phi)
     parts = [np.cos(phi) * np.sin(theta), np.sin(phi) * np.sin(theta), axial * np.cos(theta)]

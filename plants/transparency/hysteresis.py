@@ -1,4 +1,4 @@
-"""Tension hysteresis between two reels: one tension rises and falls, the other is read (Fig. 15)."""
+"""Tension hysteresis between two reels, as in Fig. 15: one rises and falls, one is read."""
 
 import math
 from dataclasses import dataclass
@@ -36,7 +36,7 @@ class HysteresisLoop(NamedTuple):
         last quarter of each edge is taken; it must have left the part where the cable sticks.
 
         Raises:
-            InvalidInput: the loop is too narrow for its friction: the cable sticks over most of it.
+            InvalidInput: the loop is too narrow: the cable sticks over most of it.
         """
         low, high = float(self.x_N.min()), float(self.x_N.max())
         quarter = 0.25 * (high - low)
@@ -53,7 +53,7 @@ class HysteresisLoop(NamedTuple):
                 f"the loop from {low:.3g} to {high:.3g} N is too narrow: the cable sticks over "
                 "most of it; widen it, or bend the cable less"
             )
-        return min(fourth, 1.0) ** 0.25
+        return float(min(fourth, 1.0) ** 0.25)
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,8 +116,7 @@ class HysteresisTest:
             self._read(bench, self.low_N)
             for cycle in range(self.cycles):
                 for rising, way in ((1.0, levels[1:]), (0.0, levels[-2::-1])):
-                    for level in way.tolist():
-                        rows.append((*self._read(bench, level), float(cycle), rising))
+                    rows += [(*self._read(bench, n), float(cycle), rising) for n in way.tolist()]
         finally:
             bench.x.hold_position()
             bench.y.hold_position()

@@ -12,7 +12,7 @@ from plants.transparency.friction_ratio import attenuation
 from plants.transparency.scatter import SUSPICIOUS, chance, student
 
 _WORST_CONDITION = 1e3
-"""Measurements that bend the cable nearly alike blow up their errors by this much; beyond, refuse."""
+"""How much measurements that bend the cable nearly alike may blow up their errors."""
 
 
 class Likeness(NamedTuple):
@@ -57,8 +57,8 @@ def likeness(first: TwoReelResult, second: TwoReelResult) -> Likeness:
         losses, slopes = _losses(C, runs)
         if np.linalg.cond(slopes) > _WORST_CONDITION:
             raise InvalidInput(
-                "the two measurements bend the cable alike at both reels, so that they do not tell "
-                "them apart; exchange the angles of X and Y, with a sharper bend at one of them"
+                "the two measurements bend the cable alike at both reels, and do not tell them "
+                "apart; exchange the angles of X and Y, with a sharper bend at one of them"
             )
         inverse = np.linalg.inv(slopes)
         change = inverse @ (wanted - losses)
@@ -66,10 +66,10 @@ def likeness(first: TwoReelResult, second: TwoReelResult) -> Likeness:
         if not ((C > 0.0) & (C < 1.0)).all():
             break
         if (np.abs(change) <= 1e-10 * C).all():
-            return _likeness(C, inverse, runs)
+            return _likeness(C, np.asarray(inverse, dtype=np.float64), runs)
     raise InvalidInput(
-        "no friction coefficients between 0 and 1 explain both measurements; check the angles, and "
-        "that nothing else was changed in between"
+        "no friction coefficients between 0 and 1 explain both measurements; check the angles, "
+        "and that nothing else was changed in between"
     )
 
 

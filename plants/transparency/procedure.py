@@ -1,8 +1,8 @@
 """The two-reel procedure: what to command and what to read, on any bench.
 
 At each setpoint one reel pulls the cable through both eyelets while the other holds its drum, once
-X and once Y. With X pulling, Y's gauge is under `B^2 x_1`; with Y then pulling to that same reading,
-the gauge of X is under `x_2 = B^4 x_1`. Only the gauge of X needs to be calibrated.
+X and once Y. With X pulling, Y's gauge is under `B^2 x_1`; with Y then pulling to that same
+reading, the gauge of X is under `x_2 = B^4 x_1`. Only the gauge of X needs to be calibrated.
 
 What the ratio needs is that the cable is on the verge of sliding, at both eyelets, towards the
 reel that pulls. Approaching from a low tension and stopping there leaves it a little inside,
@@ -24,7 +24,7 @@ import numpy as np
 
 from estune.core.quantities import FloatArray
 from estune.errors import InvalidInput, RigError
-from plants.transparency.rig import Bench, BenchReel, BenchRecord, Reading
+from plants.transparency.rig import Bench, BenchRecord, BenchReel, Reading
 
 Holding = Literal["breakout", "position", "moving"]
 
@@ -59,7 +59,7 @@ class Measurement(NamedTuple):
 
 
 class _Held(NamedTuple):
-    """Readings with the cable on the verge of sliding, and of the held reel before the approach."""
+    """Readings with the cable on the verge of sliding, and the holder's before the approach."""
 
     puller: float
     holder: float
@@ -133,7 +133,7 @@ class TwoReelProcedure:
         if setpoints.min() <= 2.0 * self.preload_N:
             raise InvalidInput(
                 f"the least setpoint is {setpoints.min():g} N with a preload of "
-                f"{self.preload_N:g} N; more than twice the preload is needed for the cable to slide"
+                f"{self.preload_N:g} N; more than twice is needed for the cable to slide"
             )
 
     def run(
@@ -183,8 +183,8 @@ class TwoReelProcedure:
         if not second.holder - second.holder_before > 0.1 * second.holder:
             raise RigError(
                 f"reel X read {second.holder:.4g} N after reel Y had pulled and "
-                f"{second.holder_before:.4g} N before: the cable did not slide through to it; lower "
-                f"the preload of {self.preload_N:g} N or raise the setpoint of {setpoint:g} N"
+                f"{second.holder_before:.4g} N before: the cable did not slide through to it; "
+                f"lower the preload of {self.preload_N:g} N or raise setpoint {setpoint:g} N"
             )
         return Measurement(
             setpoint, sweep, first.puller, first.holder, second.holder, second.puller
@@ -248,8 +248,8 @@ class TwoReelProcedure:
         moved = float(np.ptp(angle)) * _reel(bench, holding).drum_radius_m
         if moved > self.breakout_m:
             raise RigError(
-                f"reel {holding.upper()} moved by {moved * 1e3:.3g} mm while it held its position; "
-                "let it settle longer, or slow the tension controller of the other reel"
+                f"reel {holding.upper()} moved by {moved * 1e3:.3g} mm while it held its "
+                "position; let it settle longer, or slow the tension controller of the other reel"
             )
         return record
 
