@@ -24,8 +24,12 @@ _log = logging.getLogger(__name__)
 _noticed = threading.Event()
 
 # CasADi calls fmin and fmax from C99 on, which stay calls for the sake of NaN; before it, it
-# writes the comparison itself, which is one instruction.
-FLAGS = ("-std=gnu90", "-O3", "-fPIC", "-shared", "-fno-math-errno", "-fvisibility=hidden", "-w")
+# writes the comparison itself, which is one instruction. It writes a choice as a sum with zero,
+# which is nothing to do where the sign of a zero does not count.
+FLAGS = (
+    *("-std=gnu90", "-O3", "-fno-math-errno", "-fno-signed-zeros"),
+    *("-fPIC", "-shared", "-fvisibility=hidden", "-w"),
+)
 COMPILE_LIMIT_s = 120.0
 
 

@@ -33,7 +33,7 @@ GRAVITY_m_s2 = 9.80665
 SUBSTEPS = 4
 THETA, OMEGA, READING, READING_RATE = range(4)
 STATES = 4
-REST_ROUNDS = 20
+REST_ROUNDS = 12
 """Rounds of the fixed point at rest, where a cable effect depends on the angle it leads to."""
 
 
@@ -72,6 +72,7 @@ class Constants(NamedTuple):
     tension_per_angle: Expression  # k R
     tension_per_velocity: Expression  # k R times half a substep: to the angle at midspan
     substep_s: Expression
+    half_substep_s: Expression
     amperes_per_newton: Expression
     current_limit_A: Expression
     encoder_step_rad: Expression
@@ -202,6 +203,7 @@ class ReelStructure:
             stiffness_N_m=cable_stiffness_N_m(p, preload),
             sample_s=1.0 / p.sampling_Hz,
             substep_s=h,
+            torque_per_velocity=1.0 / gamma[OMEGA, 0],
         )
         numbers = [vars(known) | effect.prepare(known, facts) for effect, known in effects]
         constants = Constants(
@@ -217,6 +219,7 @@ class ReelStructure:
             tension_per_angle=_tension_per_angle(p, preload),
             tension_per_velocity=_tension_per_angle(p, preload) * 0.5 * h,
             substep_s=h,
+            half_substep_s=0.5 * h,
             amperes_per_newton=nominal.drum_radius_m / nominal.torque_constant_Nm_A,
             current_limit_A=p.current_limit_A,
             encoder_step_rad=2.0 * math.pi / p.encoder_counts,
@@ -230,9 +233,10 @@ class ReelStructure:
         """What the motor current adds to the state over the nth substep."""
         if not self.fractional:
             return c.by_current * after
-        first = ca.if_else(n > c.change, after, before)
-        last = ca.if_else(n < c.change, before, after)
-        return (c.by_current - c.by_current_after) * first + c.by_current_after * last
+        jump = after - before
+        return c.by_current * (before + (n > c.change) * jump) + c.by_current_after * (
+            (n == c.change) * jump
+        )
 
 
 def _tension_per_angle(p: SimpleNamespace, preload: Expression) -> Expression:
@@ -264,21 +268,21 @@ class _Reel(NamedTuple):
         site = Site(
             port=Port.CABLE,
             span_s=c.substep_s,
-            angle_rad=x[THETA] + 0.5 * c.substep_s * x[OMEGA],
+            angle_rad=x[THETA] + c.half_substep_s * x[OMEGA],
             start_velocity_rad_s=x[OMEGA],
             velocity_rad_s=x[OMEGA],
             tension_N=linear,
             torque_per_velocity=c.torque_per_velocity,
         )
         x, stretched = self.stages.forward(x, linear, site)
-        slack = ca.fmax(-stretched, 0.0)  # a cable never pushes
-        outside = stretched + slack
+        outside = ca.fmax(stretched, 0.0)  # a cable never pushes
         x, tension = self.stages.forward(x, outside, site._replace(port=Port.EYELET))
-        # Not as the difference of the two tensions, which each substep would have to wait for.
-        beyond = slack + (stretched - linear)
+        beyond = tension - linear
+        if ca.is_equal(stretched, linear) and ca.is_equal(tension, outside):
+            # Not as a difference, which each substep would have to wait for.
+            beyond = ca.fmax(-linear, 0.0)
         if self.has_outside_gauge:
-            x = ca.vertcat(x[:STATES], beyond, x[STATES + 1 :])
-        beyond = beyond + (tension - outside)
+            x = ca.vertcat(x[:STATES], outside - linear, x[STATES + 1 :])
         free = c.transition @ x[:STATES] + driven + c.by_tension * beyond
         at_drum = site._replace(port=Port.DRUM, velocity_rad_s=free[OMEGA], tension_N=tension)
         x, torque = self.stages.torque(x, at_drum, c.by_torque[OMEGA])

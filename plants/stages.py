@@ -69,10 +69,11 @@ class Stages:
         """
         torque = ca.SX(0.0)
         for effect, p, own in sorted(self._at(Port.DRUM), key=lambda at: at.effect.resists):
-            left = site._replace(velocity_rad_s=site.velocity_rad_s + velocity_per_torque * torque)
-            remembered, added = effect.respond(p, x[own], torque, left)
+            remembered, added = effect.respond(p, x[own], torque, site)
             x = _with(x, own, remembered)
             torque = torque + added
+            velocity = site.velocity_rad_s + velocity_per_torque * added
+            site = site._replace(velocity_rad_s=velocity)
         return x, torque
 
     def back(self, x: Expression, signal: Expression, site: Site) -> tuple[Expression, Expression]:

@@ -8,19 +8,21 @@ import casadi as ca
 
 from plants.effects.effect import Effect, Port, Signal, Site, parameter
 
+TINY_N = 1e-30
+"""Slack that no tension feels, so that none at zero tension is not 0/0."""
+
 
 @dataclass(frozen=True)
 class CableSlack(Effect):
     """Extra length taken up before the cable holds, as of loose windings that bed in.
 
-        R theta = T/k + s T/(T + T_s)
+        T = l^2/(4 k s)  up to l = 2 k s,    T = l - k s  above,    l = k R theta
 
-    The reel's own cable never pushes and holds at once; this one has a toe: half of the slack s is
-    taken up at the tension T_s, all of it at tensions far above.
+    The reel's own cable never pushes and holds at once; this one has a toe, over which it gets as
+    stiff as ever.
 
     Attributes:
         slack_m: The slack s, m.
-        bedding_N: Tension T_s at which half of it is taken up, N.
     """
 
     name: ClassVar[str] = "cable_slack"
@@ -32,12 +34,12 @@ class CableSlack(Effect):
     port: ClassVar[Port] = Port.CABLE
 
     slack_m: float = parameter(1e-3, low=0.0, high=0.05, unit="m", neutral=0.0)
-    bedding_N: float = parameter(3.0, low=0.1, high=50.0, unit="N")
 
     @staticmethod
     def prepare(p: SimpleNamespace, reel: SimpleNamespace) -> dict[str, Signal]:
         """The slack as a tension of the linear law, N."""
-        return {"slack_N": p.slack_m * reel.stiffness_N_m}
+        slack = p.slack_m * reel.stiffness_N_m + TINY_N
+        return {"slack_N": slack, "bend_per_N": 0.25 / slack}
 
     @staticmethod
     def respond(
@@ -46,12 +48,11 @@ class CableSlack(Effect):
         signal: Signal,
         site: Site,  # noqa: ARG004  the law is the same at all times
     ) -> tuple[Signal, Signal]:
-        """The root T of T^2 + (T_s + k s - l) T = l T_s, above zero where l is."""
+        """The tension; a slack cable stays slack."""
         pulled = ca.fmax(signal, 0.0)
-        half = 0.5 * (pulled - p.bedding_N - p.slack_N)
-        root = ca.sqrt(half * half + pulled * p.bedding_N)
-        # Without slack the root is |l + T_s|/2 and this is l to rounding.
-        return state, half + root + (signal - pulled)
+        beyond_toe = signal > 2.0 * p.slack_N
+        toe = (p.bend_per_N * pulled) * pulled
+        return state, ca.if_else(beyond_toe, signal - p.slack_N, toe)
 
     @staticmethod
     def rest(
@@ -61,5 +62,5 @@ class CableSlack(Effect):
         site: Site,  # noqa: ARG004  the law is the same at all times
     ) -> tuple[Signal, Signal]:
         """The linear law's tension."""
-        pulled = ca.fmax(signal, 0.0)
-        return state, signal + p.slack_N * pulled / (pulled + p.bedding_N)
+        toe = ca.sqrt(4.0 * p.slack_N * ca.fmax(signal, 0.0))
+        return state, ca.if_else(signal > p.slack_N, signal + p.slack_N, toe)

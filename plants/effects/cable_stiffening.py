@@ -35,7 +35,7 @@ class CableStiffening(Effect):
         site: Site,  # noqa: ARG004  the law is the same at all times
     ) -> tuple[Signal, Signal]:
         """The tension; a slack cable stays slack."""
-        return state, signal + p.stiffening_per_N * signal * ca.fmax(signal, 0.0)
+        return state, signal * (1.0 + p.stiffening_per_N * ca.fmax(signal, 0.0))
 
     @staticmethod
     def rest(

@@ -20,8 +20,8 @@ class CableWeight(Effect):
 
     The last two terms are the length that the parabola's sag takes up (Irvine 1981), beyond that
     of the reel's own weight w at the preload T_0; the law's slope there is Ernst's. The root is
-    found anew in each substep by one step of Newton's method from where the last two lead, and
-    never lies below a bound of its own: such a cable does not go slack.
+    found anew in each substep by one step of Newton's method from where the last two lead. Such a
+    cable does not go slack.
 
     Attributes:
         density_kg_m: Mass dmu added per length, kg/m.
@@ -45,7 +45,12 @@ class CableWeight(Effect):
         weights = (density + p.density_kg_m) ** 2 - density**2
         q = weights * reel.gravity_m_s2**2 * reel.cable_length_m**3 / 24.0
         cube = q * reel.stiffness_N_m + TINY_N3
-        return {"cube": cube, "root": cube ** (1.0 / 3.0), "shift": cube / reel.preload_N**2}
+        return {
+            "twice": 2.0 * cube,
+            "thrice": 3.0 * cube,
+            "root": cube ** (1.0 / 3.0),
+            "shift": cube / reel.preload_N**2,
+        }
 
     @staticmethod
     def respond(
@@ -56,12 +61,11 @@ class CableWeight(Effect):
     ) -> tuple[Signal, Signal]:
         """The root T of T - s - kq/T^2, which is concave: Newton's steps end below it."""
         s = signal - p.shift
-        # T^2 = kq/(T - s), where T is at most the third root plus s.
-        least = p.root * p.root / (p.root + ca.fmax(-s, 0.0))
-        start = ca.fmax(2.0 * state[0] - state[1], least)
+        start = ca.fmax(2.0 * state[0] - state[1], 0.125 * state[0])
         square = start * start
-        found = start * (s * square + 3.0 * p.cube) / (start * square + 2.0 * p.cube)
-        found = ca.fmax(found, ca.fmax(s, least))
+        found = (start / (start * square + p.twice)) * (square * s + p.thrice)
+        # The root lies above s, and stays above zero in however fast a fall.
+        found = ca.fmax(ca.fmax(found, s), ca.fmin(0.125 * start, p.root))
         return ca.vertcat(found, state[0]), found
 
     @staticmethod
@@ -73,4 +77,4 @@ class CableWeight(Effect):
     ) -> tuple[Signal, Signal]:
         """The linear law's tension."""
         tension = ca.fmax(signal, p.root)
-        return ca.vertcat(tension, tension), tension - p.cube / tension**2 + p.shift
+        return ca.vertcat(tension, tension), tension - 0.5 * p.twice / tension**2 + p.shift

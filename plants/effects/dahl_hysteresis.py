@@ -6,6 +6,7 @@ from typing import ClassVar
 
 import casadi as ca
 
+from plants.effects.bristles import bent
 from plants.effects.effect import Effect, Port, Signal, Site, parameter
 
 
@@ -15,9 +16,9 @@ class DahlHysteresis(Effect):
 
         tau = -F z,    dz/dtheta = (sign(omega) - z)/d,    z = 0 at the start
 
-    z is propagated exactly over the angle turned in a substep, the torque is its mean. The angle
-    is that of the substep's mean velocity with friction's own answer in it, solved to first order,
-    so that stiff bristles do not make the drum ring.
+    The torque is that of the mean z over a substep. The angle turned in it is that of the mean
+    velocity with friction's own answer in it, solved to first order, so that stiff bristles do
+    not make the drum ring.
 
     Attributes:
         torque_Nm: Size F of the friction once it slips, N m.
@@ -39,8 +40,10 @@ class DahlHysteresis(Effect):
 
     @staticmethod
     def prepare(p: SimpleNamespace, reel: SimpleNamespace) -> dict[str, Signal]:
-        """Share of the bristles' length per velocity, s/rad."""
-        return {"bend_s_rad": reel.substep_s / p.presliding_rad}
+        """Half the friction, the velocity it takes off in a substep, and lengths per velocity."""
+        half = 0.5 * p.torque_Nm
+        slowing, bend = half / reel.torque_per_velocity, reel.substep_s / p.presliding_rad
+        return {"half": half, "slowing": slowing, "bend": bend, "grip": 0.5 * slowing * bend}
 
     @staticmethod
     def respond(
@@ -50,13 +53,9 @@ class DahlHysteresis(Effect):
         site: Site,
     ) -> tuple[Signal, Signal]:
         """The mean torque of the bristles over the substep."""
-        # With the torque F z held, the mean velocity would be `unheld`; F z/2 counts in a mean.
-        half = 0.5 * p.torque_Nm
-        unheld = 0.5 * (
-            (site.start_velocity_rad_s + site.velocity_rad_s) * site.torque_per_velocity
-        ) - (half * state)
-        direction = ca.sign(unheld)
-        stiffness = half * p.bend_s_rad * (1.0 - direction * state)
-        mean = unheld / (site.torque_per_velocity + 0.5 * stiffness)
-        bent = direction + (state - direction) * ca.exp(-p.bend_s_rad * ca.fabs(mean))
-        return bent, -half * (state + bent)
+        # What the mean velocity would be if the bristles kept their torque.
+        start = 0.5 * site.start_velocity_rad_s - p.slowing * state
+        unheld = start + 0.5 * site.velocity_rad_s
+        stiffness = p.grip * (1.0 - ca.sign(unheld) * state)
+        further = bent(state, unheld * (p.bend / (1.0 + stiffness)))
+        return state + further, -p.torque_Nm * state - p.half * further

@@ -7,6 +7,7 @@ from typing import ClassVar
 
 import casadi as ca
 
+from plants.effects import turning
 from plants.effects.effect import Effect, Port, Signal, Site, parameter
 
 
@@ -32,6 +33,7 @@ class DrumEccentricity(Effect):
     )
     port: ClassVar[Port] = Port.CABLE
     also: ClassVar[tuple[Port, ...]] = (Port.DRUM,)
+    states: ClassVar[int] = turning.STATES
 
     eccentricity: float = parameter(0.02, low=0.0, high=0.2, unit="", neutral=0.0)
     phase_rad: float = parameter(0.0, low=-math.pi, high=math.pi, unit="rad")
@@ -40,24 +42,28 @@ class DrumEccentricity(Effect):
     def prepare(p: SimpleNamespace, reel: SimpleNamespace) -> dict[str, Signal]:
         """What the eccentricity stands for in tension and in arm."""
         arm = p.eccentricity * reel.drum_radius_m
-        return {"arm_m": arm, "swing_N": arm * reel.stiffness_N_m, "zero": ca.sin(p.phase_rad)}
+        swing = arm * reel.stiffness_N_m
+        return {"arm_m": arm, "swing_N": swing, "taut_N": swing * ca.sin(p.phase_rad)}
 
     @staticmethod
     def respond(
         p: SimpleNamespace, state: Signal, signal: Signal, site: Site
     ) -> tuple[Signal, Signal]:
-        """At the cable the tension for the length wound in, at the drum the arm's torque."""
-        place = site.angle_rad + p.phase_rad
+        """At the cable the tension for the length wound in, then at the drum the arm's torque."""
         if site.port is Port.DRUM:
-            return state, -p.arm_m * ca.cos(place) * site.tension_N
-        return state, signal + p.swing_N * (ca.sin(place) - p.zero)
+            return state, -p.arm_m * state[1] * site.tension_N
+        place = turning.turned(state, site.angle_rad + p.phase_rad)
+        return place, (signal - p.taut_N) + p.swing_N * place[0]
 
     @staticmethod
     def rest(
-        p: SimpleNamespace, state: Signal, signal: Signal, site: Site
+        p: SimpleNamespace,
+        state: Signal,  # noqa: ARG004  it is the angle
+        signal: Signal,
+        site: Site,
     ) -> tuple[Signal, Signal]:
         """The same, traced back at the cable."""
-        place = site.angle_rad + p.phase_rad
+        place = turning.noted(site.angle_rad + p.phase_rad)
         if site.port is Port.DRUM:
-            return state, -p.arm_m * ca.cos(place) * site.tension_N
-        return state, signal - p.swing_N * (ca.sin(place) - p.zero)
+            return place, -p.arm_m * place[1] * site.tension_N
+        return place, signal - p.swing_N * place[0] + p.taut_N

@@ -152,7 +152,8 @@ class Effect(ABC):
         Args:
             p: The parameters by name.
             reel: The attributes of the `Reel` by name, and beside them `preload_N`,
-                `stiffness_N_m` of the linear law, `gravity_m_s2`, `sample_s` and `substep_s`.
+                `stiffness_N_m` of the linear law, `gravity_m_s2`, `sample_s`, `substep_s`, and
+                `torque_per_velocity` of a substep as in `Site`.
         """
         return {}
 

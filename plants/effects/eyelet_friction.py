@@ -4,8 +4,7 @@ from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import ClassVar
 
-import casadi as ca
-
+from plants.effects.bristles import bent
 from plants.effects.effect import Effect, Port, Signal, Site, parameter
 
 
@@ -13,12 +12,11 @@ from plants.effects.effect import Effect, Port, Signal, Site, parameter
 class EyeletFriction(Effect):
     """Dry friction at the eyelet: the tension inside exceeds that outside when winding in.
 
-        T = T_o B^(-z),    dz/dx = (sign(dx) - z)/d
+        T = T_o (1 + z (1/B - B)/2 + z^2 (1/B + B - 2)/2),    dz/dx = (sign(dx) - z)/d
 
-    With B the attenuation ratio of (23), which `estune.reel` works out of the cable's angles and
-    the friction coefficient: the cable slides in with T_o = B T and out with T = B T_o. Between,
-    z follows the cable's travel x over the length d as Dahl's bristles do; it starts at zero. The
-    record then has the tension outside as `reference_N`.
+    With the attenuation ratio B of (23) the cable slides in with T_o = B T, at z = 1, and out with
+    T = B T_o, at z = -1. Between, z follows the cable's travel x over the length d as Dahl's
+    bristles do; it starts at zero. The record then has the tension outside as `reference_N`.
 
     Attributes:
         attenuation: Attenuation ratio B.
@@ -34,22 +32,23 @@ class EyeletFriction(Effect):
     port: ClassVar[Port] = Port.EYELET
     states: ClassVar[int] = 1
 
-    attenuation: float = parameter(0.95, low=0.3, high=1.0, unit="", neutral=1.0)
+    attenuation: float = parameter(0.95, low=0.35, high=1.0, unit="", neutral=1.0)
     slip_m: float = parameter(5e-4, low=5e-5, high=0.05, unit="m")
 
     @staticmethod
     def prepare(p: SimpleNamespace, reel: SimpleNamespace) -> dict[str, Signal]:
-        """Logarithm of the ratio, and share of the slip length travelled per velocity, s/rad."""
-        travel = reel.drum_radius_m * reel.substep_s / p.slip_m
-        return {"logarithm": -ca.log(p.attenuation), "travel_s_rad": travel}
+        """The factors of z and z^2, and slip lengths travelled per velocity, s/rad."""
+        within, without = 1.0 / p.attenuation, p.attenuation
+        return {
+            "odd": 0.5 * (within - without),
+            "even": 0.5 * (within + without) - 1.0,
+            "travel_s_rad": reel.drum_radius_m * reel.substep_s / p.slip_m,
+        }
 
     @staticmethod
     def respond(
         p: SimpleNamespace, state: Signal, signal: Signal, site: Site
     ) -> tuple[Signal, Signal]:
         """The tension inside."""
-        velocity = site.start_velocity_rad_s
-        direction = ca.sign(velocity)
-        kept = ca.exp(-p.travel_s_rad * ca.fabs(velocity))
-        z = direction + (state - direction) * kept
-        return z, signal * ca.exp(p.logarithm * z)
+        z = state + bent(state, p.travel_s_rad * site.start_velocity_rad_s)
+        return z, signal * (1.0 + z * (p.odd + z * p.even))

@@ -42,15 +42,14 @@ class GaugeResonance(Effect):
 
     @staticmethod
     def prepare(p: SimpleNamespace, reel: SimpleNamespace) -> dict[str, Signal]:
-        """Exact propagation over a sample of mode and input together."""
+        """Exact propagation over a sample of g - T and g'/w, for a change of T."""
         w = 2.0 * math.pi * p.frequency_Hz
-        A, B = ca.SX(3, 3), ca.SX(3, 1)  # g, g'/w, T; the slope of T is the input
-        A[0, 1] = w
-        A[1, 0], A[1, 1], A[1, 2] = -w, -2.0 * p.damping * w, w
-        B[2] = 1.0 / reel.sample_s
+        A, B = ca.SX(2, 2), ca.SX(2, 1)  # the input is the slope of T
+        A[0, 1], A[1, 0], A[1, 1] = w, -w, -2.0 * p.damping * w
+        B[0] = -1.0
         transition, gamma = held_input(A, B, reel.sample_s, SQUARINGS)
-        entries = {f"a{n}{m}": transition[n, m] for n in range(2) for m in range(3)}
-        return entries | {"b0": gamma[0], "b1": gamma[1]}
+        entries = {f"a{n}{m}": transition[n, m] for n in range(2) for m in range(2)}
+        return entries | {"b0": gamma[0] / reel.sample_s, "b1": gamma[1] / reel.sample_s}
 
     @staticmethod
     def respond(
@@ -60,19 +59,17 @@ class GaugeResonance(Effect):
         site: Site,  # noqa: ARG004  the span is in the numbers prepared
     ) -> tuple[Signal, Signal]:
         """The tension read."""
-        g, rate, before = state[0], state[1], state[2]
-        change = signal - before
-        following = p.a00 * g + p.a01 * rate + p.a02 * before + p.b0 * change
-        rate = p.a10 * g + p.a11 * rate + p.a12 * before + p.b1 * change
-        read = signal + p.share * (following - signal)
-        return ca.vertcat(following, rate, signal), read
+        behind, rate, change = state[0], state[1], signal - state[2]
+        following = p.a00 * behind + p.a01 * rate + p.b0 * change
+        rate = p.a10 * behind + p.a11 * rate + p.b1 * change
+        return ca.vertcat(following, rate, signal), signal + p.share * following
 
     @staticmethod
     def rest(
         p: SimpleNamespace,  # noqa: ARG004  the mode has settled
-        state: Signal,  # noqa: ARG004  it is the tension
+        state: Signal,  # noqa: ARG004  nothing is behind
         signal: Signal,
         site: Site,  # noqa: ARG004  the same anywhere
     ) -> tuple[Signal, Signal]:
         """The mode follows what is steady."""
-        return ca.vertcat(signal, 0.0, signal), signal
+        return ca.vertcat(0.0, 0.0, signal), signal

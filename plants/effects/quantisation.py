@@ -30,12 +30,20 @@ class Quantisation(Effect):
     step_N: float = parameter(0.1, low=0.0, high=5.0, unit="N", neutral=0.0)
 
     @staticmethod
+    def prepare(
+        p: SimpleNamespace,
+        reel: SimpleNamespace,  # noqa: ARG004  a step is the same on any reel
+    ) -> dict[str, Signal]:
+        """The step, and steps per newton; a step of zero is taken as one too small to see."""
+        step = ca.fmax(p.step_N, FINEST_N)
+        return {"step": step, "per_N": 1.0 / step}
+
+    @staticmethod
     def respond(
         p: SimpleNamespace,
         state: Signal,
         signal: Signal,
         site: Site,  # noqa: ARG004  the steps are the same at all times
     ) -> tuple[Signal, Signal]:
-        """The nearest step; a step of zero is taken as one too small to see."""
-        step = ca.fmax(p.step_N, FINEST_N)
-        return state, step * ca.floor(signal / step + 0.5)
+        """The nearest step."""
+        return state, p.step * ca.floor(signal * p.per_N + 0.5)

@@ -8,19 +8,19 @@ from typing import ClassVar
 import casadi as ca
 
 from plants.effects.effect import Effect, Port, Signal, Site, parameter
-from plants.effects.oscillator import advance, stepping
+from plants.effects.oscillator import stepping
 
 
 @dataclass(frozen=True)
 class StringMode(Effect):
     """The cable's first transverse mode: its sag needs time to follow the tension.
 
-        v'' + 2 zeta w v' = w^2 (1 - (T/T_0)(1 + v)),    w = (pi/L) sqrt(T_0/mu)
-        T = l + c/(1 - c) (l - T_0 (1 - v))
+        v'' + 2 zeta w v' = w^2 (1 - v T/T_0),    w = (pi/L) sqrt(T_0/mu)
+        T = l + c/(1 - c) (l - T_0 (2 - v))
 
-    v is the change of the sag relative to that at the preload T_0, c the sag's share in the
-    reel's flexibility 1/k: slowly, the cable gives as the linear law says; faster than the string,
-    whose frequency is that of (31), sag cannot follow and the cable is 1/(1 - c) times as stiff.
+    v is the sag relative to that at the preload T_0, c the sag's share in the reel's flexibility
+    1/k: slowly, the cable gives as the linear law says; faster than the string, whose frequency is
+    that of (31), sag cannot follow and the cable is 1/(1 - c) times as stiff.
     One sine for the string's shape gives c = k (pi y_0)^2/(2 L T_0) with the sag
     y_0 = 4 mu g L^2/(pi^3 T_0).
 
@@ -51,8 +51,9 @@ class StringMode(Effect):
         return {
             "keep": keep,
             "pull": pull,
-            "gain": gain,
+            "stiffer": 1.0 + gain,
             "preload_N": reel.preload_N,
+            "share_N": gain * reel.preload_N,
             "per_preload": 1.0 / reel.preload_N,
         }
 
@@ -65,10 +66,9 @@ class StringMode(Effect):
     ) -> tuple[Signal, Signal]:
         """The tension with what the string adds."""
         v, last = state[0], state[1]
-        tension = signal + p.gain * (signal - p.preload_N * (1.0 - v))
-        pulled = ca.fmax(tension, 0.0) * p.per_preload
-        following, step = advance(p.keep, p.pull, v, last, 1.0 + v - pulled * (1.0 + v))
-        return ca.vertcat(following, step), tension
+        tension = p.stiffer * signal - p.share_N * (2.0 - v)
+        step = p.keep * last + p.pull * (1.0 - v * (ca.fmax(tension, 0.0) * p.per_preload))
+        return ca.vertcat(v + step, step), tension
 
     @staticmethod
     def rest(
@@ -79,6 +79,6 @@ class StringMode(Effect):
     ) -> tuple[Signal, Signal]:
         """The sag at this tension, and the linear law's tension."""
         tension = ca.fmax(signal, 0.05 * p.preload_N)
-        v = p.preload_N / tension - 1.0
-        linear = (tension + p.gain * p.preload_N * (1.0 - v)) / (1.0 + p.gain)
+        v = p.preload_N / tension
+        linear = (tension + p.share_N * (2.0 - v)) / p.stiffer
         return ca.vertcat(v, 0.0), linear

@@ -8,7 +8,7 @@ from typing import ClassVar
 import casadi as ca
 
 from plants.effects.effect import Effect, Port, Signal, Site, parameter
-from plants.effects.oscillator import advance, stepping
+from plants.effects.oscillator import stepping
 
 
 @dataclass(frozen=True)
@@ -57,8 +57,8 @@ class StructuralMode(Effect):
         """The tension left."""
         q, last = state[0], state[1]
         goal = p.settled * ca.fmax(signal, q)  # with T = max(0, l - q), T + q is max(l, q)
-        following, step = advance(p.keep, p.pull, q, last, goal)
-        return ca.vertcat(following, step), signal - q
+        step = p.keep * last + p.pull * (goal - q)
+        return ca.vertcat(q + step, step), signal - q
 
     @staticmethod
     def rest(

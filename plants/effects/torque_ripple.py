@@ -5,8 +5,7 @@ from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import ClassVar
 
-import casadi as ca
-
+from plants.effects import turning
 from plants.effects.effect import Effect, Port, Signal, Site, parameter
 
 
@@ -27,6 +26,7 @@ class TorqueRipple(Effect):
         "whatever the velocity"
     )
     port: ClassVar[Port] = Port.DRUM
+    states: ClassVar[int] = turning.STATES
 
     amplitude_Nm: float = parameter(0.01, low=0.0, high=0.5, unit="N m", neutral=0.0)
     per_turn: float = parameter(24.0, low=1.0, high=300.0, unit="")
@@ -40,11 +40,16 @@ class TorqueRipple(Effect):
         site: Site,
     ) -> tuple[Signal, Signal]:
         """The torque at this angle."""
-        return state, -p.amplitude_Nm * ca.sin(p.per_turn * site.angle_rad + p.phase_rad)
+        phase = turning.turned(state, p.per_turn * site.angle_rad + p.phase_rad)
+        return phase, -p.amplitude_Nm * phase[0]
 
     @staticmethod
     def rest(
-        p: SimpleNamespace, state: Signal, signal: Signal, site: Site
+        p: SimpleNamespace,
+        state: Signal,  # noqa: ARG004  it is the phase
+        signal: Signal,  # noqa: ARG004  it does not depend on the torque of other effects
+        site: Site,
     ) -> tuple[Signal, Signal]:
-        """The same: it depends on the angle alone."""
-        return TorqueRipple.respond(p, state, signal, site)
+        """The same at the angle of rest."""
+        phase = turning.noted(p.per_turn * site.angle_rad + p.phase_rad)
+        return phase, -p.amplitude_Nm * phase[0]
