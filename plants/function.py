@@ -60,7 +60,7 @@ class PythonPlant(Mounted, ServesAsRig):
         columns = Columns.empty(len(coefficients), len(setpoint))
         for n, row in enumerate(coefficients):
             noise = np.zeros(len(setpoint)) if noise_N is None else noise_N[n]
-            one = Columns(*(column[n] for column in columns))
+            one = columns.trial(n)
             columns.ended[n] = self._trial(
                 pidf.Coefficients(*row.tolist()), setpoint, noise, bound_N, one
             )

@@ -29,6 +29,7 @@ class Columns(NamedTuple):
         flags: `SATURATED` where the controller's limits acted, same shape.
         ended: For each trial the first sample that left the bound or is not finite, or the number
             of samples, shape (trials,).
+        reference_N: Tension outside the reel, same shape; None where that is the same.
     """
 
     tension_N: FloatArray
@@ -36,13 +37,21 @@ class Columns(NamedTuple):
     angle_rad: FloatArray
     flags: NDArray[np.uint8]
     ended: NDArray[np.int64]
+    reference_N: FloatArray | None = None
 
     @classmethod
-    def empty(cls, trials: int, samples: int) -> "Columns":
-        """Room for a batch of trials."""
+    def empty(cls, trials: int, samples: int, *, reference: bool = False) -> "Columns":
+        """Room for a batch of trials, with or without the tension outside."""
         signals = np.empty((3, trials, samples))
-        flags = np.zeros((trials, samples), np.uint8)
-        return cls(signals[0], signals[1], signals[2], flags, np.empty(trials, np.int64))
+        flags, ended = np.zeros((trials, samples), np.uint8), np.empty(trials, np.int64)
+        outside = np.empty((trials, samples)) if reference else None
+        return cls(signals[0], signals[1], signals[2], flags, ended, outside)
+
+    def trial(self, n: int) -> "Columns":
+        """The columns of one trial; writing to them writes to the batch."""
+        signals = self.tension_N[n], self.effort_N[n], self.angle_rad[n]
+        outside = None if self.reference_N is None else self.reference_N[n]
+        return Columns(*signals, self.flags[n], self.ended[n : n + 1], outside)
 
 
 class Plant(Protocol):

@@ -163,6 +163,9 @@ class SimulatedRig:
             current_A=_read_only(current, end.kept),
             angle_rad=_read_only(response.angle_rad, end.kept),
             flags=_read_only(response.flags, end.kept),
+            reference_N=None
+            if response.reference_N is None
+            else _read_only(response.reference_N, end.kept),
         )
 
     def _again(

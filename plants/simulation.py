@@ -38,6 +38,7 @@ class Response:
         flags: `SATURATED` where the limits acted.
         diverged_at: The first sample that left the bound or was not finite; it and those after it
             are not in the columns. None if the trial ran to its end.
+        reference_N: Tension outside the reel; None where that is the same.
     """
 
     time_s: FloatArray
@@ -47,6 +48,7 @@ class Response:
     angle_rad: FloatArray
     flags: NDArray[np.uint8]
     diverged_at: int | None
+    reference_N: FloatArray | None = None
 
 
 def simulate(
@@ -87,9 +89,9 @@ def simulate(
         bound(profile) if bound_N is None else min(bound_N, sys.float_info.max),
     )
     ended = int(columns.ended[0])
-    tension, effort, angle, flags = (column[0] for column in columns[:4])
+    tension, effort, angle, flags, _, reference = columns.trial(0)
     if ended == len(time):
-        return Response(time, setpoint, tension, effort, angle, flags, None)
+        return Response(time, setpoint, tension, effort, angle, flags, None, reference)
     kept = slice(ended)
     return Response(
         time[kept],
@@ -99,6 +101,7 @@ def simulate(
         angle[kept],
         flags[kept],
         ended,
+        None if reference is None else reference[kept],
     )
 
 

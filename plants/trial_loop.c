@@ -14,7 +14,8 @@
 static long one_trial(long samples, long delay, double bound, double preload,
                       const double *parameters, const double *coefficients,
                       const double *setpoint, const double *noise, double *ring,
-                      double *tension, double *effort, double *angle, unsigned char *flags) {
+                      double *tension, double *effort, double *angle, double *reference,
+                      unsigned char *flags) {
   /* CasADi writes outputs before it has read all inputs, so that in and out must not be one. */
   double constants[CONSTANTS], state[STATES], moved[STATES], pidf[PIDF_STATES];
   double following[PIDF_STATES], drive, excess;
@@ -30,12 +31,13 @@ static long one_trial(long samples, long delay, double bound, double preload,
   for (k = 0; k < samples; k++) {
     {
       const double *arg[7];
-      double *res[7];
+      double *res[8];
       arg[0] = constants; arg[1] = state; arg[2] = ring + before;
       arg[3] = noise ? noise + k : 0;  /* no address reads as zero */
       arg[4] = coefficients; arg[5] = pidf; arg[6] = setpoint + k;
       res[0] = moved; res[1] = tension + k; res[2] = angle + k;
       res[3] = following; res[4] = effort + k; res[5] = ring + now; res[6] = &excess;
+      res[7] = reference ? reference + k : 0;  /* to no address nothing is written */
       estune_sense(arg, res, 0, 0, 0);
     }
     /* Written so that a NaN ends the trial too. */
@@ -68,7 +70,7 @@ __attribute__((visibility("default"))) int estune_trials(
     long trials, long samples, long delay, double bound, double preload,
     const double *parameters, long parameter_stride, const double *coefficients,
     const double *setpoint, const double *noise, long noise_stride, double *tension,
-    double *effort, double *angle, unsigned char *flags, long long *ended) {
+    double *effort, double *angle, double *reference, unsigned char *flags, long long *ended) {
   double *ring = malloc((delay + 2) * sizeof *ring);
   long t;
   if (!ring) return 1;
@@ -76,7 +78,8 @@ __attribute__((visibility("default"))) int estune_trials(
     ended[t] = one_trial(samples, delay, bound, preload, parameters + t * parameter_stride,
                          coefficients + t * COEFFICIENTS, setpoint,
                          noise ? noise + t * noise_stride : 0, ring, tension + t * samples,
-                         effort + t * samples, angle + t * samples, flags + t * samples);
+                         effort + t * samples, angle + t * samples,
+                         reference ? reference + t * samples : 0, flags + t * samples);
   }
   free(ring);
   return 0;

@@ -74,7 +74,8 @@ class Functions(NamedTuple):
     Attributes:
         prepare: (parameters, preload) -> (constants, state, controller state, drive at rest).
         sense: (constants, state, drive in force, noise, coefficients, controller state, setpoint)
-            -> (state, measurement, angle, controller state, effort, drive, excess).
+            -> (state, measurement, angle, controller state, effort, drive, excess, tension
+            outside: no number where the plant has no gauge there).
         substep: (constants, state, drive before, drive after, n) -> state.
         move: (constants, state, drive before, drive after) -> state one sample later.
         substeps: Number of substeps in a sample.
@@ -85,6 +86,11 @@ class Functions(NamedTuple):
     substep: Any
     move: Any
     substeps: int
+
+    @property
+    def has_reference(self) -> bool:
+        """Whether the plant has a gauge outside."""
+        return bool(self.sense.numel_out(7))
 
 
 def loop_functions(plant: Equations) -> Functions:
@@ -108,7 +114,8 @@ def loop_functions(plant: Equations) -> Functions:
         measurement,
     )
     driven, drive = plant.drive(c, observed, effort)
-    outputs = [driven, measurement, angle, ca.vertcat(*following), effort, drive, excess]
+    outside = ca.SX(0, 1) if plant.outside is None else plant.outside(c, observed)
+    outputs = [driven, measurement, angle, ca.vertcat(*following), effort, drive, excess, outside]
     sense = ca.Function(
         "estune_sense",
         [c, x, in_force, noise, coefficients, memory, setpoint],
@@ -129,13 +136,14 @@ class CompiledLoop:
         Raises:
             PlantError: no compiler, or it failed.
         """
+        self._reference = functions.has_reference
         library = compiler.load(_source(functions))
         self._trials = library.estune_trials
         address, count = ctypes.c_void_p, ctypes.c_long
         self._trials.argtypes = (
             *(count, count, count, ctypes.c_double, ctypes.c_double),
             *(address, count, address, address, address, count),
-            *(address, address, address, address, address),
+            *(address, address, address, address, address, address),
         )
         self._trials.restype = ctypes.c_int
 
@@ -147,7 +155,7 @@ class CompiledLoop:
         setpoint = np.ascontiguousarray(batch.setpoint_N, np.float64)
         noise = None if batch.noise_N is None else np.ascontiguousarray(batch.noise_N, np.float64)
         trials, samples = len(coefficients), len(setpoint)
-        signals = np.empty((3, trials, samples))
+        signals = np.empty((3 + self._reference, trials, samples))
         flags, ended = np.empty((trials, samples), np.uint8), np.empty(trials, np.int64)
         tension, signal_bytes = _address(signals), 8 * trials * samples
         failed = self._trials(
@@ -159,12 +167,14 @@ class CompiledLoop:
             None if noise is None else _address(noise),
             samples,
             *(tension, tension + signal_bytes, tension + 2 * signal_bytes),
+            tension + 3 * signal_bytes if self._reference else None,
             _address(flags),
             _address(ended),
         )
         if failed:
             raise MemoryError(f"no memory for a dead time of {batch.delay} samples")
-        return Columns(signals[0], signals[1], signals[2], flags, ended)
+        reference = signals[3] if self._reference else None
+        return Columns(signals[0], signals[1], signals[2], flags, ended, reference)
 
 
 def _address(array: Any) -> int:
@@ -211,14 +221,14 @@ class VirtualLoop:
     def run(self, batch: Batch) -> Columns:
         """Runs the trials, one after the other."""
         trials, samples = len(batch.coefficients), len(batch.setpoint_N)
-        columns = Columns.empty(trials, samples)
+        columns = Columns.empty(trials, samples, reference=self._functions.has_reference)
         parameters = np.broadcast_to(batch.parameters, (trials, batch.parameters.shape[-1]))
         noise = np.zeros((1, samples)) if batch.noise_N is None else batch.noise_N
         noise = np.broadcast_to(noise, (trials, samples))
         machine = _Machine(self._functions)
         for n in range(trials):
             machine.start(parameters[n], batch.preload_N, batch.coefficients[n])
-            one = Columns(*(column[n] for column in columns))
+            one = columns.trial(n)
             columns.ended[n] = machine.trial(batch, noise[n], one)
         return columns
 
@@ -231,7 +241,11 @@ class _Machine:
         scalars = ["preload", "setpoint", "noise", "before", "after"]
         scalars += ["y", "angle", "effort", "drive", "excess"]
         room = dict.fromkeys(scalars, 1)
-        room |= {"parameters": prepare.numel_in(0), "coefficients": COEFFICIENTS}
+        room |= {
+            "reference": sense.numel_out(7),
+            "parameters": prepare.numel_in(0),
+            "coefficients": COEFFICIENTS,
+        }
         room |= {"constants": prepare.numel_out(0), "pidf": PIDF_STATES, "following": PIDF_STATES}
         room |= {"state": move.numel_out(0), "driven": move.numel_out(0)}
         self.memory: dict[str, Any] = {n: np.zeros(size).data for n, size in room.items()}
@@ -240,7 +254,7 @@ class _Machine:
         self.sense = self._bind(
             sense,
             "constants state before noise coefficients pidf setpoint",
-            "driven y angle following effort drive excess",
+            "driven y angle following effort drive excess reference",
         )
         self.move = self._bind(move, "constants driven before after", "state")
 
@@ -273,6 +287,8 @@ class _Machine:
             y = m["y"][0]
             columns.tension_N[k], columns.effort_N[k] = y, m["effort"][0]
             columns.angle_rad[k] = m["angle"][0]
+            if columns.reference_N is not None:
+                columns.reference_N[k] = m["reference"][0]
             if not -batch.bound_N <= y <= batch.bound_N:
                 return k
             columns.flags[k] = SATURATED if m["excess"][0] else 0

@@ -41,7 +41,7 @@ def open_loop_record(reel: Reel, excitation: Excitation, seed: int | None = 0) -
     noise = np.zeros(samples)
     if seed is not None and reel.noise_rms_N > 0.0:
         noise = NoiseSource(seed).draw(0, samples, reel.noise_rms_N)
-    tension, angle = _respond(reel, setpoint, noise)
+    tension, angle, reference = _respond(reel, setpoint, noise)
     bad = np.flatnonzero(~(np.isfinite(tension) & np.isfinite(angle)))
     if bad.size:
         raise PlantError(
@@ -66,6 +66,7 @@ def open_loop_record(reel: Reel, excitation: Excitation, seed: int | None = 0) -
         current_A=np.clip(setpoint, -limit, limit) / reel.newtons_per_ampere,
         angle_rad=angle,
         flags=np.where(np.abs(setpoint) > limit, SATURATED, 0).astype(np.uint8),
+        reference_N=reference if reel.structure.has_outside_gauge else None,
         loop="open",
         profile=excitation.profile,
     )
@@ -73,13 +74,13 @@ def open_loop_record(reel: Reel, excitation: Excitation, seed: int | None = 0) -
 
 def _respond(
     reel: Reel, effort_N: FloatArray, noise_N: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Tension and angle at each sample, shape (samples,) each."""
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Tension, angle and tension outside the eyelet at each sample, shape (samples,) each."""
     start, loop = _open_loop(reel.structure, reel.delay_samples, effort_N.size)
     constants, rest = start(reel.parameter_values, reel.tension_N)
     _, measured = loop(rest, constants, np.vstack([effort_N, noise_N]))
-    tension, angle = np.asarray(measured, dtype=np.float64)
-    return tension, angle
+    tension, angle, reference = np.asarray(measured, dtype=np.float64)
+    return tension, angle, reference
 
 
 @lru_cache(maxsize=16)
@@ -101,12 +102,13 @@ def _open_loop(structure: ReelStructure, delay: int, samples: int) -> tuple[Any,
     c, x, _, noise = plant.observe.sx_in()
     under_way, effort = ca.SX.sym("under_way", delay + 1), ca.SX.sym("effort")
     observed, measurement, angle = plant.observe(c, x, under_way[0], noise)
+    outside = measurement if plant.outside is None else plant.outside(c, observed)
     driven, drive = plant.drive(c, observed, effort)
     drives = ca.vertcat(under_way, drive)
     moved = plant.move(c, driven, drives[0], drives[1])
     sample = ca.Function(
         "sample",
         [ca.vertcat(x, under_way), c, ca.vertcat(effort, noise)],
-        [ca.vertcat(moved, drives[1:]), ca.vertcat(measurement, angle)],
+        [ca.vertcat(moved, drives[1:]), ca.vertcat(measurement, angle, outside)],
     )
     return start, sample.mapaccum("run", samples)
