@@ -1,0 +1,1 @@
+"""One short runnable file per question: `python -m experiments.NAME`."""

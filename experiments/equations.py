@@ -67,7 +67,8 @@ def table() -> str:
     rows = []
     for number in NUMBERS:
         places, tests = where.get(number, []), checked.get(number, [])
-        title = places[0].title.rstrip(".") if places else "missing"
+        # A bar would end the cell, in a formula too.
+        title = places[0].title.rstrip(".").replace("|", "\\|") if places else "missing"
         names = ", ".join(f"`{place.name}`" for place in places)
         rows.append(f"| ({number}) | {title} | {names} | {', '.join(f'`{t}`' for t in tests)} |\n")
     return _HEAD + "".join(rows)
