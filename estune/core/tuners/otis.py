@@ -128,12 +128,9 @@ class Otis:
         level, h = log_cost(observation), self.washout_h
         zeta = washout_at_rest(h, level) if state.zeta is None else state.zeta
         washed, zeta = washout(h, zeta, level)
-        slope = tuple(
-            [
-                low_pass(self.low_pass_share, g, d)
-                for g, d in zip(state.slope, self._demodulated(state.k, washed), strict=True)
-            ]
-        )
+        alpha = state.caution * self.dither_amplitude
+        news = zip(state.slope, self._demodulated(state.k, alpha, washed), strict=True)
+        slope = tuple([low_pass(self.low_pass_share, g, d) for g, d in news])
         wanted = limited(
             tuple([-self.adaptation_gain * g for g in slope]), state.caution * self.step_limit
         )
@@ -156,9 +153,9 @@ class Otis:
         """The search's centre, without dither."""
         return self.space.point(state.centre)
 
-    def _demodulated(self, k: int, washed: float) -> list[float]:
-        """d_i(k)."""
-        n, scale = len(self.space.names), 2.0 * washed / self.dither_amplitude
+    def _demodulated(self, k: int, alpha: float, washed: float) -> list[float]:
+        """d_i(k), of a trial that was dithered by alpha."""
+        n, scale = len(self.space.names), 2.0 * washed / alpha
         if self.demodulation == "published":
             return [scale * math.cos(w * k) for w in odd_frequencies(n)]
         return [
