@@ -418,7 +418,11 @@ def test_scatter_asks_for_the_sweeps_it_needs():
     eyelet = tr.Eyelet(scatter=0.05)
     result = measure(bench(eyelet, seed=1), eyelet.angles_rad, sweeps=5)
     assert not result.resolved
-    assert "sweeps" in result.remarks[0]
+    assert result.sweeps_needed > 5
+    assert f"take about {result.sweeps_needed} sweeps" in result.remarks[0]
+    # By then, the promised interval is as wide as the tolerance: 3.29 standard errors for many.
+    error = result.friction_coefficient.standard_error * math.sqrt(5.0 / result.sweeps_needed)
+    assert 3.29 * error == pytest.approx(0.02 * result.friction_coefficient.value, rel=0.1)
 
 
 def test_an_uncertain_angle_widens_the_interval_and_is_said():
@@ -433,7 +437,18 @@ def test_an_uncertain_angle_widens_the_interval_and_is_said():
         - known.friction_coefficient.standard_error**2
     )
     assert added == pytest.approx(expected, rel=0.05)
+    assert unsure.sweeps_needed is None
     assert any("angles" in remark for remark in unsure.remarks)
+
+
+def test_ratios_above_one_are_no_friction_that_can_be_told():
+    rows = [m._replace(x_2_N=2.01 * m.x_1_N - m.x_2_N / 0.9**4) for m in drifting(0.0)]
+    result = tr.evaluate(rows, [2.1])
+    assert result.attenuation.value > 1.0
+    assert not result.resolved
+    assert result.friction_coefficient.low == 0.0
+    assert result.friction_coefficient.high > 0.0
+    assert result.transparency().friction_share == 0.0
 
 
 def drifting(per_sweep):
@@ -568,6 +583,10 @@ def test_cable_that_never_breaks_out_is_said():
         (lambda: tr.evaluate(drifting(0.0), [math.pi]), "straight cable"),
         (lambda: tr.evaluate(drifting(0.0)[:-1], [2.1]), "whole sweeps"),
         (lambda: tr.evaluate(drifting(0.0)[:10], [2.1]), "2 sweeps"),
+        (
+            lambda: tr.evaluate([m._replace(y_2=m.y_2 - 9.0) for m in drifting(0.0)], [2.1]),
+            "too far off",
+        ),
         (lambda: tr.evaluate(drifting(0.0), [3.1], angle_error_rad=0.1), "straight to within"),
     ],
 )

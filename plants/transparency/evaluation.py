@@ -71,6 +71,8 @@ class TwoReelResult:
         friction_coefficient: Friction coefficient C_R there.
         mean_tension_N: Mean of all tensions at which friction acted, N.
         resolved: Whether C_R is known to within the tolerance.
+        sweeps_needed: Sweeps after which it should be, by their present scatter; None where no
+            number of sweeps would do.
         remarks: What stands in the way, or should be known; with what to do about it.
         curve: Loss of tension against tension.
         setpoint_N: Tensions commanded, N, shape (setpoints,).
@@ -87,6 +89,7 @@ class TwoReelResult:
     friction_coefficient: Estimate
     mean_tension_N: float
     resolved: bool
+    sweeps_needed: int | None
     remarks: tuple[str, ...]
     curve: FrictionCurve
     setpoint_N: FloatArray
@@ -188,6 +191,7 @@ def evaluate(
         friction_coefficient=C,
         mean_tension_N=middle,
         resolved=not remarks,
+        sweeps_needed=error.sweeps_needed(tolerance * C.value),
         remarks=(*remarks, *_notes(curve, middle)),
         curve=curve,
         setpoint_N=setpoint,
@@ -241,6 +245,12 @@ def _at_same_reading(table: FloatArray) -> FloatArray:
     curve = np.polyfit((y_1.ravel() - middle) / scale, x_1.ravel(), 2)
     between = (0.5 * (y_1 + y_2) - middle) / scale
     missing = np.polyval(np.polyder(curve), between) / scale * (y_1 - y_2)
+    far = np.abs(missing) > 0.2 * x_1
+    if far.any():
+        raise InvalidInput(
+            f"reel Y read {y_2[far][0]:.4g} when it was to pull to {y_1[far][0]:.4g}, too far off "
+            "to correct for; let it settle longer, or tune its tension controller"
+        )
     return np.asarray(x_2 * x_1 / (x_1 - missing))
 
 
@@ -295,6 +305,17 @@ class _Uncertainty(NamedTuple):
             np.hypot(student(probability, self.sweeps - 1) * self.scatter, normal * self.angle)
         )
 
+    def sweeps_needed(self, half_width: float) -> int | None:
+        """Sweeps that would make the promised interval as narrow as this, None if none would."""
+        left = half_width**2 - _Uncertainty(0.0, self.angle, self.sweeps).half_width(PROMISE) ** 2
+        if left <= 0.0:
+            return None
+        one_sweep = self.scatter * float(np.sqrt(self.sweeps / left))
+        count = max(LEAST_SWEEPS, int((student(PROMISE, 10**9) * one_sweep) ** 2))
+        while student(PROMISE, count - 1) * one_sweep > np.sqrt(count):
+            count += 1
+        return count
+
 
 def _coefficient(
     B: Estimate,
@@ -310,9 +331,9 @@ def _coefficient(
         ratio = min(max(ratio, _LEAST_B), 1.0)
         return float(friction_coefficient(ratio**2, *np.clip(angles + turn, 0.0, np.pi)))
 
-    value = coefficient(B.value)
-    step = B.standard_error
-    scatter = 0.5 * (coefficient(B.value - step) - coefficient(B.value + step))
+    value, step = coefficient(B.value), B.standard_error
+    # Towards smaller ratios alone, as there are none beyond 1.
+    scatter = coefficient(min(B.value, 1.0) - step) - value
     bent = np.clip(angles + angle_error_rad, 0.0, np.pi)
     if np.pi - bent.min() <= angle_error_rad:
         raise InvalidInput(
@@ -340,13 +361,12 @@ def _remarks(
         )
     elif half > tolerance * C.value:
         what = f"C_R is known to {100.0 * half / C.value:.2g} %, not {100.0 * tolerance:.2g} %"
-        if error.angle > error.scatter:
-            said.append(
-                f"{what}, mostly for the angles; measure them better, or bend the cable more"
-            )
-        else:
-            needed = int(np.ceil(error.sweeps * (half / (tolerance * C.value)) ** 2))
-            said.append(f"{what}; take about {needed} sweeps, or read for longer")
+        needed = error.sweeps_needed(tolerance * C.value)
+        said.append(
+            f"{what}, for the angles; measure them better, or bend the cable more"
+            if needed is None
+            else f"{what}; take about {needed} sweeps, read for longer, or bend the cable more"
+        )
     order = np.arange(per_sweep.size, dtype=np.float64)
     order -= order.mean()
     slope = float(order @ per_sweep / (order @ order))

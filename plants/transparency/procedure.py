@@ -36,6 +36,8 @@ LEAST_SWEEPS = 3
 
 _CHUNK_s = 0.2
 _PATIENCE_s = 20.0
+_NOTICE_s = 1.0
+"""Time in which a drum on its way back has come nearer by more than its encoder's counts."""
 
 
 class Measurement(NamedTuple):
@@ -82,7 +84,8 @@ class TwoReelProcedure:
         read_s: Time over which readings are averaged, s.
         breakout_slope_N_s: Slope of the force ramp, N/s. It must change the tension little within
             the response time of the reels; the text compares it with the inverse of that time,
-            which holds for the slope divided by the tension.
+            which holds for the slope divided by the tension. A steeper one also lets the cable
+            slide faster while readings are taken, where friction is no longer the static one.
         breakout_m: How far the held drum has to be pulled along until the cable counts as sliding,
             m; more than the cable inside the reel stretches meanwhile.
         travel_m: How much further it then moves while readings are taken, m.
@@ -231,15 +234,16 @@ class TwoReelProcedure:
     def _wait_for_home(self, bench: Bench, holding: Literal["x", "y"], home: float) -> None:
         """Waits until the held drum is back at its position, as each measurement needs."""
         radius = _reel(bench, holding).drum_radius_m
-        for _ in range(round(_PATIENCE_s / _CHUNK_s)):
-            record = bench.record(_CHUNK_s)
-            away = abs(float(_side(record, holding).angle_rad[-1]) - home) * radius
-            if away <= self.breakout_m:
-                return
-        raise RigError(
-            f"reel {holding.upper()} is {away * 1e3:.3g} mm from its position after "
-            f"{_PATIENCE_s:g} s; check its position controller"
-        )
+        away = math.inf
+        while away > self.breakout_m:
+            before = away
+            angle = _side(bench.record(_NOTICE_s), holding).angle_rad
+            away = abs(mean_reading(angle[-1:]) - home) * radius
+            if not away < before:
+                raise RigError(
+                    f"reel {holding.upper()} stays {away * 1e3:.3g} mm from its position; check "
+                    "its position controller"
+                )
 
     def _read_at_rest(self, bench: Bench, holding: Literal["x", "y"]) -> BenchRecord:
         """Reads while the held drum rests."""
