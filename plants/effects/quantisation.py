@@ -13,10 +13,10 @@ FINEST_N = 1e-12
 
 @dataclass(frozen=True)
 class Quantisation(Effect):
-    """A gauge read in steps, as by a coarse converter: the nearest multiple of the step.
+    """A gauge read in steps, as by a coarse converter: `y = q floor(T/q + 1/2)`.
 
     Attributes:
-        step_N: The step, N; the reel's own gauge has none.
+        step_N: The step q, N; the reel's own gauge has none.
     """
 
     name: ClassVar[str] = "quantisation"

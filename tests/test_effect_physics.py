@@ -1,0 +1,303 @@
+"""Each effect's law against an independent calculation."""
+
+import control
+import numpy as np
+import pytest
+from scipy import integrate, optimize, signal
+
+import plants
+from estune.reel.friction import StribeckFriction
+from plants.effects import EFFECTS
+from plants.effects.bristles import bent
+from plants.reel_equations import cable_stiffness_N_m
+from tests.support_effects import RATE, REEL, Law, SUBSTEP_s, rest, rollout, wander
+from tests.test_plants import integrated
+
+R, J, Kt = REEL.drum_radius_m, REEL.drum_inertia_kg_m2, REEL.torque_constant_Nm_A
+k = cable_stiffness_N_m(REEL, 15.0)
+b = REEL.viscous_friction_Nms + REEL.viscous_friction_per_length_Ns * REEL.cable_length_m
+INTO_SLACK = wander(200, -4.0, 45.0)
+TAUT = wander(200, 12.0, 20.0)
+
+
+def coulomb_friction(effect):
+    """Against the velocity while it slips, and just enough to stop where it sticks."""
+    law = Law(effect(torque_Nm=0.3))
+    for velocity in (-3.0, -0.1, 0.1, 3.0):
+        assert law.pass_(0.0, velocity=velocity) == -0.3 * np.sign(velocity)
+    assert law.pass_(0.0, velocity=1e-8) == pytest.approx(-0.01)  # the mass is 1e6 N m s/rad
+
+
+def stribeck_friction(effect):
+    """The curve that the reel feeds forward."""
+    law = Law(effect(coulomb_Nm=0.3, excess_Nm=0.2, stribeck_rad_s=0.4))
+    curve = StribeckFriction(0.3, 0.5, 0.4)
+    velocities = np.concatenate([-np.geomspace(20.0, 1e-3, 60), np.geomspace(1e-3, 20.0, 60)])
+    found = [law.pass_(0.0, velocity=velocity) for velocity in velocities]
+    assert found == pytest.approx(-curve.torque_Nm(velocities), rel=1e-5)
+
+
+def dahl_hysteresis(effect):
+    """The loop between two reversals has the exponential's sides."""
+    d = 0.003
+    law = Law(effect(torque_Nm=0.2, presliding_rad=d))
+    for velocity in (1.0, -1.0, 1.0):
+        before, turned, found = float(law.state), 0.0, []
+        for _ in range(60):
+            found.append(law.pass_(0.0, velocity=velocity))
+            turned += abs(velocity) * SUBSTEP_s
+        middle = (np.arange(60) + 0.5) * SUBSTEP_s
+        expected = velocity + (before - velocity) * np.exp(-middle / d)
+        # The torque is that of the mean at a substep's two ends: h^2/8 of the curvature off.
+        assert -np.array(found) / 0.2 == pytest.approx(expected, abs=0.006)
+
+
+def test_stiff_bristles_do_not_make_a_light_drum_ring():
+    light = plants.reference_reel(
+        drum_inertia_kg_m2=2e-5, viscous_friction_Nms=0.0, viscous_friction_per_length_Ns=0.0
+    )
+    reel = light + EFFECTS["dahl_hysteresis"](torque_Nm=2.0, presliding_rad=1e-4)
+    seen = rollout(reel, np.where(np.arange(600) < 3, 15.8, 15.0))
+    bending = 0.8 * R / (2.0 / 1e-4)  # under the pull of 0.8 N
+    assert np.abs(seen.theta - seen.theta[0]).max() < 4.0 * bending
+
+
+def eyelet_friction(effect):
+    """Slides in with T_o = B T and out with T = B T_o, and builds up over the slip length."""
+    B, d = 0.8, 0.002
+    slow = plants.reference_reel(viscous_friction_Nms=0.3) + effect(attenuation=B, slip_m=5e-5)
+    seen = rollout(slow, np.r_[np.linspace(15.0, 35.0, 800), np.linspace(35.0, 15.0, 800)])
+    assert seen.outside[799] == pytest.approx(B * seen.tension[799], rel=1e-3)
+    assert seen.tension[1599] == pytest.approx(B * seen.outside[1599], rel=1e-3)
+    law = Law(effect(attenuation=B, slip_m=d))
+    ratio = [law.pass_(10.0, velocity=0.5) / 10.0 for _ in range(400)]
+    z = 1.0 - np.exp(-0.5 * R * SUBSTEP_s * np.arange(1, 401) / d)
+    assert ratio == pytest.approx(1.0 + z * (1 / B - B) / 2 + z**2 * (1 / B + B - 2) / 2, rel=1e-6)
+
+
+def viscous_damping(effect):
+    """A free swing dies away as (b + b_added)/(2 J) says."""
+    reel = REEL + effect(damping_Nms=0.02)
+    seen = rollout(reel, np.where(np.arange(400) < 2, 18.0, 15.0))
+    swing = seen.theta - seen.theta[0]
+    w = np.sqrt(k * R**2 / J - ((b + 0.02) / (2 * J)) ** 2)
+    a = (b + 0.02) / (2 * J)
+    size = np.hypot(swing, (seen.omega + a * swing) / w)[5:]
+    fall = np.polyfit(np.arange(size.size) / RATE, np.log(size), 1)[0]
+    assert fall == pytest.approx(-a, rel=1e-3)
+
+
+def dead_time(effect):
+    """The differential equation with a longer dead time."""
+    for samples in (0.4, 1.0, 2.3):
+        late = REEL + effect(delay_s=samples / RATE)
+        same = plants.reference_reel(dead_time_s=(1.0 + samples) / RATE)
+        found = rollout(late, TAUT[:80]).tension
+        assert found == pytest.approx(integrated(same, TAUT[:80]), abs=2e-8)
+
+
+def current_saturation(effect):
+    """No more current than the limit, and no more tension than that holds."""
+    seen = rollout(REEL + effect(limit_A=1.3), np.full(600, 60.0))
+    assert np.abs(seen.current).max() == 1.3
+    assert seen.tension[-1] == pytest.approx(1.3 * Kt / R, rel=1e-3)
+
+
+def rate_limit(effect):
+    """A step becomes a ramp that arrives when the rate says."""
+    for to in (35.0, -5.0):
+        seen = rollout(REEL + effect(rate_A_per_s=25.0), np.full(60, to))
+        moved = np.abs(seen.current - seen.current[0])
+        expected = np.minimum(25.0 * np.arange(60) / RATE, 1.0)
+        assert moved[1:] == pytest.approx(expected[1:], abs=1e-12)
+
+
+def gain_error(effect):
+    """Less command holds the same tension."""
+    assert rest(REEL + effect(error=0.25))[1] == pytest.approx(15.0 / 1.25)
+
+
+def gauge_nonlinearity(effect):
+    """The angle at rest is that of the polynomial's root."""
+    c = 2e-3
+    root = np.roots([c, 1.0, -15.0]).max()
+    state, effort = rest(REEL + effect(curvature_per_N=c))
+    assert (state[0] * k * R, effort) == (pytest.approx(root), pytest.approx(root))
+
+
+def gauge_offset(effect):
+    """The true tension is less by the offset."""
+    state, effort = rest(REEL + effect(offset_N=2.0))
+    assert (state[0] * k * R, effort) == (pytest.approx(13.0), pytest.approx(13.0))
+
+
+def gauge_drift(effect):
+    """At rest the reading is a straight line over the time."""
+    seen = rollout(REEL + effect(rate_N_per_s=0.7), np.full(200, 15.0))
+    assert seen.tension == pytest.approx(15.0 + 0.7 * np.arange(200) / RATE)
+
+
+def gauge_resonance(effect):
+    """The mode's response, by scipy, to the tension that the plain gauge reads."""
+    w, zeta, s = 2 * np.pi * 120.0, 0.05, 0.3
+    plain = rollout(REEL, INTO_SLACK).tension
+    system = signal.StateSpace([[0, 1], [-w * w, -2 * zeta * w]], [[0], [w * w]], [[1, 0]], [[0]])
+    _, mode, _ = signal.lsim(system, plain, np.arange(200) / RATE, X0=[15.0, 0.0])
+    seen = rollout(REEL + effect(share=s, frequency_Hz=120.0, damping=zeta), INTO_SLACK)
+    assert seen.tension == pytest.approx((1 - s) * plain + s * mode, abs=1e-8)
+
+
+def static(effect, tension, **parameters):
+    """The linear law's tension where the reel settles at this one."""
+    state, effort = rest(REEL + effect(**parameters), tension)
+    assert effort == pytest.approx(tension)
+    return state[0] * cable_stiffness_N_m(REEL, tension) * R
+
+
+def cable_stiffening(effect):
+    """The settled angle is that of the law's root."""
+    for tension in (5.0, 15.0, 40.0):
+        root = optimize.brentq(lambda l, T=tension: l + 0.01 * l * l - T, 0.0, 100.0)
+        assert static(effect, tension, stiffening_per_N=0.01) == pytest.approx(root)
+
+
+def cable_creep(effect):
+    """A length suddenly wound in relaxes exponentially to 1/(1 + c) of its tension."""
+    c, tau = 0.4, 0.05
+    law = Law(effect(share=c, time_s=tau))
+    found = [law.pass_(10.0) for _ in range(800)]
+    time = np.arange(800) * SUBSTEP_s
+    expected = 10.0 * (1.0 - c / (1 + c) * (1.0 - np.exp(-(1 + c) / tau * time)))
+    assert found == pytest.approx(expected)
+    assert static(effect, 20.0, share=c) == pytest.approx(28.0)
+
+
+def cable_slack(effect):
+    """Tension is the integral of a stiffness that grows to its full value over the toe."""
+    s = 2e-3
+    law = Law(effect(slack_m=s))
+    for l in (-5.0, 0.0, 3.0, 25.0, 40.0, 80.0):
+        stiffness = lambda x: np.clip(x / (2 * k * s), 0.0, 1.0)  # noqa: E731  relative to k
+        area = integrate.quad(stiffness, 0.0, max(l, 0.0), points=[min(2 * k * s, max(l, 0.0))])[0]
+        assert law.pass_(l) == pytest.approx(area, abs=1e-9)
+    assert law.pass_(static(effect, 12.0, slack_m=s)) == pytest.approx(12.0, rel=1e-3)
+
+
+def cable_weight(effect):
+    """What the sag takes up is the difference between a catenary's length and its span."""
+    extra, L = 0.05, REEL.cable_length_m
+
+    def taken_up(T, density):
+        a = T / (9.80665 * density)
+        return L - 2 * a * np.arcsinh(L / (2 * a))
+
+    law = Law(effect(density_kg_m=extra))
+    mu = REEL.cable_density_kg_m
+    for T in (4.0, 8.0, 15.0, 40.0):
+        more = [taken_up(x, mu + extra) - taken_up(x, mu) for x in (15.0, T)]
+        l = T + k * (more[0] - more[1])
+        for _ in range(30):
+            found = law.pass_(l)
+        assert found == pytest.approx(T, rel=2e-3)
+        assert law.settle(T) == pytest.approx(l, abs=2e-3 * T)
+
+
+def string_mode(effect):
+    """It rings at the string's frequency, at any tension."""
+    L, mu = 1.2, 0.02
+    for T in (8.0, 30.0):
+        reel = plants.reference_reel(L, T, viscous_friction_Nms=0.2)
+        reel = reel + effect(coupling=0.02, density_kg_m=mu, damping=2e-3)
+        seen = rollout(reel, np.where(np.arange(3000) < 30, T + 3.0, T), T)
+        ringing = signal.detrend(seen.tension[400:]) * np.hanning(2600)
+        spectrum = np.abs(np.fft.rfft(ringing, 1 << 16))
+        f = np.fft.rfftfreq(1 << 16, 1.0 / RATE)[spectrum.argmax()]
+        assert f == pytest.approx(np.sqrt(T / mu) / (2 * L), rel=0.02)
+
+
+def structural_mode(effect):
+    """Drum, cable, frame and gauge as one linear system, by python-control."""
+    c, w, zeta = 0.3, 2 * np.pi * 45.0, 0.2
+    g, xi = 2 * np.pi * REEL.gauge_Hz, REEL.gauge_damping
+    # theta, omega, reading, its rate, q, its rate; T = k R theta - q
+    T = np.array([k * R, 0, 0, 0, -1.0, 0])
+    A = np.zeros((6, 6))
+    A[0, 1] = A[2, 3] = A[4, 5] = 1.0
+    A[1] = -R / J * T + np.eye(6)[1] * (-b / J)
+    A[3] = g * g * T - g * g * np.eye(6)[2] - 2 * xi * g * np.eye(6)[3]
+    A[5] = w * w * c * T - w * w * np.eye(6)[4] - 2 * zeta * w * np.eye(6)[5]
+    B = np.array([[0, R / J, 0, 0, 0, 0]]).T
+    system = control.ss(A, B, [[0, 0, 1, 0, 0, 0]], 0.0).sample(1.0 / RATE)
+    late = np.concatenate([[15.0], TAUT[:-1]])
+    time = np.arange(200) / RATE
+    expected = np.asarray(control.forced_response(system, U=late - 15.0, T=time).outputs)
+    seen = rollout(REEL + effect(share=c, frequency_Hz=45.0, damping=zeta), TAUT)
+    assert seen.tension - 15.0 == pytest.approx(expected, abs=1e-3 * np.ptp(expected))
+
+
+def torque_ripple(effect):
+    """The command at rest makes up for it, and on the move it is the sine of the angle."""
+    reel = REEL + effect(amplitude_Nm=0.05, per_turn=40.0, phase_rad=0.7)
+    state, effort = rest(reel)
+    assert effort == pytest.approx(15.0 + 0.05 * np.sin(40.0 * state[0] + 0.7) / R)
+    law = Law(reel.effects[0])
+    angles = np.cumsum(np.r_[0.1, 8.0 * SUBSTEP_s * np.cos(np.arange(5000) / 900.0)])
+    law.settle(0.0, angle=angles[0])
+    found = [law.pass_(0.0, angle=angle) for angle in angles]
+    assert found == pytest.approx(-0.05 * np.sin(40.0 * angles + 0.7), abs=1e-6)
+
+
+def drum_eccentricity(effect):
+    """Without friction, drum, cable and a constant motor torque keep their energy."""
+    e, phi = 0.15, 1.0
+    free = plants.reference_reel(viscous_friction_Nms=0.0, viscous_friction_per_length_Ns=0.0)
+    u = np.r_[np.full(4, 30.0), np.full(300, 18.0)]
+    seen = rollout(free + effect(eccentricity=e, phase_rad=phi), u)
+    wound = R * (seen.theta + e * (np.sin(seen.theta + phi) - np.sin(phi)))
+    energy = 0.5 * J * seen.omega**2 + 0.5 * k * wound**2 - 18.0 * R * seen.theta
+    assert np.ptp(energy[6:]) < 1e-5 * np.ptp(0.5 * k * wound[6:] ** 2)
+    assert k * wound[0] == pytest.approx(15.0)
+
+
+def backlash(effect):
+    """Let out and wound in again, the tension waits where the drum's friction holds it."""
+    law = Law(effect(play_rad=0.01, holding_N=3.0))
+    play = 0.01 * k * R
+    law.settle(10.0)
+    path = [(10.0, 10.0), (3.5, 3.5), (1.5, 3.0), (3.0 - play, 3.0), (0.5 - play, 0.5)]
+    path += [(-1.0 - play, -1.0), (-play, -1.0), (-1.0, -1.0), (2.0, 2.0), (9.0, 9.0)]
+    for l, expected in path:
+        assert law.pass_(l) == pytest.approx(expected, abs=1e-9)
+
+
+def quantisation(effect):
+    """Every reading is the nearest step."""
+    plain = rollout(REEL, TAUT).tension
+    found = rollout(REEL + effect(step_N=0.25), TAUT).tension
+    assert found == pytest.approx(0.25 * np.round(plain / 0.25), abs=1e-9)
+
+
+def mains_interference(effect):
+    """The reading less the plain one is the sine."""
+    hum = effect(amplitude_N=0.4, frequency_Hz=50.0, phase_rad=1.1)
+    found = rollout(REEL + hum, TAUT).tension - rollout(REEL, TAUT).tension
+    time = np.arange(200) / RATE
+    assert found == pytest.approx(0.4 * np.sin(2 * np.pi * 50.0 * time + 1.1), abs=1e-9)
+
+
+def test_bristles_bend_as_the_exponential_says():
+    for z in (-1.0, -0.4, 0.9):
+        for travel in (-0.5, -0.1, 1e-3, 0.3):
+            s = np.sign(travel)
+            exact = s + (z - s) * np.exp(-abs(travel))
+            bound = abs(z - s) * travel**4 / 24.0 + 1e-15
+            assert abs(z + float(bent(z, travel)) - exact) <= bound
+        assert z + float(bent(z, 40.0)) == pytest.approx(1.0)
+
+
+CHECKS = {name: check for name, check in globals().items() if name in EFFECTS}
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+def test_it_follows_an_independent_calculation(name):
+    CHECKS[name](EFFECTS[name])

@@ -1,0 +1,285 @@
+import itertools
+import re
+from dataclasses import dataclass, replace
+from importlib import metadata
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import plants
+from estune.errors import InvalidInput
+from estune.trial import StepProfile, TrialRequest
+from plants import effects
+from plants.effects import EFFECTS, Effect, EyeletFriction, Port, Quantisation
+from plants.identify import Band, multisine, open_loop_record
+from plants.trial_loop import CompiledLoop, VirtualLoop, loop_functions
+from tests.support_effects import (
+    DOWN,
+    GAINS,
+    REEL,
+    UP,
+    readings,
+    rest,
+    rollout,
+    trial,
+    wander,
+)
+
+SLUGS = [
+    *("coulomb_friction", "stribeck_friction", "dahl_hysteresis", "eyelet_friction"),
+    *("viscous_damping", "dead_time", "current_saturation", "rate_limit", "gain_error"),
+    *("gauge_nonlinearity", "gauge_offset", "gauge_drift", "gauge_resonance"),
+    *("cable_stiffening", "cable_creep", "cable_slack", "cable_weight", "string_mode"),
+    *("structural_mode", "torque_ripple", "drum_eccentricity", "backlash", "quantisation"),
+    "mains_interference",
+]
+
+
+def example():
+    """The effect that the documentation writes, run as it stands there."""
+    text = re.search(r"```python\n(.*?)```", effects.__doc__, re.DOTALL).group(1)
+    names = {}
+    exec(text, names)  # noqa: S102  the documentation's own code
+    return names["RewindSpring"]
+
+
+Own = example()
+CASES = {**EFFECTS, "one's own": Own}
+every_effect = pytest.mark.parametrize("effect", CASES.values(), ids=CASES)
+
+
+def all_on(order):
+    """A reel with every effect, added forward or backward."""
+    reel = REEL
+    for effect in [*CASES.values()][::order]:
+        reel = reel + effect()
+    return reel
+
+
+RESTLESS = wander(160, -4.0, 60.0)  # beyond the current limits, and through slack
+
+
+def test_every_named_effect_is_there_in_a_file_of_its_name():
+    assert sorted(EFFECTS) == sorted(SLUGS)
+    for name, effect in EFFECTS.items():
+        assert effect.__module__ == f"plants.effects.{name}"
+        assert effects.find(name) is effect
+
+
+@every_effect
+def test_it_is_declared_in_full(effect):
+    declared = effect.parameters()
+    assert re.fullmatch(r"[a-z]+(_[a-z]+)*", effect.name)
+    assert len(effect.title.split()) >= 2
+    assert len(effect.appearance.split()) >= 8
+    assert any(p.neutral is not None for p in declared.values())
+    usual, neutral = effect(), effect.neutral()
+    for name, p in declared.items():
+        assert p.low < p.high
+        assert p.low <= getattr(usual, name) <= p.high
+        assert p.neutral in (None, getattr(neutral, name))
+        assert usual != neutral
+        for wrong in (p.low - 1.0, p.high + 1.0, float("nan"), float("inf")):
+            with pytest.raises(InvalidInput, match=f"{effect.name}: {name} is"):
+                effect(**{name: wrong})
+
+
+@pytest.mark.parametrize("effect", EFFECTS.values(), ids=EFFECTS)
+def test_its_documentation_has_the_law_and_the_units(effect):
+    assert "=" in effect.__doc__ or "<=" in effect.__doc__
+    for name, p in effect.parameters().items():
+        (line,) = re.findall(rf"^ +{name}: (.*(?:\n {{12}}.*)*)", effect.__doc__, re.MULTILINE)
+        assert not p.unit or f" {p.unit}" in line
+
+
+@every_effect
+@pytest.mark.parametrize("profile", [UP, DOWN], ids=["up", "down"])
+def test_neutral_it_changes_nothing(effect, profile):
+    bare, neutral = trial(REEL, profile), trial(REEL + effect.neutral(), profile)
+    for column in ("tension_N", "effort_N"):
+        assert getattr(neutral, column) == pytest.approx(getattr(bare, column), abs=1e-8)
+    count = 2 * np.pi / REEL.encoder_counts
+    assert np.abs(neutral.angle_rad - bare.angle_rad).max() < 1.5 * count
+
+
+@every_effect
+def test_otherwise_it_does_something(effect):
+    bare, changed = (rollout(reel, RESTLESS) for reel in (REEL, REEL + effect()))
+    change = np.abs(np.stack(changed[:4]) - np.stack(bare[:4])).max(axis=1)
+    assert (change / np.ptp(np.stack(bare[:4]), axis=1)).max() > 1e-4
+
+
+@every_effect
+@pytest.mark.parametrize("preload", [8.0, 30.0])
+def test_a_trial_begins_settled(effect, preload):
+    reel = REEL + effect()
+    _, effort = rest(reel, preload)
+    held = rollout(reel, np.full(60, effort), preload)
+    assert np.abs(held.omega).max() < 1e-7
+    assert np.ptp(held.theta) < 1e-9
+    assert held.tension[0] == pytest.approx(preload, abs=1e-6)
+
+
+@pytest.mark.parametrize("order", [1, -1], ids=["forward", "backward"])
+def test_a_trial_begins_settled_with_all_effects(order):
+    reel = all_on(order)
+    _, effort = rest(reel, 20.0)
+    held = rollout(reel, np.full(60, effort), 20.0)
+    assert np.abs(held.omega).max() < 1e-6
+    assert held.tension[0] == pytest.approx(20.0, abs=0.5 * Quantisation().step_N + 1e-9)
+
+
+@every_effect
+def test_a_derivative_by_its_parameters_is_the_quotient_of_differences(effect):
+    reel, names = REEL + effect(), list(effect.parameters())
+    p, seen = readings(reel, RESTLESS)
+    direction = ca.MX.sym("direction", p.numel())
+    run = ca.Function("run", [p], [seen])
+    slope = ca.Function("slope", [p, direction], [ca.jtimes(seen, p, direction)])
+    first = p.numel() - len(names)
+    for n, (name, (low, high, _, neutral)) in enumerate(effect.parameters().items()):
+        unit = np.zeros(p.numel())
+        unit[first + n] = 1.0
+        value = getattr(reel.effects[-1], name)
+        for here in {value, neutral} - {None}:
+            at = reel.parameter_values + (here - value) * unit
+            found = np.asarray(slope(at, unit)).ravel()
+            assert np.isfinite(found).all()
+        if not effect.smooth:
+            continue
+        found = np.asarray(slope(reel.parameter_values, unit)).ravel()
+        h = 1e-6 * min(high - value or 1.0, value - low or 1.0, max(abs(value), 0.01))
+        ahead, behind = (
+            np.asarray(run(reel.parameter_values + s * h * unit)).ravel() for s in (1, -1)
+        )
+        # A sample in which an event comes later or earlier by the step itself may differ.
+        off = np.abs(found - (ahead - behind) / (2 * h)) > 1e-3 * np.abs(found).max()
+        assert off.mean() < 0.02
+        assert np.abs(found).max() > 0.0
+
+
+def test_a_dead_time_of_none_has_a_derivative():
+    reel = REEL + EFFECTS["dead_time"].neutral()
+    p, seen = readings(reel, wander(60, 12.0, 20.0))
+    run = ca.Function("run", [p], [seen])
+    unit = np.eye(p.numel())[-1]
+    found = np.asarray(
+        ca.Function("slope", [p], [ca.jtimes(seen, p, unit)])(reel.parameter_values)
+    )
+    ahead = np.asarray(run(reel.parameter_values + 1e-8 * unit) - run(reel.parameter_values))
+    assert found == pytest.approx(ahead / 1e-8, abs=1e-4 * np.abs(found).max())
+    assert np.abs(found).max() > 0.0
+
+
+@every_effect
+def test_it_survives_the_ends_of_its_ranges(effect):
+    declared = effect.parameters()
+    ends = itertools.product(*([p.low, p.high] for p in declared.values()))
+    for values in ends:
+        reel = REEL + effect(**dict(zip(declared, values, strict=True)))
+        for profile in (UP, DOWN):
+            seen = trial(reel, profile)
+            assert seen.ended[0] == seen.tension_N.size, values
+            columns = np.stack([seen.tension_N, seen.effort_N, seen.angle_rad])
+            assert np.isfinite(columns).all(), values
+
+
+@every_effect
+def test_a_cable_never_pushes(effect):
+    watched = REEL + effect() + EyeletFriction.neutral()
+    assert rollout(watched, RESTLESS).outside.min() >= 0.0
+    declared = effect.parameters()
+    extreme = effect(**{name: p.high for name, p in declared.items()})
+    assert rollout(REEL + extreme + EyeletFriction.neutral(), RESTLESS).outside.min() >= 0.0
+
+
+FRICTIONLESS = plants.reference_reel(
+    tension_N=20.0,
+    viscous_friction_Nms=0.0,
+    viscous_friction_per_length_Ns=0.0,
+    dead_time_s=0.0,
+)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.01, 0.1, 1.0], ids="{:g}".format)
+@pytest.mark.parametrize(
+    "name", ["coulomb_friction", "stribeck_friction", "dahl_hysteresis", "viscous_damping"]
+)
+def test_friction_gives_no_energy(name, share):
+    usual, declared = EFFECTS[name](), EFFECTS[name].parameters()
+    strength = next(iter(declared))
+    value = getattr(usual, strength) + share * (declared[strength].high - getattr(usual, strength))
+    effect = replace(usual, **{strength: value})
+    if hasattr(effect, "presliding_rad") and share == 1.0:  # stiff bristles are the hard case
+        effect = replace(effect, presliding_rad=declared["presliding_rad"].low)
+    J = FRICTIONLESS.drum_inertia_kg_m2
+    seen = rollout(FRICTIONLESS + effect, np.where(np.arange(600) < 3, 40.0, 20.0), 20.0)
+    swing = seen.theta - seen.theta[0]
+    energy = 0.5 * J * (seen.omega**2 + (FRICTIONLESS.natural_frequency_rad_s * swing) ** 2)
+    # Bristles give back what they took up, never more.
+    stored = 0.5 * value * effect.presliding_rad if name == "dahl_hysteresis" else 0.0
+    least = np.minimum.accumulate(energy[4:])
+    assert (energy[4:] - least).max() <= stored + 1e-9 * energy.max()
+    assert energy[-1] <= 0.5 * energy[4] + stored + 1e-30
+
+
+@pytest.mark.parametrize("order", [1, -1], ids=["forward", "backward"])
+def test_compiled_it_gives_what_the_virtual_machine_gives(order, monkeypatch):
+    reel = all_on(order)
+    functions = loop_functions(reel.structure.equations())
+    seen = []
+    for kind in (CompiledLoop, VirtualLoop):
+        monkeypatch.setattr("plants.reel.trial_loop", lambda _, kind=kind: kind(functions))
+        noise = np.random.default_rng(3).normal(0.0, 0.05, UP.samples(REEL.sampling_Hz))
+        seen.append(plants.simulate(reel, GAINS, UP, noise_N=noise))
+    for column in ("tension_N", "effort_N", "angle_rad", "reference_N"):
+        compiled, virtual = (getattr(one, column) for one in seen)
+        assert compiled == pytest.approx(virtual, rel=1e-9, abs=1e-9)
+
+
+def test_the_tension_outside_is_recorded_where_it_is_another():
+    request = TrialRequest("run", 0, GAINS, StepProfile(15.0, 10.0, 0.05, 0.3))
+    record = (REEL + EyeletFriction()).rig().run(request)
+    assert record.reference_N.shape == record.tension_N.shape
+    assert np.abs(record.reference_N / record.tension_N - 1.0).max() > 0.03
+    assert REEL.rig().run(request).reference_N is None
+    band = Band(low_Hz=2.0, high_Hz=50.0, period_s=0.5, periods=2)
+    record = open_loop_record(
+        REEL + EyeletFriction(), multisine(REEL.sampling_Hz, band, 8.0), None
+    )
+    assert np.abs(record.reference_N / record.tension_N - 1.0).max() > 0.03
+
+
+def test_an_effect_of_ones_own_is_found_by_reference_and_by_entry_point(monkeypatch):
+    point = metadata.EntryPoint("drag", "plants.effects:ViscousDamping", effects.GROUP)
+    monkeypatch.setattr(effects, "entry_points", lambda group: [point] * (group == effects.GROUP))
+    assert effects.find("drag") is EFFECTS["viscous_damping"]
+    assert effects.find("tests.test_effects:Own") is Own
+
+
+@pytest.mark.parametrize(
+    ("name", "told"),
+    [
+        ("colomb_friction", "there are backlash"),
+        ("plants.nowhere:Effect", "cannot be loaded"),
+        ("plants.effects:Nothing", "cannot be loaded"),
+        ("plants.effects:find", "class derived from Effect"),
+        (":", "cannot be loaded"),
+    ],
+)
+def test_an_effect_that_is_not_there_is_told(name, told):
+    with pytest.raises(InvalidInput, match=told) as caught:
+        effects.find(name)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_field_that_is_no_parameter_is_told():
+    class Careless(Effect):
+        name = "careless"
+        port = Port.DRUM
+        __annotations__ = {"size": float}
+        size = 1.0
+
+    with pytest.raises(InvalidInput, match="size has to be declared"):
+        dataclass(frozen=True)(Careless)()
