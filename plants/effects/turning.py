@@ -27,8 +27,8 @@ def turned(state: Any, angle_rad: Any) -> Any:
     """
     x = ca.fmin(ca.fmax(angle_rad - state[2], -FURTHEST_rad), FURTHEST_rad)
     square = x * x
-    excess = 0.5 - 0.5 * (state[0] * state[0] + state[1] * state[1])
-    cosine = (1.0 + excess) + square * (-1.0 / 2.0 + (1.0 / 24.0) * square)
+    one = 1.5 - 0.5 * (state[0] * state[0] + state[1] * state[1])
+    cosine = one + square * (-1.0 / 2.0 + (1.0 / 24.0) * square)
     sine = x + (x * square) * (-1.0 / 6.0 + (1.0 / 120.0) * square)
     return ca.vertcat(
         state[0] * cosine + state[1] * sine, state[1] * cosine - state[0] * sine, angle_rad

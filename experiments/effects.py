@@ -1,0 +1,141 @@
+"""What does each physical effect cost a simulated trial, and how does it change the step response?
+
+Every effect alone and all of them at once, with their usual parameters, beside the bare reel. The
+cost is the time of a trial over that of the bare reel, both timed turn by turn on one core. The
+change is the root mean square of the difference between the step responses, without noise: of a
+step up to nearly the greatest tension, and of one down to the verge of slack, for some effects show
+only there. For all effects at once three times are told: of `plants.simulate`, of a trial in a batch with fresh noise
+and its cost function, and of the compiled call alone, without what Python does around it.
+"""
+
+import argparse
+import json
+from typing import Any
+
+import numpy as np
+
+import plants
+from estune.core import pidf
+from estune.core.cost import StepCost
+from estune.core.gains import Gains
+from estune.trial import StepProfile
+from experiments.benchmark_trials import Timed, alternate
+from plants.effects import EFFECTS, Effect
+from plants.reel import Reel
+from plants.simulation import bound
+
+GAINS = Gains(P=1.2, I=50.0, D=0.02, setpoint_filter_s=0.004)
+BARE = plants.reference_reel()
+UP = StepProfile(preload_N=15.0, step_N=20.0, step_at_s=0.2, duration_s=1.0)
+DOWN = StepProfile(preload_N=15.0, step_N=-14.0, step_at_s=0.2, duration_s=1.0)
+MOST_TIMES_BARE = 5.0
+
+
+def with_all() -> Reel:
+    """The reel with every effect of the package."""
+    reel = BARE
+    for effect in EFFECTS.values():
+        reel = reel + effect()
+    return reel
+
+
+def costs(rounds: int) -> dict[str, float]:
+    """Time of a trial with each effect over that without, by slug."""
+    timed = {"": timed_simulation(BARE)}
+    timed |= {name: timed_simulation(BARE + effect()) for name, effect in EFFECTS.items()}
+    times = alternate(timed, rounds)
+    return {name: times[name] / times[""] for name in EFFECTS}
+
+
+def timed_simulation(reel: Reel) -> Timed:
+    """One trial as a user runs it, ten times."""
+    return Timed(lambda: plants.simulate(reel, GAINS), blocks=10)
+
+
+def all_at_once(rounds: int, trials: int) -> dict[str, float]:
+    """Time with all effects over that of the bare reel, of three ways to run a trial."""
+    table, row = np.tile(GAINS.as_tuple(), (trials, 1)), pidf.coefficients(BARE.controller, GAINS)
+    coefficients, profile, everything = np.array([row]), BARE.profile, with_all()
+
+    def batch(reel: Reel) -> Timed:
+        cost = StepCost(settling_time_s=0.13)
+        return Timed(lambda: plants.batch_costs(reel, table, None, cost, seed=1, workers=1))
+
+    def alone(reel: Reel) -> Timed:
+        limit = bound(profile)
+        return Timed(lambda: reel.respond(coefficients, profile, None, limit), blocks=10)
+
+    ratios = {}
+    for name, timed in (("", timed_simulation), ("_batch", batch), ("_compiled_call", alone)):
+        times = alternate({"bare": timed(BARE), "all": timed(everything)}, rounds)
+        ratios[f"all_times_bare{name}"] = times["all"] / times["bare"]
+    return ratios
+
+
+def change(effect: Effect, profile: StepProfile) -> float:
+    """Root mean square of what the effect changes in a step response, N."""
+    bare, changed = (plants.simulate(reel, GAINS, profile) for reel in (BARE, BARE + effect))
+    if changed.diverged_at is not None:
+        return float("inf")
+    return float(np.sqrt(np.mean((changed.tension_N - bare.tension_N) ** 2)))
+
+
+def measure(rounds: int, trials: int) -> dict[str, Any]:
+    """All figures by name."""
+    ratios = costs(rounds)
+    return all_at_once(rounds, trials) | {
+        "effects": {
+            name: {
+                "port": effect.port.value,
+                "times_bare": ratios[name],
+                "change_of_step_up_N": change(effect(), UP),
+                "change_of_step_down_N": change(effect(), DOWN),
+            }
+            for name, effect in EFFECTS.items()
+        }
+    }
+
+
+def show(figures: dict[str, Any]) -> None:
+    """Prints the table."""
+    print(
+        f"{'effect':22s} {'port':9s} {'times bare':>10s} {'up, N rms':>12s} {'down, N rms':>12s}"
+    )
+    for name, one in figures["effects"].items():
+        print(
+            f"{name:22s} {one['port']:9s} {one['times_bare']:10.2f} "
+            f"{one['change_of_step_up_N']:12.4f} {one['change_of_step_down_N']:12.4f}"
+        )
+    print()
+    print(f"all at once, plants.simulate:  {figures['all_times_bare']:.2f} times the bare reel")
+    print(f"all at once, batch with noise: {figures['all_times_bare_batch']:.2f}")
+    print(f"all at once, compiled call:    {figures['all_times_bare_compiled_call']:.2f}")
+
+
+def main() -> int:
+    """Measures, prints, and says by its exit code whether every target was met."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--json", action="store_true", help="print one JSON object instead")
+    parser.add_argument("--quick", action="store_true", help="fewer repeats")
+    options = parser.parse_args()
+    figures = measure(*((8, 200) if options.quick else (40, 1000)))
+    targets = {
+        name: {
+            "value": figures[name],
+            "limit": MOST_TIMES_BARE,
+            "met": figures[name] <= MOST_TIMES_BARE,
+        }
+        for name in ("all_times_bare", "all_times_bare_batch")
+    }
+    if options.json:
+        print(json.dumps({"figures": figures, "targets": targets}))
+    else:
+        show(figures)
+        for name, target in targets.items():
+            verdict = "met   " if target["met"] else "MISSED"
+            print(f"{verdict} {name}: {target['value']:.2f}, limit {target['limit']:g}")
+    return 0 if all(target["met"] for target in targets.values()) else 1
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
