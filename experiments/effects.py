@@ -3,9 +3,10 @@
 Every effect alone and all of them at once, with their usual parameters, beside the bare reel. The
 cost is the time of a trial over that of the bare reel, both timed turn by turn on one core. The
 change is the root mean square of the difference between the step responses, without noise: of a
-step up to nearly the greatest tension, and of one down to the verge of slack, for some effects show
-only there. For all effects at once three times are told: of `plants.simulate`, of a trial in a batch with fresh noise
-and its cost function, and of the compiled call alone, without what Python does around it.
+step up to nearly the greatest tension, and of one down to the verge of slack, for some effects
+show only there. For all effects at once three times are told: of `plants.simulate`, of a trial in
+a batch with fresh noise and its cost function, and of the compiled call alone, without what Python
+does around it.
 """
 
 import argparse
