@@ -288,7 +288,7 @@ def measure_batch(trials: int, rounds: int) -> dict[str, float]:
         run(workers)
         work[workers] = time.process_time() - began
     gc.collect()
-    for _ in range(5):  # until every thread's memory pool has been made
+    for _ in range(20):  # until every thread's memory pool has been made
         run(2)
     before = memory_MB()
     for _ in range(10):
