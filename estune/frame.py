@@ -26,6 +26,7 @@ import numpy as np
 
 from estune.core.gains import GAIN_NAMES, Gains
 from estune.errors import ProtocolError
+from estune.profiles import Kind, Loop
 from estune.trial import Outcome, TrialRecord
 
 if TYPE_CHECKING:
@@ -63,8 +64,8 @@ class Header:
     reason: str
     started_at: str
     software: str
-    loop: Literal["closed", "open"]
-    profile: Literal["step", "triangle", "multisine", "chirp", "custom"]
+    loop: Loop
+    profile: Kind | Literal["custom"]
 
 
 _FACTS = tuple(field.name for field in fields(Header) if field.name not in ("columns", "samples"))
@@ -214,11 +215,11 @@ def _header_json(record: TrialRecord, columns: tuple[str, ...], samples: int) ->
 def _parse_header(text: bytes) -> Header:
     try:
         return _adapter().validate_json(text)
-    except ValueError as error:
+    except (ValueError, OverflowError) as error:  # a whole number may have hundreds of digits
         raise ProtocolError(f"record frame: header: {one_line(error)}") from error
 
 
-def one_line(error: ValueError) -> str:
+def one_line(error: ValueError | OverflowError) -> str:
     """The first thing pydantic found wrong, and where, in one line."""
     from pydantic import ValidationError  # noqa: PLC0415  as above
 

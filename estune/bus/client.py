@@ -1,47 +1,75 @@
 """Reaches a rig over Zenoh."""
 
+import getpass
 import math
+import os
+import socket
 import threading
 import time
 import weakref
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from functools import partial
 from operator import attrgetter
-from typing import Self
+from typing import Literal, Self
 
 import zenoh
 
 from estune import frame, protocol
+from estune.bus.asking import Asking
+from estune.bus.conversation import AGAIN_S, Conversation, present_at
+from estune.bus.lease import LeaseKeeper
 from estune.bus.session import check_endpoint, close_session, open_session
 from estune.core.gains import Gains
 from estune.errors import InvalidInput, ProtocolError, RigError
+from estune.link.client import Action
+from estune.link.verdicts import Verdict
 from estune.protocol import (
     Answer,
     Cancel,
-    Inquire,
-    Keys,
+    Clear,
+    Estop,
     Presence,
     SetGains,
-    Submit,
+    Status,
+    Void,
     check_name,
 )
-from estune.trial import RigDescription, TrialRecord, TrialRequest
+from estune.protocol.keys import Verb
+from estune.security import OPEN, Security
+from estune.trial import (
+    Outcome,
+    RigDescription,
+    Telemetry,
+    TrialRecord,
+    TrialRequest,
+    unmeasured,
+)
 
-HUNG_AFTER_S = 30.0
-"""How long a rig may be alive and yet not answer: a simulation can hold its interpreter."""
+RECORDS_MAX_BYTES = frame.MAX_BYTES + 2**16
+"""Largest message a client takes in."""
 
-_ASK_S = 1.0
-_AGAIN_S = 0.05
-_POLL_FIRST_S, _POLL_MAX_S, _POLL_GROWTH = 0.002, 0.05, 1.5
-_RECORDS_MAX_BYTES = frame.MAX_BYTES + 2**16
+_SAMPLES_WAITING_MAX = 64
+_STOPPED_WITHIN_S = 0.3
 
 
-def connect(endpoint: str, rig: str | None = None, timeout_s: float = 3.0) -> "RemoteRig":
+def connect(
+    endpoint: str,
+    rig: str | None = None,
+    timeout_s: float = 3.0,
+    *,
+    holder: str = "",
+    security: Security = OPEN,
+) -> "RemoteRig":
     """Finds a rig.
 
     Args:
         endpoint: Where a rig, or a Zenoh router that knows rigs, listens: `tcp/127.0.0.1:7447`.
         rig: Name of the rig; None where there is only one.
         timeout_s: How long to wait for a rig that does not answer, now and later, s.
+        holder: Who commands the rig, for others to be told; user, machine and process by default.
+        security: Who this is, where the rig asks.
 
     Raises:
         InvalidInput: the endpoint or the name is not one, or the time is not above zero.
@@ -55,90 +83,104 @@ def connect(endpoint: str, rig: str | None = None, timeout_s: float = 3.0) -> "R
     if not (math.isfinite(timeout_s) and timeout_s > 0.0):
         raise InvalidInput(f"timeout is {timeout_s} s; it must be finite and above zero")
     deadline = time.monotonic() + timeout_s
-    session = _open(endpoint, deadline)
+    session = _open(endpoint, security, deadline)
     try:
         presence = _find(session, endpoint, rig, deadline)
-        return RemoteRig(session, endpoint, presence, timeout_s)
+        talk = Conversation(session, endpoint, presence, timeout_s)
+        return RemoteRig(talk, partial(_open, endpoint, security), holder or _whoami())
     except BaseException:
         close_session(session)
         raise
 
 
-def find(endpoint: str, timeout_s: float = 3.0) -> tuple[Presence, ...]:
+def find(
+    endpoint: str, timeout_s: float = 3.0, *, security: Security = OPEN
+) -> tuple[Presence, ...]:
     """The rigs that answer at an endpoint, by name; none is spoken to.
 
     Args:
         endpoint: Where a rig, or a Zenoh router that knows rigs, listens.
         timeout_s: How long to wait for something to listen there, s.
+        security: Who this is, where the rigs ask.
 
     Raises:
         InvalidInput: the endpoint is not one.
         RigError: nothing listens there.
     """
     check_endpoint(endpoint)
-    session = _open(endpoint, time.monotonic() + timeout_s)
+    session = _open(endpoint, security, time.monotonic() + timeout_s)
     try:
-        return tuple(sorted(_present(session, protocol.ANY_RIG), key=attrgetter("rig")))
+        return tuple(sorted(present_at(session, protocol.ANY_RIG), key=attrgetter("rig")))
     finally:
         close_session(session)
 
 
-def _open(endpoint: str, deadline: float) -> zenoh.Session:
+def _open(endpoint: str, security: Security, deadline: float) -> zenoh.Session:
     while True:
         try:
             return open_session(
-                "client", connect=(endpoint,), message_max_bytes=_RECORDS_MAX_BYTES
+                "client",
+                connect=(endpoint,),
+                message_max_bytes=RECORDS_MAX_BYTES,
+                security=security,
             )
         except zenoh.ZError as error:
             if time.monotonic() > deadline:
+                asked = "asks who this is" if security == OPEN else "does not take this client in"
                 raise RigError(
                     f"nothing that speaks Zenoh listens at {endpoint}; start a rig there with: "
-                    f"estune serve --listen {endpoint}"
+                    f"estune serve --listen {endpoint}; or what listens {asked}: see --security"
                 ) from error
-        time.sleep(_AGAIN_S)
+        time.sleep(AGAIN_S)
 
 
 def _find(session: zenoh.Session, endpoint: str, rig: str | None, deadline: float) -> Presence:
     while True:
         try:
-            return protocol.choose(_present(session, protocol.ANY_RIG), rig, endpoint)
+            return protocol.choose(present_at(session, protocol.ANY_RIG), rig, endpoint)
         except ProtocolError:
             raise
         except RigError:
             # It may be about to appear, or what is left of an earlier start about to vanish.
             if time.monotonic() > deadline:
                 raise
-        time.sleep(_AGAIN_S)
+        time.sleep(AGAIN_S)
 
 
-def _present(session: zenoh.Session, key: str) -> set[Presence]:
-    replies = session.liveliness().get(key, timeout=_ASK_S)
-    return {Presence.parse(str(reply.ok.key_expr)) for reply in replies if reply.ok is not None}
+def _whoami() -> str:
+    try:
+        user = getpass.getuser()
+    except (KeyError, OSError):  # a process without a user's name
+        user = str(os.getuid())
+    return f"{user}@{socket.gethostname()}, process {os.getpid()}"
 
 
 class RemoteRig:
     """A rig in another process; the `Rig` protocol over Zenoh. Made by `connect`.
 
-    It stays bound to one instance, one start of the rig's server: after a restart, connect again.
-    Every question is repeated until it is answered, which is safe, since none does a thing twice.
+    The first command asks for the right to command the rig, which is then kept, by a thread, until
+    `release` or `close`; looking on needs none. A rig that is restarted is followed if its ledger
+    tells what it ran before, or if it is simulated.
 
     Ctrl-C gets through at any time; a trial then under way goes on at the rig until `abort`.
     """
 
     def __init__(
-        self, session: zenoh.Session, endpoint: str, presence: Presence, timeout_s: float
+        self,
+        talk: Conversation,
+        reopen: Callable[[float], zenoh.Session],
+        holder: str,
     ) -> None:
-        self.name = presence.rig
-        self._session = session
-        self._endpoint = endpoint
-        self._instance = presence.instance
-        self._timeout_s = timeout_s
-        self._keys = Keys(presence.rig)
-        # Closes the session when this object is let go of or the interpreter ends, too.
-        self._finish = weakref.finalize(self, close_session, session)
+        self.name = talk.name
+        self._talk = talk
+        self._lease = LeaseKeeper(talk, holder)
+        self._stop_session = _StopSession(reopen)
+        # Lets go of all of it when this object is let go of or the interpreter ends, too.
+        self._finish = weakref.finalize(self, _let_go, self._lease, self._stop_session, talk)
         self._changed = threading.Event()
         wake = zenoh.handlers.Callback(_setter(self._changed), indirect=False)
-        session.declare_subscriber(self._keys.status, wake)
+        talk.session.declare_subscriber(talk.keys.status, wake)
+        self._unanswered: tuple[str, str] | None = None
         self.describe()
 
     def describe(self) -> RigDescription:
@@ -147,76 +189,136 @@ class RemoteRig:
         Raises:
             RigError: it cannot be reached.
         """
-        data = self._insist(self._keys.describe, b"", "")
-        return protocol.decode_description(data).rig
+        return self._talk.describe().rig
+
+    def status(self) -> Status:
+        """What the rig does now, and who commands it.
+
+        Raises:
+            RigError: it cannot be reached.
+        """
+        data = self._talk.insist(lambda: self._talk.keys.status, b"", "")
+        return protocol.decode(Status, data)
 
     def run(self, request: TrialRequest) -> TrialRecord:
         """Runs one trial, or returns the record of it if that trial id has run before.
 
+        A trial that was cut off or never begun has a record too, of outcome `interrupted` or
+        `cancelled` and without samples.
+
         Raises:
             InvalidInput: the request is outside the rig's limits; nothing moved.
-            RigError: the rig is busy with another's trial, knows another trial by that id, cannot
-                be reached, or is gone; where the trial may have run, the message says so.
+            RigError: another client holds the rig, it is held in its safe state, knows another
+                trial by that id, cannot be reached, or is gone; where the trial may have run, the
+                message says so.
         """
         trial_id = check_name("trial id", request.trial_id)
-        about = f"; trial {trial_id} may have run: see to the rig, then resume the run"
-        request_digest = protocol.digest(request)
-        self._changed.clear()
-        data = self._insist(
-            self._keys.command(self._instance, "submit"),
-            protocol.encode(Submit(request, request_digest)),
-            about,
-        )
-        pause_s = _POLL_FIRST_S
-        while isinstance(state := protocol.decode_trial(data), Answer):
-            state.check()
-            if state.verdict == "unknown":
-                raise RigError(f"rig {self.name!r} has forgotten trial {trial_id}{about}")
-            self._changed.wait(pause_s)  # the rig tells when a trial has ended; else ask again
-            self._changed.clear()
-            pause_s = min(pause_s * _POLL_GROWTH, _POLL_MAX_S)
-            inquiry = protocol.encode(Inquire(request_digest))
-            data = self._insist(self._keys.result(trial_id), inquiry, about)
-        if state.trial_id != trial_id:
-            raise ProtocolError(
-                f"rig {self.name!r} answers trial {trial_id} with a record of {state.trial_id}"
-            )
-        return state
+        asking = Asking(self._talk, self._lease, request, self._changed)
+        self._unanswered = trial_id, asking.digest
+        found = asking.run()
+        self._unanswered = None
+        if isinstance(found, TrialRecord):
+            return found
+        outcome = Outcome.INTERRUPTED if found.action is Action.INTERRUPTED else Outcome.CANCELLED
+        about = self._talk.about or self._talk.describe()
+        at = datetime.now(UTC).isoformat(timespec="milliseconds")
+        return unmeasured(request, about.rig, outcome, found.sentence, at)
 
     def apply(self, gains: Gains) -> None:
         """Makes gains the live ones.
 
         Raises:
             InvalidInput: the rig refuses them.
-            RigError: the rig is busy with a trial, cannot be reached, or is gone.
+            RigError: the rig is held by another, busy with a trial, in its safe state, cannot be
+                reached, or is gone.
         """
-        data = self._insist(
-            self._keys.command(self._instance, "gains"),
-            protocol.encode(SetGains(gains)),
-            f"; whether it took the gains {gains} is not known",
-        )
-        protocol.decode(Answer, data).check()
+        about = f"; whether it took the gains {gains} is not known"
+        self._command("gains", lambda lease: SetGains(lease, gains), about).check()
 
     def abort(self) -> RigDescription:
-        """Stops the trial under way, whosever it is, and returns once the live gains are back.
+        """Stops the trial under way, and returns once the live gains are back.
 
         Raises:
-            RigError: the trial cannot be stopped, or the rig cannot be reached.
+            RigError: another client holds the rig, the trial cannot be stopped, or the rig cannot
+                be reached.
         """
-        key = self._keys.command(self._instance, "cancel")
         about = "; see to the rig: whether it has stopped is not known"
+        self._void(about)
         trial_id = ""
         while True:
-            data = self._insist(key, protocol.encode(Cancel(trial_id)), about)
+            message = protocol.encode(Cancel(self._lease.token, trial_id))
+            data = self._talk.insist(partial(self._key, "cancel"), message, about)
             answer = protocol.decode(Answer, data)
+            if answer.verdict is Verdict.NO_LEASE:
+                self._lease.lost(self._lease.token)
+                self._lease.hold()
+                continue
             answer.check()
             if not answer.trial_id:
                 return self.describe()
             trial_id = answer.trial_id  # from now on this one, and not the next that is begun
-            time.sleep(_AGAIN_S)
+            time.sleep(AGAIN_S)
+
+    def estop(self, reason: str) -> None:
+        """Brings the rig to its safe state, whoever commands it. It stays there until cleared.
+
+        Raises:
+            RigError: it did not answer: see to the rig by other means.
+        """
+        message = protocol.encode(Estop(reason[: protocol.HOLDER_MAX]))
+        asked_s = time.monotonic()
+        while True:
+            data = self._talk.ask(
+                *(self._key("estop"), message),
+                timeout_s=_STOPPED_WITHIN_S,
+                session=self._stop_session.get(self._talk.timeout_s),
+                priority=zenoh.Priority.REAL_TIME,
+            )
+            if data is not None:
+                return protocol.decode(Answer, data).check()
+            if time.monotonic() - asked_s > self._talk.timeout_s:
+                raise RigError(
+                    f"rig {self.name!r} has not answered the emergency stop: it must be taken as "
+                    "not stopped; cut its power"
+                )
+            self._talk.look(asked_s)
+
+    def clear(self) -> None:
+        """Ends an emergency stop. For whoever has seen to the rig.
+
+        Raises:
+            RigError: a trial is still being stopped, or the rig cannot be reached.
+        """
+        message = protocol.encode(Clear())
+        about = "; whether the stop is cleared is not known"
+        data = self._talk.insist(partial(self._key, "clear"), message, about)
+        protocol.decode(Answer, data).check()
+
+    @contextmanager
+    def watch(self) -> Iterator[Iterator[Telemetry]]:
+        """Samples of trials as they run, so long as the block lasts; missed by who is too slow."""
+        ring: zenoh.handlers.RingChannel[zenoh.Sample] = zenoh.handlers.RingChannel(
+            _SAMPLES_WAITING_MAX
+        )
+        with self._talk.session.declare_subscriber(
+            self._talk.keys.telemetry("*"), ring
+        ) as subscriber:
+            yield map(_live, subscriber)
+
+    def acquire(self) -> None:
+        """Asks for the right to command now, rather than with the first command.
+
+        Raises:
+            RigError: another client holds the rig, or it cannot be reached.
+        """
+        self._lease.hold()
+
+    def release(self) -> None:
+        """Gives the right to command back before `close`. A trial under way is stopped by it."""
+        self._lease.release()
 
     def close(self) -> None:
-        """Lets go of the rig; further calls are refused. A trial under way goes on."""
+        """Lets go of the rig; further calls are refused. A trial under way is stopped by it."""
         self._finish()
 
     def __enter__(self) -> Self:
@@ -225,60 +327,61 @@ class RemoteRig:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _insist(self, key: str, payload: bytes, about: str) -> bytes:
-        """Asks until this instance answers.
+    def _void(self, about: str) -> None:
+        """Sees to it that a trial whose submit was left unanswered does not run after all."""
+        if self._unanswered is None or not self._lease.token:
+            return
+        trial_id, digest = self._unanswered
+        while (
+            self._command("void", lambda lease: Void(lease, trial_id, digest), about).verdict
+            is Verdict.BUSY
+        ):
+            time.sleep(AGAIN_S)  # it is being written into the ledger
+        self._unanswered = None
 
-        Args:
-            key: Whom to ask.
-            payload: What.
-            about: What is to be said if it never answers, after what is known of the rig.
+    def _command(
+        self, verb: Literal["gains", "void"], message: Callable[[str], object], about: str
+    ) -> Answer:
+        """Gives a command that needs the lease, under a new one if the old was lost."""
+        while True:
+            lease = self._lease.hold()
+            payload = protocol.encode(message(lease))
+            data = self._talk.insist(partial(self._key, verb), payload, about)
+            answer = protocol.decode(Answer, data)
+            if answer.verdict not in (Verdict.NO_LEASE, Verdict.HELD):
+                return answer
+            self._lease.lost(lease)
 
-        Raises:
-            RigError: the rig was closed, is gone, or does not answer.
-        """
-        rig = f"rig {self.name!r} at {self._endpoint}"
-        asked_at = time.monotonic()
-        while (answer := self._ask(key, payload)) is None:
-            silent_s = time.monotonic() - asked_at
-            present = _present(self._session, self._keys.alive("*"))
-            instances = {presence.instance for presence in present}
-            if instances and self._instance not in instances:
-                raise RigError(f"{rig} was restarted{about or '; connect again'}")
-            if not instances and silent_s > self._timeout_s:
-                raise RigError(
-                    f"{rig} is gone: its process has ended or the "
-                    f"network is cut{about or '; start it again and connect again'}"
-                )
-            if instances and silent_s > max(HUNG_AFTER_S, self._timeout_s):
-                raise RigError(
-                    f"{rig} is there but has not answered for "
-                    f"{silent_s:.0f} s{about or '; see what it is doing, or restart it'}"
-                )
-            time.sleep(_AGAIN_S)
-        return answer
+    def _key(self, verb: Verb) -> str:
+        return self._talk.keys.command(self._talk.instance, verb)
 
-    def _ask(self, key: str, payload: bytes) -> bytes | None:
-        """What this instance answers; None means nothing at all, least of all "no"."""
-        if not self._finish.alive:
-            raise RigError(f"rig {self.name!r} was closed; connect again")
-        try:
-            replies = self._session.get(
-                key,
-                payload=payload,
-                timeout=_ASK_S,
-                # Hears all who answer to the name, and picks its own.
-                target=zenoh.QueryTarget.ALL,
-                consolidation=zenoh.ConsolidationMode.NONE,
-            )
-            for reply in replies:
-                sample = reply.ok
-                if sample is None or sample.attachment is None:
-                    continue
-                if sample.attachment.to_bytes() == self._instance.encode():
-                    return sample.payload.to_bytes()
-        except zenoh.ZError as error:
-            raise RigError(f"rig {self.name!r}: the link has failed ({error})") from error
-        return None
+
+class _StopSession:
+    """A session for emergency stops alone, opened when first needed: nothing queues before it."""
+
+    def __init__(self, reopen: Callable[[float], zenoh.Session]) -> None:
+        self._reopen = reopen
+        self._session: zenoh.Session | None = None
+
+    def get(self, timeout_s: float) -> zenoh.Session:
+        if self._session is None:
+            self._session = self._reopen(time.monotonic() + timeout_s)
+        return self._session
+
+    def close(self) -> None:
+        if self._session is not None:
+            close_session(self._session)
+
+
+def _let_go(lease: LeaseKeeper, stops: _StopSession, talk: Conversation) -> None:
+    lease.close()
+    stops.close()
+    talk.close()
+
+
+def _live(sample: zenoh.Sample) -> Telemetry:
+    trial_id = str(sample.key_expr).rpartition("/")[2]
+    return protocol.decode_live(trial_id, sample.payload.to_bytes())
 
 
 def _setter(event: threading.Event) -> Callable[[zenoh.Sample], None]:

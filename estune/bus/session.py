@@ -2,7 +2,7 @@
 
 No multicast and no gossip: nobody is found who was not named. No shared memory: it leaves files
 behind a killed process and gains nothing at this size. A listener only where one is asked for,
-and on this machine only unless the caller insists: a session as opened here asks for no password.
+and on this machine only unless the caller insists: who is asked for no password could be anybody.
 """
 
 import ipaddress
@@ -16,6 +16,7 @@ from typing import Any, Literal
 import zenoh
 
 from estune.errors import InvalidInput, RigError
+from estune.security import OPEN, Security
 
 LEASE_MS = 2000
 """A process that stops dead, without closing its connections, is missed after this time."""
@@ -33,6 +34,7 @@ def open_session(
     listen: tuple[str, ...] = (),
     connect: tuple[str, ...] = (),
     message_max_bytes: int,
+    security: Security = OPEN,
 ) -> zenoh.Session:
     """Opens a session.
 
@@ -43,10 +45,14 @@ def open_session(
         connect: Whom to connect to. A client fails at once if nobody is there; once connected,
             it connects again by itself after a cut.
         message_max_bytes: Larger messages are not taken in.
+        security: How it shows who it is, and whom it lets do what.
 
     Raises:
+        InvalidInput: an endpoint does not go with the security.
         zenoh.ZError: it cannot listen, or reach anybody.
     """
+    for endpoint in (*listen, *connect):
+        security.check_endpoint(endpoint)
     settings: dict[str, Any] = {
         "mode": role,
         "listen": {"endpoints": listen},
@@ -72,7 +78,10 @@ def open_session(
             },
         },
     }
-    return zenoh.open(zenoh.Config.from_json5(json.dumps(settings)))
+    config = zenoh.Config.from_json5(json.dumps(settings))
+    for key, value in security.settings().items():
+        config.insert_json5(key, json.dumps(value))
+    return zenoh.open(config)
 
 
 def close_session(session: zenoh.Session) -> None:
