@@ -18,6 +18,7 @@ from estune.reel.calibration.monotone import (
     check_slope,
     extremes,
     invert,
+    on_scale,
 )
 from estune.reel.calibration.regression import Regression, regress
 
@@ -80,6 +81,31 @@ class CurrentCalibration:
         fitted = regress(design, current, counts[:, None])
         check_order(counts[:, None], current, "command", "counts")
         return cls(axis, fitted)
+
+    @classmethod
+    def from_polynomial(
+        cls, amperes_of_command: ArrayLike, low: float, high: float, *, margin: float = 0.0
+    ) -> Self:
+        """C1 from known numbers, as those of a data sheet: they are taken as exact.
+
+        Args:
+            amperes_of_command: Offset in A, A per count, and further powers; two or more numbers.
+            low: Least command of the range they hold for, counts.
+            high: Greatest.
+            margin: Share of the range by which the rig may go beyond either end.
+
+        Raises:
+            InvalidInput: fewer than two finite numbers, no range, or a curve that is not monotone
+                on it.
+        """
+        known = checked("amperes_of_command", amperes_of_command, "A")
+        if known.ndim != 1 or known.size < 2:
+            raise InvalidInput(
+                f"amperes_of_command has shape {known.shape}; give offset, slope and, where there "
+                "are any, further powers"
+            )
+        axis = Axis("command", "counts", low, high, margin)
+        return cls(axis, Regression.exact(on_scale(axis, known).tolist()))
 
     def current_A(self, command: ArrayLike) -> Numbers:
         """Current that a command gives, A.

@@ -17,6 +17,7 @@ from estune.reel.calibration.monotone import (
     check_order,
     check_slope,
     extremes,
+    on_scale,
 )
 from estune.reel.calibration.regression import Regression, regress
 
@@ -113,6 +114,33 @@ class GaugeCalibration:
         fitted = regress(_rows(u, v, position_order), counts, settings)
         check_order(settings, counts, "force", "N")
         return cls(axis, along, fitted)
+
+    @classmethod
+    def from_polynomial(
+        cls, counts_of_force: ArrayLike, low_N: float, high_N: float, *, margin: float = 0.0
+    ) -> Self:
+        """C2 from known numbers, as those of a data sheet: they are taken as exact.
+
+        Args:
+            counts_of_force: Offset in counts, counts per N, counts per N^2; the last may be left
+                out.
+            low_N: Least force of the range they hold for, N.
+            high_N: Greatest.
+            margin: Share of the range by which the rig may go beyond either end.
+
+        Raises:
+            InvalidInput: not two or three finite numbers, no range, or a curve that is not
+                monotone on it.
+        """
+        known = checked("counts_of_force", counts_of_force, "counts")
+        if known.shape not in ((2,), (3,)):
+            raise InvalidInput(
+                f"counts_of_force has shape {known.shape}; give offset, slope and, where there is "
+                "one, curvature"
+            )
+        axis = Axis("force", "N", low_N, high_N, margin)
+        scaled = on_scale(axis, np.pad(known, (0, 3 - known.size)))
+        return cls(axis, None, Regression.exact(scaled.tolist()))
 
     def reading(self, force_N: ArrayLike, position_m: ArrayLike | None = None) -> Numbers:
         """Counts that a force gives; shapes broadcast.

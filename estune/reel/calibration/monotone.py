@@ -79,6 +79,14 @@ class Axis:
         return np.asarray(0.5 * (self.low + self.high) + 0.5 * (self.high - self.low) * scaled)
 
 
+def on_scale(axis: Axis, coefficients: ArrayLike) -> FloatArray:
+    """A polynomial of the natural quantity as one of the scaled: p(natural(u)), same order."""
+    natural = polynomial.Polynomial(np.asarray(coefficients, dtype=np.float64))
+    middle, half = 0.5 * (axis.low + axis.high), 0.5 * (axis.high - axis.low)
+    scaled = natural(polynomial.Polynomial([middle, half])).coef
+    return np.pad(scaled, (0, len(natural.coef) - len(scaled)))
+
+
 def check_columns(columns: dict[str, FloatArray]) -> None:
     """Refuses data that are not columns of one length."""
     shapes = {name: column.shape for name, column in columns.items()}

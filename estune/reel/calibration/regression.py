@@ -1,5 +1,6 @@
 """Linear least squares that says how far it can be trusted."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, Self
 
@@ -105,6 +106,21 @@ class Regression:
         new = 0.0 if repeats is None else self.standard_error**2 / repeats
         t = float(stdtrit(self.degrees_of_freedom, 0.5 + 0.5 * level))
         return np.asarray(t * np.sqrt(np.maximum(variance, 0.0) + new))
+
+    @classmethod
+    def exact(cls, coefficients: Iterable[float]) -> Self:
+        """Coefficients taken as known, as from a data sheet: no points, no uncertainty."""
+        known = tuple(map(float, coefficients))
+        return cls(
+            coefficients=known,
+            covariance=((0.0,) * len(known),) * len(known),
+            residuals=(),
+            leverage=(),
+            standard_error=0.0,
+            degrees_of_freedom=1,
+            condition=1.0,
+            lack_of_fit=None,
+        )
 
     @classmethod
     def from_dict(cls, stored: dict[str, Any]) -> Self:

@@ -1,0 +1,133 @@
+"""The PIDF as the loop runs it: compiled from the firmware's own text, or plain Python."""
+
+import ctypes
+from typing import Protocol
+
+from estune import compiler
+from estune.core import pidf
+from estune.core.pidf import Coefficients, PidfState
+from estune.errors import PlantError
+from estune.hardware.firmware import COEFFICIENTS, STATES
+
+_EXPORT = '#define ESTUNE_PIDF_EXPORT __attribute__((visibility("default")))\n'
+
+
+class Controller(Protocol):
+    """One controller with its state.
+
+    Attributes:
+        limited: Whether its limits cut the last effort.
+    """
+
+    limited: bool
+
+    def use(self, coefficients: Coefficients) -> None:
+        """Changes the gains; the state stays."""
+        ...
+
+    def rest(self, tension_N: float, effort_N: float) -> None:
+        """Takes the state of a loop that has settled."""
+        ...
+
+    def take_over(self, setpoint_N: float, tension_N: float, effort_N: float) -> None:
+        """Takes the state from which the next step gives this effort."""
+        ...
+
+    def step(self, setpoint_N: float, tension_N: float) -> float:
+        """One sample; the effort within its limits, N."""
+        ...
+
+
+def make_controller(source: str) -> tuple[Controller, str]:
+    """The controller compiled from its C text, where there is a compiler.
+
+    Returns:
+        The controller, and why it is the plain one; empty where it is not.
+    """
+    try:
+        return CompiledController(source), ""
+    except PlantError as error:
+        return PlainController(), f"the controller runs as plain Python: {error}"
+
+
+class _Struct(ctypes.Structure):
+    """`estune_pidf` of the C text."""
+
+    _fields_ = (
+        ("coefficients", ctypes.c_double * COEFFICIENTS),
+        ("state", ctypes.c_double * STATES),
+    )
+
+
+class CompiledController:
+    """The C text, compiled."""
+
+    def __init__(self, source: str) -> None:
+        """Compiles, or takes from the cache.
+
+        Raises:
+            PlantError: no compiler, or it failed.
+        """
+        library = compiler.load(_EXPORT + source)
+        self._step, self._take_over, self._rest = (
+            library.estune_pidf_step,
+            library.estune_pidf_take_over,
+            library.estune_pidf_at_rest,
+        )
+        number, address = ctypes.c_double, ctypes.c_void_p
+        self._step.argtypes, self._step.restype = (address, number, number, address), number
+        self._take_over.argtypes, self._take_over.restype = (address, number, number, number), None
+        self._rest.argtypes, self._rest.restype = (address, number, number), None
+        self._struct, self._excess = _Struct(), ctypes.c_double()
+        self._at, self._excess_at = map(ctypes.addressof, (self._struct, self._excess))
+        self.limited = False
+
+    def use(self, coefficients: Coefficients) -> None:
+        """Changes the gains; the state stays."""
+        self._struct.coefficients[:] = coefficients
+
+    def rest(self, tension_N: float, effort_N: float) -> None:
+        """Takes the state of a loop that has settled."""
+        self._rest(self._at, tension_N, effort_N)
+
+    def take_over(self, setpoint_N: float, tension_N: float, effort_N: float) -> None:
+        """Takes the state from which the next step gives this effort."""
+        self._take_over(self._at, setpoint_N, tension_N, effort_N)
+
+    def step(self, setpoint_N: float, tension_N: float) -> float:
+        """One sample; the effort within its limits, N."""
+        effort: float = self._step(self._at, setpoint_N, tension_N, self._excess_at)
+        self.limited = self._excess.value != 0.0
+        return effort
+
+
+class PlainController:
+    """`estune.core.pidf` on floats."""
+
+    _coefficients: Coefficients
+
+    def __init__(self) -> None:
+        self._state = PidfState(0.0, 0.0, 0.0)
+        self.limited = False
+
+    def use(self, coefficients: Coefficients) -> None:
+        """Changes the gains; the state stays."""
+        self._coefficients = coefficients
+
+    def rest(self, tension_N: float, effort_N: float) -> None:
+        """Takes the state of a loop that has settled."""
+        self._state = pidf.at_rest(tension_N, effort_N)
+
+    def take_over(self, setpoint_N: float, tension_N: float, effort_N: float) -> None:
+        """Takes the state from which the next step gives this effort."""
+        self._state = pidf.bumpless(
+            self._coefficients, self._state, setpoint_N, tension_N, effort_N
+        )
+
+    def step(self, setpoint_N: float, tension_N: float) -> float:
+        """One sample; the effort within its limits, N."""
+        self._state, effort, excess = pidf.step(
+            self._coefficients, self._state, setpoint_N, tension_N
+        )
+        self.limited = bool(excess != 0.0)
+        return float(effort)

@@ -1,0 +1,184 @@
+"""The tables of a rig's file. Every key carries its unit."""
+
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self, TypeVar
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+Positive = Annotated[float, Field(gt=0.0)]
+NotNegative = Annotated[float, Field(ge=0.0)]
+Range = tuple[float, float]
+_Any = TypeVar("_Any")
+_Calibration = TypeVar("_Calibration", bound="GaugeTable | CurrentTable")
+
+
+class Table(BaseModel):
+    """A table of the file: no unknown keys, no silent conversions, no NaN or infinity."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, frozen=True)
+
+
+class DriverTable(Table):
+    """Which driver: its name among the installed ones, or module:attribute, and its settings."""
+
+    use: str
+    settings: dict[str, Any] = {}
+
+
+class GaugeTable(Table):
+    """C2: a file that `GaugeCalibration.as_dict` was saved to as JSON, or known numbers."""
+
+    file: Path | None = Field(default=None, strict=False)
+    counts_of_force: list[float] | None = None
+    range_N: Annotated[Range | None, Field(strict=False)] = None
+
+    @model_validator(mode="after")
+    def _one_way(self) -> Self:
+        return _check_one_way(self, self.counts_of_force, self.range_N, "counts_of_force, range_N")
+
+
+class CurrentTable(Table):
+    """C1: a file that `CurrentCalibration.as_dict` was saved to as JSON, or known numbers."""
+
+    file: Path | None = Field(default=None, strict=False)
+    amperes_of_command: list[float] | None = None
+    range_counts: Annotated[Range | None, Field(strict=False)] = None
+
+    @model_validator(mode="after")
+    def _one_way(self) -> Self:
+        known = self.amperes_of_command
+        return _check_one_way(self, known, self.range_counts, "amperes_of_command, range_counts")
+
+
+class ReelTable(Table):
+    """The reel's geometry. Counts that fall while the cable is wound in have a negative turn."""
+
+    drum_radius_m: Positive
+    torque_constant_Nm_A: Positive
+    encoder_counts_per_turn: float
+    cable_length_m: Positive | None = None
+
+    @model_validator(mode="after")
+    def _turns(self) -> Self:
+        if self.encoder_counts_per_turn == 0.0:
+            raise ValueError("encoder_counts_per_turn is 0; it must be above or below")
+        return self
+
+
+class LimitsTable(Table):
+    """What a trial may ask for, and the amplifier may be told."""
+
+    tension_min_N: float
+    tension_max_N: float
+    current_min_A: float = 0.0
+    current_max_A: float
+    duration_max_s: Positive = 10.0
+
+    @model_validator(mode="after")
+    def _in_order(self) -> Self:
+        _check_order(self, "tension_min_N", "tension_max_N")
+        return _check_order(self, "current_min_A", "current_max_A")
+
+
+class GuardTable(Table):
+    """What the reel may do before the guard stops it; see `estune.reel.guard.Limits`.
+
+    Left out, a limit that only some reels need is none.
+    """
+
+    tension_max_N: float
+    slack_N: float
+    slack_s: NotNegative = 0.1
+    rate_max_N_s: Positive | None = None
+    current_max_A: Positive
+    current_s: NotNegative = 0.5
+    angle_min_rad: float | None = None
+    angle_max_rad: float | None = None
+    travel_max_rad: Positive
+    frozen_s: Positive = 0.1
+    gap_s: Positive = 0.015
+    late_in_a_row: Annotated[int, Field(ge=1)] = 10
+    heartbeat_s: Positive = 0.5
+    eta_max: Positive | None = None
+    deadline_margin_s: Positive = 0.2
+
+    @model_validator(mode="after")
+    def _in_order(self) -> Self:
+        _check_order(self, "slack_N", "tension_max_N")
+        if self.angle_min_rad is not None and self.angle_max_rad is not None:
+            _check_order(self, "angle_min_rad", "angle_max_rad")
+        return self
+
+
+class SafeTable(Table):
+    """The safe state: `hold` by the live gains where that is possible, else `ramp` the current."""
+
+    state: Literal["hold", "ramp"] = "hold"
+    current_A: float = 0.0
+    ramp_s: NotNegative = 0.2
+    recover_s: Positive = 0.3
+
+
+class MotionTable(Table):
+    """How the reel is moved outside trials."""
+
+    hold_N: float | None = None
+    rate_N_s: Positive = 20.0
+    settle_s: NotNegative = 0.5
+    settle_N: Positive = 0.5
+    settle_within_s: Positive = 10.0
+    take_up_A: Positive
+    take_up_s: Positive = 3.0
+    taut_N: Positive
+
+
+class ControllerTable(Table):
+    """The part of the controller that is not tuned."""
+
+    derivative_filter_s: NotNegative = 0.002
+
+
+class GainsTable(Table):
+    """The live gains the rig starts with: ones that are known to hold it stable."""
+
+    P: Positive
+    I: NotNegative
+    D: NotNegative
+    setpoint_filter_s: NotNegative
+
+
+class StepTable(Table):
+    """A step trial that suits the reel."""
+
+    preload_N: float
+    step_N: float
+    step_at_s: NotNegative = 0.2
+    duration_s: Positive = 1.0
+
+
+class RealTimeTable(Table):
+    """How the loop keeps its time; late_s is a tenth of the sampling period by default."""
+
+    priority: Annotated[int, Field(ge=0, le=99)] = 50
+    lock_memory: bool = True
+    cpu: Annotated[int, Field(ge=0)] | None = None
+    spin_s: NotNegative = 100e-6
+    late_s: Positive | None = None
+
+
+def _check_one_way(
+    table: _Calibration, known: list[float] | None, range_: Range | None, names: str
+) -> _Calibration:
+    """Refuses both or neither of a file and numbers."""
+    numbers = known is not None and range_ is not None
+    if numbers == (table.file is not None) or (known is None) != (range_ is None):
+        raise ValueError(f"give either file, or {names}")
+    return table
+
+
+def _check_order(table: _Any, low: str, high: str) -> _Any:
+    if not getattr(table, low) < getattr(table, high):
+        raise ValueError(
+            f"{low} {getattr(table, low):g} and {high} {getattr(table, high):g} are not in order"
+        )
+    return table

@@ -1,0 +1,300 @@
+"""The guard inside the control loop: the paper's process for run-time errors (section IV).
+
+It sees every sample before the controller does and says, in the same sample, whether the reel has
+to go to its safe state, and why. It is pure: what it remembers between samples is a value, time is
+what the samples carry.
+
+Two kinds of reasons are told apart. A limit crossed by the reel itself (tension, slack, rate,
+current, angle, cost) condemns the gains that were live. A fault of what is around them (a sensor,
+the clock, whoever supervises the loop) says nothing about the gains.
+"""
+
+import math
+from dataclasses import dataclass, fields
+from enum import StrEnum
+from typing import NamedTuple
+
+from estune.errors import InvalidInput
+
+
+class Reason(StrEnum):
+    """Why the guard stops a reel."""
+
+    TENSION = "tension"
+    SLACK = "slack"
+    RATE = "rate"
+    CURRENT = "current"
+    ANGLE = "angle"
+    TRAVEL = "travel"
+    COST = "cost"
+    READING = "reading"
+    FROZEN = "frozen"
+    CLOCK = "clock"
+    LATE = "late"
+    DEADLINE = "deadline"
+    HEARTBEAT = "heartbeat"
+
+    @property
+    def condemns_gains(self) -> bool:
+        """Whether the gains that were live are to blame."""
+        return self in _BY_GAINS
+
+    @property
+    def leaves_control(self) -> bool:
+        """Whether the reel can still be held in closed loop: its sensors and clock are sound."""
+        return self in _BY_GAINS or self in (Reason.HEARTBEAT, Reason.DEADLINE)
+
+
+_BY_GAINS = frozenset(
+    (
+        *(Reason.TENSION, Reason.SLACK, Reason.RATE, Reason.CURRENT),
+        *(Reason.ANGLE, Reason.TRAVEL, Reason.COST),
+    )
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Limits:
+    """What a reel may do; a limit that is infinite is none.
+
+    Attributes:
+        tension_max_N: Greatest tension, N.
+        slack_N: Tension below which the cable counts as slack, N.
+        slack_s: How long it may, s; it must have been taut before.
+        rate_max_N_s: Greatest rate of the tension from one sample to the next, either way, N/s.
+        current_max_A: Greatest size of the current in the long run, A.
+        current_s: How long it may be above that, s.
+        angle_min_rad: Least drum angle, rad.
+        angle_max_rad: Greatest drum angle, rad.
+        travel_max_rad: Greatest turn of the drum from where the watch began, either way, rad.
+        frozen_s: How long the gauge's counts may stay exactly the same, s.
+        gap_s: Longest time from one sample to the next, s.
+        late_in_a_row: How many samples in a row may be late.
+        heartbeat_s: How long whoever supervises the loop may be silent, s.
+        cost_max: Greatest cost the trial may run up.
+        duration_s: Longest time from where the watch began, s.
+
+    Raises:
+        InvalidInput: a value is out of its range, or two are the wrong way round.
+    """
+
+    tension_max_N: float = math.inf
+    slack_N: float = -math.inf
+    slack_s: float = 0.0
+    rate_max_N_s: float = math.inf
+    current_max_A: float = math.inf
+    current_s: float = 0.0
+    angle_min_rad: float = -math.inf
+    angle_max_rad: float = math.inf
+    travel_max_rad: float = math.inf
+    frozen_s: float = math.inf
+    gap_s: float = math.inf
+    late_in_a_row: float = math.inf
+    heartbeat_s: float = math.inf
+    cost_max: float = math.inf
+    duration_s: float = math.inf
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if math.isnan(value):
+                raise InvalidInput(f"guard limit {field.name} is not a number")
+            if field.name.endswith(("_s", "_A", "_row", "travel_max_rad")) and value < 0.0:
+                raise InvalidInput(
+                    f"guard limit {field.name} is {value:g}; it must be zero or above"
+                )
+        for low, high in (("slack_N", "tension_max_N"), ("angle_min_rad", "angle_max_rad")):
+            if not getattr(self, low) < getattr(self, high):
+                raise InvalidInput(
+                    f"guard limits {low} {getattr(self, low):g} and {high} "
+                    f"{getattr(self, high):g} are not in order"
+                )
+
+
+class Sample(NamedTuple):
+    """What the guard sees of one sample.
+
+    Attributes:
+        time_s: When it was read, s.
+        tension_N: The tension, N; NaN where the reading lies outside the calibration.
+        gauge_counts: What the tension was read from, counts.
+        current_A: The current in force, commanded at the last sample, A.
+        angle_rad: The drum's angle, rad.
+        late: Whether the loop was late for it.
+        silence_s: How long the supervisor has been silent, s.
+        cost: What the trial has run up, this sample included.
+    """
+
+    time_s: float
+    tension_N: float
+    gauge_counts: float
+    current_A: float
+    angle_rad: float
+    late: bool = False
+    silence_s: float = 0.0
+    cost: float = 0.0
+
+
+class Watch(NamedTuple):
+    """What the guard remembers between samples; `began` at the first."""
+
+    start_s: float
+    start_rad: float
+    time_s: float
+    tension_N: float
+    gauge_counts: float
+    changed_s: float  # when the counts last were others
+    taut_s: float  # when the cable last was taut; infinite before it ever was
+    within_s: float  # when the current last was within its limit
+    late_in_a_row: int
+
+
+class Stop(NamedTuple):
+    """The guard's word that the reel has to go to its safe state.
+
+    Attributes:
+        reason: Why.
+        sentence: The same with value and limit.
+    """
+
+    reason: Reason
+    sentence: str
+
+
+def begin(sample: Sample) -> Watch:
+    """The state of a watch that begins with this sample, itself still to be looked at."""
+    return Watch(
+        start_s=sample.time_s,
+        start_rad=sample.angle_rad,
+        time_s=-math.inf,
+        tension_N=math.nan,
+        gauge_counts=math.nan,
+        changed_s=sample.time_s,
+        taut_s=math.inf,
+        within_s=sample.time_s,
+        late_in_a_row=0,
+    )
+
+
+def look(limits: Limits, watch: Watch, sample: Sample) -> tuple[Watch, Stop | None]:
+    """One sample of the guard.
+
+    Args:
+        limits: What the reel may do.
+        watch: What the last sample left; `begin` at the first.
+        sample: What was read.
+
+    Returns:
+        What to remember, and why to stop; None where all is well. Where several limits are
+        crossed at once the graver is named: first what makes the others worthless.
+    """
+    now, tension = sample.time_s, sample.tension_N
+    following = Watch(
+        start_s=watch.start_s,
+        start_rad=watch.start_rad,
+        time_s=now,
+        tension_N=tension,
+        gauge_counts=sample.gauge_counts,
+        changed_s=watch.changed_s if sample.gauge_counts == watch.gauge_counts else now,
+        # Before the cable was first taut nobody waits for it.
+        taut_s=now if tension >= limits.slack_N else watch.taut_s,
+        within_s=now if abs(sample.current_A) <= limits.current_max_A else watch.within_s,
+        late_in_a_row=watch.late_in_a_row + 1 if sample.late else 0,
+    )
+    stop = _fault(limits, watch, following, sample) or _crossed(limits, watch, following, sample)
+    return following, stop
+
+
+def _fault(  # noqa: PLR0911  a return for each fault, the gravest first
+    limits: Limits, watch: Watch, following: Watch, sample: Sample
+) -> Stop | None:
+    """What is wrong around the reel. Comparisons are written so that a NaN fails them."""
+    now, gap = sample.time_s, sample.time_s - watch.time_s
+    if not math.isfinite(sample.tension_N):
+        return Stop(
+            Reason.READING,
+            f"the gauge reads {sample.gauge_counts:g} counts, which is no tension within its "
+            "calibration",
+        )
+    if not math.isfinite(sample.angle_rad):
+        return Stop(Reason.READING, f"the encoder's angle is {sample.angle_rad} rad")
+    if not gap > 0.0:
+        return Stop(
+            Reason.CLOCK, f"the driver's time stamp went from {watch.time_s:.6f} to {now:.6f} s"
+        )
+    if math.inf > gap > limits.gap_s:
+        return Stop(Reason.LATE, f"{_ms(gap)} between two samples; limit {_ms(limits.gap_s)}")
+    if following.late_in_a_row > limits.late_in_a_row:
+        return Stop(
+            Reason.LATE,
+            f"{following.late_in_a_row} late samples in a row; limit {limits.late_in_a_row:g}",
+        )
+    if not now - following.changed_s <= limits.frozen_s:
+        return Stop(
+            Reason.FROZEN,
+            f"the gauge has read exactly {sample.gauge_counts:g} counts for "
+            f"{_ms(now - following.changed_s)}; limit {_ms(limits.frozen_s)}",
+        )
+    if not sample.silence_s <= limits.heartbeat_s:
+        return Stop(
+            Reason.HEARTBEAT,
+            f"no sign of life from the supervisor for {_ms(sample.silence_s)}; "
+            f"limit {_ms(limits.heartbeat_s)}",
+        )
+    if not now - watch.start_s <= limits.duration_s:
+        return Stop(
+            Reason.DEADLINE,
+            f"{now - watch.start_s:.3f} s since the start; limit {limits.duration_s:.3f} s",
+        )
+    return None
+
+
+def _crossed(  # noqa: PLR0911  a return for each limit, the gravest first
+    limits: Limits, watch: Watch, following: Watch, sample: Sample
+) -> Stop | None:
+    """Which limit the reel itself has crossed; the readings are known to be finite."""
+    now, tension, angle = sample.time_s, sample.tension_N, sample.angle_rad
+    if tension > limits.tension_max_N:
+        return _over(Reason.TENSION, "tension", tension, limits.tension_max_N, " N")
+    if now - following.taut_s > limits.slack_s:
+        return Stop(
+            Reason.SLACK,
+            f"the cable has been slack, below {limits.slack_N:g} N, for "
+            f"{_ms(now - following.taut_s)} (tension {tension:.4g} N); "
+            f"limit {_ms(limits.slack_s)}",
+        )
+    rate = (tension - watch.tension_N) / (now - watch.time_s)
+    if abs(rate) > limits.rate_max_N_s:  # no number at the first sample
+        return _over(Reason.RATE, "rate of the tension", rate, limits.rate_max_N_s, " N/s")
+    if now - following.within_s > limits.current_s:
+        return Stop(
+            Reason.CURRENT,
+            f"current {sample.current_A:.4g} A, above {limits.current_max_A:g} A for "
+            f"{_ms(now - following.within_s)}; limit {_ms(limits.current_s)}",
+        )
+    if not limits.angle_min_rad <= angle <= limits.angle_max_rad:
+        return Stop(
+            Reason.ANGLE,
+            f"drum angle {angle:.4g} rad; limits {limits.angle_min_rad:g} to "
+            f"{limits.angle_max_rad:g} rad",
+        )
+    travel = angle - watch.start_rad
+    if abs(travel) > limits.travel_max_rad:
+        return _over(
+            Reason.TRAVEL,
+            "turn of the drum so far",
+            travel,
+            limits.travel_max_rad,
+            " rad",
+        )
+    if not sample.cost <= limits.cost_max:
+        return _over(Reason.COST, "cost so far", sample.cost, limits.cost_max, "")
+    return None
+
+
+def _over(reason: Reason, what: str, value: float, limit: float, unit: str) -> Stop:
+    return Stop(reason, f"{what} {value:.4g}{unit}; limit {limit:g}{unit}")
+
+
+def _ms(time_s: float) -> str:
+    return f"{1e3 * time_s:.4g} ms"

@@ -1,0 +1,117 @@
+"""The emulated hardware as a process: `python -m plants.emulator ADDRESS [SETTINGS]`.
+
+ADDRESS is the path of the socket it makes; SETTINGS is JSON with `reel`, settings of the reference
+reel, `electronics` (see `plants.emulator.board.Electronics`) and `seed`. It prints the address
+when it listens, and ends when its standard input is closed.
+"""
+
+import contextlib
+import gc
+import json
+import os
+import select
+import socket
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import plants
+from estune.errors import EstuneError, InvalidInput
+from plants.emulator import wire
+from plants.emulator.board import Board, Electronics
+
+_PRIORITY = 60
+_IDLE_ms = 5
+"""Without anybody asking, the reel is brought up to the present at least so often."""
+
+
+def make_board(settings: dict[str, Any]) -> Board:
+    """The emulated hardware of these settings.
+
+    Raises:
+        InvalidInput: a setting is unknown or out of its range.
+    """
+    unknown = set(settings) - {"reel", "electronics", "seed"}
+    if unknown:
+        raise InvalidInput(f"the emulated hardware has no setting {', '.join(sorted(unknown))}")
+    given: dict[str, Any] = {
+        name: tuple(value) if isinstance(value, list) else value
+        for name, value in settings.get("electronics", {}).items()
+    }
+    try:
+        electronics = Electronics(**given)
+    except TypeError as error:
+        raise InvalidInput(f"electronics: {error}") from error
+    reel = plants.reference_reel(**settings.get("reel", {}))
+    return Board(reel, electronics, settings.get("seed", 0), time.monotonic())
+
+
+def serve(board: Board, listener: socket.socket) -> None:
+    """Answers until standard input is closed."""
+    poll = select.poll()
+    poll.register(listener, select.POLLIN)
+    poll.register(sys.stdin, select.POLLIN)
+    clients: dict[int, socket.socket] = {}
+    while True:
+        events = poll.poll(_IDLE_ms)
+        board.advance(time.monotonic())
+        for file, _ in events:
+            if file == listener.fileno():
+                client, _ = listener.accept()
+                clients[client.fileno()] = client
+                poll.register(client, select.POLLIN)
+            elif file == sys.stdin.fileno():
+                if not os.read(file, 4096):
+                    return
+            elif not _answer(board, clients[file]):
+                poll.unregister(file)
+                clients.pop(file).close()
+
+
+def _answer(board: Board, client: socket.socket) -> bool:
+    """Does what one packet asks for; false where the client has gone."""
+    try:
+        packet = client.recv(wire.COMMAND.size)
+        if not packet:
+            return False
+        verb, number = wire.COMMAND.unpack(packet)
+        now = time.monotonic()
+        if verb == wire.READ:
+            client.send(wire.READING.pack(now, *board.read(now)))
+        elif verb == wire.WRITE:
+            board.write(now, number)
+        elif verb in (wire.ENABLE, wire.DISABLE):
+            board.power(now, on=verb == wire.ENABLE)
+        elif verb == wire.TRUTH:
+            client.send(wire.TRUTH_ANSWER.pack(*board.truth(now)))
+    except OSError:
+        return False
+    return True
+
+
+def main(address: str, settings: str = "{}") -> int:
+    """Makes the hardware and serves it.
+
+    Returns:
+        The exit code.
+    """
+    try:
+        board = make_board(json.loads(settings))
+    except EstuneError as error:
+        print(f"emulator: {error}", file=sys.stderr)
+        return error.exit_code
+    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as listener:
+        listener.bind(address)
+        listener.listen()
+        print(address, flush=True)
+        with contextlib.suppress(OSError):  # hardware waits for nobody; better with than without
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_PRIORITY))
+        gc.freeze()
+        serve(board, listener)
+    Path(address).unlink(missing_ok=True)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(*sys.argv[1:]))

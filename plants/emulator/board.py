@@ -1,0 +1,223 @@
+"""The emulated hardware: a reel behind converters, an encoder, an amplifier and a watchdog.
+
+It moves in wall-clock time, whoever asks: brought up to the present whenever it is spoken to, in
+steps an eighth of a sampling period long, with the equations of `plants.reel_equations`.
+"""
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from estune.errors import InvalidInput
+from plants.emulator.wire import Truth
+from plants.plant import check_above_zero
+from plants.reel import Reel
+from plants.reel_equations import THETA, ReelStructure
+
+STEPS_PER_SAMPLE = 8
+_NOISE_AT_ONCE = 4096
+
+
+@dataclass(frozen=True, slots=True)
+class Electronics:
+    """What stands between the reel and the computer.
+
+    Attributes:
+        counts_of_force: The gauge's converter: counts at no force, per N, per N^2.
+        gauge_bits: Its width.
+        amperes_of_command: The current controller: A at no command, A per count, and so on.
+        current_bits: Width of its converter; commands are signed.
+        watchdog_s: The amplifier is cut off where nothing was written for so long, s.
+
+    Raises:
+        InvalidInput: a value is out of its range.
+    """
+
+    counts_of_force: tuple[float, ...] = (1_000_000.0, 150_000.0, 60.0)
+    gauge_bits: int = 24
+    amperes_of_command: tuple[float, ...] = (0.0, 2.0e-4)
+    current_bits: int = 16
+    watchdog_s: float = 0.02
+
+    def __post_init__(self) -> None:
+        check_above_zero("watchdog", self.watchdog_s, "s")
+        for name in ("counts_of_force", "amperes_of_command"):
+            numbers = getattr(self, name)
+            if len(numbers) < 2 or not np.isfinite(numbers).all():
+                raise InvalidInput(f"{name} is {numbers}; give an offset, a slope, and so on")
+        for name in ("gauge_bits", "current_bits"):
+            if not 1 <= getattr(self, name) <= 32:
+                raise InvalidInput(f"{name} is {getattr(self, name)}; it must be from 1 to 32")
+
+    def gauge_counts(self, force_N: float) -> int:
+        """What the converter reads, within its width."""
+        wanted = round(_polynomial(self.counts_of_force, force_N))
+        return int(min(max(wanted, 0), 2**self.gauge_bits - 1))
+
+    def current_A(self, command: int) -> float:
+        """What the amplifier makes of a command."""
+        end = 2 ** (self.current_bits - 1)
+        return _polynomial(self.amperes_of_command, min(max(command, -end), end - 1))
+
+
+class Board:
+    """A reel and its electronics at the present; begins slack, without power."""
+
+    def __init__(self, reel: Reel, electronics: Electronics, seed: int, now_s: float) -> None:
+        """See `plants.emulator.EmulatedDriver`.
+
+        Raises:
+            InvalidInput: the reel's dead time is no whole number of steps.
+        """
+        rate = STEPS_PER_SAMPLE * reel.sampling_Hz
+        self._reel = reel = replace(reel, sampling_Hz=rate)
+        if reel.structure.fractional:
+            raise InvalidInput(
+                f"the emulated dead time must be a multiple of {1.0 / rate:.6g} s; it is "
+                f"{reel.dead_time_s:g} s"
+            )
+        self._electronics = electronics
+        self._period_s = 1.0 / rate
+        self._motion = _Motion(reel)
+        self._random = np.random.default_rng(seed)
+        self._noise: list[float] = []
+        self._time_s = now_s
+        self._powered = False
+        self._tripped = self._written = self._command = 0
+        self._written_s = now_s
+
+    def advance(self, now_s: float) -> None:
+        """Moves the reel on to the present, or nearly: by whole steps."""
+        while self._time_s + self._period_s <= now_s:
+            self._time_s += self._period_s
+            if self._powered and self._time_s - self._written_s > self._electronics.watchdog_s:
+                self._powered = False
+                self._tripped += 1
+            self._motion.step(self._current_A())
+
+    def read(self, now_s: float) -> tuple[int, int]:
+        """Counts of the gauge and of the encoder."""
+        self.advance(now_s)
+        if not self._noise:
+            self._noise = self._random.normal(
+                0.0, self._reel.gauge_noise_N, _NOISE_AT_ONCE
+            ).tolist()
+        tension, angle = self._motion.observe(self._noise.pop())
+        counts = round(angle * self._reel.encoder_counts / (2.0 * np.pi))
+        return self._electronics.gauge_counts(tension), counts
+
+    def write(self, now_s: float, command: int) -> None:
+        """Commands a current."""
+        self.advance(now_s)
+        self._command, self._written_s = command, now_s
+        self._written += 1
+
+    def power(self, now_s: float, *, on: bool) -> None:
+        """Gives or takes the amplifier's power. The watchdog counts from here."""
+        self.advance(now_s)
+        self._powered, self._written_s = on, now_s
+
+    def truth(self, now_s: float) -> Truth:
+        """How it really stands."""
+        self.advance(now_s)
+        tension, _ = self._motion.observe(0.0)
+        return Truth(
+            now_s,
+            tension,
+            self._current_A(),
+            self._motion.angle_rad,
+            self._powered,
+            self._tripped,
+            self._written,
+            self._written_s,
+        )
+
+    def _current_A(self) -> float:
+        return self._electronics.current_A(self._command) if self._powered else 0.0
+
+
+class _Functions(NamedTuple):
+    """The reel's equations as CasADi functions on dense columns."""
+
+    prepare: Any  # (parameters, preload) -> (constants, state at rest, effort at rest)
+    drive: Any  # (constants, state, effort) -> (state, drive)
+    move: Any  # (constants, state, drive before, drive after) -> state one step later
+    observe: Any  # (constants, state, drive, noise) -> (tension, angle)
+
+
+@lru_cache
+def _functions(structure: ReelStructure) -> _Functions:
+    equations = structure.equations()
+    c, x, in_force, noise = equations.observe.sx_in()
+    effort, before, after = (ca.SX.sym(name) for name in ("effort", "before", "after"))
+    driven, drive = equations.drive(c, x, effort)
+    moved = equations.move(c, x, before, after)
+    _, tension, angle = equations.observe(c, x, in_force, noise)
+    return _Functions(
+        equations.prepare,
+        ca.Function("emulator_drive", [c, x, effort], [ca.densify(driven), drive]),
+        ca.Function("emulator_move", [c, x, before, after], [ca.densify(moved)]),
+        ca.Function("emulator_observe", [c, x, in_force, noise], [tension, angle]),
+    )
+
+
+class _Motion:
+    """The reel's equations, one step at a time, through CasADi's buffers."""
+
+    def __init__(self, reel: Reel) -> None:
+        prepare, driven_step, move, observe = _functions(reel.structure)
+        constants, _, _ = prepare(reel.parameter_values, reel.tension_N)
+        # Each buffer is memory of a fixed place that the functions read and write.
+        states = driven_step.numel_out(0)
+        rooms = {"constants": constants.numel(), "x": states, "driven": states}
+        rooms |= dict.fromkeys(("effort", "drive", "before", "after", "noise", "y", "angle"), 1)
+        self._memory: dict[str, Any] = {n: np.zeros(room).data for n, room in rooms.items()}
+        self._memory["constants"][:] = np.asarray(constants).ravel().data
+        self._effort_per_A = reel.newtons_per_ampere
+        self._ring = [0.0] * reel.delay_samples
+        self._bound: list[Any] = []
+        self._drive = self._bind(driven_step, "constants x effort", "driven drive")
+        self._move = self._bind(move, "constants driven before after", "x")
+        self._observe = self._bind(observe, "constants x after noise", "y angle")
+
+    @property
+    def angle_rad(self) -> float:
+        """The drum's angle."""
+        angle: float = self._memory["x"][THETA]
+        return angle
+
+    def step(self, current_A: float) -> None:
+        """Moves on by one step, during which the current is commanded."""
+        m = self._memory
+        m["effort"][0] = current_A * self._effort_per_A
+        self._drive()
+        self._ring.append(m["drive"][0])
+        m["before"][0] = m["after"][0]
+        m["after"][0] = self._ring.pop(0)
+        self._move()
+
+    def observe(self, noise_N: float) -> tuple[float, float]:
+        """What gauge and encoder show: tension in N and angle in rad."""
+        self._memory["noise"][0] = noise_N
+        self._observe()
+        return self._memory["y"][0], self._memory["angle"][0]
+
+    def _bind(self, function: Any, inputs: str, outputs: str) -> Any:
+        """The function as a call without arguments on this memory."""
+        buffer, call = function.buffer()
+        for n, name in enumerate(inputs.split()):
+            buffer.set_arg(n, self._memory[name])
+        for n, name in enumerate(outputs.split()):
+            buffer.set_res(n, self._memory[name])
+        self._bound.append(buffer)
+        return call
+
+
+def _polynomial(coefficients: tuple[float, ...], x: float) -> float:
+    value = 0.0
+    for coefficient in reversed(coefficients):
+        value = value * x + coefficient
+    return value

@@ -1,0 +1,140 @@
+"""The driver of the emulated hardware: a model for one of your own."""
+
+import contextlib
+import json
+import socket
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, Self
+
+from estune.errors import RigError
+from estune.hardware.driver import Reading
+from plants.emulator import wire
+from plants.emulator.wire import Truth
+
+_ANSWER_WITHIN_s = 0.05
+_END_WITHIN_s = 2.0
+
+
+class EmulatedDriver:
+    """Drives an emulated reel; implements `estune.hardware.Driver`.
+
+    Args:
+        address: The socket of hardware that runs already (`python -m plants.emulator ADDRESS`).
+            Without one, the driver starts hardware of its own, which ends with it.
+        reel: Settings of the reference reel, such as cable_length_m; for hardware of its own.
+        electronics: See `plants.emulator.board.Electronics`; for hardware of its own.
+        seed: Seed of the gauge's noise; for hardware of its own.
+
+    Raises:
+        RigError: nothing answers at the address, or the hardware does not start.
+    """
+
+    def __init__(
+        self,
+        address: str | None = None,
+        *,
+        reel: Mapping[str, Any] | None = None,
+        electronics: Mapping[str, Any] | None = None,
+        seed: int = 0,
+    ) -> None:
+        self._own: contextlib.ExitStack = contextlib.ExitStack()
+        if address is None:
+            settings = {"reel": reel or {}, "electronics": electronics or {}, "seed": seed}
+            address = self._own.enter_context(started(settings))
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self._socket.settimeout(_ANSWER_WITHIN_s)
+        try:
+            self._socket.connect(address)
+        except OSError as error:
+            self.close()
+            raise RigError(
+                f"no emulated hardware at {address}: {error.strerror}; start it with: "
+                f"python -m plants.emulator {address}"
+            ) from error
+
+    def enable(self) -> None:
+        """Gives the amplifier power."""
+        self._say(wire.ENABLE)
+
+    def read(self) -> Reading:
+        """Reads gauge and encoder."""
+        self._say(wire.READ)
+        return Reading(*wire.READING.unpack(self._socket.recv(wire.READING.size)))
+
+    def write(self, current_counts: int) -> None:
+        """Commands a motor current."""
+        self._say(wire.WRITE, current_counts)
+
+    def disable(self) -> None:
+        """Takes the amplifier's power away."""
+        self._say(wire.DISABLE)
+
+    def safe_state(self) -> None:
+        """The same: this reel has no brake."""
+        self._say(wire.DISABLE)
+
+    def truth(self) -> Truth:
+        """How the emulated hardware really stands; no real one can tell."""
+        self._say(wire.TRUTH)
+        answer = self._socket.recv(wire.TRUTH_ANSWER.size)
+        return Truth(*wire.TRUTH_ANSWER.unpack(answer))
+
+    def close(self) -> None:
+        """Lets go of the hardware; ends it where it is the driver's own."""
+        with contextlib.suppress(OSError):
+            self._say(wire.DISABLE)
+        self._socket.close()
+        self._own.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _say(self, verb: bytes, number: int = 0) -> None:
+        self._socket.send(wire.COMMAND.pack(verb, number))
+
+
+@contextlib.contextmanager
+def started(settings: Mapping[str, Any]) -> Iterator[str]:
+    """Emulated hardware in a process of its own, for as long as the block lasts.
+
+    Args:
+        settings: `reel`, `electronics` and `seed`, as of `EmulatedDriver`.
+
+    Yields:
+        Its address.
+
+    Raises:
+        RigError: it does not start.
+    """
+    with tempfile.TemporaryDirectory(prefix="estune-reel-") as folder:
+        address = str(Path(folder) / "reel")
+        process = subprocess.Popen(  # noqa: S603  our own interpreter and module
+            [sys.executable, "-m", "plants.emulator", address, json.dumps(dict(settings))],
+            stdin=subprocess.PIPE,  # closes however this process ends, and the hardware with it
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+        )
+        try:
+            assert process.stdout and process.stderr  # noqa: S101, PT018  asked for above
+            if not process.stdout.readline():
+                said = process.stderr.read().strip().splitlines() or ["no message"]
+                raise RigError(f"the emulated hardware does not start: {said[-1]}")
+            yield address
+        finally:
+            for stream in (process.stdin, process.stdout, process.stderr):
+                if stream:
+                    stream.close()
+            try:
+                process.wait(_END_WITHIN_s)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
