@@ -1,0 +1,322 @@
+"""The daemon's file, `daemon.toml`: which rigs, how they are tuned and watched, who is told."""
+
+import math
+import re
+from collections import Counter
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import Field, model_validator
+
+from estune.bus.session import check_endpoint, check_loopback
+from estune.core.control_chart import ControlChart
+from estune.core.cost import StepCost
+from estune.core.gains import GAIN_NAMES
+from estune.core.tuners import TUNERS
+from estune.daemon.events import Kind
+from estune.planning import MOVE_WEIGHT
+from estune.profiles import StepProfile
+from estune.settings import Table, checked, read_toml
+from estune.trial import RigDescription
+
+Positive = Annotated[float, Field(gt=0.0)]
+NotNegative = Annotated[float, Field(ge=0.0)]
+Count = Annotated[int, Field(ge=1)]
+Range = Annotated[tuple[float, float], Field(strict=False)]
+
+
+class ServiceTable(Table):
+    """Where the daemon is asked for its status, and told what to do.
+
+    Attributes:
+        listen: Where it listens.
+        routers: Zenoh routers to join as well.
+        allow_remote: Whether to listen where other machines can reach it; no password is asked.
+    """
+
+    listen: str = "tcp/127.0.0.1:7450"
+    routers: list[str] = Field(default=[])
+    allow_remote: bool = False
+
+    @model_validator(mode="after")
+    def _endpoints(self) -> Self:
+        for endpoint in (self.listen, *self.routers):
+            check_endpoint(endpoint)
+        if not self.allow_remote:
+            check_loopback(self.listen)
+        return self
+
+
+class MetricsTable(Table):
+    """Figures for Prometheus.
+
+    Attributes:
+        file: Written anew each time for the node exporter's textfile collector; its name should
+            end in `.prom`.
+        http_port: Served on this port of 127.0.0.1, under /metrics.
+        every_s: How often the file is written.
+    """
+
+    file: Path | None = Field(default=None, strict=False)
+    http_port: Annotated[int, Field(ge=0, le=65535)] | None = None
+    every_s: Positive = 15.0
+
+
+class HookTable(Table):
+    """A command that is run at events, with the event as JSON on its standard input.
+
+    Attributes:
+        command: The program and its arguments; no shell is involved.
+        events: Which events; all if none is named.
+        timeout_s: After this time it is killed.
+    """
+
+    command: Annotated[list[str], Field(min_length=1)]
+    events: list[Annotated[Kind, Field(strict=False)]] = Field(default=[])
+    timeout_s: Positive = 10.0
+
+
+class StepTable(Table):
+    """The step trial; what is left out is what the rig suggests.
+
+    Attributes:
+        preload_N: Tension before the step.
+        step_N: Size of the step.
+        step_at_s: When it comes.
+        duration_s: Length of the trial.
+    """
+
+    preload_N: float | None = None
+    step_N: float | None = None
+    step_at_s: NotNegative | None = None
+    duration_s: Positive | None = None
+
+    @model_validator(mode="after")
+    def _in_order(self) -> Self:
+        at, end = self.step_at_s, self.duration_s
+        if at is not None and end is not None and not at < end:
+            raise ValueError(
+                f"step_at_s: {at:g} is not before the trial's end, duration_s {end:g}"
+            )
+        return self
+
+    def of(self, rig: RigDescription) -> StepProfile:
+        """The step to be run on a rig."""
+        given = {name: value for name, value in self.model_dump().items() if value is not None}
+        named = ("preload_N", "step_N", "step_at_s", "duration_s")
+        return StepProfile(**{**{name: getattr(rig.step, name) for name in named}, **given})
+
+
+class CostTable(Table):
+    """How a trial is scored, by (35).
+
+    Attributes:
+        settling_time_s: Settling time asked for; the rig's own suggestion if left out.
+        weight: Over the transient: as printed, or rising as the paper's prose has it.
+        time_unit: Unit of the time weight.
+        move_weight: Price on jumps of the effort.
+    """
+
+    settling_time_s: Positive | None = None
+    weight: Literal["printed", "rising"] = "printed"
+    time_unit: Literal["second", "settling_time"] = "second"
+    move_weight: NotNegative = MOVE_WEIGHT
+
+    def of(self, rig: RigDescription) -> StepCost:
+        """The cost for a rig."""
+        return StepCost(
+            rig.settling_time_s if self.settling_time_s is None else self.settling_time_s,
+            weight=self.weight,
+            time_unit=self.time_unit,
+            move_weight=self.move_weight,
+        )
+
+
+class TuningTable(Table):
+    """How gains are looked for, and when they are good enough.
+
+    Attributes:
+        tuner: How gains are proposed.
+        trials: Greatest number of search trials.
+        repeats: Trials of the start before the search; of the start and each candidate after it.
+        eta_max: Cost above which a trial is unsafe; three times the start's if left out.
+        confidence: Of the interval that the improvement must lie in.
+        improvement_min: Fall of the cost, as a share, that the whole interval must exceed.
+        bounds: Least and greatest value of gains, by name, in their own units.
+    """
+
+    tuner: str = "least_squares_gradient"
+    trials: Count = 120
+    repeats: Annotated[int, Field(ge=2)] = 5
+    eta_max: Positive | None = None
+    confidence: Annotated[float, Field(gt=0.5, lt=1.0)] = 0.95
+    improvement_min: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0
+    bounds: dict[str, Range] = Field(default={})
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        wrong = []
+        if self.tuner not in TUNERS:
+            wrong.append(
+                f"tuner: there is none named {self.tuner!r}; the tuners are {', '.join(TUNERS)}"
+            )
+        for name, (low, high) in self.bounds.items():
+            if name not in GAIN_NAMES:
+                wrong.append(f"bounds.{name}: no gain; the gains are {', '.join(GAIN_NAMES)}")
+            elif not 0.0 < low < high:
+                wrong.append(
+                    f"bounds.{name}: {low:g} to {high:g} is no range: the first must be above 0 "
+                    "and below the second"
+                )
+        if wrong:
+            raise ValueError("\n".join(wrong))
+        return self
+
+
+class WatchTable(Table):
+    """How the accepted gains are watched.
+
+    Attributes:
+        every_s: Time between check trials.
+        baseline_checks: So many checks come one after the other, to learn the scatter.
+        smoothing: Weight of the newest check in the moving average.
+        false_alarm_checks: Mean number of checks between false alarms.
+        scatter_min: Scatter of the cost, as a share, that is always allowed for.
+        rest_s: Least time from the end of a tuning to the next that a drift can start.
+    """
+
+    every_s: Positive = 3600.0
+    baseline_checks: Count = 20
+    smoothing: float = 0.2
+    false_alarm_checks: float = 1000.0
+    scatter_min: float = 0.01
+    rest_s: NotNegative = 3600.0
+
+    @property
+    def chart(self) -> ControlChart:
+        """The control chart."""
+        return ControlChart(self.smoothing, self.false_alarm_checks, self.scatter_min)
+
+    @model_validator(mode="after")
+    def _chartable(self) -> Self:
+        _ = self.chart
+        return self
+
+
+class RigTable(Table):
+    """One rig.
+
+    Attributes:
+        name: The rig's name on the link; names its folder too.
+        target: Where it is: an endpoint, or a model as `estune tune` takes.
+        accept: `auto` accepts gains that are better beyond doubt, `ask` waits for the verb.
+        answer_within_s: How long the rig may take to answer.
+        look_every_s: How often the rig is looked at while nothing is done with it.
+        retry_first_s: Wait after a first failure; doubled with each that follows.
+        retry_max_s: Longest wait.
+        step: The step trial.
+        cost: How it is scored.
+        tuning: How gains are looked for.
+        watch: How they are watched.
+    """
+
+    name: str
+    target: str
+    accept: Literal["auto", "ask"] = "auto"
+    answer_within_s: Positive = 3.0
+    look_every_s: Positive = 2.0
+    retry_first_s: Positive = 1.0
+    retry_max_s: Positive = 60.0
+    step: StepTable = StepTable()
+    cost: CostTable = CostTable()
+    tuning: TuningTable = TuningTable()
+    watch: WatchTable = WatchTable()
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        wrong = []
+        if not re.fullmatch(r"[A-Za-z0-9_-]{1,64}", self.name):
+            wrong.append(f"name: {self.name!r} may hold only 1 to 64 letters, digits, - and _")
+        if not self.retry_first_s <= self.retry_max_s:
+            wrong.append(
+                f"retry_first_s: {self.retry_first_s:g} is above retry_max_s {self.retry_max_s:g}"
+            )
+        after_s = (self.step.duration_s or math.inf) - (self.step.step_at_s or 0.0)
+        if self.cost.settling_time_s is not None and self.cost.settling_time_s > after_s:
+            wrong.append(
+                f"cost.settling_time_s: {self.cost.settling_time_s:g} is longer than the "
+                f"{after_s:g} s after the step"
+            )
+        if wrong:
+            raise ValueError("\n".join(wrong))
+        return self
+
+
+class DaemonConfig(Table):
+    """The daemon's file.
+
+    Attributes:
+        state: Folder for everything that must not be lost, beside this file unless absolute.
+        stop_within_s: How long a stop waits for a rig that does not answer.
+        service: Where the daemon is spoken to.
+        metrics: Figures for Prometheus.
+        hook: Commands to be run at events.
+        rig: The rigs.
+    """
+
+    state: Path = Field(default=Path("estune-state"), strict=False)
+    stop_within_s: Positive = 30.0
+    service: ServiceTable = ServiceTable()
+    metrics: MetricsTable = MetricsTable()
+    hook: list[HookTable] = Field(default=[])
+    rig: Annotated[list[RigTable], Field(min_length=1)]
+
+    @model_validator(mode="after")
+    def _names_differ(self) -> Self:
+        twice = [name for name, count in Counter(r.name for r in self.rig).items() if count > 1]
+        if twice:
+            raise ValueError(f"rig: {', '.join(twice)} is there more than once")
+        return self
+
+
+def read_config(path: Path) -> DaemonConfig:
+    """Reads the daemon's file; its folders and files are looked for beside it.
+
+    Raises:
+        InvalidInput: it cannot be read, or something in it is wrong; all of it is in the message,
+            a line each.
+    """
+    return config_from(read_toml(path), str(path), path.parent)
+
+
+def config_from(data: dict[str, Any], source: str, beside: Path) -> DaemonConfig:
+    """The configuration in data read from somewhere.
+
+    Raises:
+        InvalidInput: something in it is wrong; all of it is in the message, a line each.
+    """
+    config = checked(DaemonConfig, data, source)
+    file = config.metrics.file
+    metrics = config.metrics.model_copy(update={"file": file and beside / file})
+    return config.model_copy(update={"state": beside / config.state, "metrics": metrics})
+
+
+def plan_settings(rig: RigTable, description: RigDescription) -> dict[str, Any]:
+    """What `estune.planning.make_plan` is told for a rig.
+
+    Raises:
+        InvalidInput: the step or the cost does not suit the rig.
+    """
+    tuning = rig.tuning
+    step = rig.step.of(description)
+    description.limits.check(step)
+    return {
+        "tuner": tuning.tuner,
+        "bounds": dict(tuning.bounds) or None,
+        "step": step,
+        "cost": rig.cost.of(description),
+        "trials": tuning.trials,
+        "repeats": tuning.repeats,
+        "eta_max": tuning.eta_max,
+        "repeat_start": True,
+    }

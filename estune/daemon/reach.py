@@ -1,0 +1,164 @@
+"""A rig as a keeper uses it: taken before it is used, its records looked at before they count."""
+
+import logging
+import time
+from collections.abc import Callable
+from contextlib import ExitStack, suppress
+from datetime import UTC, datetime
+
+from estune import bus
+from estune.bus import RemoteRig
+from estune.core.gains import Gains
+from estune.daemon.config import RigTable
+from estune.errors import EstuneError, RigError
+from estune.inspection import fault_of
+from estune.targets import is_endpoint, open_target
+from estune.trial import Outcome, Rig, RigDescription, TrialRecord, TrialRequest, unmeasured
+
+VOID_IN_A_ROW = 5
+"""So many check trials that came to nothing, one after the other, are no accident."""
+
+HOLDER = "estune daemon"
+"""How a daemon's name as the holder of a rig begins."""
+
+_CUT_AGAIN_S = 0.05
+_log = logging.getLogger(__name__)
+
+
+class Refused(RigError):
+    """Another daemon supervises the rig."""
+
+
+class Reached:
+    """A rig that was reached; made by `reach`.
+
+    Attributes:
+        about: What it says of itself, as last heard.
+    """
+
+    def __init__(self, rig: Rig, opened: ExitStack) -> None:
+        self._rig = rig
+        self._opened = opened
+        self._void_in_a_row = 0
+        self.about = rig.describe()
+
+    def describe(self) -> RigDescription:
+        """What it is, and which gains are live now."""
+        self.about = self._rig.describe()
+        return self.about
+
+    def take(self) -> RigDescription:
+        """Takes the right to command it, and ends whatever trial an earlier self left under way.
+
+        Raises:
+            Refused: another daemon holds it.
+            RigError: somebody else does, or it cannot be reached.
+        """
+        if isinstance(self._rig, RemoteRig):
+            try:
+                self._rig.acquire()
+            except RigError as error:
+                holder = self._rig.status().holder
+                if holder.startswith(HOLDER):
+                    raise Refused(f"held by {holder}; stop one of the two daemons") from error
+                raise
+        self.about = self._rig.abort()
+        return self.about
+
+    def apply(self, gains: Gains) -> None:
+        """Makes gains the live ones, and sees that they are.
+
+        Raises:
+            RigError: it refuses them, or says that others are live.
+        """
+        self._rig.apply(gains)
+        if self.describe().gains != gains:
+            raise RigError(
+                f"rig {self.about.name} was given {gains} and says that others are live: "
+                f"{self.about.gains}"
+            )
+
+    def run(self, request: TrialRequest) -> TrialRecord:
+        """Runs a trial. A record that cannot be what was asked for counts as none.
+
+        Raises:
+            RigError: the rig cannot be asked, or its trials come to nothing time and again.
+        """
+        record = self._rig.run(request)
+        fault = fault_of(record, request, self.about)
+        if fault:
+            said = f"the record of trial {request.trial_id} is refused: {fault}"
+            _log.error("%s", said, extra={"rig": self.about.name})
+            at = datetime.now(UTC).isoformat(timespec="milliseconds")
+            record = unmeasured(request, self.about, Outcome.CANCELLED, said, at)
+        self._void_in_a_row = self._void_in_a_row + 1 if record.outcome.is_void else 0
+        if self._void_in_a_row >= VOID_IN_A_ROW:
+            self._void_in_a_row = 0
+            raise RigError(
+                f"{VOID_IN_A_ROW} trials in a row came to nothing; the last: {record.reason}"
+            )
+        return record
+
+    def latched(self) -> str:
+        """Why its emergency stop was called; empty if it was not, was cleared, or is not known."""
+        if isinstance(self._rig, RemoteRig):
+            with suppress(EstuneError):
+                return self._rig.status().latched
+        return ""
+
+    def cut(self, while_: Callable[[], bool]) -> None:
+        """Ends the trial under way, and any that is just being begun, so long as there may be."""
+        with suppress(EstuneError):
+            while while_():
+                self._rig.abort()
+                time.sleep(_CUT_AGAIN_S)
+
+    def release(self) -> None:
+        """Lets others command it."""
+        if isinstance(self._rig, RemoteRig):
+            self._rig.release()
+
+    def close(self) -> None:
+        """Lets go of it."""
+        self._opened.close()
+
+    @property
+    def as_rig(self) -> Rig:
+        """The rig, with records looked at before they are handed on."""
+        return _Inspected(self, self._rig)
+
+
+class _Inspected:
+    """A rig whose records are looked at."""
+
+    def __init__(self, reached: Reached, rig: Rig) -> None:
+        self.run = reached.run
+        self.describe = reached.describe
+        self.apply = reached.apply
+        self.abort = rig.abort
+        self.estop = rig.estop
+        self.clear = rig.clear
+        self.close = reached.close
+
+
+def reach(settings: RigTable, holder: str) -> Reached:
+    """Reaches a rig.
+
+    Args:
+        settings: Which.
+        holder: Who commands it, for others to be told.
+
+    Raises:
+        RigError: it is not there.
+        InvalidInput: the target is none.
+    """
+    with ExitStack() as opened:
+        if is_endpoint(settings.target):
+            remote = bus.connect(
+                settings.target, settings.name, settings.answer_within_s, holder=holder
+            )
+            opened.callback(remote.close)
+            rig: Rig = remote
+        else:
+            rig = opened.enter_context(open_target(settings.target, settings.name))
+        return Reached(rig, opened.pop_all())
