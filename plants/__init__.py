@@ -8,13 +8,17 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from plants.discrepancy.explain import explain
+    from plants.discrepancy.improve import improve
     from plants.effects import CoulombFriction, Effect
     from plants.function import PythonPlant, python_plant
     from plants.linear import LinearPlant, linear_plant
+    from plants.model_file import load_model, save_model
     from plants.plant import Plant
     from plants.reel import Reel, reference_reel
     from plants.rig import SimulatedRig
     from plants.simulation import Response, batch_costs, simulate
+    from plants.unloaded import UnloadedReel, unloaded_reel
 
 __all__ = [
     "CoulombFriction",
@@ -25,11 +29,17 @@ __all__ = [
     "Reel",
     "Response",
     "SimulatedRig",
+    "UnloadedReel",
     "batch_costs",
+    "explain",
+    "improve",
     "linear_plant",
+    "load_model",
     "python_plant",
     "reference_reel",
+    "save_model",
     "simulate",
+    "unloaded_reel",
 ]
 
 _HOMES = {
@@ -41,11 +51,17 @@ _HOMES = {
     "Reel": "plants.reel",
     "Response": "plants.simulation",
     "SimulatedRig": "plants.rig",
+    "UnloadedReel": "plants.unloaded",
     "batch_costs": "plants.simulation",
+    "explain": "plants.discrepancy.explain",
+    "improve": "plants.discrepancy.improve",
     "linear_plant": "plants.linear",
+    "load_model": "plants.model_file",
     "python_plant": "plants.function",
     "reference_reel": "plants.reel",
+    "save_model": "plants.model_file",
     "simulate": "plants.simulation",
+    "unloaded_reel": "plants.unloaded",
 }
 
 

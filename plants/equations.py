@@ -32,6 +32,12 @@ class Equations(NamedTuple):
         substeps: Number of substeps in a sample.
         outside: (constants, state) -> what a gauge outside the reel reads; None where there is
             no such gauge.
+        late: (parameters) -> the dead time with what effects add to it, in samples.
+        settle: (constants, measurement) -> (state, effort) of the plant at rest where it reads so.
+        locate: (constants, state) -> what of the state a record can show, in measured units: the
+            angle and the velocity of a drum, the output and its derivatives of a linear plant.
+        place: (constants, state, the same) -> the state put there. This and the three before are
+            for plants that are held against records.
     """
 
     prepare: Expression
@@ -40,6 +46,10 @@ class Equations(NamedTuple):
     substep: Expression
     substeps: int
     outside: Expression | None = None
+    late: Expression = None
+    settle: Expression = None
+    locate: Expression = None
+    place: Expression = None
 
     def move(
         self, constants: Expression, state: Expression, before: Expression, after: Expression

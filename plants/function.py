@@ -3,7 +3,9 @@
 import copy
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -12,10 +14,13 @@ from estune.core import pidf
 from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
 from estune.errors import PlantError
-from estune.trial import SATURATED, FloatArray, RigDescription, RigLimits, StepProfile
+from estune.profiles import StepProfile
+from estune.trial import SATURATED, FloatArray, RigDescription, RigLimits
+from plants.effects import Effect
 from plants.linear import UNLIMITED_N, LONGEST_TRIAL_samples
 from plants.plant import (
     Columns,
+    Drive,
     Mounted,
     Mounting,
     ServesAsRig,
@@ -23,6 +28,9 @@ from plants.plant import (
     check_not_negative,
     whole_and_fraction,
 )
+from plants.stages import amended
+from plants.traced import Shape, TracedStructure, unavailable
+from plants.trial_loop import Batch, trial_loop
 
 Step = Callable[[Any, float, float], tuple[Any, float]]
 """(state, effort in N, time step in s) -> (next state, measurement in N at its end)."""
@@ -39,6 +47,13 @@ class PythonPlant(Mounted, ServesAsRig):
         initial_effort_N: Effort in force until the dead time has passed, and of the controller.
         initial_measurement_N: Measurement at the start.
         dead_time_s: Delay of the effort, s.
+        effects: What has been added to its input and output; the function is then traced with
+            symbols, see `plants.traced`.
+        torque_unit: Input that stands for a newton metre, or an ampere, of the effects.
+        angle_unit: Output that stands for a radian of the effects.
+
+    Raises:
+        PlantError: an effect has no place on it, or the function cannot be traced.
     """
 
     mounting: Mounting
@@ -47,29 +62,97 @@ class PythonPlant(Mounted, ServesAsRig):
     initial_effort_N: float
     initial_measurement_N: float
     dead_time_s: float
+    effects: tuple[Effect, ...] = ()
+    torque_unit: float = 1.0
+    angle_unit: float = 1.0
+
+    def __post_init__(self) -> None:
+        for effect in self.effects:
+            reason = self.unavailable(type(effect))
+            if reason:
+                raise PlantError(f"{effect.name} cannot be added to a Python plant: {reason}")
+
+    def __add__(self, effect: Effect) -> "PythonPlant":
+        """The same plant with one more effect."""
+        if not isinstance(effect, Effect):
+            return NotImplemented
+        return replace(self, effects=(*self.effects, effect))
+
+    def unavailable(self, effect: type[Effect]) -> str | None:
+        """Why an effect has no place on the plant, or None where it has.
+
+        Raises:
+            PlantError: the function cannot be traced.
+        """
+        return unavailable(self.traced((effect,)))
+
+    def traced(self, effects: tuple[type[Effect], ...]) -> TracedStructure:
+        """The structure of the plant's equations with these effects.
+
+        Raises:
+            PlantError: the function cannot be traced.
+        """
+        return TracedStructure(self.step, Shape.of(self.initial_state), effects)
+
+    @property
+    def own_numbers(self) -> dict[str, float]:
+        """The plant's numbers by name, as its equations take them."""
+        flat = Shape.of(self.initial_state).flat(self.initial_state)
+        return {
+            "sampling_Hz": self.controller.sampling_Hz,
+            "dead_time_s": self.dead_time_s,
+            "torque_unit": self.torque_unit,
+            "angle_unit": self.angle_unit,
+            "initial_effort": self.initial_effort_N,
+            "initial_output": self.initial_measurement_N,
+        } | {f"initial.{n}": float(value) for n, value in enumerate(flat)}
+
+    @cached_property
+    def _with_effects(self) -> tuple[TracedStructure, FloatArray, int]:
+        """Structure, parameters and whole samples of dead time of the plant with its effects."""
+        own = self.own_numbers
+        pairs = [(type(e), SimpleNamespace(**vars(e))) for e in self.effects]
+        p = amended(SimpleNamespace(torque_constant_Nm_A=1.0, **own), pairs)
+        delay, _ = whole_and_fraction(p.dead_time_s, p.sampling_Hz)
+        added = [getattr(e, name) for e in self.effects for name in e.parameters()]
+        structure = self.traced(tuple(type(e) for e in self.effects))
+        return structure, np.array([*own.values(), delay, *added]), delay
 
     def respond(
         self,
         coefficients: FloatArray,
-        profile: StepProfile,
+        drive: Drive,
         noise_N: FloatArray | None,
         bound_N: float,
     ) -> Columns:
-        """Runs a batch of closed-loop trials; see `Plant.respond`."""
-        setpoint = profile.setpoint(self.controller.sampling_Hz)
-        columns = Columns.empty(len(coefficients), len(setpoint))
+        """Runs a batch of trials; see `Plant.respond`."""
+        if self.effects:
+            structure, parameters, delay = self._with_effects
+            batch = Batch(
+                parameters=parameters,
+                coefficients=coefficients,
+                preload_N=drive.preload_N,
+                setpoint_N=drive.setpoint_N,
+                noise_N=noise_N,
+                delay=delay,
+                bound_N=bound_N,
+                open_loop=drive.open_loop,
+            )
+            return trial_loop(structure).run(batch)
+        samples = len(drive.setpoint_N)
+        columns = Columns.empty(len(coefficients), samples)
         for n, row in enumerate(coefficients):
-            noise = np.zeros(len(setpoint)) if noise_N is None else noise_N[n]
+            noise = np.zeros(samples) if noise_N is None else noise_N[n]
             one = columns.trial(n)
             columns.ended[n] = self._trial(
-                pidf.Coefficients(*row.tolist()), setpoint, noise, bound_N, one
+                pidf.Coefficients(*row.tolist()), drive, noise, bound_N, one
             )
         return columns
 
     def _trial(
         self,
         coefficients: pidf.Coefficients,
-        setpoint: FloatArray,
+        drive: Drive,
         noise: FloatArray,
         bound_N: float,
         columns: Columns,
@@ -80,9 +163,11 @@ class PythonPlant(Mounted, ServesAsRig):
         ring = [self.initial_effort_N] * (delay + 2)
         memory = pidf.at_rest(self.initial_measurement_N, self.initial_effort_N)
         state, y = copy.deepcopy(self.initial_state), self.initial_measurement_N
-        for k, r in enumerate(setpoint.tolist()):
+        for k, r in enumerate(drive.setpoint_N.tolist()):
             measured = y + float(noise[k])
             memory, effort, excess = pidf.step(coefficients, memory, r, measured)
+            if drive.open_loop:
+                effort, excess = pidf.limited(coefficients, r)
             columns.tension_N[k], columns.effort_N[k], columns.angle_rad[k] = measured, effort, 0.0
             if not -bound_N <= measured <= bound_N:
                 return k
@@ -92,7 +177,7 @@ class PythonPlant(Mounted, ServesAsRig):
             if fraction:
                 state, y = self._call(state, before, h * fraction, k)
             state, y = self._call(state, after, h * (1.0 - fraction), k)
-        return len(setpoint)
+        return len(drive.setpoint_N)
 
     def _call(self, state: Any, effort: float, dt_s: float, k: int) -> tuple[Any, float]:
         """One call of the function, and what is wrong with its answer if anything is."""

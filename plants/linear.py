@@ -2,8 +2,9 @@
 
 import itertools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import casadi as ca
@@ -14,10 +15,14 @@ from estune.core.margins import SampledPlant, loop_margins, sample_plant
 from estune.core.pidf import ControllerSettings
 from estune.errors import InvalidInput, PlantError
 from estune.interop import linear_model
-from estune.trial import FloatArray, LinearModel, RigDescription, RigLimits, StepProfile
+from estune.profiles import StepProfile
+from estune.trial import FloatArray, LinearModel, RigDescription, RigLimits
+from plants.availability import unavailable
+from plants.effects import Effect
 from plants.equations import Equations, Expression, column_of, pack
 from plants.plant import (
     Columns,
+    Drive,
     Mounted,
     Mounting,
     ServesAsRig,
@@ -25,6 +30,9 @@ from plants.plant import (
     check_not_negative,
     whole_and_fraction,
 )
+from plants.ported import PortedStructure
+from plants.rational import Rational, factorised
+from plants.stages import amended
 from plants.trial_loop import Batch, trial_loop
 
 if TYPE_CHECKING:  # python-control takes more than a second to import
@@ -46,15 +54,88 @@ class LinearPlant(Mounted, ServesAsRig):
         mounting: Controller, suggested step, limits and noise.
         sampled: The plant under zero-order hold.
         model: The continuous model, or None where it was given in discrete time.
+        effects: What has been added to the plant; see `plants.ported`.
+        torque_unit: Input that stands for a newton metre of the effects.
+        angle_unit: Output that stands for a radian of the effects.
+
+    Raises:
+        PlantError: an effect has no place on the plant.
     """
 
     mounting: Mounting
     sampled: SampledPlant
     model: LinearModel | None
+    effects: tuple[Effect, ...] = ()
+    torque_unit: float = 1.0
+    angle_unit: float = 1.0
+
+    def __post_init__(self) -> None:
+        for effect in self.effects:
+            if self.model is None:
+                raise PlantError("effects need a plant in continuous time; give it so")
+            reason = unavailable(self._factorised[0], type(effect))
+            if reason:
+                raise PlantError(f"{effect.name} cannot be added to the linear plant: {reason}")
+
+    def __add__(self, effect: Effect) -> "LinearPlant":
+        """The same plant with one more effect."""
+        if not isinstance(effect, Effect):
+            return NotImplemented
+        return replace(self, effects=(*self.effects, effect))
 
     @cached_property
-    def structure(self) -> "LinearStructure":
+    def _factorised(self) -> tuple[Rational, dict[str, float]]:
+        """Kinds of the poles and zeros, and their numbers."""
+        if self.model is None:
+            raise PlantError("the plant is given in discrete time; give it in continuous time")
+        return factorised(self.model)
+
+    @property
+    def own_numbers(self) -> dict[str, float]:
+        """Gain, modes and time constants by name, as `plants.ported` takes them.
+
+        Raises:
+            PlantError: the plant is given in discrete time, or cannot be told by its poles.
+        """
+        return self._factorised[1] | {
+            "current_limit_A": UNLIMITED_N,
+            "encoder_counts": 1.0,
+            "sampling_Hz": self.controller.sampling_Hz,
+            "dead_time_s": self.model.dead_time_s if self.model else 0.0,
+            "torque_unit": self.torque_unit,
+            "angle_unit": self.angle_unit,
+        }
+
+    @property
+    def base(self) -> Rational:
+        """Kinds of the poles and zeros.
+
+        Raises:
+            PlantError: the plant is given in discrete time, or cannot be told by its poles.
+        """
+        return self._factorised[0]
+
+    @cached_property
+    def _ported(self) -> tuple[PortedStructure, FloatArray, int]:
+        """Structure, parameters and whole samples of dead time of the plant with its effects."""
+        own, kinds = self.own_numbers, tuple(type(effect) for effect in self.effects)
+        pairs = [(type(e), SimpleNamespace(**vars(e))) for e in self.effects]
+        p = amended(
+            SimpleNamespace(viscous_friction_Nms=0.0, torque_constant_Nm_A=1.0, **own), pairs
+        )
+        whole, _ = whole_and_fraction(p.dead_time_s, p.sampling_Hz)
+        fastest = float(np.abs(self.sampled.modes).max(initial=0.0)) * p.sampling_Hz
+        squarings = PortedStructure.squarings_for(max(2.0 * fastest, 1e-9), p.sampling_Hz)
+        structure = PortedStructure(self.base, kinds, fractional=True, squarings=squarings)
+        added = [getattr(e, name) for e in self.effects for name in e.parameters()]
+        values = np.array([*(own[name] for name in structure.own_names), whole, *added])
+        return structure, values, whole
+
+    @cached_property
+    def structure(self) -> "LinearStructure | PortedStructure":
         """What the equations depend on besides numbers."""
+        if self.effects:
+            return self._ported[0]
         return LinearStructure(max(1, self.sampled.C.size), bool(self.sampled.before.any()))
 
     @cached_property
@@ -70,6 +151,8 @@ class LinearPlant(Mounted, ServesAsRig):
     @cached_property
     def parameter_values(self) -> FloatArray:
         """The numbers the equations take: matrices column by column, then the rest."""
+        if self.effects:
+            return self._ported[1]
         s, padding = self.sampled, 1 if self.sampled.C.size == 0 else 0
         rest = np.zeros(s.C.size + 1) if self._rest is None else self._rest
         return np.concatenate(
@@ -85,24 +168,25 @@ class LinearPlant(Mounted, ServesAsRig):
     def respond(
         self,
         coefficients: FloatArray,
-        profile: StepProfile,
+        drive: Drive,
         noise_N: FloatArray | None,
         bound_N: float,
     ) -> Columns:
-        """Runs a batch of closed-loop trials; see `Plant.respond`."""
-        if profile.preload_N != 0.0 and self._rest is None:
+        """Runs a batch of trials; see `Plant.respond`."""
+        if drive.preload_N != 0.0 and self._rest is None:
             raise PlantError(
-                f"the linear plant cannot be held at a preload of {profile.preload_N:g} N, for it "
+                f"the linear plant cannot be held at a preload of {drive.preload_N:g} N, for it "
                 "has no gain at rest; choose a preload of 0"
             )
         batch = Batch(
             parameters=self.parameter_values,
             coefficients=coefficients,
-            preload_N=profile.preload_N,
-            setpoint_N=profile.setpoint(self.controller.sampling_Hz),
+            preload_N=drive.preload_N,
+            setpoint_N=drive.setpoint_N,
             noise_N=noise_N,
-            delay=self.sampled.delay,
+            delay=self._ported[2] if self.effects else self.sampled.delay,
             bound_N=bound_N,
+            open_loop=drive.open_loop,
         )
         return trial_loop(self.structure).run(batch)
 

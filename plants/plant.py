@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from importlib.metadata import version
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
@@ -11,12 +12,49 @@ from numpy.typing import NDArray
 from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
 from estune.errors import InvalidInput, UnsafeStart
-from estune.trial import FloatArray, LinearModel, RigDescription, RigLimits, StepProfile
+from estune.profiles import AnyProfile, StepProfile
+from estune.trial import FloatArray, LinearModel, RigDescription, RigLimits
 
 if TYPE_CHECKING:
     from plants.rig import SimulatedRig
 
 SOFTWARE = f"estune {version('estune')}"
+
+
+class Drive(NamedTuple):
+    """What drives a trial.
+
+    Attributes:
+        time_s: Time at each sample, shape (samples,).
+        setpoint_N: The setpoint, same shape.
+        preload_N: The tension at which the trial starts settled.
+        open_loop: Whether the setpoint is the effort, within the controller's limits.
+    """
+
+    time_s: FloatArray
+    setpoint_N: FloatArray
+    preload_N: float
+    open_loop: bool
+
+
+@lru_cache(maxsize=16)
+def drive_of(profile: AnyProfile, sampling_Hz: float) -> Drive:
+    """What a profile comes to at a sampling rate; shared and read-only.
+
+    Raises:
+        InvalidInput: at this rate no sample lies before the end, or none after the step; or the
+            profile goes beyond half the rate.
+    """
+    samples = profile.samples(sampling_Hz)
+    first = profile.step_index(sampling_Hz) if isinstance(profile, StepProfile) else 0
+    if not first < samples:
+        raise InvalidInput(
+            f"a {profile.kind} trial of {profile.duration_s:g} s has no sample after its start at "
+            f"{sampling_Hz:g} Hz; make it longer"
+        )
+    time, setpoint = np.arange(samples) / sampling_Hz, profile.setpoint(sampling_Hz)
+    time.flags.writeable = setpoint.flags.writeable = False
+    return Drive(time, setpoint, profile.preload_N, profile.loop == "open")
 
 
 class Columns(NamedTuple):
@@ -55,7 +93,7 @@ class Columns(NamedTuple):
 
 
 class Plant(Protocol):
-    """Anything whose closed-loop step trial can be simulated."""
+    """Anything whose trials can be simulated."""
 
     @property
     def controller(self) -> ControllerSettings:
@@ -80,16 +118,16 @@ class Plant(Protocol):
     def respond(
         self,
         coefficients: FloatArray,
-        profile: StepProfile,
+        drive: Drive,
         noise_N: FloatArray | None,
         bound_N: float,
     ) -> Columns:
-        """Runs a batch of closed-loop trials, one after the other.
+        """Runs a batch of trials, one after the other.
 
         Args:
             coefficients: The controllers' difference equations, one row each in the order of
                 `estune.core.pidf.Coefficients`, shape (trials, 9).
-            profile: The setpoint. The trial starts settled at its preload.
+            drive: The setpoint, and what it acts on.
             noise_N: What the measurement noise adds, shape (trials, samples), or None.
             bound_N: A trial ends where the measurement's size passes it.
 

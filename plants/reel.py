@@ -11,11 +11,13 @@ import numpy as np
 from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
 from estune.errors import InvalidInput
-from estune.trial import FloatArray, LinearModel, RigDescription, RigLimits, StepProfile
+from estune.profiles import StepProfile
+from estune.trial import FloatArray, LinearModel, RigDescription, RigLimits
 from plants.effects import Effect
 from plants.plant import (
     SOFTWARE,
     Columns,
+    Drive,
     ServesAsRig,
     check_above_zero,
     check_not_negative,
@@ -225,19 +227,20 @@ class Reel(ServesAsRig):
     def respond(
         self,
         coefficients: FloatArray,
-        profile: StepProfile,
+        drive: Drive,
         noise_N: FloatArray | None,
         bound_N: float,
     ) -> Columns:
-        """Runs a batch of closed-loop trials; see `Plant.respond`."""
+        """Runs a batch of trials; see `Plant.respond`."""
         batch = Batch(
             parameters=self.parameter_values,
             coefficients=coefficients,
-            preload_N=profile.preload_N,
-            setpoint_N=profile.setpoint(self.sampling_Hz),
+            preload_N=drive.preload_N,
+            setpoint_N=drive.setpoint_N,
             noise_N=noise_N,
             delay=self.delay_samples,
             bound_N=bound_N,
+            open_loop=drive.open_loop,
         )
         return trial_loop(self.structure).run(batch)
 

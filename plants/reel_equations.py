@@ -33,6 +33,7 @@ GRAVITY_m_s2 = 9.80665
 SUBSTEPS = 4
 THETA, OMEGA, READING, READING_RATE = range(4)
 STATES = 4
+PLACED = 2
 REST_ROUNDS = 12
 """Rounds of the fixed point at rest, where a cable effect depends on the angle it leads to."""
 
@@ -87,11 +88,18 @@ class ReelStructure:
         effects: The effects added, in order.
         fractional: Whether the dead time is not a whole number of samples.
         squarings: Doublings in the matrix exponential; see `plants.equations.held_input`.
+        rounded: Whether the angle is read in steps of the encoder.
+        watched: Whether there is a gauge outside even where it reads the same as inside.
+        by_gauge: Whether the drum is placed by the tension read and its rate, for want of an
+            encoder.
     """
 
     effects: tuple[type[Effect], ...]
     fractional: bool
     squarings: int
+    rounded: bool = True
+    watched: bool = False
+    by_gauge: bool = False
 
     OWN: ClassVar[tuple[str, ...]] = (
         "cable_length_m",
@@ -124,8 +132,8 @@ class ReelStructure:
 
     @property
     def has_outside_gauge(self) -> bool:
-        """Whether the tension outside the eyelet is another than inside, and is recorded."""
-        return any(Port.EYELET in effect.ports() for effect in self.effects)
+        """Whether the tension outside the eyelet is another than inside, or is recorded anyway."""
+        return self.watched or any(Port.EYELET in effect.ports() for effect in self.effects)
 
     def equations(self) -> Equations:
         """The reel's equations of one sample."""
@@ -144,15 +152,31 @@ class ReelStructure:
             self.has_outside_gauge,
         )
         x = ca.SX.sym("x", reel.stages.states)
+        reading, placed = ca.SX.sym("reading"), ca.SX.sym("placed", PLACED)
+        settled, settled_effort = reel.rest(reading)
         moved = reel.substep(x, self._driven(c, n, before, after))
         return Equations(
             prepare=ca.Function(
                 "prepare", [parameters, preload], [column, ca.densify(rest), rest_effort]
             ),
-            observe=ca.Function("observe", [constants, x, before, noise], reel.observe(x, noise)),
+            observe=ca.Function(
+                "observe",
+                [constants, x, before, noise],
+                reel.observe(x, noise, rounded=self.rounded),
+            ),
             drive=ca.Function("drive", [constants, x, effort], reel.drive(x, effort)),
             substep=ca.Function("substep", [constants, x, before, after, n], [ca.densify(moved)]),
             substeps=SUBSTEPS,
+            late=ca.Function("late", [parameters], [self._late(parameters)]),
+            settle=ca.Function(
+                "settle", [constants, reading], [ca.densify(settled), settled_effort]
+            ),
+            locate=ca.Function("locate", [constants, x], [reel.locate(x, by_gauge=self.by_gauge)]),
+            place=ca.Function(
+                "place",
+                [constants, x, placed],
+                [ca.densify(reel.place(x, placed, by_gauge=self.by_gauge))],
+            ),
             outside=ca.Function("outside", [constants, x], [reel.outside(x)])
             if self.has_outside_gauge
             else None,
@@ -167,13 +191,25 @@ class ReelStructure:
         for effect in self.effects:
             yield effect, SimpleNamespace(**{name: next(symbols) for name in effect.parameters()})
 
+    def _split(
+        self, parameters: Expression
+    ) -> tuple[SimpleNamespace, Expression, list[tuple[type[Effect], SimpleNamespace]]]:
+        """The reel's own numbers, the whole samples of dead time, and the effects."""
+        own, delay = parameters[: len(self.OWN)], parameters[len(self.OWN)]
+        nominal = SimpleNamespace(**dict(zip(self.OWN, ca.vertsplit(own), strict=True)))
+        return nominal, delay, list(self._effects(parameters[len(self.OWN) + 1 :]))
+
+    def _late(self, parameters: Expression) -> Expression:
+        """The dead time in samples."""
+        nominal, _, effects = self._split(parameters)
+        p = amended(nominal, effects)
+        return p.dead_time_s * p.sampling_Hz
+
     def _constants(
         self, parameters: Expression, preload: Expression
     ) -> tuple[Constants, list[dict[str, Expression]]]:
         """The constants, and each effect's part of them by name."""
-        own, delay = parameters[: len(self.OWN)], parameters[len(self.OWN)]
-        effects = list(self._effects(parameters[len(self.OWN) + 1 :]))
-        nominal = SimpleNamespace(**dict(zip(self.OWN, ca.vertsplit(own), strict=True)))
+        nominal, delay, effects = self._split(parameters)
         p = amended(nominal, effects)
         kappa = drum_stiffness_Nm_rad(p, preload)
         J, b = p.drum_inertia_kg_m2, viscous_friction_Nms(p)
@@ -288,12 +324,13 @@ class _Reel(NamedTuple):
         x, torque = self.stages.torque(x, at_drum, c.by_torque[OMEGA])
         return ca.vertcat(free + c.by_torque * torque, x[STATES:])
 
-    def observe(self, x: Expression, noise: Expression) -> list[Expression]:
+    def observe(self, x: Expression, noise: Expression, *, rounded: bool) -> list[Expression]:
         """Gauge and encoder: what is read of the tension and the angle."""
         x, tension = self.stages.forward(x, x[READING], self._now(Port.GAUGE, x))
         x, angle = self.stages.forward(x, x[THETA], self._now(Port.ENCODER, x))
         step = self.c.encoder_step_rad
-        return [x, tension + noise, ca.floor(angle / step + 0.5) * step]
+        read = ca.floor(angle / step + 0.5) * step if rounded else angle
+        return [x, tension + noise, read]
 
     def outside(self, x: Expression) -> Expression:
         """Tension outside the eyelet, beyond the linear law by as much as over the substep."""
@@ -318,6 +355,51 @@ class _Reel(NamedTuple):
         x, command = stages.back(x, current, self._now(Port.ACTUATOR, x))
         x, _ = stages.back(x, x[THETA], self._now(Port.ENCODER, x))
         return x, command / c.amperes_per_newton
+
+    def locate(self, x: Expression, *, by_gauge: bool) -> Expression:
+        """Where the drum is: angle and velocity, or the tension read and its rate."""
+        if not by_gauge:
+            return x[:READING]
+        linear = self.c.tension_per_angle * x[:READING]
+        reading = linear[0]
+        for port in (Port.CABLE, Port.EYELET, Port.GAUGE):
+            _, reading = self.stages.forward(x, reading, self._now(port, x))
+        return ca.vertcat(reading, linear[1])
+
+    def place(self, x: Expression, to: Expression, *, by_gauge: bool) -> Expression:
+        """The drum put elsewhere; the gauge goes with it, and goes on ringing as it did.
+
+        Args:
+            x: The state.
+            to: Angle and velocity, or the tension read and its rate.
+            by_gauge: Whether it is the latter.
+        """
+        c = self.c
+        if by_gauge:
+            linear = to[0]
+            for port in (Port.GAUGE, Port.EYELET, Port.CABLE):
+                _, linear = self.stages.back(x, linear, self._now(port, x))
+            to = ca.vertcat(linear, to[1]) / c.tension_per_angle
+        # By the cable's own law: a slack one is softer than the linear law by far.
+        before, after = (self._pull(x, at) for at in (x[THETA], to[0]))
+        angle = ca.SX.sym("angle")
+        slope = ca.substitute(ca.jacobian(self._pull(x, angle), angle), angle, to[0])
+        gauge = x[READING:STATES] + ca.vertcat(after - before, slope * (to[1] - x[OMEGA]))
+        return ca.vertcat(to, gauge, x[STATES:])
+
+    def _pull(self, x: Expression, angle: Expression) -> Expression:
+        """Tension at the drum at an angle, as the effects remember it in a state."""
+        tension = self.c.tension_per_angle * angle
+        site = self._now(Port.CABLE, x)._replace(
+            angle_rad=angle,
+            start_velocity_rad_s=ca.SX(0),
+            velocity_rad_s=ca.SX(0),
+            tension_N=tension,
+        )
+        _, tension = self.stages.forward(x, tension, site)
+        tension = ca.fmax(tension, 0.0)
+        _, tension = self.stages.forward(x, tension, site._replace(port=Port.EYELET))
+        return tension
 
     def _now(self, port: Port, x: Expression) -> Site:
         """A port that is visited once a sample, or the reel at rest."""

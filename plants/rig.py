@@ -12,12 +12,15 @@ from numpy.typing import NDArray
 
 from estune.core.gains import Gains
 from estune.errors import RigError
-from estune.trial import Outcome, RigDescription, TrialRecord, TrialRequest
+from estune.trial import Outcome, RigDescription, Telemetry, TrialRecord, TrialRequest
 from plants.noise import NoiseSource
-from plants.plant import SOFTWARE, Plant, check_not_negative
-from plants.simulation import Response, simulate, timeline
+from plants.plant import SOFTWARE, Plant, check_not_negative, drive_of
+from plants.simulation import Response, simulate
 
 Scalar = TypeVar("Scalar", bound=np.generic)
+
+STOP_AGAIN_S = 0.02
+"""How often a trial that is to stop is told so."""
 
 REMEMBERED = 64
 """Records kept for a trial that is asked for again. An older one gives the same anew: its noise
@@ -57,14 +60,16 @@ class SimulatedRig:
         """
         check_not_negative("pace", pace, "s/s")
         self._plant = plant
-        self._description = plant.describe(name, gains)
+        self._description = replace(plant.describe(name, gains), simulated=True)
         self._noise = NoiseSource(seed)
         self._pace = pace
         self._records: OrderedDict[str, tuple[TrialRequest, TrialRecord]] = OrderedDict()
         self._trial = threading.Lock()  # held while a trial runs
         self._running = False
         self._stop = threading.Event()
-        self._state = threading.Lock()  # guards the description, `_running` and `_closed`
+        self._state = threading.Lock()  # guards the description and all below
+        self._latched = ""
+        self._shown: tuple[str, Response, float] | None = None
         self._closed = False
 
     def describe(self) -> RigDescription:
@@ -83,7 +88,7 @@ class SimulatedRig:
         """
         with self._trial:
             with self._state:
-                self._check_open()
+                self._check_free()
                 limits = self._description.limits
                 self._stop.clear()
                 self._running = True
@@ -91,7 +96,7 @@ class SimulatedRig:
                 trial_id = request.trial_id
                 if trial_id in self._records:
                     return self._again(request, *self._records[trial_id])
-                limits.check(request.step)
+                limits.check(request.profile)
                 record = self._perform(request)
                 self._records[trial_id] = (request, record)
                 if len(self._records) > REMEMBERED:
@@ -99,22 +104,55 @@ class SimulatedRig:
                 return record
             finally:
                 with self._state:
-                    self._running = False
+                    self._running, self._shown = False, None
 
     def apply(self, gains: Gains) -> None:
         """Makes gains the live ones."""
         with self._state:
-            self._check_open()
+            self._check_free()
             self._description = replace(self._description, gains=gains)
 
     def abort(self) -> RigDescription:
         """Stops the trial under way, if any, and returns once the live gains are back."""
+        stopped = False
+        while not stopped:  # said again: a trial that is just beginning may not have heard it
+            with self._state:
+                self._check_open()
+                if self._running:
+                    self._stop.set()
+            stopped = self._trial.acquire(timeout=STOP_AGAIN_S)
+        self._trial.release()
+        return self.describe()
+
+    def estop(self, reason: str) -> None:
+        """Ends the trial under way, and refuses others until cleared."""
         with self._state:
-            self._check_open()
-            if self._running:
-                self._stop.set()
-        with self._trial:  # free once the trial has ended
-            return self.describe()
+            self._latched = self._latched or reason
+            self._stop.set()
+
+    def clear(self) -> None:
+        """Ends an emergency stop."""
+        with self._state:
+            self._latched = ""
+
+    def telemetry(self, after: int) -> Telemetry | None:
+        """The samples of a trial under way at its pace; None where it takes no time."""
+        with self._state:
+            shown = self._shown
+        if shown is None:
+            return None
+        trial_id, response, began = shown
+        rate = self._plant.controller.sampling_Hz
+        passed = slice(after, max(after, int((time.monotonic() - began) / self._pace * rate)))
+        return Telemetry(
+            trial_id=trial_id,
+            first=after,
+            sampling_Hz=rate,
+            setpoint_N=response.setpoint_N[passed],
+            tension_N=response.tension_N[passed],
+            current_A=response.effort_N[passed] / self._plant.newtons_per_ampere,
+            angle_rad=response.angle_rad[passed],
+        )
 
     def close(self) -> None:
         """Stops the trial under way; further calls are refused. May be called again."""
@@ -126,16 +164,18 @@ class SimulatedRig:
         """Simulates the trial, then lets the time pass that it would have taken."""
         started_at, began = datetime.now(UTC).isoformat(), time.monotonic()
         rate = self._plant.controller.sampling_Hz
-        samples = len(timeline(request.step, rate)[0])
+        samples = drive_of(request.profile, rate).time_s.size
         rms = self._plant.noise_rms_N
         noise = self._noise.draw(request.number, samples, rms) if rms else None
-        response = simulate(self._plant, request.gains, request.step, noise_N=noise)
+        response = simulate(self._plant, request.gains, request.profile, noise_N=noise)
         kept = len(response.time_s)
         end = _End(started_at, kept, Outcome.DONE, "")
         if response.diverged_at is not None:
             reason = f"{Outcome.DIVERGED.sentence} at sample {kept}, {kept / rate:.3f} s"
             end = _End(started_at, kept, Outcome.DIVERGED, reason)
         if self._pace > 0.0:
+            with self._state:
+                self._shown = request.trial_id, response, began
             left = began + self._pace * kept / rate - time.monotonic()
             if self._stop.wait(max(0.0, left)):
                 passed = int((time.monotonic() - began) / self._pace * rate)
@@ -151,7 +191,7 @@ class SimulatedRig:
             rig=self._description.name,
             sampling_Hz=self._plant.controller.sampling_Hz,
             cable_length_m=self._description.cable_length_m,
-            preload_N=request.step.preload_N,
+            preload_N=request.profile.preload_N,
             gains=request.gains,
             outcome=end.outcome,
             reason=end.reason,
@@ -166,6 +206,8 @@ class SimulatedRig:
             reference_N=None
             if response.reference_N is None
             else _read_only(response.reference_N, end.kept),
+            loop=request.profile.loop,
+            profile=request.profile.kind,
         )
 
     def _again(
@@ -174,10 +216,19 @@ class SimulatedRig:
         """The record of a trial that has run before."""
         if request != asked:
             raise RigError(
-                f"trial {request.trial_id} has run with other gains or another step; "
+                f"trial {request.trial_id} has run with other gains or another profile; "
                 "a trial id is used once: ask under a new run name or attempt"
             )
         return record
+
+    def _check_free(self) -> None:
+        """The state is locked."""
+        self._check_open()
+        if self._latched:
+            raise RigError(
+                f"rig {self._description.name} is held in its safe state after an emergency stop "
+                f"({self._latched}); see to it, then clear the stop"
+            )
 
     def _check_open(self) -> None:
         if self._closed:

@@ -4,7 +4,6 @@ import os
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,9 +12,10 @@ from estune.core import pidf
 from estune.core.cost import StepCost
 from estune.core.gains import Gains
 from estune.errors import InvalidInput
-from estune.trial import FloatArray, StepProfile
+from estune.profiles import AnyProfile, StepProfile
+from estune.trial import FloatArray
 from plants.noise import NoiseSource
-from plants.plant import Plant
+from plants.plant import Plant, drive_of
 
 CHUNK = 128
 """Trials a thread takes at once: enough that the interpreter's lock, which only one thread can
@@ -54,28 +54,28 @@ class Response:
 def simulate(
     plant: Plant,
     gains: Gains,
-    step: StepProfile | None = None,
+    profile: AnyProfile | None = None,
     *,
     noise_N: FloatArray | None = None,
     bound_N: float | None = None,
 ) -> Response:
-    """Runs one closed-loop step trial that starts settled at the preload.
+    """Runs one trial that starts settled at the preload.
 
     Args:
         plant: The plant; it brings the fixed part of the controller.
         gains: The controller's gains.
-        step: The setpoint; None is the plant's own.
+        profile: The setpoint; None is the plant's own step.
         noise_N: What the measurement noise adds, N, shape (samples,); None is no noise.
         bound_N: The trial ends where the measurement's size passes it; None is 100 times the
             largest setpoint.
 
     Raises:
-        InvalidInput: the noise is of another length, or the trial too short to sample.
+        InvalidInput: the noise is of another length, or the profile does not suit the rate.
         PlantError: the plant cannot be simulated. One that merely diverges is no error.
     """
-    profile = step or plant.profile
-    rate = plant.controller.sampling_Hz
-    time, setpoint = timeline(profile, rate)
+    profile = profile or plant.profile
+    drive = drive_of(profile, plant.controller.sampling_Hz)
+    time, setpoint = drive.time_s, drive.setpoint_N
     if noise_N is not None and noise_N.shape != time.shape:
         raise InvalidInput(
             f"the noise has shape {noise_N.shape} where the trial has {len(time)} samples"
@@ -83,7 +83,7 @@ def simulate(
     row = np.array([pidf.coefficients(plant.controller, gains)])
     columns = plant.respond(
         row,
-        profile,
+        drive,
         None if noise_N is None else noise_N[np.newaxis],
         # A response that is not finite has diverged whatever the bound.
         bound(profile) if bound_N is None else min(bound_N, sys.float_info.max),
@@ -133,23 +133,22 @@ def batch_costs(
     """
     profile = step or plant.profile
     rate = plant.controller.sampling_Hz
-    timeline(profile, rate)
+    drive = drive_of(profile, rate)
     rows = _coefficients(plant, gains)
     costs = np.empty(len(rows))
 
     def chunk(start: int) -> None:
         part = slice(start, min(start + CHUNK, len(rows)))
         noise = None if seed is None else _noise(plant, profile, seed, part)
-        columns = plant.respond(rows[part], profile, noise, bound(profile))
-        setpoint = timeline(profile, rate)[1]
-        done = columns.ended == len(setpoint)
+        columns = plant.respond(rows[part], drive, noise, bound(profile))
+        done = columns.ended == len(drive.setpoint_N)
         # What a diverged trial did not fill could be anything.
         columns.tension_N[~done], columns.effort_N[~done] = np.nan, np.nan
         costs[part] = cost.evaluate(
             rate,
             profile.step_index(rate),
             profile.step_N,
-            setpoint,
+            drive.setpoint_N,
             columns.tension_N,
             columns.effort_N,
         )
@@ -165,29 +164,10 @@ def batch_costs(
     return costs
 
 
-def bound(profile: StepProfile) -> float:
-    """Size of the measurement, N, past which a response to this step has diverged."""
-    return DIVERGED_AT * max(
-        abs(profile.preload_N), abs(profile.preload_N + profile.step_N), abs(profile.step_N)
-    )
-
-
-@lru_cache(maxsize=64)
-def timeline(profile: StepProfile, sampling_Hz: float) -> tuple[FloatArray, FloatArray]:
-    """Time and setpoint at each sample, shared and read-only.
-
-    Raises:
-        InvalidInput: at this rate no sample lies before the end, or none after the step.
-    """
-    samples, index = profile.samples(sampling_Hz), profile.step_index(sampling_Hz)
-    if not index < samples:
-        raise InvalidInput(
-            f"a trial of {profile.duration_s:g} s with its step at {profile.step_at_s:g} s has no "
-            f"sample after the step at {sampling_Hz:g} Hz; make it longer"
-        )
-    time, setpoint = np.arange(samples) / sampling_Hz, profile.setpoint(sampling_Hz)
-    time.flags.writeable = setpoint.flags.writeable = False
-    return time, setpoint
+def bound(profile: AnyProfile) -> float:
+    """Size of the measurement, N, past which a response to this profile has diverged."""
+    low, high = profile.extremes_N
+    return DIVERGED_AT * max(abs(low), abs(high), high - low)
 
 
 def _cores() -> int:

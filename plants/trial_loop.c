@@ -1,17 +1,19 @@
-/* The closed-loop trial: a fixed loop around the generated functions
+/* The trial: a fixed loop around the generated functions
  * estune_prepare, estune_sense and estune_substep, which precede this text in the compiled file
  * together with the sizes CONSTANTS, STATES, SUBSTEPS, PIDF_STATES and COEFFICIENTS.
  *
  * The dead time is a ring of past drives, so that a long one costs no more than a short one.
  * During sample k the plant is driven by drive[k - delay - 1] until the dead time's fraction of
  * a sample has passed, then by drive[k - delay].
+ *
+ * Where `open` is one the setpoint is the effort, within the controller's limits.
  */
 #include <stdlib.h>
 
 /* A copy that is written out costs nothing: the numbers stay where they are, in registers. */
 #define UNROLLED _Pragma("GCC unroll 128")
 
-static long one_trial(long samples, long delay, double bound, double preload,
+static long one_trial(long samples, long delay, double bound, double preload, double open,
                       const double *parameters, const double *coefficients,
                       const double *setpoint, const double *noise, double *ring,
                       double *tension, double *effort, double *angle, double *reference,
@@ -30,11 +32,11 @@ static long one_trial(long samples, long delay, double bound, double preload,
   for (n = 0; n < delay + 2; n++) ring[n] = drive;
   for (k = 0; k < samples; k++) {
     {
-      const double *arg[7];
+      const double *arg[8];
       double *res[8];
       arg[0] = constants; arg[1] = state; arg[2] = ring + before;
       arg[3] = noise ? noise + k : 0;  /* no address reads as zero */
-      arg[4] = coefficients; arg[5] = pidf; arg[6] = setpoint + k;
+      arg[4] = coefficients; arg[5] = pidf; arg[6] = setpoint + k; arg[7] = &open;
       res[0] = moved; res[1] = tension + k; res[2] = angle + k;
       res[3] = following; res[4] = effort + k; res[5] = ring + now; res[6] = &excess;
       res[7] = reference ? reference + k : 0;  /* to no address nothing is written */
@@ -67,7 +69,7 @@ static long one_trial(long samples, long delay, double bound, double preload,
 /* Runs a batch of trials, one after the other; the arrays of a trial follow each other. A stride
  * of zero shares the parameters or the noise among all trials. Returns nonzero without memory. */
 __attribute__((visibility("default"))) int estune_trials(
-    long trials, long samples, long delay, double bound, double preload,
+    long trials, long samples, long delay, double bound, double preload, double open,
     const double *parameters, long parameter_stride, const double *coefficients,
     const double *setpoint, const double *noise, long noise_stride, double *tension,
     double *effort, double *angle, double *reference, unsigned char *flags, long long *ended) {
@@ -75,7 +77,7 @@ __attribute__((visibility("default"))) int estune_trials(
   long t;
   if (!ring) return 1;
   for (t = 0; t < trials; t++) {
-    ended[t] = one_trial(samples, delay, bound, preload, parameters + t * parameter_stride,
+    ended[t] = one_trial(samples, delay, bound, preload, open, parameters + t * parameter_stride,
                          coefficients + t * COEFFICIENTS, setpoint,
                          noise ? noise + t * noise_stride : 0, ring, tension + t * samples,
                          effort + t * samples, angle + t * samples,

@@ -1,4 +1,4 @@
-"""The closed-loop trial: controller and plant as one sample, run as C or in a virtual machine."""
+"""The trial: controller and plant as one sample, run as C or in a virtual machine."""
 
 import ctypes
 from functools import lru_cache
@@ -8,10 +8,10 @@ from typing import Any, NamedTuple, Protocol
 import casadi as ca
 import numpy as np
 
+from estune import compiler
 from estune.core import pidf
 from estune.errors import PlantError
 from estune.trial import SATURATED, FloatArray
-from plants import compiler
 from plants.equations import Equations
 from plants.plant import Columns
 
@@ -38,6 +38,7 @@ class Batch(NamedTuple):
         noise_N: Shape (trials, samples), or None.
         delay: Whole samples of dead time.
         bound_N: A trial ends where the measurement's size passes it.
+        open_loop: Whether the setpoint is the effort, within the controllers' limits.
     """
 
     parameters: FloatArray
@@ -47,6 +48,7 @@ class Batch(NamedTuple):
     noise_N: FloatArray | None
     delay: int
     bound_N: float
+    open_loop: bool = False
 
 
 class TrialLoop(Protocol):
@@ -73,9 +75,9 @@ class Functions(NamedTuple):
 
     Attributes:
         prepare: (parameters, preload) -> (constants, state, controller state, drive at rest).
-        sense: (constants, state, drive in force, noise, coefficients, controller state, setpoint)
-            -> (state, measurement, angle, controller state, effort, drive, excess, tension
-            outside: no number where the plant has no gauge there).
+        sense: (constants, state, drive in force, noise, coefficients, controller state, setpoint,
+            1 in open loop else 0) -> (state, measurement, angle, controller state, effort, drive,
+            excess, tension outside: no number where the plant has no gauge there).
         substep: (constants, state, drive before, drive after, n) -> state.
         move: (constants, state, drive before, drive after) -> state one sample later.
         substeps: Number of substeps in a sample.
@@ -106,19 +108,22 @@ def loop_functions(plant: Equations) -> Functions:
     c, x, in_force, noise = plant.observe.sx_in()
     coefficients = ca.SX.sym("coefficients", COEFFICIENTS)
     memory, setpoint = ca.SX.sym("memory", PIDF_STATES), ca.SX.sym("setpoint")
+    is_open = ca.SX.sym("is_open")
     observed, measurement, angle = plant.observe(c, x, in_force, noise)
-    following, effort, excess = pidf.step(
-        pidf.Coefficients(*ca.vertsplit(coefficients)),
-        pidf.PidfState(*ca.vertsplit(memory)),
-        setpoint,
-        measurement,
+    controller = pidf.Coefficients(*ca.vertsplit(coefficients))
+    following, *closed = pidf.step(
+        controller, pidf.PidfState(*ca.vertsplit(memory)), setpoint, measurement
+    )
+    effort, excess = (
+        ca.if_else(is_open, one, other)
+        for one, other in zip(pidf.limited(controller, setpoint), closed, strict=True)
     )
     driven, drive = plant.drive(c, observed, effort)
     outside = ca.SX(0, 1) if plant.outside is None else plant.outside(c, observed)
     outputs = [driven, measurement, angle, ca.vertcat(*following), effort, drive, excess, outside]
     sense = ca.Function(
         "estune_sense",
-        [c, x, in_force, noise, coefficients, memory, setpoint],
+        [c, x, in_force, noise, coefficients, memory, setpoint, is_open],
         [ca.densify(output) for output in outputs],  # C writes structural nonzeros only
     )
     *arguments, n = plant.substep.sx_in()
@@ -141,7 +146,7 @@ class CompiledLoop:
         self._trials = library.estune_trials
         address, count = ctypes.c_void_p, ctypes.c_long
         self._trials.argtypes = (
-            *(count, count, count, ctypes.c_double, ctypes.c_double),
+            *(count, count, count, ctypes.c_double, ctypes.c_double, ctypes.c_double),
             *(address, count, address, address, address, count),
             *(address, address, address, address, address, address),
         )
@@ -159,7 +164,7 @@ class CompiledLoop:
         flags, ended = np.empty((trials, samples), np.uint8), np.empty(trials, np.int64)
         tension, signal_bytes = _address(signals), 8 * trials * samples
         failed = self._trials(
-            *(trials, samples, batch.delay, batch.bound_N, batch.preload_N),
+            *(trials, samples, batch.delay, batch.bound_N, batch.preload_N, batch.open_loop),
             _address(parameters),
             parameters.shape[1] if parameters.ndim > 1 else 0,
             _address(coefficients),
@@ -238,7 +243,7 @@ class _Machine:
 
     def __init__(self, functions: Functions) -> None:
         prepare, sense, _, move, _ = functions
-        scalars = ["preload", "setpoint", "noise", "before", "after"]
+        scalars = ["preload", "setpoint", "is_open", "noise", "before", "after"]
         scalars += ["y", "angle", "effort", "drive", "excess"]
         room = dict.fromkeys(scalars, 1)
         room |= {
@@ -253,7 +258,7 @@ class _Machine:
         self.prepare = self._bind(prepare, "parameters preload", "constants state pidf drive")
         self.sense = self._bind(
             sense,
-            "constants state before noise coefficients pidf setpoint",
+            "constants state before noise coefficients pidf setpoint is_open",
             "driven y angle following effort drive excess reference",
         )
         self.move = self._bind(move, "constants driven before after", "state")
@@ -279,6 +284,7 @@ class _Machine:
         """Runs the loop of `trial_loop.c`; returns where it ended."""
         m, size = self.memory, batch.delay + 2
         ring = [m["drive"][0]] * size
+        m["is_open"][0] = batch.open_loop
         for k, (setpoint, noise) in enumerate(
             zip(batch.setpoint_N.tolist(), noise_N.tolist(), strict=True)
         ):

@@ -91,6 +91,7 @@ __all__ = [
     "StructuralMode",
     "TorqueRipple",
     "ViscousDamping",
+    "declared",
     "find",
     "parameter",
 ]
@@ -134,3 +135,13 @@ def find(name: str) -> type[Effect]:
     if not (isinstance(found, type) and issubclass(found, Effect)):
         raise InvalidInput(f"{name!r} is {found!r}; an effect is a class derived from Effect")
     return found
+
+
+def declared() -> tuple[type[Effect], ...]:
+    """All effects there are: those of this package, then those other packages declare.
+
+    Raises:
+        InvalidInput: one that another package declares cannot be loaded.
+    """
+    others = sorted({point.name for point in entry_points(group=GROUP)} - set(EFFECTS))
+    return (*EFFECTS.values(), *map(find, others))

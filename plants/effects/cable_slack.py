@@ -12,17 +12,24 @@ TINY_N = 1e-30
 """Slack that no tension feels, so that none at zero tension is not 0/0."""
 
 
+NEWTON_ROUNDS = 6
+"""From above on a convex law; they end within rounding of the root."""
+
+
 @dataclass(frozen=True)
 class CableSlack(Effect):
     """Extra length taken up before the cable holds, as of loose windings that bed in.
 
-        T = l^2/(4 k s)  up to l = 2 k s,    T = l - k s  above,    l = k R theta
+        T = k s (x^3 - 2 (x - 1)^3 + (x - 2)^3)/6,    x = 1 + R theta/s
 
-    The reel's own cable never pushes and holds at once; this one has a toe, over which it gets as
-    stiff as ever.
+    with powers of positive parts only: `T = k R theta` from R theta = s on, where all of the
+    cable holds. Strands come taut one after the other (sequential straightening and loading,
+    Kastelic, Palley & Baer 1980), over lengths spread as a triangle between -s and s, most of
+    them about where the reel's own cable, which holds at once, is just taut. So nothing but the
+    toe is another: what is known of the taut cable need not change with the slack.
 
     Attributes:
-        slack_m: The slack s, m.
+        slack_m: The slack s that the cable has where the straight law says it is just taut, m.
     """
 
     name: ClassVar[str] = "cable_slack"
@@ -33,13 +40,13 @@ class CableSlack(Effect):
     )
     port: ClassVar[Port] = Port.CABLE
 
-    slack_m: float = parameter(1e-3, low=0.0, high=0.05, unit="m", neutral=0.0)
+    slack_m: float = parameter(5e-4, low=0.0, high=0.05, unit="m", neutral=0.0)
 
     @staticmethod
     def prepare(p: SimpleNamespace, reel: SimpleNamespace) -> dict[str, Signal]:
         """The slack as a tension of the linear law, N."""
         slack = p.slack_m * reel.stiffness_N_m + TINY_N
-        return {"slack_N": slack, "bend_per_N": 0.25 / slack}
+        return {"slack_N": slack, "per_N": 1.0 / slack}
 
     @staticmethod
     def respond(
@@ -49,10 +56,10 @@ class CableSlack(Effect):
         site: Site,  # noqa: ARG004  the law is the same at all times
     ) -> tuple[Signal, Signal]:
         """The tension; a slack cable stays slack."""
-        pulled = ca.fmax(signal, 0.0)
-        beyond_toe = signal > 2.0 * p.slack_N
-        toe = (p.bend_per_N * pulled) * pulled
-        return state, ca.if_else(beyond_toe, signal - p.slack_N, toe)
+        x = ca.fmin(ca.fmax(1.0 + signal * p.per_N, 0.0), 2.0)
+        late = ca.fmax(x - 1.0, 0.0)
+        toe = (1.0 / 6.0) * (x * x) * x - (1.0 / 3.0) * (late * late) * late
+        return state, p.slack_N * toe + ca.fmax(signal - p.slack_N, 0.0)
 
     @staticmethod
     def rest(
@@ -61,6 +68,12 @@ class CableSlack(Effect):
         signal: Signal,
         site: Site,  # noqa: ARG004  the law is the same at all times
     ) -> tuple[Signal, Signal]:
-        """The linear law's tension."""
-        toe = ca.sqrt(4.0 * p.slack_N * ca.fmax(signal, 0.0))
-        return state, ca.if_else(signal > p.slack_N, signal + p.slack_N, toe)
+        """The linear law's tension: a third root, Newton's method, or the same."""
+        t = ca.fmin(ca.fmax(signal, 0.0) * p.per_N, 1.0)
+        bent = t + 1.0
+        for _ in range(NEWTON_ROUNDS):
+            left = 2.0 - bent
+            bent -= (bent - 1.0 + left**3 / 6.0 - t) / (1.0 - 0.5 * left**2)
+        early = (6.0 * t + TINY_N) ** (1.0 / 3.0)
+        toe = p.slack_N * (ca.if_else(6.0 * t > 1.0, bent, early) - 1.0)
+        return state, ca.if_else(signal > p.slack_N, signal, toe)

@@ -8,13 +8,21 @@ import casadi as ca
 
 from plants.effects.effect import Effect, Port, Signal, Site, parameter
 
+NEWTON_ROUNDS = 6
+"""From the smaller of the two bounds below; they end within rounding of the root."""
+TINY = 1e-12
+
 
 @dataclass(frozen=True)
 class CableStiffening(Effect):
-    """A cable whose fibres straighten as it is pulled: `T = l + c l^2`, l that of the linear law.
+    """A cable whose fibres straighten as it is pulled: `T = l + c max(l, 0) l + d l^3`.
+
+    l is the tension of the linear law. The cubic part is odd, so that a spring which also pushes,
+    as that of an oscillator, hardens either way.
 
     Attributes:
         stiffening_per_N: The coefficient c, 1/N.
+        cubic_per_N2: The coefficient d, 1/N2.
     """
 
     name: ClassVar[str] = "cable_stiffening"
@@ -26,6 +34,7 @@ class CableStiffening(Effect):
     port: ClassVar[Port] = Port.CABLE
 
     stiffening_per_N: float = parameter(5e-3, low=0.0, high=0.1, unit="1/N", neutral=0.0)
+    cubic_per_N2: float = parameter(0.0, low=0.0, high=0.1, unit="1/N2", neutral=0.0)
 
     @staticmethod
     def respond(
@@ -35,7 +44,8 @@ class CableStiffening(Effect):
         site: Site,  # noqa: ARG004  the law is the same at all times
     ) -> tuple[Signal, Signal]:
         """The tension; a slack cable stays slack."""
-        return state, signal * (1.0 + p.stiffening_per_N * ca.fmax(signal, 0.0))
+        odd = p.cubic_per_N2 * (signal * signal)
+        return state, signal * (1.0 + p.stiffening_per_N * ca.fmax(signal, 0.0) + odd)
 
     @staticmethod
     def rest(
@@ -44,6 +54,13 @@ class CableStiffening(Effect):
         signal: Signal,
         site: Site,  # noqa: ARG004  the law is the same at all times
     ) -> tuple[Signal, Signal]:
-        """The linear law's tension."""
-        root = ca.sqrt(1.0 + 4.0 * p.stiffening_per_N * ca.fmax(signal, 0.0))
-        return state, 2.0 * signal / (1.0 + root)
+        """The linear law's tension, by Newton's method from above on a convex law."""
+        size, d = ca.fabs(signal), p.cubic_per_N2
+        c = ca.if_else(signal > 0.0, p.stiffening_per_N, 0.0)
+        without_cubic = 2.0 * size / (1.0 + ca.sqrt(1.0 + 4.0 * c * size))
+        cubic_alone = ((size + TINY) / (d + TINY)) ** (1.0 / 3.0)
+        root = ca.fmin(without_cubic, cubic_alone)
+        for _ in range(NEWTON_ROUNDS):
+            beyond = root * (1.0 + root * (c + root * d)) - size
+            root -= beyond / (1.0 + root * (2.0 * c + 3.0 * root * d))
+        return state, ca.sign(signal) * root

@@ -76,5 +76,5 @@ class CableWeight(Effect):
         site: Site,  # noqa: ARG004  the law is the same at all times
     ) -> tuple[Signal, Signal]:
         """The linear law's tension."""
-        tension = ca.fmax(signal, p.root)
+        tension = ca.fmax(signal, 0.1 * p.root)
         return ca.vertcat(tension, tension), tension - 0.5 * p.twice / tension**2 + p.shift

@@ -30,7 +30,7 @@ class CoulombFriction(Effect):
     port: ClassVar[Port] = Port.DRUM
     resists: ClassVar[bool] = True
 
-    torque_Nm: float = parameter(0.02, low=0.0, high=2.0, unit="N m", neutral=0.0)
+    torque_Nm: float = parameter(0.02, low=0.0, high=1e4, unit="N m", neutral=0.0)
 
     @staticmethod
     def respond(

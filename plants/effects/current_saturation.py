@@ -27,7 +27,7 @@ class CurrentSaturation(Effect):
     )
     port: ClassVar[Port] = Port.ACTUATOR
 
-    limit_A: float = parameter(1.5, low=0.05, high=1000.0, unit="A", neutral=1000.0)
+    limit_A: float = parameter(1.5, low=1e-3, high=1e6, unit="A", neutral=1e6)
 
     @staticmethod
     def respond(

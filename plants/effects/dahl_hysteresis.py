@@ -35,8 +35,8 @@ class DahlHysteresis(Effect):
     states: ClassVar[int] = 1
     resists: ClassVar[bool] = True
 
-    torque_Nm: float = parameter(0.02, low=0.0, high=2.0, unit="N m", neutral=0.0)
-    presliding_rad: float = parameter(2e-3, low=1e-4, high=0.2, unit="rad")
+    torque_Nm: float = parameter(0.02, low=0.0, high=1e4, unit="N m", neutral=0.0)
+    presliding_rad: float = parameter(2e-3, low=1e-7, high=10.0, unit="rad")
 
     @staticmethod
     def prepare(p: SimpleNamespace, reel: SimpleNamespace) -> dict[str, Signal]:

@@ -4,23 +4,32 @@ from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import ClassVar
 
+import casadi as ca
+
 from plants.effects.bristles import bent
 from plants.effects.effect import Effect, Port, Signal, Site, parameter
+
+TINY = 1e-9
+"""Keeps lengths and tensions that are divided by above zero."""
 
 
 @dataclass(frozen=True)
 class EyeletFriction(Effect):
     """Dry friction at the eyelet: the tension inside exceeds that outside when winding in.
 
-        T = T_o (1 + z (1/B - B)/2 + z^2 (1/B + B - 2)/2),    dz/dx = (sign(dx) - z)/d
+        T = r T_o,    r = 1 + z (1/B - B)/2 + z^2 (1/B + B - 2)/2
+        T_o = l/(1 - c + c r),    dz/dx = (sign(dx) - z)/d,    d = (1/B - B) l c/((1 - c) k)
 
     With the attenuation ratio B of (23) the cable slides in with T_o = B T, at z = 1, and out with
-    T = B T_o, at z = -1. Between, z follows the cable's travel x over the length d as Dahl's
-    bristles do; it starts at zero. The record then has the tension outside as `reference_N`.
+    T = B T_o, at z = -1. The share c of the reel's flexibility 1/k lies between drum and eyelet
+    and is stretched by T, the rest by T_o; l is the tension of the linear law. After a reversal of
+    the cable's travel x the cable first sticks in the eyelet and only the part inside gives: so d
+    is the travel that changes T by what friction does, and z follows x over it as Dahl's bristles
+    do. It starts at zero. The record then has the tension outside as `reference_N`.
 
     Attributes:
         attenuation: Attenuation ratio B.
-        slip_m: Travel d of the cable over which friction builds up, m.
+        inner_share: Share c of the flexibility that lies between drum and eyelet.
     """
 
     name: ClassVar[str] = "eyelet_friction"
@@ -30,25 +39,33 @@ class EyeletFriction(Effect):
         "while current and tension read agree"
     )
     port: ClassVar[Port] = Port.EYELET
+    also: ClassVar[tuple[Port, ...]] = (Port.CABLE,)
     states: ClassVar[int] = 1
 
     attenuation: float = parameter(0.95, low=0.35, high=1.0, unit="", neutral=1.0)
-    slip_m: float = parameter(5e-4, low=5e-5, high=0.05, unit="m")
+    inner_share: float = parameter(0.2, low=0.01, high=0.9, unit="")
 
     @staticmethod
     def prepare(p: SimpleNamespace, reel: SimpleNamespace) -> dict[str, Signal]:
-        """The factors of z and z^2, and slip lengths travelled per velocity, s/rad."""
+        """The factors of z and z^2, and what travel changes z by, in N s/rad."""
         within, without = 1.0 / p.attenuation, p.attenuation
+        inside = p.inner_share / (1.0 - p.inner_share)
         return {
             "odd": 0.5 * (within - without),
             "even": 0.5 * (within + without) - 1.0,
-            "travel_s_rad": reel.drum_radius_m * reel.substep_s / p.slip_m,
+            "travel_Ns_rad": reel.drum_radius_m
+            * reel.substep_s
+            * reel.stiffness_N_m
+            / ((within - without) * inside + TINY),
         }
 
     @staticmethod
     def respond(
         p: SimpleNamespace, state: Signal, signal: Signal, site: Site
     ) -> tuple[Signal, Signal]:
-        """The tension inside."""
-        z = state + bent(state, p.travel_s_rad * site.start_velocity_rad_s)
-        return z, signal * (1.0 + z * (p.odd + z * p.even))
+        """At the cable the tension outside, then at the eyelet that inside."""
+        if site.port is Port.EYELET:
+            return state, signal * (1.0 + state * (p.odd + state * p.even))
+        gone = p.travel_Ns_rad * site.start_velocity_rad_s / ca.fmax(signal, TINY)
+        z = state + bent(state, gone)
+        return z, signal / (1.0 + p.inner_share * z * (p.odd + z * p.even))

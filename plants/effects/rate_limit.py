@@ -26,7 +26,7 @@ class RateLimit(Effect):
     port: ClassVar[Port] = Port.ACTUATOR
     states: ClassVar[int] = 1
 
-    rate_A_per_s: float = parameter(50.0, low=1.0, high=1e7, unit="A/s", neutral=1e7)
+    rate_A_per_s: float = parameter(50.0, low=1e-3, high=1e9, unit="A/s", neutral=1e9)
 
     @staticmethod
     def respond(

@@ -6,6 +6,7 @@ from typing import ClassVar
 
 import casadi as ca
 
+from plants.effects.bristles import bent
 from plants.effects.effect import Effect, Port, Signal, Site, parameter
 
 SIXTEENTHS = 16.0
@@ -15,20 +16,22 @@ FURTHEST = 2.5
 
 @dataclass(frozen=True)
 class StribeckFriction(Effect):
-    """Dry friction that falls as the drum gathers speed, the steady curve (10).
+    """Dry friction that falls as the drum gathers speed, the steady curve (10), on bristles.
 
-        tau = -(F_c + F_e exp(-(omega/v_s)^2)) sign(omega),    F_e = f_s - f_c
+        tau = -(F_c + F_e exp(-(omega/v_s)^2)) z,    dz/dtheta = (sign(omega) - z)/d
 
-    Its size is taken at the substep's start; within it the friction is that of
-    `CoulombFriction`, which sticks exactly. The exponential is the sixteenth power of its (2, 2)
-    Pade approximation at a sixteenth, right to 1e-6: four multiplications cost a trial less than a
-    call of exp in each substep. `estune.reel.friction.StribeckFriction` is the same curve fed
-    forward.
+    F_e is f_s - f_c; z is 0 at the start. The size is taken at the substep's start; within it the
+    bristles are those of `DahlHysteresis`, here stiff unless said otherwise: dry friction gives a
+    little before it slips, and what it gives would else be taken for another friction. The
+    exponential is the sixteenth power of its (2, 2) Pade approximation at a sixteenth, right to
+    1e-6: four multiplications cost a trial less than a call of exp in each substep.
+    `estune.reel.friction.StribeckFriction` is the same curve fed forward.
 
     Attributes:
         coulomb_Nm: Size F_c at speed, N m.
         excess_Nm: What static friction F_e adds to it at rest, N m.
         stribeck_rad_s: Velocity v_s over which it fades, rad/s.
+        presliding_rad: Angle d over which it builds up, rad.
     """
 
     name: ClassVar[str] = "stribeck_friction"
@@ -38,19 +41,22 @@ class StribeckFriction(Effect):
         "sticks and slips"
     )
     port: ClassVar[Port] = Port.DRUM
+    states: ClassVar[int] = 1
     resists: ClassVar[bool] = True
 
-    coulomb_Nm: float = parameter(0.02, low=0.0, high=2.0, unit="N m", neutral=0.0)
-    excess_Nm: float = parameter(0.01, low=0.0, high=2.0, unit="N m", neutral=0.0)
-    stribeck_rad_s: float = parameter(0.5, low=0.01, high=50.0, unit="rad/s")
+    coulomb_Nm: float = parameter(0.02, low=0.0, high=1e4, unit="N m", neutral=0.0)
+    excess_Nm: float = parameter(0.01, low=0.0, high=1e4, unit="N m", neutral=0.0)
+    stribeck_rad_s: float = parameter(0.5, low=1e-4, high=1e3, unit="rad/s")
+    presliding_rad: float = parameter(1e-5, low=1e-7, high=10.0, unit="rad")
 
     @staticmethod
-    def prepare(
-        p: SimpleNamespace,
-        reel: SimpleNamespace,  # noqa: ARG004  it is the same in any reel
-    ) -> dict[str, Signal]:
-        """Factor of the velocity's square, s2/rad2."""
-        return {"per_square": 1.0 / (SIXTEENTHS * p.stribeck_rad_s**2)}
+    def prepare(p: SimpleNamespace, reel: SimpleNamespace) -> dict[str, Signal]:
+        """Factor of the velocity's square, s2/rad2; what a torque slows; lengths per velocity."""
+        return {
+            "per_square": 1.0 / (SIXTEENTHS * p.stribeck_rad_s**2),
+            "slowing": 0.5 / reel.torque_per_velocity,
+            "bend": reel.substep_s / p.presliding_rad,
+        }
 
     @staticmethod
     def respond(
@@ -59,11 +65,20 @@ class StribeckFriction(Effect):
         signal: Signal,  # noqa: ARG004  friction does not depend on the torque of other effects
         site: Site,
     ) -> tuple[Signal, Signal]:
-        """The torque that would end the substep at rest, no larger than the friction."""
-        t = ca.fmin(p.per_square * site.start_velocity_rad_s**2, FURTHEST)
-        even, odd = 1.0 + (1.0 / 12.0) * (t * t), 0.5 * t
-        sixteenth = (even - odd) / (even + odd)
-        fade = (((sixteenth**2) ** 2) ** 2) ** 2
-        size = p.coulomb_Nm + p.excess_Nm * fade
-        stopping = -site.velocity_rad_s * site.torque_per_velocity
-        return state, ca.fmin(ca.fmax(stopping, -size), size)
+        """The mean torque of the bristles over the substep."""
+        start = site.start_velocity_rad_s
+        size = p.coulomb_Nm + p.excess_Nm * faded(p.per_square * start**2)
+        slowing = size * p.slowing
+        # What the mean velocity would be if the bristles kept their torque.
+        unheld = 0.5 * start - slowing * state + 0.5 * site.velocity_rad_s
+        stiffness = 0.5 * slowing * p.bend * (1.0 - ca.sign(unheld) * state)
+        further = bent(state, unheld * (p.bend / (1.0 + stiffness)))
+        return state + further, -size * (state + 0.5 * further)
+
+
+def faded(sixteenth: Signal) -> Signal:
+    """What is left of the excess: exp of minus sixteen times the argument."""
+    t = ca.fmin(sixteenth, FURTHEST)
+    even, odd = 1.0 + (1.0 / 12.0) * (t * t), 0.5 * t
+    root = (even - odd) / (even + odd)
+    return (((root**2) ** 2) ** 2) ** 2

@@ -16,16 +16,17 @@ class StringMode(Effect):
     """The cable's first transverse mode: its sag needs time to follow the tension.
 
         v'' + 2 zeta w v' = w^2 (1 - v T/T_0),    w = (pi/L) sqrt(T_0/mu)
-        T = l + c/(1 - c) (l - T_0 (2 - v))
+        T = l + c k q/T_0^2 (v^2 - 1),    q = 4 (mu g)^2 L^3/pi^4
 
-    v is the sag relative to that at the preload T_0, c the sag's share in the reel's flexibility
-    1/k: slowly, the cable gives as the linear law says; faster than the string, whose frequency is
-    that of (31), sag cannot follow and the cable is 1/(1 - c) times as stiff.
-    One sine for the string's shape gives c = k (pi y_0)^2/(2 L T_0) with the sag
-    y_0 = 4 mu g L^2/(pi^3 T_0).
+    v is the sag relative to that at the preload T_0, where the string has the frequency (31).
+    With one sine for its shape the sag 4 mu g L^2/(pi^3 T_0) of a level cable takes up the length
+    q/T_0^2, within 2 % of the parabola's (Irvine 1981): slowly, the cable gives by 2 q/T^3 more
+    than the linear law says; faster than the string, sag cannot follow. So what the string shows
+    grows with the length's and falls with the tension's third power.
 
     Attributes:
-        coupling: The share c.
+        coupling: What gravity's part across the cable squared is of that of a level cable, c:
+            cos^2 of the inclination.
         density_kg_m: Mass mu per length of the cable that swings, kg/m.
         damping: Damping ratio zeta.
     """
@@ -38,23 +39,23 @@ class StringMode(Effect):
     port: ClassVar[Port] = Port.CABLE
     states: ClassVar[int] = 2
 
-    coupling: float = parameter(0.05, low=0.0, high=0.5, unit="", neutral=0.0)
-    density_kg_m: float = parameter(0.007, low=0.002, high=0.5, unit="kg/m")
+    coupling: float = parameter(1.0, low=0.0, high=2.0, unit="", neutral=0.0)
+    density_kg_m: float = parameter(0.05, low=0.002, high=0.5, unit="kg/m")
     damping: float = parameter(0.01, low=1e-3, high=0.5, unit="")
 
     @staticmethod
     def prepare(p: SimpleNamespace, reel: SimpleNamespace) -> dict[str, Signal]:
         """The string over a substep, and how it acts on the tension."""
-        w = math.pi / reel.cable_length_m * ca.sqrt(reel.preload_N / p.density_kg_m)
+        L, T_0 = reel.cable_length_m, reel.preload_N
+        w = math.pi / L * ca.sqrt(T_0 / p.density_kg_m)
         keep, pull = stepping(w, p.damping, reel.substep_s)
-        gain = p.coupling / (1.0 - p.coupling)
+        q = 4.0 * (p.density_kg_m * reel.gravity_m_s2) ** 2 * L**3 / math.pi**4
         return {
             "keep": keep,
             "pull": pull,
-            "stiffer": 1.0 + gain,
-            "preload_N": reel.preload_N,
-            "share_N": gain * reel.preload_N,
-            "per_preload": 1.0 / reel.preload_N,
+            "given_N": p.coupling * reel.stiffness_N_m * q / T_0**2,
+            "preload_N": T_0,
+            "per_preload": 1.0 / T_0,
         }
 
     @staticmethod
@@ -66,7 +67,7 @@ class StringMode(Effect):
     ) -> tuple[Signal, Signal]:
         """The tension with what the string adds."""
         v, last = state[0], state[1]
-        tension = p.stiffer * signal - p.share_N * (2.0 - v)
+        tension = signal + p.given_N * (v * v - 1.0)
         step = p.keep * last + p.pull * (1.0 - v * (ca.fmax(tension, 0.0) * p.per_preload))
         return ca.vertcat(v + step, step), tension
 
@@ -78,7 +79,5 @@ class StringMode(Effect):
         site: Site,  # noqa: ARG004  the same at any angle
     ) -> tuple[Signal, Signal]:
         """The sag at this tension, and the linear law's tension."""
-        tension = ca.fmax(signal, 0.05 * p.preload_N)
-        v = p.preload_N / tension
-        linear = (tension + p.share_N * (2.0 - v)) / p.stiffer
-        return ca.vertcat(v, 0.0), linear
+        v = p.preload_N / ca.fmax(signal, 0.05 * p.preload_N)
+        return ca.vertcat(v, 0.0), signal - p.given_N * (v * v - 1.0)

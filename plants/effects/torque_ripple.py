@@ -28,8 +28,8 @@ class TorqueRipple(Effect):
     port: ClassVar[Port] = Port.DRUM
     states: ClassVar[int] = turning.STATES
 
-    amplitude_Nm: float = parameter(0.01, low=0.0, high=0.5, unit="N m", neutral=0.0)
-    per_turn: float = parameter(24.0, low=1.0, high=300.0, unit="")
+    amplitude_Nm: float = parameter(0.01, low=0.0, high=1e3, unit="N m", neutral=0.0)
+    per_turn: float = parameter(24.0, low=1.0, high=1e4, unit="")
     phase_rad: float = parameter(0.0, low=-math.pi, high=math.pi, unit="rad")
 
     @staticmethod

@@ -25,7 +25,7 @@ class ViscousDamping(Effect):
     )
     port: ClassVar[Port] = Port.DRUM
 
-    damping_Nms: float = parameter(0.01, low=0.0, high=1.0, unit="N m s/rad", neutral=0.0)
+    damping_Nms: float = parameter(0.01, low=0.0, high=1e4, unit="N m s/rad", neutral=0.0)
 
     @staticmethod
     def amend(p: SimpleNamespace, reel: SimpleNamespace) -> dict[str, Any]:

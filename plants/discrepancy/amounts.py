@@ -1,0 +1,144 @@
+"""Amounts in words: numbers with units, and what a reel's torques and angles are at the cable."""
+
+import math
+from typing import Any, NamedTuple
+
+from plants.ported import READINGS_PER_ANGLE, ARM_m
+
+_PREFIXES = {-6: "µ", -3: "m", 0: "", 3: "k"}
+_SCALED = {"N", "m", "s", "A", "N m", "rad"}
+"""Units that are told with a prefix; none else, so that N m/A or kg/m are left as they are."""
+
+
+def si(value: float, unit: str) -> str:
+    """A value to three digits with its unit, in millimetres and the like where that is shorter."""
+    size = abs(value)
+    if unit not in _SCALED or not math.isfinite(value) or size == 0.0 or 0.1 <= size < 1e3:
+        return f"{digits(value)} {unit}".rstrip()
+    power = min(max(3 * math.floor(math.log10(size * 1.0005) / 3.0), -6), 3)
+    if unit in {"N", "N m"} and power < 0 and size >= 0.01:
+        power = 0  # 0.02 N reads better than 20 mN beside other tensions
+    return f"{digits(value / 10.0**power)} {_PREFIXES[power]}{unit}"
+
+
+def digits(value: float) -> str:
+    """A number to three digits, without an exponent up to a million."""
+    text = f"{value:.3g}"
+    return f"{float(text):.0f}" if "e+0" in text and abs(value) < 1e6 else text
+
+
+def share(value: float) -> str:
+    """A share in per cent."""
+    return f"{digits(100.0 * value)} %"
+
+
+class Scene(NamedTuple):
+    """What the numbers of an effect are seen against.
+
+    Attributes:
+        subject: What the model is of: reel or plant.
+        radius_m: Drum radius, m; nan without a drum.
+        length_m: Cable length, m; nan without a cable.
+        tension_N: Usual tension, N; nan where there is none.
+        stiffness_N_m: Of the cable, N/m; nan without one.
+        newtons_per_ampere: Effort per motor current, N/A.
+        sampling_Hz: Rate of the controller; nan where it is not known.
+        torque_unit: Input of a plant that stands for a newton metre and for an ampere.
+        angle_unit: Output of a plant that stands for a radian; see `plants.ported`.
+    """
+
+    subject: str
+    radius_m: float
+    length_m: float
+    tension_N: float
+    stiffness_N_m: float
+    newtons_per_ampere: float
+    sampling_Hz: float
+    torque_unit: float
+    angle_unit: float
+
+    @classmethod
+    def of(cls, model: Any) -> "Scene":
+        """The scene of a model; what it does not know is nan."""
+
+        def known(name: str, otherwise: float = math.nan) -> float:
+            value = getattr(model, name, otherwise)
+            return float(value) if isinstance(value, int | float) else otherwise
+
+        softness = 1.0 / known("structure_stiffness_N_m")
+        softness += known("cable_length_m") / known("cable_EA_N")
+        controller = getattr(model, "controller", None)
+        return cls(
+            subject="reel" if math.isfinite(known("drum_inertia_kg_m2")) else "plant",
+            radius_m=known("drum_radius_m"),
+            length_m=known("cable_length_m"),
+            tension_N=known("tension_N"),
+            stiffness_N_m=1.0 / softness,
+            newtons_per_ampere=known("newtons_per_ampere"),
+            sampling_Hz=float(getattr(controller, "sampling_Hz", math.nan)),
+            torque_unit=known("torque_unit", 1.0),
+            angle_unit=known("angle_unit", 1.0),
+        )
+
+    @property
+    def has_cable(self) -> bool:
+        """Whether there is a cable on the drum."""
+        return math.isfinite(self.length_m)
+
+    @property
+    def at_drum(self) -> str:
+        """Where friction is, in words."""
+        return " at the drum" if self.subject == "reel" else ""
+
+    def torque(self, torque_Nm: float) -> str:
+        """A torque, and the tension it is at the cable."""
+        if self.subject == "plant":
+            return _input(torque_Nm * self.torque_unit)
+        at_cable = torque_Nm / self.radius_m if self.has_cable else math.nan
+        return f"{si(torque_Nm, 'N m')}{also(at_cable, 'N', ' at the cable')}"
+
+    def travel(self, angle_rad: float) -> str:
+        """An angle of the drum, and the cable it winds."""
+        if self.subject == "plant":
+            return _output(angle_rad * self.angle_unit)
+        wound = angle_rad * self.radius_m if self.has_cable else math.nan
+        return f"{si(angle_rad, 'rad')}{also(wound, 'm', ' of cable')}"
+
+    def cable(self, length_m: float) -> str:
+        """A length of cable."""
+        if self.subject == "plant":
+            return _output(length_m / ARM_m * self.angle_unit)
+        return si(length_m, "m")
+
+    def speed(self, velocity_rad_s: float) -> str:
+        """A velocity of the drum, and of the cable."""
+        if self.subject == "plant":
+            return f"{_output(velocity_rad_s * self.angle_unit)} per second"
+        wound = velocity_rad_s * self.radius_m if self.has_cable else math.nan
+        return f"{si(velocity_rad_s, 'rad/s')}{also(wound, 'm/s', ' of cable')}"
+
+    def current(self, current_A: float, per: str = "") -> str:
+        """A current, and the tension it holds."""
+        if self.subject == "plant":
+            return f"{_input(current_A * self.torque_unit)}{' per second' if per else ''}"
+        tension = current_A * self.newtons_per_ampere
+        return f"{si(current_A, f'A{per}')}{also(tension, f'N{per}')}"
+
+    def reading(self, tension_N: float) -> str:
+        """A tension, or what stands for it in a plant's output."""
+        if self.subject == "plant":
+            return _output(tension_N * self.angle_unit / READINGS_PER_ANGLE)
+        return si(tension_N, "N")
+
+
+def _input(value: float) -> str:
+    return f"{digits(value)} in the input's unit"
+
+
+def _output(value: float) -> str:
+    return f"{digits(value)} in the output's unit"
+
+
+def also(value: float, unit: str, of: str = "") -> str:
+    """The same in another unit, in brackets; nothing where that is not known."""
+    return f" ({si(value, unit)}{of})" if math.isfinite(value) else ""

@@ -1,0 +1,236 @@
+"""Puts a diagnosis together from what was found."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+from estune.trial import RigDescription
+from plants.discrepancy.diagnosis import Diagnosis, Interval, NamedEffect, Step, Verdict
+from plants.discrepancy.evidence import calibrations, free_run, intervals, reported
+from plants.discrepancy.fit import Fitted
+from plants.discrepancy.floor import Floor
+from plants.discrepancy.next_experiment import Evidence, NextExperiment, next_experiment
+from plants.discrepancy.record import Finding
+from plants.discrepancy.rules import Hum
+from plants.discrepancy.search import Attempt, Bench, Found, closure
+from plants.discrepancy.verdict import Judged, candidates, not_excited, overall, ruled_out
+from plants.discrepancy.where import Where
+from plants.discrepancy.wording import sentence
+from plants.effects import Effect, MainsInterference, Quantisation
+
+STEP_KNOWN = 2e-3
+"""Relative uncertainty of a step found among readings."""
+
+
+class Choice(NamedTuple):
+    """The effects to choose from.
+
+    Attributes:
+        structural: Those that the search tries.
+        calibrations: Those that are a wrong number of the model as given.
+        by_rule: Those found by a rule of their own.
+        unavailable: Why others cannot be had on this model, by slug.
+    """
+
+    structural: tuple[type[Effect], ...]
+    calibrations: tuple[type[Effect], ...]
+    by_rule: tuple[type[Effect], ...]
+    unavailable: Mapping[str, str]
+
+
+class Stage(NamedTuple):
+    """A model fitted to records."""
+
+    bench: Bench
+    attempt: Attempt
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Known:
+    """All that was found before it is told.
+
+    Attributes:
+        model: The model as given.
+        humming: The base fit of the records as they are.
+        hum: The hum found in them, or None.
+        bench: Model and records without hum.
+        found: The search.
+        judged: Its verdict.
+        wrong: The model as given and with the one number changed that is wrong, or None.
+        coarse_step_N: Step of a gauge that is read in coarse steps, or None.
+        choice: The effects there were to choose from.
+        where: Where the residual lives.
+        noise: The noise floor.
+        findings: What was wrong with the data.
+        rig: What the rig allows, where it is at hand.
+    """
+
+    model: Any
+    humming: Stage
+    hum: Hum | None
+    bench: Bench
+    found: Found
+    judged: Judged
+    wrong: tuple[Attempt, Attempt] | None
+    coarse_step_N: float | None
+    choice: Choice
+    where: Where
+    noise: Floor
+    findings: tuple[Finding, ...]
+    rig: RigDescription | None = None
+
+
+class Fit(NamedTuple):
+    """A stage fitted once more to all that may be fitted, and the slug it added."""
+
+    bench: Bench
+    fitted: Fitted
+    added: str | None
+
+
+def told(known: Known) -> Diagnosis:
+    """The verdict with all its evidence."""
+    fits = _fits(known)
+    before, after = fits[0], fits[-1]
+    first = intervals(before.bench, before.fitted, before.fitted)
+    last = intervals(after.bench, after.fitted, before.fitted) if after is not before else first
+    base = fits[1] if known.hum is not None else before
+    steps = [_step(one) for one in fits]
+    effects = _structural(known)
+    named = [_named(effect, last, known.model) for effect in effects]
+    named += _by_rule(known, steps)
+    verdict = _verdict(known, named)
+    ran = free_run((before.bench, before.fitted), (after.bench, after.fitted))
+    listed = candidates(known.found)
+    values = after.fitted.predictor.values(after.fitted.values)
+    base_values = base.fitted.predictor.values(base.fitted.values)
+    plant = known.bench.model
+    added = [one.effect for one in named]
+    values |= {f"{e.name}.{n}": i.value for e in named for n, i in e.parameters.items()}
+    return Diagnosis(
+        verdict=verdict,
+        sentence=overall(verdict, known.judged.tied, named, steps, plant.output),
+        effects=tuple(named),
+        ambiguous=known.judged.tied,
+        candidates=listed,
+        unit=plant.output,
+        gap_before=steps[0].gap,
+        gap_after=steps[-1].gap,
+        floor=steps[0].floor,
+        ratio_before=steps[0].ratio,
+        ratio_after=steps[-1].ratio,
+        closure=closure(steps[0].ratio ** 2, steps[-1].ratio ** 2) if named else math.nan,
+        rms_before=ran.rms_before,
+        rms_after=ran.rms_after,
+        noise=known.noise,
+        where=known.where,
+        calibrations=calibrations(before.fitted.predictor, first, last),
+        not_excited={**not_excited(known.found, {}), **known.choice.unavailable},
+        ruled_out=ruled_out(listed, [e.name for e in named], known.judged.tied),
+        next_experiment=_next(known, verdict, base_values, steps[-1].ratio),
+        findings=known.findings,
+        steps=tuple(steps),
+        traces=ran.traces,
+        splits=known.bench.dealt.parts,
+        model=known.model,
+        base_model=plant.calibrated(base_values),
+        augmented=plant.calibrated(values, added),
+        values=values,
+    )
+
+
+def _next(
+    known: Known, verdict: Verdict, base_values: Mapping[str, float], ratio_after: float
+) -> NextExperiment | None:
+    """The experiment that would decide between the models that are tied, or show the gap best."""
+    if verdict not in ("ambiguous", "unknown"):
+        return None
+    plant, rounds = known.bench.model, known.found.rounds
+    rivals = {
+        a.effects[-1].name: plant.calibrated(a.values, a.effects)
+        for a in (rounds[0].attempts if rounds else ())
+        if a.effects[-1].name in known.judged.tied
+    }
+    evidence = Evidence(known.bench.measurements, known.noise, known.where, ratio_after)
+    return next_experiment(verdict, plant.calibrated(base_values), rivals, evidence, known.rig)
+
+
+def _fits(known: Known) -> list[Fit]:
+    """The models from the base to what is believed, one effect more each."""
+    bench = known.bench
+    if known.wrong is not None:
+        return [
+            Fit(bench, bench.final(known.wrong[0]), None),
+            Fit(bench, bench.final(known.wrong[1]), known.wrong[1].effects[0].name),
+        ]
+    fits = []
+    if known.hum is not None:
+        at = known.humming
+        fits.append(Fit(at.bench, at.bench.final(at.attempt), None))
+    added = None if known.hum is None else MainsInterference.name
+    fits.append(Fit(bench, bench.final(known.found.base), added))
+    taken = [one.taken for one in known.found.rounds if one.taken is not one.before]
+    believed = taken[: len(known.judged.best.effects)]
+    return [*fits, *(Fit(bench, bench.final(a), a.effects[-1].name) for a in believed)]
+
+
+def _step(one: Fit) -> Step:
+    found = reported(one.bench, one.fitted)
+    return Step(one.added, found.gap, found.floor, found.ratio)
+
+
+def _structural(known: Known) -> tuple[type[Effect], ...]:
+    return known.wrong[1].effects if known.wrong is not None else known.judged.best.effects
+
+
+def _named(effect: type[Effect], found: Mapping[str, Interval], model: Any) -> NamedEffect:
+    return _told_by({n: found[f"{effect.name}.{n}"] for n in effect.parameters()}, effect, model)
+
+
+def _told_by(parameters: Mapping[str, Interval], effect: type[Effect], model: Any) -> NamedEffect:
+    values = {name: one.value for name, one in parameters.items()}
+    return NamedEffect(
+        effect.name, effect.title, parameters, sentence(effect, values, model), effect
+    )
+
+
+def _by_rule(known: Known, steps: list[Step]) -> list[NamedEffect]:
+    """The effects found by rule; what coarse steps explain is taken off the gap."""
+    named = []
+    if known.hum is not None:
+        parameters = {
+            "amplitude_N": known.hum.amplitude_N,
+            "frequency_Hz": known.hum.frequency_Hz,
+            "phase_rad": known.hum.phase_rad,
+        }
+        named.append(_told_by(parameters, MainsInterference, known.model))
+    if known.coarse_step_N is not None:
+        q = known.coarse_step_N
+        # Readings are written with few digits, of which the step has as many.
+        step = Interval(q, q * (1.0 - STEP_KNOWN), q * (1.0 + STEP_KNOWN), "N")
+        named.append(_told_by({"step_N": step}, Quantisation, known.model))
+        steps[:] = _with_rounding(steps, q)
+    return named
+
+
+def _with_rounding(steps: Sequence[Step], step_N: float) -> list[Step]:
+    """The steps against a floor without rounding, and one more that rounding explains."""
+    rounding = step_N**2 / 12.0
+    again = []
+    for one in steps:
+        floor = math.sqrt(max(one.floor**2 - rounding, 0.01 * one.floor**2))
+        again.append(Step(one.effect, one.gap, floor, one.gap / floor))
+    last = again[-1]
+    gap = math.sqrt(max(last.gap**2 - rounding, last.floor**2))
+    return [*again, Step(Quantisation.name, gap, last.floor, gap / last.floor)]
+
+
+def _verdict(known: Known, named: Sequence[NamedEffect]) -> Verdict:
+    """What the search says, with what was found besides."""
+    verdict = known.judged.verdict
+    if verdict == "none" and named:
+        return "named"
+    if verdict == "unknown" and named:
+        return "incomplete"
+    return verdict

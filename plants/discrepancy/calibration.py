@@ -1,0 +1,121 @@
+"""What every rig has to be calibrated for, as an effect, so that a fitted model can carry it."""
+
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Any, ClassVar
+
+import casadi as ca
+
+from plants.effects import Effect, Port, Signal, Site, parameter
+
+TINY_N3 = 1e-30
+"""Keeps the third root differentiable where there is no weight."""
+
+
+@dataclass(frozen=True)
+class Calibration(Effect):
+    """Gain and offset of the torque and offset of the gauge: trivial, and never named as missing.
+
+        tau = (g Kt) i + tau_0,    y = T + T_0
+
+    The gain acts between current and torque, so that a current that is measured does not show it,
+    and the controller goes on reckoning with the torque constant it was given.
+
+    Attributes:
+        torque_gain: Torque given g per torque that the torque constant says.
+        torque_offset_Nm: Constant torque tau_0, N m.
+        gauge_offset_N: What the gauge reads at no tension, T_0, N.
+    """
+
+    name: ClassVar[str] = "calibration"
+    title: ClassVar[str] = "calibration of torque and gauge"
+    appearance: ClassVar[str] = (
+        "torque and tension read stand in another ratio, or differ by a constant, at any motion"
+    )
+    port: ClassVar[Port] = Port.DRUM
+    also: ClassVar[tuple[Port, ...]] = (Port.GAUGE,)
+
+    torque_gain: float = parameter(1.0, low=1e-3, high=1e3, unit="", neutral=1.0)
+    torque_offset_Nm: float = parameter(0.0, low=-1e4, high=1e4, unit="N m", neutral=0.0)
+    gauge_offset_N: float = parameter(0.0, low=-1e5, high=1e5, unit="N", neutral=0.0)
+
+    @staticmethod
+    def amend(p: SimpleNamespace, reel: SimpleNamespace) -> dict[str, Any]:
+        """The torque constant that acts, beside the one the controller reckons with."""
+        return {"torque_constant_Nm_A": reel.torque_constant_Nm_A * p.torque_gain}
+
+    @staticmethod
+    def respond(
+        p: SimpleNamespace, state: Signal, signal: Signal, site: Site
+    ) -> tuple[Signal, Signal]:
+        """The torque at the drum, then the reading."""
+        if site.port is Port.DRUM:
+            return state, p.torque_offset_Nm
+        return state, signal + p.gauge_offset_N
+
+    @staticmethod
+    def rest(
+        p: SimpleNamespace, state: Signal, signal: Signal, site: Site
+    ) -> tuple[Signal, Signal]:
+        """The same torque; the tension that reads so."""
+        if site.port is Port.DRUM:
+            return state, p.torque_offset_Nm
+        return state, signal - p.gauge_offset_N
+
+
+@dataclass(frozen=True)
+class SaggingCalibration(Calibration):
+    """The same for a reel at tensions so low that its own cable's sag bends the linear law.
+
+        a T - Q/T^2 = l + a T_0 - Q/T_0^2 - T_0,    Q = k w^2 L^3/24,    a = 1 - 2 Q/T_0^3
+
+    Sag takes up q/T^2 of length (Irvine 1981), of which the linear law l = k R theta has the slope
+    at the preload T_0. The root is found anew in each substep by one step of Newton's method, as
+    by `plants.effects.CableWeight`, which weight that is added goes through before.
+    """
+
+    also: ClassVar[tuple[Port, ...]] = (Port.GAUGE, Port.CABLE)
+    states: ClassVar[int] = 2
+
+    @staticmethod
+    def prepare(p: SimpleNamespace, reel: SimpleNamespace) -> dict[str, Signal]:
+        """The constants a, Q in N^3, and what is added to l."""
+        del p
+        weight_N_m = reel.gravity_m_s2 * reel.cable_density_kg_m
+        Q = reel.stiffness_N_m * weight_N_m**2 * reel.cable_length_m**3 / 24.0 + TINY_N3
+        a, preload = 1.0 - 2.0 * Q / reel.preload_N**3, reel.preload_N
+        return {
+            "a": a,
+            "twice": 2.0 * Q,
+            "thrice": 3.0 * Q,
+            "root": (Q / a) ** (1.0 / 3.0),
+            "shift": a * preload - Q / preload**2 - preload,
+        }
+
+    @staticmethod
+    def respond(
+        p: SimpleNamespace, state: Signal, signal: Signal, site: Site
+    ) -> tuple[Signal, Signal]:
+        """The tension at the cable; elsewhere as without sag."""
+        if site.port is not Port.CABLE:
+            _, changed = Calibration.respond(p, state, signal, site)
+            return state, changed
+        s = signal + p.shift
+        start = ca.fmax(2.0 * state[0] - state[1], 0.125 * state[0])
+        square = start * start
+        found = start * (p.thrice + s * square) / (p.a * square * start + p.twice)
+        # The root lies above s/a, and stays above zero in however fast a fall.
+        found = ca.fmax(ca.fmax(found, s / p.a), ca.fmin(0.125 * start, p.root))
+        return ca.vertcat(found, state[0]), found
+
+    @staticmethod
+    def rest(
+        p: SimpleNamespace, state: Signal, signal: Signal, site: Site
+    ) -> tuple[Signal, Signal]:
+        """The linear law's tension at the cable; elsewhere as without sag."""
+        if site.port is not Port.CABLE:
+            _, changed = Calibration.rest(p, state, signal, site)
+            return state, changed
+        tension = ca.fmax(signal, 0.1 * p.root)
+        linear = p.a * tension - 0.5 * p.twice / tension**2 - p.shift
+        return ca.vertcat(tension, tension), linear

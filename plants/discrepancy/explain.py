@@ -1,0 +1,160 @@
+"""One call from a model and records to the effect that is missing."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from estune.errors import InvalidInput
+from estune.trial import RigDescription, TrialRecord
+from plants.discrepancy import thresholds
+from plants.discrepancy.assembly import Choice, Known, Stage, told
+from plants.discrepancy.base import BaseNumbers
+from plants.discrepancy.diagnosis import Diagnosis
+from plants.discrepancy.floor import Floor, noise_floor
+from plants.discrepancy.given import one_wrong_number
+from plants.discrepancy.models import Diagnosed, diagnosed
+from plants.discrepancy.quality import check
+from plants.discrepancy.record import Finding, Measurement
+from plants.discrepancy.records import read_measurements
+from plants.discrepancy.rules import Hum, coarse_step_N, find_hum
+from plants.discrepancy.search import Attempt, Bench, search
+from plants.discrepancy.splits import FIT, RANK
+from plants.discrepancy.suggestions import suggestions
+from plants.discrepancy.verdict import judge
+from plants.discrepancy.where import Where, localise
+from plants.effects import Effect, MainsInterference, Quantisation, declared, find
+
+
+def explain(
+    model: Any,
+    records: Path | str | Sequence[Measurement] | Sequence[TrialRecord],
+    *,
+    effects: Sequence[type[Effect] | str] | None = None,
+    rig: RigDescription | None = None,
+) -> Diagnosis:
+    """Finds where a model and records disagree, and names the effect that is missing.
+
+    Nothing is drawn: the same records give the same answer.
+
+    Args:
+        model: A `Reel`, an `UnloadedReel`, a linear or a Python plant, or a system of
+            python-control.
+        records: A folder of records, or the records themselves.
+        effects: The effects to choose from, classes or names for `plants.effects.find`; None is
+            all that are declared, those of other packages included.
+        rig: The rig that the next experiment is for; None is what the records tell of it.
+
+    Raises:
+        InvalidInput: there is no record that can be used; the message says why for each.
+        PlantError: the model cannot be simulated.
+    """
+    given, read = _measurements(records)
+    measurements, looked = check(given, model)
+    findings = (*read, *looked)
+    if not measurements:
+        refused = "; ".join(str(f) for f in findings if f.level == "refused")
+        raise InvalidInput(f"no record can be used: {refused or 'there is none'}")
+    noise = noise_floor(measurements)
+    bench, base = _base(model, measurements, noise)
+    choice = _choice(bench.model, effects)
+    hum = _hum(bench, base) if MainsInterference in choice.by_rule else None
+    humming = Stage(bench, base)
+    if hum is not None:
+        bench, base = _base(model, hum.measurements, noise)
+    where = _where(bench, base, noise)
+    found = search(bench, base, choice.structural, suggestions(measurements, where))
+    if hum is not None and found.best.effects and not _still(humming, found.best):
+        # The line was what the effects do.
+        hum, (bench, base) = None, humming
+        where = _where(bench, base, noise)
+        found = search(bench, base, choice.structural, suggestions(measurements, where))
+    judged = judge(found)
+    wrong = None
+    if judged.verdict == "none" and hum is None:
+        wrong = one_wrong_number(bench, base, choice.calibrations)
+    coarse = None
+    if Quantisation in choice.by_rule and "tension_N" in noise.channels:
+        coarse = coarse_step_N(noise.channels["tension_N"])
+    return told(
+        Known(
+            model=model,
+            humming=humming,
+            hum=hum,
+            bench=bench,
+            found=found,
+            judged=judged,
+            wrong=wrong,
+            coarse_step_N=coarse,
+            choice=choice,
+            where=where,
+            noise=noise,
+            findings=findings,
+            rig=rig,
+        )
+    )
+
+
+def _base(model: Any, measurements: tuple[Measurement, ...], noise: Floor) -> Stage:
+    """The base fit, of the model as the records tell it is meant."""
+    stages = []
+    for plant in diagnosed(model, measurements).alternatives():
+        bench = Bench(plant, measurements, noise)
+        stages.append(Stage(bench, bench.attempt((), bench.base.start[None, :])))
+    return min(stages, key=lambda stage: stage.attempt.fit_J)
+
+
+def _where(bench: Bench, base: Attempt, noise: Floor) -> Where:
+    """Where the base model's residual lives."""
+    model = bench.model.calibrated(base.values)
+    numbers = [BaseNumbers.of(model, m) for m in bench.measurements]
+    return localise(bench.measurements, numbers, noise)
+
+
+def _still(humming: Stage, best: Attempt) -> bool:
+    """Whether there is hum in the records as they are when the effects found are in the model."""
+    row = humming.bench.predictor(best.effects).row(best.values)
+    attempt = humming.bench.attempt(best.effects, row[None, :])
+    return _hum(humming.bench, attempt) is not None
+
+
+def _measurements(
+    records: Path | str | Sequence[Measurement] | Sequence[TrialRecord],
+) -> tuple[tuple[Measurement, ...], tuple[Finding, ...]]:
+    if isinstance(records, Path | str):
+        read = read_measurements(records)
+        return read.measurements, read.findings
+    return tuple(r if isinstance(r, Measurement) else Measurement.of(r) for r in records), ()
+
+
+def _choice(plant: Diagnosed, effects: Sequence[type[Effect] | str] | None) -> Choice:
+    asked = (
+        declared() if effects is None else [find(e) if isinstance(e, str) else e for e in effects]
+    )
+    reasons = {e.name: plant.unavailable(e) for e in asked}
+    had = [e for e in asked if reasons[e.name] is None]
+    special = (*thresholds.CALIBRATIONS, *thresholds.BY_RULE)
+    return Choice(
+        structural=tuple(e for e in had if e.name not in special),
+        calibrations=tuple(e for e in had if e.name in thresholds.CALIBRATIONS),
+        by_rule=tuple(e for e in had if e.name in thresholds.BY_RULE),
+        unavailable={name: why for name, why in reasons.items() if why is not None},
+    )
+
+
+def _hum(bench: Bench, base: Attempt) -> Hum | None:
+    """Hum in what the base model leaves of the gauge's readings outside the report split."""
+    if "tension_N" not in bench.floor.channels:
+        return None
+    fitted, index = base.fitted, bench.base.index
+    predicted = fitted.predictor.predict(fitted.values[None, :])
+    looked = bench.dealt.where(FIT, RANK)
+    seen = []
+    for n, m in enumerate(bench.measurements):
+        at = np.zeros(m.samples, bool)
+        at[index.sample[looked[index.measurement[looked] == n]]] = True
+        # Of a record that is all report only its own phase is wanted.
+        seen.append(at if at.any() else ~at)
+    left = [None if p.tension_N is None else p.tension_N[0] for p in predicted]
+    return find_hum(bench.measurements, left, seen, bench.floor.tension_N)

@@ -1,0 +1,87 @@
+"""Column names and their units: which are known, which are a near miss, what to do about it."""
+
+import difflib
+import math
+
+TABLE_COLUMNS = (
+    "time_s",
+    "setpoint_N",
+    "current_A",
+    "tension_N",
+    "angle_rad",
+    "reference_N",
+    "flags",
+)
+
+METADATA = (
+    "rig",
+    "trial_id",
+    "sampling_Hz",
+    "cable_length_m",
+    "preload_N",
+    "loop",
+    "gains",
+    "profile",
+)
+"""The metadata a measurement makes use of."""
+
+_IN_SI = {
+    "ns": 1e-9,
+    "us": 1e-6,
+    "ms": 1e-3,
+    "min": 60.0,
+    "h": 3600.0,
+    "kN": 1e3,
+    "mN": 1e-3,
+    "kgf": 9.80665,
+    "lbf": 4.4482216,
+    "mA": 1e-3,
+    "kA": 1e3,
+    "deg": math.pi / 180.0,
+    "degrees": math.pi / 180.0,
+    "mrad": 1e-3,
+    "turns": 2.0 * math.pi,
+    "rev": 2.0 * math.pi,
+    "kHz": 1e3,
+    "mm": 1e-3,
+    "cm": 1e-2,
+}
+"""Other units a writer may have used, in the unit of the known name."""
+
+NEAR = 0.75
+"""Similarity of two names (difflib's ratio) from which one is taken for a slip of the other."""
+NEARER = 0.85
+"""The same for the columns that most records do not have."""
+_RARE = ("reference_N", "flags")
+
+
+def mistaken(name: str, present: frozenset[str], known: tuple[str, ...]) -> str | None:
+    """What to do about a name that is not known but seems to be meant for one that is.
+
+    Args:
+        name: The name found.
+        present: All the names found.
+        known: The names there may be.
+
+    Returns:
+        A sentence, or None where the name is known, or means something else.
+    """
+    if name in known:
+        return None
+    stem, _, unit = name.rpartition("_")
+    for meant in known:
+        meant_stem, _, meant_unit = meant.rpartition("_")
+        if meant in present or not meant_stem:
+            continue
+        if stem.lower() == meant_stem and unit.lower() != meant_unit.lower():
+            factor = _IN_SI.get(unit)
+            scale = "converted" if factor is None else f"multiplied by {factor:.7g}"
+            return f"{name} is in another unit; give it {scale} under the name {meant}"
+        if name.lower() in (meant_stem, meant.lower()):
+            return f"did you mean {meant}? rename it if it is in {meant_unit}"
+    for rare, least in ((False, NEAR), (True, NEARER)):
+        missing = {m.lower(): m for m in known if m not in present and (m in _RARE) == rare}
+        near = difflib.get_close_matches(name.lower(), missing, 1, least)
+        if near:
+            return f"did you mean {missing[near[0]]}? rename it"
+    return None
