@@ -27,7 +27,7 @@ import numpy as np
 from scipy.linalg import expm
 
 import plants
-from estune import interop
+from estune import compiler, interop
 from estune.core import pidf
 from estune.core.cost import StepCost
 from estune.core.gains import Gains
@@ -36,8 +36,8 @@ from estune.core.tuners import TUNERS
 from estune.core.tuners.observation import Observation
 from estune.score import cost_of
 from estune.trial import FloatArray, Outcome, TrialRequest
-from plants import compiler
 from plants.noise import NoiseSource
+from plants.plant import drive_of
 from plants.reel import Reel
 from plants.reel_equations import cable_stiffness_N_m, viscous_friction_Nms
 from plants.simulation import bound
@@ -238,12 +238,11 @@ def measure_linear(rounds: int) -> dict[str, float]:
     )
     row = np.array([pidf.coefficients(plant.controller, GAINS)])
     loop, limit = linear_loop(), bound(plant.profile)
+    drive = drive_of(plant.profile, REEL.sampling_Hz)
     t = np.arange(632 - plant.profile.step_index(REEL.sampling_Hz)) / REEL.sampling_Hz
     figures = alternate(
         {
-            "linear_compiled_us": Timed(
-                lambda: plant.respond(row, plant.profile, None, limit), 20, 20
-            ),
+            "linear_compiled_us": Timed(lambda: plant.respond(row, drive, None, limit), 20, 20),
             "step_response_us": Timed(lambda: control.step_response(loop, t)),
             "closing_the_loop_us": Timed(linear_loop),
         },

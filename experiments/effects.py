@@ -19,9 +19,10 @@ import plants
 from estune.core import pidf
 from estune.core.cost import StepCost
 from estune.core.gains import Gains
-from estune.trial import StepProfile
+from estune.profiles import StepProfile
 from experiments.benchmark_trials import Timed, alternate
 from plants.effects import EFFECTS, Effect
+from plants.plant import drive_of
 from plants.reel import Reel
 from plants.simulation import bound
 
@@ -63,8 +64,8 @@ def all_at_once(rounds: int, trials: int) -> dict[str, float]:
         return Timed(lambda: plants.batch_costs(reel, table, None, cost, seed=1, workers=1))
 
     def alone(reel: Reel) -> Timed:
-        limit = bound(profile)
-        return Timed(lambda: reel.respond(coefficients, profile, None, limit), blocks=10)
+        limit, drive = bound(profile), drive_of(profile, reel.sampling_Hz)
+        return Timed(lambda: reel.respond(coefficients, drive, None, limit), blocks=10)
 
     ratios = {}
     for name, timed in (("", timed_simulation), ("_batch", batch), ("_compiled_call", alone)):

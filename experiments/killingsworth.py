@@ -44,7 +44,7 @@ from estune.core.search_space import Point, SearchSpace
 from estune.core.tuners import TUNERS, Tuner
 from estune.core.tuners.killingsworth import Killingsworth
 from estune.core.tuners.observation import Observation
-from estune.trial import StepProfile
+from estune.profiles import StepProfile
 from plants.linear import LinearPlant, linear_plant
 from plants.simulation import Response, simulate
 

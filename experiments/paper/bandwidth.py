@@ -8,10 +8,10 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import StrMethodFormatter
 from scipy.stats import linregress
 
+from estune.drawing import FOUR, finish, legend, stacked
 from estune.trial import FloatArray
 from experiments.identification import excitation
 from experiments.paper import PaperFigure
-from experiments.paper.drawing import FOUR, finish, legend, stacked
 from plants.cable import string_frequency_Hz
 from plants.identify import (
     FrequencyResponse,

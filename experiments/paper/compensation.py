@@ -7,10 +7,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from scipy.constants import g
 
-from estune.figures import BLUE, GREEN, GREY, VERMILION
+from estune.drawing import BLUE, GREEN, GREY, VERMILION, finish, legend, stacked
 from estune.reel.gravity import gravity_force_N
 from estune.trial import FloatArray
-from experiments.paper.drawing import finish, legend, stacked
 from plants.feedforward import WrenchTraces, WrenchTrial
 
 

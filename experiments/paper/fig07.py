@@ -2,9 +2,8 @@
 
 from matplotlib.figure import Figure
 
-from estune.figures import BLUE, GREY, VERMILION
+from estune.drawing import BLUE, GREY, VERMILION, finish, legend, stacked
 from experiments.paper import PaperFigure, show
-from experiments.paper.drawing import finish, legend, stacked
 from plants.transparency import (
     WEBER_LIMIT,
     Eyelet,

@@ -4,10 +4,10 @@ import numpy as np
 from scipy.stats import f_oneway
 
 import estune
+from estune.drawing import FOUR, finish, legend, stacked
 from estune.trial import FloatArray
 from experiments.identification import LENGTHS_m
 from experiments.paper import PaperFigure, show
-from experiments.paper.drawing import FOUR, finish, legend, stacked
 from plants.reel import Reel
 
 TENSION_N = 15.0

@@ -4,8 +4,8 @@ import math
 
 from matplotlib.figure import Figure
 
+from estune.drawing import FOUR, finish, legend, stacked
 from experiments.paper import PaperFigure, show
-from experiments.paper.drawing import FOUR, finish, legend, stacked
 from plants.transparency import (
     Eyelet,
     HysteresisLoop,

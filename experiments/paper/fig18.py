@@ -6,9 +6,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import StrMethodFormatter
 
-from estune.figures import BLUE, GREY, VERMILION
+from estune.drawing import BLUE, GREY, VERMILION, finish, legend, stacked
 from experiments.paper import PaperFigure, show
-from experiments.paper.drawing import finish, legend, stacked
 from plants.boundary import BoundaryTraces, BoundaryTrial, reference_boundary_trial, run_boundary
 
 

@@ -1,0 +1,157 @@
+"""How soon is a reel safe when the client that moves it is gone?
+
+The emulated hardware runs in its own process and in wall-clock time, its real-time loop in a
+second, the rig's server in a third, and a client in a fourth has one long trial run, with gains
+that are not the reel's own. In the middle of it the client is killed or frozen. Timed is until the
+rig has ended the trial and runs its own gains again, by its log; and, seen from outside, until the
+tension of the reel itself has left the level of the trial.
+
+    python -m experiments.chaos.deadman rig|client ...
+"""
+
+import contextlib
+import signal
+import subprocess
+import sys
+import time
+import tomllib
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+from estune import bus
+from estune.bus.session import with_port
+from estune.hardware import HardwareRig, RigConfig
+from estune.hardware.config import config_from
+from estune.trial import TrialRequest
+from experiments.chaos.faults import LEASE_S
+from experiments.chaos.motions import Log, LoggedRig, Motion
+from experiments.chaos.processes import end, ready, started
+from plants.emulator import RIG_FILE, EmulatedDriver
+from plants.emulator.driver import started as emulated
+
+LIMIT_S = LEASE_S + 0.1
+LONG_S = 8.0
+STEP_N = 10.0
+LEFT_N = 1.0
+"""The reel has left the level of the trial once its tension has fallen by so much."""
+
+_WITHIN_S = 30.0
+
+
+class Escape(NamedTuple):
+    """How one client was lost.
+
+    Attributes:
+        restored_s: Until the rig had ended the trial and ran its own gains again.
+        left_s: Until the reel's own tension had left the level of the trial.
+        restored: Whether the gains that were live then are the rig's own.
+    """
+
+    restored_s: float
+    left_s: float
+    restored: bool
+
+
+def configuration(address: str) -> RigConfig:
+    """The emulated rig at an address, with a long trial; lateness on a busy machine is no stop."""
+    tables = tomllib.loads(RIG_FILE.read_text(encoding="utf-8"))
+    tables["driver"]["settings"] = {"address": address}
+    tables["guard"] |= {"late_in_a_row": 1_000_000, "gap_s": 10.0}
+    tables["step"] |= {"duration_s": LONG_S, "step_N": STEP_N}
+    tables["motion"] |= {"rate_N_s": 400.0, "settle_s": 0.02, "settle_N": 1.0}
+    return config_from(tables, str(RIG_FILE))
+
+
+def serve(endpoint: str, address: str, ledger: str) -> None:
+    """Serves the hardware rig, and logs what it does."""
+    with HardwareRig(configuration(address)) as hardware:
+        rig = LoggedRig(hardware)
+        with bus.serve(rig, endpoint, ledger=Path(ledger)) as server:
+            rig.boot()
+            server.wait()
+
+
+def ask(endpoint: str, run: str) -> None:
+    """Has one long trial run, with gains that are not the rig's own."""
+    with bus.connect(endpoint) as rig:
+        about = rig.describe()
+        gains = replace(about.gains, P=1.2 * about.gains.P)
+        rig.run(TrialRequest(run, 0, gains, about.step))
+
+
+@contextlib.contextmanager
+def _process(folder: Path, *arguments: str) -> Iterator[subprocess.Popen[bytes]]:
+    process = started("deadman", *arguments, errors=folder / "deadman.err")
+    try:
+        yield process
+    finally:
+        if process.poll() is None:
+            process.send_signal(signal.SIGCONT)
+        end(process)
+
+
+def escapes(folder: Path, number: int, times: int) -> list[Escape]:
+    """Loses so many clients by a signal, in the middle of a trial each."""
+    endpoint, log = with_port("tcp/127.0.0.1:0"), Log()
+    found = []
+    with (
+        emulated({"electronics": {"watchdog_s": 1.0}}) as address,
+        EmulatedDriver(address) as driver,
+        _process(folder, "rig", endpoint, address, str(folder / f"ledger{number}")) as rig,
+    ):
+        if rig.stdout is None:
+            raise AssertionError
+        log.follow(rig.stdout)
+        _await(log, "boot", "")
+        for n in range(times):
+            name = f"signal{number}run{n}"
+            with _process(folder, "client", endpoint, name) as client:
+                begun = _await(log, "begin", name)
+                level_N = begun_at_level(driver)
+                time.sleep(0.2 * n / max(times - 1, 1))  # all over the time between two renewals
+                lost_s = time.monotonic()
+                client.send_signal(number)
+                left_s = until_left(driver, level_N - LEFT_N) - lost_s
+                ended = _await(log, "end", name)
+                found.append(Escape(ended.at_s - lost_s, left_s, ended.live == begun.live))
+        end(rig, signal.SIGINT)
+    return found
+
+
+def begun_at_level(driver: EmulatedDriver) -> float:
+    """Waits until the reel has followed the step; its tension then, N."""
+    reached_N = 15.0 + 0.95 * STEP_N
+    until_s = time.monotonic() + _WITHIN_S
+    while (tension := driver.truth().tension_N) < reached_N:
+        if time.monotonic() > until_s:
+            sys.exit(f"the reel has not followed the step: {tension:.1f} N")
+        time.sleep(0.002)
+    time.sleep(0.3)
+    return float(driver.truth().tension_N)
+
+
+def until_left(driver: EmulatedDriver, below_N: float) -> float:
+    """When the reel's own tension has fallen below a level, monotonic time."""
+    until_s = time.monotonic() + _WITHIN_S
+    while driver.truth().tension_N > below_N:
+        if time.monotonic() > until_s:
+            return float("inf")
+        time.sleep(0.001)
+    return time.monotonic()
+
+
+def _await(log: Log, what: str, trial_id: str) -> Motion:
+    def sought(motions: tuple[Motion, ...]) -> list[Motion]:
+        return [m for m in motions if m.what == what and m.trial_id.startswith(trial_id)]
+
+    if not log.wait(lambda motions: bool(sought(motions)), _WITHIN_S):
+        sys.exit(f"the rig has not said {what!r} of {trial_id!r} within {_WITHIN_S:g} s")
+    return sought(log.motions())[0]
+
+
+if __name__ == "__main__":
+    ready()
+    with contextlib.suppress(KeyboardInterrupt):
+        (serve if sys.argv[1] == "rig" else ask)(*sys.argv[2:])

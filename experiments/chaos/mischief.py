@@ -1,0 +1,110 @@
+"""What a network does to messages: delivers them twice, late, and in another order."""
+
+import sys
+import threading
+from collections import deque
+from collections.abc import Callable
+from random import Random
+from typing import NamedTuple
+
+import zenoh
+
+from estune.bus.session import close_session, open_session
+from experiments.chaos.processes import heard
+
+REMEMBERED = 40
+LATE_S = 0.05, 2.5
+_TIMEOUT_S = 1.0
+
+
+class Message(NamedTuple):
+    """A command on its way."""
+
+    key: str
+    payload: bytes
+
+
+class Mischief:
+    """Meddles with the commands of one client, as it is told line by line on standard input.
+
+    `double`: the next submit is delivered twice at once. `late`: it is held back, so that its
+    sender hears nothing, and delivered after all some time later. `again`: some of the last
+    commands are delivered once more, in any order.
+    """
+
+    def __init__(self, endpoint: str, seed: int) -> None:
+        self._endpoint = endpoint
+        self._random = Random(seed)  # noqa: S311  for faults, not for secrets
+        self._session: zenoh.Session | None = None
+        self._opening = threading.Lock()
+        self._closed = threading.Event()
+        self._threads: list[threading.Thread] = []
+        self._past: deque[Message] = deque(maxlen=REMEMBERED)
+        self._wanted: deque[str] = deque()
+        threading.Thread(target=self._listen, daemon=True).start()
+
+    def is_held_back(self, message: Message, *, submit: bool) -> bool:
+        """Whether a message about to be sent does not leave now.
+
+        Args:
+            message: The message.
+            submit: Whether it asks for a trial.
+        """
+        self._past.append(message)
+        if not submit or not self._wanted:
+            return False
+        late = self._wanted.popleft() == "late"
+        self._deliver(message, self._random.uniform(*LATE_S) if late else 0.0)
+        return late
+
+    def close(self) -> None:
+        """Delivers nothing more.
+
+        Leaves no thread inside Zenoh: the end of the interpreter under it would be an abort.
+        """
+        self._closed.set()
+        for thread in self._threads:
+            thread.join()
+        if self._session is not None:
+            close_session(self._session)
+
+    def _listen(self) -> None:
+        while True:
+            for what in heard().split():
+                if what == "again":
+                    past = list(self._past)
+                    for message in self._random.sample(past, min(len(past), 5)):
+                        self._deliver(message, self._random.uniform(0.0, 0.5))
+                else:
+                    self._wanted.append(what)
+
+    def _deliver(self, message: Message, after_s: float) -> None:
+        def deliver() -> None:
+            if self._closed.wait(after_s):
+                return
+            try:
+                with self._opening:
+                    if self._session is None:
+                        self._session = open_session(
+                            "client", connect=(self._endpoint,), message_max_bytes=2**24
+                        )
+                list(self._session.get(message.key, payload=message.payload, timeout=_TIMEOUT_S))
+            except zenoh.ZError as error:
+                print(f"mischief failed: {error}", file=sys.stderr)
+
+        thread = threading.Thread(target=deliver, daemon=True)
+        self._threads.append(thread)
+        thread.start()
+
+
+def meddle(ask: Callable[..., bytes | None], mischief: Mischief) -> Callable[..., bytes | None]:
+    """`Conversation.ask`, with the mischief between it and the network."""
+
+    def meddled(self: object, key: str, payload: bytes, **options: object) -> bytes | None:
+        command = "/@cmd/" in key
+        message, submit = Message(key, payload), key.endswith("/submit")
+        if command and mischief.is_held_back(message, submit=submit):
+            return None
+        return ask(self, key, payload, **options)
+
+    return meddled

@@ -1,0 +1,79 @@
+"""Whoever else is on the network: a router, a second client, a slow consumer.
+
+python -m experiments.chaos.others router|rival|rival-plainly|slow ENDPOINT [NAME]
+"""
+
+import json
+import sys
+import threading
+from collections.abc import Callable
+
+import zenoh
+
+from estune import bus, protocol
+from estune.bus.session import open_session
+from estune.core.gains import Gains
+from estune.errors import EstuneError
+from estune.trial import TrialRequest
+from experiments.chaos.processes import ready
+from experiments.chaos.rig import PLAIN_KEY
+
+GENTLE = Gains(0.2, 6.0, 0.005, 0.05)
+QUESTIONS = 300
+
+
+def router(endpoint: str) -> None:
+    """Passes everything on, until killed."""
+    closed = {"multicast": {"enabled": False}, "gossip": {"enabled": False}}
+    config = {
+        "mode": "router",
+        "listen": {"endpoints": [endpoint]},
+        "scouting": closed,
+        "transport": {"shared_memory": {"enabled": False}},
+    }
+    with zenoh.open(zenoh.Config.from_json5(json.dumps(config))):
+        print("routing", flush=True)
+        threading.Event().wait()
+
+
+def rival(endpoint: str, name: str) -> None:
+    """Has a trial of its own run, if it is let."""
+    with bus.connect(endpoint) as rig:
+        print(rig.run(TrialRequest(name, 0, GENTLE, rig.describe().step)).outcome, flush=True)
+
+
+def rival_plainly(endpoint: str, name: str) -> None:
+    """The same by a plain get."""
+    asked = {"run": name, "number": 0, "gains": GENTLE.as_tuple()}
+    with open_session("client", connect=(endpoint,), message_max_bytes=2**24) as session:
+        list(session.get(PLAIN_KEY, payload=json.dumps(asked).encode(), timeout=2.0))
+
+
+def slow(endpoint: str) -> None:
+    """Asks for more than it takes in, until killed."""
+    keys = protocol.Keys("reel")
+    with open_session("client", connect=(endpoint,), message_max_bytes=2**24) as session:
+        looking = [
+            session.declare_subscriber(key, zenoh.handlers.FifoChannel(1))
+            for key in (keys.status, keys.telemetry("*"))
+        ]
+        print("asking", flush=True)
+        while looking:
+            waiting = [session.get(keys.describe, timeout=2.0) for _ in range(QUESTIONS)]
+            next(iter(waiting[-1]), None)
+
+
+if __name__ == "__main__":
+    parts: dict[str, Callable[..., None]] = {
+        "router": router,
+        "rival": rival,
+        "rival-plainly": rival_plainly,
+        "slow": slow,
+    }
+    ready()
+    try:
+        parts[sys.argv[1]](*sys.argv[2:])
+    except (EstuneError, zenoh.ZError) as error:
+        sys.exit(str(error))
+    except KeyboardInterrupt:
+        pass

@@ -1,0 +1,88 @@
+"""A rig process: a simulated reel that moves in its own time, served with a ledger on disk.
+
+    python -m experiments.chaos.rig NAME ENDPOINT LEDGER PACE [ROUTER]
+
+It logs its motions on standard output. With `plain` for a ledger it is served by nothing but a
+Zenoh queryable that runs what it is asked to run: what is usually written first.
+"""
+
+import json
+import sys
+import threading
+from pathlib import Path
+
+import zenoh
+
+import plants
+from estune import bus, frame
+from estune.bus.session import open_session
+from estune.core.gains import Gains
+from estune.errors import EstuneError
+from estune.trial import TrialRequest
+from experiments.chaos.motions import LoggedRig
+from experiments.chaos.processes import ready
+
+SEED = 7
+PLAIN = "plain"
+PLAIN_KEY = "plain/trial"
+
+
+def simulated(name: str, pace: float) -> LoggedRig:
+    """The reel whose noise depends on the number of a trial alone."""
+    return LoggedRig(plants.reference_reel().rig(name=name, seed=SEED, pace=pace))
+
+
+def serve(rig: LoggedRig, endpoint: str, ledger: Path, routers: list[str]) -> None:
+    """Serves it as `estune serve` and `estune rig` do, until it is told to end."""
+    with bus.serve(rig, endpoint, ledger=ledger, routers=routers) as server:
+        rig.boot()
+        server.wait()
+
+
+def serve_plainly(rig: LoggedRig, endpoint: str, routers: list[str]) -> None:
+    """Answers each query by running a trial in its callback."""
+
+    def answer(query: zenoh.Query) -> None:
+        with query:
+            asked = json.loads(bytes(query.payload or b""))
+            step = rig.describe().step
+            request = TrialRequest(asked["run"], asked["number"], Gains(*asked["gains"]), step)
+            query.reply(PLAIN_KEY, frame.encode(rig.run(request)))
+
+    with open_session(
+        "peer", listen=(endpoint,), connect=tuple(routers), message_max_bytes=2**24
+    ) as session:
+        session.declare_queryable(PLAIN_KEY, answer)
+        rig.boot()
+        threading.Event().wait()
+
+
+def main(name: str, endpoint: str, ledger: str, pace: str, *routers: str) -> int:
+    """Serves until stopped; returns the exit code."""
+    ready()
+    rig = simulated(name, float(pace))
+    try:
+        if ledger == PLAIN:
+            serve_plainly(rig, endpoint, list(routers))
+        else:
+            serve(rig, endpoint, Path(ledger), list(routers))
+    except KeyboardInterrupt:
+        return 0
+    except EstuneError as error:
+        print(error, file=sys.stderr)
+        return error.exit_code
+    return 0
+
+
+def truth(name: str) -> plants.SimulatedRig:
+    """The same reel without any log, link or pace: what each record ought to be."""
+    return plants.reference_reel().rig(name=name, seed=SEED)
+
+
+def as_served(rig: plants.SimulatedRig) -> LoggedRig:
+    """Says of itself what the rig that is served says."""
+    return LoggedRig(rig)
+
+
+if __name__ == "__main__":
+    sys.exit(main(*sys.argv[1:]))

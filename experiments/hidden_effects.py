@@ -1,0 +1,296 @@
+"""Does the workflow name an effect that was hidden in the data, and hold its tongue otherwise?
+
+Cases come from `tests.hidden`, machines that share no code or formula with the models here. Each
+is diagnosed from its records alone; then the answer is held against what was hidden. Counted are
+cases whose gap is at least one and a half floors, unless it says otherwise. Misnaming is any name,
+in a verdict of whatever kind, of a family that is not there. Every row goes to a file as it is
+finished; `--rows` prints the tables of such a file without running anything.
+
+Beside them: a measured set, the Silverbox, where it is at hand (`--data`, or ESTUNE_DATA).
+"""
+
+import argparse
+import contextlib
+import io
+import json
+import math
+import multiprocessing
+import os
+import sys
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+from experiments import silverbox
+from experiments.hidden_scores import Row, Task, diagnose, single_core
+
+SHARES = {
+    "plain": 26,
+    "none": 12,
+    "outside": 11,
+    "two": 8,
+    "left_out": 7,
+    "noise5": 6,
+    "steps_only": 4,
+    "wrong_base": 4,
+    "no_encoder": 4,
+    "none_no_encoder": 4,
+    "unloaded": 6,
+    "none_unloaded": 3,
+    "outside_unloaded": 3,
+    "stage": 2,
+}
+"""Per cent of the cases."""
+
+FIRST_FRESH_SEED = 10_000
+"""Seeds below are for development; thresholds were chosen on them."""
+
+OUT = Path(__file__).parent / "out"
+SINGLE = ("plain", "steps_only", "wrong_base", "unloaded", "stage")
+NOTHING = ("none", "none_unloaded")
+OUTSIDE = ("outside", "outside_unloaded", "left_out")
+QUICK_CASES, THROUGHPUT_CASES = 16, 8
+
+Limit = tuple[float, str]
+
+LIMITS: dict[str, Limit] = {
+    "exact_name": (0.95, "least"),
+    "right_family": (0.98, "least"),
+    "false_alarms": (0.03, "most"),
+    "outside_misnamed": (0.05, "most"),
+    "left_out_misnamed": (0.05, "most"),
+    "median_gap_closed": (0.95, "least"),
+    "median_free_run_ratio": (0.25, "most"),
+    "two_both_found": (0.80, "least"),
+    "noise5_wrong_names": (0.0, "most"),
+    "no_encoder_false_alarms": (0.05, "most"),
+    "intervals_hold_truth": (0.90, "least"),
+    "median_cpu_s": (3.0, "most"),
+    "throughput_two_workers": (1.8, "least"),
+    "silverbox_nrmse_after": (0.25, "most"),
+    "silverbox_stiffening_first": (1.0, "least"),
+}
+
+
+def tasks(cases: int, seed0: int) -> list[Task]:
+    """The cases to run, their kinds mixed, so that the first of them already tell something."""
+    total = sum(SHARES.values())
+    counts = {variant: max(1, round(cases * n / total)) for variant, n in SHARES.items()}
+    placed = [
+        ((n + 0.5) / count, Task(seed0 + n, variant))
+        for variant, count in counts.items()
+        for n in range(count)
+    ]
+    return [task for _, task in sorted(placed, key=lambda at: at[0])]
+
+
+def run(todo: list[Task], jobs: int, each: Callable[[Row], None]) -> float:
+    """Diagnoses all of them in `jobs` processes; returns the time it took once they were up, s."""
+    spawn = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(jobs, mp_context=spawn) as pool:
+        list(pool.map(time.sleep, [0.5] * jobs))  # every process has started
+        start = time.perf_counter()
+        for done in as_completed([pool.submit(diagnose, task) for task in todo]):
+            each(done.result())
+        return time.perf_counter() - start
+
+
+def run_all(todo: list[Task], jobs: int, path: Path) -> list[Row]:
+    """Runs them and writes each row to the file as it is finished."""
+    rows: list[Row] = []
+    path.parent.mkdir(exist_ok=True)
+    with path.open("w", encoding="utf-8") as file:
+
+        def keep(row: Row) -> None:
+            rows.append(row)
+            file.write(json.dumps(row.as_json()) + "\n")
+            file.flush()
+            sign = "." if row.right or not row.truth else "!"
+            print(sign, end="" if len(rows) % 80 else "\n", file=sys.stderr, flush=True)
+
+        took = run(todo, jobs, keep)
+    print(f"\n{len(rows)} cases in {took:.0f} s; rows in {path}", file=sys.stderr)
+    return rows
+
+
+def throughput(cases: int, seed0: int) -> float:
+    """Diagnoses per second of two workers over those of one, on the same cases."""
+    todo = [Task(seed0 + n, "plain") for n in range(cases)]
+    run(todo, 2, lambda _: None)  # everything is compiled and in the cache
+    alone, together = (min(run(todo, jobs, lambda _: None) for _ in range(2)) for jobs in (1, 2))
+    return alone / together
+
+
+def confusion(rows: list[Row]) -> dict[str, dict[str, int]]:
+    """How often what was said, by what was hidden; of one hidden effect or none."""
+    table: dict[str, Counter[str]] = {}
+    for row in rows:
+        if row.variant in ("two", "left_out"):
+            continue
+        said = "+".join(row.found) if row.found else row.verdict
+        if row.verdict in ("incomplete", "ambiguous") and row.found:
+            said = f"{said} ({row.verdict})"
+        truth = "+".join(row.truth) or "none"
+        if row.truth and not row.visible:
+            said = f"{said}, gap below 1.5"
+        table.setdefault(truth, Counter())[said] += 1
+    return {truth: dict(said.most_common()) for truth, said in sorted(table.items())}
+
+
+def rate(rows: list[Row], holds: Callable[[Row], bool]) -> float:
+    """Share of the rows for which it holds; nan without rows."""
+    return sum(map(holds, rows)) / len(rows) if rows else math.nan
+
+
+def middle(values: list[float]) -> float:
+    """Median of what is finite."""
+    finite = [value for value in values if math.isfinite(value)]
+    return median(finite) if finite else math.nan
+
+
+def of(rows: list[Row], *variants: str) -> list[Row]:
+    """The rows of some variants."""
+    return [row for row in rows if row.variant in variants]
+
+
+def summary(rows: list[Row]) -> dict[str, float]:
+    """The figures that are asked for, by name."""
+    single = [row for row in of(rows, *SINGLE) if row.visible]
+    plain = [row for row in of(rows, "plain") if row.visible]
+    two = [row for row in of(rows, "two") if row.visible]
+    right = [row for row in single if row.right]
+    held = [one.holds for row in rows if row.right for one in row.intervals]
+    calibrated = [one.holds for row in rows if row.right for one in row.calibrations]
+    return {
+        "cases": float(len(rows)),
+        "errors": float(sum(bool(row.error) for row in rows)),
+        "single_visible": float(len(single)),
+        "single_below_1.5_floors": float(len(of(rows, *SINGLE)) - len(single)),
+        "exact_name": rate(single, lambda row: row.right),
+        "right_family": rate(single, lambda row: row.right_family),
+        "plain_exact_name": rate(plain, lambda row: row.right),
+        **{
+            f"{variant}_exact_name": rate(
+                [row for row in of(rows, variant) if row.visible], lambda row: row.right
+            )
+            for variant in (*SINGLE[1:], "noise5", "no_encoder")
+        },
+        "incomplete_among_right": rate(right, lambda row: row.verdict == "incomplete"),
+        "nothing_hidden": float(len(of(rows, *NOTHING))),
+        "false_alarms": rate(of(rows, *NOTHING), lambda row: row.verdict != "none"),
+        "no_encoder_false_alarms": rate(
+            of(rows, "none_no_encoder"), lambda row: row.verdict != "none"
+        ),
+        "outside_misnamed": rate(of(rows, *OUTSIDE[:2]), lambda row: row.wrong_name),
+        "left_out_misnamed": rate(of(rows, "left_out"), lambda row: row.wrong_name),
+        "two_exact": rate(two, lambda row: row.right),
+        "two_both_found": rate(two, lambda row: row.both_found),
+        "noise5_wrong_names": float(sum(row.wrong_name for row in of(rows, "noise5"))),
+        "median_gap_closed": middle([row.gap_closed for row in right]),
+        "median_free_run_ratio": middle([row.rms_ratio for row in right]),
+        "intervals": float(len(held)),
+        "intervals_hold_truth": sum(held) / len(held) if held else math.nan,
+        "calibrations_hold_truth": sum(calibrated) / len(calibrated) if calibrated else math.nan,
+        "median_cpu_s": middle([row.cpu_s for row in rows]),
+        "slowest_cpu_s": max((row.cpu_s for row in rows if not row.error), default=math.nan),
+    }
+
+
+def show(rows: list[Row]) -> None:
+    """Prints the tables."""
+    print("hidden -> said, one hidden effect or none\n")
+    for truth, said in confusion(rows).items():
+        print(f"  {truth:22s} " + "; ".join(f"{what} {count}" for what, count in said.items()))
+    print("\ntwo hidden\n")
+    for row in of(rows, "two"):
+        if not row.right:
+            print(f"  {row.seed} {' + '.join(row.truth)}: {row.verdict} {' + '.join(row.found)}")
+    print("\ntruth taken out of the catalogue\n")
+    for row in of(rows, "left_out"):
+        if row.wrong_name:
+            print(f"  {row.seed} {row.truth[0]}: {row.verdict} {' + '.join(row.found)}")
+    print("\nintervals that hold the truth\n")
+    for name, holds in sorted(_by_parameter(rows)):
+        print(f"  {name:40s} {sum(holds):3d} of {len(holds)}")
+    for row in rows:
+        if row.error:
+            print(f"\n{row.variant} {row.seed}: {row.error.strip().splitlines()[-1]}")
+
+
+def _by_parameter(rows: list[Row]) -> Iterator[tuple[str, list[bool]]]:
+    found: dict[str, list[bool]] = {}
+    for row in rows:
+        if row.right:
+            for one in (*row.intervals, *row.calibrations):
+                found.setdefault(one.name, []).append(one.holds)
+    yield from found.items()
+
+
+def targets(figures: dict[str, float]) -> dict[str, dict[str, Any]]:
+    """What has to be reached, of the figures that were measured."""
+    return {
+        name: {
+            "value": figures[name],
+            "limit": limit,
+            "met": figures[name] >= limit if kind == "least" else figures[name] <= limit,
+        }
+        for name, (limit, kind) in LIMITS.items()
+        if name in figures
+    }
+
+
+def main() -> int:
+    """Prints the tables, or with --json one object; returns 1 where a target is missed."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n", maxsplit=1)[0])
+    parser.add_argument("--cases", type=int, default=1000, help="number of cases")
+    parser.add_argument("--seed0", type=int, default=FIRST_FRESH_SEED, help="first seed")
+    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes")
+    parser.add_argument("--json", action="store_true", help="print one JSON object alone")
+    parser.add_argument("--quick", action="store_true", help="20 cases, no throughput")
+    parser.add_argument("--data", type=Path, help="folder that holds silverbox/Silverbox.mat")
+    parser.add_argument("--rows", type=Path, help="print the tables of this file; run nothing")
+    options = parser.parse_args()
+    single_core()
+    figures: dict[str, Any] = {}
+    if options.rows:
+        lines = options.rows.read_text(encoding="utf-8").splitlines()
+        rows = [Row.from_json(json.loads(line)) for line in lines]
+    else:
+        todo = tasks(QUICK_CASES if options.quick else options.cases, options.seed0)
+        rows = run_all(todo, options.jobs, OUT / "hidden_effects.jsonl")
+        if not options.quick:
+            figures["throughput_two_workers"] = throughput(THROUGHPUT_CASES, options.seed0)
+        figures |= silverbox.figures(silverbox.folder(options.data))
+    figures = summary(rows) | figures
+    with contextlib.redirect_stdout(io.StringIO() if options.json else sys.stdout):
+        show(rows)
+        print()
+        for name, value in figures.items():
+            print(f"  {name:30s} {value if isinstance(value, str) else f'{value:.4g}'}")
+        found = targets(figures)
+        print()
+        for name, target in found.items():
+            verdict = "met   " if target["met"] else "MISSED"
+            print(f"{verdict} {name}: {target['value']:.4g}, limit {target['limit']:g}")
+    if options.json:
+        said = {
+            "figures": figures | {"confusion": confusion(rows)},
+            "targets": found,
+        }
+        print(json.dumps(_without_nan(said), allow_nan=False))
+    return 0 if all(target["met"] for target in found.values()) else 1
+
+
+def _without_nan(value: Any) -> Any:
+    """The same with null for what JSON has no number for."""
+    if isinstance(value, dict):
+        return {name: _without_nan(one) for name, one in value.items()}
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

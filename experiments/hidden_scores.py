@@ -1,0 +1,228 @@
+"""One diagnosis of records with something hidden in them, and what it is worth."""
+
+import os
+import time
+import traceback
+from dataclasses import asdict, dataclass, field, fields, replace
+from typing import Any
+
+import plants
+from estune.core.gains import Gains
+from plants.discrepancy.record import Measurement
+from plants.effects import EFFECTS
+from plants.unloaded import UnloadedReel
+from tests import hidden
+
+NAMING = ("named", "incomplete", "ambiguous")
+FRICTION = "coulomb_friction"
+FAIR = {
+    "sector_rub": {"incomplete": FRICTION},
+    "nonlinear_lag": dict.fromkeys(NAMING, "dead_time"),
+}
+"""Effects without a name for which, by verdict, naming this family is no error."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """What is to be diagnosed: a case by its seed."""
+
+    seed: int
+    variant: str
+    effect: str | None = None
+
+
+@dataclass(frozen=True)
+class Held:
+    """Whether a stated interval holds the truth."""
+
+    name: str
+    true: float
+    value: float
+    low: float
+    high: float
+
+    @property
+    def holds(self) -> bool:
+        """Whether it does."""
+        return self.low <= self.true <= self.high
+
+
+@dataclass(frozen=True)
+class Row:
+    """One case: what was hidden, what was said, and how well the model then fits."""
+
+    seed: int
+    variant: str
+    kind: str
+    truth: tuple[str, ...]
+    in_catalogue: bool
+    verdict: str = "error"
+    found: tuple[str, ...] = ()
+    ambiguous: tuple[str, ...] = ()
+    right: bool = False
+    right_family: bool = False
+    both_found: bool = False
+    wrong_name: bool = False
+    ratio_before: float = float("nan")
+    ratio_after: float = float("nan")
+    closure: float = float("nan")
+    rms_ratio: float = float("nan")
+    cpu_s: float = float("nan")
+    wall_s: float = float("nan")
+    intervals: tuple[Held, ...] = field(default=())
+    calibrations: tuple[Held, ...] = field(default=())
+    error: str = ""
+
+    @property
+    def visible(self) -> bool:
+        """Whether the gap is at least one and a half floors; a failure is never overlooked."""
+        return bool(self.error) or self.ratio_before >= 1.5
+
+    @property
+    def gap_closed(self) -> float:
+        """Share of the variance above the floor that the effects closed."""
+        above = self.ratio_before**2 - 1.0
+        return (self.ratio_before**2 - max(self.ratio_after, 1.0) ** 2) / above
+
+    def as_json(self) -> dict[str, Any]:
+        """All of it as JSON values."""
+        return asdict(self)
+
+    @classmethod
+    def from_json(cls, found: dict[str, Any]) -> "Row":
+        """The row that `as_json` wrote."""
+        known = {f.name for f in fields(cls)}
+        values = {name: value for name, value in found.items() if name in known}
+        for name in ("truth", "found", "ambiguous"):
+            values[name] = tuple(values[name])
+        for name in ("intervals", "calibrations"):
+            values[name] = tuple(Held(**held) for held in values[name])
+        return cls(**values)
+
+
+def measurement(record: hidden.Record) -> Measurement:
+    """A record as the workflow takes it."""
+    about, columns = record.metadata, record.columns
+    return Measurement(
+        name=about["trial_id"],
+        rig=about["rig"],
+        sampling_Hz=about["sampling_Hz"],
+        cable_length_m=about["cable_length_m"],
+        preload_N=about["preload_N"],
+        loop=about["loop"],
+        profile=about["profile"],
+        gains=Gains(**about["gains"]) if about["gains"] else None,
+        time_s=columns["time_s"],
+        setpoint_N=columns.get("setpoint_N"),
+        current_A=columns.get("current_A"),
+        tension_N=columns.get("tension_N"),
+        angle_rad=columns.get("angle_rad"),
+        reference_N=columns.get("reference_N"),
+        flags=None,
+    )
+
+
+def model(case: hidden.Case) -> Any:
+    """The model the machine's owner has of it."""
+    if case.kind != "reel":
+        return UnloadedReel(**case.given)
+    about = case.records[0].metadata
+    tension = min(max(about["preload_N"], 5.0), 40.0)
+    return plants.reference_reel(about["cable_length_m"], tension, **case.given)
+
+
+def choice(case: hidden.Case, secret: hidden.Secret) -> list[str] | None:
+    """The effects to choose from; in one variant those of the truth's family are taken out."""
+    if case.variant != "left_out":
+        return None
+    families = {hidden.family(name) for name in secret.names}
+    return [name for name in EFFECTS if hidden.family(name) not in families]
+
+
+def diagnose(task: Task) -> Row:
+    """Draws a case, has it explained, and scores the answer; never raises."""
+    case, secret = hidden.draw(task.seed, task.variant, task.effect)
+    row = Row(
+        seed=task.seed,
+        variant=task.variant,
+        kind=case.kind,
+        truth=secret.names,
+        in_catalogue=secret.named and task.variant != "left_out",
+    )
+    records = [measurement(record) for record in case.records]
+    wall, cpu = time.perf_counter(), time.process_time()
+    try:
+        answer = plants.explain(model(case), records, effects=choice(case, secret))
+    except Exception:  # noqa: BLE001  a diagnosis that fails is a result, and must not end the run
+        return replace(row, error=traceback.format_exc(limit=-4))
+    cpu, wall = time.process_time() - cpu, time.perf_counter() - wall
+    return score(answer, secret, replace(row, cpu_s=cpu, wall_s=wall))
+
+
+def score(answer: Any, secret: hidden.Secret, row: Row) -> Row:
+    """The row with what the diagnosis is worth."""
+    found = tuple(sorted(effect.name for effect in answer.effects))
+    named = found if answer.verdict in NAMING else ()
+    accepted = secret.accepted if row.in_catalogue else ((),)
+    exact = answer.verdict in ("named", "incomplete") if secret.names else answer.verdict == "none"
+    right = exact and found in accepted
+    families = {_families(names) for names in accepted}
+    return replace(
+        row,
+        verdict=answer.verdict,
+        found=named,
+        ambiguous=tuple(answer.ambiguous),
+        right=right,
+        right_family=exact and _families(found) in families,
+        both_found=bool(secret.names) and set(secret.names) <= set(named),
+        wrong_name=_is_wrong(answer.verdict, named, accepted, secret.names),
+        ratio_before=float(answer.ratio_before),
+        ratio_after=float(answer.ratio_after),
+        closure=float(answer.closure),
+        rms_ratio=float(answer.rms_after / answer.rms_before),
+        intervals=_intervals(answer, secret),
+        calibrations=_calibrations(answer, secret),
+    )
+
+
+def single_core() -> None:
+    """Keeps the linear algebra of a worker on one core."""
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ[name] = "1"
+
+
+def _families(names: tuple[str, ...]) -> frozenset[str]:
+    return frozenset(map(hidden.family, names))
+
+
+def _is_wrong(
+    verdict: str,
+    named: tuple[str, ...],
+    accepted: tuple[tuple[str, ...], ...],
+    truth: tuple[str, ...],
+) -> bool:
+    """Whether a name is said that belongs to no effect that is there, by families."""
+    there = {hidden.family(name) for names in accepted for name in names}
+    for name in truth:
+        there |= {FAIR[name][verdict]} if verdict in FAIR.get(name, {}) else set()
+    return not _families(named) <= there
+
+
+def _intervals(answer: Any, secret: hidden.Secret) -> tuple[Held, ...]:
+    """Of the parameters of effects that were found and are there."""
+    return tuple(
+        Held(f"{effect.name}.{name}", true, at.value, at.low, at.high)
+        for effect in answer.effects
+        for name, true in secret.parameters.get(effect.name, {}).items()
+        for at in [effect.parameters[name]]
+    )
+
+
+def _calibrations(answer: Any, secret: hidden.Secret) -> tuple[Held, ...]:
+    """Of the machine's own numbers, as fitted with the effects."""
+    return tuple(
+        Held(one.name, secret.calibrations[one.name], at.value, at.low, at.high)
+        for one in answer.calibrations
+        if one.name in secret.calibrations
+        for at in [one.with_effects]
+    )

@@ -1,0 +1,273 @@
+"""How well does the real-time loop keep its time, and how soon is a reel safe?
+
+The loop runs at 632 Hz on the emulated reel, which it holds in closed loop: first on an otherwise
+idle machine, then with every other core kept busy. Of each sample two times are counted: how long
+after its instant it began, and how long after its instant the current was commanded, which is
+within what the guard acts. Then the rig is stopped by hand, and the program that supervises it is
+killed and frozen; timed is until the hardware itself is seen to lose its current.
+"""
+
+import argparse
+import contextlib
+import json
+import os
+import signal
+import statistics
+import subprocess
+import sys
+import time
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estune import drawing
+from estune.hardware import HardwareRig, RigConfig
+from estune.hardware.config import config_from
+from estune.hardware.memory import BIN_s
+from estune.hardware.rig import Timing
+from estune.trial import TrialRequest
+from plants.emulator import RIG_FILE, EmulatedDriver
+from plants.emulator.driver import started
+
+FIGURE = Path(__file__).parent / "out" / "jitter.png"
+SHARES = (0.5, 0.99, 0.999, 0.9999)
+LEASE_ms = 1000.0
+SAFE_WITHIN_ms = LEASE_ms + 100.0
+_GIVE_UP_s = 20.0
+
+
+def configuration(address: str) -> RigConfig:
+    """The emulated rig at an address; late samples are counted, and no reason to stop."""
+    tables = tomllib.loads(RIG_FILE.read_text(encoding="utf-8"))
+    tables["driver"]["settings"] = {"address": address}
+    tables["guard"] |= {"late_in_a_row": 1_000_000, "gap_s": 10.0}
+    tables["safe"] |= {"state": "ramp", "ramp_s": 0.0}
+    tables["step"] |= {"duration_s": 0.35}  # a trial is only asked for so that the reel is held
+    tables["motion"] |= {"rate_N_s": 400.0, "settle_s": 0.0, "settle_N": 5.0}
+    return config_from(tables, str(RIG_FILE))
+
+
+class Condition(NamedTuple):
+    """The loop's times under one load."""
+
+    name: str
+    timing: Timing
+
+    def figures(self) -> dict[str, float]:
+        """Its figures by name."""
+        period_us = 1e6 / 632.0
+        made: dict[str, float] = {
+            "samples": self.timing.samples,
+            "late": self.timing.late,
+            "missed": self.timing.missed,
+        }
+        for what in ("lateness", "turnaround"):
+            counts = getattr(self.timing, what)
+            for share in SHARES:
+                made[f"{what}_{100 * share:g}_us"] = quantile_us(counts, share)
+            made[f"{what}_max_us"] = quantile_us(counts, 1.0)
+        counts = self.timing.turnaround
+        within = counts[: int(period_us / (1e6 * self.timing.bin_s))].sum()
+        made["commanded_within_period"] = float(within / counts.sum())
+        return {f"{self.name}_{key}": value for key, value in made.items()}
+
+
+def quantile_us(counts: NDArray[np.int64], share: float) -> float:
+    """Upper edge of the bin in which a share of the samples is reached, us; at most 100 ms."""
+    reached = np.searchsorted(np.cumsum(counts), share * counts.sum())
+    return 1e6 * BIN_s * float(reached + 1)
+
+
+@contextlib.contextmanager
+def others_busy() -> Iterator[int]:
+    """Keeps every core but one busy; yields how many."""
+    cores = len(os.sched_getaffinity(0))
+    command = [sys.executable, "-c", "while True: pass"]
+    with contextlib.ExitStack() as stack:
+        for _ in range(cores - 1):
+            process = stack.enter_context(subprocess.Popen(command))  # noqa: S603  ourselves
+            stack.callback(process.kill)
+        yield cores - 1
+
+
+def observe(rig: HardwareRig, seconds: float) -> Timing:
+    """How the loop has kept its time for so long."""
+    before = rig.timing()
+    time.sleep(seconds)
+    return rig.timing().since(before)
+
+
+def hold(rig: HardwareRig, number: int = 0) -> None:
+    """Has the reel held, by way of a trial."""
+    description = rig.describe()
+    rig.run(TrialRequest("jitter", number, description.gains, description.step))
+
+
+def until_dead_ms(driver: EmulatedDriver, began_s: float) -> float:
+    """How long from then until the hardware has no current, ms."""
+    while driver.truth().current_A != 0.0:
+        if time.monotonic() - began_s > _GIVE_UP_s:
+            sys.exit("the reel has not lost its current")
+        time.sleep(2e-4)
+    return 1e3 * (time.monotonic() - began_s)
+
+
+def stopped_by_hand_ms(rig: HardwareRig, driver: EmulatedDriver, times: int) -> list[float]:
+    """How long an emergency stop takes to reach the hardware."""
+    taken = []
+    for number in range(1, times + 1):
+        hold(rig, number)
+        began = time.monotonic()
+        rig.estop("to see how long it takes")
+        taken.append(until_dead_ms(driver, began))
+        rig.clear()
+    return taken
+
+
+def supervisor_lost_ms(address: str, driver: EmulatedDriver, number: int) -> float:
+    """How long it takes once the program that supervises the loop gets a signal."""
+    command = [sys.executable, "-m", "experiments.jitter", "--supervise", address]
+    with subprocess.Popen(  # noqa: S603  starts this file
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as process:
+        try:
+            if not process.stdout or not process.stdout.readline():
+                sys.exit("the supervising process has failed")
+            process.send_signal(number)
+            return until_dead_ms(driver, time.monotonic())
+        finally:
+            process.kill()
+
+
+def supervise(address: str) -> None:
+    """Holds the reel until standard input is closed, which nobody waits for."""
+    with HardwareRig(configuration(address)) as rig:
+        hold(rig)
+        print("held", flush=True)
+        sys.stdin.read()
+
+
+def measure(seconds: float, times: int) -> tuple[list[Condition], dict[str, Any]]:
+    """Runs everything; returns the loop's times by load, and the other figures."""
+    with (
+        started({"electronics": {"watchdog_s": 1.0}}) as address,
+        EmulatedDriver(address) as driver,
+    ):
+        with HardwareRig(configuration(address)) as rig:
+            hold(rig)
+            conditions = [Condition("idle", observe(rig, seconds))]
+            with others_busy() as busy:
+                conditions.append(Condition("loaded", observe(rig, seconds)))
+            stops = stopped_by_hand_ms(rig, driver, times)
+        repeats = range(max(times // 5, 1))
+        killed, frozen = (
+            max(supervisor_lost_ms(address, driver, number) for _ in repeats)
+            for number in (signal.SIGKILL, signal.SIGSTOP)
+        )
+    figures: dict[str, Any] = {
+        "seconds": seconds,
+        "busy_cores": busy,
+        "not_granted": list(rig.notes),
+        "estop_median_ms": statistics.median(stops),
+        "estop_max_ms": max(stops),
+        "supervisor_killed_max_ms": killed,
+        "supervisor_frozen_max_ms": frozen,
+    }
+    return conditions, figures
+
+
+def targets(figures: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    """What has to be reached."""
+    return {
+        name: {"value": figures[name], "limit": SAFE_WITHIN_ms, "met": figures[name] <= limit}
+        for name in ("supervisor_killed_max_ms", "supervisor_frozen_max_ms")
+        for limit in (SAFE_WITHIN_ms,)
+    }
+
+
+def draw(conditions: list[Condition], path: Path) -> None:
+    """Histograms of both times under each load."""
+    figure = drawing.new_figure(drawing.WIDTH_in, 4.5)
+    axes = figure.subplots(2, 1, sharex=True)
+    for ax, what, title in (
+        (axes[0], "lateness", "a sample began so long after its instant"),
+        (axes[1], "turnaround", "the current was commanded so long after its instant"),
+    ):
+        for look, condition in zip(drawing.FOUR, conditions, strict=False):
+            counts = getattr(condition.timing, what)
+            edges_us = 1e6 * condition.timing.bin_s * np.arange(counts.size + 1)
+            edges_us[0] = 1.0  # a logarithmic axis has no zero
+            ax.stairs(counts, edges_us, label=condition.name, **look)
+        ax.set(xscale="log", yscale="log", ylabel="samples", title=title, ylim=(0.5, None))
+    axes[1].axvline(1e6 / 632.0, color=drawing.GREY, linewidth=0.8)
+    axes[1].text(1e6 / 632.0, 1.0, " sampling period", color=drawing.GREY)
+    axes[1].set(xlabel="time, us", xlim=(1.0, 1e5))
+    axes[0].legend()
+    path.parent.mkdir(exist_ok=True)
+    path.write_bytes(drawing.to_png(figure))
+
+
+def show(conditions: list[Condition], figures: dict[str, Any]) -> None:
+    """Prints the tables."""
+    print(f"632 Hz, {figures['seconds']:g} s each; times in us; loaded: other cores busy\n")
+    heads = [f"{100 * share:g} %" for share in SHARES]
+    print(f"{'':8}{'':12}" + "".join(f"{head:>10}" for head in (*heads, "max")))
+    for condition in conditions:
+        for what in ("lateness", "turnaround"):
+            names = [*(f"{100 * share:g}_us" for share in SHARES), "max_us"]
+            values = [figures[f"{condition.name}_{what}_{name}"] for name in names]
+            cells = "".join(f"{value:10.0f}" for value in values)
+            print(f"{condition.name:8}{what:12}{cells}")
+    print("\n(100000: 100 ms or more)\n")
+    for condition in conditions:
+        name = condition.name
+        print(
+            f"{name:8}{figures[f'{name}_samples']} samples, {figures[f'{name}_late']} late "
+            f"(by more than a tenth of the period), {figures[f'{name}_missed']} missed; commanded "
+            f"within the period: {100 * figures[f'{name}_commanded_within_period']:.4f} %"
+        )
+    for note in figures["not_granted"]:
+        print(f"not granted: {note}")
+    print(
+        f"\nuntil the hardware has no current: emergency stop {figures['estop_median_ms']:.1f} ms "
+        f"(at most {figures['estop_max_ms']:.1f}), supervisor killed "
+        f"{figures['supervisor_killed_max_ms']:.0f} ms, frozen "
+        f"{figures['supervisor_frozen_max_ms']:.0f} ms; limit {SAFE_WITHIN_ms:g} ms"
+    )
+
+
+def main() -> int:
+    """Measures, prints the tables or, with --json, the figures.
+
+    Returns:
+        The exit code: 1 where a target is missed.
+    """
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0] if __doc__ else "")
+    parser.add_argument("--seconds", type=float, default=600.0, help="for each load")
+    parser.add_argument("--json", action="store_true", help="print one JSON object alone")
+    parser.add_argument("--quick", action="store_true", help="5 s for each load")
+    parser.add_argument("--supervise", help=argparse.SUPPRESS)
+    arguments = parser.parse_args()
+    if arguments.supervise:
+        supervise(arguments.supervise)
+        return 0
+    seconds, times = (5.0, 5) if arguments.quick else (arguments.seconds, 50)
+    conditions, figures = measure(seconds, times)
+    for condition in conditions:
+        figures |= condition.figures()
+    wanted = targets(figures)
+    draw(conditions, FIGURE)
+    if arguments.json:
+        print(json.dumps({"figures": figures, "targets": wanted}))
+    else:
+        show(conditions, figures)
+        print(f"figure: {FIGURE}")
+    return 0 if all(target["met"] for target in wanted.values()) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,142 @@
+"""Does the workflow name the cubic spring of the Silverbox from measured data?
+
+The Silverbox (Wigren & Schoukens 2013) is an electronic oscillator with a cubic spring, a measured
+free benchmark: one long record of growing noise, and a Schroeder multisine that is kept aside. The
+model given is the best linear one: a second-order system fitted to the long record. The multisine
+is used for nothing but the error at the end. The data are not part of this project; the folder
+with silverbox/Silverbox.mat is named by `--data` or the environment variable ESTUNE_DATA.
+"""
+
+import argparse
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import plants
+from estune.trial import FloatArray
+from plants.discrepancy.models import diagnosed
+from plants.discrepancy.prediction import Predictor
+from plants.discrepancy.record import Measurement
+
+SAMPLING_HZ = 1e7 / 2**14
+SETTLING = 100
+"""Samples at the start of the multisine that are not counted: what came before is not known."""
+
+EXPECTED = "cable_stiffening"
+
+
+def folder(named: Path | None) -> Path:
+    """Where third-party data lie: as named, by ESTUNE_DATA, or beside the project."""
+    beside = Path(__file__).resolve().parents[2] / "shared" / "data"
+    return named or Path(os.environ.get("ESTUNE_DATA", beside))
+
+
+def figures(data: Path) -> dict[str, Any]:
+    """What was found, by name; where the data are absent, why nothing was."""
+    file = data / "silverbox" / "Silverbox.mat"
+    if not file.exists():
+        return {"silverbox": f"skipped: {file} is not there; name the folder with --data"}
+    long, aside = _records(file)
+    model = _linear(long)
+    answer = plants.explain(model, [long])
+    first = answer.candidates[0].name if answer.candidates else ""
+    return {
+        "silverbox": f"{answer.verdict} {' + '.join(e.name for e in answer.effects)}".strip(),
+        "silverbox_first_candidate": first,
+        "silverbox_stiffening_first": float(
+            bool(answer.effects) and answer.effects[0].name == EXPECTED
+        ),
+        "silverbox_nrmse_given": _nrmse(model, aside),
+        "silverbox_nrmse_before": _nrmse(answer.base_model, aside),
+        "silverbox_nrmse_after": _nrmse(answer.augmented, aside),
+        "silverbox_free_run_ratio": answer.rms_after / answer.rms_before,
+    }
+
+
+def _records(file: Path) -> tuple[Measurement, Measurement]:
+    from scipy.io import loadmat  # noqa: PLC0415  slow to import
+
+    found = loadmat(file)
+    long = _measurement("long", found["U"].ravel(), found["Y"].ravel())
+    return long, _measurement("multisine", found["U_val"].ravel(), found["Y_val"].ravel())
+
+
+def _measurement(name: str, u: FloatArray, y: FloatArray) -> Measurement:
+    """Volts in and out, in the columns of effort and measurement."""
+    return Measurement(
+        name=name,
+        rig="silverbox",
+        sampling_Hz=SAMPLING_HZ,
+        cable_length_m=None,
+        preload_N=0.0,
+        loop="open",
+        profile="custom",
+        gains=None,
+        time_s=np.arange(u.size) / SAMPLING_HZ,
+        setpoint_N=u,
+        current_A=None,
+        tension_N=y,
+        angle_rad=None,
+        reference_N=None,
+        flags=None,
+    )
+
+
+def _linear(record: Measurement) -> Any:
+    """The second-order system that follows the record best in free run."""
+    import control  # noqa: PLC0415  slow to import
+    from scipy.optimize import least_squares  # noqa: PLC0415
+    from scipy.signal import cont2discrete, lfilter  # noqa: PLC0415
+
+    u, y = record.setpoint_N, record.tension_N
+    if u is None or y is None:
+        raise ValueError("a record without input or output")
+
+    def system(x: FloatArray) -> tuple[list[float], list[float]]:
+        gain, rate, damping = np.exp(x)
+        return [gain * rate**2], [1.0, 2.0 * damping * rate, rate**2]
+
+    def error(x: FloatArray) -> FloatArray:
+        numerator, denominator, _ = cont2discrete(system(x), 1.0 / SAMPLING_HZ)
+        answer: FloatArray = lfilter(numerator.ravel(), denominator, u) - y
+        return answer
+
+    rates = 2.0 * np.pi * np.geomspace(20.0, 200.0, 40)
+    start = min(
+        (np.log([1.0, w, 0.05]) for w in rates), key=lambda x: float(np.sum(error(x) ** 2))
+    )
+    best = least_squares(error, start, x_scale=[1.0, 0.1, 1.0]).x
+    return plants.linear_plant(control.tf(*system(best)), sampling_Hz=SAMPLING_HZ)
+
+
+def _nrmse(model: Any, record: Measurement) -> float:
+    """Error of the model's free run relative to the deviation of what was measured."""
+    predictor = Predictor(diagnosed(model, [record]), (), [record], horizon_s=None)
+    predicted = predictor.predict(predictor.start[None, :])[0].tension_N
+    if predicted is None or record.tension_N is None:
+        raise ValueError("the model predicts no output")
+    error, measured = predicted[0] - record.tension_N, record.tension_N
+    return float(np.std(error[SETTLING:]) / np.std(measured[SETTLING:]))
+
+
+def main() -> int:
+    """Prints the figures, or with --json one object."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n", maxsplit=1)[0])
+    parser.add_argument("--data", type=Path, help="folder that holds silverbox/Silverbox.mat")
+    parser.add_argument("--json", action="store_true", help="print one JSON object alone")
+    parser.add_argument("--quick", action="store_true", help="the same: there is no shorter form")
+    options = parser.parse_args()
+    found = figures(folder(options.data))
+    if options.json:
+        print(json.dumps({"figures": found, "targets": {}}))
+    else:
+        for name, value in found.items():
+            print(f"{name:30s} {value if isinstance(value, str) else f'{value:.4g}'}")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

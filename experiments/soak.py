@@ -1,0 +1,246 @@
+"""Does anything grow in 24 hours of trials?
+
+A trial of the reference reel takes a second; here it takes as long as it takes to simulate it. A
+client process has one tuning after another run by a rig process (`estune serve`), over the link,
+with the rig's ledger and each run's journal on disk. After every tuning the memory and the open
+files of both processes are noted, and what the tuning left on disk.
+"""
+
+import argparse
+import json
+import os
+import shutil
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from estune import api, drawing
+from estune.journal import FILE_NAME
+from estune.ledger import FRAMES_MAX_BYTES
+
+FIGURE = Path(__file__).parent / "out" / "soak.png"
+DAY = 100_000
+BESIDE_SEARCH = 9
+ONE_ARENA = {"MALLOC_ARENA_MAX": "1"}
+"""One store for all threads: what one of them frees, another can use, so that memory does not
+depend on which of them happens to serve."""
+
+GROWTH_LIMIT = 0.05
+"""What the later of two times may have more than the earlier, as a share."""
+
+
+class Sample(NamedTuple):
+    """How both processes stood after so many trials.
+
+    Attributes:
+        trials: Trials since the start.
+        at_s: Time since the start, s.
+        client_bytes: Memory that the client held.
+        client_files: Files and sockets it had open.
+        rig_bytes: The same of the rig.
+        rig_files: As above.
+        journal_bytes: What the last tuning left on disk.
+        ledger_bytes: What the rig's ledger takes on disk.
+    """
+
+    trials: int
+    at_s: float
+    client_bytes: int
+    client_files: int
+    rig_bytes: int
+    rig_files: int
+    journal_bytes: int
+    ledger_bytes: int
+
+
+def work(endpoint: str, folder: Path, trials: int, per_run: int) -> None:
+    """Tunes again and again; says after each tuning what it left on disk, and throws it away."""
+    for number in range(trials // per_run):
+        run = folder / f"run{number}"
+        api.tune(
+            endpoint,
+            tuner=("otis", "least_squares_gradient")[number % 2],
+            trials=per_run - BESIDE_SEARCH,
+            run=run.name,
+            folder=folder,
+            watch=None,
+        )
+        told = len(api.load(run).entries)
+        print(told, (run / FILE_NAME).stat().st_size, flush=True)
+        sampled = sys.stdin.readline()
+        shutil.rmtree(run)
+        if not sampled:
+            return
+
+
+def memory_bytes(pid: int) -> int:
+    """The memory a process has written to and shares with no other."""
+    # What it only reads, such as a library, is its own or shared as other processes come and go.
+    text = Path(f"/proc/{pid}/smaps_rollup").read_text(encoding="ascii")
+    rows = [line.split() for line in text.splitlines()]
+    return next(1024 * int(row[1]) for row in rows if row[0] == "Private_Dirty:")
+
+
+def files(pid: int) -> int:
+    """Files and sockets a process has open."""
+    return len(list(Path(f"/proc/{pid}/fd").iterdir()))
+
+
+@contextmanager
+def process(*arguments: str) -> Iterator[subprocess.Popen[str]]:
+    """A Python process, ended with the block."""
+    with subprocess.Popen(  # noqa: S603  our own interpreter and modules
+        [sys.executable, "-m", *arguments],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        env=os.environ | ONE_ARENA,
+    ) as started:
+        try:
+            yield started
+        finally:
+            if started.stdin:
+                started.stdin.close()  # which ends both
+            try:
+                started.wait(10.0)
+            except subprocess.TimeoutExpired:
+                started.kill()
+
+
+def soak(trials: int, per_run: int, folder: Path) -> Iterator[Sample]:
+    """Runs so many trials; a sample after each tuning."""
+    ledger = folder / "rig.ledger"
+    serving = ("estune.cli", "serve", "--ledger", str(ledger), "--stop-on-eof")
+    with process(*serving) as rig:
+        endpoint = line(rig).split()[-1]
+        tuning = ("experiments.soak", "--client", endpoint, "--folder", str(folder))
+        counts = ("--trials", str(trials), "--per-run", str(per_run))
+        with process(*tuning, *counts) as client:
+            began_s, told = time.monotonic(), 0
+            for _ in range(trials // per_run):
+                count, size = map(int, line(client).split())
+                told += count
+                yield Sample(
+                    told,
+                    time.monotonic() - began_s,
+                    *(memory_bytes(client.pid), files(client.pid)),
+                    *(memory_bytes(rig.pid), files(rig.pid)),
+                    size,
+                    ledger.stat().st_size,
+                )
+                if client.stdin:
+                    client.stdin.write("\n")
+                    client.stdin.flush()
+
+
+def line(process: subprocess.Popen[str]) -> str:
+    """The next line a process prints."""
+    text = process.stdout.readline() if process.stdout else ""
+    if not text:
+        sys.exit(f"a process has ended: {process.args!r}, exit code {process.wait()}")
+    return text
+
+
+def growth(values: list[int], settled: int) -> float:
+    """By what share the last third has more than the first third, from `settled` on."""
+    kept = values[settled:]
+    third = max(len(kept) // 3, 1)
+    return statistics.median(kept[-third:]) / statistics.median(kept[:third]) - 1.0
+
+
+def figures_of(samples: list[Sample], per_run: int) -> dict[str, Any]:
+    """What it came to."""
+    last = samples[-1]
+    # The ledger holds the youngest records; until they fill it, the rig is not in its routine.
+    per_record = last.ledger_bytes / min(last.trials, FRAMES_MAX_BYTES / 25_000)
+    settled = min(int(FRAMES_MAX_BYTES / per_record / per_run) + 1, len(samples) // 3)
+    made: dict[str, Any] = {
+        "trials": last.trials,
+        "seconds": last.at_s,
+        "trials_per_second": last.trials / last.at_s,
+        "journal_bytes_per_trial": sum(s.journal_bytes for s in samples) / last.trials,
+        "ledger_bytes": last.ledger_bytes,
+    }
+    for who in ("client", "rig"):
+        for what in ("bytes", "files"):
+            values = [getattr(sample, f"{who}_{what}") for sample in samples]
+            made[f"{who}_{what}_first"], made[f"{who}_{what}_last"] = values[0], values[-1]
+            made[f"{who}_{what}_growth"] = growth(values, settled)
+    return made
+
+
+def draw(samples: list[Sample], path: Path) -> None:
+    """Memory over the trials."""
+    figure = drawing.new_figure(drawing.WIDTH_in, 3.0)
+    ax = figure.subplots()
+    for look, who in zip(drawing.FOUR, ("client", "rig"), strict=False):
+        memory = [1e-6 * getattr(sample, f"{who}_bytes") for sample in samples]
+        ax.plot([sample.trials for sample in samples], memory, label=who, **look)
+    ax.set(xlabel="trials", ylabel="memory, MB", ylim=(0.0, None))
+    ax.legend()
+    path.parent.mkdir(exist_ok=True)
+    path.write_bytes(drawing.to_png(figure))
+
+
+def show(figures: dict[str, Any]) -> None:
+    """Prints the table."""
+    print(
+        f"{figures['trials']} trials in {figures['seconds']:.0f} s, "
+        f"{figures['trials_per_second']:.0f} a second\n"
+    )
+    print(f"{'':20}{'first':>12}{'last':>12}{'growth':>10}")
+    for who in ("client", "rig"):
+        for what, unit, factor in (("bytes", "memory, MB", 1e-6), ("files", "open files", 1.0)):
+            first, last, share = (
+                figures[f"{who}_{what}_{name}"] for name in ("first", "last", "growth")
+            )
+            cells = f"{factor * first:12.1f}{factor * last:12.1f}{100 * share:9.1f}%"
+            print(f"{f'{who}, {unit}':20}{cells}")
+    print(
+        f"\na trial takes {figures['journal_bytes_per_trial']:.0f} bytes of journal; the rig's "
+        f"ledger ends at {1e-6 * figures['ledger_bytes']:.1f} MB"
+    )
+
+
+def main() -> int:
+    """Soaks, prints the table or, with --json, the figures; returns 1 where a target is missed."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0] if __doc__ else "")
+    parser.add_argument("--trials", type=int, default=DAY)
+    parser.add_argument("--per-run", type=int, default=1000, help="trials of each tuning")
+    parser.add_argument("--json", action="store_true", help="print one JSON object alone")
+    parser.add_argument("--quick", action="store_true", help="a few tunings only")
+    parser.add_argument("--folder", type=Path, help="on which disk to keep journals and ledger")
+    parser.add_argument("--client", help=argparse.SUPPRESS)
+    arguments = parser.parse_args()
+    trials, per_run = (1200, 60) if arguments.quick else (arguments.trials, arguments.per_run)
+    if arguments.client:
+        work(arguments.client, arguments.folder, arguments.trials, arguments.per_run)
+        return 0
+    samples = []
+    with tempfile.TemporaryDirectory(prefix="estune-soak-", dir=arguments.folder) as folder:
+        for sample in soak(trials, per_run, Path(folder)):
+            samples.append(sample)
+            print(f"{sample.trials} trials, {sample.at_s:.0f} s", file=sys.stderr, flush=True)
+    figures = figures_of(samples, per_run)
+    draw(samples, FIGURE)
+    targets = {
+        name: {"value": figures[name], "limit": GROWTH_LIMIT, "met": figures[name] <= GROWTH_LIMIT}
+        for name in figures
+        if name.endswith("_growth")
+    }
+    if arguments.json:
+        print(json.dumps({"figures": figures, "targets": targets}))
+    else:
+        show(figures)
+        print(f"figure: {FIGURE}")
+    return 0 if all(target["met"] for target in targets.values()) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
