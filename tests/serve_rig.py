@@ -1,7 +1,7 @@
 """Serves a rig in a process of its own, until its standard input is closed.
 
 Prints the endpoint. Started by `served`; the arguments are a kind that `make` knows, the name the
-rig is to be served under, the endpoint, and the endpoint of a router, if any.
+rig is to be served under, the endpoint, its ledger, and the endpoint of a router, if any.
 """
 
 import subprocess
@@ -9,9 +9,11 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import plants
 from estune import bus
+from estune.hardware import HardwareRig
 from estune.trial import Rig
 from tests.support_rigs import ScriptedRig, broken, diverged
 
@@ -22,24 +24,39 @@ SLOW_S = 100.0
 def make(kind: str, name: str) -> Rig:
     """A rig of the kind named."""
     if kind.endswith("simulated"):
-        pace = SLOW_S if kind.startswith("slow") else 0.0
+        pace = {"slow": SLOW_S, "paced": 0.5}.get(kind.split(maxsplit=1)[0], 0.0)
         return plants.reference_reel().rig(name=name, seed=3, pace=pace)
+    if kind.endswith("hardware"):
+        from tests.support_hardware import quick  # noqa: PLC0415  slow to import
+
+        slow = {"step__duration_s": SLOW_S, "limits__duration_max_s": SLOW_S}
+        return HardwareRig(quick(name=name, **(slow if kind.startswith("slow") else {})))
     return {
         "scripted": lambda: ScriptedRig(name=name),
         "diverging": lambda: ScriptedRig(diverged, name=name),
         "broken": lambda: ScriptedRig(broken, name=name),
         "unhurried": lambda: ScriptedRig(duration_s=0.03, name=name),
         "slow scripted": lambda: ScriptedRig(duration_s=SLOW_S, name=name),
+        "moving scripted": lambda: ScriptedRig(duration_s=SLOW_S, name=name, simulated=False),
     }[kind]()
 
 
 @contextmanager
 def served(
-    kind: str, name: str = "reel", endpoint: str = "tcp/127.0.0.1:0", *routers: str
+    kind: str,
+    name: str = "reel",
+    endpoint: str = "tcp/127.0.0.1:0",
+    *routers: str,
+    ledger: Path | None = None,
 ) -> Iterator["Served"]:
-    """A rig served by another process, for as long as the block lasts."""
+    """A rig served by another process, for as long as the block lasts.
+
+    Its ledger is the file named, or one that is thrown away.
+    """
+    folder = TemporaryDirectory()
+    file = str(ledger or Path(folder.name) / "ledger")
     process = subprocess.Popen(
-        [sys.executable, "-m", "tests.serve_rig", kind, name, endpoint, *routers],
+        [sys.executable, "-m", "tests.serve_rig", kind, name, endpoint, file, *routers],
         cwd=Path(__file__).parent.parent,
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
@@ -54,6 +71,7 @@ def served(
         process.wait()
         process.stdin.close()
         process.stdout.close()
+        folder.cleanup()
 
 
 class Served:
@@ -65,7 +83,7 @@ class Served:
 
 
 if __name__ == "__main__":
-    kind, name, endpoint, *routers = sys.argv[1:]
-    with bus.serve(make(kind, name), endpoint, routers=routers) as server:
+    kind, name, endpoint, file, *routers = sys.argv[1:]
+    with bus.serve(make(kind, name), endpoint, ledger=Path(file), routers=routers) as server:
         print(server.endpoint, flush=True)
         sys.stdin.read()

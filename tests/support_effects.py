@@ -11,7 +11,7 @@ import numpy as np
 import plants
 from estune.core import pidf
 from estune.core.gains import Gains
-from estune.trial import StepProfile
+from estune.profiles import StepProfile
 from plants.effects import Port, Site
 from plants.reel_equations import cable_stiffness_N_m
 from plants.trial_loop import Batch, VirtualLoop, loop_functions

@@ -5,16 +5,17 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+from scipy.signal import lfilter
 
 from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
 from estune.errors import RigError
+from estune.profiles import StepProfile
 from estune.trial import (
     LinearModel,
     Outcome,
     RigDescription,
     RigLimits,
-    StepProfile,
     TrialRecord,
     TrialRequest,
 )
@@ -35,35 +36,40 @@ def description(**changes) -> RigDescription:
         cable_length_m=0.8,
         linear_model=LinearModel(((0.0, 1.0), (-4.0, -0.1)), (0.0, 1.0), (4.0, 0.0), 0.0, 0.005),
         software="test 1",
+        simulated=True,
     )
     return replace(plain, **changes)
 
 
 def response(request: TrialRequest) -> TrialRecord:
     """A first-order response, faster the higher P is, with noise of the trial's number."""
-    step = request.step
-    time = np.arange(step.samples(RATE_HZ)) / RATE_HZ
-    rise = 1.0 - np.exp(-np.maximum(time - step.step_at_s, 0.0) * request.gains.P / 0.05)
+    profile = request.profile
+    setpoint = profile.setpoint(RATE_HZ)
+    time = np.arange(setpoint.size) / RATE_HZ
+    pole = np.exp(-request.gains.P / 0.05 / RATE_HZ)
+    change = lfilter([0.0, 1.0 - pole], [1.0, -pole], setpoint - profile.preload_N)
     noise = np.random.default_rng(request.number).normal(0.0, 0.04, time.size)
-    tension = step.preload_N + step.step_N * rise + noise
+    tension = profile.preload_N + change + noise
     return TrialRecord(
         trial_id=request.trial_id,
         rig="scripted",
         sampling_Hz=RATE_HZ,
         cable_length_m=0.8,
-        preload_N=step.preload_N,
+        preload_N=profile.preload_N,
         gains=request.gains,
         outcome=Outcome.DONE,
         reason="",
         started_at="2009-05-04T12:00:00+02:00",
         software="test 1",
         time_s=time,
-        setpoint_N=step.setpoint(RATE_HZ),
+        setpoint_N=setpoint,
         tension_N=tension,
         current_A=tension / 20.0,
         angle_rad=np.zeros_like(time),
         flags=np.zeros(time.size, np.uint8),
         reference_N=tension - 0.1,
+        loop=profile.loop,
+        profile=profile.kind,
     )
 
 
@@ -105,6 +111,7 @@ class ScriptedRig:
         self._idle = threading.Lock()
         self._running = threading.Event()
         self._stop = threading.Event()
+        self._latched = ""
         self._closed = False
 
     def describe(self) -> RigDescription:
@@ -112,7 +119,7 @@ class ScriptedRig:
         return self._description
 
     def run(self, request: TrialRequest) -> TrialRecord:
-        self._check_open()
+        self._check_free()
         self.asked.append(request)
         with self._idle:
             if request.trial_id in self._records:
@@ -120,10 +127,11 @@ class ScriptedRig:
                 if asked != request:
                     raise RigError(f"another trial has the id {request.trial_id}")
                 return record
-            self._description.limits.check(request.step)
+            self._description.limits.check(request.profile)
             self._stop.clear()
             self._running.set()
             try:
+                self._check_free()
                 record = self._perform(request)
             finally:
                 self._running.clear()
@@ -142,19 +150,32 @@ class ScriptedRig:
             self._description = live
 
     def apply(self, gains: Gains) -> None:
-        self._check_open()
+        self._check_free()
         with self._idle:
             self._description = replace(self._description, gains=gains)
 
     def abort(self) -> RigDescription:
         self._check_open()
-        if self._running.is_set():
-            self._stop.set()
-        with self._idle:
-            return self._description
+        while not self._idle.acquire(timeout=0.01):
+            if self._running.is_set():
+                self._stop.set()
+        self._idle.release()
+        return self._description
+
+    def estop(self, reason: str) -> None:
+        self._latched = self._latched or reason
+        self._stop.set()
+
+    def clear(self) -> None:
+        self._latched = ""
 
     def close(self) -> None:
         self._closed = True
+
+    def _check_free(self) -> None:
+        self._check_open()
+        if self._latched:
+            raise RigError(f"the rig is held in its safe state ({self._latched})")
 
     def _check_open(self) -> None:
         if self._closed:

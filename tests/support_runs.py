@@ -6,11 +6,11 @@ import numpy as np
 
 from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
+from estune.profiles import StepProfile
 from estune.trial import (
     Outcome,
     RigDescription,
     RigLimits,
-    StepProfile,
     TrialRecord,
     TrialRequest,
 )
@@ -51,7 +51,7 @@ class ArithmeticRig:
         self.asked.append(request)
         away = np.log(np.divide(request.gains.as_tuple(), self.best.as_tuple()))
         lag_s = 0.03 * (1.0 + float(away @ away))
-        step, rate = request.step, self.description.controller.sampling_Hz
+        step, rate = request.profile, self.description.controller.sampling_Hz
         time = np.arange(step.samples(rate)) / rate
         since = np.maximum(time - step.step_at_s, 0.0)
         noise = np.random.default_rng(request.number).normal(

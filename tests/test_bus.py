@@ -6,19 +6,24 @@ import socket
 import subprocess
 import sys
 import threading
+import time
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import zenoh
 
+import plants
 from estune import bus, protocol
-from estune.bus.client import _RECORDS_MAX_BYTES
+from estune.bus.client import RECORDS_MAX_BYTES
 from estune.bus.session import open_session, with_port
 from estune.core.gains import Gains
 from estune.errors import InvalidInput, ProtocolError, RigError
-from estune.protocol import Keys, Submit, digest
+from estune.link.state import Mode
+from estune.link.verdicts import Verdict
+from estune.protocol import Keys, Lease, Submit, digest
 from estune.trial import Outcome, TrialRequest
 from tests.serve_rig import served
 from tests.support_links import Wire
@@ -40,7 +45,7 @@ def session(role: str, endpoint: str):
     """A session beside the ones under test; a router where the role is `listen`."""
     ends = {"listen" if role == "listen" else "connect": (endpoint,)}
     opened = open_session(
-        "peer" if role == "listen" else "client", message_max_bytes=_RECORDS_MAX_BYTES, **ends
+        "peer" if role == "listen" else "client", message_max_bytes=RECORDS_MAX_BYTES, **ends
     )
     try:
         yield opened
@@ -62,6 +67,12 @@ def forever(call) -> None:
     """Calls until the call raises: for what another process is about to bring about."""
     while True:
         call()
+
+
+def until(condition) -> None:
+    """Waits until something has come about."""
+    while not condition():
+        time.sleep(0.005)
 
 
 # --- who is found ---
@@ -185,10 +196,24 @@ def test_a_server_has_one_socket_open_to_others_and_that_on_this_machine_only():
         assert found == [("tcp", f"0100007F:{port:04X}")]
 
 
+@pytest.mark.skipif(not Path("/proc/self/maps").exists(), reason="reads Linux's memory tables")
+def test_no_process_on_the_link_shares_memory_or_listens_for_multicast():
+    with served("scripted") as server, bus.connect(server.endpoint) as client:
+        client.run(trial(duration_s=4.9))  # a record that would be passed in shared memory
+        for process in (Path("/proc") / str(server.process.pid), Path("/proc/self")):
+            assert ".zenoh" not in (process / "maps").read_text()  # as its segments are named
+            mine = {str(fd.readlink()) for fd in (process / "fd").iterdir() if fd.is_symlink()}
+            for table in ("udp", "udp6"):
+                for line in (process / "net" / table).read_text().splitlines()[1:]:
+                    assert f"socket:[{line.split()[9]}]" not in mine
+
+
 def test_no_wildcard_reaches_a_command():
     rig = ScriptedRig()
     with bus.serve(rig) as server, session("connect", server.endpoint) as snoop:
-        payload = protocol.encode(Submit(trial(), digest(trial())))
+        lease = server._attendant.lease(Lease("acquire", "ab", "the test"))
+        assert lease.verdict is Verdict.ACCEPTED
+        payload = protocol.encode(Submit("ab", trial(), digest(trial())))
         for key in ("reel/**", "**", "reel/v1/*/*/*/submit"):
             list(snoop.get(key, payload=payload, target=zenoh.QueryTarget.ALL, timeout=5.0))
         assert rig.asked == []
@@ -199,7 +224,8 @@ def test_a_command_that_is_garbage_is_refused_and_harms_nothing():
     with bus.serve(rig) as server, session("connect", server.endpoint) as vandal:
         keys = Keys(server.name)
         for key in (
-            *(keys.command(server.instance, verb) for verb in ("submit", "cancel", "gains")),
+            *(keys.command(server.instance, verb) for verb in ("lease", "submit", "cancel")),
+            *(keys.command(server.instance, verb) for verb in ("void", "gains", "clear")),
             keys.result("run-00000"),
         ):
             for payload in (b"", b"\xff" * 100, b'{"x":1}', b"[" * 2000, b"x" * 10_000):
@@ -213,22 +239,32 @@ def test_a_command_that_is_garbage_is_refused_and_harms_nothing():
 # --- what it survives ---
 
 
-def test_a_second_client_is_told_that_the_rig_is_busy():
+def test_a_second_client_is_told_who_holds_the_rig_and_can_stop_it_all_the_same():
     with (
         served("slow scripted") as server,
-        bus.connect(server.endpoint) as first,
-        bus.connect(server.endpoint) as second,
+        bus.connect(server.endpoint, holder="anna") as first,
+        bus.connect(server.endpoint, holder="bert") as second,
     ):
         records = []
         running = threading.Thread(target=lambda: records.append(first.run(trial())))
         running.start()
-        with pytest.raises(RigError, match="busy with trial run-00000"):
-            forever(lambda: second.apply(trial().gains))
-        with pytest.raises(RigError, match="busy with trial run-00000"):
-            second.run(trial(1))
-        second.abort()
+        until(lambda: second.status().mode is Mode.RUNNING)
+        for call in (
+            *(lambda: second.apply(trial().gains), lambda: second.run(trial(1))),
+            second.abort,
+        ):
+            with pytest.raises(RigError, match="the rig is held by anna"):
+                call()
+        second.estop("it smokes")
         running.join()
         assert records[0].outcome is Outcome.CANCELLED
+        assert records[0].reason == "emergency stop: it smokes"
+        with pytest.raises(RigError, match=r"safe state after an emergency stop \(it smokes\)"):
+            first.run(trial(1))
+        first.release()
+        second.clear()
+        second.apply(trial().gains)
+        assert second.describe().gains == trial().gains
 
 
 def test_trials_over_a_wire_cut_again_and_again_run_once_each_and_arrive():
@@ -289,24 +325,143 @@ def test_a_rig_killed_in_a_trial_is_gone_and_the_error_says_what_is_known():
             client.describe()
 
 
-def test_a_rig_restarted_in_a_trial_is_not_asked_for_it_again():
-    with served("slow scripted") as server, bus.connect(server.endpoint) as client:
-        failures = []
+@contextmanager
+def run_across_a_restart(kind: str, first: Path, second: Path):
+    """A trial on a slow rig that is killed in the middle of it and comes back quick."""
+    with (
+        served(kind, ledger=first) as server,
+        bus.connect(server.endpoint, timeout_s=20) as client,
+    ):
+        results = []
 
         def run() -> None:
             try:
-                client.run(trial())
+                results.append(client.run(trial()))
             except RigError as error:
-                failures.append(str(error))
+                results.append(error)
 
         running = threading.Thread(target=run)
         running.start()
+        with bus.connect(server.endpoint) as witness:
+            until(lambda: witness.status().mode is Mode.RUNNING)
         server.process.kill()
         server.process.wait()
-        with served("scripted", "reel", server.endpoint):
+        quick = "scripted" if kind == "slow scripted" else kind
+        with served(quick, "reel", server.endpoint, ledger=second):
             running.join()
-        assert len(failures) == 1
-        assert "was restarted; trial run-00000 may have run" in failures[0]
+            yield client, results[0]
+
+
+@pytest.mark.parametrize("kind", ["slow scripted", "moving scripted"])
+def test_a_trial_interrupted_by_a_restart_is_told_as_that_and_not_run_again(kind, tmp_path):
+    with run_across_a_restart(kind, tmp_path / "l", tmp_path / "l") as (client, record):
+        assert record.outcome is Outcome.INTERRUPTED
+        assert "restarted in the middle" in record.reason
+        assert record.trial_id == trial().trial_id
+        assert record.time_s.size == 0
+        assert client.run(trial()).outcome is Outcome.INTERRUPTED
+
+
+def test_a_trial_on_a_rig_that_moves_and_lost_its_ledger_is_not_asked_for_again(tmp_path):
+    with run_across_a_restart("moving scripted", tmp_path / "1", tmp_path / "2") as (_, error):
+        assert "remembers nothing" in str(error)
+        assert "trial run-00000 may have run" in str(error)
+
+
+def test_a_trial_on_a_simulated_rig_that_lost_its_ledger_is_run_again(tmp_path):
+    with run_across_a_restart("slow scripted", tmp_path / "1", tmp_path / "2") as (_, record):
+        assert same(record, replace(response(trial()), rig="reel"))
+
+
+def test_a_rig_restarted_between_two_trials_is_followed(tmp_path):
+    ledger = tmp_path / "ledger"
+    with served("scripted", ledger=ledger) as server, bus.connect(server.endpoint) as client:
+        first = client.run(trial())
+        server.process.kill()
+        server.process.wait()
+        with served("scripted", "reel", server.endpoint, ledger=ledger):
+            assert same(client.run(trial()), first)
+            assert client.run(trial(1)).outcome is Outcome.DONE
+
+
+def test_a_client_killed_in_a_trial_has_it_stopped_within_its_lease():
+    text = """
+import sys
+from estune import bus
+from tests.test_bus import trial
+bus.connect(sys.argv[1]).run(trial())
+"""
+    with served("slow scripted") as server, bus.connect(server.endpoint) as witness:
+        process = script(text, server.endpoint)
+        until(lambda: witness.status().mode is Mode.RUNNING)
+        process.kill()
+        process.wait()
+        process.stdout.close()
+        until(lambda: witness.status().mode is Mode.IDLE)
+        record = witness.run(trial())
+        assert record.outcome is Outcome.CANCELLED
+        assert "has not been heard of for 1 s" in record.reason
+
+
+def test_a_client_whose_main_thread_computes_keeps_its_lease():
+    text = """
+import sys, time
+from estune import bus
+from tests.test_bus import trial
+with bus.connect(sys.argv[1]) as rig:
+    rig.apply(trial().gains)
+    lease = rig._lease.token
+    until = time.monotonic() + 3.0
+    while time.monotonic() < until:
+        sum(range(10**6))
+    rig.apply(trial().gains)
+    print(lease == rig._lease.token)
+"""
+    with served("scripted") as server:
+        assert end(script(text, server.endpoint)).split() == ["True"]
+
+
+def test_a_client_that_was_stopped_longer_than_its_lease_takes_it_again():
+    with served("scripted") as server, bus.connect(server.endpoint) as client:
+        client.run(trial())
+        client._lease._ended.set()  # it renews no more
+        with bus.connect(server.endpoint) as witness:
+            until(lambda: witness.status().mode is Mode.IDLE)
+        assert client.run(trial(1)).outcome is Outcome.DONE
+
+
+def test_records_in_parts_are_put_together():
+    rig = ScriptedRig()
+    with bus.serve(rig, part_bytes=1000) as server, bus.connect(server.endpoint) as client:
+        for number in range(3):
+            assert same(client.run(trial(number)), response(trial(number)))
+    assert len(rig.asked) == 3
+
+
+def test_samples_of_a_trial_under_way_can_be_watched():
+    rig = plants.reference_reel().rig(name="reel", pace=1.0)
+    with (
+        bus.serve(rig) as server,
+        bus.connect(server.endpoint) as client,
+        bus.connect(server.endpoint) as onlooker,
+        onlooker.watch() as chunks,
+    ):
+        request = TrialRequest("watched", 0, rig.describe().gains, rig.describe().step)
+        record = client.run(request)
+        first = next(chunks)
+        assert (first.trial_id, first.first) == (request.trial_id, 0)
+        seen = first
+        while seen.first == 0:
+            seen = next(chunks)
+        place = slice(seen.first, seen.first + seen.tension_N.size)
+        np.testing.assert_allclose(seen.tension_N, record.tension_N[place], rtol=1e-6)
+        np.testing.assert_allclose(seen.current_A, record.current_A[place], rtol=1e-6)
+    rig.close()
+
+
+def test_a_rig_that_moves_is_not_served_without_a_ledger():
+    with pytest.raises(InvalidInput, match="name a ledger file"):
+        bus.serve(ScriptedRig(simulated=False))
 
 
 def test_what_a_rigs_own_program_raises_reaches_the_client():
@@ -338,6 +493,7 @@ def end(process: subprocess.Popen) -> str:
     finally:
         process.kill()
         process.wait()
+        process.stdout.close()
     assert process.returncode == 0, output
     return output
 
@@ -379,9 +535,10 @@ while not rig.asked:
 
 def test_ctrl_c_gets_through_while_a_trial_runs_and_the_trial_can_be_stopped():
     text = """
-import sys
+import signal, sys
 from estune import bus
 from tests.test_bus import trial
+signal.signal(signal.SIGINT, signal.default_int_handler)  # also where a shell's & has it ignored
 with bus.connect(sys.argv[1]) as rig:
     try:
         print("running", flush=True)
@@ -392,8 +549,7 @@ with bus.connect(sys.argv[1]) as rig:
     with served("slow scripted") as server, bus.connect(server.endpoint) as witness:
         process = script(text, server.endpoint)
         assert process.stdout.readline() == "running\n"
-        with pytest.raises(RigError, match="busy with trial run-00000"):
-            forever(lambda: witness.apply(trial().gains))
+        until(lambda: witness.status().mode is Mode.RUNNING)
         process.send_signal(signal.SIGINT)
         assert end(process).split() == ["reel"]
         witness.apply(trial().gains)
@@ -402,7 +558,8 @@ with bus.connect(sys.argv[1]) as rig:
 def test_a_rig_let_go_of_closes_its_session():
     with bus.serve(ScriptedRig()) as server:
         client = bus.connect(server.endpoint)
-        session = client._session
+        client.run(trial())  # which begins to keep a lease
+        session = client._talk.session
         del client
         assert session.is_closed()
 

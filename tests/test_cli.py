@@ -21,7 +21,21 @@ from estune.journal import FILE_NAME, Journal
 from tests.support_runs import ArithmeticRig
 
 COMMAND = [sys.executable, "-m", "estune.cli"]
-COMMANDS = {"demo", "serve", "tune", "resume", "list", "show", "export", "apply", "rigs", "paper"}
+COMMANDS = {
+    "demo",
+    "serve",
+    "rig",
+    "tune",
+    "resume",
+    "list",
+    "show",
+    "export",
+    "export-controller",
+    "apply",
+    "rigs",
+    "paper",
+    "explain",
+}
 HERE = Path(__file__).parent.parent
 HEAVY = {
     "casadi",
@@ -51,10 +65,13 @@ def call(*arguments, code=0):
 
 
 @contextlib.contextmanager
-def served(*arguments) -> Iterator[str]:
+def served(*arguments, ledger: object = "memory") -> Iterator[str]:
     """The endpoint of `estune serve`, which ends with the block."""
     process = subprocess.Popen(
-        [*COMMAND, "serve", *arguments], cwd=HERE, stdout=subprocess.PIPE, text=True
+        [*COMMAND, "serve", "--ledger", str(ledger), *arguments],
+        cwd=HERE,
+        stdout=subprocess.PIPE,
+        text=True,
     )
     try:
         yield process.stdout.readline().split()[-1]
@@ -88,7 +105,7 @@ def test_help_names_every_command_and_loads_nothing_heavy():
     shown = subprocess.run(
         [sys.executable, "-c", script], cwd=HERE, capture_output=True, text=True, check=True
     ).stdout
-    assert set(re.findall(r"^│ (\w+)", shown, re.MULTILINE)) >= COMMANDS
+    assert set(re.findall(r"^│ ([\w-]+)", shown, re.MULTILINE)) >= COMMANDS
 
 
 def test_every_command_has_help_for_every_option(capsys):
@@ -208,6 +225,17 @@ def test_ctrl_c_stops_says_which_gains_are_live_and_resume_goes_on(tmp_path, her
     again = estune.load(tmp_path / "cut")
     assert again.verdict.complete
     assert again.entries[: result.nfev] == result.entries
+
+
+def test_a_rig_can_be_stopped_from_anywhere_and_stays_so_until_cleared(tmp_path, here):
+    with served("--name", "drum", ledger=tmp_path / "ledger") as endpoint:
+        assert "drum is stopped" in here("estop", endpoint, "--reason", "smoke")
+        assert "emergency stop: smoke" in here("rigs", endpoint)
+        assert "smoke" in call("tune", endpoint, "--folder", tmp_path, code=4).stderr
+    with served("--name", "drum", ledger=tmp_path / "ledger") as endpoint:
+        assert "emergency stop: smoke" in here("rigs", endpoint)
+        assert "drum is cleared" in here("clear", endpoint)
+        assert "idle" in here("rigs", endpoint)
 
 
 def test_the_demo_tunes_a_reel_in_another_process_and_ends_it(tmp_path):

@@ -9,7 +9,8 @@ import pytest
 
 import plants
 from estune.errors import InvalidInput
-from estune.trial import StepProfile, TrialRequest
+from estune.profiles import StepProfile
+from estune.trial import TrialRequest
 from plants import effects
 from plants.effects import EFFECTS, Effect, EyeletFriction, Port, Quantisation
 from plants.identify import Band, multisine, open_loop_record
@@ -218,10 +219,12 @@ def test_friction_gives_no_energy(name, share):
     swing = seen.theta - seen.theta[0]
     energy = 0.5 * J * (seen.omega**2 + (FRICTIONLESS.natural_frequency_rad_s * swing) ** 2)
     # Bristles give back what they took up, never more.
-    stored = 0.5 * value * effect.presliding_rad if name == "dahl_hysteresis" else 0.0
+    size = value + getattr(effect, "excess_Nm", 0.0)
+    stored = 0.5 * size * getattr(effect, "presliding_rad", 0.0)
     least = np.minimum.accumulate(energy[4:])
     assert (energy[4:] - least).max() <= stored + 1e-9 * energy.max()
-    assert energy[-1] <= 0.5 * energy[4] + stored + 1e-30
+    left = 0.5 if share == 0.0 else 1.0  # in treacle the drum takes minutes to creep back
+    assert energy[-1] <= left * energy[4] + stored + 1e-30
 
 
 @pytest.mark.parametrize("order", [1, -1], ids=["forward", "backward"])

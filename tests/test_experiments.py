@@ -8,16 +8,23 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-TIMED = {"benchmark_link", "benchmark_trials", "catenary", "effects"}
-"""Experiments with targets that are ratios of times, which a busy machine may miss."""
+TIMED = {"benchmark_link", "benchmark_trials", "catenary", "effects", "jitter"}
+"""Experiments with targets that are times or ratios of them, which a busy machine may miss."""
 
-OTHERS = {"equations"}
-"""Experiments that measure nothing, and have no --json."""
+TIMES = ("_restored_max_s", "stop_p99_ms")
+"""The same of single targets: how their names end."""
+
+SAMPLED = {"hidden_effects"}
+"""Experiments with targets that are shares of hundreds of cases, which a few cannot judge."""
+
+OTHERS = {"equations", "hidden_scores", "rig_protocol_page"}
+"""Modules that measure nothing by themselves, and have no --json."""
 
 
 def experiments() -> list[str]:
-    files = (ROOT / "experiments").glob("*.py")
-    return sorted({file.stem for file in files} - {"__init__"} - OTHERS)
+    folder = ROOT / "experiments"
+    packages = {file.parent.name for file in folder.glob("*/__main__.py")}
+    return sorted({file.stem for file in folder.glob("*.py")} - {"__init__"} - OTHERS | packages)
 
 
 @pytest.mark.slow
@@ -32,6 +39,6 @@ def test_an_experiment_prints_its_figures_and_meets_its_targets(name):
     assert printed["figures"]
     for target in printed["targets"].values():
         assert set(target) == {"value", "limit", "met"}
-    if name not in TIMED:
+    if name not in TIMED | SAMPLED:
         missed = [key for key, target in printed["targets"].items() if not target["met"]]
-        assert not missed
+        assert not [key for key in missed if not key.endswith(TIMES)]

@@ -8,7 +8,7 @@ from estune.core import pidf
 from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
 from estune.errors import InvalidInput, PlantError, UnsafeStart
-from estune.trial import StepProfile
+from estune.profiles import StepProfile
 from plants.reel_equations import cable_stiffness_N_m
 
 REEL = plants.reference_reel()

@@ -10,18 +10,32 @@ from hypothesis import strategies as st
 from estune import errors, protocol
 from estune.core.gains import Gains
 from estune.errors import InvalidInput, ProtocolError, RigError
+from estune.link.state import Mode
+from estune.link.verdicts import Verdict
+from estune.profiles import (
+    ChirpProfile,
+    MultisineProfile,
+    StaircaseProfile,
+    StepProfile,
+    TriangleProfile,
+)
 from estune.protocol import (
     Answer,
     Cancel,
+    Clear,
     Description,
+    Estop,
     Inquire,
     Keys,
+    Lease,
     Presence,
     SetGains,
     Status,
     Submit,
+    Void,
 )
-from estune.trial import StepProfile, TrialRequest
+from estune.protocol.messages import COMMANDS
+from estune.trial import TrialRequest
 from tests.support_rigs import description
 
 finite = st.floats(allow_nan=False, allow_infinity=False)
@@ -31,21 +45,35 @@ steps = st.builds(
     lambda preload, size, at, rest: StepProfile(preload, size, at, at + rest),
     *(finite, finite.filter(bool), st.floats(0.0, 10.0), st.floats(0.1, 10.0)),
 )
+size = finite.filter(bool)
+time = st.floats(0.1, 10.0)
+loops = st.sampled_from(["closed", "open"])
+excitations = st.one_of(
+    st.builds(TriangleProfile, finite, size, time, time, loop=loops, shrink=st.floats(0.1, 1.0)),
+    st.builds(
+        MultisineProfile,
+        *(finite, positive, time, st.integers(1, 9), st.integers(10, 2000), time),
+        lines=st.sampled_from(["all", "odd", "odd_sparse"]),
+        loop=loops,
+    ),
+    st.builds(ChirpProfile, finite, size, positive, positive, time, loop=loops),
+    st.builds(StaircaseProfile, finite, size, st.integers(1, 9), time, time, loop=loops),
+)
 requests = st.builds(
     TrialRequest,
     st.text(st.characters(codec="utf-8"), max_size=20),
     st.integers(0, 10**9),
     gains,
-    steps,
+    st.one_of(steps, excitations),
     st.integers(0, 99),
 )
 REQUEST = TrialRequest("run", 3, Gains(0.5, 10.0, 0.0, 0.02), StepProfile(10.0, 5.0, 0.1, 0.5))
-SUBMIT = protocol.encode(Submit(REQUEST, protocol.digest(REQUEST)))
+SUBMIT = protocol.encode(Submit("1e", REQUEST, protocol.digest(REQUEST)))
 
 
 @given(requests)
 def test_a_request_arrives_as_it_was_sent(request):
-    sent = Submit(request, protocol.digest(request))
+    sent = Submit("1e", request, protocol.digest(request))
     received = protocol.decode(Submit, protocol.encode(sent))
     assert received == sent
     assert protocol.digest(received.request) == sent.digest
@@ -54,9 +82,12 @@ def test_a_request_arrives_as_it_was_sent(request):
 @pytest.mark.parametrize(
     "message",
     [
-        *(Inquire("ab"), Cancel("run-00003"), SetGains(REQUEST.gains), Status("", 3)),
-        *(Answer("refused", "run-00003", "InvalidInput", "too far"), Answer("unknown")),
-        Description(description(), "4f1c"),
+        *(Inquire("ab", 3, 100), Cancel("1e", "run-00003"), SetGains("1e", REQUEST.gains)),
+        *(Lease("renew", "1e"), Void("1e", "run-00003", "ab"), Estop("smoke"), Clear()),
+        Status("4f1c", Mode.ABORTING, "run-00003", 3, "anna@lab", "smoke"),
+        Answer(Verdict.REFUSED, "run-00003", "InvalidInput", "too far"),
+        *(Answer(verdict) for verdict in Verdict),
+        Description(description(), "4f1c", "9e"),
     ],
     ids=lambda message: type(message).__name__,
 )
@@ -65,8 +96,10 @@ def test_a_message_arrives_as_it_was_sent(message):
 
 
 def test_a_request_of_whole_numbers_has_the_digest_of_the_same_in_floats():
-    whole = replace(REQUEST, step=StepProfile(10, 5, 0.1, 0.5))
-    received = protocol.decode(Submit, protocol.encode(Submit(whole, protocol.digest(whole))))
+    whole = replace(REQUEST, profile=StepProfile(10, 5, 0.1, 0.5))
+    received = protocol.decode(
+        Submit, protocol.encode(Submit("1e", whole, protocol.digest(whole)))
+    )
     assert protocol.digest(received.request) == received.digest == protocol.digest(REQUEST)
 
 
@@ -74,7 +107,8 @@ def test_a_request_of_whole_numbers_has_the_digest_of_the_same_in_floats():
     "other",
     [
         replace(REQUEST, gains=replace(REQUEST.gains, D=5e-324)),
-        replace(REQUEST, step=replace(REQUEST.step, duration_s=0.5000000000000001)),
+        replace(REQUEST, profile=replace(REQUEST.profile, duration_s=0.5000000000000001)),
+        replace(REQUEST, profile=replace(REQUEST.profile, loop="open")),
         replace(REQUEST, attempt=1),
     ],
 )
@@ -91,8 +125,12 @@ def test_requests_that_differ_at_all_have_different_digests(other):
         (("request", "gains"), ("I", float("inf")), "request.gains.I: .*finite"),
         (("request", "gains"), ("P", -1.0), "request.gains: .*above zero"),
         (("request", "gains"), ("P", "1"), "request.gains.P: .*number"),
-        (("request", "step"), ("step_N", 0.0), "request.step: .*no response"),
+        (("request", "profile"), ("step_N", 0.0), "request.profile.step: .*no response"),
+        (("request", "profile"), ("kind", "square"), "request.profile: .*square"),
+        (("request", "profile"), ("kind", "triangle"), r"request\.profile\.triangle\..*required"),
+        (("request", "profile"), ("loop", "ajar"), r"request\.profile\.step\.loop: .*closed"),
         (("request",), ("number", 1.5), "request.number: .*integer"),
+        (("request", "profile"), ("step_N", 10**400), ".*"),
         (("request",), ("number", True), "request.number: .*integer"),
         (("request",), ("run", None), "request.run: .*string"),
     ],
@@ -109,12 +147,12 @@ def test_a_command_that_is_wrong_is_refused_with_the_place(where, value, complai
 
 def test_a_command_with_a_field_missing_is_refused():
     command = json.loads(SUBMIT)
-    del command["request"]["step"]
-    with pytest.raises(ProtocolError, match=r"request\.step: .*required"):
+    del command["request"]["profile"]
+    with pytest.raises(ProtocolError, match=r"request\.profile: .*required"):
         protocol.decode(Submit, json.dumps(command).encode())
 
 
-@given(st.sampled_from([Submit, Inquire, Cancel, SetGains, Answer, Description]), st.binary())
+@given(st.sampled_from([*COMMANDS, Answer, Status, Description]), st.binary())
 def test_what_is_no_message_is_refused(kind, data):
     with pytest.raises(ProtocolError):
         protocol.decode(kind, data)
@@ -128,13 +166,13 @@ def test_a_command_cut_short_is_refused(data):
 
 def test_a_command_over_the_limit_is_refused_on_both_sides():
     with pytest.raises(ProtocolError, match="the limit is 2048"):
-        protocol.encode(Submit(replace(REQUEST, run="x" * 2048), ""))
+        protocol.encode(Submit("", replace(REQUEST, run="x" * 2048), ""))
     with pytest.raises(ProtocolError, match="the limit is 2048"):
         protocol.decode(Submit, SUBMIT + b" " * 2048)
 
 
 def test_a_description_of_another_protocol_is_refused():
-    text = protocol.encode(Description(description(), "4f1c"))
+    text = protocol.encode(Description(description(), "4f1c", "9e"))
     with pytest.raises(ProtocolError, match="protocol"):
         protocol.decode_description(text.replace(b'"protocol":1', b'"protocol":2'))
 
@@ -155,7 +193,7 @@ def test_the_client_raises_what_the_rig_raised(kind):
 
 def test_an_error_of_an_unknown_kind_is_still_an_error_of_the_rig():
     with pytest.raises(RigError, match="oil low"):
-        Answer("refused", error="SystemExit", sentence="oil low").check()
+        Answer(Verdict.REFUSED, error="SystemExit", sentence="oil low").check()
 
 
 def present(*rigs: str) -> set[Presence]:

@@ -3,6 +3,7 @@
 import threading
 from contextlib import ExitStack
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -10,6 +11,12 @@ import pytest
 from estune import bus
 from estune.core.gains import Gains
 from estune.errors import InvalidInput, RigError
+from estune.profiles import (
+    ChirpProfile,
+    MultisineProfile,
+    StaircaseProfile,
+    TriangleProfile,
+)
 from estune.trial import Outcome, TrialRequest
 from tests.serve_rig import make, served
 from tests.support_rigs import same
@@ -31,23 +38,32 @@ def endpoints():
         yield endpoint
 
 
-@pytest.fixture(params=["here", "zenoh"])
-def reach(request, endpoints):
-    """Gives a rig of a kind, in this process or in another."""
+@pytest.fixture
+def reach_from(endpoints):
+    """Gives a rig of a kind, in this process ("here") or in another ("zenoh")."""
     with ExitStack() as stack:
 
-        def reach(kind: str):
-            here = request.param == "here"
-            rig = make(kind, "reel") if here else bus.connect(endpoints(kind))
+        def reach_from(where: str, kind: str):
+            rig = make(kind, "reel") if where == "here" else bus.connect(endpoints(kind))
             stack.callback(rig.close)
             return rig
 
-        yield reach
+        yield reach_from
 
 
-@pytest.fixture(params=["scripted", "simulated"])
-def rig(request, reach):
-    return reach(request.param)
+@pytest.fixture(params=["here", "zenoh"])
+def reach(request, reach_from):
+    """The same from either place."""
+    return partial(reach_from, request.param)
+
+
+# Hardware is served only: the rig itself is the same, and takes a second to start.
+RIGS = ["here scripted", "here simulated", "zenoh scripted", "zenoh simulated", "zenoh hardware"]
+
+
+@pytest.fixture(params=RIGS)
+def rig(request, reach_from):
+    return reach_from(*request.param.split())
 
 
 @pytest.fixture
@@ -77,10 +93,32 @@ def test_a_trial_is_answered_with_its_record(rig, trial):
     )
     assert record.gains == OTHER
     assert record.sampling_Hz == rate
-    np.testing.assert_array_equal(record.setpoint_N, request.step.setpoint(rate))
+    np.testing.assert_array_equal(record.setpoint_N, request.profile.setpoint(rate))
     for column in (record.time_s, record.tension_N, record.current_A, record.angle_rad):
         assert column.shape == record.flags.shape == record.setpoint_N.shape
         assert np.all(np.isfinite(column))
+
+
+EXCITATIONS = [
+    TriangleProfile(15.0, 5.0, 0.2, 0.5, 0.1, shrink=0.5),
+    MultisineProfile(15.0, 1.0, 0.2, 1, 15, 0.5, 0.1, lines="odd_sparse"),
+    ChirpProfile(15.0, 2.0, 0.0, 30.0, 0.5, 0.1),
+    StaircaseProfile(15.0, 2.0, 3, 0.05, 0.5, 0.1),
+]
+
+
+@pytest.mark.parametrize("loop", ["closed", "open"])
+@pytest.mark.parametrize("profile", EXCITATIONS, ids=lambda profile: profile.kind)
+def test_a_trial_may_ask_for_more_than_a_step(rig, trial, profile, loop):
+    request = replace(trial(rig), profile=replace(profile, loop=loop))
+    record = rig.run(request)
+    assert (record.outcome, record.loop, record.profile) == (Outcome.DONE, loop, profile.kind)
+    assert record.preload_N == profile.preload_N
+    np.testing.assert_array_equal(record.setpoint_N, profile.setpoint(record.sampling_Hz))
+    assert np.all(np.isfinite(record.tension_N))
+    other = replace(profile, loop="open" if loop == "closed" else "closed")
+    with pytest.raises(RigError, match=request.trial_id):
+        rig.run(replace(request, profile=other))
 
 
 def test_a_trial_asked_for_again_is_not_run_again(rig, trial):
@@ -123,7 +161,7 @@ def test_an_idle_rig_can_be_aborted(rig, trial):
     assert rig.run(trial(rig)).outcome is Outcome.DONE
 
 
-@pytest.mark.parametrize("kind", ["slow scripted", "slow simulated"])
+@pytest.mark.parametrize("kind", ["slow scripted", "slow simulated", "slow hardware"])
 def test_abort_stops_the_trial_under_way(reach, kind, trial):
     rig = reach(kind)
     before = rig.describe()

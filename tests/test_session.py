@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from estune.core.cost import StepCost
 from estune.errors import InvalidInput
 from estune.planning import make_plan, plan_from_json, plan_to_json
+from estune.profiles import StepProfile
 from estune.session import (
     UNSAFE_IN_A_ROW,
     UNSAFE_RATIO,
@@ -20,7 +21,7 @@ from estune.session import (
     told,
     verdict,
 )
-from estune.trial import Outcome, StepProfile
+from estune.trial import Outcome
 from tests.support_runs import START, description
 
 
@@ -140,3 +141,23 @@ def test_a_plan_survives_json_exactly():
 def test_a_plan_that_makes_no_sense_is_refused(wrong):
     with pytest.raises(InvalidInput, match=r"at least 1|eta_max"):
         plan(**wrong)
+
+
+def test_a_start_that_is_repeated_takes_turns_with_the_candidates_and_is_what_they_are_held_to():
+    # The plant drifts during the search: everything costs twice as much after it.
+    session, _ = advance(begin(plan(repeat_start=True)), [1.0] * 3 + [0.9] * 10)
+    asked = []
+    while (request := next_request(session)) is not None:
+        asked.append(request.gains)
+        session = told(session, Outcome.DONE, 2.0 if request.gains == START else 1.6)
+    assert asked == list(session.candidates) * 3
+    assert asked[0] == START
+    found = verdict(session)
+    assert (found.start_cost, found.cost) == pytest.approx((2.0, 1.6))
+    assert found.improved
+
+
+def test_plans_written_before_the_start_could_be_repeated_do_not_repeat_it():
+    written = plan_to_json(plan())
+    del written["repeat_start"]
+    assert plan_from_json(written) == plan()

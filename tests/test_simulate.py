@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 import plants
+from estune import compiler
 from estune.core.cost import StepCost
 from estune.core.gains import Gains
 from estune.errors import InvalidInput, PlantError
-from estune.trial import SATURATED, StepProfile
-from plants import compiler
+from estune.profiles import StepProfile
+from estune.trial import SATURATED
 from plants.noise import NoiseSource
 from plants.trial_loop import CompiledLoop, VirtualLoop, loop_functions, trial_loop
 

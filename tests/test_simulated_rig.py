@@ -9,14 +9,15 @@ import plants
 from estune.core.gains import Gains
 from estune.errors import InvalidInput, RigError
 from estune.interop import margins
-from estune.trial import Outcome, StepProfile, TrialRequest
+from estune.profiles import StaircaseProfile, StepProfile
+from estune.trial import SATURATED, Outcome, TrialRequest
 
 GAINS = Gains(1.0, 40.0, 0.015, 0.005)
 STEP = StepProfile(15.0, 10.0, 0.2, 1.0)
 
 
-def ask(number=0, gains=GAINS, step=STEP, run="run", attempt=0):
-    return TrialRequest(run, number, gains, step, attempt)
+def ask(number=0, gains=GAINS, profile=STEP, run="run", attempt=0):
+    return TrialRequest(run, number, gains, profile, attempt)
 
 
 def columns(record):
@@ -94,7 +95,7 @@ def test_a_trial_leaves_the_live_gains_alone():
 def test_a_request_outside_the_limits_is_refused(step):
     rig = plants.reference_reel().rig()
     with pytest.raises(InvalidInput):
-        rig.run(ask(step=step))
+        rig.run(ask(profile=step))
     assert rig.run(ask()).outcome is Outcome.DONE  # the id was not used up
 
 
@@ -110,7 +111,9 @@ def test_a_closed_rig_refuses():
 def test_divergence_is_an_outcome():
     plant = plants.linear_plant(control.tf([1.0], [1.0, -1.0]), 0.0, 20.0)
     rig = plant.rig(gains=Gains(3.0, 1.0, 0.0, 0.0))
-    record = rig.run(ask(gains=Gains(0.1, 0.0, 0.0, 0.0), step=StepProfile(0.0, 1.0, 0.5, 40.0)))
+    record = rig.run(
+        ask(gains=Gains(0.1, 0.0, 0.0, 0.0), profile=StepProfile(0.0, 1.0, 0.5, 40.0))
+    )
     assert record.outcome is Outcome.DIVERGED
     assert f"at sample {len(record.time_s)}," in record.reason
     assert all(np.isfinite(column).all() for column in columns(record))
@@ -120,7 +123,7 @@ def test_abort_ends_a_trial_that_takes_its_time():
     rig = plants.reference_reel().rig(pace=1.0)
     step = StepProfile(15.0, 10.0, 0.2, 60.0)
     records = []
-    trial = threading.Thread(target=lambda: records.append(rig.run(ask(step=step))))
+    trial = threading.Thread(target=lambda: records.append(rig.run(ask(profile=step))))
     trial.start()
     while not rig._running:
         time.sleep(0.001)
@@ -131,8 +134,8 @@ def test_abort_ends_a_trial_that_takes_its_time():
     assert record.outcome is Outcome.CANCELLED
     assert {len(column) for column in columns(record)} == {len(record.time_s)}
     assert len(record.time_s) < step.samples(632.0)
-    assert rig.run(ask(step=step)) is record
-    assert rig.run(ask(1, step=StepProfile(15.0, 10.0, 0.01, 0.02))).outcome is Outcome.DONE
+    assert rig.run(ask(profile=step)) is record
+    assert rig.run(ask(1, profile=StepProfile(15.0, 10.0, 0.01, 0.02))).outcome is Outcome.DONE
 
 
 def test_abort_without_a_trial_does_nothing_to_the_next():
@@ -144,7 +147,7 @@ def test_abort_without_a_trial_does_nothing_to_the_next():
 def test_a_paced_trial_takes_its_time():
     rig = plants.reference_reel().rig(pace=1.0)
     began = time.monotonic()
-    record = rig.run(ask(step=StepProfile(15.0, 10.0, 0.05, 0.2)))
+    record = rig.run(ask(profile=StepProfile(15.0, 10.0, 0.05, 0.2)))
     assert record.outcome is Outcome.DONE
     assert time.monotonic() - began >= 0.19  # waiting can only be too long, never too short
 
@@ -157,7 +160,7 @@ def test_the_reels_own_gains_are_safe_over_its_range(length, tension):
     found = margins(told.linear_model, told.gains, told.controller)
     assert found.gain_margin > 4.0
     assert found.phase_margin_deg > 45.0
-    record = rig.run(ask(gains=told.gains, step=told.step))
+    record = rig.run(ask(gains=told.gains, profile=told.step))
     final = told.step.preload_N + told.step.step_N
     assert record.tension_N[-60:].mean() == pytest.approx(final, abs=0.05 * abs(told.step.step_N))
     assert told.settling_time_s < told.step.duration_s - told.step.step_at_s
@@ -175,3 +178,30 @@ def test_a_rig_describes_its_reel():
     assert told.software.startswith("estune ")
     with pytest.raises(InvalidInput, match="pace"):
         reel.rig(pace=float("nan"))
+
+
+@pytest.mark.parametrize("kind", ["linear", "function"])
+def test_in_open_loop_the_setpoint_is_the_effort_within_its_limits(kind):
+    rate = 100.0
+    system = control.ss([[-2.0]], [[2.0]], [[1.0]], [[0.0]])
+    settings = {"output_min_N": -1.0, "output_max_N": 1.0}
+    pole = np.exp(-2.0 / rate)
+    plant = {
+        "linear": lambda: plants.linear_plant(system, 0.0, rate, **settings),
+        "function": lambda: plants.python_plant(
+            lambda y, u, _: (following := pole * y + (1.0 - pole) * u, following),
+            0.0,
+            sampling_Hz=rate,
+            settling_time_s=1.0,
+            **settings,
+        ),
+    }[kind]()
+    profile = StaircaseProfile(0.0, 0.8, 2, 0.5, 2.4, 0.1, loop="open")
+    rig = plant.rig(gains=Gains(0.1, 1.0, 0.0, 0.0))
+    record = rig.run(ask(profile=profile))
+    effort = np.minimum(profile.setpoint(rate), 1.0)
+    np.testing.assert_array_equal(record.current_A, effort)
+    np.testing.assert_array_equal(record.flags == SATURATED, profile.setpoint(rate) > 1.0)
+    held = control.sample_system(system, 1.0 / rate)
+    expected = control.forced_response(held, record.time_s, effort).outputs
+    assert record.tension_N == pytest.approx(expected, abs=1e-12)

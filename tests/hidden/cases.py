@@ -1,0 +1,242 @@
+"""A case: records with something hidden in them, drawn blind from a seed.
+
+What is handed over (`Case`) and what is hidden (`Secret`) are two objects; only a scorer may look
+at the second.
+"""
+
+import zlib
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from tests.hidden import bases, batteries
+from tests.hidden.bases import Base
+from tests.hidden.effects import CATALOGUE, OUTSIDE
+from tests.hidden.records import Bench, Record, record
+
+Rng = np.random.Generator
+
+LOW = ("cable_slack", "cable_weight", "backlash")
+SOFT = ("drum_eccentricity",)
+AS_BELIEVED = ("gain_error", "viscous_damping", "gauge_offset")
+"""Effects that are nothing but a wrong number: all others are then right."""
+UNLOADED = (
+    "coulomb_friction",
+    "stribeck_friction",
+    "dahl_hysteresis",
+    "dead_time",
+    "current_saturation",
+    "rate_limit",
+    "torque_ripple",
+    "backlash",
+)
+STAGE = ("coulomb_friction", "stribeck_friction")
+OUTSIDE_UNLOADED = (
+    "quadratic_drag",
+    "motor_heating",
+    "sector_rub",
+    "lost_samples",
+    "amplifier_deadband",
+)
+PAIRED = (
+    "coulomb_friction",
+    "stribeck_friction",
+    "dahl_hysteresis",
+    "eyelet_friction",
+    "dead_time",
+    "current_saturation",
+    "gauge_nonlinearity",
+    "gauge_drift",
+    "gauge_resonance",
+    "cable_stiffening",
+    "cable_creep",
+    "torque_ripple",
+    "structural_mode",
+    "mains_interference",
+)
+FAMILIES = (
+    ("coulomb_friction", "dahl_hysteresis", "stribeck_friction"),
+    ("dead_time", "rate_limit", "nonlinear_lag"),
+    ("cable_weight", "string_mode"),
+)
+
+VARIANTS = (
+    "plain",
+    "none",
+    "outside",
+    "two",
+    "left_out",
+    "noise5",
+    "steps_only",
+    "no_encoder",
+    "none_no_encoder",
+    "none_unloaded",
+    "wrong_base",
+    "unloaded",
+    "outside_unloaded",
+    "stage",
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """What is handed over.
+
+    Attributes:
+        variant: What kind of case it is; says nothing of what is hidden.
+        kind: `reel`, `unloaded` or `stage`: what model its owner has of it.
+        given: The numbers of that model.
+        records: The records.
+    """
+
+    variant: str
+    kind: str
+    given: dict[str, Any]
+    records: tuple[Record, ...]
+
+
+@dataclass(frozen=True)
+class Secret:
+    """What is hidden, for the scorer only.
+
+    Attributes:
+        names: Slugs of what is hidden; none is hidden where it is empty.
+        parameters: By slug, where a report's mean the same.
+        calibrations: What the machine's own numbers really are.
+        named: Whether reports have names for all that is hidden.
+        accepted: Sets of names that are right.
+    """
+
+    names: tuple[str, ...]
+    parameters: dict[str, dict[str, float]]
+    calibrations: dict[str, float]
+    named: bool
+    accepted: tuple[tuple[str, ...], ...]
+
+
+def draw(seed: int, variant: str = "plain", effect: str | None = None) -> tuple[Case, Secret]:
+    """Draws a case.
+
+    Args:
+        seed: All chance comes from it and the variant.
+        variant: One of `VARIANTS`.
+        effect: Slug to hide instead of one drawn; several joined by +.
+    """
+    if variant not in VARIANTS:
+        raise ValueError(f"{variant!r} is none of {VARIANTS}")
+    # What is hidden has chance of its own: with another effect all else stays the same.
+    own = np.random.default_rng([zlib.crc32(variant.encode()), seed, 1])
+    names = _names(own, variant, effect)
+    rng = np.random.default_rng([zlib.crc32(variant.encode()), seed, 0])
+    believed = _believed(rng, variant, names)
+    hidden = tuple((CATALOGUE | OUTSIDE)[name](own, believed) for name in names)
+    if set(names) & set(AS_BELIEVED):
+        actual = bases.as_believed(rng, believed)
+    else:
+        actual = bases.actual(rng, believed, wrong=variant == "wrong_base")
+    bench = Bench(
+        actual,
+        believed,
+        hidden,
+        gains=(
+            rng.uniform(0.3, 0.5),
+            rng.uniform(8.0, 14.0),
+            rng.uniform(0.008, 0.012),
+            rng.uniform(0.01, 0.04),
+        ),
+        noise=5.0 if variant == "noise5" else 1.0,
+        encoder=variant not in ("no_encoder", "none_no_encoder"),
+        outside_gauge=believed.kind == "reel" and rng.random() < 0.15,
+        measured_current=believed.kind == "reel" and rng.random() < 0.15,
+    )
+    lengths = _lengths(rng, believed, names)
+    plans = _battery(rng, variant, believed, names)
+    records: list[Record] = []
+    warmth = 0.0
+    for number, plan in enumerate(plans):
+        same = number if plan.repeats is None else plan.repeats
+        taken, warmth = record(
+            (rng, own), bench, plan, lengths[same % len(lengths)], number=number, warmth=warmth
+        )
+        records.append(taken)
+    case = Case(variant, believed.kind, believed.given(), tuple(records))
+    secret = Secret(
+        tuple(sorted(names)),
+        {one.name: one.truth for one in hidden},
+        bases.facts(actual),
+        named=all(name in CATALOGUE for name in names),
+        accepted=_accepted(tuple(sorted(names)), believed.kind),
+    )
+    return case, secret
+
+
+def family(name: str) -> str:
+    """Effects of one family have one name here."""
+    return next((group[0] for group in FAMILIES if name in group), name)
+
+
+def _accepted(names: tuple[str, ...], kind: str) -> tuple[tuple[str, ...], ...]:
+    """The play of a reel's gear shows only where dry friction holds the drum: both are there."""
+    if "backlash" in names and kind == "reel":
+        return (names, tuple(sorted({*names, "coulomb_friction"})))
+    return (names,)
+
+
+def _names(rng: Rng, variant: str, effect: str | None) -> tuple[str, ...]:
+    if effect is not None:
+        return tuple(name for name in effect.split("+") if name != "none")
+    if variant.startswith("none"):
+        return ()
+    if variant == "two":
+        while True:
+            pair = [str(name) for name in rng.choice(PAIRED, 2, replace=False)]
+            if family(pair[0]) != family(pair[1]):
+                return tuple(pair)
+    choice = {
+        "outside": tuple(name for name in OUTSIDE if name != "amplifier_deadband"),
+        "outside_unloaded": OUTSIDE_UNLOADED,
+        "unloaded": UNLOADED,
+        "stage": STAGE,
+    }.get(variant, tuple(CATALOGUE))
+    if variant in ("steps_only", "no_encoder", "wrong_base", "left_out"):
+        choice = tuple(n for n in choice if n not in (*LOW, *SOFT, *AS_BELIEVED))
+    return (str(rng.choice(choice)),)
+
+
+def _believed(rng: Rng, variant: str, names: tuple[str, ...]) -> Base:
+    if variant == "stage":
+        return bases.STAGE
+    if variant in ("unloaded", "outside_unloaded", "none_unloaded"):
+        return bases.UNLOADED
+    if set(names) & set(SOFT) or (variant == "none" and rng.random() < 0.1):
+        return bases.SOFT
+    return bases.REEL
+
+
+def _lengths(rng: Rng, believed: Base, names: tuple[str, ...]) -> list[float | None]:
+    """One or two deployed lengths, in turn."""
+    if believed.kind != "reel":
+        return [None]
+    if set(names) & {"cable_weight"}:
+        return [float(rng.uniform(1.1, 1.4))]
+    length = float(rng.uniform(0.5, 1.3))
+    if rng.random() < 0.3:
+        return [length, float(min(1.4, length * rng.uniform(1.1, 1.5)))]
+    return [length]
+
+
+def _battery(
+    rng: Rng, variant: str, believed: Base, names: tuple[str, ...]
+) -> list[batteries.Plan]:
+    if believed.kind == "stage":
+        return batteries.stage(rng, believed)
+    if believed.kind == "unloaded":
+        return batteries.unloaded(rng, believed)
+    if believed is bases.SOFT:
+        return batteries.soft(rng, believed)
+    if set(names) & set(LOW) or (variant == "none" and rng.random() < 0.1):
+        return batteries.low(rng, believed)
+    if variant == "steps_only":
+        return batteries.steps_only(rng, believed)
+    return batteries.tensioned(rng, believed)

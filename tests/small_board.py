@@ -1,0 +1,421 @@
+"""A whole rig as a small board would be it: one Zenoh session, JSON, struct and CRC, no estune.
+
+Written from docs/rig-protocol.md alone. Its drum follows the setpoint with a lag; it knows steps
+only, keeps one record, answers it in parts of 1 KiB, and writes its ledger to a file. Prints its
+endpoint; ends when its standard input is closed.
+"""
+
+import json
+import math
+import os
+import secrets
+import socket
+import struct
+import sys
+import threading
+import time
+import zlib
+from pathlib import Path
+from types import SimpleNamespace
+
+import zenoh
+
+RATE_HZ, LEASE_S, PART = 100.0, 1.0, 1024
+NAME, FILE = sys.argv[1], Path(sys.argv[2])
+INSTANCE = secrets.token_hex(4)
+ROOT = f"reel/v1/{NAME}"
+FIELDS = {
+    "lease": ({"action", "lease"}, {"holder"}),
+    "submit": ({"lease", "request", "digest"}, set()),
+    "cancel": ({"lease"}, {"trial_id"}),
+    "void": ({"lease", "trial_id", "digest"}, set()),
+    "gains": ({"lease", "gains"}, set()),
+    "clear": (set(), set()),
+    "result": ({"digest"}, {"offset", "length"}),
+    "request": ({"run", "number", "gains", "profile"}, {"attempt"}),
+    "P": ({"P", "I", "D", "setpoint_filter_s"}, set()),
+    "step": ({"kind", "preload_N", "step_N", "step_at_s", "duration_s"}, {"loop"}),
+}
+
+
+class Refused(Exception):
+    """Says no, and which error it is."""
+
+
+def load():
+    """The ledger as the last start left it."""
+    kept = {"identity": secrets.token_hex(8), "latched": "", "trials": {}}
+    if FILE.exists():
+        kept = json.loads(FILE.read_text())
+    for entry in kept["trials"].values():
+        booted = {"accepted": "never_started", "running": "interrupted"}
+        entry["state"] = booted.get(entry["state"], entry["state"])
+    return kept
+
+
+ledger = load()
+lock = threading.RLock()
+lease = {"token": "", "holder": "", "until": 0.0}
+now = SimpleNamespace(
+    live={"P": 0.5, "I": 10.0, "D": 0.0, "setpoint_filter_s": 0.0},
+    trial=None,
+    frame=(None, b""),
+    ended=0,
+    stop="",  # why the trial is being stopped
+)
+work = threading.Condition(lock)
+
+
+def save():
+    """Writes the ledger through to the disk, whole or not at all."""
+    new = FILE.with_suffix(".new")
+    with new.open("w") as file:
+        json.dump(ledger, file)
+        file.flush()
+        os.fsync(file.fileno())
+    new.replace(FILE)
+
+
+def mode():
+    if now.trial:
+        return "aborting" if now.stop else ledger["trials"][now.trial["id"]]["state"]
+    return "safe" if ledger["latched"] else "leased" if holds(lease["token"]) else "idle"
+
+
+def holds(token):
+    return bool(token) and token == lease["token"] and time.monotonic() < lease["until"]
+
+
+def answer(verdict, trial_id="", error="", sentence=""):
+    made = {"verdict": verdict, "trial_id": trial_id, "error": error, "sentence": sentence}
+    return json.dumps(made).encode()
+
+
+def denied():
+    if holds(lease["token"]):
+        return answer("held", sentence=f"held by {lease['holder']}")
+    return answer("no_lease", sentence="the lease has run out")
+
+
+def finite(*values):
+    for value in values:
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise Refused("ProtocolError", f"{value!r} is no number")
+        if not math.isfinite(value):
+            raise Refused("ProtocolError", f"{value!r} is not finite")
+
+
+def checked(what, given):
+    """Refuses an object that has not the fields it should have."""
+    needed, more = FIELDS[what]
+    if not isinstance(given, dict) or not needed <= set(given) <= needed | more:
+        raise Refused("ProtocolError", f"{what}: wrong fields")
+    for name, value in given.items():
+        number = name in ("offset", "length", "number", "attempt")
+        if number and (type(value) is not int or value < 0):
+            raise Refused("ProtocolError", f"{name}: no whole number")
+        text = name in ("lease", "holder", "digest", "trial_id", "action", "run")
+        if text and not isinstance(value, str):
+            raise Refused("ProtocolError", f"{name}: no text")
+    return given
+
+
+def gains_of(given):
+    checked("P", given)
+    finite(*given.values())
+    if not (given["P"] > 0.0 and min(given.values()) >= 0.0):
+        raise Refused("ProtocolError", "gains out of range")
+    return given
+
+
+def known(trial_id, digest):
+    """What the ledger says of a trial: an answer, a part of its record, or None."""
+    entry = ledger["trials"].get(trial_id)
+    if entry is None:
+        return None
+    if entry["digest"] != digest:
+        return answer("refused", trial_id, "RigError", f"another trial has the id {trial_id}")
+    return answer(entry["state"], trial_id)
+
+
+def busy():
+    return answer("busy", now.trial["id"], sentence=f"busy with trial {now.trial['id']}")
+
+
+def cancel(given):
+    if now.trial is None:
+        return answer("accepted")
+    if not holds(given["lease"]):
+        return denied()
+    if given.get("trial_id", "") not in ("", now.trial["id"]):
+        return answer("accepted")
+    now.stop = now.stop or "stopped by its client"
+    work.notify_all()
+    return answer("accepted", now.trial["id"])
+
+
+def void(given):
+    if (found := known(given["trial_id"], given["digest"])) is not None:
+        return found
+    if not holds(given["lease"]):
+        return denied()
+    ledger["trials"][given["trial_id"]] = {"digest": given["digest"], "state": "void"}
+    save()
+    return answer("void", given["trial_id"])
+
+
+def set_gains(given):
+    gains = gains_of(given["gains"])
+    if ledger["latched"] and now.trial is None:
+        return answer("safe", sentence=ledger["latched"])
+    if not holds(given["lease"]):
+        return denied()
+    if now.trial:
+        return busy()
+    now.live = gains
+    return answer("accepted")
+
+
+def clear(_):
+    if now.trial:
+        return busy()
+    ledger["latched"] = ""
+    save()
+    return answer("accepted")
+
+
+def leased(given):
+    token, until = given["lease"], time.monotonic() + LEASE_S
+    match given["action"]:
+        case "acquire" if not holds(lease["token"]) or holds(token):
+            holder = given.get("holder", "")[:128]
+            lease.update(token=token, holder=holder, until=until)
+        case "renew" if holds(token):
+            lease["until"] = until
+        case "release" if holds(token):
+            lease["until"] = 0.0
+            now.stop = now.stop or ("its client let go of the rig" if now.trial else "")
+        case "acquire" | "renew" | "release":
+            return denied()
+        case _:
+            raise Refused("ProtocolError", f"no such action: {given['action']}")
+    work.notify_all()
+    return answer("accepted")
+
+
+def submit(given):
+    request = checked("request", given["request"])
+    gains, profile = gains_of(request["gains"]), request["profile"]
+    attempt = request.get("attempt", 0)
+    trial_id = f"{request['run']}-{request['number']:05d}" + (f".{attempt}" if attempt else "")
+    if (found := known(trial_id, given["digest"])) is not None:
+        return found
+    if ledger["latched"] and now.trial is None:
+        return answer("safe", sentence=f"safe state: {ledger['latched']}")
+    if not holds(given["lease"]):
+        return denied()
+    if isinstance(profile, dict) and profile.get("kind") != "step":
+        raise Refused("InvalidInput", "this board knows steps only")
+    checked("step", profile)
+    numbers = [profile[n] for n in ("preload_N", "step_N", "step_at_s", "duration_s")]
+    finite(*numbers)
+    preload, size, at, duration = numbers
+    if not (size and 0.0 <= at < duration):
+        raise Refused("ProtocolError", "no step profile")
+    if not all(0.0 <= tension <= 50.0 for tension in (preload, preload + size)):
+        raise Refused("InvalidInput", "a setpoint is outside the rig's range 0 to 50 N")
+    if duration > 5.0 or profile.get("loop", "closed") != "closed":
+        raise Refused("InvalidInput", "longer than the rig's limit of 5 s, or an open loop")
+    if now.trial:
+        return busy()
+    ledger["trials"][trial_id] = {"digest": given["digest"], "state": "accepted"}
+    save()
+    now.trial = {"id": trial_id, "gains": gains, "profile": numbers}
+    work.notify_all()
+    return answer("accepted", trial_id)
+
+
+COMMANDS = {
+    "lease": leased,
+    "submit": submit,
+    "cancel": cancel,
+    "void": void,
+    "gains": set_gains,
+    "clear": clear,
+}
+
+
+def question(words, payload):
+    match words:
+        case ["status"]:
+            said = {
+                "instance": INSTANCE,
+                "mode": mode(),
+                "trial_id": now.trial["id"] if now.trial else "",
+                "ended": now.ended,
+                "holder": lease["holder"] if holds(lease["token"]) else "",
+                "latched": ledger["latched"],
+            }
+            return json.dumps(said).encode()
+        case ["describe"]:
+            return json.dumps(
+                {"rig": description(), "instance": INSTANCE, "ledger": ledger["identity"]}
+            ).encode()
+        case ["result", trial_id]:
+            given = checked("result", parse(payload))
+            found = known(trial_id, given["digest"]) or answer("unknown", trial_id)
+            if b'"ended"' in found and now.frame[0] == trial_id:
+                return part(now.frame[1], given.get("offset", 0), given.get("length", 0))
+            if b'"ended"' in found:
+                raise Refused("RigError", "it has run, its record is gone")
+            return found
+    return None
+
+
+def description():
+    step = {"kind": "step", "preload_N": 10.0, "step_N": 5.0, "step_at_s": 0.1, "duration_s": 0.5}
+    return {
+        "name": NAME,
+        "gains": now.live,
+        "controller": {
+            "sampling_Hz": RATE_HZ,
+            "derivative_filter_s": 0.01,
+            "output_min_N": -50.0,
+            "output_max_N": 50.0,
+        },
+        "newtons_per_ampere": 20.0,
+        "limits": {"tension_min_N": 0.0, "tension_max_N": 50.0, "duration_max_s": 5.0},
+        "step": step,
+        "settling_time_s": 0.2,
+        "cable_length_m": 0.8,
+        "software": "small board 1",
+        "simulated": True,
+    }
+
+
+def part(whole, offset, length):
+    piece = whole[offset : offset + min(length or PART, PART)]
+    if not piece:
+        raise Refused("ProtocolError", "no such part")
+    head = struct.pack("<4sII", b"RTP1", len(whole), offset)
+    return head + struct.pack("<I", zlib.crc32(head + bytes(4) + piece)) + piece
+
+
+def parse(payload):
+    if len(payload) > 2048:
+        raise Refused("ProtocolError", "longer than 2048 bytes")
+    try:
+        return json.loads(payload)
+    except (ValueError, RecursionError) as error:
+        raise Refused("ProtocolError", str(error)) from error
+
+
+def reply(query):
+    words = str(query.key_expr).split("/")[3:]
+    payload = query.payload.to_bytes() if query.payload is not None else b""
+    try:
+        with lock:
+            match words:
+                case ["@cmd", _, "estop"]:
+                    data = emergency(payload)
+                case ["@cmd", _, verb]:
+                    data = COMMANDS[verb](checked(verb, parse(payload)))
+                case _:
+                    data = question(words, payload)
+    except Refused as refused:
+        data = answer("refused", "", *refused.args)
+    with query:
+        if data is not None:
+            query.reply(query.key_expr, data, attachment=INSTANCE)
+
+
+def emergency(payload):
+    try:
+        reason = str(json.loads(payload)["reason"])[:128]
+    except (ValueError, KeyError, TypeError):
+        reason = "no reason given"
+    ledger["latched"] = ledger["latched"] or reason
+    now.stop = now.stop or (f"emergency stop: {reason}" if now.trial else "")
+    save()
+    work.notify_all()
+    return answer("accepted")
+
+
+def run():
+    """The board's main loop: waits for a trial, runs it, writes down what came of it."""
+    while True:
+        with lock:
+            work.wait_for(lambda: now.trial is not None)
+            entry = ledger["trials"][now.trial["id"]]
+            if not now.stop:
+                entry["state"] = "running"
+                save()
+            following = now.trial["profile"]
+        columns = follow(*following)
+        with lock:
+            now.frame = now.trial["id"], record(now.trial, columns)
+            entry["state"] = "ended"
+            save()
+            now.trial, now.stop, now.ended = None, "", now.ended + 1
+        session.put(f"{ROOT}/status", question(["status"], b""), attachment=INSTANCE)
+
+
+def follow(preload, size, at, duration):
+    """Samples in real time, until the end or a stop."""
+    rows, tension, began = [], preload, time.monotonic()
+    for k in range(round(duration * RATE_HZ)):
+        with lock:
+            if not now.stop and not holds(lease["token"]):
+                now.stop = f"{lease['holder']} has not been heard of for 1 s"
+            work.wait_for(lambda: now.stop, max(0.0, began + k / RATE_HZ - time.monotonic()))
+            if now.stop:
+                break
+        setpoint = preload + size if k >= round(at * RATE_HZ) else preload
+        tension += 0.2 * (setpoint - tension)
+        rows.append((k / RATE_HZ, setpoint, tension, tension / 20.0, 0.1 * tension))
+    return rows
+
+
+def record(done, rows):
+    header = {
+        "columns": ["time_s", "setpoint_N", "tension_N", "current_A", "angle_rad"],
+        "samples": len(rows),
+        "trial_id": done["id"],
+        "rig": NAME,
+        "sampling_Hz": RATE_HZ,
+        "cable_length_m": 0.8,
+        "preload_N": float(done["profile"][0]),
+        "gains": done["gains"],
+        "outcome": "cancelled" if now.stop else "done",
+        "reason": now.stop,
+        "started_at": "2009-05-04T12:00:00+00:00",
+        "software": "small board 1",
+        "loop": "closed",
+        "profile": "step",
+    }
+    text = json.dumps(header).encode()
+    text += b" " * (-len(text) % 8)
+    body = b"".join(struct.pack(f"<{len(c)}d", *c) for c in zip(*rows, strict=True))
+    body += bytes(len(rows))
+    head = struct.pack("<4sII", b"RTR1", len(text), len(body))
+    checksum = zlib.crc32(head + bytes(4) + text + body)
+    return head + struct.pack("<I", checksum) + text + body
+
+
+with socket.create_server(("127.0.0.1", 0)) as probe:
+    endpoint = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+config = {
+    "mode": "peer",
+    "listen": {"endpoints": [endpoint]},
+    "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
+    "transport": {"shared_memory": {"enabled": False}},
+}
+with zenoh.open(zenoh.Config.from_json5(json.dumps(config))) as session:
+    save()
+    commands = (f"{ROOT}/@cmd/{INSTANCE}/{verb}" for verb in (*COMMANDS, "estop"))
+    for key in (*commands, f"{ROOT}/**"):
+        session.declare_queryable(key, reply, complete=True)
+    threading.Thread(target=run, daemon=True).start()
+    token = session.liveliness().declare_token(f"{ROOT}/alive/{INSTANCE}")
+    print(endpoint, flush=True)
+    sys.stdin.read()

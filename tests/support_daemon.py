@@ -1,0 +1,145 @@
+"""Daemons in this process or another, on rigs that answer at once."""
+
+import json
+import subprocess
+import sys
+import threading
+import time
+import tomllib
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+from estune import bus
+from estune.bus.daemon import DaemonClient
+from estune.bus.session import with_port
+from estune.core.gains import Gains
+from estune.daemon.config import config_from
+from estune.daemon.service import Service
+from estune.daemon.systemd import Notifier
+from estune.trial import TrialRecord, TrialRequest
+from tests.support_rigs import ScriptedRig, description, response
+
+ORIGINAL = description().gains
+WITHIN_S = 40.0
+"""A generous time for what takes a second or two on a machine of its own."""
+
+RIG = """
+[[rig]]
+name = "{name}"
+target = "{target}"
+answer_within_s = 1.0
+look_every_s = 0.1
+retry_first_s = 0.1
+retry_max_s = 0.3
+accept = "{accept}"
+tuning = {{trials = {trials}, repeats = 3}}
+watch = {{every_s = {every_s}, baseline_checks = 12, rest_s = 0.0, smoothing = 0.3}}
+"""
+
+
+def rig_table(name: str, target: str, accept="ask", trials=12, every_s=0.05) -> str:
+    return RIG.format(name=name, target=target, accept=accept, trials=trials, every_s=every_s)
+
+
+class Plant:
+    """Answers trials, and can be changed while it does: `slower` makes every response so."""
+
+    def __init__(self) -> None:
+        self.slower = 1.0
+
+    def __call__(self, request: TrialRequest) -> TrialRecord:
+        gains = replace(request.gains, P=request.gains.P / self.slower)
+        return replace(response(replace(request, gains=gains)), gains=request.gains)
+
+
+@contextmanager
+def rig_served(name: str = "drum", plant=None, **changes):
+    """A scripted rig over Zenoh, and where it is."""
+    rig = ScriptedRig(plant or Plant(), name=name, **changes)
+    with bus.serve(rig) as server:
+        yield rig, server.endpoint
+
+
+@contextmanager
+def daemon(folder: Path, *rigs: str, more: str = "", notifier: Notifier | None = None):
+    """A daemon in this process, and a client of it."""
+    text = f'stop_within_s = 3.0\n[service]\nlisten = "tcp/127.0.0.1:0"\n{more}\n{"".join(rigs)}'
+    service = Service(config_from(tomllib.loads(text), "test", folder), notifier)
+    failed = []
+
+    def run():
+        try:
+            service.run()
+        except Exception as error:  # noqa: BLE001  handed over to the test
+            failed.append(error)
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    try:
+        with DaemonClient(service.endpoint) as client:
+            yield Watched(service, client, thread, failed)
+    finally:
+        service.stop()
+        thread.join(WITHIN_S)
+        assert not thread.is_alive()
+
+
+class Watched:
+    """A daemon and its client."""
+
+    def __init__(self, service, client, thread=None, failed=()) -> None:
+        self.service, self.client, self.thread, self.failed = service, client, thread, failed
+
+    def until(self, condition, rig: str = "drum"):
+        """The first status that meets the condition."""
+        ends = time.monotonic() + WITHIN_S
+        while not condition(status := self.client.status(rig)):
+            assert time.monotonic() < ends, status
+            time.sleep(0.01)
+        return status
+
+    def until_mode(self, mode: str, rig: str = "drum"):
+        return self.until(lambda status: status.mode == mode, rig)
+
+    def say(self, verb: str, rig: str = "drum") -> str:
+        return self.client.command(rig, verb, "the test")
+
+    def kinds(self, rig: str = "drum") -> list[str]:
+        return [event.kind for event in self.client.events(rig, limit=1000)]
+
+
+@contextmanager
+def daemon_process(folder: Path, *rigs: str, env=None):
+    """A daemon in another process, from its file; killed at the end if it lives."""
+    file = folder / "daemon.toml"
+    endpoint = with_port("tcp/127.0.0.1:0")
+    file.write_text(
+        f'stop_within_s = 3.0\n[service]\nlisten = "{endpoint}"\n{"".join(rigs)}', encoding="utf-8"
+    )
+    with (folder / "log").open("a") as log:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "estune.cli", "daemon", str(file)],
+            cwd=Path(__file__).parents[1],
+            stdout=subprocess.PIPE,
+            stderr=log,
+            text=True,
+            env=env,
+        )
+    try:
+        assert process.stdout.readline().startswith("daemon at"), (folder / "log").read_text()
+        with DaemonClient(endpoint) as client:
+            yield process, Watched(None, client)
+    finally:
+        process.kill()
+        process.wait()
+        process.stdout.close()
+
+
+def log_lines(folder: Path) -> list[dict]:
+    return [json.loads(line) for line in (folder / "log").read_text().splitlines()]
+
+
+def live_gains(endpoint: str) -> Gains:
+    with bus.connect(endpoint) as rig:
+        return rig.describe().gains

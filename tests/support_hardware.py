@@ -1,0 +1,125 @@
+"""An emulated rig: its configuration, and its loop in virtual time without any process."""
+
+import copy
+import os
+import tomllib
+
+import numpy as np
+
+import plants
+from estune.core import pidf
+from estune.hardware.config import RigConfig, config_from
+from estune.hardware.controller import PlainController
+from estune.hardware.driver import Reading
+from estune.hardware.machine import Machine
+from estune.hardware.memory import Memory, Word, column, flag_column, make_file
+from estune.hardware.plan import Begin
+from plants.emulator import RIG_FILE
+from plants.emulator.board import Board, Electronics
+
+_TABLES = tomllib.loads(RIG_FILE.read_text())
+
+
+def tables(**changes) -> dict:
+    """The tables of plants/emulator/rig.toml, with `guard__slack_N=2.0` and the like changed."""
+    made = copy.deepcopy(_TABLES)
+    for name, value in changes.items():
+        *path, key = name.split("__")
+        place = made
+        for part in path:
+            place = place[part]
+        place[key] = value
+    return made
+
+
+def config(**changes) -> RigConfig:
+    return config_from(tables(**changes), "rig.toml")
+
+
+def quick(**changes) -> RigConfig:
+    """The same with short trials and moves, for tests in wall-clock time."""
+    short = {
+        "settling_time_s": 0.05,
+        "motion__settle_s": 0.02,
+        "motion__rate_N_s": 400.0,
+        "motion__settle_N": 1.0,
+        "guard__late_in_a_row": 1000,  # the machine that runs the tests is busy
+        "guard__gap_s": 0.5,
+        "real_time__priority": 50,
+        "driver__settings": {"electronics": {"watchdog_s": 0.2}, "seed": 1},
+        "step__step_N": 5.0,
+        "step__step_at_s": 0.05,
+        "step__duration_s": 0.15,
+    }
+    return config(**(short | changes))
+
+
+class VirtualLoop:
+    """The loop of `estune.hardware.loop` with the clock and the pipe taken out.
+
+    Attributes:
+        current_A: What was commanded at each sample.
+        tension_N: What was read.
+    """
+
+    def __init__(self, rig: RigConfig, *, noise_N: float = 0.0) -> None:
+        self.plan = rig.plan()
+        file = make_file(self.plan.capacity)
+        self.memory = Memory(file, self.plan.capacity)
+        os.close(file)
+        self.machine = Machine(self.plan, self.memory, PlainController())
+        reel = plants.reference_reel(gauge_noise_N=noise_N or 1e-4)
+        self.board = Board(reel, Electronics(watchdog_s=10.0), 0, 0.0)
+        self.rig = rig
+        self.time_s = 0.0
+        self.current_A: list[float] = []
+        self.tension_N: list[float] = []
+        self._powered = False
+
+    def ask(self, gains, profile, number: int = 1, cost_max=float("inf")) -> None:
+        settings = self.rig.settings()
+        setpoint = profile.setpoint(settings.sampling_Hz)
+        self.memory.setpoint_N[: len(setpoint)] = setpoint.data
+        begin = Begin(
+            number,
+            pidf.coefficients(settings, gains),
+            len(setpoint),
+            profile.loop == "open",
+            cost_max,
+            2.0 * profile.duration_s,
+        )
+        self.machine.begin(begin)
+
+    def step(self, reading: Reading | None = None, silence_s: float = 0.0, *, late=False) -> None:
+        """One sample; `reading` is what is read instead of the truth."""
+        self.time_s += 1.0 / self.plan.sampling_Hz
+        counts = self.board.read(self.time_s)
+        seen = Reading(self.time_s, *counts) if reading is None else reading
+        command = self.machine.sample(seen, silence_s, late=late)
+        self.board.write(self.time_s, command)
+        self.current_A.append(Electronics().current_A(command))
+        self.tension_N.append(self.plan.gauge.force_N(seen.gauge_counts))
+        if self.machine.powered is not self._powered:
+            self._powered = self.machine.powered
+            self.board.power(self.time_s, on=self._powered)
+
+    def until(self, holds, within_s: float = 20.0) -> None:
+        """Runs until something holds."""
+        end = self.time_s + within_s
+        while not holds():
+            assert self.time_s < end, self.machine.phase
+            self.step()
+
+    def answer(self):
+        """Runs until the trial asked for has been answered."""
+        self.until(lambda: self.machine.answer is not None)
+        answer, self.machine.answer = self.machine.answer, None
+        return answer
+
+    def columns(self, kept: int) -> dict[str, np.ndarray]:
+        names = ("time_s", "setpoint_N", "tension_N", "current_A", "angle_rad")
+        made = {name: column(getattr(self.memory, name), kept) for name in names}
+        return made | {"flags": flag_column(self.memory.flags, kept)}
+
+    def estop(self, *, on: bool) -> None:
+        self.memory.words[Word.ESTOP] = on

@@ -1,0 +1,171 @@
+"""The control chart's false alarms against tables, a Markov chain and chance; what it tells."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.stats import norm, ttest_ind
+
+from estune.core.comparison import change
+from estune.core.control_chart import (
+    ChartState,
+    ControlChart,
+    Sign,
+    average_run_length,
+    limit_for,
+)
+from estune.errors import InvalidInput
+
+CHART = ControlChart(smoothing=0.2, false_alarm_checks=200.0)
+
+
+@pytest.mark.parametrize(
+    ("smoothing", "width"),
+    [(1.0, 3.090), (0.75, 3.087), (0.5, 3.071), (0.25, 2.998), (0.1, 2.814), (0.05, 2.615)],
+)
+def test_limits_are_those_of_the_published_table_for_a_run_length_of_500(smoothing, width):
+    # Lucas & Saccucci, Technometrics 32 (1990), in standard deviations of z, to three decimals.
+    sigma = math.sqrt(smoothing / (2.0 - smoothing))
+    assert limit_for(smoothing, 500.0) == pytest.approx(width * sigma, abs=1.5e-3 * sigma)
+
+
+@pytest.mark.parametrize("shift", [0.0, 0.5, 1.0, 3.0])
+@pytest.mark.parametrize("smoothing", [0.1, 0.2, 0.5])
+def test_run_lengths_are_those_of_a_markov_chain(smoothing, shift):
+    # Brook & Evans, Biometrika 59 (1972): z in cells, an absorbing chain; a second-order rule.
+    limit = limit_for(smoothing, 300.0)
+
+    def chain(cells: int) -> float:
+        edges = np.linspace(-limit, limit, cells + 1)
+        centres = 0.5 * (edges[1:] + edges[:-1])
+        below = norm.cdf((edges - (1.0 - smoothing) * centres[:, None]) / smoothing - shift)
+        return np.linalg.solve(np.eye(cells) - np.diff(below), np.ones(cells))[cells // 2]
+
+    fine, coarse = chain(603), chain(201)
+    expected = fine + (fine - coarse) / 8.0
+    assert average_run_length(smoothing, limit, shift) == pytest.approx(expected, rel=1e-4)
+
+
+def run_lengths(chart: ControlChart, runs: int, known: int, drift: float = 0.0) -> np.ndarray:
+    """Trials until the alarm, of charts that begin with so many repeats each."""
+    rng, lengths = np.random.default_rng(7), []
+    for _ in range(runs):
+        state = chart.begin(np.exp(rng.normal(0.0, 0.03, known)), np.exp(rng.normal(0.5, 0.03, 3)))
+        sign, length = Sign.STEADY, 0
+        while sign not in (Sign.WORSE, Sign.BETTER):
+            state, sign = chart.tell(state, math.exp(rng.normal(drift, 0.03)))
+            length += 1
+        lengths.append(length)
+    return np.array(lengths)
+
+
+@pytest.mark.parametrize("known", [3, 15])
+def test_false_alarms_are_as_rare_as_said_however_few_repeats_it_begins_with(known):
+    chart = ControlChart(smoothing=0.2, false_alarm_checks=60.0, scatter_min=1e-6)
+    lengths = run_lengths(chart, 400, known)
+    error = lengths.std() / math.sqrt(lengths.size)
+    # Trials that are repeated, and those not learnt from, make it rarer, but not by much.
+    assert 60.0 - 3.0 * error < lengths.mean() < 1.25 * 60.0 + 3.0 * error
+
+
+def test_a_drift_of_three_deviations_is_found_within_a_few_trials():
+    chart = ControlChart(smoothing=0.2, false_alarm_checks=1000.0, scatter_min=1e-6)
+    lengths = run_lengths(chart, 200, known=15, drift=0.09)
+    assert np.median(lengths) <= 6
+    assert lengths.max() < 60
+
+
+def begun() -> ChartState:
+    return CHART.begin([1.0, 1.02, 0.98], [2.0, 2.05, 1.96])
+
+
+def test_a_single_bad_trial_is_repeated_and_forgotten():
+    state, sign = CHART.tell(begun(), 3.0)
+    assert sign is Sign.SUSPECT
+    after, sign = CHART.tell(state, 1.01)
+    assert sign is Sign.OUTLIER
+    assert after == CHART.tell(begun(), 1.01)[0]
+
+
+@pytest.mark.parametrize(
+    ("cost", "sign"), [(3.0, Sign.WORSE), (math.inf, Sign.WORSE), (0.3, Sign.BETTER)]
+)
+def test_two_bad_trials_in_a_row_are_no_accident(cost, sign):
+    state, _ = CHART.tell(begun(), cost)
+    assert CHART.tell(state, cost)[1] is sign
+
+
+def test_one_bad_trial_above_and_one_below_are_repeated_again():
+    state, _ = CHART.tell(begun(), 3.0)
+    assert CHART.tell(state, 0.3)[1] is Sign.SUSPECT
+
+
+def test_a_drift_that_is_small_beside_the_scatter_always_allowed_for_is_none():
+    quiet = ControlChart(scatter_min=0.05)
+    state = quiet.begin([1.0, 1.0, 1.0])
+    for _ in range(200):
+        state, sign = quiet.tell(state, 1.01)
+        assert sign is Sign.STEADY
+
+
+def test_states_are_values_that_survive_being_written_as_lists():
+    state, _ = CHART.tell(begun(), 1.03)
+    assert ChartState(*list(state)) == state
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        lambda: ControlChart(smoothing=0.0),
+        lambda: ControlChart(false_alarm_checks=math.nan),
+        lambda: ControlChart(scatter_min=-1.0),
+        lambda: CHART.begin([1.0]),
+        lambda: CHART.begin([], [1.0, 2.0]),
+        lambda: CHART.begin([1.0, math.nan]),
+        lambda: CHART.tell(begun(), 0.0),
+        lambda: CHART.tell(begun(), math.nan),
+    ],
+)
+def test_what_cannot_be_charted_is_refused(bad):
+    with pytest.raises(InvalidInput):
+        bad()
+
+
+def test_the_interval_of_a_change_is_that_of_welchs_test():
+    before, after = [1.0, 1.1, 0.95, 1.02], [0.8, 0.7, 0.9]
+    expected = ttest_ind(np.log(after), np.log(before), equal_var=False).confidence_interval(0.9)
+    found = change(before, after, 0.9)
+    assert (found.low, found.high) == pytest.approx(np.expm1(expected))
+    assert found.estimate == pytest.approx(
+        np.exp(np.mean(np.log(after)) - np.mean(np.log(before))) - 1
+    )
+
+
+def test_the_best_of_two_must_be_better_by_more():
+    before, after = [1.0, 1.1, 0.95], [0.8, 0.7, 0.9]
+    assert change(before, after, 0.9, choices=2).high == pytest.approx(
+        change(before, after, 0.95).high
+    )
+
+
+def test_intervals_cover_as_often_as_said():
+    rng = np.random.default_rng(3)
+    trials = 1000
+    covered = 0
+    for _ in range(trials):
+        before, after = np.exp(rng.normal(0.0, 0.05, 4)), np.exp(rng.normal(-0.1, 0.02, 4))
+        found = change(before, after, 0.9)
+        covered += found.low < math.expm1(-0.1) < found.high
+    # Welch's approximation errs by a per cent or so; four standard errors of the count beside it.
+    assert covered / trials == pytest.approx(0.9, abs=0.015 + 4 * math.sqrt(0.09 / trials))
+
+
+def test_unsafe_gains_are_never_better_and_safe_ones_are_better_than_unsafe():
+    assert not change([1.0, 1.1], [0.5, math.inf]).is_fall
+    assert change([1.0, math.inf], [0.9, 0.9]).is_fall
+
+
+@pytest.mark.parametrize("bad", [([1.0], [1.0, 2.0]), ([1.0, 0.0], [1.0, 2.0])])
+def test_too_few_or_impossible_costs_are_refused(bad):
+    with pytest.raises(InvalidInput):
+        change(*bad)

@@ -1,0 +1,309 @@
+"""The doctor names what is wrong with a rig, says what to do, and moves nothing unasked."""
+
+import json
+import math
+import os
+import socket
+import subprocess
+import sys
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from estune.core.gains import Gains
+from estune.core.pidf import ControllerSettings
+from estune.doctor import State, examine, gentle_trial
+from estune.doctor.host import Host, check_ledger, check_permissions, check_ports, find_host
+from estune.doctor.link import Dated, check_clock, check_link
+from estune.link.state import Mode
+from estune.protocol import Status
+from estune.trial import LATE, SATURATED, LinearModel, Outcome, RigLimits
+from tests.serve_rig import served
+from tests.support_rigs import ScriptedRig, description, diverged, response
+
+ROOT = Path(__file__).parents[1]
+ELSEWHERE = "tcp/192.0.2.1:7447"  # an address for documentation: no process of this machine
+
+
+# A lag of 0.2 s, which the gains of the scripted rig hold with margins to spare.
+MODEL = LinearModel(((-5.0,),), (5.0,), (1.0,), 0.0, 0.005)
+
+
+class Patient(ScriptedRig):
+    """A scripted rig that says what it does, too."""
+
+    latched = ""
+
+    def __init__(self, answer, **changes) -> None:
+        super().__init__(answer, **({"linear_model": MODEL} | changes))
+
+    def status(self) -> Status:
+        return Status("0f", Mode.SAFE if self.latched else Mode.IDLE, "", 0, "", self.latched)
+
+
+def dated(request):
+    """A response of now, as a rig in good order gives it."""
+    return replace(response(request), started_at=datetime.now(UTC).isoformat())
+
+
+def found(rig: Patient, *, move: bool = True) -> dict[str, list[State]]:
+    """What the checks came to."""
+    findings = {f.check: f for f in examine(rig, "unixsock-stream/rig", move=move)}
+    for finding in findings.values():
+        assert finding.state is not State.FIX or finding.remedy
+    return {check: finding.state for check, finding in findings.items()}
+
+
+def to_fix(rig: Patient) -> set[str]:
+    return {check for check, state in found(rig).items() if state is State.FIX}
+
+
+def changed(**columns):
+    """Responses with some columns changed by functions of the record."""
+
+    def answer(request):
+        record = dated(request)
+        return replace(record, **{name: change(record) for name, change in columns.items()})
+
+    return answer
+
+
+def test_a_rig_in_good_order_has_nothing_to_be_mended():
+    states = found(Patient(dated))
+    assert set(states.values()) <= {State.FINE, State.UNKNOWN}
+    for check in ("state", "link", "limits", "live gains", "trials", "clock", "sampling"):
+        assert states[check] is State.FINE
+    for check in ("gauge", "cost", "restored"):
+        assert states[check] is State.FINE
+
+
+def test_nothing_moves_unless_it_is_allowed():
+    rig = Patient(dated)
+    assert found(rig, move=False)["trials"] is State.UNKNOWN
+    assert rig.asked == []
+
+
+def test_what_moves_is_gentler_than_what_the_rig_suggests_and_has_the_live_gains():
+    rig = Patient(dated)
+    found(rig)
+    about = description()
+    assert {request.gains for request in rig.asked} == {about.gains}
+    assert {request.profile for request in rig.asked} == {gentle_trial(about)}
+    assert abs(gentle_trial(about).step_N) < abs(about.step.step_N)
+
+
+def test_a_rig_after_an_emergency_stop_is_not_moved():
+    rig = Patient(dated)
+    rig.latched = "smoke"
+    assert to_fix(rig) == {"state"}
+    assert rig.asked == []
+
+
+INFINITE = RigLimits(0.0, math.inf, 5.0)
+TOO_WEAK = ControllerSettings(200.0, 0.002, -100.0, 12.0)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"limits": INFINITE, "simulated": False},
+        {"limits": RigLimits(0.0, 12.0, 5.0)},
+        {"limits": RigLimits(0.0, 50.0, 0.1)},
+        {"controller": TOO_WEAK},
+        {"settling_time_s": 0.45},
+    ],
+)
+def test_limits_that_are_none_or_do_not_fit_are_named_and_nothing_moves(changes):
+    rig = Patient(dated, **changes)
+    assert "limits" in to_fix(rig)
+    assert rig.asked == []
+
+
+def test_gains_without_margins_are_named():
+    assert to_fix(Patient(dated, gains=Gains(50.0, 5000.0, 0.0, 0.02))) == {"live gains"}
+
+
+def test_margins_of_a_rig_without_a_model_are_not_guessed():
+    assert found(Patient(dated, linear_model=None))["live gains"] is State.UNKNOWN
+
+
+def late(record):
+    return np.where(np.arange(record.flags.size) % 20 == 0, LATE, 0).astype(np.uint8)
+
+
+def saturated(record):
+    return np.where(np.arange(record.flags.size) % 2, SATURATED, 0).astype(np.uint8)
+
+
+def skipped(record):
+    period_s = 1.0 / record.sampling_Hz
+    return record.time_s + np.where(np.arange(record.time_s.size) > 40, period_s, 0.0)
+
+
+def noisy(record):
+    seed = int(record.trial_id[-2:])
+    return record.tension_N + np.random.default_rng(seed).normal(0.0, 0.5, record.time_s.size)
+
+
+def drifting(record):
+    return record.tension_N + 0.2 * int(record.trial_id[-2:])
+
+
+def with_nan(record):
+    return np.where(record.time_s > 0.3, math.nan, record.tension_N)
+
+
+def sluggish(record):
+    """Every other trial is slow: levels are the same, the way between them is not."""
+    if int(record.trial_id[-2:]) % 2:
+        return record.tension_N
+    step_N = gentle_trial(description()).step_N
+    return record.tension_N - 0.7 * step_N * (record.time_s >= 0.1) * np.exp(
+        (0.1 - record.time_s) / 0.1
+    )
+
+
+@pytest.mark.parametrize(
+    ("check", "answer"),
+    [
+        ("sampling", changed(flags=late)),
+        ("sampling", changed(time_s=skipped)),
+        ("gauge", changed(tension_N=drifting)),
+        ("gauge", changed(tension_N=lambda record: record.tension_N + 1.0)),
+        ("cost", changed(flags=saturated)),
+        ("cost", changed(tension_N=sluggish)),
+        ("trials", changed(tension_N=with_nan)),
+        ("trials", changed(angle_rad=lambda record: record.angle_rad[:-1])),
+        ("trials", diverged),
+        ("clock", changed(started_at=lambda _: "yesterday")),
+        ("clock", changed(started_at=lambda _: "2009-05-04T12:00:00")),
+        ("clock", changed(started_at=lambda _: "2009-05-04T12:00:00+02:00")),
+    ],
+)
+def test_what_is_wrong_with_the_records_is_named(check, answer):
+    assert check in to_fix(Patient(answer))
+
+
+def test_a_gauge_that_is_too_noisy_is_named():
+    assert "gauge" in to_fix(Patient(changed(tension_N=noisy)))
+
+
+def test_a_gauge_that_never_changes_is_dead_unless_it_is_simulated():
+    flat = changed(tension_N=lambda record: record.setpoint_N)
+    real = {"simulated": False, "controller": ControllerSettings(200.0, 0.002, -100.0, 100.0)}
+    assert found(Patient(flat, **real))["gauge"] is State.FIX
+    assert found(Patient(flat))["gauge"] is State.FINE
+
+
+def test_a_rig_that_does_not_put_its_gains_back_is_named():
+    class Forgetful(Patient):
+        def run(self, request):
+            record = super().run(request)
+            self.apply(replace(request.gains, P=2.0))
+            return record
+
+    assert "restored" in to_fix(Forgetful(dated))
+
+
+def test_a_link_too_slow_to_keep_the_lease_is_named():
+    assert check_link([0.001] * 200).state is State.FINE
+    assert check_link([0.001] * 190 + [0.4] * 10).state is State.FIX
+
+
+def at(offset_s: float, began_s: float, stepped_s: float = 0.0) -> Dated:
+    """A trial that took a second, on a rig whose clock is off."""
+    start = datetime.fromtimestamp(began_s + offset_s, UTC) + timedelta(seconds=0.1)
+    return Dated(began_s, began_s + 1.0 + stepped_s, 1.0, start.isoformat())
+
+
+def test_a_clock_that_is_off_or_jumps_is_named():
+    now = 1_700_000_000.0
+    steady = [at(0.2, now + 2.0 * n) for n in range(5)]
+    assert check_clock(steady).state is State.FINE
+    ahead = check_clock([at(30.0, now + 2.0 * n) for n in range(5)])
+    assert ahead.state is State.FIX
+    assert ahead.figures["clock_offset_low_s"] < 30.1 < ahead.figures["clock_offset_high_s"] + 0.2
+    jumped = check_clock([*steady, at(-5.0, now + 20.0)])
+    assert jumped.state is State.FIX
+    assert "jumped" in jumped.sentence
+    own = check_clock([*steady, at(0.2, now + 20.0, stepped_s=3600.0)])
+    assert "this machine's clock jumped" in own.sentence
+
+
+HOST = Host(1, ("127.0.0.1:7447",), real_time=True, locked=True, ledger=Path("rig.ledger"))
+
+
+@pytest.mark.parametrize(
+    ("host", "simulated", "state"),
+    [
+        (HOST, False, State.FINE),
+        (replace(HOST, real_time=False), False, State.FIX),
+        (replace(HOST, locked=False), False, State.FIX),
+        (None, False, State.UNKNOWN),
+        (replace(HOST, real_time=False), True, State.FINE),
+    ],
+)
+def test_permissions_the_loop_lacks_are_named(host, simulated, state):
+    assert check_permissions(host, simulated=simulated).state is state
+
+
+@pytest.mark.parametrize(
+    ("host", "endpoint", "asked_who", "state"),
+    [
+        (HOST, "tcp/127.0.0.1:7447", False, State.FINE),
+        (replace(HOST, listens=("0.0.0.0:7447",)), "tcp/127.0.0.1:7447", False, State.FIX),
+        (replace(HOST, listens=("[::]:7447",)), "tcp/127.0.0.1:7447", True, State.FINE),
+        (replace(HOST, listens=("[::1]:7447",)), "tcp/[::1]:7447", False, State.FINE),
+        (None, ELSEWHERE, False, State.FIX),
+        (None, ELSEWHERE, True, State.FINE),
+        (None, "tcp/localhost:7447", False, State.FINE),
+    ],
+)
+def test_a_port_that_others_reach_unasked_is_named(host, endpoint, asked_who, state):
+    assert check_ports(host, endpoint, asked_who=asked_who).state is state
+
+
+def test_where_the_ledger_is_is_said_and_not_guessed():
+    assert "rig.ledger" in check_ledger(HOST, simulated=False).sentence
+    forgetful = replace(HOST, ledger=None)
+    assert check_ledger(forgetful, simulated=True).state is State.FINE
+    assert check_ledger(forgetful, simulated=False).state is State.UNKNOWN
+    assert check_ledger(None, simulated=False).state is State.UNKNOWN
+
+
+@pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="only Linux tells")
+def test_the_process_that_listens_is_found_with_all_it_listens_at():
+    with socket.create_server(("127.0.0.1", 0)) as one:
+        with socket.create_server(("0.0.0.0", 0)) as other:  # noqa: S104  what is looked for
+            ports = one.getsockname()[1], other.getsockname()[1]
+            host = find_host(f"tcp/127.0.0.1:{ports[0]}")
+        assert host.pid == os.getpid()
+        assert {f"127.0.0.1:{ports[0]}", f"0.0.0.0:{ports[1]}"} <= set(host.listens)
+    assert find_host(f"tcp/127.0.0.1:{ports[1]}") is None
+    assert find_host(ELSEWHERE) is None
+
+
+def call(*arguments: str) -> subprocess.CompletedProcess:
+    command = [sys.executable, "-m", "estune.cli", "doctor", *arguments]
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+
+
+def test_on_the_command_line_a_rig_to_be_mended_is_an_error_and_says_so_in_json():
+    with served("simulated") as server:
+        done = call(server.endpoint, "--move", "--json")
+        assert done.returncode == 0, done.stderr
+        findings = {f["check"]: f for f in json.loads(done.stdout)["findings"]}
+        assert findings["cost"]["state"] == "fine"
+        assert findings["ledger"]["sentence"].startswith("on disk")
+        done = call(server.endpoint)
+        assert done.returncode == 0
+        assert "nothing was moved" in done.stdout
+    with served("diverging") as server:
+        done = call(server.endpoint, "--move")
+        assert done.returncode == 4
+        assert "to be mended" in done.stderr
+        assert "-> " in done.stdout
+        assert Outcome.DIVERGED.sentence in done.stdout

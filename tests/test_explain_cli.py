@@ -1,0 +1,197 @@
+"""`estune explain`: what it prints and writes, and how it ends."""
+
+import json
+import re
+
+import pytest
+
+import plants
+from estune.cli import run
+from estune.errors import InvalidInput
+from estune.export import write_record
+from estune.trial import TrialRequest
+from estune.trial_file import read_trial
+from plants.discrepancy import explain as module
+from plants.discrepancy.battery import battery
+from plants.effects import EFFECTS
+from tests.support_diagnosis import REEL, deciding, diagnosis, nothing_found
+
+HOSE = """
+from dataclasses import dataclass
+from typing import ClassVar
+from plants.effects import Effect, Port, parameter
+
+
+@dataclass(frozen=True)
+class Spring(Effect):
+    name: ClassVar[str] = "rewind_spring"
+    title: ClassVar[str] = "spring that rewinds the drum"
+    appearance: ClassVar[str] = "less current than the tension takes"
+    port: ClassVar[Port] = Port.DRUM
+    torque_Nm: float = parameter(0.05, low=0.0, high=1.0, unit="N m", neutral=0.0)
+"""
+
+
+@pytest.fixture
+def asked(monkeypatch):
+    """What the command asked the library for; the answer is a made-up diagnosis."""
+    calls = []
+
+    def explain(model, records, *, effects=None):
+        calls.append({"model": model, "records": records, "effects": effects})
+        return diagnosis()
+
+    monkeypatch.setattr(module, "explain", explain)
+    return calls
+
+
+def command(*arguments):
+    return run(["explain", "--model", "plants:reference_reel", "--data", "runs", *arguments])
+
+
+def test_the_terminal_shows_verdict_gap_parameters_and_what_is_wrong_with_files(asked, capsys):
+    assert command() == 0
+    shown = capsys.readouterr().out
+    made = diagnosis()
+    assert shown.startswith(made.heading())
+    for sentence in (made.effects[0].sentence, *(str(f) for f in made.findings)):
+        assert sentence in shown
+    assert re.search(r"gap of short predictions +0\.58 N +0\.047 N", shown)
+    assert re.search(r"eyelet_friction +attenuation +0\.9310 +0\.9279 to 0\.9341", shown)
+    assert re.search(r"not excited +backlash, drum_eccentricity;", shown)
+    assert "--model plants:reference_reel --data runs --report" in shown
+    assert asked == [{"model": REEL, "records": asked[0]["records"], "effects": None}]
+
+
+def test_json_is_one_strict_object_and_nothing_else(asked, capsys):
+    assert command("--json") == 0
+
+    def refuse(constant):
+        raise AssertionError(constant)
+
+    told = json.loads(capsys.readouterr().out, parse_constant=refuse)
+    assert told == json.loads(json.dumps(diagnosis().to_json()))
+    assert asked
+
+
+def test_report_and_model_are_written_and_named(asked, tmp_path, capsys):
+    page, improved = tmp_path / "out.html", tmp_path / "improved.toml"
+    assert command("--report", str(page), "--save", str(improved)) == 0
+    shown = capsys.readouterr().out
+    assert diagnosis().sentence in page.read_text().replace("&nbsp;", " ")
+    assert plants.load_model(improved) == diagnosis().augmented
+    assert str(page) in shown
+    assert f"estune tune {improved}" in shown
+    assert asked
+
+
+def test_a_model_file_is_taken_where_a_module_is(asked, tmp_path):
+    reel = plants.reference_reel(cable_length_m=1.3)
+    plants.save_model(reel, tmp_path / "reel.toml")
+    assert run(["explain", "--model", str(tmp_path / "reel.toml"), "--data", "runs"]) == 0
+    assert asked[0]["model"] == reel
+
+
+def test_effects_of_ones_own_join_those_there_are(asked, tmp_path, monkeypatch):
+    (tmp_path / "own_hose.py").write_text(HOSE)
+    monkeypatch.syspath_prepend(tmp_path)
+    assert command("--effects", "own_hose:Spring") == 0
+    names = [effect.name for effect in asked[0]["effects"]]
+    assert set(names) >= {*EFFECTS, "rewind_spring"}
+
+
+def test_what_was_not_found_is_told_as_plainly(monkeypatch, capsys):
+    monkeypatch.setattr(module, "explain", lambda *_, **__: nothing_found())
+    assert command() == 0
+    shown = capsys.readouterr().out
+    assert shown.startswith("NONE: ")
+    assert "with the effects" not in shown
+
+
+def test_the_trial_that_would_decide_is_told_and_written_as_a_file(monkeypatch, tmp_path, capsys):
+    unsure = diagnosis(
+        verdict="ambiguous",
+        ambiguous=("coulomb_friction", "dahl_hysteresis"),
+        next_experiment=deciding(),
+    )
+    monkeypatch.setattr(module, "explain", lambda *_, **__: unsure)
+    assert command() == 0
+    first = capsys.readouterr().out
+    assert "Coulomb friction of the drum or Dahl hysteresis of the drum" in first
+    assert deciding().sentence in first
+    assert "--data runs --next ." in first
+    assert command("--next", str(tmp_path)) == 0
+    path = tmp_path / "triangle-slow.trial.json"
+    assert f"estune run-experiment {path} RIG --data runs" in capsys.readouterr().out
+    assert read_trial(path) == deciding().trial
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--report", "no/where.html"), "no folder no; make it, or give another --report"),
+        (("--save", "no/where.toml"), "give another --save"),
+        (("--effects", "coulomb_frictoin"), "there is no effect"),
+        (("--effects", "json:loads"), "an effect is a class derived from Effect"),
+    ],
+)
+def test_a_bad_option_is_refused_before_the_work(asked, arguments, words, capsys):
+    assert command(*arguments) == InvalidInput.exit_code
+    said = capsys.readouterr()
+    assert words in said.err
+    assert not said.out
+    assert not asked
+
+
+@pytest.mark.parametrize(
+    ("model", "words"),
+    [
+        ("nowhere.toml", "No such file"),
+        ("plants:no_such_reel", "has no 'no_such_reel'"),
+        ("reel", "nor a model file"),
+    ],
+)
+def test_a_model_that_is_not_there_is_one_line_with_code_2(asked, model, words, capsys):
+    assert run(["explain", "--model", model, "--data", "runs"]) == InvalidInput.exit_code
+    said = capsys.readouterr().err
+    assert words in said
+    assert said.count("\n") == 1
+    assert not asked
+
+
+@pytest.mark.slow
+def test_friction_hidden_in_a_simulated_reel_is_named_from_files_one_of_which_is_bad(
+    tmp_path, capsys
+):
+    base = plants.reference_reel()
+    rig = (base + EFFECTS["coulomb_friction"](torque_Nm=0.03)).rig(seed=4)
+    about = rig.describe()
+    for number, experiment in enumerate(battery(about)[1:4]):
+        trial = TrialRequest("hidden", number, about.gains, experiment.profile)
+        write_record(rig.run(trial), tmp_path / "data")
+    (tmp_path / "data" / "bad.csv").write_text("time_s,setpoint_N\n0.0,1.0\nnoon,2.0\n")
+    plants.save_model(base, tmp_path / "reel.toml")
+    arguments = ["explain", "--model", str(tmp_path / "reel.toml")]
+    arguments += ["--data", str(tmp_path / "data"), "--json"]
+    improved, page = tmp_path / "improved.toml", tmp_path / "page.html"
+    assert run([*arguments, "--save", str(improved), "--report", str(page)]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["verdict"] in {"named", "incomplete", "ambiguous"}
+    names = {effect["name"] for effect in told["effects"]} | set(told["ambiguous"])
+    assert names & {"coulomb_friction", "stribeck_friction", "dahl_hysteresis"}
+    assert told["gap_after_N"] < 0.5 * told["gap_before_N"]
+    assert told["where"]["block"] == "force"
+    (refused,) = [f for f in told["findings"] if f["level"] == "refused"]
+    assert (refused["column"], refused["row"]) == ("time_s", 2)
+    assert refused["source"].endswith("bad.csv")
+    (effect, *_) = plants.load_model(improved).effects
+    assert effect.name in names
+    assert refused["sentence"] in page.read_text().replace("&nbsp;", " ").replace("&#x27;", "'")
+
+
+def test_a_folder_without_records_is_one_line_with_code_2(tmp_path, capsys):
+    arguments = ["explain", "--model", "plants:reference_reel", "--data", str(tmp_path / "none")]
+    assert run(arguments) == InvalidInput.exit_code
+    said = capsys.readouterr()
+    assert str(tmp_path / "none") in said.err
+    assert not said.out

@@ -1,0 +1,115 @@
+"""The noise floor: right where the noise is known, and never taken in by what is not noise."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from plants import reference_reel
+from plants.discrepancy.floor import noise_floor
+from plants.discrepancy.noise import spectral_rms, step_of, upper_rms
+from plants.discrepancy.periods import periods_of
+from plants.discrepancy.record import Measurement
+from plants.identify.excitation import Band, chirp, multisine
+from plants.identify.open_loop import open_loop_record
+
+RATE = 632.0
+REEL = reference_reel()
+STEP_RAD = 2.0 * np.pi / REEL.encoder_counts
+
+
+def measured(excitation, seed=0):
+    return Measurement.of(open_loop_record(REEL, excitation, seed=seed))
+
+
+SWEEP = chirp(RATE, Band(1.0, 40.0, period_s=4.0, periods=2, settling_periods=0), 4.0)
+SINES = multisine(RATE, Band(1.0, 60.0, periods=3), 4.0)
+
+
+def once(m):
+    """The first period of a record, in which nothing repeats."""
+    n = m.samples // 2 - 7
+    cut = {c: getattr(m, c)[:n] for c in ("time_s", "setpoint_N", "current_A", "tension_N")}
+    return replace(m, **cut, angle_rad=m.angle_rad[:n], flags=m.flags[:n])
+
+
+@pytest.mark.parametrize(
+    ("how", "records"),
+    [
+        ("repeats", [measured(SWEEP, 1), measured(SWEEP, 2)]),
+        ("periods", [measured(SINES)]),
+        ("upper spectrum", [once(measured(SWEEP))]),
+    ],
+)
+def test_the_gauge_noise_of_a_reel_is_found(how, records):
+    floor = noise_floor(records)
+    assert floor.channels["tension_N"].how == how
+    assert floor.tension_N == pytest.approx(REEL.gauge_noise_N, rel=0.06)
+    assert floor.channels["angle_rad"].lsb == pytest.approx(STEP_RAD, rel=1e-6)
+    assert floor.angle_rad == pytest.approx(STEP_RAD / 12**0.5, rel=0.1)
+
+
+def test_noise_is_found_while_the_setpoint_stands_still():
+    rng = np.random.default_rng(5)
+    n = 2000
+    setpoint = np.where(np.arange(n) < 1000, 10.0, 20.0)
+    still = 10.0 + rng.normal(0.0, 0.3, n)
+    rung = np.exp(-(np.arange(n) % 1000) / 40.0) * 5.0 * np.sin(np.arange(n) / 3.0)
+    drifting = 2.0 * np.arange(n) / n
+    m = replace(once(measured(SWEEP)), time_s=np.arange(n) / RATE, setpoint_N=setpoint)
+    m = replace(m, tension_N=setpoint + still + rung + drifting, angle_rad=None, current_A=None)
+    floor = noise_floor([m])
+    assert floor.how == "quiet stretches"
+    assert floor.tension_N == pytest.approx(0.3, rel=0.08)
+
+
+@pytest.mark.parametrize("samples", [632, 6320])
+@pytest.mark.parametrize("rms_of", [spectral_rms, upper_rms])
+def test_mains_and_drift_are_not_taken_for_noise(samples, rms_of):
+    rng = np.random.default_rng(1)
+    t = np.arange(samples) / RATE
+    mains = 0.5 * np.sin(2.0 * np.pi * 50.0 * t)
+    found = rms_of(rng.normal(0.0, 0.1, samples) + mains + 0.2 * t)
+    assert found == pytest.approx(0.1, rel=0.12)
+
+
+def test_hum_of_another_phase_in_each_repeat_is_not_taken_for_noise():
+    humming = []
+    for seed in (1, 2):
+        m = measured(SWEEP, seed)
+        hum = 0.5 * np.sin(2.0 * np.pi * 50.02 * np.arange(m.samples) / RATE + 2.0 * seed)
+        humming.append(replace(m, tension_N=m.tension_N + hum))
+    floor = noise_floor(humming)
+    assert floor.how.startswith("repeats")
+    assert floor.tension_N == pytest.approx(REEL.gauge_noise_N, rel=0.15)
+
+
+def test_coloured_noise_is_counted_whole_in_repeats():
+    rng = np.random.default_rng(2)
+    white = rng.standard_normal(8001)
+    coloured = white[1:] + 0.9 * white[:-1]
+    assert spectral_rms(coloured) == pytest.approx((1.0 + 0.9**2) ** 0.5, rel=0.04)
+
+
+def test_the_step_of_rounded_readings_is_found_and_that_of_others_is_not():
+    rng = np.random.default_rng(3)
+    smooth = rng.standard_normal(2000)
+    assert step_of(smooth) == 0.0
+    for step in (STEP_RAD, 0.25, 3e-5):
+        readings = 1.7 + np.round(smooth * 40.0) * step
+        assert step_of(readings) == pytest.approx(step, rel=1e-6)
+
+
+@pytest.mark.parametrize("period_s", [1.0, 2.5])
+def test_the_period_is_that_of_the_excitation(period_s):
+    period_s = round(period_s * RATE) / RATE
+    excitation = multisine(RATE, Band(2.0, 50.0, period_s=period_s, periods=4), 3.0)
+    lead = np.full(100, 15.0)
+    found = periods_of(np.concatenate([lead, 15.0 + excitation.waveform_N, lead]))
+    assert found.samples == round(period_s * RATE)
+    assert found.periods == 5
+
+
+@pytest.mark.parametrize("setpoint", [np.repeat([1.0, 2.0], 500), np.linspace(0.0, 1.0, 900)])
+def test_a_step_or_a_ramp_has_no_period(setpoint):
+    assert periods_of(setpoint) is None

@@ -1,0 +1,276 @@
+"""Hardware in wall-clock time: rig, loop and emulated reel in processes of their own."""
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from estune.core.gains import Gains
+from estune.errors import InvalidInput, RigError
+from estune.hardware import HardwareRig
+from estune.trial import Outcome, TrialRequest
+from plants.emulator import EmulatedDriver
+from plants.emulator.driver import started
+from tests.support_hardware import quick
+
+ROOT = Path(__file__).parents[1]
+GAINS = Gains(0.7, 12.0, 0.004, 0.01)
+GIVE_UP_S = 30.0
+
+
+@pytest.fixture(scope="module")
+def address():
+    """Where the emulated hardware is, which outlives whoever drives it."""
+    with started({"electronics": {"watchdog_s": 0.2}, "seed": 1}) as address:
+        yield address
+
+
+@pytest.fixture
+def hardware(address):
+    """Its address, and a look at the truth."""
+    with EmulatedDriver(address) as watcher:
+        before = watcher.truth().tripped
+
+        def truth():
+            now = watcher.truth()
+            return now._replace(tripped=now.tripped - before)
+
+        yield address, truth
+
+
+def configuration(address: str, **changes):
+    return quick(driver__settings={"address": address}, **changes)
+
+
+@pytest.fixture
+def rig(hardware):
+    with HardwareRig(configuration(hardware[0])) as rig:
+        yield rig
+
+
+def ask(rig, number=0, gains=GAINS, **changes) -> TrialRequest:
+    step = rig.describe().step
+    profile = type(step)(**{n: getattr(step, n) for n in step.__slots__ if n != "kind"} | changes)
+    return TrialRequest("run", number, gains, profile)
+
+
+def eventually(holds) -> None:
+    """Waits for something that must come, however slow the machine is."""
+    end = time.monotonic() + GIVE_UP_S
+    while not holds():
+        assert time.monotonic() < end
+        time.sleep(0.005)
+
+
+@contextmanager
+def in_background(call):
+    """Runs a call in a thread; yields a list that will hold its result or its error."""
+    results = []
+
+    def run():
+        try:
+            results.append(call())
+        except RigError as error:
+            results.append(error)
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    try:
+        yield results
+    finally:
+        thread.join(GIVE_UP_S)
+
+
+@contextmanager
+def agent(address: str):
+    """A process with a rig on this hardware that holds the reel after one trial."""
+    code = (
+        "import sys; from estune.hardware import HardwareRig;"
+        "from tests.support_hardware import quick; from tests.test_hardware import ask;"
+        f"rig = HardwareRig(quick(driver__settings={{'address': {address!r}}}));"
+        "rig.run(ask(rig)); print('held', flush=True); sys.stdin.read()"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", code],
+        cwd=ROOT,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as process:
+        try:
+            assert process.stdout.readline() == "held\n"
+            yield process
+        finally:
+            process.kill()
+
+
+def test_nothing_has_power_before_the_first_trial_and_after_the_last(hardware):
+    address, truth = hardware
+    with HardwareRig(configuration(address)) as rig:
+        eventually(lambda: rig.timing().samples > 50)
+        assert not truth().powered
+        assert rig.run(ask(rig)).outcome is Outcome.DONE
+        assert truth().powered
+        assert rig.state().phase == "hold"
+    assert not truth().powered
+    assert truth().current_A == 0.0
+
+
+def test_a_record_holds_what_the_hardware_did(rig, hardware):
+    record = rig.run(ask(rig))
+    assert record.outcome is Outcome.DONE
+    spacing = np.diff(record.time_s)
+    assert spacing.min() > 0.0  # stamped when read, not when it should have been
+    assert spacing.std() > 0.0
+    assert record.tension_N[:20].mean() == pytest.approx(15.0, abs=1.0)
+    eventually(lambda: abs(rig.state().tension_N - hardware[1]().tension_N) < 0.5)
+
+
+def test_a_trial_can_be_watched_while_it_runs(rig):
+    assert rig.telemetry(0) is None
+    seen = []
+    with in_background(lambda: rig.run(ask(rig, duration_s=1.0))) as results:
+        eventually(lambda: rig.telemetry(0) is not None)
+        while (shown := rig.telemetry(sum(part.tension_N.size for part in seen))) is not None:
+            seen.append(shown)
+    (record,) = results
+    tension = np.concatenate([part.tension_N for part in seen])
+    assert {part.trial_id for part in seen} == {record.trial_id}
+    assert 0 < tension.size <= record.tension_N.size
+    np.testing.assert_array_equal(tension, record.tension_N[: tension.size])
+
+
+def test_gains_can_be_changed_while_the_reel_is_held(rig, hardware):
+    rig.run(ask(rig))
+    for P in (0.2, 0.8, 0.4):
+        rig.apply(Gains(P, 12.0, 0.01, 0.03))
+    assert rig.describe().gains.P == 0.4
+    assert rig.state().phase == "hold"
+    assert hardware[1]().tripped == 0
+
+
+def test_a_loop_that_is_killed_leaves_the_reel_to_the_hardwares_watchdog(hardware):
+    address, truth = hardware
+    with HardwareRig(configuration(address)) as rig:
+        rig.run(ask(rig))
+        os.kill(rig._process.pid, signal.SIGKILL)
+        eventually(lambda: truth().tripped == 1)
+        assert truth().current_A == 0.0
+        for call in (rig.describe, rig.state, lambda: rig.run(ask(rig, 1)), rig.abort):
+            with pytest.raises(RigError, match="loop has ended"):
+                call()
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+def test_a_loop_that_dies_or_hangs_in_a_trial_is_an_error_and_never_comes_back(hardware, number):
+    address, truth = hardware
+    with HardwareRig(configuration(address)) as rig:
+        with in_background(lambda: rig.run(ask(rig, duration_s=8.0))) as results:
+            eventually(lambda: rig.state().phase == "trial")
+            os.kill(rig._process.pid, number)
+        (error,) = results
+        assert isinstance(error, RigError)
+        assert rig._process.poll() is not None
+        eventually(lambda: truth().tripped == 1)
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+def test_an_agent_that_dies_or_hangs_leaves_the_reel_in_its_safe_state(hardware, number):
+    address, truth = hardware
+    with agent(address) as process:
+        assert truth().powered
+        process.send_signal(number)
+        if number == signal.SIGKILL:
+            eventually(lambda: not truth().powered)
+            assert truth().tripped == 0  # in order, by the loop itself
+        else:
+            written = truth().written
+            eventually(lambda: truth().written > written + 500)
+            assert truth().powered  # its safe state is to be held by the live gains
+            assert truth().tension_N == pytest.approx(15.0, abs=3.0)
+
+
+def test_a_driver_that_fails_ends_motion_and_is_named(hardware):
+    address, _ = hardware
+    with started({"electronics": {"watchdog_s": 0.2}}) as other:
+        rig = HardwareRig(configuration(other))
+        rig.run(ask(rig))
+    with pytest.raises(RigError, match=r"the loop has failed|loop has ended"):
+        rig.run(ask(rig, 1))
+    rig.close()
+    with HardwareRig(configuration(address)) as rig:  # and another rig is none the worse
+        assert rig.run(ask(rig)).outcome is Outcome.DONE
+
+
+def test_the_emergency_stop_waits_for_nobody_and_stays_until_cleared(rig, hardware):
+    with in_background(lambda: rig.run(ask(rig, duration_s=8.0))) as results:
+        eventually(lambda: rig.state().phase == "trial")
+        rig.estop("a hand in the cable")
+        eventually(lambda: not hardware[1]().powered)
+    (record,) = results
+    assert (record.outcome, record.reason) == (
+        Outcome.CANCELLED,
+        "emergency stop: a hand in the cable",
+    )
+    assert rig.state().latched
+    for call in (lambda: rig.run(ask(rig, 1)), lambda: rig.apply(GAINS)):
+        with pytest.raises(RigError, match="a hand in the cable"):
+            call()
+    rig.clear()
+    assert rig.run(ask(rig, 2)).outcome is Outcome.DONE
+
+
+def test_closing_ends_a_trial_under_way(hardware):
+    rig = HardwareRig(configuration(hardware[0]))
+    with in_background(lambda: rig.run(ask(rig, duration_s=8.0))) as results:
+        eventually(lambda: rig.state().phase == "trial")
+        rig.close()
+    assert results[0].outcome is Outcome.CANCELLED
+    assert not hardware[1]().powered
+
+
+def test_gains_that_do_not_hold_the_reel_are_a_record_and_the_live_ones_are_back(rig):
+    wild = Gains(12.0, 600.0, 0.015, 0.005)
+    record = rig.run(ask(rig, gains=wild, duration_s=3.0))
+    assert record.outcome is Outcome.GUARD
+    assert "limit" in record.reason
+    assert rig.run(ask(rig, 1)).outcome is Outcome.DONE
+
+
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        ({"driver__use": "nobody"}, "no installed package offers a driver 'nobody'"),
+        ({"driver__use": "plants.emulator:Nothing"}, "has no 'Nothing'"),
+        ({"driver__use": "argparse:Namespace"}, "is no driver"),
+        ({"driver__settings": {"colour": "red"}}, "colour"),
+        ({"driver__settings": {"reel": {"tension_N": 1e3}}}, "tension is 1000 N"),
+    ],
+)
+def test_a_driver_that_cannot_be_used_is_named(changes, told):
+    with pytest.raises((InvalidInput, RigError), match=told):
+        HardwareRig(quick(**changes))
+
+
+def test_hardware_that_is_not_there_is_named(tmp_path):
+    with pytest.raises(RigError, match="no emulated hardware at"):
+        HardwareRig(configuration(str(tmp_path / "nothing")))
+
+
+def test_a_driver_is_found_by_the_name_an_installed_package_gives_it(tmp_path, monkeypatch):
+    package = tmp_path / "acme-1.0.dist-info"
+    package.mkdir()
+    (package / "METADATA").write_text("Metadata-Version: 2.1\nName: acme\nVersion: 1.0\n")
+    (package / "entry_points.txt").write_text(
+        "[estune.drivers]\nacme = plants.emulator:EmulatedDriver\n"
+    )
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    with HardwareRig(quick(driver__use="acme")) as rig:
+        assert rig.run(ask(rig)).outcome is Outcome.DONE

@@ -1,0 +1,222 @@
+"""From a rig with something hidden in it to a better model, and to gains tuned with it."""
+
+import json
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import plants
+from estune.cli import run
+from estune.errors import InvalidInput
+from estune.profiles import StepProfile, TriangleProfile
+from estune.trial import RigLimits, TrialRequest
+from estune.trial_file import TrialFile, read_trial
+from estune.tuning import Stopped
+from plants.discrepancy.base import BaseNumbers
+from plants.discrepancy.battery import battery, catalogue
+from plants.discrepancy.floor import noise_floor
+from plants.discrepancy.improve import TuneOptions
+from plants.discrepancy.next_experiment import Evidence, next_experiment, rig_of
+from plants.discrepancy.record import Measurement
+from plants.discrepancy.records import read_measurements
+from plants.discrepancy.where import Where, localise
+from plants.effects import CoulombFriction, EyeletFriction
+from tests.serve_rig import served
+
+REEL = plants.reference_reel()
+SHORT = TuneOptions(model_trials=40, rig_trials=6, watch=None)
+FEW = ("coulomb_friction", "eyelet_friction", "dead_time")
+RIGS = {
+    "reel": REEL,
+    "long, slack reel": plants.reference_reel(1.4, 8.0),
+    "narrow limits": plants.reference_reel(tension_min_N=12.0, tension_max_N=18.0),
+    "unloaded reel": plants.unloaded_reel(),
+}
+
+
+def about(name):
+    return RIGS[name].describe("rig", None)
+
+
+@pytest.mark.parametrize("name", RIGS)
+@pytest.mark.parametrize("make", [battery, catalogue])
+def test_experiments_stay_within_a_rigs_limits_and_so_does_what_it_is_foretold_to_do(name, make):
+    rig = about(name)
+    experiments = make(rig)
+    assert len({one.name for one in experiments}) == len(experiments) >= 5
+    for one in experiments:
+        rig.limits.check(one.profile)
+        trial = plants.simulate(RIGS[name], rig.gains, one.profile)
+        assert trial.diverged_at is None
+        if rig.cable_length_m is not None:
+            assert trial.tension_N.min() >= rig.limits.tension_min_N
+            assert trial.tension_N.max() <= rig.limits.tension_max_N
+    if make is battery:
+        assert 25.0 < sum(one.profile.duration_s for one in experiments) < 31.0
+
+
+def records(reel, seed=0):
+    rig = reel.rig(seed=seed)
+    known = rig.describe()
+    return [
+        Measurement.of(rig.run(TrialRequest("battery", n, known.gains, one.profile)))
+        for n, one in enumerate(battery(known))
+    ]
+
+
+@pytest.fixture(scope="module")
+def plain():
+    seen = records(REEL)
+    return Evidence(seen, noise_floor(seen), Where((), (), ""), 1.0)
+
+
+def test_the_experiment_that_decides_is_one_in_which_the_models_differ_whatever_is_refitted(plain):
+    rivals = {"coulomb": REEL + CoulombFriction(), "eyelet": REEL + EyeletFriction()}
+    found = next_experiment("ambiguous", REEL, rivals, plain, about("reel"))
+    assert found.separation == max(found.tried.values())
+    assert found.trial.name == max(found.tried, key=found.tried.get)
+
+    def apart(profile):
+        """Independently: the readings' difference less gain, offset, delay and inertia."""
+        one, other = (plants.simulate(m, about("reel").gains, profile) for m in rivals.values())
+        parts = []
+        for channel, sigma in (("tension_N", 0.04), ("angle_rad", 2e-4)):
+            y, d = getattr(one, channel), getattr(other, channel) - getattr(one, channel)
+            slopes = [np.ones_like(y), y, np.gradient(y), np.gradient(np.gradient(y))]
+            A = np.stack(slopes, axis=1)
+            left = d - A @ np.linalg.lstsq(A, d, rcond=None)[0]
+            parts.append(np.mean((left / np.hypot(sigma, 0.004 * y.std())) ** 2))
+        return sum(parts)
+
+    profiles = {one.name: one.profile for one in catalogue(about("reel"))}
+    worst = min(found.tried, key=found.tried.get)
+    assert apart(found.trial.profile) > 5.0 * apart(profiles[worst])
+
+
+def test_models_that_no_experiment_tells_apart_are_left_as_they_are(plain):
+    same = {"one": REEL + CoulombFriction(), "other": REEL + CoulombFriction()}
+    assert next_experiment("ambiguous", REEL, same, plain, about("reel")) is None
+    assert next_experiment("named", REEL, same, plain, about("reel")) is None
+
+
+def test_a_gap_that_nothing_explains_asks_for_what_drives_it():
+    seen = records(REEL + CoulombFriction(torque_Nm=0.05))
+    noise = noise_floor(seen)
+    where = localise(seen, [BaseNumbers.of(REEL, m) for m in seen], noise)
+    assert where.blocks[0].regime.name.startswith("velocity")
+    found = next_experiment("unknown", REEL, {}, Evidence(seen, noise, where, 5.0))
+    assert found.separation is None
+    assert where.blocks[0].regime.name in found.sentence
+    low, high = rig_of(REEL, seen).limits.tension_min_N, rig_of(REEL, seen).limits.tension_max_N
+    assert low <= found.trial.profile.extremes_N[0] < found.trial.profile.extremes_N[1] <= high
+
+
+@pytest.fixture
+def trial(tmp_path):
+    profile = TriangleProfile(15.0, 5.0, 1.0, 2.2, 0.2, loop="open")
+    return TrialFile("slow", profile, why="because").write(tmp_path)
+
+
+def test_the_trial_of_a_file_runs_on_a_rig_and_its_record_joins_the_data(trial, tmp_path, capsys):
+    data = tmp_path / "data"
+    with served("simulated") as rig:
+        for _ in range(2):  # a trial id never runs twice, the same file may
+            assert run(["run-experiment", str(trial), rig.endpoint, "--data", str(data)]) == 0
+    assert "the trial ran to its end" in capsys.readouterr().out
+    read = read_measurements(data)
+    assert len(read.measurements) == 2
+    assert not read.findings
+    first = read.measurements[0]
+    asked = read_trial(trial).profile
+    assert (first.loop, first.profile, first.preload_N) == ("open", "triangle", 15.0)
+    np.testing.assert_array_equal(first.setpoint_N, asked.setpoint(632.0))
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda values: values.pop("profile"), "profile: Field required"),
+        (lambda values: values.update(colour="red"), "colour"),
+        (lambda values: values["profile"].update(kind="square"), "profile: .*square"),
+        (lambda values: values["profile"].update(period_s=-1.0), "period_s is -1.0"),
+        (lambda values: values["profile"].update(amplitude_N=90.0), "outside the rig's range"),
+        (lambda values: values.update(name="../x"), "may hold only letters"),
+    ],
+)
+def test_a_file_that_is_no_trial_for_the_rig_is_refused(trial, tmp_path, capsys, change, said):
+    values = json.loads(trial.read_text())
+    change(values)
+    trial.write_text(json.dumps(values))
+    wanted = ["run-experiment", str(trial), "plants:reference_reel", "--data", str(tmp_path / "d")]
+    assert run(wanted) == InvalidInput.exit_code
+    assert re.search(said, capsys.readouterr().err)
+    assert not (tmp_path / "d").exists()
+
+
+@pytest.mark.slow
+def test_what_is_hidden_in_a_rig_is_found_added_and_makes_its_costs_foretellable(tmp_path):
+    rig = (REEL + CoulombFriction(torque_Nm=0.05)).rig(seed=7)
+    live = rig.describe().gains
+    found = plants.improve(rig, REEL, folder=tmp_path / "x", effects=FEW, tuning=SHORT)
+    assert found.added == ("coulomb_friction",)
+    assert found.rounds[0].diagnosis.verdict == "named"
+    assert found.diagnosis.verdict == "none"  # with records that had no part in finding it
+    assert set(found.rounds[1].asked).isdisjoint(found.rounds[0].asked)
+    assert rig.describe().gains == live
+    own, tuned = found.costs[0], found.costs[-1]
+    assert own.gains == live
+    assert tuned.measured < own.measured
+    for costs in (own, tuned):
+        assert costs.off_improved < 0.05
+    assert max(c.off_given for c in found.costs) > 3.0 * max(c.off_improved for c in found.costs)
+    kept = read_measurements(tmp_path / "x" / "data")
+    assert len(kept.measurements) == sum(len(one.asked) for one in found.rounds)
+    told = json.loads((tmp_path / "x" / "improvement.json").read_text())
+    assert told["effects"] == ["coulomb_friction"]
+    assert [c["label"] for c in told["costs"]] == [c.label for c in found.costs]
+
+
+@pytest.mark.slow
+def test_a_model_that_lacks_nothing_is_left_as_it_is_over_the_link(tmp_path, capsys):
+    with served("simulated") as rig:
+        wanted = ["improve", rig.endpoint, "--folder", str(tmp_path / "x"), "--json"]
+        wanted += ["--model-trials", "20", "--trials", "4"]
+        assert run(wanted) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert (told["verdict"], told["effects"], len(told["rounds"])) == ("none", [], 1)
+    for costs in told["costs"]:
+        assert costs["improved"] == pytest.approx(costs["measured"], rel=0.03)
+
+
+def test_interrupted_it_puts_the_rig_back_and_keeps_what_was_measured(tmp_path):
+    rig = REEL.rig()
+    live, real, calls = rig.describe().gains, rig.run, []
+
+    def interrupted(request):
+        calls.append(request)
+        if len(calls) == 3:
+            raise KeyboardInterrupt
+        return real(request)
+
+    rig.run = interrupted
+    with pytest.raises(Stopped, match="stopped") as stopped:
+        plants.improve(rig, REEL, folder=tmp_path / "x")
+    assert stopped.value.description.gains == live
+    assert stopped.value.folder == tmp_path / "x"
+    assert len(read_measurements(tmp_path / "x" / "data").measurements) == 2
+    with pytest.raises(InvalidInput, match="holds something already"):
+        plants.improve(rig, REEL, folder=tmp_path / "x")
+
+
+def test_a_slower_plant_is_given_more_time():
+    rig = replace(
+        about("reel"),
+        settling_time_s=5.0,
+        linear_model=None,
+        limits=RigLimits(0.0, 100.0, 300.0),
+        step=StepProfile(20.0, 10.0, 1.0, 30.0),
+    )
+    durations = [one.profile.duration_s for one in battery(rig)]
+    assert sum(durations) > 4.0 * sum(one.profile.duration_s for one in battery(about("reel")))

@@ -1,0 +1,482 @@
+from dataclasses import replace
+from functools import lru_cache
+
+import casadi as ca
+import control
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import plants
+from estune.core.gains import Gains
+from estune.errors import InvalidInput, PlantError
+from estune.profiles import ChirpProfile, MultisineProfile, StepProfile, TriangleProfile
+from plants.discrepancy.calibration import Calibration
+from plants.discrepancy.floor import Floor, Noise
+from plants.discrepancy.models import diagnosed
+from plants.discrepancy.prediction import Predictor, warm
+from plants.discrepancy.record import Measurement
+from plants.effects import EFFECTS, CoulombFriction, EyeletFriction, GaugeOffset
+
+GAINS = Gains(0.4, 12.0, 0.01, 0.03)
+REEL = plants.reference_reel(encoder_counts=1e12)
+LINES = MultisineProfile(15.0, 4.0, 1.0, 1, 60, 2.2, start_s=0.1, lines="odd", loop="open")
+PROFILES = (
+    replace(LINES, duration_s=1.2),
+    StepProfile(15.0, 8.0, 0.1, 0.8),
+    TriangleProfile(15.0, 6.0, 0.5, 0.7, start_s=0.1, loop="open"),
+)
+
+
+def measured(model, profile, *, noise_N=0.0, seed=0, name="a"):
+    """The record a model gives, at its own length and rate."""
+    rate = model.controller.sampling_Hz
+    noise = noise_N * np.random.default_rng(seed).normal(size=profile.samples(rate))
+    seen = plants.simulate(model, GAINS, profile, noise_N=noise)
+    return Measurement(
+        name=name,
+        rig="rig",
+        sampling_Hz=rate,
+        cable_length_m=getattr(model, "cable_length_m", None),
+        preload_N=profile.preload_N,
+        loop=profile.loop,
+        profile=profile.kind,
+        gains=GAINS,
+        time_s=seen.time_s,
+        setpoint_N=seen.setpoint_N,
+        tension_N=seen.tension_N if seen.tension_N.any() else None,
+        current_A=seen.effort_N / model.newtons_per_ampere,
+        angle_rad=seen.angle_rad if seen.angle_rad.any() else None,
+        reference_N=seen.reference_N,
+        flags=seen.flags,
+    )
+
+
+def floor(**rms):
+    channels = {name: Noise(value, 0.0, "quiet stretches") for name, value in rms.items()}
+    return Floor(channels, ())
+
+
+SMALL = floor(tension_N=1e-3, angle_rad=1e-5, reference_N=1e-3, current_A=1e-4)
+
+
+def truth(predictor, *effects):
+    """The row of the effects' own values, all else as the model says, encoders zeroed."""
+    values = {f"{e.name}.{n}": getattr(e, n) for e in effects for n in e.parameters()}
+    zeros = {f.name: 0.0 for f in predictor.free if f.name.startswith("encoder_zero")}
+    return predictor.row(values | zeros)
+
+
+def sweep(model):
+    """Records of three lengths, preloads, rates and profiles, one of them in closed loop."""
+    lengths, rates, preloads = (0.5, 0.9, 1.4), (632.0, 632.0, 1000.0), (15.0, 20.0, 12.0)
+    return [
+        measured(
+            replace(model, cable_length_m=length, sampling_Hz=rate, tension_N=preload),
+            replace(profile, preload_N=preload),
+            name=f"record {length}",
+        )
+        for profile, length, rate, preload in zip(PROFILES, lengths, rates, preloads, strict=True)
+    ]
+
+
+@pytest.mark.parametrize("name", [None, *EFFECTS])
+def test_a_free_run_at_the_truth_is_the_simulation(name):
+    effects = [] if name is None else [EFFECTS[name]()]
+    records = sweep(REEL + effects[0] if effects else REEL)
+    predictor = Predictor(
+        diagnosed(REEL, records), [type(e) for e in effects], records, None, SMALL
+    )
+    for record, found in zip(
+        records, predictor.predict(truth(predictor, *effects)[None]), strict=True
+    ):
+        assert found.tension_N[0] == pytest.approx(record.tension_N, abs=2e-8)
+        assert found.angle_rad[0] == pytest.approx(record.angle_rad, abs=1e-9)
+        if record.reference_N is not None:
+            assert found.reference_N[0] == pytest.approx(record.reference_N, abs=2e-8)
+        assert found.current_A is None  # none was measured
+
+
+@lru_cache(maxsize=1)
+def noisy():
+    """A bare reel's records with a noisy gauge, and their predictor."""
+    records = [measured(REEL, LINES, noise_N=0.2, seed=n, name=f"noisy {n}") for n in range(3)]
+    known = floor(tension_N=0.2, angle_rad=1e-5)
+    return records, Predictor(diagnosed(REEL, records), [], records, floor=known)
+
+
+def test_what_is_left_of_noise_alone_is_white_at_unit_variance():
+    _, predictor = noisy()
+    index, left = predictor.index, predictor.residuals(truth(predictor)[None])[0]
+    gauge = index.channel == 0
+    allowed = (0.2 / index.sigma[gauge]) ** 2
+    assert np.mean(left[gauge] ** 2) == pytest.approx(np.mean(allowed), rel=0.05)
+    samples = gauge.sum()
+    for lag in (1, 2, 5):
+        together = np.mean(left[gauge][lag:] * left[gauge][:-lag])
+        assert abs(together) < 4.0 / np.sqrt(samples)
+    # An encoder without steps leaves nothing but the error of the windows' starts.
+    assert np.mean(left[~gauge] ** 2) < 0.01
+
+
+def test_another_start_of_the_windows_leaves_nothing():
+    _, predictor = noisy()
+    row = truth(predictor)[None]
+    before = predictor.residuals(row)
+    place = predictor._scene.window_place
+    moved = Predictor.__new__(Predictor)
+    vars(moved).update(vars(predictor))
+    shift = np.random.default_rng(1).normal(size=place.shape) * (1e-3, 0.1)
+    moved._scene = replace(predictor._scene, window_place=place + shift)
+    change = predictor.predict(row)[0].angle_rad - moved.predict(row)[0].angle_rad
+    change = np.abs(change).max() / predictor.index.sigma[predictor.index.channel == 1][0]
+    assert change > 10.0
+    # But for what still rings in the gauge from one window to the next.
+    assert np.abs(moved.residuals(row) - before).max() < 1e-3 * change
+
+
+def test_the_derivative_is_the_central_difference():
+    records = sweep(REEL + CoulombFriction(0.03))
+    predictor = Predictor(diagnosed(REEL, records), [CoulombFriction], records, floor=SMALL)
+    values = predictor.row({"coulomb_friction.torque_Nm": 0.03, "torque_gain": 1.02})
+    left, jacobian = predictor.linearise(values)
+    assert left == pytest.approx(predictor.residuals(values[None])[0])
+    for n, free in enumerate(predictor.free):
+        step = 1e-5 * (abs(values[n]) or 1.0)
+        rows = np.repeat(values[None], 2, axis=0)
+        rows[:, n] += (-step, step)
+        behind, ahead = predictor.residuals(rows)
+        slope = (ahead - behind) / (2.0 * step)
+        off = np.linalg.norm(jacobian[:, n] - slope) / np.linalg.norm(slope)
+        assert off < 0.02, free.name
+        if free.owner.startswith("record"):
+            elsewhere = predictor.index.measurement != int(free.owner.split()[1])
+            assert not jacobian[elsewhere, n].any()
+    some = np.array([2, 0])
+    assert predictor.linearise(values, some)[1] == pytest.approx(jacobian[:, some])
+
+
+@pytest.mark.parametrize("missing", ["angle_rad", "tension_N"])
+def test_a_channel_that_is_missing_is_done_without(missing):
+    F = CoulombFriction(0.03)
+    records = [replace(m, **{missing: None}) for m in sweep(REEL + F)]
+    model = diagnosed(REEL, records)
+    predictor = Predictor(model, [CoulombFriction], records, floor=SMALL)
+    assert set(predictor.index.channel) == ({0} if missing == "angle_rad" else {1})
+    assert "structure_stiffness_N_m" in model.reasons
+    with_it = predictor.residuals(truth(predictor, F)[None])
+    without = predictor.residuals(truth(predictor, CoulombFriction(0.0))[None])
+    assert np.mean(with_it**2) < 0.02 * np.mean(without**2)
+
+
+def test_a_record_may_begin_in_motion():
+    whole = measured(REEL, replace(LINES, start_s=0.0))
+    cut = 300
+    columns = ("setpoint_N", "tension_N", "current_A", "angle_rad", "flags")
+    part = replace(
+        whole,
+        time_s=whole.time_s[:-cut],
+        **{name: getattr(whole, name)[cut:] for name in columns},
+    )
+    predictor = Predictor(diagnosed(REEL, [part]), [], [part], None, SMALL)
+    (found,) = predictor.predict(truth(predictor)[None])
+    off = found.tension_N[0] - part.tension_N
+    assert np.sqrt(np.mean(off**2)) < 0.02 * part.tension_N.std()
+
+
+def test_a_dead_time_moves_a_prediction_without_jumps():
+    records = [measured(REEL, LINES)]
+    predictor = Predictor(diagnosed(REEL, records), [EFFECTS["dead_time"]], records, None, SMALL)
+    late = np.linspace(0.0, 3.0 / 632.0, 61)
+    rows = np.array([predictor.row({"dead_time.delay_s": d}) for d in late])
+    tension = predictor.predict(rows)[0].tension_N
+    steps = np.abs(np.diff(tension, axis=0)).max(axis=1)
+    assert steps.max() < 1.2 * np.median(steps)
+
+
+def test_a_current_that_is_measured_shows_the_drive():
+    limited = EFFECTS["current_saturation"](0.85)
+    record = measured(REEL + limited, LINES)
+    asked = record.setpoint_N / REEL.newtons_per_ampere
+    lag = 3  # of the current's own filter
+    flown = np.clip(asked, -0.85, 0.85)
+    record = replace(record, current_A=1.1 * np.append(np.full(lag, flown[0]), flown[:-lag]) + 0.2)
+    predictor = Predictor(diagnosed(REEL, [record]), [type(limited)], [record], None, SMALL)
+    values = {"current_gain": 1.1, "current_offset_A": 0.2, "current_saturation.limit_A": 0.85}
+    row = predictor.row({**values, "encoder_zero_rad[0]": 0.0})
+    (found,) = predictor.predict(row[None])
+    assert found.current_A[0] == pytest.approx(1.1 * flown + 0.2)
+    left = predictor.residuals(row[None])[0]
+    current = predictor.index.channel == 3
+    assert current.sum() > 0.9 * record.samples
+    assert np.abs(left[current]).max() < 1e-6
+
+
+def test_samples_that_are_late_or_no_numbers_do_not_count():
+    record = measured(REEL, LINES)
+    flags, tension = record.flags.copy(), record.tension_N.copy()
+    flags[100:110], tension[200:205] = 4, np.nan
+    predictor = Predictor(
+        *(diagnosed(REEL, [record]), [], [replace(record, flags=flags, tension_N=tension)]),
+        floor=SMALL,
+    )
+    gauge, encoder = (predictor.index.sample[predictor.index.channel == c] for c in (0, 1))
+    assert not np.isin(np.r_[100:110, 200:205], gauge).any()
+    assert np.isin(np.r_[200:205], encoder).all()
+    assert np.isfinite(predictor.residuals(predictor.start[None])).all()
+
+
+def test_a_prediction_that_runs_away_is_very_bad_and_not_an_error():
+    record = measured(REEL, LINES)
+    predictor = Predictor(diagnosed(REEL, [record]), [], [record], None, SMALL)
+    bad = predictor.row({"viscous_friction_Nms": -50.0})
+    assert np.isfinite(predictor.residuals(bad[None])).all()
+    assert np.mean(predictor.residuals(bad[None]) ** 2) > 1e3
+
+
+@pytest.mark.parametrize("horizon", [None, "model"])
+def test_a_fitted_reel_gives_back_its_prediction(horizon):
+    records = sweep(REEL)
+    model = diagnosed(REEL, records)
+    values = {
+        "drum_inertia_kg_m2": 2.2e-3,
+        "torque_gain": 0.93,
+        "gauge_offset_N": 0.4,
+        "coulomb_friction.torque_Nm": 0.02,
+    }
+    fitted = model.calibrated(values, [CoulombFriction])
+    assert fitted.effects == (CoulombFriction(0.02), Calibration(0.93, 0.0, 0.4))
+    again = sweep(fitted)
+    predictor = Predictor(diagnosed(REEL, again), [CoulombFriction], again, horizon, SMALL)
+    zeros = {f.name: 0.0 for f in predictor.free if f.name.startswith("encoder_zero")}
+    left = predictor.residuals(predictor.row(values | zeros)[None])
+    gauge = predictor.index.channel == 0
+    assert np.sqrt(np.mean(left[:, gauge] ** 2)) < (1e-3 if horizon is None else 1.0)
+
+
+def test_a_model_that_has_effects_and_calibration_starts_from_them():
+    given = REEL + CoulombFriction(0.03) + Calibration(1.1, 0.0, 0.5) + EyeletFriction(0.9, 0.1)
+    records = sweep(given)
+    model = diagnosed(given, records)
+    predictor = Predictor(model, [], records, None, SMALL)
+    known = {f.name: f.start for f in predictor.free}
+    assert (known["torque_gain"], known["gauge_offset_N"]) == (1.1, 0.5)
+    assert known["coulomb_friction.torque_Nm"] == 0.03
+    assert known["eyelet_friction.attenuation"] == 0.9
+    found = predictor.predict(truth(predictor, *given.effects[::2])[None])
+    assert found[0].tension_N[0] == pytest.approx(records[0].tension_N, abs=2e-8)
+    later = model.at({"torque_gain": 1.2})
+    assert {f.name: f.start for f in Predictor(later, [], records).free}["torque_gain"] == 1.2
+    assert later.calibrated({}).effects[-1] == Calibration(1.2, 0.0, 0.5)
+
+
+def test_several_structures_are_compiled_at_once(monkeypatch, tmp_path):
+    monkeypatch.setenv("ESTUNE_CACHE", str(tmp_path))
+    slower = replace(REEL, gauge_Hz=5000.0)  # a structure of its own
+    model = diagnosed(slower, [measured(REEL, LINES)])
+    warm(model, [(), (CoulombFriction,), (GaugeOffset, CoulombFriction)])
+    assert len(list(tmp_path.glob("*.so"))) == 3
+
+
+def swinging(sampling_Hz=500.0, hardening=40.0, slope=0.0):
+    """An oscillator with a cubic spring, by another integrator.
+
+    Within a sample its input goes this share of the way to the next one.
+    """
+    w, z, gain = 2.0 * np.pi * 6.0, 0.05, 0.5
+    time = np.arange(1000) / sampling_Hz
+    u = 1.5 * np.sin(2.0 * np.pi * (2.0 + 3.0 * time) * time) + 0.3
+    if sampling_Hz < 100.0:
+        u = np.random.default_rng(5).normal(size=time.size)
+
+    def rate(t, x, k):
+        spring = x[0] / gain + hardening * (x[0] / gain) ** 3
+        given = u[k] + slope * t * sampling_Hz * (u[k + 1] - u[k])
+        return [x[1], gain * w**2 * (given - spring) - 2.0 * z * w * x[1]]
+
+    states = [np.zeros(2)]
+    for k in range(time.size - 1):
+        found = solve_ivp(
+            rate, (0.0, 1.0 / sampling_Hz), states[-1], args=(k,), rtol=1e-10, atol=1e-12
+        )
+        states.append(found.y[:, -1])
+    y = np.array(states)[:, 0]
+    plant = plants.linear_plant(
+        control.tf([gain * w**2], [1.0, 2.0 * z * w, w**2]), sampling_Hz=sampling_Hz
+    )
+    nothing = dict.fromkeys(("gains", "cable_length_m", "current_A", "angle_rad", "reference_N"))
+    return plant, Measurement(
+        *("swing", "rig", sampling_Hz),
+        preload_N=0.0,
+        loop="open",
+        profile="chirp",
+        time_s=time,
+        setpoint_N=u,
+        tension_N=y,
+        flags=None,
+        **nothing,
+    )
+
+
+def test_a_linear_plant_with_a_cubic_spring_is_the_differential_equation():
+    hardening = 0.4
+    plant, record = swinging(hardening=hardening)
+    model = diagnosed(plant, [record])
+    spring = EFFECTS["cable_stiffening"]
+    predictor = Predictor(model, [spring], [record], None, SMALL)
+    newton = model.model.torque_unit * 0.01  # a newton of the cable, in units of the input
+    values = {"cable_stiffening.cubic_per_N2": hardening * newton**2}
+    values |= {"cable_stiffening.stiffening_per_N": 0.0, "input_slope": 0.0}
+    row = predictor.row(values)
+    (found,) = predictor.predict(row[None])
+    linear = predictor.predict(
+        predictor.row(values | {"cable_stiffening.cubic_per_N2": 0.0})[None]
+    )
+    assert np.abs(linear[0].tension_N[0] - record.tension_N).max() > 0.3 * record.tension_N.std()
+    assert found.tension_N[0] == pytest.approx(record.tension_N, abs=3e-3 * record.tension_N.std())
+    fitted = model.calibrated(predictor.values(row), [spring])
+    drive = ChirpProfile(0.0, 1.0, 2.0, 12.0, 2.0, loop="open")
+    seen = plants.simulate(fitted, GAINS, drive).tension_N
+    again = replace(record, setpoint_N=drive.setpoint(500.0), tension_N=seen)
+    predictor = Predictor(model, [spring], [again], None, SMALL)
+    (found,) = predictor.predict(predictor.row(values)[None])
+    assert found.tension_N[0] == pytest.approx(seen, abs=1e-9)
+
+
+def test_an_input_that_was_not_held_is_recognised():
+    for slope in (0.0, 1.0):
+        plant, record = swinging(sampling_Hz=80.0, hardening=0.0, slope=slope)
+        predictor = Predictor(diagnosed(plant, [record]), [], [record], None, SMALL)
+        assert predictor.values(predictor.start)["input_slope"] == slope
+        (found,) = predictor.predict(predictor.start[None])
+        off = np.std(found.tension_N[0] - record.tension_N)
+        assert off < 2e-3 * record.tension_N.std()
+        other = predictor.row({"input_slope": 1.0 - slope})
+        wrong = predictor.predict(other[None])[0].tension_N[0]
+        assert np.std(wrong - record.tension_N) > 20.0 * off
+
+
+def test_effects_inside_a_linear_plant_need_a_velocity_and_a_spring():
+    record = swinging()[1]
+    lag, integrator = (diagnosed(control.tf(1, d), [record]) for d in ([1, 1], [1, 1, 0]))
+    assert "position" in lag.unavailable(CoulombFriction)
+    assert integrator.unavailable(CoulombFriction) is None
+    assert integrator.unavailable(EFFECTS["cable_stiffening"])
+    for model in (lag, integrator):
+        assert model.unavailable(EFFECTS["current_saturation"]) is None
+        assert model.unavailable(EFFECTS["gauge_nonlinearity"]) is None
+    spring = diagnosed(swinging()[0], [record])
+    assert "cable_length_m" in spring.unavailable(EFFECTS["string_mode"])
+    assert "angle of a drum" in spring.unavailable(EFFECTS["torque_ripple"])
+    assert "slack" in spring.unavailable(EFFECTS["cable_slack"])
+
+
+def pendulum(state, effort, dt_s):
+    angle, rate = state
+    rate = rate + dt_s * (30.0 * effort - 400.0 * np.sin(angle) - 2.0 * rate)
+    return (angle + dt_s * rate, rate), angle
+
+
+def test_a_python_function_is_predicted_as_it_runs():
+    plant = plants.python_plant(
+        pendulum, (0.0, 0.0), sampling_Hz=400.0, settling_time_s=0.5, dead_time_s=2.3 / 400.0
+    )
+    chirp = ChirpProfile(0.0, 1.0, 0.5, 6.0, 2.0, loop="open")
+    record = measured(plant, chirp)
+    model = diagnosed(plant, [record])
+    limit = EFFECTS["current_saturation"]
+    predictor = Predictor(model, [limit], [record], floor=SMALL)
+    assert predictor.horizon_s is None
+    values = {"input_gain": 1.0, "current_saturation.limit_A": 1e6}
+    (found,) = predictor.predict(predictor.row(values)[None])
+    assert found.tension_N[0] == pytest.approx(record.tension_N, abs=1e-9)
+    values |= {"input_gain": 0.9, "output_offset": 0.2, "current_saturation.limit_A": 0.06}
+    fitted = model.calibrated(values, [limit])
+    again = plants.simulate(fitted, GAINS, chirp).tension_N
+    (found,) = predictor.predict(predictor.row(values)[None])
+    assert found.tension_N[0] == pytest.approx(again, abs=1e-9)
+    assert "inside" in model.unavailable(CoulombFriction)
+
+
+def branching(state, effort, dt_s):
+    return (state + dt_s * effort if effort > 0.0 else state), state
+
+
+def branchless(state, effort, dt_s):
+    return state + dt_s * ca.if_else(effort > 0.0, effort, 0.0), state
+
+
+def test_a_function_that_branches_is_told_how_not_to():
+    record = swinging()[1]
+    settings = {"sampling_Hz": 500.0, "settling_time_s": 1.0}
+    with pytest.raises(PlantError, match=r"casadi\.if_else") as caught:
+        diagnosed(plants.python_plant(branching, 0.0, **settings), [record])
+    assert "\n" not in str(caught.value)
+    diagnosed(plants.python_plant(branchless, 0.0, **settings), [record])
+
+
+def test_an_unloaded_reel_is_predicted_as_it_runs():
+    reel = plants.unloaded_reel(encoder_counts=1e12) + CoulombFriction(0.05)
+    push = ChirpProfile(0.0, 20.0, 1.0, 8.0, 2.0, loop="open")
+    record = measured(reel, push)
+    bare = replace(reel, effects=())
+    model = diagnosed(bare, [record])
+    assert model.output == "rad"
+    assert set(model.reasons) == {"torque_gain", "encoder_zero_rad"}
+    for horizon in (None, "model"):
+        predictor = Predictor(model, [CoulombFriction], [record], horizon, SMALL)
+        row = predictor.row({"coulomb_friction.torque_Nm": 0.05})
+        (found,) = predictor.predict(row[None])
+        limit = 1e-9 if horizon is None else 1e-3 * record.angle_rad.std()
+        assert np.abs(found.angle_rad[0] - record.angle_rad).max() < limit
+        assert found.tension_N is None
+    fitted = model.calibrated(
+        predictor.values(row) | {"torque_offset_Nm": 0.01}, [CoulombFriction]
+    )
+    predictor = Predictor(model, [CoulombFriction], [record], None, SMALL)
+    row = predictor.row({"coulomb_friction.torque_Nm": 0.05, "torque_offset_Nm": 0.01})
+    again = plants.simulate(fitted, GAINS, push).angle_rad
+    assert predictor.predict(row[None])[0].angle_rad[0] == pytest.approx(again, abs=1e-9)
+
+
+def test_what_cannot_be_held_against_records_is_told():
+    record = measured(REEL, LINES)
+    with pytest.raises(PlantError, match="a Reel, an UnloadedReel"):
+        diagnosed(object(), [record])
+    with pytest.raises(InvalidInput, match="no measurements"):
+        diagnosed(REEL, [])
+    with pytest.raises(InvalidInput, match="angle_rad"):
+        diagnosed(plants.unloaded_reel(), [replace(record, angle_rad=None)])
+    drum = diagnosed(plants.unloaded_reel(), [record])
+    with pytest.raises(PlantError, match="eyelet_friction is not available"):
+        Predictor(drum, [EyeletFriction], [record])
+
+
+@pytest.mark.parametrize("wandering", [False, True])
+def test_the_floor_of_a_drum_that_travels_far_is_that_of_short_predictions(wandering):
+    drum = plants.unloaded_reel(viscous_friction_Nms=1e-9, dead_time_s=0.0)
+    h, count = 1.0 / drum.sampling_Hz, 2.0 * np.pi / drum.encoder_counts
+    rng, samples = np.random.default_rng(2), np.arange(20 * 316)
+    turn, stray = 2.0 * np.pi * samples / 316, np.zeros(samples.size)
+    push = 2.0 * np.sin(turn) + np.cos(7.0 * turn) + np.sin(31.0 * turn)
+    for n in samples[1:] if wandering else ():
+        stray[n] = 0.9 * stray[n - 1] + 0.05 * rng.normal()
+    rate = (push + stray) * drum.drum_radius_m / drum.drum_inertia_kg_m2
+    velocity = 5.0 + h * np.append(0.0, np.cumsum(rate)[:-1])
+    angle = h * np.append(0.0, np.cumsum(0.5 * (velocity[1:] + velocity[:-1])))
+    nothing = dict.fromkeys(("gains", "cable_length_m", "current_A", "tension_N", "reference_N"))
+    record = Measurement(
+        *("turned", "rig", drum.sampling_Hz),
+        preload_N=0.0,
+        loop="open",
+        profile="sine",
+        time_s=h * samples,
+        setpoint_N=push,
+        angle_rad=count * np.round(angle / count),
+        flags=None,
+        **nothing,
+    )
+    predictor = Predictor(diagnosed(drum, [record]), [], [record])
+    left = predictor.residuals(predictor.start[None])
+    assert predictor.index.sigma.max() < 1e-3 * record.angle_rad.std()
+    assert 0.5 < np.sqrt(np.mean(left**2)) < 1.3

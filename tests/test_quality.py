@@ -1,0 +1,166 @@
+"""Measurements are looked through before any fit: refused or warned of, with the reason."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from estune.errors import InvalidInput
+from estune.trial import SATURATED, TrialRequest
+from plants import reference_reel
+from plants.discrepancy.quality import check
+from plants.discrepancy.record import Measurement
+from plants.identify.excitation import Band, chirp, multisine
+from plants.identify.open_loop import open_loop_record
+
+RATE = 632.0
+REEL = reference_reel()
+SINES = multisine(RATE, Band(1.0, 60.0, periods=2), 4.0)
+
+
+def measured(excitation, seed=0, name="bad"):
+    return replace(Measurement.of(open_loop_record(REEL, excitation, seed=seed)), source=name)
+
+
+GOOD = measured(SINES, name="good")
+SWEPT = measured(chirp(RATE, Band(1.0, 40.0, periods=2), 4.0))
+
+
+def closed():
+    rig = REEL.rig()
+    about = rig.describe()
+    return replace(
+        Measurement.of(rig.run(TrialRequest("r", 0, about.gains, about.step))), source="c"
+    )
+
+
+def findings(m, model=REEL):
+    """What is said of a measurement beside a good one, which must come through unblamed."""
+    kept, found = check([GOOD, m], model)
+    assert GOOD in kept
+    assert not [f for f in found if f.source == "good"]
+    assert (m in kept) == (not any(f.level == "refused" for f in found))
+    return found
+
+
+@pytest.mark.parametrize("m", [SWEPT, closed()], ids=["open loop", "closed loop"])
+def test_a_healthy_record_is_kept_without_a_word(m):
+    assert findings(replace(m, rig=GOOD.rig)) == ()
+
+
+UNITS = {
+    "angle in degrees": ({"angle_rad": np.rad2deg}, "angle_rad", "degrees"),
+    "tension in kN": ({"tension_N": lambda x: x / 1e3}, "tension_N", "kN"),
+    "setpoint in mN": ({"setpoint_N": lambda x: x * 1e3}, "setpoint_N", "mN"),
+}
+
+
+@pytest.mark.parametrize("case", UNITS)
+@pytest.mark.parametrize("wrong_by", [0.8, 1.25])
+def test_a_column_in_another_unit_is_refused_though_the_model_is_off(case, wrong_by):
+    changed, column, unit = UNITS[case]
+    bad = replace(
+        SWEPT, **{name: change(getattr(SWEPT, name)) for name, change in changed.items()}
+    )
+    model = replace(
+        REEL, torque_constant_Nm_A=REEL.torque_constant_Nm_A * wrong_by, current_limit_A=9
+    )
+    _, found = check([GOOD, bad], model)
+    (finding,) = [f for f in found if f.level == "refused"]
+    assert (finding.source, finding.column) == ("bad", column)
+    assert unit in finding.sentence
+
+
+def test_a_closed_loop_current_in_mA_is_refused():
+    m = closed()
+    (finding,) = findings(replace(m, rig=GOOD.rig, current_A=m.current_A * 1e3, flags=None))[:1]
+    assert finding.column == "current_A"
+
+
+def test_records_of_another_rig_are_refused():
+    (finding,) = findings(replace(SWEPT, rig="another"))
+    assert finding.level == "refused"
+    assert "another" in finding.sentence
+
+
+def cut(m, samples, **changed):
+    names = ("time_s", "setpoint_N", "current_A", "tension_N", "angle_rad", "flags")
+    return replace(m, **{n: getattr(m, n)[:samples] for n in names}, **changed)
+
+
+def test_a_record_shorter_than_half_a_period_of_the_slowest_mode_is_refused():
+    slow = replace(REEL, drum_inertia_kg_m2=4.0)
+    _, found = check([GOOD, cut(SWEPT, 100)], slow)
+    assert [f.level for f in found if f.source == "bad"] == ["refused"]
+
+
+def test_a_record_in_which_nothing_moves_is_refused():
+    rng = np.random.default_rng(0)
+    still = replace(
+        SWEPT,
+        setpoint_N=np.full(SWEPT.samples, 15.0),
+        current_A=np.full(SWEPT.samples, 0.75),
+        tension_N=15.0 + rng.normal(0.0, 0.04, SWEPT.samples),
+        angle_rad=np.full(SWEPT.samples, 0.1),
+    )
+    (finding,) = findings(still)
+    assert (finding.level, "excite" in finding.sentence) == ("refused", True)
+
+
+def test_a_gauge_at_its_rail_a_frozen_one_and_dropouts_are_told_with_the_row():
+    rng = np.random.default_rng(1)
+    railed = np.minimum(SWEPT.tension_N, np.quantile(SWEPT.tension_N, 0.97))
+    (finding,) = findings(replace(SWEPT, tension_N=railed))
+    assert "end of the range" in finding.sentence
+    frozen = SWEPT.tension_N.copy()
+    frozen[700:760] = frozen[700]
+    (finding,) = findings(replace(SWEPT, tension_N=frozen))
+    assert finding.row == 701
+    assert "stand still" in finding.sentence
+    lost = SWEPT.tension_N.copy()
+    rows = np.sort(rng.choice(lost.size - 100, 5, replace=False)) + 50
+    lost[rows] = 0.0
+    (finding,) = findings(replace(SWEPT, tension_N=lost))
+    assert finding.row == rows[0] + 1
+    assert "jump" in finding.sentence
+
+
+@pytest.mark.parametrize(("share", "level"), [(0.2, "warning"), (0.8, "refused")])
+def test_a_record_at_the_current_limit_is_warned_of_or_refused(share, level):
+    flags = np.where(np.arange(SWEPT.samples) < share * SWEPT.samples, SATURATED, 0)
+    (finding,) = findings(replace(SWEPT, flags=flags.astype(np.uint8)))
+    assert (finding.level, finding.column, finding.row) == (level, "current_A", 1)
+
+
+def test_channels_of_different_moments_are_told():
+    (finding,) = findings(replace(SWEPT, tension_N=np.roll(SWEPT.tension_N, 7)))
+    assert (finding.column, "7 samples after" in finding.sentence) == ("tension_N", True)
+
+
+def test_a_label_that_the_data_contradict_is_told():
+    shuffled = np.random.default_rng(2).permutation(SWEPT.current_A)
+    (finding,) = findings(replace(SWEPT, current_A=shuffled))
+    assert (finding.level, "labelled open" in finding.sentence) == ("refused", True)
+    (finding,) = findings(replace(SWEPT, loop="closed"))
+    assert (finding.level, "labelled closed" in finding.sentence) == ("warning", True)
+
+
+def test_a_torque_that_is_a_function_of_the_position_is_told():
+    t = SWEPT.time_s
+    angle = 0.1 + 0.05 * np.sin(2.0 * np.pi * 0.7 * t)
+    slow = replace(
+        SWEPT,
+        loop="closed",
+        setpoint_N=None,
+        current_A=0.75 + 4.0 * (angle - 0.1),
+        tension_N=None,
+        angle_rad=angle,
+        flags=None,
+    )
+    assert any("function of the angle" in f.sentence for f in findings(slow))
+
+
+def test_where_every_record_is_refused_the_error_names_them_all():
+    still = replace(SWEPT, flags=np.full(SWEPT.samples, SATURATED, np.uint8))
+    with pytest.raises(InvalidInput, match=r"one.*two"):
+        check([replace(still, source="one"), replace(still, source="two")], REEL)

@@ -1,0 +1,191 @@
+"""A folder of measured records: read whole, and every fault named with file, column and row."""
+
+import json
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+import estune
+from estune.errors import InvalidInput
+from estune.export import columns, export_run, metadata
+from plants import reference_reel
+from plants.discrepancy.record import CHANNELS, Measurement
+from plants.discrepancy.records import read_measurements
+from plants.identify.excitation import Band, multisine
+from plants.identify.open_loop import open_loop_record
+from tests.support_runs import ArithmeticRig
+
+RATE = 632.0
+
+
+@pytest.fixture(scope="module")
+def record():
+    return open_loop_record(reference_reel(), multisine(RATE, Band(1.0, 60.0, periods=2), 4.0))
+
+
+def write(folder, record, name="good", about=None, **changed):
+    """Writes the record with columns replaced (None: left out), and metadata beside it."""
+    shown = {k: v for k, v in {**columns(record), **changed}.items() if v is not None}
+    rows = zip(*(np.asarray(v).tolist() for v in shown.values()), strict=True)
+    text = "\n".join([",".join(shown), *(",".join(map(str, row)) for row in rows)])
+    (folder / f"{name}.csv").write_text(text + "\n")
+    facts = {**metadata(record), "trial_id": name, **(about or {})}
+    (folder / f"{name}.json").write_text(json.dumps(facts))
+    return shown
+
+
+def refusal(folder, record, name="bad", about=None, **changed):
+    """What is said of one bad file beside a good one, which must come through."""
+    write(folder, record)
+    write(folder, record, name, about, **changed)
+    reading = read_measurements(folder)
+    assert [m.name for m in reading.measurements] == ["good"]
+    (finding,) = reading.refused
+    assert finding.source == f"{name}.csv"
+    return finding
+
+
+def equal(one, other):
+    assert one.sampling_Hz == pytest.approx(other.sampling_Hz)
+    assert (one.name, one.rig, one.cable_length_m) == (other.name, other.rig, other.cable_length_m)
+    assert (one.preload_N, one.loop, one.profile) == (other.preload_N, other.loop, other.profile)
+    assert one.gains == other.gains
+    for name in CHANNELS:
+        a, b = one.channel(name), other.channel(name)
+        assert (a is None and b is None) or np.array_equal(a, b)
+    assert np.array_equal(one.flags, other.flags)
+
+
+@pytest.mark.parametrize("form", ["csv", "parquet", "run"])
+def test_what_estune_writes_is_read_back_exactly(tmp_path, form):
+    run = estune.tune(ArithmeticRig(), trials=2, repeats=1, folder=tmp_path, run="r", watch=None)
+    folder = run.folder
+    if form != "run":
+        folder = tmp_path / "out"
+        export_run(run.folder, folder, form)
+    read = read_measurements(folder)
+    assert not read.findings
+    assert len(read.measurements) == len(run.entries)
+    for measurement, entry in zip(read.measurements, run.entries, strict=True):
+        equal(measurement, Measurement.of(run.record(entry.number)))
+
+
+BAD_COLUMNS = {
+    "tension in kN": ({"tension_N": None, "tension_kN": 0.015}, "tension_kN", None, "1000"),
+    "angle in degrees": ({"angle_rad": None, "angle_deg": 3.0}, "angle_deg", None, "0.01745329"),
+    "time in ms": ({"time_s": None, "time_ms": 1.0}, "time_ms", None, "0.001"),
+    "slip of the pen": ({"tension_N": None, "tenson_N": 1.0}, "tenson_N", None, "tension_N"),
+    "other case": ({"current_A": None, "Current_a": 1.0}, "Current_a", None, "current_A"),
+}
+
+
+@pytest.mark.parametrize("case", BAD_COLUMNS)
+def test_a_column_by_another_name_or_unit_is_refused_with_the_right_one(tmp_path, record, case):
+    changed, column, row, said = BAD_COLUMNS[case]
+    n = record.time_s.size
+    changed = {k: None if v is None else np.full(n, v) for k, v in changed.items()}
+    finding = refusal(tmp_path, record, **changed)
+    assert (finding.column, finding.row) == (column, row)
+    assert said in finding.sentence
+
+
+def spoilt(column, row, value):
+    changed = column.astype(object)
+    changed[row - 1] = value
+    return changed
+
+
+@pytest.mark.parametrize("value", ["nan", "inf", "oops", ""])
+def test_a_cell_that_is_no_number_is_named_by_column_and_row(tmp_path, record, value):
+    finding = refusal(tmp_path, record, tension_N=spoilt(record.tension_N, 17, value))
+    assert (finding.column, finding.row) == ("tension_N", 17)
+
+
+def swapped(t):
+    return np.concatenate([t[:99], t[[100, 99]], t[101:]])
+
+
+BAD_TIMES = {
+    "unsorted": (swapped, 101, "sort"),
+    "repeated": (lambda t: np.concatenate([t[:50], t[49:-1]]), 51, "repeats"),
+    "a gap": (lambda t: t + np.where(np.arange(t.size) >= 200, 3.0 / RATE, 0.0), 201, "missing"),
+    "a drifting clock": (lambda t: t + 0.004 * np.cos(2.0 * np.pi * t), None, "irregular"),
+    "another rate": (lambda t: t * 632.0 / 500.0, None, "500"),
+    "milliseconds": (lambda t: t * 1e3, None, "seems to be in ms"),
+}
+
+
+@pytest.mark.parametrize("case", BAD_TIMES)
+def test_a_time_column_that_is_no_even_grid_is_refused_at_the_row(tmp_path, record, case):
+    spoil, row, said = BAD_TIMES[case]
+    finding = refusal(tmp_path, record, time_s=spoil(record.time_s))
+    assert finding.column == "time_s"
+    assert said in finding.sentence
+    if row is not None:
+        assert finding.row == row
+
+
+def test_time_stamps_rounded_or_scattered_by_less_than_a_sample_pass(tmp_path, record):
+    write(tmp_path, record, "rounded", time_s=np.round(record.time_s, 3))
+    scatter = np.random.default_rng(0).uniform(-0.2, 0.2, record.time_s.size) / RATE
+    write(tmp_path, record, "scattered", time_s=record.time_s + scatter)
+    read = read_measurements(tmp_path)
+    assert [m.sampling_Hz for m in read.measurements] == [RATE, RATE]
+    (finding,) = read.findings
+    assert (finding.source, finding.level) == ("scattered.csv", "warning")
+
+
+def test_without_metadata_rate_loop_and_preload_are_read_off_the_columns(tmp_path, record):
+    write(tmp_path, record, "foreign", velocity_rad_s=record.time_s)
+    (tmp_path / "foreign.json").unlink()
+    read = read_measurements(tmp_path)
+    (found,) = read.measurements
+    assert found.sampling_Hz == pytest.approx(RATE, rel=1e-9)
+    assert (found.loop, found.preload_N) == ("open", record.setpoint_N[0])
+    assert (found.cable_length_m, found.gains, found.rig) == (None, None, "")
+    assert {f.column for f in read.findings} == {"", "velocity_rad_s"}
+    assert all(f.level == "warning" for f in read.findings)
+
+
+def test_a_semicolon_table_with_decimal_commas_is_read(tmp_path, record):
+    shown = write(tmp_path, record)
+    text = (tmp_path / "good.csv").read_text()
+    (tmp_path / "good.csv").write_text(text.replace(",", ";").replace(".", ","))
+    (found,) = read_measurements(tmp_path).measurements
+    assert np.array_equal(found.tension_N, shown["tension_N"])
+
+
+def test_files_that_are_cut_short_or_empty_do_not_cost_the_others(tmp_path, record):
+    write(tmp_path, record)
+    whole = (tmp_path / "good.csv").read_bytes()
+    (tmp_path / "empty.csv").write_bytes(b"")
+    (tmp_path / "heading.csv").write_bytes(whole.splitlines(keepends=True)[0])
+    (tmp_path / "cut.csv").write_bytes(whole[: whole.rindex(b",") - 20])
+    (tmp_path / "binary.csv").write_bytes(bytes(range(256)) * 9)
+    table = pa.table(columns(record))
+    pq.write_table(table, tmp_path / "cut.parquet")
+    content = (tmp_path / "cut.parquet").read_bytes()
+    (tmp_path / "cut.parquet").write_bytes(content[: len(content) // 2])
+    (tmp_path / "ragged.csv").write_bytes(whole + b"1,2,3,4,5,6,7,8,9\n")
+    (tmp_path / "badmeta.csv").write_bytes(whole)
+    (tmp_path / "badmeta.json").write_text('{"sampling_Hz": 632,')
+    read = read_measurements(tmp_path)
+    assert [m.name for m in read.measurements] == ["good"]
+    assert {f.source for f in read.refused} == {
+        *("empty.csv", "heading.csv", "cut.csv", "binary.csv", "cut.parquet", "ragged.csv"),
+        "badmeta.csv",
+    }
+    rows = {f.source: f.row for f in read.refused}
+    assert rows["cut.csv"] is not None
+    assert rows["ragged.csv"] == record.time_s.size + 1
+
+
+def test_a_folder_of_nothing_usable_is_an_error_that_names_every_file(tmp_path, record):
+    with pytest.raises(InvalidInput, match=r"no \.csv, \.parquet or run"):
+        read_measurements(tmp_path)
+    write(tmp_path, record, "first", tension_N=spoilt(record.tension_N, 3, "nan"))
+    write(tmp_path, record, "second", about={"loop": "ajar"})
+    with pytest.raises(InvalidInput, match=r"first\.csv, row 3, column tension_N.*second\.csv"):
+        read_measurements(tmp_path)

@@ -1,0 +1,90 @@
+"""`estune rig` and `estune export-controller`, as a user calls them."""
+
+import os
+import signal
+import subprocess
+import sys
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from estune import bus
+from estune.errors import RigError
+from estune.trial import Outcome, TrialRequest
+from plants.emulator import RIG_FILE
+
+COMMAND = [sys.executable, "-m", "estune.cli"]
+ROOT = Path(__file__).parents[1]
+
+
+def call(*arguments, code=0) -> subprocess.CompletedProcess:
+    done = subprocess.run(
+        [*COMMAND, *map(str, arguments)], capture_output=True, text=True, cwd=ROOT, check=False
+    )
+    assert done.returncode == code, done.stderr
+    return done
+
+
+@contextmanager
+def served(file: Path):
+    """A rig served from its file: its process and its endpoint."""
+    with subprocess.Popen(
+        [*COMMAND, "rig", str(file)],
+        cwd=ROOT,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as process:
+        try:
+            line = process.stdout.readline()
+            assert line, process.stderr.read()
+            yield process, line.split()[-1]
+        finally:
+            process.kill()
+
+
+@pytest.fixture
+def file(tmp_path):
+    path = tmp_path / "rig.toml"
+    path.write_text(RIG_FILE.read_text().replace("late_in_a_row = 10", "late_in_a_row = 1000"))
+    return path
+
+
+def test_a_rig_on_hardware_is_served_and_remembers_its_trials_over_a_restart(file):
+    with served(file) as (process, endpoint), bus.connect(endpoint) as rig:
+        description = rig.describe()
+        assert not description.simulated
+        request = TrialRequest("cli", 0, description.gains, description.step)
+        assert rig.run(request).outcome is Outcome.DONE
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(20) == 0
+    assert file.with_suffix(".ledger").exists()
+    with served(file) as (_, endpoint), bus.connect(endpoint) as rig:
+        assert rig.run(request).trial_id == request.trial_id
+        assert rig.describe() == description
+
+
+def test_a_loop_that_has_died_ends_the_command_and_is_named(file):
+    with served(file) as (process, _):
+        children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
+        (loop,) = (int(child) for child in children)
+        os.kill(loop, signal.SIGKILL)
+        assert process.wait(20) == RigError.exit_code
+        assert "its loop has ended, exit code -9" in process.stderr.read()
+
+
+def test_a_file_that_is_wrong_is_told_in_full(file):
+    file.write_text(file.read_text().replace("taut_N = 2.0", "taut_kN = 2.0"))
+    told = call("rig", file, code=2).stderr
+    assert "motion.taut_N: Field required" in told
+    assert "motion.taut_kN: " in told
+    assert "Traceback" not in told
+
+
+def test_the_controller_of_a_rigs_file_is_written_as_c(file, tmp_path):
+    out = tmp_path / "controller.c"
+    call("export-controller", file, "--c", "--out", out)
+    assert "estune_pidf_gains(pidf, 0.4, 12.0, 0.01, 0.03);" in out.read_text()
+    assert "--c" in call("export-controller", file, code=2).stderr
+    assert "there is no run" in call("export-controller", "nothing", "--c", code=5).stderr

@@ -1,0 +1,68 @@
+"""docs/rig-protocol.md: what it prints is what the code does."""
+
+import json
+import re
+import struct
+import zlib
+
+import numpy as np
+import pytest
+
+from estune import frame, protocol
+from experiments.rig_protocol_page import EXAMPLES, PAGE, RECORD, SAMPLES, SECTIONS, page
+from tests.support_rigs import same
+
+TEXT = PAGE.read_text("utf-8")
+
+
+def section(name: str) -> str:
+    return re.search(rf"<!-- from the code: {name} -->\n(.*?)<!-- end -->", TEXT, re.DOTALL)[1]
+
+
+def dumped(name: str) -> bytes:
+    """The bytes of a dump in the page, read as a reader would."""
+    lines = re.findall(r"^[0-9a-f]{4}  ((?:[0-9a-f]{2} ?)+)", section(name), re.MULTILINE)
+    return bytes.fromhex("".join(lines))
+
+
+def test_the_page_is_up_to_date():
+    assert set(re.findall(r"from the code: (\w+)", TEXT)) == set(SECTIONS)
+    assert page(TEXT) == TEXT, "run: python -m experiments.rig_protocol_page"
+
+
+def test_the_frame_in_the_page_is_the_record_it_is_said_to_be():
+    assert same(frame.decode(dumped("frame_bytes")), RECORD)
+
+
+def test_the_frame_in_the_page_can_be_read_by_what_the_page_says_of_it():
+    data = dumped("frame_bytes")
+    magic, head, body, checksum = struct.unpack_from("<4sIII", data)
+    assert (magic, head % 8, len(data)) == (b"RTR1", 0, 16 + head + body)
+    assert checksum == zlib.crc32(data[:12] + bytes(4) + data[16:])
+    assert zlib.crc32(b"123456789") == 0xCBF43926
+    header = json.loads(data[16 : 16 + head])
+    columns = np.frombuffer(data, "<f8", 5 * header["samples"], 16 + head).reshape(5, -1)
+    assert header["columns"][2] == "tension_N"
+    np.testing.assert_array_equal(columns[2], RECORD.tension_N)
+    assert data[-header["samples"] :] == bytes(RECORD.flags)
+
+
+def test_the_part_in_the_page_is_the_beginning_of_the_frame():
+    part = protocol.decode_part(dumped("part_bytes"))
+    whole = dumped("frame_bytes")
+    assert (part.total, part.offset, part.data) == (len(whole), 0, whole[:32])
+
+
+def test_the_live_samples_in_the_page_are_those_they_are_said_to_be():
+    samples = protocol.decode_live(SAMPLES.trial_id, dumped("live_bytes"))
+    assert (samples.first, samples.sampling_Hz) == (32, 632.0)
+    for name in ("setpoint_N", "tension_N", "current_A", "angle_rad"):
+        np.testing.assert_array_equal(getattr(samples, name), getattr(SAMPLES, name))
+
+
+@pytest.mark.parametrize("example", EXAMPLES, ids=lambda example: type(example).__name__)
+def test_each_example_in_the_page_is_a_message(example):
+    kind = type(example)
+    text = re.search(rf"### {kind.__name__}\n.*?```json\n(.*?)\n```", TEXT, re.DOTALL)[1]
+    assert protocol.decode(kind, text.encode()) == example
+    assert len(text) <= protocol.COMMAND_MAX_BYTES or kind is protocol.Description

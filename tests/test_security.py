@@ -1,0 +1,223 @@
+"""Who may reach a rig and command it: by password and by certificate, and nobody else."""
+
+import shutil
+import subprocess
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from estune import bus
+from estune.errors import InvalidInput, RigError
+from estune.link.state import Mode
+from estune.security import read_security
+from estune.trial import Outcome
+from tests.support_rigs import ScriptedRig
+from tests.test_bus import trial
+
+SOON_S = 1.0
+
+
+def secret(path: Path, text: str) -> None:
+    path.write_text(text)
+    path.chmod(0o600)
+
+
+def security(path: Path, text: str):
+    path.write_text(text)
+    return read_security(path)
+
+
+@contextmanager
+def served(endpoint: str, **options):
+    rig = ScriptedRig(duration_s=0.02)
+    with bus.serve(rig, endpoint, **options) as server:
+        yield rig, server
+
+
+# --- passwords ---
+
+ACCESS = '[access]\ncommand = ["anna"]\nlook = ["guest"]\n'
+
+
+@pytest.fixture
+def users(tmp_path):
+    """The rig's security, and that of anna, of a guest, of a liar and of a stranger."""
+    secret(tmp_path / "users", "anna:horse battery\nguest:look\nstranger:odd\n")
+    given = {"anna": "horse battery", "guest": "look", "liar": "wrong", "stranger": "odd"}
+    found = {"rig": security(tmp_path / "rig.toml", f'[password]\nusers_file = "users"\n{ACCESS}')}
+    for name, word in given.items():
+        secret(tmp_path / f"{name}.password", word)
+        user = "anna" if name == "liar" else name
+        text = f'[password]\nuser = "{user}"\npassword_file = "{name}.password"\n'
+        found[name] = security(tmp_path / f"{name}.toml", text)
+    return found
+
+
+def test_who_is_let_commands_the_rig_by_password(users):
+    with (
+        served("tcp/127.0.0.1:0", security=users["rig"]) as (rig, server),
+        bus.connect(server.endpoint, security=users["anna"]) as anna,
+    ):
+        assert anna.run(trial()).outcome is Outcome.DONE
+        assert anna.abort() == anna.describe()
+        anna.estop("smoke")
+        anna.clear()
+        assert rig.asked == [trial()]
+        assert [p.rig for p in bus.find(server.endpoint, security=users["anna"])] == ["scripted"]
+
+
+def test_who_may_only_look_sees_all_and_commands_nothing(users):
+    with (
+        served("tcp/127.0.0.1:0", security=users["rig"]) as (rig, server),
+        bus.connect(server.endpoint, timeout_s=SOON_S, security=users["guest"]) as guest,
+    ):
+        assert guest.describe() == rig.describe()
+        assert guest.status().mode is Mode.IDLE
+        for call in (
+            *(lambda: guest.run(trial()), lambda: guest.apply(trial().gains)),
+            *(guest.abort, guest.clear),
+        ):
+            with pytest.raises(RigError, match="were not let command it"):
+                call()
+        with pytest.raises(RigError, match="has not answered the emergency stop"):
+            guest.estop("smoke")
+        assert rig.asked == []
+        assert server._attendant.status("").mode is Mode.IDLE
+
+
+def test_who_may_only_look_cannot_speak_in_the_rigs_name(users):
+    with (
+        served("tcp/127.0.0.1:0", security=users["rig"]) as (_, server),
+        bus.connect(server.endpoint, security=users["anna"]) as anna,
+        bus.connect(server.endpoint, security=users["guest"]) as guest,
+    ):
+        anna._changed.clear()
+        guest._talk.session.put(guest._talk.keys.status, b"forged")
+        guest._talk.session.liveliness().declare_token(guest._talk.keys.alive("0badf00d"))
+        assert anna.run(trial()).outcome is Outcome.DONE
+        found = bus.find(server.endpoint, security=users["anna"])
+        assert [p.instance for p in found] == [server.instance]
+
+
+@pytest.mark.parametrize("who", ["liar", None])
+def test_who_has_no_password_or_a_wrong_one_is_not_let_in(users, who):
+    with served("tcp/127.0.0.1:0", security=users["rig"]) as (_, server):
+        given = {} if who is None else {"security": users[who]}
+        with pytest.raises(RigError, match="see --security"):
+            bus.connect(server.endpoint, timeout_s=SOON_S, **given)
+
+
+def test_who_is_known_and_let_do_nothing_does_not_see_the_rig(users):
+    with (
+        served("tcp/127.0.0.1:0", security=users["rig"]) as (_, server),
+        pytest.raises(RigError, match="no rig answers"),
+    ):
+        bus.connect(server.endpoint, timeout_s=SOON_S, security=users["stranger"])
+
+
+# --- certificates ---
+
+
+def openssl(*arguments: object) -> None:
+    subprocess.run(["openssl", *map(str, arguments)], check=True, capture_output=True)
+
+
+def authority(folder: Path, name: str) -> None:
+    openssl(
+        *("req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:P-256", "-nodes"),
+        *("-subj", f"/CN={name}", "-days", 1),
+        *("-keyout", folder / f"{name}.key", "-out", folder / f"{name}.pem"),
+    )
+
+
+def certificate(folder: Path, name: str, signer: str) -> None:
+    """A key and a certificate of that name for the loopback address."""
+    request, extension = folder / f"{name}.csr", folder / f"{name}.ext"
+    extension.write_text("subjectAltName=IP:127.0.0.1\nbasicConstraints=CA:FALSE\n")
+    openssl(
+        *("req", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:P-256", "-nodes"),
+        *("-subj", f"/CN={name}", "-keyout", folder / f"{name}.key", "-out", request),
+    )
+    openssl(
+        *("x509", "-req", "-in", request, "-days", 1, "-extfile", extension),
+        *("-CA", folder / f"{signer}.pem", "-CAkey", folder / f"{signer}.key", "-CAcreateserial"),
+        *("-out", folder / f"{name}.pem"),
+    )
+    (folder / f"{name}.key").chmod(0o600)
+
+
+@pytest.fixture(scope="module")
+def holders(tmp_path_factory):
+    """The same by certificate; the forger's is signed by another authority."""
+    if shutil.which("openssl") is None:
+        pytest.skip("openssl is not installed")
+    folder = tmp_path_factory.mktemp("certificates")
+    for name in ("ca", "other"):
+        authority(folder, name)
+    found = {}
+    for name in ("rig", "anna", "guest", "forger"):
+        signer = "other" if name == "forger" else "ca"
+        certificate(folder, name, signer)
+        text = (
+            f'[tls]\nauthority = "{signer}.pem"\ncertificate = "{name}.pem"\nkey = "{name}.key"\n'
+        )
+        found[name] = security(folder / f"{name}.toml", text + ACCESS * (name == "rig"))
+    return found
+
+
+def test_who_is_let_commands_the_rig_by_certificate_and_who_may_look_does_not(holders):
+    with (
+        served("tls/127.0.0.1:0", security=holders["rig"]) as (rig, server),
+        bus.connect(server.endpoint, security=holders["anna"]) as anna,
+        bus.connect(server.endpoint, timeout_s=SOON_S, security=holders["guest"]) as guest,
+    ):
+        assert anna.run(trial()).outcome is Outcome.DONE
+        assert guest.describe() == anna.describe()
+        with pytest.raises(RigError, match="were not let command it"):
+            guest.run(trial(1))
+        assert rig.asked == [trial()]
+
+
+def test_a_certificate_of_another_authority_is_not_taken(holders):
+    with (
+        served("tls/127.0.0.1:0", security=holders["rig"]) as (_, server),
+        pytest.raises(RigError, match="see --security"),
+    ):
+        bus.connect(server.endpoint, timeout_s=SOON_S, security=holders["forger"])
+
+
+def test_where_there_are_certificates_nothing_goes_unencrypted(holders):
+    with pytest.raises(InvalidInput, match=r"write it as tls/127\.0\.0\.1:"):
+        bus.serve(ScriptedRig(), "tcp/127.0.0.1:0", security=holders["rig"])
+    with pytest.raises(InvalidInput, match="needs certificates"):
+        bus.connect("tls/127.0.0.1:7447")
+
+
+# --- the file ---
+
+
+@pytest.mark.parametrize(
+    ("text", "complaints"),
+    [
+        ('[pasword]\nuser = "a"\n', ["pasword", "did you mean password"]),
+        ('[password]\nuser = "a"\n', ["user and password_file"]),
+        ("[password]\n", ["give user and password_file to connect"]),
+        ('[access]\nlook = ["a"]\n', ["without password or tls"]),
+        ('[password]\nusers_file = "none"\n', ["password.users_file: there is no file"]),
+        (
+            '[password]\nusers_file = "open"\n',
+            ["password.users_file: others can read", "chmod 600"],
+        ),
+        ('[tls]\nauthority = 3\nkey = "k"\n', ["tls.key: there is no file"]),
+        ("[tls]\nauthority = 3\n", ["tls.authority", "tls.certificate", "tls.key"]),
+        ("[tls", ["no TOML"]),
+    ],
+)
+def test_a_security_file_that_is_wrong_says_what_and_where(tmp_path, text, complaints):
+    (tmp_path / "open").write_text("anna:secret\n")
+    (tmp_path / "open").chmod(0o644)
+    with pytest.raises(InvalidInput) as refused:
+        security(tmp_path / "security.toml", text)
+    for complaint in complaints:
+        assert complaint in str(refused.value)

@@ -1,0 +1,126 @@
+import math
+from dataclasses import replace
+
+import control
+import numpy as np
+import pytest
+
+import plants
+from estune.core.gains import Gains
+from estune.errors import InvalidInput, PlantError
+from estune.profiles import ChirpProfile, StepProfile
+from estune.trial import TrialRequest
+from plants.effects import EFFECTS, CoulombFriction, DeadTime, TorqueRipple
+
+FINE = plants.unloaded_reel(encoder_counts=1e12)  # so that the angle can be compared to rounding
+PUSH = StepProfile(0.0, 10.0, 0.1, 0.6, loop="open")
+GAINS = Gains(1.0, 0.0, 0.0, 0.0)
+
+
+def angle(reel, profile=PUSH):
+    return plants.simulate(reel, GAINS, profile).angle_rad
+
+
+def pushed(reel, time_s, torque_Nm):
+    """The closed form of J theta'' + b theta' = tau from rest, under a step at zero."""
+    J, b = reel.drum_inertia_kg_m2, reel.viscous_friction_Nms
+    t = np.maximum(time_s, 0.0)
+    return torque_Nm / b * (t + J / b * np.expm1(-b / J * t))
+
+
+@pytest.mark.parametrize("dead_samples", [0.0, 1.0, 2.6])
+def test_a_push_turns_it_as_the_differential_equation_says(dead_samples):
+    reel = replace(FINE, dead_time_s=dead_samples / FINE.sampling_Hz)
+    found = angle(reel)
+    start = PUSH.step_index(reel.sampling_Hz) + dead_samples
+    time = (np.arange(found.size) - start) / reel.sampling_Hz
+    expected = pushed(reel, time, 10.0 * reel.drum_radius_m)
+    assert found == pytest.approx(expected, abs=1e-10)
+
+
+def test_dry_friction_takes_its_torque_and_holds_what_is_below_it():
+    F = 0.1
+    reel = FINE + CoulombFriction(F)
+    assert not angle(reel, replace(PUSH, step_N=0.9 * F / reel.drum_radius_m)).any()
+    time = (np.arange(angle(reel).size) - PUSH.step_index(632.0) - 1) / 632.0
+    assert angle(reel) == pytest.approx(pushed(reel, time, 0.25 - F), abs=1e-6)
+
+
+def test_a_stage_is_a_drum_of_radius_one_that_has_mass():
+    stage = plants.unloaded_reel(
+        drum_radius_m=1.0,
+        torque_constant_Nm_A=1.0,
+        drum_inertia_kg_m2=8.0,
+        viscous_friction_Nms=40.0,
+        current_limit_A=500.0,
+        dead_time_s=0.0,
+        sampling_Hz=2000.0,
+        encoder_counts=2.0 * math.pi / 1e-12,
+    )
+    time = np.arange(1200) / 2000.0 - 0.1
+    assert angle(stage) == pytest.approx(pushed(stage, time, 10.0), abs=1e-10)
+
+
+def test_its_angle_is_read_in_steps_of_the_encoder():
+    reel = plants.unloaded_reel()
+    step = 2.0 * math.pi / reel.encoder_counts
+    assert angle(reel) == pytest.approx(np.floor(angle(FINE) / step + 0.5) * step)
+
+
+def test_a_rig_of_it_runs_open_loops_and_refuses_closed_ones():
+    rig = plants.unloaded_reel().rig()
+    about = rig.describe()
+    record = rig.run(TrialRequest("run", 0, about.gains, about.step))
+    assert record.loop == "open"
+    assert record.cable_length_m is None
+    assert not record.tension_N.any()
+    assert record.angle_rad[-1] > 1.0
+    closed = StepProfile(0.0, 1.0, 0.1, 0.5)
+    with pytest.raises(PlantError, match="open loop"):
+        rig.run(TrialRequest("run", 1, about.gains, closed))
+
+
+def test_its_linear_model_has_its_response():
+    reel = replace(FINE, dead_time_s=0.0)
+    model = reel.linear_model()
+    plant = plants.linear_plant(
+        control.ss(model.A, np.reshape(model.B, (2, 1)), [model.C], 0.0),
+        sampling_Hz=reel.sampling_Hz,
+    )
+    chirp = ChirpProfile(0.0, 20.0, 1.0, 40.0, 1.0, loop="open")
+    expected = plants.simulate(plant, GAINS, chirp).tension_N
+    assert angle(reel, chirp) == pytest.approx(expected, abs=1e-10)
+
+
+def test_effects_of_a_cable_have_no_place_on_it():
+    on_it = {
+        *("coulomb_friction", "stribeck_friction", "dahl_hysteresis", "viscous_damping"),
+        *("torque_ripple", "dead_time", "current_saturation", "rate_limit", "gain_error"),
+    }
+    for name, effect in EFFECTS.items():
+        if name in on_it:
+            assert np.isfinite(angle(plants.unloaded_reel() + effect())).all()
+        else:
+            with pytest.raises(PlantError, match="without a cable"):
+                plants.unloaded_reel() + effect()
+
+
+def test_effects_act_on_it_as_on_a_reel():
+    late = FINE + DeadTime(1.4 / 632.0)
+    assert angle(late) == pytest.approx(angle(replace(FINE, dead_time_s=2.4 / 632.0)), abs=1e-12)
+    smooth, rough = angle(FINE), angle(FINE + TorqueRipple(0.02, 8.0, 0.0))
+    turns = smooth[-1] * 8.0 / (2.0 * math.pi)
+    assert turns > 3.0  # the wave has passed more than once
+    assert 0.01 < np.abs(rough - smooth).max() < 1.0
+
+
+@pytest.mark.parametrize("wrong", [{"drum_inertia_kg_m2": 0.0}, {"sampling_Hz": math.nan}])
+def test_a_drum_that_cannot_be_is_refused(wrong):
+    (name,) = wrong
+    with pytest.raises(InvalidInput, match=name):
+        plants.unloaded_reel(**wrong)
+
+
+def test_an_attribute_it_does_not_have_is_told():
+    with pytest.raises(InvalidInput, match="cable_EA_N"):
+        plants.unloaded_reel(cable_EA_N=1.0)
