@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from estune.core.pidf import ControllerSettings
     from estune.core.search_space import SearchSpace
     from estune.errors import EstuneError
+    from estune.profiles import StepProfile
     from estune.result import TuneResult
-    from estune.trial import StepProfile
 
 __all__ = [
     "ControllerSettings",
@@ -39,7 +39,7 @@ _HOMES = {
     "Gains": "estune.core.gains",
     "SearchSpace": "estune.core.search_space",
     "StepCost": "estune.core.cost",
-    "StepProfile": "estune.trial",
+    "StepProfile": "estune.profiles",
     "TuneResult": "estune.result",
     "load": "estune.api",
     "resume": "estune.api",

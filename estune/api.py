@@ -4,7 +4,7 @@ import contextlib
 from collections.abc import Iterator, Mapping
 from datetime import datetime
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from estune import progress, result, tuning
 from estune.core.cost import StepCost
@@ -19,10 +19,14 @@ from estune.planning import (
     plan_from_json,
     plan_to_json,
 )
+from estune.profiles import StepProfile
 from estune.result import TuneResult
 from estune.targets import open_target
-from estune.trial import Rig, RigDescription, StepProfile
+from estune.trial import Rig, RigDescription
 from estune.tuning import Stopped, Tuning, Watcher
+
+if TYPE_CHECKING:
+    from estune.security import Security
 
 RUNS = "runs"
 """Folder that runs are kept in, below the one estune is called from."""
@@ -43,6 +47,7 @@ def tune(
     folder: str | Path = RUNS,
     journal: bool = True,
     rig: str | None = None,
+    security: "Security | None" = None,
     watch: Watcher | Literal["auto"] | None = "auto",
 ) -> TuneResult:
     """Tunes the PIDF gains of a rig by step trials.
@@ -51,8 +56,8 @@ def tune(
     was found is in the result, and is made live only by `estune apply` or `Rig.apply`.
 
     Args:
-        target: An endpoint ("tcp/127.0.0.1:7447"), a plant ("plants:reference_reel" or an object),
-            or a rig.
+        target: An endpoint ("tcp/127.0.0.1:7447"), a plant ("reel.toml", "plants:reference_reel"
+            or an object), or a rig.
         tuner: Name of a tuner, or one ready-made.
         trials: Greatest number of search trials.
         repeats: Trials of the start before the search, and of each candidate after it.
@@ -67,6 +72,7 @@ def tune(
         folder: Where runs are kept.
         journal: Whether to keep the run on disk, so that it survives and can be resumed.
         rig: Name of the rig, where several answer at the endpoint.
+        security: Who this is, where the rig at the endpoint asks; see `estune.security`.
         watch: Told of each trial; "auto" shows progress, None nothing.
 
     Raises:
@@ -82,7 +88,7 @@ def tune(
         >>> result.success
         True
     """
-    with open_target(target, rig) as the_rig:
+    with open_target(target, rig, security) as the_rig:
         description = the_rig.describe()
         name = run or _free_name(Path(folder))
         if not name.replace("-", "").replace("_", "").isalnum():
@@ -117,6 +123,7 @@ def resume(
     run_folder: str | Path,
     target: Any = None,
     *,
+    security: "Security | None" = None,
     watch: Watcher | Literal["auto"] | None = "auto",
 ) -> TuneResult:
     """Goes on with a run that was stopped, with the proposals it would have made undisturbed.
@@ -124,6 +131,7 @@ def resume(
     Args:
         run_folder: The run's folder.
         target: Where its rig is now; by default where it was.
+        security: As in `tune`.
         watch: As in `tune`.
 
     Raises:
@@ -139,8 +147,8 @@ def resume(
             raise InvalidInput(
                 f"{run_folder} was made on an object; pass it: estune.resume(folder, rig)"
             )
-        with open_target(target, journal.fact("rig_name")) as rig:
-            _check_same_rig(tuning_.description, rig.describe())
+        with open_target(target, journal.fact("rig_name"), security) as rig:
+            check_same_rig(tuning_.description, rig.describe())
             return _run(tuning_, rig, watch)
     finally:
         journal.close()
@@ -188,8 +196,12 @@ def _stored(journal: Journal) -> tuple[Any, RigDescription]:
     return plan_from_json(journal.fact("plan")), description_from_json(journal.fact("rig"))
 
 
-def _check_same_rig(then: RigDescription, now: RigDescription) -> None:
-    """A run goes on only on the rig it began on."""
+def check_same_rig(then: RigDescription, now: RigDescription) -> None:
+    """Sees to it that a run goes on only on the rig it began on.
+
+    Raises:
+        RigError: the rig is another one now.
+    """
     for what in ("name", "controller", "newtons_per_ampere", "cable_length_m"):
         if getattr(then, what) != getattr(now, what):
             raise RigError(

@@ -6,7 +6,8 @@
     ├── InvalidInput       2  a value given by the user lies outside what it may be
     ├── PlantError         3  a model cannot be simulated
     ├── RigError           4  a rig cannot be reached, is not the one meant, or refuses
-    │   └── ProtocolError     what came over the link cannot be understood
+    │   ├── ProtocolError     what came over the link cannot be understood
+    │   └── Interrupted       a trial was cut off on a rig that moves: somebody must see to it
     ├── JournalError       5  a run cannot be read or written
     └── UnsafeStart        6  no safe gains to begin from or to fall back on
 
@@ -43,6 +44,10 @@ class RigError(EstuneError):
 
 class ProtocolError(RigError):
     """What came over the link cannot be understood: another version, a corrupt frame."""
+
+
+class Interrupted(RigError):
+    """A trial was cut off on a rig that moves: somebody must see to it before it is run again."""
 
 
 class JournalError(EstuneError):

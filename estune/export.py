@@ -67,7 +67,7 @@ def export_run(run_folder: Path, out: Path, form: Format) -> list[Path]:
         InvalidInput: Parquet was asked for and pyarrow is not installed.
         JournalError: the run cannot be read, or a file cannot be written.
     """
-    write = _write_csv if form == "csv" else _parquet_writer()
+    write = _to_csv if form == "csv" else _parquet_writer()
     written = []
     with Journal.open(run_folder) as journal, _explained(out):
         out.mkdir(parents=True, exist_ok=True)
@@ -78,13 +78,31 @@ def export_run(run_folder: Path, out: Path, form: Format) -> list[Path]:
     return written
 
 
+def write_record(record: TrialRecord, folder: Path) -> Path:
+    """Writes one record as CSV, with its metadata as JSON beside it.
+
+    Args:
+        record: The record.
+        folder: Where to; made if it is missing. Files of the same trial are replaced.
+
+    Returns:
+        The file with the columns.
+
+    Raises:
+        JournalError: a file cannot be written.
+    """
+    with _explained(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        return _to_csv(record, folder / record.trial_id)
+
+
 def replace_file(path: Path, content: bytes) -> None:
     """Writes a file so that it is there whole or not at all."""
     with _whole(path) as temporary:
         temporary.write_bytes(content)
 
 
-def _write_csv(record: TrialRecord, stem: Path) -> Path:
+def _to_csv(record: TrialRecord, stem: Path) -> Path:
     shown = columns(record)
     beside = stem.with_name(f"{stem.name}.json")
     replace_file(beside, json.dumps(metadata(record), indent=2, allow_nan=False).encode())
@@ -136,5 +154,5 @@ def _explained(out: Path) -> Iterator[None]:
         yield
     except OSError as error:
         raise JournalError(
-            f"{error.filename or out}: {error.strerror or error}; choose another folder with --out"
+            f"{error.filename or out}: {error.strerror or error}; choose another folder"
         ) from error

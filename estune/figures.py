@@ -1,28 +1,34 @@
 """The figures of a run: cost per trial, step response before and after, gains over the trials.
 
 They are drawn on axes that are handed in, from the columns of `TuneResult.to_frame` and from trial
-records, and never touch pyplot, so that a service can draw them too. Colours are of the Okabe-Ito
-set, which stays apart for colour-blind readers; markers and dashes tell the same in grey.
+records.
 """
 
 import math
-from io import BytesIO
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter, StrMethodFormatter
+from matplotlib.ticker import MaxNLocator
 
 from estune.core.gains import GAIN_NAMES, GAIN_UNITS, Gains
-from estune.trial import StepProfile, TrialRecord
+from estune.drawing import (
+    BLACK,
+    BLUE,
+    GREEN,
+    GREY,
+    LIGHT,
+    ORANGE,
+    PURPLE,
+    VERMILION,
+    finish,
+    legend,
+)
+from estune.profiles import StepProfile
+from estune.trial import TrialRecord
 
 if TYPE_CHECKING:
     import pandas as pd
-
-BLACK, GREY, LIGHT = "#222222", "#7a7a7a", "#d9d9d9"
-BLUE, VERMILION, GREEN, ORANGE, PURPLE = "#0072b2", "#d55e00", "#009e73", "#e69f00", "#cc79a7"
 
 PHASES = {
     "baseline": (ORANGE, "s", "start gains"),
@@ -36,57 +42,7 @@ GAIN_LOOKS = {
     "setpoint_filter_s": (PURPLE, (0, (1.5, 0.8)), "filter"),
 }
 
-_STYLE: dict[str, Any] = {"fontsize": 9}
-_LEGEND: dict[str, Any] = {
-    "fontsize": 8,
-    "frameon": False,
-    "handlelength": 1.8,
-    "columnspacing": 1.2,
-}
 _DECADE = 10.0
-
-
-class ShownFigure(Figure):
-    """A figure that a notebook displays by itself, without pyplot having been loaded."""
-
-    def _repr_png_(self) -> bytes:
-        return to_png(self)
-
-
-class ShownAxes(Axes):
-    """Axes that a notebook displays as their whole figure."""
-
-    def _repr_png_(self) -> bytes:
-        return to_png(self.get_figure(root=True) or ShownFigure())
-
-
-def new_axes() -> Axes:
-    """Axes on a figure of their own."""
-    axes: Axes = new_figure(6.4, 3.2).add_subplot(axes_class=ShownAxes)
-    return axes
-
-
-def new_figure(width_in: float, height_in: float) -> Figure:
-    """An empty figure that lays itself out."""
-    figure = ShownFigure(figsize=(width_in, height_in), layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure
-
-
-def to_png(figure: Figure, dpi: float = 160.0) -> bytes:
-    """The figure as PNG."""
-    buffer = BytesIO()
-    figure.savefig(buffer, format="png", dpi=dpi)
-    return buffer.getvalue()
-
-
-def to_svg(figure: Figure) -> str:
-    """The figure as an SVG element, ready to stand in a page."""
-    buffer = BytesIO()
-    # No date, so that the same run gives the same page.
-    figure.savefig(buffer, format="svg", metadata={"Date": None})
-    text = buffer.getvalue().decode()
-    return text[text.index("<svg") :]
 
 
 def draw_cost(ax: Axes, frame: "pd.DataFrame", start_cost: float, eta_max: float) -> Axes:
@@ -117,11 +73,9 @@ def draw_cost(ax: Axes, frame: "pd.DataFrame", start_cost: float, eta_max: float
     if finite.size and finite.min() > 0.0 and finite.max() / finite.min() > _DECADE:
         ax.set_yscale("log")
     _draw_unsafe(ax, frame[frame["unsafe"]], finite, eta_max)
-    ax.set_xlabel("trial", **_STYLE)
-    ax.set_ylabel("cost η (1 = as good as first order)", **_STYLE)
     ax.xaxis.set_major_locator(MaxNLocator(integer=True, steps=[1, 2, 5, 10]))
-    _finish(ax)
-    _legend_above(ax, columns=3)
+    finish(ax, "cost η (1 = as good as first order)", "trial")
+    legend(ax, columns=3, left=-0.12)
     return ax
 
 
@@ -161,10 +115,8 @@ def draw_response(
                 label=label, zorder=2,
             )  # fmt: skip
     ax.set_xlim(-min(step.step_at_s, 0.1 * step.duration_s), step.duration_s - step.step_at_s)
-    ax.set_xlabel("time from the step, s", **_STYLE)
-    ax.set_ylabel("tension, N", **_STYLE)
-    _finish(ax)
-    ax.legend(loc="best", **_LEGEND)
+    finish(ax, "tension, N", "time from the step, s")
+    ax.legend(loc="best", fontsize=8, frameon=False, handlelength=1.8)
     return ax
 
 
@@ -194,11 +146,9 @@ def draw_gains(ax: Axes, frame: "pd.DataFrame", start: Gains, recommended: Gains
         if end > 0.0 and len(frame):
             last = frame["number"].iloc[-1]
             ax.plot(last, end / unit, "o", color=colour, markersize=4.5, clip_on=False)
-    ax.set_xlabel("trial", **_STYLE)
-    ax.set_ylabel("gain / start gain", **_STYLE)
     ax.xaxis.set_major_locator(MaxNLocator(integer=True, steps=[1, 2, 5, 10]))
-    _finish(ax)
-    _legend_above(ax, columns=2)
+    finish(ax, "gain / start gain", "trial")
+    legend(ax, columns=2, left=-0.12)
     return ax
 
 
@@ -219,22 +169,3 @@ def _draw_unsafe(ax: Axes, unsafe: "pd.DataFrame", safe: Any, eta_max: float) ->
             unsafe["number"], np.full(len(unsafe), 0.965), "x", color=VERMILION, markersize=5,
             markeredgewidth=1.3, transform=ax.get_xaxis_transform(), label="unsafe", zorder=3,
         )  # fmt: skip
-
-
-def _legend_above(ax: Axes, columns: int) -> None:
-    """A legend above the axes, where points over decades leave no corner free."""
-    ax.legend(loc="lower left", bbox_to_anchor=(-0.12, 1.0), ncols=columns, **_LEGEND)
-
-
-def _finish(ax: Axes) -> None:
-    ax.spines[["top", "right"]].set_visible(False)
-    ax.tick_params(labelsize=8)
-    ax.grid(visible=True, color="#eeeeee", linewidth=0.6)
-    ax.set_axisbelow(True)
-    if ax.get_yscale() == "log":
-        low, high = ax.get_ylim()
-        ax.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
-        # Less than two decades would show one labelled tick or none.
-        subs = (1.0, 2.0, 5.0) if high / low < _DECADE**2 else (1.0,)
-        ax.yaxis.set_major_locator(LogLocator(subs=subs))
-        ax.yaxis.set_minor_formatter(NullFormatter())

@@ -5,18 +5,17 @@ synchronous=FULL, so that what was acknowledged survives kill -9 and power loss,
 block the writer. One process writes; a lock that dies with it keeps a second one out.
 """
 
-import fcntl
 import json
 import os
 import sqlite3
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import IO, Any, Self
 
-from estune import frame
+from estune import database, frame
 from estune.core.gains import Gains
 from estune.errors import JournalError, ProtocolError
 from estune.session import Phase
@@ -24,9 +23,9 @@ from estune.trial import Outcome, TrialRecord, TrialRequest
 
 FILE_NAME = "run.sqlite"
 LOCK_NAME = "writer.lock"
-SCHEMA_VERSION = 1
 
-_SCHEMA = """
+VERSIONS = (
+    """
 CREATE TABLE run (key TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
 CREATE TABLE trial (
     number INTEGER NOT NULL, attempt INTEGER NOT NULL, trial_id TEXT NOT NULL UNIQUE,
@@ -34,8 +33,12 @@ CREATE TABLE trial (
     setpoint_filter_s REAL NOT NULL, asked_at TEXT NOT NULL,
     outcome TEXT, reason TEXT, cost REAL, told_at TEXT, record BLOB,
     PRIMARY KEY (number, attempt)
-);
-"""
+)
+""",
+)
+"""What makes each schema out of the one before it; the first makes it out of nothing."""
+
+GO_ON = "go on with: estune resume"
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,16 +93,13 @@ class Journal:
         with _explained(folder), ExitStack() as opened:
             folder.mkdir(parents=True, exist_ok=True)
             lock = opened.enter_context(_lock(folder))
-            connection = _connect(opened, folder, "rwc")
+            connection = database.connect(opened, folder / FILE_NAME, "rwc")
             connection.execute("PRAGMA journal_mode=WAL")
-            connection.execute("BEGIN IMMEDIATE")
-            for statement in _SCHEMA.split(";"):
-                connection.execute(statement)
-            connection.executemany(
-                "INSERT INTO run VALUES (?, ?)", [(k, json.dumps(v)) for k, v in facts.items()]
-            )
-            connection.execute(f"PRAGMA user_version={SCHEMA_VERSION}")
-            connection.execute("COMMIT")
+            with database.transaction(connection):
+                database.migrate(connection, VERSIONS)
+                connection.executemany(
+                    "INSERT INTO run VALUES (?, ?)", [(k, json.dumps(v)) for k, v in facts.items()]
+                )
             opened.pop_all()
         return cls(folder, connection, lock)
 
@@ -121,18 +121,16 @@ class Journal:
                 not os.access(folder, os.W_OK) and not (folder / f"{FILE_NAME}-wal").exists()
             )
             mode = "rw" if write else "ro&immutable=1" if unshared else "ro"
-            connection = _connect(opened, folder, mode)
-            version = connection.execute("PRAGMA user_version").fetchone()[0]
-            if version != SCHEMA_VERSION:
-                remedy = "use a newer" if version > SCHEMA_VERSION else "it is not a run of"
-                raise JournalError(
-                    f"{path} has schema version {version}, this estune knows {SCHEMA_VERSION}; "
-                    f"{remedy} estune"
-                )
+            connection = database.connect(opened, path, mode)
+            database.check_version(connection, path, len(VERSIONS), "a run")
             if write:
-                fault = connection.execute("PRAGMA quick_check(1)").fetchone()[0]
-                if fault != "ok":
-                    raise JournalError(f"{path} is damaged ({fault}); restore it from a copy")
+                database.check_whole(connection, path)
+            outdated = database.version(connection) < len(VERSIONS)
+            if outdated and write:
+                with database.transaction(connection):
+                    database.migrate(connection, VERSIONS)
+            elif outdated:
+                cls.open(folder, write=True).close()
             opened.pop_all()
         return cls(folder, connection, lock)
 
@@ -236,71 +234,18 @@ class Journal:
 
     @contextmanager
     def _transaction(self) -> Iterator[None]:
-        with _explained(self.folder):
-            self._connection.execute("BEGIN IMMEDIATE")
-            try:
-                yield
-                self._connection.execute("COMMIT")
-            except BaseException:
-                if self._connection.in_transaction:
-                    self._connection.execute("ROLLBACK")
-                raise
+        with _explained(self.folder), database.transaction(self._connection):
+            yield
 
 
 def being_written(folder: Path) -> bool:
     """Whether a process holds the right to write the run in this folder."""
-    try:
-        with (folder / LOCK_NAME).open() as lock:
-            fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return True
-    except (
-        OSError
-    ):  # no lock was ever taken, or this user may not look: nothing says it is written
-        return False
-    return False
-
-
-def _connect(opened: ExitStack, folder: Path, mode: str) -> sqlite3.Connection:
-    """A connection whose transactions are ours to begin and end, closed again on failure."""
-    address = f"{(folder / FILE_NAME).resolve().as_uri()}?mode={mode}"
-    connection = sqlite3.connect(address, uri=True, isolation_level=None, timeout=2.0)
-    opened.callback(connection.close)
-    connection.execute("PRAGMA synchronous=FULL")
-    return connection
+    return database.being_written(folder / LOCK_NAME)
 
 
 def _lock(folder: Path) -> IO[str]:
-    """The right to write, held until closed and let go by the system if the process dies."""
-    lock = (folder / LOCK_NAME).open("w")
-    try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        lock.close()
-        raise JournalError(
-            f"the run in {folder} is being written by another process; wait for it or stop it"
-        ) from None
-    return lock
+    return database.lock(folder / LOCK_NAME, f"the run in {folder}")
 
 
-@contextmanager
-def _explained(folder: Path) -> Iterator[None]:
-    """Turns what sqlite3 and the file system say into what the user can do about it."""
-    try:
-        yield
-    except sqlite3.Error as error:
-        said = str(error)
-        remedies = {
-            "locked": "another program holds the file; close it and go on with: estune resume",
-            "readonly": "give write permission to the folder and the file",
-            "unable to open": "give write permission to the folder and the file",
-            "malformed": "the file is damaged; restore it from a copy",
-            "not a database": "the file is damaged or no run of estune; restore it from a copy",
-            "full": "the disk is full; make room and go on with: estune resume",
-        }
-        remedy = next((remedies[key] for key in remedies if key in said), "see the message")
-        raise JournalError(f"{folder / FILE_NAME}: {said}; {remedy}") from error
-    except OSError as error:
-        raise JournalError(
-            f"{folder}: {error.strerror or error}; choose a folder that can be written"
-        ) from error
+def _explained(folder: Path) -> AbstractContextManager[None]:
+    return database.explained(folder / FILE_NAME, GO_ON)

@@ -12,8 +12,9 @@ from estune.core.gains import Gains
 from estune.core.search_space import SearchSpace
 from estune.core.tuners import TUNERS, Tuner
 from estune.errors import InvalidInput, JournalError
+from estune.profiles import StepProfile
 from estune.session import Plan
-from estune.trial import RigDescription, StepProfile
+from estune.trial import RigDescription
 
 MOVE_WEIGHT = 0.2
 """Default price on effort: without one the cost (35) has no interior optimum on a good plant."""

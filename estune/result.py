@@ -162,34 +162,34 @@ class TuneResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type i
 
     def plot_cost(self, ax: "Axes | None" = None) -> "Axes":
         """Draws the cost per trial with the best so far, on `ax` or a figure of its own."""
-        from estune import figures  # noqa: PLC0415  slow to import
+        from estune import drawing, figures  # noqa: PLC0415  slow to import
 
         return figures.draw_cost(
-            ax or figures.new_axes(), self.to_frame(), self.start.cost, self.session.eta_max
+            ax or drawing.new_axes(), self.to_frame(), self.start.cost, self.session.eta_max
         )
 
     def plot_response(self, ax: "Axes | None" = None) -> "Axes":
         """Draws the step response before and after, on `ax` or a figure of its own."""
-        from estune import figures  # noqa: PLC0415  slow to import
+        from estune import drawing, figures  # noqa: PLC0415  slow to import
 
         return figures.draw_response(
-            *(ax or figures.new_axes(), self.plan.step, self.start.record),
+            *(ax or drawing.new_axes(), self.plan.step, self.start.record),
             self.tuned.record if self.tuned else None,
         )
 
     def plot_gains(self, ax: "Axes | None" = None) -> "Axes":
         """Draws the gains over the trials, on `ax` or a figure of its own."""
-        from estune import figures  # noqa: PLC0415  slow to import
+        from estune import drawing, figures  # noqa: PLC0415  slow to import
 
         return figures.draw_gains(
-            ax or figures.new_axes(), self.to_frame(), self.start_gains, self.gains
+            ax or drawing.new_axes(), self.to_frame(), self.start_gains, self.gains
         )
 
     def figure(self) -> "Figure":
         """All three figures on one page; pyplot is not touched."""
-        from estune import figures  # noqa: PLC0415  slow to import
+        from estune import drawing  # noqa: PLC0415  slow to import
 
-        page = figures.new_figure(7.2, 6.6)
+        page = drawing.new_figure(7.2, 6.6)
         grid = page.add_gridspec(2, 2)
         self.plot_response(page.add_subplot(grid[0, :]))
         self.plot_cost(page.add_subplot(grid[1, 0]))
@@ -231,13 +231,13 @@ class TuneResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type i
         return repr(self)
 
     def _repr_html_(self) -> str:
-        from estune import figures  # noqa: PLC0415  slow to import
+        from estune import drawing  # noqa: PLC0415  slow to import
 
         def cells(tag: str, *texts: str) -> str:
             shown = texts if self.tuned else texts[:2]
             return "<tr>" + "".join(f"<{tag}>{html.escape(t)}</{tag}>" for t in shown) + "</tr>"
 
-        colour = figures.GREEN if self.success else figures.VERMILION
+        colour = drawing.GREEN if self.success else drawing.VERMILION
         head = cells("th", "", "start", "tuned")
         table = head + "".join(cells("td", *row) for row in self.rows())
         remarks = "".join(f"<p>{html.escape(remark)}</p>" for remark in self.remarks())
@@ -245,7 +245,7 @@ class TuneResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type i
         return (
             f'<div><p style="border-left:4px solid {colour};padding-left:8px">'
             f"<b>{html.escape(self.heading())}</b></p><table>{table}</table>{remarks}{where}"
-            f"{figures.to_svg(self.figure())}</div>"
+            f"{drawing.to_svg(self.figure())}</div>"
         )
 
 

@@ -7,7 +7,8 @@ import numpy as np
 from estune.core.cost import StepCost
 from estune.core.metrics import NO_METRICS, StepMetrics, step_metrics
 from estune.errors import RigError
-from estune.trial import Outcome, StepProfile, TrialRecord
+from estune.profiles import StepProfile
+from estune.trial import Outcome, TrialRecord
 
 
 def cost_of(

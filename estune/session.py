@@ -17,7 +17,8 @@ from estune.core.gains import Gains
 from estune.core.tuners import Tuner
 from estune.core.tuners.observation import Observation
 from estune.errors import InvalidInput
-from estune.trial import Outcome, StepProfile, TrialRequest
+from estune.profiles import StepProfile
+from estune.trial import Outcome, TrialRequest
 
 
 class Phase(StrEnum):
@@ -42,6 +43,8 @@ class Plan:
         repeats: Trials of the start gains before the search, and of each candidate after it.
         eta_max: A trial that costs more is unsafe (the paper's guard under (35)); None is
             `UNSAFE_RATIO` times the start's own cost.
+        repeat_start: Whether the start is repeated once more among the candidates, in turn with
+            them, so that a drift during the search is not taken for an improvement.
 
     Raises:
         InvalidInput: a count is too small, the limit is not above zero, or the settling time is
@@ -56,6 +59,7 @@ class Plan:
     trials: int = 120
     repeats: int = 3
     eta_max: float | None = None
+    repeat_start: bool = False
 
     def __post_init__(self) -> None:
         if self.trials < 1 or self.repeats < 1:
@@ -64,6 +68,8 @@ class Plan:
             )
         if self.eta_max is not None and not (math.isfinite(self.eta_max) and self.eta_max > 0.0):
             raise InvalidInput(f"eta_max is {self.eta_max}; it must be finite and above zero")
+        if self.step.loop != "closed":
+            raise InvalidInput("an open-loop step cannot tune a controller; make it a closed one")
         after_s = self.step.duration_s - self.step.step_at_s
         if self.cost.settling_time_s > after_s:
             raise InvalidInput(
@@ -74,7 +80,7 @@ class Plan:
     @property
     def most_trials(self) -> int:
         """The number of trials the run takes if nothing ends it early."""
-        return self.trials + 3 * self.repeats
+        return self.trials + (4 if self.repeat_start else 3) * self.repeats
 
 
 UNSAFE_RATIO = 3.0
@@ -96,7 +102,8 @@ class Session:
         searched: Search trials told.
         unsafe_in_a_row: Censored search trials since the last safe one.
         baseline: Costs of the start gains.
-        candidates: Gains to be confirmed, once the search is over.
+        candidates: Gains to be confirmed, once the search is over; the start first, if it is
+            repeated.
         confirmed: Costs of each candidate, in their order; infinite where a trial was unsafe.
         search_end: Why the search ended; empty while it goes on.
         failure: Why the run can't go on at all; empty while it can.
@@ -208,7 +215,8 @@ class Verdict:
 def verdict(session: Session) -> Verdict:
     """What the run came to, so far as it went."""
     plan = session.plan
-    start_cost, start_error = _mean(session.baseline)
+    repeated = plan.repeat_start and session.confirmed
+    start_cost, start_error = _mean(session.confirmed[0] if repeated else session.baseline)
     as_it_was = Verdict(
         gains=plan.start,
         cost=start_cost,
@@ -259,7 +267,8 @@ def _after_search(session: Session, observation: Observation) -> dict[str, Any]:
         return changed
     # The tuner's centre is its considered answer; the best single trial may be luck, or may not.
     points = (tuner.recommend(state), state.best_point)
-    candidates = tuple(dict.fromkeys(tuner.space.gains(point) for point in points))
+    start = (session.plan.start,) if session.plan.repeat_start else ()
+    candidates = tuple(dict.fromkeys((*start, *map(tuner.space.gains, points))))
     confirmed = ((),) * len(candidates)
     return {**changed, "search_end": end, "candidates": candidates, "confirmed": confirmed}
 

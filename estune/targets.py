@@ -1,14 +1,22 @@
 """From what a user names as a target to a rig that answers."""
 
+import functools
 import importlib
 import inspect
 import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from estune.errors import InvalidInput
 from estune.trial import Rig
+
+if TYPE_CHECKING:
+    from estune.security import Security
+
+MODEL_FILE = ".toml"
+_READER = "plants:load_model"
+"""What reads a model file; by name as a user's own plant is, for plants are built on estune."""
 
 _ENDPOINT = re.compile(r"(tcp|udp|tls|quic|ws|serial|unixsock-stream)/.+")
 
@@ -19,13 +27,16 @@ def is_endpoint(target: object) -> bool:
 
 
 @contextmanager
-def open_target(target: Any, rig: str | None = None) -> Iterator[Rig]:
+def open_target(
+    target: Any, rig: str | None = None, security: "Security | None" = None
+) -> Iterator[Rig]:
     """The rig a user means, for as long as the block lasts.
 
     Args:
-        target: An endpoint ("tcp/127.0.0.1:7447"), "module:attribute" naming a plant or a rig, a
-            plant (anything with a `.rig()` method), or a rig.
+        target: An endpoint ("tcp/127.0.0.1:7447"), a model file ("reel.toml"), "module:attribute"
+            naming a plant or a rig, a plant (anything with a `.rig()` method), or a rig.
         rig: Name of the rig, where several answer at the endpoint.
+        security: Who this is, where the rig at the endpoint asks.
 
     Raises:
         InvalidInput: the target is none of these.
@@ -33,8 +44,9 @@ def open_target(target: Any, rig: str | None = None) -> Iterator[Rig]:
     """
     if isinstance(target, str) and is_endpoint(target):
         from estune import bus  # noqa: PLC0415  loads the network only where there is one
+        from estune.security import OPEN  # noqa: PLC0415  as above
 
-        remote = bus.connect(target, rig=rig)
+        remote = bus.connect(target, rig=rig, security=security or OPEN)
         try:
             yield remote
         finally:
@@ -59,16 +71,20 @@ def open_target(target: Any, rig: str | None = None) -> Iterator[Rig]:
 
 
 def load(reference: str, settings: Mapping[str, Any] | None = None) -> Any:
-    """What "module:attribute" names; a function or class there is called with the settings.
+    """The model of a file, or what "module:attribute" names.
+
+    A function or class is called with the settings; in a file they come before what it says.
 
     Raises:
-        InvalidInput: there is no such module or attribute, or it does not take the settings.
+        InvalidInput: there is no such file, module or attribute, or it does not take the settings.
     """
+    if reference.endswith(MODEL_FILE):
+        return load(_READER, {"model": reference, **(settings or {})})
     module_name, colon, attribute = reference.partition(":")
     if not colon or not module_name or not attribute:
         raise InvalidInput(
-            f"{reference!r} is neither an endpoint such as tcp/127.0.0.1:7447 "
-            "nor module:attribute such as plants:reference_reel"
+            f"{reference!r} is neither an endpoint such as tcp/127.0.0.1:7447, nor a model file "
+            "such as reel.toml, nor module:attribute such as plants:reference_reel"
         )
     try:
         found = getattr(importlib.import_module(module_name), attribute)
@@ -76,7 +92,7 @@ def load(reference: str, settings: Mapping[str, Any] | None = None) -> Any:
         raise InvalidInput(f"{reference}: there is no module {error.name!r}") from error
     except AttributeError as error:
         raise InvalidInput(f"{reference}: {module_name} has no {attribute!r}") from error
-    if hasattr(found, "rig") and not isinstance(found, type):
+    if not (isinstance(found, type | functools.partial) or inspect.isroutine(found)):
         if settings:
             raise InvalidInput(
                 f"{reference} is made already and takes no settings {dict(settings)}"

@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Literal, Protocol
+from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
 from estune.errors import InvalidInput
+from estune.profiles import AnyProfile, Kind, Loop, Profile, StepProfile
 
 FloatArray = NDArray[np.float64]
 
@@ -48,67 +49,23 @@ _SENTENCES = {
 
 
 @dataclass(frozen=True, slots=True)
-class StepProfile:
-    """A step in the setpoint: hold the preload, and at `step_at_s` jump by the step.
-
-    Attributes:
-        preload_N: Tension held before the step, N.
-        step_N: Size of the step, N; may be negative, not zero.
-        step_at_s: Time of the step from the start of the trial, s; zero or above.
-        duration_s: Length of the whole trial, s; after the step.
-
-    Raises:
-        InvalidInput: a value is out of its range.
-    """
-
-    preload_N: float
-    step_N: float
-    step_at_s: float
-    duration_s: float
-
-    def __post_init__(self) -> None:
-        values = (self.preload_N, self.step_N, self.step_at_s, self.duration_s)
-        if not all(map(math.isfinite, values)):  # ten times as fast as numpy on four floats
-            raise InvalidInput(f"step profile {values} holds a value that is not finite")
-        if self.step_N == 0.0:
-            raise InvalidInput("the step is 0 N; without a step there is no response to score")
-        if not 0.0 <= self.step_at_s < self.duration_s:
-            raise InvalidInput(
-                f"the step at {self.step_at_s} s must lie inside the trial of {self.duration_s} s"
-            )
-
-    def samples(self, sampling_Hz: float) -> int:
-        """Number of samples in a trial."""
-        return round(self.duration_s * sampling_Hz)
-
-    def step_index(self, sampling_Hz: float) -> int:
-        """Index of the first sample whose setpoint is the stepped one."""
-        return round(self.step_at_s * sampling_Hz)
-
-    def setpoint(self, sampling_Hz: float) -> FloatArray:
-        """The setpoint at each sample, N, shape (samples,)."""
-        setpoint = np.full(self.samples(sampling_Hz), float(self.preload_N + self.step_N))
-        setpoint[: self.step_index(sampling_Hz)] = self.preload_N
-        return setpoint
-
-
-@dataclass(frozen=True, slots=True)
 class TrialRequest:
-    """One step trial to be run with the given gains.
+    """One trial to be run with the given gains.
 
     Attributes:
         run: Name of the run the trial belongs to.
         number: The trial's place in the run, from 0. A simulated rig's noise depends on it and
             on the rig's seed alone, so that a run can be repeated.
         gains: Controller gains for the duration of the trial.
-        step: The setpoint to be followed.
+        profile: The setpoint: a step for tuning, other profiles to find out about the rig. In an
+            open loop the gains play no part.
         attempt: Counts repeats of a trial that was void, from 0. A trial id never runs twice.
     """
 
     run: str
     number: int
     gains: Gains
-    step: StepProfile
+    profile: Profile
     attempt: int = 0
 
     @property
@@ -127,7 +84,7 @@ class TrialRecord:
         rig: Name of the rig.
         sampling_Hz: Sampling rate.
         cable_length_m: Deployed cable length, or None where there is no cable.
-        preload_N: Tension held before the step, N.
+        preload_N: Tension held before the profile begins, N.
         gains: The gains that were really applied.
         outcome: How the trial ended.
         reason: What happened, in words, where the outcome is not `done`.
@@ -161,8 +118,8 @@ class TrialRecord:
     angle_rad: FloatArray
     flags: NDArray[np.uint8]
     reference_N: FloatArray | None = None
-    loop: Literal["closed", "open"] = "closed"
-    profile: Literal["step", "triangle", "multisine", "chirp", "custom"] = "step"
+    loop: Loop = "closed"
+    profile: Kind | Literal["custom"] = "step"
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,6 +132,9 @@ class LinearModel:
         C: Output vector, shape (n,).
         E: Direct feed-through.
         dead_time_s: Delay of the input u, s.
+
+    Raises:
+        InvalidInput: a number is not finite.
     """
 
     A: tuple[tuple[float, ...], ...]
@@ -183,37 +143,53 @@ class LinearModel:
     E: float = 0.0
     dead_time_s: float = 0.0
 
+    def __post_init__(self) -> None:
+        numbers = (*(a for row in self.A for a in row), *self.B, *self.C, self.E, self.dead_time_s)
+        if not all(map(math.isfinite, numbers)):
+            raise InvalidInput("the linear model holds a number that is not finite")
+
 
 @dataclass(frozen=True, slots=True)
 class RigLimits:
     """What a rig will accept in a request.
 
     Attributes:
-        tension_min_N: Least setpoint, N.
-        tension_max_N: Greatest setpoint, N.
+        tension_min_N: Least setpoint, N; of an open loop too.
+        tension_max_N: Greatest setpoint, N; of an open loop too.
         duration_max_s: Longest trial, s.
+
+    Raises:
+        InvalidInput: the limits are the wrong way round, or none at all.
     """
 
     tension_min_N: float
     tension_max_N: float
     duration_max_s: float
 
-    def check(self, step: StepProfile) -> None:
-        """Refuses a step the rig must not run.
+    def __post_init__(self) -> None:
+        # Both hold for infinite limits, and neither for NaN.
+        if not (self.tension_min_N <= self.tension_max_N and self.duration_max_s > 0.0):
+            raise InvalidInput(
+                f"limits {self.tension_min_N:g} to {self.tension_max_N:g} N and "
+                f"{self.duration_max_s:g} s: give them in order, and a duration above zero"
+            )
+
+    def check(self, profile: AnyProfile) -> None:
+        """Refuses a profile the rig must not run.
 
         Raises:
             InvalidInput: a tension or the duration is outside the limits.
         """
-        for tension in (step.preload_N, step.preload_N + step.step_N):
+        for tension in profile.extremes_N:
             if not self.tension_min_N <= tension <= self.tension_max_N:
                 raise InvalidInput(
                     f"setpoint {tension:g} N is outside the rig's range "
                     f"{self.tension_min_N:g} to {self.tension_max_N:g} N; "
-                    "choose another preload or step"
+                    "choose another preload or a smaller change"
                 )
-        if step.duration_s > self.duration_max_s:
+        if profile.duration_s > self.duration_max_s:
             raise InvalidInput(
-                f"a trial of {step.duration_s:g} s is longer than the rig's limit of "
+                f"a trial of {profile.duration_s:g} s is longer than the rig's limit of "
                 f"{self.duration_max_s:g} s; choose a shorter one"
             )
 
@@ -233,6 +209,11 @@ class RigDescription:
         cable_length_m: Deployed cable length, m, or None.
         linear_model: The plant linearised about the suggested step, where it is known.
         software: What serves it, name and version.
+        simulated: Whether nothing physical moves, so that an interrupted trial may be asked for
+            again without anybody having seen to the rig.
+
+    Raises:
+        InvalidInput: a number is not finite, or not above zero.
     """
 
     name: str
@@ -245,6 +226,71 @@ class RigDescription:
     cable_length_m: float | None = None
     linear_model: LinearModel | None = None
     software: str = ""
+    simulated: bool = False
+
+    def __post_init__(self) -> None:
+        for name in ("newtons_per_ampere", "settling_time_s", "cable_length_m"):
+            value = getattr(self, name)
+            if value is not None and not (math.isfinite(value) and value > 0.0):
+                raise InvalidInput(f"rig {self.name}: {name} is {value}; it must be above zero")
+
+
+def unmeasured(
+    request: TrialRequest, rig: RigDescription, outcome: Outcome, reason: str, at: str
+) -> TrialRecord:
+    """The record of a trial that nothing was measured of: no samples, the live gains.
+
+    Args:
+        request: The trial.
+        rig: The rig it was meant for.
+        outcome: What came of it.
+        reason: Why, in words.
+        at: When, ISO 8601 with offset.
+    """
+    nothing = np.empty(0)
+    return TrialRecord(
+        trial_id=request.trial_id,
+        rig=rig.name,
+        sampling_Hz=rig.controller.sampling_Hz,
+        cable_length_m=rig.cable_length_m,
+        preload_N=request.profile.preload_N,
+        gains=rig.gains,
+        outcome=outcome,
+        reason=reason,
+        started_at=at,
+        software=rig.software,
+        time_s=nothing,
+        setpoint_N=nothing,
+        tension_N=nothing,
+        current_A=nothing,
+        angle_rad=nothing,
+        flags=np.empty(0, np.uint8),
+        loop=request.profile.loop,
+        profile=request.profile.kind,
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Telemetry:
+    """Samples of a trial under way, for whoever looks on. Columns have shape (samples,).
+
+    Attributes:
+        trial_id: The trial.
+        first: Index in the trial of the first sample here.
+        sampling_Hz: Sampling rate.
+        setpoint_N: The setpoint before its filter.
+        tension_N: The measured tension.
+        current_A: The motor current commanded.
+        angle_rad: The drum angle measured.
+    """
+
+    trial_id: str
+    first: int
+    sampling_Hz: float
+    setpoint_N: FloatArray
+    tension_N: FloatArray
+    current_A: FloatArray
+    angle_rad: FloatArray
 
 
 class Rig(Protocol):
@@ -276,6 +322,30 @@ class Rig(Protocol):
         """Stops the trial under way, if any, and returns once the live gains are back."""
         ...
 
+    def estop(self, reason: str) -> None:
+        """Begins to bring the rig to its safe state, whatever it does, and returns at once.
+
+        The trial under way, if any, ends. The rig stays there, and refuses trials and gains with a
+        `RigError`, until it is cleared. May be called by any thread, any number of times.
+        """
+        ...
+
+    def clear(self) -> None:
+        """Ends an emergency stop: the rig may be used again. Nothing moves by it."""
+        ...
+
     def close(self) -> None:
         """Lets go of the rig; further calls are refused."""
+        ...
+
+
+@runtime_checkable
+class Watched(Protocol):
+    """A rig that shows a trial while it runs."""
+
+    def telemetry(self, after: int) -> Telemetry | None:
+        """The samples of the trial under way from index `after` on; None if none is.
+
+        They are a copy. May be called by any thread, often, and must not slow the trial.
+        """
         ...

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from estune.core.gains import Gains
-from estune.errors import JournalError, UnsafeStart
+from estune.errors import Interrupted, JournalError, RigError, UnsafeStart
 from estune.journal import Entry, Journal
 from estune.score import cost_of
 from estune.session import (
@@ -17,7 +17,10 @@ from estune.session import (
     next_request,
     told,
 )
-from estune.trial import Rig, RigDescription, TrialRecord, TrialRequest
+from estune.trial import Outcome, Rig, RigDescription, TrialRecord, TrialRequest
+
+VOID_IN_A_ROW = 10
+"""So many trials in a row that came to nothing end a run: something keeps stopping them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,21 +122,42 @@ def run(tuning: Tuning, rig: Rig, watchers: Iterable[Watcher] = ()) -> None:
 
     Raises:
         UnsafeStart: the start gains are unsafe.
-        RigError: the rig cannot be reached; the run can be resumed.
+        RigError: the rig cannot be reached, or a trial was void too often; the run can be resumed.
+        Interrupted: a trial was cut off on a rig that moves: to resume the run is to say that
+            somebody has seen to it.
         JournalError: a trial could not be committed; the run can be resumed.
         Stopped: the user interrupted it; the rig is back at its live gains.
     """
     watchers = tuple(watchers)
+    void_in_a_row = 0
     try:
         request = next_request(tuning.session)
         _commit(tuning, None, request)
         while request is not None:
-            request = _tell(tuning, request, rig.run(request), watchers)
+            record = rig.run(request)
+            request = _tell(tuning, request, record, watchers)
+            void_in_a_row = void_in_a_row + 1 if record.outcome.is_void else 0
+            if record.outcome.is_void:
+                _check_void(tuning, record, void_in_a_row)
     except KeyboardInterrupt:
         folder = tuning.journal.folder if tuning.journal else None
         raise Stopped(rig.abort(), folder) from None
     if tuning.session.failure:
         raise UnsafeStart(tuning.session.failure)
+
+
+def _check_void(tuning: Tuning, record: TrialRecord, in_a_row: int) -> None:
+    """Stops a run whose next trial must not be asked for unasked."""
+    folder = tuning.journal.folder if tuning.journal else None
+    go_on = f"go on with: estune resume {folder}" if folder else "tune again"
+    what = f"trial {record.trial_id} on rig {record.rig}"
+    if record.outcome is Outcome.INTERRUPTED and not tuning.description.simulated:
+        raise Interrupted(f"{what} was cut off ({record.reason}); see to the rig, then {go_on}")
+    if in_a_row >= VOID_IN_A_ROW:
+        raise RigError(
+            f"{what} came to nothing, as did {in_a_row - 1} before it ({record.reason}); "
+            f"see what stops them, then {go_on}"
+        )
 
 
 def _tell(

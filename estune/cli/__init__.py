@@ -34,13 +34,31 @@ app = App(
 _COMMANDS = (
     ("demo", "demo:demo", "Watch a simulated reel in another process being tuned over Zenoh."),
     ("serve", "serve:serve", "Serve a simulated reel, or any plant, as a rig on the network."),
+    ("rig", "rig:rig", "Serve a reel on hardware, or an emulated one, as a rig on the network."),
     ("tune", "tune:tune", "Tune a rig by step trials."),
     ("resume", "tune:resume", "Go on with a run that was stopped or cut off."),
     ("list", "runs:list_runs", "List the runs of a folder."),
     ("show", "runs:show", "Show what a run came to."),
     ("export", "runs:export", "Write the trial records of a run as CSV or Parquet files."),
+    (
+        "export-controller",
+        "rig:export_controller",
+        "Write a controller with its gains as one C file for firmware.",
+    ),
     ("apply", "rigs:apply", "Make a run's gains, or its start gains, live on a rig."),
+    ("explain", "explain:explain", "Find what a model lacks that records show, and name it."),
+    (
+        "run-experiment",
+        "experiment:run_experiment",
+        "Run the trial of a file on a rig, and add its record to a folder.",
+    ),
+    ("improve", "improve:improve", "Mend a rig's model by experiment, and tune the rig with it."),
     ("rigs", "rigs:rigs", "Say which rigs answer at an endpoint, and how they stand."),
+    ("doctor", "doctor:doctor", "Check a rig: what is fine, what to mend, and how."),
+    ("estop", "rigs:estop", "Bring a rig to its safe state at once, and hold it there."),
+    ("clear", "rigs:clear", "End a rig's emergency stop, once you have seen to the rig."),
+    ("daemon", "daemon:daemon", "Tune and watch rigs for days, as a service."),
+    ("control", "daemon:control", "Ask a daemon how a rig stands, or tell it what to do."),
     ("paper", "paper:paper", "Make the paper's figures again; say which of its claims hold here."),
 )
 for _place, (_name, _where, _help) in enumerate(_COMMANDS):

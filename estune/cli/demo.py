@@ -65,7 +65,7 @@ def served_reel(seed: int, pace: float) -> Iterator[str]:
     Raises:
         RigError: the process does not come to serve it.
     """
-    command = [sys.executable, "-m", "estune.cli", "serve", "--stop-on-eof"]
+    command = [sys.executable, "-m", "estune.cli", "serve", "--stop-on-eof", "--ledger", "memory"]
     command += ["--seed", str(seed), "--pace", str(pace)]
     process = subprocess.Popen(  # noqa: S603  our own interpreter and module
         command,

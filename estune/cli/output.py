@@ -44,11 +44,11 @@ def save_figure(result: TuneResult) -> Path | None:
     """Draws the run's figure into its folder; None for a run without a folder or a trial."""
     if result.folder is None or not result.entries:
         return None
-    from estune import figures  # noqa: PLC0415  slow to import
+    from estune import drawing  # noqa: PLC0415  slow to import
     from estune.export import replace_file  # noqa: PLC0415  of no use to most commands
 
     path = result.folder / FIGURE_NAME
-    replace_file(path, figures.to_png(result.figure()))
+    replace_file(path, drawing.to_png(result.figure()))
     return path
 
 

@@ -1,14 +1,16 @@
 """`estune serve`: a plant as a rig in a process of its own."""
 
+import os
 import sys
 import threading
 from contextlib import suppress
+from pathlib import Path
 from typing import Annotated, Any
 
 from cyclopts import Parameter
 
 from estune import bus
-from estune.cli.values import settings_from
+from estune.cli.values import security_from, settings_from
 from estune.errors import InvalidInput
 from estune.targets import load
 from estune.trial import Rig
@@ -27,23 +29,38 @@ def serve(
     set_: Annotated[
         tuple[str, ...], Parameter(name="--set", negative=(), show_default=False)
     ] = (),
+    ledger: str = "",
     allow_remote: Annotated[bool, _Flag] = False,
+    security: Path | None = None,
     stop_on_eof: Annotated[bool, _Flag] = False,
 ) -> None:
     """Serve a simulated reel, or any plant, as a rig on the network, until Ctrl-C.
 
     Args:
-        plant: The plant, as module:attribute.
+        plant: The plant: a model file such as reel.toml, or module:attribute.
         listen: Where to listen; port 0 picks a free one, which is printed.
         name: Name of the rig.
         seed: Seed of the measurement noise.
         pace: Seconds a second of a trial takes: 1 is real time, 0 as fast as it can be simulated.
         set_: A setting of the plant, as cable_length_m=1.1 or tension_N=20; repeat for more.
-        allow_remote: Let other machines reach the rig; nobody is asked for a password.
+        ledger: File in which it is remembered which trials have run; rigs/<name>.ledger below
+            this folder by default. "memory" forgets them when it ends.
+        allow_remote: Let other machines reach the rig; without --security, whoever reaches it can
+            move it.
+        security: File that says who may reach and command the rig; see docs/security.md.
         stop_on_eof: Stop when standard input is closed, too: when a parent process has ended.
     """
+    book = None if ledger == "memory" else Path(ledger or f"rigs/{name}.ledger")
     rig = _rig(load(plant, settings_from(set_)), plant, name=name, seed=seed, pace=pace)
-    with suppress(KeyboardInterrupt), bus.serve(rig, listen, allow_remote=allow_remote) as server:
+    with (
+        suppress(KeyboardInterrupt),
+        bus.serve(
+            *(rig, listen),
+            ledger=book,
+            allow_remote=allow_remote,
+            security=security_from(security),
+        ) as server,
+    ):
         print(f"rig {name} at {server.endpoint}", flush=True)
         print(f"tune it with: estune tune {server.endpoint}    stop with Ctrl-C", flush=True)
         if stop_on_eof:
@@ -63,6 +80,7 @@ def _rig(plant: Any, reference: str, **settings: Any) -> Rig:
 
 
 def _close_at_eof(server: bus.RigServer) -> None:
-    while sys.stdin.buffer.read(4096):
+    # Unbuffered: a thread inside a buffered reader would abort the interpreter at its end.
+    while os.read(sys.stdin.fileno(), 4096):
         pass
     server.close()

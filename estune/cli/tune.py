@@ -1,7 +1,9 @@
 """`estune tune` and `estune resume`."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -10,15 +12,16 @@ from cyclopts import Group, Parameter
 from estune import api
 from estune.cli import output
 from estune.cli.runs import find_run
-from estune.cli.values import numbers_from, ranges_from
+from estune.cli.values import numbers_from, ranges_from, security_from
 from estune.core.cost import StepCost
 from estune.core.gains import GAIN_NAMES, Gains
 from estune.errors import InvalidInput
 from estune.journal import Journal
 from estune.planning import MOVE_WEIGHT
+from estune.profiles import StepProfile
 from estune.result import Ending, TuneResult
 from estune.targets import is_endpoint, open_target
-from estune.trial import RigDescription, StepProfile
+from estune.trial import Rig, RigDescription
 
 _STEP = Group("The step trial", sort_key=1)
 _COST = Group("The cost of a trial, (35)", sort_key=2)
@@ -76,6 +79,7 @@ def tune(
     start: Annotated[tuple[str, ...], Parameter(negative=(), show_default=False)] = (),
     bounds: Annotated[tuple[str, ...], Parameter(negative=(), show_default=False)] = (),
     rig: str | None = None,
+    security: Path | None = None,
     run: str | None = None,
     folder: Path = Path(api.RUNS),
     quiet: Annotated[bool, Parameter(negative=(), show_default=False)] = False,
@@ -85,8 +89,8 @@ def tune(
     """Tune a rig by step trials.
 
     Args:
-        target: Where the rig is: an endpoint such as tcp/127.0.0.1:7447, or module:attribute such
-            as plants:reference_reel.
+        target: Where the rig is: an endpoint such as tcp/127.0.0.1:7447, a model file such as
+            reel.toml, or module:attribute such as plants:reference_reel.
         tuner: How gains are proposed.
         trials: Greatest number of search trials.
         repeats: Trials of the start gains before the search, and of each candidate after it.
@@ -95,13 +99,15 @@ def tune(
         bounds: Least and greatest value of a gain, as P=0.1:10; repeat for more. The gains are P,
             I, D and setpoint_filter_s.
         rig: Name of the rig, where several answer at the endpoint.
+        security: File that says who this is, where the rig asks; see docs/security.md.
         run: Name of the run; the time of day by default.
         folder: Folder that runs are kept in.
         quiet: Show no progress.
         step: The step trial.
         cost: How a trial is scored.
     """
-    chosen = _chosen(target, rig, numbers_from(start), step, cost)
+    who = security_from(security)
+    chosen = _chosen(partial(open_target, target, rig, who), numbers_from(start), step, cost)
     result = api.tune(
         target,
         tuner=tuner,
@@ -113,6 +119,7 @@ def tune(
         step=chosen.step,
         cost=chosen.cost,
         rig=rig,
+        security=who,
         run=run,
         folder=folder,
         watch=None if quiet else "auto",
@@ -125,6 +132,7 @@ def resume(
     /,
     *,
     target: str | None = None,
+    security: Path | None = None,
     folder: Path = Path(api.RUNS),
     quiet: Annotated[bool, Parameter(negative=(), show_default=False)] = False,
 ) -> None:
@@ -133,13 +141,15 @@ def resume(
     Args:
         run: The run: its name, or its folder.
         target: Where its rig is now; by default where it was.
+        security: File that says who this is, where the rig asks; see docs/security.md.
         folder: Folder that runs are kept in.
         quiet: Show no progress.
     """
     path = find_run(run, folder)
     with Journal.open(path) as journal:
         where = target or journal.fact("target")
-    finish(api.resume(path, where, watch=None if quiet else "auto"), where)
+    who = security_from(security)
+    finish(api.resume(path, where, security=who, watch=None if quiet else "auto"), where)
 
 
 def finish(result: TuneResult, target: str | None, more: Mapping[str, str] | None = None) -> None:
@@ -165,7 +175,10 @@ class _Chosen:
 
 
 def _chosen(
-    target: str, rig: str | None, start: Mapping[str, float], step: StepOptions, cost: CostOptions
+    reach: Callable[[], AbstractContextManager[Rig]],
+    start: Mapping[str, float],
+    step: StepOptions,
+    cost: CostOptions,
 ) -> _Chosen:
     """Fills in what the user left open by asking the rig, if there is anything to fill in."""
     unknown = set(start) - set(GAIN_NAMES)
@@ -175,7 +188,7 @@ def _chosen(
         )
     if not start and step == _NO_STEP and cost == _NO_COST:
         return _Chosen(None, None, None)
-    with open_target(target, rig) as the_rig:
+    with reach() as the_rig:
         suggested: RigDescription = the_rig.describe()
     usual = StepCost(suggested.settling_time_s, move_weight=MOVE_WEIGHT)
     return _Chosen(

@@ -2,9 +2,13 @@
 
 import ast
 from collections.abc import Iterable
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from estune.errors import InvalidInput
+
+if TYPE_CHECKING:
+    from estune.security import Security
 
 
 def settings_from(texts: Iterable[str]) -> dict[str, Any]:
@@ -14,6 +18,17 @@ def settings_from(texts: Iterable[str]) -> dict[str, Any]:
         InvalidInput: one of them has no name or no value.
     """
     return dict(_setting(text) for text in texts)
+
+
+def security_from(path: Path | None) -> "Security":
+    """The settings in a security file; where none is named, nobody is asked who they are.
+
+    Raises:
+        InvalidInput: something in the file is wrong.
+    """
+    from estune.security import OPEN, read_security  # noqa: PLC0415  slow to import
+
+    return OPEN if path is None else read_security(path)
 
 
 def numbers_from(texts: Iterable[str]) -> dict[str, float]:

@@ -124,6 +124,24 @@ class StepCost:
                 eta = eta + self.move_weight * _moves(step_index, step_N, effort)
         return float(eta) if np.ndim(eta) == 0 else np.asarray(eta)
 
+    def weights(self, sampling_Hz: float, samples: int) -> FloatArray:
+        """Weights w_k with eta = sum(w_k eps_k^2)/dT^2 over the samples from the step on.
+
+        None is below zero: what a trial has run up by a sample only grows. The move penalty is
+        not in them.
+
+        Args:
+            sampling_Hz: Sampling rate.
+            samples: How many there are from the step on.
+
+        Returns:
+            Read-only, shape (samples,).
+
+        Raises:
+            InvalidInput: the settling time is longer than so many samples.
+        """
+        return _normalised_weights(self, sampling_Hz, samples)
+
 
 def _moves(step_index: int, step_N: float, effort: FloatArray) -> FloatArray:
     """sum((du_k/dT)^2) from the move made at the step itself on."""

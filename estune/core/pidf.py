@@ -124,15 +124,19 @@ def step(
         (zero where they did not act).
     """
     r, error, derivative = _terms(c, state, setpoint_N, measurement_N)
-    wanted = c.P * error + state.integral_N - c.D * derivative
-    effort = np.minimum(np.maximum(wanted, c.output_min_N), c.output_max_N)
-    excess = wanted - effort
+    effort, excess = limited(c, c.P * error + state.integral_N - c.D * derivative)
     following = PidfState(
         integral_N=state.integral_N + c.I_per_sample * error - c.tracking * excess,
         filtered_setpoint_N=r,
         filtered_measurement_N=state.filtered_measurement_N + c.sample_s * derivative,
     )
     return following, effort, excess
+
+
+def limited(c: Coefficients, wanted_N: Signal) -> tuple[Signal, Signal]:
+    """An effort within the controller's limits, N, and how much they cut off, N."""
+    effort = np.minimum(np.maximum(wanted_N, c.output_min_N), c.output_max_N)
+    return effort, wanted_N - effort
 
 
 def at_rest(tension_N: Signal, effort_N: Signal) -> PidfState:

@@ -1,0 +1,137 @@
+"""C source to a loaded library: compiled once, kept on disk, shared safely between processes.
+
+The library's file name holds a key (source, compiler and flags) and the digest of its own bytes:
+one that was cut short or spoilt is recognised before it is loaded, and made anew. Files appear by
+an atomic rename, so that two processes may compile the same thing at once.
+"""
+
+import ctypes
+import hashlib
+import logging
+import os
+import shlex
+import shutil
+import subprocess
+import tempfile
+import threading
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+
+from estune.errors import PlantError
+
+_log = logging.getLogger(__name__)
+_noticed = threading.Event()
+
+# CasADi calls fmin and fmax from C99 on, which stay calls for the sake of NaN; before it, it
+# writes the comparison itself, which is one instruction. It writes a choice as a sum with zero,
+# which is nothing to do where the sign of a zero does not count.
+FLAGS = (
+    *("-std=gnu90", "-O3", "-fno-math-errno", "-fno-signed-zeros"),
+    *("-fPIC", "-shared", "-fvisibility=hidden", "-w"),
+)
+COMPILE_LIMIT_s = 120.0
+
+
+def load(source: str) -> ctypes.CDLL:
+    """The library made from a C source, from the cache where it is there.
+
+    The cache is the folder `ESTUNE_CACHE`, or `estune` in the user's cache folder. Where it cannot
+    be written, a temporary folder serves this process.
+
+    Raises:
+        PlantError: no compiler is there, it failed, or what it made cannot be loaded.
+    """
+    command = compiler()
+    key = _key(source, command)
+    reason = ""
+    for folder in _folders():
+        try:
+            return _loaded(folder, key) or _made(folder, key, source, command)
+        except OSError as error:
+            reason = f"{folder}: {error.strerror or error}"
+    raise PlantError(reason)
+
+
+def notice(reason: str) -> None:
+    """Says, once per process, that trials run without compiled code."""
+    if not _noticed.is_set():
+        _noticed.set()
+        _log.warning("trials run in CasADi's virtual machine, many times slower: %s", reason)
+
+
+def compiler() -> tuple[str, ...]:
+    """The compiler's command: `CC` where it is set, else `cc` or `gcc`.
+
+    Raises:
+        PlantError: there is none.
+    """
+    for name in filter(None, (os.environ.get("CC"), "cc", "gcc", "clang")):
+        command = shlex.split(name)
+        program = shutil.which(command[0])
+        if program:
+            return (program, *command[1:])
+        if name == os.environ.get("CC"):
+            raise PlantError(f"the compiler named by CC, {name!r}, is not there")
+    raise PlantError("no C compiler found; install gcc or clang, or name one in CC")
+
+
+def _key(source: str, command: tuple[str, ...]) -> str:
+    """Names a library by everything it depends on; a compiler by its file's size and age."""
+    program = Path(command[0]).resolve()
+    status = program.stat()
+    parts = (source, *command, *FLAGS, str(program), str(status.st_size), str(status.st_mtime_ns))
+    return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:32]
+
+
+def _folders() -> Iterator[Path]:
+    """The cache folder, then one that lives as long as this process."""
+    try:
+        chosen = os.environ.get("ESTUNE_CACHE")
+        shared = os.environ.get("XDG_CACHE_HOME")
+        folder = Path(chosen) if chosen else Path(shared or Path.home() / ".cache") / "estune"
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        yield folder
+    except (OSError, RuntimeError):  # RuntimeError: no home folder
+        pass
+    yield Path(_temporary().name)
+
+
+@cache
+def _temporary() -> tempfile.TemporaryDirectory[str]:
+    return tempfile.TemporaryDirectory(prefix="estune-", ignore_cleanup_errors=True)
+
+
+def _loaded(folder: Path, key: str) -> ctypes.CDLL | None:
+    """The library if it is in the folder and whole."""
+    for path in folder.glob(f"{key}-*.so"):
+        if path.name == _name(key, path.read_bytes()):
+            return ctypes.CDLL(str(path))
+        path.unlink(missing_ok=True)
+    return None
+
+
+def _made(folder: Path, key: str, source: str, command: tuple[str, ...]) -> ctypes.CDLL:
+    """Compiles the source into the folder and loads it."""
+    with tempfile.TemporaryDirectory(prefix="making-", dir=folder) as workshop:
+        written, product = Path(workshop, "generated.c"), Path(workshop, "generated.so")
+        written.write_text(source)
+        arguments = [*command, *FLAGS, "-o", str(product), str(written), "-lm"]
+        try:
+            done = subprocess.run(  # noqa: S603  the compiler is the user's own choice
+                arguments, capture_output=True, text=True, timeout=COMPILE_LIMIT_s, check=False
+            )
+        except subprocess.TimeoutExpired as error:
+            raise PlantError(
+                f"{command[0]} did not finish within {COMPILE_LIMIT_s:g} s"
+            ) from error
+        if done.returncode or not product.exists():
+            lines = done.stderr.strip().splitlines() or ["no message"]
+            raise PlantError(f"{command[0]} failed: {lines[0]}")
+        path = folder / _name(key, product.read_bytes())
+        product.replace(path)
+    return ctypes.CDLL(str(path))
+
+
+def _name(key: str, content: bytes) -> str:
+    return f"{key}-{hashlib.sha256(content).hexdigest()[:32]}.so"

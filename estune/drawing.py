@@ -1,0 +1,104 @@
+"""How drawings look: figures without pyplot, colours, axes and legends.
+
+Figures are drawn without pyplot, so that a service can draw them too, and a notebook shows them by
+themselves. Colours are of the Okabe-Ito set, which stays apart for colour-blind readers; markers
+and dashes tell the same in grey.
+"""
+
+from io import BytesIO
+from typing import Any
+
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
+
+BLACK, GREY, LIGHT = "#222222", "#7a7a7a", "#d9d9d9"
+BLUE, VERMILION, GREEN, ORANGE, PURPLE = "#0072b2", "#d55e00", "#009e73", "#e69f00", "#cc79a7"
+
+FOUR: tuple[dict[str, Any], ...] = (
+    {"color": BLUE, "linestyle": "-", "linewidth": 1.2},
+    {"color": GREEN, "linestyle": (0, (5, 1.2)), "linewidth": 1.2},
+    {"color": PURPLE, "linestyle": (0, (1.5, 0.9)), "linewidth": 1.2},
+    {"color": VERMILION, "linestyle": (0, (6, 1.5, 1.5, 1.5)), "linewidth": 1.2},
+)
+"""Looks of four curves in order; the dashes tell them apart in grey."""
+WIDTH_in = 7.2
+
+_DECADE = 10.0
+
+
+class ShownFigure(Figure):
+    """A figure that a notebook displays by itself, without pyplot having been loaded."""
+
+    def _repr_png_(self) -> bytes:
+        return to_png(self)
+
+
+class ShownAxes(Axes):
+    """Axes that a notebook displays as their whole figure."""
+
+    def _repr_png_(self) -> bytes:
+        return to_png(self.get_figure(root=True) or ShownFigure())
+
+
+def new_axes() -> Axes:
+    """Axes on a figure of their own."""
+    axes: Axes = new_figure(6.4, 3.2).add_subplot(axes_class=ShownAxes)
+    return axes
+
+
+def new_figure(width_in: float, height_in: float) -> Figure:
+    """An empty figure that lays itself out."""
+    figure = ShownFigure(figsize=(width_in, height_in), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def to_png(figure: Figure, dpi: float = 160.0) -> bytes:
+    """The figure as PNG."""
+    buffer = BytesIO()
+    figure.savefig(buffer, format="png", dpi=dpi)
+    return buffer.getvalue()
+
+
+def to_svg(figure: Figure) -> str:
+    """The figure as an SVG element, ready to stand in a page."""
+    buffer = BytesIO()
+    # No date, so that the same run gives the same page.
+    figure.savefig(buffer, format="svg", metadata={"Date": None})
+    text = buffer.getvalue().decode()
+    return text[text.index("<svg") :]
+
+
+def stacked(rows: int, height_in: float) -> tuple[Figure, list[Axes]]:
+    """A figure with axes above each other that share their abscissa."""
+    figure = new_figure(WIDTH_in, height_in)
+    axes = figure.subplots(rows, 1, sharex=True, squeeze=False)
+    return figure, list(axes[:, 0])
+
+
+def finish(ax: Axes, ordinate: str, abscissa: str = "") -> None:
+    """Labels, a light grid, no frame where nothing is read off, and readable decades."""
+    ax.set_ylabel(ordinate, fontsize=9)
+    if abscissa:
+        ax.set_xlabel(abscissa, fontsize=9)
+    ax.spines[["top", "right"]].set_visible(False)
+    ax.tick_params(labelsize=8)
+    ax.grid(visible=True, color="#e6e6e6", linewidth=0.6)
+    ax.set_axisbelow(True)
+    if ax.get_yscale() == "log":
+        low, high = ax.get_ylim()
+        ax.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+        # Less than two decades would show one labelled tick or none.
+        subs = (1.0, 2.0, 5.0) if high / low < _DECADE**2 else (1.0,)
+        ax.yaxis.set_major_locator(LogLocator(subs=subs))
+        ax.yaxis.set_minor_formatter(NullFormatter())
+
+
+def legend(ax: Axes, columns: int = 4, left: float = 0.0) -> None:
+    """A legend above the axes, beginning at a share of their width from their left edge."""
+    ax.legend(
+        loc="lower left", bbox_to_anchor=(left, 1.0), ncols=columns, fontsize=8, frameon=False,
+        handlelength=2.4, columnspacing=1.4, borderaxespad=0.2,
+    )  # fmt: skip
