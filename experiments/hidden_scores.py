@@ -8,7 +8,7 @@ from typing import Any
 
 import plants
 from estune.core.gains import Gains
-from plants.discrepancy.record import Measurement
+from plants.discrepancy.data.record import Measurement
 from plants.effects import EFFECTS
 from plants.unloaded import UnloadedReel
 from tests import hidden

@@ -17,9 +17,9 @@ import numpy as np
 
 import plants
 from estune.trial import FloatArray
-from plants.discrepancy.models import diagnosed
-from plants.discrepancy.prediction import Predictor
-from plants.discrepancy.record import Measurement
+from plants.discrepancy.data.record import Measurement
+from plants.discrepancy.models.models import diagnosed
+from plants.discrepancy.prediction.prediction import Predictor
 
 SAMPLING_HZ = 1e7 / 2**14
 SETTLING = 100

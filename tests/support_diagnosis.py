@@ -7,7 +7,10 @@ import numpy as np
 import plants
 from estune.profiles import TriangleProfile
 from estune.trial_file import TrialFile
-from plants.discrepancy.diagnosis import (
+from plants.discrepancy.data.floor import Floor, Noise
+from plants.discrepancy.data.record import Finding
+from plants.discrepancy.experiments.next_experiment import NextExperiment
+from plants.discrepancy.report.diagnosis import (
     Calibration,
     Candidate,
     Diagnosis,
@@ -17,11 +20,8 @@ from plants.discrepancy.diagnosis import (
     Step,
     Trace,
 )
-from plants.discrepancy.floor import Floor, Noise
-from plants.discrepancy.next_experiment import NextExperiment
-from plants.discrepancy.record import Finding
-from plants.discrepancy.where import Block, Distortion, View, Where
-from plants.discrepancy.wording import sentence
+from plants.discrepancy.report.wording import sentence
+from plants.discrepancy.residual.where import Block, Distortion, View, Where
 from plants.effects import EFFECTS, EyeletFriction
 
 RATE_Hz = 632.0

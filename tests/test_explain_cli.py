@@ -12,7 +12,7 @@ from estune.export import write_record
 from estune.trial import TrialRequest
 from estune.trial_file import read_trial
 from plants.discrepancy import explain as module
-from plants.discrepancy.battery import battery
+from plants.discrepancy.experiments.battery import battery
 from plants.effects import EFFECTS
 from tests.support_diagnosis import REEL, deciding, diagnosis, nothing_found
 

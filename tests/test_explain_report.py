@@ -15,8 +15,8 @@ import pytest
 import plants
 from estune.drawing import new_figure, to_png
 from estune.errors import InvalidInput
-from plants.discrepancy import amounts, figures, summary, wording
-from plants.discrepancy.report import page
+from plants.discrepancy.report import amounts, figures, summary, wording
+from plants.discrepancy.report.report import page
 from plants.effects import EFFECTS, Effect, Port, parameter
 from tests.support_diagnosis import FOUND, deciding, diagnosis, nothing_found
 

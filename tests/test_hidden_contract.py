@@ -10,9 +10,9 @@ from scipy.optimize import least_squares
 
 import plants
 from experiments.hidden_scores import measurement
-from plants.discrepancy.models import diagnosed
-from plants.discrepancy.prediction import Predictor
-from plants.discrepancy.record import Measurement
+from plants.discrepancy.data.record import Measurement
+from plants.discrepancy.models.models import diagnosed
+from plants.discrepancy.prediction.prediction import Predictor
 from plants.effects import EFFECTS
 from plants.identify import Band, multisine, open_loop_record
 from tests.hidden import signals

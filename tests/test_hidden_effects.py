@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from experiments.hidden_scores import Task, diagnose, measurement
-from plants.discrepancy.record import CHANNELS
-from plants.discrepancy.records import read_measurements
+from plants.discrepancy.data.record import CHANNELS
+from plants.discrepancy.data.records import read_measurements
 from tests import hidden
 from tests.hidden import machine as machines
 from tests.hidden.bases import REEL, UNLOADED

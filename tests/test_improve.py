@@ -14,14 +14,14 @@ from estune.profiles import StepProfile, TriangleProfile
 from estune.trial import RigLimits, TrialRequest
 from estune.trial_file import TrialFile, read_trial
 from estune.tuning import Stopped
-from plants.discrepancy.base import BaseNumbers
-from plants.discrepancy.battery import battery, catalogue
-from plants.discrepancy.floor import noise_floor
+from plants.discrepancy.data.floor import noise_floor
+from plants.discrepancy.data.record import Measurement
+from plants.discrepancy.data.records import read_measurements
+from plants.discrepancy.experiments.battery import battery, catalogue
+from plants.discrepancy.experiments.next_experiment import Evidence, next_experiment, rig_of
 from plants.discrepancy.improve import TuneOptions
-from plants.discrepancy.next_experiment import Evidence, next_experiment, rig_of
-from plants.discrepancy.record import Measurement
-from plants.discrepancy.records import read_measurements
-from plants.discrepancy.where import Where, localise
+from plants.discrepancy.models.base import BaseNumbers
+from plants.discrepancy.residual.where import Where, localise
 from plants.effects import CoulombFriction, EyeletFriction
 from tests.serve_rig import served
 

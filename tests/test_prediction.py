@@ -11,11 +11,11 @@ import plants
 from estune.core.gains import Gains
 from estune.errors import InvalidInput, PlantError
 from estune.profiles import ChirpProfile, MultisineProfile, StepProfile, TriangleProfile
-from plants.discrepancy.calibration import Calibration
-from plants.discrepancy.floor import Floor, Noise
-from plants.discrepancy.models import diagnosed
-from plants.discrepancy.prediction import Predictor, warm
-from plants.discrepancy.record import Measurement
+from plants.discrepancy.data.floor import Floor, Noise
+from plants.discrepancy.data.record import Measurement
+from plants.discrepancy.models.calibration import Calibration
+from plants.discrepancy.models.models import diagnosed
+from plants.discrepancy.prediction.prediction import Predictor, warm
 from plants.effects import EFFECTS, CoulombFriction, EyeletFriction, GaugeOffset
 
 GAINS = Gains(0.4, 12.0, 0.01, 0.03)

@@ -11,8 +11,8 @@ import estune
 from estune.errors import InvalidInput
 from estune.export import columns, export_run, metadata
 from plants import reference_reel
-from plants.discrepancy.record import CHANNELS, Measurement
-from plants.discrepancy.records import read_measurements
+from plants.discrepancy.data.record import CHANNELS, Measurement
+from plants.discrepancy.data.records import read_measurements
 from plants.identify.excitation import Band, multisine
 from plants.identify.open_loop import open_loop_record
 from tests.support_runs import ArithmeticRig

@@ -11,12 +11,12 @@ from scipy.signal import lfilter
 
 from estune.trial import LinearModel, TrialRequest
 from plants import reference_reel
-from plants.discrepancy.base import BaseNumbers
-from plants.discrepancy.floor import noise_floor
-from plants.discrepancy.record import Measurement
-from plants.discrepancy.smoothing import Smoother
-from plants.discrepancy.views import independent_share
-from plants.discrepancy.where import localise
+from plants.discrepancy.data.floor import noise_floor
+from plants.discrepancy.data.record import Measurement
+from plants.discrepancy.data.smoothing import Smoother
+from plants.discrepancy.models.base import BaseNumbers
+from plants.discrepancy.residual.views import independent_share
+from plants.discrepancy.residual.where import localise
 from plants.effects import (
     CableStiffening,
     CoulombFriction,

@@ -6,17 +6,21 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from estune.trial import RigDescription
-from plants.discrepancy.diagnosis import Diagnosis, Interval, NamedEffect, Step, Verdict
-from plants.discrepancy.evidence import calibrations, free_run, intervals, reported
-from plants.discrepancy.fit import Fitted
-from plants.discrepancy.floor import Floor
-from plants.discrepancy.next_experiment import Evidence, NextExperiment, next_experiment
-from plants.discrepancy.record import Finding
-from plants.discrepancy.rules import Hum
-from plants.discrepancy.search import Attempt, Bench, Found, closure
-from plants.discrepancy.verdict import Judged, candidates, not_excited, overall, ruled_out
-from plants.discrepancy.where import Where
-from plants.discrepancy.wording import sentence
+from plants.discrepancy.data.floor import Floor
+from plants.discrepancy.data.record import Finding
+from plants.discrepancy.experiments.next_experiment import (
+    Evidence,
+    NextExperiment,
+    next_experiment,
+)
+from plants.discrepancy.report.diagnosis import Diagnosis, Interval, NamedEffect, Step, Verdict
+from plants.discrepancy.report.wording import sentence
+from plants.discrepancy.residual.where import Where
+from plants.discrepancy.search.evidence import calibrations, free_run, intervals, reported
+from plants.discrepancy.search.fit import Fitted
+from plants.discrepancy.search.rules import Hum
+from plants.discrepancy.search.search import Attempt, Bench, Found, closure
+from plants.discrepancy.search.verdict import Judged, candidates, not_excited, overall, ruled_out
 from plants.effects import Effect, MainsInterference, Quantisation
 
 STEP_KNOWN = 2e-3

@@ -8,22 +8,22 @@ import numpy as np
 
 from estune.errors import InvalidInput
 from estune.trial import RigDescription, TrialRecord
-from plants.discrepancy import thresholds
 from plants.discrepancy.assembly import Choice, Known, Stage, told
-from plants.discrepancy.base import BaseNumbers
-from plants.discrepancy.diagnosis import Diagnosis
-from plants.discrepancy.floor import Floor, noise_floor
-from plants.discrepancy.given import one_wrong_number
-from plants.discrepancy.models import Diagnosed, diagnosed
-from plants.discrepancy.quality import check
-from plants.discrepancy.record import Finding, Measurement
-from plants.discrepancy.records import read_measurements
-from plants.discrepancy.rules import Hum, coarse_step_N, find_hum
-from plants.discrepancy.search import Attempt, Bench, search
-from plants.discrepancy.splits import FIT, RANK
-from plants.discrepancy.suggestions import suggestions
-from plants.discrepancy.verdict import judge
-from plants.discrepancy.where import Where, localise
+from plants.discrepancy.checks.quality import check
+from plants.discrepancy.data.floor import Floor, noise_floor
+from plants.discrepancy.data.record import Finding, Measurement
+from plants.discrepancy.data.records import read_measurements
+from plants.discrepancy.models.base import BaseNumbers
+from plants.discrepancy.models.models import Diagnosed, diagnosed
+from plants.discrepancy.report.diagnosis import Diagnosis
+from plants.discrepancy.residual.where import Where, localise
+from plants.discrepancy.search import thresholds
+from plants.discrepancy.search.given import one_wrong_number
+from plants.discrepancy.search.rules import Hum, coarse_step_N, find_hum
+from plants.discrepancy.search.search import Attempt, Bench, search
+from plants.discrepancy.search.splits import FIT, RANK
+from plants.discrepancy.search.suggestions import suggestions
+from plants.discrepancy.search.verdict import judge
 from plants.effects import Effect, MainsInterference, Quantisation, declared, find
 
 

@@ -28,10 +28,10 @@ from estune.targets import open_target
 from estune.trial import Outcome, Rig, RigDescription, TrialRecord, TrialRequest
 from estune.trial_file import TrialFile
 from estune.tuning import Stopped, Watcher
-from plants.discrepancy.battery import Experiment, battery, catalogue
+from plants.discrepancy.data.record import Measurement
+from plants.discrepancy.experiments.battery import Experiment, battery, catalogue
 from plants.discrepancy.explain import explain
 from plants.discrepancy.improvement import Costs, Improvement, Round
-from plants.discrepancy.record import Measurement
 from plants.effects import Effect
 from plants.reel import reference_reel
 from plants.simulation import batch_costs

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 from estune.core.gains import GAIN_NAMES, Gains
 from estune.result import TuneResult
 from estune.trial import RigDescription
-from plants.discrepancy.diagnosis import Diagnosis
+from plants.discrepancy.report.diagnosis import Diagnosis
 
 COLUMNS = ("gains", "model as given", "improved model", "measured")
 

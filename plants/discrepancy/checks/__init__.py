@@ -1,0 +1,1 @@
+"""What is wrong with measurements, before anything is fitted to them."""

@@ -1,0 +1,1 @@
+"""Measured records as they are read: their columns, noise and floor."""

@@ -1,0 +1,1 @@
+"""What to measure: the battery, and the experiment that would decide."""

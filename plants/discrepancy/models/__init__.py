@@ -1,0 +1,1 @@
+"""What may be held against measurements, and what is free in it."""

@@ -1,0 +1,1 @@
+"""Short predictions of many records at once, compiled."""

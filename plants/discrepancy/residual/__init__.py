@@ -1,0 +1,1 @@
+"""What the base model leaves, and where it lives."""

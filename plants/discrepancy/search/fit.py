@@ -1,0 +1,288 @@
+"""Bounded least squares of whitened residuals, and how far the values found can be trusted."""
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estune.trial import FloatArray
+from plants.discrepancy.prediction.prediction import Predictor
+
+Numbers = NDArray[np.int64]
+
+DAMPINGS = ((0.0, 0.03), (1.0, 30.0))
+"""Levenberg's dampings, relative to the columns' own size; the second pair if need be."""
+CONVERGED = 1e-4
+"""A round that lowers the sum of squares by a smaller share is the last."""
+FLAT = 1e-10
+"""Directions whose curvature is below this share of the greatest are left alone."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fitted:
+    """A predictor with values.
+
+    Attributes:
+        predictor: The predictor.
+        values: The values, shape (free,).
+        residuals: All of its residuals there, shape (entries,).
+        moved: Numbers of the values that were free to move.
+    """
+
+    predictor: Predictor
+    values: FloatArray
+    residuals: FloatArray
+    moved: Numbers
+
+    def mean_square(self, entries: Numbers) -> float:
+        """J: mean square of the whitened residuals over some entries; 1 is the floor."""
+        part = self.residuals[entries]
+        return float(part @ part) / max(part.size, 1)
+
+
+def fit(
+    predictor: Predictor, start: FloatArray, moves: Numbers, entries: Numbers, rounds: int = 15
+) -> Fitted:
+    """Lowers the sum of squares of some residuals: Levenberg-Marquardt within the bounds.
+
+    Values on a log scale move by their logarithm. In every round several dampings are tried in
+    one batch; the best is kept (Marquardt 1963; the bounds by fixing what would leave them).
+
+    Args:
+        predictor: Gives residuals and their derivative.
+        start: Values to begin with, shape (free,).
+        moves: Numbers of the values that may move.
+        entries: Numbers of the residuals that count.
+        rounds: Most rounds.
+    """
+    scale = _Scale.of(predictor, moves)
+    values = np.clip(start, scale.low, scale.high)
+    residuals, jacobian = predictor.linearise(values, moves)
+    for _ in range(rounds):
+        here = _cost(residuals, entries)
+        columns = jacobian.T[:, entries] * scale.inner(values)[:, None]
+        slope = _Slope(columns, columns @ columns.T, scale)
+        values, residuals = _lowered(predictor, values, residuals, slope, entries)
+        cost = _cost(residuals, entries)
+        if here - cost < CONVERGED * here:
+            break
+        # The old slope is good for one more step, which costs a twelfth of a new one.
+        again = slope.step(values, residuals[entries], 0.0)
+        found = predictor.residuals(again[None, :])[0]
+        if _cost(found, entries) < cost:
+            values = again
+        residuals, jacobian = predictor.linearise(values, moves)
+    return Fitted(predictor, values, residuals, moves)
+
+
+def _lowered(
+    predictor: Predictor,
+    values: FloatArray,
+    residuals: FloatArray,
+    slope: "_Slope",
+    entries: Numbers,
+) -> tuple[FloatArray, FloatArray]:
+    """The values that the best damping leads to, and their residuals; the same if none helps."""
+    here = _cost(residuals, entries)
+    for dampings in DAMPINGS:
+        trials = np.array([slope.step(values, residuals[entries], d) for d in dampings])
+        found = predictor.residuals(trials)
+        costs = [_cost(one, entries) for one in found]
+        best = int(np.argmin(costs))
+        if costs[best] < here:
+            return trials[best], found[best]
+    return values, residuals
+
+
+def _cost(residuals: FloatArray, entries: Numbers) -> float:
+    part = residuals[entries]
+    return float(part @ part)
+
+
+def switched_on(
+    predictor: Predictor,
+    rows: FloatArray,
+    size: int,
+    step: float,
+    *,
+    moves: Numbers,
+    entries: Numbers,
+) -> FloatArray:
+    """Rows in which one value that does nothing is given the size that helps the most.
+
+    All others move with it, by one joint linear step: what is missing has often been made up for
+    by them, so that on its own the value would seem to do harm.
+
+    Args:
+        predictor: Gives residuals and their derivative.
+        rows: Rows that differ only in values that do nothing while that one does nothing.
+        size: Number of that value.
+        step: By how much it is changed to see its direction.
+        moves: Numbers of the values that may move with it.
+        entries: Numbers of the residuals that count.
+    """
+    others = moves[moves != size]
+    scale = _Scale.of(predictor, others)
+    residuals, jacobian = predictor.linearise(rows[0], others)
+    columns = jacobian.T[:, entries] * scale.inner(rows[0])[:, None]
+    on = rows.copy()
+    on[:, size] += step
+    changes = predictor.residuals(on)[:, entries] - residuals[entries]
+    after = rows.copy()
+    free = predictor.free[size]
+    for row, change in zip(after, changes, strict=True):
+        joint = np.vstack([columns, change])
+        length = np.sqrt(np.maximum(np.einsum("ij,ij->i", joint, joint), 1e-300))
+        joint = joint / length[:, None]
+        weights = _solve(joint @ joint.T, -(joint @ residuals[entries]), 1e-6) / length
+        row[others] = scale.moved(row, weights[:-1])
+        row[size] = min(max(row[size] + weights[-1] * step, free.low), free.high)
+    return after
+
+
+def settled(found: Fitted, moves: Numbers, entries: Numbers) -> Fitted:
+    """The same with a few values fitted to other entries, as a held-out record's own zero."""
+    if not moves.size:
+        return found
+    again = fit(found.predictor, found.values, moves, entries, rounds=3)
+    return replace(again, moved=found.moved)
+
+
+@dataclass(frozen=True, slots=True)
+class _Scale:
+    """The values that move, as the search sees them.
+
+    Attributes:
+        moves: Their numbers.
+        log: Which of them move by their logarithm.
+        low: Least values of all, shape (free,).
+        high: Greatest values of all.
+    """
+
+    moves: Numbers
+    log: NDArray[np.bool_]
+    low: FloatArray
+    high: FloatArray
+
+    @classmethod
+    def of(cls, predictor: Predictor, moves: Numbers) -> "_Scale":
+        free = predictor.free
+        return cls(
+            moves,
+            np.array([free[n].scale == "log" for n in moves], bool),
+            np.array([f.low for f in free]),
+            np.array([f.high for f in free]),
+        )
+
+    def inner(self, values: FloatArray) -> FloatArray:
+        """Derivative of the values by what is searched, dx/dz."""
+        return np.where(self.log, values[self.moves], 1.0)
+
+    def unbounded(self, x: FloatArray, delta: FloatArray) -> FloatArray:
+        """What moves, after a change of what is searched."""
+        # A logarithm may not move further than e^3 at once.
+        grown = x * np.exp(np.where(self.log, np.clip(delta, -3.0, 3.0), 0.0))
+        after: FloatArray = np.where(self.log, grown, x + delta)
+        return after
+
+    def moved(self, values: FloatArray, delta: FloatArray) -> FloatArray:
+        """The values that move, after such a change, no further than the bounds."""
+        after = self.unbounded(values[self.moves], delta)
+        bounded: FloatArray = np.clip(after, self.low[self.moves], self.high[self.moves])
+        return bounded
+
+
+class _Slope(NamedTuple):
+    """Derivative of some residuals by what is searched.
+
+    Attributes:
+        columns: Shape (moves, entries).
+        normal: Their products, shape (moves, moves).
+        scale: How the values move.
+    """
+
+    columns: FloatArray
+    normal: FloatArray
+    scale: _Scale
+
+    def step(self, values: FloatArray, residuals: FloatArray, damping: float) -> FloatArray:
+        """The values after a damped step, no further than the bounds.
+
+        Args:
+            values: Where it begins.
+            residuals: The residuals there.
+            damping: Relative to the diagonal of `normal`.
+        """
+        scale = self.scale
+        x = values[scale.moves]
+        size = np.sqrt(np.maximum(np.diag(self.normal), 1e-300))
+        scaled = self.normal / size / size[:, None]
+        pull = -(self.columns @ residuals) / size
+        fixed = np.zeros(x.size, bool)
+        given = np.zeros(x.size)  # steps of those that are fixed
+        after = x
+        for _ in range(3):
+            open_ = ~fixed
+            if not open_.any():
+                break
+            free_pull = pull[open_] - scaled[np.ix_(open_, fixed)] @ (given * size)[fixed]
+            delta = given.copy()
+            delta[open_] = _solve(scaled[np.ix_(open_, open_)], free_pull, damping) / size[open_]
+            wanted = scale.unbounded(x, delta)
+            after = np.clip(wanted, scale.low[scale.moves], scale.high[scale.moves])
+            out = open_ & (wanted != after)
+            if not out.any():
+                break
+            fixed |= out
+            ratio = np.maximum(after, 1e-300) / np.maximum(x, 1e-300)
+            given = np.where(fixed, np.where(scale.log, np.log(ratio), after - x), 0.0)
+        moved = values.copy()
+        moved[scale.moves] = after
+        return moved
+
+
+def _solve(normal: FloatArray, pull: FloatArray, damping: float) -> FloatArray:
+    """Solution of (normal + damping) x = pull that leaves flat directions alone."""
+    size, directions = np.linalg.eigh(normal)
+    kept = size > FLAT * max(float(size[-1]), 1e-300)
+    weights = np.where(kept, 1.0 / np.where(kept, size + damping, 1.0), 0.0)
+    solution: FloatArray = directions @ (weights * (directions.T @ pull))
+    return solution
+
+
+def covariance(found: Fitted, entries: Numbers, groups: Numbers) -> FloatArray:
+    """Covariance of the values that moved, whatever the residuals' colour.
+
+    The sandwich H^-1 (sum_g s_g s_g^T) H^-1 G/(G - 1) with the scores s_g = J_g^T r_g of groups
+    of entries that belong together (Liang & Zeger 1986): residuals may be coloured within a group
+    and larger in some, as those of a model whose law is not quite the machine's are.
+
+    Args:
+        found: What was fitted.
+        entries: Numbers of the entries that were fitted.
+        groups: For each of them the number of its group.
+
+    Returns:
+        Shape (moved, moved); a value that the entries say nothing of has an infinite variance.
+    """
+    if not found.moved.size:
+        return np.zeros((0, 0))
+    residuals, jacobian = found.predictor.linearise(found.values, found.moved)
+    columns = jacobian.T[:, entries]
+    size = np.sqrt(np.einsum("ij,ij->i", columns, columns))
+    dead = size <= 1e-9 * max(float(size.max(initial=0.0)), 1e-300)
+    columns = columns / np.where(dead, 1.0, size)[:, None]
+    columns[dead] = 0.0
+    known, place = np.unique(groups, return_inverse=True)
+    weighted = columns * residuals[entries]
+    scores = np.stack([np.bincount(place, row, known.size) for row in weighted], axis=1)
+    scores -= scores.mean(axis=0)
+    value, directions = np.linalg.eigh(columns @ columns.T)
+    kept = value > FLAT
+    inverse = (directions[:, kept] / value[kept]) @ directions[:, kept].T
+    middle = scores.T @ scores * known.size / max(known.size - 1.0, 1.0)
+    scale = np.where(dead, 0.0, 1.0 / np.where(dead, 1.0, size))
+    result: FloatArray = (inverse @ middle @ inverse) * scale * scale[:, None]
+    result[dead, dead] = np.inf
+    return result

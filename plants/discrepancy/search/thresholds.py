@@ -1,0 +1,129 @@
+"""What counts as a gap, as closed, and as large enough to name: every threshold, with its reason.
+
+Gaps are in floors: the root mean square of residuals that were divided by noise and allowance.
+"""
+
+from typing import NamedTuple
+
+from plants.effects import Effect
+
+GAP = 1.5
+"""A model as given has something to explain from this gap on."""
+NOTHING = 1.25
+"""Up to this gap there is nothing that has to be named: twice the power that the floor has room
+for comes from how well the floor itself is known."""
+CLOSED = 1.15
+"""Gap from which on down nothing worth adding is left."""
+CLOSURE = 0.75
+"""Share of the power above the floor that a name has to close; what closes less has another
+cause."""
+DONE = 0.9
+"""Share closed from which on no other effect is tried that its direction does not suggest."""
+CLOSURE_OF_MUCH = 0.85
+"""The same where more is left than a gap to explain: what acts in another way may close as much
+as three quarters."""
+FIRST = 0.4
+"""Share of the power above the floor that the first effect has to close: another may close the
+rest."""
+FURTHER = 0.5
+"""Share of the power that is left which one more effect has to close."""
+LITTLE = 0.05
+"""Share of the first gap's power up to which what is left may be that the law named is not quite
+the machine's; one more effect then has to close as much of it as a name takes. So it has to where
+much is left after it, too: then nothing tells that it is the one."""
+INCOMPLETE = 3.0
+"""Gap that a named effect may leave before it is said to be incomplete."""
+SIMPLER = 1.08
+"""Ratio of powers left, on the fit and the rank split, up to which the simpler member of a family
+is kept: what a law that is not quite the machine's lets one more parameter take off."""
+WELL = 0.95
+"""Share closed from which a member of a family that shows in its own right is not given up for
+one that does more: no machine's law is quite the model's."""
+ALIKE = 1.5
+"""Two models are alike that leave powers whose ratio is no larger, or the floor."""
+TIE = 0.1
+"""Difference of closure below which two effects may be told apart only by significance."""
+SIGNIFICANT = 3.0
+"""Standard errors, over blocks of time, by which one model has to be better than another."""
+SIGNIFICANT_GAIN = 60.0
+"""Squares of the rank split, in floors squared, that an effect has to take off. Where it does
+nothing it takes off about one for each parameter; residuals that are coloured as a plant's
+response is make that some ten, and it is the best of twenty."""
+DISTORTED = 4.0
+"""From this gap on the base fit's calibrations may have bent far to make up for what is missing;
+directions are then looked for from the model as given, too."""
+NEAR = 4.0
+"""Ratio of powers left by the model as given and by the base fit up to which the former is near
+enough to look from it alone."""
+SHOWN = 0.3
+"""Least change, in floors, that an effect of usual size has to make, or records cannot show it."""
+
+AS_GOOD = 1.1
+"""One calibration explains all where the power it leaves is no more than so many times what all
+of them together leave."""
+
+SHORTLIST = 5
+"""Effects fitted jointly in the first round, by their direction."""
+SHORTLIST_FURTHER = 3
+"""The same in later rounds."""
+DEEPEST = 3
+"""Most effects added."""
+
+FAMILIES: tuple[tuple[str, ...], ...] = (
+    ("coulomb_friction", "dahl_hysteresis", "stribeck_friction"),
+)
+"""Effects of which each may do what the ones before it do; all are fitted where one is."""
+
+INHERITED: dict[str, tuple[str, dict[str, str]]] = {
+    "dahl_hysteresis": ("coulomb_friction", {"torque_Nm": "torque_Nm"}),
+    "stribeck_friction": (
+        "dahl_hysteresis",
+        {"torque_Nm": "coulomb_Nm", "presliding_rad": "presliding_rad"},
+    ),
+}
+"""What a member of a family begins with: the fit of another, and which of its parameters are
+which of its own."""
+
+CALIBRATIONS = ("gain_error", "viscous_damping", "gauge_offset")
+"""Effects that a calibration of the base model does as well: they leave no gap after it."""
+
+BY_RULE = ("quantisation", "mains_interference")
+"""Effects that are found by a rule of their own; see `plants.discrepancy.search.rules`."""
+
+
+class Scale(NamedTuple):
+    """What sizes are measured against.
+
+    Attributes:
+        sample_s: Sampling interval, s.
+        angle_rad: Noise of the encoder, rad rms; nan without.
+        tension_N: Noise of the gauge, N rms; nan without.
+    """
+
+    sample_s: float
+    angle_rad: float
+    tension_N: float
+
+
+def large_enough(effect: type[Effect], values: dict[str, float], scale: Scale) -> bool:
+    """Whether an effect is of a size that matters in practice.
+
+    What is significant may still be of no account: a dead time of a small part of a sample is how
+    two programs hold a signal, not a property of a drive.
+    """
+    own = {n: values[f"{effect.name}.{n}"] for n in effect.parameters()}
+    return all(
+        abs(own[name]) >= factor * (own[unit] if unit in own else getattr(scale, unit))
+        for name, factor, unit in _LEAST.get(effect.name, ())
+    )
+
+
+_LEAST: dict[str, tuple[tuple[str, float, str], ...]] = {
+    "dead_time": (("delay_s", 0.2, "sample_s"),),
+    "gauge_offset": (("offset_N", 3.0, "tension_N"),),
+    "backlash": (("play_rad", 3.0, "angle_rad"),),
+    # Shorter than this, bristles that bend and a drum that sticks look alike to the encoder.
+    "dahl_hysteresis": (("presliding_rad", 12.0, "angle_rad"),),
+    "stribeck_friction": (("excess_Nm", 0.1, "coulomb_Nm"),),
+}
+"""Parameters, and their least size in units of a field of `Scale` or of another parameter."""
