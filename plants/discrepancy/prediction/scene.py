@@ -343,16 +343,24 @@ def _aligned(m: Measurement, newtons_per_ampere: float) -> FloatArray | None:
     kept = m.samples - most
     before = np.concatenate([command[:1], command[:-1]])
     given = np.stack([command, before - command, np.ones(m.samples)], axis=1)
-    shares, left = [], []
-    for lag in range(most + 1):
-        late = current[lag : lag + kept]
-        shares.append(np.linalg.lstsq(given[:kept], late, rcond=None)[0])
-        rest = late - given[:kept] @ shares[-1]
-        left.append(float(rest @ rest))
-    # A slow command leaves the lag open: then the least that will do.
-    lag = int(np.flatnonzero(np.array(left) <= AS_LATE * min(left))[0])
+    fits = [_shares(given[:kept], current[lag : lag + kept]) for lag in range(most + 1)]
+    # A slow command leaves the lag open: then the least that will do. A lag too short by a whole
+    # sample fits as well, by the command before; but that is no measured current any more.
+    left = np.array([rest for _, rest in fits])
+    well = left <= AS_LATE * left.min()
+    near = np.array([2.0 * abs(part) <= abs(gain) for (gain, part, *_), _ in fits])
+    lag = int(np.argmax(well & near)) if (well & near).any() else int(np.argmax(well))
     moved = np.full(current.size, np.nan)
     moved[: current.size - lag] = current[lag:]
     # A part of a sample by which it is later still shows as a share of the command before.
-    moved -= shares[lag][1] * given[:, 1]
+    _, whole = _shares(given[:kept, [0, 2]], current[lag : lag + kept])
+    if whole > AS_LATE * left[lag]:
+        moved -= fits[lag][0][1] * given[:, 1]
     return moved
+
+
+def _shares(given: FloatArray, current: FloatArray) -> tuple[FloatArray, float]:
+    """The least-squares shares of the columns in the current, and the sum of squares left."""
+    shares = np.asarray(np.linalg.lstsq(given, current, rcond=None)[0], np.float64)
+    rest = current - given @ shares
+    return shares, float(np.sum(rest**2))
