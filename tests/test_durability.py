@@ -8,6 +8,7 @@ import sys
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from estune import api, database, journal
@@ -116,7 +117,8 @@ def test_a_journal_of_the_first_schema_is_read_and_replayed(tmp_path):
     result = api.load(old_run(tmp_path))
     assert result.success
     assert [e.number for e in result.entries] == list(range(18))
-    # The same run made now: every proposal and cost as they were then.
+    # The same run made now: every proposal and cost as they were then, but for the last bits, in
+    # which processors differ.
     now = api.tune(
         *(ArithmeticRig(),),
         tuner="otis",
@@ -126,7 +128,10 @@ def test_a_journal_of_the_first_schema_is_read_and_replayed(tmp_path):
         run="old",
         watch=None,
     )
-    assert [(e.gains, e.cost) for e in result.entries] == [(e.gains, e.cost) for e in now.entries]
+    then, today = (
+        np.array([[*e.gains.as_tuple(), e.cost] for e in found.entries]) for found in (result, now)
+    )
+    np.testing.assert_allclose(today, then, rtol=1e-12)
 
 
 LATER = (*journal.VERSIONS, "ALTER TABLE trial ADD COLUMN weather TEXT; DELETE FROM run WHERE 0")
