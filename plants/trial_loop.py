@@ -13,6 +13,7 @@ from estune.core import pidf
 from estune.errors import PlantError
 from estune.trial import SATURATED, FloatArray
 from plants.equations import Equations
+from plants.generated import c_source
 from plants.plant import Columns
 
 COEFFICIENTS = len(pidf.Coefficients._fields)
@@ -191,9 +192,6 @@ def _address(array: Any) -> int:
 
 def _source(functions: Functions) -> str:
     """The whole C file: sizes, generated functions, loop."""
-    generator = ca.CodeGenerator("estune_generated.c", {"with_header": False})
-    for function in (functions.prepare, functions.sense, functions.substep):
-        generator.add(function)
     sizes = {
         "CONSTANTS": functions.prepare.numel_out(0),
         "STATES": functions.substep.numel_out(0),
@@ -201,20 +199,8 @@ def _source(functions: Functions) -> str:
         "PIDF_STATES": PIDF_STATES,
         "COEFFICIENTS": COEFFICIENTS,
     }
-    loop = Path(__file__).with_suffix(".c").read_text(encoding="utf-8")
-    return "\n".join(
-        [
-            # A branch that is foretold costs nothing, where a minimum waits for its arguments.
-            "#if defined(__GNUC__) && !defined(__clang__)",
-            '#pragma GCC optimize ("no-if-conversion", "no-if-conversion2")',
-            "#endif",
-            # Nothing but the loop is seen from outside, and the compiler may inline the rest.
-            "#define CASADI_SYMBOL_EXPORT static",
-            *(f"#define {name} {value}" for name, value in sizes.items()),
-            generator.dump(),
-            loop,
-        ]
-    )
+    generated = (functions.prepare, functions.sense, functions.substep)
+    return c_source(generated, sizes, Path(__file__).with_suffix(".c"))
 
 
 class VirtualLoop:

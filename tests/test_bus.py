@@ -25,8 +25,8 @@ from estune.link.state import Mode
 from estune.link.verdicts import Verdict
 from estune.protocol import Keys, Lease, Submit, digest
 from estune.trial import Outcome, TrialRequest
+from experiments.chaos.wire import Wire
 from tests.serve_rig import served
-from tests.support_links import Wire
 from tests.support_rigs import ScriptedRig, description, response, same
 
 SOON_S = 0.3

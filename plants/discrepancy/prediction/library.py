@@ -11,6 +11,7 @@ from estune import compiler
 from estune.errors import PlantError
 from plants.discrepancy.models.models import SENSORS, Structure
 from plants.equations import Equations
+from plants.generated import c_source
 
 CHANNELS = ("tension_N", "angle_rad", "reference_N", "current_A")
 """What is predicted, in the order of the C."""
@@ -80,9 +81,6 @@ def library(structure: Structure) -> Library:
 def _source(plant: Equations, delay: int) -> str:
     """The whole C file: sizes, generated functions, loop."""
     functions = _functions(plant)
-    generator = ca.CodeGenerator("estune_generated.c", {"with_header": False})
-    for function in functions:
-        generator.add(function)
     late, prepare, settle, _, place, *_ = functions
     sizes = {
         "CONSTANTS": prepare.numel_out(0),
@@ -92,20 +90,7 @@ def _source(plant: Equations, delay: int) -> str:
         "PLACED": place.numel_in(2),
         "DELAY": delay,
     }
-    loop = Path(__file__).with_name("prediction.c").read_text(encoding="utf-8")
-    return "\n".join(
-        [
-            # A branch that is foretold costs nothing, where a minimum waits for its arguments.
-            "#if defined(__GNUC__) && !defined(__clang__)",
-            '#pragma GCC optimize ("no-if-conversion", "no-if-conversion2")',
-            "#endif",
-            # Nothing but the loop is seen from outside, and the compiler may inline the rest.
-            "#define CASADI_SYMBOL_EXPORT static",
-            *(f"#define {name} {value}" for name, value in sizes.items()),
-            generator.dump(),
-            loop,
-        ]
-    )
+    return c_source(functions, sizes, Path(__file__).with_name("prediction.c"))
 
 
 def _functions(plant: Equations) -> tuple[Any, ...]:
