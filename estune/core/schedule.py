@@ -1,0 +1,188 @@
+"""A gain schedule: each gain as a curve of cable length and tension, within a range of validity.
+
+The paper's adaptive law is one such curve, I = a + b L (Fig. 14); the other forms are those that
+stand beside it in a regression. The curves use arithmetic and numpy's `log` only, so that one text
+serves floats on the rig, arrays in a figure, and CasADi symbols.
+"""
+
+import math
+from dataclasses import dataclass
+from itertools import product
+from typing import Any, Literal, Self, get_args
+
+import numpy as np
+
+from estune.core.gains import GAIN_NAMES, Gains
+from estune.errors import InvalidInput
+
+Signal = Any
+"""A float, an array, or a CasADi expression."""
+
+Form = Literal["constant", "linear", "log", "inverse"]
+FORMS: tuple[Form, ...] = get_args(Form)
+
+
+def of_length(form: Form, length_m: Signal) -> Signal:
+    """What a form's slope multiplies: L, ln L or 1/L; nothing for a constant."""
+    match form:
+        case "constant":
+            return 0.0 * length_m
+        case "linear":
+            return length_m
+        case "log":
+            return np.log(length_m)
+        case "inverse":
+            return 1.0 / length_m
+
+
+@dataclass(frozen=True, slots=True)
+class GainCurve:
+    """One gain, g = a + b f(L) + c T, with f(L) one of L, ln L and 1/L.
+
+    Attributes:
+        form: Which f.
+        offset: a, in the gain's unit.
+        slope: b, in the gain's unit per unit of f; zero for a constant.
+        per_newton: c, in the gain's unit per N; zero where tension has no part.
+
+    Raises:
+        InvalidInput: there is no such form, a number is not finite, or a constant has a slope.
+    """
+
+    form: Form
+    offset: float
+    slope: float = 0.0
+    per_newton: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.form not in FORMS:
+            raise InvalidInput(
+                f"a gain cannot be {self.form!r} in length; the forms are {', '.join(FORMS)}"
+            )
+        numbers = (self.offset, self.slope, self.per_newton)
+        if not all(map(math.isfinite, numbers)):
+            raise InvalidInput(f"gain curve {numbers} holds a value that is not finite")
+        if self.form == "constant" and self.slope != 0.0:
+            raise InvalidInput(f"a constant gain has slope {self.slope}; it must be 0")
+
+    def at(self, length_m: Signal, tension_N: Signal) -> Signal:
+        """The gain at a length in m and a tension in N, wherever they lie."""
+        along = self.slope * of_length(self.form, length_m)
+        return self.offset + along + self.per_newton * tension_N
+
+    def __str__(self) -> str:
+        along = {"constant": "", "linear": "L", "log": "ln L", "inverse": "/L"}[self.form]
+        terms = [f"{self.offset:.4g}"]
+        if along:
+            terms.append(f"{self.slope:+.4g} {along}".replace(" /", "/"))
+        if self.per_newton:
+            terms.append(f"{self.per_newton:+.4g} T")
+        return " ".join(terms)
+
+
+@dataclass(frozen=True, slots=True)
+class GainSchedule:
+    """Gains over cable length and tension; beyond its range, those at the nearest end.
+
+    Attributes:
+        P: Proportional gain, N/N.
+        I: Integral gain, 1/s.
+        D: Derivative gain, s.
+        setpoint_filter_s: Time constant of the setpoint filter, s.
+        length_m: Least and greatest cable length it is valid for, m.
+        tension_N: Least and greatest tension it is valid for, N; equal where only one was tuned.
+
+    Raises:
+        InvalidInput: the range is not finite, not above zero or not in order, or a gain falls
+            below what it may be somewhere in it.
+    """
+
+    P: GainCurve
+    I: GainCurve
+    D: GainCurve
+    setpoint_filter_s: GainCurve
+    length_m: tuple[float, float]
+    tension_N: tuple[float, float]
+
+    def __post_init__(self) -> None:
+        for what, (low, high), unit in (
+            ("cable length", self.length_m, "m"),
+            ("tension", self.tension_N, "N"),
+        ):
+            if not (math.isfinite(low) and math.isfinite(high) and 0.0 < low <= high):
+                raise InvalidInput(
+                    f"the schedule's {what} is {low} to {high} {unit}; it must be above zero, "
+                    "finite and in order"
+                )
+        # Every form is monotone in length and straight in tension: the corners are the extremes.
+        for length, tension in product(self.length_m, self.tension_N):
+            try:
+                self.gains(length, tension)
+            except InvalidInput as error:
+                raise InvalidInput(
+                    f"the schedule cannot be used at {length:g} m and {tension:g} N: {error}; "
+                    "narrow its range, or choose another form"
+                ) from error
+
+    @property
+    def curves(self) -> tuple[GainCurve, GainCurve, GainCurve, GainCurve]:
+        """The curves in the order of `GAIN_NAMES`."""
+        return self.P, self.I, self.D, self.setpoint_filter_s
+
+    def gains(self, length_m: float, tension_N: float) -> Gains:
+        """The gains at a cable length and a tension; at the nearest end where beyond the range.
+
+        Args:
+            length_m: Cable length, m; not a number is taken as the least length, so that a length
+                that cannot be read leaves gains that are valid.
+            tension_N: Tension, N; the same.
+        """
+        length, tension = _clipped(length_m, self.length_m), _clipped(tension_N, self.tension_N)
+        return Gains(*[float(curve.at(length, tension)) for curve in self.curves])
+
+    def covers(self, length_m: float, tension_N: float) -> bool:
+        """Whether length and tension lie within the range."""
+        return (
+            self.length_m[0] <= length_m <= self.length_m[1]
+            and self.tension_N[0] <= tension_N <= self.tension_N[1]
+        )
+
+    def as_dict(self) -> dict[str, Any]:
+        """The schedule as JSON values; floats survive exactly."""
+        return {
+            "length_m": list(self.length_m),
+            "tension_N": list(self.tension_N),
+            "gains": {
+                name: {
+                    "form": curve.form,
+                    "offset": curve.offset,
+                    "slope": curve.slope,
+                    "per_newton": curve.per_newton,
+                }
+                for name, curve in zip(GAIN_NAMES, self.curves, strict=True)
+            },
+        }
+
+    @classmethod
+    def from_dict(cls, stored: Any) -> Self:
+        """The schedule that `as_dict` and JSON made of one.
+
+        Raises:
+            InvalidInput: something is missing or not of its kind, or as for the class.
+        """
+        try:
+            curves = {name: GainCurve(**stored["gains"][name]) for name in GAIN_NAMES}
+            low, high = map(float, stored["length_m"])
+            least, most = map(float, stored["tension_N"])
+        except (KeyError, TypeError, ValueError) as error:
+            if isinstance(error, InvalidInput):
+                raise
+            raise InvalidInput(
+                f"stored gain schedule is damaged: {error!r}; write it anew"
+            ) from error
+        return cls(**curves, length_m=(low, high), tension_N=(least, most))
+
+
+def _clipped(value: float, ends: tuple[float, float]) -> float:
+    low, high = ends
+    return min(value, high) if value > low else low
