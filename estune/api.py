@@ -13,6 +13,7 @@ from estune.core.tuners import Tuner
 from estune.errors import EstuneError, InvalidInput, RigError
 from estune.journal import Journal
 from estune.planning import (
+    DEFAULT_TUNER,
     description_from_json,
     description_to_json,
     make_plan,
@@ -35,7 +36,7 @@ RUNS = "runs"
 def tune(
     target: Any,
     *,
-    tuner: str | Tuner[Any] = "least_squares_gradient",
+    tuner: str | Tuner[Any] = DEFAULT_TUNER,
     trials: int = 120,
     repeats: int = 3,
     start: Gains | None = None,

@@ -19,6 +19,9 @@ from estune.trial import RigDescription
 MOVE_WEIGHT = 0.2
 """Default price on effort: without one the cost (35) has no interior optimum on a good plant."""
 
+DEFAULT_TUNER = "least_squares_gradient"
+"""What gains are proposed by where nothing else is asked for."""
+
 
 def make_tuner(
     tuner: str | Tuner[Any], start: Gains, bounds: Mapping[str, tuple[float, float]] | None
