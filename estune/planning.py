@@ -10,8 +10,9 @@ from pydantic import TypeAdapter, ValidationError
 from estune.core.cost import StepCost
 from estune.core.gains import Gains
 from estune.core.search_space import SearchSpace
-from estune.core.tuners import TUNERS, Tuner
+from estune.core.tuners import Tuner
 from estune.errors import InvalidInput, JournalError
+from estune.outside import TUNER_NAMES, tuner_class
 from estune.profiles import StepProfile
 from estune.session import Plan
 from estune.trial import RigDescription
@@ -37,9 +38,9 @@ def make_tuner(
                 "a ready-made tuner has its own search space; give bounds to that one"
             )
         return tuner
-    if tuner not in TUNERS:
-        raise InvalidInput(f"there is no tuner {tuner!r}; the tuners are {', '.join(TUNERS)}")
-    made: Tuner[Any] = TUNERS[tuner](space=SearchSpace.around(start, bounds=bounds))
+    if tuner not in TUNER_NAMES:
+        raise InvalidInput(f"there is no tuner {tuner!r}; the tuners are {', '.join(TUNER_NAMES)}")
+    made: Tuner[Any] = tuner_class(tuner)(space=SearchSpace.around(start, bounds=bounds))
     return made
 
 

@@ -6,7 +6,7 @@ from pydantic import AfterValidator, Field, model_validator
 
 from estune.core.cost import StepCost
 from estune.core.gains import GAIN_NAMES
-from estune.core.tuners import TUNERS
+from estune.outside import TUNER_NAMES
 from estune.planning import MOVE_WEIGHT
 from estune.profiles import StepProfile
 from estune.settings import Table
@@ -19,8 +19,8 @@ Range = Annotated[tuple[float, float], Field(strict=False)]
 
 
 def _known(name: str) -> str:
-    if name not in TUNERS:
-        raise ValueError(f"there is none named {name!r}; the tuners are {', '.join(TUNERS)}")
+    if name not in TUNER_NAMES:
+        raise ValueError(f"there is none named {name!r}; the tuners are {', '.join(TUNER_NAMES)}")
     return name
 
 

@@ -15,9 +15,9 @@ import pytest
 
 import estune
 from estune.cli import Interrupts, app, run
-from estune.core.tuners import TUNERS
 from estune.errors import RigError
 from estune.journal import FILE_NAME, Journal
+from estune.outside import TUNER_NAMES
 from tests.support_runs import ArithmeticRig
 
 COMMAND = [sys.executable, "-m", "estune.cli"]
@@ -145,7 +145,7 @@ def test_version_is_the_packages():
 def test_the_tuners_offered_are_the_ones_there_are():
     from estune.cli.tune import TunerName  # noqa: PLC0415  its only use
 
-    assert set(get_args(TunerName)) == set(TUNERS)
+    assert set(get_args(TunerName)) == set(TUNER_NAMES)
 
 
 def test_tune_shows_before_and_after_where_it_is_kept_and_its_figure(tuned):

@@ -26,7 +26,7 @@ from estune.trial import Rig, RigDescription
 _STEP = Group("The step trial", sort_key=1)
 _COST = Group("The cost of a trial, (35)", sort_key=2)
 
-TunerName = Literal["killingsworth", "otis", "least_squares_gradient"]
+TunerName = Literal["killingsworth", "otis", "least_squares_gradient", "optuna", "bobyqa"]
 
 
 @Parameter(name="*", group=_STEP)
