@@ -5,6 +5,10 @@ The library in three calls:
     result = estune.tune("tcp/127.0.0.1:7447")   # or a plant, or a rig
     result = estune.resume("runs/20261121-120000")
     result = estune.load("runs/20261121-120000")
+
+and over many lengths at once:
+
+    result = estune.sweep("sweep.toml")
 """
 
 import importlib
@@ -19,6 +23,7 @@ if TYPE_CHECKING:
     from estune.errors import EstuneError
     from estune.profiles import StepProfile
     from estune.result import TuneResult
+    from estune.sweeping.sweep import sweep
 
 __all__ = [
     "ControllerSettings",
@@ -30,6 +35,7 @@ __all__ = [
     "TuneResult",
     "load",
     "resume",
+    "sweep",
     "tune",
 ]
 
@@ -43,6 +49,7 @@ _HOMES = {
     "TuneResult": "estune.result",
     "load": "estune.api",
     "resume": "estune.api",
+    "sweep": "estune.sweeping.sweep",
     "tune": "estune.api",
 }
 

@@ -37,6 +37,7 @@ _COMMANDS = (
     ("rig", "rig:rig", "Serve a reel on hardware, or an emulated one, as a rig on the network."),
     ("tune", "tune:tune", "Tune a rig by step trials."),
     ("resume", "tune:resume", "Go on with a run that was stopped or cut off."),
+    ("sweep", "sweep:sweep", "Tune over cable lengths, and say how the gains follow them."),
     ("list", "runs:list_runs", "List the runs of a folder."),
     ("show", "runs:show", "Show what a run came to."),
     ("export", "runs:export", "Write the trial records of a run as CSV or Parquet files."),
