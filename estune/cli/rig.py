@@ -77,6 +77,7 @@ def export_controller(
     out: Path | None = None,
     c: Annotated[bool, _Flag] = False,
     start: Annotated[bool, _Flag] = False,
+    schedule: Path | None = None,
     folder: Path | None = None,
 ) -> None:
     """Write a controller with its gains and settings as one C file for firmware.
@@ -86,12 +87,18 @@ def export_controller(
         out: The file to write; estune_pidf.c by default.
         c: Write C, the only form there is.
         start: The gains the run began from, instead of those it found.
+        schedule: A gain schedule (JSON, as of a sweep) to be written beside it as a C header,
+            estune_schedule.h.
         folder: Folder that runs are kept in.
     """
     from estune import api  # noqa: PLC0415  slow to import
     from estune.cli.runs import find_run  # noqa: PLC0415  as above
     from estune.export import replace_file  # noqa: PLC0415  as above
     from estune.hardware import controller_source, read_config  # noqa: PLC0415  as above
+    from estune.hardware.schedule_file import (  # noqa: PLC0415  as above
+        read_schedule,
+        schedule_header,
+    )
 
     if not c:
         raise InvalidInput("say in which form to write the controller: --c")
@@ -102,8 +109,13 @@ def export_controller(
         result = api.load(find_run(source, folder or Path(api.RUNS)))
         settings, gains = result.rig.controller, result.start_gains if start else result.gains
     path = out or Path("estune_pidf.c")
+    header = None if schedule is None else schedule_header(read_schedule(schedule))
     try:
         replace_file(path, controller_source(settings, gains).encode())
+        print(f"controller at {settings.sampling_Hz:g} Hz, {gains}: {path}")
+        if header is not None:
+            path = path.with_name("estune_schedule.h")
+            replace_file(path, header.encode())
+            print(f"gain schedule: {path}")
     except OSError as error:
         raise InvalidInput(f"{path}: {error.strerror or error}; give another --out") from error
-    print(f"controller at {settings.sampling_Hz:g} Hz, {gains}: {path}")

@@ -155,6 +155,23 @@ def bumpless(
     return state._replace(integral_N=effort_N - c.P * error + c.D * derivative)
 
 
+def exchanged(
+    before: Coefficients,
+    after: Coefficients,
+    state: PidfState,
+    setpoint_N: Signal,
+    measurement_N: Signal,
+) -> PidfState:
+    """The state from which the next `step` with other gains gives what it would with these.
+
+    For gains that follow a schedule: `bumpless` to the last effort at every sample would hold the
+    effort where it is.
+    """
+    _, error, derivative = _terms(before, state, setpoint_N, measurement_N)
+    wanted = before.P * error + state.integral_N - before.D * derivative
+    return bumpless(after, state, setpoint_N, measurement_N, wanted)
+
+
 def _terms(
     c: Coefficients, state: PidfState, setpoint_N: Signal, measurement_N: Signal
 ) -> tuple[Signal, Signal, Signal]:

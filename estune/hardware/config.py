@@ -18,8 +18,10 @@ from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
 from estune.errors import InvalidInput
 from estune.hardware.firmware import controller_source
+from estune.hardware.live_gains import Following
 from estune.hardware.plan import Motion, Plan, RealTime, SafeState
 from estune.hardware.scales import CurrentScale, GaugeScale
+from estune.hardware.schedule_file import read_schedule
 from estune.hardware.tables import (
     ControllerTable,
     CurrentTable,
@@ -33,6 +35,7 @@ from estune.hardware.tables import (
     RealTimeTable,
     ReelTable,
     SafeTable,
+    ScheduleTable,
     StepTable,
     Table,
 )
@@ -57,7 +60,8 @@ class RigConfig(Table):
     safe: SafeTable = SafeTable()
     motion: MotionTable
     controller: ControllerTable = ControllerTable()
-    gains: GainsTable
+    gains: GainsTable | None = None
+    schedule: ScheduleTable | None = None
     step: StepTable
     real_time: RealTimeTable = RealTimeTable()
 
@@ -94,7 +98,7 @@ class RigConfig(Table):
         """
         return RigDescription(
             name=self.name,
-            gains=Gains(**self.gains.model_dump()),
+            gains=self._gains(),
             controller=self.settings(),
             newtons_per_ampere=self.newtons_per_ampere,
             limits=RigLimits(
@@ -127,6 +131,38 @@ class RigConfig(Table):
             )
         return GaugeScale.of(c2), CurrentScale.of(c1)
 
+    def following(self) -> Following | None:
+        """How the live gains follow the cable's length; None where they are fixed.
+
+        Raises:
+            InvalidInput: the schedule cannot be read or used, or does not hold at the length the
+                reel begins with.
+        """
+        if self.schedule is None:
+            return None
+        schedule, length = read_schedule(self.schedule.file), self.reel.cable_length_m
+        if length is None:
+            raise InvalidInput(
+                "a gain schedule needs reel.cable_length_m, the length at an encoder count of 0"
+            )
+        low, high = schedule.length_m
+        if not low <= length <= high:
+            raise InvalidInput(
+                f"reel.cable_length_m {length:g} m is beyond the schedule's {low:g} to {high:g} "
+                "m; tune at that length too, or begin within"
+            )
+        radius = self.reel.drum_radius_m if self.schedule.length == "angle" else 0.0
+        return Following(schedule, self.settings(), length, radius)
+
+    def _gains(self) -> Gains:
+        """The live gains at the start."""
+        following = self.following()
+        if following is not None:
+            return following.schedule.gains(following.length_m, self.hold_N)
+        if self.gains is None:
+            raise InvalidInput("give live gains as [gains], or a [schedule] of them")
+        return Gains(**self.gains.model_dump())
+
     def plan(self) -> Plan:
         """What the loop is told.
 
@@ -152,6 +188,7 @@ class RigConfig(Table):
             effort_max_N=settings.output_max_N,
             controller=controller_source(settings, description.gains),
             live=pidf.coefficients(settings, description.gains),
+            following=self.following(),
             guard=self._guard(),
             motion=Motion(
                 hold_N=self.hold_N,
@@ -182,6 +219,8 @@ class RigConfig(Table):
     def _fits(self) -> Self:
         """What one table says about another; all that does not fit at once."""
         wrong = [*_tensions(self), *_currents(self), *_times(self)]
+        if self.gains is not None and self.schedule is not None:
+            wrong.append("give either [gains] or a [schedule] of them, not both")
         for made in (self.describe, self.calibrations):
             try:
                 made()
@@ -269,7 +308,7 @@ def read_config(path: str | Path) -> RigConfig:
         raise InvalidInput(f"{path}: {getattr(error, 'strerror', None) or error}") from error
     except tomllib.TOMLDecodeError as error:
         raise InvalidInput(f"{path}: no TOML: {error}") from error
-    for table in ("gauge", "current"):
+    for table in ("gauge", "current", "schedule"):
         place = data.get(table)
         if isinstance(place, dict) and isinstance(place.get("file"), str):
             place["file"] = str(path.parent / place["file"])

@@ -33,6 +33,10 @@ class Controller(Protocol):
         """Takes the state from which the next step gives this effort."""
         ...
 
+    def exchange(self, coefficients: Coefficients, setpoint_N: float, tension_N: float) -> None:
+        """Changes the gains so that the next step gives what it would have given."""
+        ...
+
     def step(self, setpoint_N: float, tension_N: float) -> float:
         """One sample; the effort within its limits, N."""
         ...
@@ -94,6 +98,14 @@ class CompiledController:
         """Takes the state from which the next step gives this effort."""
         self._take_over(self._at, setpoint_N, tension_N, effort_N)
 
+    def exchange(self, coefficients: Coefficients, setpoint_N: float, tension_N: float) -> None:
+        """Changes the gains so that the next step gives what it would have given."""
+        remembered = self._struct.state[:]
+        wanted = self._step(self._at, setpoint_N, tension_N, self._excess_at) + self._excess.value
+        self._struct.state[:] = remembered
+        self.use(coefficients)
+        self.take_over(setpoint_N, tension_N, wanted)
+
     def step(self, setpoint_N: float, tension_N: float) -> float:
         """One sample; the effort within its limits, N."""
         effort: float = self._step(self._at, setpoint_N, tension_N, self._excess_at)
@@ -123,6 +135,13 @@ class PlainController:
         self._state = pidf.bumpless(
             self._coefficients, self._state, setpoint_N, tension_N, effort_N
         )
+
+    def exchange(self, coefficients: Coefficients, setpoint_N: float, tension_N: float) -> None:
+        """Changes the gains so that the next step gives what it would have given."""
+        self._state = pidf.exchanged(
+            self._coefficients, coefficients, self._state, setpoint_N, tension_N
+        )
+        self._coefficients = coefficients
 
     def step(self, setpoint_N: float, tension_N: float) -> float:
         """One sample; the effort within its limits, N."""

@@ -40,6 +40,10 @@ _TEXT = """\
  *     estune_pidf_gains(&reel, P, I, D, setpoint_filter_s);
  *     estune_pidf_take_over(&reel, setpoint, tension, last_effort);    before the next step
  *
+ * and where they go on changing, as by a schedule over cable length, at any sample:
+ *
+ *     estune_pidf_exchange(&reel, P, I, D, setpoint_filter_s, setpoint, tension);
+ *
  * Without double precision, define casadi_real as float before this text.
  * A measurement that is not a number must not reach the controller: check it before.
  */
@@ -119,6 +123,16 @@ ESTUNE_PIDF_EXPORT casadi_real estune_pidf_step(estune_pidf *pidf, casadi_real s
   res[0] = pidf->state; res[1] = &effort; res[2] = excess;
   estune_pidf_sample(arg, res);
   return effort;
+}}
+
+/* Sets the gains so that the next step at these signals gives what it would have given. */
+ESTUNE_PIDF_EXPORT void estune_pidf_exchange(estune_pidf *pidf, casadi_real P, casadi_real I,
+                                             casadi_real D, casadi_real setpoint_filter_s,
+                                             casadi_real setpoint, casadi_real measurement) {{
+  estune_pidf ahead = *pidf;
+  casadi_real excess, effort = estune_pidf_step(&ahead, setpoint, measurement, &excess);
+  estune_pidf_gains(pidf, P, I, D, setpoint_filter_s);
+  estune_pidf_take_over(pidf, setpoint, measurement, effort + excess);
 }}
 """
 

@@ -19,7 +19,7 @@ from estune.hardware.controller import make_controller
 from estune.hardware.driver import Driver, load_driver
 from estune.hardware.machine import Machine
 from estune.hardware.memory import BINS, BIN_s, Memory, Word
-from estune.hardware.plan import Begin, Clear, Done, End, Failed, Plan, Ready, Swap
+from estune.hardware.plan import Begin, Clear, Done, End, Failed, Plan, Ready, Swap, Tell
 
 _BIN_ns = BIN_s * 1e9
 
@@ -114,6 +114,8 @@ class Loop:
                 return
             case Swap(live):
                 machine.swap(live)
+            case Tell(length_m):
+                machine.tell(length_m)
             case Clear():
                 machine.clear()
             case End():

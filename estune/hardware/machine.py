@@ -19,6 +19,7 @@ from enum import IntEnum
 from estune.core.pidf import Coefficients
 from estune.hardware.controller import Controller
 from estune.hardware.driver import Reading
+from estune.hardware.live_gains import LiveGains
 from estune.hardware.memory import Level, Memory, Word
 from estune.hardware.plan import Begin, Ended, Plan, Refused
 from estune.reel import guard
@@ -57,7 +58,8 @@ class Machine:
         self._plan = plan
         self._memory = memory
         self._controller = controller
-        self._live = plan.live
+        self._live = LiveGains(plan.live, plan.following)
+        self._angle_rad = 0.0
         self._limits_take_up, self._limits_recovering = _relaxed(plan)
         self._limits = plan.guard
         self._watch: Watch | None = None
@@ -100,11 +102,15 @@ class Machine:
         self._still = self._at_preload = 0
 
     def swap(self, live: Coefficients) -> None:
-        """Makes gains the live ones, without a jump of the effort."""
-        self._live = live
+        """Makes gains the live ones, fixed, without a jump of the effort."""
+        self._live.fix(live)
         if self.phase is not Phase.TRIAL:
             self._controller.use(live)
             self._bump = True
+
+    def tell(self, length_m: float) -> None:
+        """Takes the cable to be so long; live gains of a schedule follow."""
+        self._live.tell(length_m)
 
     def clear(self) -> None:
         """Forgets why it stopped."""
@@ -146,6 +152,7 @@ class Machine:
             if stop is not None:
                 flags |= GUARD
                 self._stop(stop, reading.time_s, tension)
+        self._angle_rad = angle
         self._effort_N = self._act(reading.time_s, tension)
         current = self._effort_N / plan.newtons_per_ampere
         if recorded:
@@ -253,7 +260,7 @@ class Machine:
         last = self._memory.setpoint_N[kept - 1]
         open_loop, self._trial = self._trial.open_loop, None
         self.phase, self._limits = Phase.HOLD, self._plan.guard
-        self._controller.use(self._live)
+        self._controller.use(self._live.coefficients)
         self._set_out_from(self._memory.levels[Level.TENSION_N] if open_loop else last)
 
     def _set_out_from(self, tension_N: float) -> None:
@@ -283,7 +290,7 @@ class Machine:
         if not tension_N >= motion.taut_N:
             return motion.take_up_N
         self.phase = Phase.HOLD
-        self._controller.use(self._live)
+        self._controller.use(self._live.coefficients)
         self._controller.rest(tension_N, self._effort_N)
         self._set_out_from(tension_N)
         return self._hold(tension_N)
@@ -296,9 +303,13 @@ class Machine:
             target = self._memory.setpoint_N[0]
         way = motion.rate_N_s / self._plan.sampling_Hz
         self._setpoint_N += min(max(target - self._setpoint_N, -way), way)
+        changed = self._live.follow(self._angle_rad, self._setpoint_N)
         if self._bump:
+            self._controller.use(self._live.coefficients)
             self._controller.take_over(self._setpoint_N, tension_N, self._effort_N)
             self._bump = False
+        elif changed:
+            self._controller.exchange(self._live.coefficients, self._setpoint_N, tension_N)
         effort = self._controller.step(self._setpoint_N, tension_N)
         self._limited = self._controller.limited
         if trial is not None:
@@ -368,6 +379,7 @@ class Machine:
         levels[Level.TIME_s], levels[Level.SETPOINT_N] = time_s, self._setpoint_N
         levels[Level.TENSION_N], levels[Level.CURRENT_A] = tension_N, current_A
         levels[Level.ANGLE_rad] = angle_rad
+        levels[Level.LENGTH_m], levels[Level.SCHEDULED_N] = self._live.used
         words[Word.LATCHED], words[Word.PHASE] = self._latched, self.phase
         words[Word.SAMPLES] += 1
 

@@ -49,6 +49,8 @@ class Level(IntEnum):
     TENSION_N = 2
     CURRENT_A = 3
     ANGLE_rad = 4
+    LENGTH_m = 5  # that the live gains are for; not a number where they are fixed
+    SCHEDULED_N = 6  # tension that they are for; the same
 
 
 class Memory:

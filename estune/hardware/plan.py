@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from estune.core.pidf import Coefficients
+from estune.hardware.live_gains import Following
 from estune.hardware.scales import CurrentScale, GaugeScale
 from estune.reel.guard import Limits
 from estune.trial import Outcome
@@ -92,7 +93,8 @@ class Plan:
         effort_min_N: Least effort, N.
         effort_max_N: Greatest effort, N.
         controller: C text of the controller.
-        live: The live gains' difference equation.
+        live: The live gains' difference equation, at the start.
+        following: How they follow the cable's length; None where they are fixed.
         guard: What the reel may do; cost and duration are set by each trial.
         motion: How the reel is moved outside trials.
         safe: Where the guard brings it.
@@ -113,6 +115,7 @@ class Plan:
     effort_max_N: float
     controller: str
     live: Coefficients
+    following: Following | None
     guard: Limits
     motion: Motion
     safe: SafeState
@@ -140,9 +143,15 @@ class Begin(NamedTuple):
 
 
 class Swap(NamedTuple):
-    """Asks for other live gains."""
+    """Asks for other live gains, fixed ones."""
 
     live: Coefficients
+
+
+class Tell(NamedTuple):
+    """Says how long the cable is now, m."""
+
+    length_m: float
 
 
 class Clear(NamedTuple):

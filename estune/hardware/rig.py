@@ -23,7 +23,7 @@ from estune import errors
 from estune.core import pidf
 from estune.core.cost import StepCost
 from estune.core.gains import Gains
-from estune.errors import EstuneError, RigError
+from estune.errors import EstuneError, InvalidInput, RigError
 from estune.hardware.config import RigConfig
 from estune.hardware.machine import Phase
 from estune.hardware.memory import BIN_s, Level, Memory, Word, column, flag_column, make_file
@@ -38,6 +38,7 @@ from estune.hardware.plan import (
     Ready,
     Refused,
     Swap,
+    Tell,
 )
 from estune.profiles import Profile, StepProfile
 from estune.trial import (
@@ -138,6 +139,7 @@ class HardwareRig:
         plan = config.plan()
         self._config = config
         self._description = config.describe()
+        self._following = plan.following
         self._cost = StepCost(config.settling_time_s)
         self._live_cost: tuple[Profile, float] | None = None
         self._records: OrderedDict[str, tuple[TrialRequest, TrialRecord | None]] = OrderedDict()
@@ -176,7 +178,7 @@ class HardwareRig:
             RigError: it is closed, or its loop has ended.
         """
         self._check_alive()
-        return self._description
+        return self._now()
 
     def run(self, request: TrialRequest) -> TrialRecord:
         """Runs one trial, or returns the record of it if that trial id has run before.
@@ -202,7 +204,7 @@ class HardwareRig:
             return record
 
     def apply(self, gains: Gains) -> None:
-        """Makes gains the live ones, without a jump of the current.
+        """Makes gains the live ones, without a jump of the current; a schedule then ends.
 
         Raises:
             RigError: the rig is closed, its loop has failed, or its emergency stop is on.
@@ -217,7 +219,28 @@ class HardwareRig:
             live = pidf.coefficients(self._description.controller, gains)
             self._ask(Swap(live), Done, _ANSWER_WITHIN_s)
             self._description = replace(self._description, gains=gains)
+            self._following = None
             self._live_cost = None
+
+    def tell_length(self, length_m: float) -> None:
+        """Says how long the cable is, where no drum angle does; scheduled live gains follow.
+
+        Raises:
+            InvalidInput: the length is not finite and above zero, or the rig's file does not say
+                that its length is told.
+            RigError: the rig is closed, or its loop has failed.
+        """
+        if not (math.isfinite(length_m) and length_m > 0.0):
+            raise InvalidInput(f"cable length is {length_m} m; it must be finite and above zero")
+        schedule = self._config.schedule
+        if schedule is None or schedule.length != "told":
+            raise InvalidInput(
+                f'rig {self._description.name} is not told its length; say length = "told" in '
+                "the [schedule] of its file"
+            )
+        with self._trial:
+            self._check_alive()
+            self._ask(Tell(length_m), Done, _ANSWER_WITHIN_s)
 
     def abort(self) -> RigDescription:
         """Stops the trial under way, if any, and returns once the live gains are back."""
@@ -399,7 +422,7 @@ class HardwareRig:
             trial_id=request.trial_id,
             rig=self._description.name,
             sampling_Hz=self._config.sampling_Hz,
-            cable_length_m=self._description.cable_length_m,
+            cable_length_m=self._now().cable_length_m,
             preload_N=request.profile.preload_N,
             gains=request.gains,
             outcome=ended.outcome,
@@ -416,12 +439,21 @@ class HardwareRig:
             profile=request.profile.kind,
         )
 
+    def _now(self) -> RigDescription:
+        """The description, with the gains and the length that a schedule has come to."""
+        levels = self._memory.levels
+        length, tension = levels[Level.LENGTH_m], levels[Level.SCHEDULED_N]
+        if self._following is None or not length > 0.0:  # it has not begun to follow
+            return self._description
+        gains = self._following.schedule.gains(length, tension)
+        return replace(self._description, gains=gains, cable_length_m=length)
+
     def _remember(self, request: TrialRequest, record: TrialRecord) -> None:
         self._records[request.trial_id] = request, record
         if len(self._records) > REMEMBERED:
             oldest = list(self._records)[-REMEMBERED - 1]
             self._records[oldest] = self._records[oldest][0], None
-        live = request.gains == self._description.gains
+        live = request.gains == self._now().gains
         if live and record.outcome is Outcome.DONE:
             error = record.setpoint_N - record.tension_N
             cost = float(self._weights(request, record.setpoint_N) @ (error * error))

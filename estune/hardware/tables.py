@@ -147,6 +147,17 @@ class GainsTable(Table):
     setpoint_filter_s: NotNegative
 
 
+class ScheduleTable(Table):
+    """Live gains that follow the cable's length, in place of fixed ones.
+
+    The length is reel.cable_length_m where the encoder stands at zero, and from there on what the
+    drum has wound in less (`angle`), or what `HardwareRig.tell_length` says (`told`).
+    """
+
+    file: Path = Field(strict=False)
+    length: Literal["angle", "told"] = "angle"
+
+
 class StepTable(Table):
     """A step trial that suits the reel."""
 
