@@ -37,8 +37,8 @@ class Outcome:
         start_cost: Mean cost of the start gains.
         log_errors: Standard errors of (ln P, ln I, ln D, ln tau_F), or None where the tuner gives
             none; infinite for a gain along which the cost is flat up to its bounds.
-        remaining: Share of the cost that was left to gain when the search ended, by the tuner's own
-            word or as the cost still fell; infinite where nobody can tell.
+        remaining: Share of the cost left to gain when the search ended, by the tuner's own word or
+            as the cost still fell; infinite where nobody can tell.
         duration_s: How long it took, s.
         trace: Its trials in order, columns as in `TRACE`, shape (trials, 7).
     """
