@@ -16,10 +16,12 @@ from plants.discrepancy.experiments.next_experiment import (
 from plants.discrepancy.report.diagnosis import Diagnosis, Interval, NamedEffect, Step, Verdict
 from plants.discrepancy.report.wording import sentence
 from plants.discrepancy.residual.where import Where
+from plants.discrepancy.search.bench import Attempt, Bench
 from plants.discrepancy.search.evidence import calibrations, free_run, intervals, reported
 from plants.discrepancy.search.fit import Fitted
 from plants.discrepancy.search.rules import Hum
-from plants.discrepancy.search.search import Attempt, Bench, Found, closure
+from plants.discrepancy.search.score import closure
+from plants.discrepancy.search.search import Found
 from plants.discrepancy.search.verdict import Judged, candidates, not_excited, overall, ruled_out
 from plants.effects import Effect, MainsInterference, Quantisation
 

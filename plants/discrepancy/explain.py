@@ -18,9 +18,10 @@ from plants.discrepancy.models.models import Diagnosed, diagnosed
 from plants.discrepancy.report.diagnosis import Diagnosis
 from plants.discrepancy.residual.where import Where, localise
 from plants.discrepancy.search import thresholds
+from plants.discrepancy.search.bench import Attempt, Bench
 from plants.discrepancy.search.given import one_wrong_number
 from plants.discrepancy.search.rules import Hum, coarse_step_N, find_hum
-from plants.discrepancy.search.search import Attempt, Bench, search
+from plants.discrepancy.search.search import search
 from plants.discrepancy.search.splits import FIT, RANK
 from plants.discrepancy.search.suggestions import suggestions
 from plants.discrepancy.search.verdict import judge

@@ -21,14 +21,14 @@ class Task(ctypes.Structure):
     """What `estune_predict` is asked for; see `prediction.c`."""
 
     _fields_ = (
-        *((name, ctypes.c_long) for name in ("rows", "records", "samples", "entries", "blocks")),
+        *((name, ctypes.c_long) for name in ("rows", "records", "samples", "entries", "kept")),
         *(
             (name, ctypes.c_void_p)
             for name in (
                 *("record_samples", "preload", "reading", "command"),
                 *("windows", "window_at", "window_place", "table", "kick"),
-                *("measured", "weight", "source", "block_end", "basis"),
-                *("outputs", "residuals"),
+                *("measured", "weight", "source", "block_end", "record_blocks", "wanted"),
+                *("basis", "outputs", "chosen", "residuals"),
             )
         ),
     )

@@ -18,7 +18,7 @@ enum { ANGLE_ZERO, CURRENT_GAIN, CURRENT_OFFSET, REFERENCE_OFFSET, INPUT_SLOPE, 
 #define FURTHEST 1e6 /* what a prediction that runs away counts for, in sigmas */
 
 typedef struct {
-  long rows, records, samples, entries, blocks;
+  long rows, records, samples, entries, kept;
   const long *record_samples;      /* [records] */
   const double *preload, *reading; /* [records]; reading at rest in the first sample */
   const double *command;           /* [samples], effort, records one after the other */
@@ -30,9 +30,12 @@ typedef struct {
   const double *measured, *weight; /* [entries] */
   const long *source;              /* [entries] place in the channels of all samples */
   const long *block_end;           /* [blocks] */
+  const long *record_blocks;       /* [records] number of them */
+  const char *wanted;              /* [records] whether it is run, or null for all */
   const double *basis;             /* [PLACED][entries] */
   double *outputs;                 /* [rows][CHANNELS][samples], or null */
-  double *residuals;               /* [rows][entries], or null */
+  const long *chosen;              /* [kept] numbers of the entries whose residuals are told */
+  double *residuals;               /* [rows][kept], or null */
 } Task;
 
 typedef struct {
@@ -160,17 +163,18 @@ static int one_record(long samples, const double *numbers, double preload, doubl
   return 0;
 }
 
-/* Whitened residuals of one row, without what the windows' starts explain. */
-static void reduce(const Task *task, const double *outputs, double *residuals) {
-  long b, d, e, first = 0;
-  for (e = 0; e < task->entries; e++) {
-    double r = (task->measured[e] - outputs[task->source[e]]) * task->weight[e];
-    if (!(r <= FURTHEST)) r = FURTHEST; /* also where it is not a number */
-    if (r < -FURTHEST) r = -FURTHEST;
-    residuals[e] = r;
-  }
-  for (b = 0; b < task->blocks; b++) {
-    for (d = 0; d < PLACED; d++) {
+/* Whitened residuals of some blocks of one row, without what the windows' starts explain. */
+static void reduce(const Task *task, long begin, long end, const double *outputs,
+                   double *residuals) {
+  long b, d, e, first = begin ? task->block_end[begin - 1] : 0;
+  for (b = begin; b < end; b++) {
+    for (e = first; e < task->block_end[b]; e++) {
+      double r = (task->measured[e] - outputs[task->source[e]]) * task->weight[e];
+      if (!(r <= FURTHEST)) r = FURTHEST; /* also where it is not a number */
+      if (r < -FURTHEST) r = -FURTHEST;
+      residuals[e] = r;
+    }
+    for (d = 0; task->basis && d < PLACED; d++) {
       const double *direction = task->basis + d * task->entries;
       double share = 0.0;
       for (e = first; e < task->block_end[b]; e++) share += direction[e] * residuals[e];
@@ -183,7 +187,7 @@ static void reduce(const Task *task, const double *outputs, double *residuals) {
 /* Runs all rows; zero, or nonzero without memory. */
 __attribute__((visibility("default"))) int estune_predict(const Task *task) {
   const long width = PARAMETERS + SENSORS;
-  double *scratch = 0;
+  double *scratch = 0, *left = 0;
   Ring ring = {0, 0};
   long m, r;
   int failed = 0;
@@ -191,23 +195,35 @@ __attribute__((visibility("default"))) int estune_predict(const Task *task) {
     scratch = malloc(CHANNELS * task->samples * sizeof *scratch);
     if (!scratch) return 1;
   }
+  if (task->residuals) {
+    left = malloc(task->entries * sizeof *left);
+    failed = !left;
+  }
   for (m = 0; m < task->rows && !failed; m++) {
     double *out = scratch ? scratch : task->outputs + m * CHANNELS * task->samples;
     const double *kick = task->kick ? task->kick + m * PLACED : 0;
-    long at = 0, w = 0;
+    long at = 0, w = 0, b = 0;
     for (r = 0; r < task->records && !failed; r++) {
-      failed = one_record(task->record_samples[r], task->table + (m * task->records + r) * width,
-                          task->preload[r], task->reading[r], task->command + at,
-                          task->windows[r], task->window_at + w, task->window_place + w * PLACED,
-                          kick, &ring, out + TENSION * task->samples + at,
-                          out + ANGLE * task->samples + at, out + REFERENCE * task->samples + at,
-                          out + CURRENT * task->samples + at);
+      const long blocks = b + task->record_blocks[r];
+      if (!task->wanted || task->wanted[r]) {
+        failed = one_record(task->record_samples[r],
+                            task->table + (m * task->records + r) * width, task->preload[r],
+                            task->reading[r], task->command + at, task->windows[r],
+                            task->window_at + w, task->window_place + w * PLACED, kick, &ring,
+                            out + TENSION * task->samples + at, out + ANGLE * task->samples + at,
+                            out + REFERENCE * task->samples + at,
+                            out + CURRENT * task->samples + at);
+        if (left) reduce(task, b, blocks, out, left);
+      }
+      b = blocks;
       at += task->record_samples[r];
       w += task->windows[r];
     }
-    if (task->residuals && !failed) reduce(task, out, task->residuals + m * task->entries);
+    for (r = 0; left && r < task->kept; r++)
+      task->residuals[m * task->kept + r] = left[task->chosen[r]];
   }
   free(scratch);
+  free(left);
   free(ring.drives);
   return failed;
 }

@@ -120,24 +120,30 @@ class Predictor:
             shown.append(Prediction._make(columns))
         return shown
 
-    def residuals(self, rows: FloatArray) -> FloatArray:
+    def residuals(self, rows: FloatArray, entries: NDArray[np.int64] | None = None) -> FloatArray:
         """(measured - predicted)/sigma_eff without what a window's start explains.
 
-        A prediction that runs away, or is no number, counts as a million sigmas.
+        A prediction that runs away, or is no number, counts as a million sigmas. Only the records
+        that the entries belong to are run.
 
         Args:
             rows: Values, shape (rows, free).
+            entries: Numbers of the entries that are wanted; None is all.
 
         Returns:
             Shape (rows, entries).
         """
-        found = np.empty((len(rows), self.index.sigma.size))
+        chosen = np.arange(self.index.sigma.size) if entries is None else entries
+        found = np.empty((len(rows), chosen.size))
         table = self._table.of(rows)
-        _run(self._library, self._scene, table, basis=self._basis, residuals=found)
+        _run(self._library, self._scene, table, basis=self._basis, residuals=found, chosen=chosen)
         return found
 
     def linearise(
-        self, values: FloatArray, only: NDArray[np.int64] | None = None
+        self,
+        values: FloatArray,
+        only: NDArray[np.int64] | None = None,
+        entries: NDArray[np.int64] | None = None,
     ) -> tuple[FloatArray, FloatArray]:
         """Residuals, shape (entries,), and their derivative by the values, (entries, free).
 
@@ -147,6 +153,7 @@ class Predictor:
         Args:
             values: Shape (free,).
             only: Numbers of the free values to derive by, whose columns are then the only ones.
+            entries: Numbers of the entries that are wanted; None is all.
         """
         chosen = np.arange(len(self.free)) if only is None else np.asarray(only, np.int64)
         groups: dict[tuple[str, int | None], list[int]] = defaultdict(list)
@@ -158,16 +165,17 @@ class Predictor:
         rows = np.repeat(np.asarray(values, np.float64)[None], 1 + len(groups), axis=0)
         for row, places in zip(rows[1:], groups.values(), strict=True):
             row[chosen[places]] += steps[places]
-        found = self.residuals(rows)
+        found = self.residuals(rows, entries)
         jacobian = np.zeros((chosen.size, found.shape[1]))
         found[1:] -= found[0]
+        own_entries = self._own_entries(entries)
         for change, places in zip(found[1:], groups.values(), strict=True):
             for place in places:
                 record = self._slots[chosen[place]].record
                 if record is None:
                     np.divide(change, steps[place], out=jacobian[place])
                 else:
-                    own = self._own_entries[record]
+                    own = own_entries[record]
                     jacobian[place, own] = change[own] / steps[place]
         return found[0], jacobian.T
 
@@ -179,12 +187,11 @@ class Predictor:
         """The row of some values by name, the others at their start."""
         return np.array([values.get(free.name, free.start) for free in self.free])
 
-    @property
-    def _own_entries(self) -> list[slice]:
-        """The entries of each record."""
-        edges = np.searchsorted(
-            self.index.measurement, np.arange(len(self._scene.measurements) + 1)
-        )
+    def _own_entries(self, entries: NDArray[np.int64] | None) -> list[slice]:
+        """Where in some entries, in ascending order, those of each record are."""
+        measurement = self.index.measurement
+        measurement = measurement if entries is None else measurement[entries]
+        edges = np.searchsorted(measurement, np.arange(len(self._scene.measurements) + 1))
         return [slice(a, b) for a, b in pairwise(edges.tolist())]
 
     def _step(self, n: int, value: float) -> float:
@@ -271,9 +278,14 @@ def _run(
     basis: FloatArray | None = None,
     outputs: FloatArray | None = None,
     residuals: FloatArray | None = None,
+    chosen: NDArray[np.int64] | None = None,
 ) -> None:
-    """Fills outputs or residuals; the arrays outlive the call by their names."""
+    """Fills outputs, or residuals of the chosen entries; the arrays outlive the call."""
     weight = 1.0 / of.index.sigma
+    wanted = None
+    if chosen is not None:
+        wanted = np.zeros(len(of.measurements), np.bool_)
+        wanted[of.index.measurement[chosen]] = True
 
     def at(array: NDArray[np.generic] | None) -> int | None:
         return None if array is None else array.ctypes.data
@@ -283,7 +295,7 @@ def _run(
         records=len(of.measurements),
         samples=of.samples,
         entries=of.index.sigma.size,
-        blocks=0 if basis is None else of.block_end.size,
+        kept=0 if chosen is None else chosen.size,
         record_samples=at(of.record_samples),
         preload=at(of.preload),
         reading=at(of.reading),
@@ -297,8 +309,11 @@ def _run(
         weight=at(weight),
         source=at(of.source),
         block_end=at(of.block_end),
+        record_blocks=at(of.record_blocks),
+        wanted=at(wanted),
         basis=at(basis),
         outputs=at(outputs),
+        chosen=at(chosen),
         residuals=at(residuals),
     )
     compiled.run(task)
@@ -335,7 +350,8 @@ def _basis(model: Diagnosed, of: Scene) -> FloatArray:
     kicks = np.zeros((1 + bare.placed, bare.placed))
     kicks[1:] = np.diag(_kick_sizes(of, bare.placed))
     found = np.empty((len(kicks), of.index.sigma.size))
-    _run(bare, of, table.of(np.repeat(row, len(kicks), axis=0)), kicks=kicks, residuals=found)
+    rows, every = np.repeat(row, len(kicks), axis=0), np.arange(of.index.sigma.size)
+    _run(bare, of, table.of(rows), kicks=kicks, residuals=found, chosen=every)
     return Blocks(of.block_end).orthonormal(found[1:] - found[0])
 
 

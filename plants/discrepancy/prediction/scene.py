@@ -68,6 +68,7 @@ class Scene:
         measured: What each residual entry was measured to be.
         source: Place of its prediction among the channels of all samples.
         block_end: Entry after the last of each window.
+        record_blocks: Number of windows of each record.
         index: What the entries stand for.
     """
 
@@ -83,6 +84,7 @@ class Scene:
     measured: FloatArray
     source: NDArray[np.int64]
     block_end: NDArray[np.int64]
+    record_blocks: NDArray[np.int64]
     index: Index
 
     @property
@@ -127,6 +129,7 @@ def scene(
         measured=measured,
         source=source,
         block_end=block_end,
+        record_blocks=np.array([start.edges.size for start in starts], np.int64),
         index=index,
     )
 

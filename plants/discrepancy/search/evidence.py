@@ -10,9 +10,9 @@ from plants.discrepancy.data.record import OUTPUTS
 from plants.discrepancy.models.models import BASE
 from plants.discrepancy.prediction.prediction import CHANNELS, Predictor
 from plants.discrepancy.report.diagnosis import Calibration, Interval, Trace
+from plants.discrepancy.search.bench import Bench
 from plants.discrepancy.search.fit import Fitted, covariance
-from plants.discrepancy.search.search import Bench
-from plants.discrepancy.search.splits import FIT, RANK, REPORT
+from plants.discrepancy.search.splits import REPORT
 
 UNITS = {"tension_N": "N", "angle_rad": "rad", "reference_N": "N", "current_A": "A"}
 
@@ -46,14 +46,12 @@ class Reported(NamedTuple):
 def reported(bench: Bench, fitted: Fitted) -> Reported:
     """The gap of a fit on the report split."""
     entries = bench.entries[REPORT]
-    if not entries.size:
-        entries = bench.dealt.where(FIT, RANK)
     at = bench.settled(fitted, REPORT)
     index = fitted.predictor.index
     first = [CHANNELS.index(name) for name in OUTPUTS if UNITS[name] == bench.model.output]
     sigma = index.sigma[entries][np.isin(index.channel[entries], first)]
     floor = float(np.sqrt(np.mean(sigma**2))) if sigma.size else math.nan
-    return Reported(math.sqrt(at.mean_square(entries)), floor)
+    return Reported(math.sqrt(at.mean_square), floor)
 
 
 def intervals(bench: Bench, fitted: Fitted, base: Fitted) -> dict[str, Interval]:
@@ -62,12 +60,11 @@ def intervals(bench: Bench, fitted: Fitted, base: Fitted) -> dict[str, Interval]
     Residuals are coloured, and those of one record err together: the covariance is the larger of
     those with blocks of time and with records as the groups that belong together.
     """
-    entries = bench.dealt.where(FIT, RANK)
     index = fitted.predictor.index
-    blocks = covariance(fitted, entries, bench.dealt.group[entries])
-    records = covariance(fitted, entries, index.measurement[entries])
+    blocks = covariance(fitted, bench.dealt.group[fitted.entries])
+    records = covariance(fitted, index.measurement[fitted.entries])
     variance = np.maximum(np.diag(blocks), np.diag(records))
-    left = max(fitted.mean_square(entries) - 1.0, 0.0) / max(base.mean_square(entries), 1e-300)
+    left = max(fitted.mean_square - 1.0, 0.0) / max(base.mean_square, 1e-300)
     share = max(MODEL_FORM, TAKEN_UP * math.sqrt(min(left, 1.0)))
     found = {}
     for place, n in enumerate(fitted.moved.tolist()):
@@ -125,7 +122,7 @@ def free_run(before: tuple[Bench, Fitted], after: tuple[Bench, Fitted]) -> FreeR
     runs = [bench.free_run(fitted) for bench, fitted in (before, after)]
     bench, cleaned = before[0], after[0]
     main, index = main_channel(bench), bench.base.index
-    entries = bench.entries[REPORT] if bench.entries[REPORT].size else bench.dealt.where(FIT, RANK)
+    entries = bench.entries[REPORT]
     traces, errors = [], []
     for n in sorted(set(index.measurement[entries].tolist())):
         m = bench.measurements[n]

@@ -1,6 +1,6 @@
 """Bounded least squares of whitened residuals, and how far the values found can be trusted."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -21,24 +21,28 @@ FLAT = 1e-10
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fitted:
-    """A predictor with values.
+    """A predictor with values, held against some entries.
 
     Attributes:
         predictor: The predictor.
         values: The values, shape (free,).
-        residuals: All of its residuals there, shape (entries,).
+        entries: Numbers of the entries, ascending.
+        residuals: The residuals there, same shape.
         moved: Numbers of the values that were free to move.
+        converged: Whether a last round lowered hardly anything.
     """
 
     predictor: Predictor
     values: FloatArray
+    entries: Numbers
     residuals: FloatArray
     moved: Numbers
+    converged: bool
 
-    def mean_square(self, entries: Numbers) -> float:
-        """J: mean square of the whitened residuals over some entries; 1 is the floor."""
-        part = self.residuals[entries]
-        return float(part @ part) / max(part.size, 1)
+    @property
+    def mean_square(self) -> float:
+        """J: mean square of the whitened residuals; 1 is the floor."""
+        return _cost(self.residuals) / max(self.residuals.size, 1)
 
 
 def fit(
@@ -58,22 +62,25 @@ def fit(
     """
     scale = _Scale.of(predictor, moves)
     values = np.clip(start, scale.low, scale.high)
-    residuals, jacobian = predictor.linearise(values, moves)
+    residuals, converged = None, False
     for _ in range(rounds):
-        here = _cost(residuals, entries)
-        columns = jacobian.T[:, entries] * scale.inner(values)[:, None]
+        residuals, jacobian = predictor.linearise(values, moves, entries)
+        here = _cost(residuals)
+        columns = jacobian.T * scale.inner(values)[:, None]
         slope = _Slope(columns, columns @ columns.T, scale)
         values, residuals = _lowered(predictor, values, residuals, slope, entries)
-        cost = _cost(residuals, entries)
-        if here - cost < CONVERGED * here:
+        cost = _cost(residuals)
+        converged = here - cost < CONVERGED * here
+        if converged:
             break
         # The old slope is good for one more step, which costs a twelfth of a new one.
-        again = slope.step(values, residuals[entries], 0.0)
-        found = predictor.residuals(again[None, :])[0]
-        if _cost(found, entries) < cost:
-            values = again
-        residuals, jacobian = predictor.linearise(values, moves)
-    return Fitted(predictor, values, residuals, moves)
+        again = slope.step(values, residuals, 0.0)
+        found = predictor.residuals(again[None, :], entries)[0]
+        if _cost(found) < cost:
+            values, residuals = again, found
+    if residuals is None:
+        residuals = predictor.residuals(values[None, :], entries)[0]
+    return Fitted(predictor, values, entries, residuals, moves, converged)
 
 
 def _lowered(
@@ -84,20 +91,19 @@ def _lowered(
     entries: Numbers,
 ) -> tuple[FloatArray, FloatArray]:
     """The values that the best damping leads to, and their residuals; the same if none helps."""
-    here = _cost(residuals, entries)
+    here = _cost(residuals)
     for dampings in DAMPINGS:
-        trials = np.array([slope.step(values, residuals[entries], d) for d in dampings])
-        found = predictor.residuals(trials)
-        costs = [_cost(one, entries) for one in found]
+        trials = np.array([slope.step(values, residuals, d) for d in dampings])
+        found = predictor.residuals(trials, entries)
+        costs = [_cost(one) for one in found]
         best = int(np.argmin(costs))
         if costs[best] < here:
             return trials[best], found[best]
     return values, residuals
 
 
-def _cost(residuals: FloatArray, entries: Numbers) -> float:
-    part = residuals[entries]
-    return float(part @ part)
+def _cost(residuals: FloatArray) -> float:
+    return float(residuals @ residuals)
 
 
 def switched_on(
@@ -124,29 +130,37 @@ def switched_on(
     """
     others = moves[moves != size]
     scale = _Scale.of(predictor, others)
-    residuals, jacobian = predictor.linearise(rows[0], others)
-    columns = jacobian.T[:, entries] * scale.inner(rows[0])[:, None]
+    residuals, jacobian = predictor.linearise(rows[0], others, entries)
+    columns = jacobian.T * scale.inner(rows[0])[:, None]
     on = rows.copy()
     on[:, size] += step
-    changes = predictor.residuals(on)[:, entries] - residuals[entries]
+    changes = predictor.residuals(on, entries) - residuals
     after = rows.copy()
     free = predictor.free[size]
     for row, change in zip(after, changes, strict=True):
         joint = np.vstack([columns, change])
         length = np.sqrt(np.maximum(np.einsum("ij,ij->i", joint, joint), 1e-300))
         joint = joint / length[:, None]
-        weights = _solve(joint @ joint.T, -(joint @ residuals[entries]), 1e-6) / length
+        weights = _solve(joint @ joint.T, -(joint @ residuals), 1e-6) / length
         row[others] = scale.moved(row, weights[:-1])
         row[size] = min(max(row[size] + weights[-1] * step, free.low), free.high)
     return after
 
 
-def settled(found: Fitted, moves: Numbers, entries: Numbers) -> Fitted:
-    """The same with a few values fitted to other entries, as a held-out record's own zero."""
-    if not moves.size:
-        return found
-    again = fit(found.predictor, found.values, moves, entries, rounds=3)
-    return replace(again, moved=found.moved)
+def settled(found: Fitted, moves: Numbers, own: Numbers, entries: Numbers) -> Fitted:
+    """The same held against other entries, with a few values fitted to those they act on.
+
+    Args:
+        found: What was fitted.
+        moves: Numbers of such values, as a held-out record's own zero.
+        own: Numbers of the entries that they act on, among the others.
+        entries: Numbers of the other entries.
+    """
+    predictor, values = found.predictor, found.values
+    if moves.size:
+        values = fit(predictor, values, moves, own, rounds=3).values
+    residuals = predictor.residuals(values[None, :], entries)[0]
+    return Fitted(predictor, values, entries, residuals, found.moved, found.converged)
 
 
 @dataclass(frozen=True, slots=True)
@@ -251,7 +265,7 @@ def _solve(normal: FloatArray, pull: FloatArray, damping: float) -> FloatArray:
     return solution
 
 
-def covariance(found: Fitted, entries: Numbers, groups: Numbers) -> FloatArray:
+def covariance(found: Fitted, groups: Numbers) -> FloatArray:
     """Covariance of the values that moved, whatever the residuals' colour.
 
     The sandwich H^-1 (sum_g s_g s_g^T) H^-1 G/(G - 1) with the scores s_g = J_g^T r_g of groups
@@ -260,22 +274,21 @@ def covariance(found: Fitted, entries: Numbers, groups: Numbers) -> FloatArray:
 
     Args:
         found: What was fitted.
-        entries: Numbers of the entries that were fitted.
-        groups: For each of them the number of its group.
+        groups: For each of its entries the number of its group.
 
     Returns:
         Shape (moved, moved); a value that the entries say nothing of has an infinite variance.
     """
     if not found.moved.size:
         return np.zeros((0, 0))
-    residuals, jacobian = found.predictor.linearise(found.values, found.moved)
-    columns = jacobian.T[:, entries]
+    residuals, jacobian = found.predictor.linearise(found.values, found.moved, found.entries)
+    columns = jacobian.T
     size = np.sqrt(np.einsum("ij,ij->i", columns, columns))
     dead = size <= 1e-9 * max(float(size.max(initial=0.0)), 1e-300)
     columns = columns / np.where(dead, 1.0, size)[:, None]
     columns[dead] = 0.0
     known, place = np.unique(groups, return_inverse=True)
-    weighted = columns * residuals[entries]
+    weighted = columns * residuals
     scores = np.stack([np.bincount(place, row, known.size) for row in weighted], axis=1)
     scores -= scores.mean(axis=0)
     value, directions = np.linalg.eigh(columns @ columns.T)

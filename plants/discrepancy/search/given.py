@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 
 from plants.discrepancy.search import thresholds
-from plants.discrepancy.search.search import Attempt, Bench
+from plants.discrepancy.search.bench import Attempt, Bench
 from plants.effects import Effect
 
 

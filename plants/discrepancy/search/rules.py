@@ -122,21 +122,28 @@ class _Line:
         return math.hypot(*self.wave(frequency_Hz)) ** 2 > CLEAR * float(np.median(beside)) ** 2
 
 
-def _power(lines: Sequence[_Line], frequency_Hz: float) -> float:
-    return sum(
-        line.time_s.size * (s * s + c * c) for line in lines for s, c in [line.wave(frequency_Hz)]
-    )
+def _powers(lines: Sequence[_Line], first_Hz: float, step_Hz: float, number: int) -> FloatArray:
+    """Power of all records at frequencies a step apart, shape (number,)."""
+    power = np.zeros(number)
+    for line in lines:
+        left = line.left_N - line.left_N.mean()
+        wave = left * np.exp(-2j * math.pi * first_Hz * line.time_s)
+        step = np.exp(-2j * math.pi * step_Hz * line.time_s)
+        for n in range(number):
+            power[n] += 4.0 * abs(wave.sum()) ** 2 / line.time_s.size
+            wave *= step
+    return power
 
 
 def _peak(lines: Sequence[_Line], about_Hz: float, longest_s: float) -> tuple[float, float] | None:
     """Frequency of the highest line near a frequency, and its power, or None if it is no line."""
-    near = np.arange(about_Hz * (1.0 - TOLERANCE), about_Hz * (1.0 + TOLERANCE), 0.25 / longest_s)
-    power = np.array([_power(lines, f) for f in near])
-    beside = np.array([_power(lines, about_Hz * share) for share in BESIDE])
+    step, lowest = 0.25 / longest_s, about_Hz * (1.0 - TOLERANCE)
+    power = _powers(lines, lowest, step, math.ceil(2.0 * TOLERANCE * about_Hz / step))
+    beside = [_powers(lines, about_Hz * share, 0.0, 1)[0] for share in BESIDE]
     top = int(power.argmax())
     if power[top] < ABOVE * float(np.median(beside)):
         return None
-    return float(near[top]), float(power[top])
+    return lowest + top * step, float(power[top])
 
 
 def _hum(

@@ -200,7 +200,7 @@ class _Probe:
         self.off = predictor.row(seen.values)
         for name in self.sizes:
             self.off[self.column[name]] = self.declared[name].neutral
-        self.here = predictor.residuals(self.off[None, :])[0][seen.entries]
+        self.here = predictor.residuals(self.off[None, :], seen.entries)[0]
 
     def screened(self) -> Screened:
         """The best of all the ways."""
@@ -215,7 +215,7 @@ class _Probe:
 
     def _changes(self, rows: FloatArray) -> FloatArray:
         """What rows change in the residuals screened, shape (rows, screened)."""
-        found = self.predictor.residuals(rows)[:, self.seen.entries] - self.here
+        found = self.predictor.residuals(rows, self.seen.entries) - self.here
         changes: FloatArray = np.where(np.isfinite(found), found, 0.0)
         return changes
 

@@ -6,7 +6,9 @@ from typing import NamedTuple
 
 from plants.discrepancy.report.diagnosis import Candidate, NamedEffect, Step, Verdict
 from plants.discrepancy.search import thresholds
-from plants.discrepancy.search.search import Attempt, Found, better, closure
+from plants.discrepancy.search.bench import Attempt
+from plants.discrepancy.search.score import better, closure
+from plants.discrepancy.search.search import Found
 from plants.effects import Effect
 
 

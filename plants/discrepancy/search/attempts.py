@@ -1,0 +1,132 @@
+"""Attempts to explain what is left with one more effect: where fits begin, and how far they go."""
+
+import itertools
+from collections.abc import Sequence
+
+import numpy as np
+
+from estune.trial import FloatArray
+from plants.discrepancy.prediction.prediction import Predictor
+from plants.discrepancy.search import thresholds
+from plants.discrepancy.search.bench import Attempt, Bench
+from plants.discrepancy.search.score import does
+from plants.discrepancy.search.screen import Screened, is_limit
+from plants.effects import Port
+
+SWITCHED = 0.3
+"""Size a member of a family is switched on with to see its direction, by that it inherits."""
+ROUGH = np.array([0.1, 0.3, 1.0, 2.0, 3.5, 6.0, 12.0])
+"""Sizes tried of an effect that no direction shows, relative to the usual one."""
+FIRST_ROUNDS = 3
+"""Rounds of a fit before the attempts far behind are left where they are."""
+FINISHED = 4
+"""Attempts whose fits are finished."""
+BEHIND = 3.0
+"""Ratio of powers left to the best attempt's, from which on a fit is not finished where the best
+will do."""
+
+
+def reduced(bench: Bench, attempts: Sequence[Attempt]) -> list[Attempt]:
+    """The attempts, and a simpler one of its family beside each that is more than it needs to be.
+
+    A fit with more values to move may find its way where the simpler one did not.
+    """
+    found = list(attempts)
+    for a in attempts:
+        effect = a.effects[-1]
+        source, given = thresholds.INHERITED.get(effect.name, ("", {}))
+        simpler = next((o for o in attempts if o.effects[-1].name == source), None)
+        if simpler is None or thresholds.large_enough(effect, a.values, bench.scale):
+            continue
+        back = {f"{source}.{of}": a.values[f"{effect.name}.{to}"] for of, to in given.items()}
+        row = simpler.fitted.predictor.row(a.values | back)
+        found.append(bench.attempt(simpler.effects, row[None, :], FIRST_ROUNDS))
+    return found
+
+
+def finished(bench: Bench, base: Attempt, attempts: Sequence[Attempt]) -> list[Attempt]:
+    """The best attempt with each effect, those that lead fitted to the end, the best first."""
+    each: dict[str, Attempt] = {}
+    for a in sorted(attempts, key=lambda a: a.fit_J):
+        each.setdefault(a.effects[-1].name, a)
+    leading = list(each.values())
+    if leading:
+        leading[0] = bench.further(leading[0])
+    # What is far behind after a few rounds is not worth more, least of all where one will do.
+    for n, a in enumerate(leading[1:FINISHED], 1):
+        if not does(base, leading[0]) or a.fit_J < BEHIND * leading[0].fit_J:
+            leading[n] = bench.further(a)
+    return sorted(leading, key=lambda a: a.rank_J)
+
+
+def bends(one: Screened) -> bool:
+    """Whether an effect may act so unlike a small one that no direction shows it."""
+    bends = {Port.CABLE, Port.EYELET} & set(one.effect.ports())
+    return bool(bends or is_limit(one.effect)) and one.reach >= thresholds.SHOWN
+
+
+def roughly(bench: Bench, one: Screened) -> Attempt:
+    """The model as given with an effect of several sizes, each record's zero put right."""
+    predictor = one.predictor
+    rows = np.repeat(predictor.start[None, :], ROUGH.size, axis=0)
+    for n, f in enumerate(predictor.free):
+        if f.owner != one.effect.name or f.neutral is None:
+            continue
+        sizes = f.neutral + ROUGH * (f.start - f.neutral)
+        if is_limit(one.effect):
+            sizes = f.start * np.linspace(1.2, 0.5, ROUGH.size)
+        rows[:, n] = np.clip(sizes, f.low, f.high)
+    for most in (4, 3):  # some only find their zeros from near
+        rows = bench.best_starts(predictor, bench.placed(predictor, rows), most)
+    return bench.attempt((one.effect,), rows, FIRST_ROUNDS)
+
+
+def with_one_more(
+    bench: Bench, current: Attempt, one: Screened, others: Sequence[Attempt]
+) -> Attempt:
+    """The current model with one more effect, fitted from the starts that its screening found.
+
+    Args:
+        bench: Model and records.
+        current: The current model.
+        one: The effect's screening.
+        others: Attempts with other effects; a simpler one of its family is begun with, too.
+    """
+    effects = (*current.effects, one.effect)
+    predictor = bench.predictor(effects)
+    rows = []
+    for row in one.starts:
+        values = one.predictor.values(row)
+        if current.effects:  # its screening was at the base model
+            values = {n: v for n, v in values.items() if n.startswith(f"{one.effect.name}.")}
+        rows.append(predictor.row(current.values | values))
+    source, _ = thresholds.INHERITED.get(one.effect.name, ("", {}))
+    simpler = next((a for a in others if a.effects[-1].name == source), None)
+    if simpler is not None:
+        rows[1:] = _inherited(bench, predictor, one, simpler)
+    return bench.attempt(effects, np.array(rows), FIRST_ROUNDS)
+
+
+def _inherited(
+    bench: Bench, predictor: Predictor, one: Screened, simpler: Attempt
+) -> list[FloatArray]:
+    """The best starts from the fit of a simpler member of the family."""
+    name, declared = one.effect.name, one.effect.parameters()
+    source, given = thresholds.INHERITED[name]
+    own = {f"{name}.{to}": simpler.values[f"{source}.{of}"] for of, to in given.items()}
+    sizes = [n for n, p in declared.items() if p.neutral is not None and n not in given.values()]
+    own |= {f"{name}.{n}": declared[n].neutral or 0.0 for n in sizes}
+    grids = {n: values for n, values in one.grids.items() if n not in given.values()}
+    shapes = [dict(zip(grids, v, strict=True)) for v in itertools.product(*grids.values())]
+    rows = np.array(
+        [
+            predictor.row(simpler.values | own | {f"{name}.{n}": v for n, v in shape.items()})
+            for shape in shapes
+        ]
+    )
+    for size in sizes:
+        place = next(n for n, f in enumerate(predictor.free) if f.name == f"{name}.{size}")
+        # As large as the size inherited is: a law that is bent shows its direction.
+        step = SWITCHED * abs(simpler.values[f"{source}.{next(iter(given))}"])
+        rows = bench.switched_on(predictor, rows, place, step)
+    return list(bench.best_starts(predictor, rows))

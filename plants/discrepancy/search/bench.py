@@ -1,0 +1,251 @@
+"""Fits of models with effects to the records, and how they do on data that was not fitted."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estune.trial import FloatArray
+from plants.discrepancy.data.floor import Floor
+from plants.discrepancy.data.record import Measurement
+from plants.discrepancy.models.models import Diagnosed
+from plants.discrepancy.prediction.prediction import Prediction, Predictor
+from plants.discrepancy.search import thresholds
+from plants.discrepancy.search.fit import Fitted, fit, settled, switched_on
+from plants.discrepancy.search.splits import FIT, RANK, REPORT, Dealt, deal
+from plants.effects import Effect, Port
+
+SHIFTS = np.array([0.0, *(sign * 3.0**n for n in range(6) for sign in (-1, 1))])
+"""Shifts of a record's own value, in floors of change, among which the best is begun with."""
+TRYOUT = 1
+"""Rounds of each start before the best is gone on with."""
+
+Effects = tuple[type[Effect], ...]
+Numbers = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Attempt:
+    """A model with effects, fitted on the fit split.
+
+    Attributes:
+        effects: The effects added.
+        fitted: The fit.
+        fit_J: Mean square of the whitened residuals on the fit split; 1 is the floor.
+        rank_J: The same on the rank split.
+        squares: Sum of squares on the rank split, block by block.
+    """
+
+    effects: Effects
+    fitted: Fitted
+    fit_J: float
+    rank_J: float
+    squares: FloatArray
+
+    @property
+    def values(self) -> dict[str, float]:
+        """The values by name."""
+        return self.fitted.predictor.values(self.fitted.values)
+
+
+class Bench:
+    """Fits models with effects to the records, and judges them on the other splits.
+
+    Attributes:
+        model: The model as given.
+        measurements: The records.
+        dealt: What each residual entry is used for.
+        base: The predictor without effects.
+        entries: The entries of each split; where one has none, those before it serve.
+    """
+
+    def __init__(
+        self, model: Diagnosed, measurements: Sequence[Measurement], floor: Floor
+    ) -> None:
+        self.model, self.measurements, self.floor = model, tuple(measurements), floor
+        self._predictors: dict[Effects, Predictor] = {}
+        self.base = self.predictor(())
+        self.dealt: Dealt = deal(measurements, self.base.index)
+        self.entries = {FIT: self.dealt.where(FIT)}
+        for split, before in ((RANK, (FIT,)), (REPORT, (FIT, RANK))):
+            own = self.dealt.where(split)
+            self.entries[split] = own if own.size else self.dealt.where(*before)
+
+    @property
+    def scale(self) -> thresholds.Scale:
+        """What sizes of effects are measured against."""
+        return thresholds.Scale(
+            sample_s=1.0 / min(m.sampling_Hz for m in self.measurements),
+            angle_rad=self.floor.angle_rad,
+            tension_N=self.floor.tension_N,
+        )
+
+    def predictor(self, effects: Effects) -> Predictor:
+        """The model with effects, compiled once."""
+        if effects not in self._predictors:
+            self._predictors[effects] = Predictor(
+                self.model, effects, self.measurements, floor=self.floor
+            )
+        return self._predictors[effects]
+
+    def attempt(
+        self,
+        effects: Effects,
+        starts: FloatArray,
+        rounds: int = 15,
+        owners: frozenset[str] | None = None,
+    ) -> Attempt:
+        """The best fit of a model from several starts.
+
+        Args:
+            effects: The effects added.
+            starts: Rows of values, shape (starts, free).
+            rounds: Most rounds of each fit.
+            owners: Whose values may move besides those of single records; None is all.
+        """
+        predictor = self.predictor(effects)
+        moves = self.moves(predictor)
+        if owners is not None:
+            free = predictor.free
+            moves = np.array(
+                [
+                    n
+                    for n in moves
+                    if free[n].owner in owners or _record(free[n].owner) is not None
+                ],
+                dtype=np.int64,
+            )
+        entries = self.entries[FIT]
+        rows = self._placed(predictor, starts, moves, entries)
+        if len(rows) == 1:
+            return self._judged(effects, fit(predictor, rows[0], moves, entries, rounds))
+        begun = [
+            fit(predictor, row, moves, entries, TRYOUT)
+            for row in self.best_starts(predictor, rows)
+        ]
+        best = min(begun, key=lambda f: f.mean_square)
+        return self._judged(effects, fit(predictor, best.values, moves, entries, rounds))
+
+    def switched_on(
+        self, predictor: Predictor, rows: FloatArray, size: int, step: float
+    ) -> FloatArray:
+        """Rows with a value that does nothing switched on; see `fit.switched_on`."""
+        moves = self.moves(predictor)
+        return switched_on(predictor, rows, size, step, moves=moves, entries=self.entries[FIT])
+
+    def best_starts(self, predictor: Predictor, rows: FloatArray, most: int = 2) -> FloatArray:
+        """The rows of values that leave the least on the fit split."""
+        found = predictor.residuals(rows, self.entries[FIT])
+        best: FloatArray = rows[np.einsum("ij,ij->i", found, found).argsort()[:most]]
+        return best
+
+    def placed(self, predictor: Predictor, rows: FloatArray) -> FloatArray:
+        """Rows with each fitted record's own values moved to where the residuals are least."""
+        return self._placed(predictor, rows, self.moves(predictor), self.entries[FIT])
+
+    def _placed(
+        self, predictor: Predictor, rows: FloatArray, moves: Numbers, entries: Numbers
+    ) -> FloatArray:
+        """Rows with each record's own values moved to where the residuals are least.
+
+        An effect that bends the cable's law shifts the angle at which it is taut, further than
+        a fit from elsewhere finds back.
+
+        Args:
+            predictor: The model.
+            rows: Values, shape (rows, free).
+            moves: Numbers of the values that may move.
+            entries: Numbers of the entries that tell.
+        """
+        bends = {Port.CABLE, Port.EYELET}
+        if not any(bends & set(effect.ports()) for effect in self.effects_of(predictor)):
+            return rows
+        kinds: dict[str, dict[int, int]] = {}
+        for n in moves.tolist():
+            f = predictor.free[n]
+            record = _record(f.owner)
+            if record is not None:
+                kinds.setdefault(f.name.partition("[")[0], {})[record] = n
+        for own in kinds.values():
+            records, places = np.array(list(own)), np.array(list(own.values()))
+            mine = entries[np.isin(predictor.index.measurement[entries], records)]
+            found, first = np.unique(predictor.index.measurement[mine], return_index=True)
+            _, slope = predictor.linearise(rows[0], places, mine)
+            steepness = np.sqrt(np.einsum("ij,ij->j", slope, slope) / mine.size)
+            if not steepness.all():
+                continue
+            shifted = np.repeat(rows, SHIFTS.size, axis=0)
+            shifted[:, places] += np.tile(SHIFTS, len(rows))[:, None] / steepness
+            squares = np.add.reduceat(predictor.residuals(shifted, mine) ** 2, first, axis=1)
+            best = squares.reshape(len(rows), SHIFTS.size, -1).argmin(axis=1)
+            rows = rows.copy()
+            rows[:, places] += SHIFTS[best[:, np.searchsorted(found, records)]] / steepness
+        return rows
+
+    def further(self, attempt: Attempt) -> Attempt:
+        """The same, fitted to the end."""
+        f = attempt.fitted
+        if f.converged:
+            return attempt
+        return self._judged(
+            attempt.effects, fit(f.predictor, f.values, f.moved, self.entries[FIT])
+        )
+
+    def _judged(self, effects: Effects, found: Fitted) -> Attempt:
+        held = self.settled(found, RANK)
+        blocks = self.dealt.group[held.entries]
+        squares: FloatArray = np.bincount(blocks, held.residuals**2).astype(np.float64)
+        squares = squares[np.unique(blocks)]
+        return Attempt(effects, found, found.mean_square, held.mean_square, squares)
+
+    def settled(self, found: Fitted, split: int) -> Fitted:
+        """A fit held against a split, the held-out records' own values fitted to it."""
+        predictor, entries = found.predictor, self.entries[split]
+        moves = self._own(predictor, split)
+        own = entries[np.isin(predictor.index.measurement[entries], list(self.dealt.records))]
+        if moves.size:
+            row = self._placed(predictor, found.values[None, :], moves, own)[0]
+            found = replace(found, values=row)
+        return settled(found, moves, own, entries)
+
+    def final(self, attempt: Attempt) -> Fitted:
+        """The same model fitted to the fit and the rank split together."""
+        predictor = attempt.fitted.predictor
+        entries = self.dealt.where(FIT, RANK)
+        moves = np.union1d(attempt.fitted.moved, self._own(predictor, RANK))
+        return fit(predictor, attempt.fitted.values, moves, entries)
+
+    def effects_of(self, predictor: Predictor) -> Effects:
+        """The effects a predictor adds."""
+        return next(e for e, p in self._predictors.items() if p is predictor)
+
+    def free_run(self, fitted: Fitted) -> list[Prediction]:
+        """Each record from its start, with nothing put right on the way."""
+        effects = self.effects_of(fitted.predictor)
+        values = fitted.predictor.values(self.settled(fitted, REPORT).values)
+        running = Predictor(self.model, effects, self.measurements, None, self.floor)
+        known = {f.name for f in running.free}
+        row = running.row({name: value for name, value in values.items() if name in known})
+        return running.predict(row[None, :])
+
+    def moves(self, predictor: Predictor) -> Numbers:
+        """Numbers of the values that the fit split can tell."""
+        measured = set(np.unique(predictor.index.measurement[self.entries[FIT]]).tolist())
+        return np.array(
+            [n for n, f in enumerate(predictor.free) if _record(f.owner) in {None, *measured}],
+            dtype=np.int64,
+        )
+
+    def _own(self, predictor: Predictor, split: int) -> Numbers:
+        """Numbers of the values that belong to held-out records of a split."""
+        measured = set(np.unique(predictor.index.measurement[self.entries[split]]).tolist())
+        wanted = measured & self.dealt.records
+        return np.array(
+            [n for n, f in enumerate(predictor.free) if _record(f.owner) in wanted], dtype=np.int64
+        )
+
+
+def _record(owner: str) -> int | None:
+    """Number of the record that a free value belongs to, or None."""
+    return int(owner.removeprefix("record ")) if owner.startswith("record ") else None

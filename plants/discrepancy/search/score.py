@@ -1,0 +1,125 @@
+"""How attempts compare: what one closes, what it is better by, and whether it is worth adding."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from plants.discrepancy.search import thresholds
+from plants.discrepancy.search.bench import Attempt
+
+
+def closure(before_J: float, after_J: float, floor_J: float = 1.0) -> float:
+    """Share of the power above the floor that was closed; 1 where all of it was.
+
+    Args:
+        before_J: Mean square of the whitened residuals before.
+        after_J: After.
+        floor_J: What noise and allowance alone give.
+    """
+    above = before_J - min(floor_J, after_J)
+    return (before_J - max(after_J, min(floor_J, before_J))) / above if above > 0.0 else 0.0
+
+
+def leaves_a_gap(attempt: Attempt) -> bool:
+    """Whether a model leaves anything that another effect could be added for."""
+    enough = thresholds.GAP if attempt.effects else thresholds.NOTHING
+    return math.sqrt(max(attempt.rank_J, attempt.fit_J)) >= enough
+
+
+def does(base: Attempt, best: Attempt) -> bool:
+    """Whether an attempt does so well that no other first effect has to be looked for."""
+    if max(base.rank_J, best.rank_J) < thresholds.GAP**2:
+        return True
+    return closure(base.rank_J, best.rank_J) > thresholds.DONE
+
+
+def worth_adding(before: Attempt, after: Attempt, base: Attempt) -> bool:
+    """Whether a model is so much better, on both splits, that what it adds is there.
+
+    Args:
+        before: The model so far.
+        after: The same with one more effect.
+        base: The model without effects.
+    """
+    if not leaves_a_gap(before):
+        return False
+    least = thresholds.FIRST
+    if before.effects:
+        little = before.rank_J < thresholds.LITTLE * base.rank_J
+        much_left = math.sqrt(after.rank_J) > thresholds.INCOMPLETE
+        least = thresholds.CLOSURE if little or much_left else thresholds.FURTHER
+    closed = [_closed(before.rank_J, after.rank_J), _closed(before.fit_J, after.fit_J)]
+    gained = float((before.squares - after.squares).sum())
+    return min(closed) >= least and gained >= thresholds.SIGNIFICANT_GAIN
+
+
+def _closed(before_J: float, after_J: float) -> float:
+    """Share closed of what is above the floor, or of all there is where that is below it."""
+    return closure(before_J, after_J) if before_J > 1.0 else 1.0 - after_J / before_J
+
+
+def better(one: Attempt, other: Attempt) -> float:
+    """By how many standard errors one model's squares are below the other's, block by block."""
+    gained = other.squares - one.squares
+    total = float(gained.sum())
+    return total / max(float(np.sqrt(np.sum(gained**2))), 1e-300)
+
+
+def family_of(name: str) -> tuple[str, ...]:
+    """Slugs of the family an effect belongs to, the simplest first; itself alone without one."""
+    return next((family for family in thresholds.FAMILIES if name in family), (name,))
+
+
+def simplest(
+    attempts: Sequence[Attempt], base: Attempt, scale: thresholds.Scale
+) -> Attempt | None:
+    """The best attempt that matters, or a simpler one of its family that does as well."""
+    for best in attempts:
+        family = family_of(best.effects[-1].name)
+        simpler = [
+            a
+            for name in family[: family.index(best.effects[-1].name)]
+            for a in attempts
+            if a.effects[-1].name == name
+        ]
+        kept = next(
+            (n for n, a in enumerate(simpler) if _as_good(a, best) or _well(a, base, scale)),
+            len(simpler),
+        )
+        # What is too small to be told from a simpler member of the family is that one.
+        for a in reversed([*simpler, best][: kept + 1]):
+            if thresholds.large_enough(a.effects[-1], a.values, scale):
+                return a
+    return None
+
+
+def _well(simpler: Attempt, base: Attempt, scale: thresholds.Scale) -> bool:
+    """Whether a member of a family that is more than the first of it does well enough."""
+    effect = simpler.effects[-1]
+    return (
+        family_of(effect.name)[0] != effect.name
+        and thresholds.large_enough(effect, simpler.values, scale)
+        and closure(base.rank_J, simpler.rank_J) >= thresholds.WELL
+    )
+
+
+def _as_good(simpler: Attempt, other: Attempt) -> bool:
+    """Whether a simpler model leaves hardly more."""
+    return (
+        simpler.rank_J <= thresholds.SIMPLER * other.rank_J
+        or simpler.fit_J <= thresholds.SIMPLER * other.fit_J
+    )
+
+
+def tied(before: Attempt, best: Attempt, attempts: Sequence[Attempt]) -> tuple[str, ...]:
+    """Slugs of other families that the rank split cannot tell from the best."""
+    reached = closure(before.rank_J, best.rank_J)
+    return tuple(
+        a.effects[-1].name
+        for a in attempts
+        if a.effects[-1].name not in family_of(best.effects[-1].name)
+        and closure(before.rank_J, a.rank_J) > reached - thresholds.TIE
+        and a.rank_J <= thresholds.ALIKE * max(best.rank_J, 1.0)
+        and better(best, a) < thresholds.SIGNIFICANT
+    )
