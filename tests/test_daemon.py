@@ -36,8 +36,8 @@ def test_a_whole_life_from_tuning_over_a_drift_to_the_next_tuning(tmp_path):
     with rig_served(plant=plant) as (rig, where):
         with daemon(tmp_path, rig_table("drum", where)) as it:
             held = it.until_mode("holding")
-            assert held.live == "candidate"
-            assert rig.describe().gains == held.gains["candidate"] != ORIGINAL
+            assert held.live == "original"
+            assert rig.describe().gains == ORIGINAL != held.gains["candidate"]
             it.say("accept")
             watching = it.until(lambda s: s.mode == "watching" and s.checks >= 14)
             assert watching.live == "accepted"
@@ -47,7 +47,7 @@ def test_a_whole_life_from_tuning_over_a_drift_to_the_next_tuning(tmp_path):
             again = it.until(lambda s: s.run.endswith("-002") and s.mode == "holding")
             assert "drifted" in it.kinds()
             assert again.gains["candidate"] != held.gains["candidate"]
-        # Stopped while a second candidate was held: what was accepted before is back.
+        # Stopped while a second candidate waits: what was accepted before is live.
         assert rig.describe().gains == held.gains["candidate"]
 
 
@@ -75,8 +75,11 @@ def test_gains_that_are_no_better_are_not_taken(tmp_path):
 
 
 @pytest.mark.parametrize("verb", ["reject", "revert", "stop"])
-def test_a_candidate_that_is_not_accepted_leaves_the_rig(verb, tmp_path):
+def test_a_candidate_that_is_not_accepted_is_never_live(verb, tmp_path):
+    given = []
     with rig_served() as (rig, where), daemon(tmp_path, rig_table("drum", where)) as it:
+        apply = rig.apply
+        rig.apply = lambda gains: (given.append(gains), apply(gains))[1]
         it.until_mode("holding")
         it.say(verb)
         if verb == "stop":
@@ -84,6 +87,7 @@ def test_a_candidate_that_is_not_accepted_leaves_the_rig(verb, tmp_path):
         else:
             it.until_mode({"reject": "watching", "revert": "paused"}[verb])
         assert rig.describe().gains == ORIGINAL
+        assert set(given) <= {ORIGINAL}
 
 
 def test_revert_brings_the_original_gains_back_after_others_were_accepted(tmp_path):
@@ -147,22 +151,21 @@ def test_a_paused_rig_is_others_to_use_and_strange_gains_are_not_written_over(tm
         assert rig.describe().gains == ORIGINAL
 
 
-def test_the_gains_wanted_are_put_back_on_a_rig_that_was_restarted(tmp_path):
+def test_the_home_gains_are_put_back_on_a_rig_that_was_restarted(tmp_path):
     table = rig_table("drum", "{}")
     with rig_served() as (_, where):
         pass  # a port that is free again
     with daemon(tmp_path, table.replace("{}", where)) as it:
         it.until(lambda s: "nothing that speaks Zenoh" in s.trouble)
         with bus.serve(ScriptedRig(Plant(), name="drum"), where):
-            held = it.until_mode("holding")
+            it.until_mode("holding")
+            it.say("accept")
+            kept = it.until(lambda s: s.live == "accepted")
         it.until_mode("waiting")
         again = ScriptedRig(Plant(), name="drum")
         with bus.serve(again, where):
-            it.until_mode("holding")
-            assert again.describe().gains == held.gains["candidate"]
-            it.say("stop")
-            it.thread.join(WITHIN_S)
-        assert again.describe().gains == ORIGINAL
+            it.until_mode("watching")
+            assert again.describe().gains == kept.gains["accepted"] != ORIGINAL
 
 
 def test_a_single_bad_check_is_repeated_and_counts_for_nothing(tmp_path):
@@ -329,17 +332,17 @@ def test_a_daemon_that_is_killed_goes_on_where_it_was(moment, tmp_path):
             killed = it.until(at)
             process.kill()
             process.wait()
-        if moment in ("tuning", "confirming"):  # a trial is a guest, also of who was killed
-            assert live_gains(server.endpoint) == ORIGINAL
+        # A trial is a guest, also of who was killed; a candidate is live in trials only.
+        home = killed.gains["accepted"] if moment == "watching" else ORIGINAL
+        assert live_gains(server.endpoint) == home
         with daemon_process(tmp_path, table) as (process, it):
             mode = "watching" if moment == "watching" else "holding"
             status = it.until_mode(mode)
             assert status.run == killed.run
-            assert status.live == ("accepted" if moment == "watching" else "candidate")
+            assert status.live == ("accepted" if moment == "watching" else "original")
             process.terminate()
             assert process.wait(WITHIN_S) == 0
-        last = status.gains["accepted"] if moment == "watching" else ORIGINAL
-        assert live_gains(server.endpoint) == last
+        assert live_gains(server.endpoint) == home
     with Journal.open(tmp_path / "estune-state" / "drum" / RUNS / killed.run) as book:
         entries = [entry for entry in book.entries() if not entry.outcome.is_void]
         plan = plan_from_json(book.fact("plan"))
@@ -362,7 +365,7 @@ def test_signals_put_the_gains_back_and_a_lost_rig_gets_them_at_the_next_start(
             assert process.wait(WITHIN_S) == 0
         assert live_gains(server.endpoint) == ORIGINAL
         with daemon_process(tmp_path, table) as (process, it):
-            it.until(lambda s: s.live == "candidate")
+            it.until_mode("holding")
             server.process.send_signal(signal.SIGSTOP)
             process.terminate()
             assert process.wait(WITHIN_S) == RigError.exit_code

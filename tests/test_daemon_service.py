@@ -11,7 +11,7 @@ import sys
 import threading
 import time
 import tomllib
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -248,9 +248,10 @@ def status(**changes) -> DaemonStatus:
         paused="",
         trouble="",
         live="accepted",
-        wanted="accepted",
+        home="accepted",
         why="",
         gains={"original": ORIGINAL, "accepted": ORIGINAL},
+        found="",
         run="r",
         trials=30,
         trials_max=40,
@@ -486,9 +487,8 @@ def test_the_command_line_shows_and_commands(tmp_path, capsys):
             return capsys.readouterr().out
 
         shown = say("status", endpoint)
-        assert re.search(
-            r"^live +candidate gains; wanted: candidate, for: better", shown, re.MULTILINE
-        )
+        assert re.search(r"^live +original gains; home: original", shown, re.MULTILINE)
+        assert re.search(r"^candidate is +better than the start: ", shown, re.MULTILINE)
         told = json.loads(say("status", endpoint, "--json"))
         assert told[0]["gains"]["original"]["P"] == ORIGINAL.P
         assert "accept by" in say("accept", endpoint, "--why", "looks good")
@@ -505,7 +505,7 @@ def test_the_command_line_shows_and_commands(tmp_path, capsys):
 
 def test_a_store_comes_back_as_it_was_left(tmp_path):
     candidate = replace(ORIGINAL, P=0.1 + 0.2)
-    life = Life(Goal.HOLD, GainSet.ORIGINAL, GainSet.CANDIDATE, "better", paused="asked to")
+    life = Life(Goal.HOLD, GainSet.ORIGINAL, "found so", paused="asked to")
     store = Store.open(tmp_path, "drum")
     with store.writing():
         store.set_gains(GainSet.ORIGINAL, ORIGINAL, "found")
@@ -530,6 +530,18 @@ def test_a_store_comes_back_as_it_was_left(tmp_path):
             store.check_record(1)
     finally:
         store.close()
+
+
+def test_a_store_of_the_first_version_is_gone_on_with(tmp_path):
+    store = Store.open(tmp_path, "drum")
+    life = Life(Goal.HOLD, GainSet.ACCEPTED, "better")
+    with store.writing():
+        store.put("life", asdict(life) | {"wanted": "candidate"})
+        store._connection.execute("PRAGMA user_version=1")
+    store.close()
+    store = Store.open(tmp_path, "drum")
+    assert store.life == life
+    store.close()
 
 
 def test_what_is_written_in_a_block_that_fails_is_not_there(tmp_path):

@@ -115,9 +115,11 @@ def _show_status(status: DaemonStatus) -> None:
     facts: dict[str, object] = {
         "rig": status.rig,
         "mode": f"{status.mode}: {status.sentence}",
-        "live": f"{live}; wanted: {status.wanted}, for: {status.why}",
+        "live": f"{live}; home: {status.home}, for: {status.why}",
     }
     facts |= status.gains
+    if status.found:
+        facts["candidate is"] = status.found
     if status.run:
         of = f" of {status.trials_max}" if status.trials_max else ""
         facts["run"] = f"{status.run}, {status.trials}{of} trials"

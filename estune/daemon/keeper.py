@@ -168,7 +168,7 @@ class Keeper:
         return self._reached
 
     def _ready(self) -> None:
-        """Backs up the rig's gains the first time; puts on it those that are wanted."""
+        """Backs up the rig's gains the first time; puts the home ones on it."""
         reached = self._reached or self._connect()
         about = reached.take()
         known = self._supervision.store.gains()
@@ -183,14 +183,14 @@ class Keeper:
         if not known:
             self._back_up(about.gains, about.name, about.newtons_per_ampere)
             known = self._supervision.store.gains()
-        wanted = self._supervision.life.wanted
-        if about.gains != known[wanted]:
-            reached.apply(known[wanted])
-            why = f"{wanted} gains are live: {self._supervision.life.why}"
-            self._supervision.note(Kind.GAINS, why, gains=str(known[wanted]))
+        home = self._supervision.life.home
+        if about.gains != known[home]:
+            reached.apply(known[home])
+            why = f"{home} gains are live: {self._supervision.life.why}"
+            self._supervision.note(Kind.GAINS, why, gains=str(known[home]))
         if self._supervision.life.paused:
             reached.release()
-        self._supervision.readied(wanted)
+        self._supervision.readied(home)
 
     def _stranger(self, name: str, newtons_per_ampere: float) -> str:
         """Why this is not the rig of the store; empty if it is."""
@@ -298,19 +298,19 @@ class Keeper:
 
     def _watch(self) -> None:
         """Waits for the next check trial, runs it, and looks at the chart."""
-        reached, wanted = self._there(), self._supervision.life.wanted
-        if self._supervision.checks.chart(wanted) is None:
+        reached, home = self._there(), self._supervision.life.home
+        if self._supervision.checks.chart(home) is None:
             self._supervision.happen(
                 Happening.DRIFTED, "there is no baseline to hold checks to", Kind.DRIFTED
             )
             return
-        wait_s = self._supervision.checks.wait_s(wanted)
+        wait_s = self._supervision.checks.wait_s(home)
         if wait_s > 0.0:
             self._look_on(wait_s)
             return
-        gains = self._supervision.store.gains()[wanted]
+        gains = self._supervision.store.gains()[home]
         with self._in_trials():
-            checked = self._supervision.checks.run(reached.as_rig, reached.about, wanted, gains)
+            checked = self._supervision.checks.run(reached.as_rig, reached.about, home, gains)
         self._supervision.cost = _finite(checked.cost)
         if checked.sign is None:
             return
@@ -323,8 +323,8 @@ class Keeper:
 
     def _drifted(self, cost: float, sign: Sign) -> None:
         if math.isinf(cost):
-            wanted = self._supervision.life.wanted
-            self._unsafe(f"two check trials of the {wanted} gains in a row were unsafe")
+            home = self._supervision.life.home
+            self._unsafe(f"two check trials of the {home} gains in a row were unsafe")
         elif self._supervision.checks.rested:
             self._supervision.happen(
                 Happening.DRIFTED, f"{sign.sentence}; tuning again", Kind.DRIFTED
@@ -335,10 +335,10 @@ class Keeper:
         look_s = self._settings.look_every_s
         if self._rest(look_s if seconds is None else min(seconds, look_s)):
             return
-        wanted = self._supervision.life.wanted
+        home = self._supervision.life.home
         about = self._there().describe()
-        if about.gains != self._supervision.store.gains()[wanted]:
-            said = f"the rig runs {about.gains} instead of the {wanted} gains"
+        if about.gains != self._supervision.store.gains()[home]:
+            said = f"the rig runs {about.gains} instead of the {home} gains"
             self._supervision.happen(Happening.CHANGED, said, Kind.GAINS)
 
     def _pause(self) -> None:
@@ -352,7 +352,7 @@ class Keeper:
         """Puts the home gains back, so long as there is hope of it."""
         if self._stopping_since_s is None:
             self._stopping_since_s = time.monotonic()
-        home = self._supervision.store.gains().get(self._supervision.life.wanted)
+        home = self._supervision.store.gains().get(self._supervision.life.home)
         said = ""
         if home is not None:
             try:
@@ -363,7 +363,7 @@ class Keeper:
                     self._rest(_STEP_S)
                     return
                 said = (
-                    f"the {self._supervision.life.wanted} gains could not be confirmed on the rig "
+                    f"the {self._supervision.life.home} gains could not be confirmed on the rig "
                     f"({error}); they are put back when the daemon is started again"
                 )
         self.confirmed = not said
@@ -379,9 +379,9 @@ class Keeper:
             reached.apply(home)
             self._supervision.note(
                 Kind.GAINS,
-                f"{self._supervision.life.wanted} gains are live: {self._supervision.life.why}",
+                f"{self._supervision.life.home} gains are live: {self._supervision.life.why}",
             )
-        self._supervision.live = self._supervision.life.wanted
+        self._supervision.live = self._supervision.life.home
         return ""
 
     def _there(self) -> Reached:
@@ -430,7 +430,7 @@ class Keeper:
 def _strange_gains(about: RigDescription) -> str:
     return (
         f"rig {about.name} runs {about.gains}, which were not set through this daemon; they are "
-        "left as they are: resume puts back the gains that are wanted, revert the original ones"
+        "left as they are: resume puts back the home gains, revert the original ones"
     )
 
 

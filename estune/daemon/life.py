@@ -4,8 +4,9 @@ The state is a value. `mode` follows from it: what the keeper has to do now. Eac
 an event, each column a mode. A command without a place in a mode is refused in words and changes
 nothing; an event from within that has none is an error.
 
-Only two rows ever let gains other than the home ones be wanted on the rig: `PROPOSED`, until they
-are accepted or rejected, and those that accept them, which makes them the home ones.
+Only the home gains are ever put on the rig. A candidate is measured in trials, which put them back
+whatever becomes of the daemon, and stays off the rig until it is accepted, which makes it the home
+set. So whenever the daemon is killed, the rig runs gains that somebody, or the file, has agreed to.
 """
 
 from collections.abc import Callable, Mapping
@@ -76,7 +77,7 @@ _MODES = {
     Mode.READYING: "looking which gains the rig runs, and putting the right ones on it",
     Mode.TUNING: "looking for better gains by trials",
     Mode.CONFIRMING: "repeating the start and the best gains found in turn",
-    Mode.HOLDING: "the candidate's gains are live for the time being: accept or reject them",
+    Mode.HOLDING: "better gains were found, and are not live: accept or reject them",
     Mode.WATCHING: "repeating check trials from time to time",
     Mode.PAUSED: "nothing is done until it is resumed",
     Mode.STOPPING: "putting the rig's gains back, then ending",
@@ -96,8 +97,7 @@ class Life:
 
     Attributes:
         goal: What is to be done.
-        home: The gains that a stop, a rejection or a lost rig bring back.
-        wanted: The gains that are to be live between trials.
+        home: The gains that are to be live between trials, and after the end.
         why: Why these.
         link: How it stands with the rig.
         failures: How often in a row the rig was not reached, or something failed.
@@ -108,7 +108,6 @@ class Life:
 
     goal: Goal = Goal.TUNE
     home: GainSet = GainSet.ORIGINAL
-    wanted: GainSet = GainSet.ORIGINAL
     why: str = "nothing else was accepted yet"
     link: Link = Link.AWAY
     failures: int = 0
@@ -195,14 +194,12 @@ _Cell = Callable[[Life, str], Life] | str
 
 def _boot(life: Life, _: str) -> Life:
     """The process has been started: whatever it was doing, it goes on with that."""
-    holds = life.goal is Goal.HOLD
     return replace(
         life,
         link=Link.AWAY,
         failures=0,
         trouble="",
         ending=Ending.NO,
-        wanted=GainSet.CANDIDATE if holds else life.home,
         # What was found is not taken over by a start: a search that was confirmed is decided anew.
         goal=Goal.TUNE if life.goal is Goal.CONFIRM else life.goal,
     )
@@ -230,7 +227,7 @@ def _back(life: Life) -> Life:
 
 
 def _trouble(life: Life, words: str) -> Life:
-    """Somebody must see to it. The rig keeps the gains that are wanted."""
+    """Somebody must see to it. The rig keeps the home gains."""
     return replace(_back(life), paused=words)
 
 
@@ -240,12 +237,11 @@ def _unsafe(life: Life, words: str) -> Life:
 
 
 def _reverted(life: Life, words: str) -> Life:
-    original = GainSet.ORIGINAL
-    return _unsettled(replace(life, goal=Goal.TUNE, home=original, wanted=original, why=words))
+    return _unsettled(replace(life, goal=Goal.TUNE, home=GainSet.ORIGINAL, why=words))
 
 
 def _unsettled(life: Life) -> Life:
-    """What is live must be looked at, and changed where it is not what is wanted."""
+    """What is live must be looked at, and changed where it is not the home gains."""
     return replace(life, link=Link.FOUND) if life.link is Link.READY else life
 
 
@@ -257,13 +253,12 @@ def _searched(life: Life, _: str) -> Life:
     return replace(life, goal=Goal.CONFIRM)
 
 
-def _proposed(life: Life, words: str) -> Life:
-    return _unsettled(replace(life, goal=Goal.HOLD, wanted=GainSet.CANDIDATE, why=words))
+def _proposed(life: Life, _: str) -> Life:
+    return replace(life, goal=Goal.HOLD)
 
 
 def _adopted(life: Life, words: str) -> Life:
-    accepted = GainSet.ACCEPTED
-    return _unsettled(replace(life, goal=Goal.WATCH, home=accepted, wanted=accepted, why=words))
+    return _unsettled(replace(life, goal=Goal.WATCH, home=GainSet.ACCEPTED, why=words))
 
 
 def _kept(life: Life, _: str) -> Life:
@@ -280,10 +275,10 @@ def _accept(life: Life, words: str) -> Life:
     return _adopted(life, words)
 
 
-def _reject(life: Life, words: str) -> Life:
+def _reject(life: Life, _: str) -> Life:
     if life.goal is not Goal.HOLD:
         raise InvalidInput(f"cannot reject: {_NO_CANDIDATE}")
-    return _unsettled(replace(life, goal=Goal.WATCH, wanted=life.home, why=words))
+    return replace(life, goal=Goal.WATCH)
 
 
 def _revert(life: Life, words: str) -> Life:
@@ -308,9 +303,7 @@ def _resume_if_paused(life: Life, words: str) -> Life:
 
 
 def _stop(life: Life, words: str) -> Life:
-    return replace(
-        _back(life), ending=Ending.STOPPING, wanted=life.home, why=f"{words}; {_HOME[life.home]}"
-    )
+    return replace(_back(life), ending=Ending.STOPPING, why=f"{words}; {_HOME[life.home]}")
 
 
 def _ended(life: Life, words: str) -> Life:
@@ -329,7 +322,6 @@ _ENDED = "it has ended; start the daemon again"
 _HOME = {
     GainSet.ORIGINAL: "the rig's own gains are put back",
     GainSet.ACCEPTED: "the accepted gains stay",
-    GainSet.CANDIDATE: "",
 }
 
 _ABSENT = (Mode.WAITING, Mode.RETRYING)

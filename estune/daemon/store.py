@@ -55,6 +55,9 @@ CREATE TABLE check_trial (
 ) WITHOUT ROWID;
 CREATE TABLE check_record (number INTEGER PRIMARY KEY, record BLOB NOT NULL)
 """,
+    """
+UPDATE fact SET value = json_remove(value, '$.wanted') WHERE key = 'life'
+""",
 )
 """What makes each schema out of the one before it; the first makes it out of nothing."""
 
@@ -183,7 +186,6 @@ class Store:
                 **kept,
                 "goal": Goal(kept["goal"]),
                 "home": GainSet(kept["home"]),
-                "wanted": GainSet(kept["wanted"]),
                 "link": Link(kept["link"]),
                 "ending": Ending(kept["ending"]),
             }
@@ -217,6 +219,13 @@ class Store:
             Gains(*row)
             for row in self._rows("SELECT DISTINCT P, I, D, setpoint_filter_s FROM gain_set")
         }
+
+    def why(self, name: GainSet) -> str:
+        """Why a gain set is what it was last; empty if there never was one."""
+        rows = self._rows(
+            "SELECT why FROM gain_set WHERE name=? ORDER BY number DESC LIMIT 1", name.value
+        )
+        return str(rows[0][0]) if rows else ""
 
     def gain_history(self, limit: int) -> list[dict[str, Any]]:
         """The youngest gain sets, oldest first."""

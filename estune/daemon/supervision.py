@@ -100,9 +100,9 @@ class Supervision:
         """What is done now, and which gains are live."""
         with self._lock:
             life, gains = self._life, self.store.gains()
-            chart = self.checks.chart(life.wanted)
+            chart = self.checks.chart(life.home)
             watched = life.mode is Mode.WATCHING and chart is not None
-            session = self.session
+            session, candidate = self.session, GainSet.CANDIDATE
             checks = self.store.checks(1)
             return DaemonStatus(
                 rig=self.name,
@@ -112,17 +112,18 @@ class Supervision:
                 paused=life.paused,
                 trouble=life.trouble,
                 live=self.live.value if self.live else "",
-                wanted=life.wanted.value,
+                home=life.home.value,
                 why=life.why,
                 gains={name.value: values for name, values in gains.items()},
+                found=self.store.why(candidate) if candidate in gains else "",
                 run=self.searches.name,
                 trials=session.number if session else 0,
                 trials_max=session.plan.most_trials if session else 0,
                 baseline_cost=None if chart is None else math.exp(chart.mean),
                 cost=self.cost,
-                drift=self.checks.drift(life.wanted),
+                drift=self.checks.drift(life.home),
                 checks=checks[0].number + 1 if checks else 0,
-                next_check_s=self.checks.wait_s(life.wanted) if watched else None,
+                next_check_s=self.checks.wait_s(life.home) if watched else None,
                 since=self._since,
             )
 
@@ -142,13 +143,13 @@ class Supervision:
         )
 
     def readied(self, live: GainSet | None) -> None:
-        """The rig runs the gains that are wanted, unless that has changed meanwhile.
+        """The rig runs the home gains, unless those have changed meanwhile.
 
         Args:
             live: Which those are; None where somebody must see to the rig first.
         """
         with self._lock:
-            if self.mode is Mode.READYING and (live is None or self._life.wanted is live):
+            if self.mode is Mode.READYING and (live is None or self._life.home is live):
                 self.live = live
                 self._move(Happening.READIED)
 
@@ -260,7 +261,7 @@ class Supervision:
             _log.error("not written: %s", error, extra={"rig": self.name})
             event = Event(self.name, 0, now(), kind or Kind.FAILED, sentence or words, dict(facts))
         self._life = after
-        if after.mode is not before.mode or after.wanted is not before.wanted:
+        if after.mode is not before.mode or after.home is not before.home:
             self.changed.set()
         if event is not None:
             self._tell(event)

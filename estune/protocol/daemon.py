@@ -130,9 +130,10 @@ class DaemonStatus:
         trouble: What has last failed; empty once it is over.
         live: Which gain set is live: original, candidate or accepted; empty while that is not
             known, as the rig has not confirmed it.
-        wanted: Which gain set is meant to be live.
+        home: Which gain set is meant to be live between trials.
         why: Why that one.
         gains: The gain sets that there are, by name.
+        found: Why the candidate is better; empty where there is none.
         run: The tuning run under way, or the last one; empty if there was none.
         trials: Trials told in that run.
         trials_max: Greatest number of trials in it.
@@ -152,9 +153,10 @@ class DaemonStatus:
     paused: str
     trouble: str
     live: str
-    wanted: str
+    home: str
     why: str
     gains: dict[str, Gains]
+    found: str
     run: str
     trials: int
     trials_max: int
