@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from estune.core.pidf import ControllerSettings
     from estune.core.search_space import SearchSpace
     from estune.errors import EstuneError
+    from estune.matching.procedure import match
     from estune.profiles import StepProfile
     from estune.result import TuneResult
     from estune.sweeping.sweep import sweep
@@ -34,6 +35,7 @@ __all__ = [
     "StepProfile",
     "TuneResult",
     "load",
+    "match",
     "resume",
     "sweep",
     "tune",
@@ -48,6 +50,7 @@ _HOMES = {
     "StepProfile": "estune.profiles",
     "TuneResult": "estune.result",
     "load": "estune.api",
+    "match": "estune.matching.procedure",
     "resume": "estune.api",
     "sweep": "estune.sweeping.sweep",
     "tune": "estune.api",

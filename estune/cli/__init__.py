@@ -38,6 +38,7 @@ _COMMANDS = (
     ("tune", "tune:tune", "Tune a rig by step trials."),
     ("resume", "tune:resume", "Go on with a run that was stopped or cut off."),
     ("sweep", "sweep:sweep", "Tune over cable lengths, and say how the gains follow them."),
+    ("match", "match:match", "Tune several reels to one and the same cost."),
     ("list", "runs:list_runs", "List the runs of a folder."),
     ("show", "runs:show", "Show what a run came to."),
     ("export", "runs:export", "Write the trial records of a run as CSV or Parquet files."),

@@ -1,0 +1,266 @@
+"""Do reels of different mechanics come to one cost, and by which path away from their optimum?
+
+Batches of eight simulated reels whose stiffness, inertia, friction and gauge each differ by a
+random factor of standard deviation 15 % are tuned one by one and then matched, as `estune match`
+does it. The true cost of gains is the mean over hundreds of noise draws that no tuning saw. Told
+are the standard deviation of the true cost over the reels before and after, and its mean after
+over that of the worst tuned reel.
+
+Then, on the first batch, three ways to reach the same true cost from the tuned gains are laid side
+by side: less loop gain, a slower setpoint filter, a smaller integrator. What matters is how
+steeply the cost rises there, for trials find the level the better the steeper it is, how much
+noise reaches the motor, and how alike the responses of the eight reels become.
+"""
+
+import argparse
+import json
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+
+import plants
+from estune import drawing
+from estune.core.cost import StepCost
+from estune.core.gains import Gains
+from estune.matching.outcome import Matching
+from estune.matching.procedure import match
+from plants.noise import NoiseSource
+from plants.reel import Reel
+
+FloatArray = NDArray[np.float64]
+
+REELS = 8
+DIFFERENCE = 0.15
+"""Standard deviation of the logarithm of each factor."""
+DIFFERING = (
+    "structure_stiffness_N_m",
+    "cable_EA_N",
+    "drum_inertia_kg_m2",
+    "viscous_friction_Nms",
+    "viscous_friction_per_length_Ns",
+    "gauge_noise_N",
+    "gauge_Hz",
+    "gauge_damping",
+)
+DRAWS, DRAWS_SEED = 400, 90_001
+LEAST_SHRINKAGE = 5.0
+MOST_ABOVE_WORST = 1.10
+OUT = Path(__file__).parent / "out" / "equal_transparency.png"
+
+PATHS: Mapping[str, Callable[[Gains, float], Gains]] = {
+    "loop gain": lambda g, u: replace(
+        g, P=g.P * math.exp(-u), I=g.I * math.exp(-u), D=g.D * math.exp(-u)
+    ),
+    "setpoint filter": lambda g, u: replace(
+        g, setpoint_filter_s=g.setpoint_filter_s * math.exp(u)
+    ),
+    "integrator": lambda g, u: replace(g, I=g.I * math.exp(-u)),
+}
+
+
+class Batch(NamedTuple):
+    """A batch of reels, matched."""
+
+    reels: dict[str, Reel]
+    found: Matching
+    before: FloatArray  # true cost of the tuned gains, shape (reels,)
+    after: FloatArray  # of the matched gains
+
+
+class Along(NamedTuple):
+    """The tuned reels of a batch brought to one true cost along a path."""
+
+    steepness: float  # d ln eta/du, least of the reels
+    noise_A: float  # of the motor current by gauge noise, rms over the reels
+    unlike_N: float  # rms difference of the noise-free responses from their mean
+    overshoot: float  # greatest of the reels, relative to the step
+
+
+def reels_of(batch: int) -> dict[str, Reel]:
+    """Eight reels, by label."""
+    random, usual = np.random.default_rng(batch), plants.reference_reel()
+    return {
+        f"reel{n}": replace(
+            usual,
+            **{
+                name: getattr(usual, name) * math.exp(DIFFERENCE * random.standard_normal())
+                for name in DIFFERING
+            },
+        )
+        for n in range(1, REELS + 1)
+    }
+
+
+def true_cost(reel: Reel, gains: Gains, cost: StepCost) -> float:
+    """Mean cost over noise that no tuning saw."""
+    table = np.tile(gains.as_tuple(), (DRAWS, 1))
+    return float(plants.batch_costs(reel, table, None, cost, seed=DRAWS_SEED, workers=1).mean())
+
+
+def matched(batch: int) -> Batch:
+    """A batch tuned and matched, every reel with noise of its own."""
+    reels = reels_of(batch)
+    rigs = {
+        label: reel.rig(name=label, seed=100 * batch + n)
+        for n, (label, reel) in enumerate(reels.items())
+    }
+    found = match(rigs, journal=False)
+    before, after = (
+        np.array(
+            [
+                true_cost(reel, gains, found.cost)
+                for reel, gains in zip(reels.values(), of, strict=True)
+                if gains is not None
+            ]
+        )
+        for of in ([r.tuned for r in found.reels], [r.gains for r in found.reels])
+    )
+    return Batch(reels, found, before, after)
+
+
+def along(batch: Batch, path: Callable[[Gains, float], Gains]) -> Along:
+    """What becomes of the tuned reels on a path to the true cost of the target."""
+    found, steepness, noise, responses = batch.found, [], [], []
+    for reel, record in zip(batch.reels.values(), found.reels, strict=True):
+        tuned = record.tuned
+        if tuned is None:
+            continue
+
+        def gap(u: float, reel: Reel = reel, tuned: Gains = tuned) -> float:
+            return math.log(true_cost(reel, path(tuned, u), found.cost) / found.target)
+
+        end = next(u for u in np.arange(0.1, 6.0, 0.1) if gap(u) > 0.0)
+        u = brentq(gap, end - 0.1 if gap(end - 0.1) < 0.0 else 0.0, end, xtol=1e-4)
+        steepness.append((gap(u + 0.02) - gap(u - 0.02)) / 0.04)
+        gains = path(tuned, u)
+        clean = plants.simulate(reel, gains)
+        draw = NoiseSource(DRAWS_SEED).draw(0, len(clean.time_s), reel.noise_rms_N)
+        noisy = plants.simulate(reel, gains, noise_N=draw)
+        noise.append((noisy.effort_N - clean.effort_N) / reel.newtons_per_ampere)
+        responses.append(clean.tension_N)
+    step, shown = found.step, np.array(responses)
+    return Along(
+        steepness=min(steepness),
+        noise_A=float(np.sqrt(np.mean(np.square(noise)))),
+        unlike_N=unlike(shown),
+        overshoot=float((shown.max() - step.preload_N - step.step_N) / step.step_N),
+    )
+
+
+def unlike(responses: FloatArray) -> float:
+    """Root mean square difference of responses from their mean, shape (reels, samples)."""
+    return float(np.sqrt(np.mean((responses - responses.mean(axis=0)) ** 2)))
+
+
+def responses_of(batch: Batch, gains: Sequence[Gains | None]) -> FloatArray:
+    """Noise-free step responses of the reels, shape (reels, samples)."""
+    pairs = zip(batch.reels.values(), gains, strict=True)
+    return np.array([plants.simulate(reel, g).tension_N for reel, g in pairs if g is not None])
+
+
+def measure(batches: Sequence[Batch]) -> dict[str, Any]:
+    """All figures by name."""
+    shrinkage = [float(b.before.std(ddof=1) / b.after.std(ddof=1)) for b in batches]
+    above = [float(b.after.mean() / b.before.max()) for b in batches]
+    first = batches[0]
+    return {
+        "batches": len(batches),
+        "passed": sum(r.passed for b in batches for r in b.found.reels),
+        "reels": REELS * len(batches),
+        "trials_per_reel": float(np.mean([r.trials for b in batches for r in b.found.reels])),
+        "spread_before": [float(b.before.std(ddof=1)) for b in batches],
+        "spread_after": [float(b.after.std(ddof=1)) for b in batches],
+        "shrinkage": shrinkage,
+        "shrinkage_least": min(shrinkage),
+        "mean_over_worst": above,
+        "mean_over_worst_greatest": max(above),
+        "unlike_tuned_N": unlike(responses_of(first, [r.tuned for r in first.found.reels])),
+        "paths": {name: along(first, path)._asdict() for name, path in PATHS.items()},
+    }
+
+
+def show(figures: dict[str, Any], first: Batch) -> None:
+    """Prints the tables."""
+    print("first batch   tuned eta  matched eta   loop gain left")
+    for record, before, after in zip(first.found.reels, first.before, first.after, strict=True):
+        left = record.gains.P / record.tuned.P if record.gains and record.tuned else math.nan
+        print(f"{record.label:12s} {before:10.4f} {after:12.4f} {left:15.2f}  {record.standing}")
+    print(f"target {first.found.target:.4f}\n")
+    print("batch  spread before  after  shrinkage  mean after / worst tuned")
+    rows = zip(
+        *(figures[n] for n in ("spread_before", "spread_after", "shrinkage", "mean_over_worst")),
+        strict=True,
+    )
+    for n, (before, after, ratio, above) in enumerate(rows):
+        print(f"{n:5d} {before:14.4f} {after:6.4f} {ratio:10.1f} {above:16.3f}")
+    print(f"\n{figures['passed']} of {figures['reels']} reels pass by their own trials, ", end="")
+    print(f"{figures['trials_per_reel']:.0f} trials each\n")
+    print("path of the first batch  d ln eta/du, least  current noise, A  unlike, N  overshoot")
+    for name, one in figures["paths"].items():
+        print(
+            f"{name:24s} {one['steepness']:19.3f} {one['noise_A']:17.4f} {one['unlike_N']:10.3f} "
+            f"{one['overshoot']:10.1%}"
+        )
+    print(f"{'(tuned, not matched)':24s} {figures['unlike_tuned_N']:48.3f}")
+
+
+def draw(first: Batch) -> None:
+    """Saves the first batch's responses before and after."""
+    page = drawing.new_figure(drawing.WIDTH_in, 2.9)
+    axes = page.subplots(1, 2, sharey=True)
+    time = plants.simulate(
+        plants.reference_reel(), first.found.reels[0].tuned or Gains(1, 1, 0, 0)
+    )
+    shown = (time.time_s > 0.18) & (time.time_s < 0.5)
+    for ax, gains, label in (
+        (axes[0], [r.tuned for r in first.found.reels], "tuned, each on its own"),
+        (axes[1], [r.gains for r in first.found.reels], "matched to one cost"),
+    ):
+        for response in responses_of(first, gains):
+            ax.plot(time.time_s[shown], response[shown], linewidth=0.9, color=drawing.BLUE)
+        ax.set_title(label, fontsize=9)
+        drawing.finish(ax, "tension, N" if ax is axes[0] else "", "time, s")
+    OUT.parent.mkdir(exist_ok=True)
+    OUT.write_bytes(drawing.to_png(page))
+
+
+def main() -> int:
+    """Measures, prints, and says by its exit code whether every target was met."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--json", action="store_true", help="print one JSON object instead")
+    parser.add_argument("--quick", action="store_true", help="two batches")
+    options = parser.parse_args()
+    batches = [matched(n) for n in range(2 if options.quick else 20)]
+    figures = measure(batches)
+    shrinkage, above = figures["shrinkage_least"], figures["mean_over_worst_greatest"]
+    targets = {
+        "shrinkage_least": {
+            "value": shrinkage,
+            "limit": LEAST_SHRINKAGE,
+            "met": shrinkage >= LEAST_SHRINKAGE,
+        },
+        "mean_over_worst_greatest": {
+            "value": above,
+            "limit": MOST_ABOVE_WORST,
+            "met": above <= MOST_ABOVE_WORST,
+        },
+    }
+    draw(batches[0])
+    if options.json:
+        print(json.dumps({"figures": figures, "targets": targets}))
+    else:
+        show(figures, batches[0])
+        for name, target in targets.items():
+            verdict = "met   " if target["met"] else "MISSED"
+            print(f"{verdict} {name}: {target['value']:.3f}, limit {target['limit']:g}")
+    return 0 if all(target["met"] for target in targets.values()) else 1
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,224 @@
+"""Several reels brought to one cost: the search for a level, the procedure, its records."""
+
+import csv
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import estune
+import plants
+from estune import bus
+from estune.cli import run
+from estune.core.gains import Gains
+from estune.core.tuners.observation import Observation
+from estune.errors import InvalidInput, RigError
+from estune.journal import Journal
+from estune.matching.level import level_of
+from estune.matching.level_seeker import LevelSeeker, gentler_path
+from estune.matching.outcome import Standing, judge
+from estune.matching.stages import Settings
+from tests.support_runs import ArithmeticRig
+
+TUNED = Gains(1.2, 36.0, 0.02, 0.002)
+BRIEF = Settings(trials=60, match_trials=12, repeats=5)
+
+
+def cost_along(u: float) -> float:
+    """A cost that rises from 1 like that of a reel: flat at first, then steeper."""
+    return math.exp(0.08 * u + 0.35 * u * u)
+
+
+def sought(target: float, noise: float, seed: int, trials: int = 16, unsafe_from: float = 9.0):
+    """Distance found, and whether any trial was asked beyond one known to be unsafe."""
+    seeker, random = LevelSeeker(gentler_path(TUNED), target), np.random.default_rng(seed)
+    state, least_unsafe, trespassed = seeker.start(), math.inf, False
+    for _ in range(trials):
+        (K,) = seeker.ask(state)
+        u = math.log(TUNED.P / K)
+        trespassed |= u >= least_unsafe
+        if u >= unsafe_from:
+            least_unsafe = min(u, least_unsafe)
+            state = seeker.tell(state, Observation(math.nan, censored=True))
+        else:
+            cost = cost_along(u) * math.exp(noise * random.standard_normal())
+            state = seeker.tell(state, Observation(cost))
+    return math.log(TUNED.P / seeker.recommend(state)[0]), trespassed
+
+
+@pytest.mark.parametrize("target", [1.02, 1.2, 1.8])
+def test_the_level_is_found_to_a_fraction_of_the_noise_of_one_trial(target):
+    costs = [cost_along(sought(target, 0.01, seed)[0]) for seed in range(40)]
+    errors = np.log(costs) - math.log(target)
+    assert abs(errors.mean()) < 0.002
+    assert errors.std() < 0.006
+
+
+def test_a_level_below_the_start_leaves_the_start_as_it_is():
+    assert sought(0.8, 0.01, seed=1)[0] < 0.02
+
+
+def test_a_level_that_lies_beyond_unsafe_gains_is_neared_but_no_unsafe_trial_repeated():
+    found, trespassed = sought(2.0, 0.0, seed=1, unsafe_from=0.7)
+    assert 0.5 < found < 0.7
+    assert not trespassed
+
+
+def test_only_the_loop_gain_changes_on_the_path():
+    path = gentler_path(TUNED)
+    half = path.gains((TUNED.P / 2.0,))
+    assert np.allclose(half.as_tuple(), (0.6, 18.0, 0.01, 0.002), rtol=1e-12)
+    assert path.high == (TUNED.P,)
+
+
+def test_the_interval_of_a_level_holds_its_mean_in_95_of_100_cases():
+    random = np.random.default_rng(3)
+    rows = 1.4 * np.exp(0.02 * random.standard_normal((2000, 6)))
+    held = [level.low <= 1.4 <= level.high for level in map(level_of, rows.tolist())]
+    assert 0.935 < np.mean(held) < 0.965
+
+
+@pytest.mark.parametrize(
+    ("costs", "standing"),
+    [
+        ((1.399, 1.401, 1.400, 1.402), Standing.PASS),
+        ((1.499, 1.501, 1.500, 1.502), Standing.OFF_TARGET),
+        ((1.30, 1.50, 1.36, 1.44), Standing.NOT_SHOWN),
+        ((1.399, 1.401, math.inf, 1.402), Standing.FAILED),
+        ((1.4,), Standing.NOT_SHOWN),
+    ],
+)
+def test_a_reel_passes_only_where_its_whole_interval_is_within_the_tolerance(costs, standing):
+    assert judge(level_of(costs), 1.4, 0.02)[0] is standing
+
+
+def test_reels_of_different_mechanics_come_to_the_cost_of_the_worst_of_them():
+    reels = {
+        "stiff": plants.reference_reel(),
+        "soft": plants.reference_reel(cable_EA_N=8e3),
+        "heavy": plants.reference_reel(drum_inertia_kg_m2=2.3e-3),
+    }
+    found = estune.match(reels, settings=BRIEF, journal=False)
+    assert found.passed
+    # The true cost: the mean over noise that no trial of the matching saw.
+    before, after = (
+        [
+            plants.batch_costs(
+                reels[r.label], np.tile(g.as_tuple(), (100, 1)), None, found.cost, seed=77
+            ).mean()
+            for r, g in ((r, getattr(r, which)) for r in found.reels)
+        ]
+        for which in ("tuned", "gains")
+    )
+    assert np.std(after) < 0.2 * np.std(before)
+    assert np.mean(after) < 1.1 * max(before)
+    assert found.cost.settling_time_s == max(
+        reel.describe("", None).settling_time_s for reel in reels.values()
+    )
+
+
+def test_a_reel_that_cannot_reach_the_target_and_one_that_is_away_do_not_keep_the_others():
+    class Away(ArithmeticRig):
+        def describe(self):
+            raise RigError("nobody there")
+
+    slow = plants.reference_reel(drum_inertia_kg_m2=8e-3)
+    targets = {"away": Away(), "slow": slow, "good": plants.reference_reel()}
+    found = estune.match(targets, eta=1.1, settings=BRIEF, journal=False)
+    stands = {reel.label: reel.standing for reel in found.reels}
+    assert stands == {"away": "failed", "slow": "out of reach", "good": "pass"}
+    assert "nobody there" in found.reels[0].reason
+    assert not found.passed
+
+
+def test_gains_become_live_only_where_asked_for_and_only_of_reels_that_pass():
+    rigs = {"fast": ArithmeticRig(name="fast"), "slow": ArithmeticRig(name="slow")}
+    rigs["slow"].best = replace(ArithmeticRig.best, I=60.0)
+    start, settings = rigs["fast"].description.gains, replace(BRIEF, tolerance=0.05)
+    kept = estune.match(rigs, eta=1.6, settings=settings, journal=False)
+    assert kept.passed
+    assert {rig.description.gains for rig in rigs.values()} == {start}
+    live = estune.match(rigs, eta=1.6, settings=settings, journal=False, apply=True)
+    assert [rig.description.gains for rig in rigs.values()] == [r.gains for r in live.reels]
+    estune.match(rigs, eta=0.01, settings=settings, journal=False, apply=True)
+    assert [rig.description.gains for rig in rigs.values()] == [r.gains for r in live.reels]
+
+
+def test_a_matching_that_was_cut_off_goes_on_and_runs_no_trial_twice(tmp_path):
+    class CutOff(ArithmeticRig):
+        left = 100
+
+        def run(self, request):
+            if self.left == 0:
+                raise KeyboardInterrupt
+            self.left -= 1
+            return super().run(request)
+
+    def rigs():
+        return {"a": CutOff(name="a"), "b": CutOff(name="b")}
+
+    whole = estune.match(rigs(), settings=BRIEF, folder=tmp_path / "whole" / "m")
+    cut = rigs()
+    for _ in range(20):
+        try:
+            found = estune.match(cut, settings=BRIEF, folder=tmp_path / "cut" / "m")
+            break
+        except KeyboardInterrupt:
+            for rig in cut.values():
+                rig.left = 17
+    ids = [request.trial_id for rig in cut.values() for request in rig.asked]
+    assert len(ids) == len(set(ids))
+    assert [r.gains for r in found.reels] == [r.gains for r in whole.reels]
+    with pytest.raises(InvalidInput, match="was begun with trials 60, not 50"):
+        estune.match(cut, settings=replace(BRIEF, trials=50), folder=tmp_path / "cut" / "m")
+
+
+def test_two_rigs_over_zenoh_are_matched_by_one_command(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    reels = plants.reference_reel(), plants.reference_reel(cable_EA_N=8e3)
+    with (
+        bus.serve(reels[0].rig(name="left", seed=1), "tcp/127.0.0.1:0") as left,
+        bus.serve(reels[1].rig(name="right", seed=2), "tcp/127.0.0.1:0") as right,
+    ):
+        targets = [f"left={left.endpoint}", f"right={right.endpoint}"]
+        counts = ["--trials", "60", "--match-trials", "12", "--repeats", "5"]
+        code = run(["match", *targets, *counts, "--folder", "m", "--json", "--apply"])
+        live = {}
+        for server in (left, right):
+            with bus.connect(server.endpoint) as rig:
+                live[rig.describe().name] = rig.describe().gains
+    printed = json.loads(capsys.readouterr().out)
+    assert code == 0
+    assert printed["passed"]
+    rows = list(csv.DictReader((tmp_path / "m" / "match.csv").read_text().splitlines()))
+    for row in rows:
+        gains = [float(row[f"matched_{n}"]) for n in ("P", "I", "D", "setpoint_filter_s")]
+        assert tuple(gains) == live[row["rig"]].as_tuple()
+        assert row["passed"] == row["live"] == "True"
+    page = (tmp_path / "m" / "match.html").read_text()
+    assert "2 of 2 reels pass" in page
+    assert "http" not in page.split("</style>")[1].split("<figure")[0]
+    assert all(Journal.open(p).fact("status") == "finished" for p in (tmp_path / "m").glob("m-*"))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["one.toml"], "worst of several"),
+        (["one.toml", "two.toml", "--eta", "low"], "neither a number nor auto"),
+        (["one.toml", "two.toml", "--eta", "-1"], "above zero"),
+        (["a=one.toml", "a=two.toml"], "given twice"),
+        (["one.toml", "two.toml", "--tolerance", "2"], "between 0 and 1"),
+        (["one.toml", "two.toml", "--repeats", "1"], "at least 3"),
+        (["one.toml", "two.toml", "--apply"], "a model keeps no gains"),
+        (["one.toml", "two.toml", "--duration-s", "-1"], "duration_s"),
+    ],
+)
+def test_what_cannot_be_is_refused_in_a_line(arguments, said, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    for name in ("one.toml", "two.toml"):
+        (tmp_path / name).write_text("[reel]\ncable_length_m = 0.8\n")
+    assert run(["match", *arguments]) == 2
+    assert said in capsys.readouterr().err
