@@ -14,7 +14,7 @@ TIMED = {"benchmark_link", "benchmark_trials", "catenary", "effects", "jitter"}
 TIMES = ("_restored_max_s", "stop_p99_ms")
 """The same of single targets: how their names end."""
 
-SAMPLED = {"hidden_effects"}
+SAMPLED = {"hidden_effects", "sample_efficiency"}
 """Experiments with targets that are shares of hundreds of cases, which a few cannot judge."""
 
 OTHERS = {"equations", "hidden_scores", "rig_protocol_page"}

@@ -38,7 +38,7 @@ class Bobyqa:
 
     space: SearchSpace
     radius: float = 0.5
-    least_radius: float = 0.01
+    least_radius: float = 0.1
     name: Literal["bobyqa"] = "bobyqa"
 
     def __post_init__(self) -> None:

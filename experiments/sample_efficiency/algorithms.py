@@ -1,0 +1,134 @@
+"""What is compared. Every algorithm is a loop of calls to `Trials`, in logarithms of the gains.
+
+Whoever does better by the logarithm of the cost is given it: Py-BOBYQA, the Gaussian process and
+SPSA. Settings beside those a library comes with were chosen on seeds below 100.
+"""
+
+import math
+import warnings
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+
+from estune.core.tuners.observation import Observation
+from estune.outside import TUNER_NAMES, tuner_class
+from experiments.sample_efficiency.trials import Trials
+
+Algorithm = Callable[[Trials], None]
+"""Uses up the trials; ends by itself or by `Spent`."""
+
+
+def by_tuner(name: str, trials: Trials) -> None:
+    """One of the tuners a user can ask for by name."""
+    own_seed = {"seed": trials.setting.seed} if name == "optuna" else {}
+    tuner = tuner_class(name)(space=trials.space, **own_seed)
+    state = tuner.start()
+    for _ in range(trials.setting.budget):
+        cost = trials(trials.space.coordinates(tuner.ask(state)))
+        state = tuner.tell(state, Observation(cost, censored=cost >= trials.limit))
+        trials.settle_on(trials.space.coordinates(tuner.recommend(state)))
+
+
+def bounded_extremum_seeking(trials: Trials) -> None:
+    """Bounded extremum seeking (Scheinker et al. 2022), by the equations and defaults of Xopt.
+
+    In coordinates p of -1 to 1, in pairs j of one frequency w_j from 1 to 1.75, with the step
+    dt = 2 pi/(10 max w), the feedback gain k = 2 and the oscillation size b = 0.1:
+
+        p_2j(n+1)   = p_2j(n)   + dt w_j b cos(dt n w_j + k J(n))
+        p_2j+1(n+1) = p_2j+1(n) + dt w_j b sin(dt n w_j + k J(n))
+
+    It would settle on the mean over its slowest oscillation.
+    """
+    k, b = 2.0, 0.1
+    n_parameters = len(trials.space.names)
+    low, high = np.array(trials.space.coordinates_low), np.array(trials.space.coordinates_high)
+    w = np.repeat(np.linspace(1.0, 1.75, math.ceil(n_parameters / 2)), 2)[:n_parameters]
+    dt = 2.0 * math.pi / (10.0 * w.max())
+    quarter = np.where(np.arange(n_parameters) % 2, 0.5 * math.pi, 0.0)  # sin a = cos(a - pi/2)
+    period = round(2.0 * math.pi / dt)
+    p, path = (2.0 * np.array(trials.start) - low - high) / (high - low), []
+    for n in range(trials.setting.budget):
+        x = 0.5 * (p * (high - low) + low + high)
+        J = trials(x)
+        path.append(x)
+        trials.settle_on(np.mean(path[-period:], axis=0))
+        p = np.clip(p + dt * w * b * np.cos(dt * n * w + k * J - quarter), -1.0, 1.0)
+
+
+def gaussian_process(trials: Trials) -> None:
+    """scikit-optimize's Gaussian process with its own choice of acquisition, on the log cost."""
+    from skopt import Optimizer  # noqa: PLC0415  an extra, and slow to import
+
+    sides = list(zip(trials.space.coordinates_low, trials.space.coordinates_high, strict=True))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of its fits, and of a point it has tried before
+        optimizer = Optimizer(sides, "GP", n_initial_points=10, random_state=trials.setting.seed)
+        x = list(trials.start)
+        for _ in range(trials.setting.budget):
+            optimizer.tell(x, math.log(trials(tuple(x))))
+            x = optimizer.ask()
+
+
+def evolution_strategy(trials: Trials) -> None:
+    """CMA-ES (cma), step 0.5 at first; it would settle on its mean."""
+    import cma  # noqa: PLC0415  an extra, and slow to import
+
+    bounds = [list(trials.space.coordinates_low), list(trials.space.coordinates_high)]
+    options = {"bounds": bounds, "seed": trials.setting.seed + 1, "verbose": -9}
+    strategy = cma.CMAEvolutionStrategy(list(trials.start), 0.5, options)
+    trials.settle_on(trials.start)
+    while True:
+        asked = strategy.ask()
+        strategy.tell(asked, [trials(x) for x in asked])
+        trials.settle_on(strategy.result.xfavorite)
+
+
+def nelder_mead(trials: Trials) -> None:
+    """Scipy's Nelder-Mead, its first simplex 0.5 wide, begun anew where it has shrunk away."""
+    from scipy.optimize import minimize  # noqa: PLC0415  slow to import
+
+    bounds = list(zip(trials.space.coordinates_low, trials.space.coordinates_high, strict=True))
+    x = np.array(trials.start)
+    while True:
+        simplex = np.vstack([x, x + 0.5 * np.eye(len(x))])
+        options = {"initial_simplex": simplex, "xatol": 0.01, "fatol": 0.0, "maxfev": 10**6}
+        x = minimize(trials, x, method="Nelder-Mead", bounds=bounds, options=options).x
+
+
+def simultaneous_perturbation(trials: Trials) -> None:
+    """SPSA (Spall 1998) on the log cost, steps limited to 0.5, with his exponents of the gains."""
+    a, c, A = SPSA
+    random = np.random.default_rng([trials.setting.seed, 1])
+    x = np.array(trials.start)
+    trials.settle_on(x)
+    k = 0
+    while True:
+        a_k, c_k = a / (k + 1 + A) ** 0.602, c / (k + 1) ** 0.101
+        delta = random.choice([-1.0, 1.0], size=len(x))
+        difference = math.log(trials(x + c_k * delta)) - math.log(trials(x - c_k * delta))
+        step = a_k * difference / (2.0 * c_k) * delta
+        x = x - step * min(1.0, 0.5 / max(float(np.linalg.norm(step)), 1e-12))
+        x = np.array(trials.space.clipped(tuple(x.tolist())))
+        trials.settle_on(x)
+        k += 1
+
+
+SPSA = (8.0, 0.3, 5.0)
+"""a, c and A of Spall's gains a_k = a/(k + 1 + A)^0.602 and c_k = c/(k + 1)^0.101."""
+
+OURS = ("newton", "phase_compensated", "least_squares_gradient")
+PUBLISHED = ("otis", "killingsworth")
+
+ALGORITHMS: dict[str, Algorithm] = {
+    **{name: partial(by_tuner, name) for name in (*OURS, *PUBLISHED) if name in TUNER_NAMES},
+    "Xopt's ES": bounded_extremum_seeking,
+    "Optuna TPE": partial(by_tuner, "optuna"),
+    "Py-BOBYQA": partial(by_tuner, "bobyqa"),
+    "skopt GP": gaussian_process,
+    "CMA-ES": evolution_strategy,
+    "Nelder-Mead": nelder_mead,
+    "SPSA": simultaneous_perturbation,
+}
+"""All of them, by the name in the tables."""

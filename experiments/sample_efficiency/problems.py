@@ -1,0 +1,229 @@
+"""What is tuned: families that differ in kind, each a plant, a cost and weak gains at first."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+
+import control
+import numpy as np
+
+import plants
+from estune.core.cost import StepCost
+from estune.core.gains import Gains
+from estune.core.search_space import Coordinates, SearchSpace
+from estune.planning import MOVE_WEIGHT
+from estune.profiles import StepProfile
+from estune.trial import FloatArray
+from plants.linear import LinearPlant
+from plants.noise import NoiseSource
+from plants.plant import Plant
+
+SAMPLING_HZ = 632.0
+ONE_SAMPLE_S = 1.0 / SAMPLING_HZ
+DERIVATIVE_FILTER_S = 1.0 / (2.0 * math.pi * 80.0)
+EFFORT_LIMIT = 4.0  # of the linear plants, in units of their step
+BOUNDS_FACTOR = 50.0
+"""Bounds of every search, over and under its start: the optima lie up to 22 times away."""
+
+GAUGE_DRAWS = 64
+"""So many draws of the gauge's noise make the mean cost that stands for the noise-free one."""
+
+GAUGE_SEED = 777_000  # of those draws, beside every seed of a search
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What is tuned.
+
+    Attributes:
+        name: Short name.
+        title: What it is, in words.
+        build: Makes the plant.
+        cost: How a trial is scored.
+        start: Weak gains, some five to seven times as costly as the optimum.
+        gauge_noise: Whether trials are scored through the plant's own measurement noise.
+    """
+
+    name: str
+    title: str
+    build: Callable[[], Plant]
+    cost: StepCost
+    start: Gains
+    gauge_noise: bool = False
+
+    @cached_property
+    def plant(self) -> Plant:
+        """The plant with its controller."""
+        return self.build()
+
+    def space(self, start: Gains | None = None) -> SearchSpace:
+        """The bounds that every algorithm is given, about the start or another one."""
+        return SearchSpace.around(start or self.start, BOUNDS_FACTOR)
+
+    def costs(self, coordinates: FloatArray) -> FloatArray:
+        """Costs without noise at logarithms of the gains, shape (points, 4); inf if diverged.
+
+        Under gauge noise it is the mean over many draws, for the noise moves the effort and so
+        has a price of its own.
+        """
+        gains = np.exp(coordinates)
+        if not self.gauge_noise:
+            found = plants.batch_costs(self.plant, gains, None, self.cost, workers=1)
+            return np.where(np.isfinite(found), found, np.inf)
+        means = [
+            np.mean(
+                plants.batch_costs(
+                    *(self.plant, np.tile(row, (GAUGE_DRAWS, 1)), None, self.cost),
+                    seed=GAUGE_SEED,
+                    workers=1,
+                )
+            )
+            for row in gains
+        ]
+        return np.where(np.isfinite(means), means, np.inf)
+
+    def without_noise(self) -> "Problem":
+        """The same, its gauge without noise."""
+        return replace(self, gauge_noise=False)
+
+    def noisy_cost(self, coordinates: Coordinates, seed: int, number: int) -> float:
+        """Cost of one trial through the gauge; infinite if diverged."""
+        profile, controller = self.plant.profile, self.plant.controller
+        noise = NoiseSource(seed).draw(
+            number, profile.samples(controller.sampling_Hz), self.plant.noise_rms_N
+        )
+        gains = Gains(*np.exp(coordinates).tolist())
+        response = plants.simulate(self.plant, gains, noise_N=noise)
+        if response.diverged_at is not None:
+            return math.inf
+        return float(
+            self.cost.evaluate(
+                controller.sampling_Hz,
+                profile.step_index(controller.sampling_Hz),
+                profile.step_N,
+                response.setpoint_N,
+                response.tension_N,
+                response.effort_N,
+            )
+        )
+
+
+def second_order(frequency_Hz: float, damping: float, dead_time_s: float) -> LinearPlant:
+    """A unit-gain second-order plant with limits on the effort, over eight of its periods."""
+    w = 2.0 * math.pi * frequency_Hz
+    return plants.linear_plant(
+        control.tf([w * w], [1.0, 2.0 * damping * w, w * w]),
+        dead_time_s=dead_time_s,
+        sampling_Hz=SAMPLING_HZ,
+        output_min_N=-EFFORT_LIMIT,
+        output_max_N=EFFORT_LIMIT,
+        derivative_filter_s=DERIVATIVE_FILTER_S,
+        profile=StepProfile(0.0, 1.0, 2.0 * ONE_SAMPLE_S, 8.0 / frequency_Hz),
+    )
+
+
+def first_plant_of_2006() -> LinearPlant:
+    """G1 of Killingsworth & Krstic: exp(-5 s)/(1 + 20 s), at 20 Hz."""
+    return plants.linear_plant(
+        control.tf([1.0], [20.0, 1.0]),
+        dead_time_s=5.0,
+        sampling_Hz=20.0,
+        derivative_filter_s=0.1,
+        profile=StepProfile(0.0, 1.0, 0.1, 100.0),
+    )
+
+
+def _reel_cost(cable_length_m: float) -> StepCost:
+    """As a tuning of that reel has it unless told otherwise."""
+    w = plants.reference_reel(cable_length_m).natural_frequency_rad_s
+    return StepCost(2.0 * math.pi / w, move_weight=MOVE_WEIGHT)
+
+
+def _scaled_cost(frequency_Hz: float, move_weight: float) -> StepCost:
+    """With times in units of the settling time, one period."""
+    return StepCost(1.0 / frequency_Hz, time_unit="settling_time", move_weight=move_weight)
+
+
+def _rubbing_reel() -> Plant:
+    return plants.reference_reel() + plants.CoulombFriction(torque_Nm=0.05)
+
+
+WEAK_ON_A_REEL = Gains(0.4, 4.0, 0.003, 0.03)
+"""No more than four times as costly as the optimum, for a trial of a second bounds what a slow
+response can cost; but as far from it, four logarithms and more, as the other starts."""
+
+PROBLEMS = {
+    problem.name: problem
+    for problem in (
+        Problem(
+            "reel 0.5 m",
+            "the reference reel at its shortest cable",
+            partial(plants.reference_reel, 0.5),
+            _reel_cost(0.5),
+            WEAK_ON_A_REEL,
+        ),
+        Problem(
+            "reel 1.4 m",
+            "the reference reel at its longest cable",
+            partial(plants.reference_reel, 1.4),
+            _reel_cost(1.4),
+            WEAK_ON_A_REEL,
+        ),
+        Problem(
+            "8 Hz",
+            "second order, damping 0.15",
+            partial(second_order, 8.0, 0.15, ONE_SAMPLE_S),
+            _scaled_cost(8.0, 2.0),
+            Gains(0.12, 6.0, 0.0015, 0.05),
+        ),
+        Problem(
+            "3 Hz",
+            "slow and lightly damped, 0.06",
+            partial(second_order, 3.0, 0.06, ONE_SAMPLE_S),
+            _scaled_cost(3.0, 2.0),
+            Gains(0.15, 3.0, 0.005, 0.1),
+        ),
+        Problem(
+            "20 Hz",
+            "fast and well damped, 0.7",
+            partial(second_order, 20.0, 0.7, ONE_SAMPLE_S),
+            _scaled_cost(20.0, 2.0),
+            Gains(0.1, 12.0, 0.0004, 0.024),
+        ),
+        Problem(
+            "dead time",
+            "8 Hz, damping 0.15, a dead time of 12 samples",
+            partial(second_order, 8.0, 0.15, 12.0 * ONE_SAMPLE_S),
+            _scaled_cost(8.0, 5.0),
+            Gains(0.08, 3.2, 0.002, 0.045),
+        ),
+        Problem(
+            "friction",
+            "the reference reel with Coulomb friction of 0.05 N m",
+            _rubbing_reel,
+            _reel_cost(0.8),
+            WEAK_ON_A_REEL,
+        ),
+        Problem(
+            "K-K G1",
+            "exp(-5 s)/(1 + 20 s) of Killingsworth & Krstic, with a price on moves",
+            first_plant_of_2006,
+            StepCost(20.0, move_weight=MOVE_WEIGHT),
+            Gains(1.3, 0.035, 0.8, 1.0),
+        ),
+    )
+}
+"""The families, by name; noise of 3 % and 10 % is put on their costs."""
+
+GAUGE = Problem(
+    "gauge",
+    "the reference reel, scored through the noise of its gauge",
+    plants.reference_reel,
+    _reel_cost(0.8),
+    WEAK_ON_A_REEL,
+    gauge_noise=True,
+)
+"""Beside them one whose noise is that of the measurement, and all that comes of it."""
+
+ALL_PROBLEMS = {**PROBLEMS, GAUGE.name: GAUGE}

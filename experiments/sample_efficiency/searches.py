@@ -1,0 +1,120 @@
+"""One search: an algorithm on a problem, and what is kept of it."""
+
+import contextlib
+import json
+import math
+import time
+import warnings
+from collections.abc import Iterable, Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from experiments.sample_efficiency.algorithms import ALGORITHMS
+from experiments.sample_efficiency.optimum import optimum, warm_start
+from experiments.sample_efficiency.problems import ALL_PROBLEMS
+from experiments.sample_efficiency.trials import Setting, Spent, Trials
+
+NEAR = 0.05
+"""So near to the cost of the optimum counts as there."""
+
+COLD, WARM = "cold", "warm"
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """A search to be made.
+
+    Attributes:
+        problem: Name of the problem.
+        algorithm: Name of the algorithm.
+        noise: Relative standard deviation of a trial's cost.
+        start: COLD, the problem's weak gains, or WARM, gains 2.5 times as costly as the optimum.
+        seed: Of the noise, and of the algorithm's own random numbers.
+        budget: Number of trials.
+    """
+
+    problem: str
+    algorithm: str
+    noise: float
+    start: str
+    seed: int
+    budget: int
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """What came of a search.
+
+    Attributes:
+        job: What was asked for.
+        excess: Cost of what would be settled on after each trial, over that of the optimum, less
+            one; without noise.
+        unsafe: Number of unsafe trials.
+        seconds: Time it took, simulated trials included.
+    """
+
+    job: Job
+    excess: tuple[float, ...]
+    unsafe: int
+    seconds: float
+
+    @property
+    def first_near(self) -> float:
+        """Trials until what would be settled on is near the optimum; infinite if never."""
+        return next((k for k, e in enumerate(self.excess, 1) if e <= NEAR), math.inf)
+
+    @property
+    def stays_near(self) -> float:
+        """Trials from which on it stays near; infinite if it does not."""
+        far = [k for k, e in enumerate(self.excess, 1) if not e <= NEAR]
+        last = far[-1] if far else 0
+        return last + 1 if last < len(self.excess) else math.inf
+
+    def excess_after(self, trials: int) -> float:
+        """The excess after so many trials."""
+        return self.excess[trials - 1]
+
+
+def search(job: Job) -> Row:
+    """Makes a search."""
+    problem = ALL_PROBLEMS[job.problem]
+    best = optimum(problem)
+    start = problem.start if job.start == COLD else warm_start(problem, best)
+    trials = Trials(Setting(problem, start, job.noise, job.seed, job.budget))
+    began = time.perf_counter()
+    # What a library warns of on its way is its own affair.
+    with contextlib.suppress(Spent), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        ALGORITHMS[job.algorithm](trials)
+    seconds = time.perf_counter() - began
+    excess = trials.settled_costs() / best.cost - 1.0
+    return Row(job, tuple(np.round(excess, 6).tolist()), trials.unsafe, round(seconds, 3))
+
+
+def written(row: Row) -> str:
+    """A row as a line of a file."""
+    return json.dumps(asdict(row))
+
+
+def read(file: Path) -> list[Row]:
+    """The rows of a file; of two for the same job the later one."""
+    rows: dict[Job, Row] = {}
+    for line in _lines(file):
+        values = json.loads(line)
+        job = Job(**values.pop("job"))
+        rows[job] = Row(job, tuple(values.pop("excess")), **values)
+    return list(rows.values())
+
+
+def _lines(file: Path) -> Iterator[str]:
+    if file.exists():
+        with file.open(encoding="utf-8") as lines:
+            yield from lines
+
+
+def of(rows: Iterable[Row], **wanted: object) -> list[Row]:
+    """The rows whose jobs have these values, in the order of their seeds."""
+    found = [r for r in rows if all(getattr(r.job, k) == v for k, v in wanted.items())]
+    return sorted(found, key=lambda row: row.job.seed)

@@ -1,0 +1,103 @@
+"""The tables, for reading."""
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+from experiments.sample_efficiency.algorithms import OURS
+from experiments.sample_efficiency.figures import NEWTON, peers_ahead
+from experiments.sample_efficiency.optimum import optimum
+from experiments.sample_efficiency.problems import ALL_PROBLEMS, PROBLEMS
+
+HEAD = (
+    f"{'':24s} {'within 5 %':>17s} {'stays':>6s} {'after':>7s} {'after':>7s} {'unsafe':>9s} "
+    f"{'10 %:':>6s} {'after':>7s} {'warm':>6s}\n"
+    f"{'':24s} {'median [quartiles]':>17s} {'from':>5s} {'100':>7s} {'200':>7s} {'med/worst':>9s} "
+    f"{'5 %':>6s} {'300':>7s} {'start':>6s}"
+)
+
+
+def lines(found: dict[str, dict[str, dict[str, Any]]]) -> Iterator[str]:
+    """One table for each problem, and what is won and lost in words."""
+    for problem, own in found.items():
+        best = optimum(ALL_PROBLEMS[problem])
+        seeds = max(f.get("seeds", 0) for f in own.values())
+        yield (
+            f"\n{problem}: {ALL_PROBLEMS[problem].title}; the start costs "
+            f"{best.start_cost / best.cost:.1f} times the optimum; {seeds} seeds"
+        )
+        yield HEAD
+        for name, figures in own.items():
+            yield _line(name, figures, seeds)
+    yield ""
+    yield from _words(found)
+
+
+def stop_lines(stops: dict[str, dict[str, Any]]) -> Iterator[str]:
+    """The table of whole runs."""
+    yield f"\nwhole runs of {NEWTON}: search, stop by its own rule, confirmation"
+    yield (
+        f"{'noise':>6s} {'runs':>5s} {'stopped':>8s} {'search':>7s} {'all':>6s} "
+        f"{'excess: median':>14s} {'worst':>7s} {'improved':>9s} "
+        f"{'covered: change':>15s} {'gains':>7s}"
+    )
+    for noise, f in stops.items():
+        yield (
+            f"{noise:>6s} {f['runs']:5d} {f['by_itself']:8.0%} {f['searched']:7.0f} "
+            f"{f['trials']:6.0f} {f['excess']:14.2%} {f['excess_worst']:7.1%} "
+            f"{f['improved']:9.0%} {_share(f['change_coverage']):>15s} "
+            f"{_share(f['gain_coverage']):>7s}"
+        )
+
+
+def _line(name: str, f: dict[str, Any], seeds: int) -> str:
+    budget = f.get("budget", 0)
+    lower, middle, upper = (_trials(n, budget) for n in f.get("first", (math.nan,) * 3))
+    band = f"{middle} [{lower}, {upper}]"
+    fewer = f"  ({f['seeds']} seeds)" if f.get("seeds", seeds) < seeds else ""
+    unsafe = f"{f['unsafe']:.0f}/{f['unsafe_worst']}" if "unsafe" in f else ""
+    more_first = _trials(f.get("more_noise_first", math.nan), 300)
+    return (
+        f"{name:24s} {band:>17s} {_trials(f.get('stays', math.nan), budget):>6s} "
+        f"{_excess(f, 'excess_100')} {_excess(f, 'excess_200')} {unsafe:>9s} "
+        f"{more_first:>6s} {_excess(f, 'more_noise_excess')} "
+        f"{_trials(f.get('warm_first', math.nan), 60):>6s}{fewer}"
+    )
+
+
+def _words(found: dict[str, dict[str, dict[str, Any]]]) -> Iterator[str]:
+    """Where a peer needs as few trials as we do, or fewer; or is as safe where we are not."""
+    families = [p for p in found if p in PROBLEMS and NEWTON in found[p]]
+    won = 0
+    for problem in families:
+        ahead = peers_ahead(found[problem])
+        won += not ahead
+        ours = _trials(found[problem][NEWTON]["first"][1], found[problem][NEWTON]["budget"])
+        for name, n in ahead.items():
+            budget = found[problem][name]["budget"]
+            yield f"{problem}: {name} wins with {_trials(n, budget)} trials against {ours}"
+    if families:
+        yield f"{NEWTON} needs fewer trials than every peer on {won} of {len(families)} families"
+    for problem in families:
+        own = found[problem]
+        safer = [
+            name
+            for name, f in own.items()
+            if name not in OURS and f["unsafe_worst"] < own[NEWTON]["unsafe_worst"]
+        ]
+        if safer:
+            yield f"{problem}: fewer unsafe trials in the worst seed: {', '.join(safer)}"
+
+
+def _trials(n: float, budget: int) -> str:
+    if math.isnan(n):
+        return ""
+    return f">{budget}" if math.isinf(n) else f"{n:.0f}"
+
+
+def _excess(figures: dict[str, Any], key: str) -> str:
+    return f"{figures[key]:7.1%}" if key in figures else " " * 7
+
+
+def _share(value: float | None) -> str:
+    return "" if value is None else f"{value:.1%}"

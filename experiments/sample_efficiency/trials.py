@@ -1,0 +1,103 @@
+"""Trials on a problem for one algorithm: noise, a budget, and what it would settle on."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from estune.core.gains import Gains
+from estune.core.search_space import Coordinates, SearchSpace
+from estune.trial import FloatArray
+from experiments.sample_efficiency.problems import Problem
+
+ETA_MAX_RATIO = 3.0
+"""A trial this many times as costly as the start is cut short, and its cost counts as this."""
+
+UNSAFE_RATIO = 1.5
+"""A trial more than this many times as costly as the start, but for the noise, is unsafe."""
+
+
+class Setting(NamedTuple):
+    """The circumstances of one search; what is equal here is equal for every algorithm.
+
+    Attributes:
+        problem: What is tuned.
+        start: The gains begun from.
+        noise: Relative standard deviation of a trial's cost; zero on a problem with gauge noise.
+        seed: Of the noise of every trial by its number, and of an algorithm's own random numbers.
+        budget: Number of trials.
+    """
+
+    problem: Problem
+    start: Gains
+    noise: float
+    seed: int
+    budget: int
+
+
+class Spent(Exception):
+    """The budget is."""
+
+
+class Trials:
+    """Costs of trials in logarithms of the gains, one after the other.
+
+    An algorithm calls it with coordinates and gets a cost, until it raises `Spent`. What it would
+    settle on is the best noisy trial, unless it says otherwise by `settle_on`.
+    """
+
+    def __init__(self, setting: Setting) -> None:
+        self.setting = setting
+        self.space: SearchSpace = setting.problem.space(setting.start)
+        self.start: Coordinates = self.space.coordinates(self.space.start)
+        self.costs: list[float] = []  # without noise
+        self._noise = 1.0 + setting.noise * np.random.Generator(
+            np.random.Philox(key=setting.seed)
+        ).standard_normal(setting.budget)
+        self._start_cost = self._quiet(self.start)
+        self.limit = ETA_MAX_RATIO * self._start_cost
+        self._settled: list[Coordinates] = []
+        self._centre: Coordinates | None = None
+        self._best = (math.inf, self.start)
+
+    def __call__(self, coordinates: Coordinates | FloatArray) -> float:
+        """The noisy cost of the next trial, at most `limit`.
+
+        Raises:
+            Spent: there is no next one.
+        """
+        number = len(self.costs)
+        if number:
+            self._settled.append(self._centre or self._best[1])
+        if number >= self.setting.budget:
+            raise Spent
+        point = self.space.clipped(tuple(map(float, coordinates)))
+        quiet = self._quiet(point)
+        self.costs.append(quiet)
+        if self.setting.problem.gauge_noise:
+            noisy = self.setting.problem.noisy_cost(point, self.setting.seed, number)
+        else:
+            noisy = quiet * float(self._noise[number])
+        noisy = min(noisy, self.limit)
+        self._best = min(self._best, (noisy, point))
+        return noisy
+
+    def settle_on(self, coordinates: Coordinates | FloatArray) -> None:
+        """Notes what the algorithm would settle on, once it was told the trial before."""
+        self._centre = self.space.clipped(tuple(map(float, coordinates)))
+
+    @property
+    def unsafe(self) -> int:
+        """How many trials were unsafe."""
+        return sum(cost > UNSAFE_RATIO * self._start_cost for cost in self.costs)
+
+    def settled_costs(self) -> FloatArray:
+        """Cost, without noise, of what it would settle on after each trial, shape (budget,)."""
+        while len(self._settled) < len(self.costs):
+            self._settled.append(self._centre or self._best[1])
+        points = np.array(self._settled)
+        different, back = np.unique(points, axis=0, return_inverse=True)
+        return self.setting.problem.costs(different)[back]
+
+    def _quiet(self, point: Coordinates) -> float:
+        return float(self.setting.problem.costs(np.array([point]))[0])
