@@ -1,6 +1,7 @@
 """`estune sweep`: tunings over cable lengths, and the law of gains over length."""
 
 import json
+import sys
 from collections import defaultdict
 from collections.abc import Sequence
 from pathlib import Path
@@ -55,9 +56,15 @@ def sweep(
     if dry_run:
         _show_plan(cells_of(read_design(design)))
         return
-    result = sweeping.sweep(
-        design, folder=folder, jobs=jobs, dask=dask, watch=None if quiet else "auto"
-    )
+    again = f"estune sweep {design}" + (f" --folder {folder}" if folder else "")
+    try:
+        result = sweeping.sweep(
+            design, folder=folder, jobs=jobs, dask=dask, watch=None if quiet else "auto"
+        )
+    except KeyboardInterrupt:
+        done = f"estune: every tuning that was done is kept; go on with: {again}"
+        print(done, file=sys.stderr, flush=True)
+        raise
     if len(result.failed) == len(result.outcomes):
         first = result.failed[0]
         raise EstuneError(f"every cell failed; {first.cell.label}: {first.message}")
@@ -66,7 +73,7 @@ def sweep(
         output.print_json(_as_json(result))
     else:
         _show(result)
-        output.show_next({**written, "again": f"estune sweep {design}"})
+        output.show_next({**written, "again": again})
 
 
 def _show_plan(cells: Sequence[Cell]) -> None:

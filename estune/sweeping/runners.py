@@ -5,10 +5,11 @@ from it keeps each before the next, so that nothing that is done is lost.
 """
 
 import importlib
+import logging
 import threading
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
@@ -78,8 +79,19 @@ def on_cluster(cells: Sequence[Cell], address: str) -> Iterator[Outcome]:
         raise EstuneError(
             f"no Dask scheduler answers at {address}; start one with: dask scheduler"
         ) from error
-    with client:
+    with client, _silent(logging.getLogger("distributed.client")):
         yield from _from_cluster(dask, client, cells)
+
+
+@contextmanager
+def _silent(log: logging.Logger) -> Iterator[None]:
+    """Keeps Dask's tracebacks of a lost scheduler away; the loss is told in a sentence."""
+    before = log.level
+    log.setLevel(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        log.setLevel(before)
 
 
 def _from_cluster(dask: Any, client: Any, cells: Sequence[Cell]) -> Iterator[Outcome]:
@@ -88,12 +100,18 @@ def _from_cluster(dask: Any, client: Any, cells: Sequence[Cell]) -> Iterator[Out
     waiting = dict(zip(futures, cells, strict=True))
     try:
         while waiting:
-            with suppress(TimeoutError, dask.CancelledError):  # both are looked at below
+            # Both errors are looked at below.
+            with client.as_current(), suppress(TimeoutError, dask.CancelledError):
                 dask.wait(list(waiting), CLUSTER_ANSWERS_WITHIN_s, "FIRST_COMPLETED")
             done = [future for future in waiting if future.done()]
             _check_alive(client, done)
             for future in done:
-                yield _of_future(future, waiting.pop(future))
+                try:
+                    outcome = _of_future(future, waiting[future])
+                except TimeoutError:  # the worker that did it has died; another does it again
+                    continue
+                del waiting[future]
+                yield outcome
     finally:
         client.cancel(list(waiting))
 
@@ -115,10 +133,10 @@ def _check_alive(client: Any, done: Sequence[Any]) -> None:
 
 
 def _of_future(future: Any, cell: Cell) -> Outcome:
-    error = future.exception()
+    error = future.exception(timeout=CLUSTER_ANSWERS_WITHIN_s)
     if error is not None:  # a worker that dies of the cell each time, or does not know estune
         return failed(cell, f"{type(error).__name__}: {error}")
-    outcome: Outcome = future.result()
+    outcome: Outcome = future.result(timeout=CLUSTER_ANSWERS_WITHIN_s)
     return outcome
 
 
