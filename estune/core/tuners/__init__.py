@@ -9,6 +9,7 @@ from typing import Any, Protocol, TypeVar
 from estune.core.search_space import Point, SearchSpace
 from estune.core.tuners.killingsworth import Killingsworth
 from estune.core.tuners.least_squares_gradient import LeastSquaresGradient
+from estune.core.tuners.newton import Newton
 from estune.core.tuners.observation import Observation
 from estune.core.tuners.otis import Otis
 
@@ -38,8 +39,8 @@ S = TypeVar("S", bound=TunerState)
 class Tuner(Protocol[S]):
     """Ask for a point, run the trial there, tell what it cost; in turns.
 
-    An observation that is censored puts the search back on the best safe point and makes it more
-    cautious, by the rule in `estune.core.tuners.guard`.
+    An observation that is censored takes the search back to where trials were safe and makes it
+    more cautious, by the rule in `estune.core.tuners.guard`.
     """
 
     @property
@@ -74,6 +75,7 @@ class Tuner(Protocol[S]):
 
 
 TUNERS: dict[str, Any] = {
+    "newton": Newton,
     "killingsworth": Killingsworth,
     "otis": Otis,
     "least_squares_gradient": LeastSquaresGradient,

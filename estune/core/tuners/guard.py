@@ -1,8 +1,9 @@
 """What every tuner does about a trial that was unsafe (the paper's guard, eta < eta_max).
 
-The centre goes back to the best safe point seen, the filters or the regression begin anew, and
-the tuner's caution, a number that multiplies the dither and the steps, falls by 30 %. It recovers
-by 5 % with every safe trial, up to one: eight safe trials make up for an unsafe one.
+The tuner's caution, a number that multiplies the dither and the steps, falls by 30 %. It recovers
+by 5 % with every safe trial, up to one: eight safe trials make up for an unsafe one. A tuner that
+keeps no trials puts its centre back on the best safe point seen, and its filters or its regression
+begin anew.
 """
 
 from typing import NamedTuple

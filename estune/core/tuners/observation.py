@@ -13,10 +13,12 @@ class Observation(NamedTuple):
         cost: The cost of the trial; means nothing where it is censored.
         censored: The trial was unsafe: over eta_max, aborted, or without a finite cost. All it
             says is that its gains are to be kept away from.
+        margin: The smallest share the trial left of any of the rig's limits: 1 far away, 0 at it.
     """
 
     cost: float
     censored: bool = False
+    margin: float = math.inf
 
 
 COST_LIMIT = 1e100
@@ -46,3 +48,19 @@ def log_cost(observation: Observation) -> float:
         InvalidInput: the cost is not finite although the observation is not censored.
     """
     return math.log(max(usable_cost(observation), 1.0 / COST_LIMIT))
+
+
+def usable_margin(observation: Observation) -> float:
+    """The margin of an observation: at most one, however far away the limits are.
+
+    A trial that was unsafe had none left, unless it says so itself.
+
+    Raises:
+        InvalidInput: the margin is not a number.
+    """
+    margin = observation.margin
+    if math.isnan(margin):
+        raise InvalidInput("margin is nan; leave it out where no limit is known")
+    if observation.censored:
+        return max(min(margin, 0.0), -1.0)
+    return max(min(margin, 1.0), -1.0)

@@ -1,0 +1,292 @@
+"""Newton's method on a machine: a curved model of the cost, and the trial that tells most of it.
+
+Every trial is kept, and the logarithm of the cost is modelled over those of the parameters: first
+by a wide model that knows little (`surface`), then by a cubic about the centre (`polynomial`).
+With mean mu and standard deviation s of the model, each trial is asked for at the lower confidence
+bound (Srinivas et al., Information-Theoretic Regret Bounds for Gaussian Process Optimization, IEEE
+Trans. Information Theory 58, 2012),
+
+    x(k) = argmin mu(x) - kappa s(x)       within reach of the centre, where it looks safe
+    c(k) = argmin mu(x)                    the centre, which is what is recommended
+
+so that it dithers by itself: along each direction as far as what is not known there may be worth,
+which is little where the cost is steep, and less with every trial. A point looks safe where mu + s
+is at most `safe_ratio` times the start's cost, and the margin foretold, less its s, at least
+`margin_least`. The reach shrinks after an unsafe trial and recovers, see `guard`.
+"""
+
+import math
+from dataclasses import dataclass
+from statistics import median
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from estune.core.search_space import Coordinates, Point, SearchSpace
+from estune.core.tuners.guard import Best, best_after, caution_after_safe, caution_after_unsafe
+from estune.core.tuners.observation import COST_LIMIT, Observation, log_cost, usable_margin
+from estune.core.tuners.outlook import Forecast, Outlook
+from estune.core.tuners.polynomial import CURVATURE, FLAT, NOISE_EXPECTED, Polynomial, polynomial
+from estune.core.tuners.posterior import bowls
+from estune.core.tuners.prospect import Model, Reach, lowest, newton_step
+from estune.core.tuners.settings import check_above_zero, check_logarithmic
+from estune.core.tuners.spread import FloatArray, simplex
+from estune.core.tuners.surface import surface
+from estune.errors import InvalidInput
+
+UNSAFE = 1.0 + math.log(COST_LIMIT)
+"""What a censored trial is remembered by; no cost reaches it."""
+
+DEAR = math.log(2.25)
+"""Costs count as at most 2.25 times the start's: how bad is bad says little of what is good."""
+
+FURTHEST = 1.5
+"""How far from the centre an outlook believes its model, in logarithms."""
+
+
+class NewtonState(NamedTuple):
+    """Where the search stands before trial k; points are coordinates from the start on."""
+
+    k: int
+    tried: tuple[float, ...]  # every point, one after the other
+    costs: tuple[float, ...]  # logarithms; UNSAFE where the trial was censored
+    margins: tuple[float, ...]  # at most one
+    centre: Coordinates
+    curvature: tuple[float, ...]  # about the centre, by rows; empty before there is one
+    noise: float  # standard deviation of one trial's cost, relative to it
+    proposal: Point
+    level: float | None  # logarithm of the cost of the first trials; None until they are made
+    caution: float
+    best_point: Point
+    best_cost: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Newton:
+    """Models the cost and asks for the trial that promises most.
+
+    Attributes:
+        space: What is tuned, on a logarithmic scale.
+        first_radius: Size of the first design about the start, in logarithms for one parameter;
+            it grows with the root of their number.
+        wide_reach: How far from the centre a trial may lie while the model is wide, in logarithms.
+        near_reach: The same once it is near.
+        near_rise: By how much the cost may be expected to rise there, relative to it.
+        wide_trials: Trials from which on the model is near, for each parameter.
+        wide_curiosity: kappa while the model is wide.
+        near_curiosity: kappa once it is near.
+        safe_ratio: Cost over that of the start up to which a point counts as safe.
+        margin_least: Share of every limit that is to be left, 0 to 1.
+        memory: Trials that are kept; older ones are forgotten.
+        name: What the tuner is called.
+
+    Raises:
+        InvalidInput: a setting is out of its range, or the scale is not logarithmic.
+    """
+
+    space: SearchSpace
+    first_radius: float = 0.35
+    wide_reach: float = 0.7
+    near_reach: float = 0.5
+    near_rise: float = 0.08
+    wide_trials: int = 5
+    wide_curiosity: float = 1.5
+    near_curiosity: float = 2.5
+    safe_ratio: float = 1.3
+    margin_least: float = 0.1
+    memory: int = 400
+    name: Literal["newton"] = "newton"
+
+    def __post_init__(self) -> None:
+        check_logarithmic("newton", self.space)
+        for what in (
+            *("first_radius", "wide_reach", "near_reach", "near_rise", "wide_trials"),
+            *("wide_curiosity", "near_curiosity", "safe_ratio", "memory"),
+        ):
+            check_above_zero("newton", what, getattr(self, what))
+        if not 0.0 <= self.margin_least < 1.0:
+            raise InvalidInput(
+                f"newton: margin_least is {self.margin_least}; it must lie from 0 to below 1"
+            )
+        least = 4 * (len(self.space.names) + 1)
+        if self.memory < least:
+            raise InvalidInput(
+                f"newton: memory is {self.memory} trials; {len(self.space.names)} parameters need "
+                f"at least {least}"
+            )
+
+    def start(self) -> NewtonState:
+        """The state before the first trial."""
+        return NewtonState(
+            k=0,
+            tried=(),
+            costs=(),
+            margins=(),
+            centre=(0.0,) * len(self.space.names),
+            curvature=(),
+            noise=NOISE_EXPECTED,
+            proposal=self._corner(0, 1.0),
+            level=None,
+            caution=1.0,
+            best_point=self.space.start,
+            best_cost=None,
+        )
+
+    def ask(self, state: NewtonState) -> Point:
+        """The point of the next trial, within the bounds."""
+        return state.proposal
+
+    def tell(self, state: NewtonState, observation: Observation) -> NewtonState:
+        """The state after the trial last asked for.
+
+        Raises:
+            InvalidInput: the cost is not finite although the observation is not censored, or the
+                margin is not a number.
+        """
+        n, best = len(self.space.names), Best(state.best_point, state.best_cost)
+        if observation.censored:
+            cost, caution = UNSAFE, caution_after_unsafe(state.caution)
+        else:
+            cost, caution = log_cost(observation), caution_after_safe(state.caution)
+            best = best_after(best, state.proposal, observation)
+        state = state._replace(
+            k=state.k + 1,
+            tried=(*state.tried, *self._from_start(state.proposal))[-n * self.memory :],
+            costs=(*state.costs, cost)[-self.memory :],
+            margins=(*state.margins, usable_margin(observation))[-self.memory :],
+            caution=caution,
+            best_point=best.point,
+            best_cost=best.cost,
+        )
+        if state.k <= n or best.cost is None:
+            return state._replace(proposal=self._corner(state.k, caution))
+        if state.level is None:
+            safe = [cost for cost in state.costs if cost < UNSAFE]
+            state = state._replace(level=median(safe))
+        return self._widely(state) if state.k <= self.wide_trials * n else self._nearby(state)
+
+    def recommend(self, state: NewtonState) -> Point:
+        """The centre of the search."""
+        return self._point(np.array(state.centre))
+
+    def outlook(self, state: NewtonState) -> Outlook | None:
+        """Where the search stands; None while the model is wide."""
+        if not state.curvature:
+            return None
+        left = bowls(self._model(state), self._reach(np.array(state.centre), FURTHEST))
+        ends = np.quantile(left.least, (0.025, 0.975), axis=0)
+        low, high = (self._point(end) for end in ends)
+        return Outlook(
+            noise=state.noise,
+            remaining=-math.expm1(-float(np.quantile(left.gain, 0.95))),
+            expected=-math.expm1(-float(np.mean(left.gain))),
+            intervals=tuple(zip(low, high, strict=True)),
+        )
+
+    def forecast(self, state: NewtonState, point: Point) -> Forecast:
+        """What is expected of a point; nothing before there is a safe trial."""
+        place = np.array([self._from_start(point)])
+        safe = [cost < UNSAFE for cost in state.costs]
+        known = np.reshape(state.tried, (len(safe), place.size))[safe]
+        known = np.concatenate((known, np.zeros_like(place)))  # the start is known to be safe
+        explored = bool(np.min(np.linalg.norm(known - place, axis=1)) <= self.near_reach)
+        if state.level is None:
+            return Forecast(cost=math.nan, low=0.0, high=math.inf, explored=explored)
+        model: Model = self._model(state)
+        if not state.curvature:
+            model = surface(*self._seen(state), state.noise)
+        mean, spread = model.expected(place)
+        low, mid, high = (
+            math.exp(state.level + float(mean[0, 0]) + z * float(spread[0]))
+            for z in (-1.96, 0.0, 1.96)
+        )
+        return Forecast(cost=mid, low=low, high=high, explored=explored)
+
+    def _widely(self, state: NewtonState) -> NewtonState:
+        """The next proposal and centre by the wide model."""
+        points, values = self._seen(state)
+        model = surface(points, values, state.noise)
+        smoothed = (
+            values[:, 0] - model.variance * model.weights[:, 0]
+        )  # its mean where trials were
+        centre = points[int(np.argmin(smoothed))]
+        radius = state.caution * self.wide_reach
+        reach = self._reach(centre, radius)
+        least = lowest(model, reach, centre[np.newaxis], 0.0, state.k)
+        asked = lowest(model, reach, centre[np.newaxis], self.wide_curiosity, state.k)
+        return state._replace(centre=tuple(least.tolist()), proposal=self._point(asked))
+
+    def _nearby(self, state: NewtonState) -> NewtonState:
+        """The next proposal and centre by the model about the centre."""
+        model = self._model(state)
+        values, axes = np.linalg.eigh(model.curvature)
+        values = np.maximum(values, FLAT)
+        radius = state.caution * self.near_reach
+        rise = state.caution**2 * self.near_rise
+        half_axes = axes * np.sqrt(2.0 * rise / values)
+        old = np.array(state.centre)
+        reach = self._reach(old, radius)._replace(axes=half_axes)
+        step = newton_step(model.slope, values, axes, radius)
+        centre = np.clip(old + step, reach.low, reach.high)
+        asked = lowest(
+            model, reach._replace(centre=centre), centre[np.newaxis], self.near_curiosity, state.k
+        )
+        return state._replace(
+            centre=tuple(centre.tolist()),
+            curvature=tuple(((axes * values) @ axes.T).ravel().tolist()),
+            noise=model.noise,
+            proposal=self._point(asked),
+        )
+
+    def _model(self, state: NewtonState) -> Polynomial:
+        """The model about the centre."""
+        points, values = self._seen(state)
+        n = points.shape[1]
+        curvature = (
+            np.reshape(state.curvature, (n, n)) if state.curvature else CURVATURE * np.eye(n)
+        )
+        return polynomial(np.array(state.centre), curvature, points, values, state.noise)
+
+    def _seen(self, state: NewtonState) -> tuple[FloatArray, FloatArray]:
+        """Where trials were, and what they told: cost, and margin where any was near a limit."""
+        points = np.reshape(state.tried, (len(state.costs), len(self.space.names)))
+        costs = np.minimum(np.array(state.costs) - state.level, DEAR)
+        if min(state.margins) < 1.0:
+            return points, np.stack((costs, np.array(state.margins)), axis=1)
+        return points, costs[:, np.newaxis]
+
+    def _reach(self, centre: FloatArray, radius: float) -> Reach:
+        start = np.array(self.space.coordinates(self.space.start))
+        return Reach(
+            centre=centre,
+            axes=radius * np.eye(len(centre)),
+            radius=radius,
+            low=np.array(self.space.coordinates_low) - start,
+            high=np.array(self.space.coordinates_high) - start,
+            dearest=math.log(self.safe_ratio),
+            margin=self.margin_least,
+        )
+
+    def _corner(self, k: int, caution: float) -> Point:
+        """A corner of the first design, the nearer to the start the more of it was unsafe."""
+        n = len(self.space.names)
+        return self._point(caution * self.first_radius * math.sqrt(n) * simplex(n)[k % (n + 1)])
+
+    def _from_start(self, point: Point) -> Coordinates:
+        """Coordinates of a point, from the start on."""
+        start = self.space.coordinates(self.space.start)
+        return tuple([c - s for c, s in zip(self.space.coordinates(point), start, strict=True)])
+
+    def _point(self, from_start: FloatArray) -> Point:
+        """The point at coordinates from the start on, rounded, within the bounds.
+
+        Six digits are more than any gain needs, and few enough that the last bits of a matrix
+        product, which differ from one machine to the next, do not show: a run can be resumed
+        on another one.
+        """
+        start = self.space.coordinates(self.space.start)
+        exact = self.space.point(
+            tuple([s + c for s, c in zip(start, from_start.tolist(), strict=True)])
+        )
+        rows = zip(exact, self.space.low, self.space.high, strict=True)
+        return tuple([min(max(float(f"{value:.6g}"), low), high) for value, low, high in rows])

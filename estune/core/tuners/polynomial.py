@@ -1,0 +1,162 @@
+"""What the cost looks like about a centre, late in a search: a cubic, by regularised regression.
+
+With z = x - c the logarithms of the parameters from the centre on, and l that of the cost,
+
+    l(z) = l_0 + g.z + z'Hz/2 + sum c_ijk z_i z_j z_k + error
+
+is fitted to all trials by Bayesian least squares (Bishop, Pattern Recognition and Machine
+Learning, 2006, section 3.3), each coefficient with a normal prior. The cubic terms are there
+so that what is not symmetric about the centre does not pass for a slope. What a cubic cannot
+follow makes trials far away tell less: a trial's error has the variance
+
+    v = sigma^2 + (p q^2 + d |z|^4)^2,    q = z'Hz/2
+
+with q by how much the cost is expected to rise, and H from the fit before. A trial off by more
+than three of its standard deviations counts as if it were off by three (Huber): one bad trial
+does not move the fit.
+"""
+
+import math
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estune.core.tuners.spread import FloatArray
+
+BEND = 0.3  # p, error per square of the rise
+SPAN = 0.1  # d, error per fourth power of the distance
+LEVEL = 3.0  # prior standard deviation of l_0
+SLOPE = 1.0  # of g
+CURVATURE = 0.3  # prior mean of the diagonal of H
+CURVATURE_SPREAD = 0.5
+TWIST = 0.4  # of the rest of H
+CUBIC = 0.3  # of c_ijk
+NOISE_EXPECTED = 0.03  # sigma before there are residuals to tell it
+NOISE_WEIGHT = 3.0  # trials that this expectation counts for
+FLAT = 0.02  # least curvature a step is taken by, or it could be of any length
+FAR = 3.0  # standard deviations from which on a residual counts no more
+
+IndexArray = NDArray[np.intp]
+
+
+class Polynomial(NamedTuple):
+    """The posterior, given some trials.
+
+    Attributes:
+        centre: c, shape (n,).
+        coefficients: Of 1, z_i, z_i z_j and z_i z_j z_k; one column a quantity.
+        spread: Their covariance, the same for every quantity.
+        noise: Standard deviation sigma of one trial.
+    """
+
+    centre: FloatArray
+    coefficients: FloatArray
+    spread: FloatArray
+    noise: float
+
+    @property
+    def slope(self) -> FloatArray:
+        """The slope g of the logarithm of the cost, shape (n,)."""
+        return self.coefficients[1 : 1 + len(self.centre), 0]
+
+    @property
+    def curvature(self) -> FloatArray:
+        """The curvature H of it, shape (n, n)."""
+        n = len(self.centre)
+        return curvature_of(self.coefficients[1 + n : 1 + n + n * (n + 1) // 2, 0], n)
+
+    def expected(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Means, shape (points, quantities), and their standard deviation, shape (points,)."""
+        terms = _terms(points - self.centre)
+        variance = np.sum((terms @ self.spread) * terms, axis=1)
+        return terms @ self.coefficients, np.sqrt(np.maximum(variance, 0.0))
+
+
+def curvature_of(squares: FloatArray, n: int) -> FloatArray:
+    """The curvature H by its coefficients of z_i z_j, shape (..., n, n) of (..., n (n+1)/2)."""
+    upper = np.zeros((*squares.shape[:-1], n, n))
+    a, b = _pairs(n)
+    upper[..., a, b] = squares
+    return upper + np.swapaxes(upper, -1, -2)
+
+
+def polynomial(
+    centre: FloatArray,
+    curvature: FloatArray,
+    points: FloatArray,
+    values: FloatArray,
+    noise: float,
+) -> Polynomial:
+    """The posterior about a centre.
+
+    Args:
+        centre: c, shape (n,).
+        curvature: H by which far trials are told, shape (n, n).
+        points: Where the trials were, shape (trials, n).
+        values: What was observed, the logarithm of the cost first, shape (trials, quantities).
+        noise: sigma by which trials are weighted; that of the residuals comes back.
+    """
+    z = points - centre
+    rise = 0.5 * np.sum((z @ curvature) * z, axis=1)
+    misfit = BEND * rise**2 + SPAN * np.sum(z * z, axis=1) ** 2
+    weights = 1.0 / (noise**2 + misfit**2)
+    terms, (means, precisions) = _terms(z), _prior(z.shape[1])
+    pulled = np.zeros((terms.shape[1], values.shape[1]))
+    pulled[:, 0] = means * precisions
+
+    def solved(weights: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        weighted = terms.T * weights
+        known = weighted @ terms
+        spread = np.asarray(np.linalg.inv(known + np.diag(precisions)), dtype=np.float64)
+        return spread @ (weighted @ values + pulled), spread, known
+
+    coefficients, spread, known = solved(weights)
+    off = np.abs(values[:, 0] - terms @ coefficients[:, 0]) * np.sqrt(weights)
+    if off.max() > FAR:
+        weights *= FAR / np.maximum(off, FAR)
+        coefficients, spread, known = solved(weights)
+    left = values[:, 0] - terms @ coefficients[:, 0]
+    near = weights * noise**2  # one for a trial nearby, towards zero for one far away
+    free = max(float(near.sum() - np.sum(spread * known)), 1.0)
+    variance = NOISE_WEIGHT * NOISE_EXPECTED**2 + float(np.sum(near * left**2))
+    sigma = math.sqrt(variance / (NOISE_WEIGHT + free))
+    return Polynomial(centre, coefficients, spread, sigma)
+
+
+@lru_cache(maxsize=16)
+def _pairs(n: int) -> tuple[IndexArray, IndexArray]:
+    return np.triu_indices(n)
+
+
+@lru_cache(maxsize=16)
+def _triples(n: int) -> tuple[IndexArray, IndexArray, IndexArray]:
+    triples = [(i, j, k) for i in range(n) for j in range(i, n) for k in range(j, n)]
+    i, j, k = np.array(triples, dtype=np.intp).T
+    return i, j, k
+
+
+def _terms(z: FloatArray) -> FloatArray:
+    """1, z_i, z_i z_j and z_i z_j z_k with i <= j <= k, one row a point."""
+    (a, b), (i, j, k) = _pairs(z.shape[1]), _triples(z.shape[1])
+    squares = z[:, a] * z[:, b]
+    return np.hstack((np.ones((len(z), 1)), z, squares, z[:, i] * z[:, j] * z[:, k]))
+
+
+@lru_cache(maxsize=16)
+def _prior(n: int) -> tuple[FloatArray, FloatArray]:
+    """Mean and precision of every coefficient."""
+    a, b = _pairs(n)
+    square = a == b  # the coefficient of z_i^2 is half of H_ii
+    means = [
+        np.zeros(1 + n),
+        np.where(square, 0.5 * CURVATURE, 0.0),
+        np.zeros(_triples(n)[0].size),
+    ]
+    spreads = [
+        np.array([LEVEL] + [SLOPE] * n),
+        np.where(square, 0.5 * CURVATURE_SPREAD, TWIST),
+        np.full(_triples(n)[0].size, CUBIC),
+    ]
+    return np.concatenate(means), np.concatenate(spreads) ** -2.0

@@ -1,0 +1,45 @@
+"""Where the optimum may be, and what is left to gain there, by what is not known of the cost."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from estune.core.tuners.polynomial import FLAT, Polynomial, curvature_of
+from estune.core.tuners.prospect import Reach
+from estune.core.tuners.spread import FloatArray, normal
+
+DRAWS = 256
+"""Bowls that stand for all that the cost may be; enough for a 2.5 % quantile to be one of six."""
+
+
+class Bowls(NamedTuple):
+    """Costs that the trials leave possible, each with its own least.
+
+    Attributes:
+        least: Where each is least within reach, shape (draws, n).
+        gain: By how much the logarithm of the cost at the centre lies above it, shape (draws,).
+    """
+
+    least: FloatArray
+    gain: FloatArray
+
+
+def bowls(model: Polynomial, reach: Reach) -> Bowls:
+    """Slopes and curvatures drawn from the posterior, and the least of each such bowl.
+
+    The cubic terms matter little this near; what they take from the certainty of the others is in
+    the posterior already.
+    """
+    n = len(model.centre)
+    kept = slice(1, 1 + n + n * (n + 1) // 2)
+    spread = np.linalg.cholesky(model.spread[kept, kept])
+    drawn = model.coefficients[kept, 0] + normal(len(spread), DRAWS) @ spread.T
+    slope = drawn[:, :n]
+    values, axes = np.linalg.eigh(curvature_of(drawn[:, n:], n))
+    values = np.maximum(values, FLAT)
+    along = np.einsum("dij,di->dj", axes, slope) / values
+    least = reach.within(model.centre - np.einsum("dij,dj->di", axes, along))
+    step = least - model.centre
+    bent = np.sum(values * np.einsum("dij,di->dj", axes, step) ** 2, axis=1)
+    gain: FloatArray = -np.sum(slope * step, axis=1) - 0.5 * bent
+    return Bowls(least, np.maximum(gain, 0.0))
