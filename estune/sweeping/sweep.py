@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from estune.errors import InvalidInput
-from estune.sweeping import progress, runners
+from estune.sweeping import benches, cluster, progress, runners
 from estune.sweeping.cells import Cell, cells_of
 from estune.sweeping.design import SweepDesign, read_design
 from estune.sweeping.outcome import Outcome
@@ -91,13 +91,13 @@ def _run(
     models = [cell for cell in cells if cell.rig.is_model]
     others = [cell for cell in cells if not cell.rig.is_model]
     if models and dask is not None:
-        yield from runners.on_cluster(models, dask)
+        yield from cluster.on_cluster(models, dask)
     elif models and jobs == 1:
         yield from runners.serial(models)
     elif models:
         yield from runners.on_cores(models, -1 if jobs is None else jobs)
     if others:
-        yield from runners.on_rigs(others, runs)
+        yield from benches.on_rigs(others, runs)
 
 
 @contextmanager
