@@ -1,20 +1,28 @@
 """To and from python-control: the controller, the plant, and the margins of their loop."""
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from estune.core.gains import Gains
 from estune.core.margins import Margins, loop_margins, sample_plant
 from estune.core.pidf import ControllerSettings
+from estune.core.schedule import GainSchedule
 from estune.errors import InvalidInput
 from estune.trial import FloatArray, LinearModel
 
 if TYPE_CHECKING:  # python-control takes more than a second to import
-    from control import StateSpace, TransferFunction
+    from control import NonlinearIOSystem, StateSpace, TransferFunction
 
-__all__ = ["Margins", "from_control", "linear_model", "margins", "to_control"]
+__all__ = [
+    "Margins",
+    "from_control",
+    "linear_model",
+    "margins",
+    "schedule_to_control",
+    "to_control",
+]
 
 
 def margins(model: LinearModel, gains: Gains, settings: ControllerSettings) -> Margins:
@@ -65,6 +73,56 @@ def to_control(
     else:
         C_y = tf([P * lag + D, P], [lag, 1.0])
     return F, C_r, C_y
+
+
+def schedule_to_control(
+    schedule: GainSchedule, settings: ControllerSettings
+) -> "NonlinearIOSystem":
+    """The controller with scheduled gains in continuous time, as a python-control system.
+
+    At a fixed length and tension it is the controller of `to_control`. It has no limits, and so no
+    anti-windup. The integral is kept as effort, so that it does not jump when the gains change.
+
+    Args:
+        schedule: Gains over cable length and tension; beyond its range those at its ends.
+        settings: The derivative filter tau_d is taken from here; it must not be zero.
+
+    Returns:
+        A system of inputs `setpoint`, `measurement`, `length_m` and `tension_N`, output `effort`,
+        and states `integral`, `setpoint_filter`, `measurement_filter`.
+
+    Raises:
+        InvalidInput: there is no derivative filter: an ideal derivative is no system of states.
+    """
+    from control import nlsys  # noqa: PLC0415  slow to import
+
+    lag = settings.derivative_filter_s
+    if lag == 0.0:
+        raise InvalidInput(
+            "derivative filter is 0 s; a scheduled controller needs one above zero to have states"
+        )
+
+    def at(u: FloatArray) -> Gains:
+        return schedule.gains(float(u[2]), float(u[3]))
+
+    def rates(_t: float, x: FloatArray, u: FloatArray, _params: Any) -> FloatArray:
+        gains, (_, r_F, y_F) = at(u), x
+        # A filter without a time constant follows within a hundredth of the derivative's.
+        tau_F = max(gains.setpoint_filter_s, 0.01 * lag)
+        return np.array([gains.I * (r_F - u[1]), (u[0] - r_F) / tau_F, (u[1] - y_F) / lag])
+
+    def effort(_t: float, x: FloatArray, u: FloatArray, _params: Any) -> FloatArray:
+        gains, (integral, r_F, y_F) = at(u), x
+        return np.array([gains.P * (r_F - u[1]) + integral - gains.D * (u[1] - y_F) / lag])
+
+    return nlsys(
+        rates,
+        effort,
+        inputs=["setpoint", "measurement", "length_m", "tension_N"],
+        outputs=["effort"],
+        states=["integral", "setpoint_filter", "measurement_filter"],
+        name="scheduled_pidf",
+    )
 
 
 def from_control(C_y: "TransferFunction", setpoint_filter_s: float = 0.0) -> Gains:

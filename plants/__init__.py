@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from plants.function import PythonPlant, python_plant
     from plants.linear import LinearPlant, linear_plant
     from plants.model_file import load_model, save_model
+    from plants.moving import simulate_moving
     from plants.plant import Plant
     from plants.reel import Reel, reference_reel
     from plants.rig import SimulatedRig
@@ -39,6 +40,7 @@ __all__ = [
     "reference_reel",
     "save_model",
     "simulate",
+    "simulate_moving",
     "unloaded_reel",
 ]
 
@@ -61,6 +63,7 @@ _HOMES = {
     "reference_reel": "plants.reel",
     "save_model": "plants.model_file",
     "simulate": "plants.simulation",
+    "simulate_moving": "plants.moving",
     "unloaded_reel": "plants.unloaded",
 }
 

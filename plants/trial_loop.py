@@ -216,7 +216,7 @@ class VirtualLoop:
         parameters = np.broadcast_to(batch.parameters, (trials, batch.parameters.shape[-1]))
         noise = np.zeros((1, samples)) if batch.noise_N is None else batch.noise_N
         noise = np.broadcast_to(noise, (trials, samples))
-        machine = _Machine(self._functions)
+        machine = Machine(self._functions)
         for n in range(trials):
             machine.start(parameters[n], batch.preload_N, batch.coefficients[n])
             one = columns.trial(n)
@@ -224,8 +224,15 @@ class VirtualLoop:
         return columns
 
 
-class _Machine:
-    """CasADi's buffers: memory of fixed place that the functions read and write."""
+class Machine:
+    """One trial at a time through CasADi's buffers: memory that the functions read and write.
+
+    Attributes:
+        memory: The buffers by name.
+        prepare: Works out constants and the state at rest from parameters and preload.
+        sense: One sample of gauge, encoder and controller; see `Functions`.
+        move: The plant to the next sample.
+    """
 
     def __init__(self, functions: Functions) -> None:
         prepare, sense, _, move, _ = functions
@@ -265,6 +272,14 @@ class _Machine:
         self.memory["coefficients"][:] = np.ascontiguousarray(coefficients).data
         self.memory["preload"][0] = preload_N
         self.prepare()
+
+    def amend(self, parameters: FloatArray) -> None:
+        """Goes on with other parameters: only the constants change."""
+        kept = {name: np.array(self.memory[name]) for name in ("state", "pidf", "drive")}
+        self.memory["parameters"][:] = np.ascontiguousarray(parameters).data
+        self.prepare()
+        for name, values in kept.items():
+            self.memory[name][:] = values.data
 
     def trial(self, batch: Batch, noise_N: FloatArray, columns: Columns) -> int:
         """Runs the loop of `trial_loop.c`; returns where it ended."""

@@ -1,0 +1,341 @@
+"""A gain schedule: its value, its way to firmware and python-control, and at work on a reel."""
+
+import json
+import math
+import subprocess
+from dataclasses import replace
+from functools import cache
+
+import control
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import plants
+from estune import compiler
+from estune.core import pidf
+from estune.core.gains import Gains
+from estune.core.pidf import ControllerSettings
+from estune.core.schedule import FORMS, GainCurve, GainSchedule
+from estune.errors import InvalidInput
+from estune.hardware import HardwareRig, controller_source
+from estune.hardware.controller import CompiledController, PlainController
+from estune.hardware.driver import Reading
+from estune.hardware.machine import Phase
+from estune.hardware.schedule_file import read_schedule, schedule_header
+from estune.interop import schedule_to_control, to_control
+from estune.profiles import StepProfile
+from estune.trial import Outcome, TrialRequest
+from tests.support_hardware import VirtualLoop, config, quick
+
+SETTINGS = ControllerSettings(632.0, 0.002, -120.0, 120.0)
+SCHEDULE = GainSchedule(
+    P=GainCurve("linear", 1.0, slope=0.2),
+    I=GainCurve("linear", 48.0, slope=-14.0, per_newton=0.05),
+    D=GainCurve("inverse", 0.012, slope=0.002),
+    setpoint_filter_s=GainCurve("log", 0.0022, slope=0.0007),
+    length_m=(0.5, 1.4),
+    tension_N=(5.0, 30.0),
+)
+
+length = st.floats(0.5, 1.4)
+tension = st.floats(5.0, 30.0)
+magnitude = st.floats(1e-3, 1e3)
+some_gains = st.builds(Gains, magnitude, magnitude, magnitude, magnitude)
+signal = st.floats(-200.0, 200.0)
+
+
+# --- the value -------------------------------------------------------------------------------
+
+
+@given(length, tension)
+def test_each_gain_is_its_curve(L, T):
+    gains = SCHEDULE.gains(L, T)
+    assert pytest.approx(1.0 + 0.2 * L) == gains.P
+    assert pytest.approx(48.0 - 14.0 * L + 0.05 * T) == gains.I
+    assert pytest.approx(0.012 + 0.002 / L) == gains.D
+    assert gains.setpoint_filter_s == pytest.approx(0.0022 + 0.0007 * math.log(L))
+
+
+def test_beyond_its_range_the_gains_are_those_of_the_nearest_end():
+    assert SCHEDULE.gains(9.0, 99.0) == SCHEDULE.gains(1.4, 30.0)
+    assert SCHEDULE.gains(0.1, 0.0) == SCHEDULE.gains(0.5, 5.0)
+    assert SCHEDULE.gains(math.nan, 15.0) == SCHEDULE.gains(0.5, 15.0)
+    assert not SCHEDULE.covers(9.0, 15.0)
+
+
+@given(st.sampled_from(FORMS[1:]), st.floats(-100.0, 100.0), st.floats(-1.0, 1.0))
+def test_a_schedule_that_leaves_the_gains_range_anywhere_is_refused(form, slope, per_newton):
+    def made():
+        return replace(SCHEDULE, I=GainCurve(form, 20.0, slope, per_newton))
+
+    corners = [
+        GainCurve(form, 20.0, slope, per_newton).at(L, T) for L in (0.5, 1.4) for T in (5.0, 30.0)
+    ]
+    if min(corners) >= 0.0:
+        within = made()
+        assert all(within.gains(L, 17.0).I >= 0.0 for L in np.linspace(0.5, 1.4, 7))
+    else:
+        with pytest.raises(InvalidInput, match=r"cannot be used at .* m and .* N: gain I is"):
+            made()
+
+
+def test_a_schedule_goes_to_json_and_back_exactly(tmp_path):
+    path = tmp_path / "schedule.json"
+    path.write_text(json.dumps(SCHEDULE.as_dict()))
+    assert read_schedule(path) == SCHEDULE
+    path.write_text(json.dumps({"sentence": "", "schedule": SCHEDULE.as_dict()}))  # of a law
+    assert read_schedule(path) == SCHEDULE
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{}", '{"gains": {}}', '{"schedule": 3}'])
+def test_a_damaged_file_is_told(tmp_path, text):
+    (tmp_path / "s.json").write_text(text)
+    with pytest.raises(InvalidInput, match=r"gain schedule .*s\.json: "):
+        read_schedule(tmp_path / "s.json")
+
+
+# --- without a jump --------------------------------------------------------------------------
+
+
+@cache
+def compiled() -> CompiledController:
+    return CompiledController(controller_source(SETTINGS, SCHEDULE.gains(0.8, 15.0)))
+
+
+@given(some_gains, some_gains, st.lists(st.tuples(signal, signal), min_size=2, max_size=20))
+def test_at_an_exchange_of_gains_the_effort_is_what_it_would_have_been(one, other, signals):
+    for controller in (
+        PlainController(),
+        compiled(),
+    ):
+        stays = PlainController()
+        for each in (controller, stays):
+            each.use(pidf.coefficients(SETTINGS, one))
+            each.rest(signals[0][1], 3.0)
+        for r, y in signals[:-1]:
+            stays.step(r, y)
+            controller.step(r, y)
+        r, y = signals[-1]
+        controller.exchange(pidf.coefficients(SETTINGS, other), r, y)
+        scale = sum(g.P * 400.0 + g.D * 400.0 * 632.0 for g in (one, other)) + abs(
+            stays._state.integral_N
+        )
+        expected = stays.step(r, y)
+        assert controller.step(r, y) == pytest.approx(expected, rel=0.0, abs=1e-14 * scale)
+
+
+_PROGRAM = r"""
+#include <stdio.h>
+#include "controller.c"
+#include "estune_schedule.h"
+int main(void) {
+  estune_pidf reel;
+  double L, T, r, y;
+  casadi_real gains[4], would;
+  estune_pidf_init(&reel);
+  estune_pidf_at_rest(&reel, 15.0, 14.0);
+  while (scanf("%lf %lf %lf %lf", &L, &T, &r, &y) == 4) {
+    estune_pidf ahead = reel;
+    would = estune_pidf_step(&ahead, r, y, 0);
+    estune_schedule(L, T, gains);
+    estune_pidf_exchange(&reel, gains[0], gains[1], gains[2], gains[3], r, y);
+    printf("%.17g %.17g %.17g %.17g ", gains[0], gains[1], gains[2], gains[3]);
+    printf("%.17g %.17g\n", would, estune_pidf_step(&reel, r, y, 0));
+  }
+  return 0;
+}
+"""
+
+
+@pytest.mark.parametrize(
+    ("flags", "tolerance"),
+    [(["-std=c90"], 1e-12), (["-Dcasadi_real=float"], 2e-4)],
+    ids=["C90", "single precision"],
+)
+def test_the_header_gives_firmware_the_same_gains_without_a_jump(tmp_path, flags, tolerance):
+    (tmp_path / "controller.c").write_text(controller_source(SETTINGS, SCHEDULE.gains(0.8, 15.0)))
+    (tmp_path / "estune_schedule.h").write_text(schedule_header(SCHEDULE))
+    (tmp_path / "main.c").write_text(_PROGRAM)
+    made = [str(tmp_path / "main"), str(tmp_path / "main.c"), "-lm"]
+    strict = ["-Wall", "-Wextra", "-Werror", "-pedantic"]
+    subprocess.run([*compiler.compiler(), *flags, *strict, "-o", *made], check=True)
+    rng = np.random.default_rng(0)
+    asked = np.column_stack(
+        [rng.uniform(0.3, 1.7, 200), rng.uniform(0.0, 40.0, 200), np.full(200, 20.0)]
+    )
+    asked = np.column_stack([asked, 20.0 + rng.normal(0.0, 0.5, 200)])
+    asked[7, 0] = math.nan
+    text = "\n".join(" ".join(map(repr, row)) for row in asked.tolist())
+    done = subprocess.run(made[0], input=text, capture_output=True, text=True, check=True)
+    told = np.array([line.split() for line in done.stdout.splitlines()], dtype=float)
+    expected = [SCHEDULE.gains(*row[:2]).as_tuple() for row in asked.tolist()]
+    np.testing.assert_allclose(told[:, :4], expected, rtol=max(tolerance, 1e-14) / 10.0)
+    np.testing.assert_allclose(told[:, 5], told[:, 4], rtol=0.0, atol=100.0 * tolerance)
+
+
+# --- python-control --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("L", [0.5, 1.1])
+def test_at_one_length_the_python_control_system_is_that_controller(L):
+    system = schedule_to_control(SCHEDULE, SETTINGS)
+    frozen = control.linearize(system, np.zeros(3), np.array([0.0, 0.0, L, 15.0]))
+    F, C_r, C_y = to_control(SCHEDULE.gains(L, 15.0), SETTINGS)
+    omega = np.logspace(-1, 3, 9)
+    for place, expected in ((0, C_r * F), (1, -C_y)):
+        found = frozen[0, place]
+        response = [found(1j * w) for w in omega]
+        np.testing.assert_allclose(response, [expected(1j * w) for w in omega], rtol=1e-3)
+
+
+# --- on a rig --------------------------------------------------------------------------------
+
+
+def scheduled(tmp_path, make, schedule=SCHEDULE, length="angle", **changes):
+    """The emulated rig with live gains by a schedule."""
+    path = tmp_path / "schedule.json"
+    path.write_text(json.dumps(schedule.as_dict()))
+    return make(schedule={"file": str(path), "length": length}, gains=None, **changes)
+
+
+def test_live_gains_follow_the_drum_without_a_jump_and_a_trial_keeps_its_own(tmp_path):
+    rig = scheduled(tmp_path, config, guard__travel_max_rad=100.0)
+    loop = VirtualLoop(rig, noise_N=0.04)
+    own = Gains(1.0, 40.0, 0.015, 0.005)
+    step = StepProfile(15.0, 10.0, 0.2, 1.0)
+    loop.ask(own, step)
+    loop.until(lambda: loop.machine.phase is Phase.TRIAL)
+    loop.step()
+    assert loop.machine._controller._coefficients == pidf.coefficients(rig.settings(), own)
+    loop.answer()
+    for _ in range(300):
+        loop.step()
+    machine, seen = loop.machine, set()
+    for k in range(400):  # the drum pays out 0.3 m over the samples
+        gauge, encoder = loop.board.read(loop.time_s)
+        paid_out = -round(0.3 / 0.025 * k / 400 * 8192 / (2.0 * math.pi))
+        before, state = machine._controller._coefficients, machine._controller._state
+        loop.step(Reading(loop.time_s + 1 / 632, gauge, encoder + paid_out))
+        after = machine._controller._coefficients
+        if after == before:
+            continue
+        seen.add(after)
+        _, stayed, _ = pidf.step(before, state, machine._setpoint_N, loop.tension_N[-1])
+        assert machine._effort_N == pytest.approx(stayed, rel=0.0, abs=1e-11)
+    assert len(seen) > 100
+    assert machine.phase is Phase.HOLD
+    angle = (loop.board.read(loop.time_s)[1] + paid_out) * rig.plan().radians_per_count
+    expected = SCHEDULE.gains(0.8 - 0.025 * angle, 15.0)
+    now = machine._live.coefficients
+    assert pytest.approx(expected.P, rel=1e-3) == now.P
+    assert pytest.approx(expected.I / 632.0, rel=2e-3) == now.I_per_sample
+
+
+def test_a_rig_whose_length_is_told_follows_it_until_other_gains_are_applied(tmp_path):
+    schedule = replace(SCHEDULE, I=GainCurve("linear", 48.0, slope=-14.0))  # at any tension
+    with HardwareRig(scheduled(tmp_path, quick, schedule, "told")) as rig:
+        about = rig.describe()
+        assert about.gains == schedule.gains(0.8, 15.0)
+        rig.tell_length(1.1)
+        record = rig.run(TrialRequest("told", 0, Gains(0.7, 12.0, 0.004, 0.01), about.step))
+        assert record.outcome is Outcome.DONE
+        assert record.cable_length_m == 1.1
+        assert rig.describe().gains == schedule.gains(1.1, 15.0)
+        with pytest.raises(InvalidInput, match="cable length is nan m"):
+            rig.tell_length(math.nan)
+        rig.apply(about.gains)
+        rig.tell_length(1.3)
+        assert rig.describe().gains == about.gains
+
+
+def test_a_rigs_file_with_an_unusable_schedule_says_what_is_wrong(tmp_path):
+    path = tmp_path / "schedule.json"
+    path.write_text(json.dumps(replace(SCHEDULE, length_m=(1.0, 1.4)).as_dict()))
+    table = {"file": str(path)}
+    with pytest.raises(InvalidInput, match=r"cable_length_m 0.8 m is beyond .* 1 to 1.4 m"):
+        config(schedule=table, gains=None)
+    with pytest.raises(InvalidInput, match=r"either \[gains\] or a \[schedule\] of them"):
+        config(schedule=table)
+    with pytest.raises(InvalidInput, match=r"give live gains as \[gains\], or a \[schedule\]"):
+        config(gains=None)
+    with pytest.raises(InvalidInput, match=r"none\.json: No such file"):
+        config(schedule={"file": str(tmp_path / "none.json")}, gains=None)
+
+
+# --- on the simulated reel while its cable gets longer -----------------------------------------
+
+
+def way(samples: int) -> np.ndarray:
+    """From 0.5 to 1.4 m, smoothly, in the midst of a trial."""
+    along = np.clip((np.arange(samples) / samples - 0.2) / 0.6, 0.0, 1.0)
+    return 0.5 + 0.9 * (along - np.sin(2.0 * np.pi * along) / (2.0 * np.pi))
+
+
+LONG = StepProfile(15.0, 10.0, 0.2, 3.0)
+
+
+def test_a_cable_that_stays_is_the_reel_as_it_is_simulated_anyway():
+    reel, gains = plants.reference_reel(0.8), SCHEDULE.gains(0.8, 15.0)
+    expected = plants.simulate(reel, gains)
+    found = plants.simulate_moving(reel, gains, np.full(632, 0.8))
+    for name in ("tension_N", "effort_N", "angle_rad"):
+        assert np.array_equal(getattr(found, name), getattr(expected, name))
+
+
+def test_a_moving_cable_end_obeys_the_equations_of_the_drum():
+    """Against the equations in terms of the drum's own turn, by Runge and Kutta's method.
+
+    J phi'' + b phi' + R T = Kt i,  T' = k (R phi' + s'),  g'' + 2 zeta w g' + w^2 g = w^2 T.
+    """
+    reel, rate = plants.reference_reel(encoder_counts=1e9), 632.0
+    L = way(LONG.samples(rate))
+    found = plants.simulate_moving(reel, SCHEDULE, L, LONG)
+    w, sag = 2.0 * math.pi * 290.0, (9.80665 * 0.007) ** 2 / (12.0 * 15.0**3)
+    speed = (np.diff(L, append=L[-1]) * rate).tolist()
+    lengths, efforts = L.tolist(), [15.0, *found.effort_N.tolist()]  # one sample of dead time
+    x = np.array([found.angle_rad[0], 0.0, 15.0, 15.0, 0.0])
+    h, seen = 1.0 / (10.0 * rate), []
+    for k, (length, effort) in enumerate(zip(lengths, efforts, strict=False)):
+        seen.append(x)
+        stiffness = 1.0 / (1.0 / 20e3 + length / 10e3 + sag * length**3)
+        friction = 0.010 + 0.015 * length
+        A = np.zeros((5, 5))
+        A[0, 1] = A[3, 4] = 1.0
+        A[1, 1], A[1, 2] = -friction / 2e-3, -0.025 / 2e-3
+        A[2, 1] = stiffness * 0.025
+        A[4, 2], A[4, 3], A[4, 4] = w**2, -(w**2), -2.0 * 0.03 * w
+        b = np.array([0.0, 0.025 * effort / 2e-3, stiffness * speed[k], 0.0, 0.0])
+        for _ in range(10):
+            k1 = A @ x + b
+            k2 = A @ (x + 0.5 * h * k1) + b
+            k3 = A @ (x + 0.5 * h * k2) + b
+            x = x + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + A @ (x + h * k3) + b)
+    solved = np.array(seen)
+    assert np.abs(solved[:, 3] - found.tension_N).max() < 0.02
+    assert np.abs(solved[:, 0] - found.angle_rad).max() < 0.01
+    assert np.ptp(found.angle_rad) > 35.0  # the drum has paid 0.9 m out
+
+
+def test_scheduled_gains_follow_the_moving_cable_without_a_jump():
+    """Gains that move by a tenth from one sample to the next are not seen in the effort then."""
+    reel, rate = plants.reference_reel(), 632.0
+    steep = replace(SCHEDULE, P=GainCurve("linear", 0.2, slope=1.0))
+    L = way(LONG.samples(rate))
+    follows = plants.simulate_moving(reel, steep, L, LONG)
+    stays = plants.simulate_moving(reel, steep.gains(0.5, 15.0), L, LONG)
+    calm = slice(round(0.5 * rate), round(2.9 * rate))  # from after the step on
+    moves = [np.abs(np.diff(r.effort_N[calm])).max() for r in (follows, stays)]
+    assert np.abs(follows.effort_N - stays.effort_N)[calm].max() > 0.05  # others they are
+    assert moves[0] < 1.1 * moves[1]
+
+
+def test_what_cannot_be_simulated_while_the_cable_moves_is_refused():
+    reel, gains = plants.reference_reel(), SCHEDULE.gains(0.8, 15.0)
+    with pytest.raises(InvalidInput, match=r"shape \(5,\) where the trial has 632 samples"):
+        plants.simulate_moving(reel, gains, np.full(5, 0.8))
+    with pytest.raises(InvalidInput, match="above zero at every sample"):
+        plants.simulate_moving(reel, gains, np.full(632, 0.0))
+    with pytest.raises(InvalidInput, match="with CoulombFriction cannot be simulated while"):
+        plants.simulate_moving(reel + plants.CoulombFriction(), gains, np.full(632, 0.8))
