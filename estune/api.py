@@ -22,9 +22,10 @@ from estune.planning import (
 )
 from estune.profiles import StepProfile
 from estune.result import TuneResult
+from estune.session import TOLERANCE
 from estune.targets import open_target
 from estune.trial import Rig, RigDescription
-from estune.tuning import Stopped, Tuning, Watcher
+from estune.tuning import Asker, Stopped, Tuning, Watcher
 
 if TYPE_CHECKING:
     from estune.security import Security
@@ -38,8 +39,9 @@ def tune(
     *,
     tuner: str | Tuner[Any] = DEFAULT_TUNER,
     trials: int = 120,
+    tolerance: float = TOLERANCE,
     repeats: int = 3,
-    start: Gains | None = None,
+    start: Gains | Literal["model"] | None = None,
     bounds: Mapping[str, tuple[float, float]] | None = None,
     step: StepProfile | None = None,
     cost: StepCost | None = None,
@@ -50,6 +52,7 @@ def tune(
     rig: str | None = None,
     security: "Security | None" = None,
     watch: Watcher | Literal["auto"] | None = "auto",
+    ask: Asker | None = None,
 ) -> TuneResult:
     """Tunes the PIDF gains of a rig by step trials.
 
@@ -61,8 +64,12 @@ def tune(
             or an object), or a rig.
         tuner: Name of a tuner, or one ready-made.
         trials: Greatest number of search trials.
-        repeats: Trials of the start before the search, and of each candidate after it.
-        start: Gains to begin from; the rig's live ones by default.
+        tolerance: The search ends once no more than this share of the cost is left to gain, by a
+            tuner that can tell; zero makes it use all its trials.
+        repeats: Trials of the start before the search, of each gains there are to choose from
+            after it, and at the least of the start and the gains found to confirm them.
+        start: Gains to begin from; the rig's live ones by default. "model" is those that the rig's
+            own linear model suggests.
         bounds: Least and greatest value of gains, by name (P, I, D, setpoint_filter_s); by default
             a hundredth and a hundred times the start.
         step: The step trial; the one the rig suggests by default.
@@ -75,12 +82,14 @@ def tune(
         rig: Name of the rig, where several answer at the endpoint.
         security: Who this is, where the rig at the endpoint asks; see `estune.security`.
         watch: Told of each trial; "auto" shows progress, None nothing.
+        ask: Asked before gains are tried that lie beyond what safe trials have shown to be safe;
+            answers "yes", "no" or "always".
 
     Raises:
-        InvalidInput: a value is not usable.
+        InvalidInput: a value is not usable, or the rig gives no model to start from.
         RigError: the rig cannot be reached or refuses.
         JournalError: the run cannot be written.
-        UnsafeStart: the start gains are unsafe.
+        UnsafeStart: the start gains are unsafe, or those the model suggests would be.
         Stopped: interrupted (a KeyboardInterrupt); the rig is back at its live gains.
 
     Example:
@@ -102,8 +111,10 @@ def tune(
             step=step,
             cost=cost,
             trials=trials,
+            tolerance=tolerance,
             repeats=repeats,
             eta_max=eta_max,
+            ask_first=ask is not None,
         )
         description.limits.check(plan.step)
         book = None
@@ -117,7 +128,7 @@ def tune(
                 "status": "running",
             }
             book = Journal.create(Path(folder) / name, facts)
-        return _run(tuning.start(plan, description, book), the_rig, watch)
+        return _run(tuning.start(plan, description, book), the_rig, watch, ask)
 
 
 def resume(
@@ -126,6 +137,7 @@ def resume(
     *,
     security: "Security | None" = None,
     watch: Watcher | Literal["auto"] | None = "auto",
+    ask: Asker | None = None,
 ) -> TuneResult:
     """Goes on with a run that was stopped, with the proposals it would have made undisturbed.
 
@@ -134,9 +146,11 @@ def resume(
         target: Where its rig is now; by default where it was.
         security: As in `tune`.
         watch: As in `tune`.
+        ask: As in `tune`; a run that was begun with it cannot do without.
 
     Raises:
         InvalidInput: the run was made on an object of this or another program; pass it as target.
+            Or it asks, and there is nobody to ask.
         JournalError: the run cannot be read, or another process is writing it.
         RigError: the rig cannot be reached, or is not the one the run was made on.
     """
@@ -150,7 +164,7 @@ def resume(
             )
         with open_target(target, journal.fact("rig_name"), security) as rig:
             check_same_rig(tuning_.description, rig.describe())
-            return _run(tuning_, rig, watch)
+            return _run(tuning_, rig, watch, ask)
     finally:
         journal.close()
 
@@ -165,9 +179,14 @@ def load(run_folder: str | Path) -> TuneResult:
         return result.from_tuning(tuning.replay(*_stored(journal), journal))
 
 
-def _run(tuning_: Tuning, rig: Rig, watch: Watcher | Literal["auto"] | None) -> TuneResult:
-    with _noted(tuning_.journal), progress.watching(watch, tuning_) as watchers:
-        tuning.run(tuning_, rig, watchers)
+def _run(
+    tuning_: Tuning, rig: Rig, watch: Watcher | Literal["auto"] | None, ask: Asker | None
+) -> TuneResult:
+    with (
+        _noted(tuning_.journal),
+        progress.watching(watch, tuning_, asking=ask is not None) as watchers,
+    ):
+        tuning.run(tuning_, rig, watchers, ask)
     return result.from_tuning(tuning_)
 
 

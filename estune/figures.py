@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 PHASES = {
     "baseline": (ORANGE, "s", "start gains"),
     "search": (BLUE, "o", "search"),
+    "choose": (PURPLE, "^", "choice"),
     "confirm": (GREEN, "D", "confirmation"),
 }
 GAIN_LOOKS = {
@@ -61,8 +62,8 @@ def draw_cost(ax: Axes, frame: "pd.DataFrame", start_cost: float, eta_max: float
             part["number"], part["cost"], marker, color=colour, label=label, zorder=3,
             markersize=3.2 if phase == "search" else 4.0, markeredgewidth=0, alpha=0.85,
         )  # fmt: skip
-    # The confirmation repeats given gains: a lucky repeat of theirs is no news of a better place.
-    searched = frame[frame["phase"] != "confirm"]
+    # After the search gains are repeated: a lucky repeat of theirs is no news of a better place.
+    searched = frame[frame["phase"].isin(["baseline", "search"])]
     ax.plot(
         searched["number"], searched["best_cost"], color=BLACK, linewidth=1.3,
         drawstyle="steps-post", label="best so far", zorder=2,

@@ -19,7 +19,6 @@ scatter.
 import math
 from collections.abc import Iterable, Sequence
 from itertools import combinations_with_replacement
-from statistics import fmean
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -134,23 +133,6 @@ def at_bounds(space: SearchSpace, best: Point) -> tuple[Finding, ...]:
             )
             found.append(Finding("bound", (axis.name,), sentence))
     return tuple(found)
-
-
-def scatter(groups: Iterable[Sequence[float]]) -> float:
-    """Pooled standard deviation of repeats, nan without any.
-
-    Args:
-        groups: Costs of repeated trials, one sequence per set of gains; not finite ones do not
-            count.
-    """
-    squares, freedom = 0.0, 0
-    for group in groups:
-        costs = [cost for cost in group if math.isfinite(cost)]
-        if len(costs) > 1:
-            mean = fmean(costs)
-            squares += sum((cost - mean) ** 2 for cost in costs)
-            freedom += len(costs) - 1
-    return math.sqrt(squares / freedom) if freedom else math.nan
 
 
 def flat_directions(

@@ -6,9 +6,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from estune.core.gains import Gains
-from estune.core.margins import Margins, loop_margins, sample_plant
+from estune.core.initial import Proposal
+from estune.core.margins import Margins, SampledPlant, loop_margins, sample_plant
 from estune.core.pidf import ControllerSettings
 from estune.core.schedule import GainSchedule
+from estune.core.sensitivity import largest_integral_gain
 from estune.errors import InvalidInput
 from estune.trial import FloatArray, LinearModel
 
@@ -20,6 +22,7 @@ __all__ = [
     "from_control",
     "linear_model",
     "margins",
+    "model_gains",
     "schedule_to_control",
     "to_control",
 ]
@@ -36,8 +39,29 @@ def margins(model: LinearModel, gains: Gains, settings: ControllerSettings) -> M
     Returns:
         The margins, or a note that the closed loop is unstable.
     """
+    return loop_margins(_sampled(model, settings), gains, settings)
+
+
+def model_gains(model: LinearModel, settings: ControllerSettings) -> Gains:
+    """Gains to begin from, by the rule `sensitivity_limited` on a rig's own linear model.
+
+    Args:
+        model: The plant with the effort as its input, and its dead time.
+        settings: Sampling rate and derivative filter of the controller.
+
+    Raises:
+        InvalidInput: the rule does not apply to the model.
+        UnsafeStart: the loop would be unstable, or near it.
+    """
+    plant = _sampled(model, settings)
+    gains = largest_integral_gain(plant, settings)
+    proposal = Proposal("sensitivity_limited", gains, loop_margins(plant, gains, settings))
+    return proposal.checked().gains
+
+
+def _sampled(model: LinearModel, settings: ControllerSettings) -> SampledPlant:
     n = len(model.B)
-    plant = sample_plant(
+    return sample_plant(
         np.reshape(np.asarray(model.A, dtype=np.float64), (n, n)),
         np.asarray(model.B, dtype=np.float64),
         np.asarray(model.C, dtype=np.float64),
@@ -45,7 +69,6 @@ def margins(model: LinearModel, gains: Gains, settings: ControllerSettings) -> M
         dead_time_s=model.dead_time_s,
         sample_s=1.0 / settings.sampling_Hz,
     )
-    return loop_margins(plant, gains, settings)
 
 
 def to_control(

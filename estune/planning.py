@@ -3,7 +3,7 @@
 import dataclasses
 import importlib
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Literal
 
 from pydantic import TypeAdapter, ValidationError
 
@@ -12,6 +12,7 @@ from estune.core.gains import Gains
 from estune.core.search_space import SearchSpace
 from estune.core.tuners import Tuner
 from estune.errors import InvalidInput, JournalError
+from estune.interop import model_gains
 from estune.outside import TUNER_NAMES, tuner_class
 from estune.profiles import StepProfile
 from estune.session import Plan
@@ -49,13 +50,20 @@ def make_plan(
     run: str,
     *,
     tuner: str | Tuner[Any],
-    start: Gains | None,
+    start: Gains | Literal["model"] | None,
     bounds: Mapping[str, tuple[float, float]] | None,
     step: StepProfile | None,
     cost: StepCost | None,
     **rest: Any,
 ) -> Plan:
-    """The plan of a run: what the user left open is filled in by what the rig suggests."""
+    """The plan of a run: what the user left open is filled in by what the rig suggests.
+
+    Raises:
+        InvalidInput: a value is not usable, or the rig gives no model to start from.
+        UnsafeStart: the gains its model suggests would be no safe start.
+    """
+    if start == "model":
+        start = _model_start(description)
     start = start or description.gains
     return Plan(
         run=run,
@@ -65,6 +73,15 @@ def make_plan(
         cost=cost or StepCost(description.settling_time_s, move_weight=MOVE_WEIGHT),
         **rest,
     )
+
+
+def _model_start(description: RigDescription) -> Gains:
+    if description.linear_model is None:
+        raise InvalidInput(
+            f"rig {description.name} gives no linear model of itself to start from; "
+            "give the gains to start from, or tune a model of it first (estune improve)"
+        )
+    return model_gains(description.linear_model, description.controller)
 
 
 def plan_to_json(plan: Plan) -> dict[str, Any]:

@@ -36,7 +36,7 @@ _LINES = 12
 
 @contextmanager
 def watching(
-    watch: Watcher | Literal["auto"] | None, tuning: Tuning
+    watch: Watcher | Literal["auto"] | None, tuning: Tuning, *, asking: bool = False
 ) -> Iterator[tuple[Watcher, ...]]:
     """The watchers of a run, ready for as long as the block lasts.
 
@@ -44,13 +44,14 @@ def watching(
         watch: A watcher of the caller's own, None for silence, or "auto": a live display on a
             terminal, an updated cell in a notebook, one line per some trials anywhere else.
         tuning: The run about to go on.
+        asking: Whether somebody is asked in between, so that nothing may be redrawn.
     """
     if watch is None:
         yield ()
     elif watch != "auto":
         yield (watch,)
     else:
-        display = _display(tuning, sys.stderr)
+        display = PlainDisplay(tuning, sys.stderr) if asking else _display(tuning, sys.stderr)
         with display:
             yield (display.saw,)
 
@@ -62,7 +63,7 @@ class Status(NamedTuple):
         rig: Name of the rig.
         phase: Phase of the last trial, or of the next one where there is none yet.
         done: Trials told.
-        most: Trials the run takes if nothing ends it early.
+        most: Trials the run takes if nothing ends it early or draws it out.
         cost: Cost of the last trial; nan where it has none.
         best: Least cost of a safe trial; nan where there is none.
         start: Mean cost of the start gains; nan until there is one.
@@ -86,7 +87,7 @@ class Status(NamedTuple):
 
 
 class Tally:
-    """Counts what the session does not: the best cost, the unsafe trials, the pace."""
+    """Counts what the session does not: the best cost and the pace."""
 
     def __init__(self, tuning: Tuning) -> None:
         self._tuning = tuning
@@ -95,21 +96,13 @@ class Tally:
         self._last: Progress | None = None
         told = [e for e in tuning.entries if e.outcome is not None and not e.outcome.is_void]
         # A resumed run: what its earlier trials came to.
-        unsafe = [not math.isfinite(e.cost) or e.cost > tuning.session.eta_max for e in told]
-        self._unsafe = sum(unsafe)
-        self._best = min(
-            (e.cost for e, bad in zip(told, unsafe, strict=True) if not bad), default=math.nan
-        )
+        safe = [e.cost for e in told if e.cost <= tuning.session.eta_max]
+        self._best = min(safe, default=math.nan)
 
     def saw(self, progress: Progress) -> None:
         """Takes note of a trial."""
         self._last = progress
-        outcome = progress.entry.outcome
-        if outcome is not None and outcome.is_void:
-            return
-        if progress.censored:
-            self._unsafe += 1
-        else:
+        if not progress.unsafe:
             self._best = float(np.fmin(self._best, progress.entry.cost))
 
     def status(self) -> Status:
@@ -117,11 +110,7 @@ class Tally:
         last, tuning = self._last, self._tuning
         session = tuning.session if last is None else last.session
         here = session.number - self._first
-        # Once the search is over it is known how many candidates there are to confirm.
-        most = tuning.plan.most_trials
-        if session.search_end:
-            missing = sum(tuning.plan.repeats - len(costs) for costs in session.confirmed)
-            most = session.number + missing
+        most = session.number + session.left
         pace = (time.monotonic() - self._began_s) / here if here else math.nan
         return Status(
             rig=tuning.description.name,
@@ -131,7 +120,7 @@ class Tally:
             cost=math.nan if last is None else last.entry.cost,
             best=self._best,
             start=fmean(session.baseline) if session.baseline else math.nan,
-            unsafe=self._unsafe,
+            unsafe=session.unsafe,
             tried=tuning.plan.start if last is None else last.entry.gains,
             live=tuning.description.gains,
             left_s=pace * (most - session.number),
@@ -178,7 +167,7 @@ class PlainDisplay:
         self._tally = Tally(tuning)
         self._heading = heading(tuning)
         self._stream = stream
-        self._every = max(1, tuning.plan.most_trials // _LINES)
+        self._every = max(1, (tuning.session.number + tuning.session.left) // _LINES)
         self._shown: tuple[Phase | None, int] = (None, -self._every)
         self._shown_s = -math.inf
 

@@ -1,10 +1,12 @@
 """What a run came to, as a value to look at, compute with and draw.
 
 A result is an `OptimizeResult`, so that what knows scipy knows it. How the run ended is told first
-and everywhere: only a run whose gains were confirmed to beat the start shows a column "tuned".
+and everywhere: only a run whose gains were confirmed to beat the start shows a column "tuned", and
+one that was compared with the start and found no better says so under a name of its own.
 """
 
 import html
+import itertools
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -16,16 +18,17 @@ import numpy as np
 from scipy.optimize import OptimizeResult
 
 from estune import insight
+from estune.core.comparison import Change, scatter
 from estune.core.gains import GAIN_NAMES, GAIN_UNITS, Gains
 from estune.core.metrics import StepMetrics
-from estune.core.search_space import Point, SearchSpace
 from estune.errors import JournalError
 from estune.interop import Margins, margins
 from estune.journal import Entry, Journal
 from estune.score import metrics_of
-from estune.session import Plan, Session, Verdict, is_censored, verdict
+from estune.session import Plan, Session, is_censored, is_unsafe
 from estune.trial import RigDescription, TrialRecord
 from estune.tuning import Tuning
+from estune.verdict import Verdict, verdict
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -37,7 +40,7 @@ class Ending(StrEnum):
     """How a run ended; the value is what it is called."""
 
     TUNED = "tuned"
-    NO_IMPROVEMENT = "no improvement"
+    NO_IMPROVEMENT = "no significant improvement"
     STOPPED = "stopped"
     UNSAFE_START = "unsafe start"
 
@@ -45,6 +48,15 @@ class Ending(StrEnum):
     def status(self) -> int:
         """The status number of the `OptimizeResult`: zero is success."""
         return list(Ending).index(self)
+
+    @property
+    def exit_code(self) -> int:
+        """The exit code of the command line; the other endings are exceptions with one."""
+        return NO_IMPROVEMENT_CODE if self is Ending.NO_IMPROVEMENT else 0
+
+
+NO_IMPROVEMENT_CODE = 7
+"""A result and not an error, but one that a script must be able to tell from success."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +70,8 @@ class Performance:
         metrics: Step metrics of `record`.
         margins: Margins on the rig's linear model, or None where it gives none.
         record: A trial with these gains, or None.
+        intervals: 95 % interval of the optimum of each gain that was tuned, by its name; empty
+            where the tuner tells none.
     """
 
     gains: Gains
@@ -66,6 +80,7 @@ class Performance:
     metrics: StepMetrics | None
     margins: Margins | None
     record: TrialRecord | None
+    intervals: dict[str, tuple[float, float]]
 
 
 class Row(NamedTuple):
@@ -85,7 +100,7 @@ class TuneResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type i
         nit: Search trials run.
         nfev: Trials run, with baseline, confirmation and void ones.
         success: Whether gains were confirmed to beat the start.
-        status: 0 tuned, 1 no improvement, 2 stopped, 3 the start is unsafe.
+        status: 0 tuned, 1 no significant improvement, 2 stopped, 3 the start is unsafe.
         message: How the run ended, in a sentence.
         ending: The same as an `Ending`.
         gains: The gains to use; the start where nothing was confirmed to beat it.
@@ -97,6 +112,9 @@ class TuneResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type i
         rig: The rig as it was when the run began.
         start: Performance of the start gains.
         tuned: Performance of the tuned gains, or None.
+        improvement: The change of the cost from the start's, with its 95 % interval; None where
+            the two were not compared.
+        unsafe: Unsafe trials of the run.
         findings: Remarks: thin margins, gains at a bound, flat directions of the cost.
     """
 
@@ -117,6 +135,8 @@ class TuneResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type i
     rig: RigDescription
     start: Performance
     tuned: Performance | None
+    improvement: Change | None
+    unsafe: int
     findings: tuple[insight.Finding, ...]
     session: Session
 
@@ -200,9 +220,11 @@ class TuneResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type i
     def heading(self) -> str:
         """The run in one line, its ending first."""
         if self.ending is Ending.TUNED:
-            came = f"cost {self.start.cost:.3g} → {self.verdict.cost:.3g}"
+            came = f"cost {self.start.cost:.3g} → {self.verdict.cost:.3g}, {self.improvement}"
+        elif self.improvement is not None:
+            came = f"cost {self.improvement}, the start gains stand"
         else:
-            came = "the rig's start gains stand"
+            came = "the start gains stand"
         return f"{self.ending.upper()}: {self.rig.name}, {len(self.entries)} trials, {came}"
 
     def rows(self) -> tuple[Row, ...]:
@@ -213,7 +235,11 @@ class TuneResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type i
 
     def remarks(self) -> tuple[str, ...]:
         """What is to be known beside the table, a sentence each."""
-        said = (self.message, *(finding.sentence for finding in self.findings))
+        said = (
+            self.message,
+            *_unsafe_said(self.verdict),
+            *(finding.sentence for finding in self.findings),
+        )
         return tuple(f"{sentence[:1].upper()}{sentence[1:]}." for sentence in said)
 
     def __repr__(self) -> str:
@@ -263,7 +289,7 @@ def from_tuning(tuning: Tuning) -> TuneResult:
     start = _performance(tuning, plan.start, then, tuning.first)
     tuned = None
     if found.improved:
-        tuned = _performance(tuning, found.gains, now, tuning.kept.get(found.gains))
+        tuned = _performance(tuning, found.gains, now, tuning.found, found.intervals)
     return TuneResult(
         x=np.array(found.gains.as_tuple()),
         fun=found.cost,
@@ -282,56 +308,77 @@ def from_tuning(tuning: Tuning) -> TuneResult:
         rig=tuning.description,
         start=start,
         tuned=tuned,
-        findings=_findings(tuning, tuned) if tuned else (),
+        improvement=found.change,
+        unsafe=found.unsafe,
+        findings=_findings(tuning, start, tuned) if found.complete else (),
         session=session,
     )
 
 
 def _performance(
-    tuning: Tuning, gains: Gains, cost: tuple[float, float], record: TrialRecord | None
+    tuning: Tuning,
+    gains: Gains,
+    cost: tuple[float, float],
+    record: TrialRecord | None,
+    intervals: tuple[tuple[str, float, float], ...] = (),
 ) -> Performance:
     plan, rig = tuning.plan, tuning.description
     metrics = None if record is None else metrics_of(record, plan.step)
     on_model = margins(rig.linear_model, gains, rig.controller) if rig.linear_model else None
-    return Performance(gains, *cost, metrics, on_model, record)
+    of_gains = {name: (low, high) for name, low, high in intervals}
+    return Performance(gains, *cost, metrics, on_model, record, of_gains)
 
 
-def _findings(tuning: Tuning, tuned: Performance) -> tuple[insight.Finding, ...]:
-    space: SearchSpace = tuning.plan.tuner.space
-    safe = [
-        e
-        for e in tuning.entries
-        if e.outcome and not e.outcome.is_void and not _is_unsafe(tuning.session, e)
-    ]
-    best = _point(space, tuned.gains)
+def _findings(
+    tuning: Tuning, start: Performance, tuned: Performance | None
+) -> tuple[insight.Finding, ...]:
+    """What is to be said about the gains a run came to.
+
+    Of a start that was kept only what the trials do say: they need not have looked around it.
+    """
+    at = tuned or start
+    session, space = tuning.session, tuning.plan.tuner.space
+    safe = [e for e in tuning.entries if e.outcome and not is_censored(session, e.outcome, e.cost)]
+    best = space.point_of(at.gains)
+    repeated = [r.costs for r in (session.choice, session.confirmation) if r is not None]
     flat = insight.flat_directions(
-        *(space, best, tuned.cost),
-        points=np.array([_point(space, e.gains) for e in safe]),
+        *(space, best, at.cost),
+        points=np.array([space.point_of(e.gains) for e in safe]),
         costs=np.array([e.cost for e in safe]),
-        noise=insight.scatter(tuning.session.confirmed),
+        noise=at.cost * scatter((session.baseline, *itertools.chain(*repeated))),
     )
-    return insight.thin_margins(tuned.margins) + insight.at_bounds(space, best) + flat
-
-
-def _point(space: SearchSpace, gains: Gains) -> Point:
-    """The tuned parameters of gains."""
-    K, Ti, Td = gains.to_standard()
-    values = dict(zip(GAIN_NAMES, gains.as_tuple(), strict=True)) | {"K": K, "Ti": Ti, "Td": Td}
-    return tuple(values[name] for name in space.names)
+    if tuned is None:
+        flat = tuple(finding for finding in flat if finding.kind == "flat")
+    return insight.thin_margins(at.margins) + insight.at_bounds(space, best) + flat
 
 
 def _is_unsafe(session: Session, entry: Entry) -> bool:
-    """Whether the trial was over the guard, or ended badly; a void one says nothing."""
-    if entry.outcome is None or entry.outcome.is_void:
-        return False
-    return is_censored(session, entry.outcome, entry.cost)
+    return entry.outcome is not None and is_unsafe(session, entry.outcome, entry.cost)
+
+
+def _unsafe_said(found: Verdict) -> Iterator[str]:
+    """How many trials were unsafe, and how many were declined, where there are any."""
+    for count, what in ((found.unsafe, "unsafe"), (found.declined, "declined and not run")):
+        if count:
+            yield f"{count} trial{'s were' if count > 1 else ' was'} {what}"
 
 
 def _cells(of: Performance) -> dict[str, str]:
-    cells = {_GAIN_LABELS[n]: f"{getattr(of.gains, n):.4g} {GAIN_UNITS[n]}" for n in GAIN_NAMES}
+    cells = {
+        _GAIN_LABELS[n]: f"{getattr(of.gains, n):.4g} {GAIN_UNITS[n]}{_interval(of, n)}"
+        for n in GAIN_NAMES
+    }
     error = f" ± {of.cost_error:.1g}" if of.cost_error > 0.0 else ""
     cells["cost η"] = f"{of.cost:.3g}{error}" if math.isfinite(of.cost) else "-"
     return {**cells, **dict(_metric_cells(of.metrics)), **dict(_margin_cells(of.margins))}
+
+
+def _interval(of: Performance, name: str) -> str:
+    """The interval of a gain, to be read behind its value."""
+    if name not in of.intervals:
+        return ""
+    low, high = of.intervals[name]
+    return f" ({low:.3g} to {high:.3g})"
 
 
 _GAIN_LABELS = {"P": "P", "I": "I", "D": "D", "setpoint_filter_s": "setpoint filter"}

@@ -8,7 +8,7 @@ from estune.core.cost import StepCost
 from estune.core.metrics import NO_METRICS, StepMetrics, step_metrics
 from estune.errors import RigError
 from estune.profiles import StepProfile
-from estune.trial import Outcome, TrialRecord
+from estune.trial import Outcome, RigDescription, TrialRecord
 
 
 def cost_of(
@@ -41,6 +41,39 @@ def cost_of(
         record.current_A * newtons_per_ampere,
     )
     return float(eta) if np.isfinite(eta) else math.nan
+
+
+def margin_of(record: TrialRecord, rig: RigDescription) -> float:
+    """How near a trial came to a limit of the rig: the smallest share left of any of its room.
+
+    The room is what lies between the setpoint, at its highest or lowest, and a limit on the
+    tension, or on the effort that holds the setpoint,
+
+        (limit - greatest value) / (limit - greatest setpoint)
+
+    and so on downwards: 1 where the response stays within its setpoints, 0 at a limit. A setpoint
+    at a limit leaves no room to have a share of, and that side is left out.
+
+    Args:
+        record: What the rig measured.
+        rig: Its limits, and those of its controller.
+
+    Returns:
+        The share, below zero past a limit; infinite without a limit or a sample.
+    """
+    if not len(record.time_s):
+        return math.inf
+    effort_N = record.current_A * rig.newtons_per_ampere
+    low, high = float(np.min(record.setpoint_N)), float(np.max(record.setpoint_N))
+    limits, controller = rig.limits, rig.controller
+    sides = (
+        (limits.tension_max_N - high, limits.tension_max_N - np.max(record.tension_N)),
+        (low - limits.tension_min_N, np.min(record.tension_N) - limits.tension_min_N),
+        (controller.output_max_N - high, controller.output_max_N - np.max(effort_N)),
+        (low - controller.output_min_N, np.min(effort_N) - controller.output_min_N),
+    )
+    shares = [float(left / room) for room, left in sides if 0.0 < room < math.inf]
+    return min((share for share in shares if not math.isnan(share)), default=math.inf)
 
 
 def metrics_of(record: TrialRecord, step: StepProfile) -> StepMetrics:

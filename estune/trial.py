@@ -27,6 +27,7 @@ class Outcome(StrEnum):
     GUARD = "guard"
     CANCELLED = "cancelled"
     INTERRUPTED = "interrupted"
+    DECLINED = "declined"
 
     @property
     def sentence(self) -> str:
@@ -45,6 +46,7 @@ _SENTENCES = {
     Outcome.GUARD: "the rig's guard ended the trial at one of its limits",
     Outcome.CANCELLED: "the trial was stopped by the operator",
     Outcome.INTERRUPTED: "the rig stopped in the middle of the trial",
+    Outcome.DECLINED: "whoever was asked did not let the trial run",
 }
 
 

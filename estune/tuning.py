@@ -2,22 +2,25 @@
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
+from typing import Literal, NamedTuple
 
-from estune.core.gains import Gains
-from estune.errors import Interrupted, JournalError, RigError, UnsafeStart
+from estune.core.tuners.outlook import Forecast
+from estune.errors import Interrupted, InvalidInput, JournalError, RigError, UnsafeStart
 from estune.journal import Entry, Journal
-from estune.score import cost_of
+from estune.score import cost_of, margin_of
 from estune.session import (
     Phase,
     Plan,
     Session,
     begin,
-    is_censored,
+    forecast,
+    is_unsafe,
     next_request,
     told,
 )
-from estune.trial import Outcome, Rig, RigDescription, TrialRecord, TrialRequest
+from estune.trial import Outcome, Rig, RigDescription, TrialRecord, TrialRequest, unmeasured
 
 VOID_IN_A_ROW = 10
 """So many trials in a row that came to nothing end a run: something keeps stopping them."""
@@ -30,18 +33,39 @@ class Progress:
     Attributes:
         session: Where the run stands now.
         entry: The trial just told.
-        censored: Whether that trial was unsafe.
+        unsafe: Whether that trial was unsafe.
         record: Its record.
     """
 
     session: Session
     entry: Entry
-    censored: bool
+    unsafe: bool
     record: TrialRecord
 
 
 Watcher = Callable[[Progress], None]
 """Told of each trial after it was committed; must return quickly."""
+
+
+class Question(NamedTuple):
+    """What somebody is asked before gains are tried beyond what is known to be safe.
+
+    Attributes:
+        request: The trial that would be run.
+        expected: What the tuner expects of it.
+        eta_max: The cost above which it would count as unsafe.
+    """
+
+    request: TrialRequest
+    expected: Forecast
+    eta_max: float
+
+
+Answer = Literal["yes", "no", "always"]
+"""`always` is yes, and to whatever else would be asked until the run ends or is stopped."""
+
+Asker = Callable[[Question], Answer]
+"""Asked before the trial of a question; may take its time."""
 
 
 class Stopped(KeyboardInterrupt):
@@ -69,7 +93,7 @@ class Tuning:
         entries: Every trial told so far; void ones too.
         journal: Where it is committed, or None.
         first: Record of the first baseline trial, the response before tuning.
-        kept: Records of confirmation trials, by their gains: the responses after tuning.
+        found: Record of the last trial that confirmed the gains found, the response after it.
     """
 
     plan: Plan
@@ -78,7 +102,7 @@ class Tuning:
     entries: list[Entry]
     journal: Journal | None
     first: TrialRecord | None
-    kept: dict[Gains, TrialRecord]
+    found: TrialRecord | None
 
 
 def start(plan: Plan, description: RigDescription, journal: Journal | None) -> Tuning:
@@ -88,7 +112,7 @@ def start(plan: Plan, description: RigDescription, journal: Journal | None) -> T
         InvalidInput: the rig would refuse the plan's step.
     """
     description.limits.check(plan.step)
-    return Tuning(plan, description, begin(plan), [], journal, None, {})
+    return Tuning(plan, description, begin(plan), [], journal, None, None)
 
 
 def replay(plan: Plan, description: RigDescription, journal: Journal) -> Tuning:
@@ -107,20 +131,30 @@ def replay(plan: Plan, description: RigDescription, journal: Journal) -> Tuning:
                 f"plan asks for ({asked}); the journal is of another version or was changed"
             )
         if entry.outcome is not None:
+            record = journal.record(entry.trial_id)
             tuning.entries.append(entry)
-            keep = tuning.session.phase is not Phase.SEARCH and not entry.outcome.is_void
-            if keep and (tuning.first is None or tuning.session.phase is Phase.CONFIRM):
-                _keep(tuning, entry.gains, journal.record(entry.trial_id))
-            tuning.session = told(tuning.session, entry.outcome, entry.cost)
+            _keep(tuning, entry, record)
+            margin = margin_of(record, description)
+            tuning.session = told(tuning.session, entry.outcome, entry.cost, margin)
     return tuning
 
 
-def run(tuning: Tuning, rig: Rig, watchers: Iterable[Watcher] = ()) -> None:
+def run(
+    tuning: Tuning, rig: Rig, watchers: Iterable[Watcher] = (), ask: Asker | None = None
+) -> None:
     """Runs the trials that are still missing, committing each before the next is asked for.
 
     `tuning` is kept up to date throughout, so that a run that is interrupted can be looked at.
 
+    Args:
+        tuning: The run.
+        rig: Where its trials are run.
+        watchers: Told of each trial.
+        ask: Asked where the plan wants somebody to agree. A trial that is declined is not run, and
+            is committed as such, so that the run goes on from it like from any other.
+
     Raises:
+        InvalidInput: the plan wants somebody to agree, and there is nobody to be asked.
         UnsafeStart: the start gains are unsafe.
         RigError: the rig cannot be reached, or a trial was void too often; the run can be resumed.
         Interrupted: a trial was cut off on a rig that moves: to resume the run is to say that
@@ -128,13 +162,22 @@ def run(tuning: Tuning, rig: Rig, watchers: Iterable[Watcher] = ()) -> None:
         JournalError: a trial could not be committed; the run can be resumed.
         Stopped: the user interrupted it; the rig is back at its live gains.
     """
+    if tuning.plan.ask_first and ask is None:
+        raise InvalidInput(
+            f"run {tuning.plan.run} asks before it leaves what is known to be safe, and there is "
+            "nobody to ask: give it somebody (ask=, or --ask at a terminal)"
+        )
     watchers = tuple(watchers)
     void_in_a_row = 0
     try:
         request = next_request(tuning.session)
         _commit(tuning, None, request)
         while request is not None:
-            record = rig.run(request)
+            question = _question(tuning, request) if ask else None
+            answer = ask(question) if ask and question else "yes"
+            if answer == "always":
+                ask = None
+            record = rig.run(request) if answer != "no" else _declined(tuning, request)
             request = _tell(tuning, request, record, watchers)
             void_in_a_row = void_in_a_row + 1 if record.outcome.is_void else 0
             if record.outcome.is_void:
@@ -144,6 +187,20 @@ def run(tuning: Tuning, rig: Rig, watchers: Iterable[Watcher] = ()) -> None:
         raise Stopped(rig.abort(), folder) from None
     if tuning.session.failure:
         raise UnsafeStart(tuning.session.failure)
+
+
+def _question(tuning: Tuning, request: TrialRequest) -> Question | None:
+    """What is to be asked before the next trial; None where nothing is."""
+    expected = forecast(tuning.session) if tuning.plan.ask_first else None
+    if expected is None or expected.explored:
+        return None
+    return Question(request, expected, tuning.session.eta_max)
+
+
+def _declined(tuning: Tuning, request: TrialRequest) -> TrialRecord:
+    outcome = Outcome.DECLINED
+    at = datetime.now(UTC).isoformat(timespec="milliseconds")
+    return unmeasured(request, tuning.description, outcome, outcome.sentence, at)
 
 
 def _check_void(tuning: Tuning, record: TrialRecord, in_a_row: int) -> None:
@@ -167,21 +224,21 @@ def _tell(
     plan, before = tuning.plan, tuning.session
     cost = cost_of(record, plan.step, plan.cost, tuning.description.newtons_per_ampere)
     phase = before.phase or Phase.CONFIRM
-    censored = is_censored(before, record.outcome, cost)
     entry = Entry(
         *(request.number, request.attempt, request.trial_id, phase, request.gains),
         outcome=record.outcome,
         reason=record.reason,
         cost=cost,
     )
-    tuning.session = told(before, record.outcome, cost)
+    margin = margin_of(record, tuning.description)
+    tuning.session = told(before, record.outcome, cost, margin)
     following = next_request(tuning.session)
     _commit(tuning, (request, record, cost), following)
     tuning.entries.append(entry)
-    if phase is Phase.CONFIRM or tuning.first is None:
-        _keep(tuning, request.gains, record)
+    _keep(tuning, entry, record)
+    unsafe = is_unsafe(before, record.outcome, cost)
     for watcher in watchers:
-        watcher(Progress(tuning.session, entry, censored, record))
+        watcher(Progress(tuning.session, entry, unsafe, record))
     return following
 
 
@@ -195,8 +252,11 @@ def _commit(
         tuning.journal.commit(done, None if asked is None or phase is None else (asked, phase))
 
 
-def _keep(tuning: Tuning, gains: Gains, record: TrialRecord) -> None:
+def _keep(tuning: Tuning, entry: Entry, record: TrialRecord) -> None:
+    """Keeps the first trial with the start, and the last that confirmed the gains found."""
+    if record.outcome.is_void:
+        return
     if tuning.first is None:
         tuning.first = record
-    else:
-        tuning.kept[gains] = record
+    elif entry.phase is Phase.CONFIRM and entry.gains != tuning.plan.start:
+        tuning.found = record

@@ -9,6 +9,7 @@ from estune.core.gains import GAIN_NAMES
 from estune.outside import TUNER_NAMES
 from estune.planning import MOVE_WEIGHT
 from estune.profiles import StepProfile
+from estune.session import TOLERANCE
 from estune.settings import Table
 from estune.trial import RigDescription
 
@@ -88,13 +89,17 @@ class SearchTable(Table):
 
     Attributes:
         trials: Greatest number of search trials.
-        repeats: Trials of the start before the search, and of each candidate after it.
+        repeats: Trials of the start before the search, and at the least of the start and of the
+            gains found after it.
+        tolerance: The search ends once no more than this share of the cost is left to gain; zero
+            makes it use all its trials.
         eta_max: Cost above which a trial is unsafe; three times the start's if left out.
         bounds: Least and greatest value of gains, by name, in their own units.
     """
 
     trials: Count = 120
     repeats: Count = 3
+    tolerance: Annotated[float, Field(ge=0.0, lt=1.0)] = TOLERANCE
     eta_max: Positive | None = None
     bounds: dict[str, Range] = Field(default={})
 

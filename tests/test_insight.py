@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from estune.core.gains import Gains
 from estune.core.margins import Margins
 from estune.core.search_space import SearchSpace
-from estune.insight import at_bounds, flat_directions, scatter, thin_margins
+from estune.insight import at_bounds, flat_directions, thin_margins
 
 BEST = (1.0, 10.0, 0.01, 0.005)
 SPACE = SearchSpace.around(Gains(*BEST))
@@ -95,12 +95,6 @@ def test_only_parameters_at_a_bound_are_named_with_the_side(factors, named):
     sides = {f.parameters[0]: f.sentence for f in found}
     assert sides.keys() == named.keys()
     assert all(f"at its {side} bound" in sides[name] for name, side in named.items())
-
-
-def test_the_scatter_is_pooled_over_gains_and_leaves_their_difference_out():
-    groups = [(1.0, 3.0), (11.0, 13.0), (5.0,), (7.0, float("inf"))]
-    assert scatter(groups) == pytest.approx(np.sqrt(2.0))
-    assert np.isnan(scatter([(1.0,)]))
 
 
 @pytest.mark.parametrize(

@@ -158,7 +158,7 @@ def test_a_file_locked_by_another_program_is_said_and_nothing_is_lost(tmp_path):
     other.execute("ROLLBACK")
     other.close()
     run.journal.close()
-    assert len(go_on(tmp_path / "run", rig).entries) == run.plan.most_trials
+    assert go_on(tmp_path / "run", rig).session.phase is None
 
 
 @pytest.mark.parametrize(
@@ -207,7 +207,7 @@ def test_a_full_disk_ends_the_run_and_keeps_what_was_committed(tmp_path):
         assert (
             sum(entry.outcome is not None for entry in journal.entries()) == len(run.entries) > 0
         )
-    assert len(go_on(tmp_path / "run", rig).entries) == run.plan.most_trials
+    assert go_on(tmp_path / "run", rig).session.phase is None
 
 
 def test_a_changed_journal_is_noticed_before_anything_moves(tmp_path):

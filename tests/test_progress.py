@@ -111,7 +111,7 @@ def test_a_terminal_shows_where_the_run_stands_and_which_gains_are_live(tmp_path
     text = re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", out.getvalue())
     assert str(tmp_path / "cut") in text.replace("\n", "")
     shown = " ".join(text.split())
-    assert "20 of 129 trials" in shown
+    assert "20 of 135 trials" in shown
     assert "1 unsafe" in shown
     assert f"start {result.start.cost:.3g}" in shown
     assert "live P 0.5 N/N" in shown

@@ -8,20 +8,26 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from estune.core.cost import StepCost
+from estune.core.gains import GAIN_NAMES
+from estune.core.search_space import SearchSpace
+from estune.core.tuners.least_squares_gradient import LeastSquaresGradient
+from estune.core.tuners.outlook import Forecast, Outlook
 from estune.errors import InvalidInput
 from estune.planning import make_plan, plan_from_json, plan_to_json
 from estune.profiles import StepProfile
 from estune.session import (
-    UNSAFE_IN_A_ROW,
+    CENSORED_IN_A_ROW,
+    ROUNDS_MOST,
     UNSAFE_RATIO,
     Phase,
     Plan,
     begin,
+    forecast,
     next_request,
     told,
-    verdict,
 )
 from estune.trial import Outcome
+from estune.verdict import verdict
 from tests.support_runs import START, description
 
 
@@ -56,9 +62,9 @@ def test_the_phases_follow_one_another_and_number_every_trial():
     assert [request.number for _, request in asked] == list(range(13))
     assert all(request.gains == START for _, request in asked[:3])
     while next_request(session) is not None:
-        assert session.phase is Phase.CONFIRM
-        session = told(session, Outcome.DONE, 0.5)
-    assert {len(costs) for costs in session.confirmed} == {session.plan.repeats}
+        assert session.phase is (Phase.CHOOSE if session.confirmation is None else Phase.CONFIRM)
+        session = told(session, Outcome.DONE, 1.0 if next_request(session).gains == START else 0.5)
+    assert {len(costs) for costs in session.confirmation.costs} == {session.plan.repeats}
 
 
 def test_a_void_trial_is_asked_again_under_a_new_id_and_changes_nothing_else():
@@ -83,7 +89,7 @@ def test_a_void_trial_is_asked_again_under_a_new_id_and_changes_nothing_else():
 )
 def test_unsafe_trials_end_the_search_and_the_start_is_kept(outcome, cost):
     session, _ = advance(begin(plan(trials=100)), [1.0] * 3)
-    for _ in range(UNSAFE_IN_A_ROW):
+    for _ in range(CENSORED_IN_A_ROW):
         assert session.phase is Phase.SEARCH
         session = told(session, outcome, cost)
     assert "unsafe" in session.search_end
@@ -108,19 +114,131 @@ def test_an_improvement_within_the_scatter_is_not_called_one():
     assert verdict(session).gains == START
 
 
-def test_the_lower_of_the_confirmed_candidates_is_recommended():
-    costs = iter([1.0] * 3 + [0.9, 0.5, 0.95] + [0.9] * 7)
-    session = begin(plan())
-    while session.phase is not Phase.CONFIRM:
-        session = told(session, Outcome.DONE, next(costs))
-    first, second = session.candidates
+def to_the_end(session, cost_of):
+    """The session after its repeats, and what they asked for."""
+    asked = []
     while (request := next_request(session)) is not None:
-        session = told(session, Outcome.DONE, 0.4 if request.gains == second else 0.6)
+        asked.append((session.phase, request.gains))
+        session = told(session, Outcome.DONE, cost_of(request.gains))
+    return session, asked
+
+
+def searched(**changes):
+    """A session after its search, with two gains to choose from."""
+    session, _ = advance(begin(plan(**changes)), [1.0, 1.01, 0.99] + [0.9, 0.5, 0.95] + [0.9] * 7)
+    assert session.phase is Phase.CHOOSE
+    return session
+
+
+def test_the_better_of_two_is_chosen_by_other_trials_than_those_that_confirm_it():
+    session = searched()
+    first, second = session.choice.gains
+    costs = {START: 1.0, first: 0.6, second: 0.4}
+    session, asked = to_the_end(session, costs.get)
+    assert [g for p, g in asked if p is Phase.CHOOSE] == [
+        *(first, second, second, first, first, second)
+    ]
+    confirmed = [g for p, g in asked if p is Phase.CONFIRM]
+    assert confirmed == [START, second, second, START, START, second]
     found = verdict(session)
     assert found.improved
-    assert found.gains == second
+    assert found.gains == second != first
     assert found.cost == pytest.approx(0.4)
-    assert first != second
+    assert found.change.estimate == pytest.approx(-0.6)
+
+
+def test_the_start_is_held_to_its_own_repeats_so_that_a_drift_is_no_improvement():
+    # The plant gets better by itself during the search: everything costs half of what it did.
+    session, _ = to_the_end(searched(), lambda gains: 0.5 if gains == START else 0.51)
+    found = verdict(session)
+    assert not found.improved
+    assert (found.start_cost, found.gains) == (0.5, START)
+    assert found.change.estimate == pytest.approx(0.02)
+
+
+def test_the_closer_the_gains_found_are_to_the_start_the_more_repeats_confirm_them():
+    def rounds(better):
+        noise = iter([1.0, 1.03, 0.97, 1.02, 0.98] * 10)
+        session = searched()
+        session, _ = to_the_end(session, lambda g: next(noise) * (1.0 if g == START else better))
+        return session.confirmation.rounds
+
+    assert rounds(0.3) == 3
+    assert 3 < rounds(0.9) < rounds(0.97) == ROUNDS_MOST
+
+
+def test_gains_that_turn_out_unsafe_leave_the_others_or_the_start():
+    session = searched()
+    first, second = session.choice.gains
+    one, _ = to_the_end(session, {START: 1.0, first: math.nan, second: 0.4}.get)
+    assert verdict(one).gains == second
+    none, _ = to_the_end(session, {START: 1.0, first: math.nan, second: 99.0}.get)
+    assert verdict(none).gains == START
+    assert "unsafe" in verdict(none).message
+    assert (verdict(one).unsafe, verdict(none).unsafe) == (1, 2)
+
+
+@pytest.mark.parametrize("cost", [0.0, -1.0, math.nan, math.inf])
+def test_a_cost_that_is_none_ends_the_run_at_the_start_and_is_unsafe_later(cost):
+    assert "cost" in told(begin(plan()), Outcome.DONE, cost).failure
+    session, _ = advance(begin(plan()), [1.0] * 3)
+    assert told(session, Outcome.DONE, cost).unsafe == 1
+
+
+def test_a_cost_that_never_changes_is_no_improvement():
+    session, _ = advance(begin(plan()), [1.0] * 13)
+    found = verdict(to_the_end(session, lambda _: 1.0)[0])
+    assert found.complete
+    assert not found.improved
+    assert found.gains == START
+
+
+class Seer(LeastSquaresGradient):
+    """A tuner that says what is left to gain, by a script, and calls the region near explored."""
+
+    def outlook(self, state):
+        left = (1.0, 0.3, 0.01, 0.01, 0.3, *(0.01,) * 20)[state.k - 1]
+        return Outlook(0.01, left, left / 2.0, ((0.1, 1.0),) * 4)
+
+    def forecast(self, _state, point):
+        return Forecast(1.0, 0.5, 2.0, explored=point[0] > START.P)
+
+
+def seer(**changes):
+    return plan(tuner=Seer(SearchSpace.around(START)), **changes)
+
+
+def test_the_search_ends_once_little_is_left_to_gain_for_some_trials_in_a_row():
+    session, _ = advance(begin(seer()), [1.0] * 3 + [0.9] * 9)
+    assert session.phase is not Phase.SEARCH
+    assert "9 of 10 trials" in session.search_end
+    assert "1.0% is left" in session.search_end
+    assert verdict(session).intervals == tuple((n, 0.1, 1.0) for n in GAIN_NAMES)
+
+
+@pytest.mark.parametrize("made", [seer(tolerance=0.0), plan()], ids=["told not to", "cannot tell"])
+def test_the_search_uses_all_its_trials_unless_it_is_told_what_is_left(made):
+    session, _ = advance(begin(made), [1.0] * 3 + [0.9] * 10)
+    assert session.search_end == "the search used its 10 trials"
+
+
+def test_a_forecast_is_had_for_new_gains_alone():
+    session = begin(seer(repeats=1))
+    asked = []
+    while next_request(session) is not None:
+        asked.append((session.phase, next_request(session).gains, forecast(session) is not None))
+        session = told(session, Outcome.DONE, 0.9 + 0.001 * session.number)
+    new = [gains for _, gains, foretold in asked if foretold]
+    assert len(new) == len(set(new))
+    assert START not in new
+    assert {gains for phase, gains, _ in asked if phase is Phase.SEARCH} <= {START, *new}
+
+
+def test_declined_trials_are_kept_away_from_and_are_not_unsafe():
+    session, _ = advance(begin(plan()), [1.0] * 3)
+    session = told(session, Outcome.DECLINED, math.nan)
+    assert (session.declined, session.unsafe, session.searched) == (1, 0, 1)
+    assert session.tuner_state.caution < 1.0
 
 
 @given(st.lists(st.floats(0.8, 2.0), min_size=0, max_size=12), st.integers(0, 11))
@@ -137,27 +255,25 @@ def test_a_plan_survives_json_exactly():
     assert plan_from_json(plan_to_json(made)) == made
 
 
-@pytest.mark.parametrize("wrong", [{"trials": 0}, {"repeats": 0}, {"eta_max": math.nan}])
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"trials": 0},
+        {"repeats": 0},
+        {"eta_max": math.nan},
+        {"tolerance": 1.0},
+        {"tolerance": -0.1},
+        {"tolerance": math.nan},
+        {"ask_first": True},
+    ],
+)
 def test_a_plan_that_makes_no_sense_is_refused(wrong):
-    with pytest.raises(InvalidInput, match=r"at least 1|eta_max"):
+    with pytest.raises(InvalidInput, match=r"at least 1|eta_max|tolerance|cannot tell"):
         plan(**wrong)
 
 
-def test_a_start_that_is_repeated_takes_turns_with_the_candidates_and_is_what_they_are_held_to():
-    # The plant drifts during the search: everything costs twice as much after it.
-    session, _ = advance(begin(plan(repeat_start=True)), [1.0] * 3 + [0.9] * 10)
-    asked = []
-    while (request := next_request(session)) is not None:
-        asked.append(request.gains)
-        session = told(session, Outcome.DONE, 2.0 if request.gains == START else 1.6)
-    assert asked == list(session.candidates) * 3
-    assert asked[0] == START
-    found = verdict(session)
-    assert (found.start_cost, found.cost) == pytest.approx((2.0, 1.6))
-    assert found.improved
-
-
-def test_plans_written_before_the_start_could_be_repeated_do_not_repeat_it():
-    written = plan_to_json(plan())
-    del written["repeat_start"]
-    assert plan_from_json(written) == plan()
+def test_no_run_takes_more_trials_than_its_plan_says():
+    for better in (0.3, 1.0):
+        session, _ = to_the_end(searched(), lambda g, b=better: 1.0 if g == START else b)
+        assert session.number <= session.plan.most_trials
+        assert session.left == 0

@@ -132,8 +132,9 @@ def _listed(path: Path) -> dict[str, Any]:
 
 
 def _as_json(result: TuneResult, *, trials: bool) -> dict[str, Any]:
-    names = ("ending", "message", "folder", "gains", "start_gains", "findings")
-    shown = {name: output.plain(getattr(result, name)) for name in names}
+    names = ("ending", "success", "message", "folder", "gains", "start_gains", "improvement")
+    shown = {name: output.plain(getattr(result, name)) for name in (*names, "unsafe", "findings")}
+    shown |= {"declined": result.verdict.declined, "search_end": result.session.search_end}
     for name in ("start", "tuned"):
         performance = output.plain(getattr(result, name))
         if performance is not None:

@@ -1,7 +1,7 @@
-"""Whether gains are better than others beyond the scatter of repeats."""
+"""How much better gains are than others, the scatter of repeats counted."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from statistics import fmean, variance
 
@@ -31,14 +31,12 @@ class Change:
 
     def __str__(self) -> str:
         return (
-            f"cost {self.estimate:+.1%}, {self.confidence:.0%} interval "
-            f"{self.low:+.1%} to {self.high:+.1%}"
+            f"{self.estimate:+.1%} ({self.confidence:.0%} interval "
+            f"{self.low:+.1%} to {self.high:+.1%})"
         )
 
 
-def change(
-    before: Sequence[float], after: Sequence[float], confidence: float = 0.95, choices: int = 1
-) -> Change:
+def change(before: Sequence[float], after: Sequence[float], confidence: float = 0.95) -> Change:
     """Compares two sets of repeats by their log costs: Welch's interval of unequal variances.
 
     With means m and variances v of n logarithms each, the difference of the means has the standard
@@ -46,26 +44,23 @@ def change(
     ((v1/n1)^2/(n1 - 1) + (v2/n2)^2/(n2 - 1)) degrees of freedom.
 
     Args:
-        before: Costs of repeats; infinite where one was unsafe.
+        before: Costs of repeats, all of them safe.
         after: The same of other gains.
-        confidence: Of the interval, 0 to 1.
-        choices: How many gains `after` is the best of: the interval is widened accordingly
-            (Bonferroni), for the best of several looks better than it is.
+        confidence: Of the interval, 0 to 1. It holds for gains that were chosen by other trials
+            than these: the best of several by their own repeats looks better than it is.
 
     Raises:
-        InvalidInput: there are fewer than two repeats of either, a cost is not above zero, or the
-            confidence is not between 0 and 1.
+        InvalidInput: there are fewer than two repeats of either, a cost is not above zero and
+            finite, or the confidence is not between 0 and 1.
     """
     if min(len(before), len(after)) < 2:
         raise InvalidInput("two repeats of each of two gains are needed to compare them")
     if not 0.0 < confidence < 1.0:
         raise InvalidInput(f"confidence is {confidence}; it must lie between 0 and 1")
-    if not all(cost > 0.0 for cost in (*before, *after)):
-        raise InvalidInput("a cost is not above zero; its logarithm cannot be compared")
-    if math.inf in after:
-        return Change(math.inf, -1.0, math.inf, confidence)
-    if math.inf in before:
-        return Change(-1.0, -1.0, -1.0, confidence)
+    if not all(0.0 < cost < math.inf for cost in (*before, *after)):
+        raise InvalidInput(
+            "a cost is not above zero, or not finite; only safe repeats can be compared"
+        )
     from scipy.special import stdtrit  # noqa: PLC0415  slow to import
 
     old, new = ([math.log(cost) for cost in costs] for costs in (before, after))
@@ -76,7 +71,51 @@ def change(
         return Change(found, found, found, confidence)
     per_share = zip(shares, (old, new), strict=True)
     freedom = sum(shares) ** 2 / sum(share**2 / (len(logs) - 1) for share, logs in per_share)
-    reach = float(stdtrit(freedom, 1.0 - 0.5 * (1.0 - confidence) / choices)) * error
+    reach = float(stdtrit(freedom, 0.5 * (1.0 + confidence))) * error
     ends = (difference, difference - reach, difference + reach)
     estimate, low, high = map(math.expm1, ends)
     return Change(estimate, low, high, confidence)
+
+
+def scatter(groups: Iterable[Sequence[float]]) -> float:
+    """Standard deviation of the logarithm of the cost between repeats, pooled; nan without any.
+
+    Args:
+        groups: Costs of repeated trials, one sequence per set of gains; infinite ones do not
+            count.
+    """
+    squares, freedom = 0.0, 0
+    for group in groups:
+        logs = [math.log(cost) for cost in group if math.isfinite(cost)]
+        if len(logs) > 1:
+            mean = fmean(logs)
+            squares += sum((log - mean) ** 2 for log in logs)
+            freedom += len(logs) - 1
+    return math.sqrt(squares / freedom) if freedom else math.nan
+
+
+def rounds_for(
+    expected: float, noise: float, *, least: int, most: int, confidence: float = 0.95
+) -> int:
+    """How many repeats of each of two gains tell their difference to a quarter of itself.
+
+    The fewest n with t(2n - 2) noise sqrt(2/n) <= |expected|/4, t the quantile of the confidence.
+    It must be asked before the repeats are made: were they gone on with until they look sharp
+    enough, their interval would promise more than it holds.
+
+    Args:
+        expected: Difference of the logarithms of the costs that is likely.
+        noise: Standard deviation of the logarithm of the cost between repeats; nan if unknown.
+        least: No fewer than this, and no fewer than two.
+        most: No more than this, unless `least` is more.
+        confidence: Of the interval to be made, 0 to 1.
+    """
+    from scipy.special import stdtrit  # noqa: PLC0415  slow to import
+
+    n = max(2, least)
+    while n < most:
+        reach = float(stdtrit(2 * n - 2, 0.5 * (1.0 + confidence))) * noise * math.sqrt(2.0 / n)
+        if reach <= 0.25 * abs(expected):  # not so for nan
+            break
+        n += 1
+    return n

@@ -13,26 +13,16 @@ path `C_r = P + I/s`, (33), would add.
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Literal, NamedTuple, get_args
+from typing import Literal, NamedTuple, Self, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estune.core.gains import Gains
-from estune.core.margins import (
-    Margins,
-    SampledPlant,
-    controller_response,
-    loop_margins,
-    sample_plant,
-)
+from estune.core.margins import Margins, SampledPlant, loop_margins, sample_plant
 from estune.core.pidf import ControllerSettings
 from estune.core.second_order import SecondOrder
+from estune.core.sensitivity import SensitivityLimits, largest_integral_gain
 from estune.errors import InvalidInput, UnsafeStart
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 Rule = Literal["sensitivity_limited", "imc", "pole_placement", "ziegler_nichols"]
 RULES: tuple[Rule, ...] = get_args(Rule)
@@ -40,10 +30,6 @@ RULES: tuple[Rule, ...] = get_args(Rule)
 LEAST_GAIN_MARGIN = 1.5
 LEAST_PHASE_MARGIN_deg = 25.0
 """A start with less is refused: the first dithered trials would be on the edge."""
-
-GRID_POINTS = 600
-"""Frequencies at which the sensitivity is held down."""
-ROUNDS = 60
 
 
 class Proposal(NamedTuple):
@@ -68,35 +54,25 @@ class Proposal(NamedTuple):
             and max(self.margins.gain_margin, 1.0 / self.margins.gain_margin) >= LEAST_GAIN_MARGIN
         )
 
+    def checked(self) -> Self:
+        """The proposal itself, if it is safe.
 
-@dataclass(frozen=True, slots=True)
-class SensitivityLimits:
-    """How far `sensitivity_limited` may go.
-
-    Attributes:
-        sensitivity: Greatest |1/(1 + L)|: 1.4 is cautious, 2 bold.
-        setpoint_peak: Greatest |T|, from setpoint to output through the filter: 1 is no resonance.
-        noise_gain: Greatest C_y at half the sampling rate, N of effort per N of noise.
-
-    Raises:
-        InvalidInput: a value is out of its range.
-    """
-
-    sensitivity: float = 1.6
-    setpoint_peak: float = 1.02
-    noise_gain: float = 8.0
-
-    def __post_init__(self) -> None:
-        for what, value in (
-            ("sensitivity limit", self.sensitivity),
-            ("setpoint peak", self.setpoint_peak),
-        ):
-            if not (math.isfinite(value) and value > 1.0):
-                raise InvalidInput(f"{what} is {value}; it must be finite and above 1")
-        if not (math.isfinite(self.noise_gain) and self.noise_gain > 0.0):
-            raise InvalidInput(
-                f"noise gain limit is {self.noise_gain}; it must be finite and above zero"
-            )
+        Raises:
+            UnsafeStart: it is not.
+        """
+        if self.safe:
+            return self
+        m = self.margins
+        how = (
+            f"gain margin {m.gain_margin:.2f} and phase margin {m.phase_margin_deg:.0f} degrees, "
+            f"where {LEAST_GAIN_MARGIN} and {LEAST_PHASE_MARGIN_deg:.0f} are the least"
+            if m.stable
+            else "the loop is unstable"
+        )
+        raise UnsafeStart(
+            f"the gains by {self.rule} are no safe start: {how}; use sensitivity_limited, or "
+            "check the model"
+        )
 
 
 def initial_gains(
@@ -115,20 +91,7 @@ def initial_gains(
     """
     if rule not in RULES:
         raise InvalidInput(f"there is no rule {rule!r}; choose one of {', '.join(RULES)}")
-    proposal = propose(model, settings, rule)
-    if not proposal.safe:
-        m = proposal.margins
-        how = (
-            f"gain margin {m.gain_margin:.2f} and phase margin {m.phase_margin_deg:.0f} degrees, "
-            f"where {LEAST_GAIN_MARGIN} and {LEAST_PHASE_MARGIN_deg:.0f} are the least"
-            if m.stable
-            else "the loop is unstable"
-        )
-        raise UnsafeStart(
-            f"the gains by {rule} are no safe start: {how}; use sensitivity_limited, or check "
-            "the identified model"
-        )
-    return proposal.gains
+    return propose(model, settings, rule).checked().gains
 
 
 def proposals(model: SecondOrder, settings: ControllerSettings) -> tuple[Proposal, ...]:
@@ -258,94 +221,14 @@ def sensitivity_limited(
     settings: ControllerSettings,
     limits: SensitivityLimits | None = None,
 ) -> Gains:
-    """The largest integral gain that keeps sensitivity, setpoint response and noise within limits.
+    """The largest integral gain within limits of sensitivity, setpoint response and noise.
 
-    1/I is the integral of the error after a load step, so that the largest I resists loads best.
-    `|1 + L| >= 1/M_s` and `|1 + L| >= I |G/s|/M_t` over frequency are not convex in the gains, but
-    L is linear in them: each round replaces |1 + L| by its tangent at the last gains, which lies
-    below it, and solves the linear programme (convex-concave procedure: Hast, Astrom, Bernhardsson
-    & Boyd, PID design by convex-concave optimization, European Control Conference 2013). The
-    rounds begin at nearly no gain and never let 1 + L pass zero, so that the loop stays stable.
-
-    On a reel it gives P near one and I that falls with the length of the cable.
-
-    Args:
-        model: The plant.
-        settings: Sampling rate and derivative filter; the loop is the sampled one.
-        limits: Of sensitivity, setpoint response and noise.
+    See `estune.core.sensitivity`, which does the same for any linear plant.
 
     Raises:
         InvalidInput: the model is so near instability that no gains keep the limits.
     """
-    from scipy.optimize import linprog  # noqa: PLC0415  slow to import
-
-    limits = limits or SensitivityLimits()
-    constraints = _Constraints.of(model, settings, limits)
-    # P has a floor: a plant that would rather have none still gets gains with a logarithm.
-    least = 0.01 * model.damping
-    x = np.array([least, 0.01 * least, 0.0])
-    for _ in range(ROUNDS):
-        rows, room = constraints.tangent(x)
-        found = linprog(
-            [0.0, -1.0, 0.0],
-            A_ub=rows,
-            b_ub=room,
-            bounds=[(least, None), (0.0, None), (0.0, None)],
-        )
-        if not found.success:
-            raise InvalidInput(
-                f"no gains hold the sensitivity to {limits.sensitivity:g} for a damping ratio of "
-                f"{model.damping:.3g}; raise the limit, or use another rule"
-            )
-        x, last = found.x, x
-        if x[1] - last[1] < 1e-4 * x[1]:
-            break
-    P, I, D = (float(value) for value in x * constraints.scale)
-    return Gains(P, I, D, P / I)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Constraints:
-    """What bounds (P, I, D), each over its scale, in `sensitivity_limited`.
-
-    Attributes:
-        scale: Of the gains, shape (3,).
-        loop: The loop's response to one unit of each gain, shape (frequencies, 3).
-        setpoint: |G/s| per unit of the integral gain, over M_t, shape (frequencies,).
-        noise: C_y at half the sampling rate per unit of each gain, shape (3,).
-        limits: The limits.
-    """
-
-    scale: FloatArray
-    loop: ComplexArray
-    setpoint: FloatArray
-    noise: FloatArray
-    limits: SensitivityLimits
-
-    @classmethod
-    def of(
-        cls, model: SecondOrder, settings: ControllerSettings, limits: SensitivityLimits
-    ) -> "_Constraints":
-        theta = _sensitivity_grid(model, settings)
-        controller = np.column_stack([_unit_response(n, settings, theta) for n in range(3)])
-        w = model.natural_frequency_rad_s
-        scale = np.array([1.0, w, 1.0 / w]) / model.gain
-        loop = _sampled(model, settings).response(theta)[:, None] * controller * scale
-        # The filter takes the zero out of C_r = (P s + I)/s, so that |T| = |I G/s| / |1 + L|.
-        setpoint = np.abs(loop[:, 1]) / limits.setpoint_peak
-        return cls(scale, loop, setpoint, controller[-1].real * scale, limits)
-
-    def tangent(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """The half planes `rows x <= room` that touch the constraints at these gains."""
-        back = 1.0 + self.loop @ x
-        toward = back.conj() / np.abs(back)
-        # |1 + L| >= Re(toward (1 + L)), and equal at x.
-        away, room = -(toward[:, None] * self.loop).real, toward.real
-        with_setpoint = away + np.outer(self.setpoint, [0.0, 1.0, 0.0])
-        return (
-            np.vstack([away, with_setpoint, self.noise]),
-            np.concatenate([room - 1.0 / self.limits.sensitivity, room, [self.limits.noise_gain]]),
-        )
+    return largest_integral_gain(_sampled(model, settings), settings, limits)
 
 
 def _with_filter(K: float, Ti: float, Td: float) -> Gains:
@@ -375,28 +258,3 @@ def _sampled(model: SecondOrder, settings: ControllerSettings) -> SampledPlant:
     return sample_plant(
         A, B, C, E, dead_time_s=model.dead_time_s, sample_s=1.0 / settings.sampling_Hz
     )
-
-
-def _sensitivity_grid(model: SecondOrder, settings: ControllerSettings) -> FloatArray:
-    """Angles from well below the resonance to half the sampling rate, dense about the modes."""
-    h = 1.0 / settings.sampling_Hz
-    angles = [np.geomspace(1e-3 * model.natural_frequency_rad_s * h, math.pi, GRID_POINTS)]
-    modes = [(model.natural_frequency_rad_s, model.damping)]
-    if model.gauge is not None:
-        modes.append((model.gauge.natural_frequency_rad_s, model.gauge.damping))
-    for w, zeta in modes:
-        angles.append(w * h * (1.0 + zeta * np.linspace(-4.0, 4.0, 81)))
-    joined = np.concatenate(angles)
-    return np.unique(np.append(joined[(joined > 0.0) & (joined < math.pi)], math.pi))
-
-
-def _unit_response(n: int, settings: ControllerSettings, theta: FloatArray) -> ComplexArray:
-    """Response of the controller to one of P, I, D at one and the others at zero.
-
-    `Gains` keeps P above zero, so that I and D are had as a difference.
-    """
-    only_P = controller_response(Gains(1.0, 0.0, 0.0, 0.0), settings, theta)
-    if n == 0:
-        return only_P
-    both = Gains(1.0, 1.0, 0.0, 0.0) if n == 1 else Gains(1.0, 0.0, 1.0, 0.0)
-    return controller_response(both, settings, theta) - only_P

@@ -161,6 +161,13 @@ class SearchSpace:
             return Gains.from_standard(*[values[name] for name in STANDARD_NAMES])
         return Gains(*[values[name] for name in PARALLEL_NAMES])
 
+    def point_of(self, gains: Gains) -> Point:
+        """The tuned parameters of controller gains."""
+        K, Ti, Td = gains.to_standard()
+        values = dict(zip(PARALLEL_NAMES, gains.as_tuple(), strict=True))
+        values |= {"K": K, "Ti": Ti, "Td": Td}
+        return tuple(values[name] for name in self.names)
+
     def at_bound(self, point: Point, tolerance: float = 1e-3) -> dict[str, Literal["low", "high"]]:
         """Which parameters sit at a bound, where the cost may still be falling, and at which.
 

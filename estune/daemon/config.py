@@ -81,7 +81,10 @@ class TuningTable(SearchTable):
     Attributes:
         tuner: How gains are proposed.
         trials: Greatest number of search trials.
-        repeats: Trials of the start before the search; of the start and each candidate after it.
+        repeats: Trials of the start before the search, and at the least of the start and of the
+            gains found after it.
+        tolerance: The search ends once no more than this share of the cost is left to gain; zero
+            makes it use all its trials.
         eta_max: Cost above which a trial is unsafe; three times the start's if left out.
         confidence: Of the interval that the improvement must lie in.
         improvement_min: Fall of the cost, as a share, that the whole interval must exceed.
@@ -239,5 +242,5 @@ def plan_settings(rig: RigTable, description: RigDescription) -> dict[str, Any]:
         "trials": tuning.trials,
         "repeats": tuning.repeats,
         "eta_max": tuning.eta_max,
-        "repeat_start": True,
+        "tolerance": tuning.tolerance,
     }

@@ -2,7 +2,6 @@
 
 import logging
 import math
-from statistics import fmean
 from typing import NamedTuple
 
 from estune import api, tuning
@@ -22,6 +21,7 @@ from estune.planning import (
 )
 from estune.trial import RigDescription
 from estune.tuning import Tuning
+from estune.verdict import verdict
 
 _log = logging.getLogger(__name__)
 
@@ -110,20 +110,23 @@ class Searches:
     def decide(self, run: Tuning) -> Decision:
         """Whether the best gains found are better than the start, by a run that is complete."""
         session, settings = run.session, self._settings.tuning
-        (start, *found) = zip(session.candidates, session.confirmed, strict=True)
-        safe = [costs for costs in session.confirmed if all(map(math.isfinite, costs))]
+        repeats = session.confirmation
 
-        def chart(costs: tuple[float, ...]) -> ChartState | None:
-            others = [other for other in safe if other is not costs]
-            return self._settings.watch.chart.begin(costs, *others) if costs in safe else None
+        def chart(costs: tuple[float, ...], *others: tuple[float, ...]) -> ChartState | None:
+            safe = [other for other in others if math.inf not in other]
+            return None if math.inf in costs else self._settings.watch.chart.begin(costs, *safe)
 
-        if not found:
-            sentence = "the search came back to the start"
-            return Decision(None, sentence, None, chart(start[1]), None)
-        gains, costs = min(found, key=lambda pair: fmean(pair[1]))
-        seen = change(start[1], costs, settings.confidence, choices=len(found))
-        if costs in safe and seen.high < -settings.improvement_min:
-            sentence = f"better than the start: {seen}"
-            return Decision(gains, sentence, seen, chart(start[1]), chart(costs))
-        sentence = f"no better than the start beyond doubt: {seen}"
-        return Decision(None, sentence, seen, chart(start[1]), None)
+        if repeats is None:
+            return Decision(None, verdict(session).message, None, chart(session.baseline), None)
+        start, found = repeats.costs
+        if len(repeats.safe) < 2:
+            known = (*session.baseline, *start)
+            return Decision(None, verdict(session).message, None, chart(known), None)
+        seen = change(start, found, settings.confidence)
+        charts = chart(start, found), chart(found, start)
+        if seen.high < -settings.improvement_min:
+            return Decision(
+                repeats.gains[1], f"better than the start: cost {seen}", seen, *charts
+            )
+        sentence = f"no better than the start beyond doubt: cost {seen}"
+        return Decision(None, sentence, seen, charts[0], None)

@@ -1,6 +1,8 @@
 """What a tuner knows about where its search stands: the noise, what is left to gain, how sure."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple, Protocol, runtime_checkable
+
+from estune.core.search_space import Point
 
 
 class Outlook(NamedTuple):
@@ -35,3 +37,16 @@ class Forecast(NamedTuple):
     low: float
     high: float
     explored: bool
+
+
+@runtime_checkable
+class Foresighted(Protocol):
+    """A tuner that has a model of the cost, and tells what it makes of it."""
+
+    def outlook(self, state: Any) -> Outlook | None:
+        """Where the search stands; None while too little is known."""
+        ...
+
+    def forecast(self, state: Any, point: Point) -> Forecast:
+        """What is expected of a point."""
+        ...

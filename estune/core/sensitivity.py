@@ -1,0 +1,195 @@
+"""The largest integral gain that keeps sensitivity, setpoint response and noise within limits.
+
+1/I is the integral of the error after a load step, so that the largest I resists loads best.
+`|1 + L| >= 1/M_s` and `|1 + L| >= I |G/s|/M_t` over frequency are not convex in the gains, but L
+is linear in them: each round replaces |1 + L| by its tangent at the last gains, which lies below
+it, and solves the linear programme (convex-concave procedure: Hast, Astrom, Bernhardsson & Boyd,
+PID design by convex-concave optimization, European Control Conference 2013). The rounds begin at
+nearly no gain and never let 1 + L pass zero, so that the loop of a stable plant stays stable.
+
+On a reel it gives P near one and I that falls with the length of the cable.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estune.core.gains import Gains
+from estune.core.margins import SampledPlant, controller_response
+from estune.core.pidf import ControllerSettings
+from estune.errors import InvalidInput
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+GRID_POINTS = 600
+"""Frequencies at which the sensitivity is held down."""
+ROUNDS = 60
+
+
+@dataclass(frozen=True, slots=True)
+class SensitivityLimits:
+    """How far `sensitivity_limited` may go.
+
+    Attributes:
+        sensitivity: Greatest |1/(1 + L)|: 1.4 is cautious, 2 bold.
+        setpoint_peak: Greatest |T|, from setpoint to output through the filter: 1 is no resonance.
+        noise_gain: Greatest C_y at half the sampling rate, N of effort per N of noise.
+
+    Raises:
+        InvalidInput: a value is out of its range.
+    """
+
+    sensitivity: float = 1.6
+    setpoint_peak: float = 1.02
+    noise_gain: float = 8.0
+
+    def __post_init__(self) -> None:
+        for what, value in (
+            ("sensitivity limit", self.sensitivity),
+            ("setpoint peak", self.setpoint_peak),
+        ):
+            if not (math.isfinite(value) and value > 1.0):
+                raise InvalidInput(f"{what} is {value}; it must be finite and above 1")
+        if not (math.isfinite(self.noise_gain) and self.noise_gain > 0.0):
+            raise InvalidInput(
+                f"noise gain limit is {self.noise_gain}; it must be finite and above zero"
+            )
+
+
+class _Slowest(NamedTuple):
+    """What sets the scale of the gains: the plant's gain at rest and its slowest mode."""
+
+    gain: float
+    frequency_rad_s: float
+    damping: float
+
+    @classmethod
+    def of(cls, plant: SampledPlant, sample_s: float) -> Self:
+        mode = complex(min(plant.modes, key=abs))
+        if mode == 0.0:
+            raise InvalidInput(
+                "the model integrates, so that it has no gain at rest to go by; give gains to "
+                "start from"
+            )
+        drive = np.linalg.solve(np.eye(plant.C.size) - plant.Phi, plant.now + plant.before)
+        gain = float(plant.C @ drive + plant.E)
+        if not gain > 0.0:
+            raise InvalidInput(
+                f"the model's gain at rest is {gain:.4g}; it must be above zero, for the "
+                "controller's gains are: turn the sign of the input"
+            )
+        return cls(gain, abs(mode) / sample_s, max(-mode.real / abs(mode), 0.0))
+
+
+def largest_integral_gain(
+    plant: SampledPlant, settings: ControllerSettings, limits: SensitivityLimits | None = None
+) -> Gains:
+    """The gains with the largest I within the limits; the setpoint filter is P/I.
+
+    Args:
+        plant: Any linear plant, sampled as the controller is; effort in, output out.
+        settings: Sampling rate and derivative filter.
+        limits: Of sensitivity, setpoint response and noise.
+
+    Raises:
+        InvalidInput: no gains keep the limits, or the plant has no gain at rest above zero.
+    """
+    from scipy.optimize import linprog  # noqa: PLC0415  slow to import
+
+    limits = limits or SensitivityLimits()
+    slowest = _Slowest.of(plant, 1.0 / settings.sampling_Hz)
+    constraints = _Constraints.of(plant, slowest, settings, limits)
+    # P has a floor: a plant that would rather have none still gets gains with a logarithm.
+    least = 0.01 * slowest.damping
+    x = np.array([least, 0.01 * least, 0.0])
+    for _ in range(ROUNDS):
+        rows, room = constraints.tangent(x)
+        found = linprog(
+            [0.0, -1.0, 0.0],
+            A_ub=rows,
+            b_ub=room,
+            bounds=[(least, None), (0.0, None), (0.0, None)],
+        )
+        if not found.success:
+            raise InvalidInput(
+                f"no gains hold the sensitivity to {limits.sensitivity:g} for a damping ratio of "
+                f"{slowest.damping:.3g}; raise the limit, or use another rule"
+            )
+        x, last = found.x, x
+        if x[1] - last[1] < 1e-4 * x[1]:
+            break
+    P, I, D = (float(value) for value in x * constraints.scale)
+    return Gains(P, I, D, P / I)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Constraints:
+    """What bounds (P, I, D), each over its scale, in `largest_integral_gain`.
+
+    Attributes:
+        scale: Of the gains, shape (3,).
+        loop: The loop's response to one unit of each gain, shape (frequencies, 3).
+        setpoint: |G/s| per unit of the integral gain, over M_t, shape (frequencies,).
+        noise: C_y at half the sampling rate per unit of each gain, shape (3,).
+        limits: The limits.
+    """
+
+    scale: FloatArray
+    loop: ComplexArray
+    setpoint: FloatArray
+    noise: FloatArray
+    limits: SensitivityLimits
+
+    @classmethod
+    def of(
+        cls,
+        plant: SampledPlant,
+        slowest: _Slowest,
+        settings: ControllerSettings,
+        limits: SensitivityLimits,
+    ) -> Self:
+        theta = _grid(plant)
+        controller = np.column_stack([_unit_response(n, settings, theta) for n in range(3)])
+        w = slowest.frequency_rad_s
+        scale = np.array([1.0, w, 1.0 / w]) / slowest.gain
+        loop = plant.response(theta)[:, None] * controller * scale
+        # The filter takes the zero out of C_r = (P s + I)/s, so that |T| = |I G/s| / |1 + L|.
+        setpoint = np.abs(loop[:, 1]) / limits.setpoint_peak
+        return cls(scale, loop, setpoint, controller[-1].real * scale, limits)
+
+    def tangent(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """The half planes `rows x <= room` that touch the constraints at these gains."""
+        back = 1.0 + self.loop @ x
+        toward = back.conj() / np.abs(back)
+        # |1 + L| >= Re(toward (1 + L)), and equal at x.
+        away, room = -(toward[:, None] * self.loop).real, toward.real
+        with_setpoint = away + np.outer(self.setpoint, [0.0, 1.0, 0.0])
+        return (
+            np.vstack([away, with_setpoint, self.noise]),
+            np.concatenate([room - 1.0 / self.limits.sensitivity, room, [self.limits.noise_gain]]),
+        )
+
+
+def _grid(plant: SampledPlant) -> FloatArray:
+    """Angles from well below the slowest mode to half the sampling rate, dense about the modes."""
+    wide = np.geomspace(1e-3 * np.abs(plant.modes).min(), math.pi, GRID_POINTS)
+    upper = plant.modes[plant.modes.imag >= 0.0]
+    dense = np.abs(upper)[:, None] - upper.real[:, None] * np.linspace(-4.0, 4.0, 81)
+    joined = np.concatenate([wide, dense.ravel()])
+    return np.unique(np.append(joined[(joined > 0.0) & (joined < math.pi)], math.pi))
+
+
+def _unit_response(n: int, settings: ControllerSettings, theta: FloatArray) -> ComplexArray:
+    """Response of the controller to one of P, I, D at one and the others at zero.
+
+    `Gains` keeps P above zero, so that I and D are had as a difference.
+    """
+    only_P = controller_response(Gains(1.0, 0.0, 0.0, 0.0), settings, theta)
+    if n == 0:
+        return only_P
+    both = Gains(1.0, 1.0, 0.0, 0.0) if n == 1 else Gains(1.0, 0.0, 1.0, 0.0)
+    return controller_response(both, settings, theta) - only_P
