@@ -17,6 +17,7 @@ from estune.core.gains import Gains
 from estune.daemon.config import config_from
 from estune.daemon.service import Service
 from estune.daemon.systemd import Notifier
+from estune.security import OPEN, Security
 from estune.trial import TrialRecord, TrialRequest
 from tests.support_rigs import ScriptedRig, description, response
 
@@ -62,10 +63,17 @@ def rig_served(name: str = "drum", plant=None, **changes):
 
 
 @contextmanager
-def daemon(folder: Path, *rigs: str, more: str = "", notifier: Notifier | None = None):
+def daemon(
+    folder: Path,
+    *rigs: str,
+    more: str = "",
+    notifier: Notifier | None = None,
+    security: Security = OPEN,
+):
     """A daemon in this process, and a client of it."""
     text = f'stop_within_s = 3.0\n[service]\nlisten = "tcp/127.0.0.1:0"\n{more}\n{"".join(rigs)}'
-    service = Service(config_from(tomllib.loads(text), "test", folder), notifier)
+    config = config_from(tomllib.loads(text), "test", folder)
+    service = Service(config, notifier, security=security)
     failed = []
 
     def run():

@@ -9,6 +9,7 @@ import pytest
 
 from estune import bus, tuning
 from estune.core.gains import Gains
+from estune.daemon.reach import GIVE_UP_AFTER
 from estune.daemon.store import RUNS, Store
 from estune.errors import InvalidInput, JournalError, RigError
 from estune.journal import Journal
@@ -234,6 +235,37 @@ def test_a_trial_cut_off_on_a_rig_that_moves_waits_for_somebody(tmp_path):
         it.until_mode("holding")
 
 
+@pytest.mark.parametrize(("simulated", "tries"), [(True, GIVE_UP_AFTER), (False, 1)])
+def test_a_rig_whose_own_program_fails_is_given_up_until_it_is_mended(simulated, tries, tmp_path):
+    asked, mended = [], []
+
+    def plant(request):
+        if request.number == 7 and not mended:
+            asked.append(request.attempt)
+            raise RuntimeError("no gauge")
+        return response(request)
+
+    rig = ScriptedRig(plant, name="drum", simulated=simulated)
+    with (
+        bus.serve(rig, ledger=tmp_path / "ledger") as server,
+        daemon(tmp_path, rig_table("drum", server.endpoint)) as it,
+    ):
+        assert "no gauge" in it.until_mode("paused").paused
+        assert asked == list(range(tries))
+        assert rig.describe().gains == ORIGINAL
+        assert it.kinds().count("trouble") == 1
+        mended.append(True)
+        it.say("resume")
+        it.until_mode("holding")
+
+
+def test_settings_that_do_not_suit_the_rig_are_not_tried_again_unasked(tmp_path):
+    table = rig_table("drum", "{}") + "step = {step_N = 1000.0}\n"
+    with rig_served() as (rig, where), daemon(tmp_path, table.replace("{}", where)) as it:
+        assert "setpoint 1010 N is outside" in it.until_mode("paused").paused
+        assert not rig.asked
+
+
 FAULTS = {
     "nan": (lambda r: replace(r, tension_N=np.where(r.time_s > 0.2, np.nan, 1.0)), "is nan"),
     "short": (
@@ -292,7 +324,7 @@ def test_a_rig_that_hangs_does_not_keep_another_waiting(tmp_path):
             it.until(lambda s: s.mode == "tuning" and s.trials > seen, "hung")
 
 
-def test_a_disk_that_is_full_does_not_keep_a_candidate_on_the_rig(tmp_path):
+def test_a_disk_that_is_full_does_not_make_a_candidate_live(tmp_path):
     with rig_served() as (rig, where), daemon(tmp_path, rig_table("drum", where)) as it:
         it.until_mode("holding")
         store = it.service._supervised["drum"].store

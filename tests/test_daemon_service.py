@@ -161,12 +161,14 @@ class Manager:
         self.heard: list[dict[str, str]] = []
 
     def until(self, name: str, value: str = "") -> dict[str, str]:
-        while True:
+        ends = time.monotonic() + WITHIN_S
+        while time.monotonic() < ends:
             data = self.socket.recv(65536).decode()
             facts = dict(line.split("=", 1) for line in data.split("\n"))
             self.heard.append(facts)
             if name in facts and value in facts[name]:
                 return facts
+        raise AssertionError(self.heard[-3:])
 
 
 @pytest.fixture
@@ -182,7 +184,7 @@ def test_systemd_hears_of_the_start_the_state_life_and_the_end(tmp_path, manager
         notifier = Notifier(environment)
         with daemon(tmp_path, rig_table("drum", where), notifier=notifier):
             assert "drum: waiting" in manager.until("READY", "1")["STATUS"]
-            manager.until("STATUS", "drum: holding, candidate gains live")
+            manager.until("STATUS", "drum: holding, original gains live")
             manager.until("WATCHDOG", "1")
             manager.until("WATCHDOG", "1")
         manager.until("STOPPING", "1")
@@ -318,7 +320,7 @@ def test_metrics_are_in_the_file_and_on_loopback(tmp_path):
     more = '[metrics]\nfile = "estune.prom"\nevery_s = 0.05\nhttp_port = 0'
     with rig_served() as (_, where), daemon(tmp_path, rig_table("drum", where), more=more) as it:
         it.until_mode("holding")
-        live = "estune_gains_live", frozenset({"rig": "drum", "set": "candidate"}.items())
+        live = "estune_gains_live", frozenset({"rig": "drum", "set": "original"}.items())
         answers = {}
         for path in ("/metrics", "/other"):
             connection = http.client.HTTPConnection("127.0.0.1", it.service.metrics_port)

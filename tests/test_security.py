@@ -8,11 +8,14 @@ from pathlib import Path
 import pytest
 
 from estune import bus
+from estune.cli import run
 from estune.errors import InvalidInput, RigError
 from estune.link.state import Mode
 from estune.security import read_security
 from estune.trial import Outcome
-from tests.support_rigs import ScriptedRig
+from estune.trial_file import TrialFile
+from tests.support_daemon import daemon, rig_table
+from tests.support_rigs import ScriptedRig, description
 from tests.test_bus import trial
 
 SOON_S = 1.0
@@ -114,6 +117,33 @@ def test_who_is_known_and_let_do_nothing_does_not_see_the_rig(users):
         pytest.raises(RigError, match="no rig answers"),
     ):
         bus.connect(server.endpoint, timeout_s=SOON_S, security=users["stranger"])
+
+
+@pytest.mark.parametrize(("who", "code"), [("anna", 0), ("guest", RigError.exit_code)])
+def test_a_trial_of_a_file_is_run_for_who_may_command(who, code, users, tmp_path):
+    file = TrialFile("step", description().step).write(tmp_path)
+    with served("tcp/127.0.0.1:0", security=users["rig"]) as (rig, server):
+        words = ["run-experiment", str(file), server.endpoint, "--data", str(tmp_path / "data")]
+        assert run([*words, "--security", str(tmp_path / f"{who}.toml")]) == code
+        assert len(rig.asked) == (code == 0)
+
+
+def test_a_model_is_improved_by_who_may_command_alone(users, tmp_path, capsys):
+    with served("tcp/127.0.0.1:0", security=users["rig"]) as (rig, server):
+        words = ["improve", server.endpoint, "--folder", str(tmp_path / "runs"), "--quiet"]
+        guest = ["--security", str(tmp_path / "guest.toml")]
+        assert run([*words, *guest]) == RigError.exit_code
+        assert "were not let command it" in capsys.readouterr().err
+        assert rig.asked == []
+
+
+def test_a_daemon_says_who_it_is(users, tmp_path):
+    with served("tcp/127.0.0.1:0", security=users["rig"]) as (_, server):
+        table = rig_table("scripted", server.endpoint)
+        with daemon(tmp_path / "a", table) as it:
+            it.until(lambda s: "asks who this is" in s.trouble, "scripted")
+        with daemon(tmp_path / "b", table, security=users["anna"]) as it:
+            it.until_mode("tuning", "scripted")
 
 
 # --- certificates ---

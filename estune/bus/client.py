@@ -30,6 +30,7 @@ from estune.protocol import (
     Cancel,
     Clear,
     Estop,
+    Inquire,
     Presence,
     SetGains,
     Status,
@@ -223,6 +224,19 @@ class RemoteRig:
         about = self._talk.about or self._talk.describe()
         at = datetime.now(UTC).isoformat(timespec="milliseconds")
         return unmeasured(request, about.rig, outcome, found.sentence, at)
+
+    def has_failed(self, request: TrialRequest) -> bool:
+        """Whether a trial can never be had under its id: the rig's own program failed in it.
+
+        Or its record is gone, or another trial had the id.
+
+        Raises:
+            RigError: it cannot be reached.
+        """
+        inquiry = protocol.encode(Inquire(protocol.digest(request)))
+        data = self._talk.insist(lambda: self._talk.keys.result(request.trial_id), inquiry, "")
+        found = protocol.decode_trial(data)
+        return isinstance(found, Answer) and found.verdict is Verdict.REFUSED
 
     def apply(self, gains: Gains) -> None:
         """Makes gains the live ones.

@@ -11,6 +11,7 @@ from typing import Annotated, Literal, get_args
 from cyclopts import Parameter
 
 from estune.cli import output
+from estune.cli.values import security_from
 from estune.core.gains import GAIN_NAMES
 from estune.errors import InvalidInput
 from estune.protocol.daemon import DaemonStatus, DaemonVerb
@@ -25,6 +26,7 @@ def daemon(
     /,
     *,
     check: Annotated[bool, _Flag] = False,
+    security: Path | None = None,
     log: Literal["auto", "json", "text"] = "auto",
     verbose: Annotated[bool, _Flag] = False,
 ) -> None:
@@ -33,6 +35,7 @@ def daemon(
     Args:
         config: The daemon's file; see docs/daemon.md.
         check: Only say whether the file is right.
+        security: File that says who this is, where a rig asks; see docs/security.md.
         log: JSON lines or text, on standard error; text on a terminal if left to itself.
         verbose: Log every check trial, too.
     """
@@ -40,12 +43,12 @@ def daemon(
     from estune.daemon.logs import begin_logging  # noqa: PLC0415  as above
     from estune.daemon.service import Service  # noqa: PLC0415  as above
 
-    settings = read_config(config)
+    settings, who = read_config(config), security_from(security)
     if check:
         print(f"{config}: {len(settings.rig)} rigs, nothing wrong")
         return
     begin_logging(log, verbose=verbose)
-    service = Service(settings)
+    service = Service(settings, security=who)
 
     def stop(number: int, frame: FrameType | None) -> None:  # noqa: ARG001  a signal handler
         service.stop()

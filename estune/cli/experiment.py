@@ -5,6 +5,7 @@ from pathlib import Path
 from rich.text import Text
 
 from estune.cli import output
+from estune.cli.values import security_from
 from estune.export import write_record
 from estune.targets import open_target
 from estune.trial import Outcome
@@ -14,7 +15,13 @@ DATA = Path("data")
 
 
 def run_experiment(
-    file: Path, target: str, /, *, data: Path = DATA, rig: str | None = None
+    file: Path,
+    target: str,
+    /,
+    *,
+    data: Path = DATA,
+    rig: str | None = None,
+    security: Path | None = None,
 ) -> None:
     """Run the trial of a file on a rig, and add its record to a folder of records.
 
@@ -24,12 +31,13 @@ def run_experiment(
             reel.toml, or module:attribute such as plants:reference_reel.
         data: Folder for the record; made if it is missing.
         rig: Name of the rig, where several answer at the endpoint.
+        security: File that says who this is, where the rig asks; see docs/security.md.
 
     Raises:
         InvalidInput: the file holds no trial, or the rig's limits do not allow it.
     """
     trial = read_trial(file)
-    with open_target(target, rig) as the_rig:
+    with open_target(target, rig, security_from(security)) as the_rig:
         record = run_trial(the_rig, trial)
     path = write_record(record, data)
     good = record.outcome is Outcome.DONE

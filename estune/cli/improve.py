@@ -7,8 +7,9 @@ from cyclopts import Parameter
 from rich.text import Text
 
 from estune.cli import output
+from estune.cli.values import security_from
 from estune.errors import InvalidInput
-from estune.targets import is_endpoint
+from estune.targets import is_endpoint, open_target
 
 if TYPE_CHECKING:
     from plants.discrepancy.improvement import Improvement
@@ -33,6 +34,7 @@ def improve(
     report: Path | None = None,
     save: Path | None = None,
     rig: str | None = None,
+    security: Path | None = None,
     quiet: Annotated[bool, _Flag] = False,
 ) -> None:
     """Find what a rig's model lacks by experiment, add it, and tune the rig with what was learnt.
@@ -52,6 +54,7 @@ def improve(
         report: Write the last diagnosis as one HTML page.
         save: Write the improved model as a model file.
         rig: Name of the rig, where several answer at the endpoint.
+        security: File that says who this is, where the rig asks; see docs/security.md.
         quiet: Show no progress.
     """
     for option, path in (("--report", report), ("--save", save)):
@@ -65,21 +68,22 @@ def improve(
 
     own = tuple(map(find, effects))
     silent = quiet or json
-    found = plants.improve(
-        target,
-        None if model is None else plants.load_model(model),
-        folder=folder,
-        effects=(*declared(), *own) if own else None,
-        rounds=rounds,
-        tuning=TuneOptions(
-            model_trials=model_trials,
-            rig_trials=trials,
-            repeats=repeats,
-            watch=None if silent else "auto",
-        ),
-        rig=rig,
-        say=(lambda _: None) if silent else output.console().print,
-    )
+    begin = None if model is None else plants.load_model(model)
+    with open_target(target, rig, security_from(security)) as the_rig:
+        found = plants.improve(
+            the_rig,
+            begin,
+            folder=folder,
+            effects=(*declared(), *own) if own else None,
+            rounds=rounds,
+            tuning=TuneOptions(
+                model_trials=model_trials,
+                rig_trials=trials,
+                repeats=repeats,
+                watch=None if silent else "auto",
+            ),
+            say=(lambda _: None) if silent else output.console().print,
+        )
     if report is not None:
         found.diagnosis.report(report)
     if save is not None:

@@ -15,10 +15,11 @@ from estune.core.gains import Gains
 from estune.daemon.config import RigTable
 from estune.daemon.events import Kind
 from estune.daemon.life import GainSet, Happening, Mode
-from estune.daemon.reach import HOLDER, Reached, Refused, reach
+from estune.daemon.reach import HOLDER, GivenUp, Patience, Reached, Refused, reach
 from estune.daemon.searching import Decision
 from estune.daemon.supervision import Supervision, Turned
-from estune.errors import EstuneError, Interrupted, RigError, UnsafeStart
+from estune.errors import EstuneError, Interrupted, InvalidInput, RigError, UnsafeStart
+from estune.security import OPEN, Security
 from estune.session import Phase
 from estune.trial import RigDescription
 from estune.tuning import Progress, Tuning
@@ -39,14 +40,21 @@ class Keeper:
     """
 
     def __init__(
-        self, settings: RigTable, supervision: Supervision, *, stop_within_s: float
+        self,
+        settings: RigTable,
+        supervision: Supervision,
+        *,
+        stop_within_s: float,
+        security: Security = OPEN,
     ) -> None:
         self.name = settings.name
         self.confirmed = False
         self._settings = settings
         self._supervision = supervision
         self._stop_within_s = stop_within_s
+        self._security = security
         self._reached: Reached | None = None
+        self._patience = Patience()
         self._cuttable = False
         self._stopping_since_s: float | None = None
         self._step_at_s = time.monotonic()
@@ -98,12 +106,17 @@ class Keeper:
         except Refused as error:
             self._supervision.refused = str(error)
             self._supervision.note(Kind.FAILED, f"rig {self.name} is left alone: it is {error}")
-        except Interrupted as error:
+        except (Interrupted, GivenUp) as error:
             self._call_for_somebody(str(error))
         except UnsafeStart as error:
             self._unsafe(str(error))
         except RigError as error:
             self._without_rig(error)
+        except InvalidInput as error:
+            if self._reached is None:
+                self._fail(str(error))
+            else:  # the file does not suit the rig, however often it is tried
+                self._call_for_somebody(str(error))
         except EstuneError as error:
             self._fail(str(error))
         except Exception as error:  # noqa: BLE001  a fault here must not end the keeping
@@ -163,7 +176,10 @@ class Keeper:
     def _connect(self) -> Reached:
         self._let_go()
         self._reached = reach(
-            self._settings, f"{HOLDER} on {socket.gethostname()}, process {os.getpid()}"
+            self._settings,
+            f"{HOLDER} on {socket.gethostname()}, process {os.getpid()}",
+            self._patience,
+            self._security,
         )
         return self._reached
 
@@ -239,7 +255,7 @@ class Keeper:
 
     def _show(self, run: Tuning) -> None:
         """Makes the phase of the run that of the life: a run may be found past its search."""
-        past = run.session.phase in (Phase.CONFIRM, None)
+        past = run.session.phase not in (Phase.BASELINE, Phase.SEARCH)
         if past and self._supervision.mode is Mode.TUNING:
             self._supervision.happen(
                 Happening.SEARCHED, f"confirming {run.plan.run}", Kind.CONFIRMING
@@ -251,7 +267,8 @@ class Keeper:
         entered = self._supervision.mode
         self._supervision.session = progress.session
         self._supervision.cost = _finite(progress.entry.cost)
-        if progress.session.phase is Phase.CONFIRM and entered is Mode.TUNING:
+        after = progress.session.phase in (Phase.CHOOSE, Phase.CONFIRM)
+        if after and entered is Mode.TUNING:
             said = f"confirming {progress.session.plan.run}; {progress.session.search_end}"
             self._supervision.happen(Happening.SEARCHED, said, Kind.CONFIRMING)
         if self._supervision.mode not in (Mode.TUNING, Mode.CONFIRMING):
@@ -357,7 +374,7 @@ class Keeper:
         if home is not None:
             try:
                 said = self._put_back(self._reached or self._connect(), home)
-            except RigError as error:
+            except EstuneError as error:
                 self._let_go()
                 if time.monotonic() - self._stopping_since_s < self._stop_within_s:
                     self._rest(_STEP_S)

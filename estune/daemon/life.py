@@ -6,7 +6,7 @@ nothing; an event from within that has none is an error.
 
 Only the home gains are ever put on the rig. A candidate is measured in trials, which put them back
 whatever becomes of the daemon, and stays off the rig until it is accepted, which makes it the home
-set. So whenever the daemon is killed, the rig runs gains that somebody, or the file, has agreed to.
+set. So whenever the daemon is killed, the rig runs gains that somebody or the file agreed to.
 """
 
 from collections.abc import Callable, Mapping

@@ -10,13 +10,14 @@ from estune import bus
 from estune.bus import RemoteRig
 from estune.core.gains import Gains
 from estune.daemon.config import RigTable
-from estune.errors import EstuneError, RigError
+from estune.errors import EstuneError, PlantError, RigError
 from estune.inspection import fault_of
+from estune.security import Security
 from estune.targets import is_endpoint, open_target
 from estune.trial import Outcome, Rig, RigDescription, TrialRecord, TrialRequest, unmeasured
 
-VOID_IN_A_ROW = 5
-"""So many check trials that came to nothing, one after the other, are no accident."""
+GIVE_UP_AFTER = 5
+"""So many trials that came to nothing, one after the other, are no accident."""
 
 HOLDER = "estune daemon"
 """How a daemon's name as the holder of a rig begins."""
@@ -29,6 +30,34 @@ class Refused(RigError):
     """Another daemon supervises the rig."""
 
 
+class GivenUp(RigError):
+    """The rig is there, but its trials come to nothing time and again."""
+
+
+class Patience:
+    """Counts trials that came to nothing, one after the other.
+
+    It outlasts a rig that is lost: one whose program ends in each trial is to be given up, too.
+    """
+
+    def __init__(self) -> None:
+        self._void_in_a_row = 0
+
+    def tell(self, record: TrialRecord) -> None:
+        """Counts a trial.
+
+        Raises:
+            GivenUp: it is one too many.
+        """
+        self._void_in_a_row = self._void_in_a_row + 1 if record.outcome.is_void else 0
+        if self._void_in_a_row >= GIVE_UP_AFTER:
+            self._void_in_a_row = 0
+            raise GivenUp(
+                f"{GIVE_UP_AFTER} trials in a row came to nothing, the last {record.trial_id}: "
+                f"{record.reason}; see what stops them, then resume"
+            )
+
+
 class Reached:
     """A rig that was reached; made by `reach`.
 
@@ -36,10 +65,10 @@ class Reached:
         about: What it says of itself, as last heard.
     """
 
-    def __init__(self, rig: Rig, opened: ExitStack) -> None:
+    def __init__(self, rig: Rig, opened: ExitStack, patience: Patience) -> None:
         self._rig = rig
         self._opened = opened
-        self._void_in_a_row = 0
+        self._patience = patience
         self.about = rig.describe()
 
     def describe(self) -> RigDescription:
@@ -81,23 +110,40 @@ class Reached:
     def run(self, request: TrialRequest) -> TrialRecord:
         """Runs a trial. A record that cannot be what was asked for counts as none.
 
+        Neither does one in which the rig's own program failed: it would say so for ever, asked by
+        the same id. On a rig that moves that is a trial cut off.
+
         Raises:
-            RigError: the rig cannot be asked, or its trials come to nothing time and again.
+            RigError: the rig cannot be asked.
+            GivenUp: its trials come to nothing time and again.
         """
-        record = self._rig.run(request)
+        try:
+            record = self._rig.run(request)
+        except EstuneError as error:
+            if not self._has_failed(request, error):
+                raise
+            outcome = Outcome.CANCELLED if self.about.simulated else Outcome.INTERRUPTED
+            record = self._nothing(request, outcome, str(error))
         fault = fault_of(record, request, self.about)
         if fault:
             said = f"the record of trial {request.trial_id} is refused: {fault}"
-            _log.error("%s", said, extra={"rig": self.about.name})
-            at = datetime.now(UTC).isoformat(timespec="milliseconds")
-            record = unmeasured(request, self.about, Outcome.CANCELLED, said, at)
-        self._void_in_a_row = self._void_in_a_row + 1 if record.outcome.is_void else 0
-        if self._void_in_a_row >= VOID_IN_A_ROW:
-            self._void_in_a_row = 0
-            raise RigError(
-                f"{VOID_IN_A_ROW} trials in a row came to nothing; the last: {record.reason}"
-            )
+            record = self._nothing(request, Outcome.CANCELLED, said)
+        self._patience.tell(record)
         return record
+
+    def _has_failed(self, request: TrialRequest, error: EstuneError) -> bool:
+        """Whether a trial can never run under its id."""
+        if not isinstance(self._rig, RemoteRig):
+            return isinstance(error, PlantError)
+        try:
+            return self._rig.has_failed(request)
+        except EstuneError:  # it is gone: what has become of the trial is seen when it is back
+            return False
+
+    def _nothing(self, request: TrialRequest, outcome: Outcome, said: str) -> TrialRecord:
+        _log.error("%s", said, extra={"rig": self.about.name})
+        at = datetime.now(UTC).isoformat(timespec="milliseconds")
+        return unmeasured(request, self.about, outcome, said, at)
 
     def latched(self) -> str:
         """Why its emergency stop was called; empty if it was not, was cleared, or is not known."""
@@ -141,12 +187,14 @@ class _Inspected:
         self.close = reached.close
 
 
-def reach(settings: RigTable, holder: str) -> Reached:
+def reach(settings: RigTable, holder: str, patience: Patience, security: Security) -> Reached:
     """Reaches a rig.
 
     Args:
         settings: Which.
         holder: Who commands it, for others to be told.
+        patience: What is told how its trials end.
+        security: Who this is, where the rig asks.
 
     Raises:
         RigError: it is not there.
@@ -155,10 +203,12 @@ def reach(settings: RigTable, holder: str) -> Reached:
     with ExitStack() as opened:
         if is_endpoint(settings.target):
             remote = bus.connect(
-                settings.target, settings.name, settings.answer_within_s, holder=holder
+                *(settings.target, settings.name, settings.answer_within_s),
+                holder=holder,
+                security=security,
             )
             opened.callback(remote.close)
             rig: Rig = remote
         else:
             rig = opened.enter_context(open_target(settings.target, settings.name))
-        return Reached(rig, opened.pop_all())
+        return Reached(rig, opened.pop_all(), patience)

@@ -21,6 +21,7 @@ from estune.daemon.supervision import Supervision
 from estune.daemon.systemd import Notifier
 from estune.errors import EstuneError, RigError
 from estune.protocol.daemon import DaemonStatus, EventMessage
+from estune.security import OPEN, Security
 
 TURN_S = 0.25
 """How often the process looks after its keepers."""
@@ -33,8 +34,19 @@ _log = logging.getLogger(__name__)
 class Service:
     """A daemon. `run` returns when every keeper has ended."""
 
-    def __init__(self, config: DaemonConfig, notifier: Notifier | None = None) -> None:
+    def __init__(
+        self,
+        config: DaemonConfig,
+        notifier: Notifier | None = None,
+        *,
+        security: Security = OPEN,
+    ) -> None:
         """Opens the stores and listens; nothing is done with a rig before `run`.
+
+        Args:
+            config: What to do.
+            notifier: Who is told of it; systemd, where there is one, by default.
+            security: Who this is, where a rig asks.
 
         Raises:
             JournalError: another daemon has a store, or it cannot be used.
@@ -73,7 +85,11 @@ class Service:
                 for rig in config.rig
             }
             self._keepers = tuple(
-                Keeper(rig, self._supervised[rig.name], stop_within_s=config.stop_within_s)
+                Keeper(
+                    *(rig, self._supervised[rig.name]),
+                    stop_within_s=config.stop_within_s,
+                    security=security,
+                )
                 for rig in config.rig
             )
             if config.metrics.http_port is not None:
