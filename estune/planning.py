@@ -3,7 +3,7 @@
 import dataclasses
 import importlib
 from collections.abc import Mapping
-from typing import Any, Literal
+from typing import Any, Final, Literal
 
 from pydantic import TypeAdapter, ValidationError
 
@@ -21,7 +21,7 @@ from estune.trial import RigDescription
 MOVE_WEIGHT = 0.2
 """Default price on effort: without one the cost (35) has no interior optimum on a good plant."""
 
-DEFAULT_TUNER = "least_squares_gradient"
+DEFAULT_TUNER: Final = "newton"
 """What gains are proposed by where nothing else is asked for."""
 
 
@@ -63,7 +63,7 @@ def make_plan(
         UnsafeStart: the gains its model suggests would be no safe start.
     """
     if start == "model":
-        start = _model_start(description)
+        start = model_start(description)
     start = start or description.gains
     return Plan(
         run=run,
@@ -75,7 +75,13 @@ def make_plan(
     )
 
 
-def _model_start(description: RigDescription) -> Gains:
+def model_start(description: RigDescription) -> Gains:
+    """The gains that a rig's own linear model suggests to begin from.
+
+    Raises:
+        InvalidInput: the rig gives no model, or one the rule does not apply to.
+        UnsafeStart: they would be no safe start.
+    """
     if description.linear_model is None:
         raise InvalidInput(
             f"rig {description.name} gives no linear model of itself to start from; "

@@ -106,7 +106,7 @@ def test_a_disk_that_turns_read_only_is_said_and_the_run_can_still_be_read(tmp_p
     with small_disk(tmp_path / "disk", "4m") as disk:
         shutil.copytree(old_run(tmp_path), disk / "run")
         subprocess.run(["mount", "-o", "remount,ro", disk], check=True)
-        assert len(committed(disk / "run")) == 18
+        assert len(committed(disk / "run")) == 22
         with pytest.raises(JournalError, match="can be written"):
             Journal.open(disk / "run", write=True)
         with pytest.raises(JournalError, match="can be written"):
@@ -116,7 +116,7 @@ def test_a_disk_that_turns_read_only_is_said_and_the_run_can_still_be_read(tmp_p
 def test_a_journal_of_the_first_schema_is_read_and_replayed(tmp_path):
     result = api.load(old_run(tmp_path))
     assert result.success
-    assert [e.number for e in result.entries] == list(range(18))
+    assert [e.number for e in result.entries] == list(range(22))
     # The same run made now: every proposal and cost as they were then, but for the last bits, in
     # which processors differ.
     now = api.tune(
@@ -145,7 +145,7 @@ def test_an_older_schema_is_brought_up_to_date_when_it_is_opened(write, tmp_path
     monkeypatch.setattr(journal, "VERSIONS", LATER)
     with Journal.open(folder, write=write) as book:
         assert database.version(book._connection) == len(LATER)
-        assert book._connection.execute("SELECT weather FROM trial").fetchall() == [(None,)] * 18
+        assert book._connection.execute("SELECT weather FROM trial").fetchall() == [(None,)] * 22
     assert committed(folder) == before
 
 

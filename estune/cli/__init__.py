@@ -83,7 +83,7 @@ def run(arguments: Sequence[str]) -> int:
     signal.signal(signal.SIGINT, interrupts)
     signal.signal(signal.SIGTERM, interrupts)
     try:
-        app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
+        code = app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
     except CycloptsError as error:
         _say(f"{' '.join(str(error).split())} (see: estune --help)")
         return InvalidInput.exit_code
@@ -99,7 +99,7 @@ def run(arguments: Sequence[str]) -> int:
     except BrokenPipeError:  # the reader of our output has seen enough, as in: estune list | head
         sys.stderr.close()
         return 0
-    return 0
+    return code if isinstance(code, int) else 0
 
 
 class Interrupts:

@@ -10,6 +10,7 @@ from pathlib import Path
 from estune import api
 from estune.cli.tune import TunerName, finish
 from estune.errors import RigError
+from estune.planning import DEFAULT_TUNER
 from estune.tuning import Stopped
 
 _START_S = 60.0
@@ -20,12 +21,12 @@ _STOP_S = 5.0
 
 def demo(
     *,
-    tuner: TunerName = "least_squares_gradient",
+    tuner: TunerName = DEFAULT_TUNER,
     trials: int = 120,
     seed: int = 0,
     pace: float = 0.1,
     folder: Path = Path(api.RUNS),
-) -> None:
+) -> int:
     """Watch a simulated reel in another process being tuned over Zenoh.
 
     Args:
@@ -52,7 +53,7 @@ def demo(
         "": "estune tune tcp/127.0.0.1:7447              in another",
         "notebook": f"import estune; estune.load({str(result.folder)!r})",
     }
-    finish(result, None, more)
+    return finish(result, None, more)
 
 
 @contextmanager

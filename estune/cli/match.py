@@ -40,7 +40,7 @@ def match(
     *,
     eta: str = "auto",
     tolerance: float = _USUAL.tolerance,
-    tuner: TunerName = DEFAULT_TUNER,  # type: ignore[assignment]  # a name of the list
+    tuner: TunerName = DEFAULT_TUNER,
     trials: int = _USUAL.trials,
     match_trials: int = _USUAL.match_trials,
     repeats: int = _USUAL.repeats,

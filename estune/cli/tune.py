@@ -11,22 +11,26 @@ from cyclopts import Group, Parameter
 
 from estune import api
 from estune.cli import output
+from estune.cli.asking import at_the_terminal
 from estune.cli.runs import find_run
-from estune.cli.values import numbers_from, ranges_from, security_from
+from estune.cli.values import numbers_from, ranges_from, security_from, share_from
 from estune.core.cost import StepCost
 from estune.core.gains import GAIN_NAMES, Gains
 from estune.errors import InvalidInput
 from estune.journal import Journal
-from estune.planning import MOVE_WEIGHT
+from estune.planning import DEFAULT_TUNER, MOVE_WEIGHT, model_start
 from estune.profiles import StepProfile
 from estune.result import Ending, TuneResult
+from estune.session import TOLERANCE
 from estune.targets import is_endpoint, open_target
 from estune.trial import Rig, RigDescription
 
 _STEP = Group("The step trial", sort_key=1)
 _COST = Group("The cost of a trial, (35)", sort_key=2)
 
-TunerName = Literal["killingsworth", "otis", "least_squares_gradient", "optuna", "bobyqa"]
+TunerName = Literal[
+    "newton", "killingsworth", "otis", "least_squares_gradient", "optuna", "bobyqa"
+]
 
 
 @Parameter(name="*", group=_STEP)
@@ -72,10 +76,13 @@ def tune(
     target: str,
     /,
     *,
-    tuner: TunerName = "least_squares_gradient",
+    tuner: TunerName = DEFAULT_TUNER,
     trials: int = 120,
+    tolerance: str = f"{TOLERANCE:.0%}",
     repeats: int = 3,
     eta_max: float | None = None,
+    ask: Annotated[bool, Parameter(negative=(), show_default=False)] = False,
+    warm_start: Annotated[bool, Parameter(negative=(), show_default=False)] = False,
     start: Annotated[tuple[str, ...], Parameter(negative=(), show_default=False)] = (),
     bounds: Annotated[tuple[str, ...], Parameter(negative=(), show_default=False)] = (),
     rig: str | None = None,
@@ -85,17 +92,27 @@ def tune(
     quiet: Annotated[bool, Parameter(negative=(), show_default=False)] = False,
     step: StepOptions = _NO_STEP,
     cost: CostOptions = _NO_COST,
-) -> None:
+) -> int:
     """Tune a rig by step trials.
+
+    It ends with 0 if the gains found are better than the start, and with 7 if they are not beyond
+    the scatter of repeats.
 
     Args:
         target: Where the rig is: an endpoint such as tcp/127.0.0.1:7447, a model file such as
             reel.toml, or module:attribute such as plants:reference_reel.
         tuner: How gains are proposed.
         trials: Greatest number of search trials.
-        repeats: Trials of the start gains before the search, and of each candidate after it.
+        tolerance: The search ends once no more than this share of the cost is left to gain, as 1%
+            or 0.01, by a tuner that can tell; 0 makes it use all its trials.
+        repeats: Trials of the start gains before the search, and at the least of the start and of
+            the gains found after it.
         eta_max: Cost above which a trial counts as unsafe; three times the start's by default.
-        start: A gain to begin from instead of the rig's own, as P=0.5; repeat for more.
+        ask: Ask here before gains are tried that lie beyond what safe trials have shown to be
+            safe.
+        warm_start: Begin from the gains that the rig's own linear model suggests.
+        start: A gain to begin from instead of the rig's or its model's, as P=0.5; repeat for
+            more.
         bounds: Least and greatest value of a gain, as P=0.1:10; repeat for more. The gains are P,
             I, D and setpoint_filter_s.
         rig: Name of the rig, where several answer at the endpoint.
@@ -107,11 +124,13 @@ def tune(
         cost: How a trial is scored.
     """
     who = security_from(security)
-    chosen = _chosen(partial(open_target, target, rig, who), numbers_from(start), step, cost)
+    reach = partial(open_target, target, rig, who)
+    chosen = _chosen(reach, numbers_from(start), step, cost, warm_start=warm_start)
     result = api.tune(
         target,
         tuner=tuner,
         trials=trials,
+        tolerance=share_from("tolerance", tolerance),
         repeats=repeats,
         eta_max=eta_max,
         start=chosen.start,
@@ -123,8 +142,9 @@ def tune(
         run=run,
         folder=folder,
         watch=None if quiet else "auto",
+        ask=at_the_terminal() if ask else None,
     )
-    finish(result, target)
+    return finish(result, target)
 
 
 def resume(
@@ -135,7 +155,7 @@ def resume(
     security: Path | None = None,
     folder: Path = Path(api.RUNS),
     quiet: Annotated[bool, Parameter(negative=(), show_default=False)] = False,
-) -> None:
+) -> int:
     """Go on with a run that was stopped or cut off.
 
     Args:
@@ -148,12 +168,18 @@ def resume(
     path = find_run(run, folder)
     with Journal.open(path) as journal:
         where = target or journal.fact("target")
+        ask = at_the_terminal() if journal.fact("plan")["ask_first"] else None
     who = security_from(security)
-    finish(api.resume(path, where, security=who, watch=None if quiet else "auto"), where)
+    watch: Literal["auto"] | None = None if quiet else "auto"
+    return finish(api.resume(path, where, security=who, watch=watch, ask=ask), where)
 
 
-def finish(result: TuneResult, target: str | None, more: Mapping[str, str] | None = None) -> None:
-    """Prints a result, saves its figure, and says what to type next, and `more` below that."""
+def finish(result: TuneResult, target: str | None, more: Mapping[str, str] | None = None) -> int:
+    """Prints a result, saves its figure, and says what to type next, and `more` below that.
+
+    Returns:
+        The exit code that tells how the run ended.
+    """
     output.show_result(result)
     facts: dict[str, object] = {"run": result.folder}
     figure = output.save_figure(result)
@@ -163,6 +189,7 @@ def finish(result: TuneResult, target: str | None, more: Mapping[str, str] | Non
         facts["make live"] = f"estune apply {result.folder} {target}"
     facts["trials"] = f"estune export {result.folder} --csv"
     output.show_next({**facts, **(more or {})})
+    return result.ending.exit_code
 
 
 @dataclass(frozen=True)
@@ -179,6 +206,8 @@ def _chosen(
     start: Mapping[str, float],
     step: StepOptions,
     cost: CostOptions,
+    *,
+    warm_start: bool,
 ) -> _Chosen:
     """Fills in what the user left open by asking the rig, if there is anything to fill in."""
     unknown = set(start) - set(GAIN_NAMES)
@@ -186,13 +215,13 @@ def _chosen(
         raise InvalidInput(
             f"there is no gain {', '.join(sorted(unknown))}; the gains are {', '.join(GAIN_NAMES)}"
         )
-    if not start and step == _NO_STEP and cost == _NO_COST:
+    if not start and not warm_start and step == _NO_STEP and cost == _NO_COST:
         return _Chosen(None, None, None)
     with reach() as the_rig:
         suggested: RigDescription = the_rig.describe()
     usual = StepCost(suggested.settling_time_s, move_weight=MOVE_WEIGHT)
     return _Chosen(
-        replace(suggested.gains, **start),
+        replace(model_start(suggested) if warm_start else suggested.gains, **start),
         replace(suggested.step, **_given(step)),
         replace(usual, **_given(cost)),
     )

@@ -40,6 +40,16 @@ def numbers_from(texts: Iterable[str]) -> dict[str, float]:
     return {name: _number(name, value) for name, value in map(_split, texts)}
 
 
+def share_from(name: str, text: str) -> float:
+    """A share written as a number or in per cent: 0.01 or 1%.
+
+    Raises:
+        InvalidInput: it is neither.
+    """
+    bare = text.removesuffix("%").strip()
+    return _number(name, bare) * (1.0 if bare == text.strip() else 0.01)
+
+
 def ranges_from(texts: Iterable[str]) -> dict[str, tuple[float, float]]:
     """Ranges written `name=low:high`.
 

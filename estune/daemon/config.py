@@ -11,6 +11,7 @@ from pydantic import Field, model_validator
 from estune.bus.session import check_endpoint, check_loopback
 from estune.core.control_chart import ControlChart
 from estune.daemon.events import Kind
+from estune.planning import DEFAULT_TUNER
 from estune.settings import Table, checked, read_toml
 from estune.trial import RigDescription
 from estune.tuning_tables import (
@@ -91,7 +92,7 @@ class TuningTable(SearchTable):
         bounds: Least and greatest value of gains, by name, in their own units.
     """
 
-    tuner: TunerName = "least_squares_gradient"
+    tuner: TunerName = DEFAULT_TUNER
     repeats: Annotated[int, Field(ge=2)] = 5
     confidence: Annotated[float, Field(gt=0.5, lt=1.0)] = 0.95
     improvement_min: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0

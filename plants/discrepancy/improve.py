@@ -20,7 +20,7 @@ from estune.core.gains import Gains
 from estune.core.tuners import Tuner
 from estune.errors import InvalidInput, RigError, UnsafeStart
 from estune.export import replace_file, write_record
-from estune.planning import MOVE_WEIGHT
+from estune.planning import DEFAULT_TUNER, MOVE_WEIGHT
 from estune.profiles import AnyProfile
 from estune.result import TuneResult
 from estune.score import cost_of
@@ -58,7 +58,7 @@ class TuneOptions(NamedTuple):
         watch: Told of each trial on the rig; "auto" shows progress, None nothing.
     """
 
-    tuner: str | Tuner[Any] = "least_squares_gradient"
+    tuner: str | Tuner[Any] = DEFAULT_TUNER
     model_trials: int = 120
     rig_trials: int = 40
     repeats: int = 3
