@@ -82,7 +82,7 @@ class _Bench:
 
     def _one(self, cell: Cell) -> Outcome:
         try:
-            with opened(cell.rig, cell.length_m, cell.tension_N) as rig:
+            with opened(cell.rig, cell.model) as rig:
                 self._rig = rig
                 try:
                     return run_on_rig(cell, rig, self._folder, self._saw)

@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
@@ -38,6 +38,7 @@ class Cell:
         start: Gains to begin from; None is the rig's own.
         step: The step trial.
         cost: How it is scored.
+        model: What a model is made with: cable_length_m, and tension_N where the design says it.
         most_trials: Trials it takes if nothing ends it early; follows from the rest.
     """
 
@@ -51,6 +52,7 @@ class Cell:
     start: Gains | None
     step: StepProfile
     cost: StepCost
+    model: Mapping[str, float]
     most_trials: int
 
     @property
@@ -66,22 +68,21 @@ def cells_of(design: SweepDesign) -> tuple[Cell, ...]:
     """The cells of a design; endpoints are asked what stands there, and nothing moves.
 
     Raises:
-        InvalidInput: a model, length, tension or limit does not fit; each is a line.
+        InvalidInput: a model, length, tension or limit does not fit; a line for each rig.
         RigError: a rig cannot be reached.
     """
     found: list[Cell] = []
     wrong: dict[str, None] = {}
     for rig in design.rigs:
-        source = _file_digest(rig)
+        source, faults = _file_digest(rig), []
         for length, tension in _places(design, rig, wrong):
             try:
                 found += _cells_at(design, rig, source, length, tension)
             except InvalidInput as error:
-                at = "" if length is None else f" at {length:g} m"
-                on = "" if tension is None else f" and {tension:g} N"
-                wrong |= dict.fromkeys(
-                    f"{rig.label}{at}{on}: {line}" for line in str(error).split("\n")
-                )
+                faults.append(f"{_place(rig, length, tension)}: {error}")
+        if faults:
+            others = f" ({len(faults) - 1} more places do not fit)" if len(faults) > 1 else ""
+            wrong[faults[0] + others] = None
     lengths = {cell.length_m for cell in found}
     if not wrong and len(lengths) < 2:
         only = ", ".join(f"{length:g} m" for length in lengths)
@@ -92,15 +93,12 @@ def cells_of(design: SweepDesign) -> tuple[Cell, ...]:
 
 
 @contextmanager
-def opened(
-    rig: SweptRig, length_m: float | None, tension_N: float | None, seed: int = 0
-) -> Iterator[Rig]:
-    """The rig itself: a model made at a length and tension, or what stands at an endpoint.
+def opened(rig: SweptRig, model: Mapping[str, float], seed: int = 0) -> Iterator[Rig]:
+    """The rig itself: a model made for the place, or what stands at an endpoint.
 
     Args:
         rig: Which.
-        length_m: Cable length, m, of a model.
-        tension_N: Preload, N, of a model; None is its own suggestion.
+        model: What a model is made with.
         seed: Seed of a model's noise.
 
     Raises:
@@ -112,14 +110,13 @@ def opened(
         with targets.open_target(rig.target, rig.rig, who) as remote:
             yield remote
         return
-    settings = {"cable_length_m": length_m, "tension_N": tension_N}
-    model = targets.load(rig.target, {k: v for k, v in settings.items() if v is not None})
-    if not hasattr(model, "rig"):
+    plant = targets.load(rig.target, model)
+    if not hasattr(plant, "rig"):
         raise InvalidInput(
-            f"a {type(model).__name__} is no model that can be made at each length; name a "
+            f"a {type(plant).__name__} is no model that can be made at each length; name a "
             "function such as plants:reference_reel, a model file, or an endpoint"
         )
-    made: Rig = model.rig(name="simulated-reel", seed=seed)
+    made: Rig = plant.rig(name="simulated-reel", seed=seed)
     try:
         yield made
     finally:
@@ -143,7 +140,7 @@ def _places(
     tensions: list[float | None] = [*design.tensions_N] or [None]
     if rig.is_model:
         return [(length, tension) for length in design.lengths_m for tension in tensions]
-    with opened(rig, None, None) as remote:
+    with opened(rig, {}) as remote:
         length = _length_of(rig, remote.describe(), wrong)
     if length is None:
         return []
@@ -155,6 +152,12 @@ def _places(
         ] = None
         return []
     return [(length, tension) for tension in tensions]
+
+
+def _place(rig: SweptRig, length: float | None, tension: float | None) -> str:
+    """A place in messages."""
+    at = "" if length is None else f" at {length:g} m"
+    return rig.label + at + ("" if tension is None else f" and {tension:g} N")
 
 
 def _length_of(rig: SweptRig, description: RigDescription, wrong: dict[str, None]) -> float | None:
@@ -183,7 +186,9 @@ def _cells_at(
     Raises:
         InvalidInput: the rig's limits do not allow the step, or the search does not fit.
     """
-    with opened(rig, length, tension) as the_rig:
+    given = {"cable_length_m": length, "tension_N": tension}
+    model = {name: value for name, value in given.items() if value is not None}
+    with opened(rig, model) as the_rig:
         description = the_rig.describe()
     step = design.step.of(description)
     if tension is not None:
@@ -205,18 +210,18 @@ def _cells_at(
         )
         for seed in range(design.seeds):
             place = (length or 0.0, step.preload_N, tuner, seed)
-            what = (*place, search, start, step, cost)
+            what = (*place, search, start, step, cost, model)
             cells.append(Cell(_key(rig, source, what), rig, *what, plan.most_trials))
     return cells
 
 
 def _key(rig: SweptRig, source: str, what: tuple[Any, ...]) -> str:
     """Digest of everything that decides a cell; where its files lie is no part of it."""
-    *place, search, start, step, cost = what
+    *place, search, start, step, cost, model = what
     parts = [
         version("estune"),
         *(rig.label, rig.rig, source),
-        *(*place, search, start and asdict(start), asdict(step), asdict(cost)),
+        *(*place, search, start and asdict(start), asdict(step), asdict(cost), model),
     ]
     text = json.dumps(parts, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:20]

@@ -119,8 +119,10 @@ def finished(cell: Cell, result: TuneResult, duration_s: float) -> Outcome:
     outlook, trace = _outlook(result), trace_of(result)
     if outlook is not None:
         left = outlook.remaining
+    elif isinstance(result.plan.tuner, Foresighted) or result.ending is Ending.NO_IMPROVEMENT:
+        left = math.inf
     else:
-        left = math.inf if isinstance(result.plan.tuner, Foresighted) else _still_falling(trace)
+        left = _still_falling(trace)
     return Outcome(
         cell,
         result.ending,

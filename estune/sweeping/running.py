@@ -20,7 +20,7 @@ def run_model(cell: Cell) -> Outcome:
     """
     began = time.perf_counter()
     try:
-        with opened(cell.rig, cell.length_m, cell.tension_N, noise_seed(cell)) as rig:
+        with opened(cell.rig, cell.model, noise_seed(cell)) as rig:
             return _tuned(cell, rig, began)
     except Exception as error:  # noqa: BLE001  a failing cell is a record, and the others go on
         return failed(cell, _sentence(error), time.perf_counter() - began)

@@ -1,0 +1,238 @@
+"""A sweep asks for what fits, keeps each cell as it is done, and runs none twice."""
+
+import math
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import estune
+from estune import bus
+from estune.cli import run
+from estune.errors import InvalidInput
+from estune.settings import checked
+from estune.sweeping import cells as cells_module
+from estune.sweeping.cells import cells_of
+from estune.sweeping.design import SweepDesign, read_design
+from estune.sweeping.outcome import Outcome
+from estune.sweeping.result import SweepResult
+from tests import support_sweep
+from tests.support_rigs import ScriptedRig
+
+SMALL = {
+    "lengths_m": [0.5, 0.9, 1.4],
+    "tensions_N": [15.0, 25.0],
+    "rigs": ["plants:reference_reel"],
+    "tuners": ["least_squares_gradient"],
+    "trials": 12,
+    "repeats": 2,
+}
+
+
+def swept(folder: Path, design=SMALL, **options) -> SweepResult:
+    return estune.sweep(design, folder=folder, **{"jobs": 1, "watch": None, **options})
+
+
+def alike(one: Outcome, other: Outcome) -> bool:
+    """Whether two outcomes are the same but for how long they took."""
+    rest = [replace(o, trace=np.empty(0), duration_s=0.0) for o in (one, other)]
+    return repr(rest[0]) == repr(rest[1]) and np.array_equal(one.trace, other.trace)
+
+
+def test_all_that_is_wrong_with_a_design_is_told_at_once_with_its_place():
+    wrong = {
+        "lengths_m": [0.5, 0.5, 1.0],
+        "tensions_N": [25.0, 15.0],
+        "tuners": ["otisx"],
+        "seeds": 0,
+        "rigs": ["plants:reference_reel", {"target": "reel.toml", "cable_length_m": 0.8}],
+        "start": {"Q": 1.0},
+        "trails": 100,
+    }
+    with pytest.raises(InvalidInput) as caught:
+        checked(SweepDesign, wrong, "sweep.toml")
+    for words in (
+        "sweep.toml: tuners.0: there is none named 'otisx'",
+        "seeds: Input should be greater than or equal to 1",
+        "rigs.1: cable_length_m: reel.toml is a model",
+        "trails: there is no such key; did you mean trials?",
+    ):
+        assert words in str(caught.value).replace("rigs.1.cable", "rigs.1: cable"), words
+    right = {**wrong, "tuners": ["otis"], "seeds": 1, "rigs": wrong["rigs"][:1]}
+    right.pop("trails")
+    with pytest.raises(InvalidInput) as caught:
+        read_design(right)
+    for words in (
+        "lengths_m: 0.5 m is there more than once",
+        "tensions_N: 15 N comes after 25 N; give them rising",
+        "start.Q: no gain; the gains are P, I, D, setpoint_filter_s",
+    ):
+        assert words in str(caught.value), words
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ({"lengths_m": [0.8]}, "0.8 m is one length only, which gives no law"),
+        ({"lengths_m": []}, "plants:reference_reel is a model, to be made at each"),
+        ({"step": {"preload_N": 10.0}}, "in a sweep that is tensions_N"),
+        ({"tensions_N": [35.0], "step": {"step_N": 10.0}}, "setpoint 45 N is outside the rig's"),
+        ({"tensions_N": [45.0]}, "it must lie from 5 to 40 N"),
+        ({"rigs": ["plants:no_reel"]}, "plants has no 'no_reel'"),
+        (
+            {"rigs": ["plants:unloaded_reel"]},
+            r"no cable_length_m; .* \(5 more places do not fit\)",
+        ),
+        ({"bounds": {"P": [1.0, 2.0]}}, "P"),
+    ],
+)
+def test_what_does_not_fit_is_refused_before_anything_is_run(changed, words):
+    with pytest.raises(InvalidInput, match=words):
+        cells_of(read_design({**SMALL, **changed}))
+
+
+def test_a_dry_run_shows_what_would_be_commanded_and_keeps_nothing(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("sweep.toml").write_text(
+        'lengths_m = [0.5, 1.4]\nrigs = ["plants:reference_reel"]\nseeds = 2\ntrials = 30\n'
+    )
+    assert run(["sweep", "sweep.toml", "--dry-run"]) == 0
+    shown = capsys.readouterr().out
+    most = cells_of(read_design("sweep.toml"))[0].most_trials
+    assert "15 to 25 N" in shown
+    assert f"at most {4 * most}, each within its rig's limits" in shown
+    assert [path.name for path in tmp_path.iterdir()] == ["sweep.toml"]
+
+
+def test_processes_give_what_one_gives_and_a_second_call_runs_nothing(tmp_path):
+    one = swept(tmp_path / "one")
+    many = swept(tmp_path / "many", jobs=2)
+    assert len(one.outcomes) == 6
+    assert all(map(alike, one.outcomes, many.outcomes))
+    seen: list[Outcome] = []
+    again = swept(tmp_path / "many", watch=seen.append)
+    assert not seen
+    assert all(map(alike, one.outcomes, again.outcomes))
+    # More seeds are more cells; those that are there stay.
+    more = swept(tmp_path / "many", {**SMALL, "seeds": 2}, watch=seen.append)
+    assert len(more.outcomes) == 12
+    assert sorted(o.cell.seed for o in seen) == [1] * 6
+
+
+def test_noise_differs_from_place_to_place_and_is_the_same_for_each_tuner():
+    both = {**SMALL, "tuners": ["least_squares_gradient", "otis"], "seeds": 2}
+    cells = cells_of(read_design(both))
+    seeds = [cells_module.noise_seed(cell) for cell in cells]
+    assert len(cells) == 2 * len(set(seeds)) == len({cell.key for cell in cells})
+
+
+def test_the_frame_is_tidy_and_the_dataset_has_a_dimension_for_each_choice(tmp_path):
+    result = swept(tmp_path)
+    frame = result.to_frame()
+    assert frame.shape[0] == 6
+    assert not frame.duplicated(["length_m", "tension_N", "tuner", "seed", "rig"]).any()
+    dataset = result.to_xarray()
+    assert dict(dataset.sizes) == {"length": 3, "tension": 2, "tuner": 1, "seed": 1, "rig": 1}
+    there = {"length": 0.9, "tension": 25.0, "seed": 0}
+    row = frame[(frame["length_m"] == 0.9) & (frame["tension_N"] == 25.0)].iloc[0]
+    assert float(dataset["I"].sel(there).item()) == row["I"]
+    assert dataset["I"].attrs["units"] == "1/s"
+    result.to_parquet(tmp_path / "cells.parquet")
+    pd.testing.assert_frame_equal(pd.read_parquet(tmp_path / "cells.parquet"), frame)
+
+
+def test_a_failing_cell_is_a_record_and_is_tried_again(tmp_path):
+    design = {**SMALL, "rigs": ["tests.support_sweep:fragile"], "tensions_N": []}
+    support_sweep.broken_at_m.add(0.9)
+    try:
+        first = swept(tmp_path, design)
+    finally:
+        support_sweep.broken_at_m.clear()
+    (failed,) = first.failed
+    assert failed.cell.length_m == 0.9
+    assert failed.message == "ZeroDivisionError: no answer to 0"
+    assert math.isnan(first.to_frame().set_index("length_m").loc[0.9, "P"])
+    seen: list[Outcome] = []
+    second = swept(tmp_path, design, watch=seen.append)
+    assert [o.cell.length_m for o in seen] == [0.9]
+    assert not second.failed
+
+
+def test_unsafe_and_unfinished_tunings_are_named_and_have_no_part_in_the_law(tmp_path):
+    unfinished = swept(tmp_path / "unfinished")
+    assert all("the search had not come to its end" in o.excluded for o in unfinished.excluded)
+    assert len(unfinished.excluded) == 6
+    with pytest.raises(InvalidInput, match="too few for a law over length"):
+        unfinished.law()
+    unsafe = swept(tmp_path / "unsafe", {**SMALL, "eta_max": 1.0})
+    assert all("the start gains" in o.excluded for o in unsafe.outcomes)
+    assert not any(o.safe for o in unsafe.outcomes)
+
+
+def test_a_sweep_ends_in_laws_a_page_and_files(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("sweep.toml").write_text(
+        'lengths_m = [0.5, 0.8, 1.1, 1.4]\nrigs = ["plants:reference_reel"]\ntrials = 100\n'
+        "tolerance = 0.0\nseeds = 2\n"
+    )
+    assert run(["sweep", "sweep.toml", "--quiet", "--jobs", "1"]) == 0
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "I falls by" in shown
+    folder = Path("sweeps/sweep")
+    page = (folder / "report.html").read_text()
+    assert page.count("<img") == 6  # costs, integral gain, and the law of each of four gains
+    assert "Fig. 14. I =" in page
+    assert "http://" not in page.replace("http://www.w3.org", "")
+    assert len(pd.read_csv(folder / "cells.csv")) == 8
+    assert '"schedule"' in (folder / "law.json").read_text()
+
+
+def test_rigs_are_tuned_side_by_side_and_an_interrupted_one_goes_on_where_it_was(tmp_path):
+    rigs = [ScriptedRig(name=f"r{n}", cable_length_m=0.5 + 0.4 * n) for n in range(2)]
+    with ExitStack() as stack:
+        servers = [
+            stack.enter_context(bus.serve(rig, "tcp/127.0.0.1:0", ledger=tmp_path / rig_name))
+            for rig, rig_name in zip(rigs, ("one", "other"), strict=True)
+        ]
+        design = {
+            "rigs": [{"target": s.endpoint, "name": f"reel {n}"} for n, s in enumerate(servers)],
+            "trials": 12,
+            "repeats": 2,
+            "seeds": 2,
+            "tuners": ["least_squares_gradient"],
+        }
+
+        def stop(_: Outcome) -> None:
+            raise KeyboardInterrupt
+
+        with pytest.raises(KeyboardInterrupt):
+            swept(tmp_path / "sweep", design, watch=stop)
+        result = swept(tmp_path / "sweep", design)
+    assert not result.failed
+    assert sorted({o.cell.length_m for o in result.outcomes}) == [0.5, 0.9]
+    for rig, of_rig in zip(rigs, (result.outcomes[:2], result.outcomes[2:]), strict=True):
+        asked = [request.trial_id for request in rig.asked]
+        assert len(asked) == len(set(asked))  # no trial twice, before and after the interrupt
+        told = sum(len(o.trace) for o in of_rig)
+        assert len(asked) - told <= 1  # at most the one that was stopped under way
+
+
+@pytest.mark.parametrize(
+    ("length", "given", "lengths", "words"),
+    [
+        (1.6, {}, [0.5, 1.4], "it stands at 1.6 m, outside the sweep's range of 0.5 to 1.4 m"),
+        (None, {}, [0.5, 1.4], "it does not say its cable length; give cable_length_m"),
+        (0.8, {"cable_length_m": 0.9}, [0.5, 1.4], "it says its cable is 0.8 m long"),
+        (0.8, {}, [], "one length only, which gives no law over length"),
+    ],
+)
+def test_a_rig_at_the_wrong_length_is_refused(tmp_path, length, given, lengths, words):
+    rig = ScriptedRig(cable_length_m=length)
+    with bus.serve(rig, "tcp/127.0.0.1:0", ledger=tmp_path / "ledger") as server:
+        design = {"rigs": [{"target": server.endpoint, **given}], "lengths_m": lengths}
+        with pytest.raises(InvalidInput, match=words):
+            cells_of(read_design(design))
+    assert not rig.asked
