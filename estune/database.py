@@ -73,6 +73,15 @@ def being_written(path: Path) -> bool:
     return False
 
 
+def inode(path: Path) -> tuple[int, int] | None:
+    """Tells the file at a path from any other that may take its place; None if there is none."""
+    try:
+        found = path.stat()
+    except FileNotFoundError:
+        return None
+    return found.st_dev, found.st_ino
+
+
 def version(connection: sqlite3.Connection) -> int:
     """The schema a file has; 0 if it has none yet."""
     return int(connection.execute("PRAGMA user_version").fetchone()[0])

@@ -210,6 +210,7 @@ class FileLedger:
             self._writer = database.connect(opened, path, "rwc")
             self._prepare(rig)
             self._reader = database.connect(opened, path, "rw")
+            self._file = database.inode(path)
             self._opened = opened.pop_all()
         facts = dict(self._writer.execute("SELECT key, value FROM rig"))
         self.identity: str = facts["identity"]
@@ -243,10 +244,11 @@ class FileLedger:
             Its state now.
 
         Raises:
-            RigError: it cannot be written; nothing is noted.
+            RigError: it cannot be written, or is not where it was; nothing is noted.
             ProtocolError: that cannot happen to this trial; nothing is noted.
         """
         with self._writing:
+            self._check_there()
             found = self.find(trial_id)
             state = reduce(after, events, found.state)
             with self._transaction():
@@ -273,6 +275,15 @@ class FileLedger:
         """Lets go of the file."""
         with self._writing, self._reading:
             self._opened.close()
+
+    def _check_there(self) -> None:
+        """Refuses to go on in a file that nobody would find again."""
+        if database.inode(self._path) != self._file:
+            raise RigError(
+                f"the rig's ledger {self._path} was deleted or replaced while it was in use: what "
+                "trials have run would be forgotten; put it back from a copy, or see to the rig "
+                "and begin a new one, and start the rig again"
+            )
 
     def _try_to_write(self) -> None:
         try:

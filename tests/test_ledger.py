@@ -233,6 +233,23 @@ def test_a_full_disk_keeps_trials_out_and_loses_no_record(tmp_path):
     again.close()
 
 
+@pytest.mark.parametrize("replaced", [False, True])
+def test_a_ledger_deleted_under_a_running_rig_takes_no_trial_in(replaced, tmp_path):
+    book = opened(tmp_path)
+    try:
+        book.note("a", "d", SUBMIT, START)
+        (tmp_path / "l").unlink()
+        if replaced:
+            (tmp_path / "l").touch()
+        with pytest.raises(RigError, match="was deleted or replaced while it was in use"):
+            book.note("b", "d", SUBMIT)
+        book.end("a", b"the record")
+        assert book.find("a").frame == b"the record"
+        assert states(book, "b") == [TrialState.UNKNOWN]
+    finally:
+        book.close()
+
+
 def test_a_ledger_does_not_grow_without_end(tmp_path):
     ledger = opened(tmp_path, frames_max_bytes=200_000)
     sizes = []

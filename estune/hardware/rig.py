@@ -324,8 +324,10 @@ class HardwareRig:
             try:
                 self._loop.send(End())
                 self._process.wait(self._config.safe.ramp_s + _ANSWER_WITHIN_s)
-            except (OSError, subprocess.TimeoutExpired):
-                _log.exception("rig %s: its loop did not end in order", self._description.name)
+            except (OSError, subprocess.TimeoutExpired) as error:
+                why = self._memory.reason or error
+                name = self._description.name
+                _log.error("rig %s: its loop did not end in order: %s", name, why)  # noqa: TRY400  ours
             self._kill()
 
     @contextlib.contextmanager
@@ -536,7 +538,8 @@ class HardwareRig:
         if self._closed:
             raise RigError(f"rig {name} is closed; make a new one")
         if not self._failure and self._process.poll() is not None:
-            self._failure = f"its loop has ended, exit code {self._process.returncode}"
+            code, why = self._process.returncode, self._memory.reason or "it has not said why"
+            self._failure = f"its loop has ended, exit code {code}: {why}"
         if self._failure:
             raise RigError(f"rig {name}: {self._failure}; look at it, then start it anew")
 
