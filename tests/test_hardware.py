@@ -197,6 +197,46 @@ def test_an_agent_that_dies_or_hangs_leaves_the_reel_in_its_safe_state(hardware,
             assert truth().tension_N == pytest.approx(15.0, abs=3.0)
 
 
+class Told:
+    """A lock that sets an event when somebody has waited for it in vain."""
+
+    def __init__(self, lock, in_vain):
+        self._lock, self._in_vain = lock, in_vain
+
+    def acquire(self, timeout=-1):
+        got = self._lock.acquire(timeout=timeout)
+        if not got:
+            self._in_vain.set()
+        return got
+
+    def release(self):
+        self._lock.release()
+
+    def __enter__(self):
+        return self.acquire()
+
+    def __exit__(self, *_):
+        self.release()
+
+
+def test_an_abort_that_comes_while_a_trial_is_being_prepared_stops_it(hardware):
+    with HardwareRig(configuration(hardware[0])) as rig:
+        prepare, begun, said = rig._prepare, threading.Event(), threading.Event()
+
+        def until_said(request):
+            begun.set()
+            assert said.wait(GIVE_UP_S)
+            return prepare(request)
+
+        # The abort is said once before the trial has a number, and so to none.
+        rig._prepare, rig._trial = until_said, Told(rig._trial, said)
+        with in_background(lambda: rig.run(ask(rig, duration_s=8.0))) as results:
+            assert begun.wait(GIVE_UP_S)
+            assert rig.abort().gains == rig.describe().gains
+        (record,) = results
+        assert record.outcome is Outcome.CANCELLED
+
+
 def test_a_driver_that_fails_ends_motion_and_is_named(hardware):
     address, _ = hardware
     with started({"electronics": {"watchdog_s": 0.2}}) as other:

@@ -327,7 +327,7 @@ class HardwareRig:
             except (OSError, subprocess.TimeoutExpired) as error:
                 why = self._memory.reason or error
                 name = self._description.name
-                _log.error("rig %s: its loop did not end in order: %s", name, why)  # noqa: TRY400  ours
+                _log.error("rig %s: its loop did not end in order: %s", name, why)
             self._kill()
 
     @contextlib.contextmanager
