@@ -5,6 +5,7 @@ records.
 """
 
 import math
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -63,7 +64,7 @@ def draw_cost(ax: Axes, frame: "pd.DataFrame", start_cost: float, eta_max: float
             markersize=3.2 if phase == "search" else 4.0, markeredgewidth=0, alpha=0.85,
         )  # fmt: skip
     # After the search gains are repeated: a lucky repeat of theirs is no news of a better place.
-    searched = frame[frame["phase"].isin(["baseline", "search"])]
+    searched = _searched(frame)
     ax.plot(
         searched["number"], searched["best_cost"], color=BLACK, linewidth=1.3,
         drawstyle="steps-post", label="best so far", zorder=2,
@@ -121,18 +122,26 @@ def draw_response(
     return ax
 
 
-def draw_gains(ax: Axes, frame: "pd.DataFrame", start: Gains, recommended: Gains) -> Axes:
-    """Each gain over the trials as a multiple of its start, on a logarithmic axis.
+def draw_gains(
+    ax: Axes,
+    frame: "pd.DataFrame",
+    start: Gains,
+    recommended: Gains,
+    intervals: Mapping[str, tuple[float, float]],
+) -> Axes:
+    """Each gain over the search as a multiple of its start, on a logarithmic axis.
 
     Args:
         ax: Where to draw.
         frame: The run's trials, as of `TuneResult.to_frame`.
         start: The gains at the beginning.
-        recommended: The gains the run came to.
+        recommended: The gains the run came to, drawn behind the search.
+        intervals: Where each optimum lies, by name, drawn as bars on them.
     """
+    frame = _searched(frame)
     ax.set_yscale("log")
     ax.axhline(1.0, color=LIGHT, linewidth=0.9, zorder=0)
-    for name in GAIN_NAMES:
+    for place, name in enumerate(GAIN_NAMES, start=2):
         colour, dash, label = GAIN_LOOKS[name]
         values = frame[name].to_numpy(dtype=float)
         # A gain that starts at zero has no multiple: it is shown against its first other value.
@@ -145,12 +154,20 @@ def draw_gains(ax: Axes, frame: "pd.DataFrame", start: Gains, recommended: Gains
         label = f"{label}  {getattr(start, name):.3g} → {end:.3g} {GAIN_UNITS[name]}"
         ax.plot(frame["number"], shown, linestyle=dash, color=colour, linewidth=1.1, label=label)
         if end > 0.0 and len(frame):
-            last = frame["number"].iloc[-1]
-            ax.plot(last, end / unit, "o", color=colour, markersize=4.5, clip_on=False)
+            # Beside each other, so that bars do not hide one another.
+            behind = float(frame["number"].iloc[-1]) * (1.0 + 0.015 * place) + 0.3 * place
+            ax.plot(behind, end / unit, "o", color=colour, markersize=4.5, clip_on=False)
+            if name in intervals:
+                low, high = intervals[name]
+                ax.vlines(behind, low / unit, high / unit, color=colour, linewidth=1.6)
     ax.xaxis.set_major_locator(MaxNLocator(integer=True, steps=[1, 2, 5, 10]))
     finish(ax, "gain / start gain", "trial")
     legend(ax, columns=2, left=-0.12)
     return ax
+
+
+def _searched(frame: "pd.DataFrame") -> "pd.DataFrame":
+    return frame[frame["phase"].isin(["baseline", "search"])]
 
 
 def _draw_unsafe(ax: Axes, unsafe: "pd.DataFrame", safe: Any, eta_max: float) -> None:

@@ -202,7 +202,8 @@ class TuneResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type i
         from estune import drawing, figures  # noqa: PLC0415  slow to import
 
         return figures.draw_gains(
-            ax or drawing.new_axes(), self.to_frame(), self.start_gains, self.gains
+            *(ax or drawing.new_axes(), self.to_frame(), self.start_gains, self.gains),
+            self.tuned.intervals if self.tuned else {},
         )
 
     def figure(self) -> "Figure":

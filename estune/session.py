@@ -326,7 +326,7 @@ def _after_search(session: Session, observation: Observation) -> dict[str, Any]:
             f"{plan.tolerance:.3g}"
         )
     elif changed["searched"] >= plan.trials:
-        end = f"the search used its {plan.trials} trials"
+        end = f"the search used its {plan.trials} trial{'s' if plan.trials > 1 else ''}"
     else:
         return changed
     changed["search_end"] = end
