@@ -31,6 +31,11 @@ ONE_ARENA = {"MALLOC_ARENA_MAX": "1"}
 """One store for all threads: what one of them frees, another can use, so that memory does not
 depend on which of them happens to serve."""
 
+STRINGS_KEPT = 16_384
+"""Pydantic keeps so many short strings of the JSON it has read, to find them again. Each trial
+brings new ones, so that either process grows by 1.5 MB, ever slower, over some twice as many
+trials, and then by nothing."""
+
 GROWTH_LIMIT = 0.05
 """What the later of two times may have more than the earlier, as a share."""
 
@@ -157,9 +162,11 @@ def growth(values: list[int], settled: int) -> float:
 def figures_of(samples: list[Sample], per_run: int) -> dict[str, Any]:
     """What it came to."""
     last = samples[-1]
-    # The ledger holds the youngest records; until they fill it, the rig is not in its routine.
+    # The ledger holds the youngest records, and pydantic the youngest strings; until both are
+    # full, the processes are not in their routine.
     per_record = last.ledger_bytes / min(last.trials, FRAMES_MAX_BYTES / 25_000)
-    settled = min(int(FRAMES_MAX_BYTES / per_record / per_run) + 1, len(samples) // 3)
+    filled = max(FRAMES_MAX_BYTES / per_record, 2.0 * STRINGS_KEPT)
+    settled = min(int(filled / per_run) + 1, len(samples) // 3)
     made: dict[str, Any] = {
         "trials": last.trials,
         "seconds": last.at_s,
@@ -172,6 +179,10 @@ def figures_of(samples: list[Sample], per_run: int) -> dict[str, Any]:
             values = [getattr(sample, f"{who}_{what}") for sample in samples]
             made[f"{who}_{what}_first"], made[f"{who}_{what}_last"] = values[0], values[-1]
             made[f"{who}_{what}_growth"] = growth(values, settled)
+        half = samples[len(samples) // 2 :]
+        memory = [getattr(sample, f"{who}_bytes") for sample in half]
+        line = statistics.linear_regression([sample.trials for sample in half], memory)
+        made[f"{who}_bytes_per_trial_late"] = line.slope
     return made
 
 
@@ -202,8 +213,12 @@ def show(figures: dict[str, Any]) -> None:
             )
             cells = f"{factor * first:12.1f}{factor * last:12.1f}{100 * share:9.1f}%"
             print(f"{f'{who}, {unit}':20}{cells}")
+    late = ", ".join(
+        f"{who} {figures[f'{who}_bytes_per_trial_late']:+.1f}" for who in ("client", "rig")
+    )
+    print(f"\nbytes of memory a trial in the second half: {late}")
     print(
-        f"\na trial takes {figures['journal_bytes_per_trial']:.0f} bytes of journal; the rig's "
+        f"a trial takes {figures['journal_bytes_per_trial']:.0f} bytes of journal; the rig's "
         f"ledger ends at {1e-6 * figures['ledger_bytes']:.1f} MB"
     )
 
