@@ -23,7 +23,7 @@ from typing import Any
 from joblib import Parallel, delayed
 
 from experiments.sample_efficiency import figures, searches, tables
-from experiments.sample_efficiency.algorithms import ALGORITHMS
+from experiments.sample_efficiency.algorithms import ALGORITHMS, OURS
 from experiments.sample_efficiency.drawing import save_figure
 from experiments.sample_efficiency.figures import MORE_NOISE, NEWTON, NOISE
 from experiments.sample_efficiency.optimum import OUT, optimum
@@ -33,8 +33,8 @@ from experiments.sample_efficiency.stopping import StoppedRun, stopped_run
 
 HELD_OUT = range(1000, 1020)
 SLOW = "skopt GP"
-SLOW_SEEDS, SLOW_BUDGET = 5, 80  # it takes most of a second to think of a trial
-GAUGE_SEEDS = 10
+SLOW_SEEDS, SLOW_BUDGET = 3, 80  # it takes most of a second to think of a trial
+SEEDS_BESIDE = 10  # of the gauge's noise; and of peers at 10 % noise and from a warm start
 STOP_NOISES = (0.01, NOISE, MORE_NOISE)
 ROWS = OUT / "sample_efficiency.jsonl"
 STOPS = OUT / "sample_efficiency_stops.jsonl"
@@ -48,11 +48,12 @@ def jobs(only: str | None, seeds: range) -> Iterator[Job]:
             for problem, seed in product(PROBLEMS, seeds[:SLOW_SEEDS]):
                 yield Job(problem, name, NOISE, COLD, seed, SLOW_BUDGET)
             continue
-        for problem, seed in product(PROBLEMS, seeds):
-            yield Job(problem, name, NOISE, COLD, seed, 200)
+        yield from (Job(p, name, NOISE, COLD, s, 200) for p, s in product(PROBLEMS, seeds))
+        beside = seeds if name in OURS else seeds[:SEEDS_BESIDE]
+        for problem, seed in product(PROBLEMS, beside):
             yield Job(problem, name, MORE_NOISE, COLD, seed, 300)
             yield Job(problem, name, NOISE, WARM, seed, 60)
-        yield from (Job(GAUGE.name, name, 0.0, COLD, s, 200) for s in seeds[:GAUGE_SEEDS])
+        yield from (Job(GAUGE.name, name, 0.0, COLD, s, 200) for s in seeds[:SEEDS_BESIDE])
 
 
 def quick_jobs() -> Iterator[Job]:

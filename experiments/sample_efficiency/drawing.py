@@ -40,8 +40,8 @@ def save_figure(rows: Sequence[Row], path: Path) -> None:
     problems = [name for name in PROBLEMS if of(usual, problem=name)]
     names = [name for name in ALGORITHMS if of(usual, algorithm=name)]
     columns = -(-len(problems) // 2)
-    figure = plt.figure(figsize=(3.3 * columns + 3.9, 6.8), layout="constrained")
-    grid = figure.add_gridspec(2, columns + 1, width_ratios=[1.0] * columns + [1.15])
+    figure = plt.figure(figsize=(3.3 * columns + 3.4, 6.8), layout="constrained")
+    grid = figure.add_gridspec(2, columns + 1, width_ratios=[1.0] * columns + [1.05])
     first = None
     for n, problem in enumerate(problems):
         cell = grid[n // columns, n % columns]
@@ -51,7 +51,7 @@ def save_figure(rows: Sequence[Row], path: Path) -> None:
         panel.set_title(problem, fontsize=10)
         panel.tick_params(labelleft=n % columns == 0, labelbottom=n >= len(problems) - columns)
         if n % columns == 0:
-            panel.set_ylabel("cost over the optimum's, less one")
+            panel.set_ylabel("excess over the optimum's cost")
         if n >= len(problems) - columns:
             panel.set_xlabel("trial")
     _draw_unsafe(figure.add_subplot(grid[:, -1]), usual, names)
@@ -83,9 +83,10 @@ def _draw_problem(panel: Any, rows: Sequence[Row], names: Sequence[str]) -> None
                 trials, lower, upper, color=COLOURS[name], alpha=0.18, linewidth=0.0
             )
     panel.axhline(NEAR, color="k", linewidth=0.7, linestyle=":")
-    panel.set(xscale="log", yscale="log", ylim=(LEAST, 10.0), xlim=(3, 200))
+    panel.set(xscale="log", yscale="log", ylim=(LEAST, 12.0), xlim=(3, 200))
     panel.set_xticks([5, 10, 20, 50, 100, 200], ["5", "10", "20", "50", "100", "200"])
-    panel.set_yticks([1e-3, 1e-2, NEAR, 0.1, 1.0, 10.0], ["0.1 %", "1 %", "5 %", "", "1", "10"])
+    levels = {1e-3: "0.1 %", 1e-2: "1 %", NEAR: "5 %", 0.1: "", 1.0: "100 %", 10.0: "1000 %"}
+    panel.set_yticks(list(levels), list(levels.values()))
     panel.minorticks_off()
 
 
@@ -94,17 +95,19 @@ def _draw_unsafe(panel: Any, rows: Sequence[Row], names: Sequence[str]) -> None:
     for place, name in enumerate(names):
         mine = of(rows, algorithm=name)
         counts = np.array([row.unsafe for row in mine])
-        spread = np.linspace(-0.28, 0.28, len(counts))
-        panel.plot(
-            counts, place + spread, ".", color=COLOURS[name], markersize=3.5, alpha=0.5, zorder=3
-        )
+        # Apart by a golden section, so that equal counts and families do not fall on lines.
+        spread = 0.2 * ((np.arange(len(counts)) * 0.618) % 1.0) + 0.1
+        panel.plot(counts, place + spread, ".", color=COLOURS[name], markersize=3.5, alpha=0.45)
         middle = float(np.median(counts))
-        panel.plot([middle] * 2, [place - 0.38, place + 0.38], color=COLOURS[name], linewidth=3)
-    panel.set_yticks(range(len(names)), names, fontsize=9)
-    for label, name in zip(panel.get_yticklabels(), names, strict=True):
-        label.set_color(COLOURS[name])
-        label.set_fontweight("bold" if name == NEWTON else "normal")
-    panel.set(ylim=(len(names) - 0.4, -0.6), xlim=(-1, None))
-    panel.set_xlabel("unsafe trials of a search")
-    panel.set_title("unsafe: over 1.5 times the start's cost", fontsize=10)
+        panel.plot([middle] * 2, [place + 0.05, place + 0.35], color=COLOURS[name], linewidth=3)
+        weight = "bold" if name == NEWTON else "normal"
+        panel.text(-0.2, place - 0.1, name, color=COLOURS[name], fontsize=9, fontweight=weight)
+    ticks = [0, 1, 2, 5, 10, 20, 50, 200]
+    panel.set_xscale("symlog", linthresh=2.0)
+    panel.set_xticks(ticks, [str(n) for n in ticks])
+    panel.minorticks_off()
+    panel.set_yticks([])
+    panel.set(ylim=(len(names) - 0.4, -0.5), xlim=(-0.4, 250.0))
+    panel.set_xlabel("unsafe trials of a search; bar: median")
+    panel.set_title("over 1.5 times the start's cost", fontsize=10)
     panel.grid(axis="x", alpha=0.3)

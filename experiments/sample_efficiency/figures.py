@@ -53,6 +53,7 @@ def of_algorithm(rows: Iterable[Row], problem: str, algorithm: str) -> dict[str,
             if len(usual[0].excess) >= trials:
                 found[f"excess_{trials}"] = median([row.excess_after(trials) for row in usual])
     if more := of(mine, noise=MORE_NOISE, start=COLD):
+        found["seeds_beside"] = len(more)
         found["more_noise_first"] = median([row.first_near for row in more])
         found["more_noise_excess"] = median([row.excess[-1] for row in more])
         found["more_noise_unsafe_worst"] = max(row.unsafe for row in more)

@@ -10,9 +10,9 @@ from experiments.sample_efficiency.optimum import optimum
 from experiments.sample_efficiency.problems import ALL_PROBLEMS, PROBLEMS
 
 HEAD = (
-    f"{'':24s} {'within 5 %':>17s} {'stays':>6s} {'after':>7s} {'after':>7s} {'unsafe':>9s} "
+    f"{'':24s} {'within 5 %':>19s} {'stays':>6s} {'after':>7s} {'after':>7s} {'unsafe':>9s} "
     f"{'10 %:':>6s} {'after':>7s} {'warm':>6s}\n"
-    f"{'':24s} {'median [quartiles]':>17s} {'from':>5s} {'100':>7s} {'200':>7s} {'med/worst':>9s} "
+    f"{'':24s} {'median [quartiles]':>19s} {'from':>5s} {'100':>7s} {'200':>7s} {'med/worst':>9s} "
     f"{'5 %':>6s} {'300':>7s} {'start':>6s}"
 )
 
@@ -22,9 +22,11 @@ def lines(found: dict[str, dict[str, dict[str, Any]]]) -> Iterator[str]:
     for problem, own in found.items():
         best = optimum(ALL_PROBLEMS[problem])
         seeds = max(f.get("seeds", 0) for f in own.values())
+        beside = min((f["seeds_beside"] for f in own.values() if "seeds_beside" in f), default=0)
+        fewer = f", {beside} for peers at 10 % and warm" * (0 < beside < seeds)
         yield (
             f"\n{problem}: {ALL_PROBLEMS[problem].title}; the start costs "
-            f"{best.start_cost / best.cost:.1f} times the optimum; {seeds} seeds"
+            f"{best.start_cost / best.cost:.1f} times the optimum; {seeds} seeds{fewer}"
         )
         yield HEAD
         for name, figures in own.items():
@@ -58,7 +60,7 @@ def _line(name: str, f: dict[str, Any], seeds: int) -> str:
     unsafe = f"{f['unsafe']:.0f}/{f['unsafe_worst']}" if "unsafe" in f else ""
     more_first = _trials(f.get("more_noise_first", math.nan), 300)
     return (
-        f"{name:24s} {band:>17s} {_trials(f.get('stays', math.nan), budget):>6s} "
+        f"{name:24s} {band:>19s} {_trials(f.get('stays', math.nan), budget):>6s} "
         f"{_excess(f, 'excess_100')} {_excess(f, 'excess_200')} {unsafe:>9s} "
         f"{more_first:>6s} {_excess(f, 'more_noise_excess')} "
         f"{_trials(f.get('warm_first', math.nan), 60):>6s}{fewer}"
@@ -96,7 +98,9 @@ def _trials(n: float, budget: int) -> str:
 
 
 def _excess(figures: dict[str, Any], key: str) -> str:
-    return f"{figures[key]:7.1%}" if key in figures else " " * 7
+    if key not in figures:
+        return " " * 7
+    return f"{figures[key]:7.1%}" if figures[key] < 10.0 else " >1000%"
 
 
 def _share(value: float | None) -> str:
