@@ -111,7 +111,7 @@ def failed(cell: Cell, why: str, duration_s: float = 0.0) -> Outcome:
 
 def unsafe(cell: Cell, start: Gains, why: str, duration_s: float) -> Outcome:
     """A cell whose start gains are unsafe."""
-    return Outcome(cell, Ending.UNSAFE_START, why, gains=start, duration_s=duration_s)
+    return Outcome(cell, str(Ending.UNSAFE_START), why, gains=start, duration_s=duration_s)
 
 
 def finished(cell: Cell, result: TuneResult, duration_s: float) -> Outcome:
@@ -125,7 +125,7 @@ def finished(cell: Cell, result: TuneResult, duration_s: float) -> Outcome:
         left = _still_falling(trace)
     return Outcome(
         cell,
-        result.ending,
+        str(result.ending),
         result.message,
         gains=result.gains,
         cost=result.verdict.cost,

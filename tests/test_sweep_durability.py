@@ -1,0 +1,96 @@
+"""What a sweep has done survives the death of its process, and of the cluster it runs on."""
+
+import sqlite3
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+import estune
+from estune.errors import EstuneError
+from estune.sweeping.outcome import Outcome
+from estune.sweeping.store import FILE_NAME
+from tests.support_cluster import cluster
+from tests.test_sweep import alike, swept
+
+DESIGN = """
+lengths_m = [0.5, 0.8, 1.1, 1.4]
+rigs = ["plants:reference_reel"]
+tuners = ["least_squares_gradient"]
+seeds = 2
+trials = 20
+repeats = 2
+"""
+
+
+def kept(folder: Path) -> dict[str, str]:
+    """When each cell was finished, by key."""
+    if not (folder / FILE_NAME).exists():
+        return {}
+    connection = sqlite3.connect(f"file:{folder / FILE_NAME}?mode=ro", uri=True)
+    try:
+        return dict(connection.execute("SELECT key, finished_at FROM cell"))
+    except sqlite3.OperationalError:  # killed before the table was there
+        return {}
+    finally:
+        connection.close()
+
+
+@pytest.mark.slow
+def test_a_killed_sweep_loses_no_finished_cell_and_repeats_none(tmp_path):
+    design, folder = tmp_path / "sweep.toml", tmp_path / "killed"
+    design.write_text(DESIGN)
+    command = [sys.executable, "-m", "estune.cli", "sweep", str(design), "--quiet",
+               "--jobs", "2", "--folder", str(folder)]  # fmt: skip
+    before: dict[str, str] = {}
+    for _ in range(2):
+        process = subprocess.Popen(command, cwd=Path(__file__).parent.parent)
+        while len(kept(folder)) < len(before) + 2 and process.poll() is None:
+            time.sleep(0.01)
+        process.kill()
+        process.wait()
+        after = kept(folder)
+        assert before.items() <= after.items()
+        before = after
+    assert len(before) >= 4
+    result = swept(folder, design)
+    assert before.items() <= kept(folder).items()
+    assert len(kept(folder)) == 8
+    whole = swept(tmp_path / "whole", design)
+    assert all(map(alike, result.outcomes, whole.outcomes))
+
+
+@pytest.mark.slow
+def test_a_cluster_gives_what_one_process_gives_and_its_end_keeps_what_is_done(tmp_path):
+    design = tmp_path / "sweep.toml"
+    design.write_text(DESIGN)
+    seen: list[Outcome] = []
+    with cluster(workers=2) as dask:
+
+        def end_it(outcome: Outcome) -> None:
+            seen.append(outcome)
+            if len(seen) == 3:
+                dask.scheduler.kill()
+
+        with pytest.raises(EstuneError, match="the cluster's scheduler has ended; the cells done"):
+            swept(tmp_path / "cluster", design, dask=dask.address, watch=end_it)
+    done = {outcome.cell.key: outcome for outcome in seen}
+    assert set(done) == set(kept(tmp_path / "cluster"))
+    assert len(done) < 8
+    result = swept(tmp_path / "cluster", design)
+    whole = swept(tmp_path / "whole", design)
+    assert all(map(alike, result.outcomes, whole.outcomes))
+    assert all(alike(done[o.cell.key], o) for o in whole.outcomes if o.cell.key in done)
+
+
+def test_a_cluster_that_is_not_there_is_said_to_be_so(tmp_path, monkeypatch):
+    monkeypatch.setattr("estune.sweeping.cluster.ANSWERS_WITHIN_s", 0.5)
+    with pytest.raises(EstuneError, match=r"no Dask scheduler answers at tcp://127\.0\.0\.1:9"):
+        estune.sweep(
+            {"lengths_m": [0.5, 1.4], "rigs": ["plants:reference_reel"]},
+            folder=tmp_path,
+            dask="tcp://127.0.0.1:9",
+            watch=None,
+        )
