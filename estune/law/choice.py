@@ -114,16 +114,18 @@ def candidates(points: Points) -> tuple[Shape, ...]:
     )
 
 
-def scores(points: Points) -> tuple[Score, ...]:
-    """The score of each candidate, in the order of `SHAPES`; empty below `LEAST_LENGTHS`."""
-    shapes = candidates(points)
+def scores(points: Points, yardstick: WeightedFit) -> tuple[Score, ...]:
+    """The score of each candidate, in the order of `SHAPES`; empty below `LEAST_LENGTHS`.
+
+    Args:
+        points: The tunings.
+        yardstick: The fit whose variances and doubts all candidates are held to.
+    """
     groups = np.unique(points.length_m)
     if len(groups) < LEAST_LENGTHS:
         return ()
-    # One yardstick for all: the variances and doubts of the richest straight fit.
-    yardstick = points.fit(Shape("linear", points.tension_varies))
     found = []
-    for shape in shapes:
+    for shape in candidates(points):
         design = shape.design(points.length_m, points.tension_N)
         misses = [_miss(design, points, yardstick, points.length_m == left) for left in groups]
         if all(np.isfinite(misses)):
@@ -132,9 +134,33 @@ def scores(points: Points) -> tuple[Score, ...]:
     return tuple(found)
 
 
-def choose(points: Points, judged: tuple[Score, ...]) -> Shape:
-    """The simplest shape within one standard error of the best that stays usable in the range."""
-    usable = [score for score in judged if _stays_above_zero(points, score.shape)]
+def choose(
+    points: Points,
+    judged: tuple[Score, ...],
+    yardstick: WeightedFit,
+    *,
+    slopes: bool,
+    pulled: bool,
+) -> Shape:
+    """The simplest shape within one standard error of the best that stays usable in the range.
+
+    Args:
+        points: The tunings.
+        judged: Scores of the candidates; with fewer than three lengths there are none, and a
+            straight line is taken where there is one.
+        yardstick: What they were judged by.
+        slopes: Whether the gain goes with length at all; else only constants are usable.
+        pulled: The same of tension.
+    """
+    if not judged:
+        return Shape("linear" if slopes else "constant")
+    usable = [
+        score
+        for score in judged
+        if (slopes or score.shape.form == "constant")
+        and (pulled or not score.shape.with_tension)
+        and _stays_above_zero(points, score.shape, yardstick)
+    ]
     if not usable:
         return Shape("constant")
     best = min(usable, key=lambda score: score.mean)
@@ -145,16 +171,18 @@ def _miss(design: FloatArray, points: Points, by: WeightedFit, left_out: FloatAr
     """Mean squared miss per variance of what is left out; not a number where not foretold."""
     kept = ~np.asarray(left_out, dtype=bool)
     root = np.sqrt(by.weights[kept])
-    if np.linalg.matrix_rank(design[kept] * root[:, None]) < design.shape[1]:
+    beta, _, rank, _ = np.linalg.lstsq(design[kept] * root[:, None], points.gain[kept] * root)
+    if rank < design.shape[1]:
         return float("nan")
-    beta = np.linalg.lstsq(design[kept] * root[:, None], points.gain[kept] * root, rcond=None)[0]
     u = (points.gain[~kept] - design[~kept] @ beta) / by.deviations[~kept]
     return float(np.mean(np.minimum(np.abs(u), _MISS_MAX) ** 2))
 
 
-def _stays_above_zero(points: Points, shape: Shape) -> bool:
+def _stays_above_zero(points: Points, shape: Shape, by: WeightedFit) -> bool:
     """Whether the fitted curve is a gain over all of the range: monotone, so at its corners."""
     ends = [(float(x.min()), float(x.max())) for x in (points.length_m, points.tension_N)]
     length, tension = (corner.ravel() for corner in np.meshgrid(*ends))
-    lowest = (shape.design(length, tension) @ points.fit(shape).coefficients).min()
+    design, root = shape.design(points.length_m, points.tension_N), np.sqrt(by.weights)
+    beta = np.linalg.lstsq(design * root[:, None], points.gain * root)[0]
+    lowest = (shape.design(length, tension) @ beta).min()
     return bool(lowest > 0.0 or (points.gain == 0.0).all())

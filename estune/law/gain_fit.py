@@ -103,13 +103,14 @@ class GainFit:
 def fit_gain(name: str, n: int, tunings: tuple[TunedGains, ...], asked: Shape | None) -> GainFit:
     """Fits the nth gain in the form asked for, or in the one that foretells best."""
     points, labels = _points(name, n, tunings)
-    judged = scores(points)
     straight = points.fit(Shape("linear", points.tension_varies))
+    judged = scores(points, straight)
     shape = asked
-    if shape is None and judged:
-        shape = choose(points, judged)
-    elif shape is None:  # two lengths: a line where there is one beyond doubt
-        shape = Shape("linear" if _slope(straight, 1).differs else "constant")
+    if shape is None:
+        # What the straight line does not show beyond doubt is not looked for in a bent one.
+        slopes = _slope(straight, 1).differs
+        pulled = points.tension_varies and _slope(straight, 2).differs
+        shape = choose(points, judged, straight, slopes=slopes, pulled=pulled)
     fit = points.fit(shape)
     offset, *others = fit.coefficients.tolist()
     curve = GainCurve(

@@ -26,7 +26,8 @@ HUBER = 1.345
 BOUND = 1.5
 """k: the size beyond which a residual counts no further toward the scatter."""
 
-_HUBER_ROUNDS, _BISQUARE_ROUNDS, _BISECTIONS = 8, 16, 48
+_HUBER_ROUNDS, _BISQUARE_ROUNDS, _BISECTIONS = 5, 15, 30
+_SETTLED = 1e-6
 _CONDITION_MAX = 1e7
 _FLOOR = 1e-9
 """Least standard deviation of a point, relative to the largest response: below it is rounding."""
@@ -93,7 +94,7 @@ def fit_weighted(design: FloatArray, response: FloatArray, own_errors: FloatArra
             f"the tunings do not tell {p} coefficients apart; vary length and tension separately"
         )
     # Zero residuals and errors, as of a gain that was held, have no scatter: only rounding.
-    floor = _FLOOR * max(float(np.abs(response).max()), 1e-300)
+    floor = _FLOOR * (float(np.abs(response).max()) or 1.0)
     own = np.hypot(own_errors, floor)
     robust, tau = np.ones(n), 0.0
     for turn in range(_HUBER_ROUNDS + _BISQUARE_ROUNDS):
@@ -103,7 +104,9 @@ def fit_weighted(design: FloatArray, response: FloatArray, own_errors: FloatArra
         tau = _scatter(residuals, own, n - p)
         # Leverage hides an outlier from its own residual.
         u = residuals / np.hypot(own, tau) / np.sqrt(np.maximum(1.0 - leverage, 0.1))
-        robust = _huber(u) if turn < _HUBER_ROUNDS else _bisquare(u)
+        before, robust = robust, _huber(u) if turn < _HUBER_ROUNDS else _bisquare(u)
+        if turn > _HUBER_ROUNDS and np.abs(robust - before).max() < _SETTLED:
+            break
     deviations = np.hypot(own, tau)
     beta, leverage = _solve(scaled, response, robust / deviations**2)
     residuals = response - scaled @ beta

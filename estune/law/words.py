@@ -3,6 +3,8 @@
 from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 if TYPE_CHECKING:
     from estune.law.gain_fit import GainFit
 
@@ -38,7 +40,7 @@ def _along_length(fit: "GainFit") -> str:
     name, unit = _CALLED.get(fit.name, fit.name), _UNIT[fit.name]
     slope = fit.slope
     doubt = f"±{slope.half_width:.2g}"
-    if slope.half_width == 0.0 == slope.value:
+    if np.ptp(fit.points.gain) == 0.0:
         return f"{name} is {fit.mean:.4g}{unit} throughout"
     if fit.shape.form == "constant":
         within = "is constant within its error" if not slope.differs else "hardly changes"

@@ -1,0 +1,273 @@
+"""The law of tuned gains over length and tension, on tunings whose law is known."""
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from estune.core.gains import GAIN_NAMES, Gains
+from estune.errors import InvalidInput
+from estune.law.law import fit_law
+from estune.law.tuned import TunedGains
+from estune.law.weighted import fit_weighted, student
+
+LENGTHS = (0.5, 0.65, 0.8, 0.95, 1.1, 1.25, 1.4)
+
+
+def falling(L, _T):
+    return 52.0 - 18.5 * L
+
+
+def inverse(L, _T):
+    return 10.0 + 20.0 / L
+
+
+def with_tension(L, T):
+    return 50.0 - 18.5 * L + 0.4 * T
+
+
+def tunings(
+    law=falling, seed=0, *, seeds=1, lengths=LENGTHS, tensions=(15.0,), told=True, scatter=0.02
+) -> list[TunedGains]:
+    """Tunings of a reel whose I follows a law; P, D and filter are the same everywhere.
+
+    Each errs by its own error, 1 to 5 % and told to the law, and by a scatter that is not.
+    """
+    rng, made = np.random.default_rng(seed), []
+    for s in range(seeds):
+        for L in lengths:
+            for T in tensions:
+                own = rng.uniform(0.01, 0.05, 4)
+                wrong = own * rng.normal(size=4) + scatter * rng.normal(size=4)
+                gains = Gains(*(np.array([1.2, law(L, T), 0.02, 0.004]) * np.exp(wrong)))
+                made.append(
+                    TunedGains(
+                        *(f"{L:g} m, {T:g} N, seed {s}", L, T, gains),
+                        log_errors=tuple(own) if told else None,
+                        cost=1.5,
+                        cost_error=0.01,
+                        safe=True,
+                        converged=True,
+                    )
+                )
+    return made
+
+
+# --- the slope and its interval --------------------------------------------------------------
+
+
+@pytest.mark.parametrize("told", [True, False], ids=["errors told", "errors unknown"])
+@pytest.mark.parametrize("repeats", [1, 4])
+def test_the_interval_of_the_slope_covers_the_truth_as_often_as_it_says(told, repeats):
+    rng, n, hits = np.random.default_rng(repeats), 300, 0
+    length = np.repeat(LENGTHS, repeats)
+    design = np.column_stack([np.ones_like(length), length])
+    for _ in range(n):
+        own = rng.uniform(0.3, 1.5, length.size)
+        gain = 52.0 - 18.5 * length + np.hypot(own, 0.7) * rng.normal(size=length.size)
+        fit = fit_weighted(design, gain, own if told else np.zeros_like(own))
+        width = student(0.95, fit.degrees) * math.sqrt(fit.covariance[1, 1])
+        hits += abs(fit.coefficients[1] + 18.5) <= width
+    # Fewer hits of intervals of 95 % would have a chance below one in a thousand.
+    assert hits >= stats.binom.ppf(0.001, n, 0.95)
+
+
+def test_without_outliers_it_is_all_but_weighted_least_squares():
+    law = fit_law(tunings(seeds=3, scatter=0.0))
+    points = law.fits["I"].points
+    fit = law.fits["I"].straight
+    by_numpy = np.polyfit(points.length_m, points.gain, 1, w=1.0 / fit.deviations)
+    error = math.sqrt(fit.covariance[1, 1])
+    assert fit.coefficients[1] == pytest.approx(by_numpy[0], abs=0.5 * error)
+
+
+def test_on_points_with_the_same_error_the_interval_is_that_of_textbooks():
+    x = np.repeat(LENGTHS, 3)
+    y = falling(x, 0.0) + np.random.default_rng(2).normal(0.0, 1.0, x.size)
+    fit = fit_weighted(np.column_stack([np.ones_like(x), x]), y, np.zeros_like(x))
+    reference = stats.linregress(x, y)
+    assert fit.coefficients[1] == pytest.approx(reference.slope, abs=reference.stderr)
+    assert math.sqrt(fit.covariance[1, 1]) == pytest.approx(reference.stderr, rel=0.2)
+    assert student(0.95, fit.degrees) == pytest.approx(stats.t.ppf(0.975, 19))
+
+
+def test_a_tuning_that_knows_little_counts_little():
+    made = tunings(seeds=2, scatter=0.0)
+    far = replace(
+        made[0], gains=replace(made[0].gains, I=70.0), log_errors=(0.01, 0.6, 0.01, 0.01)
+    )
+    without, with_it = fit_law(made[1:]), fit_law([far, *made[1:]])
+    slopes = [law.fits["I"].slope for law in (without, with_it)]
+    assert slopes[1].value == pytest.approx(slopes[0].value, abs=0.3 * slopes[0].half_width)
+
+
+def test_a_wild_tuning_is_named_and_does_not_move_the_law():
+    made = tunings(seeds=3)
+    wild = replace(made[5], gains=replace(made[5].gains, I=200.0))
+    law = fit_law([*made[:5], wild, *made[6:]])
+    clean = fit_law(made)
+    assert law.fits["I"].outliers == (wild.label,)
+    assert law.remarks == (f"I: {wild.label} is an outlier and hardly counts",)
+    difference = law.fits["I"].slope.value - clean.fits["I"].slope.value
+    assert abs(difference) < clean.fits["I"].slope.half_width
+
+
+# --- the form --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("law", "form"),
+    [(falling, "linear"), (inverse, "inverse"), (with_tension, "linear + tension")],
+    ids=lambda value: getattr(value, "__name__", value),
+)
+def test_the_form_that_made_the_tunings_is_chosen(law, form):
+    chosen = [
+        str(fit_law(tunings(law, seed=s, seeds=3, tensions=(5.0, 20.0, 35.0))).fits["I"].shape)
+        for s in range(12)
+    ]
+    assert chosen.count(form) >= 10
+
+
+def test_a_gain_that_does_not_change_is_constant():
+    laws = [fit_law(tunings(seed=s, seeds=2)) for s in range(12)]
+    assert sum(law.fits["P"].shape.form == "constant" for law in laws) >= 10
+
+
+def test_a_form_that_misses_the_repeats_is_told():
+    law = fit_law(tunings(inverse, seeds=6, scatter=0.0), forms={"I": "linear"})
+    assert law.fits["I"].lack_of_fit.p_value < 1e-6
+    assert "I: the linear form misses the repeated tunings" in law.remarks[0]
+    assert fit_law(tunings()).fits["I"].lack_of_fit is None  # nothing was repeated
+
+
+def test_a_form_that_falls_below_zero_within_the_range_is_not_chosen():
+    def steep(L, _):
+        return 0.02 + 3e3 * max(0.0, 0.9 - L) ** 3
+
+    fit_law(tunings(steep, seeds=3, told=False)).schedule()
+    law = fit_law(tunings(steep, told=False), forms={"I": "linear"})
+    with pytest.raises(InvalidInput, match="narrow its range, or choose another form"):
+        law.schedule()
+
+
+# --- bands -----------------------------------------------------------------------------------
+
+
+def test_a_further_tuning_lies_in_the_prediction_band_as_often_as_it_says():
+    hits = []
+    for seed in range(40):
+        law = fit_law(tunings(seed=seed, seeds=2), forms={"I": "linear"})
+        further = tunings(seed=1000 + seed)
+        band = law.band("I", [t.length_m for t in further])
+        found = np.array([t.gains.I for t in further])
+        hits += list((band.new_low <= found) & (found <= band.new_high))
+        assert (band.new_low < band.low).all()
+        assert (band.low < band.gain).all()
+    assert 0.9 < np.mean(hits) < 0.99
+
+
+def test_it_does_not_extrapolate_silently():
+    law = fit_law(tunings(tensions=(10.0, 20.0)))
+    for length, tension in ((1.5, 15.0), (0.4, 15.0), (1.0, 25.0)):
+        with pytest.raises(InvalidInput, match=r"holds from 0\.5 to 1\.4 m and 10 to 20 N"):
+            law.band("I", [0.8, length], tension)
+    band = law.band("I", [0.8, 1.5], extrapolate=True)
+    assert band.extrapolated.tolist() == [False, True]
+    width = band.high - band.low
+    assert width[1] > width[0]
+    assert not law.schedule().covers(1.5, 15.0)
+
+
+# --- what goes in and comes out --------------------------------------------------------------
+
+
+def test_unsafe_and_unconverged_tunings_are_left_out_and_named():
+    made = tunings(seeds=2)
+    bad = [
+        replace(made[0], safe=False, gains=replace(made[0].gains, I=500.0)),
+        replace(made[1], converged=False, gains=replace(made[1].gains, I=500.0)),
+    ]
+    law = fit_law([*bad, *made[2:]])
+    assert law.excluded == ((bad[0].label, "unsafe"), (bad[1].label, "not converged"))
+    assert law.fits["I"].slope == fit_law(made[2:]).fits["I"].slope
+    assert law.remarks[0] == f"left out: {bad[0].label}, unsafe"
+
+
+@pytest.mark.parametrize(
+    ("some", "sentence"),
+    [
+        ([], "0 tunings at no length are too few"),
+        (tunings(lengths=(0.5,), seeds=5), "5 tunings at 0.5 m are too few"),
+        (
+            [replace(t, converged=False) for t in tunings(lengths=(0.5, 1.0, 1.4))],
+            r"left out: 0.5 m, 15 N, seed 0 \(not converged\), ",
+        ),
+    ],
+)
+def test_too_few_tunings_are_refused(some, sentence):
+    with pytest.raises(InvalidInput, match=sentence):
+        fit_law(some)
+
+
+def test_length_and_tension_that_only_changed_together_are_refused():
+    made = [t for t in tunings(tensions=(10.0, 20.0)) if (t.length_m > 0.9) == (t.tension_N > 15)]
+    together = [replace(t, tension_N=10.0 + 10.0 * t.length_m) for t in made]
+    with pytest.raises(InvalidInput, match="vary length and tension separately"):
+        fit_law(together)
+
+
+def test_an_unknown_gain_or_form_is_refused():
+    with pytest.raises(InvalidInput, match="there is no form 'cubic'; the forms are constant"):
+        fit_law(tunings(), forms={"I": "cubic"})
+    with pytest.raises(InvalidInput, match="there is no gain 'Q'"):
+        fit_law(tunings(), forms={"Q": "linear"})
+
+
+def test_the_order_of_the_tunings_does_not_matter():
+    made = tunings(seeds=2)
+    one, other = fit_law(made), fit_law(made[::-1])
+    assert one.fits["I"].slope.value == pytest.approx(other.fits["I"].slope.value, rel=1e-9)
+    assert one.sentence == other.sentence
+
+
+def test_a_gain_that_was_held_stays_as_it_is():
+    held = [replace(t, gains=replace(t.gains, D=0.0)) for t in tunings()]
+    law = fit_law(held)
+    assert law.schedule().gains(0.7, 15.0).D == 0.0
+    assert "D is 0 s throughout" in law.sentence
+
+
+def test_a_direction_that_is_flat_in_one_tuning_has_no_say_there():
+    made = tunings(seeds=2)
+    flat = replace(
+        made[3], gains=replace(made[3].gains, I=9.0), log_errors=(0.02, math.inf, 0.02, 0.02)
+    )
+    law = fit_law([*made[:3], flat, *made[4:]])
+    assert flat.label not in law.fits["I"].labels
+    assert flat.label in law.fits["P"].labels
+
+
+def test_the_sentence_says_what_falls_what_stays_and_what_tension_does():
+    law = fit_law(tunings(seeds=3))
+    slope = law.fits["I"].slope
+    start = f"I falls by {-slope.value:.3g} ±{slope.half_width:.2g} 1/s per metre"
+    assert law.sentence.startswith(start)
+    assert "P is constant within its error at 1.2" in law.sentence
+    assert law.sentence.endswith("tension was not varied")
+    varied = fit_law(tunings(seeds=2, tensions=(5.0, 20.0, 35.0)))
+    assert varied.sentence.endswith("tension has no detectable effect")
+    pulled = fit_law(tunings(with_tension, seeds=2, tensions=(5.0, 20.0, 35.0)))
+    assert "each N of tension changes I by +0.39 ±" in pulled.sentence
+
+
+def test_the_law_goes_to_json_and_to_a_schedule_that_says_the_same():
+    law = fit_law(tunings(seeds=2, tensions=(5.0, 20.0)))
+    shown = json.loads(json.dumps(law.to_json(), allow_nan=False))
+    assert list(shown["fits"]) == list(GAIN_NAMES)
+    schedule = law.schedule()
+    for name, curve in zip(GAIN_NAMES, schedule.curves, strict=True):
+        band = law.band(name, [0.6, 1.3], 8.0)
+        assert [curve.at(0.6, 8.0), curve.at(1.3, 8.0)] == pytest.approx(band.gain.tolist())
