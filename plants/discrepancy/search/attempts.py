@@ -17,6 +17,8 @@ SWITCHED = 0.3
 """Size a member of a family is switched on with to see its direction, by that it inherits."""
 ROUGH = np.array([0.1, 0.3, 1.0, 2.0, 3.5, 6.0, 12.0])
 """Sizes tried of an effect that no direction shows, relative to the usual one."""
+STARTS = 2
+"""Starts of an effect that fits are begun from."""
 FIRST_ROUNDS = 3
 """Rounds of a fit before the attempts far behind are left where they are."""
 FINISHED = 4
@@ -61,8 +63,9 @@ def finished(bench: Bench, base: Attempt, attempts: Sequence[Attempt]) -> list[A
 
 def bends(one: Screened) -> bool:
     """Whether an effect may act so unlike a small one that no direction shows it."""
-    bends = {Port.CABLE, Port.EYELET} & set(one.effect.ports())
-    return bool(bends or is_limit(one.effect)) and one.reach >= thresholds.SHOWN
+    bends = bool({Port.CABLE, Port.EYELET} & set(one.effect.ports()))
+    sticks = one.effect.resists and one.effect.states > 0
+    return (bends or sticks or is_limit(one.effect)) and one.reach >= thresholds.SHOWN
 
 
 def roughly(bench: Bench, one: Screened) -> Attempt:
@@ -76,7 +79,7 @@ def roughly(bench: Bench, one: Screened) -> Attempt:
         if is_limit(one.effect):
             sizes = f.start * np.linspace(1.2, 0.5, ROUGH.size)
         rows[:, n] = np.clip(sizes, f.low, f.high)
-    for most in (4, 3):  # some only find their zeros from near
+    for most in (4, 3, 2):  # some only find their zeros from near
         rows = bench.best_starts(predictor, bench.placed(predictor, rows), most)
     return bench.attempt((one.effect,), rows, FIRST_ROUNDS)
 
@@ -100,17 +103,17 @@ def with_one_more(
         if current.effects:  # its screening was at the base model
             values = {n: v for n, v in values.items() if n.startswith(f"{one.effect.name}.")}
         rows.append(predictor.row(current.values | values))
+    begun = bench.best_starts(predictor, bench.placed(predictor, np.array(rows)), STARTS)
     source, _ = thresholds.INHERITED.get(one.effect.name, ("", {}))
     simpler = next((a for a in others if a.effects[-1].name == source), None)
     if simpler is not None:
-        rows[1:] = _inherited(bench, predictor, one, simpler)
-    return bench.attempt(effects, np.array(rows), FIRST_ROUNDS)
+        # What is near a simpler law's fit leaves less to begin with, and may lead nowhere else.
+        begun = np.concatenate([begun, _inherited(bench, predictor, one, simpler)])
+    return bench.attempt(effects, begun, FIRST_ROUNDS)
 
 
-def _inherited(
-    bench: Bench, predictor: Predictor, one: Screened, simpler: Attempt
-) -> list[FloatArray]:
-    """The best starts from the fit of a simpler member of the family."""
+def _inherited(bench: Bench, predictor: Predictor, one: Screened, simpler: Attempt) -> FloatArray:
+    """The best start from the fit of a simpler member of the family, shape (1, free)."""
     name, declared = one.effect.name, one.effect.parameters()
     source, given = thresholds.INHERITED[name]
     own = {f"{name}.{to}": simpler.values[f"{source}.{of}"] for of, to in given.items()}
@@ -129,4 +132,4 @@ def _inherited(
         # As large as the size inherited is: a law that is bent shows its direction.
         step = SWITCHED * abs(simpler.values[f"{source}.{next(iter(given))}"])
         rows = bench.switched_on(predictor, rows, place, step)
-    return list(bench.best_starts(predictor, rows))
+    return bench.best_starts(predictor, bench.placed(predictor, rows), 1)

@@ -116,16 +116,11 @@ class Bench:
                 ],
                 dtype=np.int64,
             )
-        entries = self.entries[FIT]
-        rows = self._placed(predictor, starts, moves, entries)
-        if len(rows) == 1:
-            return self._judged(effects, fit(predictor, rows[0], moves, entries, rounds))
-        begun = [
-            fit(predictor, row, moves, entries, TRYOUT)
-            for row in self.best_starts(predictor, rows)
-        ]
-        best = min(begun, key=lambda f: f.mean_square)
-        return self._judged(effects, fit(predictor, best.values, moves, entries, rounds))
+        entries, best = self.entries[FIT], starts[0]
+        if len(starts) > 1:
+            begun = [fit(predictor, row, moves, entries, TRYOUT) for row in starts]
+            best = min(begun, key=lambda f: f.mean_square).values
+        return self._judged(effects, fit(predictor, best, moves, entries, rounds))
 
     def switched_on(
         self, predictor: Predictor, rows: FloatArray, size: int, step: float
@@ -134,7 +129,7 @@ class Bench:
         moves = self.moves(predictor)
         return switched_on(predictor, rows, size, step, moves=moves, entries=self.entries[FIT])
 
-    def best_starts(self, predictor: Predictor, rows: FloatArray, most: int = 2) -> FloatArray:
+    def best_starts(self, predictor: Predictor, rows: FloatArray, most: int) -> FloatArray:
         """The rows of values that leave the least on the fit split."""
         found = predictor.residuals(rows, self.entries[FIT])
         best: FloatArray = rows[np.einsum("ij,ij->i", found, found).argsort()[:most]]

@@ -15,6 +15,8 @@ DAMPINGS = ((0.0, 0.03), (1.0, 30.0))
 """Levenberg's dampings, relative to the columns' own size; the second pair if need be."""
 CONVERGED = 1e-4
 """A round that lowers the sum of squares by a smaller share is the last."""
+DEAD = 1e-9
+"""A value whose derivative is below this share of the greatest does nothing where it is."""
 FLAT = 1e-10
 """Directions whose curvature is below this share of the greatest are left alone."""
 
@@ -139,7 +141,7 @@ def switched_on(
     free = predictor.free[size]
     for row, change in zip(after, changes, strict=True):
         joint = np.vstack([columns, change])
-        length = np.sqrt(np.maximum(np.einsum("ij,ij->i", joint, joint), 1e-300))
+        length = _lengths(np.einsum("ij,ij->i", joint, joint))
         joint = joint / length[:, None]
         weights = _solve(joint @ joint.T, -(joint @ residuals), 1e-6) / length
         row[others] = scale.moved(row, weights[:-1])
@@ -230,7 +232,7 @@ class _Slope(NamedTuple):
         """
         scale = self.scale
         x = values[scale.moves]
-        size = np.sqrt(np.maximum(np.diag(self.normal), 1e-300))
+        size = _lengths(np.diag(self.normal))
         scaled = self.normal / size / size[:, None]
         pull = -(self.columns @ residuals) / size
         fixed = np.zeros(x.size, bool)
@@ -240,7 +242,8 @@ class _Slope(NamedTuple):
             open_ = ~fixed
             if not open_.any():
                 break
-            free_pull = pull[open_] - scaled[np.ix_(open_, fixed)] @ (given * size)[fixed]
+            held = given[fixed] * size[fixed]
+            free_pull = pull[open_] - scaled[np.ix_(open_, fixed)] @ held
             delta = given.copy()
             delta[open_] = _solve(scaled[np.ix_(open_, open_)], free_pull, damping) / size[open_]
             wanted = scale.unbounded(x, delta)
@@ -254,6 +257,13 @@ class _Slope(NamedTuple):
         moved = values.copy()
         moved[scale.moves] = after
         return moved
+
+
+def _lengths(squares: FloatArray) -> FloatArray:
+    """Lengths of columns; infinite where one is nothing beside the others, so that it stays."""
+    dead = squares <= DEAD**2 * max(float(squares.max(initial=0.0)), 1e-300)
+    found: FloatArray = np.where(dead, np.inf, np.sqrt(np.where(dead, 1.0, squares)))
+    return found
 
 
 def _solve(normal: FloatArray, pull: FloatArray, damping: float) -> FloatArray:
@@ -283,10 +293,9 @@ def covariance(found: Fitted, groups: Numbers) -> FloatArray:
         return np.zeros((0, 0))
     residuals, jacobian = found.predictor.linearise(found.values, found.moved, found.entries)
     columns = jacobian.T
-    size = np.sqrt(np.einsum("ij,ij->i", columns, columns))
-    dead = size <= 1e-9 * max(float(size.max(initial=0.0)), 1e-300)
-    columns = columns / np.where(dead, 1.0, size)[:, None]
-    columns[dead] = 0.0
+    size = _lengths(np.einsum("ij,ij->i", columns, columns))
+    columns = columns / size[:, None]
+    dead = np.isinf(size)
     known, place = np.unique(groups, return_inverse=True)
     weighted = columns * residuals
     scores = np.stack([np.bincount(place, row, known.size) for row in weighted], axis=1)
@@ -295,7 +304,6 @@ def covariance(found: Fitted, groups: Numbers) -> FloatArray:
     kept = value > FLAT
     inverse = (directions[:, kept] / value[kept]) @ directions[:, kept].T
     middle = scores.T @ scores * known.size / max(known.size - 1.0, 1.0)
-    scale = np.where(dead, 0.0, 1.0 / np.where(dead, 1.0, size))
-    result: FloatArray = (inverse @ middle @ inverse) * scale * scale[:, None]
+    result: FloatArray = (inverse @ middle @ inverse) / size / size[:, None]
     result[dead, dead] = np.inf
     return result

@@ -13,6 +13,7 @@ from plants.discrepancy.search.attempts import (
 )
 from plants.discrepancy.search.bench import Attempt, Bench, Numbers
 from plants.discrepancy.search.score import (
+    closure,
     does,
     family_of,
     leaves_a_gap,
@@ -84,16 +85,26 @@ def search(
         there = _background(bench, given, suggest, bench.moves(bench.base))
         # Where calibrations had to move far for good, the model as given is no place to look from.
         seen = [there] if given.fit_J < thresholds.NEAR * base.fit_J else [*seen, there]
-    screened = {e.name: screen(e, bench.predictor((e,)), seen) for e in effects}
+    screened = _screened(bench, effects, seen)
     rounds: list[Round] = []
     current = base
     while len(rounds) < thresholds.DEEPEST:
-        seen_now = _background(bench, current, suggest) if rounds else seen[0]
-        rounds.append(_round(bench, base, current, screened, seen_now))
+        looked = screened
+        if rounds and leaves_a_gap(current):
+            # In the directions they have without the effects so far: those are soon worked out.
+            looked = _screened(bench, effects, [_background(bench, current, suggest)])
+        rounds.append(_round(bench, base, current, looked))
         if rounds[-1].taken is current:
             break
         current = rounds[-1].taken
     return Found(base, tuple(rounds), screened)
+
+
+def _screened(
+    bench: Bench, effects: Sequence[type[Effect]], seen: Sequence[Background]
+) -> dict[str, Screened]:
+    """Each effect's direction, by slug."""
+    return {e.name: screen(e, bench.predictor((e,)), seen) for e in effects}
 
 
 def _background(
@@ -125,28 +136,19 @@ def _background(
 
 
 def _round(
-    bench: Bench,
-    base: Attempt,
-    current: Attempt,
-    screened: Mapping[str, Screened],
-    seen: Background,
+    bench: Bench, base: Attempt, current: Attempt, screened: Mapping[str, Screened]
 ) -> Round:
     """Fits the most promising effects, and takes the best where it is worth adding."""
-    shares: dict[str, float] = {}
-    for name, one in screened.items():
-        if set(family_of(name)) & {e.name for e in current.effects}:
-            continue
-        shares[name] = one.cosine2
-        if current.effects:  # in the direction it had before others were added
-            shares[name] = seen.against(one.changes).explained(only_up=False)[0]
+    there = {member for e in current.effects for member in family_of(e.name)}
+    shares = {name: one.cosine2 for name, one in screened.items() if name not in there}
     if not leaves_a_gap(current):
         return Round(current, shares, (), current, ())
     many = thresholds.SHORTLIST_FURTHER if current.effects else thresholds.SHORTLIST
-    names = [n for n in sorted(shares, key=lambda n: -shares[n]) if shares[n] > 0.0][:many]
-    names += [n for n in shares if n not in names and set(family_of(n)) & set(names)]
+    promising = [n for n in sorted(shares, key=lambda n: -shares[n]) if shares[n] > 0.0][:many]
     attempts: list[Attempt] = []
-    for name in sorted(names, key=lambda n: family_of(n).index(n)):
-        attempts.append(with_one_more(bench, current, screened[name], attempts))
+    for name in sorted(shares, key=lambda n: family_of(n).index(n)):
+        if _is_tried(name, promising, current, attempts):
+            attempts.append(with_one_more(bench, current, screened[name], attempts))
     attempts = finished(bench, base, reduced(bench, attempts))
     best = simplest(attempts, current, bench.scale)
     if not current.effects and (best is None or not does(base, best)):
@@ -156,3 +158,20 @@ def _round(
     if best is None or not worth_adding(current, best, base):
         return Round(current, shares, tuple(attempts), current, ())
     return Round(current, shares, tuple(attempts), best, tied(current, best, attempts))
+
+
+def _is_tried(
+    name: str, promising: Sequence[str], current: Attempt, attempts: Sequence[Attempt]
+) -> bool:
+    """Whether an effect is fitted: its direction says so, or its family.
+
+    Calibrations that make up for a law that sticks hide its direction: the first of a family is
+    always tried, and the others where it helps.
+    """
+    family = family_of(name)
+    if set(family) & set(promising):
+        return True
+    if name == family[0]:
+        return len(family) > 1 and not current.effects
+    first = next((a for a in attempts if a.effects[-1].name == family[0]), None)
+    return first is not None and closure(current.fit_J, first.fit_J) > thresholds.FIRST
