@@ -1,7 +1,7 @@
 """What is compared. Every algorithm is a loop of calls to `Trials`, in logarithms of the gains.
 
 Whoever does better by the logarithm of the cost is given it: Py-BOBYQA, the Gaussian process, SPSA
-and Xopt's extremum seeking. Settings beside those a library comes with were chosen on seeds below 100.
+and Xopt's equations. Settings other than a library's own were chosen on seeds below 100.
 """
 
 import math
@@ -39,8 +39,8 @@ def bounded_extremum_seeking(trials: Trials) -> None:
         p_2j(n+1)   = p_2j(n)   + dt w_j b cos(dt n w_j + k l(n))
         p_2j+1(n+1) = p_2j+1(n) + dt w_j b sin(dt n w_j + k l(n))
 
-    Here l is the logarithm of the cost and k = 4; with the cost itself and k = 2, its defaults, it
-    runs away from half of the problems. It would settle on the mean over its slowest oscillation.
+    Here l is the logarithm of the cost and k = 4; with its defaults, the cost itself and k = 2, it
+    runs away on most of the problems. It would settle on the mean over its slowest oscillation.
     """
     k, b = 4.0, 0.1
     n_parameters = len(trials.space.names)
