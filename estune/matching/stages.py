@@ -30,6 +30,10 @@ from estune.tuning import Watcher
 if TYPE_CHECKING:
     from estune.security import Security
 
+LEVEL_SHARE = 0.25
+"""The search for the level ends once its error is surely within this share of the tolerance; the
+rest is for the interval of the repeats."""
+
 Told = Callable[[str], None]
 """Told in a line what is done next."""
 
@@ -148,6 +152,7 @@ class Stages:
             "trials": self.settings.match_trials,
             "start": tuned,
             "eta_max": UNSAFE_RATIO * target,
+            "tolerance": LEVEL_SHARE * self.settings.tolerance,
         }
         # The target is in the name, so that the same tunings serve another target too.
         stage = f"match-{target:.5g}".replace(".", "_")
