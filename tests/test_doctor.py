@@ -213,24 +213,28 @@ def test_a_link_too_slow_to_keep_the_lease_is_named():
     assert check_link([0.001] * 190 + [0.4] * 10).state is State.FIX
 
 
-def at(offset_s: float, began_s: float, stepped_s: float = 0.0) -> Dated:
-    """A trial that took a second, on a rig whose clock is off."""
-    start = datetime.fromtimestamp(began_s + offset_s, UTC) + timedelta(seconds=0.1)
-    return Dated(began_s, began_s + 1.0 + stepped_s, 1.0, start.isoformat())
+NOW_S = 1_700_000_000.0
+
+
+def at(offset_s: float, after_s: float, before_s: float = 0.0, within_s: float = 0.0) -> Dated:
+    """A trial that took a second, on a rig whose clock is off; ours steps before or in it."""
+    asked_s = NOW_S + after_s + before_s
+    start = datetime.fromtimestamp(asked_s + offset_s, UTC) + timedelta(seconds=0.1)
+    return Dated(asked_s, asked_s + 1.0 + within_s, after_s + 1.0, start.isoformat())
 
 
 def test_a_clock_that_is_off_or_jumps_is_named():
-    now = 1_700_000_000.0
-    steady = [at(0.2, now + 2.0 * n) for n in range(5)]
+    steady = [at(0.2, 2.0 * n) for n in range(5)]
     assert check_clock(steady).state is State.FINE
-    ahead = check_clock([at(30.0, now + 2.0 * n) for n in range(5)])
+    ahead = check_clock([at(30.0, 2.0 * n) for n in range(5)])
     assert ahead.state is State.FIX
     assert ahead.figures["clock_offset_low_s"] < 30.1 < ahead.figures["clock_offset_high_s"] + 0.2
-    jumped = check_clock([*steady, at(-5.0, now + 20.0)])
+    jumped = check_clock([*steady, at(-5.0, 20.0)])
     assert jumped.state is State.FIX
     assert "jumped" in jumped.sentence
-    own = check_clock([*steady, at(0.2, now + 20.0, stepped_s=3600.0)])
-    assert "this machine's clock jumped" in own.sentence
+    for jump in ({"within_s": 3600.0}, {"before_s": -7.0}):
+        own = check_clock([*steady, at(0.2, 20.0, **jump)])
+        assert "this machine's clock jumped" in own.sentence
 
 
 HOST = Host(1, ("127.0.0.1:7447",), real_time=True, locked=True, ledger=Path("rig.ledger"))

@@ -197,6 +197,16 @@ def test_an_agent_that_dies_or_hangs_leaves_the_reel_in_its_safe_state(hardware,
             assert truth().tension_N == pytest.approx(15.0, abs=3.0)
 
 
+def test_a_time_of_day_that_jumps_between_trials_is_said(rig, monkeypatch, caplog):
+    rig.run(ask(rig))
+    assert "time of day" not in caplog.text
+    day = time.time
+    monkeypatch.setattr(time, "time", lambda: day() - 3600.0)
+    rig.run(ask(rig, 1))
+    rig.run(ask(rig, 2))
+    assert caplog.text.count("the time of day jumped by -3.6e+03 s") == 1
+
+
 class Told:
     """A lock that sets an event when somebody has waited for it in vain."""
 

@@ -77,8 +77,9 @@ def _in_motion(rig: Patient, about: RigDescription, repeats: int) -> Iterator[Fi
     step = gentle_trial(about)
     run = f"doctor-{secrets.token_hex(4)}"
     found, dated = [], []
+    began_s = time.monotonic()
     for number in range(repeats):
-        asked_s, began_s = time.time(), time.monotonic()
+        asked_s = time.time()
         record = rig.run(TrialRequest(run, number, about.gains, step))
         elapsed_s = time.monotonic() - began_s
         found.append(record)

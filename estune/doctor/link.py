@@ -22,7 +22,8 @@ class Dated(NamedTuple):
     Attributes:
         asked_s: Time of day when it was asked for, s.
         answered_s: The same when its record had come.
-        elapsed_s: Time between the two on a clock that never steps, s.
+        elapsed_s: Time from the first trial's asking to this one's answer, on a clock that never
+            steps, s.
         started_at: The start of the trial as the record has it.
     """
 
@@ -63,11 +64,11 @@ def check_clock(dated: Sequence[Dated]) -> Finding:
     """Whether the rig's clock agrees with this machine's, and neither jumps."""
     low_s, high_s = float("-inf"), float("inf")
     for trial in dated:
-        stepped_s = trial.answered_s - trial.asked_s - trial.elapsed_s
+        stepped_s = trial.answered_s - dated[0].asked_s - trial.elapsed_s
         if abs(stepped_s) > 0.1 * OFFSET_MAX_S:
             return fix(
                 "clock",
-                f"this machine's clock jumped by {stepped_s:+.2g} s during a trial",
+                f"this machine's clock jumped by {stepped_s:+.2g} s in or between the trials",
                 f"let it {_NTP}",
             )
         try:

@@ -56,6 +56,9 @@ BEAT_s = 0.02
 REMEMBERED = 64
 """Records kept for a trial that is asked for again; of older ones only the ids are."""
 
+JUMP_s = 1.0
+"""A jump of the time of day between two trials that is worth a word."""
+
 _START_WITHIN_s = 30.0
 _ANSWER_WITHIN_s = 2.0
 _STALLED_s = 1.0
@@ -144,6 +147,7 @@ class HardwareRig:
         self._live_cost: tuple[Profile, float] | None = None
         self._records: OrderedDict[str, tuple[TrialRequest, TrialRecord | None]] = OrderedDict()
         self._numbers = 0
+        self._day_s = _day_s()
         self._trial = threading.Lock()  # held while anything is said to the loop
         self._under_way = 0  # number of the trial the loop was asked for, or zero
         self._shown = ""  # its id
@@ -407,6 +411,7 @@ class HardwareRig:
         """The record of what is in the shared memory."""
         memory, kept = self._memory, ended.kept
         age = 0.0 if math.isnan(ended.first_s) else time.monotonic() - ended.first_s
+        self._look_at_clock()
         started = datetime.fromtimestamp(time.time() - age, UTC)
         columns = [
             column(source, kept)
@@ -440,6 +445,17 @@ class HardwareRig:
             loop=request.profile.loop,
             profile=request.profile.kind,
         )
+
+    def _look_at_clock(self) -> None:
+        """Says so where the time of day, which dates the records, has jumped between trials."""
+        day_s, self._day_s = self._day_s, _day_s()
+        if abs(self._day_s - day_s) > JUMP_s:
+            _log.warning(
+                "rig %s: the time of day jumped by %+.3g s since the last trial; its records are "
+                "dated by the new one, and the loop, which keeps another clock, has not noticed: "
+                "have the clock kept by NTP, which slews it",
+                *(self._description.name, self._day_s - day_s),
+            )
 
     def _now(self) -> RigDescription:
         """The description, with the gains and the length that a schedule has come to."""
@@ -561,6 +577,11 @@ def _start(file: int) -> tuple["Connection[Any, Any]", "subprocess.Popen[bytes]"
             start_new_session=True,  # Ctrl-C is for us; the loop ends when we do
         )
     return ours, process
+
+
+def _day_s() -> float:
+    """The time of day by the clock that never steps; changes only where it was set."""
+    return time.time() - time.monotonic()
 
 
 def _error(failed: Failed) -> EstuneError:
