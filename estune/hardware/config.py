@@ -5,13 +5,12 @@ Every key carries its unit. What is wrong is told at once, a line for each, with
 
 import json
 import math
-import tomllib
 from collections.abc import Iterator
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Self
 
-from pydantic import ValidationError, model_validator
+from pydantic import model_validator
 
 from estune.core import pidf
 from estune.core.gains import Gains
@@ -37,11 +36,11 @@ from estune.hardware.tables import (
     SafeTable,
     ScheduleTable,
     StepTable,
-    Table,
 )
 from estune.profiles import StepProfile
 from estune.reel.calibration import CurrentCalibration, GaugeCalibration
 from estune.reel.guard import Limits
+from estune.settings import Table, checked, read_toml
 from estune.trial import RigDescription, RigLimits
 
 
@@ -302,12 +301,7 @@ def read_config(path: str | Path) -> RigConfig:
             a line each.
     """
     path = Path(path)
-    try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise InvalidInput(f"{path}: {getattr(error, 'strerror', None) or error}") from error
-    except tomllib.TOMLDecodeError as error:
-        raise InvalidInput(f"{path}: no TOML: {error}") from error
+    data = read_toml(path)
     for table in ("gauge", "current", "schedule"):
         place = data.get(table)
         if isinstance(place, dict) and isinstance(place.get("file"), str):
@@ -321,19 +315,7 @@ def config_from(data: dict[str, Any], source: str) -> RigConfig:
     Raises:
         InvalidInput: something in it is wrong; all of it is in the message, a line each.
     """
-    try:
-        return RigConfig.model_validate(data)
-    except ValidationError as error:
-        raise InvalidInput("\n".join(f"{source}: {line}" for line in _lines(error))) from None
-
-
-def _lines(error: ValidationError) -> list[str]:
-    lines = []
-    for fault in error.errors(include_url=False, include_context=False):
-        where = ".".join(map(str, fault["loc"]))
-        sentences = fault["msg"].removeprefix("Value error, ").split("\n")
-        lines += [f"{where}: {sentence}" if where else sentence for sentence in sentences]
-    return lines
+    return checked(RigConfig, data, source)
 
 
 def _json(path: Path) -> dict[str, Any]:

@@ -3,7 +3,9 @@
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
+
+from estune.settings import Table
 
 Positive = Annotated[float, Field(gt=0.0)]
 NotNegative = Annotated[float, Field(ge=0.0)]
@@ -12,17 +14,11 @@ _Any = TypeVar("_Any")
 _Calibration = TypeVar("_Calibration", bound="GaugeTable | CurrentTable")
 
 
-class Table(BaseModel):
-    """A table of the file: no unknown keys, no silent conversions, no NaN or infinity."""
-
-    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, frozen=True)
-
-
 class DriverTable(Table):
     """Which driver: its name among the installed ones, or module:attribute, and its settings."""
 
     use: str
-    settings: dict[str, Any] = {}
+    settings: dict[str, Any] = Field(default={})
 
 
 class GaugeTable(Table):
