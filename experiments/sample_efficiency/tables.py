@@ -37,6 +37,8 @@ def lines(found: dict[str, dict[str, dict[str, Any]]]) -> Iterator[str]:
 
 def stop_lines(stops: dict[str, dict[str, Any]]) -> Iterator[str]:
     """The table of whole runs."""
+    if not stops:
+        return
     yield f"\nwhole runs of {NEWTON}: search, stop by its own rule, confirmation"
     yield (
         f"{'noise':>6s} {'runs':>5s} {'stopped':>8s} {'search':>7s} {'all':>6s} "
@@ -54,8 +56,8 @@ def stop_lines(stops: dict[str, dict[str, Any]]) -> Iterator[str]:
 
 def _line(name: str, f: dict[str, Any], seeds: int) -> str:
     budget = f.get("budget", 0)
-    lower, middle, upper = (_trials(n, budget) for n in f.get("first", (math.nan,) * 3))
-    band = f"{middle} [{lower}, {upper}]"
+    lower, upper = (_trials(n, budget) for n in f.get("first_quartiles", (math.nan,) * 2))
+    band = f"{_trials(f.get('first', math.nan), budget)} [{lower}, {upper}]"
     fewer = f"  ({f['seeds']} seeds)" if f.get("seeds", seeds) < seeds else ""
     unsafe = f"{f['unsafe']:.0f}/{f['unsafe_worst']}" if "unsafe" in f else ""
     more_first = _trials(f.get("more_noise_first", math.nan), 300)
@@ -74,7 +76,7 @@ def _words(found: dict[str, dict[str, dict[str, Any]]]) -> Iterator[str]:
     for problem in families:
         ahead = peers_ahead(found[problem])
         won += not ahead
-        ours = _trials(found[problem][NEWTON]["first"][1], found[problem][NEWTON]["budget"])
+        ours = _trials(found[problem][NEWTON]["first"], found[problem][NEWTON]["budget"])
         for name, n in ahead.items():
             budget = found[problem][name]["budget"]
             yield f"{problem}: {name} wins with {_trials(n, budget)} trials against {ours}"

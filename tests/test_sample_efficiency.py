@@ -1,0 +1,65 @@
+"""The comparison of tuners is fair, and its figures are what they are called."""
+
+import math
+
+import numpy as np
+import pytest
+
+from experiments.sample_efficiency.figures import median, quartiles
+from experiments.sample_efficiency.optimum import WARM_RATIO, search, warm_start
+from experiments.sample_efficiency.problems import PROBLEMS
+from experiments.sample_efficiency.searches import COLD, Job, Row
+from experiments.sample_efficiency.trials import ETA_MAX_RATIO, Setting, Spent, Trials
+
+PROBLEM = PROBLEMS["20 Hz"]
+
+
+def row(*excess):
+    return Row(Job("20 Hz", "newton", 0.03, COLD, 1, len(excess)), excess, 0, 0.0)
+
+
+def test_the_optimum_is_beaten_by_no_point_near_it_or_far():
+    best = search(PROBLEM)
+    random = np.random.default_rng(2)
+    there, space = np.array(best.coordinates), PROBLEM.space()
+    near = there + random.normal(0.0, 0.1, (2000, 4))
+    far = random.uniform(space.coordinates_low, space.coordinates_high, (2000, 4))
+    assert PROBLEM.costs(near).min() > best.cost * (1.0 - 1e-9)
+    assert PROBLEM.costs(far).min() > best.cost
+    warm = space.coordinates(warm_start(PROBLEM, best).as_tuple())
+    assert PROBLEM.costs(np.array([warm]))[0] == pytest.approx(WARM_RATIO * best.cost, rel=0.02)
+
+
+def test_the_noise_of_a_trial_depends_on_its_number_and_not_on_where_it_is():
+    setting = Setting(PROBLEM, PROBLEM.start, 0.1, 5, 3)
+    found = []
+    for away in (0.0, 0.2):
+        trials = Trials(setting)
+        noisy = [trials(np.array(trials.start) + away * k) for k in range(3)]
+        assert max(noisy) < trials.limit
+        found.append(np.divide(noisy, trials.costs))
+        with pytest.raises(Spent):
+            trials(trials.start)
+    assert found[0] == pytest.approx(found[1], rel=1e-12)
+    assert np.ptp(found[0]) > 0.01
+
+
+def test_a_trial_is_cut_short_and_its_cost_bounded():
+    trials = Trials(Setting(PROBLEM, PROBLEM.start, 0.03, 5, 2))
+    wild = np.array(trials.start) + 3.5
+    start_cost = PROBLEM.costs(np.array([trials.start]))[0]
+    assert trials(wild) == trials.limit == pytest.approx(ETA_MAX_RATIO * start_cost)
+    assert trials.unsafe == 1
+
+
+def test_near_is_counted_from_the_first_trial_and_stays_from_the_last():
+    assert row(0.5, 0.04, 0.06, 0.03, 0.02).first_near == 2
+    assert row(0.5, 0.04, 0.06, 0.03, 0.02).stays_near == 4
+    assert row(0.5, 0.04, 0.06).stays_near == math.inf
+    assert row(0.5, math.inf).first_near == math.inf
+
+
+def test_a_median_of_searches_that_half_of_never_arrive_is_never():
+    assert median([3, 7, math.inf, math.inf]) == math.inf
+    assert median([3, 4, 7, math.inf]) == 5.5
+    assert quartiles([1, 2, 3, 4, math.inf]) == (2, 3, 4)
