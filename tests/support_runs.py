@@ -1,4 +1,4 @@
-"""A rig of arithmetic, for tests of the run around it."""
+"""A rig of arithmetic and a tuner by script, for tests of the run around them."""
 
 from dataclasses import replace
 
@@ -6,6 +6,8 @@ import numpy as np
 
 from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
+from estune.core.tuners.least_squares_gradient import LeastSquaresGradient
+from estune.core.tuners.outlook import Forecast, Outlook
 from estune.profiles import StepProfile
 from estune.trial import (
     Outcome,
@@ -85,3 +87,14 @@ class ArithmeticRig:
 
     def close(self) -> None:
         self.closed = True
+
+
+class Seer(LeastSquaresGradient):
+    """A tuner that says what is left to gain, by a script, and what it takes for explored."""
+
+    def outlook(self, state):
+        left = (1.0, 0.3, 0.01, 0.01, 0.3, *(0.01,) * 50)[state.k - 1]
+        return Outlook(0.01, left, left / 2.0, ((0.1, 1.0),) * 4)
+
+    def forecast(self, _state, point):
+        return Forecast(1.0, 0.5, 2.0, explored=point[0] < START.P)

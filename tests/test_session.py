@@ -10,8 +10,6 @@ from hypothesis import strategies as st
 from estune.core.cost import StepCost
 from estune.core.gains import GAIN_NAMES
 from estune.core.search_space import SearchSpace
-from estune.core.tuners.least_squares_gradient import LeastSquaresGradient
-from estune.core.tuners.outlook import Forecast, Outlook
 from estune.errors import InvalidInput
 from estune.planning import make_plan, plan_from_json, plan_to_json
 from estune.profiles import StepProfile
@@ -28,7 +26,7 @@ from estune.session import (
 )
 from estune.trial import Outcome
 from estune.verdict import verdict
-from tests.support_runs import START, description
+from tests.support_runs import START, Seer, description
 
 
 def plan(**changes) -> Plan:
@@ -191,17 +189,6 @@ def test_a_cost_that_never_changes_is_no_improvement():
     assert found.complete
     assert not found.improved
     assert found.gains == START
-
-
-class Seer(LeastSquaresGradient):
-    """A tuner that says what is left to gain, by a script, and calls the region near explored."""
-
-    def outlook(self, state):
-        left = (1.0, 0.3, 0.01, 0.01, 0.3, *(0.01,) * 20)[state.k - 1]
-        return Outlook(0.01, left, left / 2.0, ((0.1, 1.0),) * 4)
-
-    def forecast(self, _state, point):
-        return Forecast(1.0, 0.5, 2.0, explored=point[0] > START.P)
 
 
 def seer(**changes):

@@ -6,10 +6,11 @@ import pytest
 
 import estune
 from estune import tuning
-from estune.errors import Interrupted, RigError
+from estune.core.search_space import SearchSpace
+from estune.errors import Interrupted, InvalidInput, RigError
 from estune.trial import Outcome, unmeasured
 from tests.serve_rig import served
-from tests.support_runs import ArithmeticRig
+from tests.support_runs import START, ArithmeticRig, Seer
 from tests.test_journal import begin, go_on, trace
 
 
@@ -87,3 +88,65 @@ def test_a_run_goes_on_when_its_rig_is_killed_and_started_again(tmp_path):
     assert len(servers) == 1 + len(kills)
     same = [replace(e, trial_id=e.trial_id.replace("cut", "whole")) for e in cut.entries]
     assert same == list(whole.entries)
+
+
+def answers(number: int) -> str:
+    return "no" if number % 3 else "yes"
+
+
+def asked_run(folder, rig, ask):
+    """A run in which all is asked that has a larger P than the start."""
+    tuner = Seer(SearchSpace.around(START))
+    options = {"tolerance": 0.0, "run": "run", "watch": None}
+    tuned = estune.tune(rig, tuner=tuner, trials=15, folder=folder, ask=ask, **options)
+    return tuned, [request.number for request in rig.asked]
+
+
+def test_gains_beyond_what_is_known_to_be_safe_are_run_only_where_somebody_agrees(tmp_path):
+    questions = []
+
+    def ask(question):
+        assert not question.expected.explored
+        questions.append(question.request.number)
+        return answers(question.request.number)
+
+    found, ran = asked_run(tmp_path, ArithmeticRig(), ask)
+    assert {answers(number) for number in questions} == {"yes", "no"}
+    refused = {number for number in questions if answers(number) == "no"}
+    assert not refused & set(ran)
+    assert {e.number for e in found.entries if e.outcome is Outcome.DECLINED} == refused
+    assert found.verdict.declined == len(refused)
+    assert found.unsafe == 0
+    assert "declined" in repr(found)
+
+
+def test_a_run_that_was_cut_off_keeps_what_was_declined(tmp_path):
+    class Gone(ArithmeticRig):
+        def run(self, request):
+            if request.number >= 10:
+                raise KeyboardInterrupt
+            return super().run(request)
+
+    def ask(question):
+        return answers(question.request.number)
+
+    whole, _ = asked_run(tmp_path / "whole", ArithmeticRig(), ask)
+    with pytest.raises(tuning.Stopped):
+        asked_run(tmp_path, Gone(), ask)
+    with pytest.raises(InvalidInput, match="nobody to ask"):
+        estune.resume(tmp_path / "run", ArithmeticRig(), watch=None)
+    again = estune.resume(tmp_path / "run", ArithmeticRig(), watch=None, ask=ask)
+    assert str(trace(again.entries)) == str(trace(whole.entries))  # nan is not itself
+    assert again.verdict.declined > 1
+
+
+def test_always_is_asked_once(tmp_path):
+    questions = []
+
+    def ask(question):
+        questions.append(question)
+        return "always"
+
+    found, ran = asked_run(tmp_path, ArithmeticRig(), ask)
+    assert len(questions) == 1
+    assert len(ran) == len(found.entries)

@@ -69,6 +69,11 @@ class _Slowest(NamedTuple):
 
     @classmethod
     def of(cls, plant: SampledPlant, sample_s: float) -> Self:
+        if (plant.modes.real > 0.0).any():
+            raise InvalidInput(
+                "the model is unstable by itself, and the rule begins at nearly no gain; give "
+                "gains to start from that hold it"
+            )
         mode = complex(min(plant.modes, key=abs))
         if mode == 0.0:
             raise InvalidInput(
@@ -96,7 +101,8 @@ def largest_integral_gain(
         limits: Of sensitivity, setpoint response and noise.
 
     Raises:
-        InvalidInput: no gains keep the limits, or the plant has no gain at rest above zero.
+        InvalidInput: no gains keep the limits, or the plant is unstable by itself or has no gain
+            at rest above zero.
     """
     from scipy.optimize import linprog  # noqa: PLC0415  slow to import
 

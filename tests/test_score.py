@@ -1,0 +1,56 @@
+"""How near a trial came to the rig's limits."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from estune.score import margin_of
+from estune.trial import Outcome, RigLimits, TrialRequest, unmeasured
+from tests.support_runs import START, ArithmeticRig, description
+
+# The step goes from 10 to 20 N; limits 0 to 50 N of tension, -100 to 100 N of effort, 20 N/A.
+RIG = description()
+
+
+def record(**columns):
+    made = ArithmeticRig().run(TrialRequest("run", 0, START, RIG.step))
+    flat = {"tension_N": made.setpoint_N, "current_A": made.setpoint_N / 20.0}
+    for name, peak in columns.items():
+        flat[name] = np.concatenate([flat[name][:-1], [peak]])
+    return replace(made, **flat)
+
+
+@pytest.mark.parametrize(
+    ("columns", "share"),
+    [
+        ({}, 1.0),
+        ({"tension_N": 35.0}, 0.5),
+        ({"tension_N": 50.0}, 0.0),
+        ({"tension_N": 53.0}, -0.1),
+        ({"tension_N": 4.0}, 0.4),
+        ({"current_A": 60.0 / 20.0}, 0.5),
+        ({"current_A": -45.0 / 20.0}, 0.5),
+        ({"tension_N": 35.0, "current_A": 92.0 / 20.0}, 0.1),
+    ],
+)
+def test_the_margin_is_the_smallest_share_left_of_the_room_beyond_the_setpoint(columns, share):
+    assert margin_of(record(**columns), RIG) == pytest.approx(share)
+
+
+def test_a_side_without_room_or_without_a_limit_does_not_count():
+    tight = replace(RIG, limits=RigLimits(10.0, 20.0, 5.0))
+    assert margin_of(record(tension_N=25.0), tight) == pytest.approx(1.0)
+    free = replace(
+        RIG,
+        limits=RigLimits(-math.inf, math.inf, 5.0),
+        controller=replace(RIG.controller, output_min_N=-math.inf, output_max_N=math.inf),
+    )
+    assert margin_of(record(tension_N=1e9), free) == math.inf
+
+
+def test_a_trial_without_samples_came_near_nothing():
+    request = TrialRequest("run", 0, START, RIG.step)
+    nothing = unmeasured(request, RIG, Outcome.CANCELLED, "stopped", "2009-05-04T12:00:00+00:00")
+    assert margin_of(nothing, RIG) == math.inf

@@ -1,0 +1,69 @@
+"""A start from the rig's own linear model: safe on the rig it is of, refused where it is not."""
+
+from dataclasses import replace
+
+import control
+import numpy as np
+import pytest
+
+import estune
+import plants
+from estune.core.margins import Margins
+from estune.errors import InvalidInput
+from estune.interop import linear_model, margins, model_gains
+from estune.planning import model_start
+from tests.support_runs import description
+from tests.test_initial import SETTINGS
+
+s = control.tf("s")
+
+
+def loop(model) -> Margins:
+    return margins(model, model_gains(model, SETTINGS), SETTINGS)
+
+
+@pytest.mark.parametrize(
+    "model",
+    [
+        linear_model(50.0**2 / (s**2 + 2 * 0.1 * 50.0 * s + 50.0**2), 0.002),
+        linear_model(2.0 / (0.3 * s + 1), 0.05),
+        linear_model(1.0 / ((s + 1) * (0.2 * s + 1) * (0.04 * s + 1))),
+        linear_model((1 - 0.1 * s) / ((s + 1) * (0.5 * s + 1)), 0.3),
+    ],
+    ids=["reel", "first order with dead time", "three lags", "non-minimum phase"],
+)
+def test_any_stable_model_gets_a_start_with_room_to_spare(model):
+    found = loop(model)
+    assert found.stable
+    # |1 + L| >= 1/1.6 everywhere means margins of at least 2.67 and 36 degrees.
+    assert found.gain_margin > 2.6
+    assert found.phase_margin_deg > 36.0
+
+
+@pytest.mark.parametrize(
+    ("system", "words"),
+    [
+        (1.0 / (s - 5.0), "unstable by itself"),
+        (5.0 / ((s + 1.0) * (s**2 - s + 5.0)), "unstable by itself"),
+        (1.0 / (s * (s + 1.0)), "integrates"),
+        (-1.0 / (s + 1.0), "turn the sign"),
+    ],
+)
+def test_a_model_that_promises_no_safe_start_is_refused(system, words):
+    with pytest.raises(InvalidInput, match=words):
+        model_gains(linear_model(system), SETTINGS)
+
+
+def test_a_rig_without_a_model_says_what_to_do_instead():
+    with pytest.raises(InvalidInput, match=r"arithmetic gives no linear model.*give the gains"):
+        model_start(replace(description(), linear_model=None))
+
+
+@pytest.mark.parametrize("length_m", [0.5, 1.4])
+def test_a_tuning_from_the_model_starts_safely_and_much_nearer_than_from_the_rigs_gains(length_m):
+    reel = plants.reference_reel(cable_length_m=length_m)
+    warm = estune.tune(reel, start="model", trials=1, journal=False, watch=None)
+    cold = estune.tune(reel, trials=1, journal=False, watch=None)
+    assert warm.unsafe == 0
+    assert warm.start_gains == model_start(warm.rig)
+    assert np.mean(warm.session.baseline) < 0.7 * np.mean(cold.session.baseline)
