@@ -217,6 +217,7 @@ def test_the_page_of_the_docs_does_what_it_shows():
         (["one.toml", "two.toml", "--eta", "low"], "neither a number nor auto"),
         (["one.toml", "two.toml", "--eta", "-1"], "above zero"),
         (["a=one.toml", "a=two.toml"], "given twice"),
+        (["tcp/127.0.0.1:1", "tcp/127.0.0.1:1"], "given twice"),
         (["one.toml", "two.toml", "--tolerance", "2"], "between 0 and 1"),
         (["one.toml", "two.toml", "--repeats", "1"], "at least 3"),
         (["one.toml", "two.toml", "--apply"], "a model keeps no gains"),

@@ -18,6 +18,7 @@ from estune.matching.outcome import Matching
 from estune.matching.stages import Reel, Settings, Stages, Told
 from estune.planning import MOVE_WEIGHT
 from estune.profiles import StepProfile
+from estune.targets import is_endpoint
 from estune.trial import RigDescription
 from estune.tuning import Watcher
 
@@ -96,8 +97,9 @@ def match(
     )
     reels = [stages.reached(label, target) for label, target in named.items()]
     known = [reel.about for reel in reels if reel.about]
-    if not known:
-        raise RigError(f"no reel could be reached: {reels[0].record.reason}")
+    if len(known) < (2 if eta == "auto" else 1):
+        reasons = "; ".join(f"{r.record.label}: {r.record.reason}" for r in reels if r.lost)
+        raise RigError(f"too few reels for eta {eta} could be reached ({reasons})")
     common = common_suggestion(known)
     step = step or common.step
     cost = cost or StepCost(common.settling_time_s, move_weight=MOVE_WEIGHT)
@@ -142,6 +144,11 @@ def _labelled(targets: Mapping[str, Any] | Sequence[Any]) -> dict[str, Any]:
         named = {f"reel{n}": target for n, target in enumerate(targets, 1)}
     if not named:
         raise InvalidInput("there is no reel to match; give at least one target")
+    endpoints = [target for target in named.values() if is_endpoint(target)]
+    if len(set(endpoints)) < len(endpoints):
+        raise InvalidInput(
+            f"endpoints {', '.join(endpoints)}: one rig is given twice; leave one out"
+        )
     for label in named:
         if not re.fullmatch(r"[A-Za-z0-9_-]+", label):
             raise InvalidInput(f"label {label!r} may hold only letters, digits, - and _")

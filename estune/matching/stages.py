@@ -203,9 +203,10 @@ class Stages:
             name = f"{self.folder.name}-{name}"
             if (self.folder / name / FILE_NAME).is_file():
                 path = self.folder / name
+        doing = "matching" if isinstance(options["tuner"], LevelSeeker) else "tuning"
         try:
             if path is None:
-                self.tell(f"{reel.record.label}: {stage}")
+                self.tell(f"{reel.record.label}: {doing}")
                 place: dict[str, Any] = {
                     "run": name,
                     "journal": self.folder is not None,
@@ -215,7 +216,7 @@ class Stages:
             found = api.load(path)
             _check_same(path, found, options)
             if found.ending is Ending.STOPPED:
-                self.tell(f"{reel.record.label}: {stage}, gone on with")
+                self.tell(f"{reel.record.label}: {doing} goes on")
                 found = api.resume(path, reel.target, **common)
         except _OtherSettings:
             raise
