@@ -15,10 +15,11 @@ from typing import Any, NamedTuple
 from estune import bus
 from experiments import benchmark_link
 from experiments.chaos import __doc__ as about
-from experiments.chaos import deadman, faults, verdict
+from experiments.chaos import deadman, faults, supervised, verdict
 from experiments.chaos.campaign import Campaign
 from experiments.chaos.stand import Stand
 
+PARTS = ("estune", "plain", "daemon", "hardware", "stops")
 SEARCH_TRIALS = 120
 BESIDE_SEARCH = 9
 NONE = (
@@ -57,6 +58,7 @@ class Extent(NamedTuple):
         trials: Trials, at least.
         pace: Seconds a second of a trial takes.
         plain_share: The plain client gets one in so many of both.
+        daemon_faults: Faults that befall a daemon.
         losses: How often a client is lost in a trial on the emulated hardware, by each signal.
         stops: Emergency stops.
     """
@@ -65,11 +67,12 @@ class Extent(NamedTuple):
     trials: int
     pace: float
     plain_share: int
+    daemon_faults: int
     losses: int
     stops: int
 
 
-QUICK = Extent(faults=10, trials=30, pace=0.05, plain_share=1, losses=1, stops=50)
+QUICK = Extent(faults=10, trials=30, pace=0.05, plain_share=1, daemon_faults=4, losses=1, stops=50)
 
 
 def conduct(
@@ -128,9 +131,11 @@ def targets_of(figures: dict[str, Any]) -> dict[str, dict[str, Any]]:
     limits: dict[str, float] = dict.fromkeys(NONE, 0)
     limits |= {name: deadman.LIMIT_S for name in figures if name.endswith("_restored_max_s")}
     limits["stop_p99_ms"] = benchmark_link.STOP_LIMIT_MS
+    values = {name: (figures[name], limit) for name, limit in limits.items()}
+    values |= {f"daemon_{name}": (figures["daemon"][name], 0) for name in supervised.NONE}
     return {
-        name: {"value": figures[name], "limit": limit, "met": figures[name] <= limit}
-        for name, limit in limits.items()
+        name: {"value": value, "limit": limit, "met": value <= limit}
+        for name, (value, limit) in values.items()
     }
 
 
@@ -142,10 +147,14 @@ def show(figures: dict[str, Any], targets: dict[str, dict[str, Any]], seconds: f
         missed = name in targets and not targets[name]["met"]
         print(f"{words:56}{ours[name]:10}{theirs[name]:10}{'  missed' if missed else ''}")
     print("\nfaults, each in both columns' share:")
-    for kind, count in ours["faults_by_kind"].items():
-        print(f"  {count:5}  {kind}")
+    _show_kinds(ours)
     codes = ", ".join(f"{n} with {code}" for code, n in ours["client_exits"].items())
     print(f"clients that ended: {codes}; {seconds:.0f} s in all")
+    print("\na daemon that tunes, again and again:")
+    for name, words in supervised.WORDS.items():
+        missed = not targets.get(f"daemon_{name}", {"met": True})["met"]
+        print(f"{words:68}{figures['daemon'][name]:10}{'  missed' if missed else ''}")
+    _show_kinds(figures["daemon"])
     print("\nclient lost in a trial on the emulated hardware: until its own gains are live again,")
     print("until the reel has left the level of the trial")
     for name in ("killed", "frozen"):
@@ -163,6 +172,11 @@ def show(figures: dict[str, Any], targets: dict[str, dict[str, Any]], seconds: f
     print(f"\nmissed: {', '.join(missed_all) or 'nothing'}")
 
 
+def _show_kinds(figures: dict[str, Any]) -> None:
+    for kind, count in figures["faults_by_kind"].items():
+        print(f"  {count:5}  {kind}")
+
+
 def main() -> int:
     """Runs everything; returns 1 where a target is missed."""
     parser = argparse.ArgumentParser(description=(about or "").split("\n")[0])
@@ -175,7 +189,7 @@ def main() -> int:
     arguments = parser.parse_args()
     extent = QUICK
     if not arguments.quick:
-        extent = Extent(arguments.faults, arguments.trials, 0.2, 4, 20, 2000)
+        extent = Extent(arguments.faults, arguments.trials, 0.2, 4, 140, 20, 2000)
 
     def say(text: str) -> None:
         print(text, file=sys.stderr, flush=True)
@@ -185,12 +199,15 @@ def main() -> int:
         folder = arguments.keep or Path(
             opened.enter_context(tempfile.TemporaryDirectory(prefix="estune-chaos-"))
         )
-        parts = {name: folder / name for name in ("estune", "plain", "hardware", "stops")}
+        parts = {name: folder / name for name in PARTS}
         for part in parts.values():
             part.mkdir(parents=True)
         seed = arguments.seed
         figures = conduct(extent, seed, parts["estune"], plain=False, say=say)
         figures["plain"] = conduct(extent, seed, parts["plain"], plain=True, say=say)
+        figures["daemon"] = supervised.conduct(
+            extent.daemon_faults, seed, QUICK.pace, parts["daemon"]
+        )
         figures |= lost_clients(extent.losses, parts["hardware"])
         figures |= emergency_stops(extent.stops, parts["stops"])
     targets = targets_of(figures)
