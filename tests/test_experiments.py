@@ -8,13 +8,13 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-TIMED = {"benchmark_link", "benchmark_trials", "catenary", "effects", "jitter"}
+TIMED = {"benchmark_link", "benchmark_trials", "catenary", "effects", "jitter", "sweep_speed"}
 """Experiments with targets that are times or ratios of them, which a busy machine may miss."""
 
 TIMES = ("_restored_max_s", "stop_p99_ms")
 """The same of single targets: how their names end."""
 
-SAMPLED = {"hidden_effects", "sample_efficiency"}
+SAMPLED = {"confirmation", "hidden_effects", "sample_efficiency"}
 """Experiments with targets that are shares of hundreds of cases, which a few cannot judge."""
 
 OTHERS = {"equations", "hidden_scores", "rig_protocol_page"}

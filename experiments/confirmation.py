@@ -1,0 +1,232 @@
+"""Does what a tuning claims hold? Whole runs to their verdict, many times over.
+
+Each run searches, stops by itself, and confirms by repeats; what it says is held against costs
+without noise. It begins from weak gains, from gains that cannot be improved, on a rig that gets
+steadily worse by a fifth while the run goes on, or on one of whose trials one in twenty is spoilt.
+Asked is whether the 95 % interval of the improvement holds the true one, how often an improvement
+is claimed where there is none, and what the gains it ends with still cost above the optimum.
+"""
+
+import argparse
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from operator import attrgetter
+from statistics import fmean, median
+from typing import Any
+
+import numpy as np
+from joblib import Parallel, delayed
+
+from estune import drawing
+from estune.core.gains import Gains
+from estune.planning import DEFAULT_TUNER, make_tuner
+from estune.session import Plan, begin, next_request, told
+from estune.trial import Outcome
+from estune.verdict import verdict
+from experiments.sample_efficiency.optimum import OUT, optimum
+from experiments.sample_efficiency.problems import PROBLEMS
+
+PROBLEM = PROBLEMS["8 Hz"]
+NOISE = 0.03
+DRIFT = 0.2
+SPOILT_SHARE, SPOILT = 0.05, 1.5
+FIRST_SEED = 5000
+COVERED_LEAST, COVERED_MOST = 0.93, 0.97
+FALSE_CLAIMS_MOST = 0.05
+EXCESS_MEDIAN, EXCESS_WORST = 0.01, 0.05
+FIGURE = OUT / "confirmation.png"
+
+
+@dataclass(frozen=True, slots=True)
+class Situation:
+    """Where a run begins and what befalls it; nothing of the kind unless said."""
+
+    name: str
+    from_optimum: bool = False
+    drift: float = 0.0
+    spoilt_share: float = 0.0
+
+
+SITUATIONS = (
+    Situation("weak start"),
+    Situation("nothing to gain", from_optimum=True),
+    Situation("drift", drift=DRIFT),
+    Situation("spoilt trials", spoilt_share=SPOILT_SHARE),
+)
+PLAIN = ("weak start", "nothing to gain")
+"""Where the interval is held to its word: noise alone, as it is made for."""
+
+
+@dataclass(frozen=True, slots=True)
+class Claim:
+    """What a run claimed, and what is true.
+
+    Attributes:
+        situation: Name of the situation.
+        searched: Search trials.
+        trials: All trials.
+        claimed: Whether it claims an improvement.
+        low: Lower end of its interval of the change; nan where it gives none.
+        high: Upper end.
+        true: The change without noise.
+        excess: Cost of the gains it ended with over the optimum, less one.
+    """
+
+    situation: str
+    searched: int
+    trials: int
+    claimed: bool
+    low: float
+    high: float
+    true: float
+    excess: float
+
+    @property
+    def held(self) -> bool:
+        """Whether the true change lies in the interval."""
+        return self.low <= self.true <= self.high
+
+
+def claim(situation: Situation, seed: int) -> Claim:
+    """Runs one tuning to its verdict."""
+    best = optimum(PROBLEM)
+    start = Gains(*map(math.exp, best.coordinates)) if situation.from_optimum else PROBLEM.start
+    tuner = make_tuner(DEFAULT_TUNER, start, None)
+    plan = Plan("run", tuner, start, PROBLEM.plant.profile, PROBLEM.cost)
+    random = np.random.default_rng(seed)
+    factors = 1.0 + NOISE * random.standard_normal(plan.most_trials)
+    factors *= 1.0 + situation.drift * np.linspace(0.0, 1.0, plan.most_trials)
+    factors[random.random(plan.most_trials) < situation.spoilt_share] *= SPOILT
+    session = begin(plan)
+    while (request := next_request(session)) is not None:
+        cost = _quiet(request.gains) * float(factors[request.number])
+        session = told(session, Outcome.DONE, cost)
+    said, found = verdict(session), session.found or start
+    return Claim(
+        situation=situation.name,
+        searched=session.searched,
+        trials=session.number,
+        claimed=said.improved,
+        low=math.nan if said.change is None else said.change.low,
+        high=math.nan if said.change is None else said.change.high,
+        true=_quiet(found) / _quiet(start) - 1.0,
+        excess=_quiet(said.gains) / best.cost - 1.0,
+    )
+
+
+def _quiet(gains: Gains) -> float:
+    return float(PROBLEM.costs(np.log([gains.as_tuple()]))[0])
+
+
+def summary(claims: Sequence[Claim]) -> dict[str, Any]:
+    """The figures of some runs."""
+    compared = [c for c in claims if not math.isnan(c.low)]
+    return {
+        "runs": len(claims),
+        "searched_median": median(c.searched for c in claims),
+        "trials_median": median(c.trials for c in claims),
+        "claimed": fmean(c.claimed for c in claims),
+        "claimed_falsely": fmean(c.claimed and c.true >= 0.0 for c in claims),
+        "covered": fmean(c.held for c in compared) if compared else None,
+        "excess_median": median(c.excess for c in claims),
+        "excess_worst": max(c.excess for c in claims),
+    }
+
+
+def targets(figures: dict[str, Any]) -> dict[str, Any]:
+    """What was aimed at."""
+    plain, covered = figures["weak start"], figures["covered_by_noise_alone"]
+    false = max(figures[s.name]["claimed_falsely"] for s in SITUATIONS)
+    return {
+        "coverage of the 95 % interval, noise alone": {
+            "value": covered,
+            "limit": [COVERED_LEAST, COVERED_MOST],
+            "met": covered is not None and COVERED_LEAST <= covered <= COVERED_MOST,
+        },
+        "improvements claimed where there is none, worst situation": {
+            "value": false,
+            "limit": FALSE_CLAIMS_MOST,
+            "met": false <= FALSE_CLAIMS_MOST,
+        },
+        "excess at the stop from a weak start, median": {
+            "value": plain["excess_median"],
+            "limit": EXCESS_MEDIAN,
+            "met": plain["excess_median"] <= EXCESS_MEDIAN,
+        },
+        "excess at the stop from a weak start, worst": {
+            "value": plain["excess_worst"],
+            "limit": EXCESS_WORST,
+            "met": plain["excess_worst"] <= EXCESS_WORST,
+        },
+    }
+
+
+def show(figures: dict[str, Any]) -> None:
+    """Prints the table."""
+    print(f"{PROBLEM.title}, {NOISE:.0%} noise, tuner {DEFAULT_TUNER}")
+    print(
+        f"{'situation':17s} {'runs':>5s} {'searched':>9s} {'trials':>7s} {'claimed':>8s} "
+        f"{'falsely':>8s} {'covered':>8s} {'excess':>8s} {'worst':>8s}"
+    )
+    for situation in SITUATIONS:
+        f = figures[situation.name]
+        covered = "-" if f["covered"] is None else f"{f['covered']:.1%}"
+        print(
+            f"{situation.name:17s} {f['runs']:5d} {f['searched_median']:9.0f} "
+            f"{f['trials_median']:7.0f} {f['claimed']:8.1%} {f['claimed_falsely']:8.1%} "
+            f"{covered:>8s} {f['excess_median']:8.2%} {f['excess_worst']:8.2%}"
+        )
+
+
+def draw(claims: Sequence[Claim]) -> None:
+    """Saves the figure: the intervals of each situation, in order of where they lie."""
+    page = drawing.new_figure(drawing.WIDTH_in, 4.6)
+    grid = page.subplots(2, 2, squeeze=False).ravel()
+    for ax, (name, group) in zip(grid, groupby(claims, attrgetter("situation")), strict=False):
+        compared = sorted((c for c in group if not math.isnan(c.low)), key=attrgetter("low"))
+        for place, one in enumerate(compared):
+            ends = (100.0 * (one.low - one.true), 100.0 * (one.high - one.true))
+            ax.vlines(place, *ends, color=drawing.BLUE if one.held else drawing.VERMILION, lw=0.8)
+        ax.axhline(0.0, color=drawing.BLACK, linewidth=0.8)
+        ax.set_title(name, fontsize=9)
+        drawing.finish(ax, "interval less the truth, %", "run, by its interval")
+    OUT.mkdir(exist_ok=True)
+    FIGURE.write_bytes(drawing.to_png(page))
+
+
+def main() -> int:
+    """Measures, prints, and says by its exit code whether every target was met."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--json", action="store_true", help="print one JSON object instead")
+    parser.add_argument("--quick", action="store_true", help="a few runs, for a look")
+    parser.add_argument("--runs", type=int, default=150, help="runs of each situation")
+    parser.add_argument("--jobs", type=int, default=1, help="processes")
+    options = parser.parse_args()
+    optimum(PROBLEM)  # before the workers, each of which would look for it
+    seeds = range(FIRST_SEED, FIRST_SEED + (4 if options.quick else options.runs))
+    claims = Parallel(n_jobs=options.jobs)(
+        delayed(claim)(situation, seed) for situation in SITUATIONS for seed in seeds
+    )
+    figures: dict[str, Any] = {
+        s.name: summary([c for c in claims if c.situation == s.name]) for s in SITUATIONS
+    }
+    plain = [c for c in claims if c.situation in PLAIN]
+    figures["covered_by_noise_alone"] = summary(plain)["covered"]
+    aimed = targets(figures)
+    draw(claims)
+    if options.json:
+        print(json.dumps({"figures": figures, "targets": aimed}))
+    else:
+        show(figures)
+        for name, target in aimed.items():
+            verdict_ = "met   " if target["met"] else "MISSED"
+            print(f"{verdict_} {name}: {target['value']:.4g}, limit {target['limit']}")
+        print(f"figure: {FIGURE}")
+    return 0 if all(target["met"] for target in aimed.values()) else 1
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
