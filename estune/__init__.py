@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from estune.core.pidf import ControllerSettings
     from estune.core.search_space import SearchSpace
     from estune.errors import EstuneError
+    from estune.joint.procedure import tune_schedule
     from estune.matching.procedure import match
     from estune.profiles import StepProfile
     from estune.result import TuneResult
@@ -39,6 +40,7 @@ __all__ = [
     "resume",
     "sweep",
     "tune",
+    "tune_schedule",
 ]
 
 _HOMES = {
@@ -54,6 +56,7 @@ _HOMES = {
     "resume": "estune.api",
     "sweep": "estune.sweeping.sweep",
     "tune": "estune.api",
+    "tune_schedule": "estune.joint.procedure",
 }
 
 

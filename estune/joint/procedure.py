@@ -100,10 +100,9 @@ def tune_schedule(
         Stopped: interrupted (a KeyboardInterrupt); the rigs are back at their live gains.
 
     Example:
-        >>> import plants
-        >>> from estune.joint.procedure import tune_schedule
+        >>> import estune, plants
         >>> reels = {length: plants.reference_reel(length) for length in (0.5, 1.4)}
-        >>> found = tune_schedule(reels, trials=60, journal=False)
+        >>> found = estune.tune_schedule(reels, trials=60, journal=False)
         >>> found.success
         True
     """
