@@ -138,8 +138,9 @@ def _points(name: str, n: int, tunings: tuple[TunedGains, ...]) -> tuple[Points,
     known = np.isfinite(told)
     # An error that is not told is taken for as large as those that are.
     typical = float(np.median(told[known])) if known.any() else 0.0
-    # d g = g d ln g
-    own = gain * np.where(known, told, typical)
+    # d g = g d ln g, at the mean of all g: weights that went with each gain itself would draw the
+    # line to those that came out small, and along the range to where the gain is small.
+    own = gain.mean() * np.where(known, told, typical)
     points = Points(length[kept], tension[kept], gain[kept], own[kept])
     return points, tuple(t.label for t, k in zip(tunings, kept, strict=True) if k)
 
