@@ -134,7 +134,7 @@ def where(array: Any) -> int:
     return ctypes.addressof(ctypes.c_char.from_buffer(array))
 
 
-def nonlinear_system(reel: Reel) -> Any:
+def nonlinear_system(reel: Reel, gains: Gains, friction_Nm: float) -> Any:
     """The same trial as a discrete-time system of python-control."""
     k = cable_stiffness_N_m(reel, reel.profile.preload_N)
     R, J, b = reel.drum_radius_m, reel.drum_inertia_kg_m2, viscous_friction_Nms(reel)
@@ -145,8 +145,8 @@ def nonlinear_system(reel: Reel) -> Any:
     A[1, 4], A[1, 5], A[3, 5] = 1.0 / J, -R / J, w * w
     both = expm(A * h)
     Phi, torque, beyond = both[:4, :4], both[:4, 4], both[:4, 5]
-    c = pidf.coefficients(reel.controller, GAINS)
-    Kt, limit, F = reel.torque_constant_Nm_A, reel.current_limit_A, FRICTION.torque_Nm
+    c = pidf.coefficients(reel.controller, gains)
+    Kt, limit, F = reel.torque_constant_Nm_A, reel.current_limit_A, friction_Nm
 
     def update(_t: float, x: FloatArray, u: FloatArray, _p: Any) -> FloatArray:
         body, memory, current = x[:4], pidf.PidfState(*x[4:7].tolist()), x[7]
@@ -188,7 +188,7 @@ def measure_nonlinear(rounds: int) -> dict[str, float]:
     library, compiled = reference_library(), trial_loop(reel.structure)
     virtual = VirtualLoop(loop_functions(reel.structure.equations()))
     by_hand = hand_written(library, batch)
-    system, start = nonlinear_system(reel), nonlinear_start(reel)
+    system, start = nonlinear_system(reel, GAINS, FRICTION.torque_Nm), nonlinear_start(reel)
     t, inputs = np.arange(632) / reel.sampling_Hz, np.vstack([batch.setpoint_N, noise])
 
     def peer() -> Any:

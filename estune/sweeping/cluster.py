@@ -67,7 +67,9 @@ def _from_cluster(dask: Any, client: Any, cells: Sequence[Cell]) -> Iterator[Out
             for future in done:
                 try:
                     outcome = _of_future(future, waiting[future])
-                except TimeoutError:  # the worker that did it has died; another does it again
+                except (OSError, dask.CancelledError):
+                    # The worker that has it has died, and another does it again; or the scheduler
+                    # has, which is seen next time round.
                     continue
                 del waiting[future]
                 yield outcome

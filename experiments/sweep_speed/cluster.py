@@ -1,4 +1,4 @@
-"""A Dask cluster of separate processes on loopback, for tests and experiments."""
+"""A Dask cluster of separate processes on loopback, for the experiment and for tests."""
 
 import json
 import os
@@ -46,9 +46,9 @@ def cluster(workers: int) -> Iterator[Cluster]:
 
 
 def _started(kind: str, *arguments: str) -> subprocess.Popen[bytes]:
-    return subprocess.Popen(
+    return subprocess.Popen(  # noqa: S603  Dask's own commands
         [sys.executable, "-m", f"distributed.cli.dask_{kind}", *arguments],
-        cwd=Path(__file__).parent.parent,
+        cwd=Path(__file__).parents[2],
         stderr=subprocess.DEVNULL,
         env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
     )

@@ -1,0 +1,74 @@
+"""The same reel as a rig whose trials python-control simulates, for the same loop around it."""
+
+from datetime import UTC, datetime
+
+import control
+import numpy as np
+
+from estune.core.gains import Gains
+from estune.trial import Outcome, RigDescription, TrialRecord, TrialRequest
+from experiments.benchmark_trials import nonlinear_start, nonlinear_system
+from plants.noise import NoiseSource
+from plants.reel import Reel
+
+
+class PeerRig:
+    """A reel simulated by python-control; implements `estune.trial.Rig`."""
+
+    def __init__(self, reel: Reel, seed: int) -> None:
+        self._reel = reel
+        self._noise = NoiseSource(seed)
+        self._description = reel.describe("python-control", None)
+
+    def describe(self) -> RigDescription:
+        """What the rig is."""
+        return self._description
+
+    def run(self, request: TrialRequest) -> TrialRecord:
+        """Runs one trial by `input_output_response`."""
+        reel, profile = self._reel, request.profile
+        setpoint = profile.setpoint(reel.sampling_Hz)
+        noise = self._noise.draw(request.number, setpoint.size, reel.noise_rms_N)
+        time = np.arange(setpoint.size) / reel.sampling_Hz
+        found = control.input_output_response(
+            nonlinear_system(reel, request.gains, 0.0),
+            time,
+            np.vstack([setpoint, noise]),
+            nonlinear_start(reel),
+        )
+        # The last state is the current commanded one sample ago.
+        current = np.append(found.states[7][1:], found.states[7][-1])
+        return TrialRecord(
+            trial_id=request.trial_id,
+            rig=self._description.name,
+            sampling_Hz=reel.sampling_Hz,
+            cable_length_m=reel.cable_length_m,
+            preload_N=profile.preload_N,
+            gains=request.gains,
+            outcome=Outcome.DONE,
+            reason="",
+            started_at=datetime.now(UTC).isoformat(),
+            software=f"python-control {control.__version__}",
+            time_s=time,
+            setpoint_N=setpoint,
+            tension_N=np.ravel(found.outputs),
+            current_A=current,
+            angle_rad=found.states[0],
+            flags=np.zeros(setpoint.size, np.uint8),
+        )
+
+    def apply(self, gains: Gains) -> None:
+        """No gains are live here."""
+
+    def abort(self) -> RigDescription:
+        """Nothing goes on between calls."""
+        return self._description
+
+    def estop(self, reason: str) -> None:
+        """Nothing moves here."""
+
+    def clear(self) -> None:
+        """There is no stop to end."""
+
+    def close(self) -> None:
+        """There is nothing to let go of."""
