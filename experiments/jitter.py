@@ -28,7 +28,7 @@ from estune import drawing
 from estune.hardware import HardwareRig, RigConfig
 from estune.hardware.config import config_from
 from estune.hardware.memory import BIN_s
-from estune.hardware.rig import Timing
+from estune.hardware.state import Timing
 from estune.trial import TrialRequest
 from plants.emulator import RIG_FILE, EmulatedDriver
 from plants.emulator.driver import started

@@ -160,7 +160,7 @@ def test_a_loop_that_is_killed_leaves_the_reel_to_the_hardwares_watchdog(hardwar
     address, truth = hardware
     with HardwareRig(configuration(address)) as rig:
         rig.run(ask(rig))
-        os.kill(rig._process.pid, signal.SIGKILL)
+        os.kill(rig._loop.process.pid, signal.SIGKILL)
         eventually(lambda: truth().tripped == 1)
         assert truth().current_A == 0.0
         for call in (rig.describe, rig.state, lambda: rig.run(ask(rig, 1)), rig.abort):
@@ -174,10 +174,10 @@ def test_a_loop_that_dies_or_hangs_in_a_trial_is_an_error_and_never_comes_back(h
     with HardwareRig(configuration(address)) as rig:
         with in_background(lambda: rig.run(ask(rig, duration_s=8.0))) as results:
             eventually(lambda: rig.state().phase == "trial")
-            os.kill(rig._process.pid, number)
+            os.kill(rig._loop.process.pid, number)
         (error,) = results
         assert isinstance(error, RigError)
-        assert rig._process.poll() is not None
+        assert rig._loop.process.poll() is not None
         eventually(lambda: truth().tripped == 1)
 
 
