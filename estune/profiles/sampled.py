@@ -1,0 +1,69 @@
+"""What all profiles are: so many samples, a time before which nothing moves, checked values."""
+
+import math
+from dataclasses import fields
+from typing import Any, Literal
+
+import numpy as np
+
+from estune.core.quantities import FloatArray
+from estune.errors import InvalidInput
+
+Loop = Literal["closed", "open"]
+
+ROUNDING = 1e-9
+"""Share of a sample or a stair by which a time may miss its start and still count as its start."""
+
+
+class Sampled:
+    """What a profile's length in samples follows from."""
+
+    __slots__ = ()
+    duration_s: float
+
+    def samples(self, sampling_Hz: float) -> int:
+        """Number of samples in a trial."""
+        return round(self.duration_s * sampling_Hz)
+
+
+class Excitation(Sampled):
+    """A profile that begins at `start_s`."""
+
+    __slots__ = ()
+    start_s: float
+
+    def _since_start(self, sampling_Hz: float) -> FloatArray:
+        """The time s at each sample; a rounding error before the start is at it."""
+        s = np.arange(self.samples(sampling_Hz)) / sampling_Hz - self.start_s
+        s[np.abs(s) * sampling_Hz < ROUNDING * max(1.0, self.start_s * sampling_Hz)] = 0.0
+        return s
+
+
+def ordered(one: float, other: float) -> tuple[float, float]:
+    """The smaller first."""
+    return (one, other) if one <= other else (other, one)
+
+
+def check(profile: Any, not_zero: tuple[str, ...], above_zero: tuple[str, ...]) -> None:
+    """Refuses values that are not finite, zero or below where they must not be, or out of time.
+
+    Raises:
+        InvalidInput: one is.
+    """
+    for field in fields(profile):
+        value = getattr(profile, field.name)
+        if isinstance(value, str):
+            continue
+        if not math.isfinite(value):
+            raise InvalidInput(f"{profile.kind} profile: {field.name} is {value}; give a number")
+        if (field.name in above_zero and value <= 0.0) or (field.name in not_zero and not value):
+            wanted = "above zero" if field.name in above_zero else "other than zero"
+            raise InvalidInput(
+                f"{profile.kind} profile: {field.name} is {value}; it must be {wanted}"
+            )
+    start = getattr(profile, "start_s", 0.0)
+    if not 0.0 <= start < profile.duration_s:
+        raise InvalidInput(
+            f"{profile.kind} profile: the start at {start} s must lie inside the trial of "
+            f"{profile.duration_s} s"
+        )
