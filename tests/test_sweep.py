@@ -1,6 +1,8 @@
 """A sweep asks for what fits, keeps each cell as it is done, and runs none twice."""
 
 import math
+import re
+import tomllib
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -13,12 +15,14 @@ import estune
 from estune import bus
 from estune.cli import run
 from estune.errors import InvalidInput
+from estune.planning import DEFAULT_TUNER
 from estune.settings import checked
 from estune.sweeping import cells as cells_module
 from estune.sweeping.cells import cells_of
-from estune.sweeping.design import SweepDesign, read_design
+from estune.sweeping.design import SweepDesign, SweptRig, read_design
 from estune.sweeping.outcome import Outcome
 from estune.sweeping.result import SweepResult
+from estune.tuning_tables import CostTable, StepTable
 from tests import support_sweep
 from tests.support_rigs import ScriptedRig
 
@@ -236,3 +240,21 @@ def test_a_rig_at_the_wrong_length_is_refused(tmp_path, length, given, lengths, 
         with pytest.raises(InvalidInput, match=words):
             cells_of(read_design(design))
     assert not rig.asked
+
+
+def test_the_page_on_sweeps_has_every_key_and_its_files_are_right():
+    text = (Path(__file__).parents[1] / "docs" / "sweep.md").read_text()
+    rows = dict(re.findall(r"^\| `([\w.]+)` \|([^|]*)\|", text, re.MULTILINE))
+    tables = {"": SweepDesign, "rigs.": SweptRig, "step.": StepTable, "cost.": CostTable}
+    keys = {prefix + key for prefix, table in tables.items() for key in table.model_fields}
+    assert set(rows) == keys - {"step", "cost", "step.preload_N"}
+    for prefix, table in tables.items():
+        for key, field in table.model_fields.items():
+            said = rows.get(prefix + key, "").strip().strip("`")
+            if isinstance(field.default, str | int | float) and field.default != "":
+                assert said == str(field.default), key
+    examples = re.findall(r"```toml\n(.*?)```", text, re.DOTALL)
+    assert len(examples) == 2
+    for example in examples:
+        assert checked(SweepDesign, tomllib.loads(example), "docs/sweep.md").rigs
+    assert rows["tuners"].strip() == f'`["{DEFAULT_TUNER}"]`'
