@@ -183,7 +183,7 @@ def tuners(benchmark: Benchmark) -> dict[str, Tuner[Any]]:
         )
         for exponents in ((1, 2, 3), (2, 1, 3))
     }
-    ours = ("otis", "least_squares_gradient")
+    ours = ("newton", "phase_compensated", "least_squares_gradient")
     return {**published, **{name: TUNERS[name](space=space) for name in ours}}
 
 

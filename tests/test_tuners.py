@@ -15,11 +15,12 @@ from estune.core.filters import low_pass, washout, washout_at_rest, washout_resp
 from estune.core.gains import Gains
 from estune.core.search_space import SearchSpace
 from estune.core.tuners import TUNERS, state_from_json, state_to_json
-from estune.core.tuners.dither import odd_frequencies
+from estune.core.tuners.dither import dither as dither_of
 from estune.core.tuners.killingsworth import Killingsworth
 from estune.core.tuners.least_squares_gradient import LeastSquaresGradient, slope
 from estune.core.tuners.observation import Observation
 from estune.core.tuners.otis import Otis
+from estune.core.tuners.phase_compensated import PhaseCompensated
 from estune.core.tuners.steps import limited, straightened
 from estune.errors import InvalidInput
 
@@ -31,7 +32,6 @@ CENSORED = Observation(math.nan, censored=True)
 ALL = {
     **{name: kind(space=WIDE) for name, kind in TUNERS.items()},
     "killingsworth, linear": Killingsworth(LINEAR),
-    "otis, published": Otis(WIDE, demodulation="published"),
 }
 every_tuner = pytest.mark.parametrize("tuner", ALL.values(), ids=ALL.keys())
 FORGETFUL = {name: tuner for name, tuner in ALL.items() if name != "newton"}
@@ -157,7 +157,6 @@ def test_a_cost_that_is_not_finite_must_be_told_as_censored(tuner, cost):
         (Killingsworth, "adaptation_gains", (1.0, 1.0)),
         (Killingsworth, "frequency_base", 1.0),
         (Killingsworth, "washout_h", -0.5),
-        (Otis, "demodulation", "none"),
         (Otis, "low_pass_share", 0.0),
         (Otis, "space", LINEAR),
         (LeastSquaresGradient, "step_limit", math.inf),
@@ -202,19 +201,19 @@ def test_the_published_law_is_that_of_the_printed_equations():
     assert abs(th[1] - start[1]) > 1.0  # it went somewhere
 
 
-# The paper's form of it.
+# The paper's form of it, and with its phase compensated.
 
 
-def still(**settings):
-    """The paper's tuner with a centre that practically stands still, so that it only measures."""
-    return Otis(WIDE, adaptation_gain=1e-9, dither_amplitude=0.02, low_pass_share=0.5, **settings)
+def still(kind):
+    """Such a tuner with a centre that practically stands still, so that it only measures."""
+    return kind(WIDE, adaptation_gain=1e-9, dither_amplitude=0.02, low_pass_share=0.5)
 
 
 def mean_slope(tuner, cost):
     """The measured slope, over one period of the dither once the filters have settled."""
     state = told(tuner, tuner.start(), cost, 200)
     found = []
-    for _ in range(4 * (len(tuner.space.names) + 1)):
+    for _ in range(dither_of(len(tuner.space.names)).period):
         state = told(tuner, state, cost, 1)
         found.append(state.slope)
     return np.mean(found, axis=0)
@@ -229,14 +228,14 @@ def exponential(point):
 
 
 def test_compensated_demodulation_reads_the_slope_of_every_parameter_alike():
-    assert mean_slope(still(), exponential) == pytest.approx(TRUE_SLOPE, rel=1e-5)
+    assert mean_slope(still(PhaseCompensated), exponential) == pytest.approx(TRUE_SLOPE, rel=1e-5)
 
 
 def test_published_demodulation_reads_the_in_phase_part_of_the_washout_alone():
-    responses = [washout_response(0.5, w) for w in odd_frequencies(4)]
+    responses = [washout_response(0.5, w) for w in dither_of(4).frequencies]
     in_phase = [gain * math.cos(lead) for gain, lead in responses]
     expected = [g * share for g, share in zip(TRUE_SLOPE, in_phase, strict=True)]
-    published = mean_slope(still(demodulation="published"), exponential)
+    published = mean_slope(still(Otis), exponential)
     assert published == pytest.approx(expected, rel=1e-5)
     assert max(in_phase) > 4.0 * min(in_phase)
 
@@ -248,28 +247,27 @@ def test_the_curvature_of_the_cost_does_not_reach_the_slope():
         x = np.array(WIDE.coordinates(point)) - centre
         return math.exp(x @ x + 5.0 * x[0] * x[1] - 3.0 * x[1] * x[3] + 2.0 * x[2] * x[3])
 
-    assert np.abs(mean_slope(still(), curved)).max() < 1e-6
+    assert np.abs(mean_slope(still(PhaseCompensated), curved)).max() < 1e-6
 
 
 @pytest.mark.parametrize("parameters", [1, 2, 3, 4, 5, 6])
 def test_dither_lines_of_first_and_second_order_are_distinct(parameters):
-    period = 4 * (parameters + 1)
-    first = [w * period / (2.0 * math.pi) for w in odd_frequencies(parameters)]
-    second = [2 * a for a in first]
-    second += [a + sign * b for i, a in enumerate(first) for b in first[:i] for sign in (1, -1)]
-
-    def aliased(line):
-        return abs((line + period / 2) % period - period / 2)
-
-    lines = [aliased(a) for a in first]
-    assert min(abs(a - b) for i, a in enumerate(lines) for b in [*lines[:i], 0.0]) > 0.9
-    assert min(abs(a - aliased(b)) for a in lines for b in second) > 0.9
+    # Seen in the spectrum of every product of two dithers over a period, not by their arithmetic.
+    found = dither_of(parameters)
+    dithers = np.cos(np.outer(found.frequencies, np.arange(found.period)))
+    answers = [*dithers, *[a * b for i, a in enumerate(dithers) for b in dithers[: i + 1]]]
+    power = np.abs(np.fft.rfft(answers))[:, 1:]  # without the mean, which no gradient is read from
+    lines = [set(np.flatnonzero(row > 1e-6 * found.period)) for row in power]
+    assert all(lines)
+    assert len(set.union(*lines)) == sum(map(len, lines))
+    assert len(set.union(*lines)) == 2 * parameters + parameters * (parameters - 1)
 
 
 @pytest.mark.parametrize("parameters", [1, 2, 3, 4, 5, 6])
 def test_dithers_are_an_orthogonal_design_over_one_period(parameters):
-    period = 4 * (parameters + 1)
-    design = np.cos(np.outer(np.arange(period), odd_frequencies(parameters)))
+    found = dither_of(parameters)
+    period = found.period
+    design = np.cos(np.outer(np.arange(period), found.frequencies))
     assert design.sum(axis=0) == pytest.approx(np.zeros(parameters), abs=1e-9)
     assert design.T @ design == pytest.approx(np.eye(parameters) * period / 2, abs=1e-9)
 
@@ -330,7 +328,7 @@ def test_steps_that_circle_are_shortened_to_the_least():
     assert math.hypot(*step) == pytest.approx(0.1)
 
 
-@pytest.mark.parametrize("kind", [Otis, LeastSquaresGradient])
+@pytest.mark.parametrize("kind", [PhaseCompensated, LeastSquaresGradient])
 def test_the_search_settles_on_a_cost_too_steep_for_its_gain(kind):
     best = np.log([0.8, 35.0, 0.02, 0.015])
 

@@ -12,6 +12,7 @@ from estune.core.tuners.least_squares_gradient import LeastSquaresGradient
 from estune.core.tuners.newton import Newton
 from estune.core.tuners.observation import Observation
 from estune.core.tuners.otis import Otis
+from estune.core.tuners.phase_compensated import PhaseCompensated
 
 
 class TunerState(Protocol):
@@ -78,6 +79,7 @@ TUNERS: dict[str, Any] = {
     "newton": Newton,
     "killingsworth": Killingsworth,
     "otis": Otis,
+    "phase_compensated": PhaseCompensated,
     "least_squares_gradient": LeastSquaresGradient,
 }
 """The tuners by name. Each is made from a search space; every other setting has a default."""

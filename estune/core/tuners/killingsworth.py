@@ -13,8 +13,7 @@ nearest to the published transient of the first plant.
 
 The law is kept as it is, with its defects: the washout leads by 44 to 76 degrees at the published
 frequencies and the demodulation ignores it, so parameters adapt at unequal rates by the order they
-are listed in; and for four parameters 2 w_4 falls next to w_1. It is here to reproduce; `otis`
-tunes better.
+are listed in; and for four parameters 2 w_4 falls next to w_1. It is here to reproduce.
 """
 
 import math

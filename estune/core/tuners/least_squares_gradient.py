@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 from estune.core.search_space import Coordinates, Point, SearchSpace
-from estune.core.tuners.dither import odd_frequencies
+from estune.core.tuners.dither import dither
 from estune.core.tuners.guard import Best, best_after, caution_after_safe, caution_after_unsafe
 from estune.core.tuners.observation import Observation, log_cost
 from estune.core.tuners.settings import check_above_zero, check_logarithmic
@@ -81,7 +81,7 @@ class LeastSquaresGradient:
     def ask(self, state: LeastSquaresGradientState) -> Point:
         """The next neighbour of the centre, within the bounds."""
         k, alpha = state.k, state.caution * self.dither_amplitude
-        rows = zip(state.centre, odd_frequencies(len(state.centre)), strict=True)
+        rows = zip(state.centre, dither(len(state.centre)).frequencies, strict=True)
         return self.space.point(tuple([th + alpha * math.cos(w * k) for th, w in rows]))
 
     def tell(

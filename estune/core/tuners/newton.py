@@ -34,6 +34,8 @@ from estune.core.tuners.spread import FloatArray, simplex
 from estune.core.tuners.surface import surface
 from estune.errors import InvalidInput
 
+ALLOW = 0.5
+CAP = 1.25
 UNSAFE = 1.0 + math.log(COST_LIMIT)
 """What a censored trial is remembered by; no cost reaches it."""
 
@@ -85,7 +87,7 @@ class Newton:
     """
 
     space: SearchSpace
-    first_radius: float = 0.35
+    first_radius: float = 0.15
     wide_reach: float = 0.7
     near_reach: float = 0.5
     near_rise: float = 0.08
@@ -212,6 +214,7 @@ class Newton:
         centre = points[int(np.argmin(smoothed))]
         radius = state.caution * self.wide_reach
         reach = self._reach(centre, radius)
+        reach = reach._replace(dearest=min(reach.dearest, float(smoothed.min()) + ALLOW))
         least = lowest(model, reach, centre[np.newaxis], 0.0, state.k)
         asked = lowest(model, reach, centre[np.newaxis], self.wide_curiosity, state.k)
         return state._replace(centre=tuple(least.tolist()), proposal=self._point(asked))
@@ -226,6 +229,7 @@ class Newton:
         half_axes = axes * np.sqrt(2.0 * rise / values)
         old = np.array(state.centre)
         reach = self._reach(old, radius)._replace(axes=half_axes)
+        reach = reach._replace(dearest=min(reach.dearest, float(model.coefficients[0, 0]) + ALLOW))
         step = newton_step(model.slope, values, axes, radius)
         centre = np.clip(old + step, reach.low, reach.high)
         asked = lowest(
@@ -250,7 +254,8 @@ class Newton:
     def _seen(self, state: NewtonState) -> tuple[FloatArray, FloatArray]:
         """Where trials were, and what they told: cost, and margin where any was near a limit."""
         points = np.reshape(state.tried, (len(state.costs), len(self.space.names)))
-        costs = np.minimum(np.array(state.costs) - state.level, DEAR)
+        costs = np.array(state.costs) - state.level
+        costs = np.minimum(costs, min(DEAR, float(np.sort(costs)[:3].mean()) + CAP))
         if min(state.margins) < 1.0:
             return points, np.stack((costs, np.array(state.margins)), axis=1)
         return points, costs[:, np.newaxis]

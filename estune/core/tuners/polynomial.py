@@ -36,6 +36,7 @@ CUBIC = 0.3  # of c_ijk
 NOISE_EXPECTED = 0.03  # sigma before there are residuals to tell it
 NOISE_WEIGHT = 3.0  # trials that this expectation counts for
 FLAT = 0.02  # least curvature a step is taken by, or it could be of any length
+OBS = 0.7
 FAR = 3.0  # standard deviations from which on a residual counts no more
 
 IndexArray = NDArray[np.intp]
@@ -100,6 +101,8 @@ def polynomial(
     """
     z = points - centre
     rise = 0.5 * np.sum((z @ curvature) * z, axis=1)
+    lowest = np.sort(values[:, 0])[: z.shape[1] + 1].mean()
+    rise = np.maximum(rise, OBS * (values[:, 0] - lowest))
     misfit = BEND * rise**2 + SPAN * np.sum(z * z, axis=1) ** 2
     weights = 1.0 / (noise**2 + misfit**2)
     terms, (means, precisions) = _terms(z), _prior(z.shape[1])

@@ -14,6 +14,7 @@ ROUNDS = 3
 NARROWING = 3.0
 """Each round looks about the best of the one before, this many times narrower."""
 
+DOUBT = 2.0
 POOL = 16 * LOOKS
 """Points in store, so that consecutive trials look at different ones."""
 
@@ -60,9 +61,9 @@ class Reach(NamedTuple):
 
     def unsafety(self, mean: FloatArray, spread: FloatArray) -> FloatArray:
         """By how much points pass what is safe, one standard deviation off; zero where none."""
-        over = np.maximum(mean[:, 0] + spread - self.dearest, 0.0)
+        over = np.maximum(mean[:, 0] + DOUBT * spread - self.dearest, 0.0)
         if mean.shape[1] > 1:
-            over += np.maximum(self.margin - (mean[:, 1] - spread), 0.0)
+            over += np.maximum(self.margin - (mean[:, 1] - DOUBT * spread), 0.0)
         return over
 
 
