@@ -9,16 +9,21 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import get_args
 
 import pytest
 
 import estune
 from estune.cli import Interrupts, app, run
+from estune.cli.asking import at_the_terminal
+from estune.core.tuners.outlook import Forecast
 from estune.errors import RigError
 from estune.journal import FILE_NAME, Journal
 from estune.outside import TUNER_NAMES
-from tests.support_runs import ArithmeticRig
+from estune.trial import TrialRequest
+from estune.tuning import Question
+from tests.support_runs import START, ArithmeticRig
 
 COMMAND = [sys.executable, "-m", "estune.cli"]
 COMMANDS = {
@@ -305,6 +310,9 @@ QUIET = ("--quiet", "--folder")
         (("--eta-max", "nan"), "eta_max is nan"),
         (("--run", "a/b"), "run name 'a/b'"),
         (("--tuner", "magic"), "magic"),
+        (("--tolerance", "little"), "tolerance: 'little' is not a number"),
+        (("--tolerance", "200%"), "tolerance is 2.0; it is a share"),
+        (("--ask",), "needs a terminal to ask at"),
         (("--trails", 3), "Did you mean --trials?"),
     ],
 )
@@ -359,6 +367,34 @@ def test_a_damaged_record_is_one_line_with_code_5_that_names_the_trial(refused, 
         connection.commit()
     code, said = refused("show", arithmetic_run)
     assert (code, "record of trial one-00000 is damaged" in said) == (5, True)
+
+
+@pytest.mark.parametrize(
+    ("said", "answer"), [("y", "yes"), (" No ", "no"), ("maybe", None), ("always", "always")]
+)
+def test_whoever_sits_at_the_terminal_is_asked_until_they_answer(
+    monkeypatch, capsys, said, answer
+):
+    lines = iter([said])
+
+    def type_in(_prompt):
+        try:
+            return next(lines)
+        except StopIteration:
+            raise EOFError from None
+
+    monkeypatch.setattr(sys, "stdin", SimpleNamespace(isatty=lambda: True))
+    monkeypatch.setattr("builtins.input", type_in)
+    request = TrialRequest("run", 7, START, ArithmeticRig().description.step)
+    question = Question(request, Forecast(1.5, 1.25, 2.0, explored=False), 3.0)
+    if answer is None:  # the answer makes no sense, and nobody is there to give another
+        with pytest.raises(KeyboardInterrupt):
+            at_the_terminal()(question)
+    else:
+        assert at_the_terminal()(question) == answer
+    shown = capsys.readouterr().out
+    for what in ("trial 7", str(START), "1.5 (1.25 to 2)", "unsafe above 3"):
+        assert what in shown
 
 
 def test_an_impatient_second_ctrl_c_does_not_cut_off_the_wait_for_the_rig(capsys):

@@ -29,7 +29,13 @@ _STEP = Group("The step trial", sort_key=1)
 _COST = Group("The cost of a trial, (35)", sort_key=2)
 
 TunerName = Literal[
-    "newton", "killingsworth", "otis", "least_squares_gradient", "optuna", "bobyqa"
+    "newton",
+    "least_squares_gradient",
+    "phase_compensated",
+    "otis",
+    "killingsworth",
+    "optuna",
+    "bobyqa",
 ]
 
 
