@@ -9,7 +9,9 @@ import pytest
 
 from estune import bus, tuning
 from estune.core.gains import Gains
+from estune.daemon.keeper import Keeper
 from estune.daemon.reach import GIVE_UP_AFTER
+from estune.daemon.searching import Searches
 from estune.daemon.store import RUNS, Store
 from estune.errors import InvalidInput, JournalError, RigError
 from estune.journal import Journal
@@ -257,6 +259,25 @@ def test_a_rig_whose_own_program_fails_is_given_up_until_it_is_mended(simulated,
         mended.append(True)
         it.say("resume")
         it.until_mode("holding")
+
+
+def test_what_fails_again_and_again_is_tried_ever_more_seldom(tmp_path, monkeypatch):
+    waits = []
+
+    def no_run(*_):
+        raise JournalError("no folder for it")
+
+    def rest(_, seconds):
+        waits.append(seconds)
+        time.sleep(0.01)
+        return False
+
+    monkeypatch.setattr(Searches, "open", no_run)
+    monkeypatch.setattr(Keeper, "_rest", rest)
+    with rig_served() as (_, where), daemon(tmp_path, rig_table("drum", where)) as it:
+        # The rig is found and readied each time in between.
+        it.until(lambda _: len(waits) > 3)
+        assert waits[:4] == pytest.approx([0.1, 0.2, 0.3, 0.3])
 
 
 def test_settings_that_do_not_suit_the_rig_are_not_tried_again_unasked(tmp_path):

@@ -12,11 +12,11 @@ from contextlib import contextmanager, suppress
 from estune import tuning
 from estune.core.control_chart import Sign
 from estune.core.gains import Gains
+from estune.daemon.conclusions import decide, drifted, unsafe
 from estune.daemon.config import RigTable
 from estune.daemon.events import Kind
 from estune.daemon.life import GainSet, Happening, Mode
 from estune.daemon.reach import HOLDER, GivenUp, Patience, Reached, Refused, reach
-from estune.daemon.searching import Decision
 from estune.daemon.supervision import Supervision, Turned
 from estune.errors import EstuneError, Interrupted, InvalidInput, RigError, UnsafeStart
 from estune.security import OPEN, Security
@@ -55,6 +55,7 @@ class Keeper:
         self._security = security
         self._reached: Reached | None = None
         self._patience = Patience()
+        self._fruitless = 0  # failures since a trial was told or the rig was looked at in peace
         self._cuttable = False
         self._stopping_since_s: float | None = None
         self._step_at_s = time.monotonic()
@@ -109,7 +110,7 @@ class Keeper:
         except (Interrupted, GivenUp) as error:
             self._call_for_somebody(str(error))
         except UnsafeStart as error:
-            self._unsafe(str(error))
+            unsafe(self._supervision, str(error))
         except RigError as error:
             self._without_rig(error)
         except InvalidInput as error:
@@ -126,6 +127,7 @@ class Keeper:
     def _fail(self, why: str) -> None:
         """Begins anew with the rig, after a while."""
         self._let_go()
+        self._fruitless += 1
         self._supervision.happen(Happening.FAILED, why, Kind.FAILED)
 
     def _act(self, mode: Mode) -> None:
@@ -155,6 +157,7 @@ class Keeper:
             )
         else:
             self._let_go()
+            self._fruitless += 1
             self._supervision.happen(Happening.LOST, str(error), Kind.LOST)
 
     def _call_for_somebody(self, why: str) -> None:
@@ -164,8 +167,8 @@ class Keeper:
 
     def _await(self) -> None:
         """Waits longer after each failure, then looks for the rig."""
-        failures = self._supervision.life.failures
-        if failures:
+        if self._supervision.life.failures:
+            failures = max(self._supervision.life.failures, self._fruitless)
             first_s, most_s = self._settings.retry_first_s, self._settings.retry_max_s
             # The exponent is bounded: a rig may be away for years.
             if self._rest(min(most_s, first_s * 2.0 ** min(failures - 1, 30))):
@@ -251,7 +254,7 @@ class Keeper:
         finally:
             if run.journal is not None:
                 run.journal.close()
-        self._decide(decision)
+        decide(self._supervision, decision, accept=self._settings.accept == "auto")
 
     def _show(self, run: Tuning) -> None:
         """Makes the phase of the run that of the life: a run may be found past its search."""
@@ -264,6 +267,7 @@ class Keeper:
     def _progressed(self, progress: Progress) -> None:
         """After each trial, which is committed by now."""
         self._beat()
+        self._fruitless = 0
         entered = self._supervision.mode
         self._supervision.session = progress.session
         self._supervision.cost = _finite(progress.entry.cost)
@@ -273,45 +277,6 @@ class Keeper:
             self._supervision.happen(Happening.SEARCHED, said, Kind.CONFIRMING)
         if self._supervision.mode not in (Mode.TUNING, Mode.CONFIRMING):
             raise Turned
-
-    def _decide(self, decision: Decision) -> None:
-        said, better = decision.sentence, decision.better
-
-        def write() -> None:
-            self._supervision.searches.end()
-            charts = {
-                self._supervision.life.home: decision.start_chart,
-                GainSet.CANDIDATE: decision.chart,
-            }
-            self._supervision.checks.set_charts(charts)
-            if better is not None:
-                self._supervision.store.set_gains(GainSet.CANDIDATE, better, said)
-                if self._settings.accept == "auto":
-                    self._supervision.accept(better, said)
-
-        if better is None:
-            if decision.start_chart is None:
-                self._unsafe(f"repeats of the live gains were unsafe; {said}")
-                return
-            self._supervision.happen(Happening.KEPT, said, Kind.KEPT, write)
-        elif self._settings.accept == "auto":
-            self._supervision.happen(
-                Happening.ADOPTED, said, Kind.BETTER, write, gains=str(better)
-            )
-        else:
-            self._supervision.happen(
-                Happening.PROPOSED, said, Kind.BETTER, write, gains=str(better)
-            )
-
-    def _unsafe(self, said: str) -> None:
-        """The live gains are not safe: back to the original ones, until somebody has looked."""
-
-        def write() -> None:
-            self._supervision.store.set_gains(GainSet.CANDIDATE, None)
-            self._supervision.store.set_gains(GainSet.ACCEPTED, None)
-            self._supervision.searches.end()
-
-        self._supervision.happen(Happening.UNSAFE, said, Kind.UNSAFE, write)
 
     def _watch(self) -> None:
         """Waits for the next check trial, runs it, and looks at the chart."""
@@ -328,6 +293,7 @@ class Keeper:
         gains = self._supervision.store.gains()[home]
         with self._in_trials():
             checked = self._supervision.checks.run(reached.as_rig, reached.about, home, gains)
+        self._fruitless = 0
         self._supervision.cost = _finite(checked.cost)
         if checked.sign is None:
             return
@@ -336,16 +302,7 @@ class Keeper:
         if checked.sign in (Sign.SUSPECT, Sign.OUTLIER):
             self._supervision.note(Kind(checked.sign), said, cost=_finite(checked.cost))
         if checked.sign in (Sign.WORSE, Sign.BETTER):
-            self._drifted(checked.cost, checked.sign)
-
-    def _drifted(self, cost: float, sign: Sign) -> None:
-        if math.isinf(cost):
-            home = self._supervision.life.home
-            self._unsafe(f"two check trials of the {home} gains in a row were unsafe")
-        elif self._supervision.checks.rested:
-            self._supervision.happen(
-                Happening.DRIFTED, f"{sign.sentence}; tuning again", Kind.DRIFTED
-            )
+            drifted(self._supervision, checked.cost, checked.sign)
 
     def _look_on(self, seconds: float | None) -> None:
         """Nothing is done with the rig for a while, but that its gains are looked at."""
@@ -354,6 +311,7 @@ class Keeper:
             return
         home = self._supervision.life.home
         about = self._there().describe()
+        self._fruitless = 0
         if about.gains != self._supervision.store.gains()[home]:
             said = f"the rig runs {about.gains} instead of the {home} gains"
             self._supervision.happen(Happening.CHANGED, said, Kind.GAINS)
