@@ -1,5 +1,6 @@
 """What a sweep came to: a tidy frame, an xarray, the laws over length, and one offline page."""
 
+import html
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +18,7 @@ from estune.sweeping.outcome import Outcome
 if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
+    from matplotlib.figure import Figure
 
 DIMENSIONS = ("length_m", "tension_N", "tuner", "seed", "rig")
 """What a cell is found by in a frame; the dimensions of the xarray, without their units."""
@@ -42,6 +44,29 @@ class Series(NamedTuple):
             InvalidInput: too few are left; the message names those left out.
         """
         return fit_law([tuned for o in self.outcomes if (tuned := o.tuned()) is not None])
+
+    def plot_costs(self) -> "Figure":
+        """Fig. 12: the cost over the search, one line a length."""
+        from estune.sweeping import figures  # noqa: PLC0415  slow to import
+
+        return figures.draw_costs(self.outcomes)
+
+    def plot_integral(self) -> "Figure":
+        """Fig. 13: the integral gain over the search, one line a length."""
+        from estune.sweeping import figures  # noqa: PLC0415  slow to import
+
+        return figures.draw_integral(self.outcomes)
+
+    def plot_law(self, name: str = "I") -> "Figure":
+        """Fig. 14: a gain over length, the law with its bands, and its residuals.
+
+        Raises:
+            InvalidInput: there is no such gain, or no law.
+        """
+        from estune.sweeping import figures  # noqa: PLC0415  slow to import
+
+        left_out = [outcome for outcome in self.outcomes if outcome.excluded]
+        return figures.draw_law(self.law(), name, left_out)
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,6 +177,9 @@ class SweepResult:
 
     def __repr__(self) -> str:
         return "\n".join([self.heading(), *laws_in_words(self)])
+
+    def _repr_html_(self) -> str:
+        return "".join(f"<p>{html.escape(line)}</p>" for line in repr(self).split("\n"))
 
 
 def laws_in_words(result: SweepResult) -> Iterator[str]:

@@ -48,13 +48,10 @@ def sweep(
     Example:
         >>> import estune
         >>> result = estune.sweep(
-        ...     {"lengths_m": [0.5, 1.4], "rigs": ["plants:reference_reel"], "trials": 40},
-        ...     folder=getfixture("tmp_path"),
-        ...     jobs=1,
-        ...     watch=None,
+        ...     {"lengths_m": [0.5, 0.8, 1.1, 1.4], "rigs": ["plants:reference_reel"]},
+        ...     folder="sweeps/reference",
         ... )
-        >>> len(result.outcomes)
-        2
+        >>> result.law().schedule().gains(0.65, 15.0)
     """
     if jobs is not None and jobs < 1:
         raise InvalidInput(f"jobs is {jobs}; it must be at least 1")
