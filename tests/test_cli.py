@@ -40,6 +40,7 @@ COMMANDS = {
     "rigs",
     "paper",
     "explain",
+    "match",
 }
 HERE = Path(__file__).parent.parent
 HEAVY = {

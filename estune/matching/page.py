@@ -27,7 +27,7 @@ def page(found: Matching) -> str:
     header = (
         f"<h1>{TITLE}</h1>\n<p>{words(_sentence(found.heading()))}</p>\n"
         f'<p class="soft">{words(f"The target was chosen by {by}; a reel passes where the 95 % ")}'
-        f"{words(f'interval of its cost lies within {found.tolerance:.1%} of it.')}</p>\n"
+        f"{words(f'interval of its cost lies within {100.0 * found.tolerance:g} % of it.')}</p>\n"
     )
     head = "".join(
         f"<th>{escape(name)}</th>"
@@ -112,7 +112,7 @@ def _cell(value: Level | float | None) -> str:
     if value is None:
         return "&ndash;"
     return words(
-        f"{value.cost:.4g} ± {value.half_width:.1%}"
+        f"{value.cost:.4g} ± {100.0 * value.half_width:.1f} %"
         if isinstance(value, Level)
         else f"{value:.4g}"
     )
