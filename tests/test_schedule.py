@@ -85,11 +85,17 @@ def test_a_schedule_goes_to_json_and_back_exactly(tmp_path):
     path = tmp_path / "schedule.json"
     path.write_text(json.dumps(SCHEDULE.as_dict()))
     assert read_schedule(path) == SCHEDULE
-    path.write_text(json.dumps({"sentence": "", "schedule": SCHEDULE.as_dict()}))  # of a law
+    law = {"sentence": "", "schedule": SCHEDULE.as_dict()}
+    path.write_text(json.dumps({"laws": {"reel, newton": law}}))  # as a sweep writes it
     assert read_schedule(path) == SCHEDULE
+    path.write_text(json.dumps({"laws": {"reel, newton": law, "reel, otis": law}}))
+    with pytest.raises(InvalidInput, match=r"2 laws \(reel, newton; reel, otis\)"):
+        read_schedule(path)
 
 
-@pytest.mark.parametrize("text", ["", "[]", "{}", '{"gains": {}}', '{"schedule": 3}'])
+@pytest.mark.parametrize(
+    "text", ["", "[]", "{}", '{"gains": {}}', '{"laws": {"a": {"error": ""}}}']
+)
 def test_a_damaged_file_is_told(tmp_path, text):
     (tmp_path / "s.json").write_text(text)
     with pytest.raises(InvalidInput, match=r"gain schedule .*s\.json: "):

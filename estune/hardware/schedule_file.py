@@ -3,6 +3,7 @@
 import json
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 from estune.core.gains import GAIN_NAMES, GAIN_UNITS
 from estune.core.schedule import GainCurve, GainSchedule
@@ -47,21 +48,31 @@ static void estune_schedule(casadi_real length_m, casadi_real tension_N, casadi_
 
 
 def read_schedule(path: Path) -> GainSchedule:
-    """The schedule of a JSON file: one by itself, or that of a law.
+    """The schedule of a JSON file: one by itself, or that of a sweep with one law.
 
     Raises:
-        InvalidInput: the file cannot be read, or holds no usable schedule.
+        InvalidInput: the file cannot be read, holds no usable schedule, or several laws.
     """
     try:
-        stored = json.loads(path.read_text(encoding="utf-8"))
-        if isinstance(stored, dict) and "schedule" in stored:
-            stored = stored["schedule"]
-        return GainSchedule.from_dict(stored)
+        return GainSchedule.from_dict(_schedule_in(json.loads(path.read_text(encoding="utf-8"))))
     except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
         why = getattr(error, "strerror", None) or error
         raise InvalidInput(f"gain schedule {path}: {why}") from error
     except InvalidInput as error:
         raise InvalidInput(f"gain schedule {path}: {error}") from error
+
+
+def _schedule_in(stored: Any) -> Any:
+    """What is to be a schedule, in what a sweep wrote."""
+    if not isinstance(stored, dict) or "laws" not in stored:
+        return stored
+    found = {name: law.get("schedule") for name, law in stored["laws"].items()}
+    if len(found) != 1:
+        raise InvalidInput(
+            f"it holds {len(found)} laws ({'; '.join(found)}); write the schedule of one of them "
+            "to a file of its own"
+        )
+    return next(iter(found.values()))
 
 
 def schedule_header(schedule: GainSchedule) -> str:

@@ -16,7 +16,7 @@ LEVEL = 0.95
 """Of the intervals in words and figures."""
 
 _OUTLIER = 0.1
-"""Robust weight below which a tuning is named as an outlier: 3.9 standard deviations or more."""
+"""Robust weight below which a tuning is named as an outlier: 5 standard deviations or more."""
 
 
 class Slope(NamedTuple):

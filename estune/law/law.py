@@ -115,8 +115,7 @@ class GainLaw:
         of = self.fits[name]
         rows = of.shape.design(length, tension)
         variance = np.einsum("...i,ij,...j", rows, of.fit.covariance, rows)
-        own = float(np.median(of.points.own_error))
-        new = variance + of.fit.scatter**2 + own**2
+        new = variance + float(np.median(of.fit.deviations)) ** 2
         t, value = student(level, of.fit.degrees), rows @ of.fit.coefficients
         width, new_width = t * np.sqrt(variance), t * np.sqrt(new)
         return Band(
