@@ -7,9 +7,7 @@ one that was compared with the start and found no better says so under a name of
 
 import html
 import itertools
-import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -19,12 +17,10 @@ from scipy.optimize import OptimizeResult
 
 from estune import insight
 from estune.core.comparison import Change, scatter
-from estune.core.gains import GAIN_NAMES, GAIN_UNITS, Gains
-from estune.core.metrics import StepMetrics
+from estune.core.gains import GAIN_NAMES, Gains
 from estune.errors import JournalError
-from estune.interop import Margins, margins
 from estune.journal import Entry, Journal
-from estune.score import metrics_of
+from estune.performance import Performance
 from estune.session import Plan, Session, is_censored, is_unsafe
 from estune.trial import RigDescription, TrialRecord
 from estune.tuning import Tuning
@@ -57,30 +53,6 @@ class Ending(StrEnum):
 
 NO_IMPROVEMENT_CODE = 7
 """A result and not an error, but one that a script must be able to tell from success."""
-
-
-@dataclass(frozen=True, slots=True)
-class Performance:
-    """How a set of gains does on the rig.
-
-    Attributes:
-        gains: The gains.
-        cost: Mean cost of their repeats; nan or infinite where there is none.
-        cost_error: Standard error of that mean.
-        metrics: Step metrics of `record`.
-        margins: Margins on the rig's linear model, or None where it gives none.
-        record: A trial with these gains, or None.
-        intervals: 95 % interval of the optimum of each gain that was tuned, by its name; empty
-            where the tuner tells none.
-    """
-
-    gains: Gains
-    cost: float
-    cost_error: float
-    metrics: StepMetrics | None
-    margins: Margins | None
-    record: TrialRecord | None
-    intervals: dict[str, tuple[float, float]]
 
 
 class Row(NamedTuple):
@@ -230,8 +202,8 @@ class TuneResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type i
 
     def rows(self) -> tuple[Row, ...]:
         """The before/after table as text; the last column is empty unless the run tuned."""
-        start = _cells(self.start)
-        tuned = _cells(self.tuned) if self.tuned else dict.fromkeys(start, "")
+        start = self.start.cells()
+        tuned = self.tuned.cells() if self.tuned else dict.fromkeys(start, "")
         return tuple(Row(label, start[label], tuned[label]) for label in start)
 
     def remarks(self) -> tuple[str, ...]:
@@ -286,11 +258,14 @@ def from_tuning(tuning: Tuning) -> TuneResult:
         ending = Ending.STOPPED
     else:
         ending = Ending.TUNED if found.improved else Ending.NO_IMPROVEMENT
+    rig, step = tuning.description, plan.step
     then, now = (found.start_cost, found.start_cost_error), (found.cost, found.cost_error)
-    start = _performance(tuning, plan.start, then, tuning.first)
+    start = Performance.on(rig, step, plan.start, then, record=tuning.first)
     tuned = None
     if found.improved:
-        tuned = _performance(tuning, found.gains, now, tuning.found, found.intervals)
+        tuned = Performance.on(
+            *(rig, step, found.gains, now), record=tuning.found, intervals=found.intervals
+        )
     return TuneResult(
         x=np.array(found.gains.as_tuple()),
         fun=found.cost,
@@ -306,7 +281,7 @@ def from_tuning(tuning: Tuning) -> TuneResult:
         entries=tuple(tuning.entries),
         folder=tuning.journal.folder if tuning.journal else None,
         plan=plan,
-        rig=tuning.description,
+        rig=rig,
         start=start,
         tuned=tuned,
         improvement=found.change,
@@ -314,20 +289,6 @@ def from_tuning(tuning: Tuning) -> TuneResult:
         findings=_findings(tuning, start, tuned) if found.complete else (),
         session=session,
     )
-
-
-def _performance(
-    tuning: Tuning,
-    gains: Gains,
-    cost: tuple[float, float],
-    record: TrialRecord | None,
-    intervals: tuple[tuple[str, float, float], ...] = (),
-) -> Performance:
-    plan, rig = tuning.plan, tuning.description
-    metrics = None if record is None else metrics_of(record, plan.step)
-    on_model = margins(rig.linear_model, gains, rig.controller) if rig.linear_model else None
-    of_gains = {name: (low, high) for name, low, high in intervals}
-    return Performance(gains, *cost, metrics, on_model, record, of_gains)
 
 
 def _findings(
@@ -362,48 +323,3 @@ def _unsafe_said(found: Verdict) -> Iterator[str]:
     for count, what in ((found.unsafe, "unsafe"), (found.declined, "declined and not run")):
         if count:
             yield f"{count} trial{'s were' if count > 1 else ' was'} {what}"
-
-
-def _cells(of: Performance) -> dict[str, str]:
-    cells = {
-        _GAIN_LABELS[n]: f"{getattr(of.gains, n):.4g} {GAIN_UNITS[n]}{_interval(of, n)}"
-        for n in GAIN_NAMES
-    }
-    error = f" ± {of.cost_error:.1g}" if of.cost_error > 0.0 else ""
-    cells["cost η"] = f"{of.cost:.3g}{error}" if math.isfinite(of.cost) else "-"
-    return {**cells, **dict(_metric_cells(of.metrics)), **dict(_margin_cells(of.margins))}
-
-
-def _interval(of: Performance, name: str) -> str:
-    """The interval of a gain, to be read behind its value."""
-    if name not in of.intervals:
-        return ""
-    low, high = of.intervals[name]
-    return f" ({low:.3g} to {high:.3g})"
-
-
-_GAIN_LABELS = {"P": "P", "I": "I", "D": "D", "setpoint_filter_s": "setpoint filter"}
-
-
-def _metric_cells(metrics: StepMetrics | None) -> Iterator[tuple[str, str]]:
-    def shown(value: float | None, scale: float, unit: str, never: str) -> str:
-        if value is None:
-            return "-"
-        return f"{value * scale:.3g} {unit}" if math.isfinite(value) else never
-
-    m = metrics
-    yield "rise time", shown(m and m.rise_time_s, 1e3, "ms", "not reached")
-    yield "settling time (2 %)", shown(m and m.settling_time_s, 1e3, "ms", "not settled")
-    yield "overshoot", shown(m and m.overshoot, 100.0, "%", "-")
-    yield "steady-state error", shown(m and m.steady_state_error, 1.0, "N", "-")
-
-
-def _margin_cells(found: Margins | None) -> Iterator[tuple[str, str]]:
-    if found is None:
-        yield from (("gain margin", "-"), ("phase margin", "-"))
-    elif not found.stable:
-        yield from (("gain margin", "unstable"), ("phase margin", "unstable"))
-    else:
-        gain_dB, angle = 20.0 * math.log10(found.gain_margin), found.phase_margin_deg
-        yield "gain margin", f"{gain_dB:.1f} dB" if math.isfinite(gain_dB) else "∞"
-        yield "phase margin", f"{angle:.0f}°" if math.isfinite(angle) else "∞"
