@@ -133,6 +133,18 @@ def test_noise_differs_from_place_to_place_and_is_the_same_for_each_tuner():
     assert len(cells) == 2 * len(set(seeds)) == len({cell.key for cell in cells})
 
 
+def test_a_cell_changes_with_its_model_and_not_with_where_the_model_lies(tmp_path):
+    def keys(folder: Path, model: str) -> list[str]:
+        folder.mkdir(exist_ok=True)
+        (folder / "reel.toml").write_text(model)
+        (folder / "sweep.toml").write_text('lengths_m = [0.5, 1.4]\nrigs = ["reel.toml"]\n')
+        return [cell.key for cell in cells_of(read_design(folder / "sweep.toml"))]
+
+    here = keys(tmp_path / "here", "[reel]\n")
+    assert here == keys(tmp_path / "there", "[reel]\n")
+    assert not set(here) & set(keys(tmp_path / "here", "[reel]\ngauge_noise_N = 0.1\n"))
+
+
 def test_the_frame_is_tidy_and_the_dataset_has_a_dimension_for_each_choice(tmp_path):
     result = swept(tmp_path)
     frame = result.to_frame()
@@ -190,7 +202,9 @@ def test_a_sweep_ends_in_laws_a_page_and_files(tmp_path, capsys, monkeypatch):
     assert page.count("<img") == 6  # costs, integral gain, and the law of each of four gains
     assert "Fig. 14. I =" in page
     assert "http://" not in page.replace("http://www.w3.org", "")
-    assert len(pd.read_csv(folder / "cells.csv")) == 8
+    cells = pd.read_csv(folder / "cells.csv")
+    assert len(cells) == 8
+    assert cells["I_log_error"].between(0.0, 1.0, inclusive="neither").all()
     assert '"schedule"' in (folder / "law.json").read_text()
 
 

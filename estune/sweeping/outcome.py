@@ -10,6 +10,7 @@ from estune.core.gains import GAIN_NAMES, Gains
 from estune.core.tuners.outlook import Foresighted, Outlook
 from estune.law.tuned import TunedGains
 from estune.result import Ending, TuneResult
+from estune.session import Phase, is_unsafe
 from estune.sweeping.cells import Cell
 from estune.trial import FloatArray
 
@@ -140,9 +141,12 @@ def finished(cell: Cell, result: TuneResult, duration_s: float) -> Outcome:
 
 def trace_of(result: TuneResult) -> FloatArray:
     """The trials that said something, shape (trials, 7)."""
-    limit = result.session.eta_max
+    session = result.session
     rows = [
-        (e.phase == "search", *e.gains.as_tuple(), e.cost, not e.cost <= limit)
+        (
+            *(e.phase is Phase.SEARCH, *e.gains.as_tuple(), e.cost),
+            is_unsafe(session, e.outcome, e.cost),
+        )
         for e in result.entries
         if e.outcome is not None and not e.outcome.is_void
     ]
