@@ -106,18 +106,20 @@ def slope_of(lengths_m: Sequence[float], gains: Sequence[Gains]) -> float:
     return float(np.polyfit(lengths_m, [g.I for g in gains], 1)[0])
 
 
-def swept(lengths_m: tuple[float, ...], seeds: int, trials: int) -> SweepResult:
-    """The tunings at these lengths, in a folder that is not kept."""
-    with tempfile.TemporaryDirectory() as folder:
-        design = {
-            "lengths_m": list(lengths_m),
-            "tensions_N": [TENSION_N],
-            "rigs": ["plants:reference_reel"],
-            "seeds": seeds,
-            "trials": trials,
-            "tolerance": 0.0,  # all of them, so that tunings are alike in effort
-        }
-        return estune.sweep(design, folder=folder, watch=None)
+def swept(
+    lengths_m: tuple[float, ...], seeds: int, trials: int, folder: Path | None
+) -> SweepResult:
+    """The tunings at these lengths; without a folder they are not kept."""
+    design = {
+        "lengths_m": list(lengths_m),
+        "tensions_N": [TENSION_N],
+        "rigs": ["plants:reference_reel"],
+        "seeds": seeds,
+        "trials": trials,
+        "tolerance": 0.0,  # all of them, so that tunings are alike in effort
+    }
+    with tempfile.TemporaryDirectory() as temporary:
+        return estune.sweep(design, folder=folder or temporary, watch=None)
 
 
 def of_seeds(result: SweepResult, first: int, last: int) -> list[TunedGains]:
@@ -155,9 +157,9 @@ class Judged(NamedTuple):
     fixed: tuple[float, float, float]
 
 
-def judge(plan: Plan, laws: Sequence[GainLaw], law: GainLaw) -> list[Judged]:
+def judge(plan: Plan, laws: Sequence[GainLaw], law: GainLaw, folder: Path | None) -> list[Judged]:
     """What the schedules cost at lengths that were not tuned at."""
-    there = swept(plan.unseen_m, plan.there, plan.trials)
+    there = swept(plan.unseen_m, plan.there, plan.trials, folder)
     tunings = of_seeds(there, 0, plan.there)
     at = (plan.lengths_m[0], plan.lengths_m[len(plan.lengths_m) // 2], plan.lengths_m[-1])
     fixed = [mean_gains(law.tunings, length) for length in at]
@@ -210,12 +212,12 @@ class Found(NamedTuple):
     moving: dict[str, float]
 
 
-def measure(plan: Plan) -> Found:
+def measure(plan: Plan, folder: Path | None) -> Found:
     """Tunes, fits and judges."""
-    result = swept(plan.lengths_m, plan.seeds, plan.trials)
+    result = swept(plan.lengths_m, plan.seeds, plan.trials, folder)
     laws = [fit_law(of_seeds(result, n, n + 1)) for n in range(plan.seeds)]
     law = fit_law(of_seeds(result, 0, plan.seeds))
-    rows = judge(plan, laws, law)
+    rows = judge(plan, laws, law, folder)
     return Found(law, laws, len(result.excluded), rows, moving(law.schedule()))
 
 
@@ -349,9 +351,12 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--json", action="store_true", help="print one JSON object instead")
     parser.add_argument("--quick", action="store_true", help="fewer lengths, tunings and trials")
+    parser.add_argument(
+        "--folder", type=Path, help="keep the tunings there; a call that was cut off goes on"
+    )
     options = parser.parse_args()
     plan = QUICK if options.quick else Plan()
-    found = measure(plan)
+    found = measure(plan, options.folder)
     figures = figures_of(plan, found)
     targets = targets_of(figures, quick=options.quick)
     draw(plan, found)

@@ -24,8 +24,8 @@ from estune.errors import InvalidInput
 
 BISQUARE = 6.0
 HUBER = 1.345
-"""Where the weights reach zero, and where Huber's begin to fall. A usual 4.685 doubts a few good
-points out of eight so often that 95 % intervals cover 93 %; with 6 they cover 94 to 96 %."""
+"""Where the weights reach zero, and where Huber's begin to fall. The usual 4.685
+doubts good points, where there are few, so often that intervals come out too narrow."""
 
 BOUND = 1.5
 """k: the size beyond which a residual counts no further toward the scatter."""
