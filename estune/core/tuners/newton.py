@@ -10,9 +10,14 @@ Trans. Information Theory 58, 2012),
     c(k) = argmin mu(x)                    the centre, which is what is recommended
 
 so that it dithers by itself: along each direction as far as what is not known there may be worth,
-which is little where the cost is steep, and less with every trial. A point looks safe where mu + s
-is at most `safe_ratio` times the start's cost, and the margin foretold, less its s, at least
-`margin_least`. The reach shrinks after an unsafe trial and recovers, see `guard`.
+which is little where the cost is steep, and less with every trial. A point looks safe where
+mu + 2 s is at most `safe_ratio` times the start's cost and `safe_rise` times the centre's, and the
+margin foretold, less 2 s, at least `margin_least`. The reach shrinks after an unsafe trial and
+recovers, see `guard`.
+
+A plateau looks like an optimum to whoever looks no further than noise demands. Before the search
+says that little is left, it looks `2 n` times further away once, up and down each axis of the
+model, as far as looks safe.
 """
 
 import math
@@ -27,20 +32,24 @@ from estune.core.tuners.guard import Best, best_after, caution_after_safe, cauti
 from estune.core.tuners.observation import COST_LIMIT, Observation, log_cost, usable_margin
 from estune.core.tuners.outlook import Forecast, Outlook
 from estune.core.tuners.polynomial import CURVATURE, FLAT, NOISE_EXPECTED, Polynomial, polynomial
-from estune.core.tuners.posterior import bowls
+from estune.core.tuners.posterior import bowls, expected_gain
 from estune.core.tuners.prospect import Model, Reach, lowest, newton_step
 from estune.core.tuners.settings import check_above_zero, check_logarithmic
 from estune.core.tuners.spread import FloatArray, simplex
 from estune.core.tuners.surface import surface
 from estune.errors import InvalidInput
 
-ALLOW = 0.5
-CAP = 1.25
 UNSAFE = 1.0 + math.log(COST_LIMIT)
 """What a censored trial is remembered by; no cost reaches it."""
 
 DEAR = math.log(2.25)
 """Costs count as at most 2.25 times the start's: how bad is bad says little of what is good."""
+
+CLIFF = 1.25
+"""And as at most this much above the least in their logarithm, as beyond the edge of stability."""
+
+LITTLE = 0.05
+"""Where less than this share of the cost is expected to be left, it is time to look further."""
 
 FURTHEST = 1.5
 """How far from the centre an outlook believes its model, in logarithms."""
@@ -57,6 +66,7 @@ class NewtonState(NamedTuple):
     curvature: tuple[float, ...]  # about the centre, by rows; empty before there is one
     noise: float  # standard deviation of one trial's cost, relative to it
     proposal: Point
+    looks: int  # made further away, of 2 n
     level: float | None  # logarithm of the cost of the first trials; None until they are made
     caution: float
     best_point: Point
@@ -78,6 +88,9 @@ class Newton:
         wide_curiosity: kappa while the model is wide.
         near_curiosity: kappa once it is near.
         safe_ratio: Cost over that of the start up to which a point counts as safe.
+        safe_rise: The same over the cost at the centre.
+        look_reach: How far it looks for what lies beyond a plateau, in logarithms.
+        look_rise: By how much the cost may be expected to rise there, relative to it.
         margin_least: Share of every limit that is to be left, 0 to 1.
         memory: Trials that are kept; older ones are forgotten.
         name: What the tuner is called.
@@ -95,6 +108,9 @@ class Newton:
     wide_curiosity: float = 1.5
     near_curiosity: float = 2.5
     safe_ratio: float = 1.3
+    safe_rise: float = 1.65
+    look_reach: float = 1.0
+    look_rise: float = 0.2
     margin_least: float = 0.1
     memory: int = 400
     name: Literal["newton"] = "newton"
@@ -103,7 +119,8 @@ class Newton:
         check_logarithmic("newton", self.space)
         for what in (
             *("first_radius", "wide_reach", "near_reach", "near_rise", "wide_trials"),
-            *("wide_curiosity", "near_curiosity", "safe_ratio", "memory"),
+            *("wide_curiosity", "near_curiosity", "safe_ratio", "safe_rise", "memory"),
+            *("look_reach", "look_rise"),
         ):
             check_above_zero("newton", what, getattr(self, what))
         if not 0.0 <= self.margin_least < 1.0:
@@ -128,6 +145,7 @@ class Newton:
             curvature=(),
             noise=NOISE_EXPECTED,
             proposal=self._corner(0, 1.0),
+            looks=0,
             level=None,
             caution=1.0,
             best_point=self.space.start,
@@ -172,17 +190,20 @@ class Newton:
         return self._point(np.array(state.centre))
 
     def outlook(self, state: NewtonState) -> Outlook | None:
-        """Where the search stands; None while the model is wide."""
-        if not state.curvature:
+        """Where the search stands; None until it has looked further away."""
+        if state.looks < 2 * len(self.space.names):
             return None
-        left = bowls(self._model(state), self._reach(np.array(state.centre), FURTHEST))
-        ends = np.quantile(left.least, (0.025, 0.975), axis=0)
-        low, high = (self._point(end) for end in ends)
+        reach = self._reach(np.array(state.centre), FURTHEST, 0.0)
+        left = bowls(self._model(state), reach)
+        low, high = np.quantile(left.least, (0.025, 0.975), axis=0)
+        # Where the model ends, a direction counts as flat.
+        low = np.where(low < reach.centre - 0.8 * FURTHEST, reach.low, low)
+        high = np.where(high > reach.centre + 0.8 * FURTHEST, reach.high, high)
         return Outlook(
             noise=state.noise,
             remaining=-math.expm1(-float(np.quantile(left.gain, 0.95))),
             expected=-math.expm1(-float(np.mean(left.gain))),
-            intervals=tuple(zip(low, high, strict=True)),
+            intervals=tuple(zip(self._point(low), self._point(high), strict=True)),
         )
 
     def forecast(self, state: NewtonState, point: Point) -> Forecast:
@@ -208,39 +229,49 @@ class Newton:
         """The next proposal and centre by the wide model."""
         points, values = self._seen(state)
         model = surface(points, values, state.noise)
-        smoothed = (
-            values[:, 0] - model.variance * model.weights[:, 0]
-        )  # its mean where trials were
-        centre = points[int(np.argmin(smoothed))]
-        radius = state.caution * self.wide_reach
-        reach = self._reach(centre, radius)
-        reach = reach._replace(dearest=min(reach.dearest, float(smoothed.min()) + ALLOW))
-        least = lowest(model, reach, centre[np.newaxis], 0.0, state.k)
-        asked = lowest(model, reach, centre[np.newaxis], self.wide_curiosity, state.k)
-        return state._replace(centre=tuple(least.tolist()), proposal=self._point(asked))
+        smoothed = model.smoothed(values)
+        best = int(np.argmin(smoothed))
+        reach = self._reach(points[best], state.caution * self.wide_reach, float(smoothed[best]))
+        first = points[best : best + 1]
+        centre = lowest(model, reach, first, 0.0, state.k)
+        asked = lowest(model, reach, first, self.wide_curiosity, state.k)
+        return state._replace(centre=tuple(centre.tolist()), proposal=self._point(asked))
 
     def _nearby(self, state: NewtonState) -> NewtonState:
         """The next proposal and centre by the model about the centre."""
         model = self._model(state)
         values, axes = np.linalg.eigh(model.curvature)
         values = np.maximum(values, FLAT)
-        radius = state.caution * self.near_reach
         rise = state.caution**2 * self.near_rise
-        half_axes = axes * np.sqrt(2.0 * rise / values)
-        old = np.array(state.centre)
-        reach = self._reach(old, radius)._replace(axes=half_axes)
-        reach = reach._replace(dearest=min(reach.dearest, float(model.coefficients[0, 0]) + ALLOW))
-        step = newton_step(model.slope, values, axes, radius)
-        centre = np.clip(old + step, reach.low, reach.high)
-        asked = lowest(
-            model, reach._replace(centre=centre), centre[np.newaxis], self.near_curiosity, state.k
-        )
-        return state._replace(
+        reach = self._reach(model.centre, state.caution * self.near_reach, model.level)
+        reach = reach._replace(axes=axes * np.sqrt(2.0 * rise / values))
+        centre = reach.bounded(model.centre + newton_step(model.slope, values, axes, reach.radius))
+        if model.coefficients.shape[1] > 1:  # a limit is near: the step must keep its distance
+            centre = lowest(model, reach, np.stack((centre, model.centre)), 0.0, state.k)
+        state = state._replace(
             centre=tuple(centre.tolist()),
             curvature=tuple(((axes * values) @ axes.T).ravel().tolist()),
             noise=model.noise,
-            proposal=self._point(asked),
         )
+        looking = state.looks > 0 or expected_gain(model, values, axes) < LITTLE
+        if looking and state.looks < 2 * len(centre):
+            asked = self._look(state.looks, model, reach._replace(centre=centre), values, axes)
+            return state._replace(looks=state.looks + 1, proposal=self._point(asked))
+        reach = reach._replace(centre=centre)
+        asked = lowest(model, reach, centre[np.newaxis], self.near_curiosity, state.k)
+        return state._replace(proposal=self._point(asked))
+
+    def _look(
+        self, number: int, model: Polynomial, reach: Reach, values: FloatArray, axes: FloatArray
+    ) -> FloatArray:
+        """A point far away along one axis of the model, nearer by halves until it looks safe."""
+        axis, sign = divmod(number, 2)
+        far = min(self.look_reach, math.sqrt(2.0 * self.look_rise / float(values[axis])))
+        away = (1.0 - 2.0 * sign) * far * axes[:, axis]
+        points = reach.bounded(reach.centre + np.outer((1.0, 0.5, 0.25, 0.0), away))
+        safe = reach.unsafety(*model.expected(points)) <= 0.0
+        chosen: FloatArray = points[int(np.argmax(safe)) if safe.any() else -1]
+        return chosen
 
     def _model(self, state: NewtonState) -> Polynomial:
         """The model about the centre."""
@@ -255,12 +286,13 @@ class Newton:
         """Where trials were, and what they told: cost, and margin where any was near a limit."""
         points = np.reshape(state.tried, (len(state.costs), len(self.space.names)))
         costs = np.array(state.costs) - state.level
-        costs = np.minimum(costs, min(DEAR, float(np.sort(costs)[:3].mean()) + CAP))
+        costs = np.minimum(costs, min(DEAR, float(np.sort(costs)[:3].mean()) + CLIFF))
         if min(state.margins) < 1.0:
             return points, np.stack((costs, np.array(state.margins)), axis=1)
         return points, costs[:, np.newaxis]
 
-    def _reach(self, centre: FloatArray, radius: float) -> Reach:
+    def _reach(self, centre: FloatArray, radius: float, level: float) -> Reach:
+        """A ball about the centre, whose cost has this logarithm."""
         start = np.array(self.space.coordinates(self.space.start))
         return Reach(
             centre=centre,
@@ -268,7 +300,7 @@ class Newton:
             radius=radius,
             low=np.array(self.space.coordinates_low) - start,
             high=np.array(self.space.coordinates_high) - start,
-            dearest=math.log(self.safe_ratio),
+            dearest=min(math.log(self.safe_ratio), level + math.log(self.safe_rise)),
             margin=self.margin_least,
         )
 

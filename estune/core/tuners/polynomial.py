@@ -2,17 +2,19 @@
 
 With z = x - c the logarithms of the parameters from the centre on, and l that of the cost,
 
-    l(z) = l_0 + g.z + z'Hz/2 + sum c_ijk z_i z_j z_k + error
+    l(z) = l_0 + g.z + z'Hz/2 + sum c_ijk z_i z_j z_k + d a + error
 
 is fitted to all trials by Bayesian least squares (Bishop, Pattern Recognition and Machine
 Learning, 2006, section 3.3), each coefficient with a normal prior. The cubic terms are there
-so that what is not symmetric about the centre does not pass for a slope. What a cubic cannot
+so that what is not symmetric about the centre does not pass for a slope, and d for a rig that
+drifts, with a the age of a trial. What a cubic cannot
 follow makes trials far away tell less: a trial's error has the variance
 
-    v = sigma^2 + (p q^2 + d |z|^4)^2,    q = z'Hz/2
+    v = sigma^2 + (p q^2 + r |z|^4)^2,    q = z'Hz/2
 
-with q by how much the cost is expected to rise, and H from the fit before. A trial off by more
-than three of its standard deviations counts as if it were off by three (Huber): one bad trial
+with q by how much the cost is expected to rise, and H from the fit before; or by how much it did
+rise, less some, for beyond the edge of stability it rises as no polynomial does. A trial off by
+more than three of its standard deviations counts as if it were off by three (Huber): one bad trial
 does not move the fit.
 """
 
@@ -25,18 +27,19 @@ from numpy.typing import NDArray
 
 from estune.core.tuners.spread import FloatArray
 
-BEND = 0.3  # p, error per square of the rise
-SPAN = 0.1  # d, error per fourth power of the distance
+BEND = 0.5  # p, error per square of the rise
+SEEN = 0.7  # share of the rise observed that counts as a rise expected
+SPAN = 0.1  # r, error per fourth power of the distance
 LEVEL = 3.0  # prior standard deviation of l_0
 SLOPE = 1.0  # of g
 CURVATURE = 0.3  # prior mean of the diagonal of H
 CURVATURE_SPREAD = 0.5
 TWIST = 0.4  # of the rest of H
 CUBIC = 0.3  # of c_ijk
+DRIFT = 0.05  # of d, per hundred trials
 NOISE_EXPECTED = 0.03  # sigma before there are residuals to tell it
 NOISE_WEIGHT = 3.0  # trials that this expectation counts for
 FLAT = 0.02  # least curvature a step is taken by, or it could be of any length
-OBS = 0.7
 FAR = 3.0  # standard deviations from which on a residual counts no more
 
 IndexArray = NDArray[np.intp]
@@ -47,7 +50,7 @@ class Polynomial(NamedTuple):
 
     Attributes:
         centre: c, shape (n,).
-        coefficients: Of 1, z_i, z_i z_j and z_i z_j z_k; one column a quantity.
+        coefficients: Of 1, z_i, z_i z_j, z_i z_j z_k and a; one column a quantity.
         spread: Their covariance, the same for every quantity.
         noise: Standard deviation sigma of one trial.
     """
@@ -56,6 +59,11 @@ class Polynomial(NamedTuple):
     coefficients: FloatArray
     spread: FloatArray
     noise: float
+
+    @property
+    def level(self) -> float:
+        """The logarithm l_0 of the cost at the centre."""
+        return float(self.coefficients[0, 0])
 
     @property
     def slope(self) -> FloatArray:
@@ -70,7 +78,7 @@ class Polynomial(NamedTuple):
 
     def expected(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Means, shape (points, quantities), and their standard deviation, shape (points,)."""
-        terms = _terms(points - self.centre)
+        terms = _terms(points - self.centre, np.zeros(len(points)))
         variance = np.sum((terms @ self.spread) * terms, axis=1)
         return terms @ self.coefficients, np.sqrt(np.maximum(variance, 0.0))
 
@@ -95,17 +103,18 @@ def polynomial(
     Args:
         centre: c, shape (n,).
         curvature: H by which far trials are told, shape (n, n).
-        points: Where the trials were, shape (trials, n).
+        points: Where the trials were, the oldest first, shape (trials, n).
         values: What was observed, the logarithm of the cost first, shape (trials, quantities).
         noise: sigma by which trials are weighted; that of the residuals comes back.
     """
     z = points - centre
     rise = 0.5 * np.sum((z @ curvature) * z, axis=1)
     lowest = np.sort(values[:, 0])[: z.shape[1] + 1].mean()
-    rise = np.maximum(rise, OBS * (values[:, 0] - lowest))
+    rise = np.maximum(rise, SEEN * (values[:, 0] - lowest))
     misfit = BEND * rise**2 + SPAN * np.sum(z * z, axis=1) ** 2
     weights = 1.0 / (noise**2 + misfit**2)
-    terms, (means, precisions) = _terms(z), _prior(z.shape[1])
+    age = np.arange(len(z) - 1.0, -1.0, -1.0) / 100.0
+    terms, (means, precisions) = _terms(z, age), _prior(z.shape[1])
     pulled = np.zeros((terms.shape[1], values.shape[1]))
     pulled[:, 0] = means * precisions
 
@@ -140,26 +149,21 @@ def _triples(n: int) -> tuple[IndexArray, IndexArray, IndexArray]:
     return i, j, k
 
 
-def _terms(z: FloatArray) -> FloatArray:
-    """1, z_i, z_i z_j and z_i z_j z_k with i <= j <= k, one row a point."""
+def _terms(z: FloatArray, age: FloatArray) -> FloatArray:
+    """1, z_i, z_i z_j and z_i z_j z_k with i <= j <= k, and the age, one row a point."""
     (a, b), (i, j, k) = _pairs(z.shape[1]), _triples(z.shape[1])
     squares = z[:, a] * z[:, b]
-    return np.hstack((np.ones((len(z), 1)), z, squares, z[:, i] * z[:, j] * z[:, k]))
+    cubes = z[:, i] * z[:, j] * z[:, k]
+    return np.hstack((np.ones((len(z), 1)), z, squares, cubes, age[:, np.newaxis]))
 
 
 @lru_cache(maxsize=16)
 def _prior(n: int) -> tuple[FloatArray, FloatArray]:
     """Mean and precision of every coefficient."""
     a, b = _pairs(n)
-    square = a == b  # the coefficient of z_i^2 is half of H_ii
-    means = [
-        np.zeros(1 + n),
-        np.where(square, 0.5 * CURVATURE, 0.0),
-        np.zeros(_triples(n)[0].size),
-    ]
-    spreads = [
-        np.array([LEVEL] + [SLOPE] * n),
-        np.where(square, 0.5 * CURVATURE_SPREAD, TWIST),
-        np.full(_triples(n)[0].size, CUBIC),
-    ]
-    return np.concatenate(means), np.concatenate(spreads) ** -2.0
+    square, cubes = a == b, len(_triples(n)[0])  # the coefficient of z_i^2 is half of H_ii
+    means = [0.0] * (1 + n) + [0.5 * CURVATURE if s else 0.0 for s in square] + [0.0] * (cubes + 1)
+    spreads = [LEVEL, *[SLOPE] * n]
+    spreads += [0.5 * CURVATURE_SPREAD if s else TWIST for s in square]
+    spreads += [*[CUBIC] * cubes, DRIFT]
+    return np.array(means), np.array(spreads) ** -2.0

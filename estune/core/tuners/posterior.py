@@ -24,6 +24,20 @@ class Bowls(NamedTuple):
     gain: FloatArray
 
 
+def expected_gain(model: Polynomial, values: FloatArray, axes: FloatArray) -> float:
+    """What is expected to be left, (g'H^-1 g + tr(H^-1 S))/2 with S the covariance of g.
+
+    Args:
+        model: The cost.
+        values: Curvatures along the axes, above zero, shape (n,).
+        axes: One a column, orthonormal, shape (n, n).
+    """
+    slopes = slice(1, 1 + len(values))
+    along = axes.T @ model.slope
+    spread = np.sum((model.spread[slopes, slopes] @ axes) * axes, axis=0)
+    return float(0.5 * np.sum((along**2 + spread) / values))
+
+
 def bowls(model: Polynomial, reach: Reach) -> Bowls:
     """Slopes and curvatures drawn from the posterior, and the least of each such bowl.
 

@@ -15,6 +15,8 @@ NARROWING = 3.0
 """Each round looks about the best of the one before, this many times narrower."""
 
 DOUBT = 2.0
+"""Standard deviations by which a point must look safe."""
+
 POOL = 16 * LOOKS
 """Points in store, so that consecutive trials look at different ones."""
 
@@ -57,10 +59,14 @@ class Reach(NamedTuple):
         inside = np.asarray(np.linalg.solve(self.axes, away.T).T, dtype=np.float64)
         far = np.maximum(_length(inside), _length(away) / self.radius)
         drawn: FloatArray = self.centre + away / np.maximum(far, 1.0)[:, np.newaxis]
-        return np.clip(drawn, self.low, self.high)
+        return self.bounded(drawn)
+
+    def bounded(self, points: FloatArray) -> FloatArray:
+        """The nearest points within the bounds."""
+        return np.clip(points, self.low, self.high)
 
     def unsafety(self, mean: FloatArray, spread: FloatArray) -> FloatArray:
-        """By how much points pass what is safe, one standard deviation off; zero where none."""
+        """By how much points pass what is safe, in doubt; zero where they do not."""
         over = np.maximum(mean[:, 0] + DOUBT * spread - self.dearest, 0.0)
         if mean.shape[1] > 1:
             over += np.maximum(self.margin - (mean[:, 1] - DOUBT * spread), 0.0)

@@ -28,8 +28,14 @@ def ball(dimensions: int, size: int) -> FloatArray:
 
 @lru_cache(maxsize=16)
 def normal(dimensions: int, size: int) -> FloatArray:
-    """What stands for draws of a standard normal distribution, shape (size, dimensions)."""
-    return _read_only(_normal(_even(dimensions, size)))
+    """What stands for draws of a standard normal distribution, shape (size, dimensions).
+
+    Their mean is zero and their covariance one, which few even points are not by themselves.
+    """
+    points = _normal(_even(dimensions, size))
+    points -= np.mean(points, axis=0)
+    root = np.linalg.cholesky(points.T @ points / size)
+    return _read_only(np.asarray(np.linalg.solve(root, points.T).T, dtype=np.float64))
 
 
 def _even(dimensions: int, size: int) -> FloatArray:

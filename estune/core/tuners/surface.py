@@ -21,7 +21,7 @@ from estune.core.tuners.spread import FloatArray
 
 CURVATURE = 0.1  # a
 LEVEL = 2.0  # s_0
-SLOPE = 0.8  # s_1
+SLOPE = 0.5  # s_1
 BOWL = 0.35  # s_2
 REST = 0.8  # s_f
 REACH = 1.2  # b
@@ -49,6 +49,11 @@ class Surface(NamedTuple):
         mean = k @ self.weights
         mean[:, 0] += _prior_mean(points)
         return mean, np.sqrt(np.maximum(left, 0.0))
+
+    def smoothed(self, values: FloatArray) -> FloatArray:
+        """Mean of the logarithm of the cost where the trials were, shape (trials,)."""
+        mean: FloatArray = values[:, 0] - self.variance * self.weights[:, 0]
+        return mean
 
 
 def surface(points: FloatArray, values: FloatArray, noise: float) -> Surface:
