@@ -69,6 +69,7 @@ def daemon(
     more: str = "",
     notifier: Notifier | None = None,
     security: Security = OPEN,
+    client: Security = OPEN,
 ):
     """A daemon in this process, and a client of it."""
     text = f'stop_within_s = 3.0\n[service]\nlisten = "tcp/127.0.0.1:0"\n{more}\n{"".join(rigs)}'
@@ -85,8 +86,8 @@ def daemon(
     thread = threading.Thread(target=run)
     thread.start()
     try:
-        with DaemonClient(service.endpoint) as client:
-            yield Watched(service, client, thread, failed)
+        with DaemonClient(service.endpoint, security=client) as asking:
+            yield Watched(service, asking, thread, failed)
     finally:
         service.stop()
         thread.join(WITHIN_S)

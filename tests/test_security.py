@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from estune import bus
+from estune.bus.daemon import DaemonClient
 from estune.cli import run
 from estune.errors import InvalidInput, RigError
 from estune.link.state import Mode
@@ -144,6 +145,20 @@ def test_a_daemon_says_who_it_is(users, tmp_path):
             it.until(lambda s: "asks who this is" in s.trouble, "scripted")
         with daemon(tmp_path / "b", table, security=users["anna"]) as it:
             it.until_mode("tuning", "scripted")
+
+
+def test_a_daemon_is_commanded_by_who_may_and_asked_by_who_may_look(users, tmp_path, capsys):
+    with served("tcp/127.0.0.1:0") as (_, server):
+        table, more = rig_table("scripted", server.endpoint), 'security = "rig.toml"'
+        with daemon(tmp_path, table, more=more, client=users["anna"]) as it:
+            it.until_mode("holding", "scripted")
+            words, guest = ["control", "reject", it.service.endpoint], tmp_path / "guest.toml"
+            assert run([*words, "--security", str(guest)]) == RigError.exit_code
+            assert run(words) == RigError.exit_code
+            assert "see --security" in capsys.readouterr().err
+            with DaemonClient(it.service.endpoint, security=users["guest"]) as looking:
+                assert looking.status("scripted").mode == "holding"
+            assert run([*words, "--security", str(tmp_path / "anna.toml")]) == 0
 
 
 # --- certificates ---

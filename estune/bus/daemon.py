@@ -37,6 +37,7 @@ from estune.protocol.daemon import (
     decode_daemon,
     encode_daemon,
 )
+from estune.security import OPEN, Security
 
 ASK_S = 2.0
 _WAITING_MAX = 256
@@ -82,6 +83,7 @@ class DaemonServer:
         instance: str,
         routers: Iterable[str] = (),
         allow_remote: bool = False,
+        security: Security = OPEN,
     ) -> None:
         """Listens; nothing is answered before `serve`.
 
@@ -93,7 +95,7 @@ class DaemonServer:
         if not allow_remote:
             check_loopback(endpoint)
         self.instance = instance
-        self._session, self.endpoint = _listen(endpoint, tuple(routers))
+        self._session, self.endpoint = _listen(endpoint, tuple(routers), security)
         self._threads: list[threading.Thread] = []
         self._tokens: list[zenoh.LivelinessToken] = []
 
@@ -182,14 +184,20 @@ def _answer_to(words: list[str], payload: bytes, supervised: Supervised) -> Any:
     return None  # somebody looks around with a wildcard
 
 
-def _listen(endpoint: str, routers: tuple[str, ...]) -> tuple[zenoh.Session, str]:
+def _listen(
+    endpoint: str, routers: tuple[str, ...], security: Security
+) -> tuple[zenoh.Session, str]:
     for router in routers:
         check_endpoint(router)
     for tries_left in reversed(range(_PORT_TRIES)):
         actual = with_port(endpoint)
         try:
             session = open_session(
-                "peer", listen=(actual,), connect=routers, message_max_bytes=COMMANDS_MAX_BYTES
+                "peer",
+                listen=(actual,),
+                connect=routers,
+                message_max_bytes=COMMANDS_MAX_BYTES,
+                security=security,
             )
         except zenoh.ZError as error:
             # Another process may have taken the free port in between.
@@ -203,7 +211,9 @@ def _listen(endpoint: str, routers: tuple[str, ...]) -> tuple[zenoh.Session, str
 class DaemonClient:
     """Asks a daemon, and tells it what to do. A context manager."""
 
-    def __init__(self, endpoint: str, timeout_s: float = 3.0) -> None:
+    def __init__(
+        self, endpoint: str, timeout_s: float = 3.0, *, security: Security = OPEN
+    ) -> None:
         """Connects.
 
         Raises:
@@ -217,13 +227,17 @@ class DaemonClient:
         while True:
             try:
                 self._session = open_session(
-                    "client", connect=(endpoint,), message_max_bytes=2 * ANSWER_MAX_BYTES
+                    "client",
+                    connect=(endpoint,),
+                    message_max_bytes=2 * ANSWER_MAX_BYTES,
+                    security=security,
                 )
             except zenoh.ZError as error:
                 if time.monotonic() > deadline_s:
                     raise RigError(
                         f"nothing that speaks Zenoh listens at {endpoint}; start a daemon with: "
-                        "estune daemon CONFIG"
+                        "estune daemon CONFIG; or what listens does not know this client: see "
+                        "--security"
                     ) from error
                 time.sleep(AGAIN_S)
             else:

@@ -67,6 +67,7 @@ def control(
     rig: str | None = None,
     why: str = "",
     limit: int = 20,
+    security: Path | None = None,
     json: Annotated[bool, _Flag] = False,
 ) -> None:
     """Ask a daemon how a rig stands, or tell it what to do.
@@ -77,11 +78,12 @@ def control(
         rig: Which rig; may be left out where there is one.
         why: Why, for the daemon's history.
         limit: Most rows of history or events.
+        security: File that says who this is, where the daemon asks; see docs/security.md.
         json: Print JSON.
     """
     from estune.bus.daemon import DaemonClient  # noqa: PLC0415  slow to import
 
-    with DaemonClient(endpoint) as client:
+    with DaemonClient(endpoint, security=security_from(security)) as client:
         names = client.rigs() if rig is None else (rig,)
         if not names:
             client.status("any")  # says that no daemon answers

@@ -31,12 +31,15 @@ class ServiceTable(Table):
     Attributes:
         listen: Where it listens.
         routers: Zenoh routers to join as well.
-        allow_remote: Whether to listen where other machines can reach it; no password is asked.
+        allow_remote: Whether to listen where other machines can reach it; without `security`,
+            whoever reaches it can command it.
+        security: File that says who may ask and command it; see docs/security.md.
     """
 
     listen: str = "tcp/127.0.0.1:7450"
     routers: list[str] = Field(default=[])
     allow_remote: bool = False
+    security: Path | None = Field(default=None, strict=False)
 
     @model_validator(mode="after")
     def _endpoints(self) -> Self:
@@ -221,9 +224,12 @@ def config_from(data: dict[str, Any], source: str, beside: Path) -> DaemonConfig
         InvalidInput: something in it is wrong; all of it is in the message, a line each.
     """
     config = checked(DaemonConfig, data, source)
-    file = config.metrics.file
+    file, asks = config.metrics.file, config.service.security
     metrics = config.metrics.model_copy(update={"file": file and beside / file})
-    return config.model_copy(update={"state": beside / config.state, "metrics": metrics})
+    service = config.service.model_copy(update={"security": asks and beside / asks})
+    return config.model_copy(
+        update={"state": beside / config.state, "metrics": metrics, "service": service}
+    )
 
 
 def plan_settings(rig: RigTable, description: RigDescription) -> dict[str, Any]:

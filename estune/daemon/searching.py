@@ -125,8 +125,6 @@ class Searches:
         seen = change(start, found, settings.confidence)
         charts = chart(start, found), chart(found, start)
         if seen.high < -settings.improvement_min:
-            return Decision(
-                repeats.gains[1], f"better than the start: cost {seen}", seen, *charts
-            )
+            return Decision(repeats.gains[1], f"better than the start: cost {seen}", seen, *charts)
         sentence = f"no better than the start beyond doubt: cost {seen}"
         return Decision(None, sentence, seen, charts[0], None)

@@ -21,7 +21,7 @@ from estune.daemon.supervision import Supervision
 from estune.daemon.systemd import Notifier
 from estune.errors import EstuneError, RigError
 from estune.protocol.daemon import DaemonStatus, EventMessage
-from estune.security import OPEN, Security
+from estune.security import OPEN, Security, read_security
 
 TURN_S = 0.25
 """How often the process looks after its keepers."""
@@ -49,6 +49,7 @@ class Service:
             security: Who this is, where a rig asks.
 
         Raises:
+            InvalidInput: a security file is wrong.
             JournalError: another daemon has a store, or it cannot be used.
             RigError: an endpoint or port is taken.
         """
@@ -71,6 +72,7 @@ class Service:
                 instance=self._instance,
                 routers=config.service.routers,
                 allow_remote=config.service.allow_remote,
+                security=read_security(asks) if (asks := config.service.security) else OPEN,
             )
             opened.callback(self._server.close)
             self.endpoint = self._server.endpoint
