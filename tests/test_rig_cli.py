@@ -1,5 +1,6 @@
 """`estune rig` and `estune export-controller`, as a user calls them."""
 
+import json
 import os
 import signal
 import subprocess
@@ -80,6 +81,20 @@ def test_a_file_that_is_wrong_is_told_in_full(file):
     assert "motion.taut_N: Field required" in told
     assert "motion.taut_kN: " in told
     assert "Traceback" not in told
+
+
+def test_a_schedule_is_written_as_a_header_beside_the_controller(file, tmp_path):
+    constant = {"form": "constant", "offset": 0.02}
+    gains = dict.fromkeys(("P", "D", "setpoint_filter_s"), constant)
+    gains["I"] = {"form": "linear", "offset": 50.0, "slope": -18.5}
+    stored = {"length_m": [0.5, 1.4], "tension_N": [15.0, 15.0], "gains": gains}
+    schedule = tmp_path / "schedule.json"
+    schedule.write_text(json.dumps(stored))
+    call("export-controller", file, "--c", "--out", tmp_path / "c.c", "--schedule", schedule)
+    assert "gains[1] = 50.0 + -18.5 * (length_m);" in (tmp_path / "estune_schedule.h").read_text()
+    schedule.write_text(json.dumps(stored | {"length_m": [0.5, 5.0]}))
+    told = call("export-controller", file, "--c", "--schedule", schedule, code=2).stderr
+    assert "cannot be used at 5 m and 15 N: gain I is -42.5" in told
 
 
 def test_the_controller_of_a_rigs_file_is_written_as_c(file, tmp_path):
