@@ -7,6 +7,9 @@ the schedule, each proposal tried once at every length. `fitted` tunes at every 
 fits the law to what was found, weighted by what each tuning says of its own doubt; here all
 tunings are taken, also those a sweep would leave out for having been cut short.
 
+It is done with the gauge as it is, where the search and not the noise sets how far a budget goes,
+and with a gauge four times as noisy, where what the lengths share may be worth more.
+
 What counts is the true cost, the mean over noise that no tuning saw, at four lengths that neither
 way tried, over that of the optimum at each, which a numerical search over the true cost finds.
 """
@@ -15,6 +18,7 @@ import argparse
 import json
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from statistics import fmean, stdev
@@ -46,6 +50,11 @@ WAYS = ("joint 2", "joint 3", "joint 5", "fitted 2", "fitted 3", "fitted 5")
 
 KINDS = ("joint", "fitted")
 
+NOISY, NOISY_MARK = 4.0, " noisy"
+
+FULL = (60, 120, 240, 480), (120, 240)
+"""Budgets with the gauge as it is, and with the noisy one."""
+
 MOST_EXCESS = 0.03
 """What a scheduled controller may cost at unseen lengths above one tuned there."""
 
@@ -55,50 +64,52 @@ OUT = Path(__file__).parent / "out" / "joint_tuning.png"
 
 
 @cache
-def reel(length_m: float) -> Reel:
-    """The reference reel at a length."""
-    return plants.reference_reel(length_m, TENSION_N)
+def reel(length_m: float, noise: float) -> Reel:
+    """The reference reel at a length, its gauge so many times as noisy."""
+    usual = plants.reference_reel(length_m, TENSION_N)
+    return replace(usual, gauge_noise_N=noise * usual.gauge_noise_N)
 
 
 @cache
 def cost() -> StepCost:
     """One cost for all lengths: the settling time of the longest."""
-    times = [reel(length).describe("", None).settling_time_s for length in LENGTHS_m[2]]
+    times = [reel(length, 1.0).describe("", None).settling_time_s for length in LENGTHS_m[2]]
     return StepCost(max(times), move_weight=MOVE_WEIGHT)
 
 
-def true_cost(length_m: float, gains: Gains, seed: int = 70_001) -> float:
+def true_cost(length_m: float, gains: Gains, noise: float, seed: int = 70_001) -> float:
     """Mean cost over noise draws; infinite where one diverged."""
     table = np.tile(gains.as_tuple(), (DRAWS, 1))
-    mean = plants.batch_costs(reel(length_m), table, None, cost(), seed=seed, workers=1).mean()
+    here = reel(length_m, noise)
+    mean = plants.batch_costs(here, table, None, cost(), seed=seed, workers=1).mean()
     return float(mean) if math.isfinite(mean) else math.inf
 
 
 @cache
-def optimum(length_m: float) -> float:
+def optimum(length_m: float, noise: float) -> float:
     """The least true cost at a length, found on other noise than it is told on."""
 
     def of(logs: Any) -> float:
-        found = true_cost(length_m, Gains(*np.exp(logs)), seed=70_002)
+        found = true_cost(length_m, Gains(*np.exp(logs)), noise, seed=70_002)
         return min(found, 1e3)
 
     start = np.log((1.2, 35.0, 0.016, 0.002))
     found = minimize(of, start, method="Nelder-Mead", options={"xatol": 1e-3, "fatol": 1e-5})
-    return true_cost(length_m, Gains(*np.exp(found.x)))
+    return true_cost(length_m, Gains(*np.exp(found.x)), noise)
 
 
-def excess(schedule: GainSchedule) -> float:
+def excess(schedule: GainSchedule, noise: float) -> float:
     """Mean over the unseen lengths of the true cost over the optimum, less one."""
     return fmean(
-        true_cost(length, schedule.gains(length, TENSION_N)) / optimum(length) - 1.0
+        true_cost(length, schedule.gains(length, TENSION_N), noise) / optimum(length, noise) - 1.0
         for length in UNSEEN_m
     )
 
 
-def joint(lengths: tuple[float, ...], trials: int, seed: int) -> GainSchedule:
+def joint(lengths: tuple[float, ...], trials: int, seed: int, noise: float) -> GainSchedule:
     """The schedule tuned as one thing."""
     rigs = {
-        length: reel(length).rig(name=f"reel{n}", seed=100 * seed + n)
+        length: reel(length, noise).rig(name=f"reel{n}", seed=100 * seed + n)
         for n, length in enumerate(lengths)
     }
     return tune_schedule(
@@ -106,12 +117,12 @@ def joint(lengths: tuple[float, ...], trials: int, seed: int) -> GainSchedule:
     ).schedule
 
 
-def fitted(lengths: tuple[float, ...], trials: int, seed: int) -> GainSchedule:
+def fitted(lengths: tuple[float, ...], trials: int, seed: int, noise: float) -> GainSchedule:
     """The law fitted to tunings at each length."""
     tunings = []
     for n, length in enumerate(lengths):
         found = estune.tune(
-            reel(length).rig(name=f"reel{n}", seed=100 * seed + n),
+            reel(length, noise).rig(name=f"reel{n}", seed=100 * seed + n),
             tuner=TUNER,
             trials=trials // len(lengths),
             repeats=2,
@@ -135,7 +146,7 @@ def fitted(lengths: tuple[float, ...], trials: int, seed: int) -> GainSchedule:
                 tension_N=TENSION_N,
                 gains=gains,
                 log_errors=errors,
-                cost=true_cost(length, gains),
+                cost=true_cost(length, gains, noise),
                 cost_error=0.0,
                 safe=True,
                 converged=True,
@@ -156,18 +167,23 @@ def through_two(short: Gains, long: Gains) -> GainSchedule:
     return GainSchedule(**curves, length_m=(low, high), tension_N=(TENSION_N, TENSION_N))
 
 
-def excesses(way: str, trials: int, seeds: int) -> list[float]:
+def excesses(way: str, trials: int, seeds: int, noise: float = 1.0) -> list[float]:
     """Of one way, in several seeds."""
     kind, _, count = way.partition(" ")
-    run: Callable[[tuple[float, ...], int, int], GainSchedule]
+    run: Callable[[tuple[float, ...], int, int, float], GainSchedule]
     run = joint if kind == "joint" else fitted
-    return [excess(run(LENGTHS_m[int(count)], trials, seed)) for seed in range(seeds)]
+    lengths = LENGTHS_m[int(count)]
+    return [excess(run(lengths, trials, seed, noise), noise) for seed in range(seeds)]
 
 
-def measure(budgets: tuple[int, ...], seeds: int) -> dict[str, Any]:
+def measure(
+    budgets: tuple[int, ...], noisy_budgets: tuple[int, ...], seeds: int
+) -> dict[str, Any]:
     """All figures by name."""
     found = {
-        str(trials): {way: excesses(way, trials, seeds) for way in WAYS} for trials in budgets
+        f"{trials}{mark}": {way: excesses(way, trials, seeds, noise) for way in WAYS}
+        for mark, noise, some in (("", 1.0, budgets), (NOISY_MARK, NOISY, noisy_budgets))
+        for trials in some
     }
     means = {n: {way: fmean(values) for way, values in of.items()} for n, of in found.items()}
     return {
@@ -202,10 +218,10 @@ def show(figures: dict[str, Any]) -> None:
     print(
         f"true cost above the optimum at unseen lengths, mean (worst) of {figures['seeds']} seeds"
     )
-    print("trials  " + "".join(f"{way:>18s}" for way in WAYS))
+    print("trials     " + "".join(f"{way:>18s}" for way in WAYS))
     for trials, of in figures["excess"].items():
         cells = (f"{fmean(of[way]):.2%} ({max(of[way]):.2%})" for way in WAYS)
-        print(f"{trials:>6s}  " + "".join(f"{cell:>18s}" for cell in cells))
+        print(f"{trials:>9s}  " + "".join(f"{cell:>18s}" for cell in cells))
     print()
     for trials, of in figures["compared"].items():
         print(
@@ -218,7 +234,7 @@ def draw(figures: dict[str, Any]) -> None:
     """Saves the mean excess against the number of trials."""
     page = drawing.new_figure(drawing.WIDTH_in, 3.0)
     ax = page.subplots()
-    budgets = list(figures["mean_excess"])
+    budgets = [n for n in figures["mean_excess"] if not n.endswith(NOISY_MARK)]
     looks = {"joint": drawing.BLUE, "fitted": drawing.VERMILION}
     markers = {"2": "o", "3": "s", "5": "^"}
     for way in WAYS:
@@ -239,7 +255,7 @@ def main() -> int:
     parser.add_argument("--json", action="store_true", help="print one JSON object instead")
     parser.add_argument("--quick", action="store_true", help="fewer seeds and budgets")
     options = parser.parse_args()
-    figures = measure((60, 120), 2) if options.quick else measure((60, 120, 240, 480), 10)
+    figures = measure((60, 120), (), 2) if options.quick else measure(*FULL, 10)
     draw(figures)
     at_120 = figures["mean_excess"]["120"]
     best = {kind: min(v for way, v in at_120.items() if way.startswith(kind)) for kind in KINDS}
