@@ -3,6 +3,7 @@
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -24,6 +25,23 @@ repeats = 2
 """
 
 
+def children(pid: int) -> list[Path]:
+    """The processes a process has started, by their folder in /proc."""
+    found = []
+    for folder in Path("/proc").glob("[0-9]*"):
+        with suppress(OSError):  # it has just ended
+            parent = (folder / "stat").read_text().rpartition(")")[2].split()[1]
+            found += [folder] * (int(parent) == pid)
+    return found
+
+
+def all_end(processes: list[Path], within_s: float = 30.0) -> bool:
+    end = time.monotonic() + within_s
+    while any(process.exists() for process in processes) and time.monotonic() < end:
+        time.sleep(0.05)
+    return not any(process.exists() for process in processes)
+
+
 @pytest.mark.slow
 def test_a_killed_sweep_loses_no_finished_cell_and_repeats_none(tmp_path):
     design, folder = tmp_path / "sweep.toml", tmp_path / "killed"
@@ -35,11 +53,14 @@ def test_a_killed_sweep_loses_no_finished_cell_and_repeats_none(tmp_path):
         process = subprocess.Popen(command, cwd=Path(__file__).parent.parent)
         while len(kept(folder)) < len(before) + 2 and process.poll() is None:
             time.sleep(0.01)
+        workers = children(process.pid)
         process.kill()
         process.wait()
         after = kept(folder)
         assert before.items() <= after.items()
         before = after
+        assert len(workers) >= 2
+        assert all_end(workers)  # no worker outlives it
     assert len(before) >= 4
     result = swept(folder, design)
     assert before.items() <= kept(folder).items()

@@ -4,12 +4,19 @@ Each runner is an iterator over what cells came to, in the order in which they a
 takes from it keeps each before the next, so that nothing that is done is lost.
 """
 
+import os
+import threading
+import time
 from collections.abc import Iterator, Sequence
+from functools import cache
 
 from estune.errors import EstuneError
 from estune.sweeping.cells import Cell
 from estune.sweeping.outcome import Outcome
 from estune.sweeping.running import run_model
+
+ORPHAN_s = 0.5
+"""A worker process outlives its parent by no more than this."""
 
 
 def serial(cells: Sequence[Cell]) -> Iterator[Outcome]:
@@ -35,9 +42,27 @@ def on_cores(cells: Sequence[Cell], jobs: int) -> Iterator[Outcome]:
         jobs, backend="loky", return_as="generator_unordered", batch_size=1, max_nbytes=None
     )
     try:
-        yield from parallel(delayed(run_model)(cell) for cell in cells)
+        yield from parallel(delayed(_run_for)(os.getpid(), cell) for cell in cells)
     except TerminatedWorkerError as error:
         raise EstuneError(
             "a process that ran cells was killed, by a lack of memory perhaps; the cells done so "
             "far are kept: call the sweep again, with fewer --jobs"
         ) from error
+
+
+def _run_for(parent: int, cell: Cell) -> Outcome:
+    """Runs a cell in a process that must not outlive the one that asked for it."""
+    _end_with(parent)
+    return run_model(cell)
+
+
+@cache
+def _end_with(parent: int) -> None:
+    """Ends this process soon after its parent: one that was killed cannot ask for that itself."""
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(ORPHAN_s)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
