@@ -22,6 +22,7 @@ from estune.errors import InvalidInput
 from estune.hardware import HardwareRig, controller_source
 from estune.hardware.controller import CompiledController, PlainController
 from estune.hardware.driver import Reading
+from estune.hardware.live_gains import Following, LiveGains
 from estune.hardware.machine import Phase
 from estune.hardware.schedule_file import read_schedule, schedule_header
 from estune.interop import schedule_to_control, to_control
@@ -325,16 +326,26 @@ def test_a_moving_cable_end_obeys_the_equations_of_the_drum():
 
 
 def test_scheduled_gains_follow_the_moving_cable_without_a_jump():
-    """Gains that move by a tenth from one sample to the next are not seen in the effort then."""
-    reel, rate = plants.reference_reel(), 632.0
+    """At each sample the effort is what the gains of the sample before would have given."""
+    reel = plants.reference_reel()
     steep = replace(SCHEDULE, P=GainCurve("linear", 0.2, slope=1.0))
-    L = way(LONG.samples(rate))
-    follows = plants.simulate_moving(reel, steep, L, LONG)
-    stays = plants.simulate_moving(reel, steep.gains(0.5, 15.0), L, LONG)
-    calm = slice(round(0.5 * rate), round(2.9 * rate))  # from after the step on
-    moves = [np.abs(np.diff(r.effort_N[calm])).max() for r in (follows, stays)]
-    assert np.abs(follows.effort_N - stays.effort_N)[calm].max() > 0.05  # others they are
-    assert moves[0] < 1.1 * moves[1]
+    L = way(LONG.samples(632.0))
+    found = plants.simulate_moving(reel, steep, L, LONG)
+    state, changes = pidf.at_rest(15.0, 15.0), 0
+    before = pidf.coefficients(reel.controller, steep.gains(0.5, 15.0))
+    live = LiveGains(before, Following(steep, reel.controller, 0.5, 0.025))
+    for r, y, effort, angle in zip(
+        found.setpoint_N, found.tension_N, found.effort_N, found.angle_rad, strict=True
+    ):
+        _, would, _ = pidf.step(before, state, r, y)
+        assert effort == pytest.approx(would, rel=0.0, abs=1e-12)
+        if live.follow(angle, 15.0):
+            changes += 1
+            state = pidf.exchanged(before, live.coefficients, state, r, y)
+            before = live.coefficients
+        state, _, _ = pidf.step(before, state, r, y)
+    assert changes > 500
+    assert pytest.approx(0.2 + 1.4, rel=0.01) == before.P
 
 
 def test_what_cannot_be_simulated_while_the_cable_moves_is_refused():
