@@ -11,7 +11,7 @@ from plants.effects import Parameter, Port
 
 FRICTION = 0.1
 """Where friction begins, relative to the torque's rms."""
-FADE = 0.2
+FADE = 0.3
 """Where a velocity begins, relative to the velocity's rms."""
 TRAVEL = 0.05
 """Where an angle begins, relative to the angle's rms."""

@@ -133,7 +133,8 @@ class Predictor:
         Returns:
             Shape (rows, entries).
         """
-        chosen = np.arange(self.index.sigma.size) if entries is None else entries
+        every = np.arange(self.index.sigma.size)
+        chosen = every if entries is None else np.ascontiguousarray(entries, np.int64)
         found = np.empty((len(rows), chosen.size))
         table = self._table.of(rows)
         _run(self._library, self._scene, table, basis=self._basis, residuals=found, chosen=chosen)

@@ -9,6 +9,10 @@ from plants.discrepancy.search import thresholds
 from plants.discrepancy.search.bench import Attempt
 
 
+BOUND = 1e-6
+"""A value this near to a bound is at it, relative to its range."""
+
+
 def closure(before_J: float, after_J: float, floor_J: float = 1.0) -> float:
     """Share of the power above the floor that was closed; 1 where all of it was.
 
@@ -89,9 +93,21 @@ def simplest(
         )
         # What is too small to be told from a simpler member of the family is that one.
         for a in reversed([*simpler, best][: kept + 1]):
-            if thresholds.large_enough(a.effects[-1], a.values, scale):
+            if thresholds.large_enough(a.effects[-1], a.values, scale) and not _at_bound(a):
                 return a
     return None
+
+
+def _at_bound(attempt: Attempt) -> bool:
+    """Whether the last effect's size is the most it can be: then it stands for something else."""
+    predictor, name = attempt.fitted.predictor, attempt.effects[-1].name
+    for f, value in zip(predictor.free, attempt.fitted.values.tolist(), strict=True):
+        if f.owner == name and f.neutral is not None:
+            near = BOUND * (f.high - f.low)
+            at = [edge for edge in (f.low, f.high) if abs(value - edge) <= near]
+            if at and f.neutral not in at:
+                return True
+    return False
 
 
 def _well(simpler: Attempt, base: Attempt, scale: thresholds.Scale) -> bool:

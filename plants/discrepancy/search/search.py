@@ -1,7 +1,7 @@
 """The search for missing effects: screen, fit jointly, rank on data not fitted, add, repeat."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 from plants.discrepancy.search import thresholds
 from plants.discrepancy.search.attempts import (
@@ -12,6 +12,7 @@ from plants.discrepancy.search.attempts import (
     with_one_more,
 )
 from plants.discrepancy.search.bench import Attempt, Bench, Numbers
+from plants.discrepancy.search.rivals import beaten_by
 from plants.discrepancy.search.score import (
     closure,
     does,
@@ -38,13 +39,15 @@ class Round:
         attempts: What was fitted, best first.
         taken: What it ended with; `before` where nothing was worth adding.
         tied: Slugs that did as well as the one taken and are of another family, best first.
+        rivals: Titles of laws without a name that did better than a named one, by its slug.
     """
 
     before: Attempt
     screened: Mapping[str, float]
     attempts: tuple[Attempt, ...]
     taken: Attempt
-    tied: tuple[str, ...]
+    tied: tuple[str, ...] = ()
+    rivals: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,12 +95,27 @@ def search(
         looked = screened
         if rounds and leaves_a_gap(current):
             # In the directions they have without the effects so far: those are soon worked out.
-            looked = _screened(bench, effects, [_background(bench, current, suggest)])
-        rounds.append(_round(bench, base, current, looked))
+            seen = [_background(bench, current, suggest)]
+            looked = _screened(bench, effects, seen)
+        rounds.append(_round(bench, base, current, looked, seen))
         if rounds[-1].taken is current:
             break
         current = rounds[-1].taken
-    return Found(base, tuple(rounds), screened)
+    return Found(base, _without_needless(bench, base, rounds), screened)
+
+
+def _without_needless(bench: Bench, base: Attempt, rounds: list[Round]) -> tuple[Round, ...]:
+    """The rounds without one whose effect a later one does as well: what was there was not it."""
+    taken = [one for one in rounds if one.taken is not one.before]
+    if len(taken) < thresholds.DEEPEST:
+        return tuple(rounds)
+    first, _, last = taken
+    effects = (*first.taken.effects, last.taken.effects[-1])
+    row = bench.predictor(effects).row(last.taken.values)
+    rest = bench.attempt(effects, row[None, :])
+    if worth_adding(rest, last.taken, base):
+        return tuple(rounds)
+    return (first, replace(last, before=first.taken, taken=rest))
 
 
 def _screened(
@@ -136,13 +154,17 @@ def _background(
 
 
 def _round(
-    bench: Bench, base: Attempt, current: Attempt, screened: Mapping[str, Screened]
+    bench: Bench,
+    base: Attempt,
+    current: Attempt,
+    screened: Mapping[str, Screened],
+    seen: Sequence[Background],
 ) -> Round:
     """Fits the most promising effects, and takes the best where it is worth adding."""
     there = {member for e in current.effects for member in family_of(e.name)}
     shares = {name: one.cosine2 for name, one in screened.items() if name not in there}
     if not leaves_a_gap(current):
-        return Round(current, shares, (), current, ())
+        return Round(current, shares, (), current)
     many = thresholds.SHORTLIST_FURTHER if current.effects else thresholds.SHORTLIST
     promising = [n for n in sorted(shares, key=lambda n: -shares[n]) if shares[n] > 0.0][:many]
     attempts: list[Attempt] = []
@@ -156,7 +178,11 @@ def _round(
         attempts = finished(bench, base, [*attempts, *again])
         best = simplest(attempts, current, bench.scale)
     if best is None or not worth_adding(current, best, base):
-        return Round(current, shares, tuple(attempts), current, ())
+        return Round(current, shares, tuple(attempts), current)
+    rival = beaten_by(bench, current, best, seen)
+    if rival is not None:
+        beaten = {best.effects[-1].name: rival}
+        return Round(current, shares, tuple(attempts), current, rivals=beaten)
     return Round(current, shares, tuple(attempts), best, tied(current, best, attempts))
 
 

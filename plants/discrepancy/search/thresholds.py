@@ -41,6 +41,9 @@ WELL = 0.95
 one that does more: no machine's law is quite the model's."""
 ALIKE = 1.5
 """Two models are alike that leave powers whose ratio is no larger, or the floor."""
+BEATEN = 0.85
+"""Ratio of powers left, on the fit and the rank split, below which a law without a name shows that
+the one named is not what is there."""
 TIE = 0.1
 """Difference of closure below which two effects may be told apart only by significance."""
 SIGNIFICANT = 3.0
@@ -64,7 +67,7 @@ of them together leave."""
 
 SHORTLIST = 5
 """Effects fitted jointly in the first round, by their direction."""
-SHORTLIST_FURTHER = 3
+SHORTLIST_FURTHER = 5
 """The same in later rounds."""
 DEEPEST = 3
 """Most effects added."""

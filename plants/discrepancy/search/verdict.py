@@ -63,7 +63,7 @@ def candidates(found: Found) -> tuple[Candidate, ...]:
                 closed,
                 math.sqrt(a.rank_J),
                 found.screened[effect.name].cosine2,
-                _why(effect, a, before, taken),
+                _why(effect, a, before, taken, first.rivals.get(effect.name)),
             )
         )
     fitted = {a.effects[-1].name for a in first.attempts}
@@ -84,11 +84,15 @@ def candidates(found: Found) -> tuple[Candidate, ...]:
     return tuple(listed)
 
 
-def _why(effect: type[Effect], attempt: Attempt, before: Attempt, taken: Attempt) -> str:
+def _why(
+    effect: type[Effect], attempt: Attempt, before: Attempt, taken: Attempt, rival: str | None
+) -> str:
     closed = _percent(max(closure(before.rank_J, attempt.rank_J), 0.0))
     what = f"{effect.title} closes {closed} of the gap on records it was not fitted to"
     if attempt is taken:
         return what
+    if rival is not None:
+        return f"{what}, but {rival} closes more"
     if taken is before:
         return f"{what}, too little for a name"
     if better(attempt, taken) > 0.0:
