@@ -8,7 +8,6 @@ import numpy as np
 from plants.discrepancy.search import thresholds
 from plants.discrepancy.search.bench import Attempt
 
-
 BOUND = 1e-6
 """A value this near to a bound is at it, relative to its range."""
 
