@@ -45,7 +45,7 @@ def jobs(only: str | None, seeds: range) -> Iterator[Job]:
     """Every search of the tables; those of one algorithm if so asked."""
     for name in ALGORITHMS if only is None else (only,):
         if name == SLOW:
-            for problem, seed in product(PROBLEMS, seeds[:SLOW_SEEDS]):
+            for seed, problem in product(seeds[:SLOW_SEEDS], PROBLEMS):
                 yield Job(problem, name, NOISE, COLD, seed, SLOW_BUDGET)
             continue
         yield from (Job(p, name, NOISE, COLD, s, 200) for p, s in product(PROBLEMS, seeds))
