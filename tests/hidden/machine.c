@@ -332,7 +332,7 @@ __attribute__((visibility("default"))) int machine_run(
     if (p[dry] > 0 || p[far_dry] > 0) {
       double fast = fabs(y[SPEED]) + 0.5 * fabs(y[FAR_SPEED]);
       long needed = (long)ceil(1.3 * (fast + 2e-3) * dt / p[bristle]);
-      if (needed > pieces) pieces = needed < 400 ? needed : 400;
+      if (needed > pieces) pieces = needed < 4000 ? needed : 4000;
     }
     h = dt / pieces;
     at = late[k] > 0 ? (long)(late[k] * pieces) : 0;
