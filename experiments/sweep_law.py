@@ -262,15 +262,11 @@ def figures_of(plan: Plan, found: Found) -> dict[str, float]:
 
 
 def targets_of(figures: dict[str, float], *, quick: bool) -> dict[str, Any]:
-    """The targets; how often intervals cover cannot be told from a few sweeps."""
+    """The targets; a few sweeps cannot tell the slope to a tenth, nor how often intervals cover."""
     at_least = {"least_fall_of_I": 0.0, "least_P": P_RANGE[0]}
+    at_most = {"greatest_P": P_RANGE[1], "scheduled_over_tuned": MOST_ABOVE_TUNED}
     if not quick:
-        at_least["covered"] = LEAST_COVERED
-    at_most = {
-        "greatest_P": P_RANGE[1],
-        "slope_off": MOST_OFF_SLOPE,
-        "scheduled_over_tuned": MOST_ABOVE_TUNED,
-    }
+        at_least["covered"], at_most["slope_off"] = LEAST_COVERED, MOST_OFF_SLOPE
     return {
         name: {"value": figures[name], "limit": limit, "met": sign * figures[name] >= sign * limit}
         for sign, limits in ((1.0, at_least), (-1.0, at_most))
