@@ -19,8 +19,8 @@ DESIGN = """
 lengths_m = [0.5, 0.8, 1.1, 1.4]
 rigs = ["plants:reference_reel"]
 tuners = ["least_squares_gradient"]
-seeds = 2
-trials = 20
+seeds = 6
+trials = 40
 repeats = 2
 """
 
@@ -64,7 +64,7 @@ def test_a_killed_sweep_loses_no_finished_cell_and_repeats_none(tmp_path):
     assert len(before) >= 4
     result = swept(folder, design)
     assert before.items() <= kept(folder).items()
-    assert len(kept(folder)) == 8
+    assert len(kept(folder)) == 24
     whole = swept(tmp_path / "whole", design)
     assert all(map(alike, result.outcomes, whole.outcomes))
 
