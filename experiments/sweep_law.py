@@ -262,7 +262,7 @@ def figures_of(plan: Plan, found: Found) -> dict[str, float]:
 
 
 def targets_of(figures: dict[str, float], *, quick: bool) -> dict[str, Any]:
-    """The targets; a few sweeps tell neither the slope to a tenth nor how often intervals cover."""
+    """The targets; few sweeps tell neither the slope to a tenth nor how often intervals cover."""
     at_least = {"least_fall_of_I": 0.0, "least_P": P_RANGE[0]}
     at_most = {"greatest_P": P_RANGE[1], "scheduled_over_tuned": MOST_ABOVE_TUNED}
     if not quick:
