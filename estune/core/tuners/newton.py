@@ -87,6 +87,8 @@ class Newton:
         wide_trials: Trials from which on the model is near, for each parameter.
         wide_curiosity: kappa while the model is wide.
         near_curiosity: kappa once it is near.
+        last_curiosity: kappa once it has looked beyond plateaus: what is then left to gain is
+            little, and a wider dither finds it sooner.
         safe_ratio: Cost over that of the start up to which a point counts as safe.
         safe_rise: The same over the cost at the centre.
         look_reach: How far it looks for what lies beyond a plateau, in logarithms.
@@ -107,6 +109,7 @@ class Newton:
     wide_trials: int = 5
     wide_curiosity: float = 1.5
     near_curiosity: float = 2.5
+    last_curiosity: float = 4.0
     safe_ratio: float = 1.3
     safe_rise: float = 1.65
     look_reach: float = 1.0
@@ -119,7 +122,14 @@ class Newton:
         check_logarithmic("newton", self.space)
         for what in (
             *("first_radius", "wide_reach", "near_reach", "near_rise", "wide_trials"),
-            *("wide_curiosity", "near_curiosity", "safe_ratio", "safe_rise", "memory"),
+            *(
+                "wide_curiosity",
+                "near_curiosity",
+                "last_curiosity",
+                "safe_ratio",
+                "safe_rise",
+                "memory",
+            ),
             *("look_reach", "look_rise"),
         ):
             check_above_zero("newton", what, getattr(self, what))
@@ -253,12 +263,15 @@ class Newton:
             curvature=tuple(((axes * values) @ axes.T).ravel().tolist()),
             noise=model.noise,
         )
-        looking = state.looks > 0 or expected_gain(model, values, axes) < LITTLE
-        if looking and state.looks < 2 * len(centre):
-            asked = self._look(state.looks, model, reach._replace(centre=centre), values, axes)
-            return state._replace(looks=state.looks + 1, proposal=self._point(asked))
         reach = reach._replace(centre=centre)
-        asked = lowest(model, reach, centre[np.newaxis], self.near_curiosity, state.k)
+        if state.looks < 2 * len(centre):
+            if state.looks > 0 or expected_gain(model, values, axes) < LITTLE:
+                asked = self._look(state.looks, model, reach, values, axes)
+                return state._replace(looks=state.looks + 1, proposal=self._point(asked))
+            curiosity = self.near_curiosity
+        else:
+            curiosity = self.last_curiosity
+        asked = lowest(model, reach, centre[np.newaxis], curiosity, state.k)
         return state._replace(proposal=self._point(asked))
 
     def _look(

@@ -2,13 +2,14 @@
 
 With z = x - c the logarithms of the parameters from the centre on, and l that of the cost,
 
-    l(z) = l_0 + g.z + z'Hz/2 + sum c_ijk z_i z_j z_k + d a + error
+    l(z) = l_0 + g.z + z'Hz/2 + sum c_ijk u_i u_j u_k + d a + error
 
 is fitted to all trials by Bayesian least squares (Bishop, Pattern Recognition and Machine
-Learning, 2006, section 3.3), each coefficient with a normal prior. The cubic terms are there
-so that what is not symmetric about the centre does not pass for a slope, and d for a rig that
-drifts, with a the age of a trial. What a cubic cannot
-follow makes trials far away tell less: a trial's error has the variance
+Learning, 2006, section 3.3), each coefficient with a normal prior. The cubic terms are there so
+that what is not symmetric about the centre does not pass for a slope; they are taken along the
+axes of H, u_i = h_i^(1/3) z_i, so that a direction that hardly bends is not thought to bend back.
+The last term is for a rig that drifts, with a the age of a trial. What a cubic cannot follow makes
+trials far away tell less: a trial's error has the variance
 
     v = sigma^2 + (p q^2 + r |z|^4)^2,    q = z'Hz/2
 
@@ -35,7 +36,7 @@ SLOPE = 1.0  # of g
 CURVATURE = 0.3  # prior mean of the diagonal of H
 CURVATURE_SPREAD = 0.5
 TWIST = 0.4  # of the rest of H
-CUBIC = 0.3  # of c_ijk
+CUBIC = 0.4  # of c_ijk
 DRIFT = 0.05  # of d, per hundred trials
 NOISE_EXPECTED = 0.03  # sigma before there are residuals to tell it
 NOISE_WEIGHT = 3.0  # trials that this expectation counts for
@@ -50,12 +51,14 @@ class Polynomial(NamedTuple):
 
     Attributes:
         centre: c, shape (n,).
-        coefficients: Of 1, z_i, z_i z_j, z_i z_j z_k and a; one column a quantity.
+        bend: What takes z to u, shape (n, n).
+        coefficients: Of 1, z_i, z_i z_j, u_i u_j u_k and a; one column a quantity.
         spread: Their covariance, the same for every quantity.
         noise: Standard deviation sigma of one trial.
     """
 
     centre: FloatArray
+    bend: FloatArray
     coefficients: FloatArray
     spread: FloatArray
     noise: float
@@ -78,7 +81,7 @@ class Polynomial(NamedTuple):
 
     def expected(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Means, shape (points, quantities), and their standard deviation, shape (points,)."""
-        terms = _terms(points - self.centre, np.zeros(len(points)))
+        terms = _terms(points - self.centre, self.bend, np.zeros(len(points)))
         variance = np.sum((terms @ self.spread) * terms, axis=1)
         return terms @ self.coefficients, np.sqrt(np.maximum(variance, 0.0))
 
@@ -113,8 +116,10 @@ def polynomial(
     rise = np.maximum(rise, SEEN * (values[:, 0] - lowest))
     misfit = BEND * rise**2 + SPAN * np.sum(z * z, axis=1) ** 2
     weights = 1.0 / (noise**2 + misfit**2)
+    stiff, axes = np.linalg.eigh(curvature)
+    bend = axes * np.cbrt(np.maximum(stiff, FLAT))
     age = np.arange(len(z) - 1.0, -1.0, -1.0) / 100.0
-    terms, (means, precisions) = _terms(z, age), _prior(z.shape[1])
+    terms, (means, precisions) = _terms(z, bend, age), _prior(z.shape[1])
     pulled = np.zeros((terms.shape[1], values.shape[1]))
     pulled[:, 0] = means * precisions
 
@@ -134,7 +139,7 @@ def polynomial(
     free = max(float(near.sum() - np.sum(spread * known)), 1.0)
     variance = NOISE_WEIGHT * NOISE_EXPECTED**2 + float(np.sum(near * left**2))
     sigma = math.sqrt(variance / (NOISE_WEIGHT + free))
-    return Polynomial(centre, coefficients, spread, sigma)
+    return Polynomial(centre, bend, coefficients, spread, sigma)
 
 
 @lru_cache(maxsize=16)
@@ -149,11 +154,12 @@ def _triples(n: int) -> tuple[IndexArray, IndexArray, IndexArray]:
     return i, j, k
 
 
-def _terms(z: FloatArray, age: FloatArray) -> FloatArray:
-    """1, z_i, z_i z_j and z_i z_j z_k with i <= j <= k, and the age, one row a point."""
+def _terms(z: FloatArray, bend: FloatArray, age: FloatArray) -> FloatArray:
+    """1, z_i, z_i z_j and u_i u_j u_k with i <= j <= k, and the age, one row a point."""
     (a, b), (i, j, k) = _pairs(z.shape[1]), _triples(z.shape[1])
     squares = z[:, a] * z[:, b]
-    cubes = z[:, i] * z[:, j] * z[:, k]
+    u = z @ bend
+    cubes = u[:, i] * u[:, j] * u[:, k]
     return np.hstack((np.ones((len(z), 1)), z, squares, cubes, age[:, np.newaxis]))
 
 

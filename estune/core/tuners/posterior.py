@@ -50,10 +50,13 @@ def bowls(model: Polynomial, reach: Reach) -> Bowls:
     drawn = model.coefficients[kept, 0] + normal(len(spread), DRAWS) @ spread.T
     slope = drawn[:, :n]
     values, axes = np.linalg.eigh(curvature_of(drawn[:, n:], n))
-    values = np.maximum(values, FLAT)
-    along = np.einsum("dij,di->dj", axes, slope) / values
-    least = reach.within(model.centre - np.einsum("dij,dj->di", axes, along))
-    step = least - model.centre
-    bent = np.sum(values * np.einsum("dij,di->dj", axes, step) ** 2, axis=1)
-    gain: FloatArray = -np.sum(slope * step, axis=1) - 0.5 * bent
+    along = np.einsum("dij,di->dj", axes, slope)
+    # Along a direction that does not bend the optimum lies as far away as may be believed; what is
+    # to be gained on the way there is told by the least bend that a step is taken by.
+    bent = np.maximum(values, FLAT)
+    far = np.where(values < FLAT, np.copysign(reach.radius, along), along / bent)
+    least = reach.within(model.centre - np.einsum("dij,dj->di", axes, far))
+    step = reach.within(model.centre - np.einsum("dij,dj->di", axes, along / bent)) - model.centre
+    rise = 0.5 * np.sum(bent * np.einsum("dij,di->dj", axes, step) ** 2, axis=1)
+    gain: FloatArray = -np.sum(slope * step, axis=1) - rise
     return Bowls(least, np.maximum(gain, 0.0))
