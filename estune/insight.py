@@ -39,6 +39,9 @@ FLAT_SHARE = 0.25
 AT_BOUND = 0.02
 """Within this share of the range between its bounds, a parameter is at its bound."""
 
+NEAR_LIMIT = 0.2
+"""With less than this share of the room left, a response is near a limit of the rig."""
+
 LEAST_CHANGE = 0.01
 """A change of the cost by less than this share of it matters to nobody, however quiet the rig."""
 
@@ -78,12 +81,12 @@ class Finding(NamedTuple):
     """One remark on the result.
 
     Attributes:
-        kind: `margin`, `bound`, `flat`, or `unknown` where the trials cannot tell.
+        kind: `margin`, `limit`, `bound`, `flat`, or `unknown` where the trials cannot tell.
         parameters: What it is about.
         sentence: The remark in words.
     """
 
-    kind: Literal["margin", "bound", "flat", "unknown"]
+    kind: Literal["margin", "limit", "bound", "flat", "unknown"]
     parameters: tuple[str, ...]
     sentence: str
 
@@ -112,6 +115,21 @@ def thin_margins(found: Margins | None) -> tuple[Finding, ...]:
     else:
         return ()
     return (Finding("margin", (), sentence),)
+
+
+def near_limits(share: float) -> tuple[Finding, ...]:
+    """Says where the response comes near what the rig can bear, so that this decided the gains.
+
+    Args:
+        share: What a trial with the gains left of the room to a limit; see `score.margin_of`.
+    """
+    if share >= NEAR_LIMIT:
+        return ()
+    sentence = (
+        f"a trial with these gains leaves {max(share, 0.0):.0%} of the room to the rig's limits "
+        "of tension or effort: the limit may have chosen them, not the cost"
+    )
+    return (Finding("limit", (), sentence),)
 
 
 def at_bounds(space: SearchSpace, best: Point) -> tuple[Finding, ...]:

@@ -7,6 +7,7 @@ one that was compared with the start and found no better says so under a name of
 
 import html
 import itertools
+import math
 from collections.abc import Iterator
 from enum import StrEnum
 from pathlib import Path
@@ -21,6 +22,7 @@ from estune.core.gains import GAIN_NAMES, Gains
 from estune.errors import JournalError
 from estune.journal import Entry, Journal
 from estune.performance import Performance
+from estune.score import margin_of
 from estune.session import Plan, Session, is_censored, is_unsafe
 from estune.trial import RigDescription, TrialRecord
 from estune.tuning import Tuning
@@ -87,7 +89,8 @@ class TuneResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type i
         improvement: The change of the cost from the start's, with its 95 % interval; None where
             the two were not compared.
         unsafe: Unsafe trials of the run.
-        findings: Remarks: thin margins, gains at a bound, flat directions of the cost.
+        findings: Remarks: thin margins, a response near a limit of the rig, gains at a bound, flat
+            directions of the cost.
     """
 
     x: "np.ndarray[tuple[int], np.dtype[np.float64]]"
@@ -311,7 +314,9 @@ def _findings(
     )
     if tuned is None:
         flat = tuple(finding for finding in flat if finding.kind == "flat")
-    return insight.thin_margins(at.margins) + insight.at_bounds(space, best) + flat
+    share = math.inf if at.record is None else margin_of(at.record, tuning.description)
+    near = insight.thin_margins(at.margins) + insight.near_limits(share)
+    return near + insight.at_bounds(space, best) + flat
 
 
 def _is_unsafe(session: Session, entry: Entry) -> bool:

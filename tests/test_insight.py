@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from estune.core.gains import Gains
 from estune.core.margins import Margins
 from estune.core.search_space import SearchSpace
-from estune.insight import at_bounds, flat_directions, thin_margins
+from estune.insight import at_bounds, flat_directions, near_limits, thin_margins
 
 BEST = (1.0, 10.0, 0.01, 0.005)
 SPACE = SearchSpace.around(Gains(*BEST))
@@ -95,6 +95,16 @@ def test_only_parameters_at_a_bound_are_named_with_the_side(factors, named):
     sides = {f.parameters[0]: f.sentence for f in found}
     assert sides.keys() == named.keys()
     assert all(f"at its {side} bound" in sides[name] for name, side in named.items())
+
+
+@pytest.mark.parametrize(
+    ("share", "words"),
+    [(math.inf, None), (0.3, None), (0.11, "leaves 11% of the room"), (-0.2, "leaves 0%")],
+)
+def test_a_response_near_a_limit_of_the_rig_is_said(share, words):
+    said = [finding.sentence for finding in near_limits(share)]
+    assert len(said) == (words is not None)
+    assert all(words in sentence for sentence in said)
 
 
 @pytest.mark.parametrize(
