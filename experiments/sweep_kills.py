@@ -23,7 +23,8 @@ import numpy as np
 
 import estune
 import plants
-from estune.sweeping.cells import cells_of, noise_seed
+from estune.sweeping.cell import noise_seed
+from estune.sweeping.cells import cells_of
 from estune.sweeping.design import read_design
 from estune.sweeping.store import FILE_NAME
 from estune.trial import Rig

@@ -17,7 +17,7 @@ from estune.cli import run
 from estune.errors import InvalidInput
 from estune.planning import DEFAULT_TUNER
 from estune.settings import checked
-from estune.sweeping import cells as cells_module
+from estune.sweeping.cell import noise_seed
 from estune.sweeping.cells import cells_of
 from estune.sweeping.design import SweepDesign, SweptRig, read_design
 from estune.sweeping.outcome import Outcome
@@ -129,7 +129,7 @@ def test_processes_give_what_one_gives_and_a_second_call_runs_nothing(tmp_path):
 def test_noise_differs_from_place_to_place_and_is_the_same_for_each_tuner():
     both = {**SMALL, "tuners": ["least_squares_gradient", "otis"], "seeds": 2}
     cells = cells_of(read_design(both))
-    seeds = [cells_module.noise_seed(cell) for cell in cells]
+    seeds = [noise_seed(cell) for cell in cells]
     assert len(cells) == 2 * len(set(seeds)) == len({cell.key for cell in cells})
 
 

@@ -14,7 +14,8 @@ from estune.cli import output
 from estune.errors import EstuneError, InvalidInput
 from estune.progress import duration
 from estune.sweeping import sweep as sweeping
-from estune.sweeping.cells import Cell, cells_of
+from estune.sweeping.cell import Cell
+from estune.sweeping.cells import cells_of
 from estune.sweeping.design import read_design
 from estune.sweeping.result import SweepResult, write
 

@@ -1,6 +1,6 @@
 """Sweeps: one tuning for each cable length, tension, tuner, seed and rig, and the law over them.
 
-`design` says what is asked for, `cells` what that comes to, `running` runs one, `outcome` is what
-it came to, `store` keeps it; `runners`, `cluster` and `benches` run many; `result` is all of them
-as frames, figures and laws.
+`design` says what is asked for, and `cells` what that comes to. `running` runs a `cell`, `outcome`
+is what became of it, and `store` keeps that; `runners`, `cluster` and `benches` run many. `result`
+is all of them, as frames, figures and laws.
 """

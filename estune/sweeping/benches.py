@@ -8,7 +8,7 @@ from pathlib import Path
 from queue import SimpleQueue
 
 from estune.errors import EstuneError
-from estune.sweeping.cells import Cell, opened
+from estune.sweeping.cell import Cell, opened
 from estune.sweeping.outcome import Outcome, failed
 from estune.sweeping.running import run_on_rig
 from estune.trial import Rig

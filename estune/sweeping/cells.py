@@ -1,67 +1,20 @@
 """What a design comes to: its cells, each looked at before anything is run or moves."""
 
 import hashlib
-import json
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
-from importlib.metadata import version
+from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 from estune import targets
-from estune.core.cost import StepCost
-from estune.core.gains import Gains
 from estune.errors import InvalidInput
 from estune.planning import DEFAULT_TUNER, make_plan
-from estune.profiles import StepProfile
-from estune.security import OPEN, read_security
+from estune.sweeping.cell import Cell, key_of, opened
 from estune.sweeping.design import SweepDesign, SweptRig
-from estune.trial import Rig, RigDescription
+from estune.trial import RigDescription
 
 SAME_LENGTH_m = 1e-3
 """A rig's own word for its length and the file's may differ by so much."""
-
-
-@dataclass(frozen=True, slots=True)
-class Cell:
-    """One tuning of a sweep, with everything that decides it.
-
-    Attributes:
-        key: Digest of all the rest; the same in every process and on every machine.
-        rig: The model or rig.
-        length_m: Cable length, m.
-        tension_N: Preload of the step, N.
-        tuner: Name of the tuner.
-        seed: Which of the repeats this is, from 0.
-        search: What else `estune.tune` is told: trials, repeats, eta_max, bounds, tolerance.
-        start: Gains to begin from; None is the rig's own.
-        step: The step trial.
-        cost: How it is scored.
-        model: What a model is made with: cable_length_m, and tension_N where the design says it.
-        most_trials: Trials it takes if nothing ends it early; follows from the rest.
-    """
-
-    key: str
-    rig: SweptRig
-    length_m: float
-    tension_N: float
-    tuner: str
-    seed: int
-    search: dict[str, Any]
-    start: Gains | None
-    step: StepProfile
-    cost: StepCost
-    model: Mapping[str, float]
-    most_trials: int
-
-    @property
-    def label(self) -> str:
-        """What to call it in messages."""
-        return (
-            f"{self.rig.label} at {self.length_m:g} m, {self.tension_N:g} N, {self.tuner}, "
-            f"seed {self.seed}"
-        )
 
 
 def cells_of(design: SweepDesign) -> tuple[Cell, ...]:
@@ -72,113 +25,82 @@ def cells_of(design: SweepDesign) -> tuple[Cell, ...]:
         RigError: a rig cannot be reached.
     """
     found: list[Cell] = []
-    wrong: dict[str, None] = {}
+    wrong: list[str] = []
     for rig in design.rigs:
-        source, faults = _file_digest(rig), []
-        for length, tension in _places(design, rig, wrong):
-            try:
-                found += _cells_at(design, rig, source, length, tension)
-            except InvalidInput as error:
-                faults.append(f"{_place(rig, length, tension)}: {error}")
-        if faults:
-            others = f" ({len(faults) - 1} more places do not fit)" if len(faults) > 1 else ""
-            wrong[faults[0] + others] = None
+        try:
+            found += _cells_on(design, rig)
+        except InvalidInput as error:
+            wrong.append(str(error))
     lengths = {cell.length_m for cell in found}
     if not wrong and len(lengths) < 2:
         only = ", ".join(f"{length:g} m" for length in lengths)
-        wrong[f"all rigs stand at {only}: one length only, which gives no law over length"] = None
+        wrong.append(
+            f"all rigs stand at {only}: one length only, which gives no law over length; add rigs "
+            "at other lengths"
+        )
     if wrong:
         raise InvalidInput("\n".join(wrong))
     return tuple(found)
 
 
-@contextmanager
-def opened(rig: SweptRig, model: Mapping[str, float], seed: int = 0) -> Iterator[Rig]:
-    """The rig itself: a model made for the place, or what stands at an endpoint.
-
-    Args:
-        rig: Which.
-        model: What a model is made with.
-        seed: Seed of a model's noise.
+def _cells_on(design: SweepDesign, rig: SweptRig) -> list[Cell]:
+    """The cells of one rig.
 
     Raises:
-        InvalidInput: there is no such model, or it cannot be made so.
-        RigError: the rig cannot be reached.
+        InvalidInput: it cannot be tuned at some place; the first is told, and how many more.
     """
-    if not rig.is_model:
-        who = OPEN if rig.security is None else read_security(rig.security)
-        with targets.open_target(rig.target, rig.rig, who) as remote:
-            yield remote
-        return
-    plant = targets.load(rig.target, model)
-    if not hasattr(plant, "rig"):
-        raise InvalidInput(
-            f"a {type(plant).__name__} is no model that can be made at each length; name a "
-            "function such as plants:reference_reel, a model file, or an endpoint"
-        )
-    made: Rig = plant.rig(name="simulated-reel", seed=seed)
-    try:
-        yield made
-    finally:
-        made.close()
-
-
-def noise_seed(cell: Cell) -> int:
-    """Seed of a model's noise: another for each place, the same for each tuner there.
-
-    Were it the same at all lengths, the errors of the tunings would be alike, and a law over them
-    would look surer than it is.
-    """
-    place = repr((cell.rig.label, cell.length_m, cell.tension_N, cell.seed))
-    return int.from_bytes(hashlib.sha256(place.encode()).digest()[:8], "little")
-
-
-def _places(
-    design: SweepDesign, rig: SweptRig, wrong: dict[str, None]
-) -> list[tuple[float | None, float | None]]:
-    """Lengths and tensions to be tuned at; None where the rig says it."""
+    source = _file_digest(rig)
+    lengths = design.lengths_m if rig.is_model else [_standing_at(design, rig)]
     tensions: list[float | None] = [*design.tensions_N] or [None]
-    if rig.is_model:
-        return [(length, tension) for length in design.lengths_m for tension in tensions]
+    cells: list[Cell] = []
+    faults: list[str] = []
+    for length, tension in product(lengths, tensions):
+        try:
+            cells += _cells_at(design, rig, source, length, tension)
+        except InvalidInput as error:
+            on = "" if tension is None else f" and {tension:g} N"
+            faults.append(f"{rig.label} at {length:g} m{on}: {error}")
+    if faults:
+        others = f" ({len(faults) - 1} more places do not fit)" if len(faults) > 1 else ""
+        raise InvalidInput(faults[0] + others)
+    return cells
+
+
+def _standing_at(design: SweepDesign, rig: SweptRig) -> float:
+    """At which length a rig at an endpoint stands.
+
+    Raises:
+        InvalidInput: nobody says so, it is told twice, or it is outside the sweep's range.
+    """
     with opened(rig, {}) as remote:
-        length = _length_of(rig, remote.describe(), wrong)
-    if length is None:
-        return []
+        length = _told_length(rig, remote.describe())
     if design.lengths_m and not design.lengths_m[0] <= length <= design.lengths_m[-1]:
-        wrong[
+        raise InvalidInput(
             f"{rig.label}: it stands at {length:g} m, outside the sweep's range of "
             f"{design.lengths_m[0]:g} to {design.lengths_m[-1]:g} m; widen lengths_m or leave "
             "the rig out"
-        ] = None
-        return []
-    return [(length, tension) for tension in tensions]
+        )
+    return length
 
 
-def _place(rig: SweptRig, length: float | None, tension: float | None) -> str:
-    """A place in messages."""
-    at = "" if length is None else f" at {length:g} m"
-    return rig.label + at + ("" if tension is None else f" and {tension:g} N")
-
-
-def _length_of(rig: SweptRig, description: RigDescription, wrong: dict[str, None]) -> float | None:
-    """At which length a rig stands."""
+def _told_length(rig: SweptRig, description: RigDescription) -> float:
     said, given = description.cable_length_m, rig.cable_length_m
-    if said is None and given is None:
-        wrong[f"{rig.label}: it does not say its cable length; give cable_length_m"] = None
     if said is not None and given is not None and abs(said - given) > SAME_LENGTH_m:
-        wrong[
+        raise InvalidInput(
             f"{rig.label}: it says its cable is {said:g} m long, and cable_length_m is {given:g}; "
             "mend whichever is wrong"
-        ] = None
-        return None
-    return given if said is None else said
+        )
+    length = said or given
+    if length is None:
+        raise InvalidInput(f"{rig.label}: it does not say its cable length; give cable_length_m")
+    return length
 
 
 def _cells_at(
     design: SweepDesign,
     rig: SweptRig,
     source: str,
-    length: float | None,
+    length: float,
     tension: float | None,
 ) -> list[Cell]:
     """The cells of one rig at one place.
@@ -186,8 +108,9 @@ def _cells_at(
     Raises:
         InvalidInput: the rig's limits do not allow the step, or the search does not fit.
     """
-    given = {"cable_length_m": length, "tension_N": tension}
-    model = {name: value for name, value in given.items() if value is not None}
+    model = {"cable_length_m": length}
+    if tension is not None:
+        model["tension_N"] = tension
     with opened(rig, model) as the_rig:
         description = the_rig.describe()
     step = design.step.of(description)
@@ -209,22 +132,10 @@ def _cells_at(
             description, "check", tuner=tuner, start=start, step=step, cost=cost, **search
         )
         for seed in range(design.seeds):
-            place = (length or 0.0, step.preload_N, tuner, seed)
+            place = (length, step.preload_N, tuner, seed)
             what = (*place, search, start, step, cost, model)
-            cells.append(Cell(_key(rig, source, what), rig, *what, plan.most_trials))
+            cells.append(Cell(key_of(rig, source, what), rig, *what, plan.most_trials))
     return cells
-
-
-def _key(rig: SweptRig, source: str, what: tuple[Any, ...]) -> str:
-    """Digest of everything that decides a cell; where its files lie is no part of it."""
-    *place, search, start, step, cost, model = what
-    parts = [
-        version("estune"),
-        *(rig.label, rig.rig, source),
-        *(*place, search, start and asdict(start), asdict(step), asdict(cost), model),
-    ]
-    text = json.dumps(parts, sort_keys=True)
-    return hashlib.sha256(text.encode()).hexdigest()[:20]
 
 
 def _file_digest(rig: SweptRig) -> str:

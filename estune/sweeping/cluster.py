@@ -7,7 +7,7 @@ from contextlib import contextmanager, suppress
 from typing import Any
 
 from estune.errors import EstuneError, InvalidInput
-from estune.sweeping.cells import Cell
+from estune.sweeping.cell import Cell
 from estune.sweeping.outcome import Outcome, failed
 from estune.sweeping.running import run_model
 

@@ -11,7 +11,7 @@ from estune.core.tuners.outlook import Foresighted, Outlook
 from estune.law.tuned import TunedGains
 from estune.result import Ending, TuneResult
 from estune.session import Phase, is_unsafe
-from estune.sweeping.cells import Cell
+from estune.sweeping.cell import Cell
 from estune.trial import FloatArray
 
 SETTLED = 0.05

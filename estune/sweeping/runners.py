@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from functools import cache
 
 from estune.errors import EstuneError
-from estune.sweeping.cells import Cell
+from estune.sweeping.cell import Cell
 from estune.sweeping.outcome import Outcome
 from estune.sweeping.running import run_model
 

@@ -7,7 +7,7 @@ from estune import api
 from estune.errors import EstuneError, UnsafeStart
 from estune.journal import FILE_NAME
 from estune.result import TuneResult
-from estune.sweeping.cells import Cell, noise_seed, opened
+from estune.sweeping.cell import Cell, noise_seed, opened
 from estune.sweeping.outcome import Outcome, failed, finished, unsafe
 from estune.trial import Rig
 from estune.tuning import Stopped, Watcher

@@ -17,7 +17,7 @@ import numpy as np
 
 from estune import database
 from estune.core.gains import Gains
-from estune.sweeping.cells import Cell
+from estune.sweeping.cell import Cell
 from estune.sweeping.outcome import FAILED, TRACE, Outcome
 
 FILE_NAME = "sweep.sqlite"

@@ -7,7 +7,8 @@ from typing import Any, Literal
 
 from estune.errors import InvalidInput
 from estune.sweeping import benches, cluster, progress, runners
-from estune.sweeping.cells import Cell, cells_of
+from estune.sweeping.cell import Cell
+from estune.sweeping.cells import cells_of
 from estune.sweeping.design import SweepDesign, read_design
 from estune.sweeping.outcome import Outcome
 from estune.sweeping.progress import Watcher

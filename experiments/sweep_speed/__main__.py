@@ -16,7 +16,8 @@ from joblib import Parallel, delayed
 import estune
 import plants
 from estune.sweeping import runners
-from estune.sweeping.cells import Cell, cells_of
+from estune.sweeping.cell import Cell
+from estune.sweeping.cells import cells_of
 from estune.sweeping.cluster import on_cluster
 from estune.sweeping.design import read_design
 from estune.sweeping.outcome import Outcome
