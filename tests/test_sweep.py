@@ -1,5 +1,6 @@
 """A sweep asks for what fits, keeps each cell as it is done, and runs none twice."""
 
+import io
 import math
 import re
 import tomllib
@@ -17,10 +18,11 @@ from estune.cli import run
 from estune.errors import InvalidInput
 from estune.planning import DEFAULT_TUNER
 from estune.settings import checked
+from estune.sweeping import progress
 from estune.sweeping.cell import noise_seed
 from estune.sweeping.cells import cells_of
 from estune.sweeping.design import SweepDesign, SweptRig, read_design
-from estune.sweeping.outcome import Outcome
+from estune.sweeping.outcome import Outcome, failed
 from estune.sweeping.result import SweepResult
 from estune.tuning_tables import CostTable, StepTable
 from tests import support_sweep
@@ -167,9 +169,9 @@ def test_a_failing_cell_is_a_record_and_is_tried_again(tmp_path):
         first = swept(tmp_path, design)
     finally:
         support_sweep.broken_at_m.clear()
-    (failed,) = first.failed
-    assert failed.cell.length_m == 0.9
-    assert failed.message == "ZeroDivisionError: no answer to 0"
+    (broken,) = first.failed
+    assert broken.cell.length_m == 0.9
+    assert broken.message == "ZeroDivisionError: no answer to 0"
     assert math.isnan(first.to_frame().set_index("length_m").loc[0.9, "P"])
     seen: list[Outcome] = []
     second = swept(tmp_path, design, watch=seen.append)
@@ -272,3 +274,17 @@ def test_the_page_on_sweeps_has_every_key_and_its_files_are_right():
     for example in examples:
         assert checked(SweepDesign, tomllib.loads(example), "docs/sweep.md").rigs
     assert rows["tuners"].strip() == f'`["{DEFAULT_TUNER}"]`'
+
+
+def test_plain_progress_counts_what_is_done_and_what_failed(tmp_path):
+    stream = io.StringIO()
+    outcome = swept(tmp_path, {**SMALL, "lengths_m": [0.5, 1.4], "tensions_N": []}).outcomes[0]
+    with progress.watching(most=5, before=2, stream=stream) as saw:
+        saw(outcome)
+        saw(failed(outcome.cell, "the cable is off"))
+        saw(outcome)
+    lines = stream.getvalue().splitlines()
+    assert lines[0].startswith("3 of 5 cells  ")
+    assert " left  plants:reference_reel at 0.5 m, 15 N" in lines[0]
+    assert lines[1].startswith("4 of 5 cells, 1 failed  ")
+    assert lines[2].startswith("5 of 5 cells, 1 failed  plants:reference_reel")
