@@ -156,11 +156,15 @@ def _triples(n: int) -> tuple[IndexArray, IndexArray, IndexArray]:
 
 def _terms(z: FloatArray, bend: FloatArray, age: FloatArray) -> FloatArray:
     """1, z_i, z_i z_j and u_i u_j u_k with i <= j <= k, and the age, one row a point."""
-    (a, b), (i, j, k) = _pairs(z.shape[1]), _triples(z.shape[1])
-    squares = z[:, a] * z[:, b]
-    u = z @ bend
-    cubes = u[:, i] * u[:, j] * u[:, k]
-    return np.hstack((np.ones((len(z), 1)), z, squares, cubes, age[:, np.newaxis]))
+    n, u = z.shape[1], z @ bend
+    (a, b), (i, j, k) = _pairs(n), _triples(n)
+    terms = np.empty((len(z), 2 + n + len(a) + len(i)))
+    terms[:, 0] = 1.0
+    terms[:, 1 : 1 + n] = z
+    terms[:, 1 + n : 1 + n + len(a)] = z[:, a] * z[:, b]
+    terms[:, 1 + n + len(a) : -1] = u[:, i] * u[:, j] * u[:, k]
+    terms[:, -1] = age
+    return terms
 
 
 @lru_cache(maxsize=16)

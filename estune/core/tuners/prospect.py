@@ -37,7 +37,7 @@ class Reach(NamedTuple):
 
     Attributes:
         centre: Shape (n,).
-        axes: Half axes of an ellipsoid about it, one a column, shape (n, n).
+        axes: Half axes of an ellipsoid about it, one a column, orthogonal, shape (n, n).
         radius: Greatest distance from the centre.
         low: Lower bounds, shape (n,).
         high: Upper bounds.
@@ -56,7 +56,7 @@ class Reach(NamedTuple):
     def within(self, points: FloatArray) -> FloatArray:
         """The points, those outside drawn in towards the centre, and within the bounds."""
         away = points - self.centre
-        inside = np.asarray(np.linalg.solve(self.axes, away.T).T, dtype=np.float64)
+        inside = (away @ self.axes) / np.sum(self.axes * self.axes, axis=0)
         far = np.maximum(_length(inside), _length(away) / self.radius)
         drawn: FloatArray = self.centre + away / np.maximum(far, 1.0)[:, np.newaxis]
         return self.bounded(drawn)
