@@ -57,7 +57,7 @@ def save_figure(rows: Sequence[Row], path: Path) -> None:
     _draw_unsafe(figure.add_subplot(grid[:, -1]), usual, names)
     figure.suptitle(
         f"What each would settle on after so many trials, noise {NOISE:.0%}: median of the seeds, "
-        "quartiles shaded",
+        f"quartiles of {', '.join(BANDS)}",
         fontsize=11,
     )
     path.parent.mkdir(exist_ok=True)
