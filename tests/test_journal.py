@@ -227,7 +227,8 @@ def test_a_changed_journal_is_noticed_before_anything_moves(tmp_path):
 _TUNE = """
 import sys, estune
 from tests.support_runs import ArithmeticRig
-estune.tune(ArithmeticRig(), trials=400, folder=sys.argv[1], run="run", watch=None)
+options = {"trials": 150, "tolerance": 0.0, "run": "run", "watch": None}
+estune.tune(ArithmeticRig(), folder=sys.argv[1], **options)
 """
 
 
@@ -252,6 +253,7 @@ def test_a_process_killed_in_earnest_loses_nothing_it_had_told(tmp_path):
         assert json.dumps(journal.fact("status")) == '"running"'
     assert len(left) >= 60
     resumed = estune.resume(tmp_path / "run", ArithmeticRig(), watch=None)
-    whole = estune.tune(ArithmeticRig(), trials=400, journal=False, run="run", watch=None)
+    options = {"trials": 150, "tolerance": 0.0, "run": "run", "watch": None}
+    whole = estune.tune(ArithmeticRig(), journal=False, **options)
     assert trace(resumed.entries)[: len(left)] == trace(left)
     assert trace(resumed.entries) == trace(whole.entries)
