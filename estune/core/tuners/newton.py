@@ -103,11 +103,11 @@ class Newton:
 
     space: SearchSpace
     first_radius: float = 0.15
-    wide_reach: float = 0.7
-    near_reach: float = 0.5
+    wide_reach: float = 0.5
+    near_reach: float = 0.4
     near_rise: float = 0.08
-    wide_trials: int = 5
-    wide_curiosity: float = 1.5
+    wide_trials: int = 6
+    wide_curiosity: float = 2.2
     near_curiosity: float = 2.5
     last_curiosity: float = 4.0
     safe_ratio: float = 1.3
