@@ -323,7 +323,7 @@ def _after_search(session: Session, observation: Observation) -> dict[str, Any]:
         end = (
             f"the search ended after {changed['searched']} of {plan.trials} trials: "
             f"at most {outlook.remaining:.1%} is left to gain, under the tolerance of "
-            f"{plan.tolerance:.3g}"
+            f"{100.0 * plan.tolerance:.3g}%"
         )
     elif changed["searched"] >= plan.trials:
         end = f"the search used its {plan.trials} trial{'s' if plan.trials > 1 else ''}"
