@@ -126,6 +126,19 @@ def test_a_dead_zone_does_not_hold_it():
     assert left(TUNER, states[-1]) < 0.06
 
 
+@pytest.mark.parametrize("seed", [0, 3])
+def test_a_plateau_is_not_taken_for_the_optimum(seed):
+    def shelf(point, _):
+        rise = excess(point)
+        slight = 0.8 + 0.05 * math.log1p(max(rise - 0.8, 0.0))  # almost level, as far as the start
+        return 1.0 + min(rise, slight) + 0.3 * max(rise - 6.0, 0.0)
+
+    states = run(TUNER, 180, seed, cost=shelf)
+    said = [s for s in states if (o := TUNER.outlook(s)) is not None and o.remaining < 0.02]
+    assert said
+    assert max(left(TUNER, state) for state in said) < 0.03
+
+
 def test_censored_trials_do_not_hold_it_and_make_it_cautious():
     states, draws, unsafe = [TUNER.start()], np.random.default_rng(6), 0
     for _ in range(100):
