@@ -1,0 +1,109 @@
+"""`explain` on records of machines that share no code with it: what it names, and what it will not.
+
+One diagnosis of each is `tests.test_hidden_effects`; how it is told, `tests.test_explain_report`.
+"""
+
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import casadi as ca
+import pytest
+
+import plants
+from estune.errors import InvalidInput, PlantError
+from experiments.hidden_scores import Task, diagnose, measurement, model
+from plants.effects import EFFECTS, Effect, Port, parameter
+from tests import hidden
+from tests.hidden import machine as machines
+from tests.hidden.machine import NoCompiler
+
+
+@pytest.fixture(autouse=True)
+def _compiler():
+    try:
+        machines.library()
+    except NoCompiler as error:
+        pytest.skip(str(error))
+
+
+@dataclass(frozen=True)
+class AirDrag(Effect):
+    """A drag that grows with the square of the velocity: nobody has declared it."""
+
+    name: ClassVar[str] = "air_drag"
+    title: ClassVar[str] = "drag of the air"
+    appearance: ClassVar[str] = "more current the faster it turns, and more than in proportion"
+    port: ClassVar[Port] = Port.DRUM
+    torque_Nms2: float = parameter(1e-3, low=0.0, high=10.0, unit="N m s2/rad2", neutral=0.0)
+
+    @staticmethod
+    def respond(p, state, signal, site):
+        del signal
+        omega = site.start_velocity_rad_s
+        return state, -p.torque_Nms2 * omega * ca.fabs(omega)
+
+
+def drawn(seed, variant, effect=None):
+    case, _ = hidden.draw(seed, variant, effect)
+    return model(case), [measurement(record) for record in case.records]
+
+
+def test_what_nobody_declared_gets_no_name_and_one_s_own_declaration_gives_it_its_own():
+    given, records = drawn(501, "outside_unloaded", "quadratic_drag")
+    without = plants.explain(given, records)
+    assert without.verdict == "unknown"
+    assert not without.effects
+    found = plants.explain(given, records, effects=[*EFFECTS, AirDrag])
+    assert (found.verdict, [effect.name for effect in found.effects]) == ("named", ["air_drag"])
+    assert found.gap_after < 0.3 * found.gap_before
+    assert AirDrag in [type(effect) for effect in found.augmented.effects]
+
+
+def test_two_effects_are_found_one_after_the_other():
+    row = diagnose(Task(720, "two"))
+    assert not row.error
+    assert row.found == ("gauge_drift", "gauge_nonlinearity")
+    assert row.gap_closed > 0.95
+
+
+def test_a_loop_that_does_not_grow_with_tension_is_not_called_friction_at_the_eyelet():
+    given, records = drawn(503, "outside", "cable_hysteresis")
+    found = plants.explain(given, records)
+    assert found.verdict == "unknown"
+    (said,) = [c for c in found.candidates if c.name == "eyelet_friction"]
+    assert "does not grow with the tension" in said.sentence
+
+
+def test_a_truth_that_may_not_be_named_is_not_given_another_name():
+    given, records = drawn(700, "unloaded", "coulomb_friction")
+    others = [name for name in EFFECTS if hidden.family(name) != "coulomb_friction"]
+    found = plants.explain(given, records, effects=others)
+    assert found.verdict == "unknown"
+    assert found.where.blocks[0].name == "force"
+
+
+def test_a_drum_that_is_as_its_owner_believes_is_left_alone_and_the_answer_comes_again():
+    given, records = drawn(501, "none_unloaded")
+    first, again = (plants.explain(given, records) for _ in range(2))
+    assert first.verdict == "none"
+    assert first.to_json() == again.to_json()
+
+
+def test_records_of_another_rig_are_left_out_by_name():
+    given, records = drawn(501, "none_unloaded")
+    stray = replace(records[0], rig="another", name="stray", source="stray")
+    found = plants.explain(given, [*records, stray])
+    (refused,) = [f for f in found.findings if f.level == "refused"]
+    assert refused.source == "stray"
+    assert "another" in refused.sentence
+    assert found.verdict == "none"
+
+
+def test_what_cannot_be_explained_at_all_is_refused_by_name():
+    given, records = drawn(501, "none_unloaded")
+    with pytest.raises(InvalidInput, match="no record"):
+        plants.explain(given, [])
+    with pytest.raises(PlantError, match="python_plant"):
+        plants.explain(object(), records)
+    with pytest.raises(InvalidInput, match="no_such_effect"):
+        plants.explain(given, records, effects=["no_such_effect"])
