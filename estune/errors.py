@@ -11,9 +11,10 @@
     ├── JournalError       5  a run cannot be read or written
     └── UnsafeStart        6  no safe gains to begin from or to fall back on
 
-A tuning that ends with no significant improvement is none of them: it is a result, and its exit
-code is 7. Each message is one line: what is wrong, where, and what to do about it. The number is the exit
+Each message is one line: what is wrong, where, and what to do about it. The number is the exit
 code of the command line. A trial that fails is not an exception but data: `estune.trial.Outcome`.
+A tuning that ends with no significant improvement is none either: it is a result, and its exit
+code is 7.
 """
 
 from typing import ClassVar
