@@ -264,7 +264,11 @@ def figures_of(plan: Plan, found: Found) -> dict[str, float]:
 def targets_of(figures: dict[str, float], *, quick: bool) -> dict[str, Any]:
     """The targets; few sweeps tell neither the slope to a tenth nor how often intervals cover."""
     at_least = {"least_fall_of_I": 0.0, "least_P": P_RANGE[0]}
-    at_most = {"greatest_P": P_RANGE[1], "scheduled_over_tuned": MOST_ABOVE_TUNED}
+    at_most = {
+        "greatest_P": P_RANGE[1],
+        "scheduled_over_tuned": MOST_ABOVE_TUNED,
+        "single_scheduled_over_tuned_p95": MOST_ABOVE_TUNED,
+    }
     if not quick:
         at_least["covered"], at_most["slope_off"] = LEAST_COVERED, MOST_OFF_SLOPE
     return {
@@ -296,9 +300,9 @@ def draw(plan: Plan, found: Found) -> None:
     for label, colour, values in (
         ("scheduled", drawing.BLUE, [row.scheduled / row.optimum for row in found.rows]),
         ("tuned there", drawing.GREY, [row.tuned / row.optimum for row in found.rows]),
-        ("of the shortest", drawing.ORANGE, [row.fixed[0] / row.optimum for row in found.rows]),
-        ("of the middle", drawing.GREEN, [row.fixed[1] / row.optimum for row in found.rows]),
-        ("of the longest", drawing.PURPLE, [row.fixed[2] / row.optimum for row in found.rows]),
+        ("fixed: shortest", drawing.ORANGE, [row.fixed[0] / row.optimum for row in found.rows]),
+        ("fixed: middle", drawing.GREEN, [row.fixed[1] / row.optimum for row in found.rows]),
+        ("fixed: longest", drawing.PURPLE, [row.fixed[2] / row.optimum for row in found.rows]),
     ):
         below.plot(at, values, "o-", color=colour, ms=4, lw=1.0, label=label)
     drawing.finish(below, "cost over that of the optimum", "cable length, m")
@@ -335,6 +339,10 @@ def show(plan: Plan, found: Found, figures: dict[str, float]) -> None:
     for row in found.rows:
         costs = (row.optimum, row.tuned, row.scheduled, *row.fixed)
         print(f"{row.length_m:8g} " + " ".join(f"{cost:8.4f}" for cost in costs))
+    print(
+        "schedule of a single sweep, 95 % of them: at most "
+        f"{figures['single_scheduled_over_tuned_p95']:.4f} of the cost of gains tuned there"
+    )
     moved = ", ".join(f"{name} {error:.3f}" for name, error in found.moving.items())
     print(f"\ntension error while the cable's end moves, N rms: {moved}\n")
 
