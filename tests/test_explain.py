@@ -1,4 +1,4 @@
-"""`explain` on records of machines that share no code with it: what it names, and what it will not.
+"""`explain` on records of machines that share no code with it: what it names, what it will not.
 
 One diagnosis of each is `tests.test_hidden_effects`; how it is told, `tests.test_explain_report`.
 """

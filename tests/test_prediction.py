@@ -16,7 +16,14 @@ from plants.discrepancy.data.record import Measurement
 from plants.discrepancy.models.calibration import Calibration
 from plants.discrepancy.models.models import diagnosed
 from plants.discrepancy.prediction.prediction import Predictor, warm
-from plants.effects import EFFECTS, CoulombFriction, EyeletFriction, GaugeOffset
+from plants.discrepancy.search.fit import fit
+from plants.effects import (
+    EFFECTS,
+    CoulombFriction,
+    EyeletFriction,
+    GaugeOffset,
+    StribeckFriction,
+)
 
 GAINS = Gains(0.4, 12.0, 0.01, 0.03)
 REEL = plants.reference_reel(encoder_counts=1e12)
@@ -154,6 +161,32 @@ def test_the_derivative_is_the_central_difference():
             assert not jacobian[elsewhere, n].any()
     some = np.array([2, 0])
     assert predictor.linearise(values, some)[1] == pytest.approx(jacobian[:, some])
+
+
+def test_some_entries_are_those_of_all_and_records_without_any_are_not_run():
+    records = [*sweep(REEL), *sweep(REEL)]
+    predictor = Predictor(diagnosed(REEL, records), [CoulombFriction], records, floor=SMALL)
+    values = predictor.row({"coulomb_friction.torque_Nm": 0.03, "torque_gain": 1.02})
+    left, jacobian = predictor.linearise(values)
+    last = np.flatnonzero(predictor.index.measurement == len(records) - 1)
+    for some in (last, last[::3]):  # a view of every third is no array of its own
+        assert np.array_equal(predictor.residuals(values[None], some)[0], left[some])
+        assert predictor.linearise(values, entries=some)[1] == pytest.approx(jacobian[some])
+
+
+def test_a_value_that_does_nothing_stays_where_it_is_in_a_fit():
+    records = sweep(REEL)
+    predictor = Predictor(diagnosed(REEL, records), [StribeckFriction], records, floor=SMALL)
+    start = predictor.row(
+        {"stribeck_friction.coulomb_Nm": 0.01, "stribeck_friction.excess_Nm": 0.0}
+    )
+    names = [free.name for free in predictor.free]
+    fade = names.index("stribeck_friction.stribeck_rad_s")
+    still = names.index("stribeck_friction.excess_Nm")
+    moves = np.array([n for n in range(len(names)) if n != still])
+    found = fit(predictor, start, moves, np.arange(predictor.index.sigma.size))
+    assert found.values[fade] == start[fade]
+    assert abs(found.values[names.index("stribeck_friction.coulomb_Nm")]) < 2e-3
 
 
 @pytest.mark.parametrize("missing", ["angle_rad", "tension_N"])
