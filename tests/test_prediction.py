@@ -16,7 +16,7 @@ from plants.discrepancy.data.record import Measurement
 from plants.discrepancy.models.calibration import Calibration
 from plants.discrepancy.models.models import diagnosed
 from plants.discrepancy.prediction.prediction import Predictor, warm
-from plants.discrepancy.search.fit import fit
+from plants.discrepancy.search.fit import switched_on
 from plants.effects import (
     EFFECTS,
     CoulombFriction,
@@ -174,19 +174,19 @@ def test_some_entries_are_those_of_all_and_records_without_any_are_not_run():
         assert predictor.linearise(values, entries=some)[1] == pytest.approx(jacobian[some])
 
 
-def test_a_value_that_does_nothing_stays_where_it_is_in_a_fit():
-    records = sweep(REEL)
+def test_what_does_nothing_stays_where_it_is_when_something_else_is_switched_on():
+    records = [*sweep(REEL + CoulombFriction(0.03)), *sweep(REEL)]
     predictor = Predictor(diagnosed(REEL, records), [StribeckFriction], records, floor=SMALL)
-    start = predictor.row(
-        {"stribeck_friction.coulomb_Nm": 0.01, "stribeck_friction.excess_Nm": 0.0}
-    )
     names = [free.name for free in predictor.free]
     fade = names.index("stribeck_friction.stribeck_rad_s")
-    still = names.index("stribeck_friction.excess_Nm")
-    moves = np.array([n for n in range(len(names)) if n != still])
-    found = fit(predictor, start, moves, np.arange(predictor.index.sigma.size))
-    assert found.values[fade] == start[fade]
-    assert abs(found.values[names.index("stribeck_friction.coulomb_Nm")]) < 2e-3
+    excess = names.index("stribeck_friction.excess_Nm")
+    row = predictor.row({"stribeck_friction.coulomb_Nm": 0.02, "stribeck_friction.excess_Nm": 0.0})
+    rows = np.repeat(row[None], 5, axis=0)
+    rows[:, fade] *= np.geomspace(0.1, 10.0, 5)
+    everything = {"moves": np.arange(len(names)), "entries": np.arange(predictor.index.sigma.size)}
+    after = switched_on(predictor, rows, excess, 0.01, **everything)
+    assert np.array_equal(after[:, fade], rows[:, fade])
+    assert (after[:, excess] != 0.0).any()
 
 
 @pytest.mark.parametrize("missing", ["angle_rad", "tension_N"])
