@@ -74,11 +74,21 @@ def of_all(rows: Sequence[Row]) -> dict[str, dict[str, dict[str, Any]]]:
     return {problem: own for problem, own in kept.items() if own}
 
 
-def peers_ahead(own: dict[str, dict[str, Any]]) -> dict[str, float]:
-    """The peers that need as few trials as newton or fewer on a problem, and how many."""
-    ours = own[NEWTON]["first"]
-    peers = {name: f["first"] for name, f in own.items() if name not in OURS}
-    return {name: n for name, n in peers.items() if n <= ours}
+def peers_ahead(own: dict[str, dict[str, Any]], key: str = "first") -> dict[str, float]:
+    """The peers that need as few trials as newton or fewer on a problem, and how many.
+
+    Args:
+        own: The figures of a problem's algorithms.
+        key: Which count of trials; nobody is ahead where none arrive.
+    """
+    ours = own[NEWTON].get(key, -math.inf)
+    peers = {name: f[key] for name, f in own.items() if name not in OURS and key in f}
+    return {name: n for name, n in peers.items() if n <= ours and math.isfinite(n)}
+
+
+def is_won(own: dict[str, dict[str, Any]]) -> bool:
+    """Whether newton arrives on a problem, and before every peer."""
+    return math.isfinite(own[NEWTON].get("first", math.inf)) and not peers_ahead(own)
 
 
 def of_stops(runs: Sequence[StoppedRun]) -> dict[str, dict[str, Any]]:
@@ -139,7 +149,7 @@ def targets(
             rows[f"{what}, worst family"] = Target(max(values), most)
     compared = [own for own in families.values() if set(own) - set(OURS)]
     if compared:
-        won = sum(not peers_ahead(own) for own in compared) / len(compared)
+        won = sum(map(is_won, compared)) / len(compared)
         rows["share of families on which every peer needs more trials"] = Target(
             won, least=SHARE_WON
         )

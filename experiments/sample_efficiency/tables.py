@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from experiments.sample_efficiency.algorithms import OURS
-from experiments.sample_efficiency.figures import NEWTON, peers_ahead
+from experiments.sample_efficiency.figures import NEWTON, is_won, peers_ahead
 from experiments.sample_efficiency.optimum import optimum
 from experiments.sample_efficiency.problems import ALL_PROBLEMS, PROBLEMS
 
@@ -15,6 +15,13 @@ HEAD = (
     f"{'':24s} {'median [quartiles]':>19s} {'from':>5s} {'100':>7s} {'200':>7s} {'med/worst':>9s} "
     f"{'5 %':>6s} {'300':>7s} {'start':>6s}"
 )
+
+
+COUNTS = {
+    "first": "3 % noise",
+    "more_noise_first": "10 % noise",
+    "warm_first": "from the warm start",
+}
 
 
 def lines(found: dict[str, dict[str, dict[str, Any]]]) -> Iterator[str]:
@@ -72,16 +79,15 @@ def _line(name: str, f: dict[str, Any], seeds: int) -> str:
 def _words(found: dict[str, dict[str, dict[str, Any]]]) -> Iterator[str]:
     """Where a peer needs as few trials as we do, or fewer; or is as safe where we are not."""
     families = [p for p in found if p in PROBLEMS and NEWTON in found[p]]
-    won = 0
-    for problem in families:
-        ahead = peers_ahead(found[problem])
-        won += not ahead
-        ours = _trials(found[problem][NEWTON]["first"], found[problem][NEWTON]["budget"])
-        for name, n in ahead.items():
-            budget = found[problem][name]["budget"]
-            yield f"{problem}: {name} wins with {_trials(n, budget)} trials against {ours}"
+    won = sum(is_won(found[problem]) for problem in families)
     if families:
         yield f"{NEWTON} needs fewer trials than every peer on {won} of {len(families)} families"
+    for problem in families:
+        for key, when in COUNTS.items():
+            ours = found[problem][NEWTON].get(key, math.nan)
+            for name, n in peers_ahead(found[problem], key).items():
+                against = "that does not arrive" if math.isinf(ours) else f"with {ours:.0f}"
+                yield f"{problem}, {when}: {name} wins with {n:.0f} trials over {NEWTON} {against}"
     for problem in families:
         own = found[problem]
         safer = [
