@@ -6,11 +6,11 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from estune import progress, result, tuning
+from estune import history, progress, result, tuning
 from estune.core.cost import StepCost
 from estune.core.gains import Gains
 from estune.core.tuners import Tuner
-from estune.errors import EstuneError, InvalidInput, RigError
+from estune.errors import EstuneError, InvalidInput, JournalError, RigError
 from estune.journal import Journal
 from estune.planning import (
     DEFAULT_TUNER,
@@ -172,11 +172,17 @@ def resume(
 def load(run_folder: str | Path) -> TuneResult:
     """The result of a run on disk, finished or not; no rig is needed.
 
+    Of a finished run whose tuner has changed since, all but what the tuner knew of the search.
+
     Raises:
         JournalError: the run cannot be read.
     """
     with Journal.open(Path(run_folder)) as journal:
-        return result.from_tuning(tuning.replay(*_stored(journal), journal))
+        stored = _stored(journal)
+        try:
+            return result.from_tuning(tuning.replay(*stored, journal))
+        except JournalError:
+            return result.from_tuning(history.recalled(*stored, journal))
 
 
 def _run(

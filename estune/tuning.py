@@ -133,7 +133,7 @@ def replay(plan: Plan, description: RigDescription, journal: Journal) -> Tuning:
         if entry.outcome is not None:
             record = journal.record(entry.trial_id)
             tuning.entries.append(entry)
-            _keep(tuning, entry, record)
+            keep(tuning, entry, record)
             margin = margin_of(record, description)
             tuning.session = told(tuning.session, entry.outcome, entry.cost, margin)
     return tuning
@@ -235,7 +235,7 @@ def _tell(
     following = next_request(tuning.session)
     _commit(tuning, (request, record, cost), following)
     tuning.entries.append(entry)
-    _keep(tuning, entry, record)
+    keep(tuning, entry, record)
     unsafe = is_unsafe(before, record.outcome, cost)
     for watcher in watchers:
         watcher(Progress(tuning.session, entry, unsafe, record))
@@ -252,7 +252,7 @@ def _commit(
         tuning.journal.commit(done, None if asked is None or phase is None else (asked, phase))
 
 
-def _keep(tuning: Tuning, entry: Entry, record: TrialRecord) -> None:
+def keep(tuning: Tuning, entry: Entry, record: TrialRecord) -> None:
     """Keeps the first trial with the start, and the last that confirmed the gains found."""
     if record.outcome.is_void:
         return
