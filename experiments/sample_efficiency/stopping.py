@@ -54,7 +54,9 @@ def stopped_run(name: str, tuner_name: str, noise: float, seed: int) -> StoppedR
     problem = PROBLEMS[name]
     tuner = make_tuner(tuner_name, problem.start, None)
     plan = Plan("run", tuner, problem.start, problem.plant.profile, problem.cost, trials=TRIALS)
-    random = np.random.Generator(np.random.Philox(key=seed))
+    # Of each problem its own: runs that end after as many trials would else share their repeats.
+    key = [seed, list(PROBLEMS).index(name)]
+    random = np.random.Generator(np.random.Philox(key=key))
     draws = 1.0 + noise * random.standard_normal(plan.most_trials)
     session = begin(plan)
     while (request := next_request(session)) is not None:
