@@ -107,3 +107,9 @@ def test_what_cannot_be_explained_at_all_is_refused_by_name():
         plants.explain(object(), records)
     with pytest.raises(InvalidInput, match="no_such_effect"):
         plants.explain(given, records, effects=["no_such_effect"])
+
+
+def test_a_limit_far_below_its_greatest_value_is_not_at_a_bound():
+    row = diagnose(Task(712, "unloaded", "rate_limit"))
+    assert not row.error
+    assert (row.verdict, row.found) == ("named", ("rate_limit",))

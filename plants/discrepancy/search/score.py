@@ -9,7 +9,7 @@ from plants.discrepancy.search import thresholds
 from plants.discrepancy.search.bench import Attempt
 
 BOUND = 1e-6
-"""A value this near to a bound is at it, relative to its range."""
+"""A value this near to a bound, relative to it, is at it."""
 
 
 def closure(before_J: float, after_J: float, floor_J: float = 1.0) -> float:
@@ -102,8 +102,8 @@ def _at_bound(attempt: Attempt) -> bool:
     predictor, name = attempt.fitted.predictor, attempt.effects[-1].name
     for f, value in zip(predictor.free, attempt.fitted.values.tolist(), strict=True):
         if f.owner == name and f.neutral is not None:
-            near = BOUND * (f.high - f.low)
-            at = [edge for edge in (f.low, f.high) if abs(value - edge) <= near]
+            # Relative to themselves: a limit's range is a million times where it lies.
+            at = [edge for edge in (f.low, f.high) if math.isclose(value, edge, rel_tol=BOUND)]
             if at and f.neutral not in at:
                 return True
     return False
