@@ -5,8 +5,6 @@ up; each of the 52 admissible triples of knowns, and both cables where two fit, 
 cable back. Printed are the worst relative residual of (3) to (6) and the time for all of them.
 """
 
-import argparse
-import json
 import statistics
 import sys
 import time
@@ -14,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from experiments.judged import Target, command_line, tell
 from plants import cable
 
 LIMITS = {"worst_residual": 1e-9, "worst_s_per_million": 1.0}
@@ -54,10 +53,7 @@ def measure(count: int) -> list[dict[str, Any]]:
 
 def main() -> int:
     """Prints the table, or with --json one object; returns 1 where a target is missed."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
-    parser.add_argument("--json", action="store_true", help="print one JSON object alone")
-    parser.add_argument("--quick", action="store_true", help="fewer cables")
-    options = parser.parse_args()
+    options = command_line(__doc__, quick="fewer cables").parse_args()
     count = 50_000 if options.quick else 1_000_000
     rows = measure(count)
     per_million = [row["s"] * 1e6 / count for row in rows]
@@ -68,21 +64,16 @@ def main() -> int:
         "worst_s_per_million": max(per_million),
     }
     targets = {
-        name: {"value": figures[name], "limit": limit, "met": figures[name] < limit}
-        for name, limit in LIMITS.items()
+        name: Target(figures[name], limit, figures[name] < limit) for name, limit in LIMITS.items()
     }
-    if options.json:
-        print(json.dumps({"figures": figures, "targets": targets}))
-    else:
+    if not options.json:
         for row in rows:
             print(
                 f"{row['known']:45} {row['solution']:8} {row['residual']:9.1e} {row['s']:7.2f} s"
             )
         for name, value in figures.items():
             print(f"{name:45} {value:.3g}")
-        for name, target in targets.items():
-            print(f"{'met' if target['met'] else 'MISSED':6} {name} under {target['limit']:g}")
-    return 0 if all(target["met"] for target in targets.values()) else 1
+    return tell(figures, targets, as_json=options.json)
 
 
 if __name__ == "__main__":

@@ -7,8 +7,6 @@ Asked is whether the 95 % interval of the improvement holds the true one, how of
 is claimed where there is none, and what the gains it ends with still cost above the optimum.
 """
 
-import argparse
-import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -26,6 +24,7 @@ from estune.planning import DEFAULT_TUNER, make_tuner
 from estune.session import Plan, begin, next_request, told
 from estune.trial import Outcome
 from estune.verdict import verdict
+from experiments.judged import Target, at_most, between, command_line, tell
 from experiments.sample_efficiency.optimum import OUT, optimum
 from experiments.sample_efficiency.problems import PROBLEMS
 
@@ -136,31 +135,23 @@ def summary(claims: Sequence[Claim]) -> dict[str, Any]:
     }
 
 
-def targets(figures: dict[str, Any]) -> dict[str, Any]:
+def targets(figures: dict[str, Any]) -> dict[str, Target]:
     """What was aimed at."""
     plain, covered = figures["weak start"], figures["covered_by_noise_alone"]
     false = max(figures[s.name]["claimed_falsely"] for s in SITUATIONS)
     return {
-        "coverage of the 95 % interval, noise alone": {
-            "value": covered,
-            "limit": [COVERED_LEAST, COVERED_MOST],
-            "met": covered is not None and COVERED_LEAST <= covered <= COVERED_MOST,
-        },
-        "improvements claimed where there is none, worst situation": {
-            "value": false,
-            "limit": FALSE_CLAIMS_MOST,
-            "met": false <= FALSE_CLAIMS_MOST,
-        },
-        "excess at the stop from a weak start, median": {
-            "value": plain["excess_median"],
-            "limit": EXCESS_MEDIAN,
-            "met": plain["excess_median"] <= EXCESS_MEDIAN,
-        },
-        "excess at the stop from a weak start, worst": {
-            "value": plain["excess_worst"],
-            "limit": EXCESS_WORST,
-            "met": plain["excess_worst"] <= EXCESS_WORST,
-        },
+        "coverage of the 95 % interval, noise alone": between(
+            covered, COVERED_LEAST, COVERED_MOST
+        ),
+        "improvements claimed where there is none, worst situation": at_most(
+            false, FALSE_CLAIMS_MOST
+        ),
+        "excess at the stop from a weak start, median": at_most(
+            plain["excess_median"], EXCESS_MEDIAN
+        ),
+        "excess at the stop from a weak start, worst": at_most(
+            plain["excess_worst"], EXCESS_WORST
+        ),
     }
 
 
@@ -199,9 +190,7 @@ def draw(claims: Sequence[Claim]) -> None:
 
 def main() -> int:
     """Measures, prints, and says by its exit code whether every target was met."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--json", action="store_true", help="print one JSON object instead")
-    parser.add_argument("--quick", action="store_true", help="a few runs, for a look")
+    parser = command_line(__doc__, quick="a few runs, for a look")
     parser.add_argument("--runs", type=int, default=150, help="runs of each situation")
     parser.add_argument("--jobs", type=int, default=1, help="processes")
     options = parser.parse_args()
@@ -215,17 +204,11 @@ def main() -> int:
     }
     plain = [c for c in claims if c.situation in PLAIN]
     figures["covered_by_noise_alone"] = summary(plain)["covered"]
-    aimed = targets(figures)
     draw(claims)
-    if options.json:
-        print(json.dumps({"figures": figures, "targets": aimed}))
-    else:
+    if not options.json:
         show(figures)
-        for name, target in aimed.items():
-            verdict_ = "met   " if target["met"] else "MISSED"
-            print(f"{verdict_} {name}: {target['value']:.4g}, limit {target['limit']}")
         print(f"figure: {FIGURE}")
-    return 0 if all(target["met"] for target in aimed.values()) else 1
+    return tell(figures, targets(figures), as_json=options.json)
 
 
 if __name__ == "__main__":

@@ -9,8 +9,6 @@ a batch with fresh noise and its cost function, and of the compiled call alone, 
 does around it.
 """
 
-import argparse
-import json
 from typing import Any
 
 import numpy as np
@@ -21,6 +19,7 @@ from estune.core.cost import StepCost
 from estune.core.gains import Gains
 from estune.profiles import StepProfile
 from experiments.benchmark_trials import Timed, alternate
+from experiments.judged import at_most, command_line, tell
 from plants.effects import EFFECTS, Effect
 from plants.plant import drive_of
 from plants.reel import Reel
@@ -116,27 +115,15 @@ def show(figures: dict[str, Any]) -> None:
 
 def main() -> int:
     """Measures, prints, and says by its exit code whether every target was met."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--json", action="store_true", help="print one JSON object instead")
-    parser.add_argument("--quick", action="store_true", help="fewer repeats")
-    options = parser.parse_args()
+    options = command_line(__doc__, quick="fewer repeats").parse_args()
     figures = measure(*((8, 200) if options.quick else (40, 1000)))
     targets = {
-        name: {
-            "value": figures[name],
-            "limit": MOST_TIMES_BARE,
-            "met": figures[name] <= MOST_TIMES_BARE,
-        }
+        name: at_most(figures[name], MOST_TIMES_BARE)
         for name in ("all_times_bare", "all_times_bare_batch")
     }
-    if options.json:
-        print(json.dumps({"figures": figures, "targets": targets}))
-    else:
+    if not options.json:
         show(figures)
-        for name, target in targets.items():
-            verdict = "met   " if target["met"] else "MISSED"
-            print(f"{verdict} {name}: {target['value']:.2f}, limit {target['limit']:g}")
-    return 0 if all(target["met"] for target in targets.values()) else 1
+    return tell(figures, targets, as_json=options.json)
 
 
 if __name__ == "__main__":

@@ -12,8 +12,6 @@ steeply the cost rises there, for trials find the level the better the steeper i
 noise reaches the motor, and how alike the responses of the eight reels become.
 """
 
-import argparse
-import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -30,6 +28,7 @@ from estune.core.cost import StepCost
 from estune.core.gains import Gains
 from estune.matching.outcome import Matching
 from estune.matching.procedure import match
+from experiments.judged import at_least, at_most, command_line, tell
 from plants.noise import NoiseSource
 from plants.reel import Reel
 
@@ -232,34 +231,18 @@ def draw(first: Batch) -> None:
 
 def main() -> int:
     """Measures, prints, and says by its exit code whether every target was met."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--json", action="store_true", help="print one JSON object instead")
-    parser.add_argument("--quick", action="store_true", help="two batches")
-    options = parser.parse_args()
+    options = command_line(__doc__, quick="two batches").parse_args()
     batches = [matched(n) for n in range(2 if options.quick else 20)]
     figures = measure(batches)
-    shrinkage, above = figures["shrinkage_least"], figures["mean_over_worst_greatest"]
+    above = figures["mean_over_worst_greatest"]
     targets = {
-        "shrinkage_least": {
-            "value": shrinkage,
-            "limit": LEAST_SHRINKAGE,
-            "met": shrinkage >= LEAST_SHRINKAGE,
-        },
-        "mean_over_worst_greatest": {
-            "value": above,
-            "limit": MOST_ABOVE_WORST,
-            "met": above <= MOST_ABOVE_WORST,
-        },
+        "shrinkage_least": at_least(figures["shrinkage_least"], LEAST_SHRINKAGE),
+        "mean_over_worst_greatest": at_most(above, MOST_ABOVE_WORST),
     }
     draw(batches[0])
-    if options.json:
-        print(json.dumps({"figures": figures, "targets": targets}))
-    else:
+    if not options.json:
         show(figures, batches[0])
-        for name, target in targets.items():
-            verdict = "met   " if target["met"] else "MISSED"
-            print(f"{verdict} {name}: {target['value']:.3f}, limit {target['limit']:g}")
-    return 0 if all(target["met"] for target in targets.values()) else 1
+    return tell(figures, targets, as_json=options.json)
 
 
 if __name__ == "__main__":

@@ -8,8 +8,6 @@ must have one answer that can be understood, nothing but an error estune can nam
 and the rig must have run the trials that were really asked for and no other.
 """
 
-import argparse
-import json
 import logging
 import re
 from collections import Counter
@@ -44,6 +42,7 @@ from estune.protocol import (
     digest,
 )
 from estune.trial import RigDescription, TrialRecord, TrialRequest, unmeasured
+from experiments.judged import at_most, command_line, tell
 from experiments.rig_protocol_page import DESCRIBED, EXAMPLES, GAINS, RECORD, REQUEST, SAMPLES
 
 MUTATIONS, QUICK = 120_000, 6_000
@@ -262,25 +261,21 @@ def fuzz(mutations: int, seed: int = 0) -> Fuzz:
 
 def main() -> None:
     """Fuzzes, prints the table or, with --json, the figures."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", maxsplit=1)[0])
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
-    parser.add_argument("--quick", action="store_true", help="some thousand messages only")
+    parser = command_line(__doc__, quick="some thousand messages only")
     parser.add_argument("--mutations", type=int, default=MUTATIONS, help="how many messages")
     parser.add_argument("--seed", type=int, default=0, help="of the changes")
     arguments = parser.parse_args()
     mutations = QUICK if arguments.quick else arguments.mutations
     run = fuzz(mutations, arguments.seed)
     figures = {"mutations": mutations, "trials_run": len(run.rig.asked), "faults": len(run.faults)}
-    target = {"value": len(run.faults), "limit": 0, "met": not run.faults}
-    if arguments.json:
-        print(json.dumps({"figures": figures, "targets": {"faults": target}}))
-        return
-    print(f"{mutations} changed messages; {len(run.rig.asked)} trials run\n")
-    for what in sorted(run.told):
-        print(f"  {run.told[what]:7}  {what}")
-    print(f"\n{len(run.faults)} faults")
-    for fault in run.faults[:10]:
-        print(f"  {fault[:300]}")
+    if not arguments.json:
+        print(f"{mutations} changed messages; {len(run.rig.asked)} trials run\n")
+        for what in sorted(run.told):
+            print(f"  {run.told[what]:7}  {what}")
+        print(f"\n{len(run.faults)} faults")
+        for fault in run.faults[:10]:
+            print(f"  {fault[:300]}")
+    tell(figures, {"faults": at_most(len(run.faults), 0)}, as_json=arguments.json)
 
 
 if __name__ == "__main__":

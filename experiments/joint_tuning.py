@@ -14,8 +14,6 @@ What counts is the true cost, the mean over noise that no tuning saw, at four le
 way tried, over that of the optimum at each, which a numerical search over the true cost finds.
 """
 
-import argparse
-import json
 import math
 from collections.abc import Callable
 from dataclasses import replace
@@ -38,6 +36,7 @@ from estune.joint.procedure import tune_schedule
 from estune.law.law import fit_law
 from estune.law.tuned import TunedGains
 from estune.planning import MOVE_WEIGHT
+from experiments.judged import at_most, command_line, tell
 from plants.reel import SAFE_GAINS, Reel
 
 TUNER = "newton"
@@ -251,30 +250,17 @@ def draw(figures: dict[str, Any]) -> None:
 
 def main() -> int:
     """Measures, prints, and says by its exit code whether every target was met."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--json", action="store_true", help="print one JSON object instead")
-    parser.add_argument("--quick", action="store_true", help="fewer seeds and budgets")
-    options = parser.parse_args()
+    options = command_line(__doc__, quick="fewer seeds and budgets").parse_args()
     figures = measure((60, 120), (), 2) if options.quick else measure(*FULL, 10)
     draw(figures)
     at_120 = figures["mean_excess"]["120"]
     best = {kind: min(v for way, v in at_120.items() if way.startswith(kind)) for kind in KINDS}
     targets = {
-        f"excess_{kind}_120_trials": {
-            "value": value,
-            "limit": MOST_EXCESS,
-            "met": value <= MOST_EXCESS,
-        }
-        for kind, value in best.items()
+        f"excess_{kind}_120_trials": at_most(value, MOST_EXCESS) for kind, value in best.items()
     }
-    if options.json:
-        print(json.dumps({"figures": figures, "targets": targets}))
-    else:
+    if not options.json:
         show(figures)
-        for name, target in targets.items():
-            verdict = "met   " if target["met"] else "MISSED"
-            print(f"{verdict} {name}: {target['value']:.4f}, limit {target['limit']:g}")
-    return 0 if all(target["met"] for target in targets.values()) else 1
+    return tell(figures, targets, as_json=options.json)
 
 
 if __name__ == "__main__":

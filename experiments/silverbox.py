@@ -7,8 +7,6 @@ is used for nothing but the error at the end. The data are not part of this proj
 with silverbox/Silverbox.mat is named by `--data` or the environment variable ESTUNE_DATA.
 """
 
-import argparse
-import json
 import os
 from pathlib import Path
 from typing import Any
@@ -17,6 +15,7 @@ import numpy as np
 
 import plants
 from estune.trial import FloatArray
+from experiments.judged import command_line, tell
 from plants.discrepancy.data.record import Measurement
 from plants.discrepancy.models.models import diagnosed
 from plants.discrepancy.prediction.prediction import Predictor
@@ -124,18 +123,14 @@ def _nrmse(model: Any, record: Measurement) -> float:
 
 def main() -> int:
     """Prints the figures, or with --json one object."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n", maxsplit=1)[0])
+    parser = command_line(__doc__, quick="the same: there is no shorter form")
     parser.add_argument("--data", type=Path, help="folder that holds silverbox/Silverbox.mat")
-    parser.add_argument("--json", action="store_true", help="print one JSON object alone")
-    parser.add_argument("--quick", action="store_true", help="the same: there is no shorter form")
     options = parser.parse_args()
     found = figures(folder(options.data))
-    if options.json:
-        print(json.dumps({"figures": found, "targets": {}}))
-    else:
+    if not options.json:
         for name, value in found.items():
             print(f"{name:30s} {value if isinstance(value, str) else f'{value:.4g}'}")
-    return 0
+    return tell(found, {}, as_json=options.json)
 
 
 if __name__ == "__main__":

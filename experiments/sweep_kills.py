@@ -7,7 +7,6 @@ is one that was finished and was begun again, by a log that the model itself wri
 begun. What was found in the end is compared, number by number, with a sweep that nobody disturbed.
 """
 
-import argparse
 import json
 import os
 import random
@@ -28,6 +27,7 @@ from estune.sweeping.cells import cells_of
 from estune.sweeping.design import read_design
 from estune.sweeping.store import FILE_NAME
 from estune.trial import Rig
+from experiments.judged import at_most, command_line, tell
 
 LOG = "ESTUNE_SWEEP_KILLS_LOG"
 MOST_FURTHER = 4
@@ -182,24 +182,14 @@ WORDS = {
 
 def main() -> int:
     """Measures, prints, and says by its exit code whether every target was met."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--json", action="store_true", help="print one JSON object instead")
-    parser.add_argument("--quick", action="store_true", help="fewer kills")
-    options = parser.parse_args()
+    options = command_line(__doc__, quick="fewer kills").parse_args()
     found = killed(*((2, 3) if options.quick else (12, 20)))
     figures = {name: float(value) for name, value in found._asdict().items()}
-    targets = {
-        name: {"value": figures[name], "limit": 0.0, "met": figures[name] == 0.0}
-        for name in ("lost", "repeated", "differing")
-    }
-    if options.json:
-        print(json.dumps({"figures": figures, "targets": targets}))
-    else:
+    targets = {name: at_most(figures[name], 0.0) for name in ("lost", "repeated", "differing")}
+    if not options.json:
         for name, words in WORDS.items():
             print(f"{figures[name]:6g}  {words}")
-        for name, target in targets.items():
-            print(f"{'met   ' if target['met'] else 'MISSED'} {name}: {target['value']:g}")
-    return 0 if all(target["met"] for target in targets.values()) else 1
+    return tell(figures, targets, as_json=options.json)
 
 
 if __name__ == "__main__":

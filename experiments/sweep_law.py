@@ -14,13 +14,11 @@ and beside fixed gains, each as the mean over noise draws that no tuning saw; an
 fares while the cable's end moves from the shortest length to the longest.
 """
 
-import argparse
-import json
 import tempfile
 from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +35,7 @@ from estune.law.tuned import TunedGains
 from estune.planning import MOVE_WEIGHT
 from estune.profiles import StepProfile
 from estune.sweeping.result import SweepResult
+from experiments.judged import Target, at_least, at_most, command_line, tell
 
 FloatArray = NDArray[np.float64]
 
@@ -261,19 +260,19 @@ def figures_of(plan: Plan, found: Found) -> dict[str, float]:
     return figures
 
 
-def targets_of(figures: dict[str, float], *, quick: bool) -> dict[str, Any]:
+def targets_of(figures: dict[str, float], *, quick: bool) -> dict[str, Target]:
     """The targets; few sweeps tell neither the slope to a tenth nor how often intervals cover."""
-    at_least = {"least_fall_of_I": 0.0, "least_P": P_RANGE[0]}
-    at_most = {
+    least = {"least_fall_of_I": 0.0, "least_P": P_RANGE[0]}
+    most = {
         "greatest_P": P_RANGE[1],
         "scheduled_over_tuned": MOST_ABOVE_TUNED,
         "single_scheduled_over_tuned_p95": MOST_ABOVE_TUNED,
     }
     if not quick:
-        at_least["covered"], at_most["slope_off"] = LEAST_COVERED, MOST_OFF_SLOPE
+        least["covered"], most["slope_off"] = LEAST_COVERED, MOST_OFF_SLOPE
     return {
-        name: {"value": figures[name], "limit": limit, "met": sign * figures[name] >= sign * limit}
-        for sign, limits in ((1.0, at_least), (-1.0, at_most))
+        name: judge(figures[name], limit)
+        for judge, limits in ((at_least, least), (at_most, most))
         for name, limit in limits.items()
     }
 
@@ -344,7 +343,7 @@ def show(plan: Plan, found: Found, figures: dict[str, float]) -> None:
         f"{figures['single_scheduled_over_tuned_p95']:.4f} of the cost of gains tuned there"
     )
     moved = ", ".join(f"{name} {error:.3f}" for name, error in found.moving.items())
-    print(f"\ntension error while the cable's end moves, N rms: {moved}\n")
+    print(f"\ntension error while the cable's end moves, N rms: {moved}")
 
 
 _COLUMNS = ("", "_optimum", "_optimum_without_noise")
@@ -352,9 +351,7 @@ _COLUMNS = ("", "_optimum", "_optimum_without_noise")
 
 def main() -> int:
     """Measures, prints, and says by its exit code whether every target was met."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--json", action="store_true", help="print one JSON object instead")
-    parser.add_argument("--quick", action="store_true", help="fewer lengths, tunings and trials")
+    parser = command_line(__doc__, quick="fewer lengths, tunings and trials")
     parser.add_argument(
         "--folder", type=Path, help="keep the tunings there; a call that was cut off goes on"
     )
@@ -362,17 +359,11 @@ def main() -> int:
     plan = QUICK if options.quick else Plan()
     found = measure(plan, options.folder)
     figures = figures_of(plan, found)
-    targets = targets_of(figures, quick=options.quick)
     draw(plan, found)
-    if options.json:
-        print(json.dumps({"figures": figures, "targets": targets}))
-    else:
+    if not options.json:
         show(plan, found, figures)
-        for name, target in targets.items():
-            verdict = "met   " if target["met"] else "MISSED"
-            print(f"{verdict} {name}: {target['value']:.3g}, limit {target['limit']:g}")
         print(f"figure: {OUT}")
-    return 0 if all(target["met"] for target in targets.values()) else 1
+    return tell(figures, targets_of(figures, quick=options.quick), as_json=options.json)
 
 
 if __name__ == "__main__":

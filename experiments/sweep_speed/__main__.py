@@ -1,7 +1,5 @@
 """`python -m experiments.sweep_speed`: the tables, or with --json the figures."""
 
-import argparse
-import json
 import os
 import resource
 import statistics
@@ -23,6 +21,7 @@ from estune.sweeping.cluster import on_cluster
 from estune.sweeping.design import read_design
 from estune.sweeping.outcome import Outcome
 from estune.trial import Rig, TrialRequest
+from experiments.judged import Target, at_least, at_most, command_line, tell
 from experiments.sweep_speed import __doc__ as about
 from experiments.sweep_speed.cluster import cluster
 from experiments.sweep_speed.peer import PeerRig
@@ -171,23 +170,17 @@ def _differ(one: Outcome, other: Outcome) -> bool:
     return not np.array_equal(one.trace, other.trace)
 
 
-def targets(figures: dict[str, float], *, whole: bool) -> dict[str, dict[str, Any]]:
+def targets(figures: dict[str, float], *, whole: bool) -> dict[str, Target]:
     """What is to be reached; the time only by as many trials as it is set for."""
-    limits = {
-        "speedup": (SPEEDUP_MIN, figures["speedup"] >= SPEEDUP_MIN),
-        "faster_than_python_control": (
-            FASTER_MIN,
-            figures["faster_than_python_control"] >= FASTER_MIN,
-        ),
-        "worker_MB": (MEMORY_MAX_MB, figures["worker_MB"] <= MEMORY_MAX_MB),
-        "differing_cells": (0.0, figures["differing_cells"] == 0.0),
+    found = {
+        "speedup": at_least(figures["speedup"], SPEEDUP_MIN),
+        "faster_than_python_control": at_least(figures["faster_than_python_control"], FASTER_MIN),
+        "worker_MB": at_most(figures["worker_MB"], MEMORY_MAX_MB),
+        "differing_cells": at_most(figures["differing_cells"], 0.0),
     }
     if whole:
-        limits["two_cores_s"] = (SECONDS_MAX, figures["two_cores_s"] <= SECONDS_MAX)
-    return {
-        name: {"value": figures[name], "limit": limit, "met": bool(met)}
-        for name, (limit, met) in limits.items()
-    }
+        found["two_cores_s"] = at_most(figures["two_cores_s"], SECONDS_MAX)
+    return found
 
 
 WORDS = {
@@ -216,21 +209,13 @@ WORDS = {
 
 def main() -> int:
     """Measures, prints, and says by its exit code whether every target was met."""
-    parser = argparse.ArgumentParser(description=(about or "").splitlines()[0])
-    parser.add_argument("--json", action="store_true", help="print one JSON object instead")
-    parser.add_argument("--quick", action="store_true", help="fewer and shorter tunings")
-    options = parser.parse_args()
+    options = command_line(about, quick="fewer and shorter tunings").parse_args()
     figures = measure(QUICK if options.quick else WHOLE)
-    judged = targets(figures, whole=not options.quick)
-    if options.json:
-        print(json.dumps({"figures": figures, "targets": judged}))
-    else:
+    if not options.json:
         for name, words in WORDS.items():
             print(f"{figures[name]:12.5g}  {words}")
-        for name, target in judged.items():
-            verdict = "met   " if target["met"] else "MISSED"
-            print(f"{verdict} {name}: {target['value']:.4g}, limit {target['limit']:g}")
-    return 0 if all(target["met"] for target in judged.values()) else 1
+    reached = targets(figures, whole=not options.quick)
+    return tell(figures, reached, as_json=options.json)
 
 
 if __name__ == "__main__":
