@@ -139,6 +139,24 @@ def test_a_plateau_is_not_taken_for_the_optimum(seed):
     assert max(left(TUNER, state) for state in said) < 0.03
 
 
+@pytest.mark.parametrize("seed", [0, 1, 3])
+def test_a_gain_too_small_to_do_anything_is_found_out(seed):
+    best = math.exp(BEST[0])
+    space = SearchSpace.around(Gains(best / 300.0, 10.0, 0.005, 0.02), bounds={"P": (1e-4, 50.0)})
+
+    def shelf(point, _):  # level in P far below its best, where it costs 60 % more
+        share = point[0] / best
+        return (1.0 + excess((best, *point[1:]))) * (
+            1.0 + 0.6 * (share - 1.0) ** 2 / (1.0 + share**2)
+        )
+
+    tuner = Newton(space)
+    states = run(tuner, 150, seed, cost=shelf)
+    said = [s for s in states if (o := tuner.outlook(s)) is not None and o.remaining < 0.02]
+    assert said
+    assert max(shelf(tuner.recommend(state), 0) for state in said) < 1.03
+
+
 def test_censored_trials_do_not_hold_it_and_make_it_cautious():
     states, draws, unsafe = [TUNER.start()], np.random.default_rng(6), 0
     for _ in range(100):

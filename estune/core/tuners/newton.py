@@ -17,7 +17,9 @@ recovers, see `guard`.
 
 A plateau looks like an optimum to whoever looks no further than noise demands. Before the search
 says that little is left, it looks `2 n` times further away once, up and down each axis of the
-model, as far as looks safe.
+model, as far as looks safe, and once it has settled it strides along what seems to do nothing,
+see `strides`. Where it finds less cost by that, the better place becomes the centre, and it looks
+anew.
 """
 
 import math
@@ -36,6 +38,7 @@ from estune.core.tuners.posterior import bowls, expected_gain
 from estune.core.tuners.prospect import Model, Reach, lowest, newton_step
 from estune.core.tuners.settings import check_above_zero, check_logarithmic
 from estune.core.tuners.spread import FloatArray, simplex
+from estune.core.tuners.strides import Strides, may_be_level, stride
 from estune.core.tuners.surface import surface
 from estune.errors import InvalidInput
 
@@ -50,6 +53,12 @@ CLIFF = 1.25
 
 LITTLE = 0.05
 """Where less than this share of the cost is expected to be left, it is time to look further."""
+
+SETTLED = 0.0125
+"""Where less is expected to be left, the centre is firm enough to stride away from it."""
+
+UNTRIED = 0.25
+"""No less is said to be left before it has strode along what seems to do nothing."""
 
 FURTHEST = 1.5
 """How far from the centre an outlook believes its model, in logarithms."""
@@ -66,7 +75,8 @@ class NewtonState(NamedTuple):
     curvature: tuple[float, ...]  # about the centre, by rows; empty before there is one
     noise: float  # standard deviation of one trial's cost, relative to it
     proposal: Point
-    looks: int  # made further away, of 2 n
+    looks: int  # directions looked along further away, of 4 n
+    strides: int  # made along the last of them; zero where there are none
     level: float | None  # logarithm of the cost of the first trials; None until they are made
     caution: float
     best_point: Point
@@ -156,6 +166,7 @@ class Newton:
             noise=NOISE_EXPECTED,
             proposal=self._corner(0, 1.0),
             looks=0,
+            strides=0,
             level=None,
             caution=1.0,
             best_point=self.space.start,
@@ -201,7 +212,8 @@ class Newton:
 
     def outlook(self, state: NewtonState) -> Outlook | None:
         """Where the search stands; None until it has looked further away."""
-        if state.looks < 2 * len(self.space.names):
+        n = len(self.space.names)
+        if state.looks < 2 * n:
             return None
         reach = self._reach(np.array(state.centre), FURTHEST, 0.0)
         left = bowls(self._model(state), reach)
@@ -209,9 +221,11 @@ class Newton:
         # Where the model ends, a direction counts as flat.
         low = np.where(low < reach.centre - 0.8 * FURTHEST, reach.low, low)
         high = np.where(high > reach.centre + 0.8 * FURTHEST, reach.high, high)
+        remaining = -math.expm1(-float(np.quantile(left.gain, 0.95)))
+        strode = state.looks == 4 * n and state.strides == 0
         return Outlook(
             noise=state.noise,
-            remaining=-math.expm1(-float(np.quantile(left.gain, 0.95))),
+            remaining=remaining if strode else max(remaining, UNTRIED),
             expected=-math.expm1(-float(np.mean(left.gain))),
             intervals=tuple(zip(self._point(low), self._point(high), strict=True)),
         )
@@ -250,6 +264,11 @@ class Newton:
     def _nearby(self, state: NewtonState) -> NewtonState:
         """The next proposal and centre by the model about the centre."""
         model = self._model(state)
+        if self._strides(state, model).fell:
+            found = np.reshape(state.tried[-2 * len(state.centre) :], (2, -1))
+            found = found[int(np.argmin(state.costs[-2:]))]
+            state = state._replace(centre=tuple(found.tolist()), curvature=(), looks=0, strides=0)
+            model = self._model(state)
         values, axes = np.linalg.eigh(model.curvature)
         values = np.maximum(values, FLAT)
         rise = state.caution**2 * self.near_rise
@@ -264,13 +283,15 @@ class Newton:
             noise=model.noise,
         )
         reach = reach._replace(centre=centre)
-        if state.looks < 2 * len(centre):
-            if state.looks > 0 or expected_gain(model, values, axes) < LITTLE:
-                asked = self._look(state.looks, model, reach, values, axes)
-                return state._replace(looks=state.looks + 1, proposal=self._point(asked))
-            curiosity = self.near_curiosity
-        else:
-            curiosity = self.last_curiosity
+        looks, gain = 2 * len(centre), expected_gain(model, values, axes)
+        if 0 < state.looks < looks or (state.looks == 0 and gain < LITTLE):
+            asked = self._look(state.looks, model, reach, values, axes)
+            return state._replace(looks=state.looks + 1, proposal=self._point(asked))
+        if state.looks > looks or (state.looks == looks and gain < SETTLED):
+            state, further = self._stride(state, model, reach)
+            if further is not None:
+                return state._replace(proposal=self._point(further))
+        curiosity = self.last_curiosity if state.looks >= looks else self.near_curiosity
         asked = lowest(model, reach, centre[np.newaxis], curiosity, state.k)
         return state._replace(proposal=self._point(asked))
 
@@ -285,6 +306,27 @@ class Newton:
         safe = reach.unsafety(*model.expected(points)) <= 0.0
         chosen: FloatArray = points[int(np.argmax(safe)) if safe.any() else -1]
         return chosen
+
+    def _stride(
+        self, state: NewtonState, model: Polynomial, reach: Reach
+    ) -> tuple[NewtonState, FloatArray | None]:
+        """The next stride along a parameter that may do nothing; None after the last one."""
+        n = len(state.centre)
+        if state.strides > 0:
+            point = stride(state.looks - 1 - 2 * n, np.array(state.tried[-n:]), reach)
+            near_limit = state.margins[-1] < 2.0 * self.margin_least
+            if point is not None and not near_limit and not self._strides(state, model).rose:
+                return state._replace(strides=state.strides + 1), point
+        for looks in range(state.looks, 4 * n):
+            point = stride(looks - 2 * n, reach.centre, reach)
+            if point is not None and may_be_level(model, point, reach):
+                return state._replace(looks=looks + 1, strides=1), point
+        return state._replace(looks=4 * n, strides=0), None
+
+    def _strides(self, state: NewtonState, model: Polynomial) -> Strides:
+        """What the strides along the present direction have cost."""
+        costs = state.costs[len(state.costs) - state.strides :]
+        return Strides(costs, model.level + (state.level or 0.0), model.noise)
 
     def _model(self, state: NewtonState) -> Polynomial:
         """The model about the centre."""
