@@ -12,7 +12,6 @@ what counts is the time until the rig has answered, and of that the slowest hund
 """
 
 import argparse
-import json
 import logging
 import os
 import secrets
@@ -39,6 +38,7 @@ from estune.profiles import StepProfile
 from estune.protocol import Inquire, Keys
 from estune.session import Phase
 from estune.trial import Outcome, RigDescription, RigLimits, TrialRecord, TrialRequest
+from experiments.judged import Target, command_line, tell
 
 SAMPLES, SAMPLING_HZ = 2000, 632.0
 LIMIT = 3.0  # times the plain get
@@ -259,11 +259,18 @@ def stops(rig: bus.RemoteRig, watch: Stopwatch, part: str, turns: int) -> None:
         rig.clear()
 
 
+def show(watch: Stopwatch) -> None:
+    """Prints the tables."""
+    for name, what in PARTS.items():
+        print(f"  {name:12} {watch.median_ms(name):7.3f} ms  {what}")
+    print("\nan emergency stop, until it is answered (median, slowest hundredth)\n")
+    for name, what in (("idle stop", "nothing else going on"), ("stop", "under full record load")):
+        print(f"  {watch.median_ms(name):7.3f} {watch.slow_ms(name):7.3f} ms  {what}")
+
+
 def main() -> None:
     """Measures, prints the table or, with --json, the figures."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0] if __doc__ else "")
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
-    parser.add_argument("--quick", action="store_true", help="a few trials only")
+    parser = command_line(__doc__, quick="a few trials only")
     parser.add_argument("--folder", type=Path, help="on which disk to keep journal and ledger")
     parser.add_argument("--serve", action="store_true", help=argparse.SUPPRESS)
     parser.add_argument("--pull", help=argparse.SUPPRESS)
@@ -282,22 +289,14 @@ def main() -> None:
     figures |= {"record_bytes": size, "turns": turns, "overhead_ratio": ratio}
     stop_ms = watch.slow_ms("stop")
     figures |= {"idle_stop_p99_ms": watch.slow_ms("idle stop"), "stop_p99_ms": stop_ms}
-    target = {"value": ratio, "limit": LIMIT, "met": ratio < LIMIT}
-    stop = {"value": stop_ms, "limit": STOP_LIMIT_MS, "met": stop_ms < STOP_LIMIT_MS}
-    if arguments.json:
-        targets = {"overhead_ratio": target, "stop_p99_ms": stop}
-        print(json.dumps({"figures": figures, "targets": targets}))
-        return
-    print(f"{turns} trials over loopback, records of {size} bytes; medians\n")
-    for name, what in PARTS.items():
-        print(f"  {name:12} {watch.median_ms(name):7.3f} ms  {what}")
-    verdict = "met" if target["met"] else "missed"
-    print(f"\na trial takes {ratio:.2f} times a plain get; limit {LIMIT:g}: {verdict}")
-    print("\nan emergency stop, until it is answered (median, slowest hundredth)\n")
-    for name, what in (("idle stop", "nothing else going on"), ("stop", "under full record load")):
-        print(f"  {watch.median_ms(name):7.3f} {watch.slow_ms(name):7.3f} ms  {what}")
-    verdict = "met" if stop["met"] else "missed"
-    print(f"\nthe slowest hundredth is to stay below {STOP_LIMIT_MS:g} ms: {verdict}")
+    targets = {
+        "overhead_ratio": Target(ratio, LIMIT, ratio < LIMIT),
+        "stop_p99_ms": Target(stop_ms, STOP_LIMIT_MS, stop_ms < STOP_LIMIT_MS),
+    }
+    if not arguments.json:
+        print(f"{turns} trials over loopback, records of {size} bytes; medians\n")
+        show(watch)
+    tell(figures, targets, as_json=arguments.json)
 
 
 if __name__ == "__main__":

@@ -7,11 +7,9 @@ reference_trial.c, and below as a discrete-time NonlinearIOSystem of python-cont
 trial is the reel without what is nonlinear, its dead time in python-control a Pade approximation.
 """
 
-import argparse
 import ctypes
 import gc
 import itertools
-import json
 import math
 import os
 import statistics
@@ -36,6 +34,7 @@ from estune.core.tuners import TUNERS
 from estune.core.tuners.observation import Observation
 from estune.score import cost_of
 from estune.trial import FloatArray, Outcome, TrialRequest
+from experiments.judged import Target, at_least, at_most, command_line, tell
 from plants.noise import NoiseSource
 from plants.plant import drive_of
 from plants.reel import Reel
@@ -47,21 +46,25 @@ GAINS = Gains(P=1.2, I=50.0, D=0.02, setpoint_filter_s=0.004)
 REEL = plants.reference_reel()
 FRICTION = plants.CoulombFriction(torque_Nm=0.02)
 
-# name: (limit, "at most" or "at least", what it is)
-TARGETS: dict[str, tuple[float, str, str]] = {
-    "times_hand_written_C": (1.5, "most", "compiled trial over hand-written C"),
-    "difference_from_C_N": (1e-9, "most", "largest difference from it, N"),
-    "difference_from_C_when_slack_N": (1e-9, "most", "the same where the cable goes slack, N"),
-    "faster_than_step_response": (100.0, "least", "linear trial, times faster than step_response"),
+# name: (limit, on which side of it, what it is)
+TARGETS: dict[str, tuple[float, Callable[[float, float], Target], str]] = {
+    "times_hand_written_C": (1.5, at_most, "compiled trial over hand-written C"),
+    "difference_from_C_N": (1e-9, at_most, "largest difference from it, N"),
+    "difference_from_C_when_slack_N": (1e-9, at_most, "the same where the cable goes slack, N"),
+    "faster_than_step_response": (
+        100.0,
+        at_least,
+        "linear trial, times faster than step_response",
+    ),
     "faster_than_input_output_response": (
         300.0,
-        "least",
+        at_least,
         "nonlinear trial, times faster than input_output_response",
     ),
-    "batch_speedup_two_cores": (1.8, "least", "batch on two cores over one"),
-    "memory_growth_MB": (2.0, "most", "memory grown over further batches, MB"),
-    "slowest_ask_and_tell_us": (50.0, "most", "slowest tuner's ask + tell, us"),
-    "loop_trials_per_s": (5000.0, "least", "ask, simulate, score, tell: trials/s"),
+    "batch_speedup_two_cores": (1.8, at_least, "batch on two cores over one"),
+    "memory_growth_MB": (2.0, at_most, "memory grown over further batches, MB"),
+    "slowest_ask_and_tell_us": (50.0, at_most, "slowest tuner's ask + tell, us"),
+    "loop_trials_per_s": (5000.0, at_least, "ask, simulate, score, tell: trials/s"),
 }
 
 
@@ -365,38 +368,19 @@ def tuning(tuner: Any, run: str) -> Iterator[None]:
         yield
 
 
-def judged(figures: dict[str, float]) -> dict[str, dict[str, Any]]:
-    """Each target with its value and whether it is met."""
-    verdicts = {}
-    for name, (limit, side, _) in TARGETS.items():
-        value = figures[name]
-        met = value <= limit if side == "most" else value >= limit
-        verdicts[name] = {"value": value, "limit": limit, "met": met}
-    return verdicts
-
-
 def main() -> int:
     """Measures, prints, and says by its exit code whether every target was met."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--json", action="store_true", help="print one JSON object instead")
-    parser.add_argument("--quick", action="store_true", help="fewer repeats and smaller batches")
-    options = parser.parse_args()
+    options = command_line(__doc__, quick="fewer repeats and smaller batches").parse_args()
     rounds, batch, trials = (3, 2000, 500) if options.quick else (15, 10_000, 5000)
     figures = measure_nonlinear(rounds) | measure_linear(rounds)
     figures |= measure_batch(batch, rounds)
     figures |= measure_tuners(trials)
-    targets = judged(figures)
-    if options.json:
-        print(json.dumps({"figures": figures, "targets": targets}))
-    else:
+    if not options.json:
         for name, value in figures.items():
-            print(f"{name:45s} {value:14.6g}")
-        print()
-        for name, verdict in targets.items():
-            _, side, text = TARGETS[name]
-            word = "met" if verdict["met"] else "NOT MET"
-            print(f"{text:58s} {verdict['value']:10.4g}  at {side} {verdict['limit']:<8g} {word}")
-    return 0 if all(verdict["met"] for verdict in targets.values()) else 1
+            *_, what = TARGETS.get(name, ("",))
+            print(f"{name:45s} {value:14.6g}  {what}".rstrip())
+    targets = {name: judge(figures[name], limit) for name, (limit, judge, _) in TARGETS.items()}
+    return tell(figures, targets, as_json=options.json)
 
 
 if __name__ == "__main__":

@@ -9,9 +9,6 @@ finished; `--rows` prints the tables of such a file without running anything.
 Beside them: a measured set, the Silverbox, where it is at hand (`--data`, or ESTUNE_DATA).
 """
 
-import argparse
-import contextlib
-import io
 import json
 import math
 import multiprocessing
@@ -27,6 +24,7 @@ from typing import Any
 
 from experiments import silverbox
 from experiments.hidden_scores import Row, Task, diagnose, single_core
+from experiments.judged import Target, at_least, at_most, command_line, tell
 
 SHARES = {
     "plain": 26,
@@ -55,24 +53,22 @@ NOTHING = ("none", "none_unloaded")
 OUTSIDE = ("outside", "outside_unloaded", "left_out")
 QUICK_CASES, THROUGHPUT_CASES = 16, 8
 
-Limit = tuple[float, str]
-
-LIMITS: dict[str, Limit] = {
-    "exact_name": (0.95, "least"),
-    "right_family": (0.98, "least"),
-    "false_alarms": (0.03, "most"),
-    "outside_misnamed": (0.05, "most"),
-    "left_out_misnamed": (0.05, "most"),
-    "median_gap_closed": (0.95, "least"),
-    "median_free_run_ratio": (0.25, "most"),
-    "two_both_found": (0.80, "least"),
-    "noise5_wrong_names": (0.0, "most"),
-    "no_encoder_false_alarms": (0.05, "most"),
-    "intervals_hold_truth": (0.90, "least"),
-    "median_cpu_s": (3.0, "most"),
-    "throughput_two_workers": (1.8, "least"),
-    "silverbox_nrmse_after": (0.25, "most"),
-    "silverbox_stiffening_first": (1.0, "least"),
+LIMITS: dict[str, tuple[float, Callable[[float, float], Target]]] = {
+    "exact_name": (0.95, at_least),
+    "right_family": (0.98, at_least),
+    "false_alarms": (0.03, at_most),
+    "outside_misnamed": (0.05, at_most),
+    "left_out_misnamed": (0.05, at_most),
+    "median_gap_closed": (0.95, at_least),
+    "median_free_run_ratio": (0.25, at_most),
+    "two_both_found": (0.80, at_least),
+    "noise5_wrong_names": (0.0, at_most),
+    "no_encoder_false_alarms": (0.05, at_most),
+    "intervals_hold_truth": (0.90, at_least),
+    "median_cpu_s": (3.0, at_most),
+    "throughput_two_workers": (1.8, at_least),
+    "silverbox_nrmse_after": (0.25, at_most),
+    "silverbox_stiffening_first": (1.0, at_least),
 }
 
 
@@ -230,27 +226,21 @@ def _by_parameter(rows: list[Row]) -> Iterator[tuple[str, list[bool]]]:
     yield from found.items()
 
 
-def targets(figures: dict[str, float]) -> dict[str, dict[str, Any]]:
+def targets(figures: dict[str, float]) -> dict[str, Target]:
     """What has to be reached, of the figures that were measured."""
     return {
-        name: {
-            "value": figures[name],
-            "limit": limit,
-            "met": figures[name] >= limit if kind == "least" else figures[name] <= limit,
-        }
-        for name, (limit, kind) in LIMITS.items()
+        name: judge(figures[name], limit)
+        for name, (limit, judge) in LIMITS.items()
         if name in figures
     }
 
 
 def main() -> int:
     """Prints the tables, or with --json one object; returns 1 where a target is missed."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n", maxsplit=1)[0])
+    parser = command_line(__doc__, quick="20 cases, no throughput")
     parser.add_argument("--cases", type=int, default=1000, help="number of cases")
     parser.add_argument("--seed0", type=int, default=FIRST_FRESH_SEED, help="first seed")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes")
-    parser.add_argument("--json", action="store_true", help="print one JSON object alone")
-    parser.add_argument("--quick", action="store_true", help="20 cases, no throughput")
     parser.add_argument("--data", type=Path, help="folder that holds silverbox/Silverbox.mat")
     parser.add_argument("--rows", type=Path, help="print the tables of this file; run nothing")
     options = parser.parse_args()
@@ -266,30 +256,13 @@ def main() -> int:
             figures["throughput_two_workers"] = throughput(THROUGHPUT_CASES, options.seed0)
         figures |= silverbox.figures(silverbox.folder(options.data))
     figures = summary(rows) | figures
-    with contextlib.redirect_stdout(io.StringIO() if options.json else sys.stdout):
+    if not options.json:
         show(rows)
         print()
         for name, value in figures.items():
             print(f"  {name:30s} {value if isinstance(value, str) else f'{value:.4g}'}")
-        found = targets(figures)
-        print()
-        for name, target in found.items():
-            verdict = "met   " if target["met"] else "MISSED"
-            print(f"{verdict} {name}: {target['value']:.4g}, limit {target['limit']:g}")
-    if options.json:
-        said = {
-            "figures": figures | {"confusion": confusion(rows)},
-            "targets": found,
-        }
-        print(json.dumps(_without_nan(said), allow_nan=False))
-    return 0 if all(target["met"] for target in found.values()) else 1
-
-
-def _without_nan(value: Any) -> Any:
-    """The same with null for what JSON has no number for."""
-    if isinstance(value, dict):
-        return {name: _without_nan(one) for name, one in value.items()}
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    counted = figures | {"confusion": confusion(rows)}
+    return tell(counted, targets(figures), as_json=options.json)
 
 
 if __name__ == "__main__":

@@ -7,22 +7,18 @@ the reel was built with. Then: the same with other excitations, the model betwee
 what friction does to the lines that were not excited, and the initial gains by each rule.
 """
 
-import argparse
-import contextlib
-import io
-import json
 import math
 import multiprocessing
-import sys
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from estune.core.initial import proposals
 from estune.core.metrics import step_metrics
+from experiments.judged import Target, at_most, command_line, tables, tell
 from plants.effects import CoulombFriction
 from plants.identify import (
     Band,
@@ -319,40 +315,26 @@ def save_figure(signal: Excitation, path: Path) -> None:
     plt.close(figure)
 
 
-def targets(
-    worst: dict[str, float], rates: dict[str, float], trials: int
-) -> dict[str, dict[str, Any]]:
+def targets(worst: dict[str, float], rates: dict[str, float], trials: int) -> dict[str, Target]:
     """What has to be reached; a rate, to within what chance moves it over so many trials."""
     within = CHANCE * math.sqrt(PROBABILITY * (1.0 - PROBABILITY) / trials)
-    found = {
-        f"worst {name} error": {
-            "value": worst[name],
-            "limit": limit,
-            "met": bool(worst[name] <= limit),
-        }
-        for name, limit in LIMITS.items()
+    errors = {f"worst {name} error": at_most(worst[name], most) for name, most in LIMITS.items()}
+    return errors | {
+        f"{name} coverage, distance from {PROBABILITY}": at_most(
+            abs(rates[name] - PROBABILITY), within
+        )
+        for name in LIMITS
     }
-    for name in LIMITS:
-        off = abs(rates[name] - PROBABILITY)
-        found[f"{name} coverage, distance from {PROBABILITY}"] = {
-            "value": off,
-            "limit": within,
-            "met": bool(off <= within),
-        }
-    return found
 
 
 def main() -> int:
     """Prints the tables, or with --json one object; returns 1 where a target is missed."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n", maxsplit=1)[0])
-    parser.add_argument("--json", action="store_true", help="print one JSON object alone")
-    parser.add_argument("--quick", action="store_true", help="25 seeds instead of 200")
+    parser = command_line(__doc__, quick="25 seeds instead of 200")
     parser.add_argument("--seeds", type=int, default=200, help="records of each condition")
     options = parser.parse_args()
     signal, reels = excitation(), conditions()
     image = Path(__file__).parent / "out" / "identification.png"
-    # With --json the tables go nowhere.
-    with contextlib.redirect_stdout(io.StringIO() if options.json else sys.stdout):
+    with tables(hidden=options.json):
         print(
             f"multisine of {signal.duration_s:g} s, {len(signal.segments[0].excited)} lines from "
             f"{BAND.low_Hz:g} to {BAND.high_Hz:g} Hz, crest factor {signal.crest_factor:.2f}, "
@@ -370,16 +352,10 @@ def main() -> int:
             "hooke_constant_Nm_rad": stiffness(signal),
             "initial_gains": initial(signal),
         }
-        found = targets(worst, rates, sum(map(len, trials)))
-        print()
-        for name, target in found.items():
-            verdict = "met   " if target["met"] else "MISSED"
-            print(f"{verdict} {name}: {target['value']:.4g}, limit {target['limit']:.3g}")
         save_figure(signal, image)
         print(f"figure: {image}")
-    if options.json:
-        print(json.dumps({"figures": figures, "targets": found}))
-    return 0 if all(target["met"] for target in found.values()) else 1
+    reached = targets(worst, rates, sum(map(len, trials)))
+    return tell(figures, reached, as_json=options.json)
 
 
 if __name__ == "__main__":

@@ -23,12 +23,7 @@ the law is printed, and p = (2, 1, 3), the nearest to the published transient of
 It is not the same transient: at k = 4 the published cost has fallen to about 1.3e-3, this one not.
 """
 
-import argparse
-import contextlib
-import io
-import json
 import math
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -45,6 +40,7 @@ from estune.core.tuners import TUNERS, Tuner
 from estune.core.tuners.killingsworth import Killingsworth
 from estune.core.tuners.observation import Observation
 from estune.profiles import StepProfile
+from experiments.judged import Target, at_most, command_line, tables, tell
 from plants.linear import LinearPlant, linear_plant
 from plants.simulation import Response, simulate
 
@@ -251,7 +247,7 @@ def study(benchmark: Benchmark, trials: int, evaluations: int) -> dict[str, Any]
     return figures
 
 
-def targets(figures: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
+def targets(figures: dict[str, dict[str, Any]]) -> dict[str, Target]:
     """What has to be reached, from the figures of G1 and G2."""
     g1, g2 = figures["G1"], figures["G2"]
     published = g1["killingsworth (2, 1, 3): costs"]
@@ -264,24 +260,14 @@ def targets(figures: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
     best = min(tuners(BENCHMARKS[0]), key=slowness)
     to_97, to_90 = g1[f"{best}: trials"]["97 %"], g2[f"{best}: trials"]["90 %"]
     start, fifth, plateau = g1["start_cost"], published[5], min(published[:9])
-    rows = {
-        "G1 start cost, published 0.0195": (start, 0.0195, round(start, 4) == 0.0195),
-        "G1 cost at k = 5, published 5.5e-4 (within 10 %)": (
-            fifth,
-            5.5e-4,
-            abs(fifth / 5.5e-4 - 1.0) <= 0.1,
-        ),
-        "G1 best cost by k = 8, published plateau under 3.5e-4": (
-            plateau,
-            3.5e-4,
-            plateau <= 3.5e-4,
-        ),
-        f"G1 trials to close 97 %, {best}": (to_97, 7, to_97 is not None and to_97 <= 7),
-        f"G2 trials to close 90 %, {best}": (to_90, 21, to_90 is not None and to_90 <= 21),
-    }
     return {
-        name: {"value": value, "limit": limit, "met": bool(met)}
-        for name, (value, limit, met) in rows.items()
+        "G1 start cost, published 0.0195": Target(start, 0.0195, bool(round(start, 4) == 0.0195)),
+        "G1 cost at k = 5, published 5.5e-4 (within 10 %)": Target(
+            fifth, 5.5e-4, bool(abs(fifth / 5.5e-4 - 1.0) <= 0.1)
+        ),
+        "G1 best cost by k = 8, published plateau under 3.5e-4": at_most(plateau, 3.5e-4),
+        f"G1 trials to close 97 %, {best}": at_most(to_97, 7),
+        f"G2 trials to close 90 %, {best}": at_most(to_90, 21),
     }
 
 
@@ -356,26 +342,17 @@ def save_figure(figures: dict[str, dict[str, Any]], path: Path) -> None:
 
 def main() -> int:
     """Prints the tables, or with --json one object; returns 1 where a target is missed."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n", maxsplit=1)[0])
-    parser.add_argument("--json", action="store_true", help="print one JSON object alone")
-    parser.add_argument("--quick", action="store_true", help="G1 and G2 alone, 30 trials")
+    parser = command_line(__doc__, quick="G1 and G2 alone, 30 trials")
     parser.add_argument("--trials", type=int, default=100, help="trials of each tuner")
     options = parser.parse_args()
     benchmarks = BENCHMARKS[:2] if options.quick else BENCHMARKS
     trials, evaluations = (30, 150) if options.quick else (options.trials, 600)
     image = Path(__file__).parent / "out" / "killingsworth.png"
-    # With --json the tables go nowhere.
-    with contextlib.redirect_stdout(io.StringIO() if options.json else sys.stdout):
+    with tables(hidden=options.json):
         figures = {b.name: study(b, trials, evaluations) for b in benchmarks}
-        found = targets(figures)
-        print()
-        for name, target in found.items():
-            print(f"{'met   ' if target['met'] else 'MISSED'} {name}: {target['value']:.4g}")
         save_figure(figures, image)
         print(f"figure: {image}")
-    if options.json:
-        print(json.dumps({"figures": figures, "targets": found}))
-    return 0 if all(target["met"] for target in found.values()) else 1
+    return tell(figures, targets(figures), as_json=options.json)
 
 
 if __name__ == "__main__":

@@ -7,7 +7,6 @@ files of both processes are noted, and what the tuning left on disk.
 """
 
 import argparse
-import json
 import os
 import shutil
 import statistics
@@ -23,6 +22,7 @@ from typing import Any, NamedTuple
 from estune import api, drawing
 from estune.journal import FILE_NAME
 from estune.ledger import FRAMES_MAX_BYTES
+from experiments.judged import at_most, command_line, tell
 
 FIGURE = Path(__file__).parent / "out" / "soak.png"
 DAY = 100_000
@@ -225,11 +225,9 @@ def show(figures: dict[str, Any]) -> None:
 
 def main() -> int:
     """Soaks, prints the table or, with --json, the figures; returns 1 where a target is missed."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0] if __doc__ else "")
+    parser = command_line(__doc__, quick="a few tunings only")
     parser.add_argument("--trials", type=int, default=DAY)
     parser.add_argument("--per-run", type=int, default=1000, help="trials of each tuning")
-    parser.add_argument("--json", action="store_true", help="print one JSON object alone")
-    parser.add_argument("--quick", action="store_true", help="a few tunings only")
     parser.add_argument("--folder", type=Path, help="on which disk to keep journals and ledger")
     parser.add_argument("--client", help=argparse.SUPPRESS)
     arguments = parser.parse_args()
@@ -244,17 +242,12 @@ def main() -> int:
             print(f"{sample.trials} trials, {sample.at_s:.0f} s", file=sys.stderr, flush=True)
     figures = figures_of(samples, per_run)
     draw(samples, FIGURE)
-    targets = {
-        name: {"value": figures[name], "limit": GROWTH_LIMIT, "met": figures[name] <= GROWTH_LIMIT}
-        for name in figures
-        if name.endswith("_growth")
-    }
-    if arguments.json:
-        print(json.dumps({"figures": figures, "targets": targets}))
-    else:
+    growths = [name for name in figures if name.endswith("_growth")]
+    targets = {name: at_most(figures[name], GROWTH_LIMIT) for name in growths}
+    if not arguments.json:
         show(figures)
         print(f"figure: {FIGURE}")
-    return 0 if all(target["met"] for target in targets.values()) else 1
+    return tell(figures, targets, as_json=arguments.json)
 
 
 if __name__ == "__main__":

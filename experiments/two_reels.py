@@ -7,13 +7,8 @@ paper's figures: attenuation ratio against tension setpoint (Fig. 7), hysteresis
 (Fig. 15), and the static transparency (27) to (29) against Weber's limit.
 """
 
-import argparse
-import contextlib
-import io
-import json
 import math
 import multiprocessing
-import sys
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import partial
@@ -23,6 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from estune.errors import RigError
+from experiments.judged import Target, at_most, command_line, tables, tell
 from plants.transparency import (
     Eyelet,
     Gauge,
@@ -338,7 +334,7 @@ def targets(
     rates: dict[str, dict[str, float]],
     cannot: dict[str, dict[str, Any]],
     seeds: int,
-) -> dict[str, dict[str, Any]]:
+) -> dict[str, Target]:
     """What has to be reached; a rate, to within what chance moves it over so many seeds."""
     errors = [abs(row["value"] / row["true"] - 1.0) for row in table.values() if row["resolved"]]
     errors += [row["worst_resolved_error"] for row in rates.values()]
@@ -349,30 +345,23 @@ def targets(
     ]
     within = CHANCE * math.sqrt(PROBABILITY * (1.0 - PROBABILITY) / seeds)
     found = {
-        "worst C_R error of a resolved measurement": _target(max(errors), LIMIT),
-        "benches that cannot tell and do not say so": _target(len(silent), 0),
+        "worst C_R error of a resolved measurement": at_most(max(errors), LIMIT),
+        "benches that cannot tell and do not say so": at_most(len(silent), 0),
     }
     for name in ("breakout, C_R 0.1", "breakout, C_R 0.05"):
         off = abs(rates[name]["coverage"] - PROBABILITY)
-        found[f"coverage, {name}, distance from {PROBABILITY}"] = _target(off, within)
+        found[f"coverage, {name}, distance from {PROBABILITY}"] = at_most(off, within)
     return found
-
-
-def _target(value: float, limit: float) -> dict[str, Any]:
-    return {"value": value, "limit": limit, "met": bool(value <= limit)}
 
 
 def main() -> int:
     """Prints the tables, or with --json one object; returns 1 where a target is missed."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n", maxsplit=1)[0])
-    parser.add_argument("--json", action="store_true", help="print one JSON object alone")
-    parser.add_argument("--quick", action="store_true", help="20 seeds instead of 200")
+    parser = command_line(__doc__, quick="20 seeds instead of 200")
     parser.add_argument("--seeds", type=int, default=200, help="benches for the coverage")
     options = parser.parse_args()
     seeds = 20 if options.quick else options.seeds
     image = Path(__file__).parent / "out" / "two_reels.png"
-    # With --json the tables go nowhere.
-    with contextlib.redirect_stdout(io.StringIO() if options.json else sys.stdout):
+    with tables(hidden=options.json):
         table, rates, cannot = geometries(), coverage(seeds), limits_of_the_bench()
         figures: dict[str, Any] = {
             "geometries": table,
@@ -384,16 +373,9 @@ def main() -> int:
         }
         result, eyelet, figures["attenuation_against_setpoint"] = attenuation_figure()
         loops, figures["hysteresis"] = hysteresis()
-        found = targets(table, rates, cannot, seeds)
-        print()
-        for name, target in found.items():
-            verdict = "met   " if target["met"] else "MISSED"
-            print(f"{verdict} {name}: {target['value']:.4g}, limit {target['limit']:.3g}")
         save_figure(result, eyelet, loops, image)
         print(f"figure: {image}")
-    if options.json:
-        print(json.dumps({"figures": figures, "targets": found}))
-    return 0 if all(target["met"] for target in found.values()) else 1
+    return tell(figures, targets(table, rates, cannot, seeds), as_json=options.json)
 
 
 if __name__ == "__main__":

@@ -7,21 +7,17 @@ one, else its best noisy trial. Settings were chosen on seeds below 100; the tab
 from 1000 on. Rows are written as they are finished; `--rows` prints the tables of such a file.
 """
 
-import argparse
-import contextlib
-import io
 import json
-import math
 import os
 import sys
 from collections.abc import Iterator
 from dataclasses import asdict
 from itertools import product
 from pathlib import Path
-from typing import Any
 
 from joblib import Parallel, delayed
 
+from experiments.judged import command_line, tell
 from experiments.sample_efficiency import figures, searches, tables
 from experiments.sample_efficiency.algorithms import ALGORITHMS, OURS
 from experiments.sample_efficiency.drawing import save_figure
@@ -101,20 +97,9 @@ def read_stops(file: Path) -> list[StoppedRun]:
     return [StoppedRun(**{**row, "gains_inside": tuple(row["gains_inside"])}) for row in rows]
 
 
-def finite(value: Any) -> Any:
-    """The same with None for what is not finite, which JSON does not know."""
-    if isinstance(value, dict):
-        return {key: finite(one) for key, one in value.items()}
-    if isinstance(value, list | tuple):
-        return [finite(one) for one in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
 def main() -> int:
     """Runs what is asked for and prints its tables; returns 1 where a target is missed."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", maxsplit=1)[0])
-    parser.add_argument("--json", action="store_true", help="print one JSON object alone")
-    parser.add_argument("--quick", action="store_true", help="two problems, 60 trials, two seeds")
+    parser = command_line(__doc__, quick="two problems, 60 trials, two seeds")
     parser.add_argument("--jobs", type=int, default=1, help="searches at a time")
     parser.add_argument(
         "--only", choices=[*ALGORITHMS, "stops"], help="make these rows anew, keep the others"
@@ -135,19 +120,14 @@ def main() -> int:
             stops(HELD_OUT, list(PROBLEMS), options.jobs, STOPS)
         rows, ends = searches.read(ROWS), read_stops(STOPS)
     found, stopped = figures.of_all(rows), figures.of_stops(ends)
-    reached = figures.targets(found, stopped)
-    with contextlib.redirect_stdout(io.StringIO() if options.json else sys.stdout):
+    image = FIGURE.with_stem(f"{FIGURE.stem}_quick") if options.quick else FIGURE
+    save_figure(rows, image)
+    if not options.json:
         for line in (*tables.lines(found), *tables.stop_lines(stopped)):
             print(line)
-        print()
-        for name, target in reached.items():
-            print(f"{'met   ' if target['met'] else 'MISSED'} {name}: {target['value']}")
-        image = FIGURE.with_stem(f"{FIGURE.stem}_quick") if options.quick else FIGURE
-        save_figure(rows, image)
         print(f"figure: {image}")
-    if options.json:
-        print(json.dumps(finite({"figures": {**found, "stops": stopped}, "targets": reached})))
-    return 0 if all(target["met"] for target in reached.values()) else 1
+    reached = figures.targets(found, stopped)
+    return tell({**found, "stops": stopped}, reached, as_json=options.json)
 
 
 if __name__ == "__main__":

@@ -2,10 +2,11 @@
 
 import math
 from collections.abc import Iterable, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
+from experiments.judged import Target, at_least, at_most, between
 from experiments.sample_efficiency.algorithms import ALGORITHMS, OURS
 from experiments.sample_efficiency.problems import ALL_PROBLEMS, PROBLEMS
 from experiments.sample_efficiency.searches import COLD, WARM, Row, of
@@ -116,51 +117,28 @@ def _of_stops(runs: Sequence[StoppedRun]) -> dict[str, Any]:
     }
 
 
-class Target(NamedTuple):
-    """A figure that has to be reached.
-
-    Attributes:
-        value: The figure; None if there is none.
-        most: What it may be at most.
-        least: What it has to be at least.
-    """
-
-    value: float | None
-    most: float = math.inf
-    least: float = -math.inf
-
-    def as_json(self) -> dict[str, Any]:
-        """Value, limit and whether it is met."""
-        limits = [limit for limit in (self.least, self.most) if math.isfinite(limit)]
-        met = self.value is not None and self.least <= self.value <= self.most
-        limit = limits[0] if len(limits) == 1 else limits
-        return {"value": self.value, "limit": limit, "met": bool(met)}
-
-
 def targets(
     found: dict[str, dict[str, dict[str, Any]]], stops: dict[str, dict[str, Any]]
-) -> dict[str, dict[str, Any]]:
+) -> dict[str, Target]:
     """What has to be reached, of newton on the problems whose noise is on the cost."""
     families = {p: own for p, own in found.items() if p in PROBLEMS and NEWTON in own}
     rows: dict[str, Target] = {}
     for key, most, what in WORST_FAMILY:
         values = [own[NEWTON][key] for own in families.values() if key in own[NEWTON]]
         if values:
-            rows[f"{what}, worst family"] = Target(max(values), most)
+            rows[f"{what}, worst family"] = at_most(max(values), most)
     compared = [own for own in families.values() if set(own) - set(OURS)]
     if compared:
         won = sum(map(is_won, compared)) / len(compared)
-        rows["share of families on which every peer needs more trials"] = Target(
-            won, least=SHARE_WON
-        )
+        rows["share of families on which every peer needs more trials"] = at_least(won, SHARE_WON)
     usual, everything = stops.get(f"{NOISE:.0%}"), stops.get(ALL)
     if usual and everything:
-        rows["excess at the stop, median"] = Target(usual["excess"], 0.01)
-        rows["excess at the stop, worst run"] = Target(usual["excess_worst"], 0.05)
+        rows["excess at the stop, median"] = at_most(usual["excess"], 0.01)
+        rows["excess at the stop, worst run"] = at_most(usual["excess_worst"], 0.05)
         for key, what in (("change", "the change"), ("gain", "each gain")):
             share = everything[f"{key}_coverage"]
-            rows[f"coverage of the 95 % interval of {what}"] = Target(share, 0.97, 0.93)
-    return {name: target.as_json() for name, target in rows.items()}
+            rows[f"coverage of the 95 % interval of {what}"] = between(share, 0.93, 0.97)
+    return rows
 
 
 WORST_FAMILY = (
