@@ -58,7 +58,7 @@ SETTLED = 0.0125
 """Where less is expected to be left, the centre is firm enough to stride away from it."""
 
 UNTRIED = 0.25
-"""No less is said to be left before it has strode along what seems to do nothing."""
+"""No less is said to be left before it has taken strides along what seems to do nothing."""
 
 FURTHEST = 1.5
 """How far from the centre an outlook believes its model, in logarithms."""
