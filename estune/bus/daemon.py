@@ -12,13 +12,11 @@ import zenoh
 
 from estune.bus.conversation import AGAIN_S
 from estune.bus.session import (
-    COMMANDS_MAX_BYTES,
     check_endpoint,
     check_loopback,
     close_session,
-    listen_error,
+    open_listening,
     open_session,
-    with_port,
 )
 from estune.errors import EstuneError, InvalidInput, RigError
 from estune.protocol.daemon import (
@@ -42,7 +40,6 @@ from estune.security import OPEN, Security
 ASK_S = 2.0
 _WAITING_MAX = 256
 _END_WITHIN_S = 1.0
-_PORT_TRIES = 5
 
 _log = logging.getLogger(__name__)
 _Message = TypeVar("_Message")
@@ -95,7 +92,9 @@ class DaemonServer:
         if not allow_remote:
             check_loopback(endpoint)
         self.instance = instance
-        self._session, self.endpoint = _listen(endpoint, tuple(routers), security)
+        for router in routers:
+            check_endpoint(router)
+        self._session, self.endpoint = open_listening(endpoint, tuple(routers), security)
         self._threads: list[threading.Thread] = []
         self._tokens: list[zenoh.LivelinessToken] = []
 
@@ -182,30 +181,6 @@ def _answer_to(words: list[str], payload: bytes, supervised: Supervised) -> Any:
         case ["events"]:
             return supervised.events(decode_daemon(Request, payload or b"{}"))
     return None  # somebody looks around with a wildcard
-
-
-def _listen(
-    endpoint: str, routers: tuple[str, ...], security: Security
-) -> tuple[zenoh.Session, str]:
-    for router in routers:
-        check_endpoint(router)
-    for tries_left in reversed(range(_PORT_TRIES)):
-        actual = with_port(endpoint)
-        try:
-            session = open_session(
-                "peer",
-                listen=(actual,),
-                connect=routers,
-                message_max_bytes=COMMANDS_MAX_BYTES,
-                security=security,
-            )
-        except zenoh.ZError as error:
-            # Another process may have taken the free port in between.
-            if actual == endpoint or not tries_left:
-                raise listen_error(actual, error) from error
-        else:
-            return session, actual
-    raise AssertionError  # the last try has returned or raised
 
 
 class DaemonClient:

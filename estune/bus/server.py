@@ -16,13 +16,10 @@ from estune import protocol
 from estune.bus.attendant import Attendant
 from estune.bus.desk import Desk
 from estune.bus.session import (
-    COMMANDS_MAX_BYTES,
     check_endpoint,
     check_loopback,
     close_session,
-    listen_error,
-    open_session,
-    with_port,
+    open_listening,
 )
 from estune.errors import EstuneError, InvalidInput
 from estune.ledger import FileLedger, Ledger, MemoryLedger
@@ -34,7 +31,6 @@ from estune.trial import Rig
 SHOW_S = 0.05
 """How often samples of a trial under way are shown."""
 
-_PORT_TRIES = 5
 _WAITING_MAX = 256
 _END_WITHIN_S = 1.0
 _STATUS_REST_S = 0.02
@@ -105,34 +101,11 @@ def serve(
     book = MemoryLedger() if ledger is None else FileLedger(ledger, keys.rig)
     try:
         return RigServer(
-            rig, keys, book, *_listen(endpoint, routers, security), part_bytes=part_bytes
+            rig, keys, book, *open_listening(endpoint, routers, security), part_bytes=part_bytes
         )
     except BaseException:
         book.close()
         raise
-
-
-def _listen(
-    endpoint: str, routers: tuple[str, ...], security: Security
-) -> tuple[zenoh.Session, str]:
-    """A session that listens, and where it does."""
-    for tries_left in reversed(range(_PORT_TRIES)):
-        actual = with_port(endpoint)
-        try:
-            session = open_session(
-                "peer",
-                listen=(actual,),
-                connect=routers,
-                message_max_bytes=COMMANDS_MAX_BYTES,
-                security=security,
-            )
-        except zenoh.ZError as error:
-            # Another process may have taken the free port in between.
-            if actual == endpoint or not tries_left:
-                raise listen_error(actual, error) from error
-        else:
-            return session, actual
-    raise AssertionError  # the last try has returned or raised
 
 
 class RigServer:

@@ -25,6 +25,7 @@ COMMANDS_MAX_BYTES = 64 * 2**10
 """Largest message a rig takes in; longer ones are dropped by the transport, before any of ours."""
 
 _CLOSE_WITHIN_S = 5.0
+_PORT_TRIES = 5
 _log = logging.getLogger(__name__)
 
 
@@ -82,6 +83,33 @@ def open_session(
     for key, value in security.settings().items():
         config.insert_json5(key, json.dumps(value))
     return zenoh.open(config)
+
+
+def open_listening(
+    endpoint: str, routers: tuple[str, ...], security: Security
+) -> tuple[zenoh.Session, str]:
+    """A session that takes commands, and where it listens: port 0 is a free one.
+
+    Raises:
+        RigError: nothing can listen there.
+    """
+    for tries_left in reversed(range(_PORT_TRIES)):
+        actual = with_port(endpoint)
+        try:
+            session = open_session(
+                "peer",
+                listen=(actual,),
+                connect=routers,
+                message_max_bytes=COMMANDS_MAX_BYTES,
+                security=security,
+            )
+        except zenoh.ZError as error:
+            # Another process may have taken the free port in between.
+            if actual == endpoint or not tries_left:
+                raise listen_error(actual, error) from error
+        else:
+            return session, actual
+    raise AssertionError  # the last try has returned or raised
 
 
 def close_session(session: zenoh.Session) -> None:
