@@ -268,8 +268,8 @@ def show(watch: Stopwatch) -> None:
         print(f"  {watch.median_ms(name):7.3f} {watch.slow_ms(name):7.3f} ms  {what}")
 
 
-def main() -> None:
-    """Measures, prints the table or, with --json, the figures."""
+def main() -> int:
+    """Measures, prints, and says by its exit code whether every target was met."""
     parser = command_line(__doc__, quick="a few trials only")
     parser.add_argument("--folder", type=Path, help="on which disk to keep journal and ledger")
     parser.add_argument("--serve", action="store_true", help=argparse.SUPPRESS)
@@ -277,10 +277,10 @@ def main() -> None:
     arguments = parser.parse_args()
     if arguments.serve:
         serve(arguments.folder)
-        return
+        return 0
     if arguments.pull:
         pull(arguments.pull)
-        return
+        return 0
     turns = 100 if arguments.quick else 2000
     with tempfile.TemporaryDirectory(dir=arguments.folder) as folder:
         watch, size = measure(turns, turns // 10, Path(folder))
@@ -296,8 +296,8 @@ def main() -> None:
     if not arguments.json:
         print(f"{turns} trials over loopback, records of {size} bytes; medians\n")
         show(watch)
-    tell(figures, targets, as_json=arguments.json)
+    return tell(figures, targets, as_json=arguments.json)
 
 
 if __name__ == "__main__":
-    main()
+    raise SystemExit(main())

@@ -259,8 +259,8 @@ def fuzz(mutations: int, seed: int = 0) -> Fuzz:
     return run
 
 
-def main() -> None:
-    """Fuzzes, prints the table or, with --json, the figures."""
+def main() -> int:
+    """Fuzzes, prints, and says by its exit code whether every target was met."""
     parser = command_line(__doc__, quick="some thousand messages only")
     parser.add_argument("--mutations", type=int, default=MUTATIONS, help="how many messages")
     parser.add_argument("--seed", type=int, default=0, help="of the changes")
@@ -275,8 +275,8 @@ def main() -> None:
         print(f"\n{len(run.faults)} faults")
         for fault in run.faults[:10]:
             print(f"  {fault[:300]}")
-    tell(figures, {"faults": at_most(len(run.faults), 0)}, as_json=arguments.json)
+    return tell(figures, {"faults": at_most(len(run.faults), 0)}, as_json=arguments.json)
 
 
 if __name__ == "__main__":
-    main()
+    raise SystemExit(main())
