@@ -2,7 +2,6 @@
 
 import threading
 import time
-from collections import OrderedDict
 from dataclasses import replace
 from datetime import UTC, datetime
 from typing import NamedTuple, TypeVar
@@ -12,19 +11,13 @@ from numpy.typing import NDArray
 
 from estune.core.gains import Gains
 from estune.errors import RigError
+from estune.guest import TrialRecords, stopped
 from estune.trial import Outcome, RigDescription, Telemetry, TrialRecord, TrialRequest
 from plants.noise import NoiseSource
 from plants.plant import SOFTWARE, Plant, check_not_negative, drive_of
 from plants.simulation import Response, simulate
 
 Scalar = TypeVar("Scalar", bound=np.generic)
-
-STOP_AGAIN_S = 0.02
-"""How often a trial that is to stop is told so."""
-
-REMEMBERED = 64
-"""Records kept for a trial that is asked for again. An older one gives the same anew: its noise
-depends on the seed and the trial's number alone."""
 
 
 class _End(NamedTuple):
@@ -63,7 +56,7 @@ class SimulatedRig:
         self._description = replace(plant.describe(name, gains), simulated=True)
         self._noise = NoiseSource(seed)
         self._pace = pace
-        self._records: OrderedDict[str, tuple[TrialRequest, TrialRecord]] = OrderedDict()
+        self._records = TrialRecords(same_anew=True)  # its noise depends on seed and number alone
         self._trial = threading.Lock()  # held while a trial runs
         self._running = False
         self._stop = threading.Event()
@@ -93,14 +86,12 @@ class SimulatedRig:
                 self._stop.clear()
                 self._running = True
             try:
-                trial_id = request.trial_id
-                if trial_id in self._records:
-                    return self._again(request, *self._records[trial_id])
+                known = self._records.again(request)
+                if known is not None:
+                    return known
                 limits.check(request.profile)
                 record = self._perform(request)
-                self._records[trial_id] = (request, record)
-                if len(self._records) > REMEMBERED:
-                    self._records.popitem(last=False)
+                self._records.add(request, record)
                 return record
             finally:
                 with self._state:
@@ -114,15 +105,8 @@ class SimulatedRig:
 
     def abort(self) -> RigDescription:
         """Stops the trial under way, if any, and returns once the live gains are back."""
-        stopped = False
-        while not stopped:  # said again: a trial that is just beginning may not have heard it
-            with self._state:
-                self._check_open()
-                if self._running:
-                    self._stop.set()
-            stopped = self._trial.acquire(timeout=STOP_AGAIN_S)
-        self._trial.release()
-        return self.describe()
+        with stopped(self._trial, self._stop_running):
+            return self.describe()
 
     def estop(self, reason: str) -> None:
         """Ends the trial under way, and refuses others until cleared."""
@@ -210,16 +194,11 @@ class SimulatedRig:
             profile=request.profile.kind,
         )
 
-    def _again(
-        self, request: TrialRequest, asked: TrialRequest, record: TrialRecord
-    ) -> TrialRecord:
-        """The record of a trial that has run before."""
-        if request != asked:
-            raise RigError(
-                f"trial {request.trial_id} has run with other gains or another profile; "
-                "a trial id is used once: ask under a new run name or attempt"
-            )
-        return record
+    def _stop_running(self) -> None:
+        with self._state:
+            self._check_open()
+            if self._running:
+                self._stop.set()
 
     def _check_free(self) -> None:
         """The state is locked."""

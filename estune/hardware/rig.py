@@ -1,11 +1,9 @@
 """A reel on hardware as a rig."""
 
-import contextlib
 import logging
 import math
 import threading
 import time
-from collections.abc import Iterator
 from dataclasses import replace
 from datetime import UTC, datetime
 from typing import Self
@@ -16,8 +14,8 @@ from estune.core import pidf
 from estune.core.cost import StepCost
 from estune.core.gains import Gains
 from estune.errors import InvalidInput, RigError
+from estune.guest import TrialRecords, stopped
 from estune.hardware.config import RigConfig
-from estune.hardware.kept import Kept
 from estune.hardware.machine import Phase
 from estune.hardware.memory import Level, Word, column, flag_column
 from estune.hardware.plan import Begin, Clear, Done, Ended, Swap, Tell
@@ -35,8 +33,6 @@ from estune.trial import (
 
 JUMP_s = 1.0
 """A jump of the time of day between two trials that is worth a word."""
-
-_ABORT_AGAIN_s = 0.05
 
 _log = logging.getLogger(__name__)
 
@@ -65,7 +61,7 @@ class HardwareRig:
         self._following = plan.following
         self._cost = StepCost(config.settling_time_s)
         self._live_cost: tuple[Profile, float] | None = None
-        self._kept = Kept()
+        self._records = TrialRecords()
         self._numbers = 0
         self._day_s = _day_s()
         self._trial = threading.Lock()  # held while anything is said to the loop
@@ -102,7 +98,7 @@ class HardwareRig:
         """
         with self._trial:
             self._check_alive()
-            known = self._kept.again(request)
+            known = self._records.again(request)
             if known is not None:
                 return known
             self._description.limits.check(request.profile)
@@ -113,7 +109,7 @@ class HardwareRig:
             finally:
                 self._under_way, self._shown = 0, ""
             record = self._record(request, answer)
-            self._kept.add(request, record)
+            self._records.add(request, record)
             self._learn_cost(request, record)
             return record
 
@@ -159,7 +155,7 @@ class HardwareRig:
     def abort(self) -> RigDescription:
         """Stops the trial under way, if any, and returns once the live gains are back."""
         self._check_alive()
-        with self._stopped():
+        with stopped(self._trial, self._stop):
             return self.describe()
 
     def estop(self, reason: str) -> None:
@@ -217,23 +213,11 @@ class HardwareRig:
         if self._closed:
             return
         self._closed = True
-        with self._stopped():
+        with stopped(self._trial, self._stop):
             self._loop.end(self._config.safe.ramp_s + ANSWER_WITHIN_s)
 
-    @contextlib.contextmanager
-    def _stopped(self) -> Iterator[None]:
-        """Holds the lock, having stopped whatever trial stood in the way.
-
-        Said again and again: a trial that is being prepared has no number to be stopped by yet.
-        """
-        stopped = False
-        while not stopped:
-            self._memory.words[Word.ABORT] = self._under_way
-            stopped = self._trial.acquire(timeout=_ABORT_AGAIN_s)
-        try:
-            yield
-        finally:
-            self._trial.release()
+    def _stop(self) -> None:
+        self._memory.words[Word.ABORT] = self._under_way
 
     def _prepare(self, request: TrialRequest) -> Begin:
         """Puts what is to be followed where the loop finds it."""

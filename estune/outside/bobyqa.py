@@ -9,12 +9,11 @@ from typing import Any, Literal
 
 import numpy as np
 
-from estune.core.search_space import Coordinates, Point, SearchSpace
-from estune.core.tuners.observation import Observation
+from estune.core.search_space import Coordinates
 from estune.core.tuners.settings import check_above_zero, check_logarithmic
 from estune.errors import InvalidInput
-from estune.outside.history import History, begun, with_trial
-from estune.outside.live import check_installed, proposal
+from estune.outside.live import Optimiser, check_installed
+from estune.outside.tuner import OutsideTuner
 
 MOST_TRIALS = 100_000  # Py-BOBYQA grows slow with this number, and not only with the trials made
 WORSE_BY = math.log(2.0)
@@ -22,7 +21,7 @@ WORSE_BY = math.log(2.0)
 
 
 @dataclass(frozen=True, slots=True)
-class Bobyqa:
+class Bobyqa(OutsideTuner):
     """Steps within a trust region about the best point of a quadratic model of the log cost.
 
     Attributes:
@@ -36,7 +35,6 @@ class Bobyqa:
             is not logarithmic, or Py-BOBYQA is not installed.
     """
 
-    space: SearchSpace
     radius: float = 0.5
     least_radius: float = 0.1
     name: Literal["bobyqa"] = "bobyqa"
@@ -61,30 +59,9 @@ class Bobyqa:
                     f"than twice the radius {self.radius:g}; widen them or make radius smaller"
                 )
 
-    def start(self) -> History:
-        """The state before the first trial."""
-        return begun(self.space)
-
-    def ask(self, state: History) -> Point:
-        """The point of the next trial, within the bounds."""
-        return self.space.point(self._proposed(state))
-
-    def tell(self, state: History, observation: Observation) -> History:
-        """The state after the trial last asked for.
-
-        Raises:
-            InvalidInput: the cost is not finite although the observation is not censored.
-        """
-        return with_trial(state, self.space, self._proposed(state), observation)
-
-    def recommend(self, state: History) -> Point:
-        """The best safe point tried."""
-        return state.best_point
-
-    def _proposed(self, state: History) -> Coordinates:
-        if not state.levels:
-            return self.space.coordinates(self.space.start)
-        return proposal(self, state, lambda: _Solver(self))
+    def optimiser(self) -> Optimiser:
+        """A solver that has been told of nothing."""
+        return _Solver(self)
 
 
 class _Closed(Exception):

@@ -3,15 +3,14 @@
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from estune.core.search_space import Coordinates, Point, SearchSpace
-from estune.core.tuners.observation import Observation
+from estune.core.search_space import Coordinates
 from estune.errors import InvalidInput
-from estune.outside.history import History, begun, with_trial
-from estune.outside.live import check_installed, proposal
+from estune.outside.live import Optimiser, check_installed
+from estune.outside.tuner import OutsideTuner
 
 
 @dataclass(frozen=True, slots=True)
-class OptunaTpe:
+class OptunaTpe(OutsideTuner):
     """Searches the whole box between the bounds, so the bounds should be safe.
 
     It begins with the start and some random points, then samples where good trials were denser
@@ -27,7 +26,6 @@ class OptunaTpe:
         InvalidInput: a setting is out of its range, or Optuna is not installed.
     """
 
-    space: SearchSpace
     startup_trials: int = 10
     seed: int = 0
     name: Literal["optuna"] = "optuna"
@@ -41,30 +39,9 @@ class OptunaTpe:
         if not 0 <= self.seed < 2**31:
             raise InvalidInput(f"optuna: seed is {self.seed}; it must lie from 0 to 2^31 - 1")
 
-    def start(self) -> History:
-        """The state before the first trial."""
-        return begun(self.space)
-
-    def ask(self, state: History) -> Point:
-        """The point of the next trial, within the bounds."""
-        return self.space.point(self._proposed(state))
-
-    def tell(self, state: History, observation: Observation) -> History:
-        """The state after the trial last asked for.
-
-        Raises:
-            InvalidInput: the cost is not finite although the observation is not censored.
-        """
-        return with_trial(state, self.space, self._proposed(state), observation)
-
-    def recommend(self, state: History) -> Point:
-        """The best safe point tried."""
-        return state.best_point
-
-    def _proposed(self, state: History) -> Coordinates:
-        if not state.levels:
-            return self.space.coordinates(self.space.start)
-        return proposal(self, state, lambda: _Study(self))
+    def optimiser(self) -> Optimiser:
+        """A study that has been told of nothing."""
+        return _Study(self)
 
 
 class _Study:
