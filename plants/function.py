@@ -3,9 +3,8 @@
 import copy
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -16,6 +15,7 @@ from estune.core.pidf import ControllerSettings
 from estune.errors import PlantError
 from estune.profiles import StepProfile
 from estune.trial import SATURATED, FloatArray, RigDescription, RigLimits
+from plants.affected import TakesEffects
 from plants.effects import Effect
 from plants.linear import UNLIMITED_N, LONGEST_TRIAL_samples
 from plants.plant import (
@@ -28,7 +28,6 @@ from plants.plant import (
     check_not_negative,
     whole_and_fraction,
 )
-from plants.stages import amended
 from plants.traced import Shape, TracedStructure, unavailable
 from plants.trial_loop import Batch, trial_loop
 
@@ -37,8 +36,11 @@ Step = Callable[[Any, float, float], tuple[Any, float]]
 
 
 @dataclass(frozen=True)
-class PythonPlant(Mounted, ServesAsRig):
+class PythonPlant(TakesEffects, Mounted, ServesAsRig):
     """A plant given as a function; made by `python_plant`.
+
+    Effects are added to its input and output; the function is then traced with symbols, see
+    `plants.traced`.
 
     Attributes:
         mounting: Controller, suggested step, limits and noise.
@@ -47,8 +49,6 @@ class PythonPlant(Mounted, ServesAsRig):
         initial_effort_N: Effort in force until the dead time has passed, and of the controller.
         initial_measurement_N: Measurement at the start.
         dead_time_s: Delay of the effort, s.
-        effects: What has been added to its input and output; the function is then traced with
-            symbols, see `plants.traced`.
         torque_unit: Input that stands for a newton metre, or an ampere, of the effects.
         angle_unit: Output that stands for a radian of the effects.
 
@@ -62,7 +62,6 @@ class PythonPlant(Mounted, ServesAsRig):
     initial_effort_N: float
     initial_measurement_N: float
     dead_time_s: float
-    effects: tuple[Effect, ...] = ()
     torque_unit: float = 1.0
     angle_unit: float = 1.0
 
@@ -71,12 +70,6 @@ class PythonPlant(Mounted, ServesAsRig):
             reason = self.unavailable(type(effect))
             if reason:
                 raise PlantError(f"{effect.name} cannot be added to a Python plant: {reason}")
-
-    def __add__(self, effect: Effect) -> "PythonPlant":
-        """The same plant with one more effect."""
-        if not isinstance(effect, Effect):
-            return NotImplemented
-        return replace(self, effects=(*self.effects, effect))
 
     def unavailable(self, effect: type[Effect]) -> str | None:
         """Why an effect has no place on the plant, or None where it has.
@@ -108,15 +101,9 @@ class PythonPlant(Mounted, ServesAsRig):
         } | {f"initial.{n}": float(value) for n, value in enumerate(flat)}
 
     @cached_property
-    def _with_effects(self) -> tuple[TracedStructure, FloatArray, int]:
-        """Structure, parameters and whole samples of dead time of the plant with its effects."""
-        own = self.own_numbers
-        pairs = [(type(e), SimpleNamespace(**vars(e))) for e in self.effects]
-        p = amended(SimpleNamespace(torque_constant_Nm_A=1.0, **own), pairs)
-        delay, _ = whole_and_fraction(p.dead_time_s, p.sampling_Hz)
-        added = [getattr(e, name) for e in self.effects for name in e.parameters()]
-        structure = self.traced(tuple(type(e) for e in self.effects))
-        return structure, np.array([*own.values(), delay, *added]), delay
+    def _with_effects(self) -> tuple[TracedStructure, FloatArray]:
+        """Structure and parameters of the plant with its effects."""
+        return self.traced(self.kinds), self.numbers(self.own_numbers.values())
 
     def respond(
         self,
@@ -127,14 +114,14 @@ class PythonPlant(Mounted, ServesAsRig):
     ) -> Columns:
         """Runs a batch of trials; see `Plant.respond`."""
         if self.effects:
-            structure, parameters, delay = self._with_effects
+            structure, parameters = self._with_effects
             batch = Batch(
                 parameters=parameters,
                 coefficients=coefficients,
                 preload_N=drive.preload_N,
                 setpoint_N=drive.setpoint_N,
                 noise_N=noise_N,
-                delay=delay,
+                delay=self.delay_samples,
                 bound_N=bound_N,
                 open_loop=drive.open_loop,
             )

@@ -2,9 +2,8 @@
 
 import itertools
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
-from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import casadi as ca
@@ -17,8 +16,8 @@ from estune.errors import InvalidInput, PlantError
 from estune.interop import linear_model
 from estune.profiles import StepProfile
 from estune.trial import FloatArray, LinearModel, RigDescription, RigLimits
+from plants.affected import TakesEffects
 from plants.availability import unavailable
-from plants.effects import Effect
 from plants.equations import Equations, Expression, column_of, pack
 from plants.plant import (
     Columns,
@@ -32,7 +31,6 @@ from plants.plant import (
 )
 from plants.ported import PortedStructure
 from plants.rational import Rational, factorised
-from plants.stages import amended
 from plants.trial_loop import Batch, trial_loop
 
 if TYPE_CHECKING:  # python-control takes more than a second to import
@@ -47,14 +45,13 @@ LONGEST_TRIAL_samples = 1_000_000
 
 
 @dataclass(frozen=True)
-class LinearPlant(Mounted, ServesAsRig):
-    """A linear plant, sampled exactly; made by `linear_plant`.
+class LinearPlant(TakesEffects, Mounted, ServesAsRig):
+    """A linear plant, sampled exactly; made by `linear_plant`. Its effects: see `plants.ported`.
 
     Attributes:
         mounting: Controller, suggested step, limits and noise.
         sampled: The plant under zero-order hold.
         model: The continuous model, or None where it was given in discrete time.
-        effects: What has been added to the plant; see `plants.ported`.
         torque_unit: Input that stands for a newton metre of the effects.
         angle_unit: Output that stands for a radian of the effects.
 
@@ -65,7 +62,6 @@ class LinearPlant(Mounted, ServesAsRig):
     mounting: Mounting
     sampled: SampledPlant
     model: LinearModel | None
-    effects: tuple[Effect, ...] = ()
     torque_unit: float = 1.0
     angle_unit: float = 1.0
 
@@ -76,12 +72,6 @@ class LinearPlant(Mounted, ServesAsRig):
             reason = unavailable(self._factorised[0], type(effect))
             if reason:
                 raise PlantError(f"{effect.name} cannot be added to the linear plant: {reason}")
-
-    def __add__(self, effect: Effect) -> "LinearPlant":
-        """The same plant with one more effect."""
-        if not isinstance(effect, Effect):
-            return NotImplemented
-        return replace(self, effects=(*self.effects, effect))
 
     @cached_property
     def _factorised(self) -> tuple[Rational, dict[str, float]]:
@@ -116,26 +106,18 @@ class LinearPlant(Mounted, ServesAsRig):
         return self._factorised[0]
 
     @cached_property
-    def _ported(self) -> tuple[PortedStructure, FloatArray, int]:
-        """Structure, parameters and whole samples of dead time of the plant with its effects."""
-        own, kinds = self.own_numbers, tuple(type(effect) for effect in self.effects)
-        pairs = [(type(e), SimpleNamespace(**vars(e))) for e in self.effects]
-        p = amended(
-            SimpleNamespace(viscous_friction_Nms=0.0, torque_constant_Nm_A=1.0, **own), pairs
-        )
-        whole, _ = whole_and_fraction(p.dead_time_s, p.sampling_Hz)
-        fastest = float(np.abs(self.sampled.modes).max(initial=0.0)) * p.sampling_Hz
-        squarings = PortedStructure.squarings_for(max(2.0 * fastest, 1e-9), p.sampling_Hz)
-        structure = PortedStructure(self.base, kinds, fractional=True, squarings=squarings)
-        added = [getattr(e, name) for e in self.effects for name in e.parameters()]
-        values = np.array([*(own[name] for name in structure.own_names), whole, *added])
-        return structure, values, whole
+    def _ported(self) -> PortedStructure:
+        """The structure of the plant with its effects."""
+        rate = self.controller.sampling_Hz
+        fastest = float(np.abs(self.sampled.modes).max(initial=0.0)) * rate
+        squarings = PortedStructure.squarings_for(max(2.0 * fastest, 1e-9), rate)
+        return PortedStructure(self.base, self.kinds, fractional=True, squarings=squarings)
 
-    @cached_property
+    @property
     def structure(self) -> "LinearStructure | PortedStructure":
         """What the equations depend on besides numbers."""
         if self.effects:
-            return self._ported[0]
+            return self._ported
         return LinearStructure(max(1, self.sampled.C.size), bool(self.sampled.before.any()))
 
     @cached_property
@@ -152,7 +134,8 @@ class LinearPlant(Mounted, ServesAsRig):
     def parameter_values(self) -> FloatArray:
         """The numbers the equations take: matrices column by column, then the rest."""
         if self.effects:
-            return self._ported[1]
+            own = self.own_numbers
+            return self.numbers(own[name] for name in self._ported.own_names)
         s, padding = self.sampled, 1 if self.sampled.C.size == 0 else 0
         rest = np.zeros(s.C.size + 1) if self._rest is None else self._rest
         return np.concatenate(
@@ -184,7 +167,7 @@ class LinearPlant(Mounted, ServesAsRig):
             preload_N=drive.preload_N,
             setpoint_N=drive.setpoint_N,
             noise_N=noise_N,
-            delay=self._ported[2] if self.effects else self.sampled.delay,
+            delay=self.delay_samples if self.effects else self.sampled.delay,
             bound_N=bound_N,
             open_loop=drive.open_loop,
         )

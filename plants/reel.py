@@ -1,19 +1,17 @@
 """A motorised cable reel whose far cable end is fixed: its physical parameters."""
 
 import math
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from functools import cached_property
 from types import SimpleNamespace
 from typing import Any
-
-import numpy as np
 
 from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
 from estune.errors import InvalidInput
 from estune.profiles import StepProfile
 from estune.trial import FloatArray, LinearModel, RigDescription, RigLimits
-from plants.effects import Effect
+from plants.affected import TakesEffects
 from plants.plant import (
     SOFTWARE,
     Columns,
@@ -21,10 +19,8 @@ from plants.plant import (
     ServesAsRig,
     check_above_zero,
     check_not_negative,
-    whole_and_fraction,
 )
 from plants.reel_equations import ReelStructure, drum_stiffness_Nm_rad, viscous_friction_Nms
-from plants.stages import amended
 from plants.trial_loop import Batch, trial_loop
 
 SAFE_GAINS = Gains(P=0.4, I=12.0, D=0.01, setpoint_filter_s=0.03)
@@ -42,7 +38,7 @@ _MAY_BE_ZERO = (
 
 
 @dataclass(frozen=True)
-class Reel(ServesAsRig):
+class Reel(TakesEffects, ServesAsRig):
     """A reel at one cable length and tension; the equations are in `plants.reel_equations`.
 
     Attributes:
@@ -66,7 +62,6 @@ class Reel(ServesAsRig):
         derivative_filter_s: Time constant of the controller's derivative filter, s.
         tension_min_N: Least setpoint, N.
         tension_max_N: Greatest setpoint, N.
-        effects: What has been added to the reel, in the order in which the signal meets it.
 
     Raises:
         InvalidInput: a value is out of its range.
@@ -92,7 +87,6 @@ class Reel(ServesAsRig):
     derivative_filter_s: float = 0.002
     tension_min_N: float = 5.0
     tension_max_N: float = 40.0
-    effects: tuple[Effect, ...] = ()
 
     def __post_init__(self) -> None:
         for f in fields(self):
@@ -115,12 +109,6 @@ class Reel(ServesAsRig):
                 f"{self.current_limit_A * self.newtons_per_ampere:g} N, and tension_max_N is "
                 f"{self.tension_max_N:g} N"
             )
-
-    def __add__(self, effect: Effect) -> "Reel":
-        """The same reel with one more physical effect."""
-        if not isinstance(effect, Effect):
-            return NotImplemented
-        return replace(self, effects=(*self.effects, effect))
 
     @property
     def newtons_per_ampere(self) -> float:
@@ -181,48 +169,35 @@ class Reel(ServesAsRig):
             software=SOFTWARE,
         )
 
-    @cached_property
-    def _amended(self) -> SimpleNamespace:
-        """The reel's own numbers as the effects leave them."""
-        own = SimpleNamespace(**{name: getattr(self, name) for name in ReelStructure.OWN})
-        return amended(own, [(type(e), SimpleNamespace(**vars(e))) for e in self.effects])
+    @property
+    def own_numbers(self) -> dict[str, float]:
+        """The reel's own numbers by name, as the equations take them."""
+        return {name: getattr(self, name) for name in ReelStructure.OWN}
 
     @property
     def _moved(self) -> set[str]:
         """Which of the reel's own numbers the effects may change."""
-        p = self._amended
+        p = self.amended
         return {name for e in self.effects for name in e.amend(SimpleNamespace(**vars(e)), p)}
-
-    @cached_property
-    def _dead_time(self) -> tuple[int, float]:
-        """Whole samples and the fraction of one, with what effects add."""
-        return whole_and_fraction(self._amended.dead_time_s, self.sampling_Hz)
-
-    @property
-    def delay_samples(self) -> int:
-        """Whole samples of the dead time, with what effects add."""
-        return self._dead_time[0]
 
     @cached_property
     def structure(self) -> ReelStructure:
         """What the equations depend on besides numbers."""
-        p = self._amended
+        p = self.amended
         kappa = drum_stiffness_Nm_rad(p, self.tension_max_N)
         J, b = p.drum_inertia_kg_m2, viscous_friction_Nms(p)
         fastest = max(2.0 * math.pi * p.gauge_Hz, math.sqrt(kappa / J), b / J)
         return ReelStructure(
-            effects=tuple(type(effect) for effect in self.effects),
+            effects=self.kinds,
             # A dead time that an effect may move is whole by chance only.
-            fractional=self._dead_time[1] > 0.0 or "dead_time_s" in self._moved,
+            fractional=self.dead_time[1] > 0.0 or "dead_time_s" in self._moved,
             squarings=ReelStructure.squarings_for(fastest, self.sampling_Hz),
         )
 
     @cached_property
     def parameter_values(self) -> FloatArray:
         """The numbers the equations take, in the order of `ReelStructure.parameter_names`."""
-        own = [getattr(self, name) for name in ReelStructure.OWN]
-        added = [getattr(e, name) for e in self.effects for name in e.parameters()]
-        return np.array([*own, self.delay_samples, *added])
+        return self.numbers(self.own_numbers.values())
 
     def respond(
         self,

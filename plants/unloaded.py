@@ -1,19 +1,16 @@
 """A reel without its cable: torque in, angle out, no tension."""
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from functools import cached_property
-from types import SimpleNamespace
 from typing import Any, ClassVar
-
-import numpy as np
 
 from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
 from estune.errors import InvalidInput, PlantError
 from estune.profiles import StepProfile
 from estune.trial import FloatArray, LinearModel, RigDescription, RigLimits
+from plants.affected import TakesEffects
 from plants.availability import unavailable
-from plants.effects import Effect
 from plants.linear_bases import Drum
 from plants.plant import (
     SOFTWARE,
@@ -22,11 +19,9 @@ from plants.plant import (
     ServesAsRig,
     check_above_zero,
     check_not_negative,
-    whole_and_fraction,
 )
 from plants.ported import PortedStructure
 from plants.reel_equations import ReelStructure
-from plants.stages import amended
 from plants.trial_loop import Batch, trial_loop
 
 _MAY_BE_ZERO = ("viscous_friction_Nms", "dead_time_s", "derivative_filter_s")
@@ -38,7 +33,7 @@ SHARE_OF_LIMIT = 0.1
 
 
 @dataclass(frozen=True)
-class UnloadedReel(ServesAsRig):
+class UnloadedReel(TakesEffects, ServesAsRig):
     """A motor and a drum that no cable holds: `J theta'' + b theta' = Kt i`.
 
     Equally a servo or a positioning stage: with a radius of 1, a mass for the inertia and a torque
@@ -57,7 +52,6 @@ class UnloadedReel(ServesAsRig):
         encoder_counts: Steps of the encoder per 2 pi of the angle.
         sampling_Hz: Sampling rate.
         derivative_filter_s: Time constant of the controller's derivative filter, s.
-        effects: What has been added to the drum, in the order in which the signal meets it.
 
     Raises:
         InvalidInput: a value is out of its range.
@@ -73,7 +67,6 @@ class UnloadedReel(ServesAsRig):
     encoder_counts: float = 4.0 * 2048.0
     sampling_Hz: float = 632.0
     derivative_filter_s: float = 0.002
-    effects: tuple[Effect, ...] = ()
 
     noise_rms_N: ClassVar[float] = 0.0
 
@@ -87,12 +80,6 @@ class UnloadedReel(ServesAsRig):
             reason = unavailable(Drum(), type(effect))
             if reason:
                 raise PlantError(f"{effect.name} cannot be added to an unloaded reel: {reason}")
-
-    def __add__(self, effect: Effect) -> "UnloadedReel":
-        """The same drum with one more physical effect."""
-        if not isinstance(effect, Effect):
-            return NotImplemented
-        return replace(self, effects=(*self.effects, effect))
 
     @property
     def newtons_per_ampere(self) -> float:
@@ -140,12 +127,6 @@ class UnloadedReel(ServesAsRig):
             software=SOFTWARE,
         )
 
-    @cached_property
-    def _amended(self) -> SimpleNamespace:
-        """The drum's own numbers as the effects leave them."""
-        own = SimpleNamespace(**self.own_numbers)
-        return amended(own, [(type(e), SimpleNamespace(**vars(e))) for e in self.effects])
-
     @property
     def own_numbers(self) -> dict[str, float]:
         """The drum's numbers by name, as the equations take them."""
@@ -154,23 +135,13 @@ class UnloadedReel(ServesAsRig):
         return {name: named[name] for name in named if name in _NUMBERS} | units
 
     @cached_property
-    def _dead_time(self) -> tuple[int, float]:
-        """Whole samples and the fraction of one, with what effects add."""
-        return whole_and_fraction(self._amended.dead_time_s, self.sampling_Hz)
-
-    @property
-    def delay_samples(self) -> int:
-        """Whole samples of the dead time, with what effects add."""
-        return self._dead_time[0]
-
-    @cached_property
     def structure(self) -> PortedStructure:
         """What the equations depend on besides numbers."""
-        p = self._amended
+        p = self.amended
         fastest = p.viscous_friction_Nms / p.drum_inertia_kg_m2
         return PortedStructure(
             base=Drum(),
-            effects=tuple(type(effect) for effect in self.effects),
+            effects=self.kinds,
             fractional=True,
             squarings=ReelStructure.squarings_for(max(fastest, 1e-9), self.sampling_Hz),
         )
@@ -178,9 +149,7 @@ class UnloadedReel(ServesAsRig):
     @cached_property
     def parameter_values(self) -> FloatArray:
         """The numbers the equations take, in the order of `PortedStructure.parameter_names`."""
-        own = [self.own_numbers[name] for name in self.structure.own_names]
-        added = [getattr(e, name) for e in self.effects for name in e.parameters()]
-        return np.array([*own, self.delay_samples, *added])
+        return self.numbers(self.own_numbers[name] for name in self.structure.own_names)
 
     def respond(
         self,
