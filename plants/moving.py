@@ -26,7 +26,8 @@ from estune.profiles import AnyProfile
 from estune.trial import SATURATED, FloatArray
 from plants.plant import drive_of
 from plants.reel import Reel
-from plants.reel_equations import THETA, cable_stiffness_N_m, viscous_friction_Nms
+from plants.reel_equations import cable_stiffness_N_m, viscous_friction_Nms
+from plants.reel_path import THETA
 from plants.simulation import Response, bound
 from plants.trial_loop import Machine, loop_functions
 

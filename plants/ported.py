@@ -17,18 +17,19 @@ no turns either: effects that repeat with each turn have no place there.
 """
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 from types import SimpleNamespace
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import casadi as ca
 
 from plants.effects.effect import Effect, Port, Site
 from plants.equations import Equations, Expression, column_of, held_input, pack
 from plants.linear_bases import Base, Motion
-from plants.reel_equations import SUBSTEPS, GRAVITY_m_s2, ReelStructure
-from plants.stages import Stages, amended
+from plants.parameters import Parametrised
+from plants.reel_equations import GRAVITY_m_s2, ReelStructure
+from plants.reel_path import SUBSTEPS
+from plants.stages import Stages
 
 ARM_m = 0.01
 READINGS_PER_ANGLE = 100.0
@@ -61,7 +62,7 @@ class _Constants(NamedTuple):
 
 
 @dataclass(frozen=True)
-class PortedStructure:
+class PortedStructure(Parametrised):
     """What the equations depend on besides numbers: one compilation serves all plants of it.
 
     Attributes:
@@ -98,11 +99,11 @@ class PortedStructure:
         """The plant's own parameters."""
         return (*self.base.own, *self.COMMON)
 
-    @property
-    def parameter_names(self) -> tuple[str, ...]:
-        """The parameters in order; those of the nth effect as `n.name`."""
-        added = (f"{n}.{name}" for n, e in enumerate(self.effects) for name in e.parameters())
-        return (*self.own_names, "delay_samples", *added)
+    def plain_numbers(self) -> dict[str, float]:
+        """Arm and motor of a plant that is no drum; its own friction is in its poles."""
+        if self.base.is_drum:
+            return {}
+        return {"drum_radius_m": ARM_m, "torque_constant_Nm_A": 1.0, "viscous_friction_Nms": 0.0}
 
     def equations(self) -> Equations:
         """The plant's equations of one sample.
@@ -135,7 +136,7 @@ class PortedStructure:
             drive=ca.Function("drive", [constants, x, effort], plant.drive(x, effort)),
             substep=ca.Function("substep", [constants, x, before, after, n], [ca.densify(moved)]),
             substeps=SUBSTEPS,
-            late=ca.Function("late", [parameters], [self._late(parameters)]),
+            late=ca.Function("late", [parameters], [self.late(parameters)]),
             settle=ca.Function(
                 "settle", [constants, reading], [ca.densify(settled), settled_effort]
             ),
@@ -145,34 +146,13 @@ class PortedStructure:
             ),
         )
 
-    def _split(
-        self, parameters: Expression
-    ) -> tuple[SimpleNamespace, Expression, list[tuple[type[Effect], SimpleNamespace]]]:
-        """The plant's own numbers, the whole samples of dead time, and the effects."""
-        names = self.own_names
-        own = dict(zip(names, ca.vertsplit(parameters[: len(names)]), strict=True))
-        if not self.base.is_drum:  # its own friction is in its poles
-            own |= {"drum_radius_m": ca.SX(ARM_m), "torque_constant_Nm_A": ca.SX(1.0)}
-            own |= {"viscous_friction_Nms": ca.SX(0.0)}
-        symbols: Iterator[Any] = iter(ca.vertsplit(parameters[len(names) + 1 :]))
-        effects = [
-            (effect, SimpleNamespace(**{name: next(symbols) for name in effect.parameters()}))
-            for effect in self.effects
-        ]
-        return SimpleNamespace(**own), parameters[len(names)], effects
-
-    def _late(self, parameters: Expression) -> Expression:
-        """The dead time in samples."""
-        nominal, _, effects = self._split(parameters)
-        p = amended(nominal, effects)
-        return p.dead_time_s * p.sampling_Hz
-
     def _constants(
         self, parameters: Expression, preload: Expression
     ) -> tuple[_Constants, list[dict[str, Expression]], Motion]:
         """The constants, each effect's part of them by name, and the plant."""
-        nominal, delay, effects = self._split(parameters)
-        p = amended(nominal, effects)
+        given = self.named(parameters)
+        nominal, delay, effects = given
+        p = given.amended()
         motion = self.base.motion(p)
         n, h = self.base.order, 1.0 / (p.sampling_Hz * SUBSTEPS)
         transition, gamma = held_input(motion.A, motion.B, h, self.squarings)

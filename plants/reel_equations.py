@@ -18,24 +18,29 @@ at its value for the angle predicted at midspan (second order); friction is a pr
 """
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 from types import SimpleNamespace
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import casadi as ca
 
-from plants.effects.effect import Effect, Port, Site
+from plants.effects.effect import Effect, Port
 from plants.equations import Equations, Expression, column_of, held_input, pack
-from plants.stages import Stages, amended
+from plants.parameters import Parametrised
+from plants.reel_path import (
+    OMEGA,
+    READING,
+    READING_RATE,
+    STATES,
+    SUBSTEPS,
+    THETA,
+    Constants,
+    ReelPath,
+)
+from plants.stages import Stages
 
 GRAVITY_m_s2 = 9.80665
-SUBSTEPS = 4
-THETA, OMEGA, READING, READING_RATE = range(4)
-STATES = 4
 PLACED = 2
-REST_ROUNDS = 12
-"""Rounds of the fixed point at rest, where a cable effect depends on the angle it leads to."""
 
 
 def cable_stiffness_N_m(p: Any, preload_N: Any) -> Any:
@@ -58,30 +63,8 @@ def viscous_friction_Nms(p: Any) -> Any:
     return p.viscous_friction_Nms + p.viscous_friction_per_length_Ns * p.cable_length_m
 
 
-class Constants(NamedTuple):
-    """What is worked out once per trial; matrices are over one substep."""
-
-    transition: Expression  # Phi, 4 x 4
-    by_torque: Expression  # Gamma for a torque on the drum, 4 x 1
-    by_current: Expression  # Gamma for a motor current, 4 x 1
-    by_current_after: Expression  # share of it after the drive's change in midst of a substep
-    change: Expression  # number of the substep in which the drive changes
-    by_tension: Expression  # Gamma for tension beyond the linear law, 4 x 1
-    torque_per_velocity: Expression  # inverse of by_torque[OMEGA]
-    drum_radius_m: Expression
-    torque_constant_Nm_A: Expression
-    tension_per_angle: Expression  # k R
-    tension_per_velocity: Expression  # k R times half a substep: to the angle at midspan
-    substep_s: Expression
-    half_substep_s: Expression
-    amperes_per_newton: Expression
-    current_limit_A: Expression
-    encoder_step_rad: Expression
-    effects: Expression  # parameters of the effects, and what they prepared
-
-
 @dataclass(frozen=True)
-class ReelStructure:
+class ReelStructure(Parametrised):
     """What the equations depend on besides numbers: one compilation serves all reels of it.
 
     Attributes:
@@ -125,10 +108,9 @@ class ReelStructure:
         return max(0, math.ceil(math.log2(fastest_rad_s / (sampling_Hz * SUBSTEPS))))
 
     @property
-    def parameter_names(self) -> tuple[str, ...]:
-        """The parameters in order; those of the nth effect as `n.name`."""
-        added = (f"{n}.{name}" for n, e in enumerate(self.effects) for name in e.parameters())
-        return (*self.OWN, "delay_samples", *added)
+    def own_names(self) -> tuple[str, ...]:
+        """The reel's own parameters."""
+        return self.OWN
 
     @property
     def has_outside_gauge(self) -> bool:
@@ -143,10 +125,10 @@ class ReelStructure:
         values, numbers = self._constants(parameters, preload)
         column, c = pack(values)
         constants = column_of(c)
-        at_rest = _Reel(values, self._stages(numbers), self.has_outside_gauge)
+        at_rest = ReelPath(values, self._stages(numbers), self.has_outside_gauge)
         rest, rest_effort = at_rest.rest(preload)
         symbols = iter(ca.vertsplit(c.effects))
-        reel = _Reel(
+        reel = ReelPath(
             c,
             self._stages([{name: next(symbols) for name in known} for known in numbers]),
             self.has_outside_gauge,
@@ -167,7 +149,7 @@ class ReelStructure:
             drive=ca.Function("drive", [constants, x, effort], reel.drive(x, effort)),
             substep=ca.Function("substep", [constants, x, before, after, n], [ca.densify(moved)]),
             substeps=SUBSTEPS,
-            late=ca.Function("late", [parameters], [self._late(parameters)]),
+            late=ca.Function("late", [parameters], [self.late(parameters)]),
             settle=ca.Function(
                 "settle", [constants, reading], [ca.densify(settled), settled_effort]
             ),
@@ -185,32 +167,13 @@ class ReelStructure:
     def _stages(self, numbers: list[dict[str, Expression]]) -> Stages:
         return Stages(self.effects, numbers, STATES + self.has_outside_gauge)
 
-    def _effects(self, parameters: Expression) -> Iterator[tuple[type[Effect], SimpleNamespace]]:
-        """The effects with their parameters."""
-        symbols = iter(ca.vertsplit(parameters))
-        for effect in self.effects:
-            yield effect, SimpleNamespace(**{name: next(symbols) for name in effect.parameters()})
-
-    def _split(
-        self, parameters: Expression
-    ) -> tuple[SimpleNamespace, Expression, list[tuple[type[Effect], SimpleNamespace]]]:
-        """The reel's own numbers, the whole samples of dead time, and the effects."""
-        own, delay = parameters[: len(self.OWN)], parameters[len(self.OWN)]
-        nominal = SimpleNamespace(**dict(zip(self.OWN, ca.vertsplit(own), strict=True)))
-        return nominal, delay, list(self._effects(parameters[len(self.OWN) + 1 :]))
-
-    def _late(self, parameters: Expression) -> Expression:
-        """The dead time in samples."""
-        nominal, _, effects = self._split(parameters)
-        p = amended(nominal, effects)
-        return p.dead_time_s * p.sampling_Hz
-
     def _constants(
         self, parameters: Expression, preload: Expression
     ) -> tuple[Constants, list[dict[str, Expression]]]:
         """The constants, and each effect's part of them by name."""
-        nominal, delay, effects = self._split(parameters)
-        p = amended(nominal, effects)
+        given = self.named(parameters)
+        nominal, delay, effects = given
+        p = given.amended()
         kappa = drum_stiffness_Nm_rad(p, preload)
         J, b = p.drum_inertia_kg_m2, viscous_friction_Nms(p)
         w = 2.0 * math.pi * p.gauge_Hz
@@ -277,138 +240,3 @@ class ReelStructure:
 
 def _tension_per_angle(p: SimpleNamespace, preload: Expression) -> Expression:
     return cable_stiffness_N_m(p, preload) * p.drum_radius_m
-
-
-class _Reel(NamedTuple):
-    """The stages of the signal's path: constants, effects, and whether there is a gauge outside.
-
-    With a gauge outside the eyelet the state holds, after the reel's own four numbers, how far
-    the tension there is beyond the linear law.
-    """
-
-    c: Constants
-    stages: Stages
-    has_outside_gauge: bool
-
-    def drive(self, x: Expression, effort: Expression) -> list[Expression]:
-        """Actuator: effort to current within its limit."""
-        site = self._now(Port.ACTUATOR, x)
-        x, current = self.stages.forward(x, effort * self.c.amperes_per_newton, site)
-        limit = self.c.current_limit_A
-        return [x, ca.fmin(ca.fmax(current, -limit), limit)]
-
-    def substep(self, x: Expression, driven: Expression) -> Expression:
-        """The state one substep later; `driven` is what the motor current adds to it."""
-        c = self.c
-        linear = c.tension_per_angle * x[THETA] + c.tension_per_velocity * x[OMEGA]
-        site = Site(
-            port=Port.CABLE,
-            span_s=c.substep_s,
-            angle_rad=x[THETA] + c.half_substep_s * x[OMEGA],
-            start_velocity_rad_s=x[OMEGA],
-            velocity_rad_s=x[OMEGA],
-            tension_N=linear,
-            torque_per_velocity=c.torque_per_velocity,
-        )
-        x, stretched = self.stages.forward(x, linear, site)
-        outside = ca.fmax(stretched, 0.0)  # a cable never pushes
-        x, tension = self.stages.forward(x, outside, site._replace(port=Port.EYELET))
-        beyond = tension - linear
-        if ca.is_equal(stretched, linear) and ca.is_equal(tension, outside):
-            # Not as a difference, which each substep would have to wait for.
-            beyond = ca.fmax(-linear, 0.0)
-        if self.has_outside_gauge:
-            x = ca.vertcat(x[:STATES], outside - linear, x[STATES + 1 :])
-        free = c.transition @ x[:STATES] + driven + c.by_tension * beyond
-        at_drum = site._replace(port=Port.DRUM, velocity_rad_s=free[OMEGA], tension_N=tension)
-        x, torque = self.stages.torque(x, at_drum, c.by_torque[OMEGA])
-        return ca.vertcat(free + c.by_torque * torque, x[STATES:])
-
-    def observe(self, x: Expression, noise: Expression, *, rounded: bool) -> list[Expression]:
-        """Gauge and encoder: what is read of the tension and the angle."""
-        x, tension = self.stages.forward(x, x[READING], self._now(Port.GAUGE, x))
-        x, angle = self.stages.forward(x, x[THETA], self._now(Port.ENCODER, x))
-        step = self.c.encoder_step_rad
-        read = ca.floor(angle / step + 0.5) * step if rounded else angle
-        return [x, tension + noise, read]
-
-    def outside(self, x: Expression) -> Expression:
-        """Tension outside the eyelet, beyond the linear law by as much as over the substep."""
-        return ca.fmax(self.c.tension_per_angle * x[THETA] + x[STATES], 0.0)
-
-    def rest(self, preload: Expression) -> tuple[Expression, Expression]:
-        """State and effort of the reel settled where the gauge reads the preload."""
-        c, stages = self.c, self.stages
-        x = ca.SX.zeros(stages.states)
-        x, tension = stages.back(x, preload, self._now(Port.GAUGE, x))
-        x, outside = stages.back(x, tension, self._now(Port.EYELET, x))
-        linear = outside
-        for _ in range(REST_ROUNDS):
-            x[THETA] = linear / c.tension_per_angle
-            x, linear = stages.back(x, outside, self._now(Port.CABLE, x))
-        x[THETA], x[READING] = linear / c.tension_per_angle, tension
-        if self.has_outside_gauge:
-            x[STATES] = outside - linear
-        at_drum = self._now(Port.DRUM, x)._replace(tension_N=tension)
-        x, torque = stages.rest_torque(x, at_drum)
-        current = (c.drum_radius_m * tension - torque) / c.torque_constant_Nm_A
-        x, command = stages.back(x, current, self._now(Port.ACTUATOR, x))
-        x, _ = stages.back(x, x[THETA], self._now(Port.ENCODER, x))
-        return x, command / c.amperes_per_newton
-
-    def locate(self, x: Expression, *, by_gauge: bool) -> Expression:
-        """Where the drum is: angle and velocity, or the tension read and its rate."""
-        if not by_gauge:
-            return x[:READING]
-        linear = self.c.tension_per_angle * x[:READING]
-        reading = linear[0]
-        for port in (Port.CABLE, Port.EYELET, Port.GAUGE):
-            _, reading = self.stages.forward(x, reading, self._now(port, x))
-        return ca.vertcat(reading, linear[1])
-
-    def place(self, x: Expression, to: Expression, *, by_gauge: bool) -> Expression:
-        """The drum put elsewhere; the gauge goes with it, and goes on ringing as it did.
-
-        Args:
-            x: The state.
-            to: Angle and velocity, or the tension read and its rate.
-            by_gauge: Whether it is the latter.
-        """
-        c = self.c
-        if by_gauge:
-            linear = to[0]
-            for port in (Port.GAUGE, Port.EYELET, Port.CABLE):
-                _, linear = self.stages.back(x, linear, self._now(port, x))
-            to = ca.vertcat(linear, to[1]) / c.tension_per_angle
-        # By the cable's own law: a slack one is softer than the linear law by far.
-        before, after = (self._pull(x, at) for at in (x[THETA], to[0]))
-        angle = ca.SX.sym("angle")
-        slope = ca.substitute(ca.jacobian(self._pull(x, angle), angle), angle, to[0])
-        gauge = x[READING:STATES] + ca.vertcat(after - before, slope * (to[1] - x[OMEGA]))
-        return ca.vertcat(to, gauge, x[STATES:])
-
-    def _pull(self, x: Expression, angle: Expression) -> Expression:
-        """Tension at the drum at an angle, as the effects remember it in a state."""
-        tension = self.c.tension_per_angle * angle
-        site = self._now(Port.CABLE, x)._replace(
-            angle_rad=angle,
-            start_velocity_rad_s=ca.SX(0),
-            velocity_rad_s=ca.SX(0),
-            tension_N=tension,
-        )
-        _, tension = self.stages.forward(x, tension, site)
-        tension = ca.fmax(tension, 0.0)
-        _, tension = self.stages.forward(x, tension, site._replace(port=Port.EYELET))
-        return tension
-
-    def _now(self, port: Port, x: Expression) -> Site:
-        """A port that is visited once a sample, or the reel at rest."""
-        return Site(
-            port=port,
-            span_s=self.c.substep_s * SUBSTEPS,
-            angle_rad=x[THETA],
-            start_velocity_rad_s=x[OMEGA],
-            velocity_rad_s=x[OMEGA],
-            tension_N=self.c.tension_per_angle * x[THETA],
-            torque_per_velocity=self.c.torque_per_velocity,
-        )

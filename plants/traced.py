@@ -15,9 +15,10 @@ import numpy as np
 from estune.errors import PlantError
 from plants.effects.effect import Effect, Port, Site
 from plants.equations import Equations, Expression
+from plants.parameters import Parametrised
 from plants.ported import READINGS_PER_ANGLE
 from plants.reel_equations import GRAVITY_m_s2
-from plants.stages import Stages, amended
+from plants.stages import Stages
 
 SHORTEST = 1e-9
 """Least part of a sample that the function is called for; it may divide by the time."""
@@ -102,7 +103,7 @@ class Shape:
 
 
 @dataclass(frozen=True)
-class TracedStructure:
+class TracedStructure(Parametrised):
     """What the equations depend on besides numbers.
 
     Attributes:
@@ -126,11 +127,13 @@ class TracedStructure:
     has_outside_gauge: ClassVar[bool] = False
 
     @property
-    def parameter_names(self) -> tuple[str, ...]:
-        """The parameters in order; those of the nth effect as `n.name`."""
-        initial = (f"initial.{n}" for n in range(self.shape.numbers))
-        added = (f"{n}.{name}" for n, e in enumerate(self.effects) for name in e.parameters())
-        return (*self.COMMON, *initial, "delay_samples", *added)
+    def own_names(self) -> tuple[str, ...]:
+        """The plant's own parameters, with the numbers of its initial state."""
+        return (*self.COMMON, *(f"initial.{n}" for n in range(self.shape.numbers)))
+
+    def plain_numbers(self) -> dict[str, float]:
+        """What drives the function is its torque."""
+        return {"torque_constant_Nm_A": 1.0}
 
     def equations(self) -> Equations:
         """The plant's equations of one sample.
@@ -143,8 +146,9 @@ class TracedStructure:
         constants = ca.SX.sym("parameters", len(self.parameter_names))
         preload, reading, noise = (ca.SX.sym(name) for name in ("preload", "reading", "noise"))
         before, after, effort = (ca.SX.sym(name) for name in ("before", "after", "effort"))
-        nominal, delay, effects = self._split(constants)
-        p = amended(nominal, effects)
+        given = self.named(constants)
+        nominal, delay, effects = given
+        p = given.amended()
         facts = SimpleNamespace(
             **vars(p),
             preload_N=preload,
@@ -195,25 +199,11 @@ class TracedStructure:
                 [ca.vertcat(half, x[n + 1 :])],
             ),
             substeps=1,
-            late=ca.Function("late", [constants], [p.dead_time_s * p.sampling_Hz]),
+            late=ca.Function("late", [constants], [self.late(constants)]),
             settle=ca.Function("settle", [constants, reading], [ca.densify(rest), rest_effort]),
             locate=ca.Function("locate", [constants, x], [x[:n]]),
             place=ca.Function("place", [constants, x, placed], [ca.vertcat(placed, x[n:])]),
         )
-
-    def _split(
-        self, parameters: Expression
-    ) -> tuple[SimpleNamespace, Expression, list[tuple[type[Effect], SimpleNamespace]]]:
-        """The plant's own numbers, the whole samples of dead time, and the effects."""
-        symbols: Iterator[Any] = iter(ca.vertsplit(parameters))
-        initial = [f"initial.{n}" for n in range(self.shape.numbers)]
-        own = {name: next(symbols) for name in (*self.COMMON, *initial)}
-        delay = next(symbols)
-        effects = [
-            (effect, SimpleNamespace(**{name: next(symbols) for name in effect.parameters()}))
-            for effect in self.effects
-        ]
-        return SimpleNamespace(torque_constant_Nm_A=ca.SX(1.0), **own), delay, effects
 
 
 @lru_cache(maxsize=64)

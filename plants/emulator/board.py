@@ -15,7 +15,8 @@ from estune.errors import InvalidInput
 from plants.emulator.wire import Truth
 from plants.plant import check_above_zero
 from plants.reel import Reel
-from plants.reel_equations import THETA, ReelStructure
+from plants.reel_equations import ReelStructure
+from plants.reel_path import THETA
 
 STEPS_PER_SAMPLE = 8
 _NOISE_AT_ONCE = 4096
