@@ -231,7 +231,7 @@ class _Plant(NamedTuple):
         free = c.transition @ x[:n] + driven
         if not moves:  # then only a constant torque can be there
             x, torque = self.stages.rest_torque(x, self._now(Port.DRUM, x))
-            return ca.vertcat(free + c.by_torque * torque, x[n:])
+            return ca.vertcat(free + c.by_torque * torque, x[n:, :])
         velocity = c.V @ x[:n]
         angle = c.C @ x[:n] + 0.5 * c.substep_s * velocity
         linear = c.restoring * angle / ARM_m
@@ -249,7 +249,7 @@ class _Plant(NamedTuple):
             free = free - c.by_torque * (ARM_m * (tension - linear))
         at_drum = site._replace(port=Port.DRUM, velocity_rad_s=c.V @ free, tension_N=tension)
         x, torque = self.stages.torque(x, at_drum, c.V @ c.by_torque)
-        return ca.vertcat(free + c.by_torque * torque, x[n:])
+        return ca.vertcat(free + c.by_torque * torque, x[n:, :])
 
     def observe(
         self, x: Expression, before: Expression, noise: Expression, *, rounded: bool
@@ -302,14 +302,14 @@ class _Plant(NamedTuple):
         """
         n, c = self.base.order, self.c
         if self.base.is_drum:
-            return ca.vertcat(to, x[n:])
+            return ca.vertcat(to, x[n:, :])
         _, output = self._unread(x, to[0])
         wanted = [output, *(to[k] / c.angle_unit for k in range(1, n))]
         row, states = ca.densify(c.C), ca.SX.zeros(n)
         for k in range(n):
             states[k] = (wanted[k] - row[:k] @ states[:k] if k else wanted[k]) / row[k]
             row = row @ c.A
-        return ca.vertcat(states, x[n:])
+        return ca.vertcat(states, x[n:, :])
 
     def _read(self, x: Expression, output: Expression) -> tuple[Expression, Expression]:
         """State and reading of a gauge, in measured units."""

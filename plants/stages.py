@@ -53,7 +53,7 @@ class Stages:
     ) -> tuple[Expression, Expression]:
         """State and signal after the effects of the site's port."""
         for effect, p, own in self._at(site.port):
-            remembered, signal = effect.respond(p, x[own], signal, site)
+            remembered, signal = effect.respond(p, x[own, :], signal, site)
             x = _with(x, own, remembered)
         return x, signal
 
@@ -69,7 +69,7 @@ class Stages:
         """
         torque = ca.SX(0.0)
         for effect, p, own in sorted(self._at(Port.DRUM), key=lambda at: at.effect.resists):
-            remembered, added = effect.respond(p, x[own], torque, site)
+            remembered, added = effect.respond(p, x[own, :], torque, site)
             x = _with(x, own, remembered)
             torque = torque + added
             velocity = site.velocity_rad_s + velocity_per_torque * added
@@ -98,4 +98,5 @@ class Stages:
 
 def _with(x: Expression, own: slice, remembered: Expression) -> Expression:
     """The state with one effect's part renewed."""
-    return ca.vertcat(x[: own.start], remembered, x[own.stop :])
+    # Both indices: x[1:] of a single row is a row without columns, which vertcat counts as one.
+    return ca.vertcat(x[: own.start, :], remembered, x[own.stop :, :])

@@ -9,6 +9,7 @@ from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
 from estune.errors import InvalidInput, PlantError, UnsafeStart
 from estune.profiles import StepProfile
+from plants.effects import DeadTime, GainError
 from plants.reel_equations import cable_stiffness_N_m
 
 REEL = plants.reference_reel()
@@ -251,6 +252,16 @@ def test_a_model_without_gain_at_rest_is_held_at_zero_only():
     assert plants.simulate(plant, Gains(0.1, 0.0, 0.0, 0.0)).diverged_at is None
     with pytest.raises(PlantError, match="preload of 3 N"):
         plants.simulate(plant, Gains(0.1, 0.0, 0.0, 0.0), StepProfile(3.0, 1.0, 0.1, 1.0))
+
+
+def test_an_effect_on_a_linear_plant_of_any_order_is_the_plant_that_has_it():
+    gains, profile = Gains(0.02, 0.2, 0.0, 0.1), StepProfile(7.0, 1.0, 0.1, 4.0)
+    for name in ("lag", "resonance", "integrator"):
+        plain, stronger = (plants.linear_plant(k * SYSTEMS[name], 0.1, 50.0) for k in (1.0, 1.2))
+        later = plants.linear_plant(SYSTEMS[name], 0.115, 50.0)
+        for effect, meant in ((GainError(0.2), stronger), (DeadTime(0.015), later)):
+            trials = [plants.simulate(plant, gains, profile) for plant in (plain + effect, meant)]
+            assert trials[0].tension_N == pytest.approx(trials[1].tension_N, abs=1e-9)
 
 
 def test_a_discrete_model_is_the_continuous_one_sampled():
