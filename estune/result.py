@@ -10,6 +10,7 @@ import itertools
 import math
 from collections.abc import Iterator
 from enum import StrEnum
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -84,13 +85,14 @@ class TuneResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type i
         folder: The run on disk, or None.
         plan: What decided the run.
         rig: The rig as it was when the run began.
-        start: Performance of the start gains.
-        tuned: Performance of the tuned gains, or None.
+        first_record: What the rig measured first, with the start gains; None before that.
+        found_record: What it measured last with the gains found; None without such a trial.
         improvement: The change of the cost from the start's, with its 95 % interval; None where
             the two were not compared.
         unsafe: Unsafe trials of the run.
-        findings: Remarks: thin margins, a response near a limit of the rig, gains at a bound, flat
-            directions of the cost.
+        session: Where the run stands.
+
+    What takes a moment to work out is worked out when it is asked for first.
     """
 
     x: "np.ndarray[tuple[int], np.dtype[np.float64]]"
@@ -108,12 +110,58 @@ class TuneResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type i
     folder: Path | None
     plan: Plan
     rig: RigDescription
-    start: Performance
-    tuned: Performance | None
+    first_record: TrialRecord | None
+    found_record: TrialRecord | None
     improvement: Change | None
     unsafe: int
-    findings: tuple[insight.Finding, ...]
     session: Session
+
+    @cached_property
+    def start(self) -> Performance:
+        """Performance of the start gains."""
+        found = self.verdict
+        cost = found.start_cost, found.start_cost_error
+        return Performance.on(
+            self.rig, self.plan.step, self.start_gains, cost, record=self.first_record
+        )
+
+    @cached_property
+    def tuned(self) -> Performance | None:
+        """Performance of the tuned gains, or None."""
+        if not self.success:
+            return None
+        found = self.verdict
+        return Performance.on(
+            *(self.rig, self.plan.step, self.gains, (found.cost, found.cost_error)),
+            record=self.found_record,
+            intervals=found.intervals,
+        )
+
+    @cached_property
+    def findings(self) -> tuple[insight.Finding, ...]:
+        """Remarks: thin margins, a response near a limit of the rig, gains at a bound, flat cost.
+
+        Of a start that was kept only what the trials do say: they need not have looked around it.
+        """
+        if not self.verdict.complete:
+            return ()
+        at, session, space = self.tuned or self.start, self.session, self.plan.tuner.space
+        safe = [
+            e for e in self.entries if e.outcome and not is_censored(session, e.outcome, e.cost)
+        ]
+        best = space.point_of(at.gains)
+        repeated = [r.costs for r in (session.choice, session.confirmation) if r is not None]
+        flat = insight.flat_directions(
+            *(space, best, at.cost),
+            points=np.array([space.point_of(e.gains) for e in safe]),
+            costs=np.array([e.cost for e in safe]),
+            noise=at.cost * scatter((session.baseline, *itertools.chain(*repeated))),
+        )
+        if self.tuned is None:
+            flat = tuple(finding for finding in flat if finding.kind == "flat")
+        share = math.inf if at.record is None else margin_of(at.record, self.rig)
+        near = insight.thin_margins(at.margins) + insight.near_limits(share)
+        return near + insight.at_bounds(space, best) + flat
 
     def to_frame(self) -> "pd.DataFrame":
         """The trials, one row each: number, phase, gains, cost, best cost so far, outcome."""
@@ -148,9 +196,9 @@ class TuneResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type i
         if self.folder is not None:
             with Journal.open(self.folder) as journal:
                 return journal.record(entry.trial_id)
-        for kept in (self.start, self.tuned):
-            if kept and kept.record and kept.record.trial_id == entry.trial_id:
-                return kept.record
+        for kept in (self.first_record, self.found_record):
+            if kept and kept.trial_id == entry.trial_id:
+                return kept
         raise JournalError(
             f"the record of trial {number} was not kept; tune with journal=True to keep every one"
         )
@@ -160,7 +208,10 @@ class TuneResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type i
         from estune import drawing, figures  # noqa: PLC0415  slow to import
 
         return figures.draw_cost(
-            ax or drawing.new_axes(), self.to_frame(), self.start.cost, self.session.eta_max
+            ax or drawing.new_axes(),
+            self.to_frame(),
+            self.verdict.start_cost,
+            self.session.eta_max,
         )
 
     def plot_response(self, ax: "Axes | None" = None) -> "Axes":
@@ -168,8 +219,8 @@ class TuneResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type i
         from estune import drawing, figures  # noqa: PLC0415  slow to import
 
         return figures.draw_response(
-            *(ax or drawing.new_axes(), self.plan.step, self.start.record),
-            self.tuned.record if self.tuned else None,
+            *(ax or drawing.new_axes(), self.plan.step, self.first_record),
+            self.found_record if self.success else None,
         )
 
     def plot_gains(self, ax: "Axes | None" = None) -> "Axes":
@@ -196,7 +247,8 @@ class TuneResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type i
     def heading(self) -> str:
         """The run in one line, its ending first."""
         if self.ending is Ending.TUNED:
-            came = f"cost {self.start.cost:.3g} → {self.verdict.cost:.3g}, {self.improvement}"
+            start, cost = self.verdict.start_cost, self.verdict.cost
+            came = f"cost {start:.3g} → {cost:.3g}, {self.improvement}"
         elif self.improvement is not None:
             came = f"cost {self.improvement}, the start gains stand"
         else:
@@ -261,14 +313,6 @@ def from_tuning(tuning: Tuning) -> TuneResult:
         ending = Ending.STOPPED
     else:
         ending = Ending.TUNED if found.improved else Ending.NO_IMPROVEMENT
-    rig, step = tuning.description, plan.step
-    then, now = (found.start_cost, found.start_cost_error), (found.cost, found.cost_error)
-    start = Performance.on(rig, step, plan.start, then, record=tuning.first)
-    tuned = None
-    if found.improved:
-        tuned = Performance.on(
-            *(rig, step, found.gains, now), record=tuning.found, intervals=found.intervals
-        )
     return TuneResult(
         x=np.array(found.gains.as_tuple()),
         fun=found.cost,
@@ -284,39 +328,13 @@ def from_tuning(tuning: Tuning) -> TuneResult:
         entries=tuple(tuning.entries),
         folder=tuning.journal.folder if tuning.journal else None,
         plan=plan,
-        rig=rig,
-        start=start,
-        tuned=tuned,
+        rig=tuning.description,
+        first_record=tuning.first,
+        found_record=tuning.found,
         improvement=found.change,
         unsafe=found.unsafe,
-        findings=_findings(tuning, start, tuned) if found.complete else (),
         session=session,
     )
-
-
-def _findings(
-    tuning: Tuning, start: Performance, tuned: Performance | None
-) -> tuple[insight.Finding, ...]:
-    """What is to be said about the gains a run came to.
-
-    Of a start that was kept only what the trials do say: they need not have looked around it.
-    """
-    at = tuned or start
-    session, space = tuning.session, tuning.plan.tuner.space
-    safe = [e for e in tuning.entries if e.outcome and not is_censored(session, e.outcome, e.cost)]
-    best = space.point_of(at.gains)
-    repeated = [r.costs for r in (session.choice, session.confirmation) if r is not None]
-    flat = insight.flat_directions(
-        *(space, best, at.cost),
-        points=np.array([space.point_of(e.gains) for e in safe]),
-        costs=np.array([e.cost for e in safe]),
-        noise=at.cost * scatter((session.baseline, *itertools.chain(*repeated))),
-    )
-    if tuned is None:
-        flat = tuple(finding for finding in flat if finding.kind == "flat")
-    share = math.inf if at.record is None else margin_of(at.record, tuning.description)
-    near = insight.thin_margins(at.margins) + insight.near_limits(share)
-    return near + insight.at_bounds(space, best) + flat
 
 
 def _is_unsafe(session: Session, entry: Entry) -> bool:

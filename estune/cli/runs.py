@@ -124,7 +124,7 @@ def _listed(path: Path) -> dict[str, Any]:
         "created_at": created,
         "rig": result.rig.name,
         "trials": result.nfev,
-        "start_cost": result.start.cost,
+        "start_cost": result.verdict.start_cost,
         "cost": result.fun if result.success else None,
         "status": status,
         "state": "running" if status == "running" and being_written(path) else str(result.ending),
