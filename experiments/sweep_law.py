@@ -42,7 +42,7 @@ FloatArray = NDArray[np.float64]
 TENSION_N = 15.0
 LENGTHS_m = (0.5, 0.65, 0.8, 0.95, 1.1, 1.25, 1.4)
 UNSEEN_m = (0.575, 0.725, 0.875, 1.025, 1.175, 1.325)
-DRAWS, OPTIMUM_SEED, JUDGE_SEED = 400, 70_001, 70_002
+OPTIMUM_SEED, JUDGE_SEED = 70_001, 70_002
 OUT = Path(__file__).parent / "out" / "sweep_law.png"
 
 P_RANGE = (1.0, 1.6)
@@ -60,6 +60,7 @@ class Plan(NamedTuple):
         seeds: Sweeps of one tuning a length; the law told is that of all together.
         there: Tunings at each unseen length.
         trials: Search trials of a tuning.
+        draws: Noise draws that an expected cost is the mean of.
     """
 
     lengths_m: tuple[float, ...] = LENGTHS_m
@@ -67,27 +68,27 @@ class Plan(NamedTuple):
     seeds: int = 100
     there: int = 10
     trials: int = 200
+    draws: int = 400
 
 
-QUICK = Plan(LENGTHS_m[::2], UNSEEN_m[1::2], seeds=8, there=4)
+QUICK = Plan(LENGTHS_m[::2], UNSEEN_m[1::2], seeds=8, there=4, draws=100)
 
 
-def cost_at(length_m: float, gains: FloatArray, seed: int | None) -> float:
-    """Mean cost (35) of gains over noise draws, or the cost without noise."""
+def cost_at(length_m: float, gains: FloatArray, draws: int, seed: int) -> float:
+    """Mean cost (35) of gains over so many noise draws; with none, the cost without noise."""
     reel = plants.reference_reel(length_m, TENSION_N)
     cost = StepCost(reel.describe("reel", None).settling_time_s, move_weight=MOVE_WEIGHT)
-    table = np.tile(gains, (1 if seed is None else DRAWS, 1))
-    mean = float(plants.batch_costs(reel, table, None, cost, seed=seed, workers=1).mean())
+    table, noise = np.tile(gains, (max(draws, 1), 1)), seed if draws else None
+    mean = float(plants.batch_costs(reel, table, None, cost, seed=noise, workers=1).mean())
     return mean if np.isfinite(mean) else 1e6
 
 
 @cache
-def optimum(length_m: float, *, noise: bool) -> Gains:
-    """The gains of least expected cost, or of least cost without noise."""
-    seed = OPTIMUM_SEED if noise else None
+def optimum(length_m: float, draws: int) -> Gains:
+    """The gains of least expected cost, or with no draws of least cost without noise."""
     start = np.log([1.2, 35.0, 0.016, 0.002])
     found = minimize(
-        lambda x: cost_at(length_m, np.exp(x), seed),
+        lambda x: cost_at(length_m, np.exp(x), draws, OPTIMUM_SEED),
         start,
         method="Nelder-Mead",
         options={
@@ -167,12 +168,12 @@ def judge(plan: Plan, laws: Sequence[GainLaw], law: GainLaw, folder: Path | None
     for length in plan.unseen_m:
 
         def cost(gains: Gains, length: float = length) -> float:
-            return cost_at(length, np.array(gains.as_tuple()), JUDGE_SEED)
+            return cost_at(length, np.array(gains.as_tuple()), plan.draws, JUDGE_SEED)
 
         rows.append(
             Judged(
                 length,
-                optimum=cost(optimum(length, noise=True)),
+                optimum=cost(optimum(length, plan.draws)),
                 tuned=float(np.mean([cost(t.gains) for t in tunings if t.length_m == length])),
                 scheduled=cost(law.schedule().gains(length, TENSION_N)),
                 single=np.array([cost(s.gains(length, TENSION_N)) for s in schedules]),
@@ -222,8 +223,8 @@ def measure(plan: Plan, folder: Path | None) -> Found:
 
 def figures_of(plan: Plan, found: Found) -> dict[str, float]:
     """All figures by name."""
-    best = [optimum(length, noise=True) for length in plan.lengths_m]
-    clean = [optimum(length, noise=False) for length in plan.lengths_m]
+    best = [optimum(length, plan.draws) for length in plan.lengths_m]
+    clean = [optimum(length, 0) for length in plan.lengths_m]
     means = [mean_gains(found.law.tunings, length) for length in plan.lengths_m]
     slope, true = found.law.fits["I"].slope, slope_of(plan.lengths_m, best)
     slopes = [one.fits["I"].slope for one in found.laws]
@@ -287,11 +288,11 @@ def draw(plan: Plan, found: Found) -> None:
     ax.plot(length, band.gain, color=drawing.BLUE, lw=1.4, label=f"I = {fit.curve}")
     tuned = fit.points
     ax.plot(tuned.length_m, tuned.gain, ".", color=drawing.GREY, ms=4, label="tunings")
-    for noise, colour, label in (
-        (True, drawing.VERMILION, "optimum of the expected cost"),
-        (False, drawing.GREEN, "optimum without gauge noise"),
+    for draws, colour, label in (
+        (plan.draws, drawing.VERMILION, "optimum of the expected cost"),
+        (0, drawing.GREEN, "optimum without gauge noise"),
     ):
-        best = [optimum(at, noise=noise).I for at in plan.lengths_m]
+        best = [optimum(at, draws).I for at in plan.lengths_m]
         ax.plot(plan.lengths_m, best, "D", color=colour, ms=4.5, label=label)
     drawing.finish(ax, "I, 1/s")
     drawing.legend(ax, columns=3)
@@ -351,7 +352,7 @@ _COLUMNS = ("", "_optimum", "_optimum_without_noise")
 
 def main() -> int:
     """Measures, prints, and says by its exit code whether every target was met."""
-    parser = command_line(__doc__, quick="fewer lengths, tunings and trials")
+    parser = command_line(__doc__, quick="fewer lengths, tunings and noise draws")
     parser.add_argument(
         "--folder", type=Path, help="keep the tunings there; a call that was cut off goes on"
     )
