@@ -329,7 +329,7 @@ def targets(worst: dict[str, float], rates: dict[str, float], trials: int) -> di
 
 def main() -> int:
     """Prints the tables, or with --json one object; returns 1 where a target is missed."""
-    parser = command_line(__doc__, quick="25 seeds instead of 200")
+    parser = command_line(__doc__, quick="15 seeds instead of 200")
     parser.add_argument("--seeds", type=int, default=200, help="records of each condition")
     options = parser.parse_args()
     signal, reels = excitation(), conditions()
@@ -341,7 +341,7 @@ def main() -> int:
             f"{BAND.periods} periods of {BAND.period_s:g} s after {BAND.settling_periods} to "
             "settle; gauge noise 0.04 N rms"
         )
-        trials = study(reels, signal, 25 if options.quick else options.seeds)
+        trials = study(reels, signal, 15 if options.quick else options.seeds)
         worst, rates = accuracy(reels, trials), coverage(trials)
         figures = {
             "worst_error": worst,

@@ -245,14 +245,14 @@ def main() -> int:
     Returns:
         The exit code: 1 where a target is missed.
     """
-    parser = command_line(__doc__, quick="5 s for each load")
+    parser = command_line(__doc__, quick="2 s for each load")
     parser.add_argument("--seconds", type=float, default=600.0, help="for each load")
     parser.add_argument("--supervise", help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.supervise:
         supervise(arguments.supervise)
         return 0
-    seconds, times = (5.0, 5) if arguments.quick else (arguments.seconds, 50)
+    seconds, times = (2.0, 3) if arguments.quick else (arguments.seconds, 50)
     conditions, figures = measure(seconds, times)
     for condition in conditions:
         figures |= condition.figures()
