@@ -7,6 +7,7 @@ from scipy import integrate, optimize, signal, stats
 
 import plants
 from estune.reel.friction import StribeckFriction
+from plants.discrepancy.models.calibration import SaggingCalibration
 from plants.effects import EFFECTS, Port
 from plants.effects.bristles import bent
 from plants.reel_equations import cable_stiffness_N_m
@@ -304,6 +305,19 @@ def mains_interference(effect):
     found = rollout(REEL + hum, TAUT).tension - rollout(REEL, TAUT).tension
     time = np.arange(200) / RATE
     assert found == pytest.approx(0.4 * np.sin(2 * np.pi * 50.0 * time + 1.1), abs=1e-9)
+
+
+def test_weight_added_to_a_cable_that_sags_in_full_is_one_weight():
+    """From rest at 3 N to 6 N the drum takes up what the stretch and both weights' sag say."""
+    long = plants.reference_reel(1.3)
+    heavy = EFFECTS["cable_weight"](density_kg_m=0.1)
+    there = np.r_[np.full(50, 3.0), np.linspace(3.0, 6.0, 1200), np.full(300, 6.0)]
+    seen = rollout(long + heavy + SaggingCalibration(), there, 3.0)
+    assert np.ptp(seen.theta[:50]) < 1e-9
+    per_N = 1.0 / long.structure_stiffness_N_m + 1.3 / long.cable_EA_N
+    q = ((long.cable_density_kg_m + 0.1) * 9.80665) ** 2 * 1.3**3 / 24.0
+    length = per_N * seen.tension - q / seen.tension**2
+    assert R * (seen.theta[-1] - seen.theta[0]) == pytest.approx(length[-1] - length[0], rel=1e-6)
 
 
 def test_bristles_bend_as_the_exponential_says():

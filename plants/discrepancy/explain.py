@@ -18,6 +18,7 @@ from plants.discrepancy.models.models import Diagnosed, diagnosed
 from plants.discrepancy.report.diagnosis import Diagnosis
 from plants.discrepancy.residual.where import Where, localise
 from plants.discrepancy.search import thresholds
+from plants.discrepancy.search.attempts import roughly
 from plants.discrepancy.search.bench import Attempt, Bench
 from plants.discrepancy.search.given import one_wrong_number
 from plants.discrepancy.search.rules import Hum, coarse_step_N, find_hum
@@ -25,7 +26,7 @@ from plants.discrepancy.search.search import search
 from plants.discrepancy.search.splits import FIT, RANK
 from plants.discrepancy.search.suggestions import suggestions
 from plants.discrepancy.search.verdict import judge
-from plants.effects import Effect, MainsInterference, Quantisation, declared, find
+from plants.effects import CableWeight, Effect, MainsInterference, Quantisation, declared, find
 
 
 def explain(
@@ -103,7 +104,15 @@ def _base(model: Any, measurements: tuple[Measurement, ...], noise: Floor) -> St
     for plant in diagnosed(model, measurements).alternatives():
         bench = Bench(plant, measurements, noise)
         stages.append(Stage(bench, bench.attempt((), bench.base.start[None, :])))
-    return min(stages, key=lambda stage: stage.attempt.fit_J)
+    if len(stages) == 1:
+        return stages[0]
+    least = min(stage.attempt.fit_J for stage in stages)
+    return min(stages, key=_meant if least > thresholds.GAP**2 else lambda s: s.attempt.fit_J)
+
+
+def _meant(stage: Stage) -> float:
+    """What a way of meaning the model leaves at least; how it sags shows beside more weight."""
+    return min(stage.attempt.fit_J, roughly(stage.bench, CableWeight).fit_J)
 
 
 def _where(bench: Bench, base: Attempt, noise: Floor) -> Where:

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from types import SimpleNamespace
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import casadi as ca
 
@@ -21,7 +21,8 @@ class CableWeight(Effect):
     The last two terms are the length that the parabola's sag takes up (Irvine 1981), beyond that
     of the reel's own weight w at the preload T_0; the law's slope there is Ernst's. The root is
     found anew in each substep by one step of Newton's method from where the last two lead. Such a
-    cable does not go slack.
+    cable does not go slack. Where the own weight is reckoned with at any tension, the whole of it
+    is in that law, and nothing is done here.
 
     Attributes:
         density_kg_m: Mass dmu added per length, kg/m.
@@ -35,8 +36,14 @@ class CableWeight(Effect):
     )
     port: ClassVar[Port] = Port.CABLE
     states: ClassVar[int] = 2
+    by_tension: ClassVar[bool] = True
 
     density_kg_m: float = parameter(0.03, low=0.0, high=0.5, unit="kg/m", neutral=0.0)
+
+    @staticmethod
+    def amend(p: SimpleNamespace, reel: SimpleNamespace) -> dict[str, Any]:
+        """The weight added, for a reel whose own weight sags at any tension."""
+        return {"added_density_kg_m": vars(reel).get("added_density_kg_m", 0.0) + p.density_kg_m}
 
     @staticmethod
     def prepare(p: SimpleNamespace, reel: SimpleNamespace) -> dict[str, Signal]:
@@ -50,6 +57,7 @@ class CableWeight(Effect):
             "thrice": 3.0 * cube,
             "root": cube ** (1.0 / 3.0),
             "shift": cube / reel.preload_N**2,
+            "done": vars(reel).get("sags_in_full", 0.0),
         }
 
     @staticmethod
@@ -66,7 +74,7 @@ class CableWeight(Effect):
         found = (start / (start * square + p.twice)) * (square * s + p.thrice)
         # The root lies above s, and stays above zero in however fast a fall.
         found = ca.fmax(ca.fmax(found, s), ca.fmin(0.125 * start, p.root))
-        return ca.vertcat(found, state[0]), found
+        return ca.vertcat(found, state[0]), found + p.done * (signal - found)
 
     @staticmethod
     def rest(
@@ -77,4 +85,5 @@ class CableWeight(Effect):
     ) -> tuple[Signal, Signal]:
         """The linear law's tension."""
         tension = ca.fmax(signal, 0.1 * p.root)
-        return ca.vertcat(tension, tension), tension - 0.5 * p.twice / tension**2 + p.shift
+        linear = tension - 0.5 * p.twice / tension**2 + p.shift
+        return ca.vertcat(tension, tension), linear + p.done * (signal - linear)

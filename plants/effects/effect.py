@@ -94,6 +94,8 @@ class Effect(ABC):
         states: How many numbers it remembers.
         resists: At the drum, whether it answers to the motion that all else leaves, as friction
             does: it is then visited after those that do not.
+        by_tension: Whether it turns on the tension there is, not on changes of it: beside it an
+            offset of the torque looks unlike one of the gauge.
         smooth: Whether the trial has a derivative by the parameters that is worth following.
 
     Raises:
@@ -107,6 +109,7 @@ class Effect(ABC):
     also: ClassVar[tuple[Port, ...]] = ()
     states: ClassVar[int] = 0
     resists: ClassVar[bool] = False
+    by_tension: ClassVar[bool] = False
     smooth: ClassVar[bool] = True
 
     def __post_init__(self) -> None:

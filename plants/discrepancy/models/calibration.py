@@ -67,23 +67,30 @@ class Calibration(Effect):
 class SaggingCalibration(Calibration):
     """The same for a reel at tensions so low that its own cable's sag bends the linear law.
 
-        a T - Q/T^2 = l + a T_0 - Q/T_0^2 - T_0,    Q = k w^2 L^3/24,    a = 1 - 2 Q/T_0^3
+        a T - Q/T^2 = l + a T_0 - Q/T_0^2 - T_0,    Q = k (w + dw)^2 L^3/24
 
     Sag takes up q/T^2 of length (Irvine 1981), of which the linear law l = k R theta has the slope
-    at the preload T_0. The root is found anew in each substep by one step of Newton's method, as
-    by `plants.effects.CableWeight`, which weight that is added goes through before.
+    of the own weight w at the preload T_0, so that a = 1 - k w^2 L^3/(12 T_0^3). The root is found
+    anew in each substep by one step of Newton's method. What `plants.effects.CableWeight` adds,
+    dw, is reckoned with here.
     """
 
     also: ClassVar[tuple[Port, ...]] = (Port.GAUGE, Port.CABLE)
     states: ClassVar[int] = 2
 
     @staticmethod
+    def amend(p: SimpleNamespace, reel: SimpleNamespace) -> dict[str, Any]:
+        """The same, and a word to what adds to the weight."""
+        return {**Calibration.amend(p, reel), "sags_in_full": 1.0}
+
+    @staticmethod
     def prepare(p: SimpleNamespace, reel: SimpleNamespace) -> dict[str, Signal]:
         """The constants a, Q in N^3, and what is added to l."""
         del p
-        weight_N_m = reel.gravity_m_s2 * reel.cable_density_kg_m
-        Q = reel.stiffness_N_m * weight_N_m**2 * reel.cable_length_m**3 / 24.0 + TINY_N3
-        a, preload = 1.0 - 2.0 * Q / reel.preload_N**3, reel.preload_N
+        unit = reel.stiffness_N_m * reel.gravity_m_s2**2 * reel.cable_length_m**3 / 24.0
+        own, added = reel.cable_density_kg_m, vars(reel).get("added_density_kg_m", 0.0)
+        Q = unit * (own + added) ** 2 + TINY_N3
+        a, preload = 1.0 - 2.0 * unit * own**2 / reel.preload_N**3, reel.preload_N
         return {
             "a": a,
             "twice": 2.0 * Q,
@@ -115,7 +122,7 @@ class SaggingCalibration(Calibration):
         """The linear law's tension at the cable; elsewhere as without sag."""
         if site.port is not Port.CABLE:
             _, changed = Calibration.rest(p, state, signal, site)
-            return state, changed
+            return ca.vertcat(site.tension_N, site.tension_N), changed
         tension = ca.fmax(signal, 0.1 * p.root)
         linear = p.a * tension - 0.5 * p.twice / tension**2 - p.shift
         return ca.vertcat(tension, tension), linear

@@ -209,6 +209,17 @@ class DiagnosedReel(Diagnosed):
         )
         return slots
 
+    def slots(self, added: Sequence[type[Effect]]) -> list[Slot]:
+        """As of any model; the torque's offset where an effect tells it from the gauge's."""
+        found = super().slots(added)
+        own = (type(effect) for effect in self.effects)
+        if not self.has_gauge or not any(effect.by_tension for effect in (*own, *added)):
+            return found
+        given = self.calibration.torque_offset_Nm
+        free = either_way("torque_offset_Nm", "N m", given, max(self.sizes.torque_max, abs(given)))
+        column = f"{len(self.effects) + len(added)}.{free.name}"
+        return [*found, self._started(Slot(free, column))]
+
     @property
     def _unit_friction(self) -> float:
         """Friction that would damp the reel by a tenth of critical, N m s/rad."""

@@ -11,7 +11,7 @@ from plants.discrepancy.search import thresholds
 from plants.discrepancy.search.bench import Attempt, Bench
 from plants.discrepancy.search.score import does
 from plants.discrepancy.search.screen import Screened, is_limit
-from plants.effects import Port
+from plants.effects import Effect, Port
 
 SWITCHED = 0.3
 """Size a member of a family is switched on with to see its direction, by that it inherits."""
@@ -68,20 +68,20 @@ def bends(one: Screened) -> bool:
     return (bends or sticks or is_limit(one.effect)) and one.reach >= thresholds.SHOWN
 
 
-def roughly(bench: Bench, one: Screened) -> Attempt:
+def roughly(bench: Bench, effect: type[Effect]) -> Attempt:
     """The model as given with an effect of several sizes, each record's zero put right."""
-    predictor = one.predictor
+    predictor = bench.predictor((effect,))
     rows = np.repeat(predictor.start[None, :], ROUGH.size, axis=0)
     for n, f in enumerate(predictor.free):
-        if f.owner != one.effect.name or f.neutral is None:
+        if f.owner != effect.name or f.neutral is None:
             continue
         sizes = f.neutral + ROUGH * (f.start - f.neutral)
-        if is_limit(one.effect):
+        if is_limit(effect):
             sizes = f.start * np.linspace(1.2, 0.5, ROUGH.size)
         rows[:, n] = np.clip(sizes, f.low, f.high)
     for most in (4, 3, 2):  # some only find their zeros from near
         rows = bench.best_starts(predictor, bench.placed(predictor, rows), most)
-    return bench.attempt((one.effect,), rows, FIRST_ROUNDS)
+    return bench.attempt((effect,), rows, FIRST_ROUNDS)
 
 
 def with_one_more(

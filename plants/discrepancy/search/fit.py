@@ -1,5 +1,6 @@
 """Bounded least squares of whitened residuals, and how far the values found can be trusted."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -13,10 +14,16 @@ Numbers = NDArray[np.int64]
 
 DAMPINGS = ((0.0, 0.03), (1.0, 30.0))
 """Levenberg's dampings, relative to the columns' own size; the second pair if need be."""
+FINE = ((0.0, 1e-4, 1e-3, 1e-2, 0.1), (1.0, 30.0))
+"""The same along a narrow valley, where a step that is a little too long or too short is lost."""
+VALLEY = 0.5
+"""A round that lowers the sum of squares to no less than this share of it is in such a valley."""
 CONVERGED = 1e-4
 """A round that lowers the sum of squares by a smaller share is the last."""
 DEAD = 1e-9
 """A value whose derivative is below this share of the greatest does nothing where it is."""
+STRIDES = (1.0, 3.0)
+"""How much further along such a valley is tried, relative to the way of a round."""
 FLAT = 1e-10
 """Directions whose curvature is below this share of the greatest are left alone."""
 
@@ -63,45 +70,51 @@ def fit(
         rounds: Most rounds.
     """
     scale = _Scale.of(predictor, moves)
-    values = np.clip(start, scale.low, scale.high)
-    residuals, converged = None, False
+    at, valley, converged = _Point(np.clip(start, scale.low, scale.high), None), False, False
+
+    def lowest(trials: Sequence[FloatArray], otherwise: _Point) -> _Point:
+        found = predictor.residuals(np.array(trials), entries)
+        best = min(map(_Point, trials, found), key=lambda point: point.cost)
+        return best if best.cost < otherwise.cost else otherwise
+
     for _ in range(rounds):
-        residuals, jacobian = predictor.linearise(values, moves, entries)
-        here = _cost(residuals)
-        columns = jacobian.T * scale.inner(values)[:, None]
+        residuals, jacobian = predictor.linearise(at.values, moves, entries)
+        begun = at = _Point(at.values, residuals)
+        columns = jacobian.T * scale.inner(at.values)[:, None]
         slope = _Slope(columns, columns @ columns.T, scale)
-        values, residuals = _lowered(predictor, values, residuals, slope, entries)
-        cost = _cost(residuals)
-        converged = here - cost < CONVERGED * here
+        for dampings in FINE if valley else DAMPINGS:
+            at = lowest([slope.step(begun.values, residuals, d) for d in dampings], begun)
+            if at is not begun:
+                break
+        converged = begun.cost - at.cost < CONVERGED * begun.cost
         if converged:
             break
+        valley = at.cost > VALLEY * begun.cost
         # The old slope is good for one more step, which costs a twelfth of a new one.
-        again = slope.step(values, residuals, 0.0)
-        found = predictor.residuals(again[None, :], entries)[0]
-        if _cost(found) < cost:
-            values, residuals = again, found
-    if residuals is None:
-        residuals = predictor.residuals(values[None, :], entries)[0]
-    return Fitted(predictor, values, entries, residuals, moves, converged)
+        at = lowest([slope.step(at.values, at.known, 0.0)], at)
+        if valley:
+            at = lowest([scale.beyond(begun.values, at.values, n) for n in STRIDES], at)
+    if at.residuals is None:
+        at = _Point(at.values, predictor.residuals(at.values[None, :], entries)[0])
+    return Fitted(predictor, at.values, entries, at.known, moves, converged)
 
 
-def _lowered(
-    predictor: Predictor,
-    values: FloatArray,
-    residuals: FloatArray,
-    slope: "_Slope",
-    entries: Numbers,
-) -> tuple[FloatArray, FloatArray]:
-    """The values that the best damping leads to, and their residuals; the same if none helps."""
-    here = _cost(residuals)
-    for dampings in DAMPINGS:
-        trials = np.array([slope.step(values, residuals, d) for d in dampings])
-        found = predictor.residuals(trials, entries)
-        costs = [_cost(one) for one in found]
-        best = int(np.argmin(costs))
-        if costs[best] < here:
-            return trials[best], found[best]
-    return values, residuals
+class _Point(NamedTuple):
+    """Values, and the residuals there once they are known."""
+
+    values: FloatArray
+    residuals: FloatArray | None
+
+    @property
+    def known(self) -> FloatArray:
+        """The residuals, of a point that was looked at."""
+        assert self.residuals is not None  # noqa: S101  only asked then
+        return self.residuals
+
+    @property
+    def cost(self) -> float:
+        """Their sum of squares."""
+        return _cost(self.known)
 
 
 def _cost(residuals: FloatArray) -> float:
@@ -201,6 +214,16 @@ class _Scale:
         grown = x * np.exp(np.where(self.log, np.clip(delta, -3.0, 3.0), 0.0))
         after: FloatArray = np.where(self.log, grown, x + delta)
         return after
+
+    def beyond(self, begun: FloatArray, values: FloatArray, strides: float) -> FloatArray:
+        """All values, so many times further along the way from some to others."""
+        before, x = begun[self.moves], values[self.moves]
+        ratio = np.maximum(x, 1e-300) / np.maximum(before, 1e-300)
+        further = values.copy()
+        further[self.moves] = self.moved(
+            values, strides * np.where(self.log, np.log(ratio), x - before)
+        )
+        return further
 
     def moved(self, values: FloatArray, delta: FloatArray) -> FloatArray:
         """The values that move, after such a change, no further than the bounds."""

@@ -174,7 +174,7 @@ def _round(
     attempts = finished(bench, base, reduced(bench, attempts))
     best = simplest(attempts, current, bench.scale)
     if not current.effects and (best is None or not does(base, best)):
-        again = [roughly(bench, one) for one in screened.values() if bends(one)]
+        again = [roughly(bench, one.effect) for one in screened.values() if bends(one)]
         attempts = finished(bench, base, [*attempts, *again])
         best = simplest(attempts, current, bench.scale)
     if best is None or not worth_adding(current, best, base):
