@@ -74,6 +74,28 @@ def test_a_loop_that_does_not_grow_with_tension_is_not_called_friction_at_the_ey
     assert "does not grow with the tension" in said.sentence
 
 
+def test_a_gain_that_changes_with_time_is_not_called_a_zero_that_drifts():
+    found = plants.explain(*drawn(601, "outside", "sensitivity_drift"))
+    assert found.verdict == "unknown"
+    assert "It looks like a gain of the gauge that changes with time." in found.sentence
+
+
+def test_an_effect_of_the_drive_is_seen_beside_one_of_the_cable():
+    row = diagnose(Task(610, "two"))
+    assert not row.error
+    assert (row.verdict, row.found) == ("named", ("cable_creep", "dead_time"))
+
+
+def test_what_two_records_leave_open_more_decide_and_what_to_record_is_proposed():
+    given, records = drawn(609, "no_encoder", "cable_stiffening")
+    few = plants.explain(given, [m for m in records if m.profile == "multisine"])
+    assert few.verdict == "ambiguous"
+    assert {"cable_stiffening", "cable_weight"} <= set(few.ambiguous)
+    assert few.next_experiment.separation > 1.0
+    more = plants.explain(given, [m for m in records if m.profile in ("multisine", "triangle")])
+    assert (more.verdict, [e.name for e in more.effects]) == ("named", ["cable_stiffening"])
+
+
 def test_a_truth_that_may_not_be_named_is_not_given_another_name():
     given, records = drawn(700, "unloaded", "coulomb_friction")
     others = [name for name in EFFECTS if hidden.family(name) != "coulomb_friction"]

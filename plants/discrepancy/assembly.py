@@ -116,7 +116,7 @@ def told(known: Known) -> Diagnosis:
     values |= {f"{e.name}.{n}": i.value for e in named for n, i in e.parameters.items()}
     return Diagnosis(
         verdict=verdict,
-        sentence=overall(verdict, known.judged.tied, named, steps, plant.output),
+        sentence=overall(verdict, known.judged, named, steps, plant.output),
         effects=tuple(named),
         ambiguous=known.judged.tied,
         candidates=listed,
@@ -176,8 +176,7 @@ def _fits(known: Known) -> list[Fit]:
         fits.append(Fit(at.bench, at.bench.final(at.attempt), None))
     added = None if known.hum is None else MainsInterference.name
     fits.append(Fit(bench, bench.final(known.found.base), added))
-    taken = [one.taken for one in known.found.rounds if one.taken is not one.before]
-    believed = taken[: len(known.judged.best.effects)]
+    believed = known.found.stages if known.judged.best.effects else ()
     return [*fits, *(Fit(bench, bench.final(a), a.effects[-1].name) for a in believed)]
 
 

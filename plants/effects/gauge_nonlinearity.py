@@ -25,7 +25,7 @@ class GaugeNonlinearity(Effect):
     )
     port: ClassVar[Port] = Port.GAUGE
 
-    curvature_per_N: float = parameter(1e-3, low=-4e-3, high=0.02, unit="1/N", neutral=0.0)
+    curvature_per_N: float = parameter(1e-3, low=-0.01, high=0.02, unit="1/N", neutral=0.0)
 
     @staticmethod
     def respond(

@@ -15,6 +15,8 @@ from plants.effects import Effect, Port
 
 SWITCHED = 0.3
 """Size a member of a family is switched on with to see its direction, by that it inherits."""
+TRADED = (0.25, 0.5)
+"""Shares of the size inherited that go over to one of its own."""
 ROUGH = np.array([0.1, 0.3, 1.0, 2.0, 3.5, 6.0, 12.0])
 """Sizes tried of an effect that no direction shows, relative to the usual one."""
 STARTS = 2
@@ -113,7 +115,11 @@ def with_one_more(
 
 
 def _inherited(bench: Bench, predictor: Predictor, one: Screened, simpler: Attempt) -> FloatArray:
-    """The best start from the fit of a simpler member of the family, shape (1, free)."""
+    """Starts from the fit of a simpler member of the family, shape (some, free).
+
+    The best with what is its own switched on, and the best with a part of what it inherits given
+    over to that: friction as large at rest that falls with speed is far from any that does not.
+    """
     name, declared = one.effect.name, one.effect.parameters()
     source, given = thresholds.INHERITED[name]
     own = {f"{name}.{to}": simpler.values[f"{source}.{of}"] for of, to in given.items()}
@@ -127,9 +133,19 @@ def _inherited(bench: Bench, predictor: Predictor, one: Screened, simpler: Attem
             for shape in shapes
         ]
     )
+    of, to = next(iter(given.items()))
+    inherited = abs(simpler.values[f"{source}.{of}"])
+    place = {f.name: n for n, f in enumerate(predictor.free)}
+    ways = [rows]
     for size in sizes:
-        place = next(n for n, f in enumerate(predictor.free) if f.name == f"{name}.{size}")
+        traded = np.repeat(rows, len(TRADED), axis=0)
+        shares = inherited * np.tile(TRADED, len(rows))
+        traded[:, place[f"{name}.{size}"]] += shares
+        traded[:, place[f"{name}.{to}"]] -= shares
+        ways.append(traded)
         # As large as the size inherited is: a law that is bent shows its direction.
-        step = SWITCHED * abs(simpler.values[f"{source}.{next(iter(given))}"])
-        rows = bench.switched_on(predictor, rows, place, step)
-    return bench.best_starts(predictor, bench.placed(predictor, rows), 1)
+        step = SWITCHED * inherited
+        ways[0] = bench.switched_on(predictor, ways[0], place[f"{name}.{size}"], step)
+    return np.concatenate(
+        [bench.best_starts(predictor, bench.placed(predictor, way), 1) for way in ways]
+    )

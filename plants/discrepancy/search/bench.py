@@ -1,5 +1,6 @@
 """Fits of models with effects to the records, and how they do on data that was not fitted."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -12,6 +13,7 @@ from plants.discrepancy.data.record import Measurement
 from plants.discrepancy.models.models import Diagnosed
 from plants.discrepancy.prediction.prediction import Prediction, Predictor
 from plants.discrepancy.search import thresholds
+from plants.discrepancy.search.cable_block import Blocks, CableBlock, pull_N_rad
 from plants.discrepancy.search.fit import Fitted, fit, settled, switched_on
 from plants.discrepancy.search.splits import FIT, RANK, REPORT, Dealt, deal
 from plants.effects import Effect, Port
@@ -35,6 +37,8 @@ class Attempt:
         fit_J: Mean square of the whitened residuals on the fit split; 1 is the floor.
         rank_J: The same on the rank split.
         squares: Sum of squares on the rank split, block by block.
+        fit_blocks: Mean squares of the fit split, block by block.
+        rank_blocks: The same of the rank split.
     """
 
     effects: Effects
@@ -42,6 +46,8 @@ class Attempt:
     fit_J: float
     rank_J: float
     squares: FloatArray
+    fit_blocks: Blocks
+    rank_blocks: Blocks
 
     @property
     def values(self) -> dict[str, float]:
@@ -75,10 +81,15 @@ class Bench:
     @property
     def scale(self) -> thresholds.Scale:
         """What sizes of effects are measured against."""
+        angle_rad, tension_N = self.floor.angle_rad, self.floor.tension_N
+        if math.isnan(angle_rad):
+            # Without an encoder the gauge tells how far the drum has turned.
+            given = pull_N_rad(self.model.calibrated({}), self.measurements)
+            angle_rad = tension_N / float(np.median(given))
         return thresholds.Scale(
             sample_s=1.0 / min(m.sampling_Hz for m in self.measurements),
-            angle_rad=self.floor.angle_rad,
-            tension_N=self.floor.tension_N,
+            angle_rad=angle_rad,
+            tension_N=tension_N,
         )
 
     def predictor(self, effects: Effects) -> Predictor:
@@ -192,7 +203,16 @@ class Bench:
         blocks = self.dealt.group[held.entries]
         squares: FloatArray = np.bincount(blocks, held.residuals**2).astype(np.float64)
         squares = squares[np.unique(blocks)]
-        return Attempt(effects, found, found.mean_square, held.mean_square, squares)
+        return Attempt(
+            *(effects, found, found.mean_square, held.mean_square, squares),
+            *(Blocks.of(self.cable_block(at), at.residuals) for at in (found, held)),
+        )
+
+    def cable_block(self, found: Fitted) -> CableBlock | None:
+        """The cable and gauge block of the entries of a fit; None without gauge or encoder."""
+        values = found.predictor.values(found.values)
+        pull = pull_N_rad(self.model.calibrated(values), self.measurements)
+        return CableBlock.of(found.predictor.index, found.entries, pull)
 
     def settled(self, found: Fitted, split: int) -> Fitted:
         """A fit held against a split, the held-out records' own values fitted to it."""

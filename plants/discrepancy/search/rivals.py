@@ -1,20 +1,24 @@
-"""Laws without a name that a named one is held against, for what they would be taken for.
+"""Laws without a name that a named one of cable or gauge is held against.
 
-Hysteresis of a cable or of a gauge makes a loop between angle and tension, as friction at the
-eyelet does. But its height is the same at any tension: where such a loop does better, what is
-there is not friction at the eyelet.
+Each is a way in which tension and angle may part that is no declared effect, but may be taken for
+one: a loop of the same height at any tension for friction at the eyelet, whose loop grows with
+it; a gain that changes with time for a zero that does. Where such a law does better, what is
+there is not what the name says.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import ClassVar
 
 import casadi as ca
+import numpy as np
 
 from plants.discrepancy.search import thresholds
 from plants.discrepancy.search.attempts import with_one_more
 from plants.discrepancy.search.bench import Attempt, Bench
+from plants.discrepancy.search.cable_block import block_of
 from plants.discrepancy.search.screen import Background, screen
 from plants.effects import Effect, Port, Signal, Site, parameter
 from plants.effects.bristles import bent
@@ -71,24 +75,67 @@ class GaugeLoop(CableLoop):
     port: ClassVar[Port] = Port.GAUGE
 
 
-RIVALS: dict[str, tuple[type[Effect], ...]] = {"eyelet_friction": (CableLoop, GaugeLoop)}
-"""By the slug of the law that they are held against."""
+@dataclass(frozen=True)
+class GaugeWarming(Effect):
+    """A gauge whose gain changes from the start on: `y = (1 + s) T`, `ds/dt = (g - s)/tau`.
+
+    Attributes:
+        gain: Share g by which it reads more in the end.
+        time_s: Time constant tau, s.
+    """
+
+    name: ClassVar[str] = "gauge_warming"
+    title: ClassVar[str] = "a gain of the gauge that changes with time"
+    appearance: ClassVar[str] = "tension read and current move apart the more, the more it pulls"
+    port: ClassVar[Port] = Port.GAUGE
+    states: ClassVar[int] = 1
+
+    gain: float = parameter(0.03, low=-0.5, high=0.5, unit="", neutral=0.0)
+    time_s: float = parameter(2.0, low=0.2, high=50.0, unit="s")
+
+    @staticmethod
+    def respond(
+        p: SimpleNamespace, state: Signal, signal: Signal, site: Site
+    ) -> tuple[Signal, Signal]:
+        """The tension read; what is remembered is the gain's change."""
+        after = p.gain + (state - p.gain) * ca.exp(-site.span_s / p.time_s)
+        return after, signal * (1.0 + state)
+
+
+AIMED = 0.5
+"""A rival is fitted whose direction explains at least this part of what the effect's does."""
+RIVALS: tuple[type[Effect], ...] = (CableLoop, GaugeLoop, GaugeWarming)
 
 
 def beaten_by(
-    bench: Bench, before: Attempt, one: Attempt, seen: Sequence[Background]
+    bench: Bench, before: Attempt, one: Attempt, seen: Sequence[Background], share: float
 ) -> str | None:
-    """Title of a rival that leaves less than the effect an attempt adds, or None.
+    """Title of a rival that does about as well as the effect an attempt adds, or None.
+
+    A law that is the machine's leaves less than half of what any of them does.
 
     Args:
         bench: Model and records.
         before: The model without the effect.
         one: The attempt.
         seen: From where directions are looked for.
+        share: Share of the residual that the effect's direction explains.
     """
-    for rival in RIVALS.get(one.effects[-1].name, ()):
+    if block_of(one.effects[-1]) != "cable" or max(_left(one)) <= thresholds.CLOSED**2:
+        return None
+    for rival in RIVALS:
+        if bench.model.unavailable(rival) is not None:
+            continue
         screened = screen(rival, bench.predictor((rival,)), seen)
+        if screened.cosine2 < AIMED * share:
+            continue
         other = bench.further(with_one_more(bench, before, screened, ()))
-        if max(other.fit_J / one.fit_J, other.rank_J / one.rank_J) < thresholds.BEATEN:
+        if max(np.divide(_left(other), _left(one))) < thresholds.BEATEN:
             return rival.title
     return None
+
+
+def _left(attempt: Attempt) -> tuple[float, float]:
+    """Power left on the fit and the rank split: in the cable and gauge block, where it is seen."""
+    cable = attempt.fit_blocks.cable, attempt.rank_blocks.cable
+    return (attempt.fit_J, attempt.rank_J) if math.isnan(sum(cable)) else cable

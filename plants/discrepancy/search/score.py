@@ -7,6 +7,7 @@ import numpy as np
 
 from plants.discrepancy.search import thresholds
 from plants.discrepancy.search.bench import Attempt
+from plants.discrepancy.search.cable_block import Block, block_of
 
 BOUND = 1e-6
 """A value this near to a bound, relative to it, is at it."""
@@ -26,6 +27,27 @@ def closure(before_J: float, after_J: float, floor_J: float = 1.0) -> float:
 
 def leaves_a_gap(attempt: Attempt) -> bool:
     """Whether a model leaves anything that another effect could be added for."""
+    return _gapes(attempt) or open_block(attempt) is not None
+
+
+def open_block(attempt: Attempt) -> Block | None:
+    """The block in which there is a gap that the effects so far have no part in, or None.
+
+    Without an effect the cable and gauge block is as clean as before; the drum's is as soon as
+    the effects of cable and gauge leave nothing in theirs.
+    """
+    if not attempt.effects:
+        return None
+    acting = set(map(block_of, attempt.effects))
+    splits = attempt.fit_blocks, attempt.rank_blocks
+    if acting == {"drum"}:
+        return "cable" if max(s.cable for s in splits) >= thresholds.NOTHING**2 else None
+    if acting == {"cable"} and max(s.cable for s in splits) <= thresholds.CLOSED**2:
+        return "drum" if max(s.drum for s in splits) >= thresholds.NOTHING**2 else None
+    return None
+
+
+def _gapes(attempt: Attempt) -> bool:
     enough = thresholds.GAP if attempt.effects else thresholds.NOTHING
     return math.sqrt(max(attempt.rank_J, attempt.fit_J)) >= enough
 
@@ -45,7 +67,7 @@ def worth_adding(before: Attempt, after: Attempt, base: Attempt) -> bool:
         after: The same with one more effect.
         base: The model without effects.
     """
-    if not leaves_a_gap(before):
+    if not _gapes(before):
         return False
     least = thresholds.FIRST
     if before.effects:
@@ -55,6 +77,28 @@ def worth_adding(before: Attempt, after: Attempt, base: Attempt) -> bool:
     closed = [_closed(before.rank_J, after.rank_J), _closed(before.fit_J, after.fit_J)]
     gained = float((before.squares - after.squares).sum())
     return min(closed) >= least and gained >= thresholds.SIGNIFICANT_GAIN
+
+
+def worth_adding_there(before: Attempt, after: Attempt, block: Block) -> bool:
+    """Whether one more effect is there by what it does in a block without one.
+
+    There it is judged as if it were alone, whatever the others' laws leave in their own block.
+
+    Args:
+        before: The model so far.
+        after: The same with one more effect.
+        block: The block, see `open_block`.
+    """
+    closed = [
+        _closed(getattr(was, block), getattr(now, block))
+        for was, now in (
+            (before.rank_blocks, after.rank_blocks),
+            (before.fit_blocks, after.fit_blocks),
+        )
+    ]
+    gained = float((before.squares - after.squares).sum())
+    better_fit = after.fit_J < before.fit_J and gained >= thresholds.SIGNIFICANT_GAIN
+    return better_fit and min(closed) >= thresholds.FURTHER
 
 
 def _closed(before_J: float, after_J: float) -> float:

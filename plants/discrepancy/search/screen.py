@@ -18,6 +18,7 @@ from scipy.optimize import nnls
 
 from estune.trial import FloatArray
 from plants.discrepancy.prediction.prediction import Predictor
+from plants.discrepancy.search.cable_block import CableBlock
 from plants.effects import Effect, Parameter
 
 Numbers = NDArray[np.int64]
@@ -82,6 +83,7 @@ class Background(NamedTuple):
         lowest_Hz: Lowest frequency that the records resolve.
         highest_Hz: Highest frequency that all of them hold.
         suggest: What the data suggest for parameters.
+        block: The block looked at; None is all entries.
     """
 
     values: Mapping[str, float]
@@ -91,11 +93,16 @@ class Background(NamedTuple):
     lowest_Hz: float
     highest_Hz: float
     suggest: Suggest
+    block: CableBlock | None = None
 
     @property
     def size(self) -> float:
         """Root mean square of the residuals, in floors."""
         return float(np.sqrt(np.mean(self.residual**2)))
+
+    def shown(self, residuals: FloatArray) -> FloatArray:
+        """What is looked at of residuals of the entries, shape (..., screened)."""
+        return residuals if self.block is None else self.block.left(residuals)
 
     def against(self, changes: FloatArray) -> "Products":
         """The products of changes that tell what they explain.
@@ -200,7 +207,7 @@ class _Probe:
         self.off = predictor.row(seen.values)
         for name in self.sizes:
             self.off[self.column[name]] = self.declared[name].neutral
-        self.here = predictor.residuals(self.off[None, :], seen.entries)[0]
+        self.here = seen.shown(predictor.residuals(self.off[None, :], seen.entries))[0]
 
     def screened(self) -> Screened:
         """The best of all the ways."""
@@ -215,7 +222,7 @@ class _Probe:
 
     def _changes(self, rows: FloatArray) -> FloatArray:
         """What rows change in the residuals screened, shape (rows, screened)."""
-        found = self.predictor.residuals(rows, self.seen.entries) - self.here
+        found = self.seen.shown(self.predictor.residuals(rows, self.seen.entries)) - self.here
         changes: FloatArray = np.where(np.isfinite(found), found, 0.0)
         return changes
 

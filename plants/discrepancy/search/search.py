@@ -12,18 +12,21 @@ from plants.discrepancy.search.attempts import (
     with_one_more,
 )
 from plants.discrepancy.search.bench import Attempt, Bench, Numbers
+from plants.discrepancy.search.cable_block import block_of
 from plants.discrepancy.search.rivals import beaten_by
 from plants.discrepancy.search.score import (
     closure,
     does,
     family_of,
     leaves_a_gap,
+    open_block,
     simplest,
     tied,
     worth_adding,
+    worth_adding_there,
 )
 from plants.discrepancy.search.screen import Background, Screened, Suggest, orthonormal, screen
-from plants.effects import Effect
+from plants.effects import Effect, Port
 
 SCREENED = 12_000
 """Entries that directions are compared over."""
@@ -58,16 +61,18 @@ class Found:
         base: The base model.
         rounds: Round by round; the last one added nothing, unless there were as many as may be.
         screened: Each effect's direction from the base model, by slug.
+        stages: The models with one effect after the other, of all that were worth adding.
     """
 
     base: Attempt
     rounds: tuple[Round, ...]
     screened: Mapping[str, Screened]
+    stages: tuple[Attempt, ...]
 
     @property
     def best(self) -> Attempt:
         """The model with all effects that were worth adding."""
-        return self.rounds[-1].taken if self.rounds else self.base
+        return self.stages[-1] if self.stages else self.base
 
 
 def search(
@@ -96,12 +101,112 @@ def search(
         if rounds and leaves_a_gap(current):
             # In the directions they have without the effects so far: those are soon worked out.
             seen = [_background(bench, current, suggest)]
-            looked = _screened(bench, effects, seen)
-        rounds.append(_round(bench, base, current, looked, seen))
-        if rounds[-1].taken is current:
+            looked = _looked_further(bench, effects, seen, current, suggest)
+        one = _round(bench, base, current, looked, seen)
+        again = _gone_on(bench, base, one)
+        if again is not None:
+            rounds[-1], current = _ended(rounds[-1], again), again
+            continue
+        rounds.append(one)
+        if one.taken is current:
             break
-        current = rounds[-1].taken
-    return Found(base, _without_needless(bench, base, rounds), screened)
+        current = one.taken
+    if current is base and rounds:
+        rounds = [*_pair(bench, base, rounds[0], effects, suggest)] or rounds
+    kept = _without_needless(bench, base, rounds)
+    stages = tuple(one.taken for one in kept if one.taken is not one.before)
+    return Found(base, kept, screened, _families_again(bench, base, screened, stages))
+
+
+def _families_again(
+    bench: Bench, base: Attempt, screened: Mapping[str, Screened], stages: tuple[Attempt, ...]
+) -> tuple[Attempt, ...]:
+    """The stages with each family's member chosen again where more was added after it.
+
+    What was missing then bent the law: its member was chosen under what others explain now.
+    """
+    for effect in stages[-1].effects[:-1] if stages else ():
+        family = [screened[n] for n in family_of(effect.name) if n in screened]
+        if len(family) < 2:
+            continue
+        best = stages[-1]
+        rest = tuple(e for e in best.effects if e is not effect)
+        held = _from(bench, rest, best, rounds=0)
+        attempts = [_from(bench, (*rest, effect), best)]
+        for one in family:
+            if one.effect is not effect:
+                attempts.append(with_one_more(bench, held, one, attempts))
+        attempts = finished(bench, base, reduced(bench, attempts))
+        again = simplest(attempts, held, bench.scale)
+        if again is not None and max(again.rank_J - best.rank_J, again.fit_J - best.fit_J) < 0.0:
+            stages = (*(_from(bench, rest[:n], best) for n in range(1, len(best.effects))), again)
+    return stages
+
+
+def _from(
+    bench: Bench, effects: tuple[type[Effect], ...], best: Attempt, rounds: int = 15
+) -> Attempt:
+    """A model with some of another's effects, fitted from its values."""
+    row = bench.predictor(effects).row(best.values)
+    return bench.attempt(effects, row[None, :], rounds)
+
+
+def _gone_on(bench: Bench, base: Attempt, one: Round) -> Attempt | None:
+    """The model before a round, fitted on from where the effect added led.
+
+    A fit that was stuck goes on when one more value moves: what was added is not there.
+
+    Returns:
+        None where the effect added is worth adding to that, too.
+    """
+    before, taken = one.before, one.taken
+    if taken is before or not before.effects:
+        return None
+    again = _from(bench, before.effects, taken)
+    stuck = again.fit_J < thresholds.STUCK * before.fit_J
+    return again if stuck and not _is_worth(again, taken, base) else None
+
+
+def _ended(one: Round, taken: Attempt) -> Round:
+    """The same round with another fit of what it ended with."""
+    attempts = tuple(taken if a is one.taken else a for a in one.attempts)
+    return replace(one, attempts=attempts, taken=taken)
+
+
+def _is_worth(before: Attempt, after: Attempt, base: Attempt) -> bool:
+    """Whether the last effect of a model is worth adding to the others."""
+    block = block_of(after.effects[-1])
+    return worth_adding(before, after, base) or (
+        open_block(before) == block and worth_adding_there(before, after, block)
+    )
+
+
+def _pair(
+    bench: Bench, base: Attempt, first: Round, effects: Sequence[type[Effect]], suggest: Suggest
+) -> tuple[Round, ...]:
+    """Two rounds, of effects that do together what neither does alone; none if there are none."""
+    leading = sorted(first.attempts, key=lambda a: a.fit_J)[: thresholds.LEADING]
+    pairs = []
+    for one in leading:
+        alone = closure(base.fit_J, one.fit_J) < thresholds.FIRST
+        if alone or simplest([one], base, bench.scale) is None:
+            continue
+        seen = [_background(bench, one, suggest)]
+        looked = _looked_further(bench, effects, seen, one, suggest)
+        second = _round(bench, base, one, looked, seen)
+        if second.taken is not one and _does_together(bench, base, second.taken):
+            pairs.append((replace(first, taken=one), second))
+    return min(pairs, key=lambda pair: pair[1].taken.rank_J, default=())
+
+
+def _does_together(bench: Bench, base: Attempt, pair: Attempt) -> bool:
+    """Whether two effects leave next to nothing, and the second alone does not."""
+    splits = (base.fit_J, pair.fit_J), (base.rank_J, pair.rank_J)
+    if max(after for _, after in splits) > thresholds.GAP**2:
+        return False
+    if min(closure(*split) for split in splits) < thresholds.CLOSURE_OF_MUCH:
+        return False
+    return worth_adding(_from(bench, pair.effects[1:], pair), pair, base)
 
 
 def _without_needless(bench: Bench, base: Attempt, rounds: list[Round]) -> tuple[Round, ...]:
@@ -110,9 +215,7 @@ def _without_needless(bench: Bench, base: Attempt, rounds: list[Round]) -> tuple
     if len(taken) < thresholds.DEEPEST:
         return tuple(rounds)
     first, _, last = taken
-    effects = (*first.taken.effects, last.taken.effects[-1])
-    row = bench.predictor(effects).row(last.taken.values)
-    rest = bench.attempt(effects, row[None, :])
+    rest = _from(bench, (*first.taken.effects, last.taken.effects[-1]), last.taken)
     if worth_adding(rest, last.taken, base):
         return tuple(rounds)
     return (first, replace(last, before=first.taken, taken=rest))
@@ -125,8 +228,31 @@ def _screened(
     return {e.name: screen(e, bench.predictor((e,)), seen) for e in effects}
 
 
+def _looked_further(
+    bench: Bench,
+    effects: Sequence[type[Effect]],
+    seen: Sequence[Background],
+    current: Attempt,
+    suggest: Suggest,
+) -> dict[str, Screened]:
+    """Each further effect's direction, by slug; those of a block without one in that alone."""
+    if open_block(current) != "cable":
+        return _screened(bench, effects, seen)
+    there = [e for e in effects if block_of(e) == "cable"]
+    block = _background(bench, current, suggest, cable=True)
+    # What an actuator does not pass on moves nothing that is behind it.
+    driven = tuple(e for e in current.effects if e.port is Port.ACTUATOR)
+    looked = {e.name: screen(e, bench.predictor((*driven, e)), [block]) for e in there}
+    return looked | _screened(bench, [e for e in effects if e not in there], seen)
+
+
 def _background(
-    bench: Bench, attempt: Attempt, suggest: Suggest, moves: Numbers | None = None
+    bench: Bench,
+    attempt: Attempt,
+    suggest: Suggest,
+    moves: Numbers | None = None,
+    *,
+    cable: bool = False,
 ) -> Background:
     """What directions are compared with, at a fit.
 
@@ -135,13 +261,19 @@ def _background(
         attempt: The fit.
         suggest: What the data suggest for parameters.
         moves: Numbers of the values that calibrations may move; None is what the fit moved.
+        cable: Whether the cable and gauge block alone is looked at.
     """
     fitted = attempt.fitted
     # A product over many entries is as well known from some of them.
-    some = slice(None, None, max(1, fitted.entries.size // SCREENED))
+    sample = fitted.predictor.index.sample[fitted.entries]
+    some = sample % max(1, sample.size // SCREENED) == 0
     entries, residual = fitted.entries[some], fitted.residuals[some]
     moves = fitted.moved if moves is None else moves
-    basis = orthonormal(fitted.predictor.linearise(fitted.values, moves, entries)[1].T)
+    slope = fitted.predictor.linearise(fitted.values, moves, entries)[1].T
+    block = bench.cable_block(replace(fitted, entries=entries)) if cable else None
+    if block is not None:
+        residual, slope = block.left(residual), block.left(slope)
+    basis = orthonormal(slope)
     return Background(
         values=attempt.values,
         residual=residual - (basis @ residual) @ basis,
@@ -150,6 +282,7 @@ def _background(
         lowest_Hz=1.0 / max(m.duration_s for m in bench.measurements),
         highest_Hz=0.45 * min(m.sampling_Hz for m in bench.measurements),
         suggest=suggest,
+        block=block,
     )
 
 
@@ -178,12 +311,29 @@ def _round(
         attempts = finished(bench, base, [*attempts, *again])
         best = simplest(attempts, current, bench.scale)
     if best is None or not worth_adding(current, best, base):
+        best = _by_its_block(bench, current, attempts)
+    if best is None:
         return Round(current, shares, tuple(attempts), current)
-    rival = beaten_by(bench, current, best, seen)
+    # Further effects may have been looked at in their own block.
+    share = 0.0 if current.effects else shares[best.effects[-1].name]
+    rival = beaten_by(bench, current, best, seen, share)
     if rival is not None:
         beaten = {best.effects[-1].name: rival}
         return Round(current, shares, tuple(attempts), current, rivals=beaten)
     return Round(current, shares, tuple(attempts), best, tied(current, best, attempts))
+
+
+def _by_its_block(bench: Bench, current: Attempt, attempts: Sequence[Attempt]) -> Attempt | None:
+    """The effect that does the most in a block without one, if it is worth adding."""
+    block = open_block(current)
+    if block is None:
+        return None
+    ranked = sorted(
+        (a for a in attempts if block_of(a.effects[-1]) == block),
+        key=lambda a: float(getattr(a.rank_blocks, block)),
+    )
+    best = simplest(ranked, current, bench.scale)
+    return best if best is not None and worth_adding_there(current, best, block) else None
 
 
 def _is_tried(

@@ -41,7 +41,7 @@ WELL = 0.95
 one that does more: no machine's law is quite the model's."""
 ALIKE = 1.5
 """Two models are alike that leave powers whose ratio is no larger, or the floor."""
-BEATEN = 0.85
+BEATEN = 1.3
 """Ratio of powers left, on the fit and the rank split, below which a law without a name shows that
 the one named is not what is there."""
 TIE = 0.1
@@ -65,10 +65,15 @@ AS_GOOD = 1.1
 """One calibration explains all where the power it leaves is no more than so many times what all
 of them together leave."""
 
+STUCK = 0.9
+"""Ratio of powers left from which on down a fit that goes on had been stuck."""
+
 SHORTLIST = 5
 """Effects fitted jointly in the first round, by their direction."""
 SHORTLIST_FURTHER = 5
 """The same in later rounds."""
+LEADING = 2
+"""Effects that a second one is tried with where none is worth adding alone."""
 DEEPEST = 3
 """Most effects added."""
 
@@ -99,7 +104,7 @@ class Scale(NamedTuple):
 
     Attributes:
         sample_s: Sampling interval, s.
-        angle_rad: Noise of the encoder, rad rms; nan without.
+        angle_rad: Noise of the encoder, or of the gauge as an angle, rad rms; nan without both.
         tension_N: Noise of the gauge, N rms; nan without.
     """
 
@@ -116,17 +121,21 @@ def large_enough(effect: type[Effect], values: dict[str, float], scale: Scale) -
     """
     own = {n: values[f"{effect.name}.{n}"] for n in effect.parameters()}
     return all(
-        abs(own[name]) >= factor * (own[unit] if unit in own else getattr(scale, unit))
+        abs(own[name]) >= factor * (own[unit] if unit in own else getattr(scale, unit, 1.0))
         for name, factor, unit in _LEAST.get(effect.name, ())
     )
 
 
 _LEAST: dict[str, tuple[tuple[str, float, str], ...]] = {
     "dead_time": (("delay_s", 0.2, "sample_s"),),
+    # No drive's torque constant is known better.
+    "gain_error": (("error", 0.04, "as given"),),
     "gauge_offset": (("offset_N", 3.0, "tension_N"),),
     "backlash": (("play_rad", 3.0, "angle_rad"),),
     # Shorter than this, bristles that bend and a drum that sticks look alike to the encoder.
     "dahl_hysteresis": (("presliding_rad", 12.0, "angle_rad"),),
-    "stribeck_friction": (("excess_Nm", 0.1, "coulomb_Nm"),),
+    # Friction that falls to nothing with speed is no dry friction.
+    "stribeck_friction": (("excess_Nm", 0.1, "coulomb_Nm"), ("coulomb_Nm", 0.2, "excess_Nm")),
 }
-"""Parameters, and their least size in units of a field of `Scale` or of another parameter."""
+"""Parameters, and their least size in units of a field of `Scale` or of another parameter; `as
+given` is the size itself."""

@@ -19,11 +19,13 @@ class Judged(NamedTuple):
         verdict: The verdict.
         best: The model that is believed: the base model for `unknown` and `none`.
         tied: Slugs the records cannot tell apart, best first; empty unless `ambiguous`.
+        like: What no effect is declared of but the gap looks like; empty unless `unknown`.
     """
 
     verdict: Verdict
     best: Attempt
-    tied: tuple[str, ...]
+    tied: tuple[str, ...] = ()
+    like: str = ""
 
 
 def judge(found: Found) -> Judged:
@@ -37,14 +39,15 @@ def judge(found: Found) -> Judged:
     if not best.effects:
         # What only one of the splits shows may be chance.
         nothing = math.sqrt(min(before.rank_J, before.fit_J)) <= thresholds.NOTHING
-        return Judged("none" if nothing else "unknown", before, ())
+        like = next((title for one in found.rounds for title in one.rivals.values()), "")
+        return Judged("none", before) if nothing else Judged("unknown", before, like=like)
     closed = closure(before.rank_J, best.rank_J)
     least = thresholds.CLOSURE if gap_after <= thresholds.GAP else thresholds.CLOSURE_OF_MUCH
     if closed < least and gap_after > thresholds.CLOSED:
-        return Judged("unknown", before, ())
+        return Judged("unknown", before)
     if len(best.effects) == 1 and found.rounds[0].tied:
         return Judged("ambiguous", best, (best.effects[0].name, *found.rounds[0].tied))
-    return Judged("incomplete" if gap_after > thresholds.INCOMPLETE else "named", best, ())
+    return Judged("incomplete" if gap_after > thresholds.INCOMPLETE else "named", best)
 
 
 def candidates(found: Found) -> tuple[Candidate, ...]:
@@ -132,7 +135,7 @@ def _percent(share: float) -> str:
 
 def overall(
     verdict: Verdict,
-    tied: Sequence[str],
+    judged: Judged,
     named: Sequence[NamedEffect],
     steps: Sequence[Step],
     unit: str,
@@ -143,11 +146,12 @@ def overall(
     if verdict == "none":
         return f"Nothing is missing that these records can show: the gap is {gap}."
     if verdict == "unknown":
-        return f"Something is missing that no declared effect explains: the gap is {gap}."
+        said = f"Something is missing that no declared effect explains: the gap is {gap}."
+        return f"{said} It looks like {judged.like}." if judged.like else said
     what = " and ".join(one.title for one in named)
     left = f"the gap falls from {gap}, to {after.ratio:.2g} times the floor"
     if verdict == "ambiguous":
-        return f"These records cannot tell {' or '.join(tied)} apart; with {what} {left}."
+        return f"These records cannot tell {' or '.join(judged.tied)} apart; with {what} {left}."
     sentences = " ".join(one.sentence for one in named)
     if verdict == "incomplete":
         return f"{sentences} With {what} {left}: something more is missing."
