@@ -11,8 +11,9 @@ from plants.discrepancy.search.attempts import (
     roughly,
     with_one_more,
 )
-from plants.discrepancy.search.bench import Attempt, Bench, Numbers
+from plants.discrepancy.search.bench import Attempt, Bench
 from plants.discrepancy.search.cable_block import block_of
+from plants.discrepancy.search.directions import all_screened, background, screened_further
 from plants.discrepancy.search.rivals import beaten_by
 from plants.discrepancy.search.score import (
     closure,
@@ -25,11 +26,8 @@ from plants.discrepancy.search.score import (
     worth_adding,
     worth_adding_there,
 )
-from plants.discrepancy.search.screen import Background, Screened, Suggest, orthonormal, screen
-from plants.effects import Effect, Port
-
-SCREENED = 12_000
-"""Entries that directions are compared over."""
+from plants.discrepancy.search.screen import Background, Screened, Suggest
+from plants.effects import Effect
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,22 +84,22 @@ def search(
         effects: The effects to choose from.
         suggest: What the data suggest for their parameters.
     """
-    seen = [_background(bench, base, suggest)]
+    seen = [background(bench, base, suggest)]
     if base.fit_J > thresholds.DISTORTED**2:
         nobody: frozenset[str] = frozenset()
         given = bench.attempt((), bench.base.start[None, :], owners=nobody)
-        there = _background(bench, given, suggest, bench.moves(bench.base))
+        there = background(bench, given, suggest, bench.moves(bench.base))
         # Where calibrations had to move far for good, the model as given is no place to look from.
         seen = [there] if given.fit_J < thresholds.NEAR * base.fit_J else [*seen, there]
-    screened = _screened(bench, effects, seen)
+    first = all_screened(bench, effects, seen)
     rounds: list[Round] = []
     current = base
     while len(rounds) < thresholds.DEEPEST:
-        looked = screened
+        looked = first
         if rounds and leaves_a_gap(current):
             # In the directions they have without the effects so far: those are soon worked out.
-            seen = [_background(bench, current, suggest)]
-            looked = _looked_further(bench, effects, seen, current, suggest)
+            seen = [background(bench, current, suggest)]
+            looked = screened_further(bench, effects, seen, current, suggest)
         one = _round(bench, base, current, looked, seen)
         again = _gone_on(bench, base, one)
         if again is not None:
@@ -115,7 +113,7 @@ def search(
         rounds = [*_pair(bench, base, rounds[0], effects, suggest)] or rounds
     kept = _without_needless(bench, base, rounds)
     stages = tuple(one.taken for one in kept if one.taken is not one.before)
-    return Found(base, kept, screened, _families_again(bench, base, screened, stages))
+    return Found(base, kept, first, _families_again(bench, base, first, stages))
 
 
 def _families_again(
@@ -191,8 +189,8 @@ def _pair(
         alone = closure(base.fit_J, one.fit_J) < thresholds.FIRST
         if alone or simplest([one], base, bench.scale) is None:
             continue
-        seen = [_background(bench, one, suggest)]
-        looked = _looked_further(bench, effects, seen, one, suggest)
+        seen = [background(bench, one, suggest)]
+        looked = screened_further(bench, effects, seen, one, suggest)
         second = _round(bench, base, one, looked, seen)
         if second.taken is not one and _does_together(bench, base, second.taken):
             pairs.append((replace(first, taken=one), second))
@@ -219,71 +217,6 @@ def _without_needless(bench: Bench, base: Attempt, rounds: list[Round]) -> tuple
     if worth_adding(rest, last.taken, base):
         return tuple(rounds)
     return (first, replace(last, before=first.taken, taken=rest))
-
-
-def _screened(
-    bench: Bench, effects: Sequence[type[Effect]], seen: Sequence[Background]
-) -> dict[str, Screened]:
-    """Each effect's direction, by slug."""
-    return {e.name: screen(e, bench.predictor((e,)), seen) for e in effects}
-
-
-def _looked_further(
-    bench: Bench,
-    effects: Sequence[type[Effect]],
-    seen: Sequence[Background],
-    current: Attempt,
-    suggest: Suggest,
-) -> dict[str, Screened]:
-    """Each further effect's direction, by slug; those of a block without one in that alone."""
-    if open_block(current) != "cable":
-        return _screened(bench, effects, seen)
-    there = [e for e in effects if block_of(e) == "cable"]
-    block = _background(bench, current, suggest, cable=True)
-    # What an actuator does not pass on moves nothing that is behind it.
-    driven = tuple(e for e in current.effects if e.port is Port.ACTUATOR)
-    looked = {e.name: screen(e, bench.predictor((*driven, e)), [block]) for e in there}
-    return looked | _screened(bench, [e for e in effects if e not in there], seen)
-
-
-def _background(
-    bench: Bench,
-    attempt: Attempt,
-    suggest: Suggest,
-    moves: Numbers | None = None,
-    *,
-    cable: bool = False,
-) -> Background:
-    """What directions are compared with, at a fit.
-
-    Args:
-        bench: Model and records.
-        attempt: The fit.
-        suggest: What the data suggest for parameters.
-        moves: Numbers of the values that calibrations may move; None is what the fit moved.
-        cable: Whether the cable and gauge block alone is looked at.
-    """
-    fitted = attempt.fitted
-    # A product over many entries is as well known from some of them.
-    sample = fitted.predictor.index.sample[fitted.entries]
-    some = sample % max(1, sample.size // SCREENED) == 0
-    entries, residual = fitted.entries[some], fitted.residuals[some]
-    moves = fitted.moved if moves is None else moves
-    slope = fitted.predictor.linearise(fitted.values, moves, entries)[1].T
-    block = bench.cable_block(replace(fitted, entries=entries)) if cable else None
-    if block is not None:
-        residual, slope = block.left(residual), block.left(slope)
-    basis = orthonormal(slope)
-    return Background(
-        values=attempt.values,
-        residual=residual - (basis @ residual) @ basis,
-        basis=basis,
-        entries=entries,
-        lowest_Hz=1.0 / max(m.duration_s for m in bench.measurements),
-        highest_Hz=0.45 * min(m.sampling_Hz for m in bench.measurements),
-        suggest=suggest,
-        block=block,
-    )
 
 
 def _round(
