@@ -1,6 +1,5 @@
 """A drum that is not round about its axis."""
 
-import math
 from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import ClassVar
@@ -8,7 +7,7 @@ from typing import ClassVar
 import casadi as ca
 
 from plants.effects import turning
-from plants.effects.effect import Effect, Port, Signal, Site, parameter
+from plants.effects.effect import Effect, Port, Signal, Site, WINDS_rad, parameter
 
 
 @dataclass(frozen=True)
@@ -36,7 +35,7 @@ class DrumEccentricity(Effect):
     states: ClassVar[int] = turning.STATES
 
     eccentricity: float = parameter(0.02, low=0.0, high=0.2, unit="", neutral=0.0)
-    phase_rad: float = parameter(0.0, low=-math.pi, high=math.pi, unit="rad")
+    phase_rad: float = parameter(0.0, low=-WINDS_rad, high=WINDS_rad, unit="rad")
 
     @staticmethod
     def prepare(p: SimpleNamespace, reel: SimpleNamespace) -> dict[str, Signal]:

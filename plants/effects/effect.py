@@ -54,6 +54,10 @@ class Site(NamedTuple):
     torque_per_velocity: Signal
 
 
+WINDS_rad = 8.0 * math.pi
+"""How far a phase goes either way: while a period is sought it winds up with it."""
+
+
 class Parameter(NamedTuple):
     """What is known of one parameter of an effect.
 
@@ -69,6 +73,11 @@ class Parameter(NamedTuple):
     high: float
     unit: str
     neutral: float | None
+
+    @property
+    def is_phase(self) -> bool:
+        """Whether it is a phase."""
+        return self.unit == "rad" and (self.low, self.high) == (-WINDS_rad, WINDS_rad)
 
 
 def parameter(

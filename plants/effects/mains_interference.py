@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import casadi as ca
 
-from plants.effects.effect import Effect, Port, Signal, Site, parameter
+from plants.effects.effect import Effect, Port, Signal, Site, WINDS_rad, parameter
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class MainsInterference(Effect):
 
     amplitude_N: float = parameter(0.1, low=0.0, high=10.0, unit="N", neutral=0.0)
     frequency_Hz: float = parameter(50.0, low=10.0, high=300.0, unit="Hz")
-    phase_rad: float = parameter(0.0, low=-math.pi, high=math.pi, unit="rad")
+    phase_rad: float = parameter(0.0, low=-WINDS_rad, high=WINDS_rad, unit="rad")
 
     @staticmethod
     def prepare(p: SimpleNamespace, reel: SimpleNamespace) -> dict[str, Signal]:

@@ -1,12 +1,11 @@
 """Torque that depends on the drum's angle."""
 
-import math
 from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import ClassVar
 
 from plants.effects import turning
-from plants.effects.effect import Effect, Port, Signal, Site, parameter
+from plants.effects.effect import Effect, Port, Signal, Site, WINDS_rad, parameter
 
 
 @dataclass(frozen=True)
@@ -29,8 +28,8 @@ class TorqueRipple(Effect):
     states: ClassVar[int] = turning.STATES
 
     amplitude_Nm: float = parameter(0.01, low=0.0, high=1e3, unit="N m", neutral=0.0)
-    per_turn: float = parameter(24.0, low=1.0, high=1e4, unit="")
-    phase_rad: float = parameter(0.0, low=-math.pi, high=math.pi, unit="rad")
+    per_turn: float = parameter(24.0, low=3.0, high=1e4, unit="")
+    phase_rad: float = parameter(0.0, low=-WINDS_rad, high=WINDS_rad, unit="rad")
 
     @staticmethod
     def respond(

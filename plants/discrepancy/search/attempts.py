@@ -105,7 +105,10 @@ def with_one_more(
         if current.effects:  # its screening was at the base model
             values = {n: v for n, v in values.items() if n.startswith(f"{one.effect.name}.")}
         rows.append(predictor.row(current.values | values))
-    begun = bench.best_starts(predictor, bench.placed(predictor, np.array(rows)), STARTS)
+    # A wave that is a little too long or too short may do worse than none before it is fitted.
+    waves = any(p.is_phase for p in one.effect.parameters().values())
+    most = len(rows) if waves else STARTS
+    begun = bench.best_starts(predictor, bench.placed(predictor, np.array(rows)), most)
     source, _ = thresholds.INHERITED.get(one.effect.name, ("", {}))
     simpler = next((a for a in others if a.effects[-1].name == source), None)
     if simpler is not None:

@@ -19,7 +19,7 @@ from scipy.optimize import nnls
 from estune.trial import FloatArray
 from plants.discrepancy.prediction.prediction import Predictor
 from plants.discrepancy.search.cable_block import CableBlock
-from plants.effects import Effect, Parameter
+from plants.effects import Effect
 
 Numbers = NDArray[np.int64]
 Suggest = Callable[[str], Sequence[float]]
@@ -203,7 +203,7 @@ class _Probe:
         self.declared = effect.parameters()
         self.column = {name: place[f"{effect.name}.{name}"] for name in self.declared}
         self.sizes = [name for name, p in self.declared.items() if p.neutral is not None]
-        self.phases = [n for n, p in self.declared.items() if p.neutral is None and _is_phase(p)]
+        self.phases = [n for n, p in self.declared.items() if p.neutral is None and p.is_phase]
         self.off = predictor.row(seen.values)
         for name in self.sizes:
             self.off[self.column[name]] = self.declared[name].neutral
@@ -213,7 +213,8 @@ class _Probe:
         """The best of all the ways."""
         ways, reach = self._limits() if is_limit(self.effect) else self._amplitudes()
         ways.sort(key=lambda way: -way.share)
-        starts = np.array([way.start for way in ways[:STARTS]])
+        most = STARTS + len(self.phases)  # a period is soon lost
+        starts = np.array([way.start for way in ways[:most]])
         best = ways[0]
         return Screened(
             *(self.effect, self.predictor, starts, self._grids()),
@@ -373,7 +374,3 @@ def is_limit(effect: type[Effect]) -> bool:
     """Whether an effect's size is one that acts when it is small: a limit, neutral far up."""
     p = next(p for p in effect.parameters().values() if p.neutral is not None)
     return p.neutral == p.high and p.low > 0.0 and p.high > 100.0 * p.low
-
-
-def _is_phase(p: Parameter) -> bool:
-    return p.unit == "rad" and math.isclose(p.high - p.low, 2.0 * math.pi, rel_tol=1e-6)

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from estune.trial import FloatArray
+from plants.discrepancy.data.noise import step_of
 from plants.discrepancy.data.record import Measurement
 from plants.discrepancy.residual.where import Block, Where
 from plants.discrepancy.search.screen import Suggest
@@ -74,14 +75,17 @@ def _orders(measurements: Sequence[Measurement], where: Where) -> list[float]:
     # From one period in all the turning there is, to as fine as a hundredth of it.
     step = 0.5 * math.pi / extent
     orders = 4.0 * step + step * np.arange(ORDERS)
-    power = np.zeros(ORDERS)
+    # An angle read in steps shows no period below two of them.
+    read = max(step_of(m.angle_rad) for m in measurements if m.angle_rad is not None)
+    orders = orders[orders * read < math.pi]
+    power = np.zeros(orders.size)
     for angle, residual in pairs:
         turned = angle - angle.mean()
         wave, further = residual * np.exp(1j * orders[0] * turned), np.exp(1j * step * turned)
-        for n in range(ORDERS):
+        for n in range(orders.size):
             power[n] += abs(wave.sum()) ** 2 / angle.size
             wave *= further
-    inner = np.arange(1, ORDERS - 1)
+    inner = np.arange(1, orders.size - 1)
     peaks = inner[(power[inner] > power[inner - 1]) & (power[inner] > power[inner + 1])]
     best = peaks[np.argsort(-power[peaks])][:PEAKS]
     return [float(orders[n]) for n in best]
