@@ -17,7 +17,7 @@ import zenoh
 
 import plants
 from estune import bus, protocol
-from estune.bus.client import RECORDS_MAX_BYTES
+from estune.bus.finding import RECORDS_MAX_BYTES
 from estune.bus.session import open_session, with_port
 from estune.core.gains import Gains
 from estune.errors import InvalidInput, ProtocolError, RigError

@@ -18,7 +18,7 @@ import pytest
 import zenoh
 
 from estune import bus, frame, protocol
-from estune.bus.client import RECORDS_MAX_BYTES
+from estune.bus.finding import RECORDS_MAX_BYTES
 from estune.bus.session import open_session
 from estune.link.state import LEASE_S, RENEW_S, Mode
 from estune.link.verdicts import Verdict

@@ -1,9 +1,5 @@
-"""Reaches a rig over Zenoh."""
+"""A rig in another process, reached over Zenoh."""
 
-import getpass
-import math
-import os
-import socket
 import threading
 import time
 import weakref
@@ -11,18 +7,17 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from functools import partial
-from operator import attrgetter
 from typing import Literal, Self
 
 import zenoh
 
-from estune import frame, protocol
+from estune import protocol
 from estune.bus.asking import Asking
-from estune.bus.conversation import AGAIN_S, Conversation, present_at
+from estune.bus.conversation import AGAIN_S, Conversation
 from estune.bus.lease import LeaseKeeper
-from estune.bus.session import check_endpoint, close_session, open_session
+from estune.bus.session import close_session
 from estune.core.gains import Gains
-from estune.errors import InvalidInput, ProtocolError, RigError
+from estune.errors import RigError
 from estune.link.client import Action
 from estune.link.verdicts import Verdict
 from estune.protocol import (
@@ -31,14 +26,12 @@ from estune.protocol import (
     Clear,
     Estop,
     Inquire,
-    Presence,
     SetGains,
     Status,
     Void,
     check_name,
 )
 from estune.protocol.keys import Verb
-from estune.security import OPEN, Security
 from estune.trial import (
     Outcome,
     RigDescription,
@@ -48,116 +41,12 @@ from estune.trial import (
     unmeasured,
 )
 
-RECORDS_MAX_BYTES = frame.MAX_BYTES + 2**16
-"""Largest message a client takes in."""
-
 _SAMPLES_WAITING_MAX = 64
 _STOPPED_WITHIN_S = 0.3
 
 
-def connect(
-    endpoint: str,
-    rig: str | None = None,
-    timeout_s: float = 3.0,
-    *,
-    holder: str = "",
-    security: Security = OPEN,
-) -> "RemoteRig":
-    """Finds a rig.
-
-    Args:
-        endpoint: Where a rig, or a Zenoh router that knows rigs, listens: `tcp/127.0.0.1:7447`.
-        rig: Name of the rig; None where there is only one.
-        timeout_s: How long to wait for a rig that does not answer, now and later, s.
-        holder: Who commands the rig, for others to be told; user, machine and process by default.
-        security: Who this is, where the rig asks.
-
-    Raises:
-        InvalidInput: the endpoint or the name is not one, or the time is not above zero.
-        ProtocolError: the rig speaks another version of the protocol.
-        RigError: nothing listens there, no rig, not the one asked for, several and none was
-            asked for, or one name served by several processes.
-    """
-    check_endpoint(endpoint)
-    if rig is not None:
-        check_name("rig name", rig)
-    if not (math.isfinite(timeout_s) and timeout_s > 0.0):
-        raise InvalidInput(f"timeout is {timeout_s} s; it must be finite and above zero")
-    deadline = time.monotonic() + timeout_s
-    session = _open(endpoint, security, deadline)
-    try:
-        presence = _find(session, endpoint, rig, deadline)
-        talk = Conversation(session, endpoint, presence, timeout_s)
-        return RemoteRig(talk, partial(_open, endpoint, security), holder or _whoami())
-    except BaseException:
-        close_session(session)
-        raise
-
-
-def find(
-    endpoint: str, timeout_s: float = 3.0, *, security: Security = OPEN
-) -> tuple[Presence, ...]:
-    """The rigs that answer at an endpoint, by name; none is spoken to.
-
-    Args:
-        endpoint: Where a rig, or a Zenoh router that knows rigs, listens.
-        timeout_s: How long to wait for something to listen there, s.
-        security: Who this is, where the rigs ask.
-
-    Raises:
-        InvalidInput: the endpoint is not one.
-        RigError: nothing listens there.
-    """
-    check_endpoint(endpoint)
-    session = _open(endpoint, security, time.monotonic() + timeout_s)
-    try:
-        return tuple(sorted(present_at(session, protocol.ANY_RIG), key=attrgetter("rig")))
-    finally:
-        close_session(session)
-
-
-def _open(endpoint: str, security: Security, deadline: float) -> zenoh.Session:
-    while True:
-        try:
-            return open_session(
-                "client",
-                connect=(endpoint,),
-                message_max_bytes=RECORDS_MAX_BYTES,
-                security=security,
-            )
-        except zenoh.ZError as error:
-            if time.monotonic() > deadline:
-                asked = "asks who this is" if security == OPEN else "does not take this client in"
-                raise RigError(
-                    f"nothing that speaks Zenoh listens at {endpoint}; start a rig there with: "
-                    f"estune serve --listen {endpoint}; or what listens {asked}: see --security"
-                ) from error
-        time.sleep(AGAIN_S)
-
-
-def _find(session: zenoh.Session, endpoint: str, rig: str | None, deadline: float) -> Presence:
-    while True:
-        try:
-            return protocol.choose(present_at(session, protocol.ANY_RIG), rig, endpoint)
-        except ProtocolError:
-            raise
-        except RigError:
-            # It may be about to appear, or what is left of an earlier start about to vanish.
-            if time.monotonic() > deadline:
-                raise
-        time.sleep(AGAIN_S)
-
-
-def _whoami() -> str:
-    try:
-        user = getpass.getuser()
-    except (KeyError, OSError):  # a process without a user's name
-        user = str(os.getuid())
-    return f"{user}@{socket.gethostname()}, process {os.getpid()}"
-
-
 class RemoteRig:
-    """A rig in another process; the `Rig` protocol over Zenoh. Made by `connect`.
+    """A rig in another process; the `Rig` protocol over Zenoh. Made by `estune.bus.connect`.
 
     The first command asks for the right to command the rig, which is then kept, by a thread, until
     `release` or `close`; looking on needs none. A rig that is restarted is followed if its ledger

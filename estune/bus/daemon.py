@@ -11,12 +11,12 @@ from typing import Any, Protocol, Self, TypeVar
 import zenoh
 
 from estune.bus.conversation import AGAIN_S
+from estune.bus.finding import reached
 from estune.bus.session import (
     check_endpoint,
     check_loopback,
     close_session,
     open_listening,
-    open_session,
 )
 from estune.errors import EstuneError, InvalidInput, RigError
 from estune.protocol.daemon import (
@@ -198,25 +198,10 @@ class DaemonClient:
         check_endpoint(endpoint)
         self.endpoint = endpoint
         self._timeout_s = timeout_s
-        deadline_s = time.monotonic() + timeout_s
-        while True:
-            try:
-                self._session = open_session(
-                    "client",
-                    connect=(endpoint,),
-                    message_max_bytes=2 * ANSWER_MAX_BYTES,
-                    security=security,
-                )
-            except zenoh.ZError as error:
-                if time.monotonic() > deadline_s:
-                    raise RigError(
-                        f"nothing that speaks Zenoh listens at {endpoint}; start a daemon with: "
-                        "estune daemon CONFIG; or what listens does not know this client: see "
-                        "--security"
-                    ) from error
-                time.sleep(AGAIN_S)
-            else:
-                return
+        how = "a daemon with: estune daemon CONFIG"
+        self._session = reached(
+            *(endpoint, 2 * ANSWER_MAX_BYTES, security, time.monotonic() + timeout_s, how)
+        )
 
     def rigs(self) -> tuple[str, ...]:
         """The rigs that are supervised, by name."""
