@@ -241,8 +241,8 @@ def structural_mode(effect):
     """Drum, cable, frame and gauge as one linear system, by python-control."""
     c, w, zeta = 0.3, 2 * np.pi * 45.0, 0.2
     g, xi = 2 * np.pi * REEL.gauge_Hz, REEL.gauge_damping
-    # theta, omega, reading, its rate, q, its rate; T = k R theta - q
-    T = np.array([k * R, 0, 0, 0, -1.0, 0])
+    # theta, omega, reading, its rate, q, its rate; T = (1 + c) k R theta - q
+    T = np.array([(1 + c) * k * R, 0, 0, 0, -1.0, 0])
     A = np.zeros((6, 6))
     A[0, 1] = A[2, 3] = A[4, 5] = 1.0
     A[1] = -R / J * T + np.eye(6)[1] * (-b / J)

@@ -15,13 +15,13 @@ from plants.effects.oscillator import stepping
 class StructuralMode(Effect):
     """A frame that gives and rings under the cable's pull, in series with the cable.
 
-        T = l - q,    q'' + 2 zeta w q' + w^2 q = w^2 c T
+        T = (1 + c) l - q,    q'' + 2 zeta w q' + w^2 q = w^2 c T
 
-    l is the tension of the linear law, whose structure gives at once and is another; q is what
-    the frame's motion takes off it.
+    l is the tension of the linear law, whose stiffness is that of all together: in the end T is l.
+    q is what the frame's motion takes off the tension of the rest.
 
     Attributes:
-        share: Flexibility c of the frame per that of the reel's linear law.
+        share: Flexibility c of the frame per that of the rest.
         frequency_Hz: Natural frequency w/(2 pi) of the frame alone, Hz.
         damping: Damping ratio zeta of the frame alone.
     """
@@ -41,7 +41,7 @@ class StructuralMode(Effect):
 
     @staticmethod
     def prepare(p: SimpleNamespace, reel: SimpleNamespace) -> dict[str, Signal]:
-        """The frame on the taut cable: 1 + c times as stiff, and pulled to c l/(1 + c)."""
+        """The frame on the taut cable: 1 + c times as stiff, pulled to c/(1 + c) of the rest."""
         root = ca.sqrt(1.0 + p.share)
         w = 2.0 * math.pi * p.frequency_Hz
         keep, pull = stepping(w * root, p.damping / root, reel.substep_s)
@@ -56,9 +56,10 @@ class StructuralMode(Effect):
     ) -> tuple[Signal, Signal]:
         """The tension left."""
         q, last = state[0], state[1]
-        goal = p.settled * ca.fmax(signal, q)  # with T = max(0, l - q), T + q is max(l, q)
+        rest = (1.0 + p.share) * signal
+        goal = p.settled * ca.fmax(rest, q)  # with T = max(0, rest - q), T + q is max(rest, q)
         step = p.keep * last + p.pull * (goal - q)
-        return ca.vertcat(q + step, step), signal - q
+        return ca.vertcat(q + step, step), rest - q
 
     @staticmethod
     def rest(
@@ -67,6 +68,5 @@ class StructuralMode(Effect):
         signal: Signal,
         site: Site,  # noqa: ARG004  the same at any angle
     ) -> tuple[Signal, Signal]:
-        """What the frame gives, and the linear law's tension."""
-        given = p.share * signal
-        return ca.vertcat(given, 0.0), signal + given
+        """What the frame gives; the tension is the linear law's."""
+        return ca.vertcat(p.share * signal, 0.0), signal

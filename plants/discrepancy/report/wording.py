@@ -201,7 +201,7 @@ def _string_mode(v: Mapping[str, float], at: Scene) -> str:
 def _structural_mode(v: Mapping[str, float], _: Scene) -> str:
     return (
         f"stands on a frame that rings at {digits(v['frequency_Hz'])} Hz with a damping ratio of "
-        f"{v['damping']:.2g} and gives {share(v['share'])} as much as the cable does"
+        f"{v['damping']:.2g} and gives {share(v['share'])} as much as the rest does"
     )
 
 

@@ -32,10 +32,20 @@ def screened_further(
         return all_screened(bench, effects, seen)
     there = [e for e in effects if block_of(e) == "cable"]
     block = background(bench, current, suggest, cable=True)
-    # What an actuator does not pass on moves nothing that is behind it.
+    # What an actuator does not pass on moves nothing behind it; what rings, friction damps.
     driven = tuple(e for e in current.effects if e.port is Port.ACTUATOR)
-    looked = {e.name: screen(e, bench.predictor((*driven, e)), [block]) for e in there}
+    looked = {
+        e.name: screen(
+            e, bench.predictor((*(current.effects if _rings(e) else driven), e)), [block]
+        )
+        for e in there
+    }
     return looked | all_screened(bench, [e for e in effects if e not in there], seen)
+
+
+def _rings(effect: type[Effect]) -> bool:
+    """Whether an effect has a frequency of its own."""
+    return any(p.unit == "Hz" for p in effect.parameters().values())
 
 
 def background(

@@ -98,7 +98,7 @@ def worth_adding_there(before: Attempt, after: Attempt, block: Block) -> bool:
     ]
     gained = float((before.squares - after.squares).sum())
     better_fit = after.fit_J < before.fit_J and gained >= thresholds.SIGNIFICANT_GAIN
-    return better_fit and min(closed) >= thresholds.FURTHER
+    return better_fit and min(closed) >= thresholds.FIRST
 
 
 def _closed(before_J: float, after_J: float) -> float:
