@@ -125,6 +125,17 @@ def test_a_gauge_at_its_rail_a_frozen_one_and_dropouts_are_told_with_the_row():
     assert "jump" in finding.sentence
 
 
+def test_an_encoder_that_stands_still_while_the_tension_moves_is_told_with_the_row():
+    stuck = SWEPT.angle_rad.copy()
+    begin = 1 + int(np.flatnonzero(np.diff(stuck[:700]))[-1])
+    stuck[begin:900] = stuck[begin]
+    (finding,) = findings(replace(SWEPT, angle_rad=stuck))
+    assert (finding.level, finding.column, finding.row) == ("warning", "angle_rad", begin + 1)
+    assert f"still for {900 - begin} samples while the tension moves" in finding.sentence
+    found = findings(replace(SWEPT, angle_rad=np.full(SWEPT.samples, SWEPT.angle_rad[0])))
+    assert ("refused", "angle_rad") in [(f.level, f.column) for f in found]
+
+
 @pytest.mark.parametrize(("share", "level"), [(0.2, "warning"), (0.8, "refused")])
 def test_a_record_at_the_current_limit_is_warned_of_or_refused(share, level):
     flags = np.where(np.arange(SWEPT.samples) < share * SWEPT.samples, SATURATED, 0)

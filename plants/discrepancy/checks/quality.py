@@ -12,7 +12,7 @@ from estune.trial import SATURATED, FloatArray
 from plants.discrepancy.checks.units import mistaken_units
 from plants.discrepancy.data.noise import FEWEST, upper_rms
 from plants.discrepancy.data.record import OUTPUTS, ROUNDING, Finding, Level, Measurement
-from plants.discrepancy.data.sensors import faults, shift_between
+from plants.discrepancy.data.sensors import faults, held_against, shift_between
 from plants.discrepancy.models.base import BaseNumbers
 
 MOVES = 3.0
@@ -118,6 +118,10 @@ def _looked_through(m: Measurement, b: BaseNumbers | None) -> Iterator[Said]:
     for column_name, unit, sentence in mistaken_units(m, b):
         yield Said("refused" if unit else "warning", column_name, None, sentence)
     if b.stiffness_N_m is not None and m.angle_rad is not None and m.tension_N is not None:
+        for refused, row, sentence in held_against(
+            m.angle_rad, m.tension_N, 1.0 / b.tension_per_angle_N_rad
+        ):
+            yield Said("refused" if refused else "warning", "angle_rad", row, sentence)
         late = shift_between(m.angle_rad, m.tension_N)
         if late:
             which = "after" if late > 0 else "before"

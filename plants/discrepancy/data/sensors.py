@@ -4,13 +4,15 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estune.trial import FloatArray
 from plants.discrepancy.data.noise import step_of, upper_rms
 
 FROZEN = 20
 """Equal readings in a row from which a noisy sensor is frozen."""
+HELD = 12.0
+"""Range of the tension, in its noise and what a step of the encoder stands for, in which the angle
+cannot stand still."""
 JUMP = 8.0
 """A jump so many times as large as the largest of the usual ones, there and back, is a dropout."""
 USUAL = 0.99
@@ -43,10 +45,9 @@ class Fault(NamedTuple):
 
 def faults(column: FloatArray) -> Iterator[Fault]:
     """The faults of a sensor's readings, shape (samples,)."""
-    same = np.diff(column) == 0.0
     if upper_rms(column) > step_of(column):  # else readings rest on a step of the converter
         yield from _at_rail(column)
-        yield from _frozen(column, same)
+        yield from _frozen(column)
     yield from _dropouts(column)
 
 
@@ -64,17 +65,41 @@ def _at_rail(column: FloatArray) -> Iterator[Fault]:
             )
 
 
-def _frozen(column: FloatArray, same: NDArray[np.bool_]) -> Iterator[Fault]:
+def _frozen(column: FloatArray) -> Iterator[Fault]:
     """Long runs of equal readings that are not at the end of the range."""
+    ends = (column.min(), column.max())
+    yield from _still(column, [run for run in still(column) if column[run.start] not in ends], "")
+
+
+def held_against(angle: FloatArray, tension: FloatArray, rad_per_N: float) -> Iterator[Fault]:
+    """An angle that stands still while the tension goes where only a turning drum brings it.
+
+    Args:
+        angle: As read, shape (samples,).
+        tension: Same shape.
+        rad_per_N: How far the drum turns for a change of the tension, at the least.
+    """
+    # So far that neither noise nor a step of the encoder can be meant.
+    least = HELD * (step_of(angle) / rad_per_N + upper_rms(tension))
+    stuck = [run for run in still(angle) if float(np.ptp(tension[run])) > least]
+    yield from _still(angle, stuck, " while the tension moves")
+
+
+def still(column: FloatArray) -> list[slice]:
+    """The long runs of equal readings."""
+    same = np.diff(column) == 0.0
     edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]]).astype(np.int8)))
-    starts, lengths = edges[::2], edges[1::2] - edges[::2] + 1
-    at_end = np.isin(column[starts], (column.min(), column.max()))
-    long = (lengths >= FROZEN) & ~at_end
-    if long.any():
+    runs = zip(edges[::2].tolist(), (edges[1::2] + 1).tolist(), strict=True)
+    return [slice(begin, end) for begin, end in runs if end - begin >= FROZEN]
+
+
+def _still(column: FloatArray, runs: list[slice], meanwhile: str) -> Iterator[Fault]:
+    if runs:
+        lengths = [run.stop - run.start for run in runs]
         yield Fault(
-            float(lengths[long].sum()) / column.size > MOST,
-            int(starts[long][0]) + 1,
-            f"the readings stand still for {int(lengths[long].max())} samples; check the sensor "
+            sum(lengths) / column.size > MOST,
+            runs[0].start + 1,
+            f"the readings stand still for {max(lengths)} samples{meanwhile}; check the sensor "
             "and its cable",
         )
 
