@@ -172,24 +172,23 @@ def resume(
 def load(run_folder: str | Path) -> TuneResult:
     """The result of a run on disk, finished or not; no rig is needed.
 
-    Of a finished run whose tuner has changed since, all but what the tuner knew of the search.
+    A finished run can be looked at whatever has become of its tuner since.
 
     Raises:
         JournalError: the run cannot be read.
     """
     with Journal.open(Path(run_folder)) as journal:
-        stored = _stored(journal)
         try:
-            return result.from_tuning(tuning.replay(*stored, journal))
+            return result.from_tuning(tuning.replay(*_stored(journal), journal))
         except JournalError:
-            return result.from_tuning(history.recalled(*stored, journal))
+            return result.from_tuning(history.recalled(journal))
 
 
 def _run(
     tuning_: Tuning, rig: Rig, watch: Watcher | Literal["auto"] | None, ask: Asker | None
 ) -> TuneResult:
     with (
-        _noted(tuning_.journal),
+        _noted(tuning_),
         progress.watching(watch, tuning_, asking=ask is not None) as watchers,
     ):
         tuning.run(tuning_, rig, watchers, ask)
@@ -197,24 +196,26 @@ def _run(
 
 
 @contextlib.contextmanager
-def _noted(journal: Journal | None) -> Iterator[None]:
+def _noted(tuning_: Tuning) -> Iterator[None]:
     """Notes in the journal how a run ended, and closes it."""
-    status = "finished"
+    journal = tuning_.journal
+    facts: dict[str, Any] = {}
     try:
         yield
+        facts = history.finished(tuning_)
     except Stopped:
-        status = "stopped"
+        facts = {"status": "stopped"}
         raise
     except EstuneError as error:
-        status = f"failed: {error}"
+        facts = {"status": f"failed: {error}"}
         raise
     except BaseException as error:
-        status = f"failed: {type(error).__name__}"
+        facts = {"status": f"failed: {type(error).__name__}"}
         raise
     finally:
         if journal is not None:
             with contextlib.suppress(EstuneError):  # what went wrong is being raised already
-                journal.note(status=status)
+                journal.note(**facts)
             journal.close()
 
 

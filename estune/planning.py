@@ -111,18 +111,22 @@ def plan_to_json(plan: Plan) -> dict[str, Any]:
     return {"tuner": {"kind": f"{kind.__module__}:{kind.__qualname__}", **settings}, **shown}
 
 
-def plan_from_json(values: dict[str, Any]) -> Plan:
+def plan_from_json(values: dict[str, Any], tuner: Tuner[Any] | None = None) -> Plan:
     """The plan that was stored.
+
+    Args:
+        values: What was stored.
+        tuner: To stand in for the stored one.
 
     Raises:
         JournalError: what was stored is not a plan of this version.
     """
     try:
-        settings = dict(values["tuner"])
-        module, _, name = settings.pop("kind").partition(":")
-        tuner = TypeAdapter(getattr(importlib.import_module(module), name)).validate_python(
-            settings
-        )
+        if tuner is None:
+            settings = dict(values["tuner"])
+            module, _, name = settings.pop("kind").partition(":")
+            kind = getattr(importlib.import_module(module), name)
+            tuner = TypeAdapter(kind).validate_python(settings)
         types = {"start": Gains, "step": StepProfile, "cost": StepCost}
         rest = {
             key: TypeAdapter(types[key]).validate_python(value) if key in types else value

@@ -9,6 +9,7 @@ import html
 import itertools
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from enum import StrEnum
 from functools import cached_property
 from pathlib import Path
@@ -307,6 +308,8 @@ def from_tuning(tuning: Tuning) -> TuneResult:
     """The result of a run so far as it went."""
     session, plan = tuning.session, tuning.plan
     found = verdict(session)
+    if tuning.intervals is not None:
+        found = replace(found, intervals=tuning.intervals)
     if session.failure:
         ending = Ending.UNSAFE_START
     elif not found.complete:

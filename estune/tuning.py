@@ -94,6 +94,8 @@ class Tuning:
         journal: Where it is committed, or None.
         first: Record of the first baseline trial, the response before tuning.
         found: Record of the last trial that confirmed the gains found, the response after it.
+        intervals: What the tuner knew of the gains at the end of a run that is only looked at, as
+            in `estune.verdict.Verdict`; None where the tuner itself is there to be asked.
     """
 
     plan: Plan
@@ -103,6 +105,7 @@ class Tuning:
     journal: Journal | None
     first: TrialRecord | None
     found: TrialRecord | None
+    intervals: tuple[tuple[str, float, float], ...] | None = None
 
 
 def start(plan: Plan, description: RigDescription, journal: Journal | None) -> Tuning:

@@ -9,7 +9,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
-from estune import tuning
+from estune import history, tuning
 from estune.core.control_chart import Sign
 from estune.core.gains import Gains
 from estune.daemon.conclusions import decide, drifted, unsafe
@@ -250,7 +250,7 @@ class Keeper:
             self._show(run)
             decision = self._supervision.searches.decide(run)
             if run.journal is not None:
-                run.journal.note(status="finished")
+                run.journal.note(**history.finished(run))
         finally:
             if run.journal is not None:
                 run.journal.close()
