@@ -11,17 +11,16 @@ from contextlib import contextmanager, suppress
 
 from estune import history, tuning
 from estune.core.control_chart import Sign
-from estune.core.gains import Gains
+from estune.daemon import homing
 from estune.daemon.conclusions import decide, drifted, unsafe
 from estune.daemon.config import RigTable
 from estune.daemon.events import Kind
-from estune.daemon.life import GainSet, Happening, Mode
+from estune.daemon.life import Happening, Mode
 from estune.daemon.reach import HOLDER, GivenUp, Patience, Reached, Refused, reach
 from estune.daemon.supervision import Supervision, Turned
 from estune.errors import EstuneError, Interrupted, InvalidInput, RigError, UnsafeStart
 from estune.security import OPEN, Security
 from estune.session import Phase
-from estune.trial import RigDescription
 from estune.tuning import Progress, Tuning
 
 PATIENCE_S = 120.0
@@ -187,52 +186,16 @@ class Keeper:
         return self._reached
 
     def _ready(self) -> None:
-        """Backs up the rig's gains the first time; puts the home ones on it."""
-        reached = self._reached or self._connect()
-        about = reached.take()
-        known = self._supervision.store.gains()
-        fault = self._stranger(about.name, about.newtons_per_ampere)
-        if not fault and known and about.gains not in self._supervision.store.ever_set():
-            fault = "" if self._supervision.store.fact("overrule") else _strange_gains(about)
+        """Sees to it that the home gains are live, if the rig is the one that is known."""
+        reached, home = self._reached or self._connect(), self._supervision.life.home
+        fault = homing.take_home(self._supervision, reached, home)
         if fault:
             reached.release()
             self._call_for_somebody(fault)
             return
-        self._supervision.store.put("overrule", None)
-        if not known:
-            self._back_up(about.gains, about.name, about.newtons_per_ampere)
-            known = self._supervision.store.gains()
-        home = self._supervision.life.home
-        if about.gains != known[home]:
-            reached.apply(known[home])
-            why = f"{home} gains are live: {self._supervision.life.why}"
-            self._supervision.note(Kind.GAINS, why, gains=str(known[home]))
         if self._supervision.life.paused:
             reached.release()
         self._supervision.readied(home)
-
-    def _stranger(self, name: str, newtons_per_ampere: float) -> str:
-        """Why this is not the rig of the store; empty if it is."""
-        then = self._supervision.store.fact("rig_facts")
-        if then is None or then == {"name": name, "newtons_per_ampere": newtons_per_ampere}:
-            return ""
-        return (
-            f"the rig says it is {name!r} with {newtons_per_ampere:g} N/A, the one backed up in "
-            f"{self._supervision.store.folder} was {then['name']!r} with "
-            f"{then['newtons_per_ampere']:g} N/A; "
-            "connect that one, or give this one a name and a folder of its own"
-        )
-
-    def _back_up(self, gains: Gains, name: str, newtons_per_ampere: float) -> None:
-        with self._supervision.store.writing():
-            facts = {"name": name, "newtons_per_ampere": newtons_per_ampere}
-            self._supervision.store.put("rig_facts", facts)
-            self._supervision.store.set_gains(
-                GainSet.ORIGINAL, gains, "the rig ran them when it was found"
-            )
-        self._supervision.note(
-            Kind.BACKED_UP, f"the rig's own gains are kept: {gains}", gains=str(gains)
-        )
 
     def _search(self) -> None:
         """Tunes, from where the run's journal ends, and decides."""
@@ -331,7 +294,7 @@ class Keeper:
         said = ""
         if home is not None:
             try:
-                said = self._put_back(self._reached or self._connect(), home)
+                said = homing.put_back(self._supervision, self._reached or self._connect(), home)
             except EstuneError as error:
                 self._let_go()
                 if time.monotonic() - self._stopping_since_s < self._stop_within_s:
@@ -344,20 +307,6 @@ class Keeper:
         self.confirmed = not said
         ended = said or f"ended; the rig has confirmed its gains: {home}" if home else "ended"
         self._supervision.happen(Happening.ENDED, said, Kind.STOPPED, sentence=ended)
-
-    def _put_back(self, reached: Reached, home: Gains) -> str:
-        """Why the home gains are not live, if they are not."""
-        about = reached.take()
-        if about.gains not in self._supervision.store.ever_set():
-            return _strange_gains(about)
-        if about.gains != home:
-            reached.apply(home)
-            self._supervision.note(
-                Kind.GAINS,
-                f"{self._supervision.life.home} gains are live: {self._supervision.life.why}",
-            )
-        self._supervision.live = self._supervision.life.home
-        return ""
 
     def _there(self) -> Reached:
         if self._reached is None:
@@ -400,13 +349,6 @@ class Keeper:
 
     def _beat(self) -> None:
         self._step_at_s = time.monotonic()
-
-
-def _strange_gains(about: RigDescription) -> str:
-    return (
-        f"rig {about.name} runs {about.gains}, which were not set through this daemon; they are "
-        "left as they are: resume puts back the home gains, revert the original ones"
-    )
 
 
 def _finite(cost: float) -> float | None:
