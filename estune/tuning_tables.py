@@ -1,5 +1,6 @@
 """What files say of a tuning: the step trial, its cost, and how far gains are looked for."""
 
+import math
 from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
@@ -73,6 +74,14 @@ class CostTable(Table):
     weight: Literal["printed", "rising"] = "printed"
     time_unit: Literal["second", "settling_time"] = "second"
     move_weight: NotNegative = MOVE_WEIGHT
+
+    def too_long(self, step: StepTable) -> list[str]:
+        """What is wrong with the settling time in such a trial; nothing, or one sentence."""
+        after_s = (step.duration_s or math.inf) - (step.step_at_s or 0.0)
+        if self.settling_time_s is None or self.settling_time_s <= after_s:
+            return []
+        limit = f"is longer than the {after_s:g} s after the step"
+        return [f"cost.settling_time_s: {self.settling_time_s:g} {limit}"]
 
     def of(self, rig: RigDescription) -> StepCost:
         """The cost for a rig."""

@@ -1,6 +1,5 @@
 """The daemon's file, `daemon.toml`: which rigs, how they are tuned and watched, who is told."""
 
-import math
 import re
 from collections import Counter
 from pathlib import Path
@@ -169,12 +168,7 @@ class RigTable(Table):
             wrong.append(
                 f"retry_first_s: {self.retry_first_s:g} is above retry_max_s {self.retry_max_s:g}"
             )
-        after_s = (self.step.duration_s or math.inf) - (self.step.step_at_s or 0.0)
-        if self.cost.settling_time_s is not None and self.cost.settling_time_s > after_s:
-            wrong.append(
-                f"cost.settling_time_s: {self.cost.settling_time_s:g} is longer than the "
-                f"{after_s:g} s after the step"
-            )
+        wrong += self.cost.too_long(self.step)
         if wrong:
             raise ValueError("\n".join(wrong))
         return self

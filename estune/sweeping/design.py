@@ -1,6 +1,5 @@
 """What a sweep is to find out: its file, `sweep.toml`, or the same from Python."""
 
-import math
 from collections import Counter
 from collections.abc import Mapping
 from itertools import pairwise
@@ -120,12 +119,7 @@ class SweepDesign(SearchTable):
             for name in self.start
             if name not in GAIN_NAMES
         ]
-        after_s = (self.step.duration_s or math.inf) - (self.step.step_at_s or 0.0)
-        if self.cost.settling_time_s is not None and self.cost.settling_time_s > after_s:
-            wrong.append(
-                f"cost.settling_time_s: {self.cost.settling_time_s:g} is longer than the "
-                f"{after_s:g} s after the step"
-            )
+        wrong += self.cost.too_long(self.step)
         if wrong:
             raise ValueError("\n".join(wrong))
         return self
