@@ -1,0 +1,117 @@
+"""The daemon's file: what is wrong in it is told, and all of it is in the docs."""
+
+import json
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from estune.cli import run
+from estune.daemon.config import DaemonConfig, config_from, read_config
+from estune.daemon.events import Kind
+from estune.daemon.metrics import METRICS
+from estune.errors import InvalidInput
+
+ROOT = Path(__file__).parents[1]
+
+WRONG = """
+stat = "x"
+stop_within_s = -1.0
+[service]
+listen = "tcp/0.0.0.0:7450"
+[metrics]
+http_prot = 9464
+[[hook]]
+command = []
+events = ["driftd"]
+[[rig]]
+name = "a b"
+target = "tcp/127.0.0.1:7447"
+acept = "ask"
+retry_first_s = 100.0
+[rig.tuning]
+tuner = "otisx"
+trials = 0
+bounds = {P = [10, 0.1], Q = [1, 2]}
+[rig.watch]
+smoothing = 2.0
+every = 3600
+[rig.step]
+step_at_s = 0.4
+duration_s = 0.2
+[rig.cost]
+settling_time_s = nan
+"""
+
+
+def test_all_that_is_wrong_in_a_file_is_told_at_once_with_its_place(tmp_path, capsys):
+    file = tmp_path / "daemon.toml"
+    file.write_text(WRONG)
+    assert run(["daemon", str(file)]) == InvalidInput.exit_code
+    said = capsys.readouterr().err
+    for words in (
+        "stat: there is no such key; did you mean state?",
+        "stop_within_s: Input should be greater than 0",
+        "service: listening at tcp/0.0.0.0:7450 would let any machine",
+        "metrics.http_prot: there is no such key; did you mean http_port?",
+        "hook.0.command: List should have at least 1 item",
+        "hook.0.events.0: Input should be 'started', 'found'",
+        "rig.0.name: 'a b' may hold only",
+        "rig.0.acept: there is no such key; did you mean accept?",
+        "rig.0.retry_first_s: 100 is above retry_max_s 60",
+        "rig.0.tuning.tuner: there is none named 'otisx'",
+        "rig.0.tuning.trials: Input should be greater than or equal to 1",
+        "rig.0.tuning.bounds.P: 10 to 0.1 is no range",
+        "rig.0.tuning.bounds.Q: no gain",
+        "rig.0.watch: smoothing is 2.0; it must be from 0.01 to 1",
+        "rig.0.watch.every: there is no such key; did you mean every_s?",
+        "rig.0.step: step_at_s: 0.4 is not before the trial's end",
+        "rig.0.cost.settling_time_s: Input should be a finite number",
+    ):
+        assert words.replace("step: step_at_s", "step.step_at_s") in said, words
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [("rig = []", "at least 1 item"), ("rig = 3 x", "no TOML"), ("", "rig: Field required")],
+)
+def test_files_that_say_nothing_are_refused(text, words, tmp_path):
+    (tmp_path / "d.toml").write_text(text)
+    with pytest.raises(InvalidInput, match=words):
+        read_config(tmp_path / "d.toml")
+
+
+def test_the_example_in_the_docs_is_right_and_every_key_is_in_the_docs():
+    text = (ROOT / "docs" / "daemon.md").read_text()
+    example = re.search(r"```toml\n(.*?)```", text, re.DOTALL)[1]
+    config = config_from(tomllib.loads(example), "docs", Path("/etc/estune"))
+    assert config.state == Path("/var/lib/estune")
+
+    def rows(table, prefix):
+        for name, field in table.model_fields.items():
+            inner = next(
+                (
+                    a
+                    for a in (field.annotation, *getattr(field.annotation, "__args__", ()))
+                    if hasattr(a, "model_fields")
+                ),
+                None,
+            )
+            if inner is None:
+                yield f"{prefix}{name}", field
+            else:
+                yield from rows(inner, f"{prefix}{name}.")
+
+    for key, field in rows(DaemonConfig, ""):
+        row = re.search(rf"^\| `{re.escape(key)}` \| ([^|]*) \|", text, re.MULTILINE)
+        assert row, f"{key} is not in docs/daemon.md"
+        if not field.is_required():
+            shown = field.default.as_posix() if isinstance(field.default, Path) else field.default
+            assert row[1].strip().strip("`") == (
+                "" if shown in (None, [], {}) else json.dumps(shown).strip('"')
+            ), key
+    for kind in Kind:
+        assert f"`{kind}`" in text
+    for metric in METRICS:
+        assert f"`{metric.name}`" in text

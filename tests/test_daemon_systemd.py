@@ -1,0 +1,103 @@
+"""What systemd hears of the daemon, and the unit it is given."""
+
+import select
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from estune.daemon.keeper import Keeper
+from estune.daemon.systemd import Notifier
+from tests.support_daemon import WITHIN_S, daemon, rig_served, rig_table
+
+ROOT = Path(__file__).parents[1]
+
+
+class Manager:
+    """systemd's end of the socket."""
+
+    def __init__(self, address: str) -> None:
+        self.socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self.socket.bind(address)
+        self.socket.settimeout(WITHIN_S)
+        self.heard: list[dict[str, str]] = []
+
+    def until(self, name: str, value: str = "") -> dict[str, str]:
+        ends = time.monotonic() + WITHIN_S
+        while time.monotonic() < ends:
+            data = self.socket.recv(65536).decode()
+            facts = dict(line.split("=", 1) for line in data.split("\n"))
+            self.heard.append(facts)
+            if name in facts and value in facts[name]:
+                return facts
+        raise AssertionError(self.heard[-3:])
+
+
+@pytest.fixture
+def manager(tmp_path):
+    made = Manager(str(tmp_path / "notify"))
+    yield made
+    made.socket.close()
+
+
+def test_systemd_hears_of_the_start_the_state_life_and_the_end(tmp_path, manager):
+    environment = {"NOTIFY_SOCKET": str(tmp_path / "notify"), "WATCHDOG_USEC": "100000"}
+    with rig_served() as (_, where):
+        notifier = Notifier(environment)
+        with daemon(tmp_path, rig_table("drum", where), notifier=notifier):
+            assert "drum: waiting" in manager.until("READY", "1")["STATUS"]
+            manager.until("STATUS", "drum: holding, original gains live")
+            manager.until("WATCHDOG", "1")
+            manager.until("WATCHDOG", "1")
+        manager.until("STOPPING", "1")
+        manager.until("STATUS", "drum: stopped, original gains live")
+
+
+def test_a_keeper_that_is_stuck_starves_the_watchdog(tmp_path, manager, monkeypatch):
+    environment = {"NOTIFY_SOCKET": str(tmp_path / "notify"), "WATCHDOG_USEC": "60000"}
+    with rig_served() as (_, where):
+        notifier = Notifier(environment)
+        with daemon(tmp_path, rig_table("drum", where), notifier=notifier) as it:
+            it.until_mode("holding")
+            manager.until("WATCHDOG", "1")
+            keeper = it.service._keepers[0]
+            assert not keeper.is_stuck
+            monkeypatch.setattr(Keeper, "_beat", lambda _: None)
+            keeper._step_at_s -= 1e4
+            assert keeper.is_stuck
+            time.sleep(0.6)  # what was on its way
+            while select.select([manager.socket], [], [], 0.0)[0]:
+                manager.socket.recv(65536)
+            assert not select.select([manager.socket], [], [], 0.6)[0]
+
+
+def test_without_systemd_nothing_is_sent_and_another_process_watchdog_is_not_ours():
+    Notifier({}).tell(READY=1)
+    assert Notifier({}).watchdog_s is None
+    assert Notifier({"WATCHDOG_USEC": "5000000", "WATCHDOG_PID": "1"}).watchdog_s is None
+    assert Notifier({"WATCHDOG_USEC": "5000000"}).watchdog_s == 5.0
+
+
+def test_an_abstract_socket_is_reached_and_line_breaks_forge_nothing():
+    name = f"estune-test-{id(object())}"
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as receiver:
+        receiver.bind(f"\0{name}")
+        Notifier({"NOTIFY_SOCKET": f"@{name}"}).tell(STATUS="one\nREADY=1")
+        assert receiver.recv(100) == b"STATUS=one READY=1"
+
+
+def test_the_unit_is_one_that_systemd_takes(tmp_path):
+    unit = (ROOT / "contrib" / "estune-daemon.service").read_text()
+    file = tmp_path / "estune-daemon.service"
+    file.write_text(unit.replace("/opt/estune/bin/estune", sys.executable))
+    try:
+        checked = subprocess.run(
+            ["systemd-analyze", "verify", file], capture_output=True, text=True, check=False
+        )
+    except FileNotFoundError:
+        pytest.skip("systemd-analyze is not installed")
+    assert checked.returncode == 0, checked.stderr
+    assert "estune-daemon.service" not in checked.stderr.replace("not safe", "")
