@@ -8,15 +8,16 @@ import numpy as np
 import pytest
 
 from estune.core.gains import Gains
-from estune.core.search_space import SearchSpace
+from estune.core.search_space import PARALLEL_NAMES, STANDARD_NAMES, SearchSpace
 from estune.core.tuners import state_from_json, state_to_json
+from estune.core.tuners.experience import experience
 from estune.core.tuners.newton import Newton
 from estune.core.tuners.observation import Observation
 from estune.core.tuners.polynomial import polynomial
 from estune.core.tuners.posterior import bowls
 from estune.core.tuners.prospect import Reach, newton_step
 from estune.core.tuners.spread import ball, normal, simplex
-from estune.core.tuners.surface import surface
+from estune.core.tuners.surface import covariance, surface
 from estune.errors import InvalidInput
 
 SPACE = SearchSpace.around(Gains(0.5, 10.0, 0.005, 0.02))
@@ -307,20 +308,39 @@ def test_the_surface_is_the_posterior_of_its_prior():
         draws.normal(size=8),
     )
 
+    known = experience(("P", "I", "D"))
+
     def k(a, b):  # the covariance written once more, point by point
-        dot = a @ b
-        return 4.0 + 0.25 * dot + 0.35**2 * dot**2 + 0.64 * math.exp(-np.sum((a - b) ** 2) / 2.88)
+        slopes = (a @ known.slope) @ (b @ known.slope)
+        bowl = ((a @ known.bowl) @ (b @ known.bowl)) ** 2
+        apart = np.sum(((a - b) @ known.rest) ** 2)
+        return 4.0 + slopes + bowl + known.rest_size**2 * math.exp(-0.5 * apart)
 
     def K(left, right):
         return np.array([[k(a, b) for b in right] for a in left])
 
     def m(x):
-        return 0.05 * np.sum(x * x, axis=1)
+        return np.array([0.5 * row @ known.bend @ row for row in x])
 
     gain = np.linalg.solve(K(points, points) + 0.01 * np.eye(8), K(points, asked)).T
-    mean, spread = surface(points, values[:, None], 0.1).expected(asked)
+    mean, spread = surface(points, values[:, None], 0.1, known).expected(asked)
     assert mean[:, 0] == pytest.approx(m(asked) + gain @ (values - m(points)))
     assert spread**2 == pytest.approx(np.diag(K(asked, asked) - gain @ K(points, asked)))
+
+
+def test_what_is_known_of_loops_is_the_same_in_either_form_and_of_fewer_parameters():
+    parallel, standard = experience(PARALLEL_NAMES), experience(STANDARD_NAMES)
+    draws = np.random.default_rng(18)
+    a, b = draws.normal(size=(2, 6, 4))  # logarithms of K, Ti, Td and the time constant
+
+    def in_parallel(x):
+        return np.stack((x[:, 0], x[:, 0] - x[:, 1], x[:, 0] + x[:, 2], x[:, 3]), axis=1)
+
+    same = covariance(parallel, in_parallel(a), in_parallel(b))
+    assert covariance(standard, a, b) == pytest.approx(same)
+    few = np.array([[0.3, 0.0, -0.2, 0.0], [0.1, 0.0, 0.4, 0.0]])
+    fewer = covariance(experience(("P", "D")), few[:, ::2], few[:, ::2])
+    assert fewer == pytest.approx(covariance(parallel, few, few))
 
 
 def test_the_polynomial_finds_a_cubic_and_its_drift():
@@ -329,7 +349,7 @@ def test_the_polynomial_finds_a_cubic_and_its_drift():
     x, y = points.T
     age = np.arange(299.0, -1.0, -1.0) / 100.0
     values = 0.2 + 0.1 * x - 0.3 * y + 0.5 * x * x + 0.2 * x * y + 0.1 * y**3 - 0.03 * age
-    fit = polynomial(np.zeros(2), np.eye(2), points, values[:, None], 1e-3)
+    fit = polynomial(np.zeros(2), np.eye(2), points, values[:, None], noise=1e-3, known=np.eye(2))
     assert fit.level == pytest.approx(0.2, abs=1e-3)
     assert fit.slope == pytest.approx([0.1, -0.3], abs=2e-3)
     assert fit.curvature == pytest.approx(np.array([[1.0, 0.2], [0.2, 0.0]]), abs=1e-2)
@@ -339,7 +359,7 @@ def test_draws_of_bowls_have_their_least_where_the_slope_vanishes():
     draws = np.random.default_rng(17)
     points = 0.4 * draws.normal(size=(200, 2))
     values = 0.5 * np.sum((points - (0.1, -0.2)) ** 2 * (1.0, 2.0), axis=1)
-    fit = polynomial(np.zeros(2), np.eye(2), points, values[:, None], 1e-4)
+    fit = polynomial(np.zeros(2), np.eye(2), points, values[:, None], noise=1e-4, known=np.eye(2))
     far = np.full(2, 5.0)
     found = bowls(fit, Reach(np.zeros(2), np.eye(2), 1.0, -far, far, 1.0, 0.0))
     assert np.mean(found.least, axis=0) == pytest.approx([0.1, -0.2], abs=0.02)

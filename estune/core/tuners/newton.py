@@ -30,15 +30,16 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from estune.core.search_space import Coordinates, Point, SearchSpace
+from estune.core.tuners.experience import experience
 from estune.core.tuners.guard import Best, best_after, caution_after_safe, caution_after_unsafe
 from estune.core.tuners.observation import COST_LIMIT, Observation, log_cost, usable_margin
 from estune.core.tuners.outlook import Forecast, Outlook
-from estune.core.tuners.polynomial import CURVATURE, FLAT, NOISE_EXPECTED, Polynomial, polynomial
+from estune.core.tuners.polynomial import FLAT, NOISE_EXPECTED, Polynomial, polynomial
 from estune.core.tuners.posterior import bowls, expected_gain
 from estune.core.tuners.prospect import Model, Reach, lowest, newton_step
 from estune.core.tuners.settings import check_above_zero, check_logarithmic
 from estune.core.tuners.spread import FloatArray, simplex
-from estune.core.tuners.strides import Strides, may_be_level, stride
+from estune.core.tuners.strides import Strides, first_stride, stride
 from estune.core.tuners.surface import surface
 from estune.errors import InvalidInput
 
@@ -113,10 +114,10 @@ class Newton:
 
     space: SearchSpace
     first_radius: float = 0.15
-    wide_reach: float = 0.5
+    wide_reach: float = 0.65
     near_reach: float = 0.4
     near_rise: float = 0.08
-    wide_trials: int = 6
+    wide_trials: int = 7
     wide_curiosity: float = 2.2
     near_curiosity: float = 2.5
     last_curiosity: float = 4.0
@@ -241,7 +242,7 @@ class Newton:
             return Forecast(cost=math.nan, low=0.0, high=math.inf, explored=explored)
         model: Model = self._model(state)
         if not state.curvature:
-            model = surface(*self._seen(state), state.noise)
+            model = surface(*self._seen(state), state.noise, experience(self.space.names))
         mean, spread = model.expected(place)
         low, mid, high = (
             math.exp(state.level + float(mean[0, 0]) + z * float(spread[0]))
@@ -252,7 +253,7 @@ class Newton:
     def _widely(self, state: NewtonState) -> NewtonState:
         """The next proposal and centre by the wide model."""
         points, values = self._seen(state)
-        model = surface(points, values, state.noise)
+        model = surface(points, values, state.noise, experience(self.space.names))
         smoothed = model.smoothed(values)
         best = int(np.argmin(smoothed))
         reach = self._reach(points[best], state.caution * self.wide_reach, float(smoothed[best]))
@@ -318,8 +319,8 @@ class Newton:
             if point is not None and not near_limit and not self._strides(state, model).rose:
                 return state._replace(strides=state.strides + 1), point
         for looks in range(state.looks, 4 * n):
-            point = stride(looks - 2 * n, reach.centre, reach)
-            if point is not None and may_be_level(model, point, reach):
+            point = first_stride(looks - 2 * n, model, reach)
+            if point is not None:
                 return state._replace(looks=looks + 1, strides=1), point
         return state._replace(looks=4 * n, strides=0), None
 
@@ -331,11 +332,10 @@ class Newton:
     def _model(self, state: NewtonState) -> Polynomial:
         """The model about the centre."""
         points, values = self._seen(state)
-        n = points.shape[1]
-        curvature = (
-            np.reshape(state.curvature, (n, n)) if state.curvature else CURVATURE * np.eye(n)
-        )
-        return polynomial(np.array(state.centre), curvature, points, values, state.noise)
+        known = experience(self.space.names).curvature
+        curvature = np.reshape(state.curvature, known.shape) if state.curvature else known
+        centre = np.array(state.centre)
+        return polynomial(centre, curvature, points, values, noise=state.noise, known=known)
 
     def _seen(self, state: NewtonState) -> tuple[FloatArray, FloatArray]:
         """Where trials were, and what they told: cost, and margin where any was near a limit."""

@@ -33,9 +33,8 @@ SEEN = 0.7  # share of the rise observed that counts as a rise expected
 SPAN = 0.1  # r, error per fourth power of the distance
 LEVEL = 3.0  # prior standard deviation of l_0
 SLOPE = 1.0  # of g
-CURVATURE = 0.3  # prior mean of the diagonal of H
-CURVATURE_SPREAD = 0.5
-TWIST = 0.4  # of the rest of H
+CURVATURE = 1.0  # of h_ii, relative to its mean
+TWIST = 0.4  # of h_ij, relative to the root of both means
 CUBIC = 0.4  # of c_ijk
 DRIFT = 0.05  # of d, per hundred trials
 NOISE_EXPECTED = 0.03  # sigma before there are residuals to tell it
@@ -99,7 +98,9 @@ def polynomial(
     curvature: FloatArray,
     points: FloatArray,
     values: FloatArray,
+    *,
     noise: float,
+    known: FloatArray,
 ) -> Polynomial:
     """The posterior about a centre.
 
@@ -109,6 +110,7 @@ def polynomial(
         points: Where the trials were, the oldest first, shape (trials, n).
         values: What was observed, the logarithm of the cost first, shape (trials, quantities).
         noise: sigma by which trials are weighted; that of the residuals comes back.
+        known: Prior mean of H, shape (n, n).
     """
     z = points - centre
     rise = 0.5 * np.sum((z @ curvature) * z, axis=1)
@@ -119,7 +121,7 @@ def polynomial(
     stiff, axes = np.linalg.eigh(curvature)
     bend = axes * np.cbrt(np.maximum(stiff, FLAT))
     age = np.arange(len(z) - 1.0, -1.0, -1.0) / 100.0
-    terms, (means, precisions) = _terms(z, bend, age), _prior(z.shape[1])
+    terms, (means, precisions) = _terms(z, bend, age), _prior(known)
     pulled = np.zeros((terms.shape[1], values.shape[1]))
     pulled[:, 0] = means * precisions
 
@@ -167,13 +169,13 @@ def _terms(z: FloatArray, bend: FloatArray, age: FloatArray) -> FloatArray:
     return terms
 
 
-@lru_cache(maxsize=16)
-def _prior(n: int) -> tuple[FloatArray, FloatArray]:
-    """Mean and precision of every coefficient."""
-    a, b = _pairs(n)
-    square, cubes = a == b, len(_triples(n)[0])  # the coefficient of z_i^2 is half of H_ii
-    means = [0.0] * (1 + n) + [0.5 * CURVATURE if s else 0.0 for s in square] + [0.0] * (cubes + 1)
-    spreads = [LEVEL, *[SLOPE] * n]
-    spreads += [0.5 * CURVATURE_SPREAD if s else TWIST for s in square]
-    spreads += [*[CUBIC] * cubes, DRIFT]
-    return np.array(means), np.array(spreads) ** -2.0
+def _prior(curvature: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Mean and precision of every coefficient, by the prior mean of H."""
+    n = len(curvature)
+    (a, b), cubes = _pairs(n), len(_triples(n)[0])
+    share = np.where(a == b, 0.5, 1.0)  # the coefficient of z_i^2 is half of h_ii
+    size = np.sqrt(curvature[a, a] * curvature[b, b])
+    squares = share * np.where(a == b, CURVATURE, TWIST) * size
+    means = np.concatenate((np.zeros(1 + n), share * curvature[a, b], np.zeros(cubes + 1)))
+    spreads = np.concatenate(([LEVEL], [SLOPE] * n, squares, [CUBIC] * cubes, [DRIFT]))
+    return means, spreads**-2.0

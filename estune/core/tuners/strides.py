@@ -27,6 +27,10 @@ RISE_MOST = 0.1
 """A rise of the cost, relative to it, that ends the strides however strong the noise."""
 
 
+DOUBTED = 0.25
+"""A rise of the cost by less, over a stride, is not believed before it is seen."""
+
+
 class Strides(NamedTuple):
     """What the strides along one direction have cost.
 
@@ -56,23 +60,35 @@ class Strides(NamedTuple):
         return len(below) == 2 and min(below) > self.noise and fmean(below) > doubt
 
 
-def stride(number: int, point: FloatArray, reach: Reach) -> FloatArray | None:
+def stride(
+    number: int, point: FloatArray, reach: Reach, length: float = STRIDE
+) -> FloatArray | None:
     """A point further up or down a parameter; None where the bounds are near.
 
     Args:
         number: Twice that of the parameter, and one more for down.
         point: Where the stride begins, shape (n,).
         reach: The bounds.
+        length: Of the stride.
     """
     parameter, down = divmod(number, 2)
     further = point.copy()
-    further[parameter] += (1.0 - 2.0 * down) * STRIDE
+    further[parameter] += (1.0 - 2.0 * down) * length
     further = reach.bounded(further)
-    return further if math.dist(further, point) > 0.5 * STRIDE else None
+    return further if math.dist(further, point) > 0.5 * length else None
 
 
-def may_be_level(model: Polynomial, point: FloatArray, reach: Reach) -> bool:
-    """Whether a point looks safe, and may cost no more than the centre as far as is noticed."""
-    mean, spread = model.expected(point[np.newaxis])
-    least = float(mean[0, 0] - spread[0]) - model.level
-    return least < NOTICED * model.noise and not reach.unsafety(mean, spread)[0]
+def first_stride(number: int, model: Polynomial, reach: Reach) -> FloatArray | None:
+    """A stride, or half of one, from the centre to where it looks safe and may be level.
+
+    That is where the model expects little rise. It knows of other loops that every parameter does
+    something, and trials near the centre, where a little more cost is noise, hardly contradict.
+    """
+    for length in (STRIDE, 0.5 * STRIDE):
+        point = stride(number, reach.centre, reach, length)
+        if point is not None:
+            mean, spread = model.expected(point[np.newaxis])
+            rise = float(mean[0, 0]) - model.level
+            if rise < DOUBTED and not reach.unsafety(mean, spread)[0]:
+                return point
+    return None
