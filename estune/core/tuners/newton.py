@@ -10,10 +10,11 @@ Trans. Information Theory 58, 2012),
     c(k) = argmin mu(x)                    the centre, which is what is recommended
 
 so that it dithers by itself: along each direction as far as what is not known there may be worth,
-which is little where the cost is steep, and less with every trial. A point looks safe where
-mu + 2 s is at most `safe_ratio` times the start's cost and `safe_rise` times the centre's, and the
-margin foretold, less 2 s, at least `margin_least`. The reach shrinks after an unsafe trial and
-recovers, see `guard`.
+which is little where the cost is steep, and less with every trial. A point looks safe where mu + 2.5 s
+is at most `safe_ratio` times the start's cost and `safe_rise` times the centre's, and the margin
+foretold, less 2.5 s, at least `margin_least`. The reach shrinks after an unsafe trial and
+recovers, see `guard`. What the costs of all loops have in common is known before the first trial,
+see `experience`.
 
 A plateau looks like an optimum to whoever looks no further than noise demands. Before the search
 says that little is left, it looks `2 n` times further away once, up and down each axis of the
@@ -39,7 +40,7 @@ from estune.core.tuners.posterior import bowls, expected_gain
 from estune.core.tuners.prospect import Model, Reach, lowest, newton_step
 from estune.core.tuners.settings import check_above_zero, check_logarithmic
 from estune.core.tuners.spread import FloatArray, simplex
-from estune.core.tuners.strides import Strides, first_stride, stride
+from estune.core.tuners.strides import Strides, may_be_level, stride
 from estune.core.tuners.surface import surface
 from estune.errors import InvalidInput
 
@@ -284,7 +285,7 @@ class Newton:
             noise=model.noise,
         )
         reach = reach._replace(centre=centre)
-        looks, gain = 2 * len(centre), expected_gain(model, values, axes)
+        looks, gain = 2 * len(centre), expected_gain(model, values, axes, reach)
         if 0 < state.looks < looks or (state.looks == 0 and gain < LITTLE):
             asked = self._look(state.looks, model, reach, values, axes)
             return state._replace(looks=state.looks + 1, proposal=self._point(asked))
@@ -314,13 +315,14 @@ class Newton:
         """The next stride along a parameter that may do nothing; None after the last one."""
         n = len(state.centre)
         if state.strides > 0:
-            point = stride(state.looks - 1 - 2 * n, np.array(state.tried[-n:]), reach)
+            along = state.looks - 1 - 2 * n
+            point = stride(along, state.strides, np.array(state.tried[-n:]), reach)
             near_limit = state.margins[-1] < 2.0 * self.margin_least
             if point is not None and not near_limit and not self._strides(state, model).rose:
                 return state._replace(strides=state.strides + 1), point
         for looks in range(state.looks, 4 * n):
-            point = first_stride(looks - 2 * n, model, reach)
-            if point is not None:
+            point = stride(looks - 2 * n, 0, reach.centre, reach)
+            if point is not None and may_be_level(model, point, reach):
                 return state._replace(looks=looks + 1, strides=1), point
         return state._replace(looks=4 * n, strides=0), None
 

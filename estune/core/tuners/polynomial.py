@@ -11,7 +11,7 @@ axes of H, u_i = h_i^(1/3) z_i, so that a direction that hardly bends is not tho
 The last term is for a rig that drifts, with a the age of a trial. What a cubic cannot follow makes
 trials far away tell less: a trial's error has the variance
 
-    v = sigma^2 + (p q^2 + r |z|^4)^2,    q = z'Hz/2
+    v = sigma^2 + (p q^2)^2,    q = z'Hz/2
 
 with q by how much the cost is expected to rise, and H from the fit before; or by how much it did
 rise, less some, for beyond the edge of stability it rises as no polynomial does. A trial off by
@@ -30,7 +30,6 @@ from estune.core.tuners.spread import FloatArray
 
 BEND = 0.5  # p, error per square of the rise
 SEEN = 0.7  # share of the rise observed that counts as a rise expected
-SPAN = 0.1  # r, error per fourth power of the distance
 LEVEL = 3.0  # prior standard deviation of l_0
 SLOPE = 1.0  # of g
 CURVATURE = 1.0  # of h_ii, relative to its mean
@@ -116,8 +115,7 @@ def polynomial(
     rise = 0.5 * np.sum((z @ curvature) * z, axis=1)
     lowest = np.sort(values[:, 0])[: z.shape[1] + 1].mean()
     rise = np.maximum(rise, SEEN * (values[:, 0] - lowest))
-    misfit = BEND * rise**2 + SPAN * np.sum(z * z, axis=1) ** 2
-    weights = 1.0 / (noise**2 + misfit**2)
+    weights = 1.0 / (noise**2 + (BEND * rise**2) ** 2)
     stiff, axes = np.linalg.eigh(curvature)
     bend = axes * np.cbrt(np.maximum(stiff, FLAT))
     age = np.arange(len(z) - 1.0, -1.0, -1.0) / 100.0

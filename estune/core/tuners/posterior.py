@@ -24,18 +24,25 @@ class Bowls(NamedTuple):
     gain: FloatArray
 
 
-def expected_gain(model: Polynomial, values: FloatArray, axes: FloatArray) -> float:
-    """What is expected to be left, (g'H^-1 g + tr(H^-1 S))/2 with S the covariance of g.
+def expected_gain(model: Polynomial, values: FloatArray, axes: FloatArray, reach: Reach) -> float:
+    """What is expected to be left, -g.s - s'Hs/2 and what the doubt of g adds along each axis.
+
+    Here s is Newton's step as far as the bounds let it go, for beyond them nothing is to be had.
+    A slope in doubt by d adds d^2/(2 h) on average, but no more than is gained within reach.
 
     Args:
         model: The cost.
         values: Curvatures along the axes, above zero, shape (n,).
         axes: One a column, orthonormal, shape (n, n).
+        reach: The bounds.
     """
     slopes = slice(1, 1 + len(values))
-    along = axes.T @ model.slope
+    newton = axes @ ((axes.T @ model.slope) / values)
+    step = reach.bounded(model.centre - newton) - model.centre
+    sure = -model.slope @ step - 0.5 * np.sum(values * (axes.T @ step) ** 2)
     spread = np.sum((model.spread[slopes, slopes] @ axes) * axes, axis=0)
-    return float(0.5 * np.sum((along**2 + spread) / values))
+    doubt = np.minimum(0.5 * spread / values, np.sqrt(spread) * reach.radius)
+    return float(max(sure, 0.0) + np.sum(doubt))
 
 
 def bowls(model: Polynomial, reach: Reach) -> Bowls:

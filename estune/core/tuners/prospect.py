@@ -14,7 +14,7 @@ ROUNDS = 3
 NARROWING = 3.0
 """Each round looks about the best of the one before, this many times narrower."""
 
-DOUBT = 2.0
+DOUBT = 2.5
 """Standard deviations by which a point must look safe."""
 
 POOL = 16 * LOOKS

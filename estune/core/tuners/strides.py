@@ -60,35 +60,29 @@ class Strides(NamedTuple):
         return len(below) == 2 and min(below) > self.noise and fmean(below) > doubt
 
 
-def stride(
-    number: int, point: FloatArray, reach: Reach, length: float = STRIDE
-) -> FloatArray | None:
+def stride(number: int, made: int, point: FloatArray, reach: Reach) -> FloatArray | None:
     """A point further up or down a parameter; None where the bounds are near.
 
     Args:
         number: Twice that of the parameter, and one more for down.
+        made: Strides made along it before; the first two are half as long, for an edge of
+            stability may be near.
         point: Where the stride begins, shape (n,).
         reach: The bounds.
-        length: Of the stride.
     """
     parameter, down = divmod(number, 2)
+    length = STRIDE if made >= 2 else 0.5 * STRIDE
     further = point.copy()
     further[parameter] += (1.0 - 2.0 * down) * length
     further = reach.bounded(further)
     return further if math.dist(further, point) > 0.5 * length else None
 
 
-def first_stride(number: int, model: Polynomial, reach: Reach) -> FloatArray | None:
-    """A stride, or half of one, from the centre to where it looks safe and may be level.
+def may_be_level(model: Polynomial, point: FloatArray, reach: Reach) -> bool:
+    """Whether a point looks safe, and so little dearer than the centre that it may not be.
 
-    That is where the model expects little rise. It knows of other loops that every parameter does
-    something, and trials near the centre, where a little more cost is noise, hardly contradict.
+    What the model knows of other loops, on which every parameter does something, says that it is;
+    trials near the centre, where a little more cost is noise, hardly contradict.
     """
-    for length in (STRIDE, 0.5 * STRIDE):
-        point = stride(number, reach.centre, reach, length)
-        if point is not None:
-            mean, spread = model.expected(point[np.newaxis])
-            rise = float(mean[0, 0]) - model.level
-            if rise < DOUBTED and not reach.unsafety(mean, spread)[0]:
-                return point
-    return None
+    mean, spread = model.expected(point[np.newaxis])
+    return float(mean[0, 0]) - model.level < DOUBTED and not reach.unsafety(mean, spread)[0]
