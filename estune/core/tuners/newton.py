@@ -10,11 +10,11 @@ Trans. Information Theory 58, 2012),
     c(k) = argmin mu(x)                    the centre, which is what is recommended
 
 so that it dithers by itself: along each direction as far as what is not known there may be worth,
-which is little where the cost is steep, and less with every trial. A point looks safe where mu + 2.5 s
-is at most `safe_ratio` times the start's cost and `safe_rise` times the centre's, and the margin
-foretold, less 2.5 s, at least `margin_least`. The reach shrinks after an unsafe trial and
-recovers, see `guard`. What the costs of all loops have in common is known before the first trial,
-see `experience`.
+which is little where the cost is steep, and less with every trial. A point looks safe where
+mu + 2.5 s is at most `safe_ratio` times the start's cost and `safe_rise` times the centre's, and
+the margin foretold, less 2.5 s, at least `margin_least`. The reach shrinks after an unsafe trial
+and recovers, see `guard`. What the costs of all loops have in common is known before the first
+trial, see `experience`.
 
 A plateau looks like an optimum to whoever looks no further than noise demands. Before the search
 says that little is left, it looks `2 n` times further away once, up and down each axis of the
@@ -40,7 +40,7 @@ from estune.core.tuners.posterior import bowls, expected_gain
 from estune.core.tuners.prospect import Model, Reach, lowest, newton_step
 from estune.core.tuners.settings import check_above_zero, check_logarithmic
 from estune.core.tuners.spread import FloatArray, simplex
-from estune.core.tuners.strides import Strides, may_be_level, stride
+from estune.core.tuners.strides import CAREFUL, Strides, may_be_level, stride
 from estune.core.tuners.surface import surface
 from estune.errors import InvalidInput
 
@@ -116,16 +116,16 @@ class Newton:
     space: SearchSpace
     first_radius: float = 0.15
     wide_reach: float = 0.65
-    near_reach: float = 0.4
+    near_reach: float = 0.5
     near_rise: float = 0.08
     wide_trials: int = 7
     wide_curiosity: float = 2.2
     near_curiosity: float = 2.5
-    last_curiosity: float = 4.0
+    last_curiosity: float = 5.0
     safe_ratio: float = 1.3
-    safe_rise: float = 1.65
+    safe_rise: float = 1.4
     look_reach: float = 1.0
-    look_rise: float = 0.2
+    look_rise: float = 0.1
     margin_least: float = 0.1
     memory: int = 400
     name: Literal["newton"] = "newton"
@@ -315,14 +315,15 @@ class Newton:
         """The next stride along a parameter that may do nothing; None after the last one."""
         n = len(state.centre)
         if state.strides > 0:
-            along = state.looks - 1 - 2 * n
-            point = stride(along, state.strides, np.array(state.tried[-n:]), reach)
+            made, along = state.strides, state.looks - 1 - 2 * n
+            point = stride(along, made, np.array(state.tried[-n:]), reach)
             near_limit = state.margins[-1] < 2.0 * self.margin_least
-            if point is not None and not near_limit and not self._strides(state, model).rose:
-                return state._replace(strides=state.strides + 1), point
+            ended = near_limit or self._strides(state, model).rose
+            if point is not None and not ended and (made >= CAREFUL or may_be_level(model, point)):
+                return state._replace(strides=made + 1), point
         for looks in range(state.looks, 4 * n):
             point = stride(looks - 2 * n, 0, reach.centre, reach)
-            if point is not None and may_be_level(model, point, reach):
+            if point is not None and may_be_level(model, point) and reach.is_safe(model, point):
                 return state._replace(looks=looks + 1, strides=1), point
         return state._replace(looks=4 * n, strides=0), None
 

@@ -72,6 +72,10 @@ class Reach(NamedTuple):
             over += np.maximum(self.margin - (mean[:, 1] - DOUBT * spread), 0.0)
         return over
 
+    def is_safe(self, model: Model, point: FloatArray) -> bool:
+        """Whether a point, shape (n,), looks safe."""
+        return not self.unsafety(*model.expected(point[np.newaxis]))[0]
+
 
 def lowest(
     model: Model, reach: Reach, first: FloatArray, curiosity: float, turn: int

@@ -20,12 +20,15 @@ from estune.core.tuners.spread import FloatArray
 STRIDE = 1.0
 """Length of a stride, in logarithms."""
 
+CAREFUL = 2
+"""So many strides are half as long, and made only where the model expects little rise: an edge of
+stability may be near. Further away the model knows nothing."""
+
 NOTICED = 2.0
 """Standard deviations from which on a difference is more than noise."""
 
 RISE_MOST = 0.1
 """A rise of the cost, relative to it, that ends the strides however strong the noise."""
-
 
 DOUBTED = 0.25
 """A rise of the cost by less, over a stride, is not believed before it is seen."""
@@ -65,24 +68,23 @@ def stride(number: int, made: int, point: FloatArray, reach: Reach) -> FloatArra
 
     Args:
         number: Twice that of the parameter, and one more for down.
-        made: Strides made along it before; the first two are half as long, for an edge of
-            stability may be near.
+        made: Strides made along it before.
         point: Where the stride begins, shape (n,).
         reach: The bounds.
     """
     parameter, down = divmod(number, 2)
-    length = STRIDE if made >= 2 else 0.5 * STRIDE
+    length = STRIDE if made >= CAREFUL else 0.5 * STRIDE
     further = point.copy()
     further[parameter] += (1.0 - 2.0 * down) * length
     further = reach.bounded(further)
     return further if math.dist(further, point) > 0.5 * length else None
 
 
-def may_be_level(model: Polynomial, point: FloatArray, reach: Reach) -> bool:
-    """Whether a point looks safe, and so little dearer than the centre that it may not be.
+def may_be_level(model: Polynomial, point: FloatArray) -> bool:
+    """Whether a point is expected to cost so little more than the centre that it may not.
 
-    What the model knows of other loops, on which every parameter does something, says that it is;
-    trials near the centre, where a little more cost is noise, hardly contradict.
+    What the model knows of other loops, on which every parameter does something, says that it
+    does; trials near the centre, where a little more cost is noise, hardly contradict.
     """
-    mean, spread = model.expected(point[np.newaxis])
-    return float(mean[0, 0]) - model.level < DOUBTED and not reach.unsafety(mean, spread)[0]
+    mean, _ = model.expected(point[np.newaxis])
+    return float(mean[0, 0]) - model.level < DOUBTED
