@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from estune.core.gains import Gains
-from estune.core.search_space import PARALLEL_NAMES, STANDARD_NAMES, SearchSpace
+from estune.core.search_space import SearchSpace
 from estune.core.tuners import state_from_json, state_to_json
 from estune.core.tuners.experience import experience
 from estune.core.tuners.newton import Newton
@@ -19,6 +19,7 @@ from estune.core.tuners.prospect import Reach, newton_step
 from estune.core.tuners.spread import ball, normal, simplex
 from estune.core.tuners.surface import covariance, surface
 from estune.errors import InvalidInput
+from estune.joint.schedule_space import ScheduleSpace
 
 SPACE = SearchSpace.around(Gains(0.5, 10.0, 0.005, 0.02))
 TUNER = Newton(SPACE)
@@ -308,7 +309,7 @@ def test_the_surface_is_the_posterior_of_its_prior():
         draws.normal(size=8),
     )
 
-    known = experience(("P", "I", "D"))
+    known = experience((((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0)),))
 
     def k(a, b):  # the covariance written once more, point by point
         slopes = (a @ known.slope) @ (b @ known.slope)
@@ -329,7 +330,9 @@ def test_the_surface_is_the_posterior_of_its_prior():
 
 
 def test_what_is_known_of_loops_is_the_same_in_either_form_and_of_fewer_parameters():
-    parallel, standard = experience(PARALLEL_NAMES), experience(STANDARD_NAMES)
+    gains = Gains(0.5, 10.0, 0.005, 0.02)
+    parallel = experience(SearchSpace.around(gains).directions)
+    standard = experience(SearchSpace.around(gains, form="standard").directions)
     draws = np.random.default_rng(18)
     a, b = draws.normal(size=(2, 6, 4))  # logarithms of K, Ti, Td and the time constant
 
@@ -339,8 +342,26 @@ def test_what_is_known_of_loops_is_the_same_in_either_form_and_of_fewer_paramete
     same = covariance(parallel, in_parallel(a), in_parallel(b))
     assert covariance(standard, a, b) == pytest.approx(same)
     few = np.array([[0.3, 0.0, -0.2, 0.0], [0.1, 0.0, 0.4, 0.0]])
-    fewer = covariance(experience(("P", "D")), few[:, ::2], few[:, ::2])
+    names, start = ("P", "D"), (0.5, 0.005)
+    space = SearchSpace(names, start, (0.1, 0.001), (5.0, 0.05), fixed=(("I", 10.0),))
+    fewer = covariance(experience(space.directions), few[:, ::2], few[:, ::2])
     assert fewer == pytest.approx(covariance(parallel, few, few))
+
+
+def test_what_is_known_of_a_schedule_is_what_is_known_at_its_ends():
+    gains = Gains(0.5, 10.0, 0.005, 0.02)
+    one = experience(SearchSpace.around(gains).directions)
+    both = experience(ScheduleSpace.over(gains, (0.5, 1.4)).directions)
+    draws = np.random.default_rng(19)
+    x, y = draws.normal(size=(2, 5, 4))
+
+    def on_both(x):  # I the same at the short end and the long one
+        return x[:, [0, 1, 1, 2, 3]]
+
+    same = covariance(one, x, y)
+    assert covariance(both, on_both(x), on_both(y)) == pytest.approx(same)
+    ends = np.array([[0.0, 0.4, -0.4, 0.0, 0.0]])
+    assert 0.5 * ends @ both.curvature @ ends.T == pytest.approx(0.08 * one.curvature[1, 1])
 
 
 def test_the_polynomial_finds_a_cubic_and_its_drift():

@@ -24,6 +24,21 @@ Coordinates = tuple[float, ...]
 PARALLEL_NAMES = GAIN_NAMES
 STANDARD_NAMES = ("K", "Ti", "Td", "setpoint_filter_s")
 
+_DIRECTIONS = {
+    "P": (1.0, 0.0, 0.0, 0.0),
+    "I": (0.0, 1.0, 0.0, 0.0),
+    "D": (0.0, 0.0, 1.0, 0.0),
+    "setpoint_filter_s": (0.0, 0.0, 0.0, 1.0),
+    "K": (1.0, 1.0, 1.0, 0.0),
+    "Ti": (0.0, -1.0, 0.0, 0.0),
+    "Td": (0.0, 0.0, 1.0, 0.0),
+}
+"""log P = log K, log I = log K - log Ti and log D = log K + log Td."""
+
+Directions = tuple[tuple[float, ...], ...]
+"""What a unit of the logarithm of each parameter adds to those of P, I, D and the filter's time
+constant, one row a parameter."""
+
 _UNTUNED = {"I": 0.0, "D": 0.0, "Ti": math.inf, "Td": 0.0, "setpoint_filter_s": 0.0}
 """What a parameter that is neither tuned nor fixed is: absent. P and K cannot be."""
 
@@ -149,6 +164,11 @@ class SearchSpace:
                 for c, low, high in zip(coordinates, self.low, self.high, strict=True)
             ]
         )
+
+    @property
+    def directions(self) -> tuple[Directions, ...]:
+        """Where each parameter leads, one table for every loop that the gains are for."""
+        return (tuple([_DIRECTIONS[name] for name in self.names]),)
 
     def gains(self, point: Point) -> Gains:
         """The controller gains of a point.

@@ -14,7 +14,7 @@ from typing import Literal, Self
 
 from estune.core.gains import GAIN_NAMES, Gains
 from estune.core.schedule import GainCurve, GainSchedule
-from estune.core.search_space import Point, SearchSpace
+from estune.core.search_space import Directions, Point, SearchSpace
 from estune.errors import InvalidInput
 
 AT_SHORT, AT_LONG = "_short", "_long"
@@ -67,6 +67,17 @@ class ScheduleSpace(SearchSpace):
             low=tuple(value / factor for value in values.values()),
             high=tuple(value * factor for value in values.values()),
             length_m=length_m,
+        )
+
+    @property
+    def directions(self) -> tuple[Directions, ...]:
+        """Where each parameter leads at the least length, and where at the greatest."""
+        return tuple(
+            tuple(
+                tuple(float(name in (gain, gain + end)) for gain in GAIN_NAMES)
+                for name in self.names
+            )
+            for end in (AT_SHORT, AT_LONG)
         )
 
     def ends(self, point: Point) -> tuple[Gains, Gains]:

@@ -8,29 +8,19 @@ loops drawn at random: plants of the first to the fifth order, lightly and well 
 without dead time and a limit of the effort, each with a cost of its own; `experiments.loop_prior`
 draws others, fits the numbers anew and tells how much better than none they foretell a cost.
 
-A parameter that is tuned is a direction in the four logarithms: with K the gain of the standard
-form, log P = log K, log I = log K - log Ti and log D = log K + log Td. So what is known in one
-form is known in the other, and of fewer parameters too.
+A parameter that is tuned is a direction in the four logarithms, see `SearchSpace.directions`: so
+what is known of one form of the gains is known of the other, of fewer parameters, and of the mean
+over several loops that are tuned as one.
 """
 
-from collections.abc import Sequence
+import math
 from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
+from estune.core.search_space import Directions
 from estune.core.tuners.spread import FloatArray
-
-DIRECTIONS = {
-    "P": (1.0, 0.0, 0.0, 0.0),
-    "I": (0.0, 1.0, 0.0, 0.0),
-    "D": (0.0, 0.0, 1.0, 0.0),
-    "setpoint_filter_s": (0.0, 0.0, 0.0, 1.0),
-    "K": (1.0, 1.0, 1.0, 0.0),
-    "Ti": (0.0, -1.0, 0.0, 0.0),
-    "Td": (0.0, 0.0, 1.0, 0.0),
-}
-"""What a unit of the logarithm of a parameter adds to those of P, I, D and the time constant."""
 
 CAUTION = 1.4
 """A rig differs more from the loops simulated than they do from one another: slopes and what is
@@ -41,9 +31,9 @@ class Experience(NamedTuple):
     """What is known of a cost before the first trial; x are n logarithms from the start on.
 
     Attributes:
-        slope: S, shape (n, 4): the slopes have the covariance S S'.
-        bowl: M, shape (n, 4): the bends come from the covariance (x'M M'y)^2.
-        rest: B, shape (n, 4): what is neither changes as exp(-|B'(x - y)|^2/2).
+        slope: S, shape (n, 4 m) for m loops: the slopes have the covariance S S'.
+        bowl: M, of the same shape: the bends come from the covariance (x'M M'y)^2.
+        rest: B, of the same shape: what is neither changes as exp(-|B'(x - y)|^2/2).
         rest_size: Standard deviation of it.
         bend: C, shape (n, n): the mean rises as x'C x/2.
         curvature: H, shape (n, n): mean curvature about an optimum.
@@ -55,18 +45,6 @@ class Experience(NamedTuple):
     rest_size: float
     bend: FloatArray
     curvature: FloatArray
-
-    def along(self, directions: Sequence[Sequence[float]]) -> "Experience":
-        """The same for parameters that are these directions, shape (n, 4)."""
-        e = np.array(directions)
-        return Experience(
-            slope=e @ self.slope,
-            bowl=e @ self.bowl,
-            rest=e @ self.rest,
-            rest_size=self.rest_size,
-            bend=e @ self.bend @ e.T,
-            curvature=e @ self.curvature @ e.T,
-        )
 
 
 OF_LOOPS = Experience(
@@ -117,6 +95,21 @@ OF_LOOPS = Experience(
 
 
 @lru_cache(maxsize=64)
-def experience(names: tuple[str, ...]) -> Experience:
-    """What is known of the cost over these parameters, by their names in a search space."""
-    return OF_LOOPS.along([DIRECTIONS[name] for name in names])
+def experience(directions: tuple[Directions, ...]) -> Experience:
+    """What is known of the mean cost of loops whose parameters lead in these directions."""
+    tables = [np.array(table) for table in directions]
+
+    def beside(matrix: FloatArray) -> FloatArray:
+        return np.hstack([table @ matrix for table in tables]) / math.sqrt(len(tables))
+
+    def mean(matrix: FloatArray) -> FloatArray:
+        return np.asarray(sum(table @ matrix @ table.T for table in tables)) / len(tables)
+
+    return Experience(
+        slope=beside(OF_LOOPS.slope),
+        bowl=beside(OF_LOOPS.bowl),
+        rest=beside(OF_LOOPS.rest),
+        rest_size=OF_LOOPS.rest_size,
+        bend=mean(OF_LOOPS.bend),
+        curvature=mean(OF_LOOPS.curvature),
+    )

@@ -243,7 +243,7 @@ class Newton:
             return Forecast(cost=math.nan, low=0.0, high=math.inf, explored=explored)
         model: Model = self._model(state)
         if not state.curvature:
-            model = surface(*self._seen(state), state.noise, experience(self.space.names))
+            model = surface(*self._seen(state), state.noise, experience(self.space.directions))
         mean, spread = model.expected(place)
         low, mid, high = (
             math.exp(state.level + float(mean[0, 0]) + z * float(spread[0]))
@@ -254,7 +254,7 @@ class Newton:
     def _widely(self, state: NewtonState) -> NewtonState:
         """The next proposal and centre by the wide model."""
         points, values = self._seen(state)
-        model = surface(points, values, state.noise, experience(self.space.names))
+        model = surface(points, values, state.noise, experience(self.space.directions))
         smoothed = model.smoothed(values)
         best = int(np.argmin(smoothed))
         reach = self._reach(points[best], state.caution * self.wide_reach, float(smoothed[best]))
@@ -335,7 +335,7 @@ class Newton:
     def _model(self, state: NewtonState) -> Polynomial:
         """The model about the centre."""
         points, values = self._seen(state)
-        known = experience(self.space.names).curvature
+        known = experience(self.space.directions).curvature
         curvature = np.reshape(state.curvature, known.shape) if state.curvature else known
         centre = np.array(state.centre)
         return polynomial(centre, curvature, points, values, noise=state.noise, known=known)

@@ -24,7 +24,7 @@ CAREFUL = 2
 """So many strides are half as long, and made only where the model expects little rise: an edge of
 stability may be near. Further away the model knows nothing."""
 
-NOTICED = 2.0
+NOTICED = 2.5
 """Standard deviations from which on a difference is more than noise."""
 
 RISE_MOST = 0.1
