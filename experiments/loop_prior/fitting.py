@@ -59,7 +59,7 @@ def fitted(loops: Sequence[Loop], begun: Experience, steps: int) -> Experience:
         slope, bowl, rest, bend = parts
         return Experience(slope, bowl, rest, math.exp(numbers[-1]), bend @ bend.T, curvature)
 
-    root = np.linalg.cholesky(begun.bend + 1e-4 * np.eye(4))
+    root = np.linalg.cholesky(begun.bend + 1e-3 * np.eye(4))  # rounded, it may bend down
     parts = [part[LOWER] for part in (begun.slope, begun.bowl, begun.rest, root)]
     first = np.concatenate([*parts, [math.log(begun.rest_size)]])
     options = {"maxiter": steps, "maxfun": 10**6}
