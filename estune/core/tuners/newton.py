@@ -289,7 +289,9 @@ class Newton:
         if 0 < state.looks < looks or (state.looks == 0 and gain < LITTLE):
             asked = self._look(state.looks, model, reach, values, axes)
             return state._replace(looks=state.looks + 1, proposal=self._point(asked))
-        if state.looks > looks or (state.looks == looks and gain < SETTLED):
+        # What holds a centre at a bound is often a slope so slight that it never settles.
+        settled = SETTLED if reach.is_inside(centre) else LITTLE
+        if state.looks > looks or (state.looks == looks and gain < settled):
             state, further = self._stride(state, model, reach)
             if further is not None:
                 return state._replace(proposal=self._point(further))

@@ -72,6 +72,10 @@ class Reach(NamedTuple):
             over += np.maximum(self.margin - (mean[:, 1] - DOUBT * spread), 0.0)
         return over
 
+    def is_inside(self, point: FloatArray) -> bool:
+        """Whether a point, shape (n,), is at none of the bounds."""
+        return bool(np.all((self.low < point) & (point < self.high)))
+
     def is_safe(self, model: Model, point: FloatArray) -> bool:
         """Whether a point, shape (n,), looks safe."""
         return not self.unsafety(*model.expected(point[np.newaxis]))[0]
