@@ -11,10 +11,10 @@ Trans. Information Theory 58, 2012),
 
 so that it dithers by itself: along each direction as far as what is not known there may be worth,
 which is little where the cost is steep, and less with every trial. A point looks safe where
-mu + 2.5 s is at most `safe_ratio` times the start's cost and `safe_rise` times the centre's, and
-the margin foretold, less 2.5 s, at least `margin_least`. The reach shrinks after an unsafe trial
-and recovers, see `guard`. What the costs of all loops have in common is known before the first
-trial, see `experience`.
+mu + 2.5 s is at most `safe_ratio` times the start's cost and so many times the centre's, and the
+margin foretold, less 2.5 s, at least `margin_least`. The reach shrinks after an unsafe trial and
+recovers, see `guard`. What the costs of all loops have in common is known before the first trial,
+see `experience`.
 
 A plateau looks like an optimum to whoever looks no further than noise demands. Before the search
 says that little is left, it looks `2 n` times further away once, up and down each axis of the
@@ -102,7 +102,8 @@ class Newton:
         last_curiosity: kappa once it has looked beyond plateaus: what is then left to gain is
             little, and a wider dither finds it sooner.
         safe_ratio: Cost over that of the start up to which a point counts as safe.
-        safe_rise: The same over the cost at the centre.
+        wide_safe_rise: The same over the cost at the centre, while the model is wide.
+        near_safe_rise: The same once it is near: far from it the model then knows little.
         look_reach: How far it looks for what lies beyond a plateau, in logarithms.
         look_rise: By how much the cost may be expected to rise there, relative to it.
         margin_least: Share of every limit that is to be left, 0 to 1.
@@ -123,7 +124,8 @@ class Newton:
     near_curiosity: float = 2.5
     last_curiosity: float = 5.0
     safe_ratio: float = 1.3
-    safe_rise: float = 1.4
+    wide_safe_rise: float = 1.65
+    near_safe_rise: float = 1.4
     look_reach: float = 1.0
     look_rise: float = 0.1
     margin_least: float = 0.1
@@ -139,7 +141,8 @@ class Newton:
                 "near_curiosity",
                 "last_curiosity",
                 "safe_ratio",
-                "safe_rise",
+                "wide_safe_rise",
+                "near_safe_rise",
                 "memory",
             ),
             *("look_reach", "look_rise"),
@@ -257,7 +260,8 @@ class Newton:
         model = surface(points, values, state.noise, experience(self.space.directions))
         smoothed = model.smoothed(values)
         best = int(np.argmin(smoothed))
-        reach = self._reach(points[best], state.caution * self.wide_reach, float(smoothed[best]))
+        dearest = float(smoothed[best]) + math.log(self.wide_safe_rise)
+        reach = self._reach(points[best], state.caution * self.wide_reach, dearest)
         first = points[best : best + 1]
         centre = lowest(model, reach, first, 0.0, state.k)
         asked = lowest(model, reach, first, self.wide_curiosity, state.k)
@@ -274,7 +278,8 @@ class Newton:
         values, axes = np.linalg.eigh(model.curvature)
         values = np.maximum(values, FLAT)
         rise = state.caution**2 * self.near_rise
-        reach = self._reach(model.centre, state.caution * self.near_reach, model.level)
+        dearest = model.level + math.log(self.near_safe_rise)
+        reach = self._reach(model.centre, state.caution * self.near_reach, dearest)
         reach = reach._replace(axes=axes * np.sqrt(2.0 * rise / values))
         centre = reach.bounded(model.centre + newton_step(model.slope, values, axes, reach.radius))
         if model.coefficients.shape[1] > 1:  # a limit is near: the step must keep its distance
@@ -351,8 +356,8 @@ class Newton:
             return points, np.stack((costs, np.array(state.margins)), axis=1)
         return points, costs[:, np.newaxis]
 
-    def _reach(self, centre: FloatArray, radius: float, level: float) -> Reach:
-        """A ball about the centre, whose cost has this logarithm."""
+    def _reach(self, centre: FloatArray, radius: float, dearest: float) -> Reach:
+        """A ball about the centre, where costs are safe up to this logarithm."""
         start = np.array(self.space.coordinates(self.space.start))
         return Reach(
             centre=centre,
@@ -360,7 +365,7 @@ class Newton:
             radius=radius,
             low=np.array(self.space.coordinates_low) - start,
             high=np.array(self.space.coordinates_high) - start,
-            dearest=min(math.log(self.safe_ratio), level + math.log(self.safe_rise)),
+            dearest=min(math.log(self.safe_ratio), dearest),
             margin=self.margin_least,
         )
 
