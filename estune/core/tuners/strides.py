@@ -3,8 +3,8 @@
 A gain far too small has no effect: the cost is level over many times the gain, and nothing near
 the centre tells such a shelf from an optimum. So the search strides up and down each parameter
 along which the model leaves it open that nothing happens, by the root of e twice and then by a
-factor e each time, until the cost rises, a limit is near, or the bounds are there. Two strides in a
-row well below the centre have found a better place.
+factor e each time, until the cost rises, a limit is near, or the bounds are there. Two strides in
+a row well below the centre have found a better place.
 """
 
 import math
