@@ -7,7 +7,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from estune.core.tuners.experience import Experience
-from estune.core.tuners.newton import CLIFF, DEAR
+from estune.core.tuners.newton import capped
 from estune.core.tuners.surface import covariance, expected_before
 from estune.trial import FloatArray
 from experiments.loop_prior.loops import NOISE, Loop
@@ -24,8 +24,7 @@ def likelihood(known: Experience, loops: Sequence[Loop]) -> float:
 
 def _likelihood(known: Experience, loop: Loop) -> float:
     costs = loop.costs + NOISE * np.random.default_rng(0).standard_normal(len(loop.costs))
-    costs = costs - np.median(costs[:FIRST_TRIALS])
-    costs = np.minimum(costs, min(DEAR, float(np.sort(costs)[:3].mean()) + CLIFF))
+    costs = capped(costs - np.median(costs[:FIRST_TRIALS]))
     spread = covariance(known, loop.points, loop.points) + NOISE**2 * np.eye(len(costs))
     try:
         root = np.linalg.cholesky(spread)

@@ -66,6 +66,11 @@ FURTHEST = 1.5
 """How far from the centre an outlook believes its model, in logarithms."""
 
 
+def capped(costs: FloatArray) -> FloatArray:
+    """Logarithms of costs over the start's, those drawn down that are only known to be bad."""
+    return np.minimum(costs, min(DEAR, float(np.sort(costs)[:3].mean()) + CLIFF))
+
+
 class NewtonState(NamedTuple):
     """Where the search stands before trial k; points are coordinates from the start on."""
 
@@ -350,8 +355,7 @@ class Newton:
     def _seen(self, state: NewtonState) -> tuple[FloatArray, FloatArray]:
         """Where trials were, and what they told: cost, and margin where any was near a limit."""
         points = np.reshape(state.tried, (len(state.costs), len(self.space.names)))
-        costs = np.array(state.costs) - state.level
-        costs = np.minimum(costs, min(DEAR, float(np.sort(costs)[:3].mean()) + CLIFF))
+        costs = capped(np.array(state.costs) - state.level)
         if min(state.margins) < 1.0:
             return points, np.stack((costs, np.array(state.margins)), axis=1)
         return points, costs[:, np.newaxis]

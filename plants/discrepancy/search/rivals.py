@@ -112,7 +112,7 @@ def beaten_by(
 ) -> str | None:
     """Title of a rival that does about as well as the effect an attempt adds, or None.
 
-    A law that is the machine's leaves less than half of what any of them does.
+    It does where it leaves less than `thresholds.BEATEN` times what the effect leaves.
 
     Args:
         bench: Model and records.
