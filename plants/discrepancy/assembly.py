@@ -104,7 +104,8 @@ def told(known: Known) -> Diagnosis:
     base = fits[1] if known.hum is not None else before
     steps = [_step(one) for one in fits]
     effects = _structural(known)
-    named = [_named(effect, last, known.model) for effect in effects]
+    # In words as of the plant that was fitted: a system of python-control has units only there.
+    named = [_named(effect, last, known.bench.model.model) for effect in effects]
     named += _by_rule(known, steps)
     verdict = _verdict(known, named)
     ran = free_run((before.bench, before.fitted), (after.bench, after.fitted))
@@ -202,19 +203,20 @@ def _told_by(parameters: Mapping[str, Interval], effect: type[Effect], model: An
 
 def _by_rule(known: Known, steps: list[Step]) -> list[NamedEffect]:
     """The effects found by rule; what coarse steps explain is taken off the gap."""
-    named = []
+    named, plant = [], known.bench.model
+    read = abs(plant.reading_unit)  # a phase differs from record to record, with its sign
     if known.hum is not None:
         parameters = {
-            "amplitude_N": known.hum.amplitude_N,
+            "amplitude_N": known.hum.amplitude_N.over(read),
             "frequency_Hz": known.hum.frequency_Hz,
             "phase_rad": known.hum.phase_rad,
         }
-        named.append(_told_by(parameters, MainsInterference, known.model))
+        named.append(_told_by(parameters, MainsInterference, plant.model))
     if known.coarse_step_N is not None:
         q = known.coarse_step_N
         # Readings are written with few digits, of which the step has as many.
         step = Interval(q, q * (1.0 - STEP_KNOWN), q * (1.0 + STEP_KNOWN), "N")
-        named.append(_told_by({"step_N": step}, Quantisation, known.model))
+        named.append(_told_by({"step_N": step.over(read)}, Quantisation, plant.model))
         steps[:] = _with_rounding(steps, q)
     return named
 

@@ -28,6 +28,9 @@ from plants.discrepancy.search.suggestions import suggestions
 from plants.discrepancy.search.verdict import judge
 from plants.effects import CableWeight, Effect, MainsInterference, Quantisation, declared, find
 
+HUM_ROUNDS = 2
+"""Hum is looked for once more without it: windows that begin with it are foretold with it."""
+
 
 def explain(
     model: Any,
@@ -61,10 +64,13 @@ def explain(
     noise = noise_floor(measurements)
     bench, base = _base(model, measurements, noise)
     choice = _choice(bench.model, effects)
-    hum = _hum(bench, base) if MainsInterference in choice.by_rule else None
     humming = Stage(bench, base)
-    if hum is not None:
-        bench, base = _base(model, hum.measurements, noise)
+    hum = None
+    for _ in range(HUM_ROUNDS if MainsInterference in choice.by_rule else 0):
+        line = _hum(bench, base, measurements)
+        if line is None:
+            break
+        hum, (bench, base) = line, _base(model, line.measurements, noise)
     where = _where(bench, base, noise)
     found = search(bench, base, choice.structural, suggestions(measurements, where))
     if hum is not None and found.best.effects and not _still(humming, found.best):
@@ -126,7 +132,7 @@ def _still(humming: Stage, best: Attempt) -> bool:
     """Whether there is hum in the records as they are when the effects found are in the model."""
     row = humming.bench.predictor(best.effects).row(best.values)
     attempt = humming.bench.attempt(best.effects, row[None, :])
-    return _hum(humming.bench, attempt) is not None
+    return _hum(humming.bench, attempt, humming.bench.measurements) is not None
 
 
 def _measurements(
@@ -153,18 +159,18 @@ def _choice(plant: Diagnosed, effects: Sequence[type[Effect] | str] | None) -> C
     )
 
 
-def _hum(bench: Bench, base: Attempt) -> Hum | None:
-    """Hum in what the base model leaves of the gauge's readings outside the report split."""
+def _hum(bench: Bench, base: Attempt, measurements: Sequence[Measurement]) -> Hum | None:
+    """Hum in what a model leaves of the gauge's readings outside the report split."""
     if "tension_N" not in bench.floor.channels:
         return None
     fitted, index = base.fitted, bench.base.index
     predicted = fitted.predictor.predict(fitted.values[None, :])
     looked = bench.dealt.where(FIT, RANK)
     seen = []
-    for n, m in enumerate(bench.measurements):
+    for n, m in enumerate(measurements):
         at = np.zeros(m.samples, bool)
         at[index.sample[looked[index.measurement[looked] == n]]] = True
         # Of a record that is all report only its own phase is wanted.
         seen.append(at if at.any() else ~at)
     left = [None if p.tension_N is None else p.tension_N[0] for p in predicted]
-    return find_hum(bench.measurements, left, seen, bench.floor.tension_N)
+    return find_hum(measurements, left, seen, bench.floor.tension_N)

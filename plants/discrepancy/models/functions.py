@@ -38,6 +38,7 @@ class DiagnosedFunction(Diagnosed):
             model = replace(model, torque_unit=torque, angle_unit=angle)
         super().__init__(model, measurements)
         self.drive_unit = model.torque_unit
+        self.reading_unit = model.angle_unit / READINGS_PER_ANGLE
 
     def unavailable(self, effect: type[Effect]) -> str | None:
         """Only input and output can be reached from outside."""
@@ -65,8 +66,7 @@ class DiagnosedFunction(Diagnosed):
         return Sizes.of(currents, 1.0, angles, [m.sampling_Hz for m in self.measurements])
 
     def _calibrations(self) -> list[Slot]:
-        read = self.model.angle_unit / READINGS_PER_ANGLE
-        start = self.calibration.gauge_offset_N * read
+        start = self.calibration.gauge_offset_N * self.reading_unit
         outputs = [m.tension_N for m in self.measurements if m.tension_N is not None]
         reach = 2.0 * max(float(np.abs(y).max()) for y in outputs) + abs(start)
         self.reasons["input_offset"] = "an offset of the input looks like one of the output"
@@ -78,7 +78,7 @@ class DiagnosedFunction(Diagnosed):
             Slot(
                 either_way("output_offset", "", start, reach),
                 f"{CALIBRATION}.gauge_offset_N",
-                1.0 / read,
+                1.0 / self.reading_unit,
             ),
         ]
 
@@ -87,8 +87,7 @@ class DiagnosedFunction(Diagnosed):
     ) -> PythonPlant:
         """The function with these values; a `Calibration` holds gain and offset."""
         known = {**self._starts, **values}
-        read = self.model.angle_unit / READINGS_PER_ANGLE
-        own = self.calibration
+        own, read = self.calibration, self.reading_unit
         calibration = replace(
             own,
             torque_gain=known.get("input_gain", own.torque_gain),

@@ -60,6 +60,7 @@ class DiagnosedLinear(Diagnosed):
             model = self._in_units(model, measurements)
         super().__init__(model, measurements)
         self.drive_unit = model.torque_unit
+        self.reading_unit = model.angle_unit / READINGS_PER_ANGLE
 
     def _in_units(self, model: LinearPlant, measurements: Sequence[Measurement]) -> LinearPlant:
         """The plant with units in which its signals are as large as a reel's."""
@@ -118,8 +119,7 @@ class DiagnosedLinear(Diagnosed):
             if name == "rate_rad_s":
                 continue
             slots.append(Slot(_free(name, self.values[name]), name))
-        read = self.model.angle_unit / READINGS_PER_ANGLE
-        start = self.calibration.gauge_offset_N * read
+        start = self.calibration.gauge_offset_N * self.reading_unit
         if "origin" in self.kinds.poles:
             torque = self.model.torque_unit
             start = self.calibration.torque_offset_Nm * torque
@@ -131,7 +131,7 @@ class DiagnosedLinear(Diagnosed):
             outputs = [m.tension_N for m in self.measurements if m.tension_N is not None]
             reach = 2.0 * max(float(np.abs(y).max()) for y in outputs) + abs(start)
             free = either_way("output_offset", "", start, reach)
-            slots.append(Slot(free, f"{CALIBRATION}.gauge_offset_N", 1.0 / read))
+            slots.append(Slot(free, f"{CALIBRATION}.gauge_offset_N", 1.0 / self.reading_unit))
             self.reasons["input_offset"] = "an offset of the input looks like one of the output"
         return slots
 
@@ -210,7 +210,7 @@ class DiagnosedLinear(Diagnosed):
             dead_time_s=model.dead_time_s,
             sample_s=1.0 / rate,
         )
-        read = plant.angle_unit / READINGS_PER_ANGLE
+        read = self.reading_unit
         calibration = replace(
             self.calibration,
             gauge_offset_N=known.get("output_offset", self.calibration.gauge_offset_N * read)

@@ -122,12 +122,14 @@ class Diagnosed(ABC):
         placed_by: Channel that tells where the plant is at a window's start; None: nothing does.
         newtons_per_ampere: Effort per command, to make the command of an open-loop record.
         drive_unit: Command, A, that stands for one of the actuator's effects.
+        reading_unit: Output, as recorded, that stands for a newton of the gauge's effects.
     """
 
     output: Literal["N", "rad"] = "N"
     placed_by: str | None
     newtons_per_ampere: float = 1.0
     drive_unit: float = 1.0
+    reading_unit: float = 1.0
 
     def __init__(self, model: Any, measurements: Sequence[Measurement]) -> None:
         self.model = model

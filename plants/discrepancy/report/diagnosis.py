@@ -1,7 +1,7 @@
 """What a diagnosis says: the verdict, the effects found, and the evidence for them."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 from estune.trial import FloatArray
@@ -37,6 +37,10 @@ class Interval:
     low: float
     high: float
     unit: str
+
+    def over(self, size: float) -> "Interval":
+        """The same as a multiple of a size above zero."""
+        return replace(self, value=self.value / size, low=self.low / size, high=self.high / size)
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,6 +25,9 @@ OVERTONES = (2, 3, 5)
 """Multiples of hum's frequency that it seldom comes without; they go with it."""
 TOLERANCE = 0.01
 """What a mains frequency may be off by, as a share."""
+FINER = 8
+"""Into so many parts a step is divided about the highest line: beside the line, most of a record's
+hum would be left at its ends."""
 ABOVE = 30.0
 """Power of hum over that of neighbouring frequencies."""
 CLEAR = 8.0
@@ -143,7 +146,11 @@ def _peak(lines: Sequence[_Line], about_Hz: float, longest_s: float) -> tuple[fl
     top = int(power.argmax())
     if power[top] < ABOVE * float(np.median(beside)):
         return None
-    return lowest + top * step, float(power[top])
+    fine = step / FINER
+    near = lowest + (top - 1) * step
+    power = _powers(lines, near, fine, 2 * FINER + 1)
+    top = int(power.argmax())
+    return near + top * fine, float(power[top])
 
 
 def _hum(

@@ -1,0 +1,85 @@
+"""A plant that is no reel, given as a system of python-control: told in its own units."""
+
+import math
+import re
+
+import control
+import numpy as np
+import pytest
+
+import plants
+from plants.discrepancy.data.record import Measurement
+
+MASS_kg, DAMPING_Ns_m, STIFFNESS_N_m = 2.0, 10.0, 5e4
+"""Of a stage that moves by a millimetre: its numbers are far from a reel's."""
+BELIEVED = control.tf([1.0], [1.1 * MASS_kg, 1.3 * DAMPING_Ns_m, 0.9 * STIFFNESS_N_m])
+RATE_Hz, SUBSTEPS, NOISE_m = 750.0, 20, 8e-6
+FRICTION_N, HUM_m = 5.0, 1e-4
+
+
+def moved(force_N, friction_N):
+    """Displacement of the stage, m, by semi-implicit steps; friction is a proximal step."""
+    h = 1.0 / (RATE_Hz * SUBSTEPS)
+    x = v = 0.0
+    out = np.empty(force_N.size)
+    for n, force in enumerate(force_N.tolist()):
+        out[n] = x
+        for _ in range(SUBSTEPS):
+            v += h * (force - DAMPING_Ns_m * v - STIFFNESS_N_m * x) / MASS_kg
+            v = math.copysign(max(abs(v) - h * friction_N / MASS_kg, 0.0), v)
+            x += h * v
+    return out
+
+
+def forces(rng):
+    """Two seconds of noise of 1 to 150 Hz four times, the second as the first, then a sweep, N."""
+    t = np.arange(round(2.0 * RATE_Hz)) / RATE_Hz
+    lines = np.arange(1.0, 150.0, 0.5)
+    for size in (50.0, 50.0, 50.0, 20.0):
+        wave = np.cos(2.0 * np.pi * np.outer(lines, t) + rng.uniform(0.0, 6.28, (lines.size, 1)))
+        yield size * wave.sum(axis=0) / wave.sum(axis=0).std()
+    yield 40.0 * np.sin(2.0 * np.pi * (20.0 + 10.0 * t) * t)
+
+
+def records(friction_N=0.0, hum_m=0.0):
+    rng = np.random.default_rng(3)
+    for n, force in enumerate(forces(rng)):
+        t = np.arange(force.size) / RATE_Hz
+        hum = hum_m * np.sin(2.0 * np.pi * 50.2 * t + n)
+        yield Measurement(
+            name=f"record-{n}",
+            rig="stage",
+            sampling_Hz=RATE_Hz,
+            cable_length_m=None,
+            preload_N=0.0,
+            loop="open",
+            profile="custom",
+            gains=None,
+            time_s=t,
+            setpoint_N=None,
+            current_A=force,
+            tension_N=moved(force, friction_N) + hum + NOISE_m * rng.standard_normal(t.size),
+            angle_rad=None,
+            reference_N=None,
+            flags=None,
+        )
+
+
+@pytest.mark.parametrize(
+    ("hidden", "name", "truth"),
+    [
+        ({"friction_N": FRICTION_N}, "coulomb_friction", FRICTION_N),
+        ({"hum_m": HUM_m}, "mains_interference", HUM_m),
+        ({}, None, None),
+    ],
+    ids=str,
+)
+def test_what_a_system_of_python_control_lacks_is_told_in_its_own_units(hidden, name, truth):
+    found = plants.explain(BELIEVED, list(records(**hidden)))
+    if name is None:
+        assert found.verdict == "none"
+        return
+    assert (found.verdict, [effect.name for effect in found.effects]) == ("named", [name])
+    said = re.search(r"([\d.e-]+) in the (?:input|output)'s unit", found.sentence)
+    assert float(said[1]) == pytest.approx(truth, rel=0.05)
+    assert found.ratio_after < 1.2
