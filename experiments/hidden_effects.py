@@ -158,6 +158,7 @@ def summary(rows: list[Row]) -> dict[str, float]:
     single = [row for row in of(rows, *SINGLE) if row.visible]
     plain = [row for row in of(rows, "plain") if row.visible]
     two = [row for row in of(rows, "two") if row.visible]
+    both_visible = [row for row in two if row.each_visible]
     right = [row for row in single if row.right]
     held = [one.holds for row in rows if row.right for one in row.intervals]
     calibrated = [one.holds for row in rows if row.right for one in row.calibrations]
@@ -185,6 +186,8 @@ def summary(rows: list[Row]) -> dict[str, float]:
         "left_out_misnamed": rate(of(rows, "left_out"), lambda row: row.wrong_name),
         "two_exact": rate(two, lambda row: row.right),
         "two_both_found": rate(two, lambda row: row.both_found),
+        "two_each_visible_alone": float(len(both_visible)),
+        "two_both_found_of_these": rate(both_visible, lambda row: row.both_found),
         "noise5_wrong_names": float(sum(row.wrong_name for row in of(rows, "noise5"))),
         "median_gap_closed": middle([row.gap_closed for row in right]),
         "median_free_run_ratio": middle([row.rms_ratio for row in right]),

@@ -47,9 +47,16 @@ class Held:
         return self.low <= self.true <= self.high
 
 
+VISIBLE = 1.5
+"""Least gap, in floors, of a case that counts."""
+
+
 @dataclass(frozen=True)
 class Row:
-    """One case: what was hidden, what was said, and how well the model then fits."""
+    """One case: what was hidden, what was said, and how well the model then fits.
+
+    `alone` is the gap that each of two effects makes without the other, in floors.
+    """
 
     seed: int
     variant: str
@@ -63,6 +70,7 @@ class Row:
     right_family: bool = False
     both_found: bool = False
     wrong_name: bool = False
+    alone: tuple[float, ...] = ()
     ratio_before: float = float("nan")
     ratio_after: float = float("nan")
     closure: float = float("nan")
@@ -76,7 +84,12 @@ class Row:
     @property
     def visible(self) -> bool:
         """Whether the gap is at least one and a half floors; a failure is never overlooked."""
-        return bool(self.error) or self.ratio_before >= 1.5
+        return bool(self.error) or self.ratio_before >= VISIBLE
+
+    @property
+    def each_visible(self) -> bool:
+        """Whether each of two effects makes such a gap by itself."""
+        return self.visible and min(self.alone, default=0.0) >= VISIBLE
 
     @property
     def gap_closed(self) -> float:
@@ -93,8 +106,8 @@ class Row:
         """The row that `as_json` wrote."""
         known = {f.name for f in fields(cls)}
         values = {name: value for name, value in found.items() if name in known}
-        for name in ("truth", "found", "ambiguous"):
-            values[name] = tuple(values[name])
+        for name in ("truth", "found", "ambiguous", "alone"):
+            values[name] = tuple(values.get(name, ()))
         for name in ("intervals", "calibrations"):
             values[name] = tuple(Held(**held) for held in values[name])
         return cls(**values)
@@ -150,6 +163,8 @@ def diagnose(task: Task) -> Row:
         in_catalogue=secret.named and task.variant != "left_out",
     )
     records = [measurement(record) for record in case.records]
+    if task.variant == "two":
+        row = replace(row, alone=tuple(_gap_alone(task, name) for name in secret.names))
     wall, cpu = time.perf_counter(), time.process_time()
     try:
         answer = plants.explain(model(case), records, effects=choice(case, secret))
@@ -157,6 +172,13 @@ def diagnose(task: Task) -> Row:
         return replace(row, error=traceback.format_exc(limit=-4))
     cpu, wall = time.process_time() - cpu, time.perf_counter() - wall
     return score(answer, secret, replace(row, cpu_s=cpu, wall_s=wall))
+
+
+def _gap_alone(task: Task, name: str) -> float:
+    """Gap that one of the effects hidden makes where it acts without the other, in floors."""
+    case, _ = hidden.draw(task.seed, task.variant, task.effect, only=name)
+    records = [measurement(record) for record in case.records]
+    return float(plants.explain(model(case), records, effects=[]).ratio_before)
 
 
 def score(answer: Any, secret: hidden.Secret, row: Row) -> Row:

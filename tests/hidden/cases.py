@@ -115,13 +115,16 @@ class Secret:
     accepted: tuple[tuple[str, ...], ...]
 
 
-def draw(seed: int, variant: str = "plain", effect: str | None = None) -> tuple[Case, Secret]:
+def draw(
+    seed: int, variant: str = "plain", effect: str | None = None, *, only: str | None = None
+) -> tuple[Case, Secret]:
     """Draws a case.
 
     Args:
         seed: All chance comes from it and the variant.
         variant: One of `VARIANTS`.
         effect: Slug to hide instead of one drawn; several joined by +.
+        only: Of the effects drawn the one that acts, all else as it is with the others.
     """
     if variant not in VARIANTS:
         raise ValueError(f"{variant!r} is none of {VARIANTS}")
@@ -131,6 +134,7 @@ def draw(seed: int, variant: str = "plain", effect: str | None = None) -> tuple[
     rng = np.random.default_rng([zlib.crc32(variant.encode()), seed, 0])
     believed = _believed(rng, variant, names)
     hidden = tuple((CATALOGUE | OUTSIDE)[name](own, believed) for name in names)
+    hidden = tuple(one for one in hidden if only in (None, one.name))
     if set(names) & set(AS_BELIEVED):
         actual = bases.as_believed(rng, believed)
     else:
@@ -162,11 +166,11 @@ def draw(seed: int, variant: str = "plain", effect: str | None = None) -> tuple[
         records.append(taken)
     case = Case(variant, believed.kind, believed.given(), tuple(records))
     secret = Secret(
-        tuple(sorted(names)),
+        tuple(sorted(one.name for one in hidden)),
         {one.name: one.truth for one in hidden},
         bases.facts(actual),
-        named=all(name in CATALOGUE for name in names),
-        accepted=_accepted(tuple(sorted(names)), believed.kind),
+        named=all(one.name in CATALOGUE for one in hidden),
+        accepted=_accepted(tuple(sorted(one.name for one in hidden)), believed.kind),
     )
     return case, secret
 
