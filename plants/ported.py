@@ -302,7 +302,7 @@ class _Plant(NamedTuple):
         """
         n, c = self.base.order, self.c
         if self.base.is_drum:
-            return ca.vertcat(to, x[n:, :])
+            return self.stages.put(ca.vertcat(to, x[n:, :]), to[0])
         _, output = self._unread(x, to[0])
         wanted = [output, *(to[k] / c.angle_unit for k in range(1, n))]
         row, states = ca.densify(c.C), ca.SX.zeros(n)

@@ -143,7 +143,7 @@ class ReelPath(NamedTuple):
         angle = ca.SX.sym("angle")
         slope = ca.substitute(ca.jacobian(self._pull(x, angle), angle), angle, to[0])
         gauge = x[READING:STATES] + ca.vertcat(after - before, slope * (to[1] - x[OMEGA]))
-        return ca.vertcat(to, gauge, x[STATES:])
+        return self.stages.put(ca.vertcat(to, gauge, x[STATES:]), to[0])
 
     def _pull(self, x: Expression, angle: Expression) -> Expression:
         """Tension at the drum at an angle, as the effects remember it in a state."""

@@ -92,6 +92,12 @@ class Stages:
             torque = torque + added
         return x, torque
 
+    def put(self, x: Expression, angle_rad: Expression) -> Expression:
+        """State of a drum that is put at an angle, with what the effects then remember."""
+        for effect, p, own in self._places:
+            x = _with(x, own, effect.put(p, x[own, :], angle_rad))
+        return x
+
     def _at(self, port: Port) -> Iterator[Place]:
         return (place for place in self._places if port in place.effect.ports())
 

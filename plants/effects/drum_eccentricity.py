@@ -66,3 +66,12 @@ class DrumEccentricity(Effect):
         if site.port is Port.DRUM:
             return place, -p.arm_m * place[1] * site.tension_N
         return place, signal - p.swing_N * place[0] + p.taut_N
+
+    @staticmethod
+    def put(
+        p: SimpleNamespace,
+        state: Signal,  # noqa: ARG004  it is the angle
+        angle_rad: Signal,
+    ) -> Signal:
+        """The angle there."""
+        return turning.noted(angle_rad + p.phase_rad)

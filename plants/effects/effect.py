@@ -105,6 +105,8 @@ class Effect(ABC):
             does: it is then visited after those that do not.
         by_tension: Whether it turns on the tension there is, not on changes of it: beside it an
             offset of the torque looks unlike one of the gauge.
+        repeats: Name of the parameter that says how often it repeats in a turn of the drum, where
+            it is a wave over the angle.
         smooth: Whether the trial has a derivative by the parameters that is worth following.
 
     Raises:
@@ -119,6 +121,7 @@ class Effect(ABC):
     states: ClassVar[int] = 0
     resists: ClassVar[bool] = False
     by_tension: ClassVar[bool] = False
+    repeats: ClassVar[str] = ""
     smooth: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
@@ -213,6 +216,21 @@ class Effect(ABC):
             effect adds.
         """
         return state, (0.0 if site.port is Port.DRUM else signal)
+
+    @staticmethod
+    def put(
+        p: SimpleNamespace,  # noqa: ARG004  most effects remember nothing of the angle
+        state: Signal,
+        angle_rad: Signal,  # noqa: ARG004
+    ) -> Signal:
+        """What the effect remembers once the drum is put at an angle, from what it did before.
+
+        Args:
+            p: The parameters by name, and what `prepare` added to them.
+            state: What it remembered.
+            angle_rad: The drum's angle from now on.
+        """
+        return state
 
     @classmethod
     def ports(cls) -> tuple[Port, ...]:

@@ -15,7 +15,7 @@ class TorqueRipple(Effect):
     Attributes:
         amplitude_Nm: Amplitude A, N m.
         per_turn: Periods N in a turn of the drum.
-        phase_rad: Phase phi where the cable is just taut, rad.
+        phase_rad: Phase phi where the cable is just taut, or the encoder reads zero, rad.
     """
 
     name: ClassVar[str] = "torque_ripple"
@@ -26,6 +26,7 @@ class TorqueRipple(Effect):
     )
     port: ClassVar[Port] = Port.DRUM
     states: ClassVar[int] = turning.STATES
+    repeats: ClassVar[str] = "per_turn"
 
     amplitude_Nm: float = parameter(0.01, low=0.0, high=1e3, unit="N m", neutral=0.0)
     per_turn: float = parameter(24.0, low=3.0, high=1e4, unit="")
@@ -52,3 +53,12 @@ class TorqueRipple(Effect):
         """The same at the angle of rest."""
         phase = turning.noted(p.per_turn * site.angle_rad + p.phase_rad)
         return phase, -p.amplitude_Nm * phase[0]
+
+    @staticmethod
+    def put(
+        p: SimpleNamespace,
+        state: Signal,  # noqa: ARG004  it is the phase
+        angle_rad: Signal,
+    ) -> Signal:
+        """The phase there."""
+        return turning.noted(p.per_turn * angle_rad + p.phase_rad)

@@ -104,6 +104,23 @@ class DiagnosedDrum(Diagnosed):
             Slot(offset, f"{CALIBRATION}.torque_offset_Nm"),
         ]
 
+    def slots(self, added: Sequence[type[Effect]]) -> list[Slot]:
+        """As of any model; each record's zero of the encoder where there is a wave over the angle.
+
+        An encoder that counts steps begins to count wherever the drum stands when it is switched
+        on, so that the wave has another phase in each record.
+        """
+        found = super().slots(added)
+        own = (type(effect) for effect in self.effects)
+        turning = [n for n, m in enumerate(self.measurements) if m.angle_rad is not None]
+        if len(turning) < 2 or not any(effect.repeats for effect in (*own, *added)):
+            return found
+        for n in turning:
+            middle = float(np.mean(self.measurements[n].angle_rad))
+            free = either_way(f"encoder_zero_rad[{n}]", "rad", middle, 2.0 * math.pi, f"record {n}")
+            found.append(self._started(Slot(free, "angle_zero", record=n)))
+        return found
+
     def local(self, measurement: Measurement) -> Local:
         """Angle and velocity under a torque that is held constant."""
         del measurement

@@ -20,6 +20,8 @@ from plants.effects import Effect, Port
 
 SHIFTS = np.array([0.0, *(sign * 3.0**n for n in range(6) for sign in (-1, 1))])
 """Shifts of a record's own value, in floors of change, among which the best is begun with."""
+TURNS = np.arange(8) / 8.0
+"""Shares of a period by which a record's wave is turned, among which the best is begun with."""
 TRYOUT = 1
 """Rounds of each start before the best is gone on with."""
 
@@ -164,6 +166,7 @@ class Bench:
             moves: Numbers of the values that may move.
             entries: Numbers of the entries that tell.
         """
+        rows = self._turned(predictor, rows, moves, entries)
         bends = {Port.CABLE, Port.EYELET}
         if not any(bends & set(effect.ports()) for effect in self.effects_of(predictor)):
             return rows
@@ -187,6 +190,42 @@ class Bench:
             best = squares.reshape(len(rows), SHIFTS.size, -1).argmin(axis=1)
             rows = rows.copy()
             rows[:, places] += SHIFTS[best[:, np.searchsorted(found, records)]] / steepness
+        return rows
+
+    def _turned(
+        self, predictor: Predictor, rows: FloatArray, moves: Numbers, entries: Numbers
+    ) -> FloatArray:
+        """Rows with each record's zero of the angle where a wave over it leaves the least.
+
+        Only where nothing but the wave tells the zero.
+
+        Args:
+            predictor: The model.
+            rows: Values, shape (rows, free).
+            moves: Numbers of the values that may move.
+            entries: Numbers of the entries that tell.
+        """
+        known = {f.name for f in self.base.free}
+        own = {_record(predictor.free[n].owner): n for n in moves.tolist()}
+        places = {k: n for k, n in own.items() if k is not None and predictor.free[n].name not in known}
+        waves = [e for e in self.effects_of(predictor) if e.repeats]
+        if not places or not waves:
+            return rows
+        per_turn = next(
+            n for n, f in enumerate(predictor.free) if f.name == f"{waves[-1].name}.{waves[-1].repeats}"
+        )
+        records, columns = np.array(list(places)), np.array(list(places.values()))
+        mine = entries[np.isin(predictor.index.measurement[entries], records)]
+        found, first = np.unique(predictor.index.measurement[mine], return_index=True)
+        turned = np.repeat(rows, TURNS.size, axis=0)
+        period = 2.0 * math.pi / turned[:, per_turn]
+        turned[:, columns] += (np.tile(TURNS, len(rows)) * period)[:, None]
+        squares = np.add.reduceat(predictor.residuals(turned, mine) ** 2, first, axis=1)
+        best = squares.reshape(len(rows), TURNS.size, -1).argmin(axis=1)
+        rows = rows.copy()
+        rows[:, columns] += TURNS[best[:, np.searchsorted(found, records)]] * (
+            2.0 * math.pi / rows[:, per_turn, None]
+        )
         return rows
 
     def further(self, attempt: Attempt) -> Attempt:
