@@ -268,7 +268,7 @@ class Bench:
         predictor = attempt.fitted.predictor
         entries = self.dealt.where(FIT, RANK)
         moves = np.union1d(attempt.fitted.moved, self._own(predictor, RANK))
-        return fit(predictor, attempt.fitted.values, moves, entries)
+        return fit(predictor, self.settled(attempt.fitted, RANK).values, moves, entries)
 
     def effects_of(self, predictor: Predictor) -> Effects:
         """The effects a predictor adds."""

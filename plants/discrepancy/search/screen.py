@@ -204,6 +204,9 @@ class _Probe:
         self.column = {name: place[f"{effect.name}.{name}"] for name in self.declared}
         self.sizes = [name for name, p in self.declared.items() if p.neutral is not None]
         self.phases = [n for n, p in self.declared.items() if p.neutral is None and p.is_phase]
+        # A wave over an angle whose zero each record has for itself, and nothing else tells.
+        own = (f.name for f in predictor.free if f.owner.startswith("record "))
+        self.loose = bool(effect.repeats) and any(name not in seen.values for name in own)
         self.off = predictor.row(seen.values)
         for name in self.sizes:
             self.off[self.column[name]] = self.declared[name].neutral
@@ -263,14 +266,41 @@ class _Probe:
             for phase in self._turns()
         ]
         changes = self._changes(np.array(rows))
-        products = self.seen.against(changes)
         each = len(rows) // len(combinations)
-        ways = []
-        for n, (tried, shape) in enumerate(combinations):
-            block = slice(n * each, (n + 1) * each)
-            share, weights = products.of(block).explained(only_up=self._only_up(tried))
-            ways.append(_Way(share, self._start(shape, tried, weights), changes[block]))
+        blocks = [slice(n, n + each) for n in range(0, len(rows), each)]
+        if self.loose:
+            found = [self._turned(changes[block]) for block in blocks]
+        else:
+            products = self.seen.against(changes)
+            ups = [self._only_up(tried) for tried, _ in combinations]
+            found = [products.of(b).explained(only_up=up) for b, up in zip(blocks, ups, strict=True)]
+        ways = [
+            _Way(share, self._start(shape, tried, weights), changes[block])
+            for (tried, shape), block, (share, weights) in zip(
+                combinations, blocks, found, strict=True
+            )
+        ]
         return ways, reach
+
+    def _turned(self, changes: FloatArray) -> tuple[float, FloatArray]:
+        """Share of the residual that a wave explains whose phase each record has for itself.
+
+        Args:
+            changes: What its sine and its cosine change, shape (2, screened).
+
+        Returns:
+            The share, and the weights of both for the amplitude that the records have in common.
+        """
+        record = self.predictor.index.measurement[self.seen.entries]
+        records = np.unique(record)
+        apart = changes[:, None, :] * (record == records[:, None])
+        products = self.seen.against(apart.reshape(-1, record.size))
+        share, weights = products.explained(only_up=False)
+        size2 = np.sum(weights.reshape(2, -1) ** 2, axis=0)
+        # As much as a record shows of it.
+        shown = np.sum(products.rms.reshape(2, -1) ** 2, axis=0)
+        amplitude = math.sqrt(float(size2 @ shown) / max(float(shown.sum()), 1e-300))
+        return share, np.array([amplitude, 0.0])
 
     def _sizes(self) -> tuple[list[dict[str, float]], float]:
         """Sizes that move the residual by about what it is, and more; how far the usual does."""
