@@ -72,12 +72,14 @@ def explain(
             break
         hum, (bench, base) = line, _base(model, line.measurements, noise)
     where = _where(bench, base, noise)
-    found = search(bench, base, choice.structural, suggestions(measurements, where))
+    suggest = suggestions(measurements, where, base.values)
+    found = search(bench, base, choice.structural, suggest)
     if hum is not None and found.best.effects and not _still(humming, found.best):
         # The line was what the effects do.
         hum, (bench, base) = None, humming
         where = _where(bench, base, noise)
-        found = search(bench, base, choice.structural, suggestions(measurements, where))
+        suggest = suggestions(measurements, where, base.values)
+        found = search(bench, base, choice.structural, suggest)
     judged = judge(found)
     wrong = None
     if judged.verdict == "none" and hum is None:

@@ -1,35 +1,35 @@
 """What the base model's residual suggests for frequencies and periods, before any fit."""
 
-import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from estune.trial import FloatArray
 from plants.discrepancy.data.noise import step_of
 from plants.discrepancy.data.record import Measurement
 from plants.discrepancy.residual.where import Block, Where
+from plants.discrepancy.search.periods import Turning, per_turn
 from plants.discrepancy.search.screen import Suggest
 
 PEAKS = 3
-"""Peaks taken of a spectrum or a periodogram."""
-ORDERS = 400
-"""Periods per turn that are tried: a quarter of a period apart in all the turning there is."""
-SAMPLES = 20_000
-"""Samples that the periodogram over the angle looks at."""
+"""Peaks taken of a spectrum."""
+FEWEST = 4
+"""Fewest samples of a record that are looked at for a wave over the angle."""
 
 
-def suggestions(measurements: Sequence[Measurement], where: Where) -> Suggest:
+def suggestions(
+    measurements: Sequence[Measurement], where: Where, values: Mapping[str, float]
+) -> Suggest:
     """From `slug.parameter` to values to begin with.
 
     Args:
         measurements: The records.
         where: Where the base model's residual lives.
+        values: The base fit's values, by name.
     """
     frequencies = sorted({f for block in where.blocks for f in _spectral_peaks(block)})
     lengths = [m.cable_length_m for m in measurements if m.cable_length_m]
     known = {
-        "torque_ripple.per_turn": _orders(measurements, where),
+        "torque_ripple.per_turn": _per_turn(measurements, where, values),
         "string_mode.density_kg_m": [
             # (31): f = 1/(2 L) sqrt(T/mu)
             float(np.median([m.preload_N for m in measurements]))
@@ -56,43 +56,24 @@ def _spectral_peaks(block: Block) -> list[float]:
     return [float(block.frequency_Hz[n]) for n in best if height[n] > 2.0]
 
 
-def _orders(measurements: Sequence[Measurement], where: Where) -> list[float]:
-    """Periods per turn that the force block's residual follows, whatever the phase in a record."""
+def _per_turn(
+    measurements: Sequence[Measurement], where: Where, values: Mapping[str, float]
+) -> list[float]:
+    """Periods per turn that the torque balance's residual follows."""
     block = next((b for b in where.blocks if b.name in ("force", "plant")), None)
     if block is None:
         return []
-    pairs: list[tuple[FloatArray, FloatArray]] = []
-    for m, residual in zip(measurements, block.residual, strict=True):
-        if m.angle_rad is None:
+    common: list[Turning] = []
+    turnings: list[Turning] = []
+    read = 0.0
+    for n, (m, residual) in enumerate(zip(measurements, block.residual, strict=True)):
+        inside = np.isfinite(residual)
+        if m.angle_rad is None or inside.sum() < FEWEST:
             continue
-        inside = np.flatnonzero(np.isfinite(residual))
-        inside = inside[:: max(1, inside.size * len(measurements) // SAMPLES)]
-        if inside.size > 3:
-            pairs.append((m.angle_rad[inside], _straight(m.angle_rad[inside], residual[inside])))
-    extent = max((float(np.ptp(angle)) for angle, _ in pairs), default=0.0)
-    if extent == 0.0:
-        return []
-    # From one period in all the turning there is, to as fine as a hundredth of it.
-    step = 0.5 * math.pi / extent
-    orders = 4.0 * step + step * np.arange(ORDERS)
-    # An angle read in steps shows no period below two of them.
-    read = max(step_of(m.angle_rad) for m in measurements if m.angle_rad is not None)
-    orders = orders[orders * read < math.pi]
-    power = np.zeros(orders.size)
-    for angle, residual in pairs:
-        turned = angle - angle.mean()
-        wave, further = residual * np.exp(1j * orders[0] * turned), np.exp(1j * step * turned)
-        for n in range(orders.size):
-            power[n] += abs(wave.sum()) ** 2 / angle.size
-            wave *= further
-    inner = np.arange(1, orders.size - 1)
-    peaks = inner[(power[inner] > power[inner - 1]) & (power[inner] > power[inner + 1])]
-    best = peaks[np.argsort(-power[peaks])][:PEAKS]
-    return [float(orders[n]) for n in best]
-
-
-def _straight(angle: FloatArray, residual: FloatArray) -> FloatArray:
-    """A residual less its straight line over the angle."""
-    columns = np.stack([np.ones(angle.size), angle - angle.mean()], axis=1)
-    left: FloatArray = residual - columns @ np.linalg.lstsq(columns, residual, rcond=None)[0]
-    return left
+        read = max(read, step_of(m.angle_rad))
+        zero = values.get(f"encoder_zero_rad[{n}]")
+        one = Turning(m.angle_rad[inside] - (zero or 0.0), residual[inside])
+        (turnings if zero is None else common).append(one)
+    if common:
+        turnings.append(Turning(*map(np.concatenate, zip(*common, strict=True))))
+    return per_turn(turnings, read)
