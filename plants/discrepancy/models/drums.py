@@ -112,12 +112,13 @@ class DiagnosedDrum(Diagnosed):
         """
         found = super().slots(added)
         own = (type(effect) for effect in self.effects)
-        turning = [n for n, m in enumerate(self.measurements) if m.angle_rad is not None]
+        angles = [(n, m.angle_rad) for n, m in enumerate(self.measurements)]
+        turning = [(n, angle) for n, angle in angles if angle is not None]
         if len(turning) < 2 or not any(effect.repeats for effect in (*own, *added)):
             return found
-        for n in turning:
-            middle = float(np.mean(self.measurements[n].angle_rad))
-            free = either_way(f"encoder_zero_rad[{n}]", "rad", middle, 2.0 * math.pi, f"record {n}")
+        for n, angle in turning:
+            middle, name = float(angle.mean()), f"encoder_zero_rad[{n}]"
+            free = either_way(name, "rad", middle, 2.0 * math.pi, f"record {n}")
             found.append(self._started(Slot(free, "angle_zero", record=n)))
         return found
 

@@ -205,27 +205,26 @@ class Bench:
             moves: Numbers of the values that may move.
             entries: Numbers of the entries that tell.
         """
-        known = {f.name for f in self.base.free}
-        own = {_record(predictor.free[n].owner): n for n in moves.tolist()}
-        places = {k: n for k, n in own.items() if k is not None and predictor.free[n].name not in known}
-        waves = [e for e in self.effects_of(predictor) if e.repeats]
-        if not places or not waves:
+        known, free = {f.name for f in self.base.free}, predictor.free
+        places = {
+            record: n
+            for n in moves.tolist()
+            if (record := _record(free[n].owner)) is not None and free[n].name not in known
+        }
+        waves = {f"{e.name}.{e.repeats}" for e in self.effects_of(predictor) if e.repeats}
+        repeats = [n for n, f in enumerate(free) if f.name in waves]
+        if not places or not repeats:
             return rows
-        per_turn = next(
-            n for n, f in enumerate(predictor.free) if f.name == f"{waves[-1].name}.{waves[-1].repeats}"
-        )
+        period = 2.0 * math.pi / rows[:, repeats[-1]]
         records, columns = np.array(list(places)), np.array(list(places.values()))
         mine = entries[np.isin(predictor.index.measurement[entries], records)]
         found, first = np.unique(predictor.index.measurement[mine], return_index=True)
         turned = np.repeat(rows, TURNS.size, axis=0)
-        period = 2.0 * math.pi / turned[:, per_turn]
-        turned[:, columns] += (np.tile(TURNS, len(rows)) * period)[:, None]
+        turned[:, columns] += np.outer(period, TURNS).reshape(-1, 1)
         squares = np.add.reduceat(predictor.residuals(turned, mine) ** 2, first, axis=1)
         best = squares.reshape(len(rows), TURNS.size, -1).argmin(axis=1)
         rows = rows.copy()
-        rows[:, columns] += TURNS[best[:, np.searchsorted(found, records)]] * (
-            2.0 * math.pi / rows[:, per_turn, None]
-        )
+        rows[:, columns] += TURNS[best[:, np.searchsorted(found, records)]] * period[:, None]
         return rows
 
     def further(self, attempt: Attempt) -> Attempt:

@@ -271,9 +271,11 @@ class _Probe:
         if self.loose:
             found = [self._turned(changes[block]) for block in blocks]
         else:
-            products = self.seen.against(changes)
-            ups = [self._only_up(tried) for tried, _ in combinations]
-            found = [products.of(b).explained(only_up=up) for b, up in zip(blocks, ups, strict=True)]
+            all_ = self.seen.against(changes)
+            found = [
+                all_.of(block).explained(only_up=self._only_up(tried))
+                for block, (tried, _) in zip(blocks, combinations, strict=True)
+            ]
         ways = [
             _Way(share, self._start(shape, tried, weights), changes[block])
             for (tried, shape), block, (share, weights) in zip(

@@ -1,5 +1,6 @@
 """What the base model's residual suggests for frequencies and periods, before any fit."""
 
+import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -12,6 +13,8 @@ from plants.discrepancy.search.screen import Suggest
 
 PEAKS = 3
 """Peaks taken of a spectrum."""
+FEW = np.array([1.0, 1.5, 2.0, 3.0, 4.0])
+"""Periods in all the turning there is that are tried at any rate."""
 FEWEST = 4
 """Fewest samples of a record that are looked at for a wave over the angle."""
 
@@ -74,6 +77,9 @@ def _per_turn(
         zero = values.get(f"encoder_zero_rad[{n}]")
         one = Turning(m.angle_rad[inside] - (zero or 0.0), residual[inside])
         (turnings if zero is None else common).append(one)
-    if common:
-        turnings.append(Turning(*map(np.concatenate, zip(*common, strict=True))))
-    return per_turn(turnings, read)
+    if not common:
+        return per_turn(turnings, read)
+    joined = Turning(*map(np.concatenate, zip(*common, strict=True)))
+    # What friction hides here shows in predictions.
+    few = 2.0 * math.pi / float(np.ptp(joined.angle_rad)) * FEW
+    return [*per_turn([*turnings, joined], read), *few.tolist()]
