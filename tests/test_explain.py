@@ -111,6 +111,14 @@ def test_a_drum_that_is_as_its_owner_believes_is_left_alone_and_the_answer_comes
     assert first.to_json() == again.to_json()
 
 
+def test_a_wave_over_the_angle_is_found_in_records_that_each_count_from_their_own_zero():
+    row = diagnose(Task(5, "unloaded", "torque_ripple"))
+    assert not row.error
+    assert (row.verdict, row.found) == ("named", ("torque_ripple",))
+    (repeats,) = [held for held in row.intervals if held.name == "torque_ripple.per_turn"]
+    assert repeats.value == pytest.approx(repeats.true, rel=0.02)
+
+
 def test_records_of_another_rig_are_left_out_by_name():
     given, records = drawn(501, "none_unloaded")
     stray = replace(records[0], rig="another", name="stray", source="stray")

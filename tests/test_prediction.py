@@ -23,6 +23,7 @@ from plants.effects import (
     EyeletFriction,
     GaugeOffset,
     StribeckFriction,
+    TorqueRipple,
 )
 
 GAINS = Gains(0.4, 12.0, 0.01, 0.03)
@@ -470,6 +471,20 @@ def test_an_unloaded_reel_is_predicted_as_it_runs():
     row = predictor.row({"coulomb_friction.torque_Nm": 0.05, "torque_offset_Nm": 0.01})
     again = plants.simulate(fitted, GAINS, push).angle_rad
     assert predictor.predict(row[None])[0].angle_rad[0] == pytest.approx(again, abs=1e-9)
+
+
+def test_a_wave_has_its_phase_wherever_an_encoder_begins_to_count():
+    ripple = TorqueRipple(0.005, 46.0, 0.7)
+    reel = plants.unloaded_reel(encoder_counts=1e12) + ripple
+    push, zeros = ChirpProfile(0.0, 20.0, 1.0, 8.0, 2.0, loop="open"), {0: 0.0, 1: 1.7}
+    first = measured(reel, push)
+    records = [first, replace(first, name="b", angle_rad=first.angle_rad + zeros[1])]
+    model = diagnosed(replace(reel, effects=()), records)
+    predictor = Predictor(model, [TorqueRipple], records, floor=SMALL)
+    own = {f"encoder_zero_rad[{n}]": zero for n, zero in zeros.items()}
+    row = predictor.row(predictor.values(truth(predictor, ripple)) | own)
+    for record, found in zip(records, predictor.predict(row[None]), strict=True):
+        assert np.abs(found.angle_rad[0] - record.angle_rad).max() < 1e-3 * np.std(first.angle_rad)
 
 
 def test_what_cannot_be_held_against_records_is_told():
