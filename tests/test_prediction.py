@@ -481,10 +481,16 @@ def test_a_wave_has_its_phase_wherever_an_encoder_begins_to_count():
     records = [first, replace(first, name="b", angle_rad=first.angle_rad + zeros[1])]
     model = diagnosed(replace(reel, effects=()), records)
     predictor = Predictor(model, [TorqueRipple], records, floor=SMALL)
-    own = {f"encoder_zero_rad[{n}]": zero for n, zero in zeros.items()}
-    row = predictor.row(predictor.values(truth(predictor, ripple)) | own)
-    for record, found in zip(records, predictor.predict(row[None]), strict=True):
-        assert np.abs(found.angle_rad[0] - record.angle_rad).max() < 1e-3 * np.std(first.angle_rad)
+    rows = predictor.start + np.zeros((2, 1))
+    for n, f in enumerate(predictor.free):
+        if f.owner == "torque_ripple":
+            rows[:, n] = getattr(ripple, f.name.rpartition(".")[2])
+        elif f.owner.startswith("record "):
+            rows[:, n] = zeros[int(f.owner.removeprefix("record "))]
+            rows[1, n] += 9.0 * 2.0 * np.pi / ripple.per_turn  # after nine periods it is the same
+    for record, found in zip(records, predictor.predict(rows), strict=True):
+        wrong = np.abs(found.angle_rad - record.angle_rad).max(axis=1)
+        assert (wrong < 1e-3 * np.std(record.angle_rad)).all()
 
 
 def test_what_cannot_be_held_against_records_is_told():
