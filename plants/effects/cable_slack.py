@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from types import SimpleNamespace
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import casadi as ca
 
@@ -16,6 +16,36 @@ NEWTON_ROUNDS = 6
 """From above on a convex law; they end within rounding of the root."""
 
 
+def straightened(stretch: Signal, slack: Signal) -> tuple[Signal, Signal]:
+    """Tension and its slope, of a cable whose linear law says a tension of stretch less slack.
+
+    Args:
+        stretch: Tension of the linear law from where the first strand holds, N.
+        slack: The slack as a tension of the linear law, N; no less than `TINY_N`.
+    """
+    x = ca.fmin(ca.fmax(stretch / slack, 0.0), 2.0)
+    late = ca.fmax(x - 1.0, 0.0)
+    toe = (1.0 / 6.0) * (x * x) * x - (1.0 / 3.0) * (late * late) * late
+    return slack * toe + ca.fmax(stretch - 2.0 * slack, 0.0), 0.5 * (x * x) - late * late
+
+
+def stretched(tension: Signal, slack: Signal) -> Signal:
+    """The stretch, as in `straightened`, at a tension: a third root, Newton's method, or the same.
+
+    Args:
+        tension: N; a cable without any has no stretch.
+        slack: As there.
+    """
+    t = ca.fmin(ca.fmax(tension, 0.0) / slack, 1.0)
+    bent = t + 1.0
+    for _ in range(NEWTON_ROUNDS):
+        left = 2.0 - bent
+        bent -= (bent - 1.0 + left**3 / 6.0 - t) / (1.0 - 0.5 * left**2)
+    early = (6.0 * t + TINY_N) ** (1.0 / 3.0)
+    toe = slack * ca.if_else(6.0 * t > 1.0, bent, early)
+    return ca.if_else(tension > slack, tension + slack, toe)
+
+
 @dataclass(frozen=True)
 class CableSlack(Effect):
     """Extra length taken up before the cable holds, as of loose windings that bed in.
@@ -26,7 +56,8 @@ class CableSlack(Effect):
     cable holds. Strands come taut one after the other (sequential straightening and loading,
     Kastelic, Palley & Baer 1980), over lengths spread as a triangle between -s and s, most of
     them about where the reel's own cable, which holds at once, is just taut. So nothing but the
-    toe is another: what is known of the taut cable need not change with the slack.
+    toe is another: what is known of the taut cable need not change with the slack. Where the own
+    weight is reckoned with at any tension, the toe is in that law, and nothing is done here.
 
     Attributes:
         slack_m: The slack s that the cable has where the straight law says it is just taut, m.
@@ -39,14 +70,22 @@ class CableSlack(Effect):
         "well above, the cable is as stiff as ever"
     )
     port: ClassVar[Port] = Port.CABLE
+    by_tension: ClassVar[bool] = True
 
     slack_m: float = parameter(5e-4, low=0.0, high=0.05, unit="m", neutral=0.0)
 
     @staticmethod
+    def amend(p: SimpleNamespace, reel: SimpleNamespace) -> dict[str, Any]:
+        """The slack, for a reel whose own weight sags at any tension."""
+        return {"slack_m": vars(reel).get("slack_m", 0.0) + p.slack_m}
+
+    @staticmethod
     def prepare(p: SimpleNamespace, reel: SimpleNamespace) -> dict[str, Signal]:
         """The slack as a tension of the linear law, N."""
-        slack = p.slack_m * reel.stiffness_N_m + TINY_N
-        return {"slack_N": slack, "per_N": 1.0 / slack}
+        return {
+            "slack_N": p.slack_m * reel.stiffness_N_m + TINY_N,
+            "done": vars(reel).get("sags_in_full", 0.0),
+        }
 
     @staticmethod
     def respond(
@@ -56,10 +95,8 @@ class CableSlack(Effect):
         site: Site,  # noqa: ARG004  the law is the same at all times
     ) -> tuple[Signal, Signal]:
         """The tension; a slack cable stays slack."""
-        x = ca.fmin(ca.fmax(1.0 + signal * p.per_N, 0.0), 2.0)
-        late = ca.fmax(x - 1.0, 0.0)
-        toe = (1.0 / 6.0) * (x * x) * x - (1.0 / 3.0) * (late * late) * late
-        return state, p.slack_N * toe + ca.fmax(signal - p.slack_N, 0.0)
+        tension, _ = straightened(signal + p.slack_N, p.slack_N)
+        return state, tension + p.done * (signal - tension)
 
     @staticmethod
     def rest(
@@ -68,12 +105,6 @@ class CableSlack(Effect):
         signal: Signal,
         site: Site,  # noqa: ARG004  the law is the same at all times
     ) -> tuple[Signal, Signal]:
-        """The linear law's tension: a third root, Newton's method, or the same."""
-        t = ca.fmin(ca.fmax(signal, 0.0) * p.per_N, 1.0)
-        bent = t + 1.0
-        for _ in range(NEWTON_ROUNDS):
-            left = 2.0 - bent
-            bent -= (bent - 1.0 + left**3 / 6.0 - t) / (1.0 - 0.5 * left**2)
-        early = (6.0 * t + TINY_N) ** (1.0 / 3.0)
-        toe = p.slack_N * (ca.if_else(6.0 * t > 1.0, bent, early) - 1.0)
-        return state, ca.if_else(signal > p.slack_N, signal, toe)
+        """The linear law's tension."""
+        linear = stretched(signal, p.slack_N) - p.slack_N
+        return state, linear + p.done * (signal - linear)

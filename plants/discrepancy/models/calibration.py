@@ -7,6 +7,7 @@ from typing import Any, ClassVar
 import casadi as ca
 
 from plants.effects import Effect, Port, Signal, Site, parameter
+from plants.effects.cable_slack import TINY_N, straightened, stretched
 
 TINY_N3 = 1e-30
 """Keeps the third root differentiable where there is no weight."""
@@ -72,11 +73,13 @@ class SaggingCalibration(Calibration):
     Sag takes up q/T^2 of length (Irvine 1981), of which the linear law l = k R theta has the slope
     of the own weight w at the preload T_0, so that a = 1 - k w^2 L^3/(12 T_0^3). The root is found
     anew in each substep by one step of Newton's method. What `plants.effects.CableWeight` adds,
-    dw, is reckoned with here.
+    dw, is reckoned with here, and so is what `plants.effects.CableSlack` takes up: sag beside
+    slack lengthens the cable, so that a T is of the stretch that the straightened strands have.
     """
 
     also: ClassVar[tuple[Port, ...]] = (Port.GAUGE, Port.CABLE)
     states: ClassVar[int] = 2
+    by_tension: ClassVar[bool] = True
 
     @staticmethod
     def amend(p: SimpleNamespace, reel: SimpleNamespace) -> dict[str, Any]:
@@ -85,16 +88,19 @@ class SaggingCalibration(Calibration):
 
     @staticmethod
     def prepare(p: SimpleNamespace, reel: SimpleNamespace) -> dict[str, Signal]:
-        """The constants a, Q in N^3, and what is added to l."""
+        """The constants a, Q in N^3, what is added to l, and the slack in N."""
         del p
         unit = reel.stiffness_N_m * reel.gravity_m_s2**2 * reel.cable_length_m**3 / 24.0
         own, added = reel.cable_density_kg_m, vars(reel).get("added_density_kg_m", 0.0)
         Q = unit * (own + added) ** 2 + TINY_N3
         a, preload = 1.0 - 2.0 * unit * own**2 / reel.preload_N**3, reel.preload_N
-        return {
+        slack = {}
+        if "slack_m" in vars(reel):
+            # What is taut has the stiffness without sag, k/a.
+            slack["slack_N"] = reel.slack_m * reel.stiffness_N_m / a + TINY_N
+        return slack | {
             "a": a,
-            "twice": 2.0 * Q,
-            "thrice": 3.0 * Q,
+            "Q": Q,
             "root": (Q / a) ** (1.0 / 3.0),
             "shift": a * preload - Q / preload**2 - preload,
         }
@@ -107,13 +113,14 @@ class SaggingCalibration(Calibration):
         if site.port is not Port.CABLE:
             _, changed = Calibration.respond(p, state, signal, site)
             return state, changed
-        s = signal + p.shift
+        s, slack = signal + p.shift, vars(p).get("slack_N", 0.0)
         start = ca.fmax(2.0 * state[0] - state[1], 0.125 * state[0])
-        square = start * start
-        found = start * (p.thrice + s * square) / (p.a * square * start + p.twice)
+        tension, slope = _straightened(p, start)
+        beyond = (p.a * (start - slack) - s) * tension**2 - p.Q
+        found = start - beyond * tension / (p.a * tension**3 + 2.0 * p.Q * slope)
         # The root lies above s/a, and stays above zero in however fast a fall.
-        found = ca.fmax(ca.fmax(found, s / p.a), ca.fmin(0.125 * start, p.root))
-        return ca.vertcat(found, state[0]), found
+        found = ca.fmax(ca.fmax(found, s / p.a + slack), ca.fmin(0.125 * start, p.root))
+        return ca.vertcat(found, state[0]), _straightened(p, found)[0]
 
     @staticmethod
     def rest(
@@ -122,7 +129,19 @@ class SaggingCalibration(Calibration):
         """The linear law's tension at the cable; elsewhere as without sag."""
         if site.port is not Port.CABLE:
             _, changed = Calibration.rest(p, state, signal, site)
-            return ca.vertcat(site.tension_N, site.tension_N), changed
-        tension = ca.fmax(signal, 0.1 * p.root)
-        linear = p.a * tension - 0.5 * p.twice / tension**2 - p.shift
-        return ca.vertcat(tension, tension), linear
+            start = _stretched(p, site.tension_N)
+            return ca.vertcat(start, start), changed
+        tension, slack = ca.fmax(signal, 0.1 * p.root), vars(p).get("slack_N", 0.0)
+        stretch = _stretched(p, tension)
+        linear = p.a * (stretch - slack) - p.Q / tension**2 - p.shift
+        return ca.vertcat(stretch, stretch), linear
+
+
+def _straightened(p: SimpleNamespace, stretch: Signal) -> tuple[Signal, Signal]:
+    """Tension and slope at a stretch, where there is slack; without, they are the same."""
+    return straightened(stretch, p.slack_N) if "slack_N" in vars(p) else (stretch, 1.0)
+
+
+def _stretched(p: SimpleNamespace, tension: Signal) -> Signal:
+    """The stretch at a tension."""
+    return stretched(tension, p.slack_N) if "slack_N" in vars(p) else tension

@@ -210,10 +210,10 @@ class DiagnosedReel(Diagnosed):
         return slots
 
     def slots(self, added: Sequence[type[Effect]]) -> list[Slot]:
-        """As of any model; the torque's offset where an effect tells it from the gauge's."""
+        """As of any model; the torque's offset where something tells it from the gauge's."""
         found = super().slots(added)
-        own = (type(effect) for effect in self.effects)
-        if not self.has_gauge or not any(effect.by_tension for effect in (*own, *added)):
+        laws = (type(self.calibration), *(type(effect) for effect in self.effects), *added)
+        if not self.has_gauge or not any(law.by_tension for law in laws):
             return found
         given = self.calibration.torque_offset_Nm
         free = either_way("torque_offset_Nm", "N m", given, max(self.sizes.torque_max, abs(given)))
