@@ -6,11 +6,28 @@ from typing import ClassVar
 
 import casadi as ca
 
-from plants.effects.bristles import bent
 from plants.effects.effect import Effect, Port, Signal, Site, parameter
 
 TINY = 1e-9
 """Keeps lengths and tensions that are divided by above zero."""
+KNEE = 0.25
+"""Dahl's exponent i of the knee between sticking and sliding; at zero it would be a kink."""
+
+
+def slid(z: Signal, travel: Signal) -> Signal:
+    """How far friction is built up after some travel: dz/dx = 2 s ((1 - s z)/2)^i, s = sign(dx).
+
+    Dahl's law (1968) with an exponent below one, which he found where little gives before all
+    slides. It ends at s after a finite travel: ((1 - s z)/2)^(1 - i) falls evenly.
+
+    Args:
+        z: What is built up before, -1 to 1.
+        travel: Signed travel in lengths d, after which it would be there at the first rate.
+    """
+    s = ca.sign(travel)
+    left = ca.fmax(0.5 * (1.0 - s * z), TINY)
+    after = ca.fmax(left ** (1.0 - KNEE) - (1.0 - KNEE) * ca.fabs(travel), 0.0)
+    return z * (1.0 - s * s) + s * (1.0 - 2.0 * after ** (1.0 / (1.0 - KNEE)))
 
 
 @dataclass(frozen=True)
@@ -18,14 +35,15 @@ class EyeletFriction(Effect):
     """Dry friction at the eyelet: the tension inside exceeds that outside when winding in.
 
         T = r T_o,    r = 1 + z (1/B - B)/2 + z^2 (1/B + B - 2)/2
-        T_o = l/(1 - c + c r),    dz/dx = (sign(dx) - z)/d,    d = (1/B - B) l c/((1 - c) k)
+        T_o = l/(1 - c + c r),    dz/dx = 2 s/d ((1 - s z)/2)^i,    d = (1/B - B) l c/((1 - c) k)
 
     With the attenuation ratio B of (23) the cable slides in with T_o = B T, at z = 1, and out with
     T = B T_o, at z = -1. The share c of the reel's flexibility 1/k lies between drum and eyelet
     and is stretched by T, the rest by T_o; l is the tension of the linear law. After a reversal of
     the cable's travel x the cable first sticks in the eyelet and only the part inside gives: so d
-    is the travel that changes T by what friction does, and z follows x over it as Dahl's bristles
-    do. It starts at zero. The record then has the tension outside as `reference_N`.
+    is the travel that changes T by what friction does. A short eyelet lets go of the cable as a
+    whole, so that the knee where it begins to slide is sharp: see `slid`. z starts at zero. The
+    record then has the tension outside as `reference_N`.
 
     Attributes:
         attenuation: Attenuation ratio B.
@@ -67,5 +85,5 @@ class EyeletFriction(Effect):
         if site.port is Port.EYELET:
             return state, signal * (1.0 + state * (p.odd + state * p.even))
         gone = p.travel_Ns_rad * site.start_velocity_rad_s / ca.fmax(signal, TINY)
-        z = state + bent(state, gone)
+        z = slid(state, gone)
         return z, signal / (1.0 + p.inner_share * z * (p.odd + z * p.even))

@@ -39,6 +39,7 @@ class Attempt:
         fit_J: Mean square of the whitened residuals on the fit split; 1 is the floor.
         rank_J: The same on the rank split.
         squares: Sum of squares on the rank split, block by block.
+        fit_squares: The same on the fit split.
         fit_blocks: Mean squares of the fit split, block by block.
         rank_blocks: The same of the rank split.
     """
@@ -48,6 +49,7 @@ class Attempt:
     fit_J: float
     rank_J: float
     squares: FloatArray
+    fit_squares: FloatArray
     fit_blocks: Blocks
     rank_blocks: Blocks
 
@@ -84,14 +86,21 @@ class Bench:
     def scale(self) -> thresholds.Scale:
         """What sizes of effects are measured against."""
         angle_rad, tension_N = self.floor.angle_rad, self.floor.tension_N
+        model = self.model.calibrated({})
+        given = pull_N_rad(model, self.measurements)
         if math.isnan(angle_rad):
             # Without an encoder the gauge tells how far the drum has turned.
-            given = pull_N_rad(self.model.calibrated({}), self.measurements)
             angle_rad = tension_N / float(np.median(given))
+        stretched = [
+            float(m.tension_N.max()) / pull * model.drum_radius_m
+            for m, pull in zip(self.measurements, given, strict=True)
+            if m.tension_N is not None and math.isfinite(pull)
+        ]
         return thresholds.Scale(
             sample_s=1.0 / min(m.sampling_Hz for m in self.measurements),
             angle_rad=angle_rad,
             tension_N=tension_N,
+            stretch_m=max(stretched, default=math.nan),
         )
 
     def predictor(self, effects: Effects) -> Predictor:
@@ -238,13 +247,17 @@ class Bench:
 
     def _judged(self, effects: Effects, found: Fitted) -> Attempt:
         held = self.settled(found, RANK)
-        blocks = self.dealt.group[held.entries]
-        squares: FloatArray = np.bincount(blocks, held.residuals**2).astype(np.float64)
-        squares = squares[np.unique(blocks)]
         return Attempt(
-            *(effects, found, found.mean_square, held.mean_square, squares),
+            *(effects, found, found.mean_square, held.mean_square),
+            *(self._squares(at) for at in (held, found)),
             *(Blocks.of(self.cable_block(at), at.residuals) for at in (found, held)),
         )
+
+    def _squares(self, found: Fitted) -> FloatArray:
+        """Sum of squares, block by block."""
+        _, block = np.unique(self.dealt.group[found.entries], return_inverse=True)
+        squares: FloatArray = np.bincount(block, found.residuals**2).astype(np.float64)
+        return squares
 
     def cable_block(self, found: Fitted) -> CableBlock | None:
         """The cable and gauge block of the entries of a fit; None without gauge or encoder."""

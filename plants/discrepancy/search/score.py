@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from estune.trial import FloatArray
 from plants.discrepancy.search import thresholds
 from plants.discrepancy.search.bench import Attempt
 from plants.discrepancy.search.cable_block import Block, block_of
@@ -108,7 +109,19 @@ def _closed(before_J: float, after_J: float) -> float:
 
 def better(one: Attempt, other: Attempt) -> float:
     """By how many standard errors one model's squares are below the other's, block by block."""
-    gained = other.squares - one.squares
+    return _errors(other.squares - one.squares)
+
+
+def told_apart(one: Attempt, other: Attempt) -> bool:
+    """Whether one model does better for sure, on the rank split or over both.
+
+    Of two laws with as many numbers the fit split tells as much, and is much longer.
+    """
+    gained = other.squares - one.squares, other.fit_squares - one.fit_squares
+    return max(_errors(gained[0]), _errors(np.concatenate(gained))) >= thresholds.SIGNIFICANT
+
+
+def _errors(gained: FloatArray) -> float:
     total = float(gained.sum())
     return total / max(float(np.sqrt(np.sum(gained**2))), 1e-300)
 
@@ -172,7 +185,7 @@ def _as_good(simpler: Attempt, other: Attempt) -> bool:
 
 
 def tied(before: Attempt, best: Attempt, attempts: Sequence[Attempt]) -> tuple[str, ...]:
-    """Slugs of other families that the rank split cannot tell from the best."""
+    """Slugs of other families that the records cannot tell from the best."""
     reached = closure(before.rank_J, best.rank_J)
     return tuple(
         a.effects[-1].name
@@ -180,5 +193,5 @@ def tied(before: Attempt, best: Attempt, attempts: Sequence[Attempt]) -> tuple[s
         if a.effects[-1].name not in family_of(best.effects[-1].name)
         and closure(before.rank_J, a.rank_J) > reached - thresholds.TIE
         and a.rank_J <= thresholds.ALIKE * max(best.rank_J, 1.0)
-        and better(best, a) < thresholds.SIGNIFICANT
+        and not told_apart(best, a)
     )

@@ -187,7 +187,8 @@ def _pair(
     pairs = []
     for one in leading:
         alone = closure(base.fit_J, one.fit_J) < thresholds.FIRST
-        if alone or simplest([one], base, bench.scale) is None:
+        beaten = one.effects[-1].name in first.rivals
+        if alone or beaten or simplest([one], base, bench.scale) is None:
             continue
         seen = [background(bench, one, suggest)]
         looked = screened_further(bench, effects, seen, one, suggest)
@@ -253,7 +254,19 @@ def _round(
     if rival is not None:
         beaten = {best.effects[-1].name: rival}
         return Round(current, shares, tuple(attempts), current, rivals=beaten)
-    return Round(current, shares, tuple(attempts), best, tied(current, best, attempts))
+    return Round(current, shares, tuple(attempts), *_likeliest(current, best, attempts))
+
+
+def _likeliest(
+    current: Attempt, best: Attempt, attempts: Sequence[Attempt]
+) -> tuple[Attempt, tuple[str, ...]]:
+    """The best, or of those as good the first that an owner would not know of; the others."""
+    alike = tied(current, best, attempts)
+    rest = [a for a in attempts if a.effects[-1].name in alike]
+    if best.effects[-1].name not in thresholds.KNOWN or not rest:
+        return best, alike
+    name = best.effects[-1].name
+    return rest[0], tuple(name if n == alike[0] else n for n in alike)
 
 
 def _by_its_block(bench: Bench, current: Attempt, attempts: Sequence[Attempt]) -> Attempt | None:

@@ -92,6 +92,10 @@ INHERITED: dict[str, tuple[str, dict[str, str]]] = {
 """What a member of a family begins with: the fit of another, and which of its parameters are
 which of its own."""
 
+KNOWN = ("cable_weight",)
+"""Effects whose size a scale tells without the machine: of two that do as well, the other is
+likelier."""
+
 CALIBRATIONS = ("gain_error", "viscous_damping", "gauge_offset")
 """Effects that a calibration of the base model does as well: they leave no gap after it."""
 
@@ -106,23 +110,29 @@ class Scale(NamedTuple):
         sample_s: Sampling interval, s.
         angle_rad: Noise of the encoder, or of the gauge as an angle, rad rms; nan without both.
         tension_N: Noise of the gauge, N rms; nan without.
+        stretch_m: Most that the cable is stretched by in the records, m; nan without.
     """
 
     sample_s: float
     angle_rad: float
     tension_N: float
+    stretch_m: float
 
 
 def large_enough(effect: type[Effect], values: dict[str, float], scale: Scale) -> bool:
     """Whether an effect is of a size that matters in practice.
 
     What is significant may still be of no account: a dead time of a small part of a sample is how
-    two programs hold a signal, not a property of a drive.
+    two programs hold a signal, not a property of a drive. Nor is what would show only far beyond
+    the records.
     """
     own = {n: values[f"{effect.name}.{n}"] for n in effect.parameters()}
     return all(
         abs(own[name]) >= factor * (own[unit] if unit in own else getattr(scale, unit, 1.0))
         for name, factor, unit in _LEAST.get(effect.name, ())
+    ) and not any(
+        abs(own[name]) > factor * getattr(scale, unit)
+        for name, factor, unit in _MOST.get(effect.name, ())
     )
 
 
@@ -139,3 +149,9 @@ _LEAST: dict[str, tuple[tuple[str, float, str], ...]] = {
 }
 """Parameters, and their least size in units of a field of `Scale` or of another parameter; `as
 given` is the size itself."""
+
+_MOST: dict[str, tuple[tuple[str, float, str], ...]] = {
+    # A cable that never comes taut is one that stiffens.
+    "cable_slack": (("slack_m", 1.0, "stretch_m"),),
+}
+"""Parameters, and their greatest size in units of a field of `Scale`."""
