@@ -74,6 +74,20 @@ def test_a_loop_that_does_not_grow_with_tension_is_not_called_friction_at_the_ey
     assert "does not grow with the tension" in said.sentence
 
 
+def test_a_cable_that_stiffens_is_neither_heavy_nor_slack():
+    given, records = drawn(2, "left_out", "cable_stiffening")
+    some = [m for m in records if m.profile in ("triangle", "multisine")]
+    found = plants.explain(given, some, effects=["cable_weight", "cable_slack"])
+    assert found.verdict == "unknown"
+    assert "a plain curve of tension against angle" in found.sentence
+
+
+def test_a_constant_torque_on_a_light_cable_at_low_tension_is_no_weight():
+    found = plants.explain(*drawn(7, "none"), effects=["cable_weight", "cable_slack"])
+    assert found.verdict == "none"
+    assert found.ratio_before < 1.1
+
+
 def test_a_gain_that_changes_with_time_is_not_called_a_zero_that_drifts():
     found = plants.explain(*drawn(601, "outside", "sensitivity_drift"))
     assert found.verdict == "unknown"
