@@ -85,8 +85,12 @@ def eyelet_friction(effect):
     travel = speed * R * SUBSTEP_s * np.arange(1, 401) / d
     knee = integrate.solve_ivp(
         lambda _, z: 2.0 * np.maximum(0.5 * (1.0 - z), 0.0) ** 0.25,
-        *((0.0, travel[-1]), [0.0]),
-        **{"t_eval": travel, "rtol": 1e-9, "atol": 1e-9, "max_step": 1e-3},
+        (0.0, travel[-1]),
+        [0.0],
+        t_eval=travel,
+        rtol=1e-9,
+        atol=1e-9,
+        max_step=1e-3,
     )
     z = knee.y[0]
     assert ratio == pytest.approx(1.0 + z * (1 / B - B) / 2 + z**2 * (1 / B + B - 2) / 2, abs=1e-5)
@@ -339,14 +343,13 @@ def test_slack_beside_the_sag_of_the_own_weight_adds_length_to_length():
     per_N = 1.0 / long.structure_stiffness_N_m + 1.3 / long.cable_EA_N
     q = (long.cable_density_kg_m * 9.80665) ** 2 * 1.3**3 / 24.0
     holds = stats.triang(0.5, -slack, 2 * slack).cdf
-    stretch = [
-        optimize.brentq(
-            lambda e: integrate.quad(holds, -slack, e, points=[0.0, slack])[0] / per_N - T,
-            *(-slack, 0.1),
-        )
-        for T in seen.tension[[0, -1]]
-    ]
-    length = np.array(stretch) - q / seen.tension[[0, -1]] ** 2
+
+    def tension(stretch_m):
+        return integrate.quad(holds, -slack, stretch_m, points=[0.0, slack])[0] / per_N
+
+    ends = seen.tension[[0, -1]]
+    stretch = [optimize.brentq(lambda e, T: tension(e) - T, -slack, 0.1, (T,)) for T in ends]
+    length = np.array(stretch) - q / ends**2
     assert R * (seen.theta[-1] - seen.theta[0]) == pytest.approx(np.ptp(length), rel=1e-5)
 
 

@@ -249,7 +249,7 @@ class Bench:
         held = self.settled(found, RANK)
         return Attempt(
             *(effects, found, found.mean_square, held.mean_square),
-            *(self._squares(at) for at in (held, found)),
+            *(self._squares(held), self._squares(found)),
             *(Blocks.of(self.cable_block(at), at.residuals) for at in (found, held)),
         )
 

@@ -184,7 +184,9 @@ def _as_good(simpler: Attempt, other: Attempt) -> bool:
     )
 
 
-def tied(before: Attempt, best: Attempt, attempts: Sequence[Attempt]) -> tuple[str, ...]:
+def tied(
+    before: Attempt, best: Attempt, attempts: Sequence[Attempt], scale: thresholds.Scale
+) -> tuple[str, ...]:
     """Slugs of other families that the records cannot tell from the best."""
     reached = closure(before.rank_J, best.rank_J)
     return tuple(
@@ -194,4 +196,5 @@ def tied(before: Attempt, best: Attempt, attempts: Sequence[Attempt]) -> tuple[s
         and closure(before.rank_J, a.rank_J) > reached - thresholds.TIE
         and a.rank_J <= thresholds.ALIKE * max(best.rank_J, 1.0)
         and not told_apart(best, a)
+        and thresholds.large_enough(a.effects[-1], a.values, scale)
     )

@@ -254,14 +254,14 @@ def _round(
     if rival is not None:
         beaten = {best.effects[-1].name: rival}
         return Round(current, shares, tuple(attempts), current, rivals=beaten)
-    return Round(current, shares, tuple(attempts), *_likeliest(current, best, attempts))
+    return Round(current, shares, tuple(attempts), *_likeliest(bench, current, best, attempts))
 
 
 def _likeliest(
-    current: Attempt, best: Attempt, attempts: Sequence[Attempt]
+    bench: Bench, current: Attempt, best: Attempt, attempts: Sequence[Attempt]
 ) -> tuple[Attempt, tuple[str, ...]]:
     """The best, or of those as good the first that an owner would not know of; the others."""
-    alike = tied(current, best, attempts)
+    alike = tied(current, best, attempts, bench.scale)
     rest = [a for a in attempts if a.effects[-1].name in alike]
     if best.effects[-1].name not in thresholds.KNOWN or not rest:
         return best, alike
