@@ -136,7 +136,7 @@ class ReelPath(NamedTuple):
         if by_gauge:
             linear = to[0]
             for port in (Port.GAUGE, Port.EYELET, Port.CABLE):
-                _, linear = self.stages.back(x, linear, self._now(port, x))
+                _, linear = self.stages.back(x, linear, self._now(port, x), moved=True)
             to = ca.vertcat(linear, to[1]) / c.tension_per_angle
         # By the cable's own law: a slack one is softer than the linear law by far.
         before, after = (self._pull(x, at) for at in (x[THETA], to[0]))

@@ -76,10 +76,20 @@ class Stages:
             site = site._replace(velocity_rad_s=velocity)
         return x, torque
 
-    def back(self, x: Expression, signal: Expression, site: Site) -> tuple[Expression, Expression]:
-        """State at rest, and what goes into the site's port when the signal steadily comes out."""
+    def back(
+        self, x: Expression, signal: Expression, site: Site, *, moved: bool = False
+    ) -> tuple[Expression, Expression]:
+        """State at rest, and what goes into the site's port when the signal steadily comes out.
+
+        Args:
+            x: The state.
+            signal: What comes out.
+            site: Where and when.
+            moved: Whether the reel is only put elsewhere, and effects know what they remember.
+        """
         for effect, p, own in reversed(list(self._at(site.port))):
-            remembered, signal = effect.rest(p, ca.SX.zeros(effect.states), signal, site)
+            state = x[own, :] if moved else ca.SX.zeros(effect.states)
+            remembered, signal = effect.rest(p, state, signal, site)
             x = _with(x, own, remembered)
         return x, signal
 

@@ -97,6 +97,12 @@ def eyelet_friction(effect):
     for _ in range(200):
         outside = law.pass_(T, velocity=speed, port=Port.CABLE)
     assert law.pass_(outside, velocity=speed) == pytest.approx(outside / B, rel=1e-7)  # it slides
+    # Put where the gauge reads so much, friction is what it was.
+    for speed in (0.0, -0.05, 0.0):
+        outside = law.pass_(T, velocity=speed, port=Port.CABLE)
+        inside = law.pass_(outside, velocity=speed)
+    assert law.settle(inside) == pytest.approx(outside)
+    assert law.settle(outside, port=Port.CABLE) == pytest.approx(T)
 
 
 def viscous_damping(effect):

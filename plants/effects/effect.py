@@ -206,7 +206,8 @@ class Effect(ABC):
 
         Args:
             p: The parameters by name, and what `prepare` added to them.
-            state: Zeros, a column of `states` numbers.
+            state: Zeros, a column of `states` numbers; where a moving reel is only put to
+                another reading, what the effect remembers.
             signal: What steadily comes out at the port; at the encoder, what goes in; at the drum,
                 the torque other effects have added.
             site: The moment; the velocities are zero.

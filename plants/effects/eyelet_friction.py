@@ -87,3 +87,13 @@ class EyeletFriction(Effect):
         gone = p.travel_Ns_rad * site.start_velocity_rad_s / ca.fmax(signal, TINY)
         z = slid(state, gone)
         return z, signal / (1.0 + p.inner_share * z * (p.odd + z * p.even))
+
+    @staticmethod
+    def rest(
+        p: SimpleNamespace, state: Signal, signal: Signal, site: Site
+    ) -> tuple[Signal, Signal]:
+        """The tension outside of that inside, then the linear law's, with friction as it is."""
+        ratio = state * (p.odd + state * p.even)
+        if site.port is Port.EYELET:
+            return state, signal / (1.0 + ratio)
+        return state, signal * (1.0 + p.inner_share * ratio)
