@@ -98,8 +98,9 @@ def search(
         looked = first
         if rounds and leaves_a_gap(current):
             # In the directions they have without the effects so far: those are soon worked out.
-            seen = [background(bench, current, suggest)]
-            looked = screened_further(bench, effects, seen, current, suggest)
+            recalled = _recalled(suggest, rounds[0].attempts)
+            seen = [background(bench, current, recalled)]
+            looked = screened_further(bench, effects, seen, current, recalled)
         one = _round(bench, base, current, looked, seen)
         again = _gone_on(bench, base, one)
         if again is not None:
@@ -114,6 +115,22 @@ def search(
     kept = _without_needless(bench, base, rounds)
     stages = tuple(one.taken for one in kept if one.taken is not one.before)
     return Found(base, kept, first, _families_again(bench, base, first, stages))
+
+
+def _recalled(suggest: Suggest, attempts: Sequence[Attempt]) -> Suggest:
+    """What the data suggest, and the frequencies that effects were fitted with as the first one.
+
+    A narrow resonance lies between those that are tried, and its line shows less beside what is
+    left by another's law.
+    """
+    found = {
+        f"{effect.name}.{name}": a.values[f"{effect.name}.{name}"]
+        for a in attempts
+        for effect in a.effects
+        for name, p in effect.parameters().items()
+        if p.unit == "Hz"
+    }
+    return lambda key: [*suggest(key), *([found[key]] if key in found else [])]
 
 
 def _families_again(
