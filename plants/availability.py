@@ -17,7 +17,8 @@ def unavailable(base: Base, effect: type[Effect]) -> str | None:
     names = dict.fromkeys((*base.own, *_AMENDED))
     symbols = ca.vertsplit(ca.SX.sym("p", len(names)))
     motion = base.motion(SimpleNamespace(**dict(zip(names, symbols, strict=True))))
-    ports = set(effect.ports())
+    # What turns the drum does so without the cable it pulls at, too.
+    ports = {effect.port} if base.is_drum and effect.port is Port.DRUM else set(effect.ports())
     missing = (
         {Port.CABLE, Port.EYELET, Port.GAUGE} if base.is_drum else {Port.EYELET, Port.ENCODER}
     )

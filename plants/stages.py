@@ -68,12 +68,13 @@ class Stages:
             velocity_per_torque: Velocity at the end of the span per torque held over it.
         """
         torque = ca.SX(0.0)
-        for effect, p, own in sorted(self._at(Port.DRUM), key=lambda at: at.effect.resists):
+        for effect, p, own in sorted(self._at(Port.DRUM), key=_turn):
             remembered, added = effect.respond(p, x[own, :], torque, site)
             x = _with(x, own, remembered)
             torque = torque + added
             velocity = site.velocity_rad_s + velocity_per_torque * added
-            site = site._replace(velocity_rad_s=velocity)
+            friction = site.friction_Nm + added if effect.resists else site.friction_Nm
+            site = site._replace(velocity_rad_s=velocity, friction_Nm=friction)
         return x, torque
 
     def back(
@@ -110,6 +111,11 @@ class Stages:
 
     def _at(self, port: Port) -> Iterator[Place]:
         return (place for place in self._places if port in place.effect.ports())
+
+
+def _turn(place: Place) -> tuple[bool, bool]:
+    """Where in the order of effects at the drum one comes."""
+    return place.effect.divides, place.effect.resists
 
 
 def _with(x: Expression, own: slice, remembered: Expression) -> Expression:

@@ -58,7 +58,7 @@ def all_on(order):
     return reel
 
 
-RESTLESS = wander(160, -4.0, 60.0)  # beyond the current limits, and through slack
+RESTLESS = wander(160, -15.0, 60.0)  # beyond the current limits, and through slack
 
 
 def test_every_named_effect_is_there_in_a_file_of_its_name():

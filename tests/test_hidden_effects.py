@@ -183,7 +183,7 @@ def test_play_lets_the_motor_turn_and_the_drum_stand():
         "far_mass": 1.0,
         "play": 2e-4,
         "play_stiffness": 2e5,
-        "play_damping": 2.0,
+        "play_damping": 100.0,
         "unloaded": 1.0,
         "drag": 600.0,
     }

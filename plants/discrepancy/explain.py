@@ -26,7 +26,15 @@ from plants.discrepancy.search.search import search
 from plants.discrepancy.search.splits import FIT, RANK
 from plants.discrepancy.search.suggestions import suggestions
 from plants.discrepancy.search.verdict import judge
-from plants.effects import CableWeight, Effect, MainsInterference, Quantisation, declared, find
+from plants.effects import (
+    CableWeight,
+    CoulombFriction,
+    Effect,
+    MainsInterference,
+    Quantisation,
+    declared,
+    find,
+)
 
 HUM_ROUNDS = 2
 """Hum is looked for once more without it: windows that begin with it are foretold with it."""
@@ -119,8 +127,12 @@ def _base(model: Any, measurements: tuple[Measurement, ...], noise: Floor) -> St
 
 
 def _meant(stage: Stage) -> float:
-    """What a way of meaning the model leaves at least; how it sags shows beside more weight."""
-    return min(stage.attempt.fit_J, roughly(stage.bench, CableWeight).fit_J)
+    """What a way of meaning the model leaves at least; how it sags shows beside more weight.
+
+    A slack cable's tension tells its weight; in the linear law more weight stands for the sag.
+    """
+    beside = CoulombFriction if stage.bench.model.is_often_slack else CableWeight
+    return min(stage.attempt.fit_J, roughly(stage.bench, beside).fit_J)
 
 
 def _where(bench: Bench, base: Attempt, noise: Floor) -> Where:

@@ -13,51 +13,77 @@ from plants.effects.effect import Effect, Port, Signal, Site, parameter
 class Backlash(Effect):
     """Play in the gear between the motor, which has the encoder, and the drum.
 
-        T = max(l, min(T_before, l + k R b, T_h)),    l = k R theta
+        m (J theta'' + b theta') = tau - c,    0 <= g = phi - theta <= p
+        (1 - m) (J phi'' + b phi') = c - R T - f,    l = k R phi
+        c >= 0 where g = 0,    c <= 0 where g = p,    c = 0 between
 
-    The cable pulls the drum against the motor's side of the gear, down to the tension T_h that the
-    drum's own friction holds. Below it the drum stands still while the motor turns through the
-    play b. So play shows only near slack.
+    theta is the motor's angle and phi the drum's, which winds the cable; tau is the motor's
+    torque, c what the teeth pass on, and f the dry friction that other effects bring, which is the
+    drum's. Pulled by the cable the gear closes at g = 0, and closed the two turn as one. The teeth
+    part where the motor gives way faster than the cable pulls the drum along, which takes a cable
+    next to slack, or none: until they meet again, the torque moves the motor alone. They meet
+    without rebound: the gap's rate over a substep is that of free masses, cut at what takes the
+    gap to an end of the play (Moreau 1988).
 
     Attributes:
-        play_rad: The play b at the drum, rad.
-        holding_N: Tension T_h that the drum's friction holds, N.
+        play_rad: The play p at the drum, rad.
+        motor_share: Share m of the inertia, and of the viscous friction, on the motor's side.
     """
 
     name: ClassVar[str] = "backlash"
     title: ClassVar[str] = "backlash between motor and drum"
     appearance: ClassVar[str] = (
-        "at low tension the angle moves through a gap, either way, while the tension stays"
+        "where the torque turns round and no tension holds the teeth together, the angle leaps "
+        "ahead and stops with a jerk"
     )
-    port: ClassVar[Port] = Port.CABLE
-    states: ClassVar[int] = 1
+    port: ClassVar[Port] = Port.DRUM
+    also: ClassVar[tuple[Port, ...]] = (Port.CABLE,)
+    states: ClassVar[int] = 2
+    divides: ClassVar[bool] = True
 
-    play_rad: float = parameter(0.01, low=0.0, high=0.5, unit="rad", neutral=0.0)
-    holding_N: float = parameter(3.0, low=0.0, high=50.0, unit="N")
+    play_rad: float = parameter(0.003, low=0.0, high=0.5, unit="rad", neutral=0.0)
+    motor_share: float = parameter(0.5, low=0.05, high=0.95, unit="")
 
     @staticmethod
     def prepare(p: SimpleNamespace, reel: SimpleNamespace) -> dict[str, Signal]:
-        """The play as a tension of the linear law, N."""
-        return {"play_N": p.play_rad * reel.drum_radius_m * reel.stiffness_N_m}
+        """Arm, m; tension per gap, N/rad; friction, N m s/rad; the gap's rate per torque."""
+        friction = reel.viscous_friction_Nms
+        if "cable_length_m" in vars(reel):
+            friction = friction + reel.viscous_friction_per_length_Ns * reel.cable_length_m
+        return {
+            "arm_m": reel.drum_radius_m,
+            "per_gap": reel.stiffness_N_m * reel.drum_radius_m,
+            "friction": friction,
+            "slowing": 1.0 - friction / reel.torque_per_velocity,
+            "yielding": 1.0 / (p.motor_share * (1.0 - p.motor_share) * reel.torque_per_velocity),
+            "drum_share": 1.0 - p.motor_share,
+            "drum_yielding": 1.0 / ((1.0 - p.motor_share) * reel.torque_per_velocity),
+            "step_s": reel.substep_s,
+            "per_s": 1.0 / reel.substep_s,
+        }
 
     @staticmethod
     def respond(
-        p: SimpleNamespace,
-        state: Signal,
-        signal: Signal,
-        site: Site,  # noqa: ARG004  only the order of angles counts
+        p: SimpleNamespace, state: Signal, signal: Signal, site: Site
     ) -> tuple[Signal, Signal]:
-        """The tension of the drum's angle, below zero where it is slack."""
-        held = ca.fmin(ca.fmin(state, p.holding_N), signal + p.play_N)
-        tension = ca.fmax(signal, held)
-        return tension, tension
+        """The tension at the drum's angle; the torque by which the motor moves unlike the whole.
 
-    @staticmethod
-    def rest(
-        p: SimpleNamespace,  # noqa: ARG004  the gear is closed
-        state: Signal,  # noqa: ARG004  it is the tension
-        signal: Signal,
-        site: Site,  # noqa: ARG004  the same at any angle
-    ) -> tuple[Signal, Signal]:
-        """The gear closed by the cable's pull."""
-        return signal, signal
+        The whole's momentum does not depend on the teeth: of what the gap's rate changes by, the
+        motor takes the drum's share, the other way.
+        """
+        gap, rate = state[0], state[1]
+        if site.port is Port.CABLE:
+            return state, signal + p.per_gap * (gap + 0.5 * p.step_s * rate)
+        start, mass, dry = site.start_velocity_rad_s, site.torque_per_velocity, site.friction_Nm
+        driving = (site.velocity_rad_s - start) * mass - dry
+        parting = p.drum_share * (driving + p.friction * start) + p.arm_m * site.tension_N
+        free = p.slowing * rate - p.yielding * parting
+        # Each by itself, and what dry friction of its size takes of the drum's velocity.
+        motor = start + driving / mass - p.drum_share * (free - rate)
+        most = p.drum_yielding * ca.fabs(dry)
+        held = ca.fmin(ca.fmax(-(motor + free), -most), most)
+        low, high = -p.per_s * gap, p.per_s * (p.play_rad - gap)
+        after = ca.fmin(ca.fmax(free + held, low), high)
+        apart = ca.logic_and(after > low, after < high)
+        unlike = mass * (after - rate - apart * held) + p.friction * rate
+        return ca.vertcat(gap + p.step_s * after, after), -p.drum_share * unlike - apart * dry

@@ -43,6 +43,7 @@ class Site(NamedTuple):
         tension_N: At the drum, the tension that acts on it; elsewhere that of the linear law.
         torque_per_velocity: Torque that, held over the span, adds one unit of velocity at its
             end, N m per rad/s.
+        friction_Nm: At the drum, the torque of effects that resist, for one that divides.
     """
 
     port: Port
@@ -52,6 +53,7 @@ class Site(NamedTuple):
     velocity_rad_s: Signal
     tension_N: Signal
     torque_per_velocity: Signal
+    friction_Nm: Signal = 0.0
 
 
 WINDS_rad = 8.0 * math.pi
@@ -103,6 +105,8 @@ class Effect(ABC):
         states: How many numbers it remembers.
         resists: At the drum, whether it answers to the motion that all else leaves, as friction
             does: it is then visited after those that do not.
+        divides: At the drum, whether it tells what acts on the drum from what acts on the motor;
+            it is then visited last.
         by_tension: Whether it turns on the tension there is, not on changes of it: beside it an
             offset of the torque looks unlike one of the gauge.
         repeats: Name of the parameter that says how often it repeats in a turn of the drum, where
@@ -120,6 +124,7 @@ class Effect(ABC):
     also: ClassVar[tuple[Port, ...]] = ()
     states: ClassVar[int] = 0
     resists: ClassVar[bool] = False
+    divides: ClassVar[bool] = False
     by_tension: ClassVar[bool] = False
     repeats: ClassVar[str] = ""
     smooth: ClassVar[bool] = True

@@ -73,6 +73,31 @@ def low(rng: Rng, base: Base) -> list[Plan]:
     ]
 
 
+def parting(rng: Rng, base: Base) -> list[Plan]:
+    """Tensions up to 12 N, and forces through zero and back, short ones: the cable goes slack.
+
+    A mean force winds the drum back in, as gravity brings back a ball that was thrown. Forces
+    change slowly or seldom: teeth that rattle cannot be foretold for long.
+    """
+    rate = base.rate_Hz
+    first = Plan("step", "closed", signals.steps(rate, 2.4, [4.0, 9.0, 3.0]))
+    return [
+        first,
+        Plan("custom", "open", signals.reversals(rng, rate, 4.0, 3.0, 3.0)),
+        Plan("triangle", "closed", signals.triangle(rate, 4.0, 3.2, rng.uniform(2.7, 3.1), 2)),
+        Plan(
+            "chirp",
+            "open",
+            signals.sweep(rate, 3.0, 3.0, rng.uniform(4.5, 5.5), low=0.8, high=8.0),
+        ),
+        _multisine(rng, base, 1.0, 3, rng.uniform(7.0, 9.0), rms=rng.uniform(1.5, 2.0)),
+        Plan("custom", "open", signals.reversals(rng, rate, 3.0, 3.0, 4.0)),
+        first._replace(repeats=0),
+        Plan("triangle", "open", signals.triangle(rate, 3.0, 3.0, rng.uniform(5.0, 6.5), 6)),
+        Plan("custom", "closed", _staircase(rng, rate, 4.0, 2.0, 12.0)),
+    ]
+
+
 def soft(rng: Rng, base: Base) -> list[Plan]:
     """The same tensions on a cord so soft that the drum turns far and slowly."""
     rate = base.rate_Hz
@@ -131,6 +156,29 @@ def unloaded(rng: Rng, base: Base) -> list[Plan]:
         first._replace(repeats=0),
         Plan("chirp", "closed", signals.sweep(rate, 3.0, 0.0, small, low=0.5, high=4.0)),
         _multisine(rng, base, 1.0, 3, 0.0, rms=F * rng.uniform(0.25, 0.4)),
+    ]
+
+
+def reversing(rng: Rng, base: Base) -> list[Plan]:
+    """No cable, and forces that turn round slowly enough for teeth not to rattle.
+
+    What a wide multisine about zero does to a gear with play nobody foretells: each time the teeth
+    meet multiplies what is not known of the time before.
+    """
+    rate, F = base.rate_Hz, force(base)
+    plans = unloaded(rng, base)
+    waves = [
+        _multisine(rng, base, 1.0, periods, 0.0, rms=F * rms, high_Hz=10.0)
+        for periods, rms in ((4, rng.uniform(0.5, 0.7)), (3, rng.uniform(0.25, 0.4)))
+    ]
+    swept = signals.sweep(rate, 3.0, 0.0, F * rng.uniform(0.4, 0.7), low=1.0, high=12.0)
+    return [
+        *plans[:1],
+        waves[0],
+        *plans[2:4],
+        plans[4]._replace(setpoint=swept),
+        *plans[5:7],
+        waves[1],
     ]
 
 

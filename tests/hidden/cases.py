@@ -4,20 +4,24 @@ What is handed over (`Case`) and what is hidden (`Secret`) are two objects; only
 at the second.
 """
 
+import copy
 import zlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tests.hidden import bases, batteries
 from tests.hidden.bases import Base
-from tests.hidden.effects import CATALOGUE, OUTSIDE
+from tests.hidden.effects import CATALOGUE, OUTSIDE, Hidden
 from tests.hidden.records import Bench, Record, record
 
 Rng = np.random.Generator
 
-LOW = ("cable_slack", "cable_weight", "backlash")
+LOW = ("cable_slack", "cable_weight")
+SHOWS = 1.5
+"""Gap in floors from which on something shows."""
 SOFT = ("drum_eccentricity",)
 AS_BELIEVED = ("gain_error", "viscous_damping", "gauge_offset")
 """Effects that are nothing but a wrong number: all others are then right."""
@@ -156,23 +160,77 @@ def draw(
     )
     lengths = _lengths(rng, believed, names)
     plans = _battery(rng, variant, believed, names)
+    again = copy.deepcopy((rng, own))
+    records = _taken((rng, own), bench, plans, lengths)
+    case = Case(variant, believed.kind, believed.given(), records)
+    there = tuple(sorted(one.name for one in hidden))
+    accepted = _accepted(there, believed.kind)
+    if "backlash" in there and believed.kind == "reel":
+        closed = replace(bench, hidden=tuple(map(_without_play, hidden)))
+        if not _differ(records, _taken(again, closed, plans, lengths), bench):
+            accepted = (*accepted, ("coulomb_friction",))
+    secret = Secret(
+        there,
+        {one.name: one.truth for one in hidden},
+        bases.facts(actual),
+        named=all(one.name in CATALOGUE for one in hidden),
+        accepted=accepted,
+    )
+    return case, secret
+
+
+def _taken(
+    chance: tuple[Rng, Rng],
+    bench: Bench,
+    plans: list[batteries.Plan],
+    lengths: list[float | None],
+) -> tuple[Record, ...]:
+    """The records of a battery, one after the other."""
     records: list[Record] = []
     warmth = 0.0
     for number, plan in enumerate(plans):
         same = number if plan.repeats is None else plan.repeats
-        taken, warmth = record(
-            (rng, own), bench, plan, lengths[same % len(lengths)], number=number, warmth=warmth
-        )
+        length = lengths[same % len(lengths)]
+        taken, warmth = record(chance, bench, plan, length, number=number, warmth=warmth)
         records.append(taken)
-    case = Case(variant, believed.kind, believed.given(), tuple(records))
-    secret = Secret(
-        tuple(sorted(one.name for one in hidden)),
-        {one.name: one.truth for one in hidden},
-        bases.facts(actual),
-        named=all(one.name in CATALOGUE for one in hidden),
-        accepted=_accepted(tuple(sorted(one.name for one in hidden)), believed.kind),
+    return tuple(records)
+
+
+def _without_play(effect: Hidden) -> Hidden:
+    """The same with a gear that is closed."""
+    return (
+        replace(effect, machine=effect.machine | {"play": 0.0})
+        if "play" in effect.machine
+        else effect
     )
-    return case, secret
+
+
+def _differ(some: tuple[Record, ...], others: tuple[Record, ...], bench: Bench) -> bool:
+    """Whether records of the same noise differ by what shows.
+
+    What shows is a gap of one and a half floors: the difference in stretches of a tenth of a
+    second, less a straight line, as its root mean square in floors.
+    """
+    floors = {
+        "tension_N": bench.actual.noise_N * bench.noise,
+        "angle_rad": 2.0 * np.pi / bench.actual.encoder_counts / np.sqrt(12.0),
+    }
+    stretch = round(0.1 * bench.actual.rate_Hz)
+    left = []
+    for one, other in zip(some, others, strict=True):
+        for name in floors.keys() & one.columns.keys():
+            apart = (one.columns[name] - other.columns[name]) / floors[name]
+            left.append(_bent(apart[: apart.size // stretch * stretch].reshape(-1, stretch)))
+    squares = np.concatenate(left) ** 2
+    return bool(1.0 + squares.mean() >= SHOWS**2)
+
+
+def _bent(rows: NDArray[np.float64]) -> NDArray[np.float64]:
+    """What straight lines leave of rows, flat."""
+    t = np.linspace(-1.0, 1.0, rows.shape[1])
+    basis = np.stack([np.ones_like(t), t]) / np.sqrt([[t.size], [t @ t]])
+    left: NDArray[np.float64] = rows - rows @ basis.T @ basis
+    return left.ravel()
 
 
 def family(name: str) -> str:
@@ -181,7 +239,12 @@ def family(name: str) -> str:
 
 
 def _accepted(names: tuple[str, ...], kind: str) -> tuple[tuple[str, ...], ...]:
-    """The play of a reel's gear shows only where dry friction holds the drum: both are there."""
+    """The drum behind a reel's gear has dry friction, which an answer may name, too.
+
+    Where records would hardly be other ones with the gear closed, they show nothing but friction;
+    `draw` then takes that for an answer as well. (Records run freely, so that what a difference
+    leads to counts as much as what makes it: few are let off.)
+    """
     if "backlash" in names and kind == "reel":
         return (names, tuple(sorted({*names, "coulomb_friction"})))
     return (names,)
@@ -236,11 +299,13 @@ def _battery(
     if believed.kind == "stage":
         return batteries.stage(rng, believed)
     if believed.kind == "unloaded":
-        return batteries.unloaded(rng, believed)
+        battery = batteries.reversing if "backlash" in names else batteries.unloaded
+        return battery(rng, believed)
     if believed is bases.SOFT:
         return batteries.soft(rng, believed)
-    if set(names) & set(LOW) or (variant == "none" and rng.random() < 0.1):
-        return batteries.low(rng, believed)
-    if variant == "steps_only":
-        return batteries.steps_only(rng, believed)
-    return batteries.tensioned(rng, believed)
+    battery = batteries.steps_only if variant == "steps_only" else batteries.tensioned
+    if "backlash" in names:
+        battery = batteries.parting
+    elif set(names) & set(LOW) or (variant == "none" and rng.random() < 0.1):
+        battery = batteries.low
+    return battery(rng, believed)

@@ -231,10 +231,14 @@ static void rates(const double *p, const Memory *m, const double *y, double comm
   force -= p[ripple1] * sin(p[ripple_wave] * x + p[ripple_phase1]) +
            p[ripple2] * sin(2 * p[ripple_wave] * x + p[ripple_phase2]);
   if (p[far_mass] > 0) {
-    /* Contact of the teeth: on either side of the play, as stiff as they are. */
+    /* Contact of the teeth, oiled, on either side of the play; they press and never pull. */
     double gap = x - y[FAR], h = 0.5 * p[play], pressed, closing = v - y[FAR_SPEED], far;
     pressed = gap > h ? gap - h : gap < -h ? gap + h : 0;
-    pressed = pressed * p[play_stiffness] * (1 + p[play_damping] * closing * sign(pressed));
+    if (pressed != 0) {
+      far = sign(pressed);
+      pressed = p[play_stiffness] * pressed + p[play_damping] * closing;
+      if (pressed * far < 0) pressed = 0;
+    }
     force -= pressed;
     far = pressed - T * arm - p[far_drag] * y[FAR_SPEED];
     if (p[far_dry] > 0)

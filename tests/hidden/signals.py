@@ -62,6 +62,23 @@ def multisine(
     return mean + np.tile(wave * (rms / wave.std()), periods)
 
 
+def reversals(
+    rng: np.random.Generator, rate: float, seconds: float, mean: float, dip: float
+) -> Column:
+    """A mean with dips to below zero now and then, each made up for by as much above the mean.
+
+    Dips last 60 to 140 ms, what lies between them 0.25 to 0.5 s.
+    """
+    level, out = mean, []
+    total = round(seconds * rate)
+    while sum(map(len, out)) < total:
+        out.append(np.full(round(rng.uniform(0.25, 0.5) * rate), level))
+        short = round(rng.uniform(0.06, 0.14) * rate)
+        out.append(np.full(short, mean - rng.uniform(0.8, 1.4) * (mean + dip)))
+    there: Column = np.concatenate(out)[:total]
+    return there
+
+
 def smooth_steps(rate: float, seconds: float, levels: list[float], ramp_s: float) -> Column:
     """Levels joined by ramps that start and end gently."""
     raw = steps(rate, seconds, levels)

@@ -199,6 +199,11 @@ class Diagnosed(ABC):
 
     # What is the same for all.
 
+    @property
+    def is_often_slack(self) -> bool:
+        """Whether records show a cable that hangs slack, not now and then only."""
+        return False
+
     def alternatives(self) -> "tuple[Diagnosed, ...]":
         """Ways in which the model may be meant, of which the records tell the right one."""
         return (self,)

@@ -36,6 +36,9 @@ HORIZON = 5.0
 """A prediction's length times the natural frequency of drum and cable: most of a period."""
 LENGTHS_DIFFER = 0.05
 """Spread of the cable lengths, relative to their mean, from which they tell two things apart."""
+OFTEN = 0.1
+"""Share of the samples with a slack cable from which on the torque's offset is told from the
+gauge's by more than a few windows."""
 SAGS = 1e-3
 """Error of the linear law, relative to the preload, from which sag is reckoned with in full."""
 MOST_RATE = 2.0
@@ -74,15 +77,33 @@ class DiagnosedReel(Diagnosed):
         for m in self.measurements:
             if m.tension_N is None:
                 continue
-            at, preload = self._at(m), self.preload(m)
-            weight_N_m = GRAVITY_m_s2 * at.cable_density_kg_m
-            k = float(cable_stiffness_N_m(at, preload))
-            Q = k * weight_N_m**2 * at.cable_length_m**3 / 24.0
+            preload, Q = self.preload(m), self._sag_N3(m)
             T = max(float(np.quantile(m.tension_N, 0.01)), 0.05 * preload)
             bent = Q * (1.0 / T**2 - 1.0 / preload**2) - 2.0 * Q * (preload - T) / preload**3
             if abs(bent) > SAGS * preload:
                 return True
         return False
+
+    @property
+    def is_often_slack(self) -> bool:
+        """Whether the cable hangs slack so often that the torque shows without the tension.
+
+        Slack is where the sag gives more than the stretch: T < (2 Q)^(1/3).
+        """
+        slack, samples = 0, 0
+        for m in self.measurements:
+            if m.tension_N is not None:
+                sag = self._sag_N3(m)
+                slack += int(np.count_nonzero(m.tension_N < (2.0 * sag) ** (1.0 / 3.0)))
+                samples += m.samples
+        return slack > OFTEN * samples
+
+    def _sag_N3(self, m: Measurement) -> float:
+        """The own weight's Q = k w^2 L^3/24, N^3."""
+        at = self._at(m)
+        weight_N_m = GRAVITY_m_s2 * at.cable_density_kg_m
+        k = float(cable_stiffness_N_m(at, self.preload(m)))
+        return k * weight_N_m**2 * at.cable_length_m**3 / 24.0
 
     @property
     def outputs(self) -> tuple[str, ...]:
@@ -213,7 +234,8 @@ class DiagnosedReel(Diagnosed):
         """As of any model; the torque's offset where something tells it from the gauge's."""
         found = super().slots(added)
         laws = (type(self.calibration), *(type(effect) for effect in self.effects), *added)
-        if not self.has_gauge or not any(law.by_tension for law in laws):
+        told = self.is_often_slack or any(law.by_tension for law in laws)
+        if not self.has_gauge or not told:
             return found
         given = self.calibration.torque_offset_Nm
         free = either_way("torque_offset_Nm", "N m", given, max(self.sizes.torque_max, abs(given)))
@@ -242,12 +264,23 @@ class DiagnosedReel(Diagnosed):
         return slots
 
     def _zero(self, m: Measurement) -> float:
-        """The angle read where the cable is just taut, by the mean of the linear law."""
+        """The angle read where the cable is just taut, by the mean of the linear law.
+
+        A sample counts by the square of its tension: where the cable is slack the angle is any.
+        """
         assert m.angle_rad is not None  # noqa: S101  sensors() asks only then
+        per_angle = self._per_angle(m)
+        tension, weight = np.full(m.samples, self.preload(m)), np.ones(m.samples)
+        if m.tension_N is not None and float(np.max(m.tension_N)) > 0.0:
+            tension = m.tension_N
+            weight = np.maximum(tension, 0.0) ** 2
+        taut = m.angle_rad - (tension - self.calibration.gauge_offset_N) / per_angle
+        return float(np.average(taut, weights=weight))
+
+    def _per_angle(self, m: Measurement) -> float:
+        """Tension per angle of the linear law, N/rad."""
         stiffness = float(cable_stiffness_N_m(self._unstarted(m), self.preload(m)))
-        tension = self.preload(m) if m.tension_N is None else float(m.tension_N.mean())
-        tension -= self.calibration.gauge_offset_N
-        return float(m.angle_rad.mean()) - tension / (stiffness * self.model.drum_radius_m)
+        return stiffness * self.model.drum_radius_m
 
     def local(self, measurement: Measurement) -> Local:
         """Angle and velocity under what current and tension leave of the torque.

@@ -221,8 +221,8 @@ def _drum_eccentricity(v: Mapping[str, float], at: Scene) -> str:
 
 def _backlash(v: Mapping[str, float], at: Scene) -> str:
     return (
-        f"has backlash of {at.travel(v['play_rad'])} between motor and drum; it shows below "
-        f"{at.reading(v['holding_N'])}, where the cable no longer closes the gear"
+        f"has backlash of {at.travel(v['play_rad'])} between motor and drum; the motor is "
+        f"{100.0 * v['motor_share']:.0f} % of what turns and moves alone where the teeth part"
     )
 
 
