@@ -493,6 +493,16 @@ def test_a_wave_has_its_phase_wherever_an_encoder_begins_to_count():
         assert (wrong < 1e-3 * np.std(record.angle_rad)).all()
 
 
+@pytest.mark.parametrize(("swing_N", "told"), [(16.0, True), (4.0, False)])
+def test_a_cable_that_hangs_slack_tells_the_torque_s_offset_from_the_gauge_s(swing_N, told):
+    record = measured(REEL, TriangleProfile(10.0, swing_N, 0.5, 1.0, start_s=0.1, loop="open"))
+    free = Predictor(diagnosed(REEL, [record]), (), [record]).free
+    assert ("torque_offset_Nm" in {f.name for f in free}) == told
+    # A search begins where the cable is just taut, as little as a slack one tells of that.
+    (zero,) = (f.start for f in free if f.name.startswith("encoder_zero"))
+    assert abs(zero) < 0.02 * np.ptp(record.angle_rad)
+
+
 def test_what_cannot_be_held_against_records_is_told():
     record = measured(REEL, LINES)
     with pytest.raises(PlantError, match="a Reel, an UnloadedReel"):
