@@ -94,6 +94,13 @@ def test_a_gain_that_changes_with_time_is_not_called_a_zero_that_drifts():
     assert "It looks like a gain of the gauge that changes with time." in found.sentence
 
 
+def test_a_narrow_resonance_seen_at_first_is_found_beside_creep():
+    others = ["dead_time", "torque_ripple", "drum_eccentricity", "dahl_hysteresis"]
+    some = ["cable_creep", "gauge_resonance", "cable_stiffening", *others]
+    found = plants.explain(*drawn(30011, "two"), effects=some)
+    assert sorted(effect.name for effect in found.effects) == ["cable_creep", "gauge_resonance"]
+
+
 def test_an_effect_of_the_drive_is_seen_beside_one_of_the_cable():
     row = diagnose(Task(610, "two"))
     assert not row.error
