@@ -148,10 +148,19 @@ def simplest(
             len(simpler),
         )
         # What is too small to be told from a simpler member of the family is that one.
-        for a in reversed([*simpler, best][: kept + 1]):
-            if thresholds.large_enough(a.effects[-1], a.values, scale) and not _at_bound(a):
+        for n, a in reversed(list(enumerate([*simpler, best][: kept + 1]))):
+            told = _told(a, simpler[:n], base)
+            large = thresholds.large_enough(a.effects[-1], a.values, scale, told=told)
+            if large and not _at_bound(a):
                 return a
     return None
+
+
+def _told(attempt: Attempt, simpler: Sequence[Attempt], base: Attempt) -> bool:
+    """Whether a member of a family closes enough for a name, and none of the simpler ones does."""
+    closed = max((closure(base.rank_J, a.rank_J) for a in simpler), default=1.0)
+    reached = closure(base.rank_J, attempt.rank_J)
+    return closed < thresholds.CLOSURE and reached >= thresholds.CLOSURE_OF_MUCH
 
 
 def _at_bound(attempt: Attempt) -> bool:

@@ -119,17 +119,27 @@ class Scale(NamedTuple):
     stretch_m: float
 
 
-def large_enough(effect: type[Effect], values: dict[str, float], scale: Scale) -> bool:
+def large_enough(
+    effect: type[Effect], values: dict[str, float], scale: Scale, *, told: bool = False
+) -> bool:
     """Whether an effect is of a size that matters in practice.
 
     What is significant may still be of no account: a dead time of a small part of a sample is how
     two programs hold a signal, not a property of a drive. Nor is what would show only far beyond
     the records.
+
+    Args:
+        effect: The effect.
+        values: Its parameters, by `slug.parameter`.
+        scale: What sizes are measured against.
+        told: Whether the records tell it from a simpler one, so that of its least sizes only those
+            relative to another parameter count.
     """
     own = {n: values[f"{effect.name}.{n}"] for n in effect.parameters()}
     return all(
         abs(own[name]) >= factor * (own[unit] if unit in own else getattr(scale, unit, 1.0))
         for name, factor, unit in _LEAST.get(effect.name, ())
+        if unit in own or not told
     ) and not any(
         abs(own[name]) > factor * getattr(scale, unit)
         for name, factor, unit in _MOST.get(effect.name, ())
