@@ -267,7 +267,7 @@ def _names(rng: Rng, variant: str, effect: str | None) -> tuple[str, ...]:
         "stage": STAGE,
     }.get(variant, tuple(CATALOGUE))
     if variant in ("steps_only", "no_encoder", "wrong_base", "left_out"):
-        choice = tuple(n for n in choice if n not in (*LOW, *SOFT, *AS_BELIEVED))
+        choice = tuple(n for n in choice if n not in (*LOW, *SOFT, *AS_BELIEVED, "backlash"))
     return (str(rng.choice(choice)),)
 
 
@@ -299,13 +299,14 @@ def _battery(
     if believed.kind == "stage":
         return batteries.stage(rng, believed)
     if believed.kind == "unloaded":
-        battery = batteries.reversing if "backlash" in names else batteries.unloaded
-        return battery(rng, believed)
+        reverses = "backlash" in names or (not names and rng.random() < 0.2)
+        return (batteries.reversing if reverses else batteries.unloaded)(rng, believed)
     if believed is bases.SOFT:
         return batteries.soft(rng, believed)
     battery = batteries.steps_only if variant == "steps_only" else batteries.tensioned
-    if "backlash" in names:
+    chance = rng.random() if variant == "none" else 1.0
+    if "backlash" in names or 0.1 <= chance < 0.2:
         battery = batteries.parting
-    elif set(names) & set(LOW) or (variant == "none" and rng.random() < 0.1):
+    elif set(names) & set(LOW) or chance < 0.1:
         battery = batteries.low
     return battery(rng, believed)
