@@ -15,15 +15,18 @@ from plants.effects.oscillator import stepping
 class StructuralMode(Effect):
     """A frame that gives and rings under the cable's pull, in series with the cable.
 
-        T = (1 + c) l - q,    q'' + 2 zeta w q' + w^2 q = w^2 c T
+        T = (1 + c) l - q,    q'' + 2 zeta w q' + w^2 (1 + s T) q = w^2 c T
 
-    l is the tension of the linear law, whose stiffness is that of all together: in the end T is l.
-    q is what the frame's motion takes off the tension of the rest.
+    l is the tension of the linear law, whose stiffness is that of all together: in the end T is l
+    where s is zero. q is what the frame's motion takes off the tension of the rest. A frame is
+    bolted together, and joints that are pressed harder touch over more of their faces: it may be
+    the stiffer, the more the cable pulls.
 
     Attributes:
-        share: Flexibility c of the frame per that of the rest.
-        frequency_Hz: Natural frequency w/(2 pi) of the frame alone, Hz.
+        share: Flexibility c of the unloaded frame per that of the rest.
+        frequency_Hz: Natural frequency w/(2 pi) of the unloaded frame alone, Hz.
         damping: Damping ratio zeta of the frame alone.
+        stiffening_per_N: Growth s of its stiffness with the tension, 1/N.
     """
 
     name: ClassVar[str] = "structural_mode"
@@ -37,7 +40,8 @@ class StructuralMode(Effect):
 
     share: float = parameter(0.1, low=0.0, high=1.0, unit="", neutral=0.0)
     frequency_Hz: float = parameter(60.0, low=5.0, high=250.0, unit="Hz")
-    damping: float = parameter(0.02, low=1e-3, high=0.9, unit="")
+    damping: float = parameter(0.05, low=1e-3, high=0.9, unit="")
+    stiffening_per_N: float = parameter(0.0, low=0.0, high=0.1, unit="1/N")
 
     @staticmethod
     def prepare(p: SimpleNamespace, reel: SimpleNamespace) -> dict[str, Signal]:
@@ -45,7 +49,13 @@ class StructuralMode(Effect):
         root = ca.sqrt(1.0 + p.share)
         w = 2.0 * math.pi * p.frequency_Hz
         keep, pull = stepping(w * root, p.damping / root, reel.substep_s)
-        return {"settled": p.share / (1.0 + p.share), "keep": keep, "pull": pull}
+        both = 1.0 / (1.0 + p.share)
+        return {
+            "settled": p.share * both,
+            "stiffer": p.stiffening_per_N * both,
+            "keep": keep,
+            "pull": pull,
+        }
 
     @staticmethod
     def respond(
@@ -57,7 +67,9 @@ class StructuralMode(Effect):
         """The tension left."""
         q, last = state[0], state[1]
         rest = (1.0 + p.share) * signal
-        goal = p.settled * ca.fmax(rest, q)  # with T = max(0, rest - q), T + q is max(rest, q)
+        # With T = max(0, rest - q), T + q is max(rest, q).
+        taut = ca.fmax(rest, q)
+        goal = p.settled * taut - p.stiffer * (taut - q) * q
         step = p.keep * last + p.pull * (goal - q)
         return ca.vertcat(q + step, step), rest - q
 
@@ -68,5 +80,6 @@ class StructuralMode(Effect):
         signal: Signal,
         site: Site,  # noqa: ARG004  the same at any angle
     ) -> tuple[Signal, Signal]:
-        """What the frame gives; the tension is the linear law's."""
-        return ca.vertcat(p.share * signal, 0.0), signal
+        """What the frame gives, and the linear law's tension."""
+        q = p.share * signal / (1.0 + p.stiffening_per_N * ca.fmax(signal, 0.0))
+        return ca.vertcat(q, 0.0), (signal + q) / (1.0 + p.share)

@@ -17,6 +17,8 @@ FEW = np.array([1.0, 1.5, 2.0, 3.0, 4.0])
 """Periods in all the turning there is that are tried at any rate."""
 FEWEST = 4
 """Fewest samples of a record that are looked at for a wave over the angle."""
+JOINTS = 0.1
+"""By how much more a frame is the stiffer at the records' tension for its joints."""
 
 
 def suggestions(
@@ -43,6 +45,9 @@ def suggestions(
     }
     for name in ("gauge_resonance", "structural_mode"):
         known[f"{name}.frequency_Hz"] = frequencies
+    preloads = [m.preload_N for m in measurements if m.preload_N > 0.0]
+    if preloads:
+        known["structural_mode.stiffening_per_N"] = [0.0, JOINTS / float(np.median(preloads))]
     return lambda name: known.get(name, [])
 
 

@@ -79,6 +79,8 @@ DEEPEST = 3
 
 FAMILIES: tuple[tuple[str, ...], ...] = (
     ("coulomb_friction", "dahl_hysteresis", "stribeck_friction"),
+    # A frame that is the stiffer, the more the cable pulls, and rings too fast to be seen.
+    ("cable_stiffening", "structural_mode"),
 )
 """Effects of which each may do what the ones before it do; all are fitted where one is."""
 
