@@ -42,15 +42,18 @@ def open_block(attempt: Attempt) -> Block | None:
     acting = set(map(block_of, attempt.effects))
     splits = attempt.fit_blocks, attempt.rank_blocks
     if acting == {"drum"}:
-        return "cable" if max(s.cable for s in splits) >= thresholds.NOTHING**2 else None
+        return "cable" if max(s.cable for s in splits) > thresholds.CLOSED**2 else None
     if acting == {"cable"} and max(s.cable for s in splits) <= thresholds.CLOSED**2:
         return "drum" if max(s.drum for s in splits) >= thresholds.NOTHING**2 else None
     return None
 
 
 def _gapes(attempt: Attempt) -> bool:
-    enough = thresholds.GAP if attempt.effects else thresholds.NOTHING
-    return math.sqrt(max(attempt.rank_J, attempt.fit_J)) >= enough
+    return _gap(attempt) > (thresholds.CLOSED if attempt.effects else thresholds.NOTHING)
+
+
+def _gap(attempt: Attempt) -> float:
+    return math.sqrt(max(attempt.rank_J, attempt.fit_J))
 
 
 def does(base: Attempt, best: Attempt) -> bool:
@@ -60,24 +63,39 @@ def does(base: Attempt, best: Attempt) -> bool:
     return closure(base.rank_J, best.rank_J) > thresholds.DONE
 
 
-def worth_adding(before: Attempt, after: Attempt, base: Attempt) -> bool:
+def worth_adding(
+    before: Attempt, after: Attempt, base: Attempt, others: Sequence[Attempt] = ()
+) -> bool:
     """Whether a model is so much better, on both splits, that what it adds is there.
 
     Args:
         before: The model so far.
         after: The same with one more effect.
         base: The model without effects.
+        others: What else was tried in its stead, if that is known.
     """
     if not _gapes(before):
         return False
-    least = thresholds.FIRST
+    least, small = thresholds.FIRST, _gap(before) < thresholds.GAP
     if before.effects:
-        little = before.rank_J < thresholds.LITTLE * base.rank_J
+        little = before.rank_J < thresholds.LITTLE * base.rank_J and not _stands_out(
+            before, after, others
+        )
         much_left = math.sqrt(after.rank_J) > thresholds.INCOMPLETE
-        least = thresholds.CLOSURE if little or much_left else thresholds.FURTHER
+        least = thresholds.CLOSURE if small or little or much_left else thresholds.FURTHER
     closed = [_closed(before.rank_J, after.rank_J), _closed(before.fit_J, after.fit_J)]
     gained = float((before.squares - after.squares).sum())
+    if before.effects and small and better(after, before) < thresholds.SIGNIFICANT:
+        return False
     return min(closed) >= least and gained >= thresholds.SIGNIFICANT_GAIN
+
+
+def _stands_out(before: Attempt, after: Attempt, others: Sequence[Attempt]) -> bool:
+    """Whether no effect of another family closes nearly as much."""
+    family = family_of(after.effects[-1].name)
+    rest = [_closed(before.rank_J, a.rank_J) for a in others if a.effects[-1].name not in family]
+    closed = _closed(before.rank_J, after.rank_J)
+    return bool(rest) and max(rest) <= thresholds.SECOND * closed
 
 
 def worth_adding_there(before: Attempt, after: Attempt, block: Block) -> bool:
@@ -163,6 +181,17 @@ def _told(attempt: Attempt, simpler: Sequence[Attempt], base: Attempt) -> bool:
     return closed < thresholds.CLOSURE and reached >= thresholds.CLOSURE_OF_MUCH
 
 
+def fullest(taken: Attempt, attempts: Sequence[Attempt]) -> Attempt:
+    """The member of an attempt's family to look further from: the one that leaves least.
+
+    What the law named leaves for being simple would be taken for something else, or hide it: dry
+    friction has a name of its own where it gives a little before it slips, and gives all the same.
+    """
+    family = family_of(taken.effects[-1].name)
+    fuller = [a for a in attempts if a.effects[-1].name in family and not _as_good(taken, a)]
+    return min(fuller, key=lambda a: a.fit_J, default=taken)
+
+
 def _at_bound(attempt: Attempt) -> bool:
     """Whether the last effect's size is the most it can be: then it stands for something else."""
     predictor, name = attempt.fitted.predictor, attempt.effects[-1].name
@@ -189,7 +218,7 @@ def _as_good(simpler: Attempt, other: Attempt) -> bool:
     """Whether a simpler model leaves hardly more."""
     return (
         simpler.rank_J <= thresholds.SIMPLER * other.rank_J
-        or simpler.fit_J <= thresholds.SIMPLER * other.fit_J
+        and simpler.fit_J <= thresholds.SIMPLER * other.fit_J
     )
 
 

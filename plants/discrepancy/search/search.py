@@ -19,6 +19,7 @@ from plants.discrepancy.search.score import (
     closure,
     does,
     family_of,
+    fullest,
     leaves_a_gap,
     open_block,
     simplest,
@@ -104,12 +105,14 @@ def search(
         one = _round(bench, base, current, looked, seen)
         again = _gone_on(bench, base, one)
         if again is not None:
-            rounds[-1], current = _ended(rounds[-1], again), again
+            if rounds[-1].taken is current:
+                rounds[-1] = _ended(rounds[-1], again)
+            current = again
             continue
         rounds.append(one)
         if one.taken is current:
             break
-        current = one.taken
+        current = fullest(one.taken, one.attempts)
     if current is base and rounds:
         rounds = [*_pair(bench, base, rounds[0], effects, suggest)] or rounds
     kept = _without_needless(bench, base, rounds)
@@ -138,8 +141,10 @@ def _families_again(
 ) -> tuple[Attempt, ...]:
     """The stages with each family's member chosen again where more was added after it.
 
-    What was missing then bent the law: its member was chosen under what others explain now.
+    What was missing then bent the law: its member was chosen under what others explain now. A law
+    that was only gone on with has no name of its own.
     """
+    named = {one.effects[-1] for one in stages}
     for effect in stages[-1].effects[:-1] if stages else ():
         family = [screened[n] for n in family_of(effect.name) if n in screened]
         if len(family) < 2:
@@ -153,7 +158,10 @@ def _families_again(
                 attempts.append(with_one_more(bench, held, one, attempts))
         attempts = finished(bench, base, reduced(bench, attempts))
         again = simplest(attempts, held, bench.scale)
-        if again is not None and max(again.rank_J - best.rank_J, again.fit_J - best.fit_J) < 0.0:
+        if again is None:
+            continue
+        better = max(again.rank_J - best.rank_J, again.fit_J - best.fit_J) < 0.0
+        if better or effect not in named:
             stages = (*(_from(bench, rest[:n], best) for n in range(1, len(best.effects))), again)
     return stages
 
@@ -231,7 +239,7 @@ def _without_needless(bench: Bench, base: Attempt, rounds: list[Round]) -> tuple
     if len(taken) < thresholds.DEEPEST:
         return tuple(rounds)
     first, _, last = taken
-    rest = _from(bench, (*first.taken.effects, last.taken.effects[-1]), last.taken)
+    rest = _from(bench, (last.taken.effects[0], last.taken.effects[-1]), last.taken)
     if worth_adding(rest, last.taken, base):
         return tuple(rounds)
     return (first, replace(last, before=first.taken, taken=rest))
@@ -261,7 +269,7 @@ def _round(
         again = [roughly(bench, one.effect) for one in screened.values() if bends(one)]
         attempts = finished(bench, base, [*attempts, *again])
         best = simplest(attempts, current, bench.scale)
-    if best is None or not worth_adding(current, best, base):
+    if best is None or not worth_adding(current, best, base, attempts):
         best = _by_its_block(bench, current, attempts)
     if best is None:
         return Round(current, shares, tuple(attempts), current)
