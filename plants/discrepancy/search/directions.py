@@ -28,19 +28,18 @@ def screened_further(
     suggest: Suggest,
 ) -> dict[str, Screened]:
     """Each further effect's direction, by slug; those of a block without one in that alone."""
-    if open_block(current) != "cable":
-        return all_screened(bench, effects, seen)
-    there = [e for e in effects if block_of(e) == "cable"]
-    block = background(bench, current, suggest, cable=True)
-    # What an actuator does not pass on moves nothing behind it; what rings, friction damps.
+    cable = open_block(current) == "cable"
+    block = [background(bench, current, suggest, cable=True)] if cable else seen
+    # What an actuator does not pass on moves nothing behind it.
     driven = tuple(e for e in current.effects if e.port is Port.ACTUATOR)
-    looked = {
-        e.name: screen(
-            e, bench.predictor((*(current.effects if _rings(e) else driven), e)), [block]
-        )
-        for e in there
-    }
-    return looked | all_screened(bench, [e for e in effects if e not in there], seen)
+    looked = {}
+    for e in effects:
+        there = cable and block_of(e) == "cable"
+        beside = driven if there else ()
+        if _rings(e):
+            beside = current.effects  # it rings with what drives it, and friction damps it
+        looked[e.name] = screen(e, bench.predictor((*beside, e)), block if there else seen)
+    return looked
 
 
 def _rings(effect: type[Effect]) -> bool:

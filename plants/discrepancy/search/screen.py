@@ -34,15 +34,17 @@ LEVELS = 14
 """Values tried of a limit, whose neutral value is its greatest and lies far away."""
 GRID = 7
 """Values tried of a parameter that has no neutral value."""
-FREQUENCIES = 28
-"""The same of a frequency, beside those the data suggest: some 15 % apart, a resonance damped as
+FREQUENCIES = 40
+"""The same of a frequency, beside those the data suggest: some 10 % apart, a resonance damped as
 frames are is seen from the next one."""
 ROWS = 20
 """Most combinations of such values."""
-MODES = 80
+MODES = 100
 """The same where one of them is a frequency."""
 WIDE = 15.0
 """How far from the usual value they reach, as a factor."""
+APART = 0.3
+"""Logarithm of the ratio from which on two frequencies are worth a start each."""
 FURTHEST = 30.0
 """A size may be extrapolated by this factor from the one that was tried."""
 STARTS = 2
@@ -220,12 +222,22 @@ class _Probe:
         ways, reach = self._limits() if is_limit(self.effect) else self._amplitudes()
         ways.sort(key=lambda way: -way.share)
         most = STARTS + len(self.phases)  # a period is soon lost
-        starts = np.array([way.start for way in ways[:most]])
+        starts = np.array([way.start for way in self._apart(ways)[:most]])
         best = ways[0]
         return Screened(
             *(self.effect, self.predictor, starts, self._grids()),
             *(best.share, best.changes, reach),
         )
+
+    def _apart(self, ways: list["_Way"]) -> list["_Way"]:
+        """The ways, of those with frequencies side by side the most promising alone."""
+        rates = [self.column[n] for n, p in self.declared.items() if p.unit == "Hz"]
+        kept: list[_Way] = []
+        for way in ways:
+            near = (np.abs(np.log(way.start[rates] / k.start[rates])) for k in kept)
+            if not rates or all((distance > APART).any() for distance in near):
+                kept.append(way)
+        return kept
 
     def _changes(self, rows: FloatArray) -> FloatArray:
         """What rows change in the residuals screened, shape (rows, screened)."""
