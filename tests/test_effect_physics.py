@@ -274,6 +274,23 @@ def structural_mode(effect):
     expected = np.asarray(control.forced_response(system, U=late - 15.0, T=time).outputs)
     seen = rollout(REEL + effect(share=c, frequency_Hz=45.0, damping=zeta), TAUT)
     assert seen.tension - 15.0 == pytest.approx(expected, abs=1e-3 * np.ptp(expected))
+    # One that stiffens, under what is wound in, by scipy's solver.
+    s = 0.03
+    law = Law(effect(share=c, frequency_Hz=45.0, damping=zeta, stiffening_per_N=s))
+    wound = law.settle(15.0)
+    q = c * 15.0 / (1 + s * 15.0)
+    assert (1 + c) * wound - q == pytest.approx(15.0)
+
+    def frame(t, state):
+        T = (1 + c) * wound * (1 + 0.4 * np.sin(200.0 * t)) - state[0]
+        return state[1], w * w * (c * T - (1 + s * T) * state[0]) - 2 * zeta * w * state[1]
+
+    t = SUBSTEP_s * np.arange(600)
+    given = wound * (1 + 0.4 * np.sin(200.0 * t))
+    q = integrate.solve_ivp(frame, (0.0, t[-1]), (q, 0.0), t_eval=t, rtol=1e-9).y[0]
+    found = [law.pass_(l) for l in given]
+    expected = (1 + c) * given - q
+    assert found == pytest.approx(expected, abs=0.01 * np.ptp(expected))
 
 
 def torque_ripple(effect):

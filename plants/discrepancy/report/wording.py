@@ -198,10 +198,12 @@ def _string_mode(v: Mapping[str, float], at: Scene) -> str:
     )
 
 
-def _structural_mode(v: Mapping[str, float], _: Scene) -> str:
+def _structural_mode(v: Mapping[str, float], at: Scene) -> str:
+    T = at.tension_N if math.isfinite(at.tension_N) else 10.0
     return (
         f"stands on a frame that rings at {digits(v['frequency_Hz'])} Hz with a damping ratio of "
-        f"{v['damping']:.2g} and gives {share(v['share'])} as much as the rest does"
+        f"{v['damping']:.2g}, gives {share(v['share'])} as much as the rest does and is "
+        f"{share(v['stiffening_per_N'] * T)} stiffer at {at.reading(T)}"
     )
 
 

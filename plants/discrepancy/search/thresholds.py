@@ -29,11 +29,13 @@ FURTHER = 0.5
 """Share of the power that is left which one more effect has to close."""
 LITTLE = 0.05
 """Share of the first gap's power up to which what is left may be that the law named is not quite
-the machine's; one more effect then has to close as much of it as a name takes. So it has to where
-much is left after it, too: then nothing tells that it is the one."""
+the machine's; one more effect then has to close as much of it as a name takes, or to stand out. As
+much it has to close where much is left after it, or where what is left is no gap: then nothing
+tells that it is the one."""
 SECOND = 0.4
-"""Share of what one more effect closes up to which all others have to stay for it to be the one: what
-a law that is not quite the machine's leaves has no shape of its own, and several take off some."""
+"""Share of what one more effect closes up to which all others have to stay for it to stand out:
+what a law leaves that is not quite the machine's has no shape of its own, and several take some
+off."""
 INCOMPLETE = 3.0
 """Gap that a named effect may leave before it is said to be incomplete."""
 SIMPLER = 1.08
