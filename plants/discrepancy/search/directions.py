@@ -36,13 +36,13 @@ def screened_further(
     for e in effects:
         there = cable and block_of(e) == "cable"
         beside = driven if there else ()
-        if _rings(e):
+        if rings(e):
             beside = current.effects  # it rings with what drives it, and friction damps it
         looked[e.name] = screen(e, bench.predictor((*beside, e)), block if there else seen)
     return looked
 
 
-def _rings(effect: type[Effect]) -> bool:
+def rings(effect: type[Effect]) -> bool:
     """Whether an effect has a frequency of its own."""
     return any(p.unit == "Hz" for p in effect.parameters().values())
 

@@ -13,7 +13,12 @@ from plants.discrepancy.search.attempts import (
 )
 from plants.discrepancy.search.bench import Attempt, Bench
 from plants.discrepancy.search.cable_block import block_of
-from plants.discrepancy.search.directions import all_screened, background, screened_further
+from plants.discrepancy.search.directions import (
+    all_screened,
+    background,
+    rings,
+    screened_further,
+)
 from plants.discrepancy.search.rivals import beaten_by
 from plants.discrepancy.search.score import (
     closure,
@@ -27,7 +32,7 @@ from plants.discrepancy.search.score import (
     worth_adding,
     worth_adding_there,
 )
-from plants.discrepancy.search.screen import Background, Screened, Suggest
+from plants.discrepancy.search.screen import Background, Screened, Suggest, screen
 from plants.effects import Effect
 
 
@@ -113,6 +118,8 @@ def search(
         if one.taken is current:
             break
         current = fullest(one.taken, one.attempts)
+    if current.effects and len(current.effects) < thresholds.DEEPEST:
+        rounds += _mode_beside(bench, current, effects, suggest)
     if current is base and rounds:
         rounds = [*_pair(bench, base, rounds[0], effects, suggest)] or rounds
     kept = _without_needless(bench, base, rounds)
@@ -221,6 +228,40 @@ def _pair(
         if second.taken is not one and _does_together(bench, base, second.taken):
             pairs.append((replace(first, taken=one), second))
     return min(pairs, key=lambda pair: pair[1].taken.rank_J, default=())
+
+
+def _mode_beside(
+    bench: Bench, current: Attempt, effects: Sequence[type[Effect]], suggest: Suggest
+) -> list[Round]:
+    """A round with a mode beside effects that leave no gap, or none.
+
+    What rings fills a narrow band, which a mean over everything hides; its direction shows it.
+    """
+    if leaves_a_gap(current):
+        return []
+    there = {member for e in current.effects for member in family_of(e.name)}
+    further = {e.name: e for e in effects if e.name not in there}
+    seen = [background(bench, current, suggest)]
+
+    def looked(e: type[Effect]) -> Screened:
+        return screen(e, bench.predictor((*current.effects, e)), seen)
+
+    modes = {name: looked(e) for name, e in further.items() if rings(e)}
+    shown = [n for n, one in modes.items() if one.cosine2 >= 0.5 * thresholds.NARROW]
+    wanted = {m for name in shown for m in family_of(name) if m in further}
+    attempts: list[Attempt] = []
+    for name in sorted(wanted, key=lambda n: family_of(n).index(n)):
+        one = modes[name] if name in modes else looked(further[name])
+        attempts.append(bench.further(with_one_more(bench, current, one, attempts)))
+    attempts.sort(key=lambda a: a.rank_J)
+    best = simplest(attempts, current, bench.scale)
+    if best is None or not rings(best.effects[-1]):
+        return []
+    left = max(best.rank_J / current.rank_J, best.fit_J / current.fit_J)
+    if left > 1.0 - thresholds.NARROW:
+        return []
+    shares = {name: one.cosine2 for name, one in modes.items()}
+    return [Round(current, shares, tuple(attempts), best)]
 
 
 def _does_together(bench: Bench, base: Attempt, pair: Attempt) -> bool:

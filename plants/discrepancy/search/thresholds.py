@@ -36,6 +36,10 @@ SECOND = 0.4
 """Share of what one more effect closes up to which all others have to stay for it to stand out:
 what a law leaves that is not quite the machine's has no shape of its own, and several take some
 off."""
+NARROW = 0.1
+"""Share of all the power, the floor's too, that a mode has to take off on the fit and the rank
+split where no gap is left beside it. Four values take off a thousandth of what has no shape;
+where no mode is there the best direction of one explains no more than two hundredths."""
 INCOMPLETE = 3.0
 """Gap that a named effect may leave before it is said to be incomplete."""
 SIMPLER = 1.08
