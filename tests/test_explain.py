@@ -107,6 +107,12 @@ def test_an_effect_of_the_drive_is_seen_beside_one_of_the_cable():
     assert (row.verdict, row.found) == ("named", ("cable_creep", "dead_time"))
 
 
+def test_a_mode_is_seen_beside_an_effect_that_leaves_no_gap():
+    row = diagnose(Task(1, "two", "gauge_nonlinearity+structural_mode"))
+    assert not row.error
+    assert (row.verdict, row.found) == ("named", ("gauge_nonlinearity", "structural_mode"))
+
+
 def test_what_two_records_leave_open_more_decide_and_what_to_record_is_proposed():
     given, records = drawn(609, "no_encoder", "cable_stiffening")
     few = plants.explain(given, [m for m in records if m.profile == "multisine"])
