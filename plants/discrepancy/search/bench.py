@@ -96,11 +96,13 @@ class Bench:
             for m, pull in zip(self.measurements, given, strict=True)
             if m.tension_N is not None and math.isfinite(pull)
         ]
+        turned = [float(np.ptp(m.angle_rad)) for m in self.measurements if m.angle_rad is not None]
         return thresholds.Scale(
             sample_s=1.0 / min(m.sampling_Hz for m in self.measurements),
             angle_rad=angle_rad,
             tension_N=tension_N,
             stretch_m=max(stretched, default=math.nan),
+            repeats=2.0 * math.pi / max(*turned, 1e-9) if turned else math.nan,
         )
 
     def predictor(self, effects: Effects) -> Predictor:

@@ -122,12 +122,15 @@ class Scale(NamedTuple):
         angle_rad: Noise of the encoder, or of the gauge as an angle, rad rms; nan without both.
         tension_N: Noise of the gauge, N rms; nan without.
         stretch_m: Most that the cable is stretched by in the records, m; nan without.
+        repeats: Periods in a turn of a wave of which the widest record shows one; nan without an
+            encoder.
     """
 
     sample_s: float
     angle_rad: float
     tension_N: float
     stretch_m: float
+    repeats: float
 
 
 def large_enough(
@@ -148,7 +151,7 @@ def large_enough(
     """
     own = {n: values[f"{effect.name}.{n}"] for n in effect.parameters()}
     return all(
-        abs(own[name]) >= factor * (own[unit] if unit in own else getattr(scale, unit, 1.0))
+        not abs(own[name]) < factor * (own[unit] if unit in own else getattr(scale, unit, 1.0))
         for name, factor, unit in _LEAST.get(effect.name, ())
         if unit in own or not told
     ) and not any(
@@ -165,6 +168,8 @@ _LEAST: dict[str, tuple[tuple[str, float, str], ...]] = {
     "backlash": (("play_rad", 3.0, "angle_rad"),),
     # Shorter than this, bristles that bend and a drum that sticks look alike to the encoder.
     "dahl_hysteresis": (("presliding_rad", 12.0, "angle_rad"),),
+    # What comes back nowhere is no wave: any curve that is bent once looks so.
+    "torque_ripple": (("per_turn", 0.8, "repeats"),),
     # Friction that falls to nothing with speed is no dry friction.
     "stribeck_friction": (("excess_Nm", 0.1, "coulomb_Nm"), ("coulomb_Nm", 0.2, "excess_Nm")),
 }
