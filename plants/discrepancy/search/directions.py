@@ -3,10 +3,11 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
+from plants.discrepancy.search.background import Background, Suggest, orthonormal
 from plants.discrepancy.search.bench import Attempt, Bench, Numbers
 from plants.discrepancy.search.cable_block import block_of
 from plants.discrepancy.search.score import open_block
-from plants.discrepancy.search.screen import Background, Screened, Suggest, orthonormal, screen
+from plants.discrepancy.search.screen import Screened, screen
 from plants.effects import Effect, Port
 
 SCREENED = 12_000

@@ -17,9 +17,10 @@ import numpy as np
 
 from plants.discrepancy.search import thresholds
 from plants.discrepancy.search.attempts import with_one_more
+from plants.discrepancy.search.background import Background
 from plants.discrepancy.search.bench import Attempt, Bench
 from plants.discrepancy.search.cable_block import block_of
-from plants.discrepancy.search.screen import Background, screen
+from plants.discrepancy.search.screen import screen
 from plants.effects import Effect, Port, Signal, Site, parameter
 from plants.effects.bristles import bent
 

@@ -11,6 +11,7 @@ from plants.discrepancy.search.attempts import (
     roughly,
     with_one_more,
 )
+from plants.discrepancy.search.background import Background, Suggest
 from plants.discrepancy.search.bench import Attempt, Bench
 from plants.discrepancy.search.cable_block import block_of
 from plants.discrepancy.search.directions import (
@@ -32,7 +33,7 @@ from plants.discrepancy.search.score import (
     worth_adding,
     worth_adding_there,
 )
-from plants.discrepancy.search.screen import Background, Screened, Suggest, screen
+from plants.discrepancy.search.screen import Screened, screen
 from plants.effects import Effect
 
 

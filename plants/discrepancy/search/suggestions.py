@@ -8,8 +8,8 @@ import numpy as np
 from plants.discrepancy.data.noise import step_of
 from plants.discrepancy.data.record import Measurement
 from plants.discrepancy.residual.where import Block, Where
+from plants.discrepancy.search.background import Suggest
 from plants.discrepancy.search.periods import Turning, per_turn
-from plants.discrepancy.search.screen import Suggest
 
 PEAKS = 3
 """Peaks taken of a spectrum."""
