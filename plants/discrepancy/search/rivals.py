@@ -191,7 +191,7 @@ def beaten_by(
         seen: From where directions are looked for.
         share: Share of the residual that the effect's direction explains.
     """
-    effect, closed = one.effects[-1], max(_left(one)) <= thresholds.CLOSED**2
+    effect, closed = one.effects[-1], is_closed(one)
     if block_of(effect) != "cable":
         return None
     for law, least, ever in (*RIVALS, PLAIN) if effect.name in TOES else RIVALS:
@@ -204,6 +204,11 @@ def beaten_by(
         if max(np.divide(_left(other), _left(one))) < least:
             return law.title
     return None
+
+
+def is_closed(attempt: Attempt) -> bool:
+    """Whether a model leaves nothing where an effect of cable and gauge is seen."""
+    return max(_left(attempt)) <= thresholds.CLOSED**2
 
 
 def _left(attempt: Attempt) -> tuple[float, float]:

@@ -20,7 +20,7 @@ from plants.discrepancy.search.directions import (
     rings,
     screened_further,
 )
-from plants.discrepancy.search.rivals import beaten_by
+from plants.discrepancy.search.rivals import beaten_by, is_closed
 from plants.discrepancy.search.score import (
     closure,
     does,
@@ -220,13 +220,14 @@ def _pair(
     pairs = []
     for one in leading:
         alone = closure(base.fit_J, one.fit_J) < thresholds.FIRST
-        beaten = one.effects[-1].name in first.rivals
-        if alone or beaten or simplest([one], base, bench.scale) is None:
+        if alone or simplest([one], base, bench.scale) is None:
             continue
         seen = [background(bench, one, suggest)]
         looked = screened_further(bench, effects, seen, one, suggest)
         second = _round(bench, base, one, looked, seen)
-        if second.taken is not one and _does_together(bench, base, second.taken):
+        # A law without a name did better alone: with what else is missing none may need to.
+        beaten = one.effects[-1].name in first.rivals and not is_closed(second.taken)
+        if second.taken is not one and not beaten and _does_together(bench, base, second.taken):
             pairs.append((replace(first, taken=one), second))
     return min(pairs, key=lambda pair: pair[1].taken.rank_J, default=())
 
