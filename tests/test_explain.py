@@ -88,6 +88,13 @@ def test_a_constant_torque_on_a_light_cable_at_low_tension_is_no_weight():
     assert found.ratio_before < 1.1
 
 
+def test_a_record_that_was_not_fitted_is_held_against_a_heavy_cable_from_its_own_zero():
+    # Begun at the zero that the linear law gives, the record lies 90 floors off.
+    found = plants.explain(*drawn(40035, "plain"), effects=["cable_weight"])
+    assert (found.verdict, [e.name for e in found.effects]) == ("named", ["cable_weight"])
+    assert found.ratio_after < 1.1
+
+
 def test_a_gain_that_changes_with_time_is_not_called_a_zero_that_drifts():
     found = plants.explain(*drawn(601, "outside", "sensitivity_drift"))
     assert found.verdict == "unknown"
