@@ -96,6 +96,7 @@ def test_effects_of_a_cable_have_no_place_on_it():
     on_it = {
         *("coulomb_friction", "stribeck_friction", "dahl_hysteresis", "viscous_damping"),
         *("torque_ripple", "dead_time", "current_saturation", "rate_limit", "gain_error"),
+        "backlash",
     }
     for name, effect in EFFECTS.items():
         if name in on_it:
