@@ -298,7 +298,9 @@ def test_one_trial_at_a_time_and_it_can_be_cancelled(board):
     for answer in (board.submit(board.trial(1)), board.say("gains", SetGains(board.lease, gains))):
         assert (answer.verdict, answer.trial_id) == (Verdict.BUSY, request.trial_id)
     assert board.say("cancel", Cancel(board.lease, "another-00000")).trial_id == ""
-    while (answer := board.submit(request)).verdict is Verdict.ACCEPTED:  # it is being prepared
+    while (
+        answer := board.submit(request)
+    ).verdict is Verdict.ACCEPTED:  # the ledger is written after the mode
         board.say("lease", Lease("renew", board.lease))
     assert answer.verdict is Verdict.RUNNING
     while board.say("cancel", Cancel(board.lease)).trial_id:

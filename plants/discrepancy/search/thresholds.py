@@ -150,6 +150,7 @@ def large_enough(
             relative to another parameter count.
     """
     own = {n: values[f"{effect.name}.{n}"] for n in effect.parameters()}
+    # Neither way round does a unit that is not known, nan, rule anything out.
     return all(
         not abs(own[name]) < factor * (own[unit] if unit in own else getattr(scale, unit, 1.0))
         for name, factor, unit in _LEAST.get(effect.name, ())
