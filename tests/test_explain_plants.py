@@ -17,7 +17,7 @@ RATE_Hz, SUBSTEPS, NOISE_m = 750.0, 20, 8e-6
 FRICTION_N, HUM_m = 5.0, 1e-4
 
 
-def moved(force_N, friction_N):
+def moved(force_N, friction_N, stiffness_N_m=STIFFNESS_N_m):
     """Displacement of the stage, m, by semi-implicit steps; friction is a proximal step."""
     h = 1.0 / (RATE_Hz * SUBSTEPS)
     x = v = 0.0
@@ -25,7 +25,7 @@ def moved(force_N, friction_N):
     for n, force in enumerate(force_N.tolist()):
         out[n] = x
         for _ in range(SUBSTEPS):
-            v += h * (force - DAMPING_Ns_m * v - STIFFNESS_N_m * x) / MASS_kg
+            v += h * (force - DAMPING_Ns_m * v - stiffness_N_m * x) / MASS_kg
             v = math.copysign(max(abs(v) - h * friction_N / MASS_kg, 0.0), v)
             x += h * v
     return out
@@ -41,10 +41,12 @@ def forces(rng):
     yield 40.0 * np.sin(2.0 * np.pi * (20.0 + 10.0 * t) * t)
 
 
-def records(friction_N=0.0, hum_m=0.0):
+def records(friction_N=0.0, hum_m=0.0, step_m=0.0, stiffness_N_m=STIFFNESS_N_m):
+    """Records of the stage; readings in steps have no other noise."""
     rng = np.random.default_rng(3)
     for n, force in enumerate(forces(rng)):
         t = np.arange(force.size) / RATE_Hz
+        x = moved(force, friction_N, stiffness_N_m)
         hum = hum_m * np.sin(2.0 * np.pi * 50.2 * t + n)
         yield Measurement(
             name=f"record-{n}",
@@ -58,7 +60,9 @@ def records(friction_N=0.0, hum_m=0.0):
             time_s=t,
             setpoint_N=None,
             current_A=force,
-            tension_N=moved(force, friction_N) + hum + NOISE_m * rng.standard_normal(t.size),
+            tension_N=step_m * np.rint(x / step_m)
+            if step_m
+            else x + hum + NOISE_m * rng.standard_normal(t.size),
             angle_rad=None,
             reference_N=None,
             flags=None,
@@ -83,3 +87,16 @@ def test_what_a_system_of_python_control_lacks_is_told_in_its_own_units(hidden, 
     said = re.search(r"([\d.e-]+) in the (?:input|output)'s unit", found.sentence)
     assert float(said[1]) == pytest.approx(truth, rel=0.05)
     assert found.ratio_after < 1.2
+    parameter = next(iter(found.effects[0].parameters.values()))
+    assert parameter.value == pytest.approx(truth, rel=0.05)
+    assert parameter.unit == ("input" if name == "coulomb_friction" else "output")
+
+
+@pytest.mark.parametrize(("friction_N", "verdict"), [(0.0, "none"), (FRICTION_N, "named")])
+def test_a_stage_that_nothing_holds_is_foretold_as_far_as_its_noise_shows(friction_N, verdict):
+    believed = control.tf([1.0], [1.1 * MASS_kg, 1.3 * DAMPING_Ns_m, 0.0])
+    found = plants.explain(believed, list(records(friction_N, step_m=1e-6, stiffness_N_m=0.0)))
+    assert found.verdict == verdict
+    assert found.floor < 5e-6
+    assert found.ratio_after < 1.2
+    assert [effect.name for effect in found.effects] == ["coulomb_friction"] * bool(friction_N)

@@ -13,9 +13,12 @@ from plants.discrepancy.experiments.next_experiment import (
     NextExperiment,
     next_experiment,
 )
+from plants.discrepancy.report.amounts import written_unit
 from plants.discrepancy.report.diagnosis import Diagnosis, Interval, NamedEffect, Step, Verdict
+from plants.discrepancy.report.own_units import told as told_in
 from plants.discrepancy.report.wording import sentence
 from plants.discrepancy.residual.where import Where
+from plants.discrepancy.search import thresholds
 from plants.discrepancy.search.bench import Attempt, Bench
 from plants.discrepancy.search.evidence import calibrations, free_run, intervals, reported
 from plants.discrepancy.search.fit import Fitted
@@ -113,11 +116,12 @@ def told(known: Known) -> Diagnosis:
     values = after.fitted.predictor.values(after.fitted.values)
     base_values = base.fitted.predictor.values(base.fitted.values)
     plant = known.bench.model
+    unit = written_unit(plant.output, plant.model)
     added = [one.effect for one in named]
-    values |= {f"{e.name}.{n}": i.value for e in named for n, i in e.parameters.items()}
+    values |= {f"{e.name}.{n}": getattr(e, n) for e in added for n in e.parameters()}
     return Diagnosis(
         verdict=verdict,
-        sentence=overall(verdict, known.judged, named, steps, plant.output),
+        sentence=overall(verdict, known.judged, named, steps, unit),
         effects=tuple(named),
         ambiguous=known.judged.tied,
         candidates=listed,
@@ -142,7 +146,7 @@ def told(known: Known) -> Diagnosis:
         splits=known.bench.dealt.parts,
         model=known.model,
         base_model=plant.calibrated(base_values),
-        augmented=plant.calibrated(values, added),
+        augmented=plant.calibrated(values, [type(effect) for effect in added]),
         values=values,
     )
 
@@ -195,10 +199,10 @@ def _named(effect: type[Effect], found: Mapping[str, Interval], model: Any) -> N
 
 
 def _told_by(parameters: Mapping[str, Interval], effect: type[Effect], model: Any) -> NamedEffect:
-    values = {name: one.value for name, one in parameters.items()}
-    return NamedEffect(
-        effect.name, effect.title, parameters, sentence(effect, values, model), effect
-    )
+    own = {name: told_in(effect, name, one, model) for name, one in parameters.items()}
+    said = sentence(effect, {name: one.value for name, one in own.items()}, model)
+    built = effect(**{name: one.value for name, one in parameters.items()})
+    return NamedEffect(effect.name, effect.title, own, said, built)
 
 
 def _by_rule(known: Known, steps: list[Step]) -> list[NamedEffect]:
@@ -214,23 +218,36 @@ def _by_rule(known: Known, steps: list[Step]) -> list[NamedEffect]:
         named.append(_told_by(parameters, MainsInterference, plant.model))
     if known.coarse_step_N is not None:
         q = known.coarse_step_N
-        # Readings are written with few digits, of which the step has as many.
-        step = Interval(q, q * (1.0 - STEP_KNOWN), q * (1.0 + STEP_KNOWN), "N")
-        named.append(_told_by({"step_N": step.over(read)}, Quantisation, plant.model))
-        steps[:] = _with_rounding(steps, q)
+        unrounded = _without_rounding(steps, q)
+        left = _rounded(unrounded[-1], q)
+        if _counts(unrounded[-1], left):
+            # Readings are written with few digits, of which the step has as many.
+            step = Interval(q, q * (1.0 - STEP_KNOWN), q * (1.0 + STEP_KNOWN), "N")
+            named.append(_told_by({"step_N": step.over(read)}, Quantisation, plant.model))
+            steps[:] = [*unrounded, left]
     return named
 
 
-def _with_rounding(steps: Sequence[Step], step_N: float) -> list[Step]:
-    """The steps against a floor without rounding, and one more that rounding explains."""
-    rounding = step_N**2 / 12.0
-    again = []
+def _counts(before: Step, after: Step) -> bool:
+    """Whether rounding is much beside all else that is allowed for, and beside what is missing."""
+    closes = closure(before.ratio**2, after.ratio**2)
+    return before.ratio > thresholds.NOTHING and closes >= thresholds.FURTHER
+
+
+def _without_rounding(steps: Sequence[Step], step_N: float) -> list[Step]:
+    """The steps against a floor without rounding."""
+    rounding, again = step_N**2 / 12.0, []
     for one in steps:
         floor = math.sqrt(max(one.floor**2 - rounding, 0.01 * one.floor**2))
         again.append(Step(one.effect, one.gap, floor, one.gap / floor))
-    last = again[-1]
+    return again
+
+
+def _rounded(last: Step, step_N: float) -> Step:
+    """What rounding leaves of the last step's gap."""
+    rounding = step_N**2 / 12.0
     gap = math.sqrt(max(last.gap**2 - rounding, last.floor**2))
-    return [*again, Step(Quantisation.name, gap, last.floor, gap / last.floor)]
+    return Step(Quantisation.name, gap, last.floor, gap / last.floor)
 
 
 def _verdict(known: Known, named: Sequence[NamedEffect]) -> Verdict:

@@ -7,10 +7,12 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from scipy.linalg import expm
 
 from estune.core.margins import sample_plant
 from estune.interop import linear_model
 from plants.availability import unavailable
+from plants.discrepancy.data.floor import noise_floor
 from plants.discrepancy.data.record import Measurement
 from plants.discrepancy.models.anchors import shifted
 from plants.discrepancy.models.calibration import Calibration
@@ -37,6 +39,9 @@ MOST_RATE = 4.0
 """Allowed growth of the fastest pole in a fit; the matrix exponential stays exact up to it."""
 STIFFER = 100.0
 """What an effect of the cable may make of the plant's stiffness, for the same."""
+SHOWS = 30.0
+"""A tenth of the input moves a plant that integrates by so many times its noise in a window."""
+TIMES = 60
 LEAST_DAMPING = 1e-5
 ANSWERS = 0.8
 """Share of the rest of a difference equation below which one more term answers to something."""
@@ -185,7 +190,23 @@ class DiagnosedLinear(Diagnosed):
         rate = max(m.sampling_Hz for m in self.measurements)
         longest = LONGEST_share * min(m.duration_s for m in self.measurements)
         wanted = float(HORIZON / self.values["rate_rad_s"])
+        if "origin" in self.kinds.poles:
+            wanted = min(wanted, self._travelling_s(SHORTEST_samples / rate, longest))
         return max(min(wanted, longest), SHORTEST_samples / rate)
+
+    def _travelling_s(self, shortest_s: float, longest_s: float) -> float:
+        """Time in which a tenth of the input's rms moves the output well past its noise.
+
+        Of the travel the start explains all but a twelfth, as a parabola's.
+        """
+        model, n = self._linear, self.kinds.order
+        stepped = np.zeros((n + 1, n + 1))
+        stepped[:n, :n], stepped[:n, n] = np.reshape(np.array(model.A), (n, n)), model.B
+        step = 0.1 * self.sizes.torque_rms * self.model.torque_unit
+        seen = 12.0 * SHOWS * noise_floor(self.measurements).tension_N
+        times = np.geomspace(shortest_s, max(longest_s, shortest_s), TIMES)
+        travels = step * np.abs(expm(times[:, None, None] * stepped)[:, :n, n] @ np.array(model.C))
+        return float(times[min(int(np.searchsorted(travels, seen)), TIMES - 1)])
 
     def calibrated(
         self, values: Mapping[str, float], effects: Sequence[type[Effect]] = ()

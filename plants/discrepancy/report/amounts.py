@@ -1,9 +1,10 @@
-"""Amounts in words: numbers with units, and what a reel's torques and angles are at the cable."""
+"""Amounts in words: numbers with units, and what a reel's torques and angles are at the cable.
+
+Of a plant that is no reel all amounts are in its own units; see `own_units`.
+"""
 
 import math
 from typing import Any, NamedTuple
-
-from plants.ported import READINGS_PER_ANGLE, ARM_m
 
 _PREFIXES = {-6: "µ", -3: "m", 0: "", 3: "k"}
 _SCALED = {"N", "m", "s", "A", "N m", "rad"}
@@ -32,6 +33,11 @@ def share(value: float) -> str:
     return f"{digits(100.0 * value)} %"
 
 
+def written_unit(unit: str, model: Any) -> str:
+    """How the unit of an output is written: a plant's is not, its output may be anything."""
+    return unit if Scene.of(model).subject == "reel" else ""
+
+
 class Scene(NamedTuple):
     """What the numbers of an effect are seen against.
 
@@ -43,8 +49,6 @@ class Scene(NamedTuple):
         stiffness_N_m: Of the cable, N/m; nan without one.
         newtons_per_ampere: Effort per motor current, N/A.
         sampling_Hz: Rate of the controller; nan where it is not known.
-        torque_unit: Input of a plant that stands for a newton metre and for an ampere.
-        angle_unit: Output of a plant that stands for a radian; see `plants.ported`.
     """
 
     subject: str
@@ -54,16 +58,14 @@ class Scene(NamedTuple):
     stiffness_N_m: float
     newtons_per_ampere: float
     sampling_Hz: float
-    torque_unit: float
-    angle_unit: float
 
     @classmethod
     def of(cls, model: Any) -> "Scene":
         """The scene of a model; what it does not know is nan."""
 
-        def known(name: str, otherwise: float = math.nan) -> float:
-            value = getattr(model, name, otherwise)
-            return float(value) if isinstance(value, int | float) else otherwise
+        def known(name: str) -> float:
+            value = getattr(model, name, math.nan)
+            return float(value) if isinstance(value, int | float) else math.nan
 
         softness = 1.0 / known("structure_stiffness_N_m")
         softness += known("cable_length_m") / known("cable_EA_N")
@@ -76,8 +78,6 @@ class Scene(NamedTuple):
             stiffness_N_m=1.0 / softness,
             newtons_per_ampere=known("newtons_per_ampere"),
             sampling_Hz=float(getattr(controller, "sampling_Hz", math.nan)),
-            torque_unit=known("torque_unit", 1.0),
-            angle_unit=known("angle_unit", 1.0),
         )
 
     @property
@@ -93,41 +93,41 @@ class Scene(NamedTuple):
     def torque(self, torque_Nm: float) -> str:
         """A torque, and the tension it is at the cable."""
         if self.subject == "plant":
-            return _input(torque_Nm * self.torque_unit)
+            return _input(torque_Nm)
         at_cable = torque_Nm / self.radius_m if self.has_cable else math.nan
         return f"{si(torque_Nm, 'N m')}{also(at_cable, 'N', ' at the cable')}"
 
     def travel(self, angle_rad: float) -> str:
         """An angle of the drum, and the cable it winds."""
         if self.subject == "plant":
-            return _output(angle_rad * self.angle_unit)
+            return _output(angle_rad)
         wound = angle_rad * self.radius_m if self.has_cable else math.nan
         return f"{si(angle_rad, 'rad')}{also(wound, 'm', ' of cable')}"
 
     def cable(self, length_m: float) -> str:
         """A length of cable."""
         if self.subject == "plant":
-            return _output(length_m / ARM_m * self.angle_unit)
+            return _output(length_m)
         return si(length_m, "m")
 
     def speed(self, velocity_rad_s: float) -> str:
         """A velocity of the drum, and of the cable."""
         if self.subject == "plant":
-            return f"{_output(velocity_rad_s * self.angle_unit)} per second"
+            return f"{_output(velocity_rad_s)} per second"
         wound = velocity_rad_s * self.radius_m if self.has_cable else math.nan
         return f"{si(velocity_rad_s, 'rad/s')}{also(wound, 'm/s', ' of cable')}"
 
     def current(self, current_A: float, per: str = "") -> str:
         """A current, and the tension it holds."""
         if self.subject == "plant":
-            return f"{_input(current_A * self.torque_unit)}{' per second' if per else ''}"
+            return f"{_input(current_A)}{' per second' if per else ''}"
         tension = current_A * self.newtons_per_ampere
         return f"{si(current_A, f'A{per}')}{also(tension, f'N{per}')}"
 
     def reading(self, tension_N: float) -> str:
         """A tension, or what stands for it in a plant's output."""
         if self.subject == "plant":
-            return _output(tension_N * self.angle_unit / READINGS_PER_ANGLE)
+            return _output(tension_N)
         return si(tension_N, "N")
 
 

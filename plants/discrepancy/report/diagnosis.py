@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from estune.trial import FloatArray
 from plants.discrepancy.data.floor import Floor
 from plants.discrepancy.data.record import Finding
+from plants.discrepancy.report.amounts import written_unit
 from plants.discrepancy.report.shown import Shown
 from plants.discrepancy.residual.where import Where
 from plants.effects import Effect
@@ -50,20 +51,17 @@ class NamedEffect:
     Attributes:
         name: Its slug.
         title: Its name in plain words.
-        parameters: What was fitted, by the parameter's name.
+        parameters: What was fitted, by the parameter's name. Of a plant that is no reel in its
+            own units: `input` and `output` are what it is given and what it reads.
         sentence: What it is and how large, in plain words.
-        effect: The class it was declared with.
+        effect: The effect with the fitted values, to be added to a model.
     """
 
     name: str
     title: str
     parameters: Mapping[str, Interval]
     sentence: str
-    effect: type[Effect]
-
-    def build(self) -> Effect:
-        """The effect with the fitted values, to be added to a model."""
-        return self.effect(**{name: found.value for name, found in self.parameters.items()})
+    effect: Effect
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,7 +170,8 @@ class Diagnosis(Shown):
         effects: The effects found, in the order in which they were; for `ambiguous` the best one.
         ambiguous: Slugs the records cannot tell apart, best first; empty unless `ambiguous`.
         candidates: All effects tried as the first one, best first.
-        unit: Unit of gaps and floors: N, or rad where no tension was measured.
+        unit: Unit of gaps and floors: N, or rad where no tension was measured; that of the column
+            the output is in.
         gap_before: Short-horizon prediction error of the base model on the report split, rms.
         gap_after: The same with the effects.
         floor: What noise and allowance alone would give, same unit.
@@ -226,3 +225,8 @@ class Diagnosis(Shown):
     base_model: Any
     augmented: Any
     values: Mapping[str, float]
+
+    @property
+    def written_unit(self) -> str:
+        """The same as it is written; see `amounts.written_unit`."""
+        return written_unit(self.unit, self.base_model)

@@ -62,7 +62,7 @@ def draw_gap(ax: Axes, d: Diagnosis) -> Axes:
     floor = [s.floor for s in d.steps]
     ax.bar(at, gaps, width=0.5, color=[ORANGE, *[BLUE] * (len(gaps) - 1)], zorder=2)
     for x, gap, step in zip(at, gaps, d.steps, strict=True):
-        said = f"{si(gap, d.unit)}\n{step.ratio:.3g} floors"
+        said = f"{si(gap, d.written_unit)}\n{step.ratio:.3g} floors"
         ax.annotate(
             said, (x, gap), (0, 3), textcoords="offset points", ha="center", fontsize=8
         )  # fmt: skip
@@ -70,7 +70,7 @@ def draw_gap(ax: Axes, d: Diagnosis) -> Axes:
     ax.set_xticks(at, names)
     ax.set_xlim(-0.6, max(len(gaps), 2) - 0.4)
     ax.set_ylim(0.0, 1.3 * max([*gaps, *floor]))
-    finish(ax, f"gap, {d.unit} rms")
+    finish(ax, f"gap, {d.written_unit} rms")
     ax.grid(visible=False, axis="x")
     legend(ax)
     return ax

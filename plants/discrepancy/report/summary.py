@@ -46,10 +46,10 @@ def heading(d: "Diagnosis") -> str:
         what = "there is nothing to name"
     else:
         what = " and ".join(effect.title for effect in d.effects)
-    came = _in(d.gap_before, d.unit)
+    came = _in(d.gap_before, d.written_unit)
     if d.effects:
-        came += f" → {_in(d.gap_after, d.unit)}"
-    return f"{_HEADINGS[d.verdict]}: {what}; gap {came}, floor {_in(d.floor, d.unit)}"
+        came += f" → {_in(d.gap_after, d.written_unit)}"
+    return f"{_HEADINGS[d.verdict]}: {what}; gap {came}, floor {_in(d.floor, d.written_unit)}"
 
 
 def sentences(d: "Diagnosis") -> tuple[str, ...]:
@@ -71,10 +71,18 @@ def title(d: "Diagnosis", name: str) -> str:
 def gaps(d: "Diagnosis") -> Table:
     """What the gap was and what is left of it, on records that were never used to choose."""
     rows = [
-        ("gap of short predictions", _in(d.gap_before, d.unit), _in(d.gap_after, d.unit)),
-        ("noise floor", _in(d.floor, d.unit), _in(d.floor, d.unit)),
+        (
+            "gap of short predictions",
+            _in(d.gap_before, d.written_unit),
+            _in(d.gap_after, d.written_unit),
+        ),
+        ("noise floor", _in(d.floor, d.written_unit), _in(d.floor, d.written_unit)),
         ("gap in floors, all channels", number(d.ratio_before), number(d.ratio_after)),
-        ("error of a free run", _in(d.rms_before, d.unit), _in(d.rms_after, d.unit)),
+        (
+            "error of a free run",
+            _in(d.rms_before, d.written_unit),
+            _in(d.rms_after, d.written_unit),
+        ),
     ]
     if math.isfinite(d.closure):
         rows.append(("closed of what is above the floor", "", f"{100.0 * d.closure:.1f} %"))
@@ -129,8 +137,8 @@ def steps(d: "Diagnosis") -> Table:
     rows = [
         (
             "base fit" if s.effect is None else f"+ {s.effect}",
-            _in(s.gap, d.unit),
-            _in(s.floor, d.unit),
+            _in(s.gap, d.written_unit),
+            _in(s.floor, d.written_unit),
             number(s.ratio),
         )
         for s in d.steps

@@ -18,7 +18,7 @@ def sentence(effect: type[Effect], values: Mapping[str, float], model: Any) -> s
 
     Args:
         effect: The effect's class.
-        values: Its parameters by name.
+        values: Its parameters by name, as `own_units` tells them.
         model: The model it was found on.
 
     Returns:
@@ -73,7 +73,6 @@ def _dahl_hysteresis(v: Mapping[str, float], at: Scene) -> str:
 def _viscous_damping(v: Mapping[str, float], at: Scene) -> str:
     b = v["damping_Nms"]
     if at.subject == "plant":
-        b *= at.torque_unit / at.angle_unit
         return (
             f"has more viscous friction than the model: {digits(b)} in the input's unit for each "
             "unit of the output per second"
@@ -118,6 +117,8 @@ def _gain_error(v: Mapping[str, float], _: Scene) -> str:
 
 def _gauge_nonlinearity(v: Mapping[str, float], at: Scene) -> str:
     c = v["curvature_per_N"]
+    if at.subject == "plant":
+        return f"has a gauge whose curve is bent: of an output y it reads {digits(c)} y² too much"
     T = at.tension_N if math.isfinite(at.tension_N) else 10.0
     more = "much" if c > 0.0 else "little"
     return (
@@ -149,15 +150,15 @@ def _gauge_resonance(v: Mapping[str, float], _: Scene) -> str:
 
 
 def _cable_stiffening(v: Mapping[str, float], at: Scene) -> str:
-    T = at.tension_N if math.isfinite(at.tension_N) else 10.0
-    bent = v["stiffening_per_N"] * T
-    terms = f"coefficient {v['stiffening_per_N']:.3g} 1/N"
-    for name, value in v.items():
-        if name != "stiffening_per_N" and value != 0.0:
-            bent += value * T * T
-            terms += f", cubic {value:.3g} 1/N²"
+    square, cubic = v["stiffening_per_N"], v["cubic_per_N2"]
     if at.subject == "plant":
-        return f"has a spring that stiffens as it is pulled ({terms})"
+        pulled = f"{digits(square)} u² more where it is pulled" if square else ""
+        either = f"{digits(cubic)} u³ more either way" if cubic else ""
+        more = " and ".join(filter(None, (pulled, either)))
+        return f"has a spring that stiffens: it holds {more}, u being what the linear law holds"
+    T = at.tension_N if math.isfinite(at.tension_N) else 10.0
+    bent = square * T + cubic * T * T
+    terms = f"coefficient {square:.3g} 1/N" + (f", cubic {cubic:.3g} 1/N²" if cubic else "")
     more = "more" if bent > 0.0 else "less"
     return (
         f"has a cable that stiffens as it is pulled: where the linear law has {si(T, 'N')} it "
@@ -200,10 +201,12 @@ def _string_mode(v: Mapping[str, float], at: Scene) -> str:
 
 def _structural_mode(v: Mapping[str, float], at: Scene) -> str:
     T = at.tension_N if math.isfinite(at.tension_N) else 10.0
+    stiffer = "" if at.subject == "plant" else (
+        f" and is {share(v['stiffening_per_N'] * T)} stiffer at {at.reading(T)}"
+    )  # fmt: skip
     return (
         f"stands on a frame that rings at {digits(v['frequency_Hz'])} Hz with a damping ratio of "
-        f"{v['damping']:.2g}, gives {share(v['share'])} as much as the rest does and is "
-        f"{share(v['stiffening_per_N'] * T)} stiffer at {at.reading(T)}"
+        f"{v['damping']:.2g} and gives {share(v['share'])} as much as the rest does{stiffer}"
     )
 
 

@@ -140,9 +140,9 @@ def overall(
     steps: Sequence[Step],
     unit: str,
 ) -> str:
-    """The verdict in plain words."""
+    """The verdict in plain words; the unit is that of the gap."""
     before, after = steps[0], steps[-1]
-    gap = f"{before.gap:.2g} {unit}, {before.ratio:.2g} times the floor"
+    gap = f"{f'{before.gap:.2g} {unit}'.rstrip()}, {before.ratio:.2g} times the floor"
     if verdict == "none":
         return f"Nothing is missing that these records can show: the gap is {gap}."
     if verdict == "unknown":
