@@ -114,6 +114,31 @@ def test_an_effect_of_the_drive_is_seen_beside_one_of_the_cable():
     assert (row.verdict, row.found) == ("named", ("cable_creep", "dead_time"))
 
 
+def test_a_delay_is_seen_beside_a_limit_by_what_the_limit_lets_through():
+    some = ["current_saturation", "dead_time", "stribeck_friction", "torque_ripple"]
+    found = plants.explain(*drawn(50028, "two"), effects=some)
+    assert [effect.name for effect in found.effects] == ["current_saturation", "dead_time"]
+    assert found.ratio_after < 1.1
+
+
+def test_a_mode_is_found_from_a_frequency_that_does_worse_at_first():
+    found = plants.explain(*drawn(50040, "two"), effects=["gauge_drift", "structural_mode"])
+    assert {effect.name for effect in found.effects} == {"gauge_drift", "structural_mode"}
+    assert found.ratio_after < 1.1
+
+
+def test_a_cable_that_stiffens_is_no_mode_that_rings_unseen():
+    found = plants.explain(*drawn(50022, "left_out"), effects=["structural_mode", "dead_time"])
+    assert found.verdict == "unknown"
+    assert "a plain curve of tension against angle" in found.sentence
+
+
+def test_a_heavy_cable_that_swings_is_found_from_what_its_weight_alone_explains():
+    found = plants.explain(*drawn(50073, "plain"), effects=["string_mode", "cable_weight"])
+    assert [effect.name for effect in found.effects] == ["string_mode"]
+    assert found.ratio_after < 1.1
+
+
 def test_a_mode_is_seen_beside_an_effect_that_leaves_no_gap():
     row = diagnose(Task(1, "two", "gauge_nonlinearity+structural_mode"))
     assert not row.error

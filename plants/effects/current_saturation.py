@@ -8,15 +8,22 @@ import casadi as ca
 
 from plants.effects.effect import Effect, Port, Signal, Site, parameter
 
+TINY = 1e-12
+
 
 @dataclass(frozen=True)
 class CurrentSaturation(Effect):
     """A current limit below the reel's own, of which the controller does not know.
 
-        i = max(-i_max, min(u, i_max))
+        |i| = |u| - d^2/(4 h),    d = max(0, |u| - i_max + h) up to |u| = i_max + h
+        |i| = i_max               beyond,    h = b i_max
+
+    An amplifier that runs out of voltage bends before it is flat: a parabola leads from the
+    straight to the limit. With b = 0 the corner is sharp.
 
     Attributes:
         limit_A: Greatest size i_max of the current, A.
+        bend: Half the width of the bend, b, relative to the limit.
     """
 
     name: ClassVar[str] = "current_saturation"
@@ -28,6 +35,7 @@ class CurrentSaturation(Effect):
     port: ClassVar[Port] = Port.ACTUATOR
 
     limit_A: float = parameter(1.5, low=1e-3, high=1e6, unit="A", neutral=1e6)
+    bend: float = parameter(0.02, low=0.0, high=0.9, unit="")
 
     @staticmethod
     def respond(
@@ -37,11 +45,22 @@ class CurrentSaturation(Effect):
         site: Site,  # noqa: ARG004  the limit is the same at all times
     ) -> tuple[Signal, Signal]:
         """The current within the limit."""
-        return state, ca.fmin(ca.fmax(signal, -p.limit_A), p.limit_A)
+        half = p.bend * p.limit_A
+        size = ca.fmin(ca.fabs(signal), p.limit_A + half)
+        into = ca.fmax(size - p.limit_A + half, 0.0)
+        return state, ca.sign(signal) * (size - into * into / (4.0 * half + TINY))
 
     @staticmethod
     def rest(
-        p: SimpleNamespace, state: Signal, signal: Signal, site: Site
+        p: SimpleNamespace,
+        state: Signal,
+        signal: Signal,
+        site: Site,  # noqa: ARG004  the limit is the same at all times
     ) -> tuple[Signal, Signal]:
-        """The current wanted, or as much of it as there is."""
-        return CurrentSaturation.respond(p, state, signal, site)
+        """The current commanded for one that flows, or the least for as much as there is."""
+        half = p.bend * p.limit_A
+        size = ca.fmin(ca.fabs(signal), p.limit_A)
+        beyond = ca.fmax(size - p.limit_A + half, 0.0)
+        # into^2/(4 half) = into - beyond
+        into = 2.0 * half * (1.0 - ca.sqrt(ca.fmax(1.0 - beyond / (half + TINY), TINY)))
+        return state, ca.sign(signal) * (size - beyond + into)

@@ -9,6 +9,7 @@ from estune.trial import FloatArray
 from plants.discrepancy.prediction.prediction import Predictor
 from plants.discrepancy.search import thresholds
 from plants.discrepancy.search.bench import Attempt, Bench
+from plants.discrepancy.search.directions import rings
 from plants.discrepancy.search.score import does
 from plants.discrepancy.search.screen import Screened, is_limit
 from plants.effects import Effect, Port
@@ -23,6 +24,9 @@ STARTS = 2
 """Starts of an effect that fits are begun from."""
 FIRST_ROUNDS = 3
 """Rounds of a fit before the attempts far behind are left where they are."""
+LONGEST = 60
+"""The same of the best attempt's fit: a cable that sags shifts the zero of each record with its
+weight, and both find their way together in small steps."""
 FINISHED = 4
 """Attempts whose fits are finished."""
 BEHIND = 3.0
@@ -55,7 +59,7 @@ def finished(bench: Bench, base: Attempt, attempts: Sequence[Attempt]) -> list[A
         each.setdefault(a.effects[-1].name, a)
     leading = list(each.values())
     if leading:
-        leading[0] = bench.further(leading[0])
+        leading[0] = bench.further(leading[0], LONGEST)
     # What is far behind after a few rounds is not worth more, least of all where one will do.
     for n, a in enumerate(leading[1:FINISHED], 1):
         if not does(base, leading[0]) or a.fit_J < BEHIND * leading[0].fit_J:
@@ -114,6 +118,10 @@ def with_one_more(
     if simpler is not None:
         # What is near a simpler law's fit leaves less to begin with, and may lead nowhere else.
         begun = np.concatenate([begun, _inherited(bench, predictor, one, simpler)])
+    if rings(one.effect):
+        # One round does not tell which of two frequencies is near enough to lead to the mode's.
+        found = [bench.attempt(effects, row[None, :], FIRST_ROUNDS) for row in begun]
+        return min(found, key=lambda a: a.fit_J)
     return bench.attempt(effects, begun, FIRST_ROUNDS)
 
 
@@ -137,6 +145,11 @@ def _inherited(bench: Bench, predictor: Predictor, one: Screened, simpler: Attem
         ]
     )
     of, to = next(iter(given.items()))
+    if declared[to].neutral is None:
+        # No size is inherited: it is as large as usual.
+        usual = {f"{name}.{n}": float(getattr(one.effect(), n)) for n in sizes}
+        rows = np.array([predictor.row(predictor.values(row) | usual) for row in rows])
+        return bench.best_starts(predictor, bench.placed(predictor, rows), STARTS)
     inherited = abs(simpler.values[f"{source}.{of}"])
     place = {f.name: n for n, f in enumerate(predictor.free)}
     ways = [rows]

@@ -100,6 +100,11 @@ class Bench:
             if m.tension_N is not None and math.isfinite(pull)
         ]
         turned = [float(np.ptp(m.angle_rad)) for m in self.measurements if m.angle_rad is not None]
+        turned = turned or [
+            float(np.ptp(m.tension_N)) / pull
+            for m, pull in zip(self.measurements, given, strict=True)
+            if m.tension_N is not None and math.isfinite(pull)
+        ]
         return thresholds.Scale(
             sample_s=1.0 / min(m.sampling_Hz for m in self.measurements),
             angle_rad=angle_rad,
@@ -241,13 +246,13 @@ class Bench:
         rows[:, columns] += TURNS[best[:, np.searchsorted(found, records)]] * period[:, None]
         return rows
 
-    def further(self, attempt: Attempt) -> Attempt:
-        """The same, fitted to the end."""
+    def further(self, attempt: Attempt, rounds: int = 15) -> Attempt:
+        """The same, fitted to the end, or for some rounds."""
         f = attempt.fitted
         if f.converged:
             return attempt
         return self._judged(
-            attempt.effects, fit(f.predictor, f.values, f.moved, self.entries[FIT])
+            attempt.effects, fit(f.predictor, f.values, f.moved, self.entries[FIT], rounds)
         )
 
     def _judged(self, effects: Effects, found: Fitted) -> Attempt:

@@ -6,12 +6,14 @@ from dataclasses import replace
 from plants.discrepancy.search.background import Background, Suggest, orthonormal
 from plants.discrepancy.search.bench import Attempt, Bench, Numbers
 from plants.discrepancy.search.cable_block import block_of
-from plants.discrepancy.search.score import open_block
+from plants.discrepancy.search.score import family_of, open_block
 from plants.discrepancy.search.screen import Screened, screen
-from plants.effects import Effect, Port
+from plants.effects import Effect
 
 SCREENED = 12_000
 """Entries that directions are compared over."""
+TWICE = 10
+"""Further effects whose direction is looked at once more beside those there are."""
 
 
 def all_screened(
@@ -28,19 +30,27 @@ def screened_further(
     current: Attempt,
     suggest: Suggest,
 ) -> dict[str, Screened]:
-    """Each further effect's direction, by slug; those of a block without one in that alone."""
+    """Each further effect's direction, by slug; those of a block without one in that alone.
+
+    All are looked at alone first, which is soon worked out; then the most promising beside the
+    effects so far. What those do not let through, or bend, has another direction without them.
+    """
+    there = {member for e in current.effects for member in family_of(e.name)}
     cable = open_block(current) == "cable"
     block = [background(bench, current, suggest, cable=True)] if cable else seen
-    # What an actuator does not pass on moves nothing behind it.
-    driven = tuple(e for e in current.effects if e.port is Port.ACTUATOR)
-    looked = {}
-    for e in effects:
-        there = cable and block_of(e) == "cable"
-        beside = driven if there else ()
-        if rings(e):
-            beside = current.effects  # it rings with what drives it, and friction damps it
-        looked[e.name] = screen(e, bench.predictor((*beside, e)), block if there else seen)
-    return looked
+
+    def looked(e: type[Effect], beside: tuple[type[Effect], ...]) -> Screened:
+        places = block if cable and block_of(e) == "cable" else seen
+        return screen(e, bench.predictor((*beside, e)), places)
+
+    # It rings with what drives it, and friction damps it.
+    found = {e.name: looked(e, current.effects if rings(e) else ()) for e in effects}
+    further = [e for e in effects if e.name not in there]
+    further.sort(key=lambda e: -found[e.name].cosine2)
+    for e in further[:TWICE]:
+        if not rings(e):
+            found[e.name] = looked(e, current.effects)
+    return found
 
 
 def rings(effect: type[Effect]) -> bool:

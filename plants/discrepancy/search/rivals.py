@@ -177,6 +177,9 @@ RIVALS = tuple(
 PLAIN = Rival(CableBend, 1.0, ever=True)
 """A toe is there where it does better than a plain curve. Of one that lies below or above all
 tensions of the records they show the curvature alone, and that tells nothing."""
+STILL = Rival(CableBend, thresholds.SIMPLER, ever=True)
+"""A mode is there where it rings. A frame that hardens and rings faster than the records show
+is a curve, whatever bends."""
 
 
 def beaten_by(
@@ -194,7 +197,7 @@ def beaten_by(
     effect, closed = one.effects[-1], is_closed(one)
     if block_of(effect) != "cable":
         return None
-    for law, least, ever in (*RIVALS, PLAIN) if effect.name in TOES else RIVALS:
+    for law, least, ever in _held_against(effect):
         if bench.model.unavailable(law) is not None or (closed and not ever):
             continue
         screened = screen(law, bench.predictor((law,)), seen)
@@ -204,6 +207,13 @@ def beaten_by(
         if max(np.divide(_left(other), _left(one))) < least:
             return law.title
     return None
+
+
+def _held_against(effect: type[Effect]) -> tuple[Rival, ...]:
+    """The rivals of an effect of cable or gauge."""
+    if effect.name in TOES:
+        return (*RIVALS, PLAIN)
+    return (*RIVALS, STILL) if effect.name == "structural_mode" else RIVALS
 
 
 def is_closed(attempt: Attempt) -> bool:

@@ -22,8 +22,8 @@ def closure(before_J: float, after_J: float, floor_J: float = 1.0) -> float:
         after_J: After.
         floor_J: What noise and allowance alone give.
     """
-    above = before_J - min(floor_J, after_J)
-    return (before_J - max(after_J, min(floor_J, before_J))) / above if above > 0.0 else 0.0
+    above = before_J - floor_J
+    return (before_J - max(after_J, floor_J)) / above if above > 0.0 else 0.0
 
 
 def leaves_a_gap(attempt: Attempt) -> bool:
@@ -85,7 +85,7 @@ def worth_adding(
         least = thresholds.CLOSURE if small or little or much_left else thresholds.FURTHER
     closed = [_closed(before.rank_J, after.rank_J), _closed(before.fit_J, after.fit_J)]
     gained = float((before.squares - after.squares).sum())
-    if before.effects and small and better(after, before) < thresholds.SIGNIFICANT:
+    if before.effects and small and not told_apart(after, before):
         return False
     return min(closed) >= least and gained >= thresholds.SIGNIFICANT_GAIN
 
@@ -133,7 +133,8 @@ def better(one: Attempt, other: Attempt) -> float:
 def told_apart(one: Attempt, other: Attempt) -> bool:
     """Whether one model does better for sure, on the rank split or over both.
 
-    Of two laws with as many numbers the fit split tells as much, and is much longer.
+    Of two laws with as many numbers the fit split tells as much, and is much longer; so it does
+    of one more effect that closes the most on the rank split, too.
     """
     gained = other.squares - one.squares, other.fit_squares - one.fit_squares
     return max(_errors(gained[0]), _errors(np.concatenate(gained))) >= thresholds.SIGNIFICANT
@@ -193,10 +194,14 @@ def fullest(taken: Attempt, attempts: Sequence[Attempt]) -> Attempt:
 
 
 def _at_bound(attempt: Attempt) -> bool:
-    """Whether the last effect's size is the most it can be: then it stands for something else."""
-    predictor, name = attempt.fitted.predictor, attempt.effects[-1].name
+    """Whether the last effect is the most it can be: then it stands for something else.
+
+    Its size is, or a wave over the angle is as long as may be, which then is no ripple.
+    """
+    predictor, effect = attempt.fitted.predictor, attempt.effects[-1]
+    wave = f"{effect.name}.{effect.repeats}"
     for f, value in zip(predictor.free, attempt.fitted.values.tolist(), strict=True):
-        if f.owner == name and f.neutral is not None:
+        if f.owner == effect.name and (f.neutral is not None or f.name == wave):
             # Relative to themselves: a limit's range is a million times where it lies.
             at = [edge for edge in (f.low, f.high) if math.isclose(value, edge, rel_tol=BOUND)]
             if at and f.neutral not in at:

@@ -310,6 +310,11 @@ def _round(
     best = simplest(attempts, current, bench.scale)
     if not current.effects and (best is None or not does(base, best)):
         again = [roughly(bench, one.effect) for one in screened.values() if bends(one)]
+        again += [
+            with_one_more(bench, current, screened[name], again)
+            for name, (source, _) in thresholds.INHERITED.items()
+            if name in screened and source not in family_of(name)
+        ]
         attempts = finished(bench, base, [*attempts, *again])
         best = simplest(attempts, current, bench.scale)
     if best is None or not worth_adding(current, best, base, attempts):

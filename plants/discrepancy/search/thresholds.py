@@ -99,9 +99,11 @@ INHERITED: dict[str, tuple[str, dict[str, str]]] = {
         "dahl_hysteresis",
         {"torque_Nm": "coulomb_Nm", "presliding_rad": "presliding_rad"},
     ),
+    # What swings sags: the weight there is tells where the string's records have their zeros.
+    "string_mode": ("cable_weight", {"density_kg_m": "density_kg_m"}),
 }
-"""What a member of a family begins with: the fit of another, and which of its parameters are
-which of its own."""
+"""What an effect begins with: the fit of another that does a part of it, and which of its
+parameters are which of its own."""
 
 KNOWN = ("cable_weight",)
 """Effects whose size a scale tells without the machine: of two that do as well, the other is
@@ -122,8 +124,8 @@ class Scale(NamedTuple):
         angle_rad: Noise of the encoder, or of the gauge as an angle, rad rms; nan without both.
         tension_N: Noise of the gauge, N rms; nan without.
         stretch_m: Most that the cable is stretched by in the records, m; nan without.
-        repeats: Periods in a turn of a wave of which the widest record shows one; nan without an
-            encoder.
+        repeats: Periods in a turn of a wave of which the widest record shows one; nan where
+            neither encoder nor gauge tells.
     """
 
     sample_s: float
