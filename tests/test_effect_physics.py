@@ -24,9 +24,12 @@ TAUT = wander(200, 12.0, 20.0)
 def coulomb_friction(effect):
     """Against the velocity while it slips, and just enough to stop where it sticks."""
     law = Law(effect(torque_Nm=0.3))
+    creeping = Law(effect(torque_Nm=0.3, creep_rad_s=0.05))
     for velocity in (-3.0, -0.1, 0.1, 3.0):
         assert law.pass_(0.0, velocity=velocity) == -0.3 * np.sign(velocity)
+        assert creeping.pass_(0.0, velocity=velocity) == -0.3 * np.sign(velocity)
     assert law.pass_(0.0, velocity=1e-8) == pytest.approx(-0.01)  # the mass is 1e6 N m s/rad
+    assert creeping.pass_(0.0, velocity=0.01) == pytest.approx(-0.06, rel=1e-4)
 
 
 def stribeck_friction(effect):
@@ -39,16 +42,17 @@ def stribeck_friction(effect):
 
 
 def dahl_hysteresis(effect):
-    """The loop between two reversals has the exponential's sides."""
-    d = 0.003
-    law = Law(effect(torque_Nm=0.2, presliding_rad=d))
+    """The loop between two reversals has the exponential's sides, of either length."""
+    d, spread = 0.006, 2.0
+    law = Law(effect(torque_Nm=0.2, presliding_rad=d, spread=spread))
+    lengths = np.array([d, d / spread])
     for velocity in (1.0, -1.0, 1.0):
-        before, turned, found = float(law.state), 0.0, []
+        before, turned, found = np.ravel(law.state), 0.0, []
         for _ in range(60):
             found.append(law.pass_(0.0, velocity=velocity))
             turned += abs(velocity) * SUBSTEP_s
-        middle = (np.arange(60) + 0.5) * SUBSTEP_s
-        expected = velocity + (before - velocity) * np.exp(-middle / d)
+        middle = (np.arange(60)[:, None] + 0.5) * SUBSTEP_s
+        expected = velocity + ((before - velocity) * np.exp(-middle / lengths)).mean(axis=1)
         # The torque is that of the mean at a substep's two ends: h^2/8 of the curvature off.
         assert -np.array(found) / 0.2 == pytest.approx(expected, abs=0.006)
 

@@ -139,7 +139,7 @@ def test_a_derivative_by_its_parameters_is_the_quotient_of_differences(effect):
     run = ca.Function("run", [p], [seen])
     slope = ca.Function("slope", [p, direction], [ca.jtimes(seen, p, direction)])
     first = p.numel() - len(names)
-    for n, (name, (low, high, _, neutral)) in enumerate(effect.parameters().items()):
+    for n, (name, (low, high, _, neutral, begun)) in enumerate(effect.parameters().items()):
         unit = np.zeros(p.numel())
         unit[first + n] = 1.0
         value = getattr(reel.effects[-1], name)
@@ -157,7 +157,8 @@ def test_a_derivative_by_its_parameters_is_the_quotient_of_differences(effect):
         # A sample in which an event comes later or earlier by the step itself may differ.
         off = np.abs(found - (ahead - behind) / (2 * h)) > 1e-3 * np.abs(found).max()
         assert off.mean() < 0.02
-        assert np.abs(found).max() > 0.0
+        # What only shapes a law, as its creep while it sticks, need not show in every trial.
+        assert np.abs(found).max() > 0.0 or begun is not None
 
 
 def test_a_dead_time_of_none_has_a_derivative():

@@ -4,9 +4,7 @@ from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import ClassVar
 
-import casadi as ca
-
-from plants.effects.bristles import bent
+from plants.effects.bristles import both_bent
 from plants.effects.effect import Effect, Port, Signal, Site, parameter
 
 
@@ -14,15 +12,17 @@ from plants.effects.effect import Effect, Port, Signal, Site, parameter
 class DahlHysteresis(Effect):
     """Friction built up over a small angle, as by bristles that bend before they slip (Dahl 1968).
 
-        tau = -F z,    dz/dtheta = (sign(omega) - z)/d,    z = 0 at the start
+        tau = -F (z_1 + z_2)/2,    dz_n/dtheta = (sign(omega) - z_n)/d_n,    z_n = 0 at the start
+        d_1 = d,    d_2 = d/s
 
-    The torque is that of the mean z over a substep. The angle turned in it is that of the mean
-    velocity with friction's own answer in it, solved to first order, so that stiff bristles do
-    not make the drum ring.
+    Bearings and seals give way bit by bit, over lengths that are spread (Al-Bender, Lampaert &
+    Swevers 2005); Dahl's own law has one length, s = 1. The torque is that of the mean z over a
+    substep.
 
     Attributes:
         torque_Nm: Size F of the friction once it slips, N m.
         presliding_rad: Angle d over which it builds up, rad.
+        spread: Factor s by which half of it builds up sooner.
     """
 
     name: ClassVar[str] = "dahl_hysteresis"
@@ -32,18 +32,23 @@ class DahlHysteresis(Effect):
         "so that small loops are narrower than large ones"
     )
     port: ClassVar[Port] = Port.DRUM
-    states: ClassVar[int] = 1
+    states: ClassVar[int] = 2
     resists: ClassVar[bool] = True
 
     torque_Nm: float = parameter(0.02, low=0.0, high=1e4, unit="N m", neutral=0.0)
     presliding_rad: float = parameter(2e-3, low=1e-7, high=10.0, unit="rad")
+    # At 1 it acts as the length does: a fit begins beside it.
+    spread: float = parameter(1.0, low=1.0, high=100.0, unit="", begun=4.0)
 
     @staticmethod
     def prepare(p: SimpleNamespace, reel: SimpleNamespace) -> dict[str, Signal]:
-        """Half the friction, the velocity it takes off in a substep, and lengths per velocity."""
-        half = 0.5 * p.torque_Nm
-        slowing, bend = half / reel.torque_per_velocity, reel.substep_s / p.presliding_rad
-        return {"half": half, "slowing": slowing, "bend": bend, "grip": 0.5 * slowing * bend}
+        """Half the velocity that friction takes off in a substep; lengths per velocity."""
+        bend = reel.substep_s / p.presliding_rad
+        return {
+            "slowing": 0.5 * p.torque_Nm / reel.torque_per_velocity,
+            "bend_1": bend,
+            "bend_2": bend * p.spread,
+        }
 
     @staticmethod
     def respond(
@@ -53,9 +58,5 @@ class DahlHysteresis(Effect):
         site: Site,
     ) -> tuple[Signal, Signal]:
         """The mean torque of the bristles over the substep."""
-        # What the mean velocity would be if the bristles kept their torque.
-        start = 0.5 * site.start_velocity_rad_s - p.slowing * state
-        unheld = start + 0.5 * site.velocity_rad_s
-        stiffness = p.grip * (1.0 - ca.sign(unheld) * state)
-        further = bent(state, unheld * (p.bend / (1.0 + stiffness)))
-        return state + further, -p.torque_Nm * state - p.half * further
+        bent = both_bent(state, site, p.slowing, (p.bend_1, p.bend_2))
+        return bent.after, -p.torque_Nm * bent.held

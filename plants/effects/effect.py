@@ -69,12 +69,15 @@ class Parameter(NamedTuple):
         unit: Its unit; empty for a plain number.
         neutral: The value at which the effect does nothing, whatever its other parameters; None
             where there is no such value.
+        begun: Where a fit begins that knows nothing of it, and tries no other value; None is the
+            usual value, and where nothing is neutral several about it.
     """
 
     low: float
     high: float
     unit: str
     neutral: float | None
+    begun: float | None = None
 
     @property
     def is_phase(self) -> bool:
@@ -83,10 +86,17 @@ class Parameter(NamedTuple):
 
 
 def parameter(
-    value: float, *, low: float, high: float, unit: str, neutral: float | None = None
+    value: float,
+    *,
+    low: float,
+    high: float,
+    unit: str,
+    neutral: float | None = None,
+    begun: float | None = None,
 ) -> Any:
-    """Declares a field of an effect as a parameter: usual value, range, unit, neutral value."""
-    return field(default=value, metadata={"parameter": Parameter(low, high, unit, neutral)})
+    """Declares a field of an effect as a parameter: usual value, and the fields of `Parameter`."""
+    declared = Parameter(low, high, unit, neutral, begun)
+    return field(default=value, metadata={"parameter": declared})
 
 
 @dataclass(frozen=True)
@@ -130,7 +140,7 @@ class Effect(ABC):
     smooth: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        for name, (low, high, unit, _) in self.parameters().items():
+        for name, (low, high, unit, _, _) in self.parameters().items():
             value = getattr(self, name)
             if not (math.isfinite(value) and low <= value <= high):
                 raise InvalidInput(

@@ -6,7 +6,7 @@ from typing import ClassVar
 
 import casadi as ca
 
-from plants.effects.bristles import bent
+from plants.effects.bristles import both_bent
 from plants.effects.effect import Effect, Port, Signal, Site, parameter
 
 SIXTEENTHS = 16.0
@@ -18,10 +18,10 @@ FURTHEST = 2.5
 class StribeckFriction(Effect):
     """Dry friction that falls as the drum gathers speed, the steady curve (10), on bristles.
 
-        tau = -(F_c + F_e exp(-(omega/v_s)^2)) z,    dz/dtheta = (sign(omega) - z)/d
+        tau = -(F_c + F_e exp(-(omega/v_s)^2)) (z_1 + z_2)/2
 
-    F_e is f_s - f_c; z is 0 at the start. The size is taken at the substep's start; within it the
-    bristles are those of `DahlHysteresis`, here stiff unless said otherwise: dry friction gives a
+    F_e is f_s - f_c. The size is taken at the substep's start; within it the bristles z are those
+    of `DahlHysteresis`, here stiff unless said otherwise: dry friction gives a
     little before it slips, and what it gives would else be taken for another friction. The
     exponential is the sixteenth power of its (2, 2) Pade approximation at a sixteenth, right to
     1e-6: four multiplications cost a trial less than a call of exp in each substep.
@@ -32,6 +32,7 @@ class StribeckFriction(Effect):
         excess_Nm: What static friction F_e adds to it at rest, N m.
         stribeck_rad_s: Velocity v_s over which it fades, rad/s.
         presliding_rad: Angle d over which it builds up, rad.
+        spread: Factor s by which half of it builds up sooner.
     """
 
     name: ClassVar[str] = "stribeck_friction"
@@ -41,21 +42,24 @@ class StribeckFriction(Effect):
         "sticks and slips"
     )
     port: ClassVar[Port] = Port.DRUM
-    states: ClassVar[int] = 1
+    states: ClassVar[int] = 2
     resists: ClassVar[bool] = True
 
     coulomb_Nm: float = parameter(0.02, low=0.0, high=1e4, unit="N m", neutral=0.0)
     excess_Nm: float = parameter(0.01, low=0.0, high=1e4, unit="N m", neutral=0.0)
     stribeck_rad_s: float = parameter(0.5, low=1e-4, high=1e3, unit="rad/s")
     presliding_rad: float = parameter(1e-5, low=1e-7, high=10.0, unit="rad")
+    spread: float = parameter(1.0, low=1.0, high=100.0, unit="", begun=4.0)
 
     @staticmethod
     def prepare(p: SimpleNamespace, reel: SimpleNamespace) -> dict[str, Signal]:
         """Factor of the velocity's square, s2/rad2; what a torque slows; lengths per velocity."""
+        bend = reel.substep_s / p.presliding_rad
         return {
             "per_square": 1.0 / (SIXTEENTHS * p.stribeck_rad_s**2),
             "slowing": 0.5 / reel.torque_per_velocity,
-            "bend": reel.substep_s / p.presliding_rad,
+            "bend_1": bend,
+            "bend_2": bend * p.spread,
         }
 
     @staticmethod
@@ -68,12 +72,8 @@ class StribeckFriction(Effect):
         """The mean torque of the bristles over the substep."""
         start = site.start_velocity_rad_s
         size = p.coulomb_Nm + p.excess_Nm * faded(p.per_square * start**2)
-        slowing = size * p.slowing
-        # What the mean velocity would be if the bristles kept their torque.
-        unheld = 0.5 * start - slowing * state + 0.5 * site.velocity_rad_s
-        stiffness = 0.5 * slowing * p.bend * (1.0 - ca.sign(unheld) * state)
-        further = bent(state, unheld * (p.bend / (1.0 + stiffness)))
-        return state + further, -size * (state + 0.5 * further)
+        bent = both_bent(state, site, size * p.slowing, (p.bend_1, p.bend_2))
+        return bent.after, -size * bent.held
 
 
 def faded(sixteenth: Signal) -> Signal:

@@ -295,6 +295,7 @@ class Diagnosed(ABC):
     ) -> Free:
         """An effect's parameter, begun at what the model has or at a size that suits the data."""
         start, high = self.sizes.of_effect(cls.port, p, float(getattr(cls(), name)))
+        start = start if p.begun is None else p.begun
         low, high = p.low, max(high, given if given is not None else p.low)
         start = given if given is not None else start
         return Free(

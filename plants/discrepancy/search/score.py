@@ -136,8 +136,7 @@ def told_apart(one: Attempt, other: Attempt) -> bool:
     Of two laws with as many numbers the fit split tells as much, and is much longer; so it does
     of one more effect that closes the most on the rank split, too.
     """
-    gained = other.squares - one.squares, other.fit_squares - one.fit_squares
-    return max(_errors(gained[0]), _errors(np.concatenate(gained))) >= thresholds.SIGNIFICANT
+    return max(better(one, other), _likelier(one, other)) >= thresholds.SIGNIFICANT
 
 
 def _errors(gained: FloatArray) -> float:
@@ -163,7 +162,11 @@ def simplest(
             if a.effects[-1].name == name
         ]
         kept = next(
-            (n for n, a in enumerate(simpler) if _as_good(a, best) or _well(a, base, scale)),
+            (
+                n
+                for n, a in enumerate(simpler)
+                if _will_do(a, best, scale) or _well(a, base, scale)
+            ),
             len(simpler),
         )
         # What is too small to be told from a simpler member of the family is that one.
@@ -217,6 +220,26 @@ def _well(simpler: Attempt, base: Attempt, scale: thresholds.Scale) -> bool:
         and thresholds.large_enough(effect, simpler.values, scale)
         and closure(base.rank_J, simpler.rank_J) >= thresholds.WELL
     )
+
+
+def _will_do(simpler: Attempt, other: Attempt, scale: thresholds.Scale) -> bool:
+    """Whether a simpler member of a family need not give way to another.
+
+    A law that is not quite the machine's leaves what any other takes off that is free to bend
+    more. But one whose own part is too small to show stands for a simpler law yet, which had that
+    to bend already: there the other has to be no more than likelier.
+    """
+    if not _as_good(simpler, other):
+        return False
+    effect = simpler.effects[-1]
+    shows = thresholds.large_enough(effect, simpler.values, scale)
+    return shows or _likelier(other, simpler) < thresholds.LIKELIER
+
+
+def _likelier(one: Attempt, other: Attempt) -> float:
+    """Standard errors, over both splits, by which one model's squares are below the other's."""
+    gained = other.squares - one.squares, other.fit_squares - one.fit_squares
+    return _errors(np.concatenate(gained))
 
 
 def _as_good(simpler: Attempt, other: Attempt) -> bool:

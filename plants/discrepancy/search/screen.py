@@ -301,6 +301,8 @@ class _Probe:
             v for v in self.seen.suggest(f"{self.effect.name}.{name}") if p.low <= v <= p.high
         ]
         usual = float(self.predictor.start[self.column[name]])
+        if p.begun is not None:
+            return [usual]
         if p.unit == "Hz":
             low, high = max(p.low, self.seen.lowest_Hz), min(p.high, self.seen.highest_Hz)
             return [*suggested, *np.geomspace(low, max(high, low), FREQUENCIES).tolist()]

@@ -55,6 +55,9 @@ BEATEN = 1.3
 the one named is not what is there."""
 TIE = 0.1
 """Difference of closure below which two effects may be told apart only by significance."""
+LIKELIER = 1.64
+"""Standard errors from which on one of two laws is likelier that are both plausible: nineteen
+times in twenty chance makes less."""
 SIGNIFICANT = 3.0
 """Standard errors, over blocks of time, by which one model has to be better than another."""
 SIGNIFICANT_GAIN = 60.0
@@ -97,7 +100,7 @@ INHERITED: dict[str, tuple[str, dict[str, str]]] = {
     "dahl_hysteresis": ("coulomb_friction", {"torque_Nm": "torque_Nm"}),
     "stribeck_friction": (
         "dahl_hysteresis",
-        {"torque_Nm": "coulomb_Nm", "presliding_rad": "presliding_rad"},
+        {"torque_Nm": "coulomb_Nm", "presliding_rad": "presliding_rad", "spread": "spread"},
     ),
     # What swings sags: the weight there is tells where the string's records have their zeros.
     "string_mode": ("cable_weight", {"density_kg_m": "density_kg_m"}),
