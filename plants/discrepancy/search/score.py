@@ -165,7 +165,7 @@ def simplest(
             (
                 n
                 for n, a in enumerate(simpler)
-                if _will_do(a, best, scale) or _well(a, base, scale)
+                if _will_do(simpler[: n + 1], best, scale) or _well(a, base, scale)
             ),
             len(simpler),
         )
@@ -222,18 +222,18 @@ def _well(simpler: Attempt, base: Attempt, scale: thresholds.Scale) -> bool:
     )
 
 
-def _will_do(simpler: Attempt, other: Attempt, scale: thresholds.Scale) -> bool:
-    """Whether a simpler member of a family need not give way to another.
+def _will_do(simpler: Sequence[Attempt], other: Attempt, scale: thresholds.Scale) -> bool:
+    """Whether the last of a family's simpler members need not give way to another.
 
     A law that is not quite the machine's leaves what any other takes off that is free to bend
     more. But one whose own part is too small to show stands for a simpler law yet, which had that
-    to bend already: there the other has to be no more than likelier.
+    to bend already: where that leaves a gap, the other has to be no more than likelier.
     """
-    if not _as_good(simpler, other):
+    last = simpler[-1]
+    if not _as_good(last, other):
         return False
-    effect = simpler.effects[-1]
-    shows = thresholds.large_enough(effect, simpler.values, scale)
-    return shows or _likelier(other, simpler) < thresholds.LIKELIER
+    shows = thresholds.large_enough(last.effects[-1], last.values, scale)
+    return shows or not _gapes(simpler[0]) or _likelier(other, last) < thresholds.LIKELIER
 
 
 def _likelier(one: Attempt, other: Attempt) -> float:

@@ -216,11 +216,14 @@ def _pair(
     bench: Bench, base: Attempt, first: Round, effects: Sequence[type[Effect]], suggest: Suggest
 ) -> tuple[Round, ...]:
     """Two rounds, of effects that do together what neither does alone; none if there are none."""
-    leading = sorted(first.attempts, key=lambda a: a.fit_J)[: thresholds.LEADING]
+    leading = [
+        family_of(a.effects[-1].name) for a in sorted(first.attempts, key=lambda a: a.fit_J)
+    ]
     pairs = []
-    for one in leading:
-        alone = closure(base.fit_J, one.fit_J) < thresholds.FIRST
-        if alone or simplest([one], base, bench.scale) is None:
+    for family in list(dict.fromkeys(leading))[: thresholds.LEADING]:
+        members = [a for a in first.attempts if a.effects[-1].name in family]
+        one = simplest(members, base, bench.scale)
+        if one is None or closure(base.fit_J, one.fit_J) < thresholds.FIRST:
             continue
         seen = [background(bench, one, suggest)]
         looked = screened_further(bench, effects, seen, one, suggest)

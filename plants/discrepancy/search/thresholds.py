@@ -85,7 +85,7 @@ SHORTLIST = 5
 SHORTLIST_FURTHER = 5
 """The same in later rounds."""
 LEADING = 2
-"""Effects that a second one is tried with where none is worth adding alone."""
+"""Families of effects that a second one is tried with where none is worth adding alone."""
 DEEPEST = 3
 """Most effects added."""
 
@@ -176,8 +176,9 @@ _LEAST: dict[str, tuple[tuple[str, float, str], ...]] = {
     "dahl_hysteresis": (("presliding_rad", 12.0, "angle_rad"),),
     # What comes back nowhere is no wave: any curve that is bent once looks so.
     "torque_ripple": (("per_turn", 0.8, "repeats"),),
-    # Friction that falls to nothing with speed is no dry friction.
-    "stribeck_friction": (("excess_Nm", 0.1, "coulomb_Nm"), ("coulomb_Nm", 0.2, "excess_Nm")),
+    # Friction that falls to nothing with speed is no dry friction, and one that hardly falls is
+    # as good as constant.
+    "stribeck_friction": (("excess_Nm", 0.2, "coulomb_Nm"), ("coulomb_Nm", 0.2, "excess_Nm")),
 }
 """Parameters, and their least size in units of a field of `Scale` or of another parameter; `as
 given` is the size itself."""
