@@ -161,9 +161,8 @@ def _families_again(
         rest = tuple(e for e in best.effects if e is not effect)
         held = _from(bench, rest, best, rounds=0)
         attempts = [_from(bench, (*rest, effect), best)]
-        for one in family:
-            if one.effect is not effect:
-                attempts.append(with_one_more(bench, held, one, attempts))
+        for one in family:  # its own, too: the others' fits may lead where it has not been
+            attempts.append(with_one_more(bench, held, one, attempts))
         attempts = finished(bench, base, reduced(bench, attempts))
         again = simplest(attempts, held, bench.scale)
         if again is None:
