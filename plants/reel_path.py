@@ -13,6 +13,12 @@ THETA, OMEGA, READING, READING_RATE = range(4)
 STATES = 4
 REST_ROUNDS = 12
 """Rounds of the fixed point at rest, where a cable effect depends on the angle it leads to."""
+SECANTS = 2
+"""Rounds in which the velocity is sought that a rate of the tension tells."""
+LEAST_rad = 1e-9
+"""Least angle of such a secant."""
+STEEPEST = 20.0
+"""A cable is at most so many times as stiff as the linear law, and as soft."""
 
 
 class Constants(NamedTuple):
@@ -137,24 +143,42 @@ class ReelPath(NamedTuple):
             linear = to[0]
             for port in (Port.GAUGE, Port.EYELET, Port.CABLE):
                 _, linear = self.stages.back(x, linear, self._now(port, x), moved=True)
-            to = ca.vertcat(linear, to[1]) / c.tension_per_angle
+            angle = linear / c.tension_per_angle
+            to = ca.vertcat(angle, self._turning(x, angle, to[1]))
         # By the cable's own law: a slack one is softer than the linear law by far.
-        before, after = (self._pull(x, at) for at in (x[THETA], to[0]))
+        still = ca.SX(0)
+        before, after = (self._pull(x, at, still) for at in (x[THETA], to[0]))
         angle = ca.SX.sym("angle")
-        slope = ca.substitute(ca.jacobian(self._pull(x, angle), angle), angle, to[0])
+        slope = ca.substitute(ca.jacobian(self._pull(x, angle, still), angle), angle, to[0])
         gauge = x[READING:STATES] + ca.vertcat(after - before, slope * (to[1] - x[OMEGA]))
         return self.stages.put(ca.vertcat(to, gauge, x[STATES:]), to[0])
 
-    def _pull(self, x: Expression, angle: Expression) -> Expression:
-        """Tension at the drum at an angle, as the effects remember it in a state."""
+    def _turning(self, x: Expression, angle: Expression, rate_N_s: Expression) -> Expression:
+        """Velocity of the drum at an angle where the tension changes at a rate.
+
+        A cable that creeps, stiffens or sticks in the eyelet pulls more for each angle than the
+        linear law: by a secant over a substep, a second time from where the first led.
+        """
+        span_s, linear = self.c.substep_s, self.c.tension_per_angle
+        velocity = at_first = rate_N_s / linear
+        for _ in range(SECANTS):
+            turned = velocity * span_s + ca.if_else(velocity < 0.0, -LEAST_rad, LEAST_rad)
+            later = self._pull(x, angle + turned, turned / span_s)
+            per_angle = (later - self._pull(x, angle, ca.SX(0))) / (turned * linear)
+            velocity = at_first / ca.fmin(ca.fmax(per_angle, 1.0 / STEEPEST), STEEPEST)
+        return velocity
+
+    def _pull(self, x: Expression, angle: Expression, velocity: Expression) -> Expression:
+        """Tension at the drum at an angle, a substep after the effects remembered a state."""
         tension = self.c.tension_per_angle * angle
         site = self._now(Port.CABLE, x)._replace(
+            span_s=self.c.substep_s,
             angle_rad=angle,
-            start_velocity_rad_s=ca.SX(0),
-            velocity_rad_s=ca.SX(0),
+            start_velocity_rad_s=velocity,
+            velocity_rad_s=velocity,
             tension_N=tension,
         )
-        _, tension = self.stages.forward(x, tension, site)
+        x, tension = self.stages.forward(x, tension, site)
         tension = ca.fmax(tension, 0.0)
         _, tension = self.stages.forward(x, tension, site._replace(port=Port.EYELET))
         return tension

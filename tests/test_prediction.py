@@ -544,3 +544,16 @@ def test_the_floor_of_a_drum_that_travels_far_is_that_of_short_predictions(wande
     left = predictor.residuals(predictor.start[None])
     assert predictor.index.sigma.max() < 1e-3 * record.angle_rad.std()
     assert 0.5 < np.sqrt(np.mean(left**2)) < 1.3
+
+
+def test_a_drum_without_an_encoder_turns_as_a_cable_that_sticks_lets_it():
+    held = EyeletFriction(0.9, 0.3)
+    record = replace(measured(REEL + held, PROFILES[0]), angle_rad=None, reference_N=None)
+    left = []
+    for effects in ([], [held]):
+        model, added = diagnosed(REEL, [record]), [type(e) for e in effects]
+        predictor = Predictor(model, added, [record], 0.1, SMALL)
+        residuals = predictor.residuals(truth(predictor, *effects)[None])
+        left.append(np.sqrt(np.mean(residuals**2)))
+    # At the linear law's velocity, two thirds of it would be left.
+    assert left[1] < 0.1 * left[0]

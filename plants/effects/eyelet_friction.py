@@ -10,44 +10,64 @@ from plants.effects.effect import Effect, Port, Signal, Site, parameter
 
 TINY = 1e-9
 """Keeps lengths and tensions that are divided by above zero."""
-KNEE = 0.25
-"""Dahl's exponent i of the knee between sticking and sliding; at zero it would be a kink."""
+FULL = 1.5
+"""Velocity, in those of the creep, from which on friction is full."""
 
 
-def slid(z: Signal, travel: Signal) -> Signal:
-    """How far friction is built up after some travel: dz/dx = 2 s ((1 - s z)/2)^i, s = sign(dx).
+def saturated(x: Signal) -> Signal:
+    """How full friction is at a velocity: a cubic, at zero as steep as tanh, that ends level.
 
-    Dahl's law (1968) with an exponent below one, which he found where little gives before all
-    slides. It ends at s after a finite travel: ((1 - s z)/2)^(1 - i) falls evenly.
+    No closer to tanh than 0.1: how a cable creeps is not known better.
+    """
+    x = ca.fmin(ca.fmax(x, -FULL), FULL)
+    return x * (1.0 - (x * x) * (4.0 / 27.0))
+
+
+def slid(z: Signal, goal: Signal, travel: Signal, knee: Signal) -> Signal:
+    """How far friction is built up after some travel.
+
+    With what is left, L = s (g - z)/2, s = sign(g - z): dL/dx = -(1 + a) L/(L + a). At a = 0 it
+    ends in a kink, far above one it is Dahl's exponential (1968). Taken is an implicit step, which
+    is exact in a kink: powers and exponentials in each substep would double the cost of a trial.
 
     Args:
         z: What is built up before, -1 to 1.
-        travel: Signed travel in lengths d, after which it would be there at the first rate.
+        goal: What it builds up to, g.
+        travel: Size of the travel in lengths d, after which it would be there at the first rate.
+        knee: The share a.
     """
-    s = ca.sign(travel)
-    left = ca.fmax(0.5 * (1.0 - s * z), TINY)
-    after = ca.fmax(left ** (1.0 - KNEE) - (1.0 - KNEE) * ca.fabs(travel), 0.0)
-    return z * (1.0 - s * s) + s * (1.0 - 2.0 * after ** (1.0 / (1.0 - KNEE)))
+    gap = goal - z
+    left = 0.5 * ca.fabs(gap)
+    before = left - knee - (1.0 + knee) * travel
+    after = 0.5 * (before + ca.sqrt(before * before + 4.0 * knee * left))
+    return goal - 2.0 * ca.sign(gap) * after
 
 
 @dataclass(frozen=True)
 class EyeletFriction(Effect):
     """Dry friction at the eyelet: the tension inside exceeds that outside when winding in.
 
-        T = r T_o,    r = 1 + z (1/B - B)/2 + z^2 (1/B + B - 2)/2
-        T_o = l/(1 - c + c r),    dz/dx = 2 s/d ((1 - s z)/2)^i,    d = (1/B - B) l c/((1 - c) k)
+        T = r T_o,    r = 1 + z (1/B - B)/2 + z^2 (1/B + B - 2)/2,    T_o = l/(1 - c + c r)
+        dz/dt = 2 s (|v| + v_c)/d (1 + a) L/(L + a),    L = s (g - z)/2 >= 0,    g = sat(v/v_c)
+        d = 2 T ln(1/B) c/k
 
-    With the attenuation ratio B of (23) the cable slides in with T_o = B T, at z = 1, and out with
-    T = B T_o, at z = -1. The share c of the reel's flexibility 1/k lies between drum and eyelet
-    and is stretched by T, the rest by T_o; l is the tension of the linear law. After a reversal of
-    the cable's travel x the cable first sticks in the eyelet and only the part inside gives: so d
-    is the travel that changes T by what friction does. A short eyelet lets go of the cable as a
-    whole, so that the knee where it begins to slide is sharp: see `slid`. z starts at zero. The
-    record then has the tension outside as `reference_N`.
+    r is close to B^(-z), the capstan's ratio with a share z of its friction: with the attenuation
+    ratio B of (23) the cable slides in with T_o = B T, z = 1, and out with T = B T_o, z = -1. The
+    share c of the reel's flexibility 1/k lies between drum and eyelet and is stretched by T,
+    the rest by T_o; l is the tension of the linear law. After a reversal of the cable's velocity v
+    the cable first sticks in the eyelet and only the part inside gives: so d is the travel that
+    changes T by what friction does, from sliding out to sliding in. A short eyelet lets go of the
+    cable as a whole, with a sharp knee, a near 0; in a long one, or where fibres bend first, it
+    gives before: see `slid`. Below the velocity v_c the cable creeps; where that is far below all
+    velocities there are it sticks. z starts at zero. The record then has the tension outside as
+    `reference_N`.
 
     Attributes:
         attenuation: Attenuation ratio B.
-        inner_share: Share c of the flexibility that lies between drum and eyelet.
+        inner_share: Share c of the flexibility that lies between drum and eyelet. One so small
+            that the drum would swing on it within a substep sticks as the least that would not.
+        knee: Width a of the knee between sticking and sliding, as a share of what friction does.
+        creep_rad_s: Velocity v_c of the drum below which the cable creeps, rad/s.
     """
 
     name: ClassVar[str] = "eyelet_friction"
@@ -61,20 +81,26 @@ class EyeletFriction(Effect):
     states: ClassVar[int] = 1
 
     attenuation: float = parameter(0.95, low=0.35, high=1.0, unit="", neutral=1.0)
-    inner_share: float = parameter(0.2, low=0.01, high=0.9, unit="")
+    inner_share: float = parameter(0.2, low=1e-4, high=0.9, unit="")
+    knee: float = parameter(0.1, low=0.01, high=30.0, unit="")
+    creep_rad_s: float = parameter(1e-4, low=1e-7, high=1e3, unit="rad/s")
 
     @staticmethod
     def prepare(p: SimpleNamespace, reel: SimpleNamespace) -> dict[str, Signal]:
-        """The factors of z and z^2, and what travel changes z by, in N s/rad."""
+        """The factors of z and z^2, 1/v_c, and what travel changes z by, in N s/rad."""
         within, without = 1.0 / p.attenuation, p.attenuation
-        inside = p.inner_share / (1.0 - p.inner_share)
+        stiffness_Nm_rad = reel.stiffness_N_m * reel.drum_radius_m**2
+        inside = ca.fmax(
+            p.inner_share, stiffness_Nm_rad * reel.substep_s / reel.torque_per_velocity
+        )
         return {
             "odd": 0.5 * (within - without),
             "even": 0.5 * (within + without) - 1.0,
+            "per_creep": 1.0 / p.creep_rad_s,
             "travel_Ns_rad": reel.drum_radius_m
             * reel.substep_s
             * reel.stiffness_N_m
-            / ((within - without) * inside + TINY),
+            / (2.0 * ca.log(within) * inside + TINY),
         }
 
     @staticmethod
@@ -82,10 +108,15 @@ class EyeletFriction(Effect):
         p: SimpleNamespace, state: Signal, signal: Signal, site: Site
     ) -> tuple[Signal, Signal]:
         """At the cable the tension outside, then at the eyelet that inside."""
+        ratio = state * (p.odd + state * p.even)
         if site.port is Port.EYELET:
-            return state, signal * (1.0 + state * (p.odd + state * p.even))
-        gone = p.travel_Ns_rad * site.start_velocity_rad_s / ca.fmax(signal, TINY)
-        z = slid(state, gone)
+            return state, signal * (1.0 + ratio)
+        velocity = site.start_velocity_rad_s
+        speed = ca.fabs(velocity) + p.creep_rad_s
+        # The share of the flexibility inside, and all of it, times the tension inside.
+        gone = p.travel_Ns_rad * speed * (1.0 + p.inner_share * ratio)
+        gone = gone / (ca.fmax(signal, TINY) * (1.0 + ratio))
+        z = slid(state, saturated(velocity * p.per_creep), gone, p.knee)
         return z, signal / (1.0 + p.inner_share * z * (p.odd + z * p.even))
 
     @staticmethod

@@ -13,6 +13,8 @@ FRICTION = 0.1
 """Where friction begins, relative to the torque's rms."""
 FADE = 0.3
 """Where a velocity begins, relative to the velocity's rms."""
+CREEP = 0.01
+"""Where the velocity of a cable's creep begins, relative to the velocity's rms."""
 TRAVEL = 0.05
 """Where an angle begins, relative to the angle's rms."""
 LIMIT = 0.8
@@ -90,6 +92,8 @@ class Sizes:
             start, most = FRICTION * self.torque_rms, MOST * self.torque_max
         elif port is Port.DRUM and p.unit == "rad/s":
             start, most = FADE * self.velocity_rms, MOST * self.velocity_max
+        elif port is Port.EYELET and p.unit == "rad/s":
+            start, most = CREEP * self.velocity_rms, MOST * self.velocity_max
         elif port is Port.DRUM and p.unit == "rad" and p.low >= 0.0:
             start, most = TRAVEL * self.angle_rms, MOST * self.angle_rms
         elif port is Port.ACTUATOR and p.unit == "A":

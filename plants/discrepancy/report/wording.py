@@ -40,10 +40,12 @@ def sentence(effect: type[Effect], values: Mapping[str, float], model: Any) -> s
 def _eyelet_friction(v: Mapping[str, float], at: Scene) -> str:
     B, lost = v["attenuation"], (1.0 - v["attenuation"]) * at.tension_N
     less = "" if math.isnan(lost) else f" ({at.reading(lost)} less at {at.reading(at.tension_N)})"
+    inside, slowly = share(v["inner_share"]), at.speed(v["creep_rad_s"])
     return (
-        f"has eyelet friction: outside tension is {B:.3g} of inside when winding in{less}, and "
-        f"inside is {B:.3g} of outside when paying out. After each reversal the cable first "
-        f"sticks: {share(v['inner_share'])} of what gives lies between drum and eyelet"
+        f"has eyelet friction: outside tension is {B:.3g} of inside when winding in{less}, the "
+        "other way round when paying out. After a reversal the cable sticks: "
+        f"{inside} of what gives is inside the eyelet. The knee is {digits(v['knee'])} wide; "
+        f"below {slowly} it creeps"
     )
 
 

@@ -17,6 +17,9 @@ FEW = np.array([1.0, 1.5, 2.0, 3.0, 4.0])
 """Periods in all the turning there is that are tried at any rate."""
 FEWEST = 4
 """Fewest samples of a record that are looked at for a wave over the angle."""
+SHARES, KNEES = [0.03, 0.3], [0.1]
+"""Shares of the flexibility inside the eyelet, and knees, that its friction is tried with: they
+show its direction, whatever the velocity below which it creeps."""
 JOINTS = 0.1
 """By how much more a frame is the stiffer at the records' tension for its joints."""
 
@@ -42,6 +45,8 @@ def suggestions(
             for f in frequencies
             if lengths and f > 0.0
         ],
+        "eyelet_friction.inner_share": SHARES,
+        "eyelet_friction.knee": KNEES,
     }
     for name in ("gauge_resonance", "structural_mode"):
         known[f"{name}.frequency_Hz"] = frequencies
