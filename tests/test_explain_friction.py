@@ -1,0 +1,104 @@
+"""Dry friction as other people's simulators write it down, on a drum without a cable."""
+
+import math
+
+import numpy as np
+import pytest
+
+import plants
+from plants.discrepancy.data.record import Measurement
+from plants.unloaded import UnloadedReel
+
+RATE_Hz, SUBSTEPS, COUNTS = 500.0, 16, 8192
+INERTIA_kg_m2, DAMPING_Nms, TORQUE_Nm_A, FRICTION_Nm = 2.1e-3, 0.0085, 0.5, 0.02
+BELIEVED = UnloadedReel(sampling_Hz=RATE_Hz, dead_time_s=0.0, encoder_counts=COUNTS)
+STEP_s = 1.0 / (RATE_Hz * SUBSTEPS)
+
+
+def smoothed(velocity, z):
+    """No step at zero: `F tanh(omega/omega_0)`, 1 mm/s at the rim."""
+    return FRICTION_Nm * math.tanh(velocity / 0.04), z
+
+
+def bristles_that_fade(velocity, z):
+    """Canudas de Wit's bristles (1995) with the curve of Stribeck."""
+    stiffness = FRICTION_Nm / 1e-4
+    most = FRICTION_Nm * (1.0 + 0.6 * math.exp(-(velocity**2)))
+    after = (z + STEP_s * velocity) / (1.0 + STEP_s * stiffness * abs(velocity) / most)
+    settling = 3e-3 * math.exp(-((velocity / 0.05) ** 2)) * (after - z) / STEP_s
+    return stiffness * after + settling, after
+
+
+def bristles(velocity, z):
+    """Dahl's bristles (1968), long ones."""
+    after = (z + STEP_s * velocity) / (1.0 + STEP_s * abs(velocity) / 0.01)
+    return FRICTION_Nm * after / 0.01, after
+
+
+def turned(current_A, friction):
+    """The drum's angle, rad, by semi-implicit steps."""
+    angle = velocity = z = 0.0
+    out = np.empty(current_A.size)
+    for n, torque in enumerate((TORQUE_Nm_A * current_A).tolist()):
+        out[n] = angle
+        for _ in range(SUBSTEPS):
+            held, z = friction(velocity, z)
+            velocity += STEP_s * (torque - DAMPING_Nms * velocity - held) / INERTIA_kg_m2
+            angle += STEP_s * velocity
+    return out
+
+
+def currents(rng):
+    """Noise of 1 to 40 Hz, steps, a slow triangle, a sweep, and some of it once more, A."""
+
+    def noise(size, seconds):
+        t, lines = np.arange(round(seconds * RATE_Hz)) / RATE_Hz, np.arange(1.0, 40.0)
+        phase = rng.uniform(0.0, 6.28, (lines.size, 1))
+        waves = np.cos(2.0 * np.pi * np.outer(lines, t) + phase)
+        wave = waves.T @ (1.0 / np.hypot(1.0, lines / 6.0))
+        return size * wave / wave.std()
+
+    t = np.arange(round(4.0 * RATE_Hz)) / RATE_Hz
+    yield noise(0.12, 3.0)
+    yield np.repeat([0.0, 0.12, -0.12, 0.08, 0.0], 300)
+    yield 0.15 * 2.0 / np.pi * np.arcsin(np.sin(2.0 * np.pi * 0.6 * t))
+    yield 0.12 * np.sin(2.0 * np.pi * (0.5 + 2.0 * t) * t)
+    yield noise(0.08, 2.0)
+    yield np.repeat([0.0, 0.1, -0.1, 0.06, 0.0], 300)
+
+
+def records(friction):
+    """Open-loop records; each counts from where the drum stood when it was switched on."""
+    rng, count = np.random.default_rng(3), 2.0 * np.pi / COUNTS
+    for n, current in enumerate(currents(rng)):
+        yield Measurement(
+            name=f"record-{n}",
+            rig="drum",
+            sampling_Hz=RATE_Hz,
+            cable_length_m=None,
+            preload_N=0.0,
+            loop="open",
+            profile="custom",
+            gains=None,
+            time_s=np.arange(current.size) / RATE_Hz,
+            setpoint_N=None,
+            current_A=current,
+            tension_N=None,
+            angle_rad=np.floor(turned(current, friction) / count + rng.random()) * count,
+            reference_N=None,
+            flags=None,
+        )
+
+
+@pytest.mark.parametrize(
+    ("friction", "name", "size"),
+    [
+        (smoothed, "coulomb_friction", "torque_Nm"),
+        (bristles_that_fade, "stribeck_friction", "coulomb_Nm"),
+        (bristles, "dahl_hysteresis", "torque_Nm"),
+    ],
+)
+def test_a_friction_has_its_name_however_it_is_written_down(friction, name, size):
+    found = plants.explain(BELIEVED, list(records(friction)))
+    assert (found.verdict, [effect.name for effect in found.effects]) == ("named", [name])
+    assert found.effects[0].parameters[size].value == pytest.approx(FRICTION_Nm, rel=0.05)
