@@ -229,15 +229,16 @@ def test_a_dead_time_moves_a_prediction_without_jumps():
 
 
 def test_a_current_that_is_measured_shows_the_drive():
-    limited = EFFECTS["current_saturation"](0.85)
+    limited = EFFECTS["current_saturation"](0.85, bend=0.0)
     record = measured(REEL + limited, LINES)
     asked = record.setpoint_N / REEL.newtons_per_ampere
     lag = 3  # of the current's own filter
     flown = np.clip(asked, -0.85, 0.85)
     record = replace(record, current_A=1.1 * np.append(np.full(lag, flown[0]), flown[:-lag]) + 0.2)
     predictor = Predictor(diagnosed(REEL, [record]), [type(limited)], [record], None, SMALL)
-    values = {"current_gain": 1.1, "current_offset_A": 0.2, "current_saturation.limit_A": 0.85}
-    row = predictor.row({**values, "encoder_zero_rad[0]": 0.0})
+    values = {"current_gain": 1.1, "current_offset_A": 0.2, "encoder_zero_rad[0]": 0.0}
+    own = {"current_saturation.limit_A": 0.85, "current_saturation.bend": 0.0}
+    row = predictor.row(values | own)
     (found,) = predictor.predict(row[None])
     assert found.current_A[0] == pytest.approx(1.1 * flown + 0.2)
     left = predictor.residuals(row[None])[0]

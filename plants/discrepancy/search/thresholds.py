@@ -35,11 +35,13 @@ tells that it is the one."""
 SECOND = 0.4
 """Share of what one more effect closes up to which all others have to stay for it to stand out:
 what a law leaves that is not quite the machine's has no shape of its own, and several take some
-off."""
+off. Where a second effect is there, of another law the others close a third of what it does, or
+less."""
 NARROW = 0.1
 """Share of all the power, the floor's too, that a mode has to take off on the fit and the rank
 split where no gap is left beside it. Four values take off a thousandth of what has no shape;
-where no mode is there the best direction of one explains no more than two hundredths."""
+where no mode is there the best direction of one explains no more than two hundredths, and half
+of this is asked of a direction before it is fitted."""
 INCOMPLETE = 3.0
 """Gap that a named effect may leave before it is said to be incomplete."""
 SIMPLER = 1.08
