@@ -20,6 +20,7 @@ from plants.discrepancy.search.fit import switched_on
 from plants.effects import (
     EFFECTS,
     CoulombFriction,
+    DeadTime,
     EyeletFriction,
     GaugeOffset,
     StribeckFriction,
@@ -389,6 +390,20 @@ def test_an_input_that_was_not_held_is_recognised():
         other = predictor.row({"input_slope": 1.0 - slope})
         wrong = predictor.predict(other[None])[0].tension_N[0]
         assert np.std(wrong - record.tension_N) > 20.0 * off
+
+
+def test_rows_are_predicted_together_as_each_alone():
+    plant, record = swinging(sampling_Hz=80.0, hardening=0.0, slope=1.0)
+    predictor = Predictor(diagnosed(plant, [record]), [DeadTime], [record], floor=SMALL)
+    ways = [(0.0, 0.04), (1.0, 0.0), (0.5, 0.3)]
+    rows = np.array(
+        [predictor.row({"input_slope": s, "dead_time.delay_s": late}) for s, late in ways]
+    )
+    alone = np.concatenate([predictor.residuals(row[None]) for row in rows])
+    assert np.array_equal(predictor.residuals(rows), alone)
+    assert np.abs(np.diff(alone, axis=0)).max(axis=1).min() > 1.0
+    together = predictor.predict(rows)[0].tension_N
+    assert np.array_equal(together[2], predictor.predict(rows[2:])[0].tension_N[0])
 
 
 def test_effects_inside_a_linear_plant_need_a_velocity_and_a_spring():
