@@ -170,6 +170,26 @@ def test_a_drum_that_is_as_its_owner_believes_is_left_alone_and_the_answer_comes
     assert first.to_json() == again.to_json()
 
 
+@pytest.mark.parametrize(
+    ("seed", "variant", "hidden_", "named"),
+    [
+        (50003, "none_unloaded", None, []),  # its inertia and friction are both 5 % off
+        (50030, "none", None, []),  # the gauge's zero is 0.2 N off, of 35
+        (50023, "none_no_encoder", None, []),  # a gain does as well as a zero
+        (501, "plain", "gauge_offset", ["gauge_offset"]),
+        (504, "unloaded", "gain_error", ["gain_error"]),
+    ],
+)
+def test_one_number_is_wrong_only_where_no_owner_s_would_be_and_no_other_does_as_well(
+    seed, variant, hidden_, named
+):
+    numbers = ["gain_error", "viscous_damping", "gauge_offset"]
+    found = plants.explain(*drawn(seed, variant, hidden_), effects=numbers)
+    assert [effect.name for effect in found.effects] == named
+    assert found.verdict == ("named" if named else "none")
+    assert found.ratio_before > 3.0 or not named
+
+
 def test_a_wave_over_the_angle_is_found_in_records_that_each_count_from_their_own_zero():
     row = diagnose(Task(5, "unloaded", "torque_ripple"))
     assert not row.error

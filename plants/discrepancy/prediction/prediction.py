@@ -145,6 +145,7 @@ class Predictor:
         values: FloatArray,
         only: NDArray[np.int64] | None = None,
         entries: NDArray[np.int64] | None = None,
+        known: FloatArray | None = None,
     ) -> tuple[FloatArray, FloatArray]:
         """Residuals, shape (entries,), and their derivative by the values, (entries, free).
 
@@ -155,6 +156,7 @@ class Predictor:
             values: Shape (free,).
             only: Numbers of the free values to derive by, whose columns are then the only ones.
             entries: Numbers of the entries that are wanted; None is all.
+            known: The residuals there, where they are at hand.
         """
         chosen = np.arange(len(self.free)) if only is None else np.asarray(only, np.int64)
         groups: dict[tuple[str, int | None], list[int]] = defaultdict(list)
@@ -166,11 +168,12 @@ class Predictor:
         rows = np.repeat(np.asarray(values, np.float64)[None], 1 + len(groups), axis=0)
         for row, places in zip(rows[1:], groups.values(), strict=True):
             row[chosen[places]] += steps[places]
-        found = self.residuals(rows, entries)
+        found = self.residuals(rows if known is None else rows[1:], entries)
+        residuals, changes = (found[0], found[1:]) if known is None else (known, found)
         jacobian = np.zeros((chosen.size, found.shape[1]))
-        found[1:] -= found[0]
+        changes -= residuals
         own_entries = self._own_entries(entries)
-        for change, places in zip(found[1:], groups.values(), strict=True):
+        for change, places in zip(changes, groups.values(), strict=True):
             for place in places:
                 record = self._slots[chosen[place]].record
                 if record is None:
@@ -178,7 +181,7 @@ class Predictor:
                 else:
                     own = own_entries[record]
                     jacobian[place, own] = change[own] / steps[place]
-        return found[0], jacobian.T
+        return residuals, jacobian.T
 
     def values(self, row: FloatArray) -> dict[str, float]:
         """A row by the names of `free`."""

@@ -99,6 +99,7 @@ class Bench:
             for m, pull in zip(self.measurements, given, strict=True)
             if m.tension_N is not None and math.isfinite(pull)
         ]
+        read = [float(m.tension_N.max()) for m in self.measurements if m.tension_N is not None]
         turned = [float(np.ptp(m.angle_rad)) for m in self.measurements if m.angle_rad is not None]
         turned = turned or [
             float(np.ptp(m.tension_N)) / pull
@@ -109,6 +110,7 @@ class Bench:
             sample_s=1.0 / min(m.sampling_Hz for m in self.measurements),
             angle_rad=angle_rad,
             tension_N=tension_N,
+            read_N=max(read, default=math.nan),
             stretch_m=max(stretched, default=math.nan),
             repeats=2.0 * math.pi / max(*turned, 1e-9) if turned else math.nan,
         )
@@ -134,7 +136,8 @@ class Bench:
             effects: The effects added.
             starts: Rows of values, shape (starts, free).
             rounds: Most rounds of each fit.
-            owners: Whose values may move besides those of single records; None is all.
+            owners: Whose values, or which by name, may move besides those of single records; None
+                is all.
         """
         predictor = self.predictor(effects)
         moves = self.moves(predictor)
@@ -144,7 +147,7 @@ class Bench:
                 [
                     n
                     for n in moves
-                    if free[n].owner in owners or _record(free[n].owner) is not None
+                    if {free[n].owner, free[n].name} & owners or _record(free[n].owner) is not None
                 ],
                 dtype=np.int64,
             )

@@ -81,7 +81,7 @@ def background(
     some = sample % max(1, sample.size // SCREENED) == 0
     entries, residual = fitted.entries[some], fitted.residuals[some]
     moves = fitted.moved if moves is None else moves
-    slope = fitted.predictor.linearise(fitted.values, moves, entries)[1].T
+    slope = fitted.predictor.linearise(fitted.values, moves, entries, residual)[1].T
     block = bench.cable_block(replace(fitted, entries=entries)) if cable else None
     if block is not None:
         residual, slope = block.left(residual), block.left(slope)

@@ -78,7 +78,7 @@ def fit(
         return best if best.cost < otherwise.cost else otherwise
 
     for _ in range(rounds):
-        residuals, jacobian = predictor.linearise(at.values, moves, entries)
+        residuals, jacobian = predictor.linearise(at.values, moves, entries, at.residuals)
         begun = at = _Point(at.values, residuals)
         columns = jacobian.T * scale.inner(at.values)[:, None]
         slope = _Slope(columns, columns @ columns.T, scale)
@@ -314,7 +314,9 @@ def covariance(found: Fitted, groups: Numbers) -> FloatArray:
     """
     if not found.moved.size:
         return np.zeros((0, 0))
-    residuals, jacobian = found.predictor.linearise(found.values, found.moved, found.entries)
+    residuals, jacobian = found.predictor.linearise(
+        found.values, found.moved, found.entries, found.residuals
+    )
     columns = jacobian.T
     size = _lengths(np.einsum("ij,ij->i", columns, columns))
     columns = columns / size[:, None]

@@ -5,7 +5,10 @@ from collections.abc import Sequence
 
 from plants.discrepancy.search import thresholds
 from plants.discrepancy.search.bench import Attempt, Bench
+from plants.discrepancy.search.score import told_apart
 from plants.effects import Effect
+
+NOBODY: frozenset[str] = frozenset()
 
 
 def one_wrong_number(
@@ -15,7 +18,7 @@ def one_wrong_number(
 
     All calibrations are free in the base fit, so that none of them is ever missing after it. But
     if the model as given leaves a gap, and changing one number alone closes it to where changing
-    all of them does, that number is what is wrong.
+    all of them does, that number is what is wrong, unless another one does as well.
 
     Args:
         bench: Model and records.
@@ -25,8 +28,7 @@ def one_wrong_number(
     Returns:
         The model as given, and that with the calibration; None where there is no such one.
     """
-    nobody: frozenset[str] = frozenset()
-    given = bench.attempt((), bench.base.start[None, :], owners=nobody)
+    given = bench.attempt((), bench.base.start[None, :], owners=NOBODY)
     if math.sqrt(given.rank_J) < thresholds.GAP:
         return None
     attempts = []
@@ -34,8 +36,21 @@ def one_wrong_number(
         start = bench.predictor((effect,)).start
         attempts.append(bench.attempt((effect,), start[None, :], owners=frozenset({effect.name})))
     best = min(attempts, key=lambda a: a.rank_J, default=None)
-    if best is None or best.rank_J > max(thresholds.CLOSED**2, thresholds.AS_GOOD * base.rank_J):
+    most = max(thresholds.CLOSED**2, thresholds.AS_GOOD * base.rank_J)
+    if best is None or best.rank_J > most:
         return None
     if not thresholds.large_enough(best.effects[0], best.values, bench.scale):
         return None
+    numbers = [f for f in bench.base.free if f.owner == "base"]
+    own = thresholds.CALIBRATIONS[best.effects[0].name]
+    if own not in [f.name for f in numbers]:
+        # It does what all the others do together, which are wrong only where one is far off.
+        moved = [abs(base.values[f.name] / f.start - 1.0) for f in numbers if f.start]
+        return (given, best) if max(moved, default=0.0) > thresholds.RECKONED else None
+    for f in numbers:
+        if f.name != own:
+            only = frozenset({f.name})
+            other = bench.attempt((), bench.base.start[None, :], owners=only)
+            if other.rank_J <= most and not told_apart(best, other):
+                return None
     return given, best

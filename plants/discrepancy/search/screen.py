@@ -19,8 +19,9 @@ from plants.discrepancy.prediction.prediction import Predictor
 from plants.discrepancy.search.background import Background
 from plants.effects import Effect
 
-DECADES = np.arange(-4.0, 3.5, 0.5)
-"""Sizes tried, in powers of ten of the usual one, when one that moves the residual is sought."""
+DECADES = np.arange(-2.5, 3.5, 0.5)
+"""Sizes tried, in powers of ten of the usual one, when one that moves the residual is sought: less
+than the first moves it in proportion, and is not seen better."""
 MOVED = (0.5, 3.0)
 """How far the sizes chosen move the residual, in its own size: a law that is bent points another
 way when it acts strongly."""
@@ -216,14 +217,18 @@ class _Probe:
     def _sizes(self) -> tuple[list[dict[str, float]], float]:
         """Sizes that move the residual by about what it is, and more; how far the usual does."""
         usual = self.predictor.start
-        values = {}
+        values, places = {}, []
+        rows: list[FloatArray] = []
         for name in self.sizes:
             p = self.declared[name]
             assert p.neutral is not None  # noqa: S101  a size is what has a neutral value
             step = float(usual[self.column[name]]) - p.neutral or 1e-2 * (p.high - p.low)
             values[name] = np.clip(p.neutral + step * 10.0**DECADES, p.low, p.high)
-        rows = np.concatenate([self._rows(name, values[name]) for name in self.sizes])
-        change = self.seen.against(self._changes(rows)).rms.reshape(len(self.sizes), -1)
+            # Beyond the bounds all are one.
+            different, place = np.unique(values[name], return_inverse=True)
+            places.append(sum(len(r) for r in rows) + place)
+            rows.append(self._rows(name, different))
+        change = self.seen.against(self._changes(np.concatenate(rows))).rms[np.array(places)]
         reach = float(change[:, DECADES == 0.0].max())
         sizes: list[dict[str, float]] = []
         for share in MOVED:

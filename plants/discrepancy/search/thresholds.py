@@ -114,8 +114,15 @@ KNOWN = ("cable_weight",)
 """Effects whose size a scale tells without the machine: of two that do as well, the other is
 likelier."""
 
-CALIBRATIONS = ("gain_error", "viscous_damping", "gauge_offset")
-"""Effects that a calibration of the base model does as well: they leave no gap after it."""
+CALIBRATIONS = {
+    "gain_error": "torque_gain",
+    "viscous_damping": "viscous_friction_Nms",
+    "gauge_offset": "gauge_offset_N",
+}
+"""Effects that a calibration of the base model does as well, and which: they leave no gap after
+it."""
+RECKONED = 0.1
+"""Share to which inertia and friction are known that were reckoned from drawings."""
 
 BY_RULE = ("quantisation", "mains_interference")
 """Effects that are found by a rule of their own; see `plants.discrepancy.search.rules`."""
@@ -128,6 +135,7 @@ class Scale(NamedTuple):
         sample_s: Sampling interval, s.
         angle_rad: Noise of the encoder, or of the gauge as an angle, rad rms; nan without both.
         tension_N: Noise of the gauge, N rms; nan without.
+        read_N: Most that the gauge reads, N; nan without.
         stretch_m: Most that the cable is stretched by in the records, m; nan without.
         repeats: Periods in a turn of a wave of which the widest record shows one; nan where
             neither encoder nor gauge tells.
@@ -136,6 +144,7 @@ class Scale(NamedTuple):
     sample_s: float
     angle_rad: float
     tension_N: float
+    read_N: float
     stretch_m: float
     repeats: float
 
@@ -172,7 +181,8 @@ _LEAST: dict[str, tuple[tuple[str, float, str], ...]] = {
     "dead_time": (("delay_s", 0.2, "sample_s"),),
     # No drive's torque constant is known better.
     "gain_error": (("error", 0.04, "as given"),),
-    "gauge_offset": (("offset_N", 3.0, "tension_N"),),
+    # No gauge's zero is known better than to a hundredth of what it is there to read.
+    "gauge_offset": (("offset_N", 3.0, "tension_N"), ("offset_N", 0.01, "read_N")),
     "backlash": (("play_rad", 3.0, "angle_rad"),),
     # Shorter than this, bristles that bend and a drum that sticks look alike to the encoder.
     "dahl_hysteresis": (("presliding_rad", 12.0, "angle_rad"),),
