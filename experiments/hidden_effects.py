@@ -84,13 +84,18 @@ def tasks(cases: int, seed0: int) -> list[Task]:
     return [task for _, task in sorted(placed, key=lambda at: at[0])]
 
 
-def run(todo: list[Task], jobs: int, each: Callable[[Row], None]) -> float:
-    """Diagnoses all of them in `jobs` processes; returns the time it took once they were up, s."""
+def run(
+    todo: list[Task],
+    jobs: int,
+    each: Callable[[Any], None],
+    do: Callable[[Task], Any] = diagnose,
+) -> float:
+    """Does all of them in `jobs` processes; returns the time it took once they were up, s."""
     spawn = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(jobs, mp_context=spawn) as pool:
         list(pool.map(time.sleep, [0.5] * jobs))  # every process has started
         start = time.perf_counter()
-        for done in as_completed([pool.submit(diagnose, task) for task in todo]):
+        for done in as_completed([pool.submit(do, task) for task in todo]):
             each(done.result())
         return time.perf_counter() - start
 
@@ -113,12 +118,35 @@ def run_all(todo: list[Task], jobs: int, path: Path) -> list[Row]:
     return rows
 
 
-def throughput(cases: int, seed0: int) -> float:
-    """Diagnoses per second of two workers over those of one, on the same cases."""
+def throughput(cases: int, seed0: int) -> dict[str, float]:
+    """What two workers do per second over what one does, of diagnoses and of a mere loop.
+
+    The loop shows what the machine itself allows.
+    """
     todo = [Task(seed0 + n, "plain") for n in range(cases)]
     run(todo, 2, lambda _: None)  # everything is compiled and in the cache
-    alone, together = (min(run(todo, jobs, lambda _: None) for _ in range(2)) for jobs in (1, 2))
-    return alone / together
+    return {
+        "throughput_two_workers": _two_over_one(todo, diagnose),
+        "loop_two_workers": _two_over_one(todo, _loop),
+    }
+
+
+def _two_over_one(todo: list[Task], do: Callable[[Task], Any]) -> float:
+    """The same where each of the two has all of it to do.
+
+    So they are both at work to the end, however unlike a few cases are.
+    """
+    twice = [task for task in todo for _ in range(2)]
+    shares = ((todo, 1), (twice, 2))
+    alone, together = (
+        min(run(share, jobs, lambda _: None, do) for _ in range(2)) for share, jobs in shares
+    )
+    return 2.0 * alone / together
+
+
+def _loop(_: Task) -> int:
+    """Some seconds' work for nothing but the processor."""
+    return sum(n & 1 for n in range(30_000_000))
 
 
 def confusion(rows: list[Row]) -> dict[str, dict[str, int]]:
@@ -256,7 +284,7 @@ def main() -> int:
         todo = tasks(QUICK_CASES if options.quick else options.cases, options.seed0)
         rows = run_all(todo, options.jobs, OUT / "hidden_effects.jsonl")
         if not options.quick:
-            figures["throughput_two_workers"] = throughput(THROUGHPUT_CASES, options.seed0)
+            figures |= throughput(THROUGHPUT_CASES, options.seed0)
         figures |= silverbox.figures(silverbox.folder(options.data))
     figures = summary(rows) | figures
     if not options.json:
