@@ -9,6 +9,7 @@ from estune.trial import FloatArray
 from plants.discrepancy.search import thresholds
 from plants.discrepancy.search.bench import Attempt
 from plants.discrepancy.search.cable_block import Block, block_of
+from plants.effects import Effect
 
 BOUND = 1e-6
 """A value this near to a bound, relative to it, is at it."""
@@ -173,7 +174,7 @@ def simplest(
         for n, a in reversed(list(enumerate([*simpler, best][: kept + 1]))):
             told = _told(a, simpler[:n], base)
             large = thresholds.large_enough(a.effects[-1], a.values, scale, told=told)
-            if large and not _at_bound(a):
+            if large and not at_bound(a, a.effects[-1]):
                 return a
     return None
 
@@ -196,13 +197,12 @@ def fullest(taken: Attempt, attempts: Sequence[Attempt]) -> Attempt:
     return min(fuller, key=lambda a: a.fit_J, default=taken)
 
 
-def _at_bound(attempt: Attempt) -> bool:
-    """Whether the last effect is the most it can be: then it stands for something else.
+def at_bound(attempt: Attempt, effect: type[Effect]) -> bool:
+    """Whether an effect is the most it can be: then it stands for something else.
 
     Its size is, or a wave over the angle is as long as may be, which then is no ripple.
     """
-    predictor, effect = attempt.fitted.predictor, attempt.effects[-1]
-    wave = f"{effect.name}.{effect.repeats}"
+    predictor, wave = attempt.fitted.predictor, f"{effect.name}.{effect.repeats}"
     for f, value in zip(predictor.free, attempt.fitted.values.tolist(), strict=True):
         if f.owner == effect.name and (f.neutral is not None or f.name == wave):
             # Relative to themselves: a limit's range is a million times where it lies.

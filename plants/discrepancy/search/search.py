@@ -22,6 +22,7 @@ from plants.discrepancy.search.directions import (
 )
 from plants.discrepancy.search.rivals import beaten_by, is_closed
 from plants.discrepancy.search.score import (
+    at_bound,
     closure,
     does,
     family_of,
@@ -221,15 +222,18 @@ def _pair(
     pairs = []
     for family in list(dict.fromkeys(leading))[: thresholds.LEADING]:
         members = [a for a in first.attempts if a.effects[-1].name in family]
-        one = simplest(members, base, bench.scale)
-        if one is None or closure(base.fit_J, one.fit_J) < thresholds.FIRST:
+        # The most it can be it may be for what else is missing: beside that it is less.
+        one = simplest(members, base, bench.scale) or members[0]
+        if closure(base.fit_J, one.fit_J) < thresholds.FIRST:
             continue
         seen = [background(bench, one, suggest)]
         looked = screened_further(bench, effects, seen, one, suggest)
         second = _round(bench, base, one, looked, seen)
         # A law without a name did better alone: with what else is missing none may need to.
         beaten = one.effects[-1].name in first.rivals and not is_closed(second.taken)
-        if second.taken is not one and not beaten and _does_together(bench, base, second.taken):
+        if second.taken is one or at_bound(second.taken, one.effects[-1]) or beaten:
+            continue
+        if _does_together(bench, base, second.taken):
             pairs.append((replace(first, taken=one), second))
     return min(pairs, key=lambda pair: pair[1].taken.rank_J, default=())
 
