@@ -166,7 +166,7 @@ def simplest(
             (
                 n
                 for n, a in enumerate(simpler)
-                if _will_do(simpler[: n + 1], best, scale) or _well(a, base, scale)
+                if _will_do(simpler[: n + 1], best, scale) or _well(a, best, base, scale)
             ),
             len(simpler),
         )
@@ -212,9 +212,15 @@ def at_bound(attempt: Attempt, effect: type[Effect]) -> bool:
     return False
 
 
-def _well(simpler: Attempt, base: Attempt, scale: thresholds.Scale) -> bool:
-    """Whether a member of a family that is more than the first of it does well enough."""
+def _well(simpler: Attempt, other: Attempt, base: Attempt, scale: thresholds.Scale) -> bool:
+    """Whether a member of a family that is more than the first of it does well enough.
+
+    It does not where another closes what it leaves as surely as one effect more would have to.
+    """
     effect = simpler.effects[-1]
+    incomplete = math.sqrt(simpler.rank_J) > thresholds.INCOMPLETE
+    if incomplete and closure(simpler.rank_J, other.rank_J) >= thresholds.CLOSURE_OF_MUCH:
+        return False
     return (
         family_of(effect.name)[0] != effect.name
         and thresholds.large_enough(effect, simpler.values, scale)
