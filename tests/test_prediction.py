@@ -230,7 +230,7 @@ def test_a_dead_time_moves_a_prediction_without_jumps():
 
 
 def test_a_current_that_is_measured_shows_the_drive():
-    limited = EFFECTS["current_saturation"](0.85, bend=0.0)
+    limited = EFFECTS["current_saturation"](0.85, bend=1e-3)
     record = measured(REEL + limited, LINES)
     asked = record.setpoint_N / REEL.newtons_per_ampere
     lag = 3  # of the current's own filter

@@ -19,7 +19,8 @@ class CurrentSaturation(Effect):
         |i| = i_max               beyond,    h = b i_max
 
     An amplifier that runs out of voltage bends before it is flat: a parabola leads from the
-    straight to the limit. With b = 0 the corner is sharp.
+    straight to the limit. The least b is a sharp corner; at none at all a fit would not see how
+    the current changes with it.
 
     Attributes:
         limit_A: Greatest size i_max of the current, A.
@@ -35,7 +36,7 @@ class CurrentSaturation(Effect):
     port: ClassVar[Port] = Port.ACTUATOR
 
     limit_A: float = parameter(1.5, low=1e-3, high=1e6, unit="A", neutral=1e6)
-    bend: float = parameter(0.02, low=0.0, high=0.9, unit="")
+    bend: float = parameter(0.02, low=1e-3, high=0.9, unit="")
 
     @staticmethod
     def respond(
