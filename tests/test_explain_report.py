@@ -231,7 +231,7 @@ def test_the_model_a_diagnosis_saves_is_the_augmented_one(named, tmp_path):
     assert named.heading() in (tmp_path / "improved.toml").read_text()
 
 
-SHAPES = {"phase_rad", "damping", "density_kg_m", "spread", "bend"}
+SHAPES = {"phase_rad", "damping", "density_kg_m", "spread", "bend", "knee"}
 """Parameters that need not be told: they shape a law, and nobody would do anything about them."""
 
 

@@ -44,8 +44,7 @@ def _eyelet_friction(v: Mapping[str, float], at: Scene) -> str:
     return (
         f"has eyelet friction: outside tension is {B:.3g} of inside when winding in{less}, the "
         "other way round when paying out. After a reversal the cable sticks: "
-        f"{inside} of what gives is inside the eyelet. The knee is {digits(v['knee'])} wide; "
-        f"below {slowly} it creeps"
+        f"{inside} of what gives is inside the eyelet. Below {slowly} it creeps"
     )
 
 
