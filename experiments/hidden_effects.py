@@ -23,7 +23,7 @@ from statistics import median
 from typing import Any
 
 from experiments import silverbox
-from experiments.hidden_scores import Row, Task, diagnose, single_core
+from experiments.hidden_scores import Row, Task, diagnose
 from experiments.judged import Target, at_least, at_most, command_line, tell
 
 SHARES = {
@@ -275,7 +275,6 @@ def main() -> int:
     parser.add_argument("--data", type=Path, help="folder that holds silverbox/Silverbox.mat")
     parser.add_argument("--rows", type=Path, help="print the tables of this file; run nothing")
     options = parser.parse_args()
-    single_core()
     figures: dict[str, Any] = {}
     if options.rows:
         lines = options.rows.read_text(encoding="utf-8").splitlines()

@@ -1,6 +1,5 @@
 """One diagnosis of records with something hidden in them, and what it is worth."""
 
-import os
 import time
 import traceback
 from dataclasses import asdict, dataclass, field, fields, replace
@@ -205,12 +204,6 @@ def score(answer: Any, secret: hidden.Secret, row: Row) -> Row:
         intervals=_intervals(answer, secret),
         calibrations=_calibrations(answer, secret),
     )
-
-
-def single_core() -> None:
-    """Keeps the linear algebra of a worker on one core."""
-    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ[name] = "1"
 
 
 def _families(names: tuple[str, ...]) -> frozenset[str]:

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from estune.errors import InvalidInput
 from estune.trial import RigDescription, TrialRecord
@@ -63,6 +64,18 @@ def explain(
         InvalidInput: there is no record that can be used; the message says why for each.
         PlantError: the model cannot be simulated.
     """
+    # The matrices are small: a thread more costs more than it brings, and a core that another
+    # diagnosis could have.
+    with threadpool_limits(limits=1, user_api="blas"):
+        return _explained(model, records, effects, rig)
+
+
+def _explained(
+    model: Any,
+    records: Path | str | Sequence[Measurement] | Sequence[TrialRecord],
+    effects: Sequence[type[Effect] | str] | None,
+    rig: RigDescription | None,
+) -> Diagnosis:
     given, read = _measurements(records)
     measurements, looked = check(given, model)
     findings = (*read, *looked)
