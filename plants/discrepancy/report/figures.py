@@ -29,7 +29,7 @@ from estune.drawing import (
 )
 from estune.errors import InvalidInput
 from estune.trial import FloatArray
-from plants.discrepancy.report.amounts import si
+from plants.discrepancy.report.amounts import digits, si
 from plants.discrepancy.report.diagnosis import Calibration, Diagnosis, Trace
 from plants.discrepancy.residual.where import Block, Distortion, View
 
@@ -70,7 +70,8 @@ def draw_gap(ax: Axes, d: Diagnosis) -> Axes:
     ax.set_xticks(at, names)
     ax.set_xlim(-0.6, max(len(gaps), 2) - 0.4)
     ax.set_ylim(0.0, 1.3 * max([*gaps, *floor]))
-    finish(ax, f"gap, {d.written_unit} rms")
+    ax.yaxis.set_major_formatter(lambda value, _: digits(value))  # small ones without a factor
+    finish(ax, f"gap rms, {d.written_unit}" if d.written_unit else "gap rms")
     ax.grid(visible=False, axis="x")
     legend(ax)
     return ax
