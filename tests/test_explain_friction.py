@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import plants
-from plants.discrepancy.data.record import Measurement
 from plants.unloaded import UnloadedReel
+from tests.support_measurements import open_loop
 
 RATE_Hz, SUBSTEPS, COUNTS = 500.0, 16, 8192
 INERTIA_kg_m2, DAMPING_Nms, TORQUE_Nm_A, FRICTION_Nm = 2.1e-3, 0.0085, 0.5, 0.02
@@ -71,23 +71,8 @@ def records(friction):
     """Open-loop records; each counts from where the drum stood when it was switched on."""
     rng, count = np.random.default_rng(3), 2.0 * np.pi / COUNTS
     for n, current in enumerate(currents(rng)):
-        yield Measurement(
-            name=f"record-{n}",
-            rig="drum",
-            sampling_Hz=RATE_Hz,
-            cable_length_m=None,
-            preload_N=0.0,
-            loop="open",
-            profile="custom",
-            gains=None,
-            time_s=np.arange(current.size) / RATE_Hz,
-            setpoint_N=None,
-            current_A=current,
-            tension_N=None,
-            angle_rad=np.floor(turned(current, friction) / count + rng.random()) * count,
-            reference_N=None,
-            flags=None,
-        )
+        angle = np.floor(turned(current, friction) / count + rng.random()) * count
+        yield open_loop(n, RATE_Hz, current, angle_rad=angle)
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import plants
-from plants.discrepancy.data.record import Measurement
+from tests.support_measurements import open_loop
 
 MASS_kg, DAMPING_Ns_m, STIFFNESS_N_m = 2.0, 10.0, 5e4
 """Of a stage that moves by a millimetre: its numbers are far from a reel's."""
@@ -48,25 +48,11 @@ def records(friction_N=0.0, hum_m=0.0, step_m=0.0, stiffness_N_m=STIFFNESS_N_m):
         t = np.arange(force.size) / RATE_Hz
         x = moved(force, friction_N, stiffness_N_m)
         hum = hum_m * np.sin(2.0 * np.pi * 50.2 * t + n)
-        yield Measurement(
-            name=f"record-{n}",
-            rig="stage",
-            sampling_Hz=RATE_Hz,
-            cable_length_m=None,
-            preload_N=0.0,
-            loop="open",
-            profile="custom",
-            gains=None,
-            time_s=t,
-            setpoint_N=None,
-            current_A=force,
-            tension_N=step_m * np.rint(x / step_m)
-            if step_m
-            else x + hum + NOISE_m * rng.standard_normal(t.size),
-            angle_rad=None,
-            reference_N=None,
-            flags=None,
-        )
+        if step_m:
+            read = step_m * np.rint(x / step_m)
+        else:
+            read = x + hum + NOISE_m * rng.standard_normal(t.size)
+        yield open_loop(n, RATE_Hz, force, tension_N=read)
 
 
 @pytest.mark.parametrize(
@@ -100,3 +86,5 @@ def test_a_stage_that_nothing_holds_is_foretold_as_far_as_its_noise_shows(fricti
     assert found.floor < 5e-6
     assert found.ratio_after < 1.2
     assert [effect.name for effect in found.effects] == ["coulomb_friction"] * bool(friction_N)
+    for effect in found.effects:
+        assert effect.parameters["torque_Nm"].value == pytest.approx(friction_N, rel=0.01)

@@ -15,7 +15,7 @@ from plants.discrepancy.experiments.next_experiment import (
 )
 from plants.discrepancy.report.amounts import written_unit
 from plants.discrepancy.report.diagnosis import Diagnosis, Interval, NamedEffect, Step, Verdict
-from plants.discrepancy.report.own_units import told as told_in
+from plants.discrepancy.report.own_units import in_own_units
 from plants.discrepancy.report.wording import sentence
 from plants.discrepancy.residual.where import Where
 from plants.discrepancy.search import thresholds
@@ -199,7 +199,7 @@ def _named(effect: type[Effect], found: Mapping[str, Interval], model: Any) -> N
 
 
 def _told_by(parameters: Mapping[str, Interval], effect: type[Effect], model: Any) -> NamedEffect:
-    own = {name: told_in(effect, name, one, model) for name, one in parameters.items()}
+    own = {name: in_own_units(effect, name, one, model) for name, one in parameters.items()}
     said = sentence(effect, {name: one.value for name, one in own.items()}, model)
     built = effect(**{name: one.value for name, one in parameters.items()})
     return NamedEffect(effect.name, effect.title, own, said, built)

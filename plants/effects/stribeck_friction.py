@@ -21,10 +21,10 @@ class StribeckFriction(Effect):
         tau = -(F_c + F_e exp(-(omega/v_s)^2)) (z_1 + z_2)/2
 
     F_e is f_s - f_c. The size is taken at the substep's start; within it the bristles z are those
-    of `DahlHysteresis`, here stiff unless said otherwise: dry friction gives a
-    little before it slips, and what it gives would else be taken for another friction. The
-    exponential is the sixteenth power of its (2, 2) Pade approximation at a sixteenth, right to
-    1e-6: four multiplications cost a trial less than a call of exp in each substep.
+    of `DahlHysteresis`, here stiff unless said otherwise: dry friction gives a little before it
+    slips, and what it gives would else be taken for another friction. The exponential is the
+    sixteenth power of its (2, 2) Pade approximation at a sixteenth, right to 1e-6: four
+    multiplications cost a trial less than a call of exp in each substep.
     `estune.reel.friction.StribeckFriction` is the same curve fed forward.
 
     Attributes:

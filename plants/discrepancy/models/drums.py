@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 
@@ -128,7 +129,7 @@ class DiagnosedDrum(Diagnosed):
         A = np.array([[0.0, 1.0], [0.0, 0.0]])
         return Local(A, np.array([0.0, 1.0]), np.array([1.0, 0.0]), None, 0.0, np.eye(2))
 
-    @property
+    @cached_property
     def suggested_horizon_s(self) -> float:
         """Time in which a tenth of the torque's rms moves the drum well past the encoder's step.
 

@@ -184,7 +184,7 @@ class DiagnosedLinear(Diagnosed):
         lead = MEAN_LEAD * self._starts.get("input_slope", self._slope) / measurement.sampling_Hz
         return Local(A, B, output, u, p["dead_time_s"] - lead, np.array(rows))
 
-    @property
+    @cached_property
     def suggested_horizon_s(self) -> float:
         """Most of a period of the plant, but long enough to hold many samples."""
         rate = max(m.sampling_Hz for m in self.measurements)

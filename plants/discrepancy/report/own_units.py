@@ -11,7 +11,7 @@ from plants.effects import Effect, Port
 from plants.ported import READINGS_PER_ANGLE, ARM_m
 
 
-def told(effect: type[Effect], name: str, found: Interval, model: Any) -> Interval:
+def in_own_units(effect: type[Effect], name: str, found: Interval, model: Any) -> Interval:
     """A parameter of an effect with its interval, as the user of the model knows it.
 
     Args:

@@ -1,0 +1,26 @@
+"""Records as somebody else's simulator or logger gives them: a command, and what was read."""
+
+import numpy as np
+
+from plants.discrepancy.data.record import Measurement
+
+
+def open_loop(number, rate_Hz, current_A, *, tension_N=None, angle_rad=None):
+    """One record without setpoint, preload, gains and flags."""
+    return Measurement(
+        name=f"record-{number}",
+        rig="rig",
+        sampling_Hz=rate_Hz,
+        cable_length_m=None,
+        preload_N=0.0,
+        loop="open",
+        profile="custom",
+        gains=None,
+        time_s=np.arange(current_A.size) / rate_Hz,
+        setpoint_N=None,
+        current_A=current_A,
+        tension_N=tension_N,
+        angle_rad=angle_rad,
+        reference_N=None,
+        flags=None,
+    )
