@@ -19,13 +19,13 @@ if TYPE_CHECKING:
     from estune.core.cost import StepCost
     from estune.core.gains import Gains
     from estune.core.pidf import ControllerSettings
-    from estune.core.search_space import SearchSpace
     from estune.errors import EstuneError
-    from estune.joint.procedure import tune_schedule
-    from estune.matching.procedure import match
-    from estune.profiles import StepProfile
-    from estune.result import TuneResult
-    from estune.sweeping.sweep import sweep
+    from estune.run.result import TuneResult
+    from estune.studies.joint.procedure import tune_schedule
+    from estune.studies.match.procedure import match
+    from estune.studies.sweep.sweep import sweep
+    from estune.trial.profiles import StepProfile
+    from estune.tuners.search_space import SearchSpace
 
 __all__ = [
     "ControllerSettings",
@@ -47,16 +47,16 @@ _HOMES = {
     "ControllerSettings": "estune.core.pidf",
     "EstuneError": "estune.errors",
     "Gains": "estune.core.gains",
-    "SearchSpace": "estune.core.search_space",
+    "SearchSpace": "estune.tuners.search_space",
     "StepCost": "estune.core.cost",
-    "StepProfile": "estune.profiles",
-    "TuneResult": "estune.result",
+    "StepProfile": "estune.trial.profiles",
+    "TuneResult": "estune.run.result",
     "load": "estune.api",
-    "match": "estune.matching.procedure",
+    "match": "estune.studies.match.procedure",
     "resume": "estune.api",
-    "sweep": "estune.sweeping.sweep",
+    "sweep": "estune.studies.sweep.sweep",
     "tune": "estune.api",
-    "tune_schedule": "estune.joint.procedure",
+    "tune_schedule": "estune.studies.joint.procedure",
 }
 
 

@@ -6,13 +6,13 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from estune import history, progress, result, tuning
 from estune.core.cost import StepCost
 from estune.core.gains import Gains
-from estune.core.tuners import Tuner
 from estune.errors import EstuneError, InvalidInput, JournalError, RigError
-from estune.journal import Journal
-from estune.planning import (
+from estune.run import archived_run, loop, progress, result
+from estune.run.journal import Journal
+from estune.run.loop import Asker, Stopped, Tuning, Watcher
+from estune.run.plan import (
     DEFAULT_TUNER,
     description_from_json,
     description_to_json,
@@ -20,15 +20,15 @@ from estune.planning import (
     plan_from_json,
     plan_to_json,
 )
-from estune.profiles import StepProfile
-from estune.result import TuneResult
-from estune.session import TOLERANCE
-from estune.targets import open_target
+from estune.run.result import TuneResult
+from estune.run.session import TOLERANCE
+from estune.run.targets import open_target
 from estune.trial import Rig, RigDescription
-from estune.tuning import Asker, Stopped, Tuning, Watcher
+from estune.trial.profiles import StepProfile
+from estune.tuners import Tuner
 
 if TYPE_CHECKING:
-    from estune.security import Security
+    from estune.remote.security import Security
 
 RUNS = "runs"
 """Folder that runs are kept in, below the one estune is called from."""
@@ -80,7 +80,7 @@ def tune(
         folder: Where runs are kept.
         journal: Whether to keep the run on disk, so that it survives and can be resumed.
         rig: Name of the rig, where several answer at the endpoint.
-        security: Who this is, where the rig at the endpoint asks; see `estune.security`.
+        security: Who this is, where the rig at the endpoint asks; see `estune.remote.security`.
         watch: Told of each trial; "auto" shows progress, None nothing.
         ask: Asked before gains are tried that lie beyond what safe trials have shown to be safe;
             answers "yes", "no" or "always".
@@ -128,7 +128,7 @@ def tune(
                 "status": "running",
             }
             book = Journal.create(Path(folder) / name, facts)
-        return _run(tuning.start(plan, description, book), the_rig, watch, ask)
+        return _run(loop.start(plan, description, book), the_rig, watch, ask)
 
 
 def resume(
@@ -156,7 +156,7 @@ def resume(
     """
     journal = Journal.open(Path(run_folder), write=True)
     try:
-        tuning_ = tuning.replay(*_stored(journal), journal)
+        tuning_ = loop.replay(*_stored(journal), journal)
         target = journal.fact("target") if target is None else target
         if target is None:
             raise InvalidInput(
@@ -179,9 +179,9 @@ def load(run_folder: str | Path) -> TuneResult:
     """
     with Journal.open(Path(run_folder)) as journal:
         try:
-            return result.from_tuning(tuning.replay(*_stored(journal), journal))
+            return result.from_tuning(loop.replay(*_stored(journal), journal))
         except JournalError:
-            return result.from_tuning(history.recalled(journal))
+            return result.from_tuning(archived_run.recalled(journal))
 
 
 def _run(
@@ -191,7 +191,7 @@ def _run(
         _noted(tuning_),
         progress.watching(watch, tuning_, asking=ask is not None) as watchers,
     ):
-        tuning.run(tuning_, rig, watchers, ask)
+        loop.run(tuning_, rig, watchers, ask)
     return result.from_tuning(tuning_)
 
 
@@ -202,7 +202,7 @@ def _noted(tuning_: Tuning) -> Iterator[None]:
     facts: dict[str, Any] = {}
     try:
         yield
-        facts = history.finished(tuning_)
+        facts = archived_run.finished(tuning_)
     except Stopped:
         facts = {"status": "stopped"}
         raise

@@ -9,10 +9,11 @@ from estune.core.gains import Gains
 from estune.core.initial import Proposal
 from estune.core.margins import Margins, SampledPlant, loop_margins, sample_plant
 from estune.core.pidf import ControllerSettings
+from estune.core.quantities import FloatArray
 from estune.core.schedule import GainSchedule
 from estune.core.sensitivity import largest_integral_gain
 from estune.errors import InvalidInput
-from estune.trial import FloatArray, LinearModel
+from estune.trial import LinearModel
 
 if TYPE_CHECKING:  # python-control takes more than a second to import
     from control import NonlinearIOSystem, StateSpace, TransferFunction

@@ -29,15 +29,22 @@ from typing import Any
 
 import numpy as np
 
-from estune import bus, frame, protocol
-from estune.bus.session import COMMANDS_MAX_BYTES, open_session, with_port
 from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
-from estune.journal import Journal
-from estune.profiles import StepProfile
-from estune.protocol import Inquire, Keys
-from estune.session import Phase
-from estune.trial import Outcome, RigDescription, RigLimits, TrialRecord, TrialRequest
+from estune.remote import messages, zenoh
+from estune.remote.messages import Inquire, Keys
+from estune.remote.zenoh.zenoh_session import COMMANDS_MAX_BYTES, open_session, with_port
+from estune.run.journal import Journal
+from estune.run.session import Phase
+from estune.trial import (
+    Outcome,
+    RigDescription,
+    RigLimits,
+    TrialRecord,
+    TrialRequest,
+    record_frame,
+)
+from estune.trial.profiles import StepProfile
 from experiments.judged import Target, command_line, tell
 
 SAMPLES, SAMPLING_HZ = 2000, 632.0
@@ -124,12 +131,12 @@ class CannedRig:
 def serve(folder: Path | None) -> None:
     """Serves two canned rigs, and beside them the plain bytes, until standard input is closed."""
     logging.disable()  # each stop would be a line
-    payload = secrets.token_bytes(len(frame.encode(canned_record())))
+    payload = secrets.token_bytes(len(record_frame.encode(canned_record())))
     endpoint = with_port("tcp/127.0.0.1:0")
     with (
         tempfile.TemporaryDirectory(dir=folder) as ledgers,
-        bus.serve(CannedRig("canned")) as server,
-        bus.serve(CannedRig("noted"), ledger=Path(ledgers) / "ledger") as noted,
+        zenoh.serve(CannedRig("canned")) as server,
+        zenoh.serve(CannedRig("noted"), ledger=Path(ledgers) / "ledger") as noted,
         open_session("peer", listen=(endpoint,), message_max_bytes=COMMANDS_MAX_BYTES) as plain,
     ):
         plain.declare_queryable(PLAIN_KEY, lambda query: query.reply(PLAIN_KEY, payload))
@@ -139,12 +146,12 @@ def serve(folder: Path | None) -> None:
 
 def pull(endpoint: str) -> None:
     """Asks for one record after another, by several threads, until standard input is closed."""
-    with bus.connect(endpoint) as rig:
+    with zenoh.connect(endpoint) as rig:
         request = TrialRequest("pulled", 0, GAINS, STEP)
         rig.run(request)
-        keys, payload = Keys("canned"), protocol.encode(Inquire(protocol.digest(request)))
+        keys, payload = Keys("canned"), messages.encode(Inquire(messages.digest(request)))
         with open_session(
-            "client", connect=(endpoint,), message_max_bytes=2 * frame.MAX_BYTES
+            "client", connect=(endpoint,), message_max_bytes=2 * record_frame.MAX_BYTES
         ) as session:
 
             def ask() -> None:
@@ -211,11 +218,11 @@ def measure(turns: int, warm_up: int, folder: Path) -> tuple[Stopwatch, int]:
         endpoint, noted_endpoint, plain_endpoint = stack.enter_context(
             started("--serve", "--folder", str(folder))
         )
-        rig = stack.enter_context(bus.connect(endpoint))
-        noted = stack.enter_context(bus.connect(noted_endpoint))
+        rig = stack.enter_context(zenoh.connect(endpoint))
+        noted = stack.enter_context(zenoh.connect(noted_endpoint))
         plain = stack.enter_context(
             open_session(
-                "client", connect=(plain_endpoint,), message_max_bytes=2 * frame.MAX_BYTES
+                "client", connect=(plain_endpoint,), message_max_bytes=2 * record_frame.MAX_BYTES
             )
         )
         journal = stack.enter_context(Journal.create(folder / "run", {}))
@@ -242,7 +249,7 @@ def measure(turns: int, warm_up: int, folder: Path) -> tuple[Stopwatch, int]:
                 file.write(data)
                 os.fdatasync(file.fileno())
             with watch.part("codec"):
-                frame.decode(frame.encode(replace(record)))
+                record_frame.decode(record_frame.encode(replace(record)))
         rig.release()
         stops(rig, watch, "idle stop", turns)
         stack.enter_context(started("--pull", endpoint))
@@ -250,7 +257,7 @@ def measure(turns: int, warm_up: int, folder: Path) -> tuple[Stopwatch, int]:
     return watch, len(data)
 
 
-def stops(rig: bus.RemoteRig, watch: Stopwatch, part: str, turns: int) -> None:
+def stops(rig: zenoh.RemoteRig, watch: Stopwatch, part: str, turns: int) -> None:
     """Stops the rig again and again, and clears it each time."""
     rig.estop("the first opens a connection")
     for _ in range(turns):

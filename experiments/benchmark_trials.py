@@ -25,22 +25,24 @@ import numpy as np
 from scipy.linalg import expm
 
 import plants
-from estune import compiler, interop
+from estune import interop
 from estune.core import pidf
 from estune.core.cost import StepCost
 from estune.core.gains import Gains
-from estune.core.search_space import SearchSpace
-from estune.core.tuners import TUNERS
-from estune.core.tuners.observation import Observation
-from estune.score import cost_of
-from estune.trial import FloatArray, Outcome, TrialRequest
+from estune.core.quantities import FloatArray
+from estune.support import c_compiler
+from estune.trial import Outcome, TrialRequest
+from estune.trial.scoring import cost_of
+from estune.tuners import TUNERS
+from estune.tuners.observation import Observation
+from estune.tuners.search_space import SearchSpace
 from experiments.judged import Target, at_least, at_most, command_line, tell
-from plants.noise import NoiseSource
-from plants.plant import drive_of
-from plants.reel import Reel
-from plants.reel_equations import cable_stiffness_N_m, viscous_friction_Nms
-from plants.simulation import bound
-from plants.trial_loop import Batch, VirtualLoop, loop_functions, trial_loop
+from plants.models.reel import Reel
+from plants.models.reel_equations import cable_stiffness_N_m, viscous_friction_Nms
+from plants.simulation.batch import bound
+from plants.simulation.noise import NoiseSource
+from plants.simulation.plant import drive_of
+from plants.simulation.trial_loop import Batch, VirtualLoop, loop_functions, trial_loop
 
 GAINS = Gains(P=1.2, I=50.0, D=0.02, setpoint_filter_s=0.004)
 REEL = plants.reference_reel()
@@ -104,7 +106,7 @@ def reference_library() -> ctypes.CDLL:
     source = Path(__file__).with_name("reference_trial.c")
     with tempfile.TemporaryDirectory() as folder:
         library = str(Path(folder, "reference_trial.so"))
-        command = [*compiler.compiler(), "-O3", "-shared", "-fPIC", "-o", library, str(source)]
+        command = [*c_compiler.compiler(), "-O3", "-shared", "-fPIC", "-o", library, str(source)]
         subprocess.run([*command, "-lm"], check=True)  # noqa: S603  the user's own compiler
         return ctypes.CDLL(library)
 

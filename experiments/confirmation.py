@@ -18,12 +18,12 @@ from typing import Any
 import numpy as np
 from joblib import Parallel, delayed
 
-from estune import drawing
 from estune.core.gains import Gains
-from estune.planning import DEFAULT_TUNER, make_tuner
-from estune.session import Plan, begin, next_request, told
+from estune.run.plan import DEFAULT_TUNER, make_tuner
+from estune.run.session import Plan, begin, next_request, told
+from estune.run.summary import verdict
+from estune.support import plot_style
 from estune.trial import Outcome
-from estune.verdict import verdict
 from experiments.judged import Target, at_most, between, command_line, tell
 from experiments.sample_efficiency.optimum import OUT, optimum
 from experiments.sample_efficiency.problems import PROBLEMS
@@ -174,18 +174,20 @@ def show(figures: dict[str, Any]) -> None:
 
 def draw(claims: Sequence[Claim]) -> None:
     """Saves the figure: the intervals of each situation, in order of where they lie."""
-    page = drawing.new_figure(drawing.WIDTH_in, 4.6)
+    page = plot_style.new_figure(plot_style.WIDTH_in, 4.6)
     grid = page.subplots(2, 2, squeeze=False).ravel()
     for ax, (name, group) in zip(grid, groupby(claims, attrgetter("situation")), strict=False):
         compared = sorted((c for c in group if not math.isnan(c.low)), key=attrgetter("low"))
         for place, one in enumerate(compared):
             ends = (100.0 * (one.low - one.true), 100.0 * (one.high - one.true))
-            ax.vlines(place, *ends, color=drawing.BLUE if one.held else drawing.VERMILION, lw=0.8)
-        ax.axhline(0.0, color=drawing.BLACK, linewidth=0.8)
+            ax.vlines(
+                place, *ends, color=plot_style.BLUE if one.held else plot_style.VERMILION, lw=0.8
+            )
+        ax.axhline(0.0, color=plot_style.BLACK, linewidth=0.8)
         ax.set_title(name, fontsize=9)
-        drawing.finish(ax, "interval less the truth, %", "run, by its interval")
+        plot_style.finish(ax, "interval less the truth, %", "run, by its interval")
     OUT.mkdir(exist_ok=True)
-    FIGURE.write_bytes(drawing.to_png(page))
+    FIGURE.write_bytes(plot_style.to_png(page))
 
 
 def main() -> int:

@@ -17,13 +17,13 @@ import plants
 from estune.core import pidf
 from estune.core.cost import StepCost
 from estune.core.gains import Gains
-from estune.profiles import StepProfile
+from estune.trial.profiles import StepProfile
 from experiments.benchmark_trials import Timed, alternate
 from experiments.judged import at_most, command_line, tell
 from plants.effects import EFFECTS, Effect
-from plants.plant import drive_of
-from plants.reel import Reel
-from plants.simulation import bound
+from plants.models.reel import Reel
+from plants.simulation.batch import bound
+from plants.simulation.plant import drive_of
 
 GAINS = Gains(P=1.2, I=50.0, D=0.02, setpoint_filter_s=0.004)
 BARE = plants.reference_reel()

@@ -19,20 +19,18 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 import plants
-from estune import drawing
 from estune.core.cost import StepCost
 from estune.core.gains import Gains
-from estune.matching.outcome import Matching
-from estune.matching.procedure import match
+from estune.core.quantities import FloatArray
+from estune.studies.match.outcome import Matching
+from estune.studies.match.procedure import match
+from estune.support import plot_style
 from experiments.judged import at_least, at_most, command_line, tell
-from plants.noise import NoiseSource
-from plants.reel import Reel
-
-FloatArray = NDArray[np.float64]
+from plants.models.reel import Reel
+from plants.simulation.noise import NoiseSource
 
 REELS = 8
 DIFFERENCE = 0.15
@@ -211,7 +209,7 @@ def show(figures: dict[str, Any], first: Batch) -> None:
 
 def draw(first: Batch) -> None:
     """Saves the first batch's responses before and after."""
-    page = drawing.new_figure(drawing.WIDTH_in, 2.9)
+    page = plot_style.new_figure(plot_style.WIDTH_in, 2.9)
     axes = page.subplots(1, 2, sharey=True)
     time = plants.simulate(
         plants.reference_reel(), first.found.reels[0].tuned or Gains(1, 1, 0, 0)
@@ -222,11 +220,11 @@ def draw(first: Batch) -> None:
         (axes[1], [r.gains for r in first.found.reels], "matched to one cost"),
     ):
         for response in responses_of(first, gains):
-            ax.plot(time.time_s[shown], response[shown], linewidth=0.9, color=drawing.BLUE)
+            ax.plot(time.time_s[shown], response[shown], linewidth=0.9, color=plot_style.BLUE)
         ax.set_title(label, fontsize=9)
-        drawing.finish(ax, "tension, N" if ax is axes[0] else "", "time, s")
+        plot_style.finish(ax, "tension, N" if ax is axes[0] else "", "time, s")
     OUT.parent.mkdir(exist_ok=True)
-    OUT.write_bytes(drawing.to_png(page))
+    OUT.write_bytes(plot_style.to_png(page))
 
 
 def main() -> int:

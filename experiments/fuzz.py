@@ -14,20 +14,11 @@ from collections import Counter
 from dataclasses import replace
 from random import Random
 
-from estune import frame, protocol
-from estune.bus.attendant import Attendant
-from estune.bus.desk import Desk
 from estune.core.gains import Gains
 from estune.errors import EstuneError
-from estune.ledger import MemoryLedger
-from estune.profiles import (
-    AnyProfile,
-    ChirpProfile,
-    MultisineProfile,
-    StaircaseProfile,
-    TriangleProfile,
-)
-from estune.protocol import (
+from estune.remote import messages
+from estune.remote.ledger import MemoryLedger
+from estune.remote.messages import (
     Answer,
     Cancel,
     Clear,
@@ -41,7 +32,16 @@ from estune.protocol import (
     Void,
     digest,
 )
-from estune.trial import RigDescription, TrialRecord, TrialRequest, unmeasured
+from estune.remote.zenoh.dispatcher import Desk
+from estune.remote.zenoh.request_handler import Attendant
+from estune.trial import RigDescription, TrialRecord, TrialRequest, record_frame, unmeasured
+from estune.trial.profiles import (
+    AnyProfile,
+    ChirpProfile,
+    MultisineProfile,
+    StaircaseProfile,
+    TriangleProfile,
+)
 from experiments.judged import at_most, command_line, tell
 from experiments.rig_protocol_page import DESCRIBED, EXAMPLES, GAINS, RECORD, REQUEST, SAMPLES
 
@@ -103,7 +103,7 @@ PROFILES: tuple[AnyProfile, ...] = (
 
 def seeds() -> list[Message]:
     """Valid messages of every kind but `submit`, and where they go."""
-    whole = frame.encode(RECORD)
+    whole = record_frame.encode(RECORD)
     commands: list[tuple[str, object]] = [
         *((f"result/{REQUEST.trial_id}", Inquire(digest(REQUEST), n, n)) for n in (0, 8)),
         ("@cmd/0f/lease", Lease("renew", HELD, "fuzz")),
@@ -115,11 +115,11 @@ def seeds() -> list[Message]:
     ]
     answers = [e for e in EXAMPLES if isinstance(e, Answer | Status | Description)]
     return [
-        *((where, protocol.encode(message)) for where, message in commands),
-        *((f"decode/{type(a).__name__}", protocol.encode(a)) for a in answers),
+        *((where, messages.encode(message)) for where, message in commands),
+        *((f"decode/{type(a).__name__}", messages.encode(a)) for a in answers),
         ("decode/frame", whole),
-        ("decode/part", protocol.encode_part(whole, 16, 100)),
-        ("decode/live", protocol.encode_live(SAMPLES)),
+        ("decode/part", messages.encode_part(whole, 16, 100)),
+        ("decode/live", messages.encode_live(SAMPLES)),
     ]
 
 
@@ -186,17 +186,17 @@ class Fuzz:
         else:
             request = replace(REQUEST, number=number, profile=self.random.choice(PROFILES))
             where = "@cmd/0f/submit"
-            data = protocol.encode(Submit(HELD, request, digest(request)))
+            data = messages.encode(Submit(HELD, request, digest(request)))
         changed = mutated(self.random, data, self.seeds)
         if where.startswith("decode/"):
             self._decode(where.removeprefix("decode/"), data, changed)
             return
-        self._command("@cmd/0f/lease", protocol.encode(Lease("acquire", HELD, "fuzz")))
+        self._command("@cmd/0f/lease", messages.encode(Lease("acquire", HELD, "fuzz")))
         self._command(where, changed)
         if where.endswith("submit"):
             self._wanted.add(request)
             self._command(where, data)
-        self._command("@cmd/0f/clear", protocol.encode(Clear()))
+        self._command("@cmd/0f/clear", messages.encode(Clear()))
 
     def finish(self) -> None:
         """Looks whether the rig has run what it was asked to, and nothing else."""
@@ -215,7 +215,7 @@ class Fuzz:
             self.faults.append(f"{len(answers)} answers to {where} {data!r}")
             return
         try:
-            found = protocol.decode_trial(answers[0])
+            found = messages.decode_trial(answers[0])
         except EstuneError as error:
             self.faults.append(f"the answer to {where} {data!r} cannot be understood: {error}")
             return
@@ -228,13 +228,13 @@ class Fuzz:
         kinds = {"Answer": Answer, "Status": Status, "Description": Description}
         try:
             if what in kinds:
-                message: object = protocol.decode(kinds[what], data)
-                if protocol.decode(kinds[what], protocol.encode(message)) != message:
+                message: object = messages.decode(kinds[what], data)
+                if messages.decode(kinds[what], messages.encode(message)) != message:
                     self.faults.append(f"{what} {data!r} changes when it is sent on")
             elif what == "live":
-                protocol.decode_live("fuzz", data)
+                messages.decode_live("fuzz", data)
             else:
-                protocol.decode_trial(data)
+                messages.decode_trial(data)
         except EstuneError:
             self.told[f"{what}, refused"] += 1
             return

@@ -1,6 +1,6 @@
 """Does the workflow name an effect that was hidden in the data, and hold its tongue otherwise?
 
-Cases come from `tests.hidden`, machines that share no code or formula with the models here. Each
+Cases come from `experiments.hidden_machines`, machines that share no code or formula with the models here. Each
 is diagnosed from its records alone; then the answer is held against what was hidden. Counted are
 cases whose gap is at least one and a half floors, unless it says otherwise. Misnaming is any name,
 in a verdict of whatever kind, of a family that is not there. Every row goes to a file as it is

@@ -7,10 +7,10 @@ from typing import Any
 
 import plants
 from estune.core.gains import Gains
-from plants.discrepancy.data.record import Measurement
+from experiments import hidden_machines
+from plants.diagnosis.data.measured_record import Measurement
 from plants.effects import EFFECTS
-from plants.unloaded import UnloadedReel
-from tests import hidden
+from plants.models.unloaded_reel import UnloadedReel
 
 NAMING = ("named", "incomplete", "ambiguous")
 FRICTION = "coulomb_friction"
@@ -112,7 +112,7 @@ class Row:
         return cls(**values)
 
 
-def measurement(record: hidden.Record) -> Measurement:
+def measurement(record: hidden_machines.Record) -> Measurement:
     """A record as the workflow takes it."""
     about, columns = record.metadata, record.columns
     return Measurement(
@@ -134,7 +134,7 @@ def measurement(record: hidden.Record) -> Measurement:
     )
 
 
-def model(case: hidden.Case) -> Any:
+def model(case: hidden_machines.Case) -> Any:
     """The model the machine's owner has of it."""
     if case.kind != "reel":
         return UnloadedReel(**case.given)
@@ -143,17 +143,17 @@ def model(case: hidden.Case) -> Any:
     return plants.reference_reel(about["cable_length_m"], tension, **case.given)
 
 
-def choice(case: hidden.Case, secret: hidden.Secret) -> list[str] | None:
+def choice(case: hidden_machines.Case, secret: hidden_machines.Secret) -> list[str] | None:
     """The effects to choose from; in one variant those of the truth's family are taken out."""
     if case.variant != "left_out":
         return None
-    families = {hidden.family(name) for name in secret.names}
-    return [name for name in EFFECTS if hidden.family(name) not in families]
+    families = {hidden_machines.family(name) for name in secret.names}
+    return [name for name in EFFECTS if hidden_machines.family(name) not in families]
 
 
 def diagnose(task: Task) -> Row:
     """Draws a case, has it explained, and scores the answer; never raises."""
-    case, secret = hidden.draw(task.seed, task.variant, task.effect)
+    case, secret = hidden_machines.draw(task.seed, task.variant, task.effect)
     row = Row(
         seed=task.seed,
         variant=task.variant,
@@ -175,12 +175,12 @@ def diagnose(task: Task) -> Row:
 
 def _gap_alone(task: Task, name: str) -> float:
     """Gap that one of the effects hidden makes where it acts without the other, in floors."""
-    case, _ = hidden.draw(task.seed, task.variant, task.effect, only=name)
+    case, _ = hidden_machines.draw(task.seed, task.variant, task.effect, only=name)
     records = [measurement(record) for record in case.records]
     return float(plants.explain(model(case), records, effects=[]).ratio_before)
 
 
-def score(answer: Any, secret: hidden.Secret, row: Row) -> Row:
+def score(answer: Any, secret: hidden_machines.Secret, row: Row) -> Row:
     """The row with what the diagnosis is worth."""
     found = tuple(sorted(effect.name for effect in answer.effects))
     named = found if answer.verdict in NAMING else ()
@@ -207,7 +207,7 @@ def score(answer: Any, secret: hidden.Secret, row: Row) -> Row:
 
 
 def _families(names: tuple[str, ...]) -> frozenset[str]:
-    return frozenset(map(hidden.family, names))
+    return frozenset(map(hidden_machines.family, names))
 
 
 def _is_wrong(
@@ -217,13 +217,13 @@ def _is_wrong(
     truth: tuple[str, ...],
 ) -> bool:
     """Whether a name is said that belongs to no effect that is there, by families."""
-    there = {hidden.family(name) for names in accepted for name in names}
+    there = {hidden_machines.family(name) for names in accepted for name in names}
     for name in truth:
         there |= {FAIR[name][verdict]} if verdict in FAIR.get(name, {}) else set()
     return not _families(named) <= there
 
 
-def _intervals(answer: Any, secret: hidden.Secret) -> tuple[Held, ...]:
+def _intervals(answer: Any, secret: hidden_machines.Secret) -> tuple[Held, ...]:
     """Of the parameters of effects that were found and are there."""
     return tuple(
         Held(f"{effect.name}.{name}", true, at.value, at.low, at.high)
@@ -233,7 +233,7 @@ def _intervals(answer: Any, secret: hidden.Secret) -> tuple[Held, ...]:
     )
 
 
-def _calibrations(answer: Any, secret: hidden.Secret) -> tuple[Held, ...]:
+def _calibrations(answer: Any, secret: hidden_machines.Secret) -> tuple[Held, ...]:
     """Of the machine's own numbers, as fitted with the effects."""
     return tuple(
         Held(one.name, secret.calibrations[one.name], at.value, at.low, at.high)

@@ -33,9 +33,9 @@ from plants.identify import (
     response_of_record,
     stepped_sine,
 )
-from plants.reel import Reel, reference_reel
-from plants.reel_equations import drum_stiffness_Nm_rad, viscous_friction_Nms
-from plants.simulation import simulate
+from plants.models.reel import Reel, reference_reel
+from plants.models.reel_equations import drum_stiffness_Nm_rad, viscous_friction_Nms
+from plants.simulation.batch import simulate
 
 LENGTHS_m = (0.5, 0.8, 1.1, 1.4)
 TENSIONS_N = (5.0, 10.0, 20.0, 40.0)

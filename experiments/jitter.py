@@ -23,11 +23,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from estune import drawing
 from estune.hardware import HardwareRig, RigConfig
 from estune.hardware.config import config_from
-from estune.hardware.memory import BIN_s
+from estune.hardware.shared_memory import BIN_s
 from estune.hardware.state import Timing
+from estune.support import plot_style
 from estune.trial import TrialRequest
 from experiments.judged import Target, at_most, command_line, tell
 from plants.emulator import RIG_FILE, EmulatedDriver
@@ -190,24 +190,24 @@ def targets(figures: dict[str, Any]) -> dict[str, Target]:
 
 def draw(conditions: list[Condition], path: Path) -> None:
     """Histograms of both times under each load."""
-    figure = drawing.new_figure(drawing.WIDTH_in, 4.5)
+    figure = plot_style.new_figure(plot_style.WIDTH_in, 4.5)
     axes = figure.subplots(2, 1, sharex=True)
     for ax, what, title in (
         (axes[0], "lateness", "a sample began so long after its instant"),
         (axes[1], "turnaround", "the current was commanded so long after its instant"),
     ):
-        for look, condition in zip(drawing.FOUR, conditions, strict=False):
+        for look, condition in zip(plot_style.FOUR, conditions, strict=False):
             counts = getattr(condition.timing, what)
             edges_us = 1e6 * condition.timing.bin_s * np.arange(counts.size + 1)
             edges_us[0] = 1.0  # a logarithmic axis has no zero
             ax.stairs(counts, edges_us, label=condition.name, **look)
         ax.set(xscale="log", yscale="log", ylabel="samples", title=title, ylim=(0.5, None))
-    axes[1].axvline(1e6 / 632.0, color=drawing.GREY, linewidth=0.8)
-    axes[1].text(1e6 / 632.0, 1.0, " sampling period", color=drawing.GREY)
+    axes[1].axvline(1e6 / 632.0, color=plot_style.GREY, linewidth=0.8)
+    axes[1].text(1e6 / 632.0, 1.0, " sampling period", color=plot_style.GREY)
     axes[1].set(xlabel="time, us", xlim=(1.0, 1e5))
     axes[0].legend()
     path.parent.mkdir(exist_ok=True)
-    path.write_bytes(drawing.to_png(figure))
+    path.write_bytes(plot_style.to_png(figure))
 
 
 def show(conditions: list[Condition], figures: dict[str, Any]) -> None:

@@ -28,16 +28,16 @@ from scipy.special import stdtrit
 
 import estune
 import plants
-from estune import drawing
 from estune.core.cost import StepCost
 from estune.core.gains import Gains
 from estune.core.schedule import GainCurve, GainSchedule
-from estune.joint.procedure import tune_schedule
-from estune.law.law import fit_law
-from estune.law.tuned import TunedGains
-from estune.planning import MOVE_WEIGHT
+from estune.run.plan import MOVE_WEIGHT
+from estune.studies.joint.procedure import tune_schedule
+from estune.studies.law.law import fit_law
+from estune.studies.law.tuned import TunedGains
+from estune.support import plot_style
 from experiments.judged import at_most, command_line, tell
-from plants.reel import SAFE_GAINS, Reel
+from plants.models.reel import SAFE_GAINS, Reel
 
 TUNER = "newton"
 TENSION_N = 15.0
@@ -231,10 +231,10 @@ def show(figures: dict[str, Any]) -> None:
 
 def draw(figures: dict[str, Any]) -> None:
     """Saves the mean excess against the number of trials."""
-    page = drawing.new_figure(drawing.WIDTH_in, 3.0)
+    page = plot_style.new_figure(plot_style.WIDTH_in, 3.0)
     ax = page.subplots()
     budgets = [n for n in figures["mean_excess"] if not n.endswith(NOISY_MARK)]
-    looks = {"joint": drawing.BLUE, "fitted": drawing.VERMILION}
+    looks = {"joint": plot_style.BLUE, "fitted": plot_style.VERMILION}
     markers = {"2": "o", "3": "s", "5": "^"}
     for way in WAYS:
         kind, _, count = way.partition(" ")
@@ -242,10 +242,10 @@ def draw(figures: dict[str, Any]) -> None:
         label = f"{kind}, {count} lengths"
         ax.plot(budgets, values, marker=markers[count], color=looks[kind], label=label, lw=1.0)
     ax.set_yscale("log")
-    drawing.finish(ax, "above the optimum, %", "search trials, all lengths together")
-    drawing.legend(ax, columns=3)
+    plot_style.finish(ax, "above the optimum, %", "search trials, all lengths together")
+    plot_style.legend(ax, columns=3)
     OUT.parent.mkdir(exist_ok=True)
-    OUT.write_bytes(drawing.to_png(page))
+    OUT.write_bytes(plot_style.to_png(page))
 
 
 def main() -> int:

@@ -35,14 +35,14 @@ from scipy.optimize import minimize
 
 from estune.core.gains import Gains
 from estune.core.metrics import step_metrics
-from estune.core.search_space import Point, SearchSpace
-from estune.core.tuners import TUNERS, Tuner
-from estune.core.tuners.killingsworth import Killingsworth
-from estune.core.tuners.observation import Observation
-from estune.profiles import StepProfile
+from estune.trial.profiles import StepProfile
+from estune.tuners import TUNERS, Tuner
+from estune.tuners.killingsworth import Killingsworth
+from estune.tuners.observation import Observation
+from estune.tuners.search_space import Point, SearchSpace
 from experiments.judged import Target, at_most, command_line, tables, tell
-from plants.linear import LinearPlant, linear_plant
-from plants.simulation import Response, simulate
+from plants.models.linear_plant import LinearPlant, linear_plant
+from plants.simulation.batch import Response, simulate
 
 SAMPLING_HZ = 100.0
 ETA_MAX_RATIO = 3.0  # eta_max over the cost of the start

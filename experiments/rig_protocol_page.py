@@ -17,17 +17,16 @@ from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-from estune import frame, protocol
-from estune.bus import conversation, server, session
 from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
-from estune.link import client, rig, state
-from estune.link.client import Heard, Stage
-from estune.link.state import Mode
-from estune.link.trials import TABLE, TrialEvent, TrialState
-from estune.link.verdicts import Verdict
-from estune.profiles import PROFILES, StepProfile
-from estune.protocol import Answer, Description, Keys, Status
+from estune.remote import messages
+from estune.remote.messages import Answer, Description, Keys, Status
+from estune.remote.state_machine import client, rig, state
+from estune.remote.state_machine.client import Heard, Stage
+from estune.remote.state_machine.reply_codes import Verdict
+from estune.remote.state_machine.state import Mode
+from estune.remote.state_machine.trials import TABLE, TrialEvent, TrialState
+from estune.remote.zenoh import rig_connection, rig_server, zenoh_session
 from estune.trial import (
     LinearModel,
     Outcome,
@@ -36,7 +35,9 @@ from estune.trial import (
     Telemetry,
     TrialRecord,
     TrialRequest,
+    record_frame,
 )
+from estune.trial.profiles import PROFILES, StepProfile
 
 PAGE = Path(__file__).parents[1] / "docs" / "rig-protocol.md"
 
@@ -78,14 +79,14 @@ DESCRIBED = RigDescription(
     software="board 1.0",
 )
 EXAMPLES: tuple[Any, ...] = (
-    protocol.Lease("acquire", LEASE, "anna@lab, process 4711"),
-    protocol.Submit(LEASE, REQUEST, protocol.digest(REQUEST)),
-    protocol.Cancel(LEASE, REQUEST.trial_id),
-    protocol.Void(LEASE, REQUEST.trial_id, protocol.digest(REQUEST)),
-    protocol.SetGains(LEASE, GAINS),
-    protocol.Estop("anna: the cable smokes"),
-    protocol.Clear(),
-    protocol.Inquire(protocol.digest(REQUEST), 1024, 1024),
+    messages.Lease("acquire", LEASE, "anna@lab, process 4711"),
+    messages.Submit(LEASE, REQUEST, messages.digest(REQUEST)),
+    messages.Cancel(LEASE, REQUEST.trial_id),
+    messages.Void(LEASE, REQUEST.trial_id, messages.digest(REQUEST)),
+    messages.SetGains(LEASE, GAINS),
+    messages.Estop("anna: the cable smokes"),
+    messages.Clear(),
+    messages.Inquire(messages.digest(REQUEST), 1024, 1024),
     Answer(Verdict.HELD, sentence="the rig is held by anna@lab, process 4711"),
     Status("9f3c01aa", Mode.RUNNING, REQUEST.trial_id, 7, "anna@lab, process 4711", ""),
     Description(DESCRIBED, "9f3c01aa", "d1a5c0de00000001"),
@@ -99,7 +100,7 @@ def keys() -> Iterator[str]:
     shown = (
         *((made.alive("<instance>"), "liveliness token"), (made.status, "queryable, published")),
         *((made.describe, "queryable"), (made.result("<trial id>"), "queryable")),
-        *((made.command("<instance>", verb), "queryable") for verb in server.VERBS),
+        *((made.command("<instance>", verb), "queryable") for verb in rig_server.VERBS),
         (made.telemetry("<trial id>"), "published, optional"),
     )
     yield "| key | what the rig declares there |\n| --- | --- |\n"
@@ -107,13 +108,13 @@ def keys() -> Iterator[str]:
         yield f"| `{key}` | {what} |\n"
 
 
-def messages() -> Iterator[str]:
+def message_examples() -> Iterator[str]:
     """Each message: its fields, and an example."""
     for example in EXAMPLES:
         kind = type(example)
         yield f"### {kind.__name__}\n\n{_title(kind)}\n\n"
         yield from _fields(kind)
-        yield f"```json\n{protocol.encode(example).decode()}\n```\n\n"
+        yield f"```json\n{messages.encode(example).decode()}\n```\n\n"
 
 
 def parts() -> Iterator[str]:
@@ -183,39 +184,39 @@ def outcomes() -> Iterator[str]:
 
 def header() -> Iterator[str]:
     """The header of a record's frame."""
-    yield from _fields(frame.Header, {f.name: f for f in fields(TrialRecord)})
+    yield from _fields(record_frame.Header, {f.name: f for f in fields(TrialRecord)})
 
 
 def frame_bytes() -> Iterator[str]:
     """A whole frame, byte by byte."""
-    yield from _hex(frame.encode(RECORD))
+    yield from _hex(record_frame.encode(RECORD))
 
 
 def part_bytes() -> Iterator[str]:
     """The first 32 bytes of that frame as a part."""
-    yield from _hex(protocol.encode_part(frame.encode(RECORD), 0, 32))
+    yield from _hex(messages.encode_part(record_frame.encode(RECORD), 0, 32))
 
 
 def live_bytes() -> Iterator[str]:
     """Live samples, byte by byte."""
-    yield from _hex(protocol.encode_live(SAMPLES))
+    yield from _hex(messages.encode_live(SAMPLES))
 
 
 def limits() -> Iterator[str]:
     """Every number that matters."""
     rows = (
-        ("protocol version", protocol.VERSION),
+        ("protocol version", messages.VERSION),
         ("lease, s", state.LEASE_S),
         ("renewed every, s", state.RENEW_S),
-        ("largest command, bytes", protocol.COMMAND_MAX_BYTES),
-        ("largest JSON answer, bytes", protocol.ANSWER_MAX_BYTES),
-        ("largest frame, bytes", frame.MAX_BYTES),
-        ("largest header of a frame, bytes", frame.HEADER_MAX_BYTES),
-        ("largest number of live samples in a message", protocol.LIVE_MAX_SAMPLES),
-        ("longest holder and reason, characters", protocol.HOLDER_MAX),
-        ("a client waits for an answer, s", conversation.ASK_S),
-        ("a client gives up a rig that is alive and silent after, s", conversation.HUNG_AFTER_S),
-        ("transport lease of estune's own sessions, ms", session.LEASE_MS),
+        ("largest command, bytes", messages.COMMAND_MAX_BYTES),
+        ("largest JSON answer, bytes", messages.ANSWER_MAX_BYTES),
+        ("largest frame, bytes", record_frame.MAX_BYTES),
+        ("largest header of a frame, bytes", record_frame.HEADER_MAX_BYTES),
+        ("largest number of live samples in a message", messages.LIVE_MAX_SAMPLES),
+        ("longest holder and reason, characters", messages.HOLDER_MAX),
+        ("a client waits for an answer, s", rig_connection.ASK_S),
+        ("a client gives up a rig that is alive and silent after, s", rig_connection.HUNG_AFTER_S),
+        ("transport lease of estune's own sessions, ms", zenoh_session.LEASE_MS),
     )
     yield "| what | value |\n| --- | --- |\n"
     for what, value in rows:
@@ -225,7 +226,7 @@ def limits() -> Iterator[str]:
 SECTIONS: dict[str, Callable[[], Iterator[str]]] = {
     made.__name__: made
     for made in (
-        *(keys, messages, parts, profiles, verdicts, modes, trials, clients, outcomes),
+        *(keys, message_examples, parts, profiles, verdicts, modes, trials, clients, outcomes),
         *(header, frame_bytes, part_bytes, live_bytes, limits),
     )
 }

@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 
 import plants
-from estune.trial import FloatArray
+from estune.core.quantities import FloatArray
 from experiments.judged import command_line, tell
-from plants.discrepancy.data.record import Measurement
-from plants.discrepancy.models.models import diagnosed
-from plants.discrepancy.prediction.prediction import Predictor
+from plants.diagnosis.data.measured_record import Measurement
+from plants.diagnosis.models.diagnosed_model import diagnosed
+from plants.diagnosis.prediction.prediction import Predictor
 
 SAMPLING_HZ = 1e7 / 2**14
 SETTLING = 100

@@ -19,9 +19,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from estune import api, drawing
-from estune.journal import FILE_NAME
-from estune.ledger import FRAMES_MAX_BYTES
+from estune import api
+from estune.remote.ledger import FRAMES_MAX_BYTES
+from estune.run.journal import FILE_NAME
+from estune.support import plot_style
 from experiments.judged import at_most, command_line, tell
 
 FIGURE = Path(__file__).parent / "out" / "soak.png"
@@ -188,15 +189,15 @@ def figures_of(samples: list[Sample], per_run: int) -> dict[str, Any]:
 
 def draw(samples: list[Sample], path: Path) -> None:
     """Memory over the trials."""
-    figure = drawing.new_figure(drawing.WIDTH_in, 3.0)
+    figure = plot_style.new_figure(plot_style.WIDTH_in, 3.0)
     ax = figure.subplots()
-    for look, who in zip(drawing.FOUR, ("client", "rig"), strict=False):
+    for look, who in zip(plot_style.FOUR, ("client", "rig"), strict=False):
         memory = [1e-6 * getattr(sample, f"{who}_bytes") for sample in samples]
         ax.plot([sample.trials for sample in samples], memory, label=who, **look)
     ax.set(xlabel="trials", ylabel="memory, MB", ylim=(0.0, None))
     ax.legend()
     path.parent.mkdir(exist_ok=True)
-    path.write_bytes(drawing.to_png(figure))
+    path.write_bytes(plot_style.to_png(figure))
 
 
 def show(figures: dict[str, Any]) -> None:

@@ -22,10 +22,10 @@ import numpy as np
 
 import estune
 import plants
-from estune.sweeping.cell import noise_seed
-from estune.sweeping.cells import cells_of
-from estune.sweeping.design import read_design
-from estune.sweeping.store import FILE_NAME
+from estune.studies.sweep.cell import noise_seed
+from estune.studies.sweep.design import read_design
+from estune.studies.sweep.expand import cells_of
+from estune.studies.sweep.store import FILE_NAME
 from estune.trial import Rig
 from experiments.judged import at_most, command_line, tell
 

@@ -21,23 +21,21 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 import estune
 import plants
-from estune import drawing
 from estune.core.cost import StepCost
 from estune.core.gains import GAIN_NAMES, Gains
+from estune.core.quantities import FloatArray
 from estune.core.schedule import GainSchedule
-from estune.law.law import GainLaw, fit_law
-from estune.law.tuned import TunedGains
-from estune.planning import MOVE_WEIGHT
-from estune.profiles import StepProfile
-from estune.sweeping.result import SweepResult
+from estune.run.plan import MOVE_WEIGHT
+from estune.studies.law.law import GainLaw, fit_law
+from estune.studies.law.tuned import TunedGains
+from estune.studies.sweep.result import SweepResult
+from estune.support import plot_style
+from estune.trial.profiles import StepProfile
 from experiments.judged import Target, at_least, at_most, command_line, tell
-
-FloatArray = NDArray[np.float64]
 
 TENSION_N = 15.0
 LENGTHS_m = (0.5, 0.65, 0.8, 0.95, 1.1, 1.25, 1.4)
@@ -280,35 +278,35 @@ def targets_of(figures: dict[str, float], *, quick: bool) -> dict[str, Target]:
 
 def draw(plan: Plan, found: Found) -> None:
     """Fig. 14 with the optima, and the costs at unseen lengths."""
-    figure, (ax, below) = drawing.stacked(2, 6.0)
+    figure, (ax, below) = plot_style.stacked(2, 6.0)
     length = np.linspace(plan.lengths_m[0], plan.lengths_m[-1], 100)
     band = found.law.band("I", length)
-    ax.fill_between(length, band.low, band.high, color=drawing.LIGHT, label="95 % of the law")
+    ax.fill_between(length, band.low, band.high, color=plot_style.LIGHT, label="95 % of the law")
     fit = found.law.fits["I"]
-    ax.plot(length, band.gain, color=drawing.BLUE, lw=1.4, label=f"I = {fit.curve}")
+    ax.plot(length, band.gain, color=plot_style.BLUE, lw=1.4, label=f"I = {fit.curve}")
     tuned = fit.points
-    ax.plot(tuned.length_m, tuned.gain, ".", color=drawing.GREY, ms=4, label="tunings")
+    ax.plot(tuned.length_m, tuned.gain, ".", color=plot_style.GREY, ms=4, label="tunings")
     for draws, colour, label in (
-        (plan.draws, drawing.VERMILION, "optimum of the expected cost"),
-        (0, drawing.GREEN, "optimum without gauge noise"),
+        (plan.draws, plot_style.VERMILION, "optimum of the expected cost"),
+        (0, plot_style.GREEN, "optimum without gauge noise"),
     ):
         best = [optimum(at, draws).I for at in plan.lengths_m]
         ax.plot(plan.lengths_m, best, "D", color=colour, ms=4.5, label=label)
-    drawing.finish(ax, "I, 1/s")
-    drawing.legend(ax, columns=3)
+    plot_style.finish(ax, "I, 1/s")
+    plot_style.legend(ax, columns=3)
     at = [row.length_m for row in found.rows]
     for label, colour, values in (
-        ("scheduled", drawing.BLUE, [row.scheduled / row.optimum for row in found.rows]),
-        ("tuned there", drawing.GREY, [row.tuned / row.optimum for row in found.rows]),
-        ("fixed: shortest", drawing.ORANGE, [row.fixed[0] / row.optimum for row in found.rows]),
-        ("fixed: middle", drawing.GREEN, [row.fixed[1] / row.optimum for row in found.rows]),
-        ("fixed: longest", drawing.PURPLE, [row.fixed[2] / row.optimum for row in found.rows]),
+        ("scheduled", plot_style.BLUE, [row.scheduled / row.optimum for row in found.rows]),
+        ("tuned there", plot_style.GREY, [row.tuned / row.optimum for row in found.rows]),
+        ("fixed: shortest", plot_style.ORANGE, [row.fixed[0] / row.optimum for row in found.rows]),
+        ("fixed: middle", plot_style.GREEN, [row.fixed[1] / row.optimum for row in found.rows]),
+        ("fixed: longest", plot_style.PURPLE, [row.fixed[2] / row.optimum for row in found.rows]),
     ):
         below.plot(at, values, "o-", color=colour, ms=4, lw=1.0, label=label)
-    drawing.finish(below, "cost over that of the optimum", "cable length, m")
-    drawing.legend(below, columns=5)
+    plot_style.finish(below, "cost over that of the optimum", "cable length, m")
+    plot_style.legend(below, columns=5)
     OUT.parent.mkdir(exist_ok=True)
-    OUT.write_bytes(drawing.to_png(figure))
+    OUT.write_bytes(plot_style.to_png(figure))
 
 
 def show(plan: Plan, found: Found, figures: dict[str, float]) -> None:

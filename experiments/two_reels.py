@@ -20,7 +20,7 @@ import numpy as np
 
 from estune.errors import RigError
 from experiments.judged import Target, at_most, command_line, tables, tell
-from plants.transparency import (
+from plants.two_reel_bench import (
     Eyelet,
     Gauge,
     HysteresisLoop,

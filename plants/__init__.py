@@ -8,18 +8,18 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from plants.discrepancy.explain import explain
-    from plants.discrepancy.improve import improve
+    from plants.demonstrations.moving_cable_end import simulate_moving
+    from plants.diagnosis.explain import explain
+    from plants.diagnosis.improve_model import improve
     from plants.effects import CoulombFriction, Effect
-    from plants.function import PythonPlant, python_plant
-    from plants.linear import LinearPlant, linear_plant
-    from plants.model_file import load_model, save_model
-    from plants.moving import simulate_moving
-    from plants.plant import Plant
-    from plants.reel import Reel, reference_reel
-    from plants.rig import SimulatedRig
-    from plants.simulation import Response, batch_costs, simulate
-    from plants.unloaded import UnloadedReel, unloaded_reel
+    from plants.models.linear_plant import LinearPlant, linear_plant
+    from plants.models.model_file import load_model, save_model
+    from plants.models.python_plant import PythonPlant, python_plant
+    from plants.models.reel import Reel, reference_reel
+    from plants.models.unloaded_reel import UnloadedReel, unloaded_reel
+    from plants.simulation.batch import Response, batch_costs, simulate
+    from plants.simulation.plant import Plant
+    from plants.simulation.simulated_rig import SimulatedRig
 
 __all__ = [
     "CoulombFriction",
@@ -47,24 +47,24 @@ __all__ = [
 _HOMES = {
     "CoulombFriction": "plants.effects",
     "Effect": "plants.effects",
-    "LinearPlant": "plants.linear",
-    "Plant": "plants.plant",
-    "PythonPlant": "plants.function",
-    "Reel": "plants.reel",
-    "Response": "plants.simulation",
-    "SimulatedRig": "plants.rig",
-    "UnloadedReel": "plants.unloaded",
-    "batch_costs": "plants.simulation",
-    "explain": "plants.discrepancy.explain",
-    "improve": "plants.discrepancy.improve",
-    "linear_plant": "plants.linear",
-    "load_model": "plants.model_file",
-    "python_plant": "plants.function",
-    "reference_reel": "plants.reel",
-    "save_model": "plants.model_file",
-    "simulate": "plants.simulation",
-    "simulate_moving": "plants.moving",
-    "unloaded_reel": "plants.unloaded",
+    "LinearPlant": "plants.models.linear_plant",
+    "Plant": "plants.simulation.plant",
+    "PythonPlant": "plants.models.python_plant",
+    "Reel": "plants.models.reel",
+    "Response": "plants.simulation.batch",
+    "SimulatedRig": "plants.simulation.simulated_rig",
+    "UnloadedReel": "plants.models.unloaded_reel",
+    "batch_costs": "plants.simulation.batch",
+    "explain": "plants.diagnosis.explain",
+    "improve": "plants.diagnosis.improve_model",
+    "linear_plant": "plants.models.linear_plant",
+    "load_model": "plants.models.model_file",
+    "python_plant": "plants.models.python_plant",
+    "reference_reel": "plants.models.reel",
+    "save_model": "plants.models.model_file",
+    "simulate": "plants.simulation.batch",
+    "simulate_moving": "plants.demonstrations.moving_cable_end",
+    "unloaded_reel": "plants.models.unloaded_reel",
 }
 
 

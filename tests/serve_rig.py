@@ -12,8 +12,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import plants
-from estune import bus
 from estune.hardware import HardwareRig
+from estune.remote import zenoh
 from estune.trial import Rig
 from tests.support_rigs import ScriptedRig, broken, diverged
 
@@ -84,6 +84,6 @@ class Served:
 
 if __name__ == "__main__":
     kind, name, endpoint, file, *routers = sys.argv[1:]
-    with bus.serve(make(kind, name), endpoint, ledger=Path(file), routers=routers) as server:
+    with zenoh.serve(make(kind, name), endpoint, ledger=Path(file), routers=routers) as server:
         print(server.endpoint, flush=True)
         sys.stdin.read()

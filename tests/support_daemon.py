@@ -10,14 +10,14 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
-from estune import bus
-from estune.bus.daemon import DaemonClient
-from estune.bus.session import with_port
 from estune.core.gains import Gains
 from estune.daemon.config import config_from
 from estune.daemon.service import Service
 from estune.daemon.systemd import Notifier
-from estune.security import OPEN, Security
+from estune.remote import zenoh
+from estune.remote.security import OPEN, Security
+from estune.remote.zenoh.daemon_service import DaemonClient
+from estune.remote.zenoh.zenoh_session import with_port
 from estune.trial import TrialRecord, TrialRequest
 from tests.support_rigs import ScriptedRig, description, response
 
@@ -58,7 +58,7 @@ class Plant:
 def rig_served(name: str = "drum", plant=None, **changes):
     """A scripted rig over Zenoh, and where it is."""
     rig = ScriptedRig(plant or Plant(), name=name, **changes)
-    with bus.serve(rig) as server:
+    with zenoh.serve(rig) as server:
         yield rig, server.endpoint
 
 
@@ -150,5 +150,5 @@ def log_lines(folder: Path) -> list[dict]:
 
 
 def live_gains(endpoint: str) -> Gains:
-    with bus.connect(endpoint) as rig:
+    with zenoh.connect(endpoint) as rig:
         return rig.describe().gains

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 
 import plants
-from estune.profiles import TriangleProfile
-from estune.trial_file import TrialFile
-from plants.discrepancy.data.floor import Floor, Noise
-from plants.discrepancy.data.record import Finding
-from plants.discrepancy.experiments.next_experiment import NextExperiment
-from plants.discrepancy.report.diagnosis import (
+from estune.run.trial_file import TrialFile
+from estune.trial.profiles import TriangleProfile
+from plants.diagnosis.data.measured_record import Finding
+from plants.diagnosis.data.noise_floor import Floor, Noise
+from plants.diagnosis.experiments.next_experiment import NextExperiment
+from plants.diagnosis.report.diagnosis import (
     Calibration,
     Candidate,
     Diagnosis,
@@ -20,8 +20,8 @@ from plants.discrepancy.report.diagnosis import (
     Step,
     Trace,
 )
-from plants.discrepancy.report.wording import sentence
-from plants.discrepancy.residual.where import Block, Distortion, View, Where
+from plants.diagnosis.report.effect_sentences import sentence
+from plants.diagnosis.residual.localisation import Block, Distortion, View, Where
 from plants.effects import EFFECTS, EyeletFriction
 
 RATE_Hz = 632.0

@@ -11,10 +11,10 @@ import numpy as np
 import plants
 from estune.core import pidf
 from estune.core.gains import Gains
-from estune.profiles import StepProfile
+from estune.trial.profiles import StepProfile
 from plants.effects import Port, Site
-from plants.reel_equations import cable_stiffness_N_m
-from plants.trial_loop import Batch, VirtualLoop, loop_functions
+from plants.models.reel_equations import cable_stiffness_N_m
+from plants.simulation.trial_loop import Batch, VirtualLoop, loop_functions
 
 REEL = plants.reference_reel(gauge_noise_N=0.0)
 RATE = REEL.sampling_Hz

@@ -11,9 +11,9 @@ from estune.core import pidf
 from estune.hardware.config import RigConfig, config_from
 from estune.hardware.controller import PlainController
 from estune.hardware.driver import Reading
-from estune.hardware.machine import Machine
-from estune.hardware.memory import Memory, Word, column, flag_column, make_file
-from estune.hardware.plan import Begin
+from estune.hardware.loop_messages import Begin
+from estune.hardware.reel_state_machine import Machine
+from estune.hardware.shared_memory import Memory, Word, column, flag_column, make_file
 from plants.emulator import RIG_FILE
 from plants.emulator.board import Board, Electronics
 

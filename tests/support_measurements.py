@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from plants.discrepancy.data.record import Measurement
+from plants.diagnosis.data.measured_record import Measurement
 
 
 def open_loop(number, rate_Hz, current_A, *, tension_N=None, angle_rad=None):

@@ -10,7 +10,6 @@ from scipy.signal import lfilter
 from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
 from estune.errors import RigError
-from estune.profiles import StepProfile
 from estune.trial import (
     LinearModel,
     Outcome,
@@ -19,6 +18,7 @@ from estune.trial import (
     TrialRecord,
     TrialRequest,
 )
+from estune.trial.profiles import StepProfile
 
 RATE_HZ = 200.0
 COLUMNS = ("time_s", "setpoint_N", "tension_N", "current_A", "angle_rad", "flags", "reference_N")

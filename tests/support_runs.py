@@ -6,9 +6,6 @@ import numpy as np
 
 from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
-from estune.core.tuners.least_squares_gradient import LeastSquaresGradient
-from estune.core.tuners.outlook import Forecast, Outlook
-from estune.profiles import StepProfile
 from estune.trial import (
     Outcome,
     RigDescription,
@@ -16,6 +13,9 @@ from estune.trial import (
     TrialRecord,
     TrialRequest,
 )
+from estune.trial.profiles import StepProfile
+from estune.tuners.convergence import Forecast, Outlook
+from estune.tuners.least_squares_gradient import LeastSquaresGradient
 
 START = Gains(0.5, 10.0, 0.005, 0.02)
 

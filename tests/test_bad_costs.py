@@ -7,10 +7,10 @@ import pytest
 
 from estune.core.cost import StepCost
 from estune.core.gains import Gains
-from estune.planning import DEFAULT_TUNER, make_plan
-from estune.session import Session, begin, next_request, told
+from estune.run.plan import DEFAULT_TUNER, make_plan
+from estune.run.session import Session, begin, next_request, told
+from estune.run.summary import verdict
 from estune.trial import Outcome
-from estune.verdict import verdict
 from tests.support_runs import START, description
 
 

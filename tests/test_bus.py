@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 
 import plants
-from estune import bus
 from estune.core.gains import Gains
 from estune.errors import InvalidInput, RigError
-from estune.link.state import Mode
+from estune.remote import zenoh
+from estune.remote.state_machine.state import Mode
 from estune.trial import Outcome, TrialRequest
 from experiments.chaos.wire import Wire
 from tests.serve_rig import served
@@ -45,8 +45,8 @@ def until(condition) -> None:
 def test_a_second_client_is_told_who_holds_the_rig_and_can_stop_it_all_the_same():
     with (
         served("slow scripted") as server,
-        bus.connect(server.endpoint, holder="anna") as first,
-        bus.connect(server.endpoint, holder="bert") as second,
+        zenoh.connect(server.endpoint, holder="anna") as first,
+        zenoh.connect(server.endpoint, holder="bert") as second,
     ):
         records = []
         running = threading.Thread(target=lambda: records.append(first.run(trial())))
@@ -74,9 +74,9 @@ def test_trials_over_a_wire_cut_again_and_again_run_once_each_and_arrive():
     rig = ScriptedRig(duration_s=0.02)
     trials = [trial(number) for number in range(25)]
     with (
-        bus.serve(rig) as server,
+        zenoh.serve(rig) as server,
         Wire(server.endpoint) as wire,
-        bus.connect(wire.endpoint) as client,
+        zenoh.connect(wire.endpoint) as client,
     ):
         done = threading.Event()
 
@@ -99,9 +99,9 @@ def test_a_trial_whose_first_answer_is_lost_runs_once_all_the_same():
     rig = ScriptedRig()
     trials = [trial(number) for number in range(5)]
     with (
-        bus.serve(rig) as server,
+        zenoh.serve(rig) as server,
         Wire(server.endpoint) as wire,
-        bus.connect(wire.endpoint) as client,
+        zenoh.connect(wire.endpoint) as client,
     ):
         for request in trials:
             wire.lose_next_answer()
@@ -110,7 +110,7 @@ def test_a_trial_whose_first_answer_is_lost_runs_once_all_the_same():
 
 
 def test_a_trial_survives_a_rig_that_hangs_longer_than_its_lease():
-    with served("unhurried") as server, bus.connect(server.endpoint, timeout_s=10.0) as client:
+    with served("unhurried") as server, zenoh.connect(server.endpoint, timeout_s=10.0) as client:
         server.process.send_signal(signal.SIGSTOP)
         threading.Timer(2.5, server.process.send_signal, [signal.SIGCONT]).start()
         assert same(client.run(trial()), replace(response(trial()), rig="reel"))
@@ -119,7 +119,7 @@ def test_a_trial_survives_a_rig_that_hangs_longer_than_its_lease():
 def test_a_rig_killed_in_a_trial_is_gone_and_the_error_says_what_is_known():
     with (
         served("slow scripted") as server,
-        bus.connect(server.endpoint, timeout_s=SOON_S) as client,
+        zenoh.connect(server.endpoint, timeout_s=SOON_S) as client,
     ):
         threading.Timer(0.2, server.process.kill).start()
         with pytest.raises(RigError, match=r"is gone.* trial run-00000 may have run.* resume"):
@@ -133,7 +133,7 @@ def run_across_a_restart(kind: str, first: Path, second: Path):
     """A trial on a slow rig that is killed in the middle of it and comes back quick."""
     with (
         served(kind, ledger=first) as server,
-        bus.connect(server.endpoint, timeout_s=20) as client,
+        zenoh.connect(server.endpoint, timeout_s=20) as client,
     ):
         results = []
 
@@ -145,7 +145,7 @@ def run_across_a_restart(kind: str, first: Path, second: Path):
 
         running = threading.Thread(target=run)
         running.start()
-        with bus.connect(server.endpoint) as witness:
+        with zenoh.connect(server.endpoint) as witness:
             until(lambda: witness.status().mode is Mode.RUNNING)
         server.process.kill()
         server.process.wait()
@@ -178,7 +178,7 @@ def test_a_trial_on_a_simulated_rig_that_lost_its_ledger_is_run_again(tmp_path):
 
 def test_a_rig_restarted_between_two_trials_is_followed(tmp_path):
     ledger = tmp_path / "ledger"
-    with served("scripted", ledger=ledger) as server, bus.connect(server.endpoint) as client:
+    with served("scripted", ledger=ledger) as server, zenoh.connect(server.endpoint) as client:
         first = client.run(trial())
         server.process.kill()
         server.process.wait()
@@ -192,9 +192,9 @@ def test_a_client_killed_in_a_trial_has_it_stopped_within_its_lease():
 import sys
 from estune import bus
 from tests.test_bus import trial
-bus.connect(sys.argv[1]).run(trial())
+zenoh.connect(sys.argv[1]).run(trial())
 """
-    with served("slow scripted") as server, bus.connect(server.endpoint) as witness:
+    with served("slow scripted") as server, zenoh.connect(server.endpoint) as witness:
         process = script(text, server.endpoint)
         until(lambda: witness.status().mode is Mode.RUNNING)
         process.kill()
@@ -211,7 +211,7 @@ def test_a_client_whose_main_thread_computes_keeps_its_lease():
 import sys, time
 from estune import bus
 from tests.test_bus import trial
-with bus.connect(sys.argv[1]) as rig:
+with zenoh.connect(sys.argv[1]) as rig:
     rig.apply(trial().gains)
     lease = rig._lease.token
     until = time.monotonic() + 3.0
@@ -225,17 +225,17 @@ with bus.connect(sys.argv[1]) as rig:
 
 
 def test_a_client_that_was_stopped_longer_than_its_lease_takes_it_again():
-    with served("scripted") as server, bus.connect(server.endpoint) as client:
+    with served("scripted") as server, zenoh.connect(server.endpoint) as client:
         client.run(trial())
         client._lease._ended.set()  # it renews no more
-        with bus.connect(server.endpoint) as witness:
+        with zenoh.connect(server.endpoint) as witness:
             until(lambda: witness.status().mode is Mode.IDLE)
         assert client.run(trial(1)).outcome is Outcome.DONE
 
 
 def test_records_in_parts_are_put_together():
     rig = ScriptedRig()
-    with bus.serve(rig, part_bytes=1000) as server, bus.connect(server.endpoint) as client:
+    with zenoh.serve(rig, part_bytes=1000) as server, zenoh.connect(server.endpoint) as client:
         for number in range(3):
             assert same(client.run(trial(number)), response(trial(number)))
     assert len(rig.asked) == 3
@@ -244,9 +244,9 @@ def test_records_in_parts_are_put_together():
 def test_samples_of_a_trial_under_way_can_be_watched():
     rig = plants.reference_reel().rig(name="reel", pace=1.0)
     with (
-        bus.serve(rig) as server,
-        bus.connect(server.endpoint) as client,
-        bus.connect(server.endpoint) as onlooker,
+        zenoh.serve(rig) as server,
+        zenoh.connect(server.endpoint) as client,
+        zenoh.connect(server.endpoint) as onlooker,
         onlooker.watch() as chunks,
     ):
         request = TrialRequest("watched", 0, rig.describe().gains, rig.describe().step)
@@ -264,11 +264,11 @@ def test_samples_of_a_trial_under_way_can_be_watched():
 
 def test_a_rig_that_moves_is_not_served_without_a_ledger():
     with pytest.raises(InvalidInput, match="name a ledger file"):
-        bus.serve(ScriptedRig(simulated=False))
+        zenoh.serve(ScriptedRig(simulated=False))
 
 
 def test_what_a_rigs_own_program_raises_reaches_the_client():
-    with served("broken") as server, bus.connect(server.endpoint) as client:
+    with served("broken") as server, zenoh.connect(server.endpoint) as client:
         for _ in range(2):
             with pytest.raises(RigError, match="ZeroDivisionError: no answer to 0"):
                 client.run(trial())
@@ -306,7 +306,7 @@ def test_a_client_that_forgets_to_close_ends_all_the_same():
 import sys
 from estune import bus
 from tests.test_bus import trial
-rig = bus.connect(sys.argv[1])
+rig = zenoh.connect(sys.argv[1])
 print(rig.run(trial()).outcome)
 """
     with served("scripted") as server:
@@ -327,8 +327,8 @@ class Telling(ScriptedRig):
         return record
 
 rig = Telling(duration_s=100.0)
-server = bus.serve(rig)
-client = bus.connect(server.endpoint)
+server = zenoh.serve(rig)
+client = zenoh.connect(server.endpoint)
 threading.Thread(target=client.run, args=(trial(),), daemon=True).start()
 while not rig.asked:
     pass
@@ -342,14 +342,14 @@ import signal, sys
 from estune import bus
 from tests.test_bus import trial
 signal.signal(signal.SIGINT, signal.default_int_handler)  # also where a shell's & has it ignored
-with bus.connect(sys.argv[1]) as rig:
+with zenoh.connect(sys.argv[1]) as rig:
     try:
         print("running", flush=True)
         rig.run(trial())
     except KeyboardInterrupt:
         print(rig.abort().name)
 """
-    with served("slow scripted") as server, bus.connect(server.endpoint) as witness:
+    with served("slow scripted") as server, zenoh.connect(server.endpoint) as witness:
         process = script(text, server.endpoint)
         assert process.stdout.readline() == "running\n"
         until(lambda: witness.status().mode is Mode.RUNNING)
@@ -359,8 +359,8 @@ with bus.connect(sys.argv[1]) as rig:
 
 
 def test_a_rig_let_go_of_closes_its_session():
-    with bus.serve(ScriptedRig()) as server:
-        client = bus.connect(server.endpoint)
+    with zenoh.serve(ScriptedRig()) as server:
+        client = zenoh.connect(server.endpoint)
         client.run(trial())  # which begins to keep a lease
         session = client._talk.session
         del client
@@ -368,11 +368,11 @@ def test_a_rig_let_go_of_closes_its_session():
 
 
 def test_a_closed_server_is_not_found_and_its_port_is_free():
-    server = bus.serve(ScriptedRig())
+    server = zenoh.serve(ScriptedRig())
     server.close()
     server.wait()
     with pytest.raises(RigError, match="nothing"):
-        bus.connect(server.endpoint, timeout_s=SOON_S)
-    with bus.serve(ScriptedRig(), server.endpoint) as again:
+        zenoh.connect(server.endpoint, timeout_s=SOON_S)
+    with zenoh.serve(ScriptedRig(), server.endpoint) as again:
         assert again.instance != server.instance
     server.close()

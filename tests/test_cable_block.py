@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from plants.discrepancy.prediction.prediction import CHANNELS, Index
-from plants.discrepancy.search.cable_block import Blocks, CableBlock
+from plants.diagnosis.prediction.prediction import CHANNELS, Index
+from plants.diagnosis.search.cable_block import Blocks, CableBlock
 
 SAMPLES, PULL_N_RAD = 40, 190.0
 SIGMA = {"tension_N": 0.05, "angle_rad": 2e-4}

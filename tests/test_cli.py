@@ -16,13 +16,13 @@ import pytest
 
 import estune
 from estune.cli import Interrupts, app, run
-from estune.cli.asking import at_the_terminal
-from estune.core.tuners.outlook import Forecast
+from estune.cli.approval_prompt import at_the_terminal
 from estune.errors import RigError
-from estune.journal import FILE_NAME, Journal
-from estune.outside import TUNER_NAMES
+from estune.run.journal import FILE_NAME, Journal
+from estune.run.loop import Question
 from estune.trial import TrialRequest
-from estune.tuning import Question
+from estune.tuners.convergence import Forecast
+from estune.tuners.external import TUNER_NAMES
 from tests.support_runs import START, ArithmeticRig
 
 COMMAND = [sys.executable, "-m", "estune.cli"]
@@ -421,7 +421,7 @@ def test_a_rig_lost_while_it_is_being_stopped_is_not_called_confirmed(
         def abort(self):
             raise RigError("the rig is gone")
 
-    monkeypatch.setattr("estune.targets.load", lambda _: Lost())
+    monkeypatch.setattr("estune.run.targets.load", lambda _: Lost())
     assert run(["tune", REEL, *QUIET, str(tmp_path)]) == 130
     said = capsys.readouterr().err
     assert "has not confirmed which gains are live; check it: the rig is gone" in said

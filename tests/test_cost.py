@@ -12,9 +12,9 @@ from estune.core.cost import StepCost
 from estune.core.gains import Gains
 from estune.core.metrics import NO_METRICS, step_metrics
 from estune.errors import InvalidInput, RigError
-from estune.profiles import StepProfile
-from estune.score import cost_of, metrics_of
 from estune.trial import Outcome, TrialRecord
+from estune.trial.profiles import StepProfile
+from estune.trial.scoring import cost_of, metrics_of
 
 SAMPLING_Hz, SAMPLES, STEP_INDEX = 632.0, 632, 100
 AFTER_STEP_s = (SAMPLES - STEP_INDEX) / SAMPLING_Hz

@@ -7,15 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from estune import bus, tuning
 from estune.core.gains import Gains
-from estune.daemon.keeper import Keeper
-from estune.daemon.reach import GIVE_UP_AFTER
-from estune.daemon.searching import Searches
+from estune.daemon.rig_access import GIVE_UP_AFTER
 from estune.daemon.store import RUNS, Store
+from estune.daemon.supervisor import Keeper
+from estune.daemon.tuning_runs import Searches
 from estune.errors import InvalidInput, JournalError, RigError
-from estune.journal import Journal
-from estune.planning import plan_from_json
+from estune.remote import zenoh
+from estune.run import loop
+from estune.run.journal import Journal
+from estune.run.plan import plan_from_json
 from estune.trial import Outcome
 from tests.serve_rig import served
 from tests.support_daemon import (
@@ -142,7 +143,7 @@ def test_a_paused_rig_is_others_to_use_and_strange_gains_are_not_written_over(tm
         it.until_mode("watching")
         it.say("pause")
         it.until_mode("paused")
-        with bus.connect(where) as other:
+        with zenoh.connect(where) as other:
             other.apply(STRANGE)
         # Found again after the link was cut: nobody has said to go on.
         it.service._keepers[0]._let_go()
@@ -160,13 +161,13 @@ def test_the_home_gains_are_put_back_on_a_rig_that_was_restarted(tmp_path):
         pass  # a port that is free again
     with daemon(tmp_path, table.replace("{}", where)) as it:
         it.until(lambda s: "nothing that speaks Zenoh" in s.trouble)
-        with bus.serve(ScriptedRig(Plant(), name="drum"), where):
+        with zenoh.serve(ScriptedRig(Plant(), name="drum"), where):
             it.until_mode("holding")
             it.say("accept")
             kept = it.until(lambda s: s.live == "accepted")
         it.until_mode("waiting")
         again = ScriptedRig(Plant(), name="drum")
-        with bus.serve(again, where):
+        with zenoh.serve(again, where):
             it.until_mode("watching")
             assert again.describe().gains == kept.gains["accepted"] != ORIGINAL
 
@@ -208,7 +209,7 @@ def test_after_an_emergency_stop_nothing_moves_until_somebody_resumes(tmp_path):
     with rig_served(duration_s=0.02) as (rig, where):
         with daemon(tmp_path, rig_table("drum", where)) as it:
             it.until(lambda s: s.trials > 5)
-            with bus.connect(where) as other:
+            with zenoh.connect(where) as other:
                 other.estop("smoke")
                 status = it.until_mode("paused")
                 assert "smoke" in status.paused
@@ -229,7 +230,7 @@ def test_a_trial_cut_off_on_a_rig_that_moves_waits_for_somebody(tmp_path):
 
     rig = ScriptedRig(plant, name="drum", simulated=False)
     with (
-        bus.serve(rig, ledger=tmp_path / "ledger") as server,
+        zenoh.serve(rig, ledger=tmp_path / "ledger") as server,
         daemon(tmp_path, rig_table("drum", server.endpoint)) as it,
     ):
         assert "cut off (power)" in it.until_mode("paused").paused
@@ -249,7 +250,7 @@ def test_a_rig_whose_own_program_fails_is_given_up_until_it_is_mended(simulated,
 
     rig = ScriptedRig(plant, name="drum", simulated=simulated)
     with (
-        bus.serve(rig, ledger=tmp_path / "ledger") as server,
+        zenoh.serve(rig, ledger=tmp_path / "ledger") as server,
         daemon(tmp_path, rig_table("drum", server.endpoint)) as it,
     ):
         assert "no gauge" in it.until_mode("paused").paused
@@ -400,8 +401,8 @@ def test_a_daemon_that_is_killed_goes_on_where_it_was(moment, tmp_path):
         entries = [entry for entry in book.entries() if not entry.outcome.is_void]
         plan = plan_from_json(book.fact("plan"))
     alone = ScriptedRig(name="drum")
-    whole = tuning.start(plan, alone.describe(), None)
-    tuning.run(whole, alone)
+    whole = loop.start(plan, alone.describe(), None)
+    loop.run(whole, alone)
     assert [(e.gains, e.cost) for e in entries] == [(e.gains, e.cost) for e in whole.entries]
     assert {"started", "stopped"} <= {line.get("event") for line in log_lines(tmp_path)}
 

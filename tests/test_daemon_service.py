@@ -9,17 +9,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from estune import inspection
 from estune.cli import run
 from estune.errors import InvalidInput, ProtocolError, RigError
-from estune.protocol.daemon import (
+from estune.remote.messages.daemon import (
     Command,
     CommandAnswer,
     Request,
     decode_daemon,
     encode_daemon,
 )
-from estune.trial import Outcome, TrialRequest
+from estune.trial import Outcome, TrialRequest, record_checks
 from tests.support_daemon import ORIGINAL, daemon, rig_served, rig_table
 from tests.support_rigs import description, diverged, response
 
@@ -79,7 +78,7 @@ FAULTS = [
 @pytest.mark.parametrize(("changes", "words"), FAULTS)
 def test_records_that_cannot_be_are_told_from_bad_trials(changes, words):
     record = replace(response(REQUEST), **changes)
-    found = inspection.fault_of(record, REQUEST, description())
+    found = record_checks.fault_of(record, REQUEST, description())
     assert words in found
     assert bool(found) is bool(words)
 
@@ -89,7 +88,7 @@ def test_a_trial_that_diverged_or_was_cut_short_is_no_fault():
         diverged(REQUEST),
         replace(diverged(REQUEST), outcome=Outcome.GUARD),
     ):
-        assert inspection.fault_of(record, REQUEST, description()) == ""
+        assert record_checks.fault_of(record, REQUEST, description()) == ""
 
 
 def test_the_command_line_shows_and_commands(tmp_path, capsys):

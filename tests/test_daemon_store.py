@@ -6,8 +6,8 @@ import pytest
 
 from estune.core.control_chart import Sign
 from estune.daemon.events import Kind
-from estune.daemon.life import GainSet, Goal, Life
 from estune.daemon.store import Store
+from estune.daemon.supervisor_state import GainSet, Goal, Life
 from estune.errors import JournalError
 from estune.trial import TrialRequest
 from tests.support_daemon import ORIGINAL

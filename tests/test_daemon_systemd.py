@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from estune.daemon.keeper import Keeper
+from estune.daemon.supervisor import Keeper
 from estune.daemon.systemd import Notifier
 from tests.support_daemon import WITHIN_S, daemon, rig_served, rig_table
 

@@ -13,13 +13,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from estune.cli.checks import State, examine, gentle_trial
+from estune.cli.checks.host_checks import (
+    Host,
+    check_ledger,
+    check_permissions,
+    check_ports,
+    find_host,
+)
+from estune.cli.checks.link_checks import Dated, check_clock, check_link
 from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
-from estune.doctor import State, examine, gentle_trial
-from estune.doctor.host import Host, check_ledger, check_permissions, check_ports, find_host
-from estune.doctor.link import Dated, check_clock, check_link
-from estune.link.state import Mode
-from estune.protocol import Status
+from estune.remote.messages import Status
+from estune.remote.state_machine.state import Mode
 from estune.trial import LATE, SATURATED, LinearModel, Outcome, RigLimits
 from tests.serve_rig import served
 from tests.support_rigs import ScriptedRig, description, diverged, response

@@ -11,9 +11,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from estune import api, database, journal
+from estune import api
 from estune.errors import JournalError
-from estune.journal import FILE_NAME, Journal
+from estune.run import journal
+from estune.run.journal import FILE_NAME, Journal
+from estune.support import sqlite
 from tests.support_runs import ArithmeticRig
 
 OLD = Path(__file__).parent / "assets" / "journal_v1.sqlite"
@@ -144,7 +146,7 @@ def test_an_older_schema_is_brought_up_to_date_when_it_is_opened(write, tmp_path
     before = committed(folder)
     monkeypatch.setattr(journal, "VERSIONS", LATER)
     with Journal.open(folder, write=write) as book:
-        assert database.version(book._connection) == len(LATER)
+        assert sqlite.version(book._connection) == len(LATER)
         assert book._connection.execute("SELECT weather FROM trial").fetchall() == [(None,)] * 22
     assert committed(folder) == before
 
@@ -157,24 +159,24 @@ def test_a_migration_that_is_cut_off_leaves_the_old_file(tmp_path, monkeypatch):
         Journal.open(folder, write=True)
     monkeypatch.undo()
     with Journal.open(folder) as book:
-        assert database.version(book._connection) == 1
+        assert sqlite.version(book._connection) == 1
     assert committed(folder) == before
 
 
 def test_a_lock_says_who_holds_it_and_dies_with_its_holder(tmp_path):
-    with database.lock(tmp_path / "lock", "the book"):
+    with sqlite.lock(tmp_path / "lock", "the book"):
         with pytest.raises(JournalError, match=f"the book .*process {os.getpid()} of "):
-            database.lock(tmp_path / "lock", "the book")
-        assert database.being_written(tmp_path / "lock")
-    assert not database.being_written(tmp_path / "lock")
-    database.lock(tmp_path / "lock", "the book").close()
+            sqlite.lock(tmp_path / "lock", "the book")
+        assert sqlite.being_written(tmp_path / "lock")
+    assert not sqlite.being_written(tmp_path / "lock")
+    sqlite.lock(tmp_path / "lock", "the book").close()
 
 
 def test_a_transaction_that_fails_leaves_nothing(tmp_path):
     with ExitStack() as opened:
-        connection = database.connect(opened, tmp_path / "file", "rwc")
+        connection = sqlite.connect(opened, tmp_path / "file", "rwc")
         connection.execute("CREATE TABLE number (n)")
         statements = ("INSERT INTO number VALUES (1)", "INSERT INTO nothing VALUES (1)")
-        with pytest.raises(sqlite3.OperationalError), database.transaction(connection):
+        with pytest.raises(sqlite3.OperationalError), sqlite.transaction(connection):
             [connection.execute(statement) for statement in statements]
         assert connection.execute("SELECT * FROM number").fetchall() == []

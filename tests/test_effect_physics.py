@@ -7,10 +7,10 @@ from scipy import integrate, optimize, signal, stats
 
 import plants
 from estune.reel.friction import StribeckFriction
-from plants.discrepancy.models.calibration import SaggingCalibration
+from plants.diagnosis.models.calibration import SaggingCalibration
 from plants.effects import EFFECTS, Port
 from plants.effects.bristles import bent
-from plants.reel_equations import cable_stiffness_N_m
+from plants.models.reel_equations import cable_stiffness_N_m
 from tests.support_effects import RATE, REEL, Law, SUBSTEP_s, rest, rollout, wander
 from tests.test_plants import integrated
 

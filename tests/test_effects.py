@@ -9,12 +9,12 @@ import pytest
 
 import plants
 from estune.errors import InvalidInput
-from estune.profiles import StepProfile
 from estune.trial import TrialRequest
+from estune.trial.profiles import StepProfile
 from plants import effects
 from plants.effects import EFFECTS, Effect, EyeletFriction, Port, Quantisation
 from plants.identify import Band, multisine, open_loop_record
-from plants.trial_loop import CompiledLoop, VirtualLoop, loop_functions
+from plants.simulation.trial_loop import CompiledLoop, VirtualLoop, loop_functions
 from tests.support_effects import (
     DOWN,
     GAINS,
@@ -234,7 +234,7 @@ def test_compiled_it_gives_what_the_virtual_machine_gives(order, monkeypatch):
     functions = loop_functions(reel.structure.equations())
     seen = []
     for kind in (CompiledLoop, VirtualLoop):
-        monkeypatch.setattr("plants.reel.trial_loop", lambda _, kind=kind: kind(functions))
+        monkeypatch.setattr("plants.models.reel.trial_loop", lambda _, kind=kind: kind(functions))
         noise = np.random.default_rng(3).normal(0.0, 0.05, UP.samples(REEL.sampling_Hz))
         seen.append(plants.simulate(reel, GAINS, UP, noise_N=noise))
     for column in ("tension_N", "effort_N", "angle_rad", "reference_N"):

@@ -11,11 +11,11 @@ import pytest
 
 import plants
 from estune.errors import InvalidInput, PlantError
+from experiments import hidden_machines
+from experiments.hidden_machines import machine as machines
+from experiments.hidden_machines.machine import NoCompiler
 from experiments.hidden_scores import Task, diagnose, measurement, model
 from plants.effects import EFFECTS, Effect, Port, parameter
-from tests import hidden
-from tests.hidden import machine as machines
-from tests.hidden.machine import NoCompiler
 
 
 @pytest.fixture(autouse=True)
@@ -44,7 +44,7 @@ class AirDrag(Effect):
 
 
 def drawn(seed, variant, effect=None):
-    case, _ = hidden.draw(seed, variant, effect)
+    case, _ = hidden_machines.draw(seed, variant, effect)
     return model(case), [measurement(record) for record in case.records]
 
 
@@ -157,7 +157,7 @@ def test_what_two_records_leave_open_more_decide_and_what_to_record_is_proposed(
 
 def test_a_truth_that_may_not_be_named_is_not_given_another_name():
     given, records = drawn(700, "unloaded", "coulomb_friction")
-    others = [name for name in EFFECTS if hidden.family(name) != "coulomb_friction"]
+    others = [name for name in EFFECTS if hidden_machines.family(name) != "coulomb_friction"]
     found = plants.explain(given, records, effects=others)
     assert found.verdict == "unknown"
     assert found.where.blocks[0].name == "force"

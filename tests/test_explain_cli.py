@@ -8,11 +8,11 @@ import pytest
 import plants
 from estune.cli import run
 from estune.errors import InvalidInput
-from estune.export import write_record
+from estune.run.export import write_record
+from estune.run.trial_file import read_trial
 from estune.trial import TrialRequest
-from estune.trial_file import read_trial
-from plants.discrepancy import explain as module
-from plants.discrepancy.experiments.battery import battery
+from plants.diagnosis import explain as module
+from plants.diagnosis.experiments.designs import battery
 from plants.effects import EFFECTS
 from tests.support_diagnosis import REEL, deciding, diagnosis, nothing_found
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import plants
-from plants.unloaded import UnloadedReel
+from plants.models.unloaded_reel import UnloadedReel
 from tests.support_measurements import open_loop
 
 RATE_Hz, SUBSTEPS, COUNTS = 500.0, 16, 8192

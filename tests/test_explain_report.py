@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 
 import plants
-from estune.drawing import new_figure, to_png
 from estune.errors import InvalidInput
-from plants.discrepancy.report import amounts, figures, summary, wording
-from plants.discrepancy.report.report import page
+from estune.support.plot_style import new_figure, to_png
+from plants.diagnosis.report import effect_sentences, figures, quantities, summary
+from plants.diagnosis.report.report import page
 from plants.effects import EFFECTS, Effect, Port, parameter
 from tests.support_diagnosis import FOUND, deciding, diagnosis, nothing_found
 
@@ -242,7 +242,7 @@ def test_the_plain_sentence_of_an_effect_holds_its_numbers(name):
     for share in (0.5, 1.0):
         values = {n: share * getattr(usual, n) for n in effect.parameters()}
         first, second = (
-            wording.sentence(effect, values, model)
+            effect_sentences.sentence(effect, values, model)
             for model in (reel, plants.linear_plant(control.tf([1.0], [1.0, 1.0])))
         )
         assert first.startswith("Your reel ")
@@ -261,7 +261,7 @@ def test_the_plain_sentence_of_an_effect_holds_its_numbers(name):
 
 
 def test_eyelet_friction_is_told_as_the_ratio_of_the_tensions():
-    said = wording.sentence(EFFECTS["eyelet_friction"], FOUND, plants.reference_reel())
+    said = effect_sentences.sentence(EFFECTS["eyelet_friction"], FOUND, plants.reference_reel())
     assert said.startswith(
         "Your reel has eyelet friction: outside tension is 0.931 of inside when winding in"
     )
@@ -281,7 +281,7 @@ def test_an_effect_of_ones_own_is_told_by_its_title_and_appearance():
         port: ClassVar[Port] = Port.ACTUATOR
         rate_per_s: float = parameter(1e-3, low=0.0, high=1.0, unit="1/s", neutral=0.0)
 
-    said = wording.sentence(Heating, {"rate_per_s": 2.5e-3}, plants.reference_reel())
+    said = effect_sentences.sentence(Heating, {"rate_per_s": 2.5e-3}, plants.reference_reel())
     assert said == (
         "Your reel has a motor that weakens as it warms up: rate_per_s 0.0025 1/s. "
         "In the data: less tension for the same current, the more the longer."
@@ -302,7 +302,7 @@ def test_an_effect_of_ones_own_is_told_by_its_title_and_appearance():
     ],
 )
 def test_numbers_are_told_with_the_unit_that_is_read_easily(value, unit, said):
-    assert amounts.si(value, unit) == said
+    assert quantities.si(value, unit) == said
 
 
 def test_tables_tell_as_many_digits_as_the_interval_settles(named):

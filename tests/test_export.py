@@ -10,9 +10,9 @@ import pytest
 import estune
 from estune.core.gains import GAIN_NAMES
 from estune.errors import JournalError
-from estune.export import export_run
-from estune.journal import Journal
-from estune.tuning import Stopped
+from estune.run.export import export_run
+from estune.run.journal import Journal
+from estune.run.loop import Stopped
 from tests.support_runs import ArithmeticRig
 
 COLUMNS = ["time_s", "setpoint_N", "tension_N", "current_A", "angle_rad", "flags"]

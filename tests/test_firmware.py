@@ -10,13 +10,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from estune import compiler
 from estune.core import pidf
 from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings, PidfState
 from estune.errors import PlantError
 from estune.hardware import controller_source
 from estune.hardware.controller import CompiledController, PlainController, make_controller
+from estune.support import c_compiler
 
 SETTINGS = ControllerSettings(632.0, 0.002, -5.0, 120.0)
 GAINS = Gains(0.4, 12.0, 0.01, 0.03)
@@ -88,7 +88,7 @@ def test_the_file_for_firmware_stands_alone_and_computes_the_same(tmp_path, flag
     if "-Dcasadi_real=float" in flags:
         program = program.replace("double r, y, excess, last", "double r, y; float excess, last")
     (tmp_path / "main.c").write_text(program)
-    command = [*compiler.compiler(), *flags, "-Wall", "-Wextra", "-Werror", "-pedantic"]
+    command = [*c_compiler.compiler(), *flags, "-Wall", "-Wextra", "-Werror", "-pedantic"]
     made = [str(tmp_path / "main"), str(tmp_path / "main.c"), "-lm"]
     subprocess.run([*command, "-o", *made], check=True)
     rng = np.random.default_rng(0)
@@ -132,7 +132,7 @@ def test_without_a_compiler_the_plain_controller_serves_and_says_so(monkeypatch)
     def none(_source):
         raise PlantError("no C compiler found")
 
-    monkeypatch.setattr(compiler, "load", none)
+    monkeypatch.setattr(c_compiler, "load", none)
     controller, note = make_controller("")
     assert isinstance(controller, PlainController)
     assert "plain Python: no C compiler" in note

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from plants import reference_reel
-from plants.discrepancy.data.floor import noise_floor
-from plants.discrepancy.data.noise import spectral_rms, step_of, upper_rms
-from plants.discrepancy.data.periods import periods_of
-from plants.discrepancy.data.record import Measurement
+from plants.diagnosis.data.measured_record import Measurement
+from plants.diagnosis.data.noise import spectral_rms, step_of, upper_rms
+from plants.diagnosis.data.noise_floor import noise_floor
+from plants.diagnosis.data.periods import periods_of
 from plants.identify.excitation import Band, chirp, multisine
 from plants.identify.open_loop import open_loop_record
 

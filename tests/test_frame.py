@@ -11,10 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from estune import frame
 from estune.core.gains import Gains
 from estune.errors import ProtocolError
-from estune.trial import Outcome, TrialRecord, TrialRequest
+from estune.trial import Outcome, TrialRecord, TrialRequest, record_frame
 from tests.support_rigs import description, response, same
 
 finite = st.floats(allow_nan=False, allow_infinity=False)
@@ -57,24 +56,26 @@ def record() -> TrialRecord:
 
 @pytest.fixture(scope="module")
 def framed(record) -> bytes:
-    return frame.encode(record)
+    return record_frame.encode(record)
 
 
 @given(records())
 def test_a_record_comes_out_as_it_went_in(record):
-    data = frame.encode(record)
-    decoded = frame.decode(data)
+    data = record_frame.encode(record)
+    decoded = record_frame.decode(data)
     assert same(record, decoded)
-    assert frame.encode(decoded) is data
-    assert frame.encode(replace(decoded)) == data
-    assert len(data) <= frame.size(record.time_s.size, reference=record.reference_N is not None)
+    assert record_frame.encode(decoded) is data
+    assert record_frame.encode(replace(decoded)) == data
+    assert len(data) <= record_frame.size(
+        record.time_s.size, reference=record.reference_N is not None
+    )
 
 
 def test_a_record_changed_after_it_was_read_is_not_taken_for_the_frame_it_came_in(framed):
-    decoded = frame.decode(framed)
+    decoded = record_frame.decode(framed)
     assert not decoded.tension_N.flags.writeable
     changed = replace(decoded, reason="looked at")
-    assert frame.decode(frame.encode(changed)).reason == "looked at"
+    assert record_frame.decode(record_frame.encode(changed)).reason == "looked at"
 
 
 @given(st.data())
@@ -84,7 +85,7 @@ def test_any_corruption_of_a_few_bits_is_refused(framed, data):
     burst = data.draw(st.integers(1, 2**32 - 1))
     damaged = int.from_bytes(framed, "little") ^ (burst << start)
     with pytest.raises(ProtocolError):
-        frame.decode(damaged.to_bytes(len(framed), "little"))
+        record_frame.decode(damaged.to_bytes(len(framed), "little"))
 
 
 @given(st.data())
@@ -92,15 +93,15 @@ def test_a_frame_cut_short_or_continued_is_refused(framed, data):
     end = data.draw(st.integers(0, len(framed) - 1))
     more = data.draw(st.binary(min_size=1, max_size=20))
     with pytest.raises(ProtocolError, match=r"cut short|missing"):
-        frame.decode(framed[:end])
+        record_frame.decode(framed[:end])
     with pytest.raises(ProtocolError, match="too many"):
-        frame.decode(framed + more)
+        record_frame.decode(framed + more)
 
 
 @given(st.binary(max_size=200), st.booleans())
 def test_what_is_no_frame_is_refused(data, sealed):
     with pytest.raises(ProtocolError):
-        frame.decode(seal(data) if sealed else data)
+        record_frame.decode(seal(data) if sealed else data)
 
 
 def seal(header: bytes, body: bytes = b"", magic: bytes = b"RTR1") -> bytes:
@@ -123,7 +124,7 @@ def test_the_layout_is_as_described(framed, record):
 
 def test_a_frame_of_another_version_is_named(framed):
     with pytest.raises(ProtocolError, match=r"version b'2' at byte 3; this estune reads b'1'"):
-        frame.decode(b"RTR2" + framed[4:])
+        record_frame.decode(b"RTR2" + framed[4:])
 
 
 @pytest.mark.parametrize(
@@ -144,11 +145,11 @@ def test_a_header_that_is_wrong_is_refused_though_the_checksum_is_right(framed, 
     header = json.dumps(json.loads(framed[16 : 16 + length]) | change).encode()
     header += b" " * (-len(header) % 8)
     with pytest.raises(ProtocolError, match=complaint):
-        frame.decode(seal(header, framed[16 + length :]))
+        record_frame.decode(seal(header, framed[16 + length :]))
 
 
 def test_a_frame_over_the_limit_is_refused_on_both_sides(record):
-    samples = frame.MAX_BYTES // 40
+    samples = record_frame.MAX_BYTES // 40
     column = np.zeros(samples)
     large = replace(
         record,
@@ -156,10 +157,10 @@ def test_a_frame_over_the_limit_is_refused_on_both_sides(record):
         reference_N=None,
         flags=np.zeros(samples, np.uint8),
     )
-    with pytest.raises(ProtocolError, match=f"a frame holds {frame.MAX_BYTES}"):
-        frame.encode(large)
-    with pytest.raises(ProtocolError, match=f"the limit is {frame.MAX_BYTES}"):
-        frame.decode(bytes(frame.MAX_BYTES + 1))
+    with pytest.raises(ProtocolError, match=f"a frame holds {record_frame.MAX_BYTES}"):
+        record_frame.encode(large)
+    with pytest.raises(ProtocolError, match=f"the limit is {record_frame.MAX_BYTES}"):
+        record_frame.decode(bytes(record_frame.MAX_BYTES + 1))
 
 
 @pytest.mark.parametrize(
@@ -173,4 +174,4 @@ def test_a_frame_over_the_limit_is_refused_on_both_sides(record):
 )
 def test_what_could_not_be_read_is_not_written(record, change, complaint):
     with pytest.raises(ProtocolError, match=complaint):
-        frame.encode(replace(record, **change))
+        record_frame.encode(replace(record, **change))

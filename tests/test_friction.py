@@ -11,14 +11,14 @@ from scipy.stats import chi2
 from estune.errors import InvalidInput
 from estune.reel.friction import FeedForward, LuGreFriction, StribeckFriction
 from estune.reel.velocity import Motion
-from plants.feedforward import (
+from plants.demonstrations.friction_compensation import (
     reference_wrench_trial,
     run_high_and_low,
     run_limits,
     unstable_wrench_trial,
 )
-from plants.friction_fit import fit_friction
-from plants.ramp import RampRecord
+from plants.identify.friction_ramp import fit_friction
+from plants.identify.torque_ramp import RampRecord
 
 DRY = StribeckFriction(coulomb_Nm=0.02, static_Nm=0.03, stribeck_rad_s=0.8)
 COUNTS = 8192.0

@@ -9,17 +9,17 @@ import pytest
 from scipy.optimize import least_squares
 
 import plants
+from experiments.hidden_machines import signals
+from experiments.hidden_machines.bases import REEL, as_believed
+from experiments.hidden_machines.effects import CATALOGUE
+from experiments.hidden_machines.machine import Drive, NoCompiler, run
+from experiments.hidden_machines.records import Record, machine
 from experiments.hidden_scores import measurement
-from plants.discrepancy.data.record import Measurement
-from plants.discrepancy.models.models import diagnosed
-from plants.discrepancy.prediction.prediction import Predictor
+from plants.diagnosis.data.measured_record import Measurement
+from plants.diagnosis.models.diagnosed_model import diagnosed
+from plants.diagnosis.prediction.prediction import Predictor
 from plants.effects import EFFECTS
 from plants.identify import Band, multisine, open_loop_record
-from tests.hidden import signals
-from tests.hidden.bases import REEL, as_believed
-from tests.hidden.effects import CATALOGUE
-from tests.hidden.machine import Drive, NoCompiler, run
-from tests.hidden.records import Record, machine
 
 RATE, LENGTH_m, TENSION_N = 632.0, 0.8, 15.0
 CLOSEST = 2e-3

@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from experiments import hidden_machines
+from experiments.hidden_machines import machine as machines
+from experiments.hidden_machines.bases import REEL, UNLOADED
+from experiments.hidden_machines.machine import Drive, NoCompiler, Run
 from experiments.hidden_scores import Task, diagnose, measurement
-from plants.discrepancy.data.record import CHANNELS
-from plants.discrepancy.data.records import read_measurements
-from tests import hidden
-from tests.hidden import machine as machines
-from tests.hidden.bases import REEL, UNLOADED
-from tests.hidden.machine import Drive, NoCompiler, Run
+from plants.diagnosis.data.measured_record import CHANNELS
+from plants.diagnosis.data.records import read_measurements
 
 ROOT = Path(__file__).parents[1]
 RATE = 632.0
@@ -200,7 +200,7 @@ def test_halving_the_substep_changes_nothing_worth_telling(monkeypatch):
 
 
 def test_a_seed_draws_the_same_case_again_and_another_seed_another():
-    (first, told), (again, told_again), (other, _) = (hidden.draw(n) for n in (7, 7, 8))
+    (first, told), (again, told_again), (other, _) = (hidden_machines.draw(n) for n in (7, 7, 8))
     assert told == told_again
     for one, two in zip(first.records, again.records, strict=True):
         assert one.metadata == two.metadata
@@ -212,14 +212,14 @@ def test_a_seed_draws_the_same_case_again_and_another_seed_another():
 
 
 @cache
-def without_any(variant) -> hidden.Case:
-    return hidden.draw(3, variant, "none")[0]
+def without_any(variant) -> hidden_machines.Case:
+    return hidden_machines.draw(3, variant, "none")[0]
 
 
 @pytest.mark.parametrize("variant", ["plain", "no_encoder", "unloaded", "stage"])
 def test_records_are_read_as_they_were_taken(variant, tmp_path):
-    case, _ = hidden.draw(2, variant)
-    hidden.write(list(case.records), tmp_path)
+    case, _ = hidden_machines.draw(2, variant)
+    hidden_machines.write(list(case.records), tmp_path)
     reading = read_measurements(tmp_path)
     assert not reading.refused
     for found, record in zip(reading.measurements, case.records, strict=True):
@@ -229,14 +229,16 @@ def test_records_are_read_as_they_were_taken(variant, tmp_path):
             np.testing.assert_array_equal(found.channel(channel), given.channel(channel))
 
 
-@pytest.mark.parametrize("name", ["none", *hidden.CATALOGUE, *hidden.OUTSIDE])
+@pytest.mark.parametrize("name", ["none", *hidden_machines.CATALOGUE, *hidden_machines.OUTSIDE])
 def test_every_effect_moves_the_machine_and_no_record_tells_its_name(name):
     variant = "unloaded" if name == "amplifier_deadband" else "plain"
-    case, secret = hidden.draw(3, variant, name)
+    case, secret = hidden_machines.draw(3, variant, name)
     seconds = sum(one.columns["time_s"].size for one in case.records) / case.given["sampling_Hz"]
     assert 25.0 < seconds < 32.0
     told = json.dumps([case.given, *(one.metadata for one in case.records)])
-    assert not any(f'"{slug}"' in told for slug in (*hidden.CATALOGUE, *hidden.OUTSIDE))
+    assert not any(
+        f'"{slug}"' in told for slug in (*hidden_machines.CATALOGUE, *hidden_machines.OUTSIDE)
+    )
     assert secret.names == (() if name == "none" else (name,))
     if name == "none":
         return
@@ -255,11 +257,13 @@ def test_the_machines_and_the_package_know_nothing_of_each_other():
     allowed = {*sys.stdlib_module_names, "numpy"}
     for file in (ROOT / "tests" / "hidden").glob("*.py"):
         for name in imported(file):
-            assert name.split(".")[0] in allowed or name.startswith("tests.hidden"), (file, name)
+            assert name.split(".")[0] in allowed or name.startswith(
+                "experiments.hidden_machines"
+            ), (file, name)
     for package in ("estune", "plants"):
         for file in (ROOT / package).rglob("*.py"):
             assert not any(name.split(".")[0] == "tests" for name in imported(file)), file
-    loaded = "import sys, tests.hidden; print([m for m in sys.modules if m.split('.')[0] in "
+    loaded = "import sys, experiments.hidden_machines; print([m for m in sys.modules if m.split('.')[0] in "
     done = subprocess.run(
         [sys.executable, "-c", loaded + "('estune', 'plants', 'casadi', 'experiments')])"],
         cwd=ROOT,

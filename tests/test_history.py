@@ -3,9 +3,9 @@
 import pytest
 
 from estune import api
-from estune.core.tuners import Newton, PhaseCompensated
 from estune.errors import JournalError
-from estune.journal import Journal
+from estune.run.journal import Journal
+from estune.tuners import Newton, PhaseCompensated
 from tests.support_runs import ArithmeticRig
 
 TUNE = {"tuner": "phase_compensated", "trials": 40, "repeats": 2, "run": "old", "watch": None}

@@ -24,7 +24,7 @@ from plants.identify import (
     response_of_record,
     stepped_sine,
 )
-from plants.reel import reference_reel
+from plants.models.reel import reference_reel
 from tests.support_identify import SAMPLING_HZ, Truth, simulated
 
 TEN_SECONDS = Band(0.5, 310.0, period_s=2.0, periods=4, settling_periods=1)

@@ -10,18 +10,18 @@ import pytest
 import plants
 from estune.cli import run
 from estune.errors import InvalidInput
-from estune.profiles import StepProfile, TriangleProfile
+from estune.run.loop import Stopped
+from estune.run.trial_file import TrialFile, read_trial
 from estune.trial import RigLimits, TrialRequest
-from estune.trial_file import TrialFile, read_trial
-from estune.tuning import Stopped
-from plants.discrepancy.data.floor import noise_floor
-from plants.discrepancy.data.record import Measurement
-from plants.discrepancy.data.records import read_measurements
-from plants.discrepancy.experiments.battery import battery, catalogue
-from plants.discrepancy.experiments.next_experiment import Evidence, next_experiment, rig_of
-from plants.discrepancy.improve import TuneOptions
-from plants.discrepancy.models.base import BaseNumbers
-from plants.discrepancy.residual.where import Where, localise
+from estune.trial.profiles import StepProfile, TriangleProfile
+from plants.diagnosis.data.measured_record import Measurement
+from plants.diagnosis.data.noise_floor import noise_floor
+from plants.diagnosis.data.records import read_measurements
+from plants.diagnosis.experiments.designs import battery, catalogue
+from plants.diagnosis.experiments.next_experiment import Evidence, next_experiment, rig_of
+from plants.diagnosis.improve_model import TuneOptions
+from plants.diagnosis.models.base import BaseNumbers
+from plants.diagnosis.residual.localisation import Where, localise
 from plants.effects import CoulombFriction, EyeletFriction
 from tests.serve_rig import served
 

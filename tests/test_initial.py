@@ -23,7 +23,7 @@ from estune.core.margins import controller_response
 from estune.core.pidf import ControllerSettings
 from estune.core.second_order import GaugeMode, SecondOrder
 from estune.errors import InvalidInput, UnsafeStart
-from plants.reel import reference_reel
+from plants.models.reel import reference_reel
 
 SETTINGS = ControllerSettings(632.0, 0.002, -120.0, 120.0)
 QUICK = ControllerSettings(1e5, 0.0, -1e9, 1e9)

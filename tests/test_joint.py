@@ -10,12 +10,12 @@ from scipy.optimize import minimize
 
 import plants
 from estune.core.gains import Gains
-from estune.core.tuners.observation import Observation
 from estune.errors import InvalidInput, RigError
-from estune.joint.procedure import tune_schedule
-from estune.joint.reels import ReelsInTurn
-from estune.joint.schedule_space import ScheduleSpace
-from estune.joint.schedule_tuner import ScheduleTuner
+from estune.studies.joint.procedure import tune_schedule
+from estune.studies.joint.reels import ReelsInTurn
+from estune.studies.joint.schedule_space import ScheduleSpace
+from estune.studies.joint.schedule_tuner import ScheduleTuner
+from estune.tuners.observation import Observation
 from tests.support_runs import ArithmeticRig
 
 START = Gains(0.5, 10.0, 0.005, 0.02)

@@ -11,11 +11,10 @@ import numpy as np
 import pytest
 
 import estune
-from estune import tuning
-from estune.core.tuners import TUNERS
 from estune.errors import JournalError
-from estune.journal import FILE_NAME, Journal
-from estune.planning import (
+from estune.run import loop
+from estune.run.journal import FILE_NAME, Journal
+from estune.run.plan import (
     description_from_json,
     description_to_json,
     make_plan,
@@ -23,6 +22,7 @@ from estune.planning import (
     plan_to_json,
 )
 from estune.trial import Outcome
+from estune.tuners import TUNERS
 from tests.support_runs import ArithmeticRig
 
 
@@ -52,7 +52,7 @@ class Doomed:
         return doomed
 
 
-def begin(folder: Path, tuner: str, rig: ArithmeticRig) -> tuning.Tuning:
+def begin(folder: Path, tuner: str, rig: ArithmeticRig) -> loop.Tuning:
     plan = make_plan(
         *(rig.describe(), "run"),
         tuner=tuner,
@@ -64,15 +64,15 @@ def begin(folder: Path, tuner: str, rig: ArithmeticRig) -> tuning.Tuning:
         repeats=2,
     )
     facts = {"plan": plan_to_json(plan), "rig": description_to_json(rig.describe())}
-    return tuning.start(plan, rig.describe(), Journal.create(folder, facts))
+    return loop.start(plan, rig.describe(), Journal.create(folder, facts))
 
 
-def go_on(folder: Path, rig: ArithmeticRig) -> tuning.Tuning:
+def go_on(folder: Path, rig: ArithmeticRig) -> loop.Tuning:
     with Journal.open(folder, write=True) as journal:
         journal._connection.execute("PRAGMA synchronous=OFF")
         plan = plan_from_json(journal.fact("plan"))
-        resumed = tuning.replay(plan, description_from_json(journal.fact("rig")), journal)
-        tuning.run(resumed, rig)
+        resumed = loop.replay(plan, description_from_json(journal.fact("rig")), journal)
+        loop.run(resumed, rig)
     return resumed
 
 
@@ -84,7 +84,7 @@ def trace(entries) -> list[tuple]:
 def test_a_run_killed_at_any_event_goes_on_as_if_nothing_had_been(tuner, tmp_path):
     rig = ArithmeticRig()
     whole = begin(tmp_path / "whole", tuner, rig)
-    tuning.run(whole, rig)
+    loop.run(whole, rig)
     whole.journal.close()
     expected, dies_at, finished = trace(whole.entries), 0, False
     while not finished:
@@ -96,7 +96,7 @@ def test_a_run_killed_at_any_event_goes_on_as_if_nothing_had_been(tuner, tmp_pat
         dying.journal.commit = doomed.around(dying.journal.commit)
         rig.run = doomed.around(rig.run)
         try:
-            tuning.run(dying, rig)
+            loop.run(dying, rig)
             finished = True
         except Killed:
             with Journal.open(folder.with_name("left")) as journal:
@@ -115,7 +115,7 @@ def test_a_run_killed_at_any_event_goes_on_as_if_nothing_had_been(tuner, tmp_pat
 def test_records_come_back_bit_for_bit(tmp_path):
     rig = ArithmeticRig()
     run = begin(tmp_path / "run", "otis", rig)
-    tuning.run(run, rig)
+    loop.run(run, rig)
     run.journal.close()
     with Journal.open(tmp_path / "run") as journal:
         for request in rig.asked:
@@ -154,7 +154,7 @@ def test_a_file_locked_by_another_program_is_said_and_nothing_is_lost(tmp_path):
     other = sqlite3.connect(tmp_path / "run" / FILE_NAME, isolation_level=None)
     other.execute("BEGIN EXCLUSIVE")
     with pytest.raises(JournalError, match=r"locked.*estune resume"):
-        tuning.run(run, rig)
+        loop.run(run, rig)
     other.execute("ROLLBACK")
     other.close()
     run.journal.close()
@@ -176,7 +176,7 @@ def test_a_file_locked_by_another_program_is_said_and_nothing_is_lost(tmp_path):
 def test_a_damaged_journal_is_refused_with_what_to_do(damage, words, tmp_path):
     rig = ArithmeticRig()
     run = begin(tmp_path / "run", "otis", rig)
-    tuning.run(run, rig)
+    loop.run(run, rig)
     run.journal.close()
     damage(tmp_path / "run" / FILE_NAME)
     with pytest.raises(JournalError, match=words):
@@ -201,7 +201,7 @@ def test_a_full_disk_ends_the_run_and_keeps_what_was_committed(tmp_path):
     pages = run.journal._connection.execute("PRAGMA page_count").fetchone()[0]
     run.journal._connection.execute(f"PRAGMA max_page_count={pages + 12}")
     with pytest.raises(JournalError, match=r"full.*estune resume"):
-        tuning.run(run, rig)
+        loop.run(run, rig)
     run.journal.close()
     with Journal.open(tmp_path / "run") as journal:
         assert (
@@ -213,7 +213,7 @@ def test_a_full_disk_ends_the_run_and_keeps_what_was_committed(tmp_path):
 def test_a_changed_journal_is_noticed_before_anything_moves(tmp_path):
     rig = ArithmeticRig()
     run = begin(tmp_path / "run", "otis", rig)
-    tuning.run(run, rig)
+    loop.run(run, rig)
     run.journal.close()
     with sqlite3.connect(tmp_path / "run" / FILE_NAME) as connection:
         connection.execute("UPDATE trial SET P = P * 1.01 WHERE number = 5")

@@ -10,9 +10,9 @@ from scipy import stats
 
 from estune.core.gains import GAIN_NAMES, Gains
 from estune.errors import InvalidInput
-from estune.law.law import fit_law
-from estune.law.tuned import TunedGains
-from estune.law.weighted import fit_weighted, student
+from estune.studies.law.law import fit_law
+from estune.studies.law.robust_regression import fit_weighted, student
+from estune.studies.law.tuned import TunedGains
 
 LENGTHS = (0.5, 0.65, 0.8, 0.95, 1.1, 1.25, 1.4)
 

@@ -13,8 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from estune.errors import InvalidInput, ProtocolError, RigError
-from estune.ledger import NOTHING, FileLedger, MemoryLedger
-from estune.link.trials import TrialEvent, TrialState, after
+from estune.remote.ledger import NOTHING, FileLedger, MemoryLedger
+from estune.remote.state_machine.trials import TrialEvent, TrialState, after
 
 SUBMIT, START, VOID = TrialEvent.SUBMIT, TrialEvent.START, TrialEvent.VOID
 
@@ -127,8 +127,8 @@ def test_a_ledger_killed_at_any_moment_knows_all_it_had_said_it_noted(tmp_path):
     text = """
 import sys
 from pathlib import Path
-from estune.ledger import FileLedger
-from estune.link.trials import TrialEvent
+from estune.remote.ledger import FileLedger
+from estune.remote.state_machine.trials import TrialEvent
 ledger = FileLedger(Path(sys.argv[1]) / "l", "reel", frames_max_bytes=10**9)
 for number in range(10**6):
     ledger.note(str(number), "d", TrialEvent.SUBMIT)

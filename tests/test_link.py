@@ -14,11 +14,11 @@ from hypothesis.stateful import (
 )
 
 from estune.errors import ProtocolError
-from estune.link import client, events, rig, trials
-from estune.link.client import Action, Heard, Stage
-from estune.link.state import LEASE_S, Mode, Move, Order, RigState
-from estune.link.trials import TrialEvent, TrialState
-from estune.link.verdicts import OF_TRIAL, Verdict
+from estune.remote.state_machine import client, events, rig, trials
+from estune.remote.state_machine.client import Action, Heard, Stage
+from estune.remote.state_machine.reply_codes import OF_TRIAL, Verdict
+from estune.remote.state_machine.state import LEASE_S, Mode, Move, Order, RigState
+from estune.remote.state_machine.trials import TrialEvent, TrialState
 
 # --- one trial id ---
 

@@ -13,11 +13,11 @@ from estune.core import pidf
 from estune.core.cost import StepCost
 from estune.core.gains import Gains
 from estune.hardware.driver import Reading
-from estune.hardware.machine import Phase
-from estune.hardware.memory import Word
-from estune.hardware.plan import Ended, Refused
-from estune.profiles import StepProfile, TriangleProfile
+from estune.hardware.loop_messages import Ended, Refused
+from estune.hardware.reel_state_machine import Phase
+from estune.hardware.shared_memory import Word
 from estune.trial import GUARD, LATE, SATURATED, Outcome
+from estune.trial.profiles import StepProfile, TriangleProfile
 from tests.support_hardware import VirtualLoop, config
 
 GOOD = Gains(1.0, 40.0, 0.015, 0.005)

@@ -12,16 +12,16 @@ import pytest
 
 import estune
 import plants
-from estune import bus
 from estune.cli import run
 from estune.core.gains import Gains
-from estune.core.tuners.observation import Observation
 from estune.errors import InvalidInput, RigError
-from estune.journal import Journal
-from estune.matching.level import level_of
-from estune.matching.level_seeker import LevelSeeker, gentler_path
-from estune.matching.outcome import Standing, judge
-from estune.matching.stages import Settings
+from estune.remote import zenoh
+from estune.run.journal import Journal
+from estune.studies.match.cost_estimate import level_of
+from estune.studies.match.outcome import Standing, judge
+from estune.studies.match.reel_matcher import Settings
+from estune.studies.match.target_cost_tuner import LevelSeeker, gentler_path
+from estune.tuners.observation import Observation
 from tests.support_runs import ArithmeticRig
 
 TUNED = Gains(1.2, 36.0, 0.02, 0.002)
@@ -179,15 +179,15 @@ def test_two_rigs_over_zenoh_are_matched_by_one_command(tmp_path, monkeypatch, c
     monkeypatch.chdir(tmp_path)
     reels = plants.reference_reel(), plants.reference_reel(cable_EA_N=8e3)
     with (
-        bus.serve(reels[0].rig(name="left", seed=1), "tcp/127.0.0.1:0") as left,
-        bus.serve(reels[1].rig(name="right", seed=2), "tcp/127.0.0.1:0") as right,
+        zenoh.serve(reels[0].rig(name="left", seed=1), "tcp/127.0.0.1:0") as left,
+        zenoh.serve(reels[1].rig(name="right", seed=2), "tcp/127.0.0.1:0") as right,
     ):
         targets = [f"left={left.endpoint}", f"right={right.endpoint}"]
         counts = ["--trials", "60", "--match-trials", "12", "--repeats", "5"]
         code = run(["match", *targets, *counts, "--folder", "m", "--json", "--apply"])
         live = {}
         for server in (left, right):
-            with bus.connect(server.endpoint) as rig:
+            with zenoh.connect(server.endpoint) as rig:
                 live[rig.describe().name] = rig.describe().gains
     printed = json.loads(capsys.readouterr().out)
     assert code == 0

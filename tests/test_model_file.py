@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 import plants
 from estune.core.gains import Gains
 from estune.errors import InvalidInput
-from plants import model_file
 from plants.effects import EFFECTS, CoulombFriction, CurrentSaturation, EyeletFriction
-from plants.model_kinds import KINDS
-from plants.reel import Reel
-from plants.unloaded import unloaded_reel
+from plants.models import model_file
+from plants.models.model_tables import KINDS
+from plants.models.reel import Reel
+from plants.models.unloaded_reel import unloaded_reel
 
 GAINS = Gains(P=0.6, I=20.0, D=0.01, setpoint_filter_s=0.01)
 

@@ -12,12 +12,12 @@ import pytest
 from pydantic import TypeAdapter
 
 from estune import api
-from estune.core.search_space import SearchSpace
-from estune.core.tuners import state_from_json, state_to_json
-from estune.core.tuners.observation import Observation
 from estune.errors import InvalidInput
-from estune.outside import OUTSIDE, live, tuner_class
-from estune.planning import make_tuner
+from estune.run.plan import make_tuner
+from estune.tuners import state_from_json, state_to_json
+from estune.tuners.external import OUTSIDE, optimiser_cache, tuner_class
+from estune.tuners.observation import Observation
+from estune.tuners.search_space import SearchSpace
 from tests.support_runs import START, ArithmeticRig
 
 SPACE = SearchSpace.around(START, 30.0)
@@ -64,7 +64,7 @@ def test_a_stored_state_goes_on_bit_for_bit_without_what_was_kept(tuner):
     noises = observations(60)
     asked, state = told(tuner, tuner.start(), noises)
     before, stored = told(tuner, tuner.start(), noises[:33])
-    live._kept.clear()
+    optimiser_cache._kept.clear()
     stored = state_from_json(tuner, json.loads(json.dumps(state_to_json(stored))))
     after, stored = told(tuner, stored, noises[33:])
     assert before + after == asked
@@ -126,7 +126,7 @@ def test_a_run_that_was_killed_goes_on_as_if_it_had_not_been(name, tmp_path):
 
 @pytest.mark.parametrize("name", OUTSIDE)
 def test_a_library_that_is_missing_is_named_with_its_remedy(name, monkeypatch):
-    monkeypatch.setattr(live.importlib.util, "find_spec", lambda _: None)
+    monkeypatch.setattr(optimiser_cache.importlib.util, "find_spec", lambda _: None)
     with pytest.raises(InvalidInput, match=r"pip install estune\[peers\]"):
         make_tuner(name, START, None)
 

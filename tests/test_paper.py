@@ -14,7 +14,7 @@ from estune.cli import run
 from estune.errors import InvalidInput
 from experiments import paper
 from experiments.paper.page import page
-from plants.reel import Reel
+from plants.models.reel import Reel
 
 
 @pytest.fixture(scope="module")

@@ -8,9 +8,9 @@ from estune.core import pidf
 from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
 from estune.errors import InvalidInput, PlantError, UnsafeStart
-from estune.profiles import StepProfile
+from estune.trial.profiles import StepProfile
 from plants.effects import DeadTime, GainError
-from plants.reel_equations import cable_stiffness_N_m
+from plants.models.reel_equations import cable_stiffness_N_m
 
 REEL = plants.reference_reel()
 h = 1.0 / 632.0

@@ -10,13 +10,13 @@ from scipy.integrate import solve_ivp
 import plants
 from estune.core.gains import Gains
 from estune.errors import InvalidInput, PlantError
-from estune.profiles import ChirpProfile, MultisineProfile, StepProfile, TriangleProfile
-from plants.discrepancy.data.floor import Floor, Noise
-from plants.discrepancy.data.record import Measurement
-from plants.discrepancy.models.calibration import Calibration
-from plants.discrepancy.models.models import diagnosed
-from plants.discrepancy.prediction.prediction import Predictor, warm
-from plants.discrepancy.search.fit import switched_on
+from estune.trial.profiles import ChirpProfile, MultisineProfile, StepProfile, TriangleProfile
+from plants.diagnosis.data.measured_record import Measurement
+from plants.diagnosis.data.noise_floor import Floor, Noise
+from plants.diagnosis.models.calibration import Calibration
+from plants.diagnosis.models.diagnosed_model import diagnosed
+from plants.diagnosis.prediction.prediction import Predictor, warm
+from plants.diagnosis.search.fit import switched_on
 from plants.effects import (
     EFFECTS,
     CoulombFriction,

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from estune.errors import InvalidInput
-from estune.profiles import (
+from estune.trial.profiles import (
     ChirpProfile,
     MultisineProfile,
     StaircaseProfile,

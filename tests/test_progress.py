@@ -10,10 +10,10 @@ import pytest
 from rich.console import Console
 
 import estune
-from estune import progress
-from estune.journal import Journal
+from estune.run import progress
+from estune.run.journal import Journal
+from estune.run.loop import Stopped, replay
 from estune.trial import Outcome
-from estune.tuning import Stopped, replay
 from tests.support_runs import START, ArithmeticRig
 
 

@@ -7,19 +7,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from estune import errors, protocol
+from estune import errors
 from estune.core.gains import Gains
 from estune.errors import InvalidInput, ProtocolError, RigError
-from estune.link.state import Mode
-from estune.link.verdicts import Verdict
-from estune.profiles import (
-    ChirpProfile,
-    MultisineProfile,
-    StaircaseProfile,
-    StepProfile,
-    TriangleProfile,
-)
-from estune.protocol import (
+from estune.remote import messages
+from estune.remote.messages import (
     Answer,
     Cancel,
     Clear,
@@ -34,8 +26,17 @@ from estune.protocol import (
     Submit,
     Void,
 )
-from estune.protocol.messages import COMMANDS
+from estune.remote.messages.messages import COMMANDS
+from estune.remote.state_machine.reply_codes import Verdict
+from estune.remote.state_machine.state import Mode
 from estune.trial import TrialRequest
+from estune.trial.profiles import (
+    ChirpProfile,
+    MultisineProfile,
+    StaircaseProfile,
+    StepProfile,
+    TriangleProfile,
+)
 from tests.support_rigs import description
 
 finite = st.floats(allow_nan=False, allow_infinity=False)
@@ -68,15 +69,15 @@ requests = st.builds(
     st.integers(0, 99),
 )
 REQUEST = TrialRequest("run", 3, Gains(0.5, 10.0, 0.0, 0.02), StepProfile(10.0, 5.0, 0.1, 0.5))
-SUBMIT = protocol.encode(Submit("1e", REQUEST, protocol.digest(REQUEST)))
+SUBMIT = messages.encode(Submit("1e", REQUEST, messages.digest(REQUEST)))
 
 
 @given(requests)
 def test_a_request_arrives_as_it_was_sent(request):
-    sent = Submit("1e", request, protocol.digest(request))
-    received = protocol.decode(Submit, protocol.encode(sent))
+    sent = Submit("1e", request, messages.digest(request))
+    received = messages.decode(Submit, messages.encode(sent))
     assert received == sent
-    assert protocol.digest(received.request) == sent.digest
+    assert messages.digest(received.request) == sent.digest
 
 
 @pytest.mark.parametrize(
@@ -92,15 +93,15 @@ def test_a_request_arrives_as_it_was_sent(request):
     ids=lambda message: type(message).__name__,
 )
 def test_a_message_arrives_as_it_was_sent(message):
-    assert protocol.decode(type(message), protocol.encode(message)) == message
+    assert messages.decode(type(message), messages.encode(message)) == message
 
 
 def test_a_request_of_whole_numbers_has_the_digest_of_the_same_in_floats():
     whole = replace(REQUEST, profile=StepProfile(10, 5, 0.1, 0.5))
-    received = protocol.decode(
-        Submit, protocol.encode(Submit("1e", whole, protocol.digest(whole)))
+    received = messages.decode(
+        Submit, messages.encode(Submit("1e", whole, messages.digest(whole)))
     )
-    assert protocol.digest(received.request) == received.digest == protocol.digest(REQUEST)
+    assert messages.digest(received.request) == received.digest == messages.digest(REQUEST)
 
 
 @pytest.mark.parametrize(
@@ -113,7 +114,7 @@ def test_a_request_of_whole_numbers_has_the_digest_of_the_same_in_floats():
     ],
 )
 def test_requests_that_differ_at_all_have_different_digests(other):
-    assert protocol.digest(other) != protocol.digest(REQUEST)
+    assert messages.digest(other) != messages.digest(REQUEST)
 
 
 @pytest.mark.parametrize(
@@ -142,39 +143,39 @@ def test_a_command_that_is_wrong_is_refused_with_the_place(where, value, complai
         part = part[name]
     part.update([value])
     with pytest.raises(ProtocolError, match=f"^Submit message: {complaint}"):
-        protocol.decode(Submit, json.dumps(command).encode())
+        messages.decode(Submit, json.dumps(command).encode())
 
 
 def test_a_command_with_a_field_missing_is_refused():
     command = json.loads(SUBMIT)
     del command["request"]["profile"]
     with pytest.raises(ProtocolError, match=r"request\.profile: .*required"):
-        protocol.decode(Submit, json.dumps(command).encode())
+        messages.decode(Submit, json.dumps(command).encode())
 
 
 @given(st.sampled_from([*COMMANDS, Answer, Status, Description]), st.binary())
 def test_what_is_no_message_is_refused(kind, data):
     with pytest.raises(ProtocolError):
-        protocol.decode(kind, data)
+        messages.decode(kind, data)
 
 
 @given(st.data())
 def test_a_command_cut_short_is_refused(data):
     with pytest.raises(ProtocolError):
-        protocol.decode(Submit, SUBMIT[: data.draw(st.integers(0, len(SUBMIT) - 1))])
+        messages.decode(Submit, SUBMIT[: data.draw(st.integers(0, len(SUBMIT) - 1))])
 
 
 def test_a_command_over_the_limit_is_refused_on_both_sides():
     with pytest.raises(ProtocolError, match="the limit is 2048"):
-        protocol.encode(Submit("", replace(REQUEST, run="x" * 2048), ""))
+        messages.encode(Submit("", replace(REQUEST, run="x" * 2048), ""))
     with pytest.raises(ProtocolError, match="the limit is 2048"):
-        protocol.decode(Submit, SUBMIT + b" " * 2048)
+        messages.decode(Submit, SUBMIT + b" " * 2048)
 
 
 def test_a_description_of_another_protocol_is_refused():
-    text = protocol.encode(Description(description(), "4f1c", "9e"))
+    text = messages.encode(Description(description(), "4f1c", "9e"))
     with pytest.raises(ProtocolError, match="protocol"):
-        protocol.decode_description(text.replace(b'"protocol":1', b'"protocol":2'))
+        messages.decode_description(text.replace(b'"protocol":1', b'"protocol":2'))
 
 
 @pytest.mark.parametrize(
@@ -185,9 +186,9 @@ def test_a_description_of_another_protocol_is_refused():
     ],
 )
 def test_the_client_raises_what_the_rig_raised(kind):
-    answer = protocol.encode(protocol.refusal(kind("20 N is too much")))
+    answer = messages.encode(messages.refusal(kind("20 N is too much")))
     with pytest.raises(errors.EstuneError, match=r"^20 N is too much$") as raised:
-        protocol.decode(Answer, answer).check()
+        messages.decode(Answer, answer).check()
     assert raised.type is kind
 
 
@@ -208,7 +209,7 @@ A, B, A_AGAIN, A_NEXT = "v1/a/alive/01", "v1/b/alive/02", "v1/a/alive/03", "v2/a
     [([A], None, "01"), ([A, B], "b", "02"), ([B, A_NEXT], None, "02"), ([A, A_NEXT], "a", "01")],
 )
 def test_the_one_rig_meant_is_chosen(found, rig, instance):
-    assert protocol.choose(present(*found), rig, "here").instance == instance
+    assert messages.choose(present(*found), rig, "here").instance == instance
 
 
 @pytest.mark.parametrize(
@@ -226,7 +227,7 @@ def test_the_one_rig_meant_is_chosen(found, rig, instance):
 )
 def test_where_it_is_not_clear_which_rig_is_meant_the_error_says_why(found, rig, kind, complaint):
     with pytest.raises(RigError, match=complaint) as raised:
-        protocol.choose(present(*found), rig, "here")
+        messages.choose(present(*found), rig, "here")
     assert raised.type is kind
 
 

@@ -8,8 +8,8 @@ import pytest
 from estune.errors import InvalidInput
 from estune.trial import SATURATED, TrialRequest
 from plants import reference_reel
-from plants.discrepancy.checks.quality import check
-from plants.discrepancy.data.record import Measurement
+from plants.diagnosis.checks.quality import check
+from plants.diagnosis.data.measured_record import Measurement
 from plants.identify.excitation import Band, chirp, multisine
 from plants.identify.open_loop import open_loop_record
 

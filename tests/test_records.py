@@ -9,10 +9,10 @@ import pytest
 
 import estune
 from estune.errors import InvalidInput
-from estune.export import columns, export_run, metadata
+from estune.run.export import columns, export_run, metadata
 from plants import reference_reel
-from plants.discrepancy.data.record import CHANNELS, Measurement
-from plants.discrepancy.data.records import read_measurements
+from plants.diagnosis.data.measured_record import CHANNELS, Measurement
+from plants.diagnosis.data.records import read_measurements
 from plants.identify.excitation import Band, multisine
 from plants.identify.open_loop import open_loop_record
 from tests.support_runs import ArithmeticRig

@@ -11,14 +11,15 @@ import pytest
 from scipy.optimize import OptimizeResult
 
 import estune
-from estune import drawing, figures
 from estune.core.gains import Gains
 from estune.errors import JournalError
-from estune.result import Ending
-from estune.score import cost_of, metrics_of
-from estune.session import Phase
+from estune.run import figures
+from estune.run.loop import Stopped
+from estune.run.result import Ending
+from estune.run.session import Phase
+from estune.support import plot_style
 from estune.trial import LinearModel, Outcome
-from estune.tuning import Stopped
+from estune.trial.scoring import cost_of, metrics_of
 from tests.support_runs import START, ArithmeticRig
 
 
@@ -173,14 +174,14 @@ def test_the_html_is_well_formed_and_escapes_what_others_wrote(tuned):
 
 
 def test_plots_take_an_ax_and_give_it_back_with_units_and_leave_pyplot_alone(tuned):
-    ax = drawing.new_axes()
+    ax = plot_style.new_axes()
     assert tuned.plot_cost(ax) is ax
     labels = [tuned.plot_response().get_xlabel(), tuned.plot_response().get_ylabel()]
     assert labels == ["time from the step, s", "tension, N"]
     assert tuned.plot_gains().get_yscale() == "log"
     assert tuned.plot_cost()._repr_png_().startswith(b"\x89PNG")
     assert plt.get_fignums() == []
-    assert drawing.to_png(tuned.figure()).startswith(b"\x89PNG")
+    assert plot_style.to_png(tuned.figure()).startswith(b"\x89PNG")
 
 
 def test_unsafe_trials_are_marked_and_do_not_set_the_scale(tuned):
@@ -192,9 +193,9 @@ def test_unsafe_trials_are_marked_and_do_not_set_the_scale(tuned):
 
 def test_the_cost_axis_is_logarithmic_only_over_more_than_a_decade(tuned):
     frame = tuned.to_frame()
-    narrow = figures.draw_cost(drawing.new_axes(), frame, 1.0, math.inf)
+    narrow = figures.draw_cost(plot_style.new_axes(), frame, 1.0, math.inf)
     frame.loc[frame["number"] == 4, "cost"] = 1000.0
-    wide = figures.draw_cost(drawing.new_axes(), frame, 1.0, math.inf)
+    wide = figures.draw_cost(plot_style.new_axes(), frame, 1.0, math.inf)
     assert (narrow.get_yscale(), wide.get_yscale()) == ("linear", "log")
 
 
@@ -205,7 +206,7 @@ def test_a_run_of_one_trial_or_none_can_be_drawn(tmp_path):
             estune.tune(rig, folder=tmp_path, run=f"run{stop_before}", watch=None)
         result = estune.load(tmp_path / f"run{stop_before}")
         assert result.nfev == stop_before
-        assert drawing.to_png(result.figure())
+        assert plot_style.to_png(result.figure())
         assert "STOPPED" in repr(result)
 
 

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from estune import bus
 from estune.errors import RigError
+from estune.remote import zenoh
 from estune.trial import Outcome, TrialRequest
 from plants.emulator import RIG_FILE
 
@@ -53,7 +53,7 @@ def file(tmp_path):
 
 
 def test_a_rig_on_hardware_is_served_and_remembers_its_trials_over_a_restart(file):
-    with served(file) as (process, endpoint), bus.connect(endpoint) as rig:
+    with served(file) as (process, endpoint), zenoh.connect(endpoint) as rig:
         description = rig.describe()
         assert not description.simulated
         request = TrialRequest("cli", 0, description.gains, description.step)
@@ -61,7 +61,7 @@ def test_a_rig_on_hardware_is_served_and_remembers_its_trials_over_a_restart(fil
         process.send_signal(signal.SIGTERM)
         assert process.wait(20) == 0
     assert file.with_suffix(".ledger").exists()
-    with served(file) as (_, endpoint), bus.connect(endpoint) as rig:
+    with served(file) as (_, endpoint), zenoh.connect(endpoint) as rig:
         assert rig.run(request).trial_id == request.trial_id
         assert rig.describe() == description
 

@@ -17,12 +17,8 @@ import numpy as np
 import pytest
 import zenoh
 
-from estune import bus, frame, protocol
-from estune.bus.finding import RECORDS_MAX_BYTES
-from estune.bus.session import open_session
-from estune.link.state import LEASE_S, RENEW_S, Mode
-from estune.link.verdicts import Verdict
-from estune.protocol import (
+from estune.remote import messages
+from estune.remote.messages import (
     Answer,
     Cancel,
     Clear,
@@ -38,7 +34,12 @@ from estune.protocol import (
     Void,
     digest,
 )
-from estune.trial import Outcome, TrialRequest
+from estune.remote.state_machine.reply_codes import Verdict
+from estune.remote.state_machine.state import LEASE_S, RENEW_S, Mode
+from estune.remote.zenoh import connect
+from estune.remote.zenoh.discovery import RECORDS_MAX_BYTES
+from estune.remote.zenoh.zenoh_session import open_session
+from estune.trial import Outcome, TrialRequest, record_frame
 from tests.serve_rig import served
 
 ANSWERED_WITHIN_S = 10.0  # generous: what is timed is not how fast this machine is
@@ -50,16 +51,16 @@ class Board:
 
     def __init__(self, session: zenoh.Session, name: str | None) -> None:
         self.session = session
-        tokens = session.liveliness().get(protocol.ANY_RIG, timeout=ANSWERED_WITHIN_S)
+        tokens = session.liveliness().get(messages.ANY_RIG, timeout=ANSWERED_WITHIN_S)
         found = {Presence.parse(str(reply.ok.key_expr)) for reply in tokens}
-        presence = protocol.choose(found, name, "the endpoint")
+        presence = messages.choose(found, name, "the endpoint")
         self.keys, self.instance = Keys(presence.rig), presence.instance
         self.run = f"conformance-{secrets.token_hex(4)}"
         self.lease = ""
 
     def ask(self, key: str, message: object) -> bytes:
         """The one answer to a message."""
-        payload = message if isinstance(message, bytes) else protocol.encode(message)
+        payload = message if isinstance(message, bytes) else messages.encode(message)
         replies = list(self.session.get(key, payload=payload, timeout=ANSWERED_WITHIN_S))
         assert len(replies) == 1, f"{len(replies)} replies on {key}"
         sample = replies[0].result
@@ -68,13 +69,13 @@ class Board:
         return sample.payload.to_bytes()
 
     def say(self, verb: str, message: object) -> Answer:
-        return protocol.decode(Answer, self.ask(self.keys.command(self.instance, verb), message))
+        return messages.decode(Answer, self.ask(self.keys.command(self.instance, verb), message))
 
     def describe(self):
-        return protocol.decode_description(self.ask(self.keys.describe, b""))
+        return messages.decode_description(self.ask(self.keys.describe, b""))
 
     def status(self) -> Status:
-        return protocol.decode(Status, self.ask(self.keys.status, b""))
+        return messages.decode(Status, self.ask(self.keys.status, b""))
 
     def acquire(self) -> str:
         self.lease = secrets.token_hex(8)
@@ -95,11 +96,11 @@ class Board:
         """The answer to a submit; None if it was the record."""
         message = Submit(self.lease, request, digest(request))
         data = self.ask(self.keys.command(self.instance, "submit"), message)
-        return None if data.startswith(b"RTR1") else protocol.decode(Answer, data)
+        return None if data.startswith(b"RTR1") else messages.decode(Answer, data)
 
     def look(self, request: TrialRequest, **inquiry):
         inquire = Inquire(digest(request), **inquiry)
-        return protocol.decode_trial(self.ask(self.keys.result(request.trial_id), inquire))
+        return messages.decode_trial(self.ask(self.keys.result(request.trial_id), inquire))
 
     def frame(self, request: TrialRequest) -> bytes:
         """The record's frame, from as many parts as it comes in. The trial has ended."""
@@ -108,7 +109,7 @@ class Board:
             got = self.ask(key, Inquire(digest(request), len(data)))
             if not got.startswith(b"RTP1"):
                 return got
-            part = protocol.decode_part(got)
+            part = messages.decode_part(got)
             assert part.offset == len(data)
             data += part.data
             if len(data) == part.total:
@@ -119,7 +120,7 @@ class Board:
         while True:
             found = self.look(request)
             if not isinstance(found, Answer):
-                return frame.decode(self.frame(request))
+                return record_frame.decode(self.frame(request))
             assert found.verdict in PENDING, found
             self.say("lease", Lease("renew", self.lease))
             time.sleep(RENEW_S / 10)
@@ -353,7 +354,7 @@ def test_an_emergency_stop_is_obeyed_whatever_it_says_and_holds(board, payload):
 
 def test_what_is_no_command_is_refused_and_harms_nothing(board):
     request = board.trial()
-    good = json.loads(protocol.encode(Submit(board.lease, request, digest(request))))
+    good = json.loads(messages.encode(Submit(board.lease, request, digest(request))))
     wrong = [b"", b"\xff\xfe", b"[]", b"[" * 2000, b'{"x":1}', b"{}" + b" " * 2048]
     wrong += [
         json.dumps(good | changes).encode()
@@ -375,7 +376,7 @@ def test_what_is_no_command_is_refused_and_harms_nothing(board):
 
 def test_no_wildcard_reaches_a_command_and_no_other_instance_is_answered_for(board):
     request = board.trial()
-    payload = protocol.encode(Submit(board.lease, request, digest(request)))
+    payload = messages.encode(Submit(board.lease, request, digest(request)))
     keys = ("reel/**", f"{board.keys.root}/*/*/submit", board.keys.command("0" * 8, "submit"))
     for key in keys:
         target = zenoh.QueryTarget.ALL
@@ -394,13 +395,13 @@ def test_each_change_of_its_status_is_published(board):
         while True:
             sample = told.recv()
             assert sample.attachment.to_bytes() == board.instance.encode()
-            if protocol.decode(Status, sample.payload.to_bytes()).ended == ended:
+            if messages.decode(Status, sample.payload.to_bytes()).ended == ended:
                 break
 
 
 def test_a_client_of_ours_tunes_with_it(endpoint, board, request):
     board.say("lease", Lease("release", board.lease))
-    with bus.connect(endpoint, rig=request.config.getoption("--rig")) as rig:
+    with connect(endpoint, rig=request.config.getoption("--rig")) as rig:
         trial = board.trial(7)
         record = rig.run(trial)
         assert (record.trial_id, record.outcome) == (trial.trial_id, Outcome.DONE)

@@ -8,7 +8,8 @@ import zlib
 import numpy as np
 import pytest
 
-from estune import frame, protocol
+from estune.remote import messages
+from estune.trial import record_frame
 from experiments.rig_protocol_page import EXAMPLES, PAGE, RECORD, SAMPLES, SECTIONS, page
 from tests.support_rigs import same
 
@@ -31,7 +32,7 @@ def test_the_page_is_up_to_date():
 
 
 def test_the_frame_in_the_page_is_the_record_it_is_said_to_be():
-    assert same(frame.decode(dumped("frame_bytes")), RECORD)
+    assert same(record_frame.decode(dumped("frame_bytes")), RECORD)
 
 
 def test_the_frame_in_the_page_can_be_read_by_what_the_page_says_of_it():
@@ -48,13 +49,13 @@ def test_the_frame_in_the_page_can_be_read_by_what_the_page_says_of_it():
 
 
 def test_the_part_in_the_page_is_the_beginning_of_the_frame():
-    part = protocol.decode_part(dumped("part_bytes"))
+    part = messages.decode_part(dumped("part_bytes"))
     whole = dumped("frame_bytes")
     assert (part.total, part.offset, part.data) == (len(whole), 0, whole[:32])
 
 
 def test_the_live_samples_in_the_page_are_those_they_are_said_to_be():
-    samples = protocol.decode_live(SAMPLES.trial_id, dumped("live_bytes"))
+    samples = messages.decode_live(SAMPLES.trial_id, dumped("live_bytes"))
     assert (samples.first, samples.sampling_Hz) == (32, 632.0)
     for name in ("setpoint_N", "tension_N", "current_A", "angle_rad"):
         np.testing.assert_array_equal(getattr(samples, name), getattr(SAMPLES, name))
@@ -64,5 +65,5 @@ def test_the_live_samples_in_the_page_are_those_they_are_said_to_be():
 def test_each_example_in_the_page_is_a_message(example):
     kind = type(example)
     text = re.search(rf"### {kind.__name__}\n.*?```json\n(.*?)\n```", TEXT, re.DOTALL)[1]
-    assert protocol.decode(kind, text.encode()) == example
-    assert len(text) <= protocol.COMMAND_MAX_BYTES or kind is protocol.Description
+    assert messages.decode(kind, text.encode()) == example
+    assert len(text) <= messages.COMMAND_MAX_BYTES or kind is messages.Description

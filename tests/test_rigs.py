@@ -1,4 +1,4 @@
-"""What every rig promises, in this process and over Zenoh: the `Rig` protocol of estune.trial."""
+"""What every rig promises, in this process and over Zenoh: the `Rig` protocol of estune.trial.rig."""
 
 import threading
 from contextlib import ExitStack
@@ -8,16 +8,16 @@ from functools import partial
 import numpy as np
 import pytest
 
-from estune import bus
 from estune.core.gains import Gains
 from estune.errors import InvalidInput, RigError
-from estune.profiles import (
+from estune.remote import zenoh
+from estune.trial import Outcome, TrialRequest
+from estune.trial.profiles import (
     ChirpProfile,
     MultisineProfile,
     StaircaseProfile,
     TriangleProfile,
 )
-from estune.trial import Outcome, TrialRequest
 from tests.serve_rig import make, served
 from tests.support_rigs import same
 
@@ -44,7 +44,7 @@ def reach_from(endpoints):
     with ExitStack() as stack:
 
         def reach_from(where: str, kind: str):
-            rig = make(kind, "reel") if where == "here" else bus.connect(endpoints(kind))
+            rig = make(kind, "reel") if where == "here" else zenoh.connect(endpoints(kind))
             stack.callback(rig.close)
             return rig
 
@@ -198,7 +198,7 @@ def test_a_closed_rig_refuses_further_calls(rig, trial):
 @pytest.mark.parametrize("kind", ["scripted", "simulated"])
 def test_the_link_changes_nothing_in_a_record(endpoints, kind, trial):
     here = make(kind, "reel")
-    with bus.connect(endpoints(kind)) as there:
+    with zenoh.connect(endpoints(kind)) as there:
         assert there.describe() == here.describe()
         for number in range(3):
             one, other = here.run(trial(here, number)), there.run(trial(there, number))

@@ -13,7 +13,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import plants
-from estune import compiler
 from estune.core import pidf
 from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
@@ -23,11 +22,12 @@ from estune.hardware import HardwareRig, controller_source
 from estune.hardware.controller import CompiledController, PlainController
 from estune.hardware.driver import Reading
 from estune.hardware.live_gains import Following, LiveGains
-from estune.hardware.machine import Phase
+from estune.hardware.reel_state_machine import Phase
 from estune.hardware.schedule_file import read_schedule, schedule_header
 from estune.interop import schedule_to_control, to_control
-from estune.profiles import StepProfile
+from estune.support import c_compiler
 from estune.trial import Outcome, TrialRequest
+from estune.trial.profiles import StepProfile
 from tests.support_hardware import VirtualLoop, config, quick
 
 SETTINGS = ControllerSettings(632.0, 0.002, -120.0, 120.0)
@@ -167,7 +167,7 @@ def test_the_header_gives_firmware_the_same_gains_without_a_jump(tmp_path, flags
     (tmp_path / "main.c").write_text(_PROGRAM)
     made = [str(tmp_path / "main"), str(tmp_path / "main.c"), "-lm"]
     strict = ["-Wall", "-Wextra", "-Werror", "-pedantic"]
-    subprocess.run([*compiler.compiler(), *flags, *strict, "-o", *made], check=True)
+    subprocess.run([*c_compiler.compiler(), *flags, *strict, "-o", *made], check=True)
     rng = np.random.default_rng(0)
     asked = np.column_stack(
         [rng.uniform(0.3, 1.7, 200), rng.uniform(0.0, 40.0, 200), np.full(200, 20.0)]

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from estune.score import margin_of
 from estune.trial import Outcome, RigLimits, TrialRequest, unmeasured
+from estune.trial.scoring import margin_of
 from tests.support_runs import START, ArithmeticRig, description
 
 # The step goes from 10 to 20 N; limits 0 to 50 N of tension, -100 to 100 N of effort, 20 N/A.

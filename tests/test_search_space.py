@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from estune.core.gains import Gains
-from estune.core.search_space import SearchSpace
 from estune.errors import InvalidInput
+from estune.tuners.search_space import SearchSpace
 
 GAINS = Gains(1.3, 50.0, 0.02, 0.01)
 SPACE = SearchSpace.around(GAINS, 100.0)

@@ -7,14 +7,14 @@ from pathlib import Path
 
 import pytest
 
-from estune import bus
-from estune.bus.daemon import DaemonClient
 from estune.cli import run
 from estune.errors import InvalidInput, RigError
-from estune.link.state import Mode
-from estune.security import read_security
+from estune.remote import zenoh
+from estune.remote.security import read_security
+from estune.remote.state_machine.state import Mode
+from estune.remote.zenoh.daemon_service import DaemonClient
+from estune.run.trial_file import TrialFile
 from estune.trial import Outcome
-from estune.trial_file import TrialFile
 from tests.support_daemon import daemon, rig_table
 from tests.support_rigs import ScriptedRig, description
 from tests.test_bus import trial
@@ -35,7 +35,7 @@ def security(path: Path, text: str):
 @contextmanager
 def served(endpoint: str, **options):
     rig = ScriptedRig(duration_s=0.02)
-    with bus.serve(rig, endpoint, **options) as server:
+    with zenoh.serve(rig, endpoint, **options) as server:
         yield rig, server
 
 
@@ -61,20 +61,20 @@ def users(tmp_path):
 def test_who_is_let_commands_the_rig_by_password(users):
     with (
         served("tcp/127.0.0.1:0", security=users["rig"]) as (rig, server),
-        bus.connect(server.endpoint, security=users["anna"]) as anna,
+        zenoh.connect(server.endpoint, security=users["anna"]) as anna,
     ):
         assert anna.run(trial()).outcome is Outcome.DONE
         assert anna.abort() == anna.describe()
         anna.estop("smoke")
         anna.clear()
         assert rig.asked == [trial()]
-        assert [p.rig for p in bus.find(server.endpoint, security=users["anna"])] == ["scripted"]
+        assert [p.rig for p in zenoh.find(server.endpoint, security=users["anna"])] == ["scripted"]
 
 
 def test_who_may_only_look_sees_all_and_commands_nothing(users):
     with (
         served("tcp/127.0.0.1:0", security=users["rig"]) as (rig, server),
-        bus.connect(server.endpoint, timeout_s=SOON_S, security=users["guest"]) as guest,
+        zenoh.connect(server.endpoint, timeout_s=SOON_S, security=users["guest"]) as guest,
     ):
         assert guest.describe() == rig.describe()
         assert guest.status().mode is Mode.IDLE
@@ -93,14 +93,14 @@ def test_who_may_only_look_sees_all_and_commands_nothing(users):
 def test_who_may_only_look_cannot_speak_in_the_rigs_name(users):
     with (
         served("tcp/127.0.0.1:0", security=users["rig"]) as (_, server),
-        bus.connect(server.endpoint, security=users["anna"]) as anna,
-        bus.connect(server.endpoint, security=users["guest"]) as guest,
+        zenoh.connect(server.endpoint, security=users["anna"]) as anna,
+        zenoh.connect(server.endpoint, security=users["guest"]) as guest,
     ):
         anna._changed.clear()
         guest._talk.session.put(guest._talk.keys.status, b"forged")
         guest._talk.session.liveliness().declare_token(guest._talk.keys.alive("0badf00d"))
         assert anna.run(trial()).outcome is Outcome.DONE
-        found = bus.find(server.endpoint, security=users["anna"])
+        found = zenoh.find(server.endpoint, security=users["anna"])
         assert [p.instance for p in found] == [server.instance]
 
 
@@ -109,7 +109,7 @@ def test_who_has_no_password_or_a_wrong_one_is_not_let_in(users, who):
     with served("tcp/127.0.0.1:0", security=users["rig"]) as (_, server):
         given = {} if who is None else {"security": users[who]}
         with pytest.raises(RigError, match="see --security"):
-            bus.connect(server.endpoint, timeout_s=SOON_S, **given)
+            zenoh.connect(server.endpoint, timeout_s=SOON_S, **given)
 
 
 def test_who_is_known_and_let_do_nothing_does_not_see_the_rig(users):
@@ -117,7 +117,7 @@ def test_who_is_known_and_let_do_nothing_does_not_see_the_rig(users):
         served("tcp/127.0.0.1:0", security=users["rig"]) as (_, server),
         pytest.raises(RigError, match="no rig answers"),
     ):
-        bus.connect(server.endpoint, timeout_s=SOON_S, security=users["stranger"])
+        zenoh.connect(server.endpoint, timeout_s=SOON_S, security=users["stranger"])
 
 
 @pytest.mark.parametrize(("who", "code"), [("anna", 0), ("guest", RigError.exit_code)])
@@ -214,8 +214,8 @@ def holders(tmp_path_factory):
 def test_who_is_let_commands_the_rig_by_certificate_and_who_may_look_does_not(holders):
     with (
         served("tls/127.0.0.1:0", security=holders["rig"]) as (rig, server),
-        bus.connect(server.endpoint, security=holders["anna"]) as anna,
-        bus.connect(server.endpoint, timeout_s=SOON_S, security=holders["guest"]) as guest,
+        zenoh.connect(server.endpoint, security=holders["anna"]) as anna,
+        zenoh.connect(server.endpoint, timeout_s=SOON_S, security=holders["guest"]) as guest,
     ):
         assert anna.run(trial()).outcome is Outcome.DONE
         assert guest.describe() == anna.describe()
@@ -229,14 +229,14 @@ def test_a_certificate_of_another_authority_is_not_taken(holders):
         served("tls/127.0.0.1:0", security=holders["rig"]) as (_, server),
         pytest.raises(RigError, match="see --security"),
     ):
-        bus.connect(server.endpoint, timeout_s=SOON_S, security=holders["forger"])
+        zenoh.connect(server.endpoint, timeout_s=SOON_S, security=holders["forger"])
 
 
 def test_where_there_are_certificates_nothing_goes_unencrypted(holders):
     with pytest.raises(InvalidInput, match=r"write it as tls/127\.0\.0\.1:"):
-        bus.serve(ScriptedRig(), "tcp/127.0.0.1:0", security=holders["rig"])
+        zenoh.serve(ScriptedRig(), "tcp/127.0.0.1:0", security=holders["rig"])
     with pytest.raises(InvalidInput, match="needs certificates"):
-        bus.connect("tls/127.0.0.1:7447")
+        zenoh.connect("tls/127.0.0.1:7447")
 
 
 # --- the file ---

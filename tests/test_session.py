@@ -9,11 +9,9 @@ from hypothesis import strategies as st
 
 from estune.core.cost import StepCost
 from estune.core.gains import GAIN_NAMES
-from estune.core.search_space import SearchSpace
 from estune.errors import InvalidInput
-from estune.planning import make_plan, plan_from_json, plan_to_json
-from estune.profiles import StepProfile
-from estune.session import (
+from estune.run.plan import make_plan, plan_from_json, plan_to_json
+from estune.run.session import (
     CENSORED_IN_A_ROW,
     ROUNDS_MOST,
     UNSAFE_RATIO,
@@ -24,8 +22,10 @@ from estune.session import (
     next_request,
     told,
 )
+from estune.run.summary import verdict
 from estune.trial import Outcome
-from estune.verdict import verdict
+from estune.trial.profiles import StepProfile
+from estune.tuners.search_space import SearchSpace
 from tests.support_runs import START, Seer, description
 
 

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 import plants
-from estune import compiler
 from estune.core.cost import StepCost
 from estune.core.gains import Gains
 from estune.errors import InvalidInput, PlantError
-from estune.profiles import StepProfile
+from estune.support import c_compiler
 from estune.trial import SATURATED
-from plants.noise import NoiseSource
-from plants.trial_loop import CompiledLoop, VirtualLoop, loop_functions, trial_loop
+from estune.trial.profiles import StepProfile
+from plants.simulation.noise import NoiseSource
+from plants.simulation.trial_loop import CompiledLoop, VirtualLoop, loop_functions, trial_loop
 
 GAINS = Gains(1.2, 50.0, 0.02, 0.004)
 FRICTION = plants.reference_reel() + plants.CoulombFriction(torque_Nm=0.03)
@@ -51,7 +51,7 @@ def test_the_virtual_machine_gives_the_numbers_of_the_compiled_trial(name, monke
     noise = np.random.default_rng(4).normal(0.0, 0.05, samples)
     compiled = plants.simulate(plant, GAINS, profile, noise_N=noise)
     virtual_loop = VirtualLoop(loop_functions(plant.structure.equations()))
-    for home in ("plants.reel", "plants.linear"):
+    for home in ("plants.models.reel", "plants.models.linear_plant"):
         monkeypatch.setattr(f"{home}.trial_loop", lambda _: virtual_loop)
     virtual = plants.simulate(plant, GAINS, profile, noise_N=noise)
     for column in ("tension_N", "effort_N", "angle_rad"):
@@ -76,12 +76,12 @@ def test_one_structure_is_compiled_once(cache):
 def test_a_spoilt_library_is_made_anew(cache, damage):
     source = "int estune_spoilt(void) { return 41; }"
     source = source.replace("int", '__attribute__((visibility("default"))) int', 1)
-    assert compiler.load(source).estune_spoilt() == 41
+    assert c_compiler.load(source).estune_spoilt() == 41
     (library,) = libraries(cache)
     whole = library.read_bytes()
     library.unlink()  # a new file, for this process still has the old one in memory
     library.write_bytes(damage(whole))
-    assert compiler.load(source).estune_spoilt() == 41
+    assert c_compiler.load(source).estune_spoilt() == 41
     (again,) = libraries(cache)
     assert again.read_bytes() == whole
 
@@ -150,10 +150,10 @@ def test_a_cache_that_cannot_be_written_gives_way_to_a_temporary_folder(tmp_path
 
 
 def test_the_notice_is_given_once(caplog, monkeypatch):
-    monkeypatch.setattr(compiler, "_noticed", threading.Event())
+    monkeypatch.setattr(c_compiler, "_noticed", threading.Event())
     with caplog.at_level(logging.WARNING):
-        compiler.notice("first")
-        compiler.notice("second")
+        c_compiler.notice("first")
+        c_compiler.notice("second")
     (record,) = caplog.records
     assert record.getMessage().endswith("first")
 

@@ -9,8 +9,8 @@ import plants
 from estune.core.gains import Gains
 from estune.errors import InvalidInput, RigError
 from estune.interop import margins
-from estune.profiles import StaircaseProfile, StepProfile
 from estune.trial import SATURATED, Outcome, TrialRequest
+from estune.trial.profiles import StaircaseProfile, StepProfile
 
 GAINS = Gains(1.0, 40.0, 0.015, 0.005)
 STEP = StepProfile(15.0, 10.0, 0.2, 1.0)

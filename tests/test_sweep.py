@@ -13,18 +13,18 @@ import pandas as pd
 import pytest
 
 import estune
-from estune import bus
 from estune.cli import run
 from estune.errors import InvalidInput
-from estune.planning import DEFAULT_TUNER
-from estune.settings import checked
-from estune.sweeping import progress
-from estune.sweeping.cell import noise_seed
-from estune.sweeping.cells import cells_of
-from estune.sweeping.design import SweepDesign, SweptRig, read_design
-from estune.sweeping.outcome import Outcome, failed
-from estune.sweeping.result import SweepResult
-from estune.tuning_tables import CostTable, StepTable
+from estune.remote import zenoh
+from estune.run.plan import DEFAULT_TUNER
+from estune.run.toml_tables import CostTable, StepTable
+from estune.studies.sweep import progress
+from estune.studies.sweep.cell import noise_seed
+from estune.studies.sweep.design import SweepDesign, SweptRig, read_design
+from estune.studies.sweep.expand import cells_of
+from estune.studies.sweep.outcome import Outcome, failed
+from estune.studies.sweep.result import SweepResult
+from estune.support.toml_file import checked
 from tests import support_sweep
 from tests.support_rigs import ScriptedRig
 
@@ -214,7 +214,7 @@ def test_rigs_are_tuned_side_by_side_and_an_interrupted_one_goes_on_where_it_was
     rigs = [ScriptedRig(name=f"r{n}", cable_length_m=0.5 + 0.4 * n) for n in range(2)]
     with ExitStack() as stack:
         servers = [
-            stack.enter_context(bus.serve(rig, "tcp/127.0.0.1:0", ledger=tmp_path / rig_name))
+            stack.enter_context(zenoh.serve(rig, "tcp/127.0.0.1:0", ledger=tmp_path / rig_name))
             for rig, rig_name in zip(rigs, ("one", "other"), strict=True)
         ]
         design = {
@@ -251,7 +251,7 @@ def test_rigs_are_tuned_side_by_side_and_an_interrupted_one_goes_on_where_it_was
 )
 def test_a_rig_at_the_wrong_length_is_refused(tmp_path, length, given, lengths, words):
     rig = ScriptedRig(cable_length_m=length)
-    with bus.serve(rig, "tcp/127.0.0.1:0", ledger=tmp_path / "ledger") as server:
+    with zenoh.serve(rig, "tcp/127.0.0.1:0", ledger=tmp_path / "ledger") as server:
         design = {"rigs": [{"target": server.endpoint, **given}], "lengths_m": lengths}
         with pytest.raises(InvalidInput, match=words):
             cells_of(read_design(design))

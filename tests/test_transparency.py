@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import gmean
 
 from estune.errors import InvalidInput
-from plants import transparency as tr
+from plants import two_reel_bench as tr
 
 cones = st.floats(0.0, 1.5)
 turns = st.floats(-7.0, 7.0)

@@ -11,18 +11,18 @@ from hypothesis import strategies as st
 from pydantic import TypeAdapter
 from scipy import signal
 
-from estune.core.filters import low_pass, washout, washout_at_rest, washout_response
 from estune.core.gains import Gains
-from estune.core.search_space import SearchSpace
-from estune.core.tuners import TUNERS, state_from_json, state_to_json
-from estune.core.tuners.dither import dither as dither_of
-from estune.core.tuners.killingsworth import Killingsworth
-from estune.core.tuners.least_squares_gradient import LeastSquaresGradient, slope
-from estune.core.tuners.observation import Observation
-from estune.core.tuners.otis import Otis
-from estune.core.tuners.phase_compensated import PhaseCompensated
-from estune.core.tuners.steps import limited, straightened
 from estune.errors import InvalidInput
+from estune.tuners import TUNERS, state_from_json, state_to_json
+from estune.tuners.dither import dither as dither_of
+from estune.tuners.filters import low_pass, washout, washout_at_rest, washout_response
+from estune.tuners.killingsworth import Killingsworth
+from estune.tuners.least_squares_gradient import LeastSquaresGradient, slope
+from estune.tuners.observation import Observation
+from estune.tuners.otis import Otis
+from estune.tuners.phase_compensated import PhaseCompensated
+from estune.tuners.search_space import SearchSpace
+from estune.tuners.step_length import limited, straightened
 
 START = Gains(0.5, 20.0, 0.01, 0.03)
 WIDE = SearchSpace.around(START)

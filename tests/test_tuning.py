@@ -5,10 +5,10 @@ from dataclasses import replace
 import pytest
 
 import estune
-from estune import tuning
-from estune.core.search_space import SearchSpace
 from estune.errors import Interrupted, InvalidInput, RigError
+from estune.run import loop
 from estune.trial import Outcome, unmeasured
+from estune.tuners.search_space import SearchSpace
 from tests.serve_rig import served
 from tests.support_runs import START, ArithmeticRig, Seer
 from tests.test_journal import begin, go_on, trace
@@ -35,12 +35,12 @@ def test_a_trial_cut_off_on_a_rig_that_moves_ends_the_run_until_somebody_resumes
     rig = FailingRig({5: Outcome.INTERRUPTED})
     run = begin(tmp_path / "run", "otis", rig)
     with pytest.raises(Interrupted, match=rf"see to the rig, then .* resume {tmp_path / 'run'}"):
-        tuning.run(run, rig)
+        loop.run(run, rig)
     assert rig.turn == 5
     run.journal.close()
     resumed = go_on(tmp_path / "run", rig)
     whole = begin(tmp_path / "whole", "otis", ArithmeticRig())
-    tuning.run(whole, ArithmeticRig())
+    loop.run(whole, ArithmeticRig())
     whole.journal.close()
     assert trace(e for e in resumed.entries if not e.outcome.is_void) == trace(whole.entries)
     assert [e.outcome for e in resumed.entries if e.outcome.is_void] == [Outcome.INTERRUPTED]
@@ -50,10 +50,10 @@ def test_a_trial_cut_off_on_a_rig_that_moves_ends_the_run_until_somebody_resumes
 def test_a_trial_cut_off_on_a_simulated_rig_is_asked_for_again(outcome, tmp_path):
     rig = FailingRig({5: outcome, 6: outcome, 9: outcome}, simulated=True)
     run = begin(tmp_path / "run", "otis", rig)
-    tuning.run(run, rig)
+    loop.run(run, rig)
     run.journal.close()
     whole = begin(tmp_path / "whole", "otis", ArithmeticRig(simulated=True))
-    tuning.run(whole, ArithmeticRig(simulated=True))
+    loop.run(whole, ArithmeticRig(simulated=True))
     whole.journal.close()
     assert trace(e for e in run.entries if not e.outcome.is_void) == trace(whole.entries)
 
@@ -62,8 +62,8 @@ def test_a_run_whose_trials_all_come_to_nothing_ends(tmp_path):
     rig = FailingRig(dict.fromkeys(range(100), Outcome.CANCELLED))
     run = begin(tmp_path / "run", "otis", rig)
     with pytest.raises(RigError, match="came to nothing, as did 9 before it"):
-        tuning.run(run, rig)
-    assert rig.turn == tuning.VOID_IN_A_ROW - 1
+        loop.run(run, rig)
+    assert rig.turn == loop.VOID_IN_A_ROW - 1
     run.journal.close()
 
 
@@ -131,7 +131,7 @@ def test_a_run_that_was_cut_off_keeps_what_was_declined(tmp_path):
         return answers(question.request.number)
 
     whole, _ = asked_run(tmp_path / "whole", ArithmeticRig(), ask)
-    with pytest.raises(tuning.Stopped):
+    with pytest.raises(loop.Stopped):
         asked_run(tmp_path, Gone(), ask)
     with pytest.raises(InvalidInput, match="nobody to ask"):
         estune.resume(tmp_path / "run", ArithmeticRig(), watch=None)

@@ -8,8 +8,8 @@ import pytest
 import plants
 from estune.core.gains import Gains
 from estune.errors import InvalidInput, PlantError
-from estune.profiles import ChirpProfile, StepProfile
 from estune.trial import TrialRequest
+from estune.trial.profiles import ChirpProfile, StepProfile
 from plants.effects import EFFECTS, CoulombFriction, DeadTime, TorqueRipple
 
 FINE = plants.unloaded_reel(encoder_counts=1e12)  # so that the angle can be compared to rounding

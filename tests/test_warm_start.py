@@ -11,7 +11,7 @@ import plants
 from estune.core.margins import Margins
 from estune.errors import InvalidInput
 from estune.interop import linear_model, margins, model_gains
-from estune.planning import model_start
+from estune.run.plan import model_start
 from tests.support_runs import description
 from tests.test_initial import SETTINGS
 

@@ -125,7 +125,7 @@ class Interrupts:
 
 def _after(stop: KeyboardInterrupt) -> str:
     """What to say of a stop: the gains the rig confirmed, if it was asked, and how to go on."""
-    from estune.tuning import Stopped  # noqa: PLC0415  slow to import
+    from estune.run.loop import Stopped  # noqa: PLC0415  slow to import
 
     if not isinstance(stop, Stopped):
         return "stopped"

@@ -14,7 +14,7 @@ from estune.cli import output
 from estune.cli.values import security_from
 from estune.core.gains import GAIN_NAMES
 from estune.errors import InvalidInput
-from estune.protocol.daemon import DaemonStatus, DaemonVerb
+from estune.remote.messages.daemon import DaemonStatus, DaemonVerb
 
 _Flag = Parameter(negative=(), show_default=False)
 
@@ -81,7 +81,7 @@ def control(
         security: File that says who this is, where the daemon asks; see docs/security.md.
         json: Print JSON.
     """
-    from estune.bus.daemon import DaemonClient  # noqa: PLC0415  slow to import
+    from estune.remote.zenoh.daemon_service import DaemonClient  # noqa: PLC0415  slow to import
 
     with DaemonClient(endpoint, security=security_from(security)) as client:
         names = client.rigs() if rig is None else (rig,)
@@ -142,7 +142,7 @@ def _show_status(status: DaemonStatus) -> None:
 
 
 def _show_history(client: object, names: tuple[str, ...], limit: int, *, as_json: bool) -> None:
-    from estune.bus.daemon import DaemonClient  # noqa: PLC0415  slow to import
+    from estune.remote.zenoh.daemon_service import DaemonClient  # noqa: PLC0415  slow to import
 
     assert isinstance(client, DaemonClient)  # noqa: S101  for the type checker
     found = {name: client.history(name, limit) for name in names}

@@ -10,8 +10,8 @@ from pathlib import Path
 from estune import api
 from estune.cli.tune import TunerName, finish
 from estune.errors import RigError
-from estune.planning import DEFAULT_TUNER
-from estune.tuning import Stopped
+from estune.run.loop import Stopped
+from estune.run.plan import DEFAULT_TUNER
 
 _START_S = 60.0
 """How long the other process may take to serve the reel: the first time it compiles the model."""

@@ -7,14 +7,14 @@ from typing import Annotated
 from cyclopts import Parameter
 from rich.text import Text
 
-from estune import bus
 from estune.cli import output
+from estune.cli.checks import REPEATS, Finding, State, examine, gentle_trial
 from estune.cli.values import security_from
 from estune.core.gains import Gains
-from estune.doctor import REPEATS, Finding, State, examine, gentle_trial
 from estune.errors import InvalidInput, RigError
-from estune.profiles import StepProfile
-from estune.security import OPEN
+from estune.remote import zenoh
+from estune.remote.security import OPEN
+from estune.trial.profiles import StepProfile
 
 _Flag = Parameter(negative=(), show_default=False)
 _LOOKS = {State.FINE: "green", State.FIX: "bold red", State.UNKNOWN: "yellow"}
@@ -43,7 +43,7 @@ def doctor(
     if repeats < 2:
         raise InvalidInput(f"{repeats} repeats show no scatter; ask for 2 or more")
     who = security_from(security)
-    with bus.connect(endpoint, rig=rig, security=who) as the_rig:
+    with zenoh.connect(endpoint, rig=rig, security=who) as the_rig:
         about = the_rig.describe()
         move = move or (not json and _allowed(gentle_trial(about), about.gains, repeats))
         found = []

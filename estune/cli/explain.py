@@ -12,8 +12,8 @@ from estune.cli import output
 from estune.errors import InvalidInput
 
 if TYPE_CHECKING:
-    from plants.discrepancy.report.diagnosis import Diagnosis
-    from plants.discrepancy.report.summary import Table as Rows
+    from plants.diagnosis.report.diagnosis import Diagnosis
+    from plants.diagnosis.report.summary import Table as Rows
 
 _Flag = Parameter(negative=(), show_default=False)
 
@@ -82,7 +82,7 @@ def explain(
 
 
 def _show(found: "Diagnosis") -> None:
-    from plants.discrepancy.report import summary  # noqa: PLC0415  slow to import
+    from plants.diagnosis.report import summary  # noqa: PLC0415  slow to import
 
     out = output.console()
     out.print(Text(found.heading(), style=_LOOKS.get(found.verdict, "bold yellow")))

@@ -9,10 +9,10 @@ from rich.text import Text
 from estune.cli import output
 from estune.cli.values import security_from
 from estune.errors import InvalidInput
-from estune.targets import is_endpoint, open_target
+from estune.run.targets import is_endpoint, open_target
 
 if TYPE_CHECKING:
-    from plants.discrepancy.improvement import Improvement
+    from plants.diagnosis.improvement import Improvement
 
 _Flag = Parameter(negative=(), show_default=False)
 
@@ -63,7 +63,7 @@ def improve(
                 f"there is no folder {path.parent}; make it, or give another {option}"
             )
     import plants  # noqa: PLC0415  slow to import
-    from plants.discrepancy.improve import TuneOptions  # noqa: PLC0415  slow to import
+    from plants.diagnosis.improve_model import TuneOptions  # noqa: PLC0415  slow to import
     from plants.effects import declared, find  # noqa: PLC0415  slow to import
 
     own = tuple(map(find, effects))
@@ -101,7 +101,7 @@ def improve(
 
 
 def _show(found: "Improvement") -> None:
-    from plants.discrepancy.improvement import COLUMNS  # noqa: PLC0415  slow to import
+    from plants.diagnosis.improvement import COLUMNS  # noqa: PLC0415  slow to import
 
     out = output.console()
     out.print()

@@ -13,20 +13,20 @@ from estune.cli import output
 from estune.cli.tune import CostOptions, StepOptions, TunerName
 from estune.cli.values import security_from
 from estune.errors import EstuneError, InvalidInput, RigError
-from estune.export import replace_file
-from estune.matching import procedure
-from estune.matching.outcome import Matching
-from estune.matching.stages import Settings
-from estune.planning import DEFAULT_TUNER
-from estune.settings import checked
-from estune.targets import is_endpoint, open_target
+from estune.run.export import replace_file
+from estune.run.plan import DEFAULT_TUNER
+from estune.run.targets import is_endpoint, open_target
+from estune.run.toml_tables import CostTable, StepTable
+from estune.studies.match import procedure
+from estune.studies.match.outcome import Matching
+from estune.studies.match.reel_matcher import Settings
+from estune.support.toml_file import checked
 from estune.trial import RigDescription
-from estune.tuning_tables import CostTable, StepTable
 
 if TYPE_CHECKING:
     from estune.core.cost import StepCost
-    from estune.profiles import StepProfile
-    from estune.security import Security
+    from estune.remote.security import Security
+    from estune.trial.profiles import StepProfile
 
 _Flag = Parameter(negative=(), show_default=False)
 _USUAL = Settings()
@@ -176,7 +176,7 @@ def _gains(values: tuple[float, ...]) -> str:
 
 def _write(found: Matching) -> dict[str, object]:
     """Writes the record for production beside the runs; what was written, by name."""
-    from estune.matching.page import page  # noqa: PLC0415  draws, which is slow to import
+    from estune.studies.match.page import page  # noqa: PLC0415  draws, which is slow to import
 
     if found.folder is None:
         return {}

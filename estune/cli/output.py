@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from estune.result import TuneResult
+from estune.run.result import TuneResult
 
 FIGURE_NAME = "figure.png"
 
@@ -45,11 +45,11 @@ def save_figure(result: TuneResult) -> Path | None:
     """Draws the run's figure into its folder; None for a run without a folder or a trial."""
     if result.folder is None or not result.entries:
         return None
-    from estune import drawing  # noqa: PLC0415  slow to import
-    from estune.export import replace_file  # noqa: PLC0415  of no use to most commands
+    from estune.run.export import replace_file  # noqa: PLC0415  of no use to most commands
+    from estune.support import plot_style  # noqa: PLC0415  slow to import
 
     path = result.folder / FIGURE_NAME
-    replace_file(path, drawing.to_png(result.figure()))
+    replace_file(path, plot_style.to_png(result.figure()))
     return path
 
 

@@ -9,7 +9,7 @@ from rich.text import Text
 
 from estune.cli import output
 from estune.errors import InvalidInput
-from estune.export import replace_file
+from estune.run.export import replace_file
 
 _Flag = Parameter(negative=(), show_default=False)
 

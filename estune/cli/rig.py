@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from estune import bus
 from estune.cli.values import security_from
 from estune.errors import InvalidInput
+from estune.remote import zenoh
 
 if TYPE_CHECKING:
     from estune.hardware import HardwareRig
@@ -46,7 +46,7 @@ def rig(
             print(f"estune: {note}", file=sys.stderr, flush=True)
         with (
             suppress(KeyboardInterrupt),
-            bus.serve(
+            zenoh.serve(
                 *(hardware, listen),
                 ledger=book,
                 allow_remote=allow_remote,
@@ -64,7 +64,7 @@ def rig(
             hardware.describe()  # says why its loop has ended, if that is why we are here
 
 
-def _close_after(hardware: "HardwareRig", server: bus.RigServer) -> None:
+def _close_after(hardware: "HardwareRig", server: zenoh.RigServer) -> None:
     """Lets a rig whose loop has failed vanish from the network, and its process end."""
     hardware.wait()
     server.close()
@@ -93,12 +93,12 @@ def export_controller(
     """
     from estune import api  # noqa: PLC0415  slow to import
     from estune.cli.runs import find_run  # noqa: PLC0415  as above
-    from estune.export import replace_file  # noqa: PLC0415  as above
     from estune.hardware import controller_source, read_config  # noqa: PLC0415  as above
     from estune.hardware.schedule_file import (  # noqa: PLC0415  as above
         read_schedule,
         schedule_header,
     )
+    from estune.run.export import replace_file  # noqa: PLC0415  as above
 
     if not c:
         raise InvalidInput("say in which form to write the controller: --c")

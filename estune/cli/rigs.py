@@ -5,14 +5,15 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from estune import api, bus, protocol
+from estune import api
 from estune.cli import output
 from estune.cli.runs import find_run
 from estune.cli.values import security_from
 from estune.core.gains import GAIN_NAMES, GAIN_UNITS, Gains
 from estune.errors import RigError
-from estune.security import Security
-from estune.targets import open_target
+from estune.remote import messages, zenoh
+from estune.remote.security import Security
+from estune.run.targets import open_target
 from estune.trial import RigDescription
 
 
@@ -24,7 +25,7 @@ def rigs(endpoint: str, /, *, security: Path | None = None) -> None:
         security: File that says who this is, where the rigs ask; see docs/security.md.
     """
     who = security_from(security)
-    found = bus.find(endpoint, security=who)
+    found = zenoh.find(endpoint, security=who)
     if not found:
         raise RigError(
             f"no rig answers at {endpoint}; start one with: estune serve --listen {endpoint}"
@@ -90,7 +91,7 @@ def estop(
         reason: Why; whoever commands the rig is told.
         security: File that says who this is, where the rig asks; see docs/security.md.
     """
-    with bus.connect(endpoint, rig=rig, security=security_from(security)) as the_rig:
+    with zenoh.connect(endpoint, rig=rig, security=security_from(security)) as the_rig:
         the_rig.estop(reason)
         print(f"{the_rig.name} is stopped and held; when you have seen to it: estune clear")
 
@@ -103,7 +104,7 @@ def clear(endpoint: str, /, *, rig: str | None = None, security: Path | None = N
         rig: Name of the rig, where several answer at the endpoint.
         security: File that says who this is, where the rig asks; see docs/security.md.
     """
-    with bus.connect(endpoint, rig=rig, security=security_from(security)) as the_rig:
+    with zenoh.connect(endpoint, rig=rig, security=security_from(security)) as the_rig:
         the_rig.clear()
         print(f"{the_rig.name} is cleared: {the_rig.status().mode.sentence}")
 
@@ -116,9 +117,9 @@ def _show_change(before: RigDescription, after: RigDescription) -> None:
     output.show_table(("", "old", "new"), rows)
 
 
-def _row(endpoint: str, presence: protocol.Presence, security: Security) -> tuple[str, ...]:
+def _row(endpoint: str, presence: messages.Presence, security: Security) -> tuple[str, ...]:
     try:
-        with bus.connect(endpoint, rig=presence.rig, security=security) as rig:
+        with zenoh.connect(endpoint, rig=presence.rig, security=security) as rig:
             about, status = rig.describe(), rig.status()
     except RigError as error:
         return (presence.rig, "-", "-", "-", str(error), "-")
@@ -127,7 +128,7 @@ def _row(endpoint: str, presence: protocol.Presence, security: Security) -> tupl
     return (about.name, _doing(status), length, step, str(about.gains), about.software)
 
 
-def _doing(status: protocol.Status) -> str:
+def _doing(status: messages.Status) -> str:
     """What a rig does, and at whose command."""
     parts = [status.mode.value]
     if status.trial_id:

@@ -10,8 +10,8 @@ from estune import api
 from estune.cli import output
 from estune.core.gains import GAIN_NAMES
 from estune.errors import EstuneError, InvalidInput, JournalError
-from estune.journal import FILE_NAME, Journal, being_written
-from estune.result import TuneResult
+from estune.run.journal import FILE_NAME, Journal, being_written
+from estune.run.result import TuneResult
 
 _Flag = Parameter(negative=(), show_default=False)
 
@@ -85,7 +85,7 @@ def export(
         out: Folder for the files; csv or parquet in the run's own folder by default.
         folder: Folder that runs are kept in.
     """
-    from estune.export import export_run  # noqa: PLC0415  no other command here needs it
+    from estune.run.export import export_run  # noqa: PLC0415  no other command here needs it
 
     if csv == parquet:
         raise InvalidInput("say which form to write: either --csv or --parquet")

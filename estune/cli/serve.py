@@ -9,10 +9,10 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from estune import bus
 from estune.cli.values import security_from, settings_from
 from estune.errors import InvalidInput
-from estune.targets import load
+from estune.remote import zenoh
+from estune.run.targets import load
 from estune.trial import Rig
 
 _Flag = Parameter(negative=(), show_default=False)
@@ -54,7 +54,7 @@ def serve(
     rig = _rig(load(plant, settings_from(set_)), plant, name=name, seed=seed, pace=pace)
     with (
         suppress(KeyboardInterrupt),
-        bus.serve(
+        zenoh.serve(
             *(rig, listen),
             ledger=book,
             allow_remote=allow_remote,
@@ -79,7 +79,7 @@ def _rig(plant: Any, reference: str, **settings: Any) -> Rig:
     return made
 
 
-def _close_at_eof(server: bus.RigServer) -> None:
+def _close_at_eof(server: zenoh.RigServer) -> None:
     # Unbuffered: a thread inside a buffered reader would abort the interpreter at its end.
     while os.read(sys.stdin.fileno(), 4096):
         pass

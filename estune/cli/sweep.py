@@ -12,12 +12,12 @@ from rich.text import Text
 
 from estune.cli import output
 from estune.errors import EstuneError, InvalidInput
-from estune.progress import duration
-from estune.sweeping import sweep as sweeping
-from estune.sweeping.cell import Cell
-from estune.sweeping.cells import cells_of
-from estune.sweeping.design import read_design
-from estune.sweeping.result import SweepResult, write
+from estune.run.progress import duration
+from estune.studies.sweep import sweep as sweeping
+from estune.studies.sweep.cell import Cell
+from estune.studies.sweep.design import read_design
+from estune.studies.sweep.expand import cells_of
+from estune.studies.sweep.result import SweepResult, write
 
 _Flag = Parameter(negative=(), show_default=False)
 

@@ -11,19 +11,19 @@ from cyclopts import Group, Parameter
 
 from estune import api
 from estune.cli import output
-from estune.cli.asking import at_the_terminal
+from estune.cli.approval_prompt import at_the_terminal
 from estune.cli.runs import find_run
 from estune.cli.values import numbers_from, ranges_from, security_from, share_from
 from estune.core.cost import StepCost
 from estune.core.gains import GAIN_NAMES, Gains
 from estune.errors import InvalidInput
-from estune.journal import Journal
-from estune.planning import DEFAULT_TUNER, MOVE_WEIGHT, model_start
-from estune.profiles import StepProfile
-from estune.result import Ending, TuneResult
-from estune.session import TOLERANCE
-from estune.targets import is_endpoint, open_target
+from estune.run.journal import Journal
+from estune.run.plan import DEFAULT_TUNER, MOVE_WEIGHT, model_start
+from estune.run.result import Ending, TuneResult
+from estune.run.session import TOLERANCE
+from estune.run.targets import is_endpoint, open_target
 from estune.trial import Rig, RigDescription
+from estune.trial.profiles import StepProfile
 
 _STEP = Group("The step trial", sort_key=1)
 _COST = Group("The cost of a trial, (35)", sort_key=2)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from estune.errors import InvalidInput
 
 if TYPE_CHECKING:
-    from estune.security import Security
+    from estune.remote.security import Security
 
 
 def settings_from(texts: Iterable[str]) -> dict[str, Any]:
@@ -26,7 +26,7 @@ def security_from(path: Path | None) -> "Security":
     Raises:
         InvalidInput: something in the file is wrong.
     """
-    from estune.security import OPEN, read_security  # noqa: PLC0415  slow to import
+    from estune.remote.security import OPEN, read_security  # noqa: PLC0415  slow to import
 
     return OPEN if path is None else read_security(path)
 

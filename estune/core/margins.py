@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
+from estune.core.quantities import FloatArray
 
-FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Response = Callable[[FloatArray], ComplexArray]
 """A function of the angle theta = omega h on the unit circle, rad/sample."""

@@ -10,9 +10,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-FloatArray = NDArray[np.float64]
+from estune.core.quantities import FloatArray
 
 STEADY_SHARE = 10
 """The last tenth of the samples after the step shows the steady state: the error there is its

@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 from estune.core.gains import Gains
 from estune.core.margins import SampledPlant, controller_response
 from estune.core.pidf import ControllerSettings
+from estune.core.quantities import FloatArray
 from estune.errors import InvalidInput
 
-FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 GRID_POINTS = 600

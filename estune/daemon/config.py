@@ -7,13 +7,11 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from estune.bus.session import check_endpoint, check_loopback
 from estune.core.control_chart import ControlChart
 from estune.daemon.events import Kind
-from estune.planning import DEFAULT_TUNER
-from estune.settings import Table, checked, read_toml
-from estune.trial import RigDescription
-from estune.tuning_tables import (
+from estune.remote.zenoh.zenoh_session import check_endpoint, check_loopback
+from estune.run.plan import DEFAULT_TUNER
+from estune.run.toml_tables import (
     CostTable,
     Count,
     NotNegative,
@@ -22,6 +20,8 @@ from estune.tuning_tables import (
     StepTable,
     TunerName,
 )
+from estune.support.toml_file import Table, checked, read_toml
+from estune.trial import RigDescription
 
 
 class ServiceTable(Table):
@@ -227,7 +227,7 @@ def config_from(data: dict[str, Any], source: str, beside: Path) -> DaemonConfig
 
 
 def plan_settings(rig: RigTable, description: RigDescription) -> dict[str, Any]:
-    """What `estune.planning.make_plan` is told for a rig.
+    """What `estune.run.plan.make_plan` is told for a rig.
 
     Raises:
         InvalidInput: the step or the cost does not suit the rig.

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 from estune.core.gains import GAIN_NAMES
-from estune.daemon.life import GainSet, Mode
+from estune.daemon.supervisor_state import GainSet, Mode
 from estune.errors import RigError
-from estune.export import replace_file
-from estune.protocol.daemon import DaemonStatus
+from estune.remote.messages.daemon import DaemonStatus
+from estune.run.export import replace_file
 
 
 class Figure(NamedTuple):

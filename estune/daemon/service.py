@@ -7,21 +7,21 @@ import time
 from contextlib import ExitStack
 from dataclasses import replace
 
-from estune.bus.daemon import DaemonServer
-from estune.daemon.checking import Checks
+from estune.daemon.check_trials import Checks
 from estune.daemon.config import DaemonConfig
 from estune.daemon.events import Event
 from estune.daemon.hooks import Hooks
-from estune.daemon.keeper import Keeper
 from estune.daemon.logs import log_event
 from estune.daemon.metrics import MetricsServer, write_metrics
-from estune.daemon.searching import Searches
 from estune.daemon.store import Store
-from estune.daemon.supervision import Supervision
+from estune.daemon.supervised_rig import Supervision
+from estune.daemon.supervisor import Keeper
 from estune.daemon.systemd import Notifier
+from estune.daemon.tuning_runs import Searches
 from estune.errors import EstuneError, RigError
-from estune.protocol.daemon import DaemonStatus, EventMessage
-from estune.security import OPEN, Security, read_security
+from estune.remote.messages.daemon import DaemonStatus, EventMessage
+from estune.remote.security import OPEN, Security, read_security
+from estune.remote.zenoh.daemon_service import DaemonServer
 
 TURN_S = 0.25
 """How often the process looks after its keepers."""

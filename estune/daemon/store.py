@@ -3,7 +3,7 @@
 The original gains are in it before the first write to the rig, the gains that are meant to be live
 before they are. Each change of the supervision's state is committed together with the event that
 tells of it and the command that asked for it. How the file is opened, locked and synchronised is
-`estune.database`'s.
+`estune.support.sqlite`'s.
 """
 
 import json
@@ -17,13 +17,13 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
-from estune import database, frame
 from estune.core.control_chart import Sign
 from estune.core.gains import Gains
 from estune.daemon.events import Event, Kind
-from estune.daemon.life import Ending, GainSet, Goal, Life, Link
+from estune.daemon.supervisor_state import Ending, GainSet, Goal, Life, Link
 from estune.errors import JournalError
-from estune.trial import TrialRecord, TrialRequest
+from estune.support import sqlite
+from estune.trial import TrialRecord, TrialRequest, record_frame
 
 FILE_NAME = "daemon.sqlite"
 LOCK_NAME = "daemon.lock"
@@ -118,16 +118,16 @@ class Store:
         with _explained(folder), ExitStack() as opened:
             folder.mkdir(parents=True, exist_ok=True)
             opened.enter_context(
-                database.lock(folder / LOCK_NAME, f"the state of rig {rig} in {folder}")
+                sqlite.lock(folder / LOCK_NAME, f"the state of rig {rig} in {folder}")
             )
-            connection = database.connect(opened, path, "rwc")
-            fresh = database.version(connection) == 0
+            connection = sqlite.connect(opened, path, "rwc")
+            fresh = sqlite.version(connection) == 0
             if not fresh:
-                database.check_version(connection, path, len(VERSIONS), "a daemon's file")
-                database.check_whole(connection, path)
+                sqlite.check_version(connection, path, len(VERSIONS), "a daemon's file")
+                sqlite.check_whole(connection, path)
             connection.execute("PRAGMA journal_mode=WAL")
-            with database.transaction(connection):
-                database.migrate(connection, VERSIONS)
+            with sqlite.transaction(connection):
+                sqlite.migrate(connection, VERSIONS)
             store = cls(folder, rig, connection, opened.pop_all())
         try:
             store._check_rig(fresh=fresh)
@@ -163,7 +163,7 @@ class Store:
             if self._connection.in_transaction:  # part of a larger block
                 yield
             else:
-                with database.transaction(self._connection):
+                with sqlite.transaction(self._connection):
                     yield
 
     def fact(self, key: str) -> Any:
@@ -305,7 +305,7 @@ class Store:
             )
             if sign is not None:
                 # In a table of its own, so that what is let go of leaves no holes among the rows.
-                data = frame.encode(record)
+                data = record_frame.encode(record)
                 self._write("INSERT OR REPLACE INTO check_record VALUES (?, ?)", number, data)
             self._write("DELETE FROM check_record WHERE number <= ?", number - RECORDS_KEPT)
             self._write("DELETE FROM check_trial WHERE number <= ?", number - ROWS_KEPT)
@@ -322,7 +322,7 @@ class Store:
                 f"{self.folder / FILE_NAME} holds no record of check trial {number}; the "
                 f"{RECORDS_KEPT} youngest are kept"
             )
-        return frame.decode(rows[0][0])
+        return record_frame.decode(rows[0][0])
 
     def checks(self, limit: int) -> list[Check]:
         """The youngest check trials, oldest first."""
@@ -361,4 +361,4 @@ def now() -> str:
 
 
 def _explained(folder: Path) -> Any:
-    return database.explained(folder / FILE_NAME, "the daemon goes on by itself")
+    return sqlite.explained(folder / FILE_NAME, "the daemon goes on by itself")

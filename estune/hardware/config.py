@@ -18,7 +18,7 @@ from estune.core.pidf import ControllerSettings
 from estune.errors import InvalidInput
 from estune.hardware.firmware import controller_source
 from estune.hardware.live_gains import Following
-from estune.hardware.plan import Motion, Plan, RealTime, SafeState
+from estune.hardware.loop_messages import Motion, Plan, RealTime, SafeState
 from estune.hardware.scales import CurrentScale, GaugeScale
 from estune.hardware.schedule_file import read_schedule
 from estune.hardware.tables import (
@@ -37,11 +37,11 @@ from estune.hardware.tables import (
     ScheduleTable,
     StepTable,
 )
-from estune.profiles import StepProfile
 from estune.reel.calibration import CurrentCalibration, GaugeCalibration
 from estune.reel.guard import Limits
-from estune.settings import Table, checked, read_toml
+from estune.support.toml_file import Table, checked, read_toml
 from estune.trial import RigDescription, RigLimits
+from estune.trial.profiles import StepProfile
 
 
 class RigConfig(Table):

@@ -3,11 +3,11 @@
 import ctypes
 from typing import Protocol
 
-from estune import compiler
 from estune.core import pidf
 from estune.core.pidf import Coefficients, PidfState
 from estune.errors import PlantError
 from estune.hardware.firmware import COEFFICIENTS, STATES
+from estune.support import c_compiler
 
 _EXPORT = '#define ESTUNE_PIDF_EXPORT __attribute__((visibility("default")))\n'
 
@@ -72,7 +72,7 @@ class CompiledController:
         Raises:
             PlantError: no compiler, or it failed.
         """
-        library = compiler.load(_EXPORT + source)
+        library = c_compiler.load(_EXPORT + source)
         self._step, self._take_over, self._rest = (
             library.estune_pidf_step,
             library.estune_pidf_take_over,

@@ -9,7 +9,7 @@ from importlib.metadata import entry_points
 from typing import Any, NamedTuple, Protocol, Self
 
 from estune.errors import InvalidInput
-from estune.targets import load
+from estune.run.targets import load
 
 ENTRY_POINTS = "estune.drivers"
 """The entry point group by which an installed package offers drivers by name."""

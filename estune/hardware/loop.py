@@ -17,9 +17,9 @@ from estune.errors import EstuneError, RigError
 from estune.hardware import realtime
 from estune.hardware.controller import make_controller
 from estune.hardware.driver import Driver, load_driver
-from estune.hardware.machine import Machine
-from estune.hardware.memory import BINS, BIN_s, Memory, Word
-from estune.hardware.plan import Begin, Clear, Done, End, Failed, Plan, Ready, Swap, Tell
+from estune.hardware.loop_messages import Begin, Clear, Done, End, Failed, Plan, Ready, Swap, Tell
+from estune.hardware.reel_state_machine import Machine
+from estune.hardware.shared_memory import BINS, BIN_s, Memory, Word
 
 _BIN_ns = BIN_s * 1e9
 

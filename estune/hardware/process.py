@@ -13,8 +13,8 @@ from typing import Any, TypeVar
 
 from estune import errors
 from estune.errors import EstuneError, RigError
-from estune.hardware.memory import Memory, Word, make_file
-from estune.hardware.plan import End, Failed, Plan, Ready, Refused
+from estune.hardware.loop_messages import End, Failed, Plan, Ready, Refused
+from estune.hardware.shared_memory import Memory, Word, make_file
 
 BEAT_s = 0.02
 """How often the rig gives its loop a sign of life."""

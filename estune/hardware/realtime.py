@@ -11,7 +11,7 @@ import gc
 import os
 import time
 
-from estune.hardware.plan import RealTime
+from estune.hardware.loop_messages import RealTime
 
 _PR_SET_TIMERSLACK = 29
 _MCL_CURRENT, _MCL_FUTURE = 1, 2

@@ -13,23 +13,17 @@ import numpy as np
 from estune.core import pidf
 from estune.core.cost import StepCost
 from estune.core.gains import Gains
+from estune.core.quantities import FloatArray
 from estune.errors import InvalidInput, RigError
-from estune.guest import TrialRecords, stopped
 from estune.hardware.config import RigConfig
-from estune.hardware.machine import Phase
-from estune.hardware.memory import Level, Word, column, flag_column
-from estune.hardware.plan import Begin, Clear, Done, Ended, Swap, Tell
+from estune.hardware.loop_messages import Begin, Clear, Done, Ended, Swap, Tell
 from estune.hardware.process import ANSWER_WITHIN_s, LoopProcess
+from estune.hardware.reel_state_machine import Phase
+from estune.hardware.shared_memory import Level, Word, column, flag_column
 from estune.hardware.state import RigState, Timing
-from estune.profiles import Profile, StepProfile
-from estune.trial import (
-    FloatArray,
-    Outcome,
-    RigDescription,
-    Telemetry,
-    TrialRecord,
-    TrialRequest,
-)
+from estune.trial import Outcome, RigDescription, Telemetry, TrialRecord, TrialRequest
+from estune.trial.executed_trials import TrialRecords, stopped
+from estune.trial.profiles import Profile, StepProfile
 
 JUMP_s = 1.0
 """A jump of the time of day between two trials that is worth a word."""

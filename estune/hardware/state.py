@@ -5,8 +5,8 @@ from typing import NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from estune.hardware.machine import Phase
-from estune.hardware.memory import BIN_s, Level, Memory, Word
+from estune.hardware.reel_state_machine import Phase
+from estune.hardware.shared_memory import BIN_s, Level, Memory, Word
 
 
 class RigState(NamedTuple):

@@ -35,9 +35,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from estune.core.quantities import FloatArray
 from estune.errors import InvalidInput
-
-FloatArray = NDArray[np.float64]
 
 ROUNDING = 1.0 + 1e-9
 """A count is a round number of bits only by luck: the band is widened by this factor."""

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from estune import bus
+from estune.remote import zenoh
 from experiments import benchmark_link
 from experiments.chaos import __doc__ as about
 from experiments.chaos import deadman, faults, supervised, verdict
@@ -119,7 +119,7 @@ def emergency_stops(turns: int, folder: Path) -> dict[str, float]:
     with (
         benchmark_link.started("--serve", "--folder", str(folder)) as (endpoint, *_),
         benchmark_link.started("--pull", endpoint),
-        bus.connect(endpoint) as rig,
+        zenoh.connect(endpoint) as rig,
     ):
         benchmark_link.stops(rig, watch, "stop", turns)
     return {"stop_median_ms": watch.median_ms("stop"), "stop_p99_ms": watch.slow_ms("stop")}

@@ -13,10 +13,10 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from estune import api
-from estune.bus.conversation import Conversation
 from estune.core.gains import Gains
 from estune.errors import EstuneError
-from estune.journal import FILE_NAME
+from estune.remote.zenoh.rig_connection import Conversation
+from estune.run.journal import FILE_NAME
 from experiments.chaos.mischief import Mischief, meddle
 from experiments.chaos.plain import tune_plainly
 

@@ -20,10 +20,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
-from estune import bus
-from estune.bus.session import with_port
 from estune.hardware import HardwareRig, RigConfig
 from estune.hardware.config import config_from
+from estune.remote import zenoh
+from estune.remote.zenoh.zenoh_session import with_port
 from estune.trial import TrialRequest
 from experiments.chaos.faults import LEASE_S
 from experiments.chaos.motions import Log, LoggedRig, Motion
@@ -68,14 +68,14 @@ def serve(endpoint: str, address: str, ledger: str) -> None:
     """Serves the hardware rig, and logs what it does."""
     with HardwareRig(configuration(address)) as hardware:
         rig = LoggedRig(hardware)
-        with bus.serve(rig, endpoint, ledger=Path(ledger)) as server:
+        with zenoh.serve(rig, endpoint, ledger=Path(ledger)) as server:
             rig.boot()
             server.wait()
 
 
 def ask(endpoint: str, run: str) -> None:
     """Has one long trial run, with gains that are not the rig's own."""
-    with bus.connect(endpoint) as rig:
+    with zenoh.connect(endpoint) as rig:
         about = rig.describe()
         gains = replace(about.gains, P=1.2 * about.gains.P)
         rig.run(TrialRequest(run, 0, gains, about.step))

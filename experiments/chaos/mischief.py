@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import zenoh
 
-from estune.bus.session import close_session, open_session
+from estune.remote.zenoh.zenoh_session import close_session, open_session
 from experiments.chaos.processes import heard
 
 REMEMBERED = 40

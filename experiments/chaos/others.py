@@ -10,10 +10,11 @@ from collections.abc import Callable
 
 import zenoh
 
-from estune import bus, protocol
-from estune.bus.session import open_session
 from estune.core.gains import Gains
 from estune.errors import EstuneError
+from estune.remote import messages
+from estune.remote.zenoh import connect
+from estune.remote.zenoh.zenoh_session import open_session
 from estune.trial import TrialRequest
 from experiments.chaos.processes import ready
 from experiments.chaos.rig import PLAIN_KEY
@@ -38,7 +39,7 @@ def router(endpoint: str) -> None:
 
 def rival(endpoint: str, name: str) -> None:
     """Has a trial of its own run, if it is let."""
-    with bus.connect(endpoint) as rig:
+    with connect(endpoint) as rig:
         print(rig.run(TrialRequest(name, 0, GENTLE, rig.describe().step)).outcome, flush=True)
 
 
@@ -51,7 +52,7 @@ def rival_plainly(endpoint: str, name: str) -> None:
 
 def slow(endpoint: str) -> None:
     """Asks for more than it takes in, until killed."""
-    keys = protocol.Keys("reel")
+    keys = messages.Keys("reel")
     with open_session("client", connect=(endpoint,), message_max_bytes=2**24) as session:
         looking = [
             session.declare_subscriber(key, zenoh.handlers.FifoChannel(1))

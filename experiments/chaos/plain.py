@@ -11,14 +11,13 @@ from typing import Any, NamedTuple, Protocol
 
 import zenoh
 
-from estune import frame
-from estune.bus.session import open_session
 from estune.core.gains import Gains
 from estune.errors import ProtocolError
-from estune.planning import make_plan
-from estune.score import cost_of
-from estune.session import Session, begin, next_request, told
-from estune.trial import Outcome, RigDescription, TrialRecord, TrialRequest
+from estune.remote.zenoh.zenoh_session import open_session
+from estune.run.plan import make_plan
+from estune.run.session import Session, begin, next_request, told
+from estune.trial import Outcome, RigDescription, TrialRecord, TrialRequest, record_frame
+from estune.trial.scoring import cost_of
 from experiments.chaos.mischief import Message, Mischief
 from experiments.chaos.rig import PLAIN_KEY, as_served, truth
 
@@ -85,7 +84,7 @@ def tune_plainly(endpoint: str, folder: Path, errand: Any, mischief: Mischief) -
             session, entry = _scored(session, request, record, description)
             with book.open("a", encoding="utf-8") as file:
                 file.write(f"{json.dumps(entry)}\n")
-            (folder / f"{request.trial_id}.frame").write_bytes(frame.encode(record))
+            (folder / f"{request.trial_id}.frame").write_bytes(record_frame.encode(record))
 
 
 def _scored(
@@ -113,7 +112,7 @@ def _ask(link: zenoh.Session, request: TrialRequest, mischief: Mischief) -> Tria
             for reply in link.get(PLAIN_KEY, payload=payload, timeout=ANSWER_WITHIN_S):
                 if reply.ok is not None:
                     try:
-                        return frame.decode(reply.ok.payload.to_bytes())
+                        return record_frame.decode(reply.ok.payload.to_bytes())
                     except ProtocolError:
                         continue
         time.sleep(AGAIN_S)

@@ -14,11 +14,11 @@ from pathlib import Path
 import zenoh
 
 import plants
-from estune import bus, frame
-from estune.bus.session import open_session
 from estune.core.gains import Gains
 from estune.errors import EstuneError
-from estune.trial import TrialRequest
+from estune.remote.zenoh import serve
+from estune.remote.zenoh.zenoh_session import open_session
+from estune.trial import TrialRequest, record_frame
 from experiments.chaos.motions import LoggedRig
 from experiments.chaos.processes import ready
 
@@ -32,9 +32,9 @@ def simulated(name: str, pace: float) -> LoggedRig:
     return LoggedRig(plants.reference_reel().rig(name=name, seed=SEED, pace=pace))
 
 
-def serve(rig: LoggedRig, endpoint: str, ledger: Path, routers: list[str]) -> None:
+def serve_until_told(rig: LoggedRig, endpoint: str, ledger: Path, routers: list[str]) -> None:
     """Serves it as `estune serve` and `estune rig` do, until it is told to end."""
-    with bus.serve(rig, endpoint, ledger=ledger, routers=routers) as server:
+    with serve(rig, endpoint, ledger=ledger, routers=routers) as server:
         rig.boot()
         server.wait()
 
@@ -47,7 +47,7 @@ def serve_plainly(rig: LoggedRig, endpoint: str, routers: list[str]) -> None:
             asked = json.loads(bytes(query.payload or b""))
             step = rig.describe().step
             request = TrialRequest(asked["run"], asked["number"], Gains(*asked["gains"]), step)
-            query.reply(PLAIN_KEY, frame.encode(rig.run(request)))
+            query.reply(PLAIN_KEY, record_frame.encode(rig.run(request)))
 
     with open_session(
         "peer", listen=(endpoint,), connect=tuple(routers), message_max_bytes=2**24
@@ -65,7 +65,7 @@ def main(name: str, endpoint: str, ledger: str, pace: str, *routers: str) -> int
         if ledger == PLAIN:
             serve_plainly(rig, endpoint, list(routers))
         else:
-            serve(rig, endpoint, Path(ledger), list(routers))
+            serve_until_told(rig, endpoint, Path(ledger), list(routers))
     except KeyboardInterrupt:
         return 0
     except EstuneError as error:

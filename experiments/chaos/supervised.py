@@ -19,16 +19,16 @@ from pathlib import Path
 from random import Random
 from typing import Any, NamedTuple
 
-from estune import tuning
-from estune.bus.daemon import DaemonClient
-from estune.bus.session import with_port
 from estune.core.gains import GAIN_NAMES, Gains
-from estune.daemon.life import Mode
 from estune.daemon.store import RUNS, Store
+from estune.daemon.supervisor_state import Mode
 from estune.errors import EstuneError
-from estune.journal import Journal
-from estune.planning import description_from_json, plan_from_json
-from estune.protocol.daemon import DaemonStatus
+from estune.remote.messages.daemon import DaemonStatus
+from estune.remote.zenoh.daemon_service import DaemonClient
+from estune.remote.zenoh.zenoh_session import with_port
+from estune.run import loop
+from estune.run.journal import Journal
+from estune.run.plan import description_from_json, plan_from_json
 from experiments.chaos.faults import DURATIONS_S, disk_full, frozen, stalled
 from experiments.chaos.processes import NO_THREADS, end
 from experiments.chaos.rig import truth
@@ -275,8 +275,8 @@ def judge(stand: Stand, daemon: Supervised) -> dict[str, Any]:
 def undisturbed(journal: Journal) -> dict[int, tuple[Gains, float]]:
     """The same tuning on a rig that nothing happens to."""
     plan = plan_from_json(journal.fact("plan"))
-    run = tuning.start(plan, description_from_json(journal.fact("rig")), None)
-    tuning.run(run, truth(NAME))
+    run = loop.start(plan, description_from_json(journal.fact("rig")), None)
+    loop.run(run, truth(NAME))
     return {entry.number: (entry.gains, entry.cost) for entry in run.entries}
 
 

@@ -9,11 +9,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from estune import frame, tuning
 from estune.errors import ProtocolError
-from estune.journal import Journal
-from estune.link.trials import TrialState
-from estune.trial import Outcome, TrialRecord
+from estune.remote.state_machine.trials import TrialState
+from estune.run import loop
+from estune.run.journal import Journal
+from estune.trial import Outcome, TrialRecord, record_frame
 from experiments.chaos.campaign import Absence, Diary
 from experiments.chaos.client import Errand
 from experiments.chaos.faults import LEASE_S
@@ -109,12 +109,12 @@ def undisturbed(errand: Errand) -> dict[int, Result]:
     rig = truth(errand.rig)
     found: dict[int, Result] = {}
 
-    def watch(progress: tuning.Progress) -> None:
+    def watch(progress: loop.Progress) -> None:
         entry = progress.entry
         found[entry.number] = Result(entry.gains.as_tuple(), entry.cost, progress.record)
 
     description = as_served(rig).describe()
-    tuning.run(tuning.start(plan_of(errand, description), description, None), rig, [watch])
+    loop.run(loop.start(plan_of(errand, description), description, None), rig, [watch])
     return found
 
 
@@ -135,7 +135,7 @@ def results(errand: Errand) -> Iterator[tuple[int, Result]]:
 
 def _stored(path: Path) -> TrialRecord | None:
     try:
-        return frame.decode(path.read_bytes())
+        return record_frame.decode(path.read_bytes())
     except (OSError, ProtocolError):
         return None
 
@@ -155,7 +155,11 @@ def _lost(errand: Errand, ledger: Path) -> int:
     for trial_id, state, data in _ledger(ledger, errand.run):
         outcome = told.pop(trial_id, None)
         if state is TrialState.ENDED:  # the oldest records are let go of in time
-            lost += outcome is None if data is None else frame.decode(data).outcome is not outcome
+            lost += (
+                outcome is None
+                if data is None
+                else record_frame.decode(data).outcome is not outcome
+            )
         elif state is TrialState.INTERRUPTED:
             lost += outcome is not Outcome.INTERRUPTED
         else:

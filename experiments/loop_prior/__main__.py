@@ -3,7 +3,7 @@
 Loops are drawn at random that have nothing to do with those of `experiments.sample_efficiency`:
 plants of the first to the fifth order, with dead time and limits of the effort or without, each
 with a cost of its own. The first trials of a search on each are held against what is known before
-the first one: the numbers in `estune.core.tuners.experience`, and the likeliest numbers that know
+the first one: the numbers in `estune.tuners.loop_prior`, and the likeliest numbers that know
 no parameter from another, which are fitted to these very loops. `--fit` fits all numbers to one
 half of the loops and holds them against the other.
 """
@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from joblib import Parallel, delayed
 
-from estune.core.tuners.experience import OF_LOOPS, Experience
+from estune.tuners.loop_prior import OF_LOOPS, Experience
 from experiments.judged import at_least, command_line, tell
 from experiments.loop_prior.fitting import fitted, isotropic, likelihood, mean_curvature
 from experiments.loop_prior.loops import Loop, draw

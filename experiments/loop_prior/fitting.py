@@ -6,10 +6,10 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.optimize import minimize
 
-from estune.core.tuners.experience import Experience
-from estune.core.tuners.newton import capped
-from estune.core.tuners.surface import covariance, expected_before
-from estune.trial import FloatArray
+from estune.core.quantities import FloatArray
+from estune.tuners.gaussian_process import covariance, expected_before
+from estune.tuners.loop_prior import Experience
+from estune.tuners.safe_bayesian import capped
 from experiments.loop_prior.loops import NOISE, Loop
 
 LOWER = np.tril_indices(4)

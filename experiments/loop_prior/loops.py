@@ -11,12 +11,12 @@ import numpy as np
 import plants
 from estune.core.cost import StepCost
 from estune.core.gains import Gains
-from estune.core.search_space import SearchSpace
-from estune.core.tuners.newton import Newton
-from estune.core.tuners.observation import Observation
-from estune.profiles import StepProfile
-from estune.trial import FloatArray
-from plants.linear import LinearPlant
+from estune.core.quantities import FloatArray
+from estune.trial.profiles import StepProfile
+from estune.tuners.observation import Observation
+from estune.tuners.safe_bayesian import Newton
+from estune.tuners.search_space import SearchSpace
+from plants.models.linear_plant import LinearPlant
 
 SEARCHED = 24  # trials of a search that are kept, those of its wide phase
 NOISE = 0.03

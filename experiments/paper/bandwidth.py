@@ -8,8 +8,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import StrMethodFormatter
 from scipy.stats import linregress
 
-from estune.drawing import FOUR, finish, legend, stacked
-from estune.trial import FloatArray
+from estune.core.quantities import FloatArray
+from estune.support.plot_style import FOUR, finish, legend, stacked
 from experiments.identification import excitation
 from experiments.paper import PaperFigure
 from plants.cable import string_frequency_Hz
@@ -20,7 +20,7 @@ from plants.identify import (
     open_loop_record,
     response_of_record,
 )
-from plants.reel import Reel
+from plants.models.reel import Reel
 
 
 class Bandwidth(NamedTuple):

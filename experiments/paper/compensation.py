@@ -7,10 +7,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from scipy.constants import g
 
-from estune.drawing import BLUE, GREEN, GREY, VERMILION, finish, legend, stacked
+from estune.core.quantities import FloatArray
 from estune.reel.gravity import gravity_force_N
-from estune.trial import FloatArray
-from plants.feedforward import WrenchTraces, WrenchTrial
+from estune.support.plot_style import BLUE, GREEN, GREY, VERMILION, finish, legend, stacked
+from plants.demonstrations.friction_compensation import WrenchTraces, WrenchTrial
 
 
 def uncompensated(trial: WrenchTrial) -> WrenchTrial:

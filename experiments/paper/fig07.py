@@ -2,9 +2,9 @@
 
 from matplotlib.figure import Figure
 
-from estune.drawing import BLUE, GREY, VERMILION, finish, legend, stacked
+from estune.support.plot_style import BLUE, GREY, VERMILION, finish, legend, stacked
 from experiments.paper import PaperFigure, show
-from plants.transparency import (
+from plants.two_reel_bench import (
     WEBER_LIMIT,
     Eyelet,
     ReelModel,

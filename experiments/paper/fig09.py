@@ -5,7 +5,7 @@ from itertools import pairwise
 from experiments.identification import LENGTHS_m
 from experiments.paper import PaperFigure, show
 from experiments.paper.bandwidth import draw, measure, power, string_Hz
-from plants.reel import Reel
+from plants.models.reel import Reel
 
 TENSION_N = 15.0
 

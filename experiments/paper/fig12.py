@@ -4,11 +4,11 @@ import numpy as np
 from scipy.stats import f_oneway
 
 import estune
-from estune.drawing import FOUR, finish, legend, stacked
-from estune.trial import FloatArray
+from estune.core.quantities import FloatArray
+from estune.support.plot_style import FOUR, finish, legend, stacked
 from experiments.identification import LENGTHS_m
 from experiments.paper import PaperFigure, show
-from plants.reel import Reel
+from plants.models.reel import Reel
 
 TENSION_N = 15.0
 TRIALS = 120

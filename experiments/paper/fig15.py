@@ -4,9 +4,9 @@ import math
 
 from matplotlib.figure import Figure
 
-from estune.drawing import FOUR, finish, legend, stacked
+from estune.support.plot_style import FOUR, finish, legend, stacked
 from experiments.paper import PaperFigure, show
-from plants.transparency import (
+from plants.two_reel_bench import (
     Eyelet,
     HysteresisLoop,
     HysteresisTest,

@@ -9,7 +9,7 @@ from experiments.paper.compensation import (
     uncompensated,
     weight_N,
 )
-from plants.feedforward import reference_wrench_trial, run_high_and_low
+from plants.demonstrations.friction_compensation import reference_wrench_trial, run_high_and_low
 
 
 def make(*, quick: bool = False) -> PaperFigure:  # noqa: ARG001  one run is quick enough

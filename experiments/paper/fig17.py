@@ -4,7 +4,7 @@ import numpy as np
 
 from experiments.paper import PaperFigure, show
 from experiments.paper.compensation import active_share, deviation, draw, rms, uncompensated
-from plants.feedforward import reference_wrench_trial, run_high_and_low
+from plants.demonstrations.friction_compensation import reference_wrench_trial, run_high_and_low
 
 LOW_SHARE = 0.1
 

@@ -6,9 +6,14 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import StrMethodFormatter
 
-from estune.drawing import BLUE, GREY, VERMILION, finish, legend, stacked
+from estune.support.plot_style import BLUE, GREY, VERMILION, finish, legend, stacked
 from experiments.paper import PaperFigure, show
-from plants.boundary import BoundaryTraces, BoundaryTrial, reference_boundary_trial, run_boundary
+from plants.demonstrations.workspace_boundary import (
+    BoundaryTraces,
+    BoundaryTrial,
+    reference_boundary_trial,
+    run_boundary,
+)
 
 
 class Standing(NamedTuple):

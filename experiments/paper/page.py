@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from html import escape
 from importlib.metadata import version
 
-from estune.page import document, drawn, words
+from estune.support.html_page import document, drawn, words
 from experiments.paper import PaperFigure
 
 TITLE = "The paper's figures, made again"

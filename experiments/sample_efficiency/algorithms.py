@@ -11,8 +11,8 @@ from functools import partial
 
 import numpy as np
 
-from estune.core.tuners.observation import Observation
-from estune.outside import TUNER_NAMES, tuner_class
+from estune.tuners.external import TUNER_NAMES, tuner_class
+from estune.tuners.observation import Observation
 from experiments.sample_efficiency.trials import Trials
 
 Algorithm = Callable[[Trials], None]

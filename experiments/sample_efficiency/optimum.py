@@ -12,7 +12,7 @@ import numpy as np
 from scipy.optimize import differential_evolution, minimize
 
 from estune.core.gains import Gains
-from estune.core.search_space import Coordinates
+from estune.tuners.search_space import Coordinates
 from experiments.sample_efficiency.problems import Problem
 
 OUT = Path(__file__).parents[1] / "out"

@@ -11,13 +11,13 @@ import numpy as np
 import plants
 from estune.core.cost import StepCost
 from estune.core.gains import Gains
-from estune.core.search_space import Coordinates, SearchSpace
-from estune.planning import MOVE_WEIGHT
-from estune.profiles import StepProfile
-from estune.trial import FloatArray
-from plants.linear import LinearPlant
-from plants.noise import NoiseSource
-from plants.plant import Plant
+from estune.core.quantities import FloatArray
+from estune.run.plan import MOVE_WEIGHT
+from estune.trial.profiles import StepProfile
+from estune.tuners.search_space import Coordinates, SearchSpace
+from plants.models.linear_plant import LinearPlant
+from plants.simulation.noise import NoiseSource
+from plants.simulation.plant import Plant
 
 SAMPLING_HZ = 632.0
 ONE_SAMPLE_S = 1.0 / SAMPLING_HZ

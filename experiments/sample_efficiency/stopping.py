@@ -8,10 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estune.planning import make_tuner
-from estune.session import Plan, begin, next_request, told
+from estune.run.plan import make_tuner
+from estune.run.session import Plan, begin, next_request, told
+from estune.run.summary import verdict
 from estune.trial import Outcome
-from estune.verdict import verdict
 from experiments.sample_efficiency.optimum import optimum
 from experiments.sample_efficiency.problems import PROBLEMS
 

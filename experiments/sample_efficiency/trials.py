@@ -6,8 +6,8 @@ from typing import NamedTuple
 import numpy as np
 
 from estune.core.gains import Gains
-from estune.core.search_space import Coordinates, SearchSpace
-from estune.trial import FloatArray
+from estune.core.quantities import FloatArray
+from estune.tuners.search_space import Coordinates, SearchSpace
 from experiments.sample_efficiency.problems import Problem
 
 ETA_MAX_RATIO = 3.0

@@ -13,13 +13,13 @@ from joblib import Parallel, delayed
 
 import estune
 import plants
-from estune.planning import DEFAULT_TUNER
-from estune.sweeping import runners
-from estune.sweeping.cell import Cell
-from estune.sweeping.cells import cells_of
-from estune.sweeping.cluster import on_cluster
-from estune.sweeping.design import read_design
-from estune.sweeping.outcome import Outcome
+from estune.run.plan import DEFAULT_TUNER
+from estune.studies.sweep import local_executors
+from estune.studies.sweep.cell import Cell
+from estune.studies.sweep.dask_executor import on_cluster
+from estune.studies.sweep.design import read_design
+from estune.studies.sweep.expand import cells_of
+from estune.studies.sweep.outcome import Outcome
 from estune.trial import Rig, TrialRequest
 from experiments.judged import Target, at_least, at_most, command_line, tell
 from experiments.sweep_speed import __doc__ as about
@@ -160,7 +160,8 @@ def measure(extent: Extent) -> dict[str, float]:
         "faster_than_python_control": figures["python_control_s_per_trial"] * trials / seconds,
         "faster_core_for_core": figures["python_control_s_per_trial"] / figures["s_per_trial"],
         "worker_MB": memory,
-        "process_per_cell_ms": 1e3 * starting_s(lambda c: runners.on_cores(c, CORES), cells),
+        "process_per_cell_ms": 1e3
+        * starting_s(lambda c: local_executors.on_cores(c, CORES), cells),
         "dask_per_cell_ms": 1e3 * on_dask,
         "load_after": os.getloadavg()[0],
     }

@@ -6,7 +6,7 @@ from typing import ClassVar
 
 import casadi as ca
 
-from plants.effects import turning
+from plants.effects import angle_phase
 from plants.effects.effect import Effect, Port, Signal, Site, WINDS_rad, parameter
 
 
@@ -32,7 +32,7 @@ class DrumEccentricity(Effect):
     )
     port: ClassVar[Port] = Port.CABLE
     also: ClassVar[tuple[Port, ...]] = (Port.DRUM,)
-    states: ClassVar[int] = turning.STATES
+    states: ClassVar[int] = angle_phase.STATES
 
     eccentricity: float = parameter(0.02, low=0.0, high=0.2, unit="", neutral=0.0)
     phase_rad: float = parameter(0.0, low=-WINDS_rad, high=WINDS_rad, unit="rad")
@@ -51,7 +51,7 @@ class DrumEccentricity(Effect):
         """At the cable the tension for the length wound in, then at the drum the arm's torque."""
         if site.port is Port.DRUM:
             return state, -p.arm_m * state[1] * site.tension_N
-        place = turning.turned(state, site.angle_rad + p.phase_rad)
+        place = angle_phase.turned(state, site.angle_rad + p.phase_rad)
         return place, (signal - p.taut_N) + p.swing_N * place[0]
 
     @staticmethod
@@ -62,7 +62,7 @@ class DrumEccentricity(Effect):
         site: Site,
     ) -> tuple[Signal, Signal]:
         """The same, traced back at the cable."""
-        place = turning.noted(site.angle_rad + p.phase_rad)
+        place = angle_phase.noted(site.angle_rad + p.phase_rad)
         if site.port is Port.DRUM:
             return place, -p.arm_m * place[1] * site.tension_N
         return place, signal - p.swing_N * place[0] + p.taut_N
@@ -74,4 +74,4 @@ class DrumEccentricity(Effect):
         angle_rad: Signal,
     ) -> Signal:
         """The angle there."""
-        return turning.noted(angle_rad + p.phase_rad)
+        return angle_phase.noted(angle_rad + p.phase_rad)

@@ -8,10 +8,10 @@ from typing import ClassVar
 import casadi as ca
 
 from plants.effects.effect import Effect, Port, Signal, Site, parameter
-from plants.equations import held_input
+from plants.simulation.equations import held_input
 
 SQUARINGS = 7
-"""Enough for the highest frequency at 100 Hz; see `plants.equations.held_input`."""
+"""Enough for the highest frequency at 100 Hz; see `plants.simulation.equations.held_input`."""
 
 
 @dataclass(frozen=True)

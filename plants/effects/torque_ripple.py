@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import ClassVar
 
-from plants.effects import turning
+from plants.effects import angle_phase
 from plants.effects.effect import Effect, Port, Signal, Site, WINDS_rad, parameter
 
 
@@ -25,7 +25,7 @@ class TorqueRipple(Effect):
         "whatever the velocity"
     )
     port: ClassVar[Port] = Port.DRUM
-    states: ClassVar[int] = turning.STATES
+    states: ClassVar[int] = angle_phase.STATES
     repeats: ClassVar[str] = "per_turn"
 
     amplitude_Nm: float = parameter(0.01, low=0.0, high=1e3, unit="N m", neutral=0.0)
@@ -40,7 +40,7 @@ class TorqueRipple(Effect):
         site: Site,
     ) -> tuple[Signal, Signal]:
         """The torque at this angle."""
-        phase = turning.turned(state, p.per_turn * site.angle_rad + p.phase_rad)
+        phase = angle_phase.turned(state, p.per_turn * site.angle_rad + p.phase_rad)
         return phase, -p.amplitude_Nm * phase[0]
 
     @staticmethod
@@ -51,7 +51,7 @@ class TorqueRipple(Effect):
         site: Site,
     ) -> tuple[Signal, Signal]:
         """The same at the angle of rest."""
-        phase = turning.noted(p.per_turn * site.angle_rad + p.phase_rad)
+        phase = angle_phase.noted(p.per_turn * site.angle_rad + p.phase_rad)
         return phase, -p.amplitude_Nm * phase[0]
 
     @staticmethod
@@ -61,4 +61,4 @@ class TorqueRipple(Effect):
         angle_rad: Signal,
     ) -> Signal:
         """The phase there."""
-        return turning.noted(p.per_turn * angle_rad + p.phase_rad)
+        return angle_phase.noted(p.per_turn * angle_rad + p.phase_rad)

@@ -1,7 +1,7 @@
 """The emulated hardware: a reel behind converters, an encoder, an amplifier and a watchdog.
 
 It moves in wall-clock time, whoever asks: brought up to the present whenever it is spoken to, in
-steps an eighth of a sampling period long, with the equations of `plants.reel_equations`.
+steps an eighth of a sampling period long, with the equations of `plants.models.reel_equations`.
 """
 
 from dataclasses import dataclass, replace
@@ -13,10 +13,10 @@ import numpy as np
 
 from estune.errors import InvalidInput
 from plants.emulator.wire import Truth
-from plants.plant import check_above_zero
-from plants.reel import Reel
-from plants.reel_equations import ReelStructure
-from plants.reel_path import THETA
+from plants.models.reel import Reel
+from plants.models.reel_equations import ReelStructure
+from plants.models.reel_signal_path import THETA
+from plants.simulation.plant import check_above_zero
 
 STEPS_PER_SAMPLE = 8
 _NOISE_AT_ONCE = 4096

@@ -16,9 +16,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from estune.core.quantities import FloatArray
 from estune.core.second_order import GaugeMode, SecondOrder
 from estune.errors import InvalidInput
-from estune.trial import FloatArray
 from plants.identify.second_order import Estimate, SecondOrderFit
 
 BEYOND = 1e-6

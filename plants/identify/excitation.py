@@ -16,8 +16,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from estune.core.quantities import FloatArray
 from estune.errors import InvalidInput
-from estune.trial import FloatArray
 
 Lines = NDArray[np.int64]
 

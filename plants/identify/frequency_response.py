@@ -12,8 +12,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from estune.core.quantities import FloatArray
 from estune.errors import InvalidInput
-from estune.trial import SATURATED, FloatArray, Outcome, TrialRecord
+from estune.trial import SATURATED, Outcome, TrialRecord
 from plants.identify.excitation import Excitation, Segment
 
 ComplexArray = NDArray[np.complex128]

@@ -9,9 +9,9 @@ from estune.core import pidf
 from estune.errors import InvalidInput, PlantError
 from estune.trial import Outcome, TrialRecord
 from plants.identify.excitation import Excitation
-from plants.noise import NoiseSource
-from plants.plant import SOFTWARE, Drive
-from plants.reel import SAFE_GAINS, Reel
+from plants.models.reel import SAFE_GAINS, Reel
+from plants.simulation.noise import NoiseSource
+from plants.simulation.plant import SOFTWARE, Drive
 
 
 def open_loop_record(reel: Reel, excitation: Excitation, seed: int | None = 0) -> TrialRecord:

@@ -15,9 +15,9 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from estune.core.quantities import FloatArray
 from estune.core.second_order import GaugeMode, SecondOrder, held_response, hooke_constant
 from estune.errors import InvalidInput
-from estune.trial import FloatArray
 from plants.identify.frequency_response import FrequencyResponse, check_probability
 
 ComplexArray = NDArray[np.complex128]

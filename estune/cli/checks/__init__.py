@@ -1,0 +1,10 @@
+"""Whether a rig is fit to be tuned: what is fine, what must be mended, and how.
+
+Each check is a function from evidence to a finding; `examine` gathers the evidence. Nothing moves
+unless the caller has said that it may.
+"""
+
+from estune.cli.checks.check_result import Finding, State
+from estune.cli.checks.run_checks import REPEATS, examine, gentle_trial
+
+__all__ = ["REPEATS", "Finding", "State", "examine", "gentle_trial"]

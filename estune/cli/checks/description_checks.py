@@ -1,0 +1,93 @@
+"""Checks on what a rig says of itself: limits, live gains, and how it stands."""
+
+import math
+from collections.abc import Iterator
+
+from estune.cli.checks.check_result import Finding, fine, fix, unknown
+from estune.errors import InvalidInput
+from estune.interop import margins
+from estune.remote.messages import Status
+from estune.run import result_warnings
+from estune.trial import RigDescription
+
+
+def check_standing(status: Status) -> Finding:
+    """Whether the rig can be used at all."""
+    if status.latched:
+        return fix(
+            "state",
+            f"held in its safe state after an emergency stop ({status.latched})",
+            "see to the rig, then: estune clear ENDPOINT",
+        )
+    held = f", held by {status.holder}" if status.holder else ""
+    return fine("state", f"{status.mode.sentence}{held}")
+
+
+def check_limits(rig: RigDescription) -> Finding:
+    """Whether the limits are limits, in order, and let the rig's own step pass."""
+    wrong = list(_faults(rig))
+    if wrong:
+        return fix("limits", "; ".join(wrong), "set the limits in the rig's file, and restart it")
+    low, high = rig.limits.tension_min_N, rig.limits.tension_max_N
+    return fine(
+        "limits",
+        f"{low:g} to {high:g} N, trials up to {rig.limits.duration_max_s:g} s",
+        tension_min_N=low,
+        tension_max_N=high,
+        duration_max_s=rig.limits.duration_max_s,
+    )
+
+
+def _faults(rig: RigDescription) -> Iterator[str]:
+    limits, controller, step = rig.limits, rig.controller, rig.step
+    ends = {
+        "least tension": limits.tension_min_N,
+        "greatest tension": limits.tension_max_N,
+        "longest trial": limits.duration_max_s,
+        "least effort": controller.output_min_N,
+        "greatest effort": controller.output_max_N,
+    }
+    open_ends = [name for name, value in ends.items() if not math.isfinite(value)]
+    if open_ends and not rig.simulated:
+        yield f"no limit is set for: {', '.join(open_ends)}"
+    try:
+        limits.check(step)
+    except InvalidInput as error:
+        yield f"the rig refuses the step it suggests itself ({error})"
+    if not controller.output_max_N >= min(limits.tension_max_N, max(step.extremes_N)):
+        yield (
+            f"the greatest effort, {controller.output_max_N:g} N, holds less than the "
+            f"{max(step.extremes_N):g} N of the step it suggests"
+        )
+    after_s = step.duration_s - step.step_at_s
+    if not rig.settling_time_s <= after_s:
+        yield (
+            f"a settling time of {rig.settling_time_s:g} s does not fit into the {after_s:g} s "
+            "after the step"
+        )
+
+
+def check_gains(rig: RigDescription) -> Finding:
+    """Whether the live gains hold the rig's own model with margins to spare."""
+    if rig.linear_model is None:
+        return unknown(
+            "live gains",
+            f"{rig.gains}; the rig gives no linear model, so their margins are not known",
+        )
+    found = margins(rig.linear_model, rig.gains, rig.controller)
+    thin = result_warnings.thin_margins(found)
+    if thin:
+        return fix(
+            "live gains",
+            f"{rig.gains}: {thin[0].sentence.partition(';')[0]}",
+            "give the rig gentler gains before it is tuned",
+            gain_margin=found.gain_margin,
+            phase_margin_deg=found.phase_margin_deg,
+        )
+    return fine(
+        "live gains",
+        f"{rig.gains}; gain margin {found.gain_margin:.2g}, "
+        f"phase margin {found.phase_margin_deg:.0f}°",
+        gain_margin=found.gain_margin,
+        phase_margin_deg=found.phase_margin_deg,
+    )

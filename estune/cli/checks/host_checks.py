@@ -1,0 +1,180 @@
+"""Checks on the process that serves a rig, where it runs on this machine (Linux)."""
+
+import ipaddress
+import os
+import re
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from estune.cli.checks.check_result import Finding, fine, fix, unknown
+
+_LISTENS = "0A"
+_PROC = Path("/proc")
+_NOT_SEEN = "the rig's process is not one of this user on this machine"
+_GO_THERE = "run estune doctor on the rig's machine, as its user, at the rig's own endpoint"
+
+
+@dataclass(frozen=True, slots=True)
+class Host:
+    """The process that listens at a rig's endpoint.
+
+    Attributes:
+        pid: Its number.
+        listens: The addresses it listens at.
+        real_time: Whether it or one of its children runs with real-time priority.
+        locked: Whether the same has its memory locked.
+        ledger: The ledger it keeps, or None.
+    """
+
+    pid: int
+    listens: tuple[str, ...]
+    real_time: bool
+    locked: bool
+    ledger: Path | None
+
+
+def find_host(endpoint: str) -> Host | None:
+    """The process that listens there; None if it cannot be seen from here."""
+    match = re.fullmatch(r"(?:tcp|tls)/(127\.\d+\.\d+\.\d+|localhost|\[::1\]):(\d+)", endpoint)
+    if match is None or not _PROC.joinpath("net/tcp").exists():
+        return None
+    sockets = dict(_listening())
+    wanted = {inode for inode, (_, port) in sockets.items() if port == int(match[2])}
+    for folder in _PROC.glob("[0-9]*"):
+        links = _links(folder)
+        inodes = {int(link[8:-1]) for link in links if link.startswith("socket:[")}
+        if inodes & wanted:
+            family = (folder, *_children(folder))
+            return Host(
+                pid=int(folder.name),
+                listens=tuple(sorted({sockets[i][0] for i in inodes if i in sockets})),
+                real_time=any(map(_is_real_time, family)),
+                locked=any(map(_is_locked, family)),
+                ledger=_ledger(links),
+            )
+    return None
+
+
+def check_permissions(host: Host | None, *, simulated: bool) -> Finding:
+    """Whether the real-time loop got what it asks the system for."""
+    if simulated:
+        return fine("permissions", "a simulated rig asks for none")
+    if host is None:
+        return unknown("permissions", _NOT_SEEN, _GO_THERE)
+    granted = {"real-time priority": host.real_time, "locked memory": host.locked}
+    missing = [name for name in granted if not granted[name]]
+    if missing:
+        return fix(
+            "permissions",
+            f"the rig runs without {' and without '.join(missing)}",
+            "grant it by /etc/security/limits.d or in its service (docs/hardware.md, Permissions)",
+        )
+    return fine("permissions", "real-time priority and locked memory are granted")
+
+
+def check_ports(host: Host | None, endpoint: str, *, asked_who: bool) -> Finding:
+    """Whether anybody on the network could command the rig.
+
+    Args:
+        host: The process, if it can be seen.
+        endpoint: Where it was reached.
+        asked_who: Whether it was reached under a name, with a password or certificate.
+    """
+    at = host.listens if host is not None else (endpoint,)
+    beyond = [address for address in at if not _is_loopback(address)]
+    if beyond and not asked_who:
+        return fix(
+            "ports",
+            f"whoever reaches {', '.join(beyond)} can command the rig",
+            "listen at 127.0.0.1, or say who may (docs/security.md)",
+        )
+    if host is None:
+        return fine("ports", f"reached at {endpoint}")
+    return fine("ports", f"listens at {', '.join(at)}")
+
+
+def check_ledger(host: Host | None, *, simulated: bool) -> Finding:
+    """Whether the rig remembers over a restart what it ran."""
+    if host is not None and host.ledger is not None:
+        return fine("ledger", f"on disk, {host.ledger}")
+    if simulated and host is not None:
+        return fine("ledger", "in memory; a simulated rig can afford to forget")
+    return unknown(
+        "ledger",
+        f"{_NOT_SEEN}, so whether its ledger is on disk is not known"
+        if host is None
+        else f"the process that listens there, {host.pid}, has none open that could be seen",
+        _GO_THERE,
+    )
+
+
+def _is_loopback(address: str) -> bool:
+    """Whether an address, alone or in an endpoint, is reached from this machine only."""
+    if address.startswith("unixsock-stream/"):
+        return True
+    host = address.partition("/")[2] or address
+    host = host.rpartition(":")[0].strip("[]") or host
+    with suppress(ValueError):
+        return ipaddress.ip_address(host).is_loopback
+    return host == "localhost"
+
+
+def _listening() -> Iterator[tuple[int, tuple[str, int]]]:
+    """Inodes of listening sockets, with address and port."""
+    for name in ("tcp", "tcp6"):
+        with suppress(OSError):
+            for line in (_PROC / "net" / name).read_text(encoding="ascii").splitlines()[1:]:
+                words = line.split()
+                if words[3] == _LISTENS:
+                    host, port = words[1].split(":")
+                    # Four bytes at a time in the machine's own order.
+                    raw = bytes.fromhex(host)
+                    packed = b"".join(raw[i : i + 4][::-1] for i in range(0, len(raw), 4))
+                    number = int(port, 16)
+                    address = ipaddress.ip_address(packed)
+                    shown = f"[{address}]" if address.version == 6 else str(address)
+                    yield int(words[9]), (f"{shown}:{number}", number)
+
+
+def _links(folder: Path) -> list[str]:
+    """What a process has open; nothing of another user's."""
+    found = []
+    with suppress(OSError):
+        for link in (folder / "fd").iterdir():
+            with suppress(OSError):
+                found.append(str(link.readlink()))
+    return found
+
+
+def _children(folder: Path) -> list[Path]:
+    with suppress(OSError):
+        pids = (folder / "task" / folder.name / "children").read_text(encoding="ascii").split()
+        return [_PROC / pid for pid in pids]
+    return []
+
+
+def _is_real_time(folder: Path) -> bool:
+    with suppress(OSError):
+        threads = [int(task.name) for task in (folder / "task").iterdir()]
+        return any(_policy(thread) in (os.SCHED_FIFO, os.SCHED_RR) for thread in threads)
+    return False
+
+
+def _policy(thread: int) -> int:
+    return os.sched_getscheduler(thread) & ~os.SCHED_RESET_ON_FORK
+
+
+def _is_locked(folder: Path) -> bool:
+    with suppress(OSError):
+        status = (folder / "status").read_text(encoding="utf-8")
+        locked = re.search(r"^VmLck:\s+(\d+)", status, re.MULTILINE)
+        return locked is not None and int(locked[1]) > 0
+    return False
+
+
+def _ledger(links: list[str]) -> Path | None:
+    """The file among those that are open beside which the lock of a ledger is open, too."""
+    ledgers = (link for link in links if f"{link}.lock" in links)
+    return next(map(Path, ledgers), None)

@@ -1,0 +1,406 @@
+"""What the reel does at each sample: guard, phase, controller. No clock and no hardware in here.
+
+::
+
+    OFF ──begin──► TAKE_UP ──taut──► HOLD ──settled at the preload──► TRIAL ──► HOLD
+                      │                │  ◄──── guard, safe state "hold" ───┤
+                      └──── guard ─────┴──────────────► RAMP ◄──── guard ───┘
+                                                          └──► STOPPED ──begin──► TAKE_UP
+
+Whatever the guard finds at a sample decides the current commanded at that same sample. A stop that
+a trial's own gains have earned, or a stalled computer, is over with the next trial. Any other is
+latched: the rig takes no trial until somebody has looked and cleared it.
+"""
+
+import math
+from dataclasses import replace
+from enum import IntEnum
+
+from estune.core.pidf import Coefficients
+from estune.hardware.controller import Controller
+from estune.hardware.driver import Reading
+from estune.hardware.live_gains import LiveGains
+from estune.hardware.loop_messages import Begin, Ended, Plan, Refused
+from estune.hardware.shared_memory import Level, Memory, Word
+from estune.reel import guard
+from estune.reel.guard import Limits, Reason, Stop, Watch
+from estune.trial import GUARD, LATE, SATURATED, Outcome
+
+_PASSING = frozenset((Reason.HEARTBEAT, Reason.LATE))
+"""Faults that are over when the computer keeps its time again."""
+
+_SENSES = frozenset((Reason.READING, Reason.FROZEN, Reason.CLOCK))
+"""Faults that nobody but a person can judge."""
+
+
+class Phase(IntEnum):
+    """What the loop is doing with the reel."""
+
+    OFF = 0
+    TAKE_UP = 1
+    HOLD = 2
+    TRIAL = 3
+    RAMP = 4
+    STOPPED = 5
+
+
+class Machine:
+    """The reel's behaviour, one sample at a time.
+
+    Attributes:
+        phase: What it is doing.
+        answer: What has become of the trial asked for; taken by the loop, which resets it.
+    """
+
+    def __init__(self, plan: Plan, memory: Memory, controller: Controller) -> None:
+        self.phase = Phase.OFF
+        self.answer: Ended | Refused | None = None
+        self._plan = plan
+        self._memory = memory
+        self._controller = controller
+        self._live = LiveGains(plan.live, plan.following)
+        self._angle_rad = 0.0
+        self._limits_take_up, self._limits_recovering = _relaxed(plan)
+        self._limits = plan.guard
+        self._watch: Watch | None = None
+        self._recover_until_s = -math.inf
+        self._latched = False
+        self._effort_N = 0.0
+        self._setpoint_N = plan.motion.hold_N
+        self._bump = False
+        self._still = self._at_preload = 0
+        self._trial: Begin | None = None
+        self._k = 0
+        self._first_s = math.nan
+        self._cost = 0.0
+        self._ramp_step_N = 0.0
+        self._limited = False
+        controller.use(plan.live)
+
+    @property
+    def powered(self) -> bool:
+        """Whether the amplifier is to have power."""
+        if self.phase is Phase.STOPPED:
+            return self._plan.safe.effort_N != 0.0
+        return self.phase is not Phase.OFF
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether the reel may be let go of."""
+        return self.phase in (Phase.OFF, Phase.STOPPED)
+
+    def begin(self, trial: Begin) -> None:
+        """Takes a trial in hand, or refuses it."""
+        if self._latched or self._memory.words[Word.ESTOP]:
+            why = self._memory.reason or "emergency stop"
+            self.answer = Refused(f"it has stopped ({why}); look at it, then clear it")
+            return
+        self._trial = trial
+        self._memory.words[Word.PROGRESS] = 0
+        if self.phase is not Phase.HOLD:
+            self.phase, self._watch = Phase.TAKE_UP, None
+        self._still = self._at_preload = 0
+
+    def swap(self, live: Coefficients) -> None:
+        """Makes gains the live ones, fixed, without a jump of the effort."""
+        self._live.fix(live)
+        if self.phase is not Phase.TRIAL:
+            self._controller.use(live)
+            self._bump = True
+
+    def tell(self, length_m: float) -> None:
+        """Takes the cable to be so long; live gains of a schedule follow."""
+        self._live.tell(length_m)
+
+    def clear(self) -> None:
+        """Forgets why it stopped."""
+        if not self._memory.words[Word.ESTOP]:
+            self._latched = False
+            self._memory.words[Word.LATCHED] = False
+            self._memory.reason = ""
+
+    def shut_down(self, sentence: str) -> None:
+        """Brings the reel to rest for good."""
+        self._give_up(Outcome.INTERRUPTED, sentence)
+        self._memory.reason = sentence
+        self._latched = True
+        if not self.at_rest:
+            self._ramp()
+
+    def sample(self, reading: Reading, silence_s: float, *, late: bool) -> int:
+        """One sample.
+
+        Args:
+            reading: What the driver read.
+            silence_s: How long the rig has given no sign of life, s.
+            late: Whether the loop was late.
+
+        Returns:
+            The command to be written, counts.
+        """
+        plan, memory = self._plan, self._memory
+        tension = plan.gauge.force_N(reading.gauge_counts)
+        angle = reading.encoder_counts * plan.radians_per_count
+        recorded, k = self.phase is Phase.TRIAL, self._k
+        flags = LATE if late else 0
+        if memory.words[Word.ESTOP] and not self._latched:
+            self._stop_by_hand()
+        elif self._trial is not None and memory.words[Word.ABORT] == self._trial.number:
+            self._give_up(Outcome.CANCELLED, Outcome.CANCELLED.sentence)
+        if self.phase not in _UNWATCHED:
+            stop = self._look(reading, tension, angle, silence_s, late=late)
+            if stop is not None:
+                flags |= GUARD
+                self._stop(stop, reading.time_s, tension)
+        self._angle_rad = angle
+        self._effort_N = self._act(reading.time_s, tension)
+        current = self._effort_N / plan.newtons_per_ampere
+        if recorded:
+            memory.time_s[k] = reading.time_s - self._first_s
+            memory.tension_N[k], memory.current_A[k] = tension, current
+            memory.angle_rad[k] = angle
+            memory.flags[k] = flags | (SATURATED if self._limited else 0)
+            memory.words[Word.PROGRESS] = k + 1
+        self._show(reading.time_s, tension, current, angle)
+        return plan.current.counts(current)
+
+    def _look(
+        self, reading: Reading, tension: float, angle: float, silence_s: float, *, late: bool
+    ) -> Stop | None:
+        """The guard's word on this sample."""
+        if self.phase is Phase.TRIAL:
+            self._cost += self._memory.weights[self._k] * (
+                (self._memory.setpoint_N[self._k] - tension) ** 2
+            )
+        sample = guard.Sample(
+            reading.time_s,
+            tension,
+            reading.gauge_counts,
+            self._effort_N / self._plan.newtons_per_ampere,
+            angle,
+            late,
+            silence_s,
+            self._cost if self.phase is Phase.TRIAL else 0.0,
+        )
+        watch = self._watch or guard.begin(sample)
+        if self.phase is Phase.TRIAL and self._k == 0:
+            watch = watch._replace(start_s=reading.time_s, start_rad=angle)
+        limits = self._limits
+        if self.phase is Phase.TAKE_UP:
+            limits = self._limits_take_up
+        elif reading.time_s < self._recover_until_s:
+            limits = self._limits_recovering
+        self._watch, stop = guard.look(limits, watch, sample)
+        if stop is not None and self.phase is Phase.TAKE_UP and stop.reason is Reason.DEADLINE:
+            motion = self._plan.motion
+            sentence = (
+                f"no tension above {motion.taut_N:g} N within {motion.take_up_s:g} s of taking "
+                "the cable up; is it attached, the gauge connected, the direction right?"
+            )
+            return Stop(Reason.DEADLINE, sentence)
+        return stop
+
+    def _stop(self, stop: Stop, time_s: float, tension_N: float) -> None:
+        """Goes to the safe state for a reason of the guard."""
+        was, safe = self.phase, self._plan.safe
+        holds = safe.hold and stop.reason.leaves_control
+        self._memory.reason = stop.sentence
+        blamed = stop.reason.condemns_gains
+        self._give_up(Outcome.GUARD if blamed else Outcome.INTERRUPTED, stop.sentence)
+        if was is Phase.TRIAL and holds:
+            self._recover_until_s = time_s + safe.recover_s
+            self._recover(tension_N)
+            return
+        if was is Phase.HOLD and holds and stop.reason in _PASSING:
+            return  # this is the safe state
+        self._latched = stop.reason in _SENSES or (
+            was is not Phase.TRIAL and stop.reason not in _PASSING
+        )
+        self._ramp()
+
+    def _recover(self, tension_N: float) -> None:
+        """Lets the live gains begin as if the reel had settled here.
+
+        Not bumpless: the last effort is that of gains which have just failed.
+        """
+        self._set_out_from(tension_N)
+        self._controller.rest(tension_N, self._setpoint_N)
+        self._bump = False
+
+    def _stop_by_hand(self) -> None:
+        sentence = f"emergency stop: {self._memory.order}"
+        self._give_up(Outcome.CANCELLED, sentence)
+        self._memory.reason = sentence
+        self._latched = True
+        if not self.at_rest:
+            self._ramp()
+
+    def _ramp(self) -> None:
+        if self.phase is Phase.RAMP:
+            return
+        samples = max(1, round(self._plan.safe.ramp_s * self._plan.sampling_Hz))
+        self._ramp_step_N = (self._plan.safe.effort_N - self._effort_N) / samples
+        self.phase = Phase.RAMP
+
+    def _give_up(self, outcome: Outcome, sentence: str) -> None:
+        """Ends the trial under way, or the one that has not begun, if there is one."""
+        if self.phase is Phase.TRIAL:
+            self._end(outcome, sentence, self._k + 1)
+        elif self._trial is not None:
+            if outcome is Outcome.CANCELLED:
+                self.answer = Ended(self._trial.number, 0, outcome, sentence, math.nan)
+            else:
+                self.answer = Refused(f"it stopped before the trial began: {sentence}")
+            self._trial = None
+
+    def _end(self, outcome: Outcome, sentence: str, kept: int) -> None:
+        """Ends the trial under way and puts the live gains back."""
+        assert self._trial is not None  # noqa: S101  a trial is under way
+        self.answer = Ended(self._trial.number, kept, outcome, sentence, self._first_s)
+        last = self._memory.setpoint_N[kept - 1]
+        open_loop, self._trial = self._trial.open_loop, None
+        self.phase, self._limits = Phase.HOLD, self._plan.guard
+        self._controller.use(self._live.coefficients)
+        self._set_out_from(self._memory.levels[Level.TENSION_N] if open_loop else last)
+
+    def _set_out_from(self, tension_N: float) -> None:
+        """Lets the setpoint begin here, within its limits, without a jump of the effort."""
+        plan = self._plan
+        self._setpoint_N = min(max(tension_N, plan.tension_min_N), plan.tension_max_N)
+        self._bump = True
+
+    def _act(self, time_s: float, tension_N: float) -> float:
+        """The effort of the phase, N, and the way from one phase to the next."""
+        self._limited = False
+        match self.phase:
+            case Phase.TAKE_UP:
+                return self._take_up(tension_N)
+            case Phase.HOLD:
+                return self._hold(tension_N)
+            case Phase.TRIAL:
+                return self._run(time_s, tension_N)
+            case Phase.RAMP:
+                return self._ramp_on()
+            case Phase.STOPPED:
+                return self._plan.safe.effort_N
+        return 0.0
+
+    def _take_up(self, tension_N: float) -> float:
+        motion = self._plan.motion
+        if not tension_N >= motion.taut_N:
+            return motion.take_up_N
+        self.phase = Phase.HOLD
+        self._controller.use(self._live.coefficients)
+        self._controller.rest(tension_N, self._effort_N)
+        self._set_out_from(tension_N)
+        return self._hold(tension_N)
+
+    def _hold(self, tension_N: float) -> float:
+        """Moves the setpoint to where it should be; there, lets the trial begin."""
+        motion, trial = self._plan.motion, self._trial
+        target = motion.hold_N
+        if trial is not None:
+            target = self._memory.setpoint_N[0]
+        way = motion.rate_N_s / self._plan.sampling_Hz
+        self._setpoint_N += min(max(target - self._setpoint_N, -way), way)
+        changed = self._live.follow(self._angle_rad, self._setpoint_N)
+        if self._bump:
+            self._controller.use(self._live.coefficients)
+            self._controller.take_over(self._setpoint_N, tension_N, self._effort_N)
+            self._bump = False
+        elif changed:
+            self._controller.exchange(self._live.coefficients, self._setpoint_N, tension_N)
+        effort = self._controller.step(self._setpoint_N, tension_N)
+        self._limited = self._controller.limited
+        if trial is not None:
+            self._settle(trial, tension_N)
+        return effort
+
+    def _settle(self, trial: Begin, tension_N: float) -> None:
+        """Lets the trial begin once the tension has stayed at the preload for long enough."""
+        motion, rate = self._plan.motion, self._plan.sampling_Hz
+        preload = self._memory.setpoint_N[0]
+        if self._setpoint_N != preload:
+            return
+        self._at_preload += 1
+        near = abs(tension_N - preload) <= motion.settle_N
+        self._still = self._still + 1 if near else 0
+        if self._still > motion.settle_s * rate:
+            self._start(trial)
+        elif self._at_preload > motion.settle_within_s * rate:
+            self._trial = None
+            self.answer = Refused(
+                f"the live gains have not kept the tension within {motion.settle_N:g} N of the "
+                f"preload {preload:g} N for {motion.settle_s:g} s, after "
+                f"{motion.settle_within_s:g} s: it is {tension_N:.4g} N"
+            )
+
+    def _start(self, trial: Begin) -> None:
+        """The next sample is the trial's first."""
+        self.phase, self._k, self._cost = Phase.TRIAL, 0, 0.0
+        self._limits = replace(
+            self._plan.guard, cost_max=trial.cost_max, duration_s=trial.duration_s
+        )
+        if not trial.open_loop:
+            self._controller.use(trial.coefficients)
+            self._bump = True
+
+    def _run(self, time_s: float, tension_N: float) -> float:
+        """One sample of the trial."""
+        trial, k = self._trial, self._k
+        assert trial is not None  # noqa: S101  a trial is under way
+        setpoint = self._memory.setpoint_N[k]
+        if k == 0:
+            self._first_s = time_s
+        if self._bump:
+            self._controller.take_over(setpoint, tension_N, self._effort_N)
+            self._bump = False
+        effort = self._controller.step(setpoint, tension_N)
+        self._limited = self._controller.limited
+        if trial.open_loop:  # the controller has run along for its filters' sake only
+            effort = min(max(setpoint, self._plan.effort_min_N), self._plan.effort_max_N)
+            self._limited = effort != setpoint
+        self._k = k + 1
+        if self._k == trial.samples:
+            self._end(Outcome.DONE, "", trial.samples)
+        return effort
+
+    def _ramp_on(self) -> float:
+        target = self._plan.safe.effort_N
+        effort = self._effort_N + self._ramp_step_N
+        if self._ramp_step_N == 0.0 or (target - effort) * self._ramp_step_N <= 0.0:
+            self.phase = Phase.STOPPED
+            return target
+        return effort
+
+    def _show(self, time_s: float, tension_N: float, current_A: float, angle_rad: float) -> None:
+        """Tells the rig how it stands."""
+        words, levels = self._memory.words, self._memory.levels
+        levels[Level.TIME_s], levels[Level.SETPOINT_N] = time_s, self._setpoint_N
+        levels[Level.TENSION_N], levels[Level.CURRENT_A] = tension_N, current_A
+        levels[Level.ANGLE_rad] = angle_rad
+        levels[Level.LENGTH_m], levels[Level.SCHEDULED_N] = self._live.used
+        words[Word.LATCHED], words[Word.PHASE] = self._latched, self.phase
+        words[Word.SAMPLES] += 1
+
+
+_UNWATCHED = frozenset((Phase.OFF, Phase.RAMP, Phase.STOPPED))
+
+
+def _relaxed(plan: Plan) -> tuple[Limits, Limits]:
+    """The limits while a slack cable is taken up, and while the live gains recover the reel."""
+    nothing = Limits()
+    take_up = replace(
+        plan.guard,
+        slack_N=nothing.slack_N,
+        rate_max_N_s=nothing.rate_max_N_s,
+        duration_s=plan.motion.take_up_s,
+    )
+    recovering = replace(
+        plan.guard,
+        tension_max_N=nothing.tension_max_N,
+        slack_N=nothing.slack_N,
+        rate_max_N_s=nothing.rate_max_N_s,
+        current_max_A=nothing.current_max_A,
+    )
+    return take_up, recovering

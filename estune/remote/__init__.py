@@ -1,0 +1,1 @@
+"""Rigs over the network: state machine, messages, Zenoh transport, ledger."""

@@ -1,0 +1,1 @@
+"""One tuning run: its plan, loop, journal and result."""

@@ -1,0 +1,189 @@
+"""The figures of a run: cost per trial, step response before and after, gains over the trials.
+
+They are drawn on axes that are handed in, from the columns of `TuneResult.to_frame` and from trial
+records.
+"""
+
+import math
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.ticker import MaxNLocator
+
+from estune.core.gains import GAIN_NAMES, GAIN_UNITS, Gains
+from estune.support.plot_style import (
+    BLACK,
+    BLUE,
+    GREEN,
+    GREY,
+    LIGHT,
+    ORANGE,
+    PURPLE,
+    VERMILION,
+    finish,
+    legend,
+)
+from estune.trial import TrialRecord
+from estune.trial.profiles import StepProfile
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+PHASES = {
+    "baseline": (ORANGE, "s", "start gains"),
+    "search": (BLUE, "o", "search"),
+    "choose": (PURPLE, "^", "choice"),
+    "confirm": (GREEN, "D", "confirmation"),
+}
+GAIN_LOOKS = {
+    "P": (BLUE, "-", "P"),
+    "I": (VERMILION, "-", "I"),
+    "D": (GREEN, (0, (4, 1.2)), "D"),
+    "setpoint_filter_s": (PURPLE, (0, (1.5, 0.8)), "filter"),
+}
+
+_DECADE = 10.0
+
+
+def draw_cost(ax: Axes, frame: "pd.DataFrame", start_cost: float, eta_max: float) -> Axes:
+    """Cost per trial by phase, the best so far, and the trials that were unsafe.
+
+    Args:
+        ax: Where to draw.
+        frame: The run's trials, as of `TuneResult.to_frame`.
+        start_cost: Mean cost of the start gains; nan if there is none.
+        eta_max: The cost above which a trial is unsafe; may be infinite.
+    """
+    shown = frame[frame["cost"].notna() & ~frame["unsafe"]]
+    for phase, (colour, marker, label) in PHASES.items():
+        part = shown[shown["phase"] == phase]
+        ax.plot(
+            part["number"], part["cost"], marker, color=colour, label=label, zorder=3,
+            markersize=3.2 if phase == "search" else 4.0, markeredgewidth=0, alpha=0.85,
+        )  # fmt: skip
+    # After the search gains are repeated: a lucky repeat of theirs is no news of a better place.
+    searched = _searched(frame)
+    ax.plot(
+        searched["number"], searched["best_cost"], color=BLACK, linewidth=1.3,
+        drawstyle="steps-post", label="best so far", zorder=2,
+    )  # fmt: skip
+    if math.isfinite(start_cost):
+        ax.axhline(start_cost, color=ORANGE, linewidth=0.9, linestyle="--", zorder=1)
+    finite = shown["cost"].to_numpy(dtype=float)
+    if finite.size and finite.min() > 0.0 and finite.max() / finite.min() > _DECADE:
+        ax.set_yscale("log")
+    _draw_unsafe(ax, frame[frame["unsafe"]], finite, eta_max)
+    ax.xaxis.set_major_locator(MaxNLocator(integer=True, steps=[1, 2, 5, 10]))
+    finish(ax, "cost η (1 = as good as first order)", "trial")
+    legend(ax, columns=3, left=-0.12)
+    return ax
+
+
+def draw_response(
+    ax: Axes, step: StepProfile, before: TrialRecord | None, after: TrialRecord | None
+) -> Axes:
+    """The step response before and after tuning, with the setpoint and the 2 % band about it.
+
+    Args:
+        ax: Where to draw.
+        step: The step asked for.
+        before: Response with the start gains.
+        after: Response with the recommended gains; None if there are none.
+    """
+    final = step.preload_N + step.step_N
+    band = 0.02 * abs(step.step_N)
+    ax.axhspan(final - band, final + band, color=LIGHT, linewidth=0, label="±2 % of the step")
+    looks = (
+        (before, ORANGE, 1.1, "start gains"),
+        (after, BLUE, 1.3, "tuned gains"),
+    )
+    first = next((record for record, *_ in looks if record is not None), None)
+    if first is not None:
+        ax.plot(
+            first.time_s - step.step_at_s,
+            first.setpoint_N,
+            "--",
+            color=GREY,
+            linewidth=0.9,
+            drawstyle="steps-post",
+            label="setpoint",
+        )
+    for record, colour, width, label in looks:
+        if record is not None:
+            ax.plot(
+                record.time_s - step.step_at_s, record.tension_N, color=colour, linewidth=width,
+                label=label, zorder=2,
+            )  # fmt: skip
+    ax.set_xlim(-min(step.step_at_s, 0.1 * step.duration_s), step.duration_s - step.step_at_s)
+    finish(ax, "tension, N", "time from the step, s")
+    ax.legend(loc="best", fontsize=8, frameon=False, handlelength=1.8)
+    return ax
+
+
+def draw_gains(
+    ax: Axes,
+    frame: "pd.DataFrame",
+    start: Gains,
+    recommended: Gains,
+    intervals: Mapping[str, tuple[float, float]],
+) -> Axes:
+    """Each gain over the search as a multiple of its start, on a logarithmic axis.
+
+    Args:
+        ax: Where to draw.
+        frame: The run's trials, as of `TuneResult.to_frame`.
+        start: The gains at the beginning.
+        recommended: The gains the run came to, drawn behind the search.
+        intervals: Where each optimum lies, by name, drawn as bars on them.
+    """
+    frame = _searched(frame)
+    ax.set_yscale("log")
+    ax.axhline(1.0, color=LIGHT, linewidth=0.9, zorder=0)
+    for place, name in enumerate(GAIN_NAMES, start=2):
+        colour, dash, label = GAIN_LOOKS[name]
+        values = frame[name].to_numpy(dtype=float)
+        # A gain that starts at zero has no multiple: it is shown against its first other value.
+        above = values[values > 0.0]
+        unit = getattr(start, name) or (above[0] if above.size else math.nan)
+        if not math.isfinite(unit):
+            continue
+        end = getattr(recommended, name)
+        shown = np.where(values > 0.0, values, np.nan) / unit
+        label = f"{label}  {getattr(start, name):.3g} → {end:.3g} {GAIN_UNITS[name]}"
+        ax.plot(frame["number"], shown, linestyle=dash, color=colour, linewidth=1.1, label=label)
+        if end > 0.0 and len(frame):
+            # Beside each other, so that bars do not hide one another.
+            behind = float(frame["number"].iloc[-1]) * (1.0 + 0.015 * place) + 0.3 * place
+            ax.plot(behind, end / unit, "o", color=colour, markersize=4.5, clip_on=False)
+            if name in intervals:
+                low, high = intervals[name]
+                ax.vlines(behind, low / unit, high / unit, color=colour, linewidth=1.6)
+    ax.xaxis.set_major_locator(MaxNLocator(integer=True, steps=[1, 2, 5, 10]))
+    finish(ax, "gain / start gain", "trial")
+    legend(ax, columns=2, left=-0.12)
+    return ax
+
+
+def _searched(frame: "pd.DataFrame") -> "pd.DataFrame":
+    return frame[frame["phase"].isin(["baseline", "search"])]
+
+
+def _draw_unsafe(ax: Axes, unsafe: "pd.DataFrame", safe: Any, eta_max: float) -> None:
+    """Unsafe trials as crosses along the top edge: their cost, if any, is not on the scale."""
+    if safe.size:
+        low, high = float(safe.min()), float(safe.max())
+        log = ax.get_yscale() == "log"
+        margin = (high / low) ** 0.06 if log else 0.06 * ((high - low) or high)
+        bottom = low / margin if log else low - margin
+        room = 2.5 if len(unsafe) else 1.0
+        top = high * margin**room if log else high + room * margin
+        ax.set_ylim(bottom, top)
+        if bottom < eta_max < top:
+            ax.axhline(eta_max, color=VERMILION, linewidth=0.9, linestyle=":", zorder=1)
+    if len(unsafe):
+        ax.plot(
+            unsafe["number"], np.full(len(unsafe), 0.965), "x", color=VERMILION, markersize=5,
+            markeredgewidth=1.3, transform=ax.get_xaxis_transform(), label="unsafe", zorder=3,
+        )  # fmt: skip

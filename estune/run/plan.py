@@ -1,0 +1,160 @@
+"""A plan from what a user says and a rig suggests, and its way to JSON and back."""
+
+import dataclasses
+import importlib
+from collections.abc import Mapping
+from typing import Any, Final, Literal
+
+from pydantic import TypeAdapter, ValidationError
+
+from estune.core.cost import StepCost
+from estune.core.gains import Gains
+from estune.errors import InvalidInput, JournalError
+from estune.interop import model_gains
+from estune.run.session import Plan
+from estune.trial import RigDescription
+from estune.trial.profiles import StepProfile
+from estune.tuners import Tuner
+from estune.tuners.external import TUNER_NAMES, tuner_class
+from estune.tuners.search_space import SearchSpace
+
+MOVE_WEIGHT = 0.2
+"""Default price on effort: without one the cost (35) has no interior optimum on a good plant."""
+
+DEFAULT_TUNER: Final = "newton"
+"""What gains are proposed by where nothing else is asked for."""
+
+
+def make_tuner(
+    tuner: str | Tuner[Any], start: Gains, bounds: Mapping[str, tuple[float, float]] | None
+) -> Tuner[Any]:
+    """The tuner named, searching around the start; a tuner given ready-made is taken as it is.
+
+    Raises:
+        InvalidInput: there is no tuner of that name, or the bounds are not usable.
+    """
+    if not isinstance(tuner, str):
+        if bounds is not None:
+            raise InvalidInput(
+                "a ready-made tuner has its own search space; give bounds to that one"
+            )
+        return tuner
+    if tuner not in TUNER_NAMES:
+        raise InvalidInput(f"there is no tuner {tuner!r}; the tuners are {', '.join(TUNER_NAMES)}")
+    made: Tuner[Any] = tuner_class(tuner)(space=SearchSpace.around(start, bounds=bounds))
+    return made
+
+
+def make_plan(
+    description: RigDescription,
+    run: str,
+    *,
+    tuner: str | Tuner[Any],
+    start: Gains | Literal["model"] | None,
+    bounds: Mapping[str, tuple[float, float]] | None,
+    step: StepProfile | None,
+    cost: StepCost | None,
+    **rest: Any,
+) -> Plan:
+    """The plan of a run: what the user left open is filled in by what the rig suggests.
+
+    Raises:
+        InvalidInput: a value is not usable, or the rig gives no model to start from.
+        UnsafeStart: the gains its model suggests would be no safe start.
+    """
+    if start == "model":
+        start = model_start(description)
+    start = start or description.gains
+    return Plan(
+        run=run,
+        tuner=make_tuner(tuner, start, bounds),
+        start=start,
+        step=step or description.step,
+        cost=cost or StepCost(description.settling_time_s, move_weight=MOVE_WEIGHT),
+        **rest,
+    )
+
+
+def model_start(description: RigDescription) -> Gains:
+    """The gains that a rig's own linear model suggests to begin from.
+
+    Raises:
+        InvalidInput: the rig gives no model, or one the rule does not apply to.
+        UnsafeStart: they would be no safe start.
+    """
+    if description.linear_model is None:
+        raise InvalidInput(
+            f"rig {description.name} gives no linear model of itself to start from; "
+            "give the gains to start from, or tune a model of it first (estune improve)"
+        )
+    return model_gains(description.linear_model, description.controller)
+
+
+def plan_to_json(plan: Plan) -> dict[str, Any]:
+    """The plan as JSON values; floats survive exactly.
+
+    Raises:
+        InvalidInput: the tuner is not a dataclass, so that its settings cannot be stored.
+    """
+    kind: type[Any] = type(plan.tuner)
+    if not dataclasses.is_dataclass(kind):
+        raise InvalidInput(
+            f"tuner {kind.__qualname__} is not a dataclass; only one can be journalled"
+        )
+    shown = {
+        f.name: TypeAdapter(type(value)).dump_python(value, mode="json")
+        for f in dataclasses.fields(plan)
+        if f.name != "tuner" and (value := getattr(plan, f.name)) is not None
+    }
+    tuner: Any = plan.tuner
+    settings = TypeAdapter(kind).dump_python(tuner, mode="json")
+    return {"tuner": {"kind": f"{kind.__module__}:{kind.__qualname__}", **settings}, **shown}
+
+
+def plan_from_json(values: dict[str, Any], tuner: Tuner[Any] | None = None) -> Plan:
+    """The plan that was stored.
+
+    Args:
+        values: What was stored.
+        tuner: To stand in for the stored one.
+
+    Raises:
+        JournalError: what was stored is not a plan of this version.
+    """
+    try:
+        if tuner is None:
+            settings = dict(values["tuner"])
+            module, _, name = settings.pop("kind").partition(":")
+            kind = getattr(importlib.import_module(module), name)
+            tuner = TypeAdapter(kind).validate_python(settings)
+        types = {"start": Gains, "step": StepProfile, "cost": StepCost}
+        rest = {
+            key: TypeAdapter(types[key]).validate_python(value) if key in types else value
+            for key, value in values.items()
+            if key != "tuner"
+        }
+        return Plan(tuner=tuner, **rest)
+    except (KeyError, ImportError, AttributeError, TypeError, ValidationError) as error:
+        raise JournalError(
+            f"the stored plan cannot be read ({error}); it is of another version"
+        ) from error
+
+
+def description_to_json(description: RigDescription) -> dict[str, Any]:
+    """The rig's description as JSON values."""
+    shown: dict[str, Any] = TypeAdapter(RigDescription).dump_python(description, mode="json")
+    return shown
+
+
+def description_from_json(values: dict[str, Any]) -> RigDescription:
+    """The description that was stored.
+
+    Raises:
+        JournalError: what was stored is not a description of this version.
+    """
+    try:
+        return TypeAdapter(RigDescription).validate_python(values)
+    except ValidationError as error:
+        raise JournalError(
+            f"the stored rig cannot be read ({error}); it is of another version"
+        ) from error

@@ -1,0 +1,346 @@
+"""What is to be said beside a result: thin margins, gains at a bound, flat directions of the cost.
+
+All are reasons not to take a number at its word. A cost can be least where the loop is close to
+ringing; a gain at its bound was not chosen by the cost but by whoever set the bound; along a flat
+direction any value would have done as well.
+
+Flat directions are read off a quadratic in the search coordinates, fitted to the safe trials near
+the best gains,
+
+    J(z) = c + g' z + z' H z / 2,
+    z_i = ln(value_i / best_i), or (value_i - best_i) / (high_i - low_i) on a linear scale,
+
+with a wide Gaussian prior on g and H (ridge regression), so that a direction the trials did not
+explore comes out as uncertain and not as flat. A direction is called flat only over the range the
+trials covered, and only where the change of the cost, its uncertainty included, stays in the
+scatter.
+"""
+
+import math
+from collections.abc import Iterable, Sequence
+from itertools import combinations_with_replacement
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from estune.core.gains import GAIN_UNITS
+from estune.core.margins import Margins
+from estune.core.quantities import FloatArray
+from estune.tuners.search_space import Point, SearchSpace
+
+FLAT_FACTOR = 2.0
+"""A parameter free to move by less than this factor is not worth a sentence."""
+
+FLAT_SHARE = 0.25
+"""The same for a parameter on a linear scale, as a share of the range between its bounds."""
+
+AT_BOUND = 0.02
+"""Within this share of the range between its bounds, a parameter is at its bound."""
+
+NEAR_LIMIT = 0.2
+"""With less than this share of the room left, a response is near a limit of the rig."""
+
+LEAST_CHANGE = 0.01
+"""A change of the cost by less than this share of it matters to nobody, however quiet the rig."""
+
+PHASE_MARGIN_LEAST_deg, GAIN_MARGIN_LEAST = 30.0, 2.0
+"""What textbooks ask of a loop at the least (Astrom & Hagglund, Advanced PID Control, 2006)."""
+
+_CONFIDENCE = 1.645  # one-sided 95 % of a normal distribution
+
+
+class _Axis(NamedTuple):
+    """One tuned parameter."""
+
+    name: str
+    label: str
+    unit: str
+    low: float
+    high: float
+    log: bool
+
+    def coordinate(self, value: float, origin: float) -> float:
+        """Where a value lies from the origin: a logarithm, or a share of the range."""
+        return math.log(value / origin) if self.log else (value - origin) / (self.high - self.low)
+
+    def value(self, coordinate: float, origin: float) -> float:
+        """The value at a coordinate."""
+        if self.log:
+            return origin * math.exp(coordinate)
+        return origin + coordinate * (self.high - self.low)
+
+    @property
+    def flat_width(self) -> float:
+        """Width, in its coordinate, from which on the parameter counts as free."""
+        return math.log(FLAT_FACTOR) if self.log else FLAT_SHARE
+
+
+class Finding(NamedTuple):
+    """One remark on the result.
+
+    Attributes:
+        kind: `margin`, `limit`, `bound`, `flat`, or `unknown` where the trials cannot tell.
+        parameters: What it is about.
+        sentence: The remark in words.
+    """
+
+    kind: Literal["margin", "limit", "bound", "flat", "unknown"]
+    parameters: tuple[str, ...]
+    sentence: str
+
+
+def thin_margins(found: Margins | None) -> tuple[Finding, ...]:
+    """Says where the linear model has less margin than is usual, or is unstable.
+
+    Args:
+        found: Margins of the tuned loop; None where the rig gives no model.
+    """
+    if found is None:
+        return ()
+    remedy = "a larger move weight makes the tuning gentler"
+    if not found.stable:
+        sentence = f"these gains make the rig's own linear model unstable; {remedy}"
+    elif found.phase_margin_deg < PHASE_MARGIN_LEAST_deg:
+        sentence = (
+            f"the phase margin of {found.phase_margin_deg:.0f}° is thin "
+            f"(under {PHASE_MARGIN_LEAST_deg:.0f}°); {remedy}"
+        )
+    elif 1.0 / GAIN_MARGIN_LEAST < found.gain_margin < GAIN_MARGIN_LEAST:
+        sentence = (
+            f"the gain margin of {found.gain_margin:.2g} is thin "
+            f"(within a factor {GAIN_MARGIN_LEAST:.0f}); {remedy}"
+        )
+    else:
+        return ()
+    return (Finding("margin", (), sentence),)
+
+
+def near_limits(share: float) -> tuple[Finding, ...]:
+    """Says where the response comes near what the rig can bear, so that this decided the gains.
+
+    Args:
+        share: What a trial with the gains left of the room to a limit; see `score.margin_of`.
+    """
+    if share >= NEAR_LIMIT:
+        return ()
+    sentence = (
+        f"a trial with these gains leaves {max(share, 0.0):.0%} of the room to the rig's limits "
+        "of tension or effort: the limit may have chosen them, not the cost"
+    )
+    return (Finding("limit", (), sentence),)
+
+
+def at_bounds(space: SearchSpace, best: Point) -> tuple[Finding, ...]:
+    """Names the parameters that the bounds decided.
+
+    Args:
+        space: The tuned parameters and their bounds.
+        best: The value of each.
+    """
+    sides = space.at_bound(best, AT_BOUND)
+    found = []
+    for axis in _axes(space):
+        if axis.name in sides:
+            low = sides[axis.name] == "low"
+            side, bound = ("lower", axis.low) if low else ("upper", axis.high)
+            sentence = (
+                f"{axis.label} is at its {side} bound of {_shown(axis, bound)}: "
+                "the bound chose it, not the cost"
+            )
+            found.append(Finding("bound", (axis.name,), sentence))
+    return tuple(found)
+
+
+def flat_directions(
+    space: SearchSpace,
+    best: Point,
+    best_cost: float,
+    *,
+    points: FloatArray,
+    costs: FloatArray,
+    noise: float,
+) -> tuple[Finding, ...]:
+    """Names the parameters, alone or together, that may move without the cost telling.
+
+    Args:
+        space: The tuned parameters.
+        best: The value of each at the best gains.
+        best_cost: The cost there.
+        points: Parameters of the safe trials, shape (trials, parameters).
+        costs: Their costs, shape (trials,).
+        noise: Standard deviation of the cost between repeats.
+
+    Returns:
+        Flat directions, then one finding for the parameters the trials cannot tell of.
+    """
+    axes = _axes(space)
+    if not math.isfinite(noise):
+        sentence = "without repeats there is no scatter to judge flat directions by"
+        return (Finding("unknown", space.names, sentence),)
+    tolerance = max(2.0 * noise, LEAST_CHANGE * abs(best_cost))
+    z = np.array(
+        [[a.coordinate(v, o) for a, v, o in zip(axes, p, best, strict=True)] for p in points]
+    ).reshape(-1, len(axes))
+    fit = _fit_near(z, np.asarray(costs, dtype=np.float64), best_cost, tolerance, noise)
+    if fit is None:
+        return (_unknown(axes),)
+    within = (
+        f"its scatter ({tolerance:.2g})" if tolerance == 2.0 * noise else f"{LEAST_CHANGE:.0%}"
+    )
+    found, flat, unknown = [], [], []
+    for i, axis in enumerate(axes):
+        low, high, decided = _reach(fit, np.eye(len(axes))[i], tolerance)
+        if high - low >= axis.flat_width:
+            found.append(Finding("flat", (axis.name,), _flat(axis, best[i], low, high, within)))
+            flat.append(i)
+        elif not decided:
+            unknown.append(axis)
+    joint = list(_joint(axes, fit, tolerance, within, set(flat)))
+    found.extend(joint)
+    unknown = [axis for axis in unknown if not any(axis.name in f.parameters for f in joint)]
+    if unknown:
+        found.append(_unknown(unknown))
+    return tuple(found)
+
+
+def _axes(space: SearchSpace) -> list[_Axis]:
+    units = {**GAIN_UNITS, "K": "N/N", "Ti": "s", "Td": "s"}
+    labels = {"setpoint_filter_s": "the setpoint filter"}
+    return [
+        _Axis(name, labels.get(name, name), units[name], low, high, space.scale == "log")
+        for name, low, high in zip(space.names, space.low, space.high, strict=True)
+    ]
+
+
+class _Fit(NamedTuple):
+    """The quadratic near the best: coefficients of `_terms` without the constant."""
+
+    z: FloatArray  # trials it rests on
+    beta: FloatArray
+    covariance: FloatArray
+
+    def change(self, steps: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Change of the cost from the best to each of `steps`, and its standard error."""
+        terms = _terms(steps)[:, 1:]
+        variance = np.einsum("ni,ij,nj->n", terms, self.covariance, terms)
+        return terms @ self.beta, np.sqrt(np.maximum(variance, 0.0))
+
+
+def _terms(z: FloatArray) -> FloatArray:
+    """1, z_i, and z_i z_j for i <= j (halved on the diagonal), shape (trials, terms)."""
+    pairs = combinations_with_replacement(range(z.shape[1]), 2)
+    squares = [z[:, i] * z[:, j] * (0.5 if i == j else 1.0) for i, j in pairs]
+    return np.column_stack([np.ones(len(z)), z, *squares])
+
+
+def _inverse(matrix: FloatArray) -> FloatArray:
+    return np.asarray(np.linalg.inv(matrix), dtype=np.float64)
+
+
+def _fit_near(
+    z: FloatArray, costs: FloatArray, best_cost: float, tolerance: float, noise: float
+) -> _Fit | None:
+    """Fits the trials whose cost is near the best, the wider neighbourhood the better it holds.
+
+    The neighbourhood is a level set of the cost, wide against the scatter, and is halved until the
+    quadratic describes it to within the tolerance. None with too few trials.
+    """
+    fit, reach = None, max(8.0 * tolerance, float(np.ptp(costs)) if len(costs) else 0.0)
+    while reach >= 4.0 * tolerance:
+        near = costs <= best_cost + reach
+        terms = _terms(z[near])
+        freedom = len(terms) - terms.shape[1]
+        if freedom < terms.shape[1] // 2:
+            break
+        # Prior: over one unit of a coordinate the cost may change by several times what it did.
+        prior = (4.0 * reach) ** 2
+        precision = np.eye(terms.shape[1]) / prior
+        precision[0, 0] = 0.0  # the constant is free
+        variance = max(noise, 1e-3 * tolerance) ** 2
+        for _ in range(3):  # what the quadratic misses counts as noise
+            covariance = _inverse(precision + terms.T @ terms / variance)
+            beta = covariance @ (terms.T @ costs[near]) / variance
+            missed = float(np.sum((costs[near] - terms @ beta) ** 2)) / freedom
+            variance = max(noise**2, missed, 1e-6 * tolerance**2)
+        fit = _Fit(z[near], beta[1:], covariance[1:, 1:])
+        if missed <= tolerance**2:
+            break
+        reach /= 2.0
+    return fit
+
+
+def _reach(fit: _Fit, direction: FloatArray, tolerance: float) -> tuple[float, float, bool]:
+    """How far the best may move along a unit direction with the cost inside the tolerance.
+
+    Returns:
+        The way down and the way up, within what the trials covered, and whether the trials decide:
+        not where they covered too little, or leave the change of the cost uncertain.
+    """
+    covered = fit.z @ direction
+    ends, decided = [], False
+    for limit in (min(0.0, float(covered.min())), max(0.0, float(covered.max()))):
+        steps = np.linspace(0.0, limit, 41)
+        change, error = fit.change(np.outer(steps, direction))
+        free = np.abs(change) + _CONFIDENCE * error <= tolerance
+        ends.append(float(steps[np.argmin(free) - 1] if not free.all() else limit))
+        decided = decided or bool(np.any(np.abs(change) - _CONFIDENCE * error > tolerance))
+    return ends[0], ends[1], decided
+
+
+def _joint(
+    axes: Sequence[_Axis], fit: _Fit, tolerance: float, within: str, flat: set[int]
+) -> Iterable[Finding]:
+    """Flat directions that lie across parameters none of which is flat by itself."""
+    rest = [i for i in range(len(axes)) if i not in flat]
+    if len(rest) < 2:
+        return
+    d = len(axes)
+    hessian = np.zeros((d, d))
+    for value, (i, j) in zip(
+        fit.beta[d:], combinations_with_replacement(range(d), 2), strict=True
+    ):
+        hessian[i, j] = hessian[j, i] = value
+    _, vectors = np.linalg.eigh(hessian[np.ix_(rest, rest)])
+    for vector in vectors.T:
+        direction = np.zeros(d)
+        direction[rest] = vector
+        lead = int(np.argmax(np.abs(direction)))
+        direction *= np.sign(direction[lead])
+        low, high, _ = _reach(fit, direction, tolerance)
+        moved = [i for i in rest if abs(direction[i]) >= 0.3 * direction[lead]]
+        if len(moved) > 1 and (high - low) * direction[lead] >= axes[lead].flat_width:
+            ways = _listed([_way(axes[i], direction[i] * (high - low)) for i in moved])
+            sentence = (
+                f"{_listed([axes[i].label for i in moved])} are not determined one by one: "
+                f"{ways} together does not change the cost by more than {within}"
+            )
+            yield Finding("flat", tuple(axes[i].name for i in moved), sentence)
+
+
+def _flat(axis: _Axis, origin: float, low: float, high: float, within: str) -> str:
+    bottom, top = axis.value(low, origin), axis.value(high, origin)
+    factor = f" by a factor {top / bottom:.2g}" if axis.log else ""
+    return (
+        f"{axis.label} may move{factor}, from {bottom:.2g} to {_shown(axis, top)}, "
+        f"without the cost changing by more than {within}"
+    )
+
+
+def _way(axis: _Axis, moved: float) -> str:
+    verb = "raising" if moved > 0 else "lowering"
+    size = f"a factor {math.exp(abs(moved)):.2g}" if axis.log else f"{abs(moved):.0%} of its range"
+    return f"{verb} {axis.label} by {size}"
+
+
+def _unknown(axes: Sequence[_Axis]) -> Finding:
+    listed = _listed([axis.label for axis in axes])
+    sentence = f"too few trials near the best gains to tell how much the cost depends on {listed}"
+    return Finding("unknown", tuple(axis.name for axis in axes), sentence)
+
+
+def _shown(axis: _Axis, value: float) -> str:
+    return f"{value:.2g} {axis.unit}".rstrip()
+
+
+def _listed(words: Sequence[str]) -> str:
+    return " and ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)

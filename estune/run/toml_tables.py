@@ -1,0 +1,128 @@
+"""What files say of a tuning: the step trial, its cost, and how far gains are looked for."""
+
+import math
+from typing import Annotated, Literal, Self
+
+from pydantic import AfterValidator, Field, model_validator
+
+from estune.core.cost import StepCost
+from estune.core.gains import GAIN_NAMES
+from estune.run.plan import MOVE_WEIGHT
+from estune.run.session import TOLERANCE
+from estune.support.toml_file import Table
+from estune.trial import RigDescription
+from estune.trial.profiles import StepProfile
+from estune.tuners.external import TUNER_NAMES
+
+Positive = Annotated[float, Field(gt=0.0)]
+NotNegative = Annotated[float, Field(ge=0.0)]
+Count = Annotated[int, Field(ge=1)]
+Range = Annotated[tuple[float, float], Field(strict=False)]
+
+
+def _known(name: str) -> str:
+    if name not in TUNER_NAMES:
+        raise ValueError(f"there is none named {name!r}; the tuners are {', '.join(TUNER_NAMES)}")
+    return name
+
+
+TunerName = Annotated[str, AfterValidator(_known)]
+
+
+class StepTable(Table):
+    """The step trial; what is left out is what the rig suggests.
+
+    Attributes:
+        preload_N: Tension before the step.
+        step_N: Size of the step.
+        step_at_s: When it comes.
+        duration_s: Length of the trial.
+    """
+
+    preload_N: float | None = None
+    step_N: float | None = None
+    step_at_s: NotNegative | None = None
+    duration_s: Positive | None = None
+
+    @model_validator(mode="after")
+    def _in_order(self) -> Self:
+        at, end = self.step_at_s, self.duration_s
+        if at is not None and end is not None and not at < end:
+            raise ValueError(
+                f"step_at_s: {at:g} is not before the trial's end, duration_s {end:g}"
+            )
+        return self
+
+    def of(self, rig: RigDescription) -> StepProfile:
+        """The step to be run on a rig."""
+        given = {name: value for name, value in self.model_dump().items() if value is not None}
+        named = ("preload_N", "step_N", "step_at_s", "duration_s")
+        return StepProfile(**{**{name: getattr(rig.step, name) for name in named}, **given})
+
+
+class CostTable(Table):
+    """How a trial is scored, by (35).
+
+    Attributes:
+        settling_time_s: Settling time asked for; the rig's own suggestion if left out.
+        weight: Over the transient: as printed, or rising as the paper's prose has it.
+        time_unit: Unit of the time weight.
+        move_weight: Price on jumps of the effort.
+    """
+
+    settling_time_s: Positive | None = None
+    weight: Literal["printed", "rising"] = "printed"
+    time_unit: Literal["second", "settling_time"] = "second"
+    move_weight: NotNegative = MOVE_WEIGHT
+
+    def too_long(self, step: StepTable) -> list[str]:
+        """What is wrong with the settling time in such a trial; nothing, or one sentence."""
+        after_s = (step.duration_s or math.inf) - (step.step_at_s or 0.0)
+        if self.settling_time_s is None or self.settling_time_s <= after_s:
+            return []
+        limit = f"is longer than the {after_s:g} s after the step"
+        return [f"cost.settling_time_s: {self.settling_time_s:g} {limit}"]
+
+    def of(self, rig: RigDescription) -> StepCost:
+        """The cost for a rig."""
+        return StepCost(
+            rig.settling_time_s if self.settling_time_s is None else self.settling_time_s,
+            weight=self.weight,
+            time_unit=self.time_unit,
+            move_weight=self.move_weight,
+        )
+
+
+class SearchTable(Table):
+    """How far gains are looked for.
+
+    Attributes:
+        trials: Greatest number of search trials.
+        repeats: Trials of the start before the search, and at the least of the start and of the
+            gains found after it.
+        tolerance: The search ends once no more than this share of the cost is left to gain; zero
+            makes it use all its trials.
+        eta_max: Cost above which a trial is unsafe; three times the start's if left out.
+        bounds: Least and greatest value of gains, by name, in their own units.
+    """
+
+    trials: Count = 120
+    repeats: Count = 3
+    tolerance: Annotated[float, Field(ge=0.0, lt=1.0)] = TOLERANCE
+    eta_max: Positive | None = None
+    bounds: dict[str, Range] = Field(default={})
+
+    @model_validator(mode="after")
+    def _bounded(self) -> Self:
+        wrong = []
+        for name, (low, high) in self.bounds.items():
+            if name not in GAIN_NAMES:
+                wrong.append(f"bounds.{name}: no gain; the gains are {', '.join(GAIN_NAMES)}")
+            elif not 0.0 < low < high:
+                wrong.append(
+                    f"bounds.{name}: {low:g} to {high:g} is no range: the first must be above 0 "
+                    "and below the second"
+                )
+        if wrong:
+            raise ValueError("\n".join(wrong))
+        return self

@@ -1,0 +1,1 @@
+"""Many tunings: sweeps, matched reels, gain laws."""

@@ -1,0 +1,153 @@
+"""The paper's Figs. 12, 13 and 14 of a sweep: cost and I over trials, gains over length."""
+
+from collections.abc import Sequence
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import to_hex
+from matplotlib.figure import Figure
+
+from estune.core.gains import GAIN_UNITS
+from estune.core.quantities import FloatArray
+from estune.studies.law.law import GainLaw
+from estune.studies.sweep.outcome import TRACE, Outcome
+from estune.support.plot_style import (
+    BLACK,
+    BLUE,
+    GREY,
+    LIGHT,
+    VERMILION,
+    WIDTH_in,
+    finish,
+    legend,
+    new_figure,
+    stacked,
+)
+
+_COST, _UNSAFE = TRACE.index("cost"), TRACE.index("unsafe")
+_SMOOTHED = 8
+"""Trials in the running mean that takes the dither out of a gain."""
+_LABELS = {"P": "P", "I": "I", "D": "D", "setpoint_filter_s": "setpoint filter"}
+_CURVE_POINTS = 200
+_MOST_IN_LEGEND = 10
+
+
+def draw_costs(outcomes: Sequence[Outcome]) -> Figure:
+    """Fig. 12: the cost of each search trial, one line a length: the median over its tunings."""
+    figure, (ax,) = stacked(1, 3.0)
+    for length, color, traces in _by_length(outcomes):
+        costs = [np.where(t[:, _UNSAFE] == 0.0, t[:, _COST], np.nan) for t in traces]
+        middle = _median(costs)
+        ax.plot(np.arange(1, middle.size + 1), middle, color=color, label=f"{length:g} m", lw=1.1)
+    ax.set_yscale("log")
+    finish(ax, "cost η", "search trial")
+    _keyed(ax)
+    return figure
+
+
+def draw_integral(outcomes: Sequence[Outcome]) -> Figure:
+    """Fig. 13: the integral gain over the search, its dither averaged out, one line a length."""
+    figure, (ax,) = stacked(1, 3.0)
+    column = TRACE.index("I")
+    for length, color, traces in _by_length(outcomes):
+        middle = _median([_running_mean(trace[:, column]) for trace in traces])
+        first = _SMOOTHED
+        ax.plot(
+            np.arange(first, first + middle.size),
+            middle,
+            color=color,
+            label=f"{length:g} m",
+            lw=1.1,
+        )
+    finish(ax, f"I, {GAIN_UNITS['I']}", "search trial")
+    _keyed(ax)
+    return figure
+
+
+def draw_law(law: GainLaw, name: str, left_out: Sequence[Outcome]) -> Figure:
+    """Fig. 14: one gain over length, the law with its bands, and its residuals below.
+
+    Args:
+        law: The law.
+        name: The gain, of `GAIN_NAMES`.
+        left_out: Cells that have no part in it; those that found gains are shown as crosses.
+    """
+    figure = new_figure(WIDTH_in, 4.0)
+    ax, below = figure.subplots(2, 1, sharex=True, height_ratios=[3.0, 1.0])
+    fit = law.fits[name]
+    length = np.linspace(*law.length_m, _CURVE_POINTS)
+    band = law.band(name, length)
+    ax.fill_between(
+        length, band.new_low, band.new_high, color=LIGHT, alpha=0.6, lw=0.0,
+        label="a further tuning, 95 %",
+    )  # fmt: skip
+    ax.fill_between(
+        length, band.low, band.high, color=BLUE, alpha=0.25, lw=0.0, label="the law, 95 %"
+    )
+    ax.plot(length, band.gain, color=BLUE, lw=1.4, label=_called(law, name))
+    ax.plot(fit.points.length_m, fit.points.gain, ".", color=BLACK, ms=5, label="tuned")
+    shown = [(o.cell.length_m, getattr(o.gains, name)) for o in left_out if o.gains is not None]
+    if shown:
+        ax.plot(*zip(*shown, strict=True), "x", color=VERMILION, ms=5, label="left out")
+    finish(ax, f"{_LABELS[name]}, {GAIN_UNITS[name]}")
+    legend(ax, columns=3)
+    below.axhline(0.0, color=GREY, lw=0.8)
+    below.plot(fit.points.length_m, fit.fit.studentised, ".", color=BLACK, ms=4)
+    finish(below, "residual, sd", "cable length, m")
+    return figure
+
+
+def _called(law: GainLaw, name: str) -> str:
+    """The curve in the legend, and at which tension it is drawn where that matters."""
+    low, high = law.tension_N
+    at = f" at {(low + high) / 2.0:g} N" if low < high else ""
+    return f"{law.fits[name].curve}{at}"
+
+
+def _by_length(outcomes: Sequence[Outcome]) -> list[tuple[float, str, list[FloatArray]]]:
+    """Search trials of all tunings of each length, with its colour."""
+    found: dict[float, list[FloatArray]] = {}
+    for outcome in outcomes:
+        searched = outcome.trace[outcome.trace[:, 0] == 1.0]
+        if searched.size:
+            found.setdefault(outcome.cell.length_m, []).append(searched)
+    lengths = sorted(found)
+    return [
+        (length, color, found[length])
+        for length, color in zip(lengths, _colors(len(lengths)), strict=True)
+    ]
+
+
+def _colors(count: int) -> list[str]:
+    """Colours from short to long, apart in grey as well; the palest end is left out."""
+    return [to_hex(mpl.colormaps["viridis"](share)) for share in np.linspace(0.0, 0.88, count)]
+
+
+def _median(rows: Sequence[FloatArray]) -> FloatArray:
+    """Median over rows of unequal length, as far as half of them go."""
+    reach = sorted(row.size for row in rows)[(len(rows) - 1) // 2]
+    table = np.full((len(rows), reach), np.nan)
+    for place, row in zip(table, rows, strict=True):
+        place[: row.size] = row[:reach]
+    some = np.isfinite(table).any(axis=0)
+    middle = np.full(reach, np.nan)
+    middle[some] = np.nanmedian(table[:, some], axis=0)
+    return middle
+
+
+def _running_mean(values: FloatArray) -> FloatArray:
+    """Means of each so many in a row."""
+    if values.size < _SMOOTHED:
+        return values[:0]
+    return np.convolve(values, np.full(_SMOOTHED, 1.0 / _SMOOTHED), mode="valid")
+
+
+def _keyed(ax: Axes) -> None:
+    """A legend where the lengths are few enough to be told apart by it."""
+    handles, labels = ax.get_legend_handles_labels()
+    every = -(-len(labels) // _MOST_IN_LEGEND)
+    ax.legend(
+        handles[::every], labels[::every], loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=5,
+        fontsize=8, frameon=False, handlelength=2.0, columnspacing=1.4, borderaxespad=0.2,
+    )  # fmt: skip

@@ -1,0 +1,1 @@
+"""Plumbing without knowledge of control: SQLite, C compiler, TOML files, drawing, HTML."""

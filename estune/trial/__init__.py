@@ -1,0 +1,30 @@
+"""One trial: the request, the record, and the rig that turns one into the other."""
+
+from estune.trial.description import LinearModel, RigDescription, RigLimits
+from estune.trial.records import (
+    GUARD,
+    LATE,
+    SATURATED,
+    Outcome,
+    Telemetry,
+    TrialRecord,
+    TrialRequest,
+    unmeasured,
+)
+from estune.trial.rig import Rig, Watched
+
+__all__ = [
+    "GUARD",
+    "LATE",
+    "SATURATED",
+    "LinearModel",
+    "Outcome",
+    "Rig",
+    "RigDescription",
+    "RigLimits",
+    "Telemetry",
+    "TrialRecord",
+    "TrialRequest",
+    "Watched",
+    "unmeasured",
+]

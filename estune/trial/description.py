@@ -1,0 +1,122 @@
+"""Description of a rig: its limits and linear model."""
+
+import math
+from dataclasses import dataclass
+
+from estune.core.gains import Gains
+from estune.core.pidf import ControllerSettings
+from estune.errors import InvalidInput
+from estune.trial.profiles import AnyProfile, StepProfile
+
+
+@dataclass(frozen=True, slots=True)
+class LinearModel:
+    """The plant at its operating point: `x' = A x + B v, y = C x + E v, v(t) = u(t - dead time)`.
+
+    Attributes:
+        A: State matrix as rows, shape (n, n), 1/s.
+        B: Input vector, shape (n,).
+        C: Output vector, shape (n,).
+        E: Direct feed-through.
+        dead_time_s: Delay of the input u, s.
+
+    Raises:
+        InvalidInput: a number is not finite.
+    """
+
+    A: tuple[tuple[float, ...], ...]
+    B: tuple[float, ...]
+    C: tuple[float, ...]
+    E: float = 0.0
+    dead_time_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        numbers = (*(a for row in self.A for a in row), *self.B, *self.C, self.E, self.dead_time_s)
+        if not all(map(math.isfinite, numbers)):
+            raise InvalidInput("the linear model holds a number that is not finite")
+
+
+@dataclass(frozen=True, slots=True)
+class RigLimits:
+    """What a rig will accept in a request.
+
+    Attributes:
+        tension_min_N: Least setpoint, N; of an open loop too.
+        tension_max_N: Greatest setpoint, N; of an open loop too.
+        duration_max_s: Longest trial, s.
+
+    Raises:
+        InvalidInput: the limits are the wrong way round, or none at all.
+    """
+
+    tension_min_N: float
+    tension_max_N: float
+    duration_max_s: float
+
+    def __post_init__(self) -> None:
+        # Both hold for infinite limits, and neither for NaN.
+        if not (self.tension_min_N <= self.tension_max_N and self.duration_max_s > 0.0):
+            raise InvalidInput(
+                f"limits {self.tension_min_N:g} to {self.tension_max_N:g} N and "
+                f"{self.duration_max_s:g} s: give them in order, and a duration above zero"
+            )
+
+    def check(self, profile: AnyProfile) -> None:
+        """Refuses a profile the rig must not run.
+
+        Raises:
+            InvalidInput: a tension or the duration is outside the limits.
+        """
+        for tension in profile.extremes_N:
+            if not self.tension_min_N <= tension <= self.tension_max_N:
+                raise InvalidInput(
+                    f"setpoint {tension:g} N is outside the rig's range "
+                    f"{self.tension_min_N:g} to {self.tension_max_N:g} N; "
+                    "choose another preload or a smaller change"
+                )
+        if profile.duration_s > self.duration_max_s:
+            raise InvalidInput(
+                f"a trial of {profile.duration_s:g} s is longer than the rig's limit of "
+                f"{self.duration_max_s:g} s; choose a shorter one"
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class RigDescription:
+    """What a rig says of itself.
+
+    Attributes:
+        name: Its name, unique on the link.
+        gains: The gains that are live now; a trial puts them back when it ends.
+        controller: The fixed part of its controller.
+        newtons_per_ampere: Tension at rest per motor current, N/A: turns current into effort.
+        limits: What it will accept.
+        step: A step trial that suits it.
+        settling_time_s: The settling time a good tuning of it can reach, s; t_s in (35).
+        cable_length_m: Deployed cable length, m, or None.
+        linear_model: The plant linearised about the suggested step, where it is known.
+        software: What serves it, name and version.
+        simulated: Whether nothing physical moves, so that an interrupted trial may be asked for
+            again without anybody having seen to the rig.
+
+    Raises:
+        InvalidInput: a number is not finite, or not above zero.
+    """
+
+    name: str
+    gains: Gains
+    controller: ControllerSettings
+    newtons_per_ampere: float
+    limits: RigLimits
+    step: StepProfile
+    settling_time_s: float
+    cable_length_m: float | None = None
+    linear_model: LinearModel | None = None
+    software: str = ""
+    simulated: bool = False
+
+    def __post_init__(self) -> None:
+        for name in ("newtons_per_ampere", "settling_time_s", "cable_length_m"):
+            value = getattr(self, name)
+            if value is not None and not (math.isfinite(value) and value > 0.0):
+                raise InvalidInput(f"rig {self.name}: {name} is {value}; it must be above zero")

@@ -1,0 +1,53 @@
+"""What a trial does to the setpoint: a step, or an excitation that shows what a model lacks.
+
+A profile is a few numbers and a formula, so that a request stays small and a small board can
+compute the setpoint itself. In all formulas k is the sample from 0, f_s the sampling rate,
+t = k/f_s and s = t - start_s; before `start_s` the setpoint is the preload.
+
+In a closed loop the setpoint is followed by the controller. In an open loop it goes straight to
+the current loop: current = setpoint / newtons per ampere, within the rig's limits of effort.
+"""
+
+from typing import Annotated, Any, Literal, TypeAlias, get_args
+
+from estune.trial.profiles.chirp import ChirpProfile
+from estune.trial.profiles.multisine import MOST_LINES, Lines, MultisineProfile
+from estune.trial.profiles.sampled import Loop
+from estune.trial.profiles.staircase import StaircaseProfile
+from estune.trial.profiles.step import StepProfile
+from estune.trial.profiles.triangle import TriangleProfile
+
+__all__ = [
+    "MOST_LINES",
+    "PROFILES",
+    "AnyProfile",
+    "ChirpProfile",
+    "Kind",
+    "Lines",
+    "Loop",
+    "MultisineProfile",
+    "Profile",
+    "StaircaseProfile",
+    "StepProfile",
+    "TriangleProfile",
+]
+
+Kind = Literal["step", "triangle", "multisine", "chirp", "staircase"]
+
+
+class _ByKind:
+    """Lets pydantic tell the profiles apart by `kind`; it is slow to import, so not done here."""
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
+        from pydantic import Field  # noqa: PLC0415  slow to import, not needed by every command
+
+        return handler(Annotated[source, Field(discriminator="kind")])
+
+
+AnyProfile: TypeAlias = (
+    StepProfile | TriangleProfile | MultisineProfile | ChirpProfile | StaircaseProfile
+)
+Profile: TypeAlias = Annotated[AnyProfile, _ByKind()]
+"""Whatever a trial may ask for."""
+
+PROFILES: tuple[type[AnyProfile], ...] = get_args(AnyProfile)

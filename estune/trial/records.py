@@ -1,0 +1,179 @@
+"""Trial requests and trial records."""
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estune.core.gains import Gains
+from estune.core.quantities import FloatArray
+from estune.trial.description import RigDescription
+from estune.trial.profiles import Kind, Loop, Profile
+
+SATURATED, GUARD, LATE = 1, 2, 4
+"""Bits of the `flags` column: command limited, guard stepped in, sample late."""
+
+
+class Outcome(StrEnum):
+    """How a trial ended. Only `done` has a cost; the void ones say nothing about the gains."""
+
+    DONE = "done"
+    DIVERGED = "diverged"
+    GUARD = "guard"
+    CANCELLED = "cancelled"
+    INTERRUPTED = "interrupted"
+    DECLINED = "declined"
+
+    @property
+    def sentence(self) -> str:
+        """The outcome in words."""
+        return _SENTENCES[self]
+
+    @property
+    def is_void(self) -> bool:
+        """Whether the trial says nothing about its gains, so that it may be asked for again."""
+        return self in (Outcome.CANCELLED, Outcome.INTERRUPTED)
+
+
+_SENTENCES = {
+    Outcome.DONE: "the trial ran to its end",
+    Outcome.DIVERGED: "the response left the finite range",
+    Outcome.GUARD: "the rig's guard ended the trial at one of its limits",
+    Outcome.CANCELLED: "the trial was stopped by the operator",
+    Outcome.INTERRUPTED: "the rig stopped in the middle of the trial",
+    Outcome.DECLINED: "whoever was asked did not let the trial run",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class TrialRequest:
+    """One trial to be run with the given gains.
+
+    Attributes:
+        run: Name of the run the trial belongs to.
+        number: The trial's place in the run, from 0. A simulated rig's noise depends on it and
+            on the rig's seed alone, so that a run can be repeated.
+        gains: Controller gains for the duration of the trial.
+        profile: The setpoint: a step for tuning, other profiles to find out about the rig. In an
+            open loop the gains play no part.
+        attempt: Counts repeats of a trial that was void, from 0. A trial id never runs twice.
+    """
+
+    run: str
+    number: int
+    gains: Gains
+    profile: Profile
+    attempt: int = 0
+
+    @property
+    def trial_id(self) -> str:
+        """Identifies the trial: on the rig, in the journal and in file names."""
+        retry = f".{self.attempt}" if self.attempt else ""
+        return f"{self.run}-{self.number:05d}{retry}"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrialRecord:
+    """What a rig measured in one trial. Columns have shape (samples,), fewer if it was cut short.
+
+    Attributes:
+        trial_id: The trial this is the record of.
+        rig: Name of the rig.
+        sampling_Hz: Sampling rate.
+        cable_length_m: Deployed cable length, or None where there is no cable.
+        preload_N: Tension held before the profile begins, N.
+        gains: The gains that were really applied.
+        outcome: How the trial ended.
+        reason: What happened, in words, where the outcome is not `done`.
+        started_at: Wall-clock time of the start, ISO 8601 with offset.
+        software: What ran the trial, name and version.
+        time_s: Time from the start of the trial.
+        setpoint_N: The setpoint before its filter.
+        tension_N: The measured tension.
+        current_A: The motor current commanded.
+        angle_rad: The drum angle measured.
+        flags: Bit field: see `SATURATED`, `GUARD`, `LATE`.
+        reference_N: Tension measured outside the reel, where there is such a gauge.
+        loop: `closed`, or `open` where the setpoint went straight to the current loop.
+        profile: The kind of setpoint.
+    """
+
+    trial_id: str
+    rig: str
+    sampling_Hz: float
+    cable_length_m: float | None
+    preload_N: float
+    gains: Gains
+    outcome: Outcome
+    reason: str
+    started_at: str
+    software: str
+    time_s: FloatArray
+    setpoint_N: FloatArray
+    tension_N: FloatArray
+    current_A: FloatArray
+    angle_rad: FloatArray
+    flags: NDArray[np.uint8]
+    reference_N: FloatArray | None = None
+    loop: Loop = "closed"
+    profile: Kind | Literal["custom"] = "step"
+
+
+def unmeasured(
+    request: TrialRequest, rig: RigDescription, outcome: Outcome, reason: str, at: str
+) -> TrialRecord:
+    """The record of a trial that nothing was measured of: no samples, the live gains.
+
+    Args:
+        request: The trial.
+        rig: The rig it was meant for.
+        outcome: What came of it.
+        reason: Why, in words.
+        at: When, ISO 8601 with offset.
+    """
+    nothing = np.empty(0)
+    return TrialRecord(
+        trial_id=request.trial_id,
+        rig=rig.name,
+        sampling_Hz=rig.controller.sampling_Hz,
+        cable_length_m=rig.cable_length_m,
+        preload_N=request.profile.preload_N,
+        gains=rig.gains,
+        outcome=outcome,
+        reason=reason,
+        started_at=at,
+        software=rig.software,
+        time_s=nothing,
+        setpoint_N=nothing,
+        tension_N=nothing,
+        current_A=nothing,
+        angle_rad=nothing,
+        flags=np.empty(0, np.uint8),
+        loop=request.profile.loop,
+        profile=request.profile.kind,
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Telemetry:
+    """Samples of a trial under way, for whoever looks on. Columns have shape (samples,).
+
+    Attributes:
+        trial_id: The trial.
+        first: Index in the trial of the first sample here.
+        sampling_Hz: Sampling rate.
+        setpoint_N: The setpoint before its filter.
+        tension_N: The measured tension.
+        current_A: The motor current commanded.
+        angle_rad: The drum angle measured.
+    """
+
+    trial_id: str
+    first: int
+    sampling_Hz: float
+    setpoint_N: FloatArray
+    tension_N: FloatArray
+    current_A: FloatArray
+    angle_rad: FloatArray

@@ -1,0 +1,23 @@
+"""Machines with something hidden in them, that hand over nothing but records.
+
+Nothing here knows the code under test, nor is known to it: other coordinates (forces at the rim
+and metres of cable), another integrator, other laws for the same effects, other noise.
+"""
+
+from experiments.hidden_machines.cases import VARIANTS, Case, Secret, draw, family
+from experiments.hidden_machines.effects import CATALOGUE, OUTSIDE
+from experiments.hidden_machines.machine import NoCompiler
+from experiments.hidden_machines.records import Record, write
+
+__all__ = [
+    "CATALOGUE",
+    "OUTSIDE",
+    "VARIANTS",
+    "Case",
+    "NoCompiler",
+    "Record",
+    "Secret",
+    "draw",
+    "family",
+    "write",
+]

@@ -1,0 +1,1 @@
+"""Simulated demonstrations of the paper's compensations and workspace boundary."""

@@ -1,0 +1,202 @@
+"""Friction and inertia compensation at work: the paper's Figs. 16 and 17, and its instability.
+
+The reel holds the tension of a platform that a wrench moves to and fro along the cable. Friction
+and inertia are fed forward from the encoder alone.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from estune.core.gains import Gains
+from estune.core.pidf import at_rest, coefficients
+from estune.core.pidf import step as pidf_step
+from estune.core.quantities import FloatArray
+from estune.reel.friction import FeedForward, StribeckFriction
+from estune.reel.velocity import Motion, MotionState, Windows
+from estune.reel.velocity import step as estimate
+from plants.demonstrations.platform import TENSION_GAINS, Platform
+from plants.models.reel import Reel
+
+Compensation = Callable[[Motion], float]
+"""Torque fed forward at a sample, N m, from the motion estimated at it."""
+
+
+@dataclass(frozen=True)
+class WrenchTrial:
+    """A sinusoidal wrench on the platform while the reel holds its tension.
+
+    Attributes:
+        platform: The bench.
+        feed_forward: What is compensated.
+        windows: The velocity estimator.
+        gains: Gains of the tension PIDF.
+        wrench_N: Amplitude of the force along the cable, N.
+        wrench_Hz: Its frequency, Hz.
+        encoder_noise_rad: Noise of the angle before it is counted, rad rms: vibration of the
+            encoder, or samples taken late.
+        duration_s: Length of the trial, s.
+        seed: Of the noise of gauge and encoder.
+    """
+
+    platform: Platform
+    feed_forward: FeedForward
+    windows: Windows
+    gains: Gains = TENSION_GAINS
+    wrench_N: float = 4.0
+    wrench_Hz: float = 1.0
+    encoder_noise_rad: float = 0.0
+    duration_s: float = 3.0
+    seed: int = 0
+
+
+class WrenchTraces(NamedTuple):
+    """One run of the trial; columns have shape (samples,), forces are at the cable, N.
+
+    Attributes:
+        time_s: Time.
+        position_m: Platform's position, outward.
+        velocity_rad_s: The drum's true velocity.
+        velocity_estimate_rad_s: What the encoder lets the controller know of it.
+        tension_N: Tension of the cable.
+        effort_N: The whole effort, PIDF and feed-forward.
+        friction_N: Friction component of the feed-forward.
+        inertia_N: Inertia component of the feed-forward; zero below its noise floor.
+        true_friction_N: Dry friction (10) at the true velocity.
+        true_inertia_N: Inertia times the true acceleration.
+    """
+
+    time_s: FloatArray
+    position_m: FloatArray
+    velocity_rad_s: FloatArray
+    velocity_estimate_rad_s: FloatArray
+    tension_N: FloatArray
+    effort_N: FloatArray
+    friction_N: FloatArray
+    inertia_N: FloatArray
+    true_friction_N: FloatArray
+    true_inertia_N: FloatArray
+
+
+def run_wrench(
+    trial: WrenchTrial,
+    friction: Compensation | None = None,
+) -> WrenchTraces:
+    """Runs the trial.
+
+    Args:
+        trial: What is run.
+        friction: Friction torque fed forward, N m, in place of `FeedForward.friction_Nm`.
+    """
+    bench, reel = trial.platform, trial.platform.reel
+    compensate = friction or trial.feed_forward.friction_Nm
+    c = coefficients(reel.controller, trial.gains)
+    T, R = reel.tension_N, reel.drum_radius_m
+    x, pidf, motion_state = bench.at_rest(), at_rest(T, T), MotionState()
+    times = np.arange(round(trial.duration_s * reel.sampling_Hz)) / reel.sampling_Hz
+    noise = np.random.default_rng(trial.seed).normal(size=(times.size, 2))
+    noise *= reel.gauge_noise_N, trial.encoder_noise_rad
+    count = 2.0 * math.pi / reel.encoder_counts
+    rows = []
+    for now, (error, shake) in zip(times.tolist(), noise.tolist(), strict=True):
+        tension = bench.tension_N(x)
+        motion_state, motion = estimate(
+            trial.windows, motion_state, now, count * round((x.angle_rad + shake) / count)
+        )
+        forward = compensate(motion) / R, trial.feed_forward.inertia_Nm(motion) / R
+        pidf, feedback, _ = pidf_step(c, pidf, T, tension + error)
+        limit = reel.controller.output_max_N
+        effort = min(max(float(feedback) + sum(forward), -limit), limit)
+        rows.append(
+            (x.position_m, x.velocity_rad_s, motion.velocity_rad_s, tension, effort, *forward)
+        )
+        wrench = trial.wrench_N * math.sin(2.0 * math.pi * trial.wrench_Hz * now)
+        x = bench.step(x, effort, T + wrench)
+    position, velocity, estimated, tensions, efforts, dry, inertial = np.array(rows).T
+    acceleration = np.gradient(velocity, 1.0 / reel.sampling_Hz)
+    return WrenchTraces(
+        time_s=times,
+        position_m=position,
+        velocity_rad_s=velocity,
+        velocity_estimate_rad_s=estimated,
+        tension_N=tensions,
+        effort_N=efforts,
+        friction_N=dry,
+        inertia_N=inertial,
+        true_friction_N=bench.friction.torque_Nm(velocity) / R,
+        true_inertia_N=reel.drum_inertia_kg_m2 * acceleration / R,
+    )
+
+
+def reference_wrench_trial(encoder_counts: float = 2048.0) -> WrenchTrial:
+    """The trial of Fig. 16 on the reference reel: high amplitude, and the paper's encoder.
+
+    Args:
+        encoder_counts: Counts per turn of the drum; the paper's reel has 2048.
+    """
+    reel = replace(Reel(cable_length_m=0.8, tension_N=15.0), encoder_counts=encoder_counts)
+    dry = StribeckFriction(coulomb_Nm=0.02, static_Nm=0.03, stribeck_rad_s=0.5)
+    return WrenchTrial(
+        Platform(reel, dry, damping_Ns_m=8.0, centring_N_m=20.0),
+        FeedForward(dry, reel.drum_inertia_kg_m2),
+        Windows(2.0 * math.pi / encoder_counts),
+    )
+
+
+def run_high_and_low(
+    trial: WrenchTrial, low_share: float = 0.1
+) -> tuple[WrenchTraces, WrenchTraces]:
+    """The data of Figs. 16 and 17: the trial, and the same with a small wrench.
+
+    Args:
+        trial: The one of Fig. 16.
+        low_share: Wrench of Fig. 17 as a share of it.
+    """
+    return run_wrench(trial), run_wrench(replace(trial, wrench_N=low_share * trial.wrench_N))
+
+
+def run_limits(trial: WrenchTrial) -> tuple[WrenchTraces, WrenchTraces]:
+    """The instability the paper warns of: the trial without and with the limits on friction.
+
+    Without, the torque fed forward is (10) of the estimated velocity; with, it is
+    `FeedForward.friction_Nm`.
+    """
+    dry = trial.feed_forward.friction
+
+    def unlimited(motion: Motion) -> float:
+        return float(dry.torque_Nm(motion.velocity_rad_s))
+
+    return run_wrench(trial, unlimited), run_wrench(trial)
+
+
+def unstable_wrench_trial(
+    coefficient_share: float = 3.0, noise_counts: float = 0.3
+) -> WrenchTrial:
+    """A trial that `run_limits` shows to be unstable without them, on a reel of high friction.
+
+    A small wrench, at the least tension. It takes both causes: with a share of one, or with no
+    noise, the platform rests in either case.
+
+    Args:
+        coefficient_share: Friction coefficients fed forward, as multiples of the drum's.
+        noise_counts: Noise of the encoder, counts rms. The band of the velocity windows is one
+            count and three deviations to either side.
+    """
+    trial = reference_wrench_trial()
+    reel = replace(trial.platform.reel, tension_N=trial.platform.reel.tension_min_N)
+    coulomb, static, velocity = 0.08, 0.12, 0.5
+    believed = StribeckFriction(coefficient_share * coulomb, coefficient_share * static, velocity)
+    count = 2.0 * math.pi / reel.encoder_counts
+    return replace(
+        trial,
+        platform=replace(
+            trial.platform, reel=reel, friction=StribeckFriction(coulomb, static, velocity)
+        ),
+        feed_forward=FeedForward(believed, 0.0, trial.feed_forward.fraction),
+        windows=Windows((1.0 + 6.0 * noise_counts) * count),
+        wrench_N=0.1,
+        encoder_noise_rad=noise_counts * count,
+    )

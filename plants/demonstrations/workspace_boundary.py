@@ -1,0 +1,120 @@
+"""The platform at the boundary of its workspace: the paper's Fig. 18, with and without hand-over.
+
+The user pushes the platform out until the tension distribution has no solution, which is so while
+the platform is beyond the boundary, and keeps pushing. The hybrid controller then holds the
+cable's length at the boundary and gives way to tension control whenever the platform comes back
+inside.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estune.core.gains import Gains
+from estune.core.pidf import PidfState, at_rest, coefficients
+from estune.core.quantities import FloatArray
+from estune.reel import hybrid
+from estune.reel.friction import StribeckFriction
+from plants.demonstrations.platform import TENSION_GAINS, Platform
+from plants.models.reel import Reel
+
+POSITION_GAINS = Gains(P=2000.0, I=6000.0, D=120.0, setpoint_filter_s=0.0)
+RULES = hybrid.SwitchingRules(tension_min_N=2.0, margin_N=1.0)
+
+
+@dataclass(frozen=True)
+class BoundaryTrial:
+    """The trial and the controller of Fig. 18.
+
+    Attributes:
+        platform: The bench.
+        position: Gains of the position PIDF, N/m, N/(m s), N s/m.
+        tension: Gains of the tension PIDF.
+        rules: When to switch.
+        boundary_m: Where the workspace ends, m from the platform's start; above zero.
+        push_N: The user's force outward, from the start on, N.
+        push_swing_N: How much it swings, N; the user is no constant force.
+        push_Hz: How fast it swings, Hz.
+        duration_s: Length of the trial, s.
+        seed: Of the gauge's noise.
+    """
+
+    platform: Platform
+    position: Gains = POSITION_GAINS
+    tension: Gains = TENSION_GAINS
+    rules: hybrid.SwitchingRules = RULES
+    boundary_m: float = 0.02
+    push_N: float = 5.0
+    push_swing_N: float = 6.0
+    push_Hz: float = 0.7
+    duration_s: float = 6.0
+    seed: int = 0
+
+
+class BoundaryTraces(NamedTuple):
+    """One run of the trial; columns have shape (samples,).
+
+    Attributes:
+        time_s: Time.
+        position_m: Platform's position, outward.
+        tension_N: Tension of the cable.
+        effort_N: Effort commanded.
+        in_tension: The selection S: whether the tension is controlled.
+        jump_N: At a switch, the effort commanded less the one the outgoing controller would have
+            commanded at that sample; zero elsewhere.
+    """
+
+    time_s: FloatArray
+    position_m: FloatArray
+    tension_N: FloatArray
+    effort_N: FloatArray
+    in_tension: NDArray[np.bool_]
+    jump_N: FloatArray
+
+
+def run_boundary(trial: BoundaryTrial) -> tuple[BoundaryTraces, BoundaryTraces]:
+    """The data of Fig. 18: the trial with the hand-over (36)-(37) and without it."""
+    return _run(trial, hand_over=True), _run(trial, hand_over=False)
+
+
+def _run(trial: BoundaryTrial, *, hand_over: bool) -> BoundaryTraces:
+    reel, bench = trial.platform.reel, trial.platform
+    c = hybrid.HybridCoefficients(
+        coefficients(reel.controller, trial.position), coefficients(reel.controller, trial.tension)
+    )
+    x = bench.at_rest()
+    T = reel.tension_N
+    wound = reel.drum_radius_m * x.angle_rad
+    hold = wound - trial.boundary_m
+    state = hybrid.HybridState(PidfState(T, hold, wound), at_rest(T, T), in_tension=True)
+    advance = hybrid.step if hand_over else hybrid.parallel_step
+    times = np.arange(round(trial.duration_s * reel.sampling_Hz)) / reel.sampling_Hz
+    noise = np.random.default_rng(trial.seed).normal(0.0, reel.gauge_noise_N, times.size)
+    count = 2.0 * math.pi / reel.encoder_counts
+    rows = []
+    for now, error in zip(times.tolist(), noise.tolist(), strict=True):
+        tension = bench.tension_N(x)
+        read = tension + error
+        wound = reel.drum_radius_m * count * round(x.angle_rad / count)
+        solved = x.position_m <= trial.boundary_m
+        selected = trial.rules.select(state.in_tension, read, solved)
+        signals = hybrid.HybridSignals(
+            hold, wound, trial.rules.tension_setpoint_N(T, solved), read
+        )
+        _, unswitched = advance(c, state, signals, state.in_tension)
+        state, effort = advance(c, state, signals, selected)
+        rows.append((x.position_m, tension, effort, selected, effort - unswitched))
+        swing = trial.push_swing_N * math.sin(2.0 * math.pi * trial.push_Hz * now)
+        x = bench.step(x, float(effort), T + trial.push_N + swing)
+    position, tensions, efforts, selections, jumps = np.array(rows).T
+    return BoundaryTraces(times, position, tensions, efforts, selections > 0.0, jumps)
+
+
+def reference_boundary_trial() -> BoundaryTrial:
+    """The trial on the reference reel at 0.8 m and 15 N, with dry friction at its drum."""
+    reel = Reel(cable_length_m=0.8, tension_N=15.0)
+    friction = StribeckFriction(coulomb_Nm=0.02, static_Nm=0.03, stribeck_rad_s=0.5)
+    return BoundaryTrial(Platform(reel, friction))

@@ -1,0 +1,193 @@
+"""A measured record as the discrepancy workflow takes it, and what was found wrong with one."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estune.core.gains import Gains
+from estune.core.quantities import FloatArray
+from estune.errors import InvalidInput
+from estune.trial import TrialRecord
+
+CHANNELS = ("setpoint_N", "current_A", "tension_N", "angle_rad", "reference_N")
+"""The columns a measurement may have besides time and flags."""
+
+OUTPUTS = ("tension_N", "angle_rad", "reference_N")
+"""Those of them that a model predicts."""
+
+ROUNDING = 1e-3
+"""What current and command may differ by, as a share of the greatest command, and still be the
+same column written with few digits."""
+
+Level = Literal["refused", "warning"]
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """Something that is wrong with a file, or looks wrong.
+
+    Attributes:
+        level: `refused` where the record is left out because of it, else `warning`.
+        source: The file, or the record's name.
+        column: The column, or empty where it is about the whole record.
+        row: The first data row it is about, counted from 1, or None.
+        sentence: What is wrong and what to do, one sentence without full stop.
+    """
+
+    level: Level
+    source: str
+    column: str
+    row: int | None
+    sentence: str
+
+    def __str__(self) -> str:
+        """File, row and column in front of the sentence."""
+        row = "" if self.row is None else f", row {self.row}"
+        column = f", column {self.column}" if self.column else ""
+        return f"{self.source}{row}{column}: {self.sentence}"
+
+
+class Unusable(InvalidInput):
+    """A record cannot be used; becomes a `Finding` where its file is known.
+
+    Attributes:
+        column: The column it is about, or empty.
+        row: The first data row it is about, from 1, or None.
+        sentence: What is wrong and what to do.
+    """
+
+    def __init__(self, sentence: str, column: str = "", row: int | None = None) -> None:
+        super().__init__(sentence)
+        self.sentence, self.column, self.row = sentence, column, row
+
+    def finding(self, source: str) -> Finding:
+        """The same as a finding about a file."""
+        return Finding("refused", source, self.column, self.row, self.sentence)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Measurement:
+    """One measured record. Columns have shape (samples,); a channel that is missing is None.
+
+    Attributes:
+        name: The trial's id.
+        rig: Name of the rig.
+        sampling_Hz: Sampling rate.
+        cable_length_m: Deployed cable length, or None where there is no cable.
+        preload_N: Tension held before the excitation, N.
+        loop: `closed`, or `open` where the setpoint went straight to the current loop.
+        profile: The kind of setpoint.
+        gains: The controller's gains, where they are known.
+        time_s: Time, evenly spaced.
+        setpoint_N: The setpoint; in open loop the tension command.
+        current_A: The motor current as recorded: in closed loop the command; in open loop, where
+            it differs from the command, what was measured.
+        tension_N: The measured tension.
+        angle_rad: The measured drum angle.
+        reference_N: Tension measured outside the reel.
+        flags: Bit field of `estune.trial.rig`.
+        source: The file it was read from.
+    """
+
+    name: str
+    rig: str
+    sampling_Hz: float
+    cable_length_m: float | None
+    preload_N: float
+    loop: Literal["open", "closed"]
+    profile: str
+    gains: Gains | None
+    time_s: FloatArray
+    setpoint_N: FloatArray | None
+    current_A: FloatArray | None
+    tension_N: FloatArray | None
+    angle_rad: FloatArray | None
+    reference_N: FloatArray | None
+    flags: NDArray[np.uint8] | None
+    source: str = ""
+
+    @classmethod
+    def of(cls, record: TrialRecord) -> "Measurement":
+        """The measurement a trial record holds; a column that never differs from zero is missing.
+
+        A rig without an encoder or a gauge fills the column of its record with zeros.
+        """
+        angle, tension, reference = record.angle_rad, record.tension_N, record.reference_N
+        return cls(
+            name=record.trial_id,
+            rig=record.rig,
+            sampling_Hz=record.sampling_Hz,
+            cable_length_m=record.cable_length_m,
+            preload_N=record.preload_N,
+            loop=record.loop,
+            profile=record.profile,
+            gains=record.gains,
+            time_s=record.time_s,
+            setpoint_N=record.setpoint_N,
+            current_A=record.current_A,
+            tension_N=tension if tension.any() else None,
+            angle_rad=angle if angle.any() else None,
+            reference_N=reference if reference is not None and reference.any() else None,
+            flags=record.flags,
+            source=record.trial_id,
+        )
+
+    @property
+    def samples(self) -> int:
+        """Number of samples."""
+        return self.time_s.size
+
+    @property
+    def duration_s(self) -> float:
+        """Length of the record, s."""
+        return self.samples / self.sampling_Hz
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """Names of the measured channels a model can be held against."""
+        return tuple(name for name in OUTPUTS if self.channel(name) is not None)
+
+    def channel(self, name: str) -> FloatArray | None:
+        """A column of `CHANNELS` by its name, or None where it is missing."""
+        found: FloatArray | None = getattr(self, name)
+        return found
+
+    def command_A(self, newtons_per_ampere: float) -> FloatArray:
+        """The current commanded, A, shape (samples,).
+
+        In open loop it is setpoint x radius / torque constant, in closed loop the recorded one;
+        either stands in for the other where a column is missing in open loop.
+
+        Args:
+            newtons_per_ampere: Torque constant over drum radius of the model as given, N/A.
+
+        Raises:
+            InvalidInput: neither the setpoint nor the current tells the command.
+        """
+        if self.loop == "open" and self.setpoint_N is not None:
+            return self.setpoint_N / newtons_per_ampere
+        if self.current_A is not None:
+            return self.current_A
+        raise InvalidInput(
+            f"{self.source or self.name}: a {self.loop}-loop record without current_A does not "
+            "tell what the motor was commanded; record the current"
+        )
+
+    def measured_current_A(self, newtons_per_ampere: float) -> FloatArray | None:
+        """The current where it is a measurement of its own, not the command once more.
+
+        A current that is the command times a constant is the rig's own command, in a rig whose
+        torque constant or drum radius are not the model's.
+
+        Args:
+            newtons_per_ampere: Torque constant over drum radius of the model as given, N/A.
+        """
+        if self.loop == "closed" or self.current_A is None or self.setpoint_N is None:
+            return None
+        command = self.command_A(newtons_per_ampere)
+        power = float(command @ command)
+        ratio = float(self.current_A @ command) / power if power > 0.0 else 1.0
+        apart = np.abs(self.current_A - ratio * command).max()
+        return self.current_A if apart > ROUNDING * np.abs(command).max() else None

@@ -1,0 +1,102 @@
+"""Noise of a signal and the step it is rounded to, without taking lines or drift for noise."""
+
+import numpy as np
+
+from estune.core.quantities import FloatArray
+
+SEGMENT = 1024
+"""Most samples in a segment of the spectrum: slower than that is drift."""
+FEWEST = 64
+"""Fewest samples a spectrum is made of."""
+LINE = 5.0
+"""A line so many times as strong as its neighbours is not noise: mains, a rung mode."""
+UPPER = 0.5
+"""Share of half the sampling rate from which on a moving plant is taken to add nothing."""
+QUARTER = 0.25
+"""Quantile of the upper spectrum that counts as noise: modes and lines may cover the rest."""
+FEW_STEPS = 3
+"""Fewer distinct values do not show a step."""
+WHOLE = 0.05
+"""By how much of a step two readings may miss a whole number of steps."""
+
+
+def spectral_rms(deviation: FloatArray) -> float:
+    """Rms of a noise, shape (samples,), without drift, single lines and short bursts.
+
+    The median over overlapping segments of the periodogram (so that bursts do not count) is
+    freed of lines and summed over frequency (Welch 1967; bias of the median as in SciPy).
+    """
+    power, width = _spectrum(deviation, average="median")
+    neighbours = _running_median(power, 2 * max(4, power.size // 20) + 1)
+    quiet = np.where(power > LINE * neighbours, neighbours, power)
+    return float(np.sqrt(quiet.sum() * width))
+
+
+def upper_rms(signal: FloatArray) -> float:
+    """Rms of white noise on a moving signal, from the upper half of its spectrum.
+
+    The lower quartile of the lines there is taken, corrected by what the quartile of a
+    chi-squared spectrum is below its mean.
+    """
+    from scipy.stats import chi2  # noqa: PLC0415  slow to import
+
+    # A second difference keeps what leaks from slow and large motion below the noise.
+    power, width = _spectrum(np.diff(signal, 2), average="mean")
+    frequency = np.arange(1, power.size + 1) * width
+    white = power / (2.0 * np.sin(np.pi * frequency)) ** 4
+    upper = white[frequency > 0.5 * UPPER]
+    segments = max(1.0, 2.0 * signal.size / _segment(signal.size) - 1.0)
+    freedom = 2.0 * segments * 0.9  # half overlapping Hann segments: 0.9 of independent ones
+    share = float(chi2.ppf(QUARTER, freedom)) / freedom
+    return float(np.sqrt(0.5 * np.quantile(upper, QUARTER) / share))
+
+
+def step_of(signal: FloatArray) -> float:
+    """The step that readings are whole multiples of, or 0 where there is none."""
+    distinct = np.unique(signal)
+    if distinct.size < FEW_STEPS:
+        return 0.0
+    gaps = np.diff(distinct)
+    gaps = gaps[gaps > 1e-9 * np.abs(distinct).max()]
+    if gaps.size < FEW_STEPS - 1:
+        return 0.0
+    for divisor in (1.0, 2.0, 3.0):  # where no two readings are next to each other
+        step = float(gaps.min()) / divisor
+        steps = gaps / step
+        if np.abs(steps - np.rint(steps)).max() < WHOLE:
+            return float(gaps.sum() / np.rint(steps).sum())
+    return 0.0
+
+
+def _segment(samples: int) -> int:
+    return int(min(SEGMENT, max(FEWEST // 2, samples // 8)))
+
+
+def _spectrum(signal: FloatArray, average: str) -> tuple[FloatArray, float]:
+    """One-sided power per line and the lines' distance, cycles per sample, without the mean.
+
+    Welch's segments all at once: `scipy.signal.welch` takes the trend out of each by itself.
+    """
+    from scipy.signal import periodogram  # noqa: PLC0415  slow to import
+
+    segment = _segment(signal.size)
+    cut = np.lib.stride_tricks.sliding_window_view(signal, segment)[:: segment - segment // 2]
+    _, powers = periodogram(cut, window="hann", detrend="linear")
+    power = powers.mean(axis=0)
+    if average == "median":
+        power = np.median(powers, axis=0) / _median_bias(len(cut))
+    power[:2] = power[2]  # what the trend took away
+    return power[1:], 1.0 / segment
+
+
+def _median_bias(number: int) -> float:
+    """Median of so many periodograms of noise over their mean (Allen et al. 2012, appendix B)."""
+    even = 2.0 * np.arange(1.0, (number - 1) // 2 + 1)
+    return float(1.0 + np.sum(1.0 / (even + 1.0) - 1.0 / even))
+
+
+def _running_median(power: FloatArray, width: int) -> FloatArray:
+    width = min(width, 2 * ((power.size - 1) // 2) + 1)
+    padded = np.pad(power, width // 2, mode="reflect")
+    found: FloatArray = np.median(np.lib.stride_tricks.sliding_window_view(padded, width), axis=-1)
+    return found

@@ -1,0 +1,237 @@
+"""The floor under the gap: noise of each channel, steps of encoder and gauge, and an allowance.
+
+The noise is taken from the best source there is: trials that were repeated, a setpoint that
+repeats itself, stretches in which it stands still, or the upper spectrum of a moving plant.
+"""
+
+import math
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from estune.core.quantities import FloatArray
+from plants.diagnosis.data.measured_record import CHANNELS, OUTPUTS, Measurement
+from plants.diagnosis.data.noise import FEWEST, spectral_rms, step_of, upper_rms
+from plants.diagnosis.data.periods import SAME, holds, periods_of
+
+ALLOWANCE = 0.004
+"""Numerics and model form: share of a signal's rms that no two simulations agree to."""
+
+SOURCES = ("repeats", "periods", "quiet stretches", "upper spectrum", "steps")
+"""What a noise may be found from, the best first; `steps` is rounding alone."""
+
+
+@dataclass(frozen=True, slots=True)
+class Noise:
+    """Noise of one channel.
+
+    Attributes:
+        rms: Its root mean square, in the channel's unit; never below lsb / sqrt(12).
+        lsb: Step the readings are rounded to, or 0 where none was found.
+        how: What it was found from, one of `SOURCES`.
+    """
+
+    rms: float
+    lsb: float
+    how: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Floor:
+    """The noise of a set of measurements.
+
+    Attributes:
+        channels: Pooled over the measurements, by the name of the channel.
+        records: The same for each measurement, in their order.
+    """
+
+    channels: dict[str, Noise]
+    records: tuple[dict[str, Noise], ...]
+
+    @property
+    def tension_N(self) -> float:
+        """Noise of the gauge, N rms; nan without a gauge."""
+        return self._rms("tension_N")
+
+    @property
+    def angle_rad(self) -> float:
+        """Noise of the encoder, rad rms; nan without an encoder."""
+        return self._rms("angle_rad")
+
+    @property
+    def how(self) -> str:
+        """What it was found from, in words."""
+        found = dict.fromkeys(n.how for n in self.channels.values())
+        return " and ".join(found)
+
+    def effective(self, channel: str, signal_rms: float, least_rms: float = 0.0) -> float:
+        """Noise and allowance together, sigma_eff, in the channel's unit.
+
+        sigma_eff^2 = sigma_n^2 + (0.4 % of the signal's rms)^2
+
+        Args:
+            channel: Name of the channel.
+            signal_rms: Root mean square of what is to be explained of the signal.
+            least_rms: What is known not to repeat itself; sigma_n is no less.
+        """
+        noise = max(self._rms(channel), least_rms)
+        return float((noise**2 + (ALLOWANCE * signal_rms) ** 2) ** 0.5)
+
+    def to_json(self) -> dict[str, Any]:
+        """The pooled figures as JSON values."""
+        return {
+            name: {"rms": n.rms, "lsb": n.lsb, "how": n.how} for name, n in self.channels.items()
+        }
+
+    def _rms(self, channel: str) -> float:
+        return self.channels[channel].rms if channel in self.channels else float("nan")
+
+
+def noise_floor(measurements: Sequence[Measurement]) -> Floor:
+    """The noise of each channel, from the best source the measurements offer.
+
+    Args:
+        measurements: Records of one rig.
+    """
+    repeated = _repeats(measurements)
+    records = tuple(
+        {
+            name: _noise(m, column, repeated.get((n, name)))
+            for name in (*OUTPUTS, "current_A")
+            if (column := m.channel(name)) is not None
+        }
+        for n, m in enumerate(measurements)
+    )
+    names = dict.fromkeys(name for record in records for name in record)
+    samples = [m.samples for m in measurements]
+    return Floor({name: _pooled(name, records, samples) for name in names}, records)
+
+
+def _noise(m: Measurement, column: FloatArray, repeated: float | None) -> Noise:
+    """The noise of one channel of one record."""
+    lsb = step_of(column)
+    rms, how = (repeated, SOURCES[0]) if repeated is not None else _alone(m, column)
+    rounding = lsb / math.sqrt(12.0)
+    return Noise(rms, lsb, how) if rms > rounding else Noise(rounding, lsb, SOURCES[4])
+
+
+def _alone(m: Measurement, column: FloatArray) -> tuple[float, str]:
+    """The noise of a channel from its own record alone, and what it was found from."""
+    if m.samples < FEWEST:
+        return _differences_rms(column), SOURCES[3]
+    found: list[tuple[float, str]] = []
+    if m.setpoint_N is not None:
+        periods = periods_of(m.setpoint_N)
+        if periods is not None and periods.samples >= FEWEST:
+            found.append((_group_rms(periods.fold(column)), SOURCES[1]))
+        elif quiet := [_settled(column[hold]) for hold in holds(m.setpoint_N, FEWEST)]:
+            found.append((float(np.median(quiet)), SOURCES[2]))
+    if not found or m.loop == "closed":
+        # A controller turns the gauge's noise into motion, which the recorded current explains:
+        # the upper spectrum, where the plant does not follow, may then be nearer the truth.
+        found.append((upper_rms(column), SOURCES[3]))
+    return min(found)
+
+
+def _settled(column: FloatArray) -> float:
+    """Noise of a stretch at the end of which the plant has settled."""
+    return spectral_rms(column[column.size // 2 :] if column.size >= 2 * FEWEST else column)
+
+
+def _group_rms(same: FloatArray) -> float:
+    """Noise of signals that would be the same without it, shape (repeats, samples)."""
+    repeats = same.shape[0]
+    deviation = same - same.mean(axis=0)
+    # The mean takes 1/repeats of the noise with it.
+    each = [spectral_rms(row) for row in deviation]
+    return float(np.sqrt(np.mean(np.square(each)) * repeats / (repeats - 1.0)))
+
+
+def _differences_rms(column: FloatArray) -> float:
+    """Noise of a short record: third differences, whose variance is 20 times that of the noise."""
+    return float(np.sqrt(np.mean(np.diff(column, 3) ** 2) / 20.0)) if column.size > 3 else 0.0
+
+
+def _repeats(measurements: Sequence[Measurement]) -> dict[tuple[int, str], float]:
+    """Noise by measurement and channel, where the same trial was run twice or more."""
+    found = {}
+    for same in _repeated(measurements):
+        for name in CHANNELS[1:]:
+            columns = [measurements[n].channel(name) for n in same]
+            known = [column for column in columns if column is not None]
+            if len(known) == len(same):
+                rms = _group_rms(np.stack(known))
+                found.update(dict.fromkeys(((n, name) for n in same), rms))
+    return found
+
+
+def unrepeated(measurements: Sequence[Measurement]) -> tuple[dict[str, FloatArray], ...]:
+    """What did not come again although the command did, by channel for each measurement.
+
+    Of the size of what a single run has of it; nan where a command was not repeated. Besides
+    noise it holds what forces that nobody ordered do to the plant, slow as it may be. Only
+    commands in open loop are the same again.
+    """
+    found: tuple[dict[str, FloatArray], ...] = tuple({} for _ in measurements)
+    for n, m in enumerate(measurements):
+        periods = None if m.setpoint_N is None else periods_of(m.setpoint_N)
+        if periods is None or m.loop != "open":
+            continue
+        lag = periods.samples
+        begin = periods.first + (lag if periods.periods > 2 else 0)
+        end = periods.first + (periods.periods - 1) * lag
+        for name in m.outputs:
+            column = m.channel(name)
+            if column is not None:
+                found[n][name] = np.full(m.samples, np.nan)
+                again = column[begin + lag : end + lag] - column[begin:end]
+                found[n][name][begin:end] = again / math.sqrt(2.0)
+    for same in _repeated(measurements):
+        for name in measurements[same[0]].outputs if measurements[same[0]].loop == "open" else ():
+            columns = [measurements[n].channel(name) for n in same]
+            known = np.stack([column for column in columns if column is not None])
+            if len(known) == len(same):
+                deviation = (known - known.mean(axis=0)) * math.sqrt(len(same) / (len(same) - 1.0))
+                # An encoder may be zeroed anew before each run.
+                deviation -= deviation.mean(axis=1, keepdims=True)
+                for n, one in zip(same, deviation, strict=True):
+                    found[n][name] = one
+    return found
+
+
+def _repeated(measurements: Sequence[Measurement]) -> list[list[int]]:
+    """Numbers of the measurements of the same trial, for each that was run twice or more."""
+    groups: dict[tuple[Any, ...], list[int]] = defaultdict(list)
+    for n, m in enumerate(measurements):
+        if m.setpoint_N is not None and m.samples >= FEWEST:
+            groups[m.loop, m.profile, m.gains, m.cable_length_m, m.samples].append(n)
+    return [same for group in groups.values() for same in _same_setpoints(measurements, group)]
+
+
+def _same_setpoints(measurements: Sequence[Measurement], group: list[int]) -> list[list[int]]:
+    """Splits a group into those with equal setpoints, two or more of each."""
+    found: list[tuple[FloatArray, list[int]]] = []
+    for n in group:
+        setpoint = measurements[n].setpoint_N
+        assert setpoint is not None  # noqa: S101  groups are made of records that have one
+        same = SAME * max(float(np.abs(setpoint).max()), 1e-300)
+        for first, members in found:
+            if np.abs(setpoint - first).max() <= same:
+                members.append(n)
+                break
+        else:
+            found.append((setpoint, [n]))
+    return [members for _, members in found if len(members) > 1]
+
+
+def _pooled(name: str, records: Sequence[dict[str, Noise]], samples: Sequence[int]) -> Noise:
+    """One noise for all records: the mean square of those found from the best source."""
+    known = [(r[name], n) for r, n in zip(records, samples, strict=True) if name in r]
+    how = min((noise.how for noise, _ in known), key=SOURCES.index)
+    best = [(noise, n) for noise, n in known if noise.how == how]
+    square = sum(noise.rms**2 * n for noise, n in best) / sum(n for _, n in best)
+    lsb = float(np.median([noise.lsb for noise, _ in known]))
+    return Noise(math.sqrt(square), lsb, how)

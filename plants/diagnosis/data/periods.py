@@ -1,0 +1,93 @@
+"""Finds the period of a setpoint, and stretches in which it stands still."""
+
+import itertools
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estune.core.quantities import FloatArray
+
+SAME = 1e-6
+"""Share of the setpoint's range by which values may differ and be the same; float32 keeps it."""
+SHORTEST = 8
+"""Fewest samples in a period."""
+CANDIDATES = 40
+"""So many of the best lags are looked at closely."""
+MOVES = 0.3
+"""Spread that a periodic stretch must have, as a share of the whole setpoint's: a hold repeats
+itself at any lag."""
+
+
+class Periods(NamedTuple):
+    """A stretch of a record in which the setpoint repeats.
+
+    Attributes:
+        first: Index of its first sample.
+        samples: Samples in a period.
+        periods: Whole periods.
+    """
+
+    first: int
+    samples: int
+    periods: int
+
+    def fold(self, column: FloatArray) -> FloatArray:
+        """A column period by period, shape (periods, samples in a period).
+
+        The first period, in which the plant settles, is left out where two others remain.
+        """
+        skipped = 1 if self.periods > 2 else 0
+        first = self.first + skipped * self.samples
+        last = self.first + self.periods * self.samples
+        return column[first:last].reshape(-1, self.samples)
+
+
+def periods_of(setpoint: FloatArray) -> Periods | None:
+    """The longest stretch that repeats with the shortest period, or None.
+
+    Only periods of a whole number of samples are found, twice over at least.
+    """
+    n = setpoint.size
+    spread = float(setpoint.std())
+    if n < 2 * SHORTEST or not spread > 0.0:
+        return None
+    same = SAME * float(np.ptp(setpoint))
+    for lag in sorted(_likely_lags(setpoint - setpoint.mean())):
+        equal = np.abs(setpoint[lag:] - setpoint[:-lag]) <= same
+        first, length = _longest_run(equal)
+        whole = setpoint[first : first + lag]
+        if length >= lag and whole.std() >= MOVES * spread:
+            return Periods(first, lag, 1 + length // lag)
+    return None
+
+
+def holds(setpoint: FloatArray, fewest: int) -> list[slice]:
+    """The stretches of at least so many samples in which the setpoint stands still."""
+    same = SAME * max(float(np.ptp(setpoint)), float(np.abs(setpoint).max()))
+    moves = np.flatnonzero(np.abs(np.diff(setpoint)) > same) + 1
+    ends = np.concatenate([[0], moves, [setpoint.size]])
+    return [slice(int(a), int(b)) for a, b in itertools.pairwise(ends) if b - a >= fewest]
+
+
+def _likely_lags(x: FloatArray) -> list[int]:
+    """The lags at which a signal is most like itself, by its autocorrelation."""
+    n = x.size
+    size = 1 << (2 * n - 1).bit_length()
+    power = np.abs(np.fft.rfft(x, size)) ** 2
+    overlap = np.arange(n, 0, -1)
+    likeness = np.fft.irfft(power, size)[:n] / overlap
+    lags = np.arange(SHORTEST, n // 2 + 1)
+    peak = likeness[lags] >= np.maximum(likeness[lags - 1], likeness[lags + 1])
+    found = lags[peak]
+    return [int(lag) for lag in found[np.argsort(-likeness[found])][:CANDIDATES]]
+
+
+def _longest_run(equal: NDArray[np.bool_]) -> tuple[int, int]:
+    """Start and length of the longest run of true values."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], equal, [False]]).astype(np.int8)))
+    starts, ends = edges[::2], edges[1::2]
+    if starts.size == 0:
+        return 0, 0
+    best = int((ends - starts).argmax())
+    return int(starts[best]), int(ends[best] - starts[best])

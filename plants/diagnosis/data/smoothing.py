@@ -1,0 +1,122 @@
+"""Derivatives of sampled signals under one common smoothing, so that an equation still holds.
+
+If a x'' + b x' + c x = u, then the same holds for the signals convolved with any kernel g, and
+the derivatives may be moved onto the kernel: a (g'' * x) + b (g' * x) + c (g * x) = g * u. With a
+Gaussian g every term is smoothed alike, whatever the order. (The idea of modulating functions,
+Shinbrot 1957; and of local polynomials, Savitzky & Golay 1964, which smooth each order
+differently.)
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.polynomial import hermite_e
+
+from estune.core.quantities import FloatArray
+
+REACH = 5.0
+"""Widths of the Gaussian at which it is cut off; exp(-12.5) is 4e-6."""
+
+DIRECT = 256
+"""Longest kernel that is convolved directly, not by way of the spectrum."""
+RESOLVED = 1.1
+"""Ratio to which a width is looked for."""
+
+
+class Smoother(NamedTuple):
+    """A Gaussian kernel on a sampling grid.
+
+    Attributes:
+        width_s: Its standard deviation, s; one sample or more, so that the sum is the integral.
+        sampling_Hz: Rate of the signals.
+    """
+
+    width_s: float
+    sampling_Hz: float
+
+    @property
+    def bandwidth_Hz(self) -> float:
+        """Frequency at which a signal is smoothed to exp(-1/2) of its size."""
+        return float(1.0 / (2.0 * np.pi * self.width_s))
+
+    @property
+    def reach(self) -> int:
+        """Samples on either side that a smoothed value depends on."""
+        return int(np.ceil(REACH * self.width_s * self.sampling_Hz))
+
+    def sampled(self, signal: FloatArray, *coefficients: float) -> FloatArray:
+        """`c0 x + c1 x' + c2 x'' + ...` smoothed, of a signal known at the sampling instants.
+
+        Args:
+            signal: Shape (samples,).
+            *coefficients: Of the derivatives, from order zero.
+
+        Returns:
+            Shape (samples,); nan at both ends, where the kernel reaches beyond the record.
+        """
+        t = np.arange(-self.reach, self.reach + 1) / self.sampling_Hz
+        kernel = sum(c * self._derivative(t, order) for order, c in enumerate(coefficients))
+        return _convolved(signal, np.asarray(kernel) / self.sampling_Hz, self.reach)
+
+    def held(self, signal: FloatArray, delay_s: float, *coefficients: float) -> FloatArray:
+        """The same of a signal that is held from each sampling instant to the next, and delayed.
+
+        Args:
+            signal: Shape (samples,).
+            delay_s: Time by which it acts late, s.
+            *coefficients: Of the derivatives, from order zero.
+        """
+        reach = self.reach + int(np.ceil(delay_s * self.sampling_Hz)) + 1
+        t = np.arange(-reach, reach + 1) / self.sampling_Hz - delay_s
+        kernel = sum(
+            c * (self._integral(t, order) - self._integral(t - 1.0 / self.sampling_Hz, order))
+            for order, c in enumerate(coefficients)
+        )
+        return _convolved(signal, np.asarray(kernel), reach)
+
+    def _derivative(self, t: FloatArray, order: int) -> FloatArray:
+        """g^(n)(t) = (-1/s)^n He_n(t/s) g(t)."""
+        x = t / self.width_s
+        bell = np.exp(-0.5 * x**2) / (self.width_s * np.sqrt(2.0 * np.pi))
+        polynomial = hermite_e.hermeval(x, np.eye(order + 1)[order])
+        return np.asarray((-1.0 / self.width_s) ** order * polynomial * bell)
+
+    def _integral(self, t: FloatArray, order: int) -> FloatArray:
+        if order > 0:
+            return self._derivative(t, order - 1)
+        from scipy.special import ndtr  # noqa: PLC0415  slow to import
+
+        return np.asarray(ndtr(t / self.width_s))
+
+
+def _convolved(signal: FloatArray, kernel: FloatArray, reach: int) -> FloatArray:
+    if signal.size <= 2 * reach:
+        return np.full(signal.size, np.nan)
+    if kernel.size <= DIRECT:
+        smooth = np.convolve(signal, kernel, mode="same")
+    else:
+        from scipy.signal import oaconvolve  # noqa: PLC0415  slow to import
+
+        # Without the mean, rounding in the fast convolution stays below the derivative.
+        mean = float(signal.mean())
+        smooth = oaconvolve(signal - mean, kernel, mode="same") + mean * kernel.sum()
+    smooth[:reach] = smooth[smooth.size - reach :] = np.nan
+    return np.asarray(smooth)
+
+
+def least_width(wanted: Callable[[float], bool], shortest_s: float, longest_s: float) -> float:
+    """The least width that is enough, by halving the ratio; the longest where none is, s.
+
+    Args:
+        wanted: Whether a width is enough; if one is, so are the wider ones.
+        shortest_s: Least width to try.
+        longest_s: Greatest width.
+    """
+    low, high = shortest_s, max(shortest_s, longest_s)
+    if wanted(low):
+        return low
+    while high / low > RESOLVED:
+        middle = float(np.sqrt(low * high))
+        low, high = (low, middle) if wanted(middle) else (middle, high)
+    return high

@@ -1,0 +1,404 @@
+"""The experiment that would decide: which of two effects it is, or what a gap is about.
+
+Every experiment of a catalogue is predicted with the models that the records cannot tell apart.
+What one predicts is held against the others as if it had been measured, with all their numbers
+free to first order: what they cannot take up, and the one that predicted it can, is what the
+experiment would show. The separation is
+
+    min over pairs of mean(((y_i - y_j)/sigma)^2),
+    sigma^2 = sigma_n^2 + (0.4 % of the signal's rms)^2 + (c x the signal's rms)^2
+
+where c is the share of the signal that the models do not explain even now. Without it the largest
+amplitude would always win.
+
+A gap that no effect explains has no models to be told apart. Then the experiment is chosen that
+drives the base model furthest in what the residual follows, within the band in which it lives.
+"""
+
+import itertools
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from estune.core.gains import Gains
+from estune.core.quantities import FloatArray
+from estune.errors import EstuneError
+from estune.run.trial_file import SUFFIX, TrialFile
+from estune.trial import RigDescription, RigLimits
+from estune.trial.profiles import StepProfile
+from plants.diagnosis.data.measured_record import OUTPUTS, Measurement
+from plants.diagnosis.data.noise_floor import Floor
+from plants.diagnosis.experiments.designs import WIDEST, Experiment, catalogue
+from plants.diagnosis.models.diagnosed_model import Diagnosed, diagnosed
+from plants.diagnosis.prediction.prediction import CHANNELS, Predictor
+from plants.diagnosis.report.diagnosis import Verdict
+from plants.diagnosis.residual.localisation import Block, Where
+
+SEPARATE = 0.1
+"""A separation below this leaves the wrong model a gap of 1.05 floors: it decides nothing."""
+ANY_GAINS = Gains(1.0, 0.0, 0.0, 0.0)
+"""In an open loop the gains play no part."""
+
+
+@dataclass(frozen=True, slots=True)
+class NextExperiment:
+    """A trial worth running next.
+
+    Attributes:
+        trial: The trial, ready to be written to a file.
+        sentence: What it is and what it would show.
+        separation: Predicted mean square difference between the models, in sigma^2; None where no
+            two models are compared.
+        tried: The separation, or else the score from 0 to 1, of every experiment considered.
+    """
+
+    trial: TrialFile
+    sentence: str
+    separation: float | None
+    tried: Mapping[str, float]
+
+    @property
+    def file_name(self) -> str:
+        """Name of the trial's file."""
+        return f"{self.trial.name}{SUFFIX}"
+
+    @property
+    def command(self) -> str:
+        """What to type to run it."""
+        return f"estune run-experiment {self.file_name} tcp/127.0.0.1:7447 --data data"
+
+    def write(self, folder: Path) -> Path:
+        """Writes the trial's file into a folder.
+
+        Raises:
+            InvalidInput: it cannot be written there.
+        """
+        return self.trial.write(folder)
+
+    def to_json(self) -> dict[str, Any]:
+        """The same as JSON values."""
+        profile = self.trial.profile
+        values = {name: getattr(profile, name) for name in type(profile).__slots__}
+        return {
+            "name": self.trial.name,
+            "file": self.file_name,
+            "command": self.command,
+            "sentence": self.sentence,
+            "separation": self.separation,
+            "profile": values,
+            "tried": dict(self.tried),
+        }
+
+
+class Evidence(NamedTuple):
+    """What a diagnosis rests on.
+
+    Attributes:
+        measurements: The records.
+        noise: Their noise.
+        where: Where the base model's residual lives.
+        ratio_after: What the best model leaves, in floors.
+    """
+
+    measurements: Sequence[Measurement]
+    noise: Floor
+    where: Where
+    ratio_after: float
+
+
+def next_experiment(
+    verdict: Verdict,
+    base: Any,
+    rivals: Mapping[str, Any],
+    evidence: Evidence,
+    rig: RigDescription | None = None,
+) -> NextExperiment | None:
+    """The experiment to be run next, or None where none would help.
+
+    Args:
+        verdict: What was said; only `ambiguous` and `unknown` leave a question.
+        base: The base model with its calibrations fitted.
+        rivals: The models that the records cannot tell apart, by effect.
+        evidence: What is known.
+        rig: What the rig allows; None is what the records and the model itself tell of it.
+    """
+    if verdict not in ("ambiguous", "unknown"):
+        return None
+    rig = rig or rig_of(base, evidence.measurements)
+    experiments = [] if rig is None else catalogue(rig)
+    if not experiments or rig is None:
+        return None
+    if verdict == "ambiguous" and len(rivals) > 1:
+        return _deciding(experiments, rivals, evidence, rig)
+    return _exploring(experiments, base, evidence, rig)
+
+
+def rig_of(model: Any, measurements: Sequence[Measurement]) -> RigDescription | None:
+    """What is known of a rig from its model and its records: no setpoint goes beyond theirs.
+
+    Args:
+        model: A plant.
+        measurements: The rig's records.
+
+    Returns:
+        None where the model is no plant, or the records do not tell the setpoint.
+    """
+    if not hasattr(model, "describe"):
+        return None
+    try:
+        told: RigDescription = model.describe("rig", ANY_GAINS)
+    except EstuneError:
+        return None
+    seen = [m.setpoint_N for m in measurements if m.setpoint_N is not None]
+    if not seen:
+        return None
+    low = max(told.limits.tension_min_N, min(float(s.min()) for s in seen))
+    high = min(told.limits.tension_max_N, max(float(s.max()) for s in seen))
+    if not low < high:
+        return None
+    middle = 0.5 * (low + high)
+    half_step = (high - low) / WIDEST / 2.0
+    first = measurements[0]
+    return replace(
+        told,
+        limits=RigLimits(low, high, told.limits.duration_max_s),
+        step=StepProfile(middle - half_step, 2.0 * half_step, 0.2, 1.0, told.step.loop),
+        controller=replace(told.controller, sampling_Hz=first.sampling_Hz),
+        cable_length_m=first.cable_length_m,
+    )
+
+
+def _deciding(
+    experiments: Sequence[Experiment],
+    rivals: Mapping[str, Any],
+    evidence: Evidence,
+    rig: RigDescription,
+) -> NextExperiment | None:
+    """The experiment in which the least different pair of models differs most."""
+    asked = [_placeholder(one, evidence.measurements, rig) for one in experiments]
+    foretold = {slug: _predicted(model, asked, evidence.noise) for slug, model in rivals.items()}
+    # Not even the model that foretold a record leaves nothing: the windows begin where a smoothed
+    # reading says. That much is no difference between models.
+    own = {slug: _left(model, foretold[slug], evidence) for slug, model in rivals.items()}
+    separation = np.full(len(asked), math.inf)
+    for one, other in itertools.permutations(rivals, 2):
+        left = _left(rivals[one], foretold[other], evidence) - own[other]
+        separation = np.minimum(separation, np.maximum(left, 0.0))
+    tried = dict(zip((one.name for one in experiments), separation.tolist(), strict=True))
+    best = int(np.argmax(separation))
+    if not separation[best] > SEPARATE:
+        return None
+    names = " and ".join(rivals)
+    return _chosen(
+        experiments[best],
+        f"{experiments[best].title} tells {names} apart: by {math.sqrt(separation[best]):.2g} "
+        "sigmas, rms, whatever their other numbers are",
+        float(separation[best]),
+        tried,
+    )
+
+
+def _exploring(
+    experiments: Sequence[Experiment], base: Any, evidence: Evidence, rig: RigDescription
+) -> NextExperiment | None:
+    """The experiment that drives the base model furthest where its residual lives."""
+    block = evidence.where.blocks[0] if evidence.where.blocks else None
+    asked = [_placeholder(one, evidence.measurements, rig) for one in experiments]
+    predicted = _predicted(base, asked, evidence.noise)
+    regime = block.regime.name if block is not None and block.regime is not None else ""
+    furthest = np.array([_excited(regime, m) for m in predicted])
+    within = np.array([_within(block, m) for m in predicted])
+    score = np.sqrt(_share(furthest) * _share(within))
+    tried = dict(zip((one.name for one in experiments), score.tolist(), strict=True))
+    best = int(np.argmax(score))
+    if not score[best] > 0.0:
+        return None
+    follows = f"in the {regime}, which the gap follows" if regime else "where the gap lies"
+    band = f", {block.band}" if block is not None and block.band else ""
+    return _chosen(
+        experiments[best],
+        f"{experiments[best].title} drives the model most {follows}{band}",
+        None,
+        tried,
+    )
+
+
+def _chosen(
+    experiment: Experiment, sentence: str, separation: float | None, tried: Mapping[str, float]
+) -> NextExperiment:
+    trial = TrialFile(experiment.name, experiment.profile, why=sentence)
+    return NextExperiment(trial, sentence, separation, tried)
+
+
+def _placeholder(
+    experiment: Experiment, like: Sequence[Measurement], rig: RigDescription
+) -> Measurement:
+    """The record of an experiment before it has been run: no output but in name."""
+    profile, rate = experiment.profile, rig.controller.sampling_Hz
+    setpoint = profile.setpoint(rate)
+    unknown = {name: np.zeros(setpoint.size) for name in OUTPUTS if _all_have(name, like)}
+    return Measurement(
+        name=experiment.name,
+        rig=rig.name,
+        sampling_Hz=rate,
+        cable_length_m=rig.cable_length_m,
+        preload_N=profile.preload_N,
+        loop=profile.loop,
+        profile=profile.kind,
+        gains=None,
+        time_s=np.arange(setpoint.size) / rate,
+        setpoint_N=setpoint,
+        current_A=None,
+        tension_N=unknown.get("tension_N"),
+        angle_rad=unknown.get("angle_rad"),
+        reference_N=unknown.get("reference_N"),
+        flags=np.zeros(setpoint.size, np.uint8),
+    )
+
+
+def _all_have(name: str, measurements: Sequence[Measurement]) -> bool:
+    return all(m.channel(name) is not None for m in measurements)
+
+
+def _predicted(model: Any, asked: Sequence[Measurement], noise: Floor) -> list[Measurement]:
+    """The records a model foretells of experiments, without noise, in free run."""
+    plant = diagnosed(model, asked)
+    predictor = Predictor(plant, (), asked, horizon_s=None, floor=_floor(noise, len(asked)))
+    records = []
+    for m, found in zip(asked, predictor.predict(predictor.start[None]), strict=True):
+        columns = {
+            name: column[0]
+            for name in OUTPUTS
+            if m.channel(name) is not None and (column := getattr(found, name)) is not None
+        }
+        records.append(replace(m, **columns))
+    return records
+
+
+def _left(model: Any, records: Sequence[Measurement], evidence: Evidence) -> FloatArray:
+    """What a model cannot take up of each record, mean square in sigmas, shape (records,)."""
+    plant: Diagnosed = diagnosed(model, records)
+    predictor = Predictor(plant, (), records, floor=_floor(evidence.noise, len(records)))
+    residuals, slopes = predictor.linearise(predictor.start)
+    index = predictor.index
+    left = np.zeros(len(records))
+    for n, record in enumerate(records):
+        mine = index.measurement == n
+        sigma = index.sigma[mine]
+        form = _form(record, index.channel[mine], evidence)
+        weight = 1.0 / np.sqrt(1.0 + (form / sigma) ** 2)
+        own, r = slopes[mine] * weight[:, None], residuals[mine] * weight
+        scale = np.sqrt((own**2).sum(axis=0))
+        own = own[:, scale > 0.0] / scale[scale > 0.0]
+        r = r - own @ (np.linalg.pinv(own.T @ own, rcond=1e-9, hermitian=True) @ (own.T @ r))
+        left[n] = float(r @ r) / max(r.size, 1)
+    return left
+
+
+def _form(record: Measurement, channel: Any, evidence: Evidence) -> FloatArray:
+    """Expected model-form error of each residual entry, in its unit, shape (entries,)."""
+    error = np.zeros(channel.size)
+    for number in np.unique(channel).tolist():
+        name = CHANNELS[number]
+        column = record.channel(name)
+        if column is not None:
+            error[channel == number] = _form_share(name, evidence) * float(column.std())
+    return error
+
+
+def _form_share(name: str, evidence: Evidence) -> float:
+    """Share of a channel's signal that the models do not explain in the records there are."""
+    seen = [c for m in evidence.measurements if (c := m.channel(name)) is not None]
+    rms = math.sqrt(sum(float(c.var()) * c.size for c in seen) / sum(c.size for c in seen))
+    unexplained = math.sqrt(max(evidence.ratio_after**2 - 1.0, 0.0))
+    return unexplained * evidence.noise.effective(name, rms) / rms if rms > 0.0 else 0.0
+
+
+def _floor(noise: Floor, records: int) -> Floor:
+    return Floor(noise.channels, (noise.channels,) * records)
+
+
+def _excited(regime: str, m: Measurement) -> float:
+    """How far an experiment drives the variable that a residual follows."""
+    return _MEASURES.get(regime, _spread_of_rate)(m)
+
+
+def _output(m: Measurement) -> FloatArray:
+    """The first output there is, shape (samples,)."""
+    return next(c for name in OUTPUTS if (c := m.channel(name)) is not None)
+
+
+def _moving(m: Measurement) -> FloatArray:
+    angle = _output(m) if m.angle_rad is None else m.angle_rad
+    return np.gradient(angle, 1.0 / m.sampling_Hz)
+
+
+def _reversals(m: Measurement) -> float:
+    """Time spent moving slowly either way: friction rules there, not inertia."""
+    velocity = _moving(m)
+    slow = np.abs(velocity) < np.median(np.abs(velocity))
+    turns = np.count_nonzero(np.diff(np.sign(velocity[slow])))
+    travel = float(np.abs(np.diff(_output(m))).sum())
+    return turns * travel / max(float(np.abs(velocity).max()), 1e-300)
+
+
+def _spread_of_rate(m: Measurement) -> float:
+    return float(_moving(m).std())
+
+
+def _spread_of_output(m: Measurement) -> float:
+    return float(_output(m).std())
+
+
+def _spread_of_angle(m: Measurement) -> float:
+    return float(np.ptp(_output(m) if m.angle_rad is None else m.angle_rad))
+
+
+def _spread_of_command_rate(m: Measurement) -> float:
+    assert m.setpoint_N is not None  # noqa: S101  an experiment has a setpoint
+    return float(np.diff(m.setpoint_N).std()) * m.sampling_Hz
+
+
+def _longest_hold(m: Measurement) -> float:
+    """Longest time without a change of the setpoint, times how far away it is held."""
+    assert m.setpoint_N is not None  # noqa: S101  an experiment has a setpoint
+    edges = np.flatnonzero(np.diff(m.setpoint_N, prepend=np.nan, append=np.nan))
+    lengths = np.diff(edges)
+    held = np.abs(m.setpoint_N[edges[:-1]] - m.preload_N)
+    return float((lengths * held).max(initial=0.0))
+
+
+_MEASURES: Mapping[str, Callable[[Measurement], float]] = {
+    "time": _longest_hold,
+    "velocity sign": _reversals,
+    "velocity sign and tension": _reversals,
+    "velocity": _spread_of_rate,
+    "tension": _spread_of_output,
+    "angle": _spread_of_angle,
+    "position period": _spread_of_angle,
+    "command rate": _spread_of_command_rate,
+}
+
+
+def _within(block: Block | None, m: Measurement) -> float:
+    """Root mean square of an experiment's output inside the band of a block."""
+    output = _output(m) - _output(m).mean()
+    if block is None or not block.high_Hz > 0.0:
+        return float(output.std())
+    spectrum: FloatArray = np.abs(np.fft.rfft(output)) ** 2
+    frequency = np.fft.rfftfreq(output.size, 1.0 / m.sampling_Hz)
+    inside = (frequency >= block.low_Hz) & (frequency <= block.high_Hz)
+    power = float(spectrum[inside].sum())
+    return math.sqrt(2.0 * power) / float(output.size)
+
+
+def _share(values: FloatArray) -> FloatArray:
+    """Values relative to the greatest, 0 where none is above zero."""
+    finite = np.where(np.isfinite(values), values, 0.0)
+    greatest = float(finite.max(initial=0.0))
+    shares: FloatArray = finite / greatest if greatest > 0.0 else finite
+    return shares

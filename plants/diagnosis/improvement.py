@@ -1,0 +1,163 @@
+"""What improving a rig's model came to: the rounds, the model, the costs foretold and measured."""
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from estune.core.gains import GAIN_NAMES, Gains
+from estune.run.result import TuneResult
+from estune.trial import RigDescription
+from plants.diagnosis.report.diagnosis import Diagnosis
+
+COLUMNS = ("gains", "model as given", "improved model", "measured")
+
+
+class Round(NamedTuple):
+    """One diagnosis of the loop.
+
+    Attributes:
+        asked: Names of the experiments run since the round before; none where all records were
+            explained anew.
+        diagnosis: What was found with all records so far.
+    """
+
+    asked: tuple[str, ...]
+    diagnosis: Diagnosis
+
+
+@dataclass(frozen=True, slots=True)
+class Costs:
+    """The cost (35) of one set of gains, foretold and measured.
+
+    Attributes:
+        label: Which gains they are.
+        gains: The gains.
+        given: Foretold by the model as given; nan where it foretells that the trial diverges.
+        improved: Foretold by the improved model.
+        measured: Mean over repeats on the rig; nan where a trial did not end well.
+        error: Standard error of that mean.
+    """
+
+    label: str
+    gains: Gains
+    given: float
+    improved: float
+    measured: float
+    error: float
+
+    @property
+    def off_given(self) -> float:
+        """How far the model as given is off, relative to what was measured."""
+        return abs(self.given / self.measured - 1.0)
+
+    @property
+    def off_improved(self) -> float:
+        """The same of the improved model."""
+        return abs(self.improved / self.measured - 1.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Improvement:
+    """A rig's model before and after, and what it was good for.
+
+    Attributes:
+        rig: The rig as it was; its live gains have not been changed.
+        given: The model as given, at the rig's cable length and preload.
+        model: The improved model.
+        rounds: Each diagnosis, the first of the battery alone.
+        costs: At the rig's own gains, at those tuned on the model, and at those tuned on the rig
+            from there; empty where there is nothing to be controlled.
+        tuning: The rig's own tuning, or None.
+        remarks: What is to be known beside it.
+        folder: Records, trial files, the run of the tuning.
+    """
+
+    rig: RigDescription
+    given: Any
+    model: Any
+    rounds: tuple[Round, ...]
+    costs: tuple[Costs, ...]
+    tuning: TuneResult | None
+    remarks: tuple[str, ...]
+    folder: Path
+
+    @property
+    def diagnosis(self) -> Diagnosis:
+        """The last diagnosis."""
+        return self.rounds[-1].diagnosis
+
+    @property
+    def added(self) -> tuple[str, ...]:
+        """Slugs of the effects that were added to the model, in order."""
+        had = [type(effect).name for effect in getattr(self.given, "effects", ())]
+        now = [type(effect).name for effect in getattr(self.model, "effects", ())]
+        return tuple(name for name in now if name not in (*had, "calibration"))
+
+    def heading(self) -> str:
+        """What came of it in one line."""
+        found = ", ".join(self.added) or "no effect"
+        return f"{self.rig.name}: {found} added; then {self.diagnosis.heading()}"
+
+    def rows(self) -> tuple[tuple[str, ...], ...]:
+        """The costs as the cells of a table with `COLUMNS`."""
+        return tuple(
+            (
+                costs.label,
+                _cell(costs.given, costs.off_given),
+                _cell(costs.improved, costs.off_improved),
+                f"{costs.measured:.4g} ± {costs.error:.2g}",
+            )
+            for costs in self.costs
+        )
+
+    def __str__(self) -> str:
+        """Heading, rounds, table and remarks as plain text."""
+        lines = [self.heading()]
+        for n, one in enumerate(self.rounds, 1):
+            asked = ", ".join(one.asked) or "all records anew"
+            lines.append(f"round {n} ({asked}): {one.diagnosis.heading()}")
+        if self.costs:
+            table = [COLUMNS, *self.rows()]
+            widths = [max(len(row[n]) for row in table) for n in range(len(COLUMNS))]
+            lines += [
+                "  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip()
+                for row in table
+            ]
+        return "\n".join([*lines, *self.remarks])
+
+    def to_json(self) -> dict[str, Any]:
+        """The same as JSON values; numbers that are not finite become None."""
+        return {
+            "rig": self.rig.name,
+            "effects": list(self.added),
+            "verdict": self.diagnosis.verdict,
+            "rounds": [
+                {"experiments": list(one.asked), "diagnosis": one.diagnosis.to_json()}
+                for one in self.rounds
+            ],
+            "costs": [
+                {
+                    "label": c.label,
+                    "gains": {name: getattr(c.gains, name) for name in GAIN_NAMES},
+                    "given": _number(c.given),
+                    "improved": _number(c.improved),
+                    "measured": _number(c.measured),
+                    "measured_error": _number(c.error),
+                }
+                for c in self.costs
+            ],
+            "tuned": self.tuning is not None and self.tuning.success,
+            "remarks": list(self.remarks),
+            "folder": str(self.folder),
+        }
+
+
+def _cell(foretold: float, off: float) -> str:
+    if not math.isfinite(foretold):
+        return "diverges"
+    return f"{foretold:.4g} ({off:.0%} off)" if math.isfinite(off) else f"{foretold:.4g}"
+
+
+def _number(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None

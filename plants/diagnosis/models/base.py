@@ -1,0 +1,128 @@
+"""The base model at one record, as plain numbers."""
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estune.trial import LinearModel
+from plants.diagnosis.data.measured_record import Measurement
+from plants.models.reel_equations import cable_stiffness_N_m, viscous_friction_Nms
+
+_DRUM = (
+    "dead_time_s",
+    "drum_radius_m",
+    "drum_inertia_kg_m2",
+    "viscous_friction_Nms",
+    "current_limit_A",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class BaseNumbers:
+    """What is believed of the plant while one record was measured, without any effect.
+
+    A reel has a radius, an inertia and a stiffness; one without cable has no stiffness and no
+    tension; any other plant is a linear model from effort to its output.
+
+    Attributes:
+        newtons_per_ampere: Effort per motor current, N/A: torque constant over radius.
+        sampling_Hz: Rate of the controller.
+        dead_time_s: From the command to the torque, s.
+        drum_radius_m: Radius on which the cable lies, m.
+        drum_inertia_kg_m2: Inertia at the drum, kg m2.
+        viscous_friction_Nms: Friction at the record's cable length, N m s/rad.
+        stiffness_N_m: Of the cable at the record's length and preload, N/m; None without cable.
+        gauge_Hz: Natural frequency of the gauge, Hz; None where it follows at once.
+        gauge_damping: Its damping ratio.
+        current_limit_A: Greatest size of the current, A; infinite where it is not known.
+        linear: The plant, where it is not a reel.
+    """
+
+    newtons_per_ampere: float
+    sampling_Hz: float
+    dead_time_s: float = 0.0
+    drum_radius_m: float = 1.0
+    drum_inertia_kg_m2: float = 1.0
+    viscous_friction_Nms: float = 0.0
+    stiffness_N_m: float | None = None
+    gauge_Hz: float | None = None
+    gauge_damping: float = 0.0
+    current_limit_A: float = float("inf")
+    linear: LinearModel | None = None
+
+    @classmethod
+    def of(cls, model: Any, measurement: Measurement) -> "BaseNumbers | None":
+        """The numbers of a model at a record's cable length and preload.
+
+        Args:
+            model: A `Reel`, a reel without cable, or a plant with a `LinearModel`.
+            measurement: The record.
+
+        Returns:
+            None where the model has no such numbers: a plant that is known as a function only.
+        """
+        if hasattr(model, "cable_EA_N"):
+            return cls._of_reel(model, measurement)
+        if hasattr(model, "drum_inertia_kg_m2"):
+            return cls(
+                newtons_per_ampere=model.newtons_per_ampere,
+                sampling_Hz=measurement.sampling_Hz,
+                **{name: getattr(model, name) for name in _DRUM if hasattr(model, name)},
+            )
+        linear = getattr(model, "model", None)
+        if not isinstance(linear, LinearModel):
+            return None
+        return cls(
+            newtons_per_ampere=model.newtons_per_ampere,
+            sampling_Hz=measurement.sampling_Hz,
+            dead_time_s=linear.dead_time_s,
+            linear=linear,
+        )
+
+    @classmethod
+    def _of_reel(cls, model: Any, measurement: Measurement) -> "BaseNumbers":
+        # Not below what the model is for: the sag's share of the flexibility has a pole at zero.
+        preload_N = max(measurement.preload_N, model.tension_min_N)
+        length_m = measurement.cable_length_m
+        reel = model if length_m is None else replace(model, cable_length_m=length_m)
+        return cls(
+            newtons_per_ampere=reel.newtons_per_ampere,
+            sampling_Hz=measurement.sampling_Hz,
+            stiffness_N_m=cable_stiffness_N_m(reel, preload_N),
+            gauge_Hz=reel.gauge_Hz,
+            gauge_damping=reel.gauge_damping,
+            **{
+                **{name: getattr(reel, name) for name in _DRUM},
+                "viscous_friction_Nms": viscous_friction_Nms(reel),
+            },
+        )
+
+    @property
+    def tension_per_angle_N_rad(self) -> float:
+        """What the cable pulls per angle, k R; nan without a cable."""
+        return (self.stiffness_N_m or math.nan) * self.drum_radius_m
+
+    @property
+    def slowest_s(self) -> float:
+        """Time constant of the slowest mode that dies away, s; 0 where none does."""
+        rates = -np.asarray(self._poles().real)
+        dying = rates[rates > 1e-6 * max(1.0, float(np.abs(rates).max(initial=0.0)))]
+        return float(1.0 / dying.min()) if dying.size else 0.0
+
+    @property
+    def natural_rad_s(self) -> float:
+        """Size of the slowest pole that is not at zero, rad/s; 0 where there is none."""
+        sizes = np.abs(self._poles())
+        moving = sizes[sizes > 1e-9 * sizes.max(initial=0.0)]
+        return float(moving.min()) if moving.size else 0.0
+
+    def _poles(self) -> NDArray[np.complex128]:
+        if self.linear is not None:
+            n = len(self.linear.B)
+            return np.linalg.eigvals(np.reshape(self.linear.A, (n, n))).astype(np.complex128)
+        J, b = self.drum_inertia_kg_m2, self.viscous_friction_Nms
+        k = (self.stiffness_N_m or 0.0) * self.drum_radius_m**2
+        return np.roots([J, b, k]).astype(np.complex128)

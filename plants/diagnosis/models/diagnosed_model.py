@@ -1,0 +1,368 @@
+"""What is free in a model that is held against measurements, and what may be added to it."""
+
+import importlib
+from abc import ABC, abstractmethod
+from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal, NamedTuple, Protocol, Self
+
+import numpy as np
+
+from estune.core.quantities import FloatArray
+from estune.errors import InvalidInput, PlantError
+from plants.diagnosis.data.measured_record import Measurement
+from plants.diagnosis.models.calibration import Calibration
+from plants.diagnosis.models.signal_scales import Sizes
+from plants.effects import Effect, Parameter
+from plants.simulation.equations import Equations
+
+BASE = "base"
+"""Owner of the calibrations all records share."""
+
+RANGE = 20.0
+"""Factor either way within which a fit looks for a calibration that is above zero."""
+
+CALIBRATION = Calibration.name
+
+SENSORS = ("angle_zero", "current_gain", "current_offset", "reference_offset", "input_slope")
+"""What is done to the readings and the command of a record, in the order of the C. The slope is
+how much of the way to the next command is gone within a sample: 0 where the command was held, 1
+where its samples are points of a curve."""
+
+
+@dataclass(frozen=True, slots=True)
+class Free:
+    """One number that a fit may move.
+
+    Attributes:
+        name: Unique in a predictor; that of the nth record's own number ends in `[n]`, that of an
+            effect's parameter is `slug.parameter`.
+        unit: Its unit; empty for a plain number.
+        start: Where a fit begins: what the model as given says, or the data where it says nothing.
+            For an effect that is not in the model, its usual value at the size of the data.
+        low: Least value it may take.
+        high: Greatest value.
+        scale: How it is best searched.
+        owner: `base`, `record 3`, or the slug of an effect.
+        neutral: The value at which the effect does nothing, or None.
+    """
+
+    name: str
+    unit: str
+    start: float
+    low: float
+    high: float
+    scale: Literal["log", "linear"]
+    owner: str
+    neutral: float | None = None
+
+
+class Slot(NamedTuple):
+    """A free number and where it goes.
+
+    Attributes:
+        free: The number.
+        column: Name of the structure's parameter, `calibration.name` for one of `Calibration`, or
+            one of `SENSORS`.
+        factor: What it is multiplied by on the way.
+        record: The only record it goes to, or None for all.
+    """
+
+    free: Free
+    column: str
+    factor: float = 1.0
+    record: int | None = None
+
+
+class Structure(Hashable, Protocol):
+    """What a model's equations depend on besides numbers."""
+
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """The parameters in order; those of the nth effect as `n.name`."""
+        ...
+
+    def equations(self) -> Equations:
+        """The equations of one sample."""
+        ...
+
+
+class Local(NamedTuple):
+    """How the plant moves for a short while, to tell where it is from what is measured there.
+
+    x' = A x + B (u + a constant), y = C x; u is late by the dead time.
+
+    Attributes:
+        A: Shape (n, n).
+        B: Shape (n,).
+        C: Shape (n,).
+        input: The input u, shape (samples,), or None where it is left to the constant.
+        dead_time_s: Of the input; below zero where it leads.
+        to_placed: From the states to what `Equations.place` takes, shape (n, n).
+    """
+
+    A: FloatArray
+    B: FloatArray
+    C: FloatArray
+    input: FloatArray | None
+    dead_time_s: float
+    to_placed: FloatArray
+
+
+class Diagnosed(ABC):
+    """A model that can be held against measurements; made by `diagnosed`.
+
+    Attributes:
+        model: The model as it was given.
+        measurements: What it is held against.
+        effects: The effects the model already has, without calibration; their parameters are free.
+        output: Unit in which a gap is told: that of the first output.
+        reasons: Calibrations that are held fixed, with the reason in words.
+        sizes: How large the signals are, in the units of the effects.
+        placed_by: Channel that tells where the plant is at a window's start; None: nothing does.
+        newtons_per_ampere: Effort per command, to make the command of an open-loop record.
+        drive_unit: Command, A, that stands for one of the actuator's effects.
+        reading_unit: Output, as recorded, that stands for a newton of the gauge's effects.
+    """
+
+    output: Literal["N", "rad"] = "N"
+    placed_by: str | None
+    newtons_per_ampere: float = 1.0
+    drive_unit: float = 1.0
+    reading_unit: float = 1.0
+
+    def __init__(self, model: Any, measurements: Sequence[Measurement]) -> None:
+        self.model = model
+        self.measurements = tuple(measurements)
+        self.effects: tuple[Effect, ...] = tuple(
+            e for e in getattr(model, "effects", ()) if not isinstance(e, Calibration)
+        )
+        self.calibration = next(
+            (e for e in getattr(model, "effects", ()) if isinstance(e, Calibration)), Calibration()
+        )
+        self.reasons: dict[str, str] = {}
+        self._starts: dict[str, float] = {}
+        self.sizes = self._sizes()
+
+    # What each kind of model says of itself.
+
+    @abstractmethod
+    def _sizes(self) -> Sizes: ...
+
+    @abstractmethod
+    def _calibrations(self) -> list[Slot]:
+        """The base's free numbers, and into `reasons` those that are not."""
+
+    @abstractmethod
+    def structure(self, effects: tuple[type[Effect], ...]) -> Structure:
+        """The model with these effects and its calibration after them."""
+
+    @abstractmethod
+    def numbers(self, measurement: Measurement) -> dict[str, float]:
+        """The structure's own parameters for one record, as the model was given."""
+
+    @abstractmethod
+    def local(self, measurement: Measurement) -> Local:
+        """How the plant moves for a short while."""
+
+    @abstractmethod
+    def unavailable(self, effect: type[Effect]) -> str | None:
+        """Why an effect cannot be added to this model, or None where it can."""
+
+    @abstractmethod
+    def calibrated(self, values: Mapping[str, float], effects: Sequence[type[Effect]] = ()) -> Any:
+        """A model of the same kind as given, with the values of a fit and effects added.
+
+        Args:
+            values: By the names of `Predictor.free`; those that are missing stay as they are, and
+                those of single records count for nothing.
+            effects: The effects the fit added, in the predictor's order.
+        """
+
+    @property
+    @abstractmethod
+    def suggested_horizon_s(self) -> float | None:
+        """Length of a prediction in which the model's dynamics show, s; None is a free run."""
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """Channels that the model predicts."""
+        return ("tension_N",)
+
+    def preload(self, measurement: Measurement) -> float:
+        """The tension at which the plant's constants are taken, N."""
+        return measurement.preload_N
+
+    def sensors(self) -> list[Slot]:
+        """Free numbers of the sensors, per record or shared."""
+        return []
+
+    # What is the same for all.
+
+    @property
+    def is_often_slack(self) -> bool:
+        """Whether records show a cable that hangs slack, not now and then only."""
+        return False
+
+    def alternatives(self) -> "tuple[Diagnosed, ...]":
+        """Ways in which the model may be meant, of which the records tell the right one."""
+        return (self,)
+
+    @property
+    def base(self) -> list[Slot]:
+        """The base's free numbers, at the starts this model was given."""
+        slots = (*self._calibrations(), *self.sensors(), *self._current_sensor())
+        return [self._started(slot) for slot in slots]
+
+    def slots(self, added: Sequence[type[Effect]]) -> list[Slot]:
+        """All free numbers: the base's, the records', those of the model's and added effects."""
+        place, seen = len(self.effects) + len(added), dict[str, int]()
+        found = [s._replace(column=s.column.replace(CALIBRATION, str(place))) for s in self.base]
+        for n, (cls, effect) in enumerate(self._listed(added)):
+            seen[cls.name] = seen.get(cls.name, 0) + 1
+            slug = cls.name if seen[cls.name] == 1 else f"{cls.name}#{seen[cls.name]}"
+            for name, p in cls.parameters().items():
+                given = None if effect is None else float(getattr(effect, name))
+                free = self._of_effect(cls, slug, name, p, given)
+                found.append(self._started(Slot(free, f"{n}.{name}")))
+        return found
+
+    def at(self, values: Mapping[str, float]) -> Self:
+        """The same model, begun from the values of a base fit."""
+        later = object.__new__(type(self))
+        vars(later).update(vars(self))
+        later._starts = {**self._starts, **values}
+        return later
+
+    def command_N(self, measurement: Measurement) -> FloatArray:
+        """The recorded command as effort, N, shape (samples,)."""
+        amperes = measurement.command_A(self.newtons_per_ampere)
+        return np.asarray(amperes * self.newtons_per_ampere, dtype=np.float64)
+
+    def combined(self, added: Sequence[type[Effect]]) -> tuple[type[Effect], ...]:
+        """Classes of the model's effects, of those added, and of the calibration."""
+        return (*(type(e) for e in self.effects), *added, type(self.calibration))
+
+    def parameters(
+        self, added: Sequence[type[Effect]], measurement: Measurement
+    ) -> dict[str, float]:
+        """All parameters of the structure for one record but the samples of dead time."""
+        found = dict(self.numbers(measurement))
+        found["delay_samples"] = 0.0
+        effects = self._listed(added)
+        effects.append((type(self.calibration), self.calibration))
+        for n, (cls, effect) in enumerate(effects):
+            for name in cls.parameters():
+                found[f"{n}.{name}"] = float(getattr(effect or cls(), name))
+        return found
+
+    def built(
+        self, values: Mapping[str, float], added: Sequence[type[Effect]]
+    ) -> tuple[Effect, ...]:
+        """The model's effects and those added, with the values of a fit."""
+        by_column = {
+            slot.column: values.get(slot.free.name, slot.free.start) for slot in self.slots(added)
+        }
+        built = []
+        for n, (cls, _) in enumerate(self._listed(added)):
+            built.append(cls(**{name: by_column[f"{n}.{name}"] for name in cls.parameters()}))
+        return tuple(built)
+
+    def _current_sensor(self) -> list[Slot]:
+        """Gain and offset of a current that is measured."""
+        per_ampere = self.newtons_per_ampere
+        if all(m.measured_current_A(per_ampere) is None for m in self.measurements):
+            return []
+        reach = max(self.sizes.current_max, 1e-9) * self.drive_unit
+        offset = either_way("current_offset_A", "A", 0.0, reach)
+        return [
+            Slot(positive("current_gain", "", 1.0), "current_gain", self.drive_unit),
+            Slot(offset, "current_offset"),
+        ]
+
+    def _listed(self, added: Sequence[type[Effect]]) -> list[tuple[type[Effect], Effect | None]]:
+        """The model's effects and those added, of which there are no values yet."""
+        return [*((type(e), e) for e in self.effects), *((cls, None) for cls in added)]
+
+    def _started(self, slot: Slot) -> Slot:
+        start = self._starts.get(slot.free.name)
+        if start is None:
+            return slot
+        return slot._replace(free=replace(slot.free, start=start))
+
+    def _of_effect(
+        self, cls: type[Effect], slug: str, name: str, p: Parameter, given: float | None
+    ) -> Free:
+        """An effect's parameter, begun at what the model has or at a size that suits the data."""
+        start, high = self.sizes.of_effect(cls.port, p, float(getattr(cls(), name)))
+        start = start if p.begun is None else p.begun
+        low, high = p.low, max(high, given if given is not None else p.low)
+        start = given if given is not None else start
+        return Free(
+            name=f"{slug}.{name}",
+            unit=p.unit,
+            start=min(max(start, low), high),
+            low=low,
+            high=high,
+            scale="log" if low > 0.0 else "linear",
+            owner=slug,
+            neutral=p.neutral,
+        )
+
+
+def positive(name: str, unit: str, value: float, owner: str = BASE) -> Free:
+    """A free number above zero, within a factor of what is given."""
+    return Free(name, unit, value, value / RANGE, value * RANGE, "log", owner)
+
+
+def either_way(name: str, unit: str, value: float, reach: float, owner: str = BASE) -> Free:
+    """A free number that may lie this far on either side of what is given."""
+    return Free(name, unit, value, value - reach, value + reach, "linear", owner)
+
+
+def diagnosed(model: Any, measurements: Sequence[Measurement]) -> Diagnosed:
+    """The model as the discrepancy workflow takes it.
+
+    Args:
+        model: `Reel`, `UnloadedReel`, `LinearPlant`, `PythonPlant`, a continuous system of
+            python-control, or a `Diagnosed` for the same measurements as it is.
+        measurements: What it is to be held against; they decide what can be told apart.
+
+    Raises:
+        PlantError: the model is of another kind, or its function cannot be traced.
+        InvalidInput: there are no measurements, or none has an output that the model predicts.
+    """
+    if isinstance(model, Diagnosed):
+        return model
+    if not measurements:
+        raise InvalidInput("there are no measurements to hold the model against")
+    kind = _kind(model)
+    found = kind(model, measurements)
+    wanted = set(found.outputs)
+    if not any(wanted & set(m.outputs) for m in measurements):
+        raise InvalidInput(
+            f"the model predicts {' and '.join(found.outputs)}, and no record has such a column"
+        )
+    found.slots(())  # from here on the reasons are known
+    return found
+
+
+def _kind(model: Any) -> type[Diagnosed]:
+    """The class for a model, each imported only where it is wanted."""
+    name = type(model).__name__
+    homes = {
+        "Reel": ("plants.diagnosis.models.reel", "DiagnosedReel"),
+        "UnloadedReel": ("plants.diagnosis.models.unloaded", "DiagnosedDrum"),
+        "LinearPlant": ("plants.diagnosis.models.linear_plant", "DiagnosedLinear"),
+        "TransferFunction": ("plants.diagnosis.models.linear_plant", "DiagnosedLinear"),
+        "StateSpace": ("plants.diagnosis.models.linear_plant", "DiagnosedLinear"),
+        "PythonPlant": ("plants.diagnosis.models.python_plant", "DiagnosedFunction"),
+    }
+    if name not in homes:
+        raise PlantError(
+            f"the model is a {name}; give a Reel, an UnloadedReel, a linear_plant, a python_plant "
+            "or a system of python-control"
+        )
+    module, attribute = homes[name]
+    found: type[Diagnosed] = getattr(importlib.import_module(module), attribute)
+    return found

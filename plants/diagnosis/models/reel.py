@@ -1,0 +1,330 @@
+"""A reel held against measurements: length and preload of each record, calibrations, ports."""
+
+import copy
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from estune.core.quantities import FloatArray
+from plants.diagnosis.data.measured_record import Measurement
+from plants.diagnosis.models.calibration import Calibration, SaggingCalibration
+from plants.diagnosis.models.diagnosed_model import (
+    CALIBRATION,
+    Diagnosed,
+    Free,
+    Local,
+    Slot,
+    either_way,
+    positive,
+)
+from plants.diagnosis.models.initial_states import shifted
+from plants.diagnosis.models.signal_scales import Sizes
+from plants.effects import Effect
+from plants.models.reel import Reel
+from plants.models.reel_equations import (
+    GRAVITY_m_s2,
+    ReelStructure,
+    cable_stiffness_N_m,
+    drum_stiffness_Nm_rad,
+    viscous_friction_Nms,
+)
+
+HORIZON = 5.0
+"""A prediction's length times the natural frequency of drum and cable: most of a period."""
+LENGTHS_DIFFER = 0.05
+"""Spread of the cable lengths, relative to their mean, from which they tell two things apart."""
+OFTEN = 0.1
+"""Share of the samples with a slack cable from which on the torque's offset is told from the
+gauge's by more than a few windows."""
+SAGS = 1e-3
+"""Error of the linear law, relative to the preload, from which sag is reckoned with in full."""
+MOST_RATE = 2.0
+"""Allowed growth of the fastest rate in a fit; the matrix exponential stays exact up to it."""
+
+
+class DiagnosedReel(Diagnosed):
+    """A `Reel`; its length and preload are those of each record."""
+
+    model: Reel
+
+    def __init__(self, model: Reel, measurements: Sequence[Measurement]) -> None:
+        self.newtons_per_ampere = model.newtons_per_ampere
+        self.has_gauge = any(m.tension_N is not None for m in measurements)
+        self.has_encoder = any(m.angle_rad is not None for m in measurements)
+        self.placed_by = "angle_rad" if self.has_encoder else "tension_N"
+        self.output = "N" if self.has_gauge else "rad"
+        self.is_watched = any(m.reference_N is not None for m in measurements)
+        super().__init__(model, measurements)
+
+    def alternatives(self) -> tuple["Diagnosed", ...]:
+        """The linear law, and the same with sag in full where the records could tell."""
+        if isinstance(self.calibration, SaggingCalibration) or not self._may_sag:
+            return (self,)
+        sagging = copy.copy(self)
+        sagging.calibration = SaggingCalibration(**vars(self.calibration))
+        return self, sagging
+
+    @property
+    def _may_sag(self) -> bool:
+        """Whether the cable's own weight bends the linear law by what the records show.
+
+        The linear law has the sag's slope at the preload; further down it differs by
+        Q (1/T^2 - 1/T_0^2) - 2 Q (T_0 - T)/T_0^3 in tension, with Q = k w^2 L^3/24.
+        """
+        for m in self.measurements:
+            if m.tension_N is None:
+                continue
+            preload, Q = self.preload(m), self._sag_N3(m)
+            T = max(float(np.quantile(m.tension_N, 0.01)), 0.05 * preload)
+            bent = Q * (1.0 / T**2 - 1.0 / preload**2) - 2.0 * Q * (preload - T) / preload**3
+            if abs(bent) > SAGS * preload:
+                return True
+        return False
+
+    @property
+    def is_often_slack(self) -> bool:
+        """Whether the cable hangs slack so often that the torque shows without the tension.
+
+        Slack is where the sag gives more than the stretch: T < (2 Q)^(1/3).
+        """
+        slack, samples = 0, 0
+        for m in self.measurements:
+            if m.tension_N is not None:
+                sag = self._sag_N3(m)
+                slack += int(np.count_nonzero(m.tension_N < (2.0 * sag) ** (1.0 / 3.0)))
+                samples += m.samples
+        return slack > OFTEN * samples
+
+    def _sag_N3(self, m: Measurement) -> float:
+        """The own weight's Q = k w^2 L^3/24, N^3."""
+        at = self._at(m)
+        weight_N_m = GRAVITY_m_s2 * at.cable_density_kg_m
+        k = float(cable_stiffness_N_m(at, self.preload(m)))
+        return k * weight_N_m**2 * at.cable_length_m**3 / 24.0
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """Gauge, encoder and the gauge outside."""
+        return ("tension_N", "angle_rad", "reference_N")
+
+    def length(self, measurement: Measurement) -> float:
+        """Deployed cable length, m."""
+        return measurement.cable_length_m or self.model.cable_length_m
+
+    def preload(self, measurement: Measurement) -> float:
+        """The record's preload, or where it says none the mean tension."""
+        tension = measurement.tension_N
+        for found in (measurement.preload_N, None if tension is None else float(tension.mean())):
+            if found is not None and math.isfinite(found) and found > 0.0:
+                return found
+        return self.model.tension_N
+
+    def unavailable(self, effect: type[Effect]) -> str | None:  # noqa: ARG002  a reel has all
+        """Every effect is declared for a reel."""
+        return None
+
+    def structure(self, effects: tuple[type[Effect], ...]) -> ReelStructure:
+        """The reel with these effects."""
+        slowest_Hz = min(m.sampling_Hz for m in self.measurements)
+        squarings = ReelStructure.squarings_for(MOST_RATE * self._fastest_rad_s, slowest_Hz)
+        return ReelStructure(
+            effects=effects,
+            fractional=True,
+            squarings=max(4, squarings),  # the same structure for most records
+            rounded=False,
+            watched=self.is_watched,
+            by_gauge=self.placed_by == "tension_N",
+        )
+
+    @property
+    def _fastest_rad_s(self) -> float:
+        rates = [2.0 * math.pi * self.model.gauge_Hz]
+        for m in self.measurements:
+            at = self._at(m)
+            kappa = drum_stiffness_Nm_rad(at, self.preload(m))
+            J = at.drum_inertia_kg_m2
+            rates += [math.sqrt(kappa / J), viscous_friction_Nms(at) / J]
+        return float(max(rates))
+
+    def _at(self, m: Measurement) -> Reel:
+        """The reel at a record's length, with the starts of the fit."""
+        known = {k: v for k, v in self._starts.items() if k in ReelStructure.OWN}
+        return replace(self.model, cable_length_m=self.length(m), effects=(), **known)
+
+    def numbers(self, measurement: Measurement) -> dict[str, float]:
+        """The reel's own numbers at the record's length and rate."""
+        own = {name: float(getattr(self.model, name)) for name in ReelStructure.OWN}
+        own["cable_length_m"] = self.length(measurement)
+        own["sampling_Hz"] = measurement.sampling_Hz
+        return own
+
+    def _sizes(self) -> Sizes:
+        currents = [m.command_A(self.newtons_per_ampere) for m in self.measurements]
+        angles = [self._angle(m) for m in self.measurements]
+        rates = [m.sampling_Hz for m in self.measurements]
+        return Sizes.of(currents, self.model.torque_constant_Nm_A, angles, rates)
+
+    def _angle(self, m: Measurement) -> FloatArray:
+        """The angle, read or from the tension."""
+        if m.angle_rad is not None:
+            return m.angle_rad
+        if m.tension_N is None:
+            return np.empty(0)
+        stiffness = cable_stiffness_N_m(self._unstarted(m), self.preload(m))
+        return np.asarray(m.tension_N / (stiffness * self.model.drum_radius_m))
+
+    def _unstarted(self, m: Measurement) -> Reel:
+        return replace(self.model, cable_length_m=self.length(m), effects=())
+
+    def _calibrations(self) -> list[Slot]:
+        r, c = self.model, self.calibration
+        lengths = [self.length(m) for m in self.measurements]
+        differ = max(lengths) - min(lengths) > LENGTHS_DIFFER * np.mean(lengths)
+        friction = max(r.viscous_friction_Nms, self._unit_friction)
+        found = [
+            positive("drum_inertia_kg_m2", "kg m2", r.drum_inertia_kg_m2),
+            Free(
+                "viscous_friction_Nms",
+                *("N m s/rad", r.viscous_friction_Nms, 0.0, 20.0 * friction, "linear", "base"),
+            ),
+        ]
+        if differ:
+            most = 20.0 * max(r.viscous_friction_per_length_Ns, friction / max(lengths))
+            start = r.viscous_friction_per_length_Ns
+            unit = "N m s/rad per m"
+            found.append(
+                Free("viscous_friction_per_length_Ns", unit, start, 0.0, most, "linear", "base")
+            )
+            found.append(positive("cable_EA_N", "N", r.cable_EA_N))
+        else:
+            same = "the records have one cable length"
+            self.reasons["viscous_friction_per_length_Ns"] = same
+            self.reasons["cable_EA_N"] = same
+        # Of one length, the softer of cable and structure stands for both.
+        soft = not differ and np.mean(lengths) / r.cable_EA_N > 1.0 / r.structure_stiffness_N_m
+        if self.has_gauge and self.has_encoder and soft:
+            found.append(positive("cable_EA_N", "N", r.cable_EA_N))
+            self.reasons["structure_stiffness_N_m"] = self.reasons.pop("cable_EA_N")
+        elif self.has_gauge and self.has_encoder:
+            found.append(positive("structure_stiffness_N_m", "N/m", r.structure_stiffness_N_m))
+        else:
+            missing = "encoder" if self.has_gauge else "gauge"
+            self.reasons["structure_stiffness_N_m"] = (
+                f"without {missing} only ratios to the stiffness show"
+            )
+        slots = [Slot(free, free.name) for free in found]
+        if self.has_gauge:
+            slots.append(_of_calibration(positive("torque_gain", "", c.torque_gain)))
+            reach = max(self.sizes.torque_max / r.drum_radius_m, r.tension_max_N)
+            slots.append(
+                _of_calibration(either_way("gauge_offset_N", "N", c.gauge_offset_N, reach))
+            )
+        else:
+            self.reasons["torque_gain"] = "without gauge only ratios to the gain show"
+            self.reasons["gauge_offset_N"] = "there is no gauge"
+        self.reasons["torque_offset_Nm"] = (
+            "an offset of the torque looks like one of the gauge and the encoder"
+        )
+        return slots
+
+    def slots(self, added: Sequence[type[Effect]]) -> list[Slot]:
+        """As of any model; the torque's offset where something tells it from the gauge's."""
+        found = super().slots(added)
+        laws = (type(self.calibration), *(type(effect) for effect in self.effects), *added)
+        told = self.is_often_slack or any(law.by_tension for law in laws)
+        if not self.has_gauge or not told:
+            return found
+        given = self.calibration.torque_offset_Nm
+        free = either_way("torque_offset_Nm", "N m", given, max(self.sizes.torque_max, abs(given)))
+        column = f"{len(self.effects) + len(added)}.{free.name}"
+        return [*found, self._started(Slot(free, column))]
+
+    @property
+    def _unit_friction(self) -> float:
+        """Friction that would damp the reel by a tenth of critical, N m s/rad."""
+        m = self.measurements[0]
+        kappa = drum_stiffness_Nm_rad(self._unstarted(m), self.preload(m))
+        return float(0.1 * math.sqrt(kappa * self.model.drum_inertia_kg_m2))
+
+    def sensors(self) -> list[Slot]:
+        """The encoder's zero of each record, and offsets of gauges that are beside the reel's."""
+        slots = []
+        for n, m in enumerate(self.measurements):
+            if m.angle_rad is not None:
+                start = self._zero(m)
+                reach = 10.0 * max(float(np.ptp(m.angle_rad)), abs(start), 0.1)
+                free = either_way(f"encoder_zero_rad[{n}]", "rad", start, reach, f"record {n}")
+                slots.append(Slot(free, "angle_zero", record=n))
+        if self.is_watched:
+            free = either_way("reference_offset_N", "N", 0.0, self.model.tension_max_N)
+            slots.append(Slot(free, "reference_offset"))
+        return slots
+
+    def _zero(self, m: Measurement) -> float:
+        """The angle read where the cable is just taut, by the mean of the linear law.
+
+        A sample counts by the square of its tension: where the cable is slack the angle is any.
+        """
+        assert m.angle_rad is not None  # noqa: S101  sensors() asks only then
+        per_angle = self._per_angle(m)
+        tension, weight = np.full(m.samples, self.preload(m)), np.ones(m.samples)
+        if m.tension_N is not None and float(np.max(m.tension_N)) > 0.0:
+            tension = m.tension_N
+            weight = np.maximum(tension, 0.0) ** 2
+        taut = m.angle_rad - (tension - self.calibration.gauge_offset_N) / per_angle
+        return float(np.average(taut, weights=weight))
+
+    def _per_angle(self, m: Measurement) -> float:
+        """Tension per angle of the linear law, N/rad."""
+        stiffness = float(cable_stiffness_N_m(self._unstarted(m), self.preload(m)))
+        return stiffness * self.model.drum_radius_m
+
+    def local(self, measurement: Measurement) -> Local:
+        """Angle and velocity under what current and tension leave of the torque.
+
+        What friction takes besides is the constant. Without gauge or encoder all of the torque is.
+        """
+        A, C = np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([1.0, 0.0])
+        tension = measurement.tension_N
+        if measurement.angle_rad is None or tension is None:
+            return Local(A, np.array([0.0, 1.0]), C, None, 0.0, np.eye(2))
+        r, rate = self._at(measurement), measurement.sampling_Hz
+        gain = self._starts.get("torque_gain", self.calibration.torque_gain)
+        drive = shifted(self.command_N(measurement), r.dead_time_s * rate)
+        # The tension is a curve through its samples; it reads late by the gauge's own lag.
+        lag_s = r.gauge_damping / (math.pi * r.gauge_Hz)
+        pull = shifted(np.nan_to_num(tension), -0.5 - lag_s * rate)
+        torque = r.drum_radius_m * (gain * drive - pull)
+        B = np.array([0.0, 1.0 / r.drum_inertia_kg_m2])
+        return Local(A, B, C, torque, 0.0, np.eye(2))
+
+    @property
+    def suggested_horizon_s(self) -> float:
+        """Most of a period of drum and cable, at the lowest of the records' frequencies."""
+        slowest = min(
+            drum_stiffness_Nm_rad(self._at(m), self.preload(m)) for m in self.measurements
+        )
+        J = self._at(self.measurements[0]).drum_inertia_kg_m2
+        return float(HORIZON / math.sqrt(slowest / J))
+
+    def calibrated(
+        self, values: Mapping[str, float], effects: Sequence[type[Effect]] = ()
+    ) -> Reel:
+        """The reel with these values; a `Calibration` holds gain and offset."""
+        known = {**self._starts, **values}
+        own = {k: v for k, v in known.items() if k in ReelStructure.OWN}
+        calibration = replace(
+            self.calibration,
+            **{k: v for k, v in known.items() if k in Calibration.parameters()},
+        )
+        built: tuple[Any, ...] = self.built(values, effects)
+        if calibration != Calibration.neutral():
+            built = (*built, calibration)
+        return replace(self.model, effects=built, **own)
+
+
+def _of_calibration(free: Free) -> Slot:
+    return Slot(free, f"{CALIBRATION}.{free.name}")

@@ -1,0 +1,159 @@
+"""An unloaded reel, or any servo or stage, held against measurements."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import cached_property
+
+import numpy as np
+
+from plants.diagnosis.data.measured_record import Measurement
+from plants.diagnosis.data.noise import step_of
+from plants.diagnosis.models.calibration import Calibration
+from plants.diagnosis.models.diagnosed_model import (
+    CALIBRATION,
+    Diagnosed,
+    Free,
+    Local,
+    Slot,
+    either_way,
+    positive,
+)
+from plants.diagnosis.models.signal_scales import Sizes
+from plants.effects import Effect
+from plants.models.effect_applicability import unavailable
+from plants.models.linear_structures import Drum
+from plants.models.linear_with_effects import PortedStructure
+from plants.models.unloaded_reel import UnloadedReel
+
+LEAST_SQUARINGS = 4
+MOST_RATE = 100.0
+"""Allowed growth of friction over inertia in a fit; up to it the exponential stays exact."""
+SHOWS = 30.0
+"""A torque of a tenth of the rms moves the drum by so many times the encoder's noise within the
+horizon."""
+SHORTEST_samples, LONGEST_share = 24, 0.2
+
+
+class DiagnosedDrum(Diagnosed):
+    """An `UnloadedReel`."""
+
+    model: UnloadedReel
+    output = "rad"
+    placed_by = "angle_rad"
+
+    def __init__(self, model: UnloadedReel, measurements: Sequence[Measurement]) -> None:
+        self.newtons_per_ampere = model.newtons_per_ampere
+        super().__init__(model, measurements)
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """The encoder."""
+        return ("angle_rad",)
+
+    def preload(self, measurement: Measurement) -> float:  # noqa: ARG002  there is none
+        """None."""
+        return 0.0
+
+    def unavailable(self, effect: type[Effect]) -> str | None:
+        """Effects of cable, eyelet and gauge have no place."""
+        return unavailable(Drum(), effect)
+
+    def structure(self, effects: tuple[type[Effect], ...]) -> PortedStructure:
+        """The drum with these effects."""
+        slowest_Hz = min(m.sampling_Hz for m in self.measurements)
+        p = self.model
+        rate = MOST_RATE * max(p.viscous_friction_Nms, 1e-9) / p.drum_inertia_kg_m2
+        needed = PortedStructure.squarings_for(rate, slowest_Hz)
+        return PortedStructure(
+            Drum(), effects, fractional=True, squarings=max(LEAST_SQUARINGS, needed), rounded=False
+        )
+
+    def numbers(self, measurement: Measurement) -> dict[str, float]:
+        """The drum's own numbers at the record's rate."""
+        return {**self.model.own_numbers, "sampling_Hz": measurement.sampling_Hz}
+
+    def _sizes(self) -> Sizes:
+        currents = [m.command_A(self.newtons_per_ampere) for m in self.measurements]
+        angles = [np.empty(0) if m.angle_rad is None else m.angle_rad for m in self.measurements]
+        rates = [m.sampling_Hz for m in self.measurements]
+        return Sizes.of(currents, self.model.torque_constant_Nm_A, angles, rates)
+
+    def _calibrations(self) -> list[Slot]:
+        p, c = self.model, self.calibration
+        # Friction that takes all of the torque at the velocities there are.
+        most = self.sizes.torque_max / max(self.sizes.velocity_rms, 1e-300)
+        most = max(most if math.isfinite(most) else 0.0, 20.0 * p.viscous_friction_Nms)
+        friction = Free(
+            "viscous_friction_Nms",
+            "N m s/rad",
+            p.viscous_friction_Nms,
+            0.0,
+            most,
+            "linear",
+            "base",
+        )
+        reach = max(self.sizes.torque_max, 1e-12)
+        offset = either_way("torque_offset_Nm", "N m", c.torque_offset_Nm, reach)
+        self.reasons["torque_gain"] = "without gauge only the ratio of gain to inertia shows"
+        self.reasons["encoder_zero_rad"] = "nothing depends on where the angle is zero"
+        return [
+            Slot(
+                positive("drum_inertia_kg_m2", "kg m2", p.drum_inertia_kg_m2), "drum_inertia_kg_m2"
+            ),
+            Slot(friction, "viscous_friction_Nms"),
+            Slot(offset, f"{CALIBRATION}.torque_offset_Nm"),
+        ]
+
+    def slots(self, added: Sequence[type[Effect]]) -> list[Slot]:
+        """As of any model; each record's zero of the encoder where there is a wave over the angle.
+
+        An encoder that counts steps begins to count wherever the drum stands when it is switched
+        on, so that the wave has another phase in each record.
+        """
+        found = super().slots(added)
+        own = (type(effect) for effect in self.effects)
+        angles = [(n, m.angle_rad) for n, m in enumerate(self.measurements)]
+        turning = [(n, angle) for n, angle in angles if angle is not None]
+        if len(turning) < 2 or not any(effect.repeats for effect in (*own, *added)):
+            return found
+        for n, angle in turning:
+            middle, name = float(angle.mean()), f"encoder_zero_rad[{n}]"
+            free = either_way(name, "rad", middle, 2.0 * math.pi, f"record {n}")
+            found.append(self._started(Slot(free, "angle_zero", record=n)))
+        return found
+
+    def local(self, measurement: Measurement) -> Local:
+        """Angle and velocity under a torque that is held constant."""
+        del measurement
+        A = np.array([[0.0, 1.0], [0.0, 0.0]])
+        return Local(A, np.array([0.0, 1.0]), np.array([1.0, 0.0]), None, 0.0, np.eye(2))
+
+    @cached_property
+    def suggested_horizon_s(self) -> float:
+        """Time in which a tenth of the torque's rms moves the drum well past the encoder's step.
+
+        A torque tau moves it by tau t^2/(2 J), of which the start explains all but a twelfth.
+        """
+        steps = [step_of(m.angle_rad) for m in self.measurements if m.angle_rad is not None]
+        step = max(steps) or 2.0 * math.pi / self.model.encoder_counts
+        step /= math.sqrt(12.0)
+        torque = 0.1 * max(self.sizes.torque_rms, 1e-300)
+        wanted = math.sqrt(12.0 * 2.0 * self.model.drum_inertia_kg_m2 * SHOWS * step / torque)
+        rate = max(m.sampling_Hz for m in self.measurements)
+        longest = LONGEST_share * min(m.duration_s for m in self.measurements)
+        return max(min(wanted, longest), SHORTEST_samples / rate)
+
+    def calibrated(
+        self, values: Mapping[str, float], effects: Sequence[type[Effect]] = ()
+    ) -> UnloadedReel:
+        """The drum with these values; a `Calibration` holds the torque's offset."""
+        known = {**self._starts, **values}
+        own = {k: v for k, v in known.items() if k in self.model.own_numbers}
+        calibration = replace(
+            self.calibration, **{k: v for k, v in known.items() if k in Calibration.parameters()}
+        )
+        built = self.built(values, effects)
+        if calibration != Calibration.neutral():
+            built = (*built, calibration)
+        return replace(self.model, effects=built, **own)

@@ -1,0 +1,370 @@
+"""Some records as a prediction sees them: command, windows, starts, and what is held against."""
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estune.core.quantities import FloatArray
+from estune.trial import GUARD, LATE
+from plants.diagnosis.data.measured_record import Measurement
+from plants.diagnosis.data.noise_floor import Floor, noise_floor, unrepeated
+from plants.diagnosis.models.diagnosed_model import Diagnosed
+from plants.diagnosis.models.initial_states import anchors
+from plants.diagnosis.prediction.library import CHANNELS
+from plants.diagnosis.prediction.window_projection import Blocks
+
+FIRST_samples = 8
+"""Samples at a record's start whose mean tells what it reads there."""
+STANDS = 0.05
+"""Share of a rate's rms below which a record that begins at its preload begins at rest."""
+SURE = 4.0
+"""Standard deviations within which a reading is what it was expected to be."""
+MOST_LAG_s = 0.05
+"""How far a measured current may lie behind the command."""
+AS_LATE = 1.05
+"""Sum of squares, relative to the least of all lags, up to which a lag fits as well."""
+KNOCK = 5.0
+"""Mean square of a window, relative to the median of all, up to which it counts whole."""
+LEAST_SIGMA = 1e-9
+"""Of a channel that has no noise, relative to its size."""
+
+
+class Index(NamedTuple):
+    """What each entry of the residuals stands for; all of shape (entries,).
+
+    Attributes:
+        measurement: Number of the measurement.
+        channel: Number of the channel in `CHANNELS`.
+        sample: Number of the sample.
+        time_s: Its time.
+        sigma: What the entry was divided by, sigma_eff in the channel's unit.
+        window: Number of the window, counted through all measurements.
+    """
+
+    measurement: NDArray[np.int64]
+    channel: NDArray[np.int64]
+    sample: NDArray[np.int64]
+    time_s: FloatArray
+    sigma: FloatArray
+    window: NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scene:
+    """What does not depend on the effects; samples of all records follow each other.
+
+    Attributes:
+        measurements: The records.
+        horizon_s: Length of a window, or None for a free run.
+        record_samples: Samples of each record.
+        preload: Tension at which a record's constants are taken.
+        reading: Reading at rest with which each record begins.
+        command: Effort, N.
+        windows: Number of windows of each record that begin where the plant is put.
+        window_at: The sample of its record that each begins with.
+        window_place: Where the plant is put, shape (windows, placed).
+        measured: What each residual entry was measured to be.
+        source: Place of its prediction among the channels of all samples.
+        block_end: Entry after the last of each window.
+        record_blocks: Number of windows of each record.
+        index: What the entries stand for.
+    """
+
+    measurements: tuple[Measurement, ...]
+    horizon_s: float | None
+    record_samples: NDArray[np.int64]
+    preload: FloatArray
+    reading: FloatArray
+    command: FloatArray
+    windows: NDArray[np.int64]
+    window_at: NDArray[np.int64]
+    window_place: FloatArray
+    measured: FloatArray
+    source: NDArray[np.int64]
+    block_end: NDArray[np.int64]
+    record_blocks: NDArray[np.int64]
+    index: Index
+
+    @property
+    def samples(self) -> int:
+        """Samples of all records."""
+        return self.command.size
+
+
+@lru_cache(maxsize=16)
+def scene(
+    model: Diagnosed,
+    measurements: tuple[Measurement, ...],
+    horizon_s: float | None,
+    floor: Floor | None,
+    placed: int,
+) -> Scene:
+    """Prepares some records.
+
+    Args:
+        model: What predicts them.
+        measurements: The records.
+        horizon_s: Length of a window, or None for a free run.
+        floor: The noise; None finds it.
+        placed: How many numbers place the plant.
+    """
+    noise = noise_floor(measurements) if floor is None else floor
+    starts = [_start(model, m, horizon_s, noise, placed) for m in measurements]
+    entries = _Entries(model, noise, sum(m.samples for m in measurements))
+    for m, start in zip(measurements, starts, strict=True):
+        entries.add(m, start.edges)
+    measured, source, block_end, index = entries.arrays()
+    return Scene(
+        measurements=measurements,
+        horizon_s=horizon_s,
+        record_samples=np.array([m.samples for m in measurements], np.int64),
+        preload=np.array([model.preload(m) for m in measurements], np.float64),
+        reading=np.array([start.reading for start in starts], np.float64),
+        command=np.concatenate([model.command_N(m) for m in measurements]),
+        windows=np.array([len(start.placed) for start in starts], np.int64),
+        window_at=np.concatenate([start.edges[: len(start.placed)] for start in starts]),
+        window_place=np.concatenate([start.placed for start in starts]),
+        measured=measured,
+        source=source,
+        block_end=block_end,
+        record_blocks=np.array([start.edges.size for start in starts], np.int64),
+        index=index,
+    )
+
+
+def allowed(of: Scene, floor: Floor | None, basis: FloatArray) -> Scene:
+    """The same held against what its windows can be expected to predict.
+
+    The allowance is a share of what there is to explain in them: a plant that integrates travels
+    far, and another start of each window explains most of its travel. And a force that nobody
+    ordered moves it further in a window than its encoder's steps; how far shows where a command
+    came again. (In a gauge, what does not come again may be hum, which can be explained.)
+
+    Args:
+        of: A scene whose allowance is a share of each whole signal.
+        floor: The noise; None finds it.
+        basis: What another start of each window explains, orthonormal, shape (placed, entries).
+    """
+    noise = noise_floor(of.measurements) if floor is None else floor
+    index, blocks = of.index, Blocks(of.block_end)
+    number = index.measurement * len(CHANNELS) + index.channel
+    kinds = len(of.measurements) * len(CHANNELS)
+    count = np.maximum(np.bincount(number, minlength=kinds), 1)
+    centred = of.measured - (np.bincount(number, of.measured, kinds) / count)[number]
+    left = blocks.beyond(centred / index.sigma, basis) * index.sigma
+    spread = np.sqrt(np.bincount(number, left * left, kinds) / count)
+    largest = np.zeros(kinds)
+    np.maximum.at(largest, number, np.abs(of.measured))
+    least = {"angle_rad": _unrepeated_rms(of, blocks, basis, CHANNELS.index("angle_rad"))}
+    sigma = np.array(
+        [
+            _sigma(noise, name, float(spread[n]), float(largest[n]), least.get(name, 0.0))
+            for n, name in enumerate(CHANNELS * len(of.measurements))
+        ]
+    )
+    return replace(of, index=index._replace(sigma=sigma[number]))
+
+
+def _unrepeated_rms(of: Scene, blocks: Blocks, basis: FloatArray, channel: int) -> float:
+    """What does not repeat itself of a channel's windows, rms; 0 where no command came again."""
+    index, again = of.index, unrepeated(of.measurements)
+    deviation = np.full(index.sigma.size, np.nan)
+    for n, columns in enumerate(again):
+        for name, column in columns.items():
+            at = (index.measurement == n) & (index.channel == CHANNELS.index(name))
+            deviation[at] = column[index.sample[at]]
+    whole = np.bincount(index.window, ~np.isfinite(deviation))[index.window] == 0
+    deviation[~whole] = 0.0
+    left = blocks.beyond(deviation / index.sigma, basis) * index.sigma
+    chosen = whole & (index.channel == channel)
+    if not chosen.any():
+        return 0.0
+    windows = np.unique(index.window[chosen])
+    square = np.bincount(index.window[chosen], left[chosen] ** 2)[windows]
+    square /= np.bincount(index.window[chosen])[windows]
+    # A few knocks are no floor.
+    return float(np.sqrt(np.minimum(square, KNOCK * np.median(square)).mean()))
+
+
+class _Start(NamedTuple):
+    """How one record is begun: reading at rest, first samples of windows, and the places there."""
+
+    reading: float
+    edges: NDArray[np.int64]
+    placed: FloatArray
+
+
+def _start(
+    model: Diagnosed, m: Measurement, horizon_s: float | None, noise: Floor, placed: int
+) -> _Start:
+    edges = np.zeros(1, np.int64)
+    output = None if model.placed_by is None else m.channel(model.placed_by)
+    if output is None:  # nothing tells where the plant is
+        return _Start(_reading(model, m, noise), edges, np.empty((0, placed)))
+    if horizon_s is not None:
+        window = max(round(horizon_s * m.sampling_Hz), 2)
+        edges = np.arange(max(m.samples // window, 1), dtype=np.int64) * window
+    found = anchors(
+        *(model.local(m), np.nan_to_num(output), m.sampling_Hz),
+        *(_rms(noise, model.placed_by), edges),
+    )
+    reading = _reading(model, m, noise)
+    if horizon_s is None and _rests(model, m, found.placed[0], found.deviation, noise):
+        at_rest = np.append(output[:1], np.zeros(placed - 1))[None]
+        stands_anywhere = model.output == "rad" and "tension_N" not in model.outputs
+        return _Start(reading, edges, at_rest if stands_anywhere else np.empty((0, placed)))
+    return _Start(reading, edges, found.placed)
+
+
+def _rests(
+    model: Diagnosed, m: Measurement, placed: FloatArray, deviation: FloatArray, noise: Floor
+) -> bool:
+    """Whether a record begins at rest."""
+    output = m.channel(model.placed_by or "")
+    if output is None:
+        return True
+    rates = np.abs(placed[1:])
+    typical, strict = np.std(np.diff(output)) * m.sampling_Hz, SURE * deviation[1:]
+    if rates.size and rates[0] > strict[0] + STANDS * typical:
+        return False
+    tension = m.tension_N
+    if tension is None:
+        return True
+    off = abs(float(tension[0]) - m.preload_N)
+    begins = off <= SURE * _rms(noise, "tension_N") + 1e-6 * float(np.ptp(tension))
+    return begins or bool(rates.size and rates[0] <= strict[0])
+
+
+def _reading(model: Diagnosed, m: Measurement, noise: Floor) -> float:
+    """What a gauge reads at a record's start: the preload, where nothing speaks against it."""
+    tension = m.tension_N
+    if tension is None:
+        # A drum without a cable stands where it is.
+        return model.preload(m) if "tension_N" in model.outputs else 0.0
+    first = tension[:FIRST_samples]
+    mean = float(first[np.isfinite(first)].mean()) if np.isfinite(first).any() else m.preload_N
+    close = SURE * _rms(noise, "tension_N") / np.sqrt(first.size)
+    # An excitation may begin with the record, and hum may be on it.
+    close += float(np.ptp(first[np.isfinite(first)])) if np.isfinite(first).any() else 0.0
+    return m.preload_N if abs(mean - m.preload_N) <= close else mean
+
+
+def _rms(noise: Floor, channel: str | None) -> float:
+    found = noise.channels.get(channel or "")
+    return 0.0 if found is None else found.rms
+
+
+class _Entries:
+    """Residual entries, window by window and in each channel by channel."""
+
+    def __init__(self, model: Diagnosed, noise: Floor, samples: int) -> None:
+        self._model, self._noise, self._samples = model, noise, samples
+        self._parts: list[tuple[FloatArray, ...]] = []
+        self._ends: list[int] = []
+        self._record, self._window, self._first, self._count = 0, 0, 0, 0
+
+    def add(self, m: Measurement, edges: NDArray[np.int64]) -> None:
+        """Appends one record whose windows begin at these samples."""
+        columns = self._columns(m)
+        ok = np.ones(m.samples, bool)
+        if m.flags is not None:
+            ok &= (m.flags & (GUARD | LATE)) == 0
+        for begin, end in zip(edges, [*edges[1:], m.samples], strict=True):
+            for channel, (column, sigma) in columns.items():
+                kept = begin + np.flatnonzero(ok[begin:end] & np.isfinite(column[begin:end]))
+                self._parts.append(
+                    (
+                        column[kept],
+                        channel * self._samples + self._first + kept,
+                        np.full(kept.size, self._record),
+                        np.full(kept.size, channel),
+                        kept,
+                        m.time_s[kept],
+                        np.full(kept.size, sigma),
+                        np.full(kept.size, self._window),
+                    )
+                )
+                self._count += kept.size
+            self._ends.append(self._count)
+            self._window += 1
+        self._record += 1
+        self._first += m.samples
+
+    def arrays(self) -> tuple[FloatArray, NDArray[np.int64], NDArray[np.int64], Index]:
+        """Measured, place of the prediction, ends of the windows, and what each stands for."""
+        joined = [np.concatenate(parts) for parts in zip(*self._parts, strict=True)]
+        whole = [np.asarray(joined[n], np.int64) for n in (1, 2, 3, 4, 7)]
+        source, measurement, channel, sample, window = whole
+        measured, time, sigma = (np.asarray(joined[n], np.float64) for n in (0, 5, 6))
+        index = Index(measurement, channel, sample, time, sigma, window)
+        return measured, source, np.array(self._ends, np.int64), index
+
+    def _columns(self, m: Measurement) -> dict[int, tuple[FloatArray, float]]:
+        """The measured channels that the model predicts, with sigma_eff."""
+        found = {}
+        for number, name in enumerate(CHANNELS):
+            column = m.channel(name) if name in self._model.outputs else None
+            if name == "current_A":
+                column = _aligned(m, self._model.newtons_per_ampere)
+            if column is None:
+                continue
+            spread, largest = float(np.nanstd(column)), float(np.nanmax(np.abs(column)))
+            found[number] = column, _sigma(self._noise, name, spread, largest)
+        return found
+
+
+def _sigma(noise: Floor, channel: str, spread: float, largest: float, known: float = 0.0) -> float:
+    """Noise and allowance of a channel with a signal of this rms and greatest size.
+
+    Args:
+        noise: The noise.
+        channel: Name of the channel.
+        spread: Root mean square of what is to be explained.
+        largest: Greatest size of what is read.
+        known: What is known not to repeat itself, rms.
+    """
+    sigma, least = (
+        noise.effective(channel, spread, known),
+        LEAST_SIGMA * max(spread, largest, 1e-3),
+    )
+    return max(sigma, least) if np.isfinite(sigma) else least
+
+
+def _aligned(m: Measurement, newtons_per_ampere: float) -> FloatArray | None:
+    """A measured current, put back to where the command was.
+
+    Where between command and motor the current is measured, and by which filter, is not known: a
+    lag of it says nothing about the dead time.
+    """
+    current = m.measured_current_A(newtons_per_ampere)
+    if current is None:
+        return None
+    command = m.command_A(newtons_per_ampere)
+    most = min(round(MOST_LAG_s * m.sampling_Hz), m.samples // 4)
+    kept = m.samples - most
+    before = np.concatenate([command[:1], command[:-1]])
+    given = np.stack([command, before - command, np.ones(m.samples)], axis=1)
+    fits = [_shares(given[:kept], current[lag : lag + kept]) for lag in range(most + 1)]
+    # A slow command leaves the lag open: then the least that will do. A lag too short by a whole
+    # sample fits as well, by the command before; but that is no measured current any more.
+    left = np.array([rest for _, rest in fits])
+    well = left <= AS_LATE * left.min()
+    near = np.array([2.0 * abs(part) <= abs(gain) for (gain, part, *_), _ in fits])
+    lag = int(np.argmax(well & near)) if (well & near).any() else int(np.argmax(well))
+    moved = np.full(current.size, np.nan)
+    moved[: current.size - lag] = current[lag:]
+    # A part of a sample by which it is later still shows as a share of the command before.
+    _, whole = _shares(given[:kept, [0, 2]], current[lag : lag + kept])
+    if whole > AS_LATE * left[lag]:
+        moved -= fits[lag][0][1] * given[:, 1]
+    return moved
+
+
+def _shares(given: FloatArray, current: FloatArray) -> tuple[FloatArray, float]:
+    """The least-squares shares of the columns in the current, and the sum of squares left."""
+    shares = np.asarray(np.linalg.lstsq(given, current, rcond=None)[0], np.float64)
+    rest = current - given @ shares
+    return shares, float(np.sum(rest**2))

@@ -1,0 +1,122 @@
+"""A structure's predictions as a compiled library."""
+
+import ctypes
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+
+from estune.errors import PlantError
+from estune.support import c_compiler
+from plants.diagnosis.models.diagnosed_model import SENSORS, Structure
+from plants.simulation.c_source import c_source
+from plants.simulation.equations import Equations
+
+CHANNELS = ("tension_N", "angle_rad", "reference_N", "current_A")
+"""What is predicted, in the order of the C."""
+
+
+class Task(ctypes.Structure):
+    """What `estune_predict` is asked for; see `prediction.c`."""
+
+    _fields_ = (
+        *((name, ctypes.c_long) for name in ("rows", "records", "samples", "entries", "kept")),
+        *(
+            (name, ctypes.c_void_p)
+            for name in (
+                *("record_samples", "preload", "reading", "command"),
+                *("windows", "window_at", "window_place", "table", "kick"),
+                *("measured", "weight", "source", "block_end", "record_blocks", "wanted"),
+                *("basis", "outputs", "chosen", "residuals"),
+            )
+        ),
+    )
+
+
+class Library:
+    """The compiled loop of one structure. Calls release the interpreter's lock.
+
+    Attributes:
+        columns: Place of each parameter and sensor in a row of the table.
+        placed: How many numbers place the plant.
+    """
+
+    def __init__(self, structure: Structure) -> None:
+        """Compiles the structure, or finds it compiled.
+
+        Raises:
+            PlantError: no compiler, or it failed.
+        """
+        equations = structure.equations()
+        names = (*structure.parameter_names, *SENSORS)
+        self.columns = {name: n for n, name in enumerate(names)}
+        self.placed = equations.place.numel_in(2) if equations.place is not None else 0
+        try:
+            library = c_compiler.load(_source(equations, self.columns["delay_samples"]))
+        except PlantError as error:
+            raise PlantError(
+                f"predictions have to be compiled, and cannot be: {error}; install gcc or clang"
+            ) from error
+        self._predict = library.estune_predict
+        self._predict.argtypes = (ctypes.c_void_p,)
+        self._predict.restype = ctypes.c_int
+
+    def run(self, task: Task) -> None:
+        """Fills the task's outputs, its residuals, or both.
+
+        Raises:
+            MemoryError: there is not enough memory.
+        """
+        if self._predict(ctypes.byref(task)):
+            raise MemoryError("no memory for a prediction; predict fewer rows at once")
+
+
+@lru_cache(maxsize=256)
+def library(structure: Structure) -> Library:
+    """The library of a structure, made once per process."""
+    return Library(structure)
+
+
+def _source(plant: Equations, delay: int) -> str:
+    """The whole C file: sizes, generated functions, loop."""
+    functions = _functions(plant)
+    late, prepare, settle, _, place, *_ = functions
+    sizes = {
+        "CONSTANTS": prepare.numel_out(0),
+        "STATES": settle.numel_out(0),
+        "SUBSTEPS": plant.substeps,
+        "PARAMETERS": late.numel_in(0),
+        "PLACED": place.numel_in(2),
+        "DELAY": delay,
+    }
+    return c_source(functions, sizes, Path(__file__).with_name("prediction.c"))
+
+
+def _functions(plant: Equations) -> tuple[Any, ...]:
+    """What the loop calls, with dense outputs, for C writes structural nonzeros only."""
+    parameters, preload = plant.prepare.sx_in()
+    constants, _, _ = plant.prepare(parameters, preload)
+    c, reading = plant.settle.sx_in()
+    rest, rest_effort = plant.settle(c, reading)
+    _, rest_drive = plant.drive(c, rest, rest_effort)
+    x, placed = plant.place.sx_in()[1:]
+    before, effort = ca.SX.sym("before"), ca.SX.sym("effort")
+    observed, measurement, angle = plant.observe(c, x, before, 0.0)
+    outside = measurement if plant.outside is None else plant.outside(c, observed)
+    driven, drive = plant.drive(c, observed, effort)
+    *held, n = plant.substep.sx_in()
+    written = {
+        "late": ([parameters], [plant.late(parameters)]),
+        "prepare": ([parameters, preload], [constants]),
+        "settle": ([c, reading], [rest, rest_drive]),
+        "locate": ([c, x], [plant.locate(c, x)]),
+        "place": ([c, x, placed], [plant.place(c, x, placed)]),
+        "drive": ([c, x, effort], plant.drive(c, x, effort)),
+        "sense": ([c, x, before, effort], [driven, measurement, angle, outside, drive]),
+        "substep": ([*held, n], [plant.substep(*held, n)]),
+    }
+    return tuple(
+        ca.Function(f"estune_{name}", inputs, [ca.densify(ca.SX(one)) for one in outputs])
+        for name, (inputs, outputs) in written.items()
+    )

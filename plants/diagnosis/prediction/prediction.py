@@ -1,0 +1,372 @@
+"""Predictions of many records at once, for many sets of parameters, compiled.
+
+Each record is run through once. At the start of each window the plant is put back to where it was
+measured, while the dead time's command, the gauge and what the effects remember go on: so friction
+that sticks and slips at slightly other instants does not add up, and a prediction over a horizon
+is compared rather than one over the whole record. What another angle and velocity at a window's
+start would explain is projected out of its residual, for all channels together.
+"""
+
+import os
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache
+from itertools import pairwise
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estune.core.quantities import FloatArray
+from estune.errors import InvalidInput, PlantError
+from plants.diagnosis.data.measured_record import Measurement
+from plants.diagnosis.data.noise_floor import Floor
+from plants.diagnosis.models.diagnosed_model import CALIBRATION, SENSORS, Diagnosed, Free, Slot
+from plants.diagnosis.prediction.data import Index, Scene, allowed, scene
+from plants.diagnosis.prediction.library import CHANNELS, Library, Task, library
+from plants.diagnosis.prediction.window_projection import Blocks
+from plants.effects import Effect
+
+__all__ = ["CHANNELS", "Index", "Prediction", "Predictor", "warm"]
+
+STEP = 1e-6
+"""Of a value, for a difference; relative to the value, or to its range where it is zero."""
+KICK = 1e-3
+"""Of a window's start, relative to its spread, for what another start would explain."""
+
+
+class Prediction(NamedTuple):
+    """What one record's channels are predicted to be, shape (rows, samples); None where not.
+
+    Attributes:
+        tension_N: Gauge reading; the output of a linear or a Python plant.
+        angle_rad: Encoder reading, not rounded to its steps.
+        reference_N: Tension outside the reel.
+        current_A: The drive's current, where one was measured.
+    """
+
+    tension_N: FloatArray | None
+    angle_rad: FloatArray | None
+    reference_N: FloatArray | None
+    current_A: FloatArray | None
+
+
+class Predictor:
+    """One compiled structure, a model and effects, held against measurements.
+
+    May be used from several threads at once; calls of the compiled code release the interpreter's
+    lock.
+
+    Attributes:
+        free: What a fit may move: first the base's and the records', then the effects'.
+        start: Their starts, shape (free,).
+        index: What the residuals' entries stand for.
+        horizon_s: Length of a window, or None for a free run.
+    """
+
+    def __init__(
+        self,
+        model: Diagnosed,
+        effects: Sequence[type[Effect]],
+        measurements: Sequence[Measurement],
+        horizon_s: float | Literal["model"] | None = "model",
+        floor: Floor | None = None,
+    ) -> None:
+        """Compiles the structure, or finds it compiled.
+
+        Args:
+            model: Made by `diagnosed`, for these measurements or more.
+            effects: What is added to the model.
+            measurements: What to predict.
+            horizon_s: Length of the windows at whose starts the drum is put back to where it was
+                measured; "model" is what suits the model and the data, None a free run.
+            floor: The noise; None finds it.
+
+        Raises:
+            PlantError: an effect is not available on the model, or nothing can be compiled.
+        """
+        for effect in effects:
+            reason = model.unavailable(effect)
+            if reason:
+                raise PlantError(f"{effect.name} is not available: {reason}")
+        self._model = model
+        self._library = library(model.structure(model.combined(effects)))
+        self.horizon_s = model.suggested_horizon_s if horizon_s == "model" else horizon_s
+        self._scene, self._basis = _windowed(
+            model, tuple(measurements), self.horizon_s, floor, self._library.placed
+        )
+        self._slots = _of(model.slots(effects), model, self._scene)
+        sensors = _sensors(model)
+        known = [model.parameters(effects, m) | sensors for m in self._scene.measurements]
+        self._table = _Table(self._library, known, self._slots)
+        self.index: Index = self._scene.index
+        self.free: tuple[Free, ...] = tuple(slot.free for slot in self._slots)
+        self.start: FloatArray = np.array([free.start for free in self.free])
+
+    def predict(self, rows: FloatArray) -> list[Prediction]:
+        """The channels of each measurement, for each row of values, shape (rows, free)."""
+        outputs = np.empty((len(rows), len(CHANNELS), self._scene.samples))
+        _run(self._library, self._scene, self._table.of(rows), outputs=outputs)
+        shown = []
+        last = np.cumsum(self._scene.record_samples)
+        for m, end, size in zip(
+            self._scene.measurements, last, self._scene.record_samples, strict=True
+        ):
+            part = outputs[:, :, end - size : end]
+            measured = m.measured_current_A(self._model.newtons_per_ampere) is not None
+            known = {*self._model.outputs, *(("current_A",) if measured else ())}
+            columns = (part[:, n] if name in known else None for n, name in enumerate(CHANNELS))
+            shown.append(Prediction._make(columns))
+        return shown
+
+    def residuals(self, rows: FloatArray, entries: NDArray[np.int64] | None = None) -> FloatArray:
+        """(measured - predicted)/sigma_eff without what a window's start explains.
+
+        A prediction that runs away, or is no number, counts as a million sigmas. Only the records
+        that the entries belong to are run.
+
+        Args:
+            rows: Values, shape (rows, free).
+            entries: Numbers of the entries that are wanted; None is all.
+
+        Returns:
+            Shape (rows, entries).
+        """
+        every = np.arange(self.index.sigma.size)
+        chosen = every if entries is None else np.ascontiguousarray(entries, np.int64)
+        found = np.empty((len(rows), chosen.size))
+        table = self._table.of(rows)
+        _run(self._library, self._scene, table, basis=self._basis, residuals=found, chosen=chosen)
+        return found
+
+    def linearise(
+        self,
+        values: FloatArray,
+        only: NDArray[np.int64] | None = None,
+        entries: NDArray[np.int64] | None = None,
+        known: FloatArray | None = None,
+    ) -> tuple[FloatArray, FloatArray]:
+        """Residuals, shape (entries,), and their derivative by the values, (entries, free).
+
+        The derivative is the quotient of differences, all in one batch of predictions; numbers of
+        single records that are of one kind are stepped together.
+
+        Args:
+            values: Shape (free,).
+            only: Numbers of the free values to derive by, whose columns are then the only ones.
+            entries: Numbers of the entries that are wanted; None is all.
+            known: The residuals there, where they are at hand.
+        """
+        chosen = np.arange(len(self.free)) if only is None else np.asarray(only, np.int64)
+        groups: dict[tuple[str, int | None], list[int]] = defaultdict(list)
+        for place, n in enumerate(chosen.tolist()):
+            slot = self._slots[n]
+            alone = None if slot.record is not None else n
+            groups[slot.column, alone].append(place)
+        steps = np.array([self._step(n, float(values[n])) for n in chosen.tolist()])
+        rows = np.repeat(np.asarray(values, np.float64)[None], 1 + len(groups), axis=0)
+        for row, places in zip(rows[1:], groups.values(), strict=True):
+            row[chosen[places]] += steps[places]
+        found = self.residuals(rows if known is None else rows[1:], entries)
+        residuals, changes = (found[0], found[1:]) if known is None else (known, found)
+        jacobian = np.zeros((chosen.size, found.shape[1]))
+        changes -= residuals
+        own_entries = self._own_entries(entries)
+        for change, places in zip(changes, groups.values(), strict=True):
+            for place in places:
+                record = self._slots[chosen[place]].record
+                if record is None:
+                    np.divide(change, steps[place], out=jacobian[place])
+                else:
+                    own = own_entries[record]
+                    jacobian[place, own] = change[own] / steps[place]
+        return residuals, jacobian.T
+
+    def values(self, row: FloatArray) -> dict[str, float]:
+        """A row by the names of `free`."""
+        return {free.name: float(value) for free, value in zip(self.free, row, strict=True)}
+
+    def row(self, values: Mapping[str, float]) -> FloatArray:
+        """The row of some values by name, the others at their start."""
+        return np.array([values.get(free.name, free.start) for free in self.free])
+
+    def _own_entries(self, entries: NDArray[np.int64] | None) -> list[slice]:
+        """Where in some entries, in ascending order, those of each record are."""
+        measurement = self.index.measurement
+        measurement = measurement if entries is None else measurement[entries]
+        edges = np.searchsorted(measurement, np.arange(len(self._scene.measurements) + 1))
+        return [slice(a, b) for a, b in pairwise(edges.tolist())]
+
+    def _step(self, n: int, value: float) -> float:
+        free = self.free[n]
+        size = max(abs(value), abs(free.start)) or 1e-3 * (free.high - free.low)
+        step = STEP * size
+        return -step if value + step > free.high else step
+
+
+def warm(
+    model: Diagnosed,
+    structures: Iterable[Sequence[type[Effect]]],
+    measurements: Sequence[Measurement] = (),  # noqa: ARG001  a structure is that of the model
+) -> None:
+    """Compiles several structures at once, each with these effects added to the model.
+
+    Raises:
+        PlantError: one cannot be compiled.
+    """
+    wanted = {model.structure((type(model.calibration),))}
+    wanted |= {model.structure(model.combined(effects)) for effects in structures}
+    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+        list(pool.map(library, wanted))  # the list is there to raise what a thread raised
+
+
+class _Table:
+    """Rows of values as rows of parameters and sensors, one for each record."""
+
+    def __init__(
+        self, compiled: Library, records: Sequence[Mapping[str, float]], slots: Sequence[Slot]
+    ) -> None:
+        """Lays out the table.
+
+        Args:
+            compiled: Says the order of the columns.
+            records: Parameters and sensors of each record by name.
+            slots: Where the values of a row go.
+        """
+        columns = compiled.columns
+        self._template = np.array([[known[name] for name in columns] for known in records])
+        self._slots = [
+            (columns[s.column], slice(None) if s.record is None else s.record, s.factor)
+            for s in slots
+        ]
+
+    def of(self, rows: FloatArray) -> FloatArray:
+        """The parameters, shape (rows, records, columns).
+
+        Raises:
+            InvalidInput: the rows have another number of values.
+        """
+        rows = np.asarray(rows, np.float64)
+        if rows.ndim != 2 or rows.shape[1] != len(self._slots):
+            raise InvalidInput(
+                f"the values have shape {rows.shape}; give rows of {len(self._slots)} values"
+            )
+        table = np.repeat(self._template[None], len(rows), axis=0)
+        for values, (column, records, factor) in zip(rows.T, self._slots, strict=True):
+            wanted = values * factor
+            table[:, records, column] = wanted[:, None] if records == slice(None) else wanted
+        return table
+
+
+def _of(slots: list[Slot], model: Diagnosed, of: Scene) -> list[Slot]:
+    """The slots for a scene: those of records that are not in it are left out."""
+    place = {id(m): n for n, m in enumerate(of.measurements)}
+    kept = []
+    for slot in slots:
+        if slot.record is None:
+            kept.append(slot)
+            continue
+        number = place.get(id(model.measurements[slot.record]))
+        if number is not None:
+            kept.append(slot._replace(record=number))
+    return kept
+
+
+def _run(
+    compiled: Library,
+    of: Scene,
+    table: FloatArray,
+    *,
+    kicks: FloatArray | None = None,
+    basis: FloatArray | None = None,
+    outputs: FloatArray | None = None,
+    residuals: FloatArray | None = None,
+    chosen: NDArray[np.int64] | None = None,
+) -> None:
+    """Fills outputs, or residuals of the chosen entries; the arrays outlive the call."""
+    weight = 1.0 / of.index.sigma
+    wanted = None
+    if chosen is not None:
+        wanted = np.zeros(len(of.measurements), np.bool_)
+        wanted[of.index.measurement[chosen]] = True
+
+    def at(array: NDArray[np.generic] | None) -> int | None:
+        return None if array is None else array.ctypes.data
+
+    task = Task(
+        rows=len(table),
+        records=len(of.measurements),
+        samples=of.samples,
+        entries=of.index.sigma.size,
+        kept=0 if chosen is None else chosen.size,
+        record_samples=at(of.record_samples),
+        preload=at(of.preload),
+        reading=at(of.reading),
+        command=at(of.command),
+        windows=at(of.windows),
+        window_at=at(of.window_at),
+        window_place=at(of.window_place),
+        table=at(table),
+        kick=at(kicks),
+        measured=at(of.measured),
+        weight=at(weight),
+        source=at(of.source),
+        block_end=at(of.block_end),
+        record_blocks=at(of.record_blocks),
+        wanted=at(wanted),
+        basis=at(basis),
+        outputs=at(outputs),
+        chosen=at(chosen),
+        residuals=at(residuals),
+    )
+    compiled.run(task)
+
+
+@lru_cache(maxsize=16)
+def _windowed(
+    model: Diagnosed,
+    measurements: tuple[Measurement, ...],
+    horizon_s: float | None,
+    floor: Floor | None,
+    placed: int,
+) -> tuple[Scene, FloatArray]:
+    """The scene, and what another start of each of its windows would explain."""
+    whole = scene(model, measurements, horizon_s, floor, placed)
+    if horizon_s is None:
+        return whole, _basis(model, whole)
+    found = allowed(whole, floor, _basis(model, whole))
+    return found, _basis(model, found)
+
+
+def _basis(model: Diagnosed, of: Scene) -> FloatArray:
+    """What another start of each window would explain, orthonormal, (placed, entries).
+
+    By the model without any effect: a drum that friction holds has no free response.
+    """
+    bare = library(model.structure((type(model.calibration),)))
+    slots = _of(model.base, model, of)
+    slots = [s._replace(column=s.column.replace(CALIBRATION, "0")) for s in slots]
+    own = {"delay_samples": 0.0, **{f"0.{n}": v for n, v in vars(model.calibration).items()}}
+    known = [{**model.numbers(m), **own, **_sensors(model)} for m in of.measurements]
+    table = _Table(bare, known, slots)
+    row = np.array([[slot.free.start for slot in slots]])
+    kicks = np.zeros((1 + bare.placed, bare.placed))
+    kicks[1:] = np.diag(_kick_sizes(of, bare.placed))
+    found = np.empty((len(kicks), of.index.sigma.size))
+    rows, every = np.repeat(row, len(kicks), axis=0), np.arange(of.index.sigma.size)
+    _run(bare, of, table.of(rows), kicks=kicks, residuals=found, chosen=every)
+    return Blocks(of.block_end).orthonormal(found[1:] - found[0])
+
+
+def _sensors(model: Diagnosed) -> dict[str, float]:
+    """The sensors where nothing is known of them."""
+    return dict.fromkeys(SENSORS, 0.0) | {"current_gain": model.drive_unit}
+
+
+def _kick_sizes(of: Scene, placed: int) -> FloatArray:
+    """A small part of what the windows' starts spread over."""
+    spread = of.window_place.std(axis=0) if len(of.window_place) > 1 else np.zeros(placed)
+    size = np.abs(of.window_place).max(axis=0, initial=0.0)
+    wide = np.where(spread > 0.0, spread, size)
+    return KICK * np.where(wide > 0.0, wide, 1.0)

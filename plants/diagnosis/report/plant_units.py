@@ -1,0 +1,52 @@
+"""What was fitted of an effect, told in the units of a plant that is no reel.
+
+Effects are declared in a reel's units; what stands for those in such a plant's input and output is
+said in `plants.models.linear_with_effects`.
+"""
+
+from typing import Any
+
+from plants.diagnosis.report.diagnosis import Interval
+from plants.effects import Effect, Port
+from plants.models.linear_with_effects import READINGS_PER_ANGLE, ARM_m
+
+
+def in_own_units(effect: type[Effect], name: str, found: Interval, model: Any) -> Interval:
+    """A parameter of an effect with its interval, as the user of the model knows it.
+
+    Args:
+        effect: The effect's class.
+        name: Name of the parameter.
+        found: Its value and interval, in the unit it is declared in.
+        model: The model that was fitted. A reel's are told as they are.
+    """
+    declared = effect.parameters()[name]
+    units = {} if declared.is_phase else _units(effect.port, model)
+    size, unit = units.get(found.unit, (1.0, found.unit))
+    if declared.low >= 0.0:
+        size = abs(size)
+    low, high = sorted((found.low * size, found.high * size))
+    return Interval(found.value * size, low, high, unit)
+
+
+def _units(port: Port, model: Any) -> dict[str, tuple[float, str]]:
+    """What a unit is in the plant's own, and how that is written; empty for a reel."""
+    torque, angle = getattr(model, "torque_unit", None), getattr(model, "angle_unit", None)
+    if torque is None or angle is None:
+        return {}
+    at_gauge = port is Port.GAUGE
+    newton = angle / READINGS_PER_ANGLE if at_gauge else torque * ARM_m
+    read = "output" if at_gauge else "input"
+    return {
+        "N m": (torque, "input"),
+        "A": (torque, "input"),
+        "A/s": (torque, "input/s"),
+        "rad": (abs(angle), "output"),
+        "rad/s": (abs(angle), "output/s"),
+        "m": (abs(angle) / ARM_m, "output"),
+        "N m s/rad": (torque / abs(angle), "input s/output"),
+        "N": (newton, read),
+        "N/s": (newton, f"{read}/s"),
+        "1/N": (1.0 / newton, f"1/{read}"),
+        "1/N2": (1.0 / newton**2, f"1/{read}2"),
+    }

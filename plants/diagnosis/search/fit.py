@@ -1,0 +1,334 @@
+"""Bounded least squares of whitened residuals, and how far the values found can be trusted."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estune.core.quantities import FloatArray
+from plants.diagnosis.prediction.prediction import Predictor
+
+Numbers = NDArray[np.int64]
+
+DAMPINGS = ((0.0, 0.03), (1.0, 30.0))
+"""Levenberg's dampings, relative to the columns' own size; the second pair if need be."""
+FINE = ((0.0, 1e-4, 1e-3, 1e-2, 0.1), (1.0, 30.0))
+"""The same along a narrow valley, where a step that is a little too long or too short is lost."""
+VALLEY = 0.5
+"""A round that lowers the sum of squares to no less than this share of it is in such a valley."""
+CONVERGED = 1e-4
+"""A round that lowers the sum of squares by a smaller share is the last."""
+DEAD = 1e-9
+"""A value whose derivative is below this share of the greatest does nothing where it is."""
+STRIDES = (1.0, 3.0)
+"""How much further along such a valley is tried, relative to the way of a round."""
+FLAT = 1e-10
+"""Directions whose curvature is below this share of the greatest are left alone."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fitted:
+    """A predictor with values, held against some entries.
+
+    Attributes:
+        predictor: The predictor.
+        values: The values, shape (free,).
+        entries: Numbers of the entries, ascending.
+        residuals: The residuals there, same shape.
+        moved: Numbers of the values that were free to move.
+        converged: Whether a last round lowered hardly anything.
+    """
+
+    predictor: Predictor
+    values: FloatArray
+    entries: Numbers
+    residuals: FloatArray
+    moved: Numbers
+    converged: bool
+
+    @property
+    def mean_square(self) -> float:
+        """J: mean square of the whitened residuals; 1 is the floor."""
+        return _cost(self.residuals) / max(self.residuals.size, 1)
+
+
+def fit(
+    predictor: Predictor, start: FloatArray, moves: Numbers, entries: Numbers, rounds: int = 15
+) -> Fitted:
+    """Lowers the sum of squares of some residuals: Levenberg-Marquardt within the bounds.
+
+    Values on a log scale move by their logarithm. In every round several dampings are tried in
+    one batch; the best is kept (Marquardt 1963; the bounds by fixing what would leave them).
+
+    Args:
+        predictor: Gives residuals and their derivative.
+        start: Values to begin with, shape (free,).
+        moves: Numbers of the values that may move.
+        entries: Numbers of the residuals that count.
+        rounds: Most rounds.
+    """
+    scale = _Scale.of(predictor, moves)
+    at, valley, converged = _Point(np.clip(start, scale.low, scale.high), None), False, False
+
+    def lowest(trials: Sequence[FloatArray], otherwise: _Point) -> _Point:
+        found = predictor.residuals(np.array(trials), entries)
+        best = min(map(_Point, trials, found), key=lambda point: point.cost)
+        return best if best.cost < otherwise.cost else otherwise
+
+    for _ in range(rounds):
+        residuals, jacobian = predictor.linearise(at.values, moves, entries, at.residuals)
+        begun = at = _Point(at.values, residuals)
+        columns = jacobian.T * scale.inner(at.values)[:, None]
+        slope = _Slope(columns, columns @ columns.T, scale)
+        for dampings in FINE if valley else DAMPINGS:
+            at = lowest([slope.step(begun.values, residuals, d) for d in dampings], begun)
+            if at is not begun:
+                break
+        converged = begun.cost - at.cost < CONVERGED * begun.cost
+        if converged:
+            break
+        valley = at.cost > VALLEY * begun.cost
+        # The old slope is good for one more step, which costs a twelfth of a new one.
+        at = lowest([slope.step(at.values, at.known, 0.0)], at)
+        if valley:
+            at = lowest([scale.beyond(begun.values, at.values, n) for n in STRIDES], at)
+    if at.residuals is None:
+        at = _Point(at.values, predictor.residuals(at.values[None, :], entries)[0])
+    return Fitted(predictor, at.values, entries, at.known, moves, converged)
+
+
+class _Point(NamedTuple):
+    """Values, and the residuals there once they are known."""
+
+    values: FloatArray
+    residuals: FloatArray | None
+
+    @property
+    def known(self) -> FloatArray:
+        """The residuals, of a point that was looked at."""
+        assert self.residuals is not None  # noqa: S101  only asked then
+        return self.residuals
+
+    @property
+    def cost(self) -> float:
+        """Their sum of squares."""
+        return _cost(self.known)
+
+
+def _cost(residuals: FloatArray) -> float:
+    return float(residuals @ residuals)
+
+
+def switched_on(
+    predictor: Predictor,
+    rows: FloatArray,
+    size: int,
+    step: float,
+    *,
+    moves: Numbers,
+    entries: Numbers,
+) -> FloatArray:
+    """Rows in which one value that does nothing is given the size that helps the most.
+
+    All others move with it, by one joint linear step: what is missing has often been made up for
+    by them, so that on its own the value would seem to do harm.
+
+    Args:
+        predictor: Gives residuals and their derivative.
+        rows: Rows that differ only in values that do nothing while that one does nothing.
+        size: Number of that value.
+        step: By how much it is changed to see its direction.
+        moves: Numbers of the values that may move with it.
+        entries: Numbers of the residuals that count.
+    """
+    others = moves[moves != size]
+    scale = _Scale.of(predictor, others)
+    residuals, jacobian = predictor.linearise(rows[0], others, entries)
+    columns = jacobian.T * scale.inner(rows[0])[:, None]
+    on = rows.copy()
+    on[:, size] += step
+    changes = predictor.residuals(on, entries) - residuals
+    after = rows.copy()
+    free = predictor.free[size]
+    for row, change in zip(after, changes, strict=True):
+        joint = np.vstack([columns, change])
+        length = _lengths(np.einsum("ij,ij->i", joint, joint))
+        joint = joint / length[:, None]
+        weights = _solve(joint @ joint.T, -(joint @ residuals), 1e-6) / length
+        row[others] = scale.moved(row, weights[:-1])
+        row[size] = min(max(row[size] + weights[-1] * step, free.low), free.high)
+    return after
+
+
+def settled(found: Fitted, moves: Numbers, own: Numbers, entries: Numbers) -> Fitted:
+    """The same held against other entries, with a few values fitted to those they act on.
+
+    Args:
+        found: What was fitted.
+        moves: Numbers of such values, as a held-out record's own zero.
+        own: Numbers of the entries that they act on, among the others.
+        entries: Numbers of the other entries.
+    """
+    predictor, values = found.predictor, found.values
+    if moves.size:
+        values = fit(predictor, values, moves, own, rounds=3).values
+    residuals = predictor.residuals(values[None, :], entries)[0]
+    return Fitted(predictor, values, entries, residuals, found.moved, found.converged)
+
+
+@dataclass(frozen=True, slots=True)
+class _Scale:
+    """The values that move, as the search sees them.
+
+    Attributes:
+        moves: Their numbers.
+        log: Which of them move by their logarithm.
+        low: Least values of all, shape (free,).
+        high: Greatest values of all.
+    """
+
+    moves: Numbers
+    log: NDArray[np.bool_]
+    low: FloatArray
+    high: FloatArray
+
+    @classmethod
+    def of(cls, predictor: Predictor, moves: Numbers) -> "_Scale":
+        free = predictor.free
+        return cls(
+            moves,
+            np.array([free[n].scale == "log" for n in moves], bool),
+            np.array([f.low for f in free]),
+            np.array([f.high for f in free]),
+        )
+
+    def inner(self, values: FloatArray) -> FloatArray:
+        """Derivative of the values by what is searched, dx/dz."""
+        return np.where(self.log, values[self.moves], 1.0)
+
+    def unbounded(self, x: FloatArray, delta: FloatArray) -> FloatArray:
+        """What moves, after a change of what is searched."""
+        # A logarithm may not move further than e^3 at once.
+        grown = x * np.exp(np.where(self.log, np.clip(delta, -3.0, 3.0), 0.0))
+        after: FloatArray = np.where(self.log, grown, x + delta)
+        return after
+
+    def beyond(self, begun: FloatArray, values: FloatArray, strides: float) -> FloatArray:
+        """All values, so many times further along the way from some to others."""
+        before, x = begun[self.moves], values[self.moves]
+        ratio = np.maximum(x, 1e-300) / np.maximum(before, 1e-300)
+        further = values.copy()
+        further[self.moves] = self.moved(
+            values, strides * np.where(self.log, np.log(ratio), x - before)
+        )
+        return further
+
+    def moved(self, values: FloatArray, delta: FloatArray) -> FloatArray:
+        """The values that move, after such a change, no further than the bounds."""
+        after = self.unbounded(values[self.moves], delta)
+        bounded: FloatArray = np.clip(after, self.low[self.moves], self.high[self.moves])
+        return bounded
+
+
+class _Slope(NamedTuple):
+    """Derivative of some residuals by what is searched.
+
+    Attributes:
+        columns: Shape (moves, entries).
+        normal: Their products, shape (moves, moves).
+        scale: How the values move.
+    """
+
+    columns: FloatArray
+    normal: FloatArray
+    scale: _Scale
+
+    def step(self, values: FloatArray, residuals: FloatArray, damping: float) -> FloatArray:
+        """The values after a damped step, no further than the bounds.
+
+        Args:
+            values: Where it begins.
+            residuals: The residuals there.
+            damping: Relative to the diagonal of `normal`.
+        """
+        scale = self.scale
+        x = values[scale.moves]
+        size = _lengths(np.diag(self.normal))
+        scaled = self.normal / size / size[:, None]
+        pull = -(self.columns @ residuals) / size
+        fixed = np.zeros(x.size, bool)
+        given = np.zeros(x.size)  # steps of those that are fixed
+        after = x
+        for _ in range(3):
+            open_ = ~fixed
+            if not open_.any():
+                break
+            held = given[fixed] * size[fixed]
+            free_pull = pull[open_] - scaled[np.ix_(open_, fixed)] @ held
+            delta = given.copy()
+            delta[open_] = _solve(scaled[np.ix_(open_, open_)], free_pull, damping) / size[open_]
+            wanted = scale.unbounded(x, delta)
+            after = np.clip(wanted, scale.low[scale.moves], scale.high[scale.moves])
+            out = open_ & (wanted != after)
+            if not out.any():
+                break
+            fixed |= out
+            ratio = np.maximum(after, 1e-300) / np.maximum(x, 1e-300)
+            given = np.where(fixed, np.where(scale.log, np.log(ratio), after - x), 0.0)
+        moved = values.copy()
+        moved[scale.moves] = after
+        return moved
+
+
+def _lengths(squares: FloatArray) -> FloatArray:
+    """Lengths of columns; infinite where one is nothing beside the others, so that it stays."""
+    dead = squares <= DEAD**2 * max(float(squares.max(initial=0.0)), 1e-300)
+    found: FloatArray = np.where(dead, np.inf, np.sqrt(np.where(dead, 1.0, squares)))
+    return found
+
+
+def _solve(normal: FloatArray, pull: FloatArray, damping: float) -> FloatArray:
+    """Solution of (normal + damping) x = pull that leaves flat directions alone."""
+    size, directions = np.linalg.eigh(normal)
+    kept = size > FLAT * max(float(size[-1]), 1e-300)
+    weights = np.where(kept, 1.0 / np.where(kept, size + damping, 1.0), 0.0)
+    solution: FloatArray = directions @ (weights * (directions.T @ pull))
+    return solution
+
+
+def covariance(found: Fitted, groups: Numbers) -> FloatArray:
+    """Covariance of the values that moved, whatever the residuals' colour.
+
+    The sandwich H^-1 (sum_g s_g s_g^T) H^-1 G/(G - 1) with the scores s_g = J_g^T r_g of groups
+    of entries that belong together (Liang & Zeger 1986): residuals may be coloured within a group
+    and larger in some, as those of a model whose law is not quite the machine's are.
+
+    Args:
+        found: What was fitted.
+        groups: For each of its entries the number of its group.
+
+    Returns:
+        Shape (moved, moved); a value that the entries say nothing of has an infinite variance.
+    """
+    if not found.moved.size:
+        return np.zeros((0, 0))
+    residuals, jacobian = found.predictor.linearise(
+        found.values, found.moved, found.entries, found.residuals
+    )
+    columns = jacobian.T
+    size = _lengths(np.einsum("ij,ij->i", columns, columns))
+    columns = columns / size[:, None]
+    dead = np.isinf(size)
+    known, place = np.unique(groups, return_inverse=True)
+    weighted = columns * residuals
+    scores = np.stack([np.bincount(place, row, known.size) for row in weighted], axis=1)
+    scores -= scores.mean(axis=0)
+    value, directions = np.linalg.eigh(columns @ columns.T)
+    kept = value > FLAT
+    inverse = (directions[:, kept] / value[kept]) @ directions[:, kept].T
+    middle = scores.T @ scores * known.size / max(known.size - 1.0, 1.0)
+    result: FloatArray = (inverse @ middle @ inverse) / size / size[:, None]
+    result[dead, dead] = np.inf
+    return result

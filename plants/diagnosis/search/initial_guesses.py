@@ -1,0 +1,95 @@
+"""What the base model's residual suggests for frequencies and periods, before any fit."""
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from plants.diagnosis.data.measured_record import Measurement
+from plants.diagnosis.data.noise import step_of
+from plants.diagnosis.residual.localisation import Block, Where
+from plants.diagnosis.search.angle_periods import Turning, per_turn
+from plants.diagnosis.search.score_context import Suggest
+
+PEAKS = 3
+"""Peaks taken of a spectrum."""
+FEW = np.array([1.0, 1.5, 2.0, 3.0, 4.0])
+"""Periods in all the turning there is that are tried at any rate."""
+FEWEST = 4
+"""Fewest samples of a record that are looked at for a wave over the angle."""
+SHARES, KNEES = [0.03, 0.3], [0.1]
+"""Shares of the flexibility inside the eyelet, and knees, that its friction is tried with: they
+show its direction, whatever the velocity below which it creeps."""
+JOINTS = 0.1
+"""By how much more a frame is the stiffer at the records' tension for its joints."""
+
+
+def suggestions(
+    measurements: Sequence[Measurement], where: Where, values: Mapping[str, float]
+) -> Suggest:
+    """From `slug.parameter` to values to begin with.
+
+    Args:
+        measurements: The records.
+        where: Where the base model's residual lives.
+        values: The base fit's values, by name.
+    """
+    frequencies = sorted({f for block in where.blocks for f in _spectral_peaks(block)})
+    lengths = [m.cable_length_m for m in measurements if m.cable_length_m]
+    known = {
+        "torque_ripple.per_turn": _per_turn(measurements, where, values),
+        "string_mode.density_kg_m": [
+            # (31): f = 1/(2 L) sqrt(T/mu)
+            float(np.median([m.preload_N for m in measurements]))
+            / (2.0 * float(np.median(lengths)) * f) ** 2
+            for f in frequencies
+            if lengths and f > 0.0
+        ],
+        "eyelet_friction.inner_share": SHARES,
+        "eyelet_friction.knee": KNEES,
+    }
+    for name in ("gauge_resonance", "structural_mode"):
+        known[f"{name}.frequency_Hz"] = frequencies
+    preloads = [m.preload_N for m in measurements if m.preload_N > 0.0]
+    if preloads:
+        known["structural_mode.stiffening_per_N"] = [0.0, JOINTS / float(np.median(preloads))]
+    return lambda name: known.get(name, [])
+
+
+def _spectral_peaks(block: Block) -> list[float]:
+    """Frequencies at which a block's residual stands highest above its surroundings."""
+    power = np.maximum(block.power - block.noise_power, 0.0)
+    if power.size < 5 or not power.any():
+        return []
+    around = np.array([np.median(power[max(0, n - 8) : n + 9]) for n in range(power.size)])
+    height = power / (around + 0.01 * power.max())
+    inner = np.arange(2, power.size - 1)
+    peaks = inner[(power[inner] >= power[inner - 1]) & (power[inner] >= power[inner + 1])]
+    best = peaks[np.argsort(-height[peaks])][:PEAKS]
+    return [float(block.frequency_Hz[n]) for n in best if height[n] > 2.0]
+
+
+def _per_turn(
+    measurements: Sequence[Measurement], where: Where, values: Mapping[str, float]
+) -> list[float]:
+    """Periods per turn that the torque balance's residual follows."""
+    block = next((b for b in where.blocks if b.name in ("force", "plant")), None)
+    if block is None:
+        return []
+    common: list[Turning] = []
+    turnings: list[Turning] = []
+    read = 0.0
+    for n, (m, residual) in enumerate(zip(measurements, block.residual, strict=True)):
+        inside = np.isfinite(residual)
+        if m.angle_rad is None or inside.sum() < FEWEST:
+            continue
+        read = max(read, step_of(m.angle_rad))
+        zero = values.get(f"encoder_zero_rad[{n}]")
+        one = Turning(m.angle_rad[inside] - (zero or 0.0), residual[inside])
+        (turnings if zero is None else common).append(one)
+    if not common:
+        return per_turn(turnings, read)
+    joined = Turning(*map(np.concatenate, zip(*common, strict=True)))
+    # What friction hides here shows in predictions.
+    few = 2.0 * math.pi / float(np.ptp(joined.angle_rad)) * FEW
+    return [*per_turn([*turnings, joined], read), *few.tolist()]

@@ -1,0 +1,202 @@
+"""Effects found by a rule of their own, where the prediction error is blind or chance has a part.
+
+Rounding cannot be predicted, only seen; hum has another phase in each record.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estune.core.quantities import FloatArray
+from plants.diagnosis.data.measured_record import Measurement
+from plants.diagnosis.data.noise_floor import Noise
+from plants.diagnosis.report.diagnosis import Interval
+
+COARSE = 3.0
+"""A gauge's steps are coarse from so many times the noise beside them: then most readings of a
+steady tension are the same."""
+
+MAINS_Hz = (50.0, 60.0)
+HARMONICS = 3
+OVERTONES = (2, 3, 5)
+"""Multiples of hum's frequency that it seldom comes without; they go with it."""
+TOLERANCE = 0.01
+"""What a mains frequency may be off by, as a share."""
+FINER = 8
+"""Into so many parts a step is divided about the highest line: beside the line, most of a record's
+hum would be left at its ends."""
+ABOVE = 30.0
+"""Power of hum over that of neighbouring frequencies."""
+CLEAR = 8.0
+"""The same in each single record."""
+BESIDE = (0.87, 0.9, 0.93, 1.07, 1.1, 1.13)
+"""Neighbouring frequencies, relative to the line's."""
+ALIKE = (0.5, 2.0)
+"""Amplitude of hum in a record, as a share of the median of all: it does not care for motion."""
+AUDIBLE = 0.5
+"""Least root mean square of hum, in noise floors of the gauge."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Hum:
+    """A sine of the mains frequency in the gauge's readings.
+
+    Attributes:
+        amplitude_N: Amplitude in all records.
+        frequency_Hz: Its frequency.
+        phase_rad: Phase in the first record.
+        same_phase: Whether that of all others is the same.
+        measurements: The records without it.
+    """
+
+    amplitude_N: Interval
+    frequency_Hz: Interval
+    phase_rad: Interval
+    measurements: tuple[Measurement, ...]
+
+
+def coarse_step_N(noise: Noise) -> float | None:
+    """The step of a gauge that is read in coarse steps, N, or None.
+
+    Args:
+        noise: Of the gauge.
+    """
+    beside = noise.rms**2 - noise.lsb**2 / 12.0
+    # Below a twentieth of a step, what is beside the rounding cannot be told from none.
+    rest = math.sqrt(max(beside, (noise.lsb / 20.0) ** 2))
+    return noise.lsb if noise.lsb > COARSE * rest else None
+
+
+def find_hum(
+    measurements: Sequence[Measurement],
+    predicted: Sequence[FloatArray | None],
+    seen: Sequence[NDArray[np.bool_]],
+    noise_N: float,
+) -> Hum | None:
+    """Looks for hum in what a model leaves of the gauge's readings.
+
+    Args:
+        measurements: The records.
+        predicted: The tension predicted, shape (samples,) each; None without a gauge.
+        seen: Samples that may be looked at, same shape.
+        noise_N: Noise of the gauge, N rms.
+    """
+    lines = [
+        _Line(n, m.time_s[at], (m.tension_N - p)[at])
+        for n, (m, p, at) in enumerate(zip(measurements, predicted, seen, strict=True))
+        if m.tension_N is not None and p is not None and at.sum() > 8
+    ]
+    if not lines:
+        return None
+    longest = max(float(np.ptp(line.time_s)) for line in lines)
+    highest = 0.5 * min(m.sampling_Hz for m in measurements)
+    best: tuple[float, float] | None = None
+    for mains in MAINS_Hz:
+        for f in (mains * n for n in range(1, HARMONICS + 1)):
+            if f * (1.0 + TOLERANCE) > highest:
+                continue
+            found = _peak(lines, f, longest)
+            if found is not None and (best is None or found[1] > best[1]):
+                best = found
+    return None if best is None else _hum(measurements, lines, best[0], longest, noise_N)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Line:
+    """What is left of one record's readings."""
+
+    number: int
+    time_s: FloatArray
+    left_N: FloatArray
+
+    def wave(self, frequency_Hz: float) -> tuple[float, float]:
+        """Weights of sine and cosine."""
+        turn = 2.0 * math.pi * frequency_Hz * self.time_s
+        columns = np.stack([np.sin(turn), np.cos(turn), np.ones(turn.size)], axis=1)
+        sine, cosine, _ = np.linalg.lstsq(columns, self.left_N, rcond=None)[0]
+        return float(sine), float(cosine)
+
+    def stands_out(self, frequency_Hz: float) -> bool:
+        """Whether the line is far above what is beside it in this record."""
+        beside = [math.hypot(*self.wave(frequency_Hz * share)) for share in BESIDE]
+        return math.hypot(*self.wave(frequency_Hz)) ** 2 > CLEAR * float(np.median(beside)) ** 2
+
+
+def _powers(lines: Sequence[_Line], first_Hz: float, step_Hz: float, number: int) -> FloatArray:
+    """Power of all records at frequencies a step apart, shape (number,)."""
+    power = np.zeros(number)
+    for line in lines:
+        left = line.left_N - line.left_N.mean()
+        wave = left * np.exp(-2j * math.pi * first_Hz * line.time_s)
+        step = np.exp(-2j * math.pi * step_Hz * line.time_s)
+        for n in range(number):
+            power[n] += 4.0 * abs(wave.sum()) ** 2 / line.time_s.size
+            wave *= step
+    return power
+
+
+def _peak(lines: Sequence[_Line], about_Hz: float, longest_s: float) -> tuple[float, float] | None:
+    """Frequency of the highest line near a frequency, and its power, or None if it is no line."""
+    step, lowest = 0.25 / longest_s, about_Hz * (1.0 - TOLERANCE)
+    power = _powers(lines, lowest, step, math.ceil(2.0 * TOLERANCE * about_Hz / step))
+    beside = [_powers(lines, about_Hz * share, 0.0, 1)[0] for share in BESIDE]
+    top = int(power.argmax())
+    if power[top] < ABOVE * float(np.median(beside)):
+        return None
+    fine = step / FINER
+    near = lowest + (top - 1) * step
+    power = _powers(lines, near, fine, 2 * FINER + 1)
+    top = int(power.argmax())
+    return near + top * fine, float(power[top])
+
+
+def _hum(
+    measurements: Sequence[Measurement],
+    lines: Sequence[_Line],
+    frequency_Hz: float,
+    longest_s: float,
+    noise_N: float,
+) -> Hum | None:
+    waves = {line.number: line.wave(frequency_Hz) for line in lines}
+    sizes = np.array([math.hypot(*w) for w in waves.values()])
+    middle = float(np.median(sizes))
+    alike = (sizes > ALIKE[0] * middle) & (sizes < ALIKE[1] * middle)
+    # What a model lacks may make lines, too, but not in records of every kind.
+    alike &= np.array([line.stands_out(frequency_Hz) for line in lines])
+    if middle < AUDIBLE * math.sqrt(2.0) * noise_N or alike.mean() < 0.75:
+        return None
+    amplitude = float(np.mean(sizes[alike]))
+    spread = 2.6 * float(np.std(sizes[alike])) / math.sqrt(alike.sum()) + 0.02 * amplitude
+    phases = {n: math.atan2(cosine, sine) for n, (sine, cosine) in waves.items()}
+    first = next(iter(phases.values()))
+    apart = max(abs(math.remainder(p - first, 2.0 * math.pi)) for p in phases.values())
+    reach = math.pi if apart > 0.5 else apart
+    cleaned = list(measurements)
+    for line in lines:
+        m = cleaned[line.number]
+        cleaned[line.number] = _without(m, amplitude, frequency_Hz, phases[line.number])
+        for order in OVERTONES:
+            sine, cosine = line.wave(order * frequency_Hz)
+            if order * frequency_Hz < 0.5 * m.sampling_Hz:
+                m = cleaned[line.number]
+                wave = math.hypot(sine, cosine), order * frequency_Hz, math.atan2(cosine, sine)
+                cleaned[line.number] = _without(m, *wave)
+    return Hum(
+        Interval(amplitude, amplitude - spread, amplitude + spread, "N"),
+        Interval(
+            frequency_Hz, frequency_Hz - 0.15 / longest_s, frequency_Hz + 0.15 / longest_s, "Hz"
+        ),
+        Interval(first, max(first - reach, -math.pi), min(first + reach, math.pi), "rad"),
+        tuple(cleaned),
+    )
+
+
+def _without(
+    m: Measurement, amplitude_N: float, frequency_Hz: float, phase_rad: float
+) -> Measurement:
+    assert m.tension_N is not None  # noqa: S101  only records with a gauge have a line
+    wave = np.sin(2.0 * math.pi * frequency_Hz * m.time_s + phase_rad)
+    return replace(m, tension_N=m.tension_N - amplitude_N * wave)

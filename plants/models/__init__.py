@@ -1,0 +1,1 @@
+"""Plant models: reels, linear systems, Python functions, model files."""

@@ -1,0 +1,75 @@
+"""Linear plants from torque to angle, which effects attach to; see `plants.models.linear_with_effects`."""
+
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import ClassVar, NamedTuple, Protocol
+
+import casadi as ca
+
+from plants.simulation.equations import Expression
+
+
+class Motion(NamedTuple):
+    """The linear plant from torque to angle, in numbers or symbols.
+
+    Attributes:
+        A: State matrix, 1/s.
+        B: Input vector.
+        C: Output row.
+        E: Direct feed-through.
+        V: Row that gives the output's derivative; None where it jumps with the input.
+        restoring: Torque that holds the output at one: 1/G(0), zero of a plant that integrates,
+            None of one that stands nowhere but at zero.
+    """
+
+    A: Expression
+    B: Expression
+    C: Expression
+    E: Expression
+    V: Expression | None
+    restoring: Expression | None
+
+
+class Base(Protocol):
+    """What kind of linear plant it is; hashable."""
+
+    @property
+    def own(self) -> tuple[str, ...]:
+        """Names of its parameters."""
+        ...
+
+    @property
+    def order(self) -> int:
+        """Number of its states."""
+        ...
+
+    @property
+    def is_drum(self) -> bool:
+        """Whether its output is an angle read by an encoder, else it is read by a gauge."""
+        ...
+
+    def motion(self, p: SimpleNamespace) -> Motion:
+        """The plant for its parameters by name, as effects leave them."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Drum:
+    """A drum without a cable, torque in and angle out: `J theta'' + b theta' = tau`."""
+
+    own: ClassVar[tuple[str, ...]] = (
+        "drum_radius_m",
+        "drum_inertia_kg_m2",
+        "viscous_friction_Nms",
+        "torque_constant_Nm_A",
+    )
+    order: ClassVar[int] = 2
+    is_drum: ClassVar[bool] = True
+
+    def motion(self, p: SimpleNamespace) -> Motion:
+        """The states are angle and velocity."""
+        A, B, C, V = ca.SX(2, 2), ca.SX(2, 1), ca.SX(1, 2), ca.SX(1, 2)
+        A[0, 1], A[1, 1] = 1.0, -p.viscous_friction_Nms / p.drum_inertia_kg_m2
+        B[1] = 1.0 / p.drum_inertia_kg_m2
+        C[0], V[1] = 1.0, 1.0
+        return Motion(A, B, C, ca.SX(0.0), V, ca.SX(0.0))

@@ -1,0 +1,266 @@
+"""Models as files: a reel, or another plant, and its effects as TOML.
+
+```toml
+[reel]
+cable_length_m = 0.8
+tension_N = 15.0
+
+[[effects]]
+name = "eyelet_friction"
+attenuation = 0.93
+inner_share = 0.2
+```
+
+What a file leaves out is as in `plants.reference_reel`; what is saved is whole. An effect's name
+is its slug, or module:attribute for one of your own. Everything that is wrong with a file is told
+at once, a line each.
+"""
+
+import difflib
+import re
+import tomllib
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from estune.errors import EstuneError, InvalidInput
+from estune.run import targets
+from estune.run.export import replace_file
+from plants.effects import Effect, find
+from plants.models import model_tables
+from plants.models.model_tables import KINDS, Kind, Reader
+
+
+def load_model(model: str | Path, **settings: Any) -> Any:
+    """A model from a file, or from "module:attribute".
+
+    Args:
+        model: A TOML file such as `reel.toml`, or a name such as `plants:reference_reel`.
+        **settings: What is to be otherwise than in the file; arguments of the function named.
+
+    Returns:
+        The model: anything with a `.rig()`.
+
+    Raises:
+        InvalidInput: there is no such model, or what is there cannot be used; every mistake in a
+            file is in the message, a line each.
+    """
+    if isinstance(model, str) and not model.endswith(targets.MODEL_FILE):
+        return targets.load(model, settings)
+    path = Path(model)
+    return from_toml(_text(path), settings, source=str(path))
+
+
+def save_model(model: Any, path: str | Path, note: str = "", plant: str = "") -> None:
+    """Writes a model as a TOML file, whole or not at all.
+
+    Args:
+        model: A reel or another plant of this package.
+        path: The file; one that is there is replaced.
+        note: Lines of comment to begin with.
+        plant: What a Python plant is found by, module:attribute; a function cannot be written.
+
+    Raises:
+        InvalidInput: the model cannot be written as text, or the file cannot be written.
+    """
+    text = to_toml(model, note, plant)
+    try:
+        replace_file(Path(path), text.encode())
+    except OSError as error:
+        raise InvalidInput(
+            f"{path}: {error.strerror or error}; give another file to save to"
+        ) from error
+
+
+def to_toml(model: Any, note: str = "", plant: str = "") -> str:
+    """A model as TOML; see `save_model`.
+
+    Raises:
+        InvalidInput: the model cannot be written as text.
+    """
+    kind = next((kind for kind in KINDS if isinstance(model, kind.type())), None)
+    if kind is None:
+        raise InvalidInput(
+            f"a {type(model).__name__} cannot be written as TOML; what can is "
+            f"{model_tables.names()}"
+        )
+    values = kind.values(model)
+    if kind.table == "python_plant":
+        if not plant:
+            raise InvalidInput(
+                "a function cannot be written as TOML; say what the plant is found by, as "
+                'save_model(..., plant="module:attribute")'
+            )
+        values = {"plant": plant, **values}
+    lines = [f"# {line}".rstrip() for line in note.splitlines()]
+    lines += [""] * bool(lines) + [f"[{kind.table}]", *model_tables.written(values)]
+    for effect in getattr(model, "effects", ()):
+        values = {name: getattr(effect, name) for name in effect.parameters()}
+        named = {"name": reference_of(type(effect)), **values}
+        lines += ["", f"# {effect.title}", "[[effects]]", *model_tables.written(named)]
+    return "\n".join(lines) + "\n"
+
+
+def reference_of(effect: type[Effect]) -> str:
+    """What `plants.effects.find` finds the effect by: its slug, or module:attribute.
+
+    Raises:
+        InvalidInput: it is found by neither, as one defined in a notebook or a function is not.
+    """
+    for name in (effect.name, f"{effect.__module__}:{effect.__qualname__}"):
+        try:
+            if effect.__module__ != "__main__" and find(name) is effect:
+                return name
+        except InvalidInput:
+            continue
+    raise InvalidInput(
+        f"effect {effect.name} cannot be named in a file: {effect.__module__}:"
+        f"{effect.__qualname__} does not lead to it; define it in a module of its own"
+    )
+
+
+def from_toml(
+    text: str, settings: Mapping[str, Any] | None = None, source: str = "the model"
+) -> Any:
+    """The model a TOML text describes.
+
+    Args:
+        text: The text.
+        settings: What is to be otherwise than in the text, by key of the model's own table.
+        source: What to call the text in messages.
+
+    Raises:
+        InvalidInput: anything is wrong with it; the message has a line for each.
+    """
+    try:
+        tables = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise InvalidInput(f"{source}: this is not TOML: {error}") from error
+    problems: list[str] = []
+    kind = _kind(tables, problems)
+    model: Any = None
+    if kind is not None:
+        model = _model(kind, {**tables[kind.table], **(settings or {})}, problems)
+    for number, effect in _effects(tables.get("effects", []), problems):
+        if model is None:
+            continue
+        place = f"[[effects]] {number} ({effect.name})"
+        if not hasattr(model, "effects"):
+            problems.append(f"{place}: a {type(model).__name__} takes no effects")
+            continue
+        try:
+            model = model + effect
+        except EstuneError as error:
+            problems.append(f"{place}: {error}")
+    if problems:
+        raise InvalidInput("\n".join(f"{source}: {problem}" for problem in problems))
+    return model
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise InvalidInput(
+            f"{path}: {error.strerror or error}; give a model file, or module:attribute such as "
+            "plants:reference_reel"
+        ) from error
+    except UnicodeDecodeError as error:
+        raise InvalidInput(f"{path}: this is not text in UTF-8, as TOML is: {error}") from error
+
+
+def _kind(tables: Mapping[str, Any], problems: list[str]) -> Kind | None:
+    """The model's table; there is exactly one."""
+    known = [kind.table for kind in KINDS]
+    problems += [
+        f"[{name}]: there is no such table{_near(name, [*known, 'effects'])}"
+        for name in tables
+        if name not in known and name != "effects"
+    ]
+    given = [kind for kind in KINDS if kind.table in tables]
+    if len(given) != 1:
+        which = f"it has [{'] and ['.join(k.table for k in given)}]" if given else "it has none"
+        problems.append(f"a model is one table of {model_tables.names()}; {which}")
+        return None
+    if not isinstance(tables[given[0].table], dict):
+        problems.append(
+            f"{given[0].table}: this is a value, not a table; write [{given[0].table}]"
+        )
+        return None
+    return given[0]
+
+
+def _model(kind: Kind, values: Mapping[str, Any], problems: list[str]) -> Any:
+    """The model of a table, or what is wrong with the table's values."""
+    place = f"[{kind.table}]"
+    return _built(kind.make, _known(values, kind.keys(), place, problems), place, problems)
+
+
+def _effects(tables: Any, problems: list[str]) -> list[tuple[int, Effect]]:
+    if not (isinstance(tables, list) and all(isinstance(table, dict) for table in tables)):
+        problems.append("effects: these are tables; begin each with [[effects]]")
+        return []
+    return [
+        (number, found)
+        for number, table in enumerate(tables, 1)
+        if (found := _effect(table, number, problems)) is not None
+    ]
+
+
+def _effect(table: Mapping[str, Any], number: int, problems: list[str]) -> Effect | None:
+    place, name = f"[[effects]] {number}", table.get("name")
+    if not isinstance(name, str):
+        problems.append(f'{place}: its name is missing; give one as name = "coulomb_friction"')
+        return None
+    try:
+        effect = find(name)
+    except InvalidInput as error:
+        problems.append(f"{place} name: {error}")
+        return None
+    values = {key: value for key, value in table.items() if key != "name"}
+    keys = dict.fromkeys(effect.parameters(), model_tables.number)
+    good = _known(values, keys, f"{place} ({name})", problems)
+    built: Effect | None = _built(effect, good, f"{place} ({name})", problems)
+    return built
+
+
+def _known(
+    values: Mapping[str, Any],
+    keys: Mapping[str, Reader],
+    place: str,
+    problems: list[str],
+) -> dict[str, Any]:
+    """The values that have a known key and the right form; what is wrong with the others."""
+    good = {}
+    for name, value in values.items():
+        if name not in keys:
+            problems.append(f"{place} {name}: there is no such key{_near(name, keys)}")
+            continue
+        try:
+            good[name] = keys[name](value)
+        except InvalidInput as error:
+            problems.append(f"{place} {name}: {error}")
+    return good
+
+
+def _built(
+    make: Callable[..., Any], values: dict[str, Any], place: str, problems: list[str]
+) -> Any:
+    """What is made of the values; each one that is refused by name is told and left out."""
+    while True:
+        try:
+            return make(**values)
+        except EstuneError as error:
+            said = str(error)
+        blamed = next((name for name in re.findall(r"\w+", said) if name in values), None)
+        problems.append(f"{place} {blamed}: {said}" if blamed else f"{place}: {said}")
+        if blamed is None:
+            return None
+        values = {name: value for name, value in values.items() if name != blamed}
+
+
+def _near(name: str, known: Iterable[str]) -> str:
+    """The known name that was probably meant, or all there are."""
+    names = list(known)
+    near = difflib.get_close_matches(name, names, 1)
+    return f"; did you mean {near[0]}?" if near else f"; there are {', '.join(sorted(names))}"

@@ -1,0 +1,1 @@
+"""Simulated trials: compiled loop, batches, a plant as a rig."""

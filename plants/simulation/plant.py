@@ -1,0 +1,174 @@
+"""What a plant is to the rest of the project, and what a simulated trial gives back."""
+
+import math
+from functools import lru_cache
+from importlib.metadata import version
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estune.core.gains import Gains
+from estune.core.pidf import ControllerSettings
+from estune.core.quantities import FloatArray
+from estune.errors import InvalidInput
+from estune.trial import RigDescription
+from estune.trial.profiles import AnyProfile, StepProfile
+
+SOFTWARE = f"estune {version('estune')}"
+
+
+class Drive(NamedTuple):
+    """What drives a trial.
+
+    Attributes:
+        time_s: Time at each sample, shape (samples,).
+        setpoint_N: The setpoint, same shape.
+        preload_N: The tension at which the trial starts settled.
+        open_loop: Whether the setpoint is the effort, within the controller's limits.
+    """
+
+    time_s: FloatArray
+    setpoint_N: FloatArray
+    preload_N: float
+    open_loop: bool
+
+
+@lru_cache(maxsize=16)
+def drive_of(profile: AnyProfile, sampling_Hz: float) -> Drive:
+    """What a profile comes to at a sampling rate; shared and read-only.
+
+    Raises:
+        InvalidInput: at this rate no sample lies before the end, or none after the step; or the
+            profile goes beyond half the rate.
+    """
+    samples = profile.samples(sampling_Hz)
+    first = profile.step_index(sampling_Hz) if isinstance(profile, StepProfile) else 0
+    if not first < samples:
+        raise InvalidInput(
+            f"a {profile.kind} trial of {profile.duration_s:g} s has no sample after its start at "
+            f"{sampling_Hz:g} Hz; make it longer"
+        )
+    time, setpoint = np.arange(samples) / sampling_Hz, profile.setpoint(sampling_Hz)
+    time.flags.writeable = setpoint.flags.writeable = False
+    return Drive(time, setpoint, profile.preload_N, profile.loop == "open")
+
+
+class Columns(NamedTuple):
+    """What a batch of trials measured; samples from `ended` on are not filled.
+
+    Attributes:
+        tension_N: Measured tension, shape (trials, samples).
+        effort_N: Effort of the controller, same shape.
+        angle_rad: Measured drum angle, same shape; zero where the plant has no drum.
+        flags: `SATURATED` where the controller's limits acted, same shape.
+        ended: For each trial the first sample that left the bound or is not finite, or the number
+            of samples, shape (trials,).
+        reference_N: Tension outside the reel, same shape; None where that is the same.
+    """
+
+    tension_N: FloatArray
+    effort_N: FloatArray
+    angle_rad: FloatArray
+    flags: NDArray[np.uint8]
+    ended: NDArray[np.int64]
+    reference_N: FloatArray | None = None
+
+    @classmethod
+    def empty(cls, trials: int, samples: int, *, reference: bool = False) -> "Columns":
+        """Room for a batch of trials, with or without the tension outside."""
+        signals = np.empty((3, trials, samples))
+        flags, ended = np.zeros((trials, samples), np.uint8), np.empty(trials, np.int64)
+        outside = np.empty((trials, samples)) if reference else None
+        return cls(signals[0], signals[1], signals[2], flags, ended, outside)
+
+    def trial(self, n: int) -> "Columns":
+        """The columns of one trial; writing to them writes to the batch."""
+        signals = self.tension_N[n], self.effort_N[n], self.angle_rad[n]
+        outside = None if self.reference_N is None else self.reference_N[n]
+        return Columns(*signals, self.flags[n], self.ended[n : n + 1], outside)
+
+
+class Plant(Protocol):
+    """Anything whose trials can be simulated."""
+
+    @property
+    def controller(self) -> ControllerSettings:
+        """The fixed part of the controller it is run with."""
+        ...
+
+    @property
+    def profile(self) -> StepProfile:
+        """A step trial that suits it."""
+        ...
+
+    @property
+    def noise_rms_N(self) -> float:
+        """Root mean square of the measurement noise, N."""
+        ...
+
+    @property
+    def newtons_per_ampere(self) -> float:
+        """Effort per motor current, N/A."""
+        ...
+
+    def respond(
+        self,
+        coefficients: FloatArray,
+        drive: Drive,
+        noise_N: FloatArray | None,
+        bound_N: float,
+    ) -> Columns:
+        """Runs a batch of trials, one after the other.
+
+        Args:
+            coefficients: The controllers' difference equations, one row each in the order of
+                `estune.core.pidf.Coefficients`, shape (trials, 9).
+            drive: The setpoint, and what it acts on.
+            noise_N: What the measurement noise adds, shape (trials, samples), or None.
+            bound_N: A trial ends where the measurement's size passes it.
+
+        Raises:
+            PlantError: the plant cannot be simulated.
+        """
+        ...
+
+    def describe(self, name: str, gains: Gains | None) -> RigDescription:
+        """What a rig that runs this plant says of itself; without gains, with safe ones.
+
+        Raises:
+            UnsafeStart: no gains were given and no safe ones are known.
+        """
+        ...
+
+
+def check_above_zero(what: str, value: float, unit: str) -> None:
+    """Refuses what is not finite and above zero.
+
+    Raises:
+        InvalidInput: it is not.
+    """
+    if not (math.isfinite(value) and value > 0.0):
+        raise InvalidInput(f"{what} is {value} {unit}; it must be finite and above zero")
+
+
+def check_not_negative(what: str, value: float, unit: str) -> None:
+    """Refuses what is not finite and zero or above.
+
+    Raises:
+        InvalidInput: it is not.
+    """
+    if not (math.isfinite(value) and value >= 0.0):
+        raise InvalidInput(f"{what} is {value} {unit}; it must be finite, and zero or above")
+
+
+def whole_and_fraction(dead_time_s: float, sampling_Hz: float) -> tuple[int, float]:
+    """A dead time as whole samples and the remaining fraction of one.
+
+    A remainder within rounding of a whole sample is none, so that 1/632 s is one sample at 632 Hz.
+    """
+    samples = dead_time_s * sampling_Hz
+    whole = round(samples)
+    if abs(samples - whole) <= 1e-9 * max(1.0, samples):
+        return whole, 0.0
+    return math.floor(samples), samples - math.floor(samples)

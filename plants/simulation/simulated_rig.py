@@ -1,0 +1,220 @@
+"""A plant as a rig in this process."""
+
+import threading
+import time
+from dataclasses import replace
+from datetime import UTC, datetime
+from typing import NamedTuple, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estune.core.gains import Gains
+from estune.errors import RigError
+from estune.trial import Outcome, RigDescription, Telemetry, TrialRecord, TrialRequest
+from estune.trial.executed_trials import TrialRecords, stopped
+from plants.simulation.batch import Response, simulate
+from plants.simulation.noise import NoiseSource
+from plants.simulation.plant import SOFTWARE, Plant, check_not_negative, drive_of
+
+Scalar = TypeVar("Scalar", bound=np.generic)
+
+
+class _End(NamedTuple):
+    """How a trial ended: when it began, how many samples of it there are, and why no more."""
+
+    started_at: str
+    kept: int
+    outcome: Outcome
+    reason: str
+
+
+class SimulatedRig:
+    """Runs the trials of one plant; implements `estune.trial.Rig`.
+
+    Safe to be called from several threads: one trial runs at a time, and `abort` may come from
+    anywhere.
+    """
+
+    def __init__(
+        self,
+        plant: Plant,
+        *,
+        name: str = "simulated-reel",
+        seed: int = 0,
+        gains: Gains | None = None,
+        pace: float = 0.0,
+    ) -> None:
+        """See `plants.models.mounting.ServesAsRig.rig`.
+
+        Raises:
+            InvalidInput: the seed or the pace is out of its range.
+            UnsafeStart: no gains were given and no safe ones are known.
+        """
+        check_not_negative("pace", pace, "s/s")
+        self._plant = plant
+        self._description = replace(plant.describe(name, gains), simulated=True)
+        self._noise = NoiseSource(seed)
+        self._pace = pace
+        self._records = TrialRecords(same_anew=True)  # its noise depends on seed and number alone
+        self._trial = threading.Lock()  # held while a trial runs
+        self._running = False
+        self._stop = threading.Event()
+        self._state = threading.Lock()  # guards the description and all below
+        self._latched = ""
+        self._shown: tuple[str, Response, float] | None = None
+        self._closed = False
+
+    def describe(self) -> RigDescription:
+        """What the rig is, and which gains are live now."""
+        with self._state:
+            self._check_open()
+            return self._description
+
+    def run(self, request: TrialRequest) -> TrialRecord:
+        """Runs one trial, or returns the record of it if that trial id has run before.
+
+        Raises:
+            InvalidInput: the request is outside the rig's limits; nothing moved.
+            RigError: the rig is closed, or knows another trial by that id.
+            PlantError: the plant cannot be simulated.
+        """
+        with self._trial:
+            with self._state:
+                self._check_free()
+                limits = self._description.limits
+                self._stop.clear()
+                self._running = True
+            try:
+                known = self._records.again(request)
+                if known is not None:
+                    return known
+                limits.check(request.profile)
+                record = self._perform(request)
+                self._records.add(request, record)
+                return record
+            finally:
+                with self._state:
+                    self._running, self._shown = False, None
+
+    def apply(self, gains: Gains) -> None:
+        """Makes gains the live ones."""
+        with self._state:
+            self._check_free()
+            self._description = replace(self._description, gains=gains)
+
+    def abort(self) -> RigDescription:
+        """Stops the trial under way, if any, and returns once the live gains are back."""
+        with stopped(self._trial, self._stop_running):
+            return self.describe()
+
+    def estop(self, reason: str) -> None:
+        """Ends the trial under way, and refuses others until cleared."""
+        with self._state:
+            self._latched = self._latched or reason
+            self._stop.set()
+
+    def clear(self) -> None:
+        """Ends an emergency stop."""
+        with self._state:
+            self._latched = ""
+
+    def telemetry(self, after: int) -> Telemetry | None:
+        """The samples of a trial under way at its pace; None where it takes no time."""
+        with self._state:
+            shown = self._shown
+        if shown is None:
+            return None
+        trial_id, response, began = shown
+        rate = self._plant.controller.sampling_Hz
+        passed = slice(after, max(after, int((time.monotonic() - began) / self._pace * rate)))
+        return Telemetry(
+            trial_id=trial_id,
+            first=after,
+            sampling_Hz=rate,
+            setpoint_N=response.setpoint_N[passed],
+            tension_N=response.tension_N[passed],
+            current_A=response.effort_N[passed] / self._plant.newtons_per_ampere,
+            angle_rad=response.angle_rad[passed],
+        )
+
+    def close(self) -> None:
+        """Stops the trial under way; further calls are refused. May be called again."""
+        with self._state:
+            self._closed = True
+            self._stop.set()
+
+    def _perform(self, request: TrialRequest) -> TrialRecord:
+        """Simulates the trial, then lets the time pass that it would have taken."""
+        started_at, began = datetime.now(UTC).isoformat(), time.monotonic()
+        rate = self._plant.controller.sampling_Hz
+        samples = drive_of(request.profile, rate).time_s.size
+        rms = self._plant.noise_rms_N
+        noise = self._noise.draw(request.number, samples, rms) if rms else None
+        response = simulate(self._plant, request.gains, request.profile, noise_N=noise)
+        kept = len(response.time_s)
+        end = _End(started_at, kept, Outcome.DONE, "")
+        if response.diverged_at is not None:
+            reason = f"{Outcome.DIVERGED.sentence} at sample {kept}, {kept / rate:.3f} s"
+            end = _End(started_at, kept, Outcome.DIVERGED, reason)
+        if self._pace > 0.0:
+            with self._state:
+                self._shown = request.trial_id, response, began
+            left = began + self._pace * kept / rate - time.monotonic()
+            if self._stop.wait(max(0.0, left)):
+                passed = int((time.monotonic() - began) / self._pace * rate)
+                reason = Outcome.CANCELLED.sentence
+                end = _End(started_at, min(kept, passed), Outcome.CANCELLED, reason)
+        return self._record(request, response, end)
+
+    def _record(self, request: TrialRequest, response: Response, end: "_End") -> TrialRecord:
+        """The record of the samples kept; read-only, for it may be handed out again."""
+        current = response.effort_N / self._plant.newtons_per_ampere
+        return TrialRecord(
+            trial_id=request.trial_id,
+            rig=self._description.name,
+            sampling_Hz=self._plant.controller.sampling_Hz,
+            cable_length_m=self._description.cable_length_m,
+            preload_N=request.profile.preload_N,
+            gains=request.gains,
+            outcome=end.outcome,
+            reason=end.reason,
+            started_at=end.started_at,
+            software=SOFTWARE,
+            time_s=_read_only(response.time_s, end.kept),
+            setpoint_N=_read_only(response.setpoint_N, end.kept),
+            tension_N=_read_only(response.tension_N, end.kept),
+            current_A=_read_only(current, end.kept),
+            angle_rad=_read_only(response.angle_rad, end.kept),
+            flags=_read_only(response.flags, end.kept),
+            reference_N=None
+            if response.reference_N is None
+            else _read_only(response.reference_N, end.kept),
+            loop=request.profile.loop,
+            profile=request.profile.kind,
+        )
+
+    def _stop_running(self) -> None:
+        with self._state:
+            self._check_open()
+            if self._running:
+                self._stop.set()
+
+    def _check_free(self) -> None:
+        """The state is locked."""
+        self._check_open()
+        if self._latched:
+            raise RigError(
+                f"rig {self._description.name} is held in its safe state after an emergency stop "
+                f"({self._latched}); see to it, then clear the stop"
+            )
+
+    def _check_open(self) -> None:
+        if self._closed:
+            raise RigError(f"rig {self._description.name} is closed; make a new one")
+
+
+def _read_only(column: NDArray[Scalar], kept: int) -> NDArray[Scalar]:
+    part = column if kept == len(column) else column[:kept]
+    part.flags.writeable = False
+    return part

@@ -1,0 +1,307 @@
+"""The trial: controller and plant as one sample, run as C or in a virtual machine."""
+
+import ctypes
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol
+
+import casadi as ca
+import numpy as np
+
+from estune.core import pidf
+from estune.core.quantities import FloatArray
+from estune.errors import PlantError
+from estune.support import c_compiler
+from estune.trial import SATURATED
+from plants.simulation.c_source import c_source
+from plants.simulation.equations import Equations
+from plants.simulation.plant import Columns
+
+COEFFICIENTS = len(pidf.Coefficients._fields)
+PIDF_STATES = len(pidf.PidfState._fields)
+
+
+class Structure(Protocol):
+    """What a plant's equations depend on besides numbers; hashable."""
+
+    def equations(self) -> Equations:
+        """The plant's equations of one sample."""
+        ...
+
+
+class Batch(NamedTuple):
+    """Trials to be run.
+
+    Attributes:
+        parameters: The plant's, shape (parameters,) for all trials alike, or one row each.
+        coefficients: The controllers', shape (trials, 9).
+        preload_N: Setpoint at which each trial starts settled, N.
+        setpoint_N: Shape (samples,).
+        noise_N: Shape (trials, samples), or None.
+        delay: Whole samples of dead time.
+        bound_N: A trial ends where the measurement's size passes it.
+        open_loop: Whether the setpoint is the effort, within the controllers' limits.
+    """
+
+    parameters: FloatArray
+    coefficients: FloatArray
+    preload_N: float
+    setpoint_N: FloatArray
+    noise_N: FloatArray | None
+    delay: int
+    bound_N: float
+    open_loop: bool = False
+
+
+class TrialLoop(Protocol):
+    """Runs trials of all plants of one structure."""
+
+    def run(self, batch: Batch) -> Columns:
+        """Runs the trials, one after the other."""
+        ...
+
+
+@lru_cache(maxsize=64)
+def trial_loop(structure: Structure) -> TrialLoop:
+    """The trial of a structure: compiled where there is a compiler, else in a virtual machine."""
+    functions = loop_functions(structure.equations())
+    try:
+        return CompiledLoop(functions)
+    except PlantError as error:
+        c_compiler.notice(str(error))
+        return VirtualLoop(functions)
+
+
+class Functions(NamedTuple):
+    """Controller and plant together, as CasADi functions.
+
+    Attributes:
+        prepare: (parameters, preload) -> (constants, state, controller state, drive at rest).
+        sense: (constants, state, drive in force, noise, coefficients, controller state, setpoint,
+            1 in open loop else 0) -> (state, measurement, angle, controller state, effort, drive,
+            excess, tension outside: no number where the plant has no gauge there).
+        substep: (constants, state, drive before, drive after, n) -> state.
+        move: (constants, state, drive before, drive after) -> state one sample later.
+        substeps: Number of substeps in a sample.
+    """
+
+    prepare: Any
+    sense: Any
+    substep: Any
+    move: Any
+    substeps: int
+
+    @property
+    def has_reference(self) -> bool:
+        """Whether the plant has a gauge outside."""
+        return bool(self.sense.numel_out(7))
+
+
+def loop_functions(plant: Equations) -> Functions:
+    """The closed loop of a plant and the PIDF."""
+    parameters, preload = plant.prepare.sx_in()
+    constants, rest, rest_effort = plant.prepare(parameters, preload)
+    _, rest_drive = plant.drive(constants, rest, rest_effort)
+    start = ca.vertcat(*pidf.at_rest(preload, rest_effort))
+    prepare = ca.Function(
+        "estune_prepare", [parameters, preload], [constants, rest, start, rest_drive]
+    )
+
+    c, x, in_force, noise = plant.observe.sx_in()
+    coefficients = ca.SX.sym("coefficients", COEFFICIENTS)
+    memory, setpoint = ca.SX.sym("memory", PIDF_STATES), ca.SX.sym("setpoint")
+    is_open = ca.SX.sym("is_open")
+    observed, measurement, angle = plant.observe(c, x, in_force, noise)
+    controller = pidf.Coefficients(*ca.vertsplit(coefficients))
+    following, *closed = pidf.step(
+        controller, pidf.PidfState(*ca.vertsplit(memory)), setpoint, measurement
+    )
+    effort, excess = (
+        ca.if_else(is_open, one, other)
+        for one, other in zip(pidf.limited(controller, setpoint), closed, strict=True)
+    )
+    driven, drive = plant.drive(c, observed, effort)
+    outside = ca.SX(0, 1) if plant.outside is None else plant.outside(c, observed)
+    outputs = [driven, measurement, angle, ca.vertcat(*following), effort, drive, excess, outside]
+    sense = ca.Function(
+        "estune_sense",
+        [c, x, in_force, noise, coefficients, memory, setpoint, is_open],
+        [ca.densify(output) for output in outputs],  # C writes structural nonzeros only
+    )
+    *arguments, n = plant.substep.sx_in()
+    substep = ca.Function("estune_substep", [*arguments, n], [plant.substep(*arguments, n)])
+    move = ca.Function("estune_move", arguments, [plant.move(*arguments)])
+    return Functions(prepare, sense, substep, move, plant.substeps)
+
+
+class CompiledLoop:
+    """The trial as a C library. Calls release the interpreter's lock."""
+
+    def __init__(self, functions: Functions) -> None:
+        """Compiles the functions inside the loop of `trial_loop.c`.
+
+        Raises:
+            PlantError: no compiler, or it failed.
+        """
+        self._reference = functions.has_reference
+        library = c_compiler.load(_source(functions))
+        self._trials = library.estune_trials
+        address, count = ctypes.c_void_p, ctypes.c_long
+        self._trials.argtypes = (
+            *(count, count, count, ctypes.c_double, ctypes.c_double, ctypes.c_double),
+            *(address, count, address, address, address, count),
+            *(address, address, address, address, address, address),
+        )
+        self._trials.restype = ctypes.c_int
+
+    def run(self, batch: Batch) -> Columns:
+        """Runs the trials, one after the other."""
+        # Kept by name, so that they outlive the call that has their addresses.
+        parameters = np.ascontiguousarray(batch.parameters, np.float64)
+        coefficients = np.ascontiguousarray(batch.coefficients, np.float64)
+        setpoint = np.ascontiguousarray(batch.setpoint_N, np.float64)
+        noise = None if batch.noise_N is None else np.ascontiguousarray(batch.noise_N, np.float64)
+        trials, samples = len(coefficients), len(setpoint)
+        signals = np.empty((3 + self._reference, trials, samples))
+        flags, ended = np.empty((trials, samples), np.uint8), np.empty(trials, np.int64)
+        tension, signal_bytes = _address(signals), 8 * trials * samples
+        failed = self._trials(
+            *(trials, samples, batch.delay, batch.bound_N, batch.preload_N, batch.open_loop),
+            _address(parameters),
+            parameters.shape[1] if parameters.ndim > 1 else 0,
+            _address(coefficients),
+            _address(setpoint),
+            None if noise is None else _address(noise),
+            samples,
+            *(tension, tension + signal_bytes, tension + 2 * signal_bytes),
+            tension + 3 * signal_bytes if self._reference else None,
+            _address(flags),
+            _address(ended),
+        )
+        if failed:
+            raise MemoryError(f"no memory for a dead time of {batch.delay} samples")
+        reference = signals[3] if self._reference else None
+        return Columns(signals[0], signals[1], signals[2], flags, ended, reference)
+
+
+def _address(array: Any) -> int:
+    """Where an array's numbers are; a fifth of the time `array.ctypes.data` takes."""
+    if array.flags.writeable and array.size:
+        return ctypes.addressof(ctypes.c_char.from_buffer(array))
+    return int(array.__array_interface__["data"][0])
+
+
+def _source(functions: Functions) -> str:
+    """The whole C file: sizes, generated functions, loop."""
+    sizes = {
+        "CONSTANTS": functions.prepare.numel_out(0),
+        "STATES": functions.substep.numel_out(0),
+        "SUBSTEPS": functions.substeps,
+        "PIDF_STATES": PIDF_STATES,
+        "COEFFICIENTS": COEFFICIENTS,
+    }
+    generated = (functions.prepare, functions.sense, functions.substep)
+    return c_source(generated, sizes, Path(__file__).with_suffix(".c"))
+
+
+class VirtualLoop:
+    """The same trial in CasADi's virtual machine, sample by sample through its buffers."""
+
+    def __init__(self, functions: Functions) -> None:
+        self._functions = functions
+
+    def run(self, batch: Batch) -> Columns:
+        """Runs the trials, one after the other."""
+        trials, samples = len(batch.coefficients), len(batch.setpoint_N)
+        columns = Columns.empty(trials, samples, reference=self._functions.has_reference)
+        parameters = np.broadcast_to(batch.parameters, (trials, batch.parameters.shape[-1]))
+        noise = np.zeros((1, samples)) if batch.noise_N is None else batch.noise_N
+        noise = np.broadcast_to(noise, (trials, samples))
+        machine = Machine(self._functions)
+        for n in range(trials):
+            machine.start(parameters[n], batch.preload_N, batch.coefficients[n])
+            one = columns.trial(n)
+            columns.ended[n] = machine.trial(batch, noise[n], one)
+        return columns
+
+
+class Machine:
+    """One trial at a time through CasADi's buffers: memory that the functions read and write.
+
+    Attributes:
+        memory: The buffers by name.
+        prepare: Works out constants and the state at rest from parameters and preload.
+        sense: One sample of gauge, encoder and controller; see `Functions`.
+        move: The plant to the next sample.
+    """
+
+    def __init__(self, functions: Functions) -> None:
+        prepare, sense, _, move, _ = functions
+        scalars = ["preload", "setpoint", "is_open", "noise", "before", "after"]
+        scalars += ["y", "angle", "effort", "drive", "excess"]
+        room = dict.fromkeys(scalars, 1)
+        room |= {
+            "reference": sense.numel_out(7),
+            "parameters": prepare.numel_in(0),
+            "coefficients": COEFFICIENTS,
+        }
+        room |= {"constants": prepare.numel_out(0), "pidf": PIDF_STATES, "following": PIDF_STATES}
+        room |= {"state": move.numel_out(0), "driven": move.numel_out(0)}
+        self.memory: dict[str, Any] = {n: np.zeros(size).data for n, size in room.items()}
+        self._bound: list[Any] = []
+        self.prepare = self._bind(prepare, "parameters preload", "constants state pidf drive")
+        self.sense = self._bind(
+            sense,
+            "constants state before noise coefficients pidf setpoint is_open",
+            "driven y angle following effort drive excess reference",
+        )
+        self.move = self._bind(move, "constants driven before after", "state")
+
+    def _bind(self, function: Any, inputs: str, outputs: str) -> Any:
+        """The function as a call without arguments on this memory."""
+        buffer, call = function.buffer()
+        for n, name in enumerate(inputs.split()):
+            buffer.set_arg(n, self.memory[name])
+        for n, name in enumerate(outputs.split()):
+            buffer.set_res(n, self.memory[name])
+        self._bound.append(buffer)
+        return call
+
+    def start(self, parameters: FloatArray, preload_N: float, coefficients: FloatArray) -> None:
+        """Puts controller and plant at rest."""
+        self.memory["parameters"][:] = np.ascontiguousarray(parameters).data
+        self.memory["coefficients"][:] = np.ascontiguousarray(coefficients).data
+        self.memory["preload"][0] = preload_N
+        self.prepare()
+
+    def amend(self, parameters: FloatArray) -> None:
+        """Goes on with other parameters: only the constants change."""
+        kept = {name: np.array(self.memory[name]) for name in ("state", "pidf", "drive")}
+        self.memory["parameters"][:] = np.ascontiguousarray(parameters).data
+        self.prepare()
+        for name, values in kept.items():
+            self.memory[name][:] = values.data
+
+    def trial(self, batch: Batch, noise_N: FloatArray, columns: Columns) -> int:
+        """Runs the loop of `trial_loop.c`; returns where it ended."""
+        m, size = self.memory, batch.delay + 2
+        ring = [m["drive"][0]] * size
+        m["is_open"][0] = batch.open_loop
+        for k, (setpoint, noise) in enumerate(
+            zip(batch.setpoint_N.tolist(), noise_N.tolist(), strict=True)
+        ):
+            m["setpoint"][0], m["noise"][0], m["before"][0] = setpoint, noise, ring[k % size]
+            self.sense()
+            y = m["y"][0]
+            columns.tension_N[k], columns.effort_N[k] = y, m["effort"][0]
+            columns.angle_rad[k] = m["angle"][0]
+            if columns.reference_N is not None:
+                columns.reference_N[k] = m["reference"][0]
+            if not -batch.bound_N <= y <= batch.bound_N:
+                return k
+            columns.flags[k] = SATURATED if m["excess"][0] else 0
+            m["pidf"][:] = m["following"]
+            ring[(k + batch.delay + 1) % size] = m["drive"][0]
+            m["after"][0] = ring[(k + 1) % size]
+            self.move()
+        return len(batch.setpoint_N)

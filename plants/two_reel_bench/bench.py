@@ -1,0 +1,313 @@
+"""A simulated two-reel bench: drums, an elastic cable, and eyelets where it sticks or slides.
+
+Quasi-static: the cable has no mass, and in each period the tensions are those at which no eyelet
+holds more than its friction can. From X to Y there are three pieces of cable. With w the length
+each drum has wound in and s the length that has slid in at each eyelet,
+
+    T_x = k_x (w_x - s_x),    T_o = k_o (s_x + s_y),    T_y = k_y (w_y - s_y)
+
+and each eyelet keeps `B T <= T_o <= T/B`. This makes the play and the memory that the two-reel
+procedure has to live with: after any reversal the cable sticks, and the reel that was moved last
+says nothing of the tension at the other.
+"""
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from estune.core.quantities import FloatArray
+from estune.errors import InvalidInput, PlantError
+from plants.two_reel_bench.bench_parts import Eyelet, ReelModel
+from plants.two_reel_bench.friction_ratio import log_loss
+from plants.two_reel_bench.rig import BenchRecord, Reading
+
+_ROUNDS = 200
+"""Sliding at one eyelet after the other; each round leaves less than half of what was missing."""
+
+_ROUNDING_N = 1e-10
+
+_SLIDING_MEMORY_s = 0.1
+"""Friction follows the sliding velocity with this lag, as contacts of a state and a rate do."""
+
+
+class SimulatedReel:
+    """A `BenchReel` of a simulated bench: its controllers and readings. Made by the bench."""
+
+    def __init__(self, model: ReelModel, tension_N: float, slid_m: float, path_N_m: float) -> None:
+        self.model = model
+        self.wound_m = tension_N / model.stiffness_N_m + slid_m
+        self.slid_m = slid_m
+        self.tension_N = tension_N
+        self.reading = model.gauge.reading(tension_N)
+        self.angle_rad = 0.0
+        self.scatter_due = True
+        self._path_N_m = path_N_m
+        self._law: Callable[[float, float], None] = self._servo
+        self._target = self._goal = self.wound_m
+        self._slope = self._effort = 0.0
+        self._seen_N = tension_N
+
+    @property
+    def drum_radius_m(self) -> float:
+        """Radius of the drum, m."""
+        return self.model.drum_radius_m
+
+    def hold_tension(self, setpoint: float, within_s: float) -> None:
+        """Controls the tension, in the gauge's unit; see `BenchReel`.
+
+        Raises:
+            InvalidInput: a value is not finite, or the time is not above zero.
+        """
+        if not (math.isfinite(setpoint) and math.isfinite(within_s) and within_s > 0.0):
+            raise InvalidInput(
+                f"setpoint {setpoint} within {within_s} s cannot be held; both must be finite and "
+                "the time above zero"
+            )
+        if self._law != self._force:
+            # Bumpless: the integral starts where the controller asks for no motion.
+            self._effort = self._motion_m_s(self.reading)
+            self._target = self.reading
+        self._goal = setpoint
+        self._slope = abs(setpoint - self._target) / within_s
+        self._law = self._force
+        self.scatter_due = True
+
+    def hold_position(self, angle_rad: float | None = None) -> None:
+        """Controls the angle; see `BenchReel`."""
+        here = self.wound_m if self._law != self._servo else self._target
+        self._target = here
+        self._goal = here if angle_rad is None else angle_rad * self.drum_radius_m
+        self._slope = self.model.drive.return_m_s
+        self._law = self._servo
+
+    def hold_velocity(self, velocity_rad_s: float, force_ramp_N_s: float = 0.0) -> None:
+        """Controls the velocity; see `BenchReel`."""
+        self._goal = velocity_rad_s * self.drum_radius_m
+        if force_ramp_N_s:
+            self._law, self._target = self._yield, self._goal
+            self._slope, self._effort = force_ramp_N_s, self.tension_N
+        else:
+            self._target = self._target if self._law == self._turn else 0.0
+            self._law, self._slope = self._turn, self.model.drive.acceleration_m_s2
+
+    def advance(self, period_s: float) -> None:
+        """Moves the drum by what its controller does in one period."""
+        gave = self.model.drive.give_m_N * (self.tension_N - self._seen_N)
+        self._seen_N = self.tension_N
+        self._law(period_s, gave)
+
+    def _approach(self, period_s: float) -> None:
+        """The setpoint on its way to the goal."""
+        step = self._slope * period_s
+        self._target += min(max(self._goal - self._target, -step), step)
+
+    def _force(self, period_s: float, _gave: float) -> None:
+        """Integral action on the error, proportional action on the reading: no overshoot."""
+        self._approach(period_s)
+        error = self._motion_m_s(self._target - self.reading)
+        self._effort += error * period_s / self.model.drive.force_integral_s
+        self.wound_m += (self._effort - self._motion_m_s(self.reading)) * period_s
+
+    def _motion_m_s(self, reading: float) -> float:
+        """Velocity that the tension controller gives to a reading."""
+        drive = self.model.drive
+        return reading / (self.model.gauge.sensitivity * self._path_N_m * drive.force_lag_s)
+
+    def _servo(self, period_s: float, gave: float) -> None:
+        """The drum returns to its position, and gives way when the tension changes."""
+        self._approach(period_s)
+        share = 1.0 - math.exp(-period_s / self.model.drive.position_lag_s)
+        self.wound_m += share * (self._target - self.wound_m) - gave
+
+    def _turn(self, period_s: float, gave: float) -> None:
+        """The drum comes to its velocity, and gives way when the tension changes."""
+        self._approach(period_s)
+        self.wound_m += self._target * period_s - gave
+
+    def _yield(self, period_s: float, _gave: float) -> None:
+        """The effort falls below the tension, and the cable pulls the drum along."""
+        self._effort += self._slope * period_s
+        # Implicit in the tension while the cable sticks, which is stiffest.
+        drag = self.model.drive.speed_damping_Ns_m / period_s + self.model.stiffness_N_m
+        self.wound_m += (self._effort - self.tension_N) / drag + self._target * period_s
+
+    def observe(self, disturbance_N: float) -> None:
+        """Reads gauge and encoder."""
+        gauge = self.model.gauge
+        self.reading = gauge.reading(self.tension_N) + gauge.sensitivity * disturbance_N
+        count_rad = 2.0 * math.pi / self.model.counts
+        self.angle_rad = math.floor(self.wound_m / self.drum_radius_m / count_rad) * count_rad
+
+
+class _Contact:
+    """One eyelet at work: how much it takes now."""
+
+    def __init__(self, eyelet: Eyelet) -> None:
+        self.eyelet = eyelet
+        self.velocity_m_s = 0.0
+        self.scatter = 1.0
+        self._bends = [math.cos(0.5 * gamma) for gamma in eyelet.angles_rad]
+        self._coefficient = -1.0
+        self._ratio = 1.0
+
+    def ratio(self, tension_N: float) -> float:
+        """Attenuation ratio B."""
+        coefficient = self.scatter * self.eyelet.coefficient_at(tension_N, self.velocity_m_s)
+        if coefficient != self._coefficient:
+            if not 0.0 <= coefficient < 1.0:
+                raise PlantError(
+                    f"friction coefficient became {coefficient:.3g} at {tension_N:.3g} N and "
+                    f"{self.velocity_m_s:.3g} m/s; it must stay within 0 and 1, lower its growth"
+                )
+            self._coefficient = coefficient
+            loss = sum(float(log_loss(coefficient, bend)) for bend in self._bends)
+            self._ratio = math.exp(-loss)
+        return self._ratio
+
+
+class SimulatedBench:
+    """Two simulated reels on one cable; a `Bench`.
+
+    Both start at rest with the same tension everywhere.
+
+    Attributes:
+        x: Reel X, whose gauge should read newtons.
+        y: Reel Y.
+
+    Raises:
+        InvalidInput: a stiffness, rate or tension is not above zero.
+    """
+
+    def __init__(
+        self,
+        x: ReelModel,
+        y: ReelModel,
+        *,
+        outer_stiffness_N_m: float = 10e3,
+        tension_N: float = 5.0,
+        sampling_Hz: float = 50.0,
+        seed: int = 0,
+    ) -> None:
+        for name, value in (
+            ("stiffness of x", x.stiffness_N_m),
+            ("stiffness of y", y.stiffness_N_m),
+            ("outer_stiffness_N_m", outer_stiffness_N_m),
+            ("tension_N", tension_N),
+            ("sampling_Hz", sampling_Hz),
+        ):
+            if not (math.isfinite(value) and value > 0.0):
+                raise InvalidInput(f"{name} is {value}; it must be above zero")
+        softness = 1.0 / x.stiffness_N_m + 1.0 / outer_stiffness_N_m + 1.0 / y.stiffness_N_m
+        self.x = SimulatedReel(x, tension_N, tension_N / outer_stiffness_N_m, 1.0 / softness)
+        self.y = SimulatedReel(y, tension_N, 0.0, 1.0 / softness)
+        self.time_s = 0.0
+        self._contacts = _Contact(x.eyelet), _Contact(y.eyelet)
+        self._outer_N_m = outer_stiffness_N_m
+        self._period_s = 1.0 / sampling_Hz
+        self._random = np.random.default_rng(seed)
+        self._wander = [g.wander_N * self._random.standard_normal() for g in (x.gauge, y.gauge)]
+
+    def record(self, duration_s: float) -> BenchRecord:
+        """Runs both reels for a time; see `Bench`.
+
+        Raises:
+            InvalidInput: the time is not finite or holds no sample.
+            PlantError: the cable became slack.
+        """
+        samples = round(duration_s / self._period_s) if math.isfinite(duration_s) else 0
+        if samples < 1:
+            raise InvalidInput(
+                f"duration is {duration_s} s; it must hold a sample of {self._period_s:g} s"
+            )
+        disturbances = self._disturbances(samples).tolist()
+        rows = []
+        for for_x, for_y in disturbances:
+            self._step()
+            self.x.observe(for_x)
+            self.y.observe(for_y)
+            x, y = self.x, self.y
+            rows.append((self.time_s, x.reading, x.angle_rad, y.reading, y.angle_rad))
+        columns = np.array(rows).T
+        return BenchRecord(columns[0], Reading(*columns[1:3]), Reading(*columns[3:5]))
+
+    def _step(self) -> None:
+        """One period: the drums move, and the cable slides as far as friction lets it."""
+        self.time_s += self._period_s
+        for reel in (self.x, self.y):
+            if reel.scatter_due:
+                # Any approach meets other spots of cable and eyelets, at both.
+                for met in self._contacts:
+                    met.scatter = math.exp(met.eyelet.scatter * self._random.standard_normal())
+                reel.scatter_due = False
+            reel.advance(self._period_s)
+        before = self.x.slid_m, self.y.slid_m
+        self._slide()
+        share = self._period_s / (_SLIDING_MEMORY_s + self._period_s)
+        for reel, contact, slid in zip((self.x, self.y), self._contacts, before, strict=True):
+            velocity = abs(reel.slid_m - slid) / self._period_s
+            contact.velocity_m_s += share * (velocity - contact.velocity_m_s)
+
+    def _slide(self) -> None:
+        """Lets the eyelets slide until neither holds more than its friction can."""
+        x, y = self.x, self.y
+        B_x, B_y = (
+            contact.ratio(reel.tension_N)
+            for reel, contact in zip((x, y), self._contacts, strict=True)
+        )
+        for _ in range(_ROUNDS):
+            before_x, before_y = x.slid_m, y.slid_m
+            share_x = self._slide_one(x, y, B_x)
+            share_y = self._slide_one(y, x, B_y)
+            if share_x and share_y:
+                self._slide_both(share_x, share_y, x.slid_m - before_x, y.slid_m - before_y)
+            elif not (share_x or share_y):
+                break
+        for reel in (x, y):
+            reel.tension_N = reel.model.stiffness_N_m * (reel.wound_m - reel.slid_m)
+        if not (min(x.tension_N, y.tension_N) > 0.0 and x.slid_m + y.slid_m > 0.0):
+            raise PlantError(
+                f"the cable became slack at {self.time_s:.2f} s; raise the tension at which the "
+                "reels start or turn round"
+            )
+
+    def _slide_one(self, reel: SimulatedReel, other: SimulatedReel, B: float) -> float:
+        """Slides the cable at one eyelet, and returns `dT_o/dw` of its drum; 0 where it sticks."""
+        k, k_o = reel.model.stiffness_N_m, self._outer_N_m
+        inside = k * (reel.wound_m - reel.slid_m)
+        outside = k_o * (reel.slid_m + other.slid_m)
+        if B * inside - outside > _ROUNDING_N:
+            share = B * k  # slides in until T_o = B T
+        elif outside - inside / B > _ROUNDING_N:
+            share = k / B  # slides out until T = B T_o
+        else:
+            return 0.0
+        reel.slid_m = (share * reel.wound_m - k_o * other.slid_m) / (k_o + share)
+        return share
+
+    def _slide_both(self, share_x: float, share_y: float, first_x: float, first_y: float) -> None:
+        """Where both slide, slides them on to where they come to rest together.
+
+        Not where one of them would have to slide back for that: it sticks.
+        """
+        x, y = self.x, self.y
+        outer = (x.wound_m + y.wound_m) / (1.0 / self._outer_N_m + 1.0 / share_x + 1.0 / share_y)
+        on_x = x.wound_m - outer / share_x - x.slid_m
+        on_y = y.wound_m - outer / share_y - y.slid_m
+        if on_x * first_x >= 0.0 and on_y * first_y >= 0.0:
+            x.slid_m += on_x
+            y.slid_m += on_y
+
+    def _disturbances(self, samples: int) -> FloatArray:
+        """Noise and wander of both gauges, N, shape (samples, 2)."""
+        drawn = np.empty((samples, 2))
+        for n, reel in enumerate((self.x, self.y)):
+            gauge = reel.model.gauge
+            drawn[:, n] = gauge.noise_N * self._random.standard_normal(samples)
+            if gauge.wander_N > 0.0:
+                kept = math.exp(-self._period_s / gauge.wander_s)
+                push = gauge.wander_N * math.sqrt(1.0 - kept**2)
+                for k, kick in enumerate(self._random.standard_normal(samples).tolist()):
+                    self._wander[n] = kept * self._wander[n] + push * kick
+                    drawn[k, n] += self._wander[n]
+        return drawn

@@ -1,0 +1,129 @@
+"""What a simulated two-reel bench is made of: eyelets, gauges, controllers."""
+
+import math
+from dataclasses import dataclass, field
+
+from estune.errors import InvalidInput
+from plants.two_reel_bench.friction_ratio import attenuation
+
+
+@dataclass(frozen=True, slots=True)
+class Eyelet:
+    """Friction where the cable enters a reel.
+
+    The coefficient at rest falls to a dynamic one with the velocity, (10), may grow with it, and
+    with the tension inside where friction does not follow Coulomb's law.
+
+    Attributes:
+        coefficient: Static friction coefficient C_R at no tension.
+        angles_rad: Angle gamma at each contact between gauge and free cable, rad.
+        dynamic_share: Dynamic over static coefficient.
+        stribeck_m_s: Velocity by which it has fallen, m/s.
+        viscous_s_m: Growth of the coefficient with velocity, s/m.
+        growth_per_N: Growth of the coefficient with tension, 1/N.
+        scatter: How much the coefficient differs from one approach to the next, relative, rms.
+    """
+
+    coefficient: float = 0.1
+    angles_rad: tuple[float, ...] = (2.1,)
+    dynamic_share: float = 1.0
+    stribeck_m_s: float = 0.02
+    viscous_s_m: float = 0.0
+    growth_per_N: float = 0.0
+    scatter: float = 0.005
+
+    def __post_init__(self) -> None:
+        attenuation(self.coefficient, *self.angles_rad)
+        shares = {
+            "dynamic_share": self.dynamic_share,
+            "viscous_s_m": self.viscous_s_m,
+            "scatter": self.scatter,
+        }
+        for name, value in shares.items():
+            if not (math.isfinite(value) and value >= 0.0):
+                raise InvalidInput(f"{name} is {value}; it must be zero or above")
+        if not (math.isfinite(self.stribeck_m_s) and self.stribeck_m_s > 0.0):
+            raise InvalidInput(f"stribeck_m_s is {self.stribeck_m_s}; it must be above zero")
+
+    def coefficient_at(self, tension_N: float, velocity_m_s: float = 0.0) -> float:
+        """Friction coefficient C_R at a tension inside and a sliding velocity."""
+        static = self.coefficient + self.growth_per_N * tension_N
+        fade = math.exp(-((velocity_m_s / self.stribeck_m_s) ** 2))
+        share = self.dynamic_share + (1.0 - self.dynamic_share) * fade
+        return static * share + self.viscous_s_m * abs(velocity_m_s)
+
+    def attenuation_at(self, tension_N: float, velocity_m_s: float = 0.0) -> float:
+        """Attenuation ratio B at a tension inside and a sliding velocity."""
+        coefficient = self.coefficient_at(tension_N, velocity_m_s)
+        return float(attenuation(coefficient, *self.angles_rad))
+
+
+@dataclass(frozen=True, slots=True)
+class Gauge:
+    """A strain gauge: `reading = zero + sensitivity (T + curvature T^2)` with its disturbances.
+
+    Attributes:
+        zero: Reading without tension, in its own unit.
+        sensitivity: Units per N.
+        curvature_per_N: Departure from a straight line, 1/N.
+        noise_N: Noise of one sample, N rms; 0.011 N is the reference reel's 0.04 N at 632 Hz,
+            averaged over the period of 50 Hz.
+        wander_N: Slow wander of the zero, N rms.
+        wander_s: Its correlation time, s.
+    """
+
+    zero: float = 0.0
+    sensitivity: float = 1.0
+    curvature_per_N: float = 0.0
+    noise_N: float = 0.011
+    wander_N: float = 0.0
+    wander_s: float = 30.0
+
+    def reading(self, tension_N: float) -> float:
+        """Reading without noise, in its own unit."""
+        return self.zero + self.sensitivity * tension_N * (1.0 + self.curvature_per_N * tension_N)
+
+
+@dataclass(frozen=True, slots=True)
+class Drive:
+    """How a reel's controllers follow.
+
+    Attributes:
+        force_lag_s: Time constant of the tension controller; small ones lead the other reel.
+        force_integral_s: Integral time of the tension controller, with which it follows a cable
+            that moves.
+        position_lag_s: Time in which a drum that gave way returns to its position.
+        give_m_N: How far it gives way per change of tension, m/N.
+        speed_damping_Ns_m: Force per velocity error at the cable, N s/m, under a force ramp.
+        return_m_s: How fast it returns to a position, m/s.
+        acceleration_m_s2: How fast it comes to a velocity, m/s2.
+    """
+
+    force_lag_s: float = 0.1
+    force_integral_s: float = 0.6
+    position_lag_s: float = 0.05
+    give_m_N: float = 1e-5
+    speed_damping_Ns_m: float = 200.0
+    return_m_s: float = 0.005
+    acceleration_m_s2: float = 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class ReelModel:
+    """One reel of the bench.
+
+    Attributes:
+        eyelet: Friction at its eyelet.
+        gauge: Its strain gauge.
+        drive: Its controllers.
+        drum_radius_m: Radius of the drum, m.
+        counts: Encoder counts per turn.
+        stiffness_N_m: Stiffness between drum and eyelet, structure, gauge and cable, N/m.
+    """
+
+    eyelet: Eyelet = field(default_factory=Eyelet)
+    gauge: Gauge = field(default_factory=Gauge)
+    drive: Drive = field(default_factory=Drive)
+    drum_radius_m: float = 0.025
+    counts: int = 8192
+    stiffness_N_m: float = 14e3

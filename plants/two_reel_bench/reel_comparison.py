@@ -1,0 +1,100 @@
+"""Whether the two reels of a bench have the same friction, and how much each has."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from estune.core.quantities import FloatArray
+from estune.errors import InvalidInput
+from plants.identify.second_order import Estimate
+from plants.two_reel_bench.evaluation import TwoReelResult
+from plants.two_reel_bench.friction_ratio import attenuation
+from plants.two_reel_bench.mean_estimate import SUSPICIOUS, chance, student
+
+_WORST_CONDITION = 1e3
+"""How much measurements that bend the cable nearly alike may blow up their errors."""
+
+
+class Likeness(NamedTuple):
+    """Whether two reels have the same friction coefficient.
+
+    Attributes:
+        coefficient_x: Friction coefficient C_R of X alone.
+        coefficient_y: Friction coefficient C_R of Y alone.
+        chance: How likely two reels that are alike are to seem so different.
+    """
+
+    coefficient_x: Estimate
+    coefficient_y: Estimate
+    chance: float
+
+    @property
+    def alike(self) -> bool:
+        """Whether the measurements do not contradict that the reels are alike."""
+        return self.chance >= SUSPICIOUS
+
+
+def likeness(first: TwoReelResult, second: TwoReelResult) -> Likeness:
+    """Tells the friction of the two reels apart, from two measurements with different angles.
+
+    One measurement shows `B_X B_Y` alone, as the cable passes both eyelets in series. With Y bent
+    as X was and X as Y was, reels that are alike give the same product again, and unequal ones do
+    not: two losses `-ln B_X - ln B_Y` for two coefficients, solved by Newton's method. Nothing
+    else may have changed in between.
+
+    Args:
+        first: One measurement.
+        second: Another of the same reels and setpoints, with other angles.
+
+    Raises:
+        InvalidInput: the angles do not tell the reels apart, or no two coefficients explain both
+            measurements.
+    """
+    runs = first, second
+    wanted = np.array([-2.0 * np.log(run.attenuation.value) for run in runs])
+    C = np.full(2, np.mean([run.friction_coefficient.value for run in runs]))
+    for _ in range(50):
+        losses, slopes = _losses(C, runs)
+        if np.linalg.cond(slopes) > _WORST_CONDITION:
+            raise InvalidInput(
+                "the two measurements bend the cable alike at both reels, and do not tell them "
+                "apart; exchange the angles of X and Y, with a sharper bend at one of them"
+            )
+        inverse = np.linalg.inv(slopes)
+        change = inverse @ (wanted - losses)
+        C = C + change
+        if not ((C > 0.0) & (C < 1.0)).all():
+            break
+        if (np.abs(change) <= 1e-10 * C).all():
+            return _likeness(C, np.asarray(inverse, dtype=np.float64), runs)
+    raise InvalidInput(
+        "no friction coefficients between 0 and 1 explain both measurements; check the angles, "
+        "and that nothing else was changed in between"
+    )
+
+
+def _losses(C: FloatArray, runs: tuple[TwoReelResult, ...]) -> tuple[FloatArray, FloatArray]:
+    """`-ln B_X - ln B_Y` of each measurement, shape (2,), and slopes in C_X, C_Y, shape (2, 2)."""
+
+    def loss(coefficient: float, angles_rad: tuple[float, ...]) -> float:
+        return -float(np.log(attenuation(coefficient, *angles_rad)))
+
+    h = 1e-6 * C
+    parts = np.empty((3, 2, 2))
+    for n, run in enumerate(runs):
+        for side, angles in enumerate((run.angles_x_rad, run.angles_y_rad)):
+            for k, shift in enumerate((0.0, -h[side], h[side])):
+                parts[k, n, side] = loss(float(C[side] + shift), angles)
+    return parts[0].sum(axis=1), (parts[2] - parts[1]) / (2.0 * h)
+
+
+def _likeness(C: FloatArray, inverse: FloatArray, runs: tuple[TwoReelResult, ...]) -> Likeness:
+    error = np.array([2.0 * r.attenuation.standard_error / r.attenuation.value for r in runs])
+    freedom = sum(run.ratios.shape[0] - 1 for run in runs)
+    width = student(runs[0].probability, freedom)
+    x, y = (
+        Estimate(float(c), float(e), float(c - width * e), float(c + width * e), "")
+        for c, e in zip(C, np.hypot(*(inverse * error).T), strict=True)
+    )
+    apart = float(np.hypot(*((inverse[0] - inverse[1]) * error)))
+    return Likeness(x, y, chance(x.value - y.value, apart, freedom))

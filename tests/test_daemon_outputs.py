@@ -1,0 +1,186 @@
+"""What the daemon tells others: metrics, hooks, log lines."""
+
+import http.client
+import json
+import logging
+import re
+import subprocess
+import threading
+import time
+from dataclasses import replace
+
+import pytest
+
+from estune.daemon.config import HookTable
+from estune.daemon.events import Event, Kind
+from estune.daemon.hooks import WAITING_MAX, Hooks
+from estune.daemon.logs import JsonLines, PlainLines
+from estune.daemon.metrics import render, write_metrics
+from estune.remote.messages.daemon import (
+    DaemonStatus,
+)
+from tests.support_daemon import ORIGINAL, WITHIN_S, daemon, rig_served, rig_table
+
+
+def status(**changes) -> DaemonStatus:
+    plain = DaemonStatus(
+        rig="drum",
+        instance="1",
+        mode="watching",
+        sentence="",
+        paused="",
+        trouble="",
+        live="accepted",
+        home="accepted",
+        why="",
+        gains={"original": ORIGINAL, "accepted": ORIGINAL},
+        found="",
+        run="r",
+        trials=30,
+        trials_max=40,
+        baseline_cost=1.25,
+        cost=None,
+        drift=-0.5,
+        checks=7,
+        next_check_s=1.0,
+        since="",
+    )
+    return replace(plain, **changes)
+
+
+def parsed(text: str) -> dict[tuple[str, frozenset], float]:
+    """Prometheus' text format, read strictly."""
+    found = {}
+    for line in text.removesuffix("\n").split("\n"):
+        if line.startswith("#"):
+            assert re.fullmatch(r"# (HELP [a-z_]+ .+|TYPE [a-z_]+ (gauge|counter))", line)
+            continue
+        match = re.fullmatch(r"([a-z_]+)\{(.*)\} (\S+)", line)
+        labels = re.findall(r'([a-z]+)="((?:[^"\\\n]|\\.)*)"', match[2])
+        key = match[1], frozenset(labels)
+        assert key not in found
+        found[key] = float(match[3])
+    return found
+
+
+def test_metrics_are_prometheus_text_and_say_what_the_status_says():
+    found = parsed(render([status(), status(rig='o"d\\d', mode="paused", live="")]))
+
+    def figure(name, rig="drum", **labels):
+        return found[name, frozenset({"rig": rig, **labels}.items())]
+
+    assert figure("estune_mode", mode="watching") == 1.0
+    assert figure("estune_mode", mode="paused") == 0.0
+    assert figure("estune_gains_live", set="accepted") == 1.0
+    assert figure("estune_gain", set="original", gain="P") == ORIGINAL.P
+    assert figure("estune_drift_ratio") == -0.5
+    assert ("estune_cost_ratio", frozenset({("rig", "drum")})) not in found
+    odd = r"o\"d\\d"
+    assert all(figure("estune_gains_live", odd, set=s) == 0.0 for s in ("original", "candidate"))
+
+
+def test_the_metrics_file_is_whole_whenever_it_is_read(tmp_path):
+    file, seen, over = tmp_path / "estune.prom", set(), threading.Event()
+    write_metrics(file, [status()])
+
+    def read():
+        while not over.is_set():
+            seen.add(len(parsed(file.read_text())))
+
+    reader = threading.Thread(target=read)
+    reader.start()
+    for _ in range(200):
+        write_metrics(file, [status()])
+    over.set()
+    reader.join()
+    assert seen == {len(parsed(render([status()])))}
+    assert [path.name for path in tmp_path.iterdir()] == ["estune.prom"]
+
+
+def test_metrics_are_in_the_file_and_on_loopback(tmp_path):
+    more = '[metrics]\nfile = "estune.prom"\nevery_s = 0.05\nhttp_port = 0'
+    with rig_served() as (_, where), daemon(tmp_path, rig_table("drum", where), more=more) as it:
+        it.until_mode("holding")
+        live = "estune_gains_live", frozenset({"rig": "drum", "set": "original"}.items())
+        answers = {}
+        for path in ("/metrics", "/other"):
+            connection = http.client.HTTPConnection("127.0.0.1", it.service.metrics_port)
+            connection.request("GET", path)
+            answer = connection.getresponse()
+            answers[path] = answer.status, answer.read().decode()
+            connection.close()
+        assert answers["/metrics"][0] == 200
+        assert parsed(answers["/metrics"][1])[live] == 1.0
+        assert answers["/other"][0] == 404
+        while parsed((tmp_path / "estune.prom").read_text()).get(live) != 1.0:
+            time.sleep(0.01)
+
+
+def event(kind=Kind.DRIFTED, number=1) -> Event:
+    return Event("drum", number, "2009-05-04T12:00:00+02:00", kind, "the cost", {"cost": 1.5})
+
+
+def test_hooks_get_the_events_they_ask_for_as_json(tmp_path):
+    out = tmp_path / "out"
+    hook = HookTable(
+        command=["sh", "-c", f"cat >> {out}; echo >> {out}"], events=[Kind.DRIFTED, Kind.LOST]
+    )
+    hooks = Hooks([hook])
+    for kind in (Kind.DRIFTED, Kind.GAINS, Kind.LOST):
+        hooks.tell(event(kind))
+    hooks.close(WITHIN_S)
+    told = [json.loads(line) for line in out.read_text().splitlines()]
+    assert [line["kind"] for line in told] == ["drifted", "lost"]
+    assert told[0] == {
+        "rig": "drum",
+        "number": 1,
+        "at": "2009-05-04T12:00:00+02:00",
+        "kind": "drifted",
+        "sentence": "the cost",
+        "facts": {"cost": 1.5},
+    }
+
+
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [
+        (["sh", "-c", "echo no printer >&2; exit 3"], "code 3 at drifted: no printer"),
+        (["/no/such/program"], "cannot be run: No such file"),
+        (["sh", "-c", "sleep 1000; true"], "killed after 0.05 s"),
+        (["true"], ""),
+    ],
+)
+def test_hooks_that_fail_are_logged(command, words, caplog):
+    hooks = Hooks([HookTable(command=command, timeout_s=0.05 if "sleep" in command[-1] else 10.0)])
+    hooks.tell(event())
+    hooks.close(WITHIN_S)
+    assert words in caplog.text
+    assert bool(caplog.text) is bool(words)
+
+
+def test_a_hook_that_hangs_keeps_nobody_waiting(tmp_path, caplog):
+    fifo = tmp_path / "go"
+    subprocess.run(["mkfifo", fifo], check=True)
+    hooks = Hooks([HookTable(command=["sh", "-c", f"read line < {fifo}"], timeout_s=30.0)])
+    hooks.tell(event())
+    while not hooks._waiting.empty():
+        time.sleep(0.01)
+    for number in range(WAITING_MAX + 1):
+        hooks.tell(event(number=number))
+    assert "too slow" in caplog.text
+    hooks._hooks = ()
+    while not hooks._waiting.empty():
+        hooks._waiting.get_nowait()
+    fifo.write_text("go\n")
+    hooks.close(WITHIN_S)
+
+
+def test_log_lines_are_json_with_the_rig_and_the_event_and_plain_on_a_terminal():
+    record = logging.LogRecord("estune.daemon", logging.WARNING, "", 0, "%s", ("drift\nb",), None)
+    record.rig, record.event, record.facts = "drum", "drifted", {"cost": 1.5}
+    line = JsonLines().format(record)
+    assert "\n" not in line
+    told = json.loads(line)
+    assert (told["level"], told["message"], told["rig"]) == ("warning", "drift\nb", "drum")
+    assert (told["event"], told["facts"]) == ("drifted", {"cost": 1.5})
+    assert PlainLines().format(record).endswith("drum: warning: drift\nb")

@@ -1,0 +1,165 @@
+"""The residual of a base model is traced to its block, regime and band before any fit."""
+
+import json
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.signal import lfilter
+
+from estune.trial import LinearModel, TrialRequest
+from plants import reference_reel
+from plants.diagnosis.data.measured_record import Measurement
+from plants.diagnosis.data.noise_floor import noise_floor
+from plants.diagnosis.data.smoothing import Smoother
+from plants.diagnosis.models.base import BaseNumbers
+from plants.diagnosis.residual.dependence import independent_share
+from plants.diagnosis.residual.localisation import localise
+from plants.effects import (
+    CableStiffening,
+    CoulombFriction,
+    DeadTime,
+    EyeletFriction,
+    GaugeDrift,
+    MainsInterference,
+    TorqueRipple,
+)
+from plants.identify.excitation import Band, chirp, multisine
+from plants.identify.open_loop import open_loop_record
+
+BASE = reference_reel()
+SINES = multisine(BASE.sampling_Hz, Band(1.0, 60.0, periods=3), 4.0)
+SWEEP = chirp(BASE.sampling_Hz, Band(1.0, 30.0, period_s=4.0), 4.0)
+
+
+@cache
+def where(*effects):
+    """The localisation of a reel with these effects, by the plain reel."""
+    reel = BASE
+    for effect in effects:
+        reel = reel + effect
+    rig = reel.rig()
+    about = rig.describe()
+    records = [
+        open_loop_record(reel, SINES, seed=1),
+        open_loop_record(reel, SWEEP, seed=2),
+        rig.run(TrialRequest("r", 0, about.gains, about.step)),
+    ]
+    measurements = [Measurement.of(record) for record in records]
+    return localise(
+        measurements, [BaseNumbers.of(BASE, m) for m in measurements], noise_floor(measurements)
+    )
+
+
+def test_without_an_effect_no_block_is_above_its_noise_and_no_line_is_distorted():
+    found = where()
+    assert {block.name for block in found.blocks} == {"force", "gauge"}
+    assert all(0.5 < block.ratio < 1.2 for block in found.blocks)
+    assert all(max(d.even_dB, d.odd_dB) < 3.0 for d in found.distortion)
+    assert "stands out" in found.sentence
+
+
+TRACED = {
+    "coulomb": (CoulombFriction(0.03), "force", {"velocity sign", "velocity"}, "force block"),
+    "eyelet": (EyeletFriction(), "eyelet", {"velocity sign and tension"}, "eyelet"),
+    "ripple": (TorqueRipple(), "force", {"position period", "angle", "tension"}, "force block"),
+    "late": (DeadTime(), "force", {"command rate"}, "force block"),
+    "stiffening": (CableStiffening(), "gauge", {"tension"}, "cable"),
+    "drift": (GaugeDrift(), "gauge", {"time"}, "gauge's reading"),
+}
+
+
+@pytest.mark.parametrize("case", TRACED)
+def test_an_effect_is_traced_to_its_block_and_its_variable(case):
+    effect, name, regimes, title = TRACED[case]
+    found = where(effect)
+    first = found.blocks[0]
+    assert (first.name, first.title) == (name, title)
+    assert first.regime is not None
+    assert first.regime.name in regimes
+    assert f"The {title}" in found.sentence
+    assert first.regime.name in found.sentence
+
+
+def test_mains_is_found_by_its_band_and_by_no_variable():
+    first = where(MainsInterference()).blocks[0]
+    assert (first.name, first.regime) == ("gauge", None)
+    assert 45.0 < first.low_Hz <= first.high_Hz < 65.0
+
+
+def test_free_lines_tell_an_odd_law_from_an_even_one():
+    for effect, odd_is_more in ((CoulombFriction(0.03), True), (CableStiffening(), False)):
+        shown = [d for d in where(effect).distortion if "multisine" in d.source]
+        assert [d.channel for d in shown] == ["tension_N", "angle_rad"]
+        for d in shown:
+            more, less = (d.odd_dB, d.even_dB) if odd_is_more else (d.even_dB, d.odd_dB)
+            assert more > 8.0 + less
+            assert less < 6.0
+
+
+@pytest.mark.parametrize("missing", ["angle_rad", "tension_N"])
+def test_friction_is_found_with_one_sensor_alone(missing):
+    reel = BASE + CoulombFriction(0.03)
+    records = [Measurement.of(open_loop_record(reel, e, seed=1)) for e in (SINES, SWEEP)]
+    records = [replace(m, **{missing: None}) for m in records]
+    found = localise(records, [BaseNumbers.of(BASE, m) for m in records], noise_floor(records))
+    (block,) = found.blocks
+    assert block.name == "force"
+    assert block.ratio > 2.0
+    assert block.regime.name in ("velocity", "velocity sign", "velocity sign and tension")
+
+
+@pytest.mark.parametrize("rate", [120.0, 5000.0])
+def test_a_hardening_spring_is_found_in_a_plant_of_any_size_and_rate(rate):
+    """m y'' + c y' + k y + k3 y^3 = u, integrated here, at two scales of time and size."""
+    size, w = 1e-3, 2.0 * np.pi * rate / 40.0
+    n = 4000
+    rng = np.random.default_rng(3)
+    u = np.repeat(rng.normal(0.0, 1.0, n // 4), 4)
+
+    def slope(t, x):
+        force = u[min(int(t * rate), n - 1)]
+        return [x[1], w**2 * (force - x[0] - 0.05 * x[0] ** 3) - 0.2 * w * x[1]]
+
+    t = np.arange(n) / rate
+    y = solve_ivp(slope, (0.0, t[-1]), [0.0, 0.0], t_eval=t, max_step=1.0 / rate, rtol=1e-8).y[0]
+    m = Measurement(
+        *("spring", "", rate, None, 0.0, "open", "custom", None, t, u),
+        *(None, size * (y + rng.normal(0.0, 1e-3, n)), None, None, None),
+    )
+    model = LinearModel(((0.0, 1.0), (-(w**2), -0.2 * w)), (0.0, size * w**2), (1.0, 0.0))
+    found = localise([m], [BaseNumbers(1.0, rate, linear=model)], noise_floor([m]))
+    (block,) = found.blocks
+    assert (block.name, block.regime.name) == ("plant", "tension")
+    assert block.regime.share > 0.5
+
+
+def test_smoothed_derivatives_are_those_of_the_smoothed_signal():
+    t = np.arange(4000) / 1000.0
+    w, width = 2.0 * np.pi * 12.0, 0.004
+    smoother = Smoother(width, 1000.0)
+    damped = np.exp(-0.5 * (w * width) ** 2)
+    inside = slice(100, -100)
+    expected = damped * (
+        2.0 * np.sin(w * t) + 3.0 * w * np.cos(w * t) - 0.1 * w**2 * np.sin(w * t)
+    )
+    found = smoother.sampled(np.sin(w * t), 2.0, 3.0, 0.1)
+    assert np.allclose(found[inside], expected[inside], rtol=0.0, atol=1e-4 * w**2)
+    # A straight line that is held lags half a sample, and by the delay.
+    held = smoother.held(t, 0.0123, 1.0)
+    assert np.allclose(held[inside], t[inside] - 0.0005 - 0.0123, atol=1e-9)
+
+
+def test_independent_samples_of_an_autoregression_are_counted():
+    rng = np.random.default_rng(4)
+    a, n = 0.8, 200_000
+    x = lfilter([1.0], [1.0, -a], rng.standard_normal(n))
+    assert independent_share(x) == pytest.approx((1.0 - a**2) / (1.0 + a**2), rel=0.05)
+
+
+def test_the_localisation_goes_to_json():
+    found = json.loads(json.dumps(where(CoulombFriction(0.03)).to_json(), allow_nan=False))
+    assert (found["block"], found["regime"]) == ("force", found["blocks"][0]["regime"])
+    assert found["sentence"].startswith("The force block")

@@ -1,0 +1,123 @@
+"""Remarks, on costs and margins for which it is known what is to be said."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from estune.core.gains import Gains
+from estune.core.margins import Margins
+from estune.run.result_warnings import at_bounds, flat_directions, near_limits, thin_margins
+from estune.tuners.search_space import SearchSpace
+
+BEST = (1.0, 10.0, 0.01, 0.005)
+SPACE = SearchSpace.around(Gains(*BEST))
+NOISE = 0.01
+
+
+def findings(cost, *, trials=120, noise=NOISE, seed=0):
+    """What is said of a cost of the logarithms, sampled about its best with noise."""
+    random = np.random.default_rng(seed)
+    z = random.normal(0.0, 0.5, (trials, 4))
+    costs = np.array([cost(row) for row in z]) + noise * random.normal(size=trials)
+    return flat_directions(
+        SPACE, BEST, cost(np.zeros(4)), points=BEST * np.exp(z), costs=costs, noise=noise
+    )
+
+
+def flat(found):
+    return {f.parameters for f in found if f.kind == "flat"}
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_parameter_the_cost_does_not_know_is_named_with_how_far_it_may_move(seed):
+    found = findings(lambda z: 1.0 + z[0] ** 2 + 2.0 * z[1] ** 2 + z[3] ** 2, seed=seed)
+    assert flat(found) == {("D",)}
+    assert "D may move by a factor" in found[0].sentence
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_two_parameters_of_which_only_the_product_counts_are_named_together(seed):
+    found = findings(lambda z: 1.0 + 2.0 * (z[0] + z[1]) ** 2 + z[2] ** 2 + z[3] ** 2, seed=seed)
+    assert flat(found) == {("P", "I")}
+    ways = next(f.sentence for f in found if f.kind == "flat")
+    assert ("raising P" in ways) == ("lowering I" in ways)
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize(
+    "cost",
+    [
+        lambda z: 1.0 + z @ z,
+        lambda z: np.cosh(z[0]) + np.cosh(2.0 * z[1]) + np.exp(z[2]) - z[2] + z[3] ** 2,
+        lambda z: 1.0 + (z[0] + z[1]) ** 2 + (z[0] - z[1]) ** 2 + z[2] ** 2 + z[3] ** 2,
+    ],
+    ids=["a bowl", "not a quadratic", "a turned bowl"],
+)
+def test_a_cost_that_depends_on_everything_has_no_flat_direction(cost, seed):
+    assert not flat(findings(cost, seed=seed))
+
+
+@given(trials=st.integers(0, 20), seed=st.integers(0, 99))
+def test_too_few_trials_claim_nothing(trials, seed):
+    found = findings(lambda z: 1.0 + z[0] ** 2, trials=trials, seed=seed)
+    assert [f.kind for f in found] == ["unknown"]
+    assert found[0].parameters == SPACE.names
+
+
+def test_what_the_trials_did_not_explore_is_not_called_flat():
+    random = np.random.default_rng(1)
+    z = random.normal(0.0, 0.5, (120, 4)) * (1.0, 1.0, 0.05, 1.0)
+    costs = 1.0 + z[:, 0] ** 2 + z[:, 1] ** 2 + z[:, 3] ** 2 + NOISE * random.normal(size=120)
+    found = flat_directions(SPACE, BEST, 1.0, points=BEST * np.exp(z), costs=costs, noise=NOISE)
+    assert not flat(found)
+    assert any(f.kind == "unknown" and "D" in f.parameters for f in found)
+
+
+def test_without_repeats_nothing_is_said_of_flatness():
+    found = findings(lambda z: 1.0 + z[0] ** 2, noise=float("nan"))
+    assert [f.kind for f in found] == ["unknown"]
+
+
+@pytest.mark.parametrize(
+    ("factors", "named"),
+    [
+        ((1.0, 1.0, 1.0, 1.0), {}),
+        ((100.0, 1.0, 1.0, 1.0), {"P": "upper"}),
+        ((1.0, 0.01, 1.0, 97.0), {"I": "lower", "setpoint_filter_s": "upper"}),
+        ((50.0, 0.02, 1.0, 1.0), {}),
+    ],
+)
+def test_only_parameters_at_a_bound_are_named_with_the_side(factors, named):
+    found = at_bounds(SPACE, tuple(np.multiply(BEST, factors)))
+    sides = {f.parameters[0]: f.sentence for f in found}
+    assert sides.keys() == named.keys()
+    assert all(f"at its {side} bound" in sides[name] for name, side in named.items())
+
+
+@pytest.mark.parametrize(
+    ("share", "words"),
+    [(math.inf, None), (0.3, None), (0.11, "leaves 11% of the room"), (-0.2, "leaves 0%")],
+)
+def test_a_response_near_a_limit_of_the_rig_is_said(share, words):
+    said = [finding.sentence for finding in near_limits(share)]
+    assert len(said) == (words is not None)
+    assert all(words in sentence for sentence in said)
+
+
+@pytest.mark.parametrize(
+    ("found", "words"),
+    [
+        (Margins(4.0, 55.0, 5.0, 20.0, stable=True), None),
+        (Margins(4.0, 20.0, 5.0, 20.0, stable=True), "phase margin of 20°"),
+        (Margins(1.5, 55.0, 5.0, 20.0, stable=True), "gain margin of 1.5"),
+        (Margins(math.nan, math.nan, math.nan, math.nan, stable=False), "unstable"),
+        (None, None),
+    ],
+)
+def test_margins_thinner_than_usual_are_said(found, words):
+    said = [finding.sentence for finding in thin_margins(found)]
+    assert len(said) == (words is not None)
+    assert all(words in sentence for sentence in said)
