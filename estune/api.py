@@ -11,7 +11,7 @@ from estune.core.gains import Gains
 from estune.errors import EstuneError, InvalidInput, JournalError, RigError
 from estune.run import archived_run, loop, progress, result
 from estune.run.journal import Journal
-from estune.run.loop import Asker, Stopped, Tuning, Watcher
+from estune.run.loop import ApprovalCallback, ProgressListener, Stopped, TuningRun
 from estune.run.plan import (
     DEFAULT_TUNER,
     description_from_json,
@@ -51,8 +51,8 @@ def tune(
     journal: bool = True,
     rig: str | None = None,
     security: "Security | None" = None,
-    watch: Watcher | Literal["auto"] | None = "auto",
-    ask: Asker | None = None,
+    watch: ProgressListener | Literal["auto"] | None = "auto",
+    ask: ApprovalCallback | None = None,
 ) -> TuneResult:
     """Tunes the PIDF gains of a rig by step trials.
 
@@ -136,8 +136,8 @@ def resume(
     target: Any = None,
     *,
     security: "Security | None" = None,
-    watch: Watcher | Literal["auto"] | None = "auto",
-    ask: Asker | None = None,
+    watch: ProgressListener | Literal["auto"] | None = "auto",
+    ask: ApprovalCallback | None = None,
 ) -> TuneResult:
     """Goes on with a run that was stopped, with the proposals it would have made undisturbed.
 
@@ -181,11 +181,14 @@ def load(run_folder: str | Path) -> TuneResult:
         try:
             return result.from_tuning(loop.replay(*_stored(journal), journal))
         except JournalError:
-            return result.from_tuning(archived_run.recalled(journal))
+            return result.from_tuning(archived_run.load_finished(journal))
 
 
 def _run(
-    tuning_: Tuning, rig: Rig, watch: Watcher | Literal["auto"] | None, ask: Asker | None
+    tuning_: TuningRun,
+    rig: Rig,
+    watch: ProgressListener | Literal["auto"] | None,
+    ask: ApprovalCallback | None,
 ) -> TuneResult:
     with (
         _noted(tuning_),
@@ -196,7 +199,7 @@ def _run(
 
 
 @contextlib.contextmanager
-def _noted(tuning_: Tuning) -> Iterator[None]:
+def _noted(tuning_: TuningRun) -> Iterator[None]:
     """Notes in the journal how a run ended, and closes it."""
     journal = tuning_.journal
     facts: dict[str, Any] = {}

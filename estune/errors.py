@@ -12,7 +12,7 @@
     └── UnsafeStart        6  no safe gains to begin from or to fall back on
 
 Each message is one line: what is wrong, where, and what to do about it. The number is the exit
-code of the command line. A trial that fails is not an exception but data: `estune.trial.Outcome`.
+code of the command line. A trial that fails is not an exception but data: `estune.trial.CellOutcome`.
 A tuning that ends with no significant improvement is none either: it is a result, and its exit
 code is 7.
 """

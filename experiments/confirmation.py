@@ -20,8 +20,8 @@ from joblib import Parallel, delayed
 
 from estune.core.gains import Gains
 from estune.run.plan import DEFAULT_TUNER, make_tuner
-from estune.run.session import Plan, begin, next_request, told
-from estune.run.summary import verdict
+from estune.run.session import Plan, after_trial, new_session, next_request
+from estune.run.summary import summarise
 from estune.support import plot_style
 from estune.trial import Outcome
 from experiments.judged import Target, at_most, between, command_line, tell
@@ -99,11 +99,11 @@ def claim(situation: Situation, seed: int) -> Claim:
     factors = 1.0 + NOISE * random.standard_normal(plan.most_trials)
     factors *= 1.0 + situation.drift * np.linspace(0.0, 1.0, plan.most_trials)
     factors[random.random(plan.most_trials) < situation.spoilt_share] *= SPOILT
-    session = begin(plan)
+    session = new_session(plan)
     while (request := next_request(session)) is not None:
         cost = _quiet(request.gains) * float(factors[request.number])
-        session = told(session, Outcome.DONE, cost)
-    said, found = verdict(session), session.found or start
+        session = after_trial(session, Outcome.DONE, cost)
+    said, found = summarise(session), session.candidate or start
     return Claim(
         situation=situation.name,
         searched=session.searched,

@@ -32,9 +32,9 @@ from estune.remote.messages import (
     Void,
     digest,
 )
-from estune.remote.zenoh.dispatcher import Desk
-from estune.remote.zenoh.request_handler import Attendant
-from estune.trial import RigDescription, TrialRecord, TrialRequest, record_frame, unmeasured
+from estune.remote.zenoh.dispatcher import MessageDispatcher
+from estune.remote.zenoh.request_handler import RequestHandler
+from estune.trial import RigDescription, TrialRecord, TrialRequest, empty_record, record_frame
 from estune.trial.profiles import (
     AnyProfile,
     ChirpProfile,
@@ -72,7 +72,7 @@ class CountingRig:
     def run(self, request: TrialRequest) -> TrialRecord:
         """A record without samples."""
         self.asked.append(request)
-        record = unmeasured(request, self.describe(), RECORD.outcome, "", RECORD.started_at)
+        record = empty_record(request, self.describe(), RECORD.outcome, "", RECORD.started_at)
         return replace(record, gains=request.gains)
 
     def apply(self, gains: Gains) -> None:
@@ -172,8 +172,8 @@ class Fuzz:
     def __init__(self, seed: int) -> None:
         self.random = Random(seed)  # noqa: S311  nothing here is secret
         self.rig = CountingRig()
-        self.attendant = Attendant(self.rig, MemoryLedger(), lambda: None)
-        self.desk = Desk(self.attendant, "0f", "0f")
+        self.attendant = RequestHandler(self.rig, MemoryLedger(), lambda: None)
+        self.desk = MessageDispatcher(self.attendant, "0f", "0f")
         self.seeds = seeds()
         self.told: Counter[str] = Counter()
         self.faults: list[str] = []

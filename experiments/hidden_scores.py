@@ -8,7 +8,7 @@ from typing import Any
 import plants
 from estune.core.gains import Gains
 from experiments import hidden_machines
-from plants.diagnosis.data.measured_record import Measurement
+from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.effects import EFFECTS
 from plants.models.unloaded_reel import UnloadedReel
 
@@ -112,10 +112,10 @@ class Row:
         return cls(**values)
 
 
-def measurement(record: hidden_machines.Record) -> Measurement:
+def measurement(record: hidden_machines.Record) -> MeasuredRecord:
     """A record as the workflow takes it."""
     about, columns = record.metadata, record.columns
-    return Measurement(
+    return MeasuredRecord(
         name=about["trial_id"],
         rig=about["rig"],
         sampling_Hz=about["sampling_Hz"],

@@ -22,8 +22,8 @@ from estune.core.pidf import ControllerSettings
 from estune.remote import messages
 from estune.remote.messages import Answer, Description, Keys, Status
 from estune.remote.state_machine import client, rig, state
-from estune.remote.state_machine.client import Heard, Stage
-from estune.remote.state_machine.reply_codes import Verdict
+from estune.remote.state_machine.client import ClientInput, ClientStage
+from estune.remote.state_machine.reply_codes import ReplyCode
 from estune.remote.state_machine.state import Mode
 from estune.remote.state_machine.trials import TABLE, TrialEvent, TrialState
 from estune.remote.zenoh import rig_connection, rig_server, zenoh_session
@@ -87,7 +87,7 @@ EXAMPLES: tuple[Any, ...] = (
     messages.Estop("anna: the cable smokes"),
     messages.Clear(),
     messages.Inquire(messages.digest(REQUEST), 1024, 1024),
-    Answer(Verdict.HELD, sentence="the rig is held by anna@lab, process 4711"),
+    Answer(ReplyCode.HELD, sentence="the rig is held by anna@lab, process 4711"),
     Status("9f3c01aa", Mode.RUNNING, REQUEST.trial_id, 7, "anna@lab, process 4711", ""),
     Description(DESCRIBED, "9f3c01aa", "d1a5c0de00000001"),
 )
@@ -137,7 +137,7 @@ def profiles() -> Iterator[str]:
 def verdicts() -> Iterator[str]:
     """The words of an answer."""
     yield "| verdict | meaning |\n| --- | --- |\n"
-    for verdict in Verdict:
+    for verdict in ReplyCode:
         yield f"| `{verdict}` | {verdict.sentence} |\n"
 
 
@@ -167,11 +167,11 @@ def trials() -> Iterator[str]:
 
 def clients() -> Iterator[str]:
     """What a client does with what it hears."""
-    stages = [stage for stage in Stage if stage is not Stage.OVER]
+    stages = [stage for stage in ClientStage if stage is not ClientStage.OVER]
     yield f"| heard | {' | '.join(stages)} |\n| --- |{' --- |' * len(stages)}\n"
     for heard, row in client.TABLE.items():
         cells = ("cannot be" if s is None else f"{s.action} (`{s.stage}`)" for s in row)
-        meaning = heard.sentence if isinstance(heard, Heard) else f"`{heard}`"
+        meaning = heard.sentence if isinstance(heard, ClientInput) else f"`{heard}`"
         yield f"| {meaning} | {' | '.join(cells)} |\n"
 
 
@@ -278,7 +278,7 @@ _PLAIN: dict[Any, str] = {
     type(None): "null",
     Outcome: "an outcome",
     **dict.fromkeys(PROFILES, "a profile"),
-    **dict.fromkeys((Verdict, Mode), "one of the words below"),
+    **dict.fromkeys((ReplyCode, Mode), "one of the words below"),
 }
 
 

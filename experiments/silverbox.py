@@ -16,7 +16,7 @@ import numpy as np
 import plants
 from estune.core.quantities import FloatArray
 from experiments.judged import command_line, tell
-from plants.diagnosis.data.measured_record import Measurement
+from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.models.diagnosed_model import diagnosed
 from plants.diagnosis.prediction.prediction import Predictor
 
@@ -55,7 +55,7 @@ def figures(data: Path) -> dict[str, Any]:
     }
 
 
-def _records(file: Path) -> tuple[Measurement, Measurement]:
+def _records(file: Path) -> tuple[MeasuredRecord, MeasuredRecord]:
     from scipy.io import loadmat  # noqa: PLC0415  slow to import
 
     found = loadmat(file)
@@ -63,9 +63,9 @@ def _records(file: Path) -> tuple[Measurement, Measurement]:
     return long, _measurement("multisine", found["U_val"].ravel(), found["Y_val"].ravel())
 
 
-def _measurement(name: str, u: FloatArray, y: FloatArray) -> Measurement:
+def _measurement(name: str, u: FloatArray, y: FloatArray) -> MeasuredRecord:
     """Volts in and out, in the columns of effort and measurement."""
-    return Measurement(
+    return MeasuredRecord(
         name=name,
         rig="silverbox",
         sampling_Hz=SAMPLING_HZ,
@@ -84,7 +84,7 @@ def _measurement(name: str, u: FloatArray, y: FloatArray) -> Measurement:
     )
 
 
-def _linear(record: Measurement) -> Any:
+def _linear(record: MeasuredRecord) -> Any:
     """The second-order system that follows the record best in free run."""
     import control  # noqa: PLC0415  slow to import
     from scipy.optimize import least_squares  # noqa: PLC0415
@@ -111,7 +111,7 @@ def _linear(record: Measurement) -> Any:
     return plants.linear_plant(control.tf(*system(best)), sampling_Hz=SAMPLING_HZ)
 
 
-def _nrmse(model: Any, record: Measurement) -> float:
+def _nrmse(model: Any, record: MeasuredRecord) -> float:
     """Error of the model's free run relative to the deviation of what was measured."""
     predictor = Predictor(diagnosed(model, [record]), (), [record], horizon_s=None)
     predicted = predictor.predict(predictor.start[None, :])[0].tension_N

@@ -24,7 +24,7 @@ import estune
 import plants
 from estune.studies.sweep.cell import noise_seed
 from estune.studies.sweep.design import read_design
-from estune.studies.sweep.expand import cells_of
+from estune.studies.sweep.expand import expand_cells
 from estune.studies.sweep.store import FILE_NAME
 from estune.trial import Rig
 from experiments.judged import at_most, command_line, tell
@@ -106,7 +106,7 @@ def killed(seeds: int, kills: int, seed: int = 0) -> Counts:
         file.write_text(json.dumps(design(seeds)))
         os.environ[LOG] = str(log)
         log.touch()
-        by_seed = {str(noise_seed(c)): c.key for c in cells_of(read_design(design(seeds)))}
+        by_seed = {str(noise_seed(c)): c.key for c in expand_cells(read_design(design(seeds)))}
         lost = repeated = amid = 0
         before: dict[str, str] = {}
         _kill(file, folder, 1, 0.0)

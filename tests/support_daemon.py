@@ -12,7 +12,7 @@ from pathlib import Path
 
 from estune.core.gains import Gains
 from estune.daemon.config import config_from
-from estune.daemon.service import Service
+from estune.daemon.service import DaemonService
 from estune.daemon.systemd import Notifier
 from estune.remote import zenoh
 from estune.remote.security import OPEN, Security
@@ -74,7 +74,7 @@ def daemon(
     """A daemon in this process, and a client of it."""
     text = f'stop_within_s = 3.0\n[service]\nlisten = "tcp/127.0.0.1:0"\n{more}\n{"".join(rigs)}'
     config = config_from(tomllib.loads(text), "test", folder)
-    service = Service(config, notifier, security=security)
+    service = DaemonService(config, notifier, security=security)
     failed = []
 
     def run():

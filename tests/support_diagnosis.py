@@ -7,21 +7,26 @@ import numpy as np
 import plants
 from estune.run.trial_file import TrialFile
 from estune.trial.profiles import TriangleProfile
-from plants.diagnosis.data.measured_record import Finding
-from plants.diagnosis.data.noise_floor import Floor, Noise
+from plants.diagnosis.data.measured_record import DataIssue
+from plants.diagnosis.data.noise_floor import Noise, NoiseFloor
 from plants.diagnosis.experiments.next_experiment import NextExperiment
 from plants.diagnosis.report.diagnosis import (
-    Calibration,
+    BaseParameter,
     Candidate,
+    DataSegment,
     Diagnosis,
     Interval,
     NamedEffect,
-    Part,
-    Step,
+    SearchStep,
     Trace,
 )
 from plants.diagnosis.report.effect_sentences import sentence
-from plants.diagnosis.residual.localisation import Block, Distortion, View, Where
+from plants.diagnosis.residual.localisation import (
+    Block,
+    Distortion,
+    ResidualDependence,
+    ResidualLocation,
+)
 from plants.effects import EFFECTS, EyeletFriction
 
 RATE_Hz = 632.0
@@ -59,7 +64,7 @@ def block(name, title, rms, noise_rms, seed):
         smoothing_s=0.004,
         low_Hz=0.2,
         high_Hz=14.0,
-        views=tuple(View(name, *curve) for name, curve in curves.items()),
+        views=tuple(ResidualDependence(name, *curve) for name, curve in curves.items()),
         frequency_Hz=lines,
         power=power,
         noise_power=np.full(200, noise_rms**2 / lines[-1]),
@@ -144,8 +149,8 @@ def diagnosis(**changes) -> Diagnosis:
         closure=0.997,
         rms_before=0.91,
         rms_after=0.09,
-        noise=Floor(channels, (channels,)),
-        where=Where(
+        noise=NoiseFloor(channels, (channels,)),
+        where=ResidualLocation(
             blocks=(
                 block("gauge", "cable and gauge block", 0.62, 0.05, 1),
                 block("force", "force block", 0.11, 0.06, 2),
@@ -157,15 +162,15 @@ def diagnosis(**changes) -> Diagnosis:
             ),
         ),
         calibrations=(
-            Calibration(
+            BaseParameter(
                 "drum_inertia_kg_m2", "kg m2", 2e-3, interval(2.31e-3, 4e-5),
                 interval(2.01e-3, 1e-5),
             ),
-            Calibration(
+            BaseParameter(
                 "viscous_friction_Nms", "N m s/rad", 0.022, interval(0.045, 4e-3),
                 interval(0.0224, 8e-4),
             ),
-            Calibration("gauge_offset_N", "N", 0.0, interval(0.3, 0.05), interval(0.01, 0.02)),
+            BaseParameter("gauge_offset_N", "N", 0.0, interval(0.3, 0.05), interval(0.01, 0.02)),
         ),
         not_excited={
             "backlash": "the tension never fell below 3 N",
@@ -174,12 +179,12 @@ def diagnosis(**changes) -> Diagnosis:
         ruled_out=("Coulomb friction of the drum leaves 9.8 floors.",),
         next_experiment=None,
         findings=(
-            Finding("refused", "runs/bad.csv", "tension_N", 17, "this is nan; remove the row"),
-            Finding("warning", "runs/short.csv", "", None, "0.4 s is short; record 2 s or more"),
+            DataIssue("refused", "runs/bad.csv", "tension_N", 17, "this is nan; remove the row"),
+            DataIssue("warning", "runs/short.csv", "", None, "0.4 s is short; record 2 s or more"),
         ),
         steps=(
-            Step(None, 0.58, 0.043, 13.9),
-            Step("eyelet_friction", 0.047, 0.043, 1.2),
+            SearchStep(None, 0.58, 0.043, 13.9),
+            SearchStep("eyelet_friction", 0.047, 0.043, 1.2),
         ),
         traces=(
             trace("triangle-3", "tension_N", 6.0, scale=1.0, left=0.05),
@@ -187,10 +192,10 @@ def diagnosis(**changes) -> Diagnosis:
             trace("step-9", "tension_N", 1.0, scale=0.5, left=0.05),
         ),
         splits=(
-            Part("multisine-2", 0.0, 6.0, "fit"),
-            Part("triangle-1", 0.0, 6.0, "rank"),
-            Part("triangle-3", 0.0, 6.0, "report"),
-            Part("step-9", 0.0, 1.0, "report"),
+            DataSegment("multisine-2", 0.0, 6.0, "fit"),
+            DataSegment("triangle-1", 0.0, 6.0, "rank"),
+            DataSegment("triangle-3", 0.0, 6.0, "report"),
+            DataSegment("step-9", 0.0, 1.0, "report"),
         ),
         model=REEL,
         base_model=REEL,
@@ -220,7 +225,7 @@ def nothing_found(**changes) -> Diagnosis:
         ratio_after=1.05,
         closure=float("nan"),
         rms_after=0.91,
-        steps=(Step(None, 0.045, 0.043, 1.05),),
+        steps=(SearchStep(None, 0.045, 0.043, 1.05),),
         traces=(replace(same, after=same.before),),
         augmented=REEL,
         **changes,

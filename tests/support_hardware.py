@@ -12,7 +12,7 @@ from estune.hardware.config import RigConfig, config_from
 from estune.hardware.controller import PlainController
 from estune.hardware.driver import Reading
 from estune.hardware.loop_messages import Begin
-from estune.hardware.reel_state_machine import Machine
+from estune.hardware.reel_state_machine import ReelStateMachine
 from estune.hardware.shared_memory import Memory, Word, column, flag_column, make_file
 from plants.emulator import RIG_FILE
 from plants.emulator.board import Board, Electronics
@@ -67,7 +67,7 @@ class VirtualLoop:
         file = make_file(self.plan.capacity)
         self.memory = Memory(file, self.plan.capacity)
         os.close(file)
-        self.machine = Machine(self.plan, self.memory, PlainController())
+        self.machine = ReelStateMachine(self.plan, self.memory, PlainController())
         reel = plants.reference_reel(gauge_noise_N=noise_N or 1e-4)
         self.board = Board(reel, Electronics(watchdog_s=10.0), 0, 0.0)
         self.rig = rig

@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from plants.diagnosis.data.measured_record import Measurement
+from plants.diagnosis.data.measured_record import MeasuredRecord
 
 
 def open_loop(number, rate_Hz, current_A, *, tension_N=None, angle_rad=None):
     """One record without setpoint, preload, gains and flags."""
-    return Measurement(
+    return MeasuredRecord(
         name=f"record-{number}",
         rig="rig",
         sampling_Hz=rate_Hz,

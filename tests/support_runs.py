@@ -14,7 +14,7 @@ from estune.trial import (
     TrialRequest,
 )
 from estune.trial.profiles import StepProfile
-from estune.tuners.convergence import Forecast, Outlook
+from estune.tuners.convergence import ConvergenceEstimate, CostPrediction
 from estune.tuners.least_squares_gradient import LeastSquaresGradient
 
 START = Gains(0.5, 10.0, 0.005, 0.02)
@@ -94,7 +94,7 @@ class Seer(LeastSquaresGradient):
 
     def outlook(self, state):
         left = (1.0, 0.3, 0.01, 0.01, 0.3, *(0.01,) * 50)[state.k - 1]
-        return Outlook(0.01, left, left / 2.0, ((0.1, 1.0),) * 4)
+        return ConvergenceEstimate(0.01, left, left / 2.0, ((0.1, 1.0),) * 4)
 
     def forecast(self, _state, point):
-        return Forecast(1.0, 0.5, 2.0, explored=point[0] < START.P)
+        return CostPrediction(1.0, 0.5, 2.0, explored=point[0] < START.P)

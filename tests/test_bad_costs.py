@@ -8,8 +8,8 @@ import pytest
 from estune.core.cost import StepCost
 from estune.core.gains import Gains
 from estune.run.plan import DEFAULT_TUNER, make_plan
-from estune.run.session import Session, begin, next_request, told
-from estune.run.summary import verdict
+from estune.run.session import Session, after_trial, new_session, next_request
+from estune.run.summary import summarise
 from estune.trial import Outcome
 from tests.support_runs import START, description
 
@@ -18,11 +18,11 @@ def ended(cost, *, tuner=DEFAULT_TUNER, noise=0.0, seed=0, **changes) -> Session
     """A run to its end on a cost of the gains, with noise in proportion."""
     about = description(gains=START)
     options = {"start": None, "bounds": None, "step": None, "cost": StepCost(0.1), **changes}
-    session = begin(make_plan(about, "run", tuner=tuner, **options))
+    session = new_session(make_plan(about, "run", tuner=tuner, **options))
     random = np.random.default_rng(seed)
     while (request := next_request(session)) is not None:
         value = cost(request.gains) * (1.0 + noise * random.standard_normal())
-        session = told(session, Outcome.DONE, value)
+        session = after_trial(session, Outcome.DONE, value)
     return session
 
 
@@ -33,7 +33,7 @@ TUNERS = (DEFAULT_TUNER, "least_squares_gradient", "otis")
 @pytest.mark.parametrize("noise", [0.0, 0.03])
 def test_a_cost_that_does_not_depend_on_the_gains_leaves_the_start(tuner, noise):
     session = ended(lambda _: 2.0, tuner=tuner, noise=noise)
-    found = verdict(session)
+    found = summarise(session)
     assert found.complete
     assert not found.improved
     assert found.gains == START
@@ -44,7 +44,7 @@ def test_a_cost_that_does_not_depend_on_the_gains_leaves_the_start(tuner, noise)
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -1.0, 1e9])
 def test_where_nothing_but_the_start_is_safe_the_search_ends_soon_and_keeps_it(tuner, bad):
     session = ended(lambda gains: 2.0 if gains == START else bad, tuner=tuner)
-    found = verdict(session)
+    found = summarise(session)
     assert found.complete
     assert "in a row" in found.message
     assert found.gains == START
@@ -59,7 +59,7 @@ def bowl(gains: Gains, *which: str) -> float:
 @pytest.mark.parametrize("seed", range(3))
 def test_gains_without_effect_are_left_more_open_than_those_that_are_found(seed):
     session = ended(lambda g: bowl(g, "P", "I"), noise=0.02, seed=seed)
-    found = verdict(session)
+    found = summarise(session)
     assert found.improved
     assert bowl(found.gains, "P", "I") < 1.05
     width = {name: high / low for name, low, high in found.intervals}
@@ -71,12 +71,12 @@ def test_gains_of_which_only_the_product_matters_are_brought_to_it(seed):
     def cost(gains):
         return math.exp(math.log(gains.P * gains.I / (START.P * START.I) / 4.0) ** 2)
 
-    found = verdict(ended(cost, noise=0.02, seed=seed))
+    found = summarise(ended(cost, noise=0.02, seed=seed))
     assert found.improved
     assert cost(found.gains) < 1.05
 
 
 def test_costs_as_small_as_they_may_be_are_compared_like_others():
-    found = verdict(ended(lambda g: 1e-12 * bowl(g, "P", "I"), noise=0.02))
+    found = summarise(ended(lambda g: 1e-12 * bowl(g, "P", "I"), noise=0.02))
     assert found.improved
     assert found.cost == pytest.approx(1e-12, rel=0.1)

@@ -16,12 +16,12 @@ import pytest
 
 import estune
 from estune.cli import Interrupts, app, run
-from estune.cli.approval_prompt import at_the_terminal
+from estune.cli.approval_prompt import terminal_approval
 from estune.errors import RigError
 from estune.run.journal import FILE_NAME, Journal
-from estune.run.loop import Question
+from estune.run.loop import ApprovalRequest
 from estune.trial import TrialRequest
-from estune.tuners.convergence import Forecast
+from estune.tuners.convergence import CostPrediction
 from estune.tuners.external import TUNER_NAMES
 from tests.support_runs import START, ArithmeticRig
 
@@ -387,12 +387,12 @@ def test_whoever_sits_at_the_terminal_is_asked_until_they_answer(
     monkeypatch.setattr(sys, "stdin", SimpleNamespace(isatty=lambda: True))
     monkeypatch.setattr("builtins.input", type_in)
     request = TrialRequest("run", 7, START, ArithmeticRig().description.step)
-    question = Question(request, Forecast(1.5, 1.25, 2.0, explored=False), 3.0)
+    question = ApprovalRequest(request, CostPrediction(1.5, 1.25, 2.0, explored=False), 3.0)
     if answer is None:  # the answer makes no sense, and nobody is there to give another
         with pytest.raises(KeyboardInterrupt):
-            at_the_terminal()(question)
+            terminal_approval()(question)
     else:
-        assert at_the_terminal()(question) == answer
+        assert terminal_approval()(question) == answer
     shown = capsys.readouterr().out
     for what in ("trial 7", str(START), "1.5 (1.25 to 2)", "unsafe above 3"):
         assert what in shown

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from scipy.stats import t, ttest_ind
 
-from estune.core.comparison import change, rounds_for, scatter
+from estune.core.comparison import compare_costs, repeatability, repeats_needed
 from estune.core.gains import Gains
-from estune.core.repeats import Repeats
+from estune.core.repeats import InterleavedRepeats
 from estune.errors import InvalidInput
 
 A, B = Gains(1.0, 10.0, 0.01, 0.01), Gains(2.0, 20.0, 0.02, 0.02)
@@ -18,7 +18,7 @@ A, B = Gains(1.0, 10.0, 0.01, 0.01), Gains(2.0, 20.0, 0.02, 0.02)
 def test_the_interval_of_a_change_is_that_of_welchs_test():
     before, after = [1.0, 1.1, 0.95, 1.02], [0.8, 0.7, 0.9]
     expected = ttest_ind(np.log(after), np.log(before), equal_var=False).confidence_interval(0.9)
-    found = change(before, after, 0.9)
+    found = compare_costs(before, after, 0.9)
     assert (found.low, found.high) == pytest.approx(np.expm1(expected))
     assert found.estimate == pytest.approx(
         np.exp(np.mean(np.log(after)) - np.mean(np.log(before))) - 1
@@ -31,7 +31,7 @@ def test_intervals_cover_as_often_as_said():
     covered = 0
     for _ in range(trials):
         before, after = np.exp(rng.normal(0.0, 0.05, 4)), np.exp(rng.normal(-0.1, 0.02, 4))
-        found = change(before, after, 0.9)
+        found = compare_costs(before, after, 0.9)
         covered += found.low < math.expm1(-0.1) < found.high
     # Welch's approximation errs by a per cent or so; four standard errors of the count beside it.
     assert covered / trials == pytest.approx(0.9, abs=0.015 + 4 * math.sqrt(0.09 / trials))
@@ -42,13 +42,13 @@ def test_intervals_cover_as_often_as_said():
 )
 def test_too_few_or_impossible_costs_are_refused(bad):
     with pytest.raises(InvalidInput):
-        change(*bad)
+        compare_costs(*bad)
 
 
 def test_the_scatter_is_pooled_over_gains_and_leaves_their_difference_out():
     groups = [np.exp([1.0, 3.0]), np.exp([11.0, 13.0]), (5.0,), (7.0, math.inf)]
-    assert scatter(groups) == pytest.approx(math.sqrt(2.0))
-    assert math.isnan(scatter([(1.0,)]))
+    assert repeatability(groups) == pytest.approx(math.sqrt(2.0))
+    assert math.isnan(repeatability([(1.0,)]))
 
 
 @pytest.mark.parametrize("noise", [0.01, 0.03, 0.1, 0.3])
@@ -56,43 +56,43 @@ def test_there_are_the_fewest_rounds_that_tell_a_difference_to_a_quarter(noise):
     def reach(n):
         return t.ppf(0.975, 2 * n - 2) * noise * math.sqrt(2.0 / n)
 
-    found = rounds_for(-0.5, noise, least=3, most=20)
+    found = repeats_needed(-0.5, noise, least=3, most=20)
     assert reach(found) <= 0.125 or found == 20
     assert found == 3 or reach(found - 1) > 0.125
 
 
 def test_rounds_stay_within_their_ends_when_nothing_is_known_or_nothing_differs():
-    assert rounds_for(0.0, 0.03, least=3, most=10) == 10
-    assert rounds_for(-1.0, math.nan, least=3, most=10) == 10
-    assert rounds_for(math.nan, 0.03, least=3, most=10) == 10
-    assert rounds_for(-1.0, 0.0, least=1, most=10) == 2
-    assert rounds_for(-1.0, 0.0, least=15, most=10) == 15
+    assert repeats_needed(0.0, 0.03, least=3, most=10) == 10
+    assert repeats_needed(-1.0, math.nan, least=3, most=10) == 10
+    assert repeats_needed(math.nan, 0.03, least=3, most=10) == 10
+    assert repeats_needed(-1.0, 0.0, least=1, most=10) == 2
+    assert repeats_needed(-1.0, 0.0, least=15, most=10) == 15
 
 
 def test_an_even_drift_of_the_rig_leaves_the_comparison_of_two_equal_gains_alone():
-    repeats, cost, order = Repeats.of((A, B), 6), 1.0, []
-    while (turn := repeats.turn) is not None:
+    repeats, cost, order = InterleavedRepeats.of((A, B), 6), 1.0, []
+    while (turn := repeats.next_index) is not None:
         order.append(turn)
-        repeats, cost = repeats.told(cost), cost * 1.05
+        repeats, cost = repeats.with_cost(cost), cost * 1.05
     assert order == [0, 1, 1, 0] * 3
     assert repeats.missing == 0
-    assert change(*repeats.costs).estimate == pytest.approx(0.0, abs=1e-12)
+    assert compare_costs(*repeats.costs).estimate == pytest.approx(0.0, abs=1e-12)
 
 
 def test_gains_that_were_unsafe_are_not_run_again():
-    repeats = Repeats.of((A, B), 3).told(1.0).told(math.inf)
-    assert repeats.turn is None
+    repeats = InterleavedRepeats.of((A, B), 3).with_cost(1.0).with_cost(math.inf)
+    assert repeats.next_index is None
     assert repeats.best == 0
     assert repeats.safe == (0,)
-    assert Repeats.of((A, B), 3).told(math.inf).best == 1
-    both = Repeats.of((A, B), 3)._replace(costs=((math.inf,), (math.inf,)))
+    assert InterleavedRepeats.of((A, B), 3).with_cost(math.inf).best == 1
+    both = InterleavedRepeats.of((A, B), 3)._replace(costs=((math.inf,), (math.inf,)))
     assert both.best is None
 
 
 def test_missing_repeats_count_down_to_none():
-    repeats, missing = Repeats.of((A, B), 2), []
-    while repeats.turn is not None:
+    repeats, missing = InterleavedRepeats.of((A, B), 2), []
+    while repeats.next_index is not None:
         missing.append(repeats.missing)
-        repeats = repeats.told(1.0)
+        repeats = repeats.with_cost(1.0)
     assert all(after == before - 1 for before, after in pairwise([*missing, repeats.missing]))
     assert missing[0] == 4

@@ -7,9 +7,9 @@ import pytest
 from scipy.stats import norm
 
 from estune.core.control_chart import (
+    ChartSignal,
     ChartState,
     ControlChart,
-    Sign,
     average_run_length,
     limit_for,
 )
@@ -50,9 +50,9 @@ def run_lengths(chart: ControlChart, runs: int, known: int, drift: float = 0.0) 
     rng, lengths = np.random.default_rng(7), []
     for _ in range(runs):
         state = chart.begin(np.exp(rng.normal(0.0, 0.03, known)), np.exp(rng.normal(0.5, 0.03, 3)))
-        sign, length = Sign.STEADY, 0
-        while sign not in (Sign.WORSE, Sign.BETTER):
-            state, sign = chart.tell(state, math.exp(rng.normal(drift, 0.03)))
+        sign, length = ChartSignal.STEADY, 0
+        while sign not in (ChartSignal.WORSE, ChartSignal.BETTER):
+            state, sign = chart.update(state, math.exp(rng.normal(drift, 0.03)))
             length += 1
         lengths.append(length)
     return np.array(lengths)
@@ -79,36 +79,37 @@ def begun() -> ChartState:
 
 
 def test_a_single_bad_trial_is_repeated_and_forgotten():
-    state, sign = CHART.tell(begun(), 3.0)
-    assert sign is Sign.SUSPECT
-    after, sign = CHART.tell(state, 1.01)
-    assert sign is Sign.OUTLIER
-    assert after == CHART.tell(begun(), 1.01)[0]
+    state, sign = CHART.update(begun(), 3.0)
+    assert sign is ChartSignal.SUSPECT
+    after, sign = CHART.update(state, 1.01)
+    assert sign is ChartSignal.OUTLIER
+    assert after == CHART.update(begun(), 1.01)[0]
 
 
 @pytest.mark.parametrize(
-    ("cost", "sign"), [(3.0, Sign.WORSE), (math.inf, Sign.WORSE), (0.3, Sign.BETTER)]
+    ("cost", "sign"),
+    [(3.0, ChartSignal.WORSE), (math.inf, ChartSignal.WORSE), (0.3, ChartSignal.BETTER)],
 )
 def test_two_bad_trials_in_a_row_are_no_accident(cost, sign):
-    state, _ = CHART.tell(begun(), cost)
-    assert CHART.tell(state, cost)[1] is sign
+    state, _ = CHART.update(begun(), cost)
+    assert CHART.update(state, cost)[1] is sign
 
 
 def test_one_bad_trial_above_and_one_below_are_repeated_again():
-    state, _ = CHART.tell(begun(), 3.0)
-    assert CHART.tell(state, 0.3)[1] is Sign.SUSPECT
+    state, _ = CHART.update(begun(), 3.0)
+    assert CHART.update(state, 0.3)[1] is ChartSignal.SUSPECT
 
 
 def test_a_drift_that_is_small_beside_the_scatter_always_allowed_for_is_none():
     quiet = ControlChart(scatter_min=0.05)
     state = quiet.begin([1.0, 1.0, 1.0])
     for _ in range(200):
-        state, sign = quiet.tell(state, 1.01)
-        assert sign is Sign.STEADY
+        state, sign = quiet.update(state, 1.01)
+        assert sign is ChartSignal.STEADY
 
 
 def test_states_are_values_that_survive_being_written_as_lists():
-    state, _ = CHART.tell(begun(), 1.03)
+    state, _ = CHART.update(begun(), 1.03)
     assert ChartState(*list(state)) == state
 
 
@@ -121,8 +122,8 @@ def test_states_are_values_that_survive_being_written_as_lists():
         lambda: CHART.begin([1.0]),
         lambda: CHART.begin([], [1.0, 2.0]),
         lambda: CHART.begin([1.0, math.nan]),
-        lambda: CHART.tell(begun(), 0.0),
-        lambda: CHART.tell(begun(), math.nan),
+        lambda: CHART.update(begun(), 0.0),
+        lambda: CHART.update(begun(), math.nan),
     ],
 )
 def test_what_cannot_be_charted_is_refused(bad):

@@ -9,9 +9,9 @@ import pytest
 
 from estune.core.gains import Gains
 from estune.daemon.rig_access import GIVE_UP_AFTER
-from estune.daemon.store import RUNS, Store
-from estune.daemon.supervisor import Keeper
-from estune.daemon.tuning_runs import Searches
+from estune.daemon.store import RUNS, DaemonStore
+from estune.daemon.supervisor import RigSupervisor
+from estune.daemon.tuning_runs import TuningRuns
 from estune.errors import InvalidInput, JournalError, RigError
 from estune.remote import zenoh
 from estune.run import loop
@@ -146,7 +146,7 @@ def test_a_paused_rig_is_others_to_use_and_strange_gains_are_not_written_over(tm
         with zenoh.connect(where) as other:
             other.apply(STRANGE)
         # Found again after the link was cut: nobody has said to go on.
-        it.service._keepers[0]._let_go()
+        it.service._keepers[0]._disconnect()
         status = it.until(lambda s: "not set through this daemon" in s.paused)
         assert "revert the original" in status.paused
         assert rig.describe().gains == STRANGE
@@ -273,8 +273,8 @@ def test_what_fails_again_and_again_is_tried_ever_more_seldom(tmp_path, monkeypa
         time.sleep(0.01)
         return False
 
-    monkeypatch.setattr(Searches, "open", no_run)
-    monkeypatch.setattr(Keeper, "_rest", rest)
+    monkeypatch.setattr(TuningRuns, "open", no_run)
+    monkeypatch.setattr(RigSupervisor, "_rest", rest)
     with rig_served() as (_, where), daemon(tmp_path, rig_table("drum", where)) as it:
         # The rig is found and readied each time in between.
         it.until(lambda _: len(waits) > 3)
@@ -433,10 +433,10 @@ def test_signals_put_the_gains_back_and_a_lost_rig_gets_them_at_the_next_start(
 
 
 def test_a_store_of_another_rig_is_left_alone(tmp_path):
-    Store.open(tmp_path, "drum").close()
+    DaemonStore.open(tmp_path, "drum").close()
     before = (tmp_path / "daemon.sqlite").read_bytes()
     with pytest.raises(JournalError, match="that of rig 'drum', not of 'reel'"):
-        Store.open(tmp_path, "reel")
+        DaemonStore.open(tmp_path, "reel")
     assert (tmp_path / "daemon.sqlite").read_bytes() == before
 
 

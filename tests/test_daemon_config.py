@@ -9,7 +9,7 @@ import pytest
 
 from estune.cli import run
 from estune.daemon.config import DaemonConfig, config_from, read_config
-from estune.daemon.events import Kind
+from estune.daemon.events import EventKind
 from estune.daemon.metrics import METRICS
 from estune.errors import InvalidInput
 
@@ -111,7 +111,7 @@ def test_the_example_in_the_docs_is_right_and_every_key_is_in_the_docs():
             assert row[1].strip().strip("`") == (
                 "" if shown in (None, [], {}) else json.dumps(shown).strip('"')
             ), key
-    for kind in Kind:
+    for kind in EventKind:
         assert f"`{kind}`" in text
     for metric in METRICS:
         assert f"`{metric.name}`" in text

@@ -12,7 +12,7 @@ from dataclasses import replace
 import pytest
 
 from estune.daemon.config import HookTable
-from estune.daemon.events import Event, Kind
+from estune.daemon.events import Event, EventKind
 from estune.daemon.hooks import WAITING_MAX, Hooks
 from estune.daemon.logs import JsonLines, PlainLines
 from estune.daemon.metrics import render, write_metrics
@@ -116,17 +116,18 @@ def test_metrics_are_in_the_file_and_on_loopback(tmp_path):
             time.sleep(0.01)
 
 
-def event(kind=Kind.DRIFTED, number=1) -> Event:
+def event(kind=EventKind.DRIFTED, number=1) -> Event:
     return Event("drum", number, "2009-05-04T12:00:00+02:00", kind, "the cost", {"cost": 1.5})
 
 
 def test_hooks_get_the_events_they_ask_for_as_json(tmp_path):
     out = tmp_path / "out"
     hook = HookTable(
-        command=["sh", "-c", f"cat >> {out}; echo >> {out}"], events=[Kind.DRIFTED, Kind.LOST]
+        command=["sh", "-c", f"cat >> {out}; echo >> {out}"],
+        events=[EventKind.DRIFTED, EventKind.LOST],
     )
     hooks = Hooks([hook])
-    for kind in (Kind.DRIFTED, Kind.GAINS, Kind.LOST):
+    for kind in (EventKind.DRIFTED, EventKind.GAINS, EventKind.LOST):
         hooks.tell(event(kind))
     hooks.close(WITHIN_S)
     told = [json.loads(line) for line in out.read_text().splitlines()]

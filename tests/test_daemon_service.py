@@ -78,7 +78,7 @@ FAULTS = [
 @pytest.mark.parametrize(("changes", "words"), FAULTS)
 def test_records_that_cannot_be_are_told_from_bad_trials(changes, words):
     record = replace(response(REQUEST), **changes)
-    found = record_checks.fault_of(record, REQUEST, description())
+    found = record_checks.record_fault(record, REQUEST, description())
     assert words in found
     assert bool(found) is bool(words)
 
@@ -88,7 +88,7 @@ def test_a_trial_that_diverged_or_was_cut_short_is_no_fault():
         diverged(REQUEST),
         replace(diverged(REQUEST), outcome=Outcome.GUARD),
     ):
-        assert record_checks.fault_of(record, REQUEST, description()) == ""
+        assert record_checks.record_fault(record, REQUEST, description()) == ""
 
 
 def test_the_command_line_shows_and_commands(tmp_path, capsys):

@@ -4,10 +4,10 @@ from dataclasses import asdict, replace
 
 import pytest
 
-from estune.core.control_chart import Sign
-from estune.daemon.events import Kind
-from estune.daemon.store import Store
-from estune.daemon.supervisor_state import GainSet, Goal, Life
+from estune.core.control_chart import ChartSignal
+from estune.daemon.events import EventKind
+from estune.daemon.store import DaemonStore
+from estune.daemon.supervisor_state import GainSet, Goal, SupervisorState
 from estune.errors import JournalError
 from estune.trial import TrialRequest
 from tests.support_daemon import ORIGINAL
@@ -18,20 +18,20 @@ REQUEST = TrialRequest("run", 0, ORIGINAL, description().step)
 
 def test_a_store_comes_back_as_it_was_left(tmp_path):
     candidate = replace(ORIGINAL, P=0.1 + 0.2)
-    life = Life(Goal.HOLD, GainSet.ORIGINAL, "found so", paused="asked to")
-    store = Store.open(tmp_path, "drum")
+    life = SupervisorState(Goal.HOLD, GainSet.ORIGINAL, "found so", paused="asked to")
+    store = DaemonStore.open(tmp_path, "drum")
     with store.writing():
         store.set_gains(GainSet.ORIGINAL, ORIGINAL, "found")
         store.set_gains(GainSet.CANDIDATE, candidate, "better")
         store.life = life
-        noted = store.note(Kind.BETTER, "better", {"cost": 0.5})
+        noted = store.note(EventKind.BETTER, "better", {"cost": 0.5})
     record = response(REQUEST)
     store.ask_check(REQUEST)
     assert store.next_check() == (0, 0)
-    store.tell_check(REQUEST, record, 1.5, Sign.STEADY)
+    store.tell_check(REQUEST, record, 1.5, ChartSignal.STEADY)
     identity = store.identity
     store.close()
-    store = Store.open(tmp_path, "drum")
+    store = DaemonStore.open(tmp_path, "drum")
     try:
         assert store.life == life
         assert store.gains() == {GainSet.ORIGINAL: ORIGINAL, GainSet.CANDIDATE: candidate}
@@ -46,19 +46,19 @@ def test_a_store_comes_back_as_it_was_left(tmp_path):
 
 
 def test_a_store_of_the_first_version_is_gone_on_with(tmp_path):
-    store = Store.open(tmp_path, "drum")
-    life = Life(Goal.HOLD, GainSet.ACCEPTED, "better")
+    store = DaemonStore.open(tmp_path, "drum")
+    life = SupervisorState(Goal.HOLD, GainSet.ACCEPTED, "better")
     with store.writing():
         store.put("life", asdict(life) | {"wanted": "candidate"})
         store._connection.execute("PRAGMA user_version=1")
     store.close()
-    store = Store.open(tmp_path, "drum")
+    store = DaemonStore.open(tmp_path, "drum")
     assert store.life == life
     store.close()
 
 
 def test_what_is_written_in_a_block_that_fails_is_not_there(tmp_path):
-    store = Store.open(tmp_path, "drum")
+    store = DaemonStore.open(tmp_path, "drum")
 
     def half() -> None:
         with store.writing():
@@ -75,13 +75,13 @@ def test_what_is_written_in_a_block_that_fails_is_not_there(tmp_path):
 def test_a_store_does_not_grow_without_end(tmp_path, monkeypatch):
     monkeypatch.setattr("estune.daemon.store.RECORDS_KEPT", 10)
     monkeypatch.setattr("estune.daemon.store.ROWS_KEPT", 20)
-    store, record, sizes = Store.open(tmp_path, "drum"), response(REQUEST), []
+    store, record, sizes = DaemonStore.open(tmp_path, "drum"), response(REQUEST), []
     store._connection.execute("PRAGMA synchronous=OFF")
     for number in range(300):
         request = replace(REQUEST, number=number)
         store.ask_check(request)
-        store.tell_check(request, record, 1.0, Sign.STEADY)
-        store.note(Kind.SUSPECT, "far off", {})
+        store.tell_check(request, record, 1.0, ChartSignal.STEADY)
+        store.note(EventKind.SUSPECT, "far off", {})
         sizes.append(store._connection.execute("PRAGMA page_count").fetchone()[0])
     assert len(store.checks(100)) == len(store.events(0, 100)) == 20
     assert sizes[-1] == sizes[100]

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from estune.daemon.supervisor import Keeper
+from estune.daemon.supervisor import RigSupervisor
 from estune.daemon.systemd import Notifier
 from tests.support_daemon import WITHIN_S, daemon, rig_served, rig_table
 
@@ -65,7 +65,7 @@ def test_a_keeper_that_is_stuck_starves_the_watchdog(tmp_path, manager, monkeypa
             manager.until("WATCHDOG", "1")
             keeper = it.service._keepers[0]
             assert not keeper.is_stuck
-            monkeypatch.setattr(Keeper, "_beat", lambda _: None)
+            monkeypatch.setattr(RigSupervisor, "_beat", lambda _: None)
             keeper._step_at_s -= 1e4
             assert keeper.is_stuck
             time.sleep(0.6)  # what was on its way

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from estune.cli.checks import State, examine, gentle_trial
+from estune.cli.checks import State, gentle_trial, run_checks
 from estune.cli.checks.host_checks import (
     Host,
     check_ledger,
@@ -57,7 +57,7 @@ def dated(request):
 
 def found(rig: Patient, *, move: bool = True) -> dict[str, list[State]]:
     """What the checks came to."""
-    findings = {f.check: f for f in examine(rig, "unixsock-stream/rig", move=move)}
+    findings = {f.check: f for f in run_checks(rig, "unixsock-stream/rig", move=move)}
     for finding in findings.values():
         assert finding.state is not State.FIX or finding.remedy
     return {check: finding.state for check, finding in findings.items()}

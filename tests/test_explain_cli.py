@@ -12,7 +12,7 @@ from estune.run.export import write_record
 from estune.run.trial_file import read_trial
 from estune.trial import TrialRequest
 from plants.diagnosis import explain as module
-from plants.diagnosis.experiments.designs import battery
+from plants.diagnosis.experiments.designs import initial_experiments
 from plants.effects import EFFECTS
 from tests.support_diagnosis import REEL, deciding, diagnosis, nothing_found
 
@@ -166,7 +166,7 @@ def test_friction_hidden_in_a_simulated_reel_is_named_from_files_one_of_which_is
     base = plants.reference_reel()
     rig = (base + EFFECTS["coulomb_friction"](torque_Nm=0.03)).rig(seed=4)
     about = rig.describe()
-    for number, experiment in enumerate(battery(about)[1:4]):
+    for number, experiment in enumerate(initial_experiments(about)[1:4]):
         trial = TrialRequest("hidden", number, about.gains, experiment.profile)
         write_record(rig.run(trial), tmp_path / "data")
     (tmp_path / "data" / "bad.csv").write_text("time_s,setpoint_N\n0.0,1.0\nnoon,2.0\n")

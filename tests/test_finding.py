@@ -12,7 +12,7 @@ import zenoh
 from estune.errors import InvalidInput, ProtocolError, RigError
 from estune.remote import messages
 from estune.remote.messages import Keys, Lease, Submit, digest
-from estune.remote.state_machine.reply_codes import Verdict
+from estune.remote.state_machine.reply_codes import ReplyCode
 from estune.remote.zenoh import connect, serve
 from estune.remote.zenoh.discovery import RECORDS_MAX_BYTES
 from estune.remote.zenoh.zenoh_session import open_session, with_port
@@ -185,7 +185,7 @@ def test_no_wildcard_reaches_a_command():
     rig = ScriptedRig()
     with serve(rig) as server, session("connect", server.endpoint) as snoop:
         lease = server._attendant.lease(Lease("acquire", "ab", "the test"))
-        assert lease.verdict is Verdict.ACCEPTED
+        assert lease.verdict is ReplyCode.ACCEPTED
         payload = messages.encode(Submit("ab", trial(), digest(trial())))
         for key in ("reel/**", "**", "reel/v1/*/*/*/submit"):
             list(snoop.get(key, payload=payload, target=zenoh.QueryTarget.ALL, timeout=5.0))

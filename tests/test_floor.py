@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from plants import reference_reel
-from plants.diagnosis.data.measured_record import Measurement
+from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.data.noise import spectral_rms, step_of, upper_rms
 from plants.diagnosis.data.noise_floor import noise_floor
 from plants.diagnosis.data.periods import periods_of
@@ -19,7 +19,7 @@ STEP_RAD = 2.0 * np.pi / REEL.encoder_counts
 
 
 def measured(excitation, seed=0):
-    return Measurement.of(open_loop_record(REEL, excitation, seed=seed))
+    return MeasuredRecord.of(open_loop_record(REEL, excitation, seed=seed))
 
 
 SWEEP = chirp(RATE, Band(1.0, 40.0, period_s=4.0, periods=2, settling_periods=0), 4.0)

@@ -19,11 +19,11 @@ def good(k: int) -> Sample:
     return Sample(k * MS, tension, 1000.0 + k % 3, 1.0, 0.1)
 
 
-def stopped_at(limits: Limits, samples) -> tuple[int, guard.Stop] | None:
+def stopped_at(limits: Limits, samples) -> tuple[int, guard.GuardTrip] | None:
     """The first sample at which the guard acts, and its word."""
     watch = None
     for k, sample in enumerate(samples):
-        watch, stop = guard.look(limits, watch or guard.begin(sample), sample)
+        watch, stop = guard.check_sample(limits, watch or guard.begin(sample), sample)
         if stop:
             return k, stop
     return None
@@ -122,7 +122,7 @@ def test_what_makes_the_other_readings_worthless_is_named_first():
 
 
 def test_only_what_the_reel_does_condemns_the_gains():
-    blamed = {reason for reason in Reason if reason.condemns_gains}
+    blamed = {reason for reason in Reason if reason.is_caused_by_gains}
     assert blamed == {
         *(Reason.TENSION, Reason.SLACK, Reason.RATE, Reason.CURRENT),
         *(Reason.ANGLE, Reason.TRAVEL, Reason.COST),
@@ -144,7 +144,7 @@ def test_no_reading_makes_the_guard_fail_and_none_that_is_no_number_gets_past_it
     limits = Limits(tension_max_N=60.0, slack_N=1.0, rate_max_N_s=1e4, current_max_A=3.0)
     watch = None
     for sample in samples:
-        watch, stop = guard.look(limits, watch or guard.begin(sample), sample)
+        watch, stop = guard.check_sample(limits, watch or guard.begin(sample), sample)
         sound = all(map(math.isfinite, (sample.time_s, sample.tension_N, sample.angle_rad)))
         assert sound or stop is not None
 

@@ -15,7 +15,7 @@ from experiments.hidden_machines.effects import CATALOGUE
 from experiments.hidden_machines.machine import Drive, NoCompiler, run
 from experiments.hidden_machines.records import Record, machine
 from experiments.hidden_scores import measurement
-from plants.diagnosis.data.measured_record import Measurement
+from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.models.diagnosed_model import diagnosed
 from plants.diagnosis.prediction.prediction import Predictor
 from plants.effects import EFFECTS
@@ -135,7 +135,7 @@ def test_the_package_s_own_formula_would_be_recognised():
     reel = plants.reference_reel(LENGTH_m, TENSION_N, encoder_counts=1e9)
     friction = plants.CoulombFriction(torque_Nm=0.03)
     excitation = multisine(RATE, Band(0.5, 100.0, 2.0, 2, 1), 8.0)
-    record = Measurement.of(open_loop_record(reel + friction, excitation, seed=None))
+    record = MeasuredRecord.of(open_loop_record(reel + friction, excitation, seed=None))
     assert BestFit("coulomb_friction", record, {"torque_Nm": 0.025}).worst < 0.1 * CLOSEST
 
 

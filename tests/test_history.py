@@ -5,7 +5,7 @@ import pytest
 from estune import api
 from estune.errors import JournalError
 from estune.run.journal import Journal
-from estune.tuners import Newton, PhaseCompensated
+from estune.tuners import PhaseCompensated, SafeBayesianTuner
 from tests.support_runs import ArithmeticRig
 
 TUNE = {"tuner": "phase_compensated", "trials": 40, "repeats": 2, "run": "old", "watch": None}
@@ -16,7 +16,7 @@ def another_version(monkeypatch, request):
     """Lets the tuners propose other gains from here on, or the run's own be there no more."""
 
     def proposes(_):
-        for kind in (PhaseCompensated, Newton):
+        for kind in (PhaseCompensated, SafeBayesianTuner):
 
             def ask(self, state, asked=kind.ask):
                 return tuple(1.01 * value for value in asked(self, state))

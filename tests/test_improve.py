@@ -14,14 +14,14 @@ from estune.run.loop import Stopped
 from estune.run.trial_file import TrialFile, read_trial
 from estune.trial import RigLimits, TrialRequest
 from estune.trial.profiles import StepProfile, TriangleProfile
-from plants.diagnosis.data.measured_record import Measurement
+from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.data.noise_floor import noise_floor
 from plants.diagnosis.data.records import read_measurements
-from plants.diagnosis.experiments.designs import battery, catalogue
+from plants.diagnosis.experiments.designs import candidate_experiments, initial_experiments
 from plants.diagnosis.experiments.next_experiment import Evidence, next_experiment, rig_of
 from plants.diagnosis.improve_model import TuneOptions
 from plants.diagnosis.models.base import BaseNumbers
-from plants.diagnosis.residual.localisation import Where, localise
+from plants.diagnosis.residual.localisation import ResidualLocation, localise
 from plants.effects import CoulombFriction, EyeletFriction
 from tests.serve_rig import served
 
@@ -41,7 +41,7 @@ def about(name):
 
 
 @pytest.mark.parametrize("name", RIGS)
-@pytest.mark.parametrize("make", [battery, catalogue])
+@pytest.mark.parametrize("make", [initial_experiments, candidate_experiments])
 def test_experiments_stay_within_a_rigs_limits_and_so_does_what_it_is_foretold_to_do(name, make):
     rig = about(name)
     experiments = make(rig)
@@ -53,7 +53,7 @@ def test_experiments_stay_within_a_rigs_limits_and_so_does_what_it_is_foretold_t
         if rig.cable_length_m is not None:
             assert trial.tension_N.min() >= rig.limits.tension_min_N
             assert trial.tension_N.max() <= rig.limits.tension_max_N
-    if make is battery:
+    if make is initial_experiments:
         assert 25.0 < sum(one.profile.duration_s for one in experiments) < 31.0
 
 
@@ -61,15 +61,15 @@ def records(reel, seed=0):
     rig = reel.rig(seed=seed)
     known = rig.describe()
     return [
-        Measurement.of(rig.run(TrialRequest("battery", n, known.gains, one.profile)))
-        for n, one in enumerate(battery(known))
+        MeasuredRecord.of(rig.run(TrialRequest("battery", n, known.gains, one.profile)))
+        for n, one in enumerate(initial_experiments(known))
     ]
 
 
 @pytest.fixture(scope="module")
 def plain():
     seen = records(REEL)
-    return Evidence(seen, noise_floor(seen), Where((), (), ""), 1.0)
+    return Evidence(seen, noise_floor(seen), ResidualLocation((), (), ""), 1.0)
 
 
 def test_the_experiment_that_decides_is_one_in_which_the_models_differ_whatever_is_refitted(plain):
@@ -90,7 +90,7 @@ def test_the_experiment_that_decides_is_one_in_which_the_models_differ_whatever_
             parts.append(np.mean((left / np.hypot(sigma, 0.004 * y.std())) ** 2))
         return sum(parts)
 
-    profiles = {one.name: one.profile for one in catalogue(about("reel"))}
+    profiles = {one.name: one.profile for one in candidate_experiments(about("reel"))}
     worst = min(found.tried, key=found.tried.get)
     assert apart(found.trial.profile) > 5.0 * apart(profiles[worst])
 
@@ -170,7 +170,7 @@ def test_what_is_hidden_in_a_rig_is_found_added_and_makes_its_costs_foretellable
     assert tuned.measured < own.measured
     for costs in (own, tuned):
         assert costs.off_improved < 0.05
-    assert max(c.off_given for c in found.costs) > 3.0 * max(c.off_improved for c in found.costs)
+    assert max(c.error_given for c in found.costs) > 3.0 * max(c.off_improved for c in found.costs)
     kept = read_measurements(tmp_path / "x" / "data")
     assert len(kept.measurements) == sum(len(one.asked) for one in found.rounds)
     told = json.loads((tmp_path / "x" / "improvement.json").read_text())
@@ -218,5 +218,7 @@ def test_a_slower_plant_is_given_more_time():
         limits=RigLimits(0.0, 100.0, 300.0),
         step=StepProfile(20.0, 10.0, 1.0, 30.0),
     )
-    durations = [one.profile.duration_s for one in battery(rig)]
-    assert sum(durations) > 4.0 * sum(one.profile.duration_s for one in battery(about("reel")))
+    durations = [one.profile.duration_s for one in initial_experiments(rig)]
+    assert sum(durations) > 4.0 * sum(
+        one.profile.duration_s for one in initial_experiments(about("reel"))
+    )

@@ -12,7 +12,7 @@ import plants
 from estune.core.gains import Gains
 from estune.errors import InvalidInput, RigError
 from estune.studies.joint.procedure import tune_schedule
-from estune.studies.joint.reels import ReelsInTurn
+from estune.studies.joint.reels import AlternatingReels
 from estune.studies.joint.schedule_space import ScheduleSpace
 from estune.studies.joint.schedule_tuner import ScheduleTuner
 from estune.tuners.observation import Observation
@@ -89,7 +89,7 @@ def test_trials_go_round_the_reels_and_a_limit_of_one_is_a_limit_of_all():
     rigs = [ArithmeticRig(name=name) for name in ("short", "long")]
     tight = replace(rigs[1].description.limits, tension_max_N=30.0)
     rigs[1].description = replace(rigs[1].description, limits=tight)
-    reels = ReelsInTurn(rigs)
+    reels = AlternatingReels(rigs)
     assert reels.describe().limits.tension_max_N == 30.0
     with pytest.raises(RigError, match="are for one length"):
         reels.apply(START)

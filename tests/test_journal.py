@@ -52,7 +52,7 @@ class Doomed:
         return doomed
 
 
-def begin(folder: Path, tuner: str, rig: ArithmeticRig) -> loop.Tuning:
+def begin(folder: Path, tuner: str, rig: ArithmeticRig) -> loop.TuningRun:
     plan = make_plan(
         *(rig.describe(), "run"),
         tuner=tuner,
@@ -67,7 +67,7 @@ def begin(folder: Path, tuner: str, rig: ArithmeticRig) -> loop.Tuning:
     return loop.start(plan, rig.describe(), Journal.create(folder, facts))
 
 
-def go_on(folder: Path, rig: ArithmeticRig) -> loop.Tuning:
+def go_on(folder: Path, rig: ArithmeticRig) -> loop.TuningRun:
     with Journal.open(folder, write=True) as journal:
         journal._connection.execute("PRAGMA synchronous=OFF")
         plan = plan_from_json(journal.fact("plan"))

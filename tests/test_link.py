@@ -15,9 +15,9 @@ from hypothesis.stateful import (
 
 from estune.errors import ProtocolError
 from estune.remote.state_machine import client, events, rig, trials
-from estune.remote.state_machine.client import Action, Heard, Stage
-from estune.remote.state_machine.reply_codes import OF_TRIAL, Verdict
-from estune.remote.state_machine.state import LEASE_S, Mode, Move, Order, RigState
+from estune.remote.state_machine.client import Action, ClientInput, ClientStage
+from estune.remote.state_machine.reply_codes import OF_TRIAL, ReplyCode
+from estune.remote.state_machine.state import LEASE_S, Mode, RigAction, RigState, Transition
 from estune.remote.state_machine.trials import TrialEvent, TrialState
 
 # --- one trial id ---
@@ -58,19 +58,19 @@ EVENTS = (
     *(events.Release(token) for token in TOKENS),
     events.Expire(),
     *(
-        events.Submit(token, trial_id, known, objection)
+        events.SubmitEvent(token, trial_id, known, objection)
         for token, trial_id, known in product(TOKENS, IDS, KNOWN)
         for objection in ("", "too far")
     ),
-    *(events.Cancel(token, trial_id) for token, trial_id in product(TOKENS, ("", *IDS))),
+    *(events.CancelEvent(token, trial_id) for token, trial_id in product(TOKENS, ("", *IDS))),
     *(
-        events.Void(token, trial_id, known)
+        events.VoidEvent(token, trial_id, known)
         for token, trial_id, known in product(TOKENS, IDS, KNOWN)
     ),
-    *(events.SetGains(token) for token in TOKENS),
+    *(events.SetGainsEvent(token) for token in TOKENS),
     *(
-        events.Estop("smoke"),
-        events.Clear(),
+        events.EstopEvent("smoke"),
+        events.ClearEvent(),
         events.Noted(),
         events.Begin(),
         events.End(),
@@ -87,7 +87,7 @@ def normal(state: RigState, now_s: float) -> RigState:
     return state._replace(lease=lease, ended=0)
 
 
-def reachable() -> list[tuple[RigState, float, events.Event, Move | None]]:
+def reachable() -> list[tuple[RigState, float, events.Event, Transition | None]]:
     """Every move from every state that can be reached, each event at three times."""
     found, queue, moves = {RigState()}, [RigState()], []
     while queue:
@@ -132,7 +132,7 @@ def test_every_mode_meets_every_event_and_only_the_impossible_is_an_error(moves)
 
 def test_a_command_that_is_refused_changes_nothing_and_orders_nothing(moves):
     for state, now_s, event, move in moves:
-        if move is None or move.verdict in (Verdict.ACCEPTED, Verdict.VOID):
+        if move is None or move.verdict in (ReplyCode.ACCEPTED, ReplyCode.VOID):
             continue
         passed = rig.step(state, events.Expire(), now_s)
         assert (move.state, move.orders) == (passed.state, passed.orders), event
@@ -141,7 +141,7 @@ def test_a_command_that_is_refused_changes_nothing_and_orders_nothing(moves):
 def test_a_trial_is_taken_in_by_its_owner_alone_once_and_into_a_rig_at_rest(moves):
     taken = 0
     for state, now_s, event, move in moves:
-        if move is None or Order.TAKE_IN not in move.orders:
+        if move is None or RigAction.TAKE_IN not in move.orders:
             continue
         taken += 1
         assert lives(state, now_s)
@@ -155,7 +155,7 @@ def test_nothing_moves_but_by_the_holder_of_a_lease_that_lives(moves):
     for state, now_s, event, move in moves:
         if move is None:
             continue
-        if {Order.TAKE_IN, Order.APPLY, Order.TOMBSTONE} & set(move.orders):
+        if {RigAction.TAKE_IN, RigAction.APPLY, RigAction.TOMBSTONE} & set(move.orders):
             assert lives(state, now_s)
             assert event.token == state.lease.token
 
@@ -167,7 +167,7 @@ def test_a_trial_whose_lease_ends_is_stopped(moves):
             continue
         assert move.state.trial.stopping
         if state.trial is not None and not state.trial.stopping:
-            assert Order.STOP in move.orders
+            assert RigAction.STOP in move.orders
             ends += 1
         assert now_s < LEASE_S or not lives(state, now_s)
     assert ends
@@ -181,14 +181,14 @@ def test_a_lease_passes_to_another_only_once_it_has_ended(moves):
 
 def test_an_emergency_stop_is_obeyed_in_every_state_and_holds_until_cleared(moves):
     for state, _, event, move in moves:
-        if isinstance(event, events.Estop):
-            assert move.verdict is Verdict.ACCEPTED
-            assert Order.ESTOP in move.orders
+        if isinstance(event, events.EstopEvent):
+            assert move.verdict is ReplyCode.ACCEPTED
+            assert RigAction.ESTOP in move.orders
             assert move.state.latched
             assert move.state.trial is None or move.state.trial.stopping
-        elif state.latched and move is not None and not isinstance(event, events.Clear):
+        elif state.latched and move is not None and not isinstance(event, events.ClearEvent):
             assert move.state.latched
-            assert not {Order.TAKE_IN, Order.APPLY, Order.CLEAR} & set(move.orders)
+            assert not {RigAction.TAKE_IN, RigAction.APPLY, RigAction.CLEAR} & set(move.orders)
 
 
 def test_a_trial_begins_once_and_never_when_it_is_being_stopped(moves):
@@ -196,8 +196,8 @@ def test_a_trial_begins_once_and_never_when_it_is_being_stopped(moves):
         if not isinstance(event, events.Begin) or move is None:
             continue
         stopping = state.trial.stopping or not lives(state, now_s)
-        assert (move.verdict is Verdict.ACCEPTED) == (not stopping)
-        if move.verdict is Verdict.ACCEPTED:
+        assert (move.verdict is ReplyCode.ACCEPTED) == (not stopping)
+        if move.verdict is ReplyCode.ACCEPTED:
             assert move.state.mode is Mode.RUNNING
             with pytest.raises(ProtocolError, match="running cannot begin"):
                 rig.step(move.state, events.Begin(), now_s)
@@ -205,7 +205,7 @@ def test_a_trial_begins_once_and_never_when_it_is_being_stopped(moves):
 
 def test_who_is_refused_is_told_who_holds_the_rig(moves):
     for _, _, _, move in moves:
-        if move is not None and move.verdict is Verdict.HELD:
+        if move is not None and move.verdict is ReplyCode.HELD:
             assert move.state.lease.holder in move.sentence
 
 
@@ -214,31 +214,38 @@ def test_a_rig_that_closes_takes_nothing_in_any_more(moves):
         if state.closed and move is not None:
             assert move.state.closed
             assert move.state.lease is None
-            assert not {Order.TAKE_IN, Order.APPLY} & set(move.orders)
+            assert not {RigAction.TAKE_IN, RigAction.APPLY} & set(move.orders)
 
 
 # --- the client ---
 
 
-@pytest.mark.parametrize(("stage", "heard"), list(product(Stage, [*Verdict, *Heard])))
+@pytest.mark.parametrize(
+    ("stage", "heard"), list(product(ClientStage, [*ReplyCode, *ClientInput]))
+)
 def test_a_client_never_sends_a_trial_again_that_may_have_been_taken_in(stage, heard):
     try:
-        step = client.hear(stage, heard)
+        step = client.next_transition(stage, heard)
     except ProtocolError:
-        assert stage in (Stage.OVER, Stage.FRESH)
+        assert stage in (ClientStage.OVER, ClientStage.FRESH)
         return
-    if step.action in (Action.SUBMIT, Action.LEASE) and heard is not Heard.EMPTIED:
-        assert stage is not Stage.IN_HAND
-        harmless = (Verdict.UNKNOWN, Verdict.NO_LEASE, Heard.LEASED, Heard.RESTARTED)
+    if step.action in (Action.SUBMIT, Action.LEASE) and heard is not ClientInput.EMPTIED:
+        assert stage is not ClientStage.IN_HAND
+        harmless = (
+            ReplyCode.UNKNOWN,
+            ReplyCode.NO_LEASE,
+            ClientInput.LEASED,
+            ClientInput.RESTARTED,
+        )
         assert heard in harmless
-        assert heard is not Heard.RESTARTED or stage is Stage.FRESH
+        assert heard is not ClientInput.RESTARTED or stage is ClientStage.FRESH
     if step.action is Action.GONE:
-        assert stage is Stage.FRESH
+        assert stage is ClientStage.FRESH
     if step.action is Action.NOTHING_RAN:
-        assert heard in (Verdict.NEVER_STARTED, Verdict.VOID)
+        assert heard in (ReplyCode.NEVER_STARTED, ReplyCode.VOID)
     if step.action is Action.INTERRUPTED:
-        assert heard is Verdict.INTERRUPTED
-    assert (step.stage is Stage.OVER) == (step.action in OVER)
+        assert heard is ReplyCode.INTERRUPTED
+    assert (step.stage is ClientStage.OVER) == (step.action in OVER)
 
 
 OVER = {
@@ -248,14 +255,16 @@ OVER = {
 
 
 def test_a_trial_that_may_have_been_sent_is_not_fresh():
-    assert client.sent(client.START).stage is Stage.SENT
-    waiting = client.hear(Stage.SENT, Verdict.ACCEPTED)
+    assert client.sent(client.START).stage is ClientStage.SENT
+    waiting = client.next_transition(ClientStage.SENT, ReplyCode.ACCEPTED)
     assert client.sent(waiting) == waiting
 
 
 def test_busy_with_anothers_trial_is_a_refusal():
-    assert client.hear(Stage.SENT, Verdict.BUSY, own=False).action is Action.FAIL
-    assert client.hear(Stage.SENT, Verdict.BUSY).action is Action.WAIT
+    assert (
+        client.next_transition(ClientStage.SENT, ReplyCode.BUSY, own=False).action is Action.FAIL
+    )
+    assert client.next_transition(ClientStage.SENT, ReplyCode.BUSY).action is Action.WAIT
 
 
 # --- both, over a network that loses, repeats and reorders ---
@@ -266,7 +275,7 @@ class Life:
     """A client's view of one trial; a new one after each kill of the client."""
 
     trial_id: str
-    step: client.Step = field(default_factory=lambda: client.START)
+    step: client.ClientTransition = field(default_factory=lambda: client.START)
     token: str = ""
     result: Action | None = None
 
@@ -324,14 +333,14 @@ class Exchange(RuleBasedStateMachine):
             return
         leasing = life.step.action is Action.LEASE
         if verb == "lease" and leasing and token == life.token:
-            self._hear(Heard.LEASED if heard is Verdict.ACCEPTED else heard)
-        elif verb != "lease" and not leasing and life.step.stage is not Stage.FRESH:
+            self._hear(ClientInput.LEASED if heard is ReplyCode.ACCEPTED else heard)
+        elif verb != "lease" and not leasing and life.step.stage is not ClientStage.FRESH:
             # A late answer to an earlier question is heard as if it were to the latest.
             self._hear(heard, record)
 
     def _hear(self, heard, record=None):
         life = self.client
-        life.step = client.hear(life.step.stage, heard)
+        life.step = client.next_transition(life.step.stage, heard)
         action = life.step.action
         moved = self.moved.get(life.trial_id, 0)
         if action is Action.RECORD:
@@ -344,7 +353,7 @@ class Exchange(RuleBasedStateMachine):
             assert moved == 1
         elif action is Action.FAIL:
             life.token = ""
-        if life.step.stage is Stage.OVER:
+        if life.step.stage is ClientStage.OVER:
             life.result = action
             reached.add(action)
 
@@ -365,18 +374,18 @@ class Exchange(RuleBasedStateMachine):
         if verb == "lease":
             verdict = self._rig(events.Acquire(token, "client")).verdict
         elif verb == "submit":
-            move = self._rig(events.Submit(token, trial_id, known))
-            if Order.TAKE_IN in move.orders:
+            move = self._rig(events.SubmitEvent(token, trial_id, known))
+            if RigAction.TAKE_IN in move.orders:
                 return  # answered once it is in the ledger
             verdict = move.verdict
         elif known is TrialState.UNKNOWN and mine:
-            verdict = Verdict.BUSY
+            verdict = ReplyCode.BUSY
         else:
             verdict = OF_TRIAL[known]
-        if verdict is Verdict.BUSY and not mine:
+        if verdict is ReplyCode.BUSY and not mine:
             return  # the client under test wants one trial at a time
         record = self.records.get(trial_id)
-        heard = Heard.RECORD if verdict is Verdict.ENDED else verdict
+        heard = ClientInput.RECORD if verdict is ReplyCode.ENDED else verdict
         self.answers.append((self.boots, verb, trial_id, token, heard, record))
 
     @rule()
@@ -388,10 +397,10 @@ class Exchange(RuleBasedStateMachine):
         if not trial.noted:
             self._note(trial.trial_id, TrialEvent.SUBMIT)
             self._rig(events.Noted())
-            answer = (self.boots, "submit", trial.trial_id, "", Verdict.ACCEPTED, None)
+            answer = (self.boots, "submit", trial.trial_id, "", ReplyCode.ACCEPTED, None)
             self.answers.append(answer)
         elif mode is Mode.ACCEPTED:
-            if self._rig(events.Begin()).verdict is Verdict.ACCEPTED:
+            if self._rig(events.Begin()).verdict is ReplyCode.ACCEPTED:
                 self._note(trial.trial_id, TrialEvent.START)
                 self.moved[trial.trial_id] = self.moved.get(trial.trial_id, 0) + 1
         else:
@@ -402,7 +411,7 @@ class Exchange(RuleBasedStateMachine):
     def _rig(self, event):
         move = rig.step(self.rig, event, self.now_s)
         self.rig = move.state
-        if Order.TOMBSTONE in move.orders:
+        if RigAction.TOMBSTONE in move.orders:
             self._note(event.trial_id, TrialEvent.VOID)
         return move
 
@@ -427,8 +436,8 @@ class Exchange(RuleBasedStateMachine):
             del bag[at % len(bag)]
         life = self.client
         leasing = life.step.action is Action.LEASE  # it will ask again, for another lease
-        if life.step.stage is not Stage.FRESH and life.result is None and not leasing:
-            self._hear(Heard.SILENCE)
+        if life.step.stage is not ClientStage.FRESH and life.result is None and not leasing:
+            self._hear(ClientInput.SILENCE)
 
     @rule()
     def rig_dies_and_boots(self):
@@ -437,7 +446,7 @@ class Exchange(RuleBasedStateMachine):
         for trial_id in self.ledger:
             self._note(trial_id, TrialEvent.BOOT)
         if self.client.result is None:
-            self._hear(Heard.RESTARTED)
+            self._hear(ClientInput.RESTARTED)
 
     @rule()
     def client_dies_and_another_goes_on_with_its_trial(self):
@@ -448,7 +457,7 @@ class Exchange(RuleBasedStateMachine):
         self.now_s += passed * LEASE_S
         self._rig(events.Renew(self.client.token) if renews else events.Expire())
 
-    @rule(event=st.sampled_from([events.Estop("smoke"), events.Clear()]))
+    @rule(event=st.sampled_from([events.EstopEvent("smoke"), events.ClearEvent()]))
     def somebody_stops_or_clears(self, event):
         self._rig(event)
 
@@ -456,7 +465,7 @@ class Exchange(RuleBasedStateMachine):
     def client_voids(self):
         """As after Ctrl-C: what was not taken in must never run."""
         known = self.ledger.get(self.client.trial_id, TrialState.UNKNOWN)
-        self._rig(events.Void(self.client.token, self.client.trial_id, known))
+        self._rig(events.VoidEvent(self.client.token, self.client.trial_id, known))
 
     @invariant()
     def no_trial_runs_twice(self):

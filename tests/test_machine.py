@@ -14,7 +14,7 @@ from estune.core.cost import StepCost
 from estune.core.gains import Gains
 from estune.hardware.driver import Reading
 from estune.hardware.loop_messages import Ended, Refused
-from estune.hardware.reel_state_machine import Phase
+from estune.hardware.reel_state_machine import MotionPhase
 from estune.hardware.shared_memory import Word
 from estune.trial import GUARD, LATE, SATURATED, Outcome
 from estune.trial.profiles import StepProfile, TriangleProfile
@@ -29,7 +29,7 @@ RADIUS_PER_TORQUE = 1.0 / 20.0  # A/N of the emulated reel
 def in_trial(loop: VirtualLoop, samples: int = 50, gains=GOOD, profile=STEP) -> None:
     """Runs into the midst of a trial."""
     loop.ask(gains, profile)
-    loop.until(lambda: loop.machine.phase is Phase.TRIAL)
+    loop.until(lambda: loop.machine.phase is MotionPhase.TRIAL)
     for _ in range(samples):
         loop.step()
 
@@ -59,7 +59,7 @@ def test_the_reel_is_taken_up_from_slack_before_the_loop_is_closed():
     loop = VirtualLoop(config())
     assert not loop.machine.powered
     loop.ask(GOOD, STEP)
-    loop.until(lambda: loop.machine.phase is Phase.HOLD)
+    loop.until(lambda: loop.machine.phase is MotionPhase.HOLD)
     assert all(current <= 0.2 + 1e-3 for current in loop.current_A[:-1])
     assert loop.tension_N[-1] >= 2.0
 
@@ -86,7 +86,7 @@ def test_after_a_trial_the_live_gains_hold_the_reel():
     loop.answer()
     for _ in range(2000):
         loop.step()
-    assert loop.machine.phase is Phase.HOLD
+    assert loop.machine.phase is MotionPhase.HOLD
     assert loop.tension_N[-1] == pytest.approx(15.0, abs=0.05)
 
 
@@ -169,8 +169,8 @@ def test_a_fault_ends_the_trial_in_its_own_sample_and_brings_the_safe_state(faul
     record = loop.columns(ended.kept)
     assert record["flags"][-1] & GUARD
     assert not (record["flags"][:-1] & GUARD).any()
-    expected = Phase.HOLD if holds and state == "hold" else Phase.RAMP
-    assert loop.machine.phase in (expected, Phase.STOPPED)
+    expected = MotionPhase.HOLD if holds and state == "hold" else MotionPhase.RAMP
+    assert loop.machine.phase in (expected, MotionPhase.STOPPED)
     loop.step()
     assert bool(loop.memory.words[Word.LATCHED]) is latched
 
@@ -192,7 +192,7 @@ def test_the_ramp_takes_its_time_and_ends_where_it_should():
         loop.step()
     ramp = np.array(loop.current_A[-samples - 1 :])
     assert np.allclose(np.diff(ramp[:-1]), (0.3 - start) / samples, atol=5e-4)
-    assert loop.machine.phase is Phase.STOPPED
+    assert loop.machine.phase is MotionPhase.STOPPED
     assert loop.current_A[-1] == pytest.approx(0.3, abs=2e-4)
     assert loop.machine.powered  # there is a current to be held
 
@@ -210,7 +210,7 @@ def test_where_the_live_gains_do_not_bring_it_back_the_rig_stops_for_good():
     in_trial(loop)
     gauge = loop.rig.plan().gauge
     high = next(n for n in range(1_000_000, 16_000_000, 1000) if gauge.force_N(n) > 65.0)
-    while loop.machine.phase is not Phase.STOPPED:
+    while loop.machine.phase is not MotionPhase.STOPPED:
         loop.step(Reading(loop.time_s + 1 / 632, high + len(loop.current_A) % 2, 0))
     held = sum(tension > 60.0 for tension in loop.tension_N)
     assert held >= round(0.3 * 632)  # the time the live gains were given
@@ -227,13 +227,13 @@ def test_a_limit_crossed_under_the_live_gains_is_latched():
     settled(loop)
     gauge, encoder = loop.board.read(loop.time_s)
     loop.step(Reading(loop.time_s + 1 / 632, gauge, encoder + 8192))
-    assert loop.machine.phase is Phase.RAMP
+    assert loop.machine.phase is MotionPhase.RAMP
     loop.ask(GOOD, STEP, number=2)
     assert isinstance(loop.answer(), Refused)
 
 
 def test_a_supervisor_that_comes_back_finds_the_rig_willing():
-    for state, phase in (("hold", Phase.HOLD), ("ramp", Phase.STOPPED)):
+    for state, phase in (("hold", MotionPhase.HOLD), ("ramp", MotionPhase.STOPPED)):
         loop = VirtualLoop(config(safe__state=state))
         settled(loop)
         for _ in range(300):
@@ -249,14 +249,14 @@ def test_a_cable_that_is_not_attached_is_told():
     for k in range(500):
         loop.step(Reading(loop.time_s + 1 / 632, 1_000_000 + k % 5, 0))
     assert "no tension above 2 N within 0.5 s" in loop.machine.answer.sentence
-    assert loop.machine.phase is Phase.STOPPED
+    assert loop.machine.phase is MotionPhase.STOPPED
 
 
 def test_a_preload_that_is_not_reached_is_told():
     loop = VirtualLoop(config(motion__settle_N=1e-6, motion__settle_within_s=0.5), noise_N=0.04)
     loop.ask(GOOD, STEP)
     assert "have not kept the tension within 1e-06 N" in loop.answer().sentence
-    assert loop.machine.phase is Phase.HOLD
+    assert loop.machine.phase is MotionPhase.HOLD
 
 
 def test_the_emergency_stop_acts_at_the_next_sample_and_stays():
@@ -264,13 +264,13 @@ def test_the_emergency_stop_acts_at_the_next_sample_and_stays():
     in_trial(loop)
     loop.estop(on=True)
     loop.step()
-    assert loop.machine.phase is Phase.RAMP
+    assert loop.machine.phase is MotionPhase.RAMP
     assert loop.machine.answer.outcome is Outcome.CANCELLED
     loop.machine.answer = None
     loop.machine.clear()  # while it is still pressed
     loop.ask(GOOD, STEP, number=2)
     assert "emergency stop" in loop.answer().sentence
-    loop.until(lambda: loop.machine.phase is Phase.STOPPED)
+    loop.until(lambda: loop.machine.phase is MotionPhase.STOPPED)
     assert not loop.machine.powered
     assert loop.current_A[-1] == 0.0
     loop.estop(on=False)

@@ -18,9 +18,9 @@ from estune.errors import InvalidInput, RigError
 from estune.remote import zenoh
 from estune.run.journal import Journal
 from estune.studies.match.cost_estimate import level_of
-from estune.studies.match.outcome import Standing, judge
+from estune.studies.match.outcome import MatchOutcome, classify
 from estune.studies.match.reel_matcher import Settings
-from estune.studies.match.target_cost_tuner import LevelSeeker, gentler_path
+from estune.studies.match.target_cost_tuner import TargetCostTuner, detuning_path
 from estune.tuners.observation import Observation
 from tests.support_runs import ArithmeticRig
 
@@ -35,7 +35,7 @@ def cost_along(u: float) -> float:
 
 def sought(target: float, noise: float, seed: int, trials: int = 16, unsafe_from: float = 9.0):
     """Distance found, and whether any trial was asked beyond one known to be unsafe."""
-    seeker, random = LevelSeeker(gentler_path(TUNED), target), np.random.default_rng(seed)
+    seeker, random = TargetCostTuner(detuning_path(TUNED), target), np.random.default_rng(seed)
     state, least_unsafe, trespassed = seeker.start(), math.inf, False
     for _ in range(trials):
         (K,) = seeker.ask(state)
@@ -69,7 +69,7 @@ def test_a_level_that_lies_beyond_unsafe_gains_is_neared_but_no_unsafe_trial_rep
 
 
 def test_only_the_loop_gain_changes_on_the_path():
-    path = gentler_path(TUNED)
+    path = detuning_path(TUNED)
     half = path.gains((TUNED.P / 2.0,))
     assert np.allclose(half.as_tuple(), (0.6, 18.0, 0.01, 0.002), rtol=1e-12)
     assert path.high == (TUNED.P,)
@@ -85,15 +85,15 @@ def test_the_interval_of_a_level_holds_its_mean_in_95_of_100_cases():
 @pytest.mark.parametrize(
     ("costs", "standing"),
     [
-        ((1.399, 1.401, 1.400, 1.402), Standing.PASS),
-        ((1.499, 1.501, 1.500, 1.502), Standing.OFF_TARGET),
-        ((1.30, 1.50, 1.36, 1.44), Standing.NOT_SHOWN),
-        ((1.399, 1.401, math.inf, 1.402), Standing.FAILED),
-        ((1.4,), Standing.NOT_SHOWN),
+        ((1.399, 1.401, 1.400, 1.402), MatchOutcome.PASS),
+        ((1.499, 1.501, 1.500, 1.502), MatchOutcome.OFF_TARGET),
+        ((1.30, 1.50, 1.36, 1.44), MatchOutcome.NOT_SHOWN),
+        ((1.399, 1.401, math.inf, 1.402), MatchOutcome.FAILED),
+        ((1.4,), MatchOutcome.NOT_SHOWN),
     ],
 )
 def test_a_reel_passes_only_where_its_whole_interval_is_within_the_tolerance(costs, standing):
-    assert judge(level_of(costs), 1.4, 0.02)[0] is standing
+    assert classify(level_of(costs), 1.4, 0.02)[0] is standing
 
 
 def test_reels_of_different_mechanics_come_to_the_cost_of_the_worst_of_them():

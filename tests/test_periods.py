@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from plants.diagnosis.search.angle_periods import Turning, per_turn
+from plants.diagnosis.search.angle_periods import ResidualOverAngle, per_turn
 
 READ_rad = 2.0 * np.pi / 8192.0
 
@@ -13,7 +13,7 @@ def turned(rng, per_turn, phase, extent_rad):
     angle = extent_rad * np.concatenate([rng.random(1500), np.full(1000, 0.9)])
     angle = READ_rad * np.round(angle / READ_rad)
     noise = 0.5 * rng.standard_normal(angle.size)
-    return Turning(angle, 3.0 - 2.0 * angle + np.sin(per_turn * angle + phase) + noise)
+    return ResidualOverAngle(angle, 3.0 - 2.0 * angle + np.sin(per_turn * angle + phase) + noise)
 
 
 def test_a_wave_is_found_though_each_record_has_another_phase():
@@ -38,4 +38,4 @@ def test_a_wave_that_hardly_repeats_is_the_best_of_least_squares():
 
 def test_a_drum_that_did_not_turn_has_no_period():
     assert per_turn([], READ_rad) == []
-    assert per_turn([Turning(np.zeros(9), np.ones(9))], READ_rad) == []
+    assert per_turn([ResidualOverAngle(np.zeros(9), np.ones(9))], READ_rad) == []

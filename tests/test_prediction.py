@@ -11,8 +11,8 @@ import plants
 from estune.core.gains import Gains
 from estune.errors import InvalidInput, PlantError
 from estune.trial.profiles import ChirpProfile, MultisineProfile, StepProfile, TriangleProfile
-from plants.diagnosis.data.measured_record import Measurement
-from plants.diagnosis.data.noise_floor import Floor, Noise
+from plants.diagnosis.data.measured_record import MeasuredRecord
+from plants.diagnosis.data.noise_floor import Noise, NoiseFloor
 from plants.diagnosis.models.calibration import Calibration
 from plants.diagnosis.models.diagnosed_model import diagnosed
 from plants.diagnosis.prediction.prediction import Predictor, warm
@@ -42,7 +42,7 @@ def measured(model, profile, *, noise_N=0.0, seed=0, name="a"):
     rate = model.controller.sampling_Hz
     noise = noise_N * np.random.default_rng(seed).normal(size=profile.samples(rate))
     seen = plants.simulate(model, GAINS, profile, noise_N=noise)
-    return Measurement(
+    return MeasuredRecord(
         name=name,
         rig="rig",
         sampling_Hz=rate,
@@ -63,7 +63,7 @@ def measured(model, profile, *, noise_N=0.0, seed=0, name="a"):
 
 def floor(**rms):
     channels = {name: Noise(value, 0.0, "quiet stretches") for name, value in rms.items()}
-    return Floor(channels, ())
+    return NoiseFloor(channels, ())
 
 
 SMALL = floor(tension_N=1e-3, angle_rad=1e-5, reference_N=1e-3, current_A=1e-4)
@@ -341,7 +341,7 @@ def swinging(sampling_Hz=500.0, hardening=40.0, slope=0.0):
         control.tf([gain * w**2], [1.0, 2.0 * z * w, w**2]), sampling_Hz=sampling_Hz
     )
     nothing = dict.fromkeys(("gains", "cable_length_m", "current_A", "angle_rad", "reference_N"))
-    return plant, Measurement(
+    return plant, MeasuredRecord(
         *("swing", "rig", sampling_Hz),
         preload_N=0.0,
         loop="open",
@@ -545,7 +545,7 @@ def test_the_floor_of_a_drum_that_travels_far_is_that_of_short_predictions(wande
     velocity = 5.0 + h * np.append(0.0, np.cumsum(rate)[:-1])
     angle = h * np.append(0.0, np.cumsum(0.5 * (velocity[1:] + velocity[:-1])))
     nothing = dict.fromkeys(("gains", "cable_length_m", "current_A", "tension_N", "reference_N"))
-    record = Measurement(
+    record = MeasuredRecord(
         *("turned", "rig", drum.sampling_Hz),
         preload_N=0.0,
         loop="open",

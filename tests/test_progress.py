@@ -57,7 +57,7 @@ def test_a_resumed_run_counts_its_best_and_unsafe_trials_from_the_beginning(tmp_
         seen.append(shown)
 
     with Journal.open(tmp_path / "cut") as journal:
-        tally = progress.Tally(replay(before.plan, before.rig, journal))
+        tally = progress.ProgressCounter(replay(before.plan, before.rig, journal))
     assert tally.status().unsafe == 1
     assert tally.status().best == before.to_frame()["best_cost"].iloc[-1]
     assert tally.status().done == 20

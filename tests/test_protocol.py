@@ -27,7 +27,7 @@ from estune.remote.messages import (
     Void,
 )
 from estune.remote.messages.messages import COMMANDS
-from estune.remote.state_machine.reply_codes import Verdict
+from estune.remote.state_machine.reply_codes import ReplyCode
 from estune.remote.state_machine.state import Mode
 from estune.trial import TrialRequest
 from estune.trial.profiles import (
@@ -86,8 +86,8 @@ def test_a_request_arrives_as_it_was_sent(request):
         *(Inquire("ab", 3, 100), Cancel("1e", "run-00003"), SetGains("1e", REQUEST.gains)),
         *(Lease("renew", "1e"), Void("1e", "run-00003", "ab"), Estop("smoke"), Clear()),
         Status("4f1c", Mode.ABORTING, "run-00003", 3, "anna@lab", "smoke"),
-        Answer(Verdict.REFUSED, "run-00003", "InvalidInput", "too far"),
-        *(Answer(verdict) for verdict in Verdict),
+        Answer(ReplyCode.REFUSED, "run-00003", "InvalidInput", "too far"),
+        *(Answer(verdict) for verdict in ReplyCode),
         Description(description(), "4f1c", "9e"),
     ],
     ids=lambda message: type(message).__name__,
@@ -194,7 +194,7 @@ def test_the_client_raises_what_the_rig_raised(kind):
 
 def test_an_error_of_an_unknown_kind_is_still_an_error_of_the_rig():
     with pytest.raises(RigError, match="oil low"):
-        Answer(Verdict.REFUSED, error="SystemExit", sentence="oil low").check()
+        Answer(ReplyCode.REFUSED, error="SystemExit", sentence="oil low").check()
 
 
 def present(*rigs: str) -> set[Presence]:

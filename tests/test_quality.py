@@ -9,7 +9,7 @@ from estune.errors import InvalidInput
 from estune.trial import SATURATED, TrialRequest
 from plants import reference_reel
 from plants.diagnosis.checks.quality import check
-from plants.diagnosis.data.measured_record import Measurement
+from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.identify.excitation import Band, chirp, multisine
 from plants.identify.open_loop import open_loop_record
 
@@ -19,7 +19,7 @@ SINES = multisine(RATE, Band(1.0, 60.0, periods=2), 4.0)
 
 
 def measured(excitation, seed=0, name="bad"):
-    return replace(Measurement.of(open_loop_record(REEL, excitation, seed=seed)), source=name)
+    return replace(MeasuredRecord.of(open_loop_record(REEL, excitation, seed=seed)), source=name)
 
 
 GOOD = measured(SINES, name="good")
@@ -30,7 +30,7 @@ def closed():
     rig = REEL.rig()
     about = rig.describe()
     return replace(
-        Measurement.of(rig.run(TrialRequest("r", 0, about.gains, about.step))), source="c"
+        MeasuredRecord.of(rig.run(TrialRequest("r", 0, about.gains, about.step))), source="c"
     )
 
 

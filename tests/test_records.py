@@ -11,7 +11,7 @@ import estune
 from estune.errors import InvalidInput
 from estune.run.export import columns, export_run, metadata
 from plants import reference_reel
-from plants.diagnosis.data.measured_record import CHANNELS, Measurement
+from plants.diagnosis.data.measured_record import CHANNELS, MeasuredRecord
 from plants.diagnosis.data.records import read_measurements
 from plants.identify.excitation import Band, multisine
 from plants.identify.open_loop import open_loop_record
@@ -69,7 +69,7 @@ def test_what_estune_writes_is_read_back_exactly(tmp_path, form):
     assert not read.findings
     assert len(read.measurements) == len(run.entries)
     for measurement, entry in zip(read.measurements, run.entries, strict=True):
-        equal(measurement, Measurement.of(run.record(entry.number)))
+        equal(measurement, MeasuredRecord.of(run.record(entry.number)))
 
 
 BAD_COLUMNS = {

@@ -26,10 +26,10 @@ from estune.remote.messages import (
     decode_part,
     digest,
 )
-from estune.remote.state_machine.reply_codes import Verdict
+from estune.remote.state_machine.reply_codes import ReplyCode
 from estune.remote.state_machine.state import LEASE_S, Mode
 from estune.remote.state_machine.trials import TrialState
-from estune.remote.zenoh.request_handler import Attendant
+from estune.remote.zenoh.request_handler import RequestHandler
 from estune.trial import Outcome, Telemetry, TrialRequest, record_frame
 from tests.support_rigs import ScriptedRig, broken, description, response, same
 
@@ -41,7 +41,7 @@ def trial(number: int = 0, **changes) -> TrialRequest:
     return TrialRequest("run", number, GAINS, replace(description().step, **changes))
 
 
-class Attended(Attendant):
+class Attended(RequestHandler):
     """An attendant with the threads that bring it its questions."""
 
     def __init__(self, rig: ScriptedRig, ledger) -> None:
@@ -107,11 +107,11 @@ class HeldRig(ScriptedRig):
 def test_a_trial_submitted_again_before_and_after_its_end_runs_once():
     rig = HeldRig()
     with attending(rig) as attendant:
-        assert attendant.begin(trial()).verdict is Verdict.ACCEPTED
+        assert attendant.begin(trial()).verdict is ReplyCode.ACCEPTED
         while not rig.asked:
             time.sleep(0.001)
-        assert attendant.begin(trial()).verdict is Verdict.RUNNING
-        assert attendant.ask(trial()).verdict is Verdict.RUNNING
+        assert attendant.begin(trial()).verdict is ReplyCode.RUNNING
+        assert attendant.ask(trial()).verdict is ReplyCode.RUNNING
         rig.go.set()
         attendant.wait()
         first = attendant.begin(trial())
@@ -139,12 +139,12 @@ def test_who_has_the_record_of_a_trial_can_have_the_next_one_begun():
         attendant.begin(trial())
         assert ledger.noted.wait(60.0)
         for answer in (attendant.ask(trial()), attendant.begin(trial())):
-            assert answer.verdict is Verdict.RUNNING
+            assert answer.verdict is ReplyCode.RUNNING
         ledger.go.set()
         while isinstance(attendant.ask(trial()), Answer):
             time.sleep(0.001)
         following = attendant.begin(trial(1))
-        assert isinstance(following, bytes) or following.verdict is Verdict.ACCEPTED
+        assert isinstance(following, bytes) or following.verdict is ReplyCode.ACCEPTED
 
 
 def test_a_record_is_handed_out_in_parts_to_who_asks_for_them():
@@ -191,7 +191,7 @@ def test_a_rig_that_was_quick_and_is_not_any_more_is_told_of_by_the_other_thread
         slow.start()
         while not rig.asked:
             time.sleep(0.001)
-        assert attendant.begin(trial()).verdict is Verdict.RUNNING
+        assert attendant.begin(trial()).verdict is ReplyCode.RUNNING
         rig.go.set()
         slow.join()
         assert isinstance(attendant.begin(trial()), bytes)
@@ -208,7 +208,7 @@ def test_another_request_under_the_same_id_is_refused_and_not_run():
             *(attendant.begin(other), attendant.ask(other)),
             attendant.void(Void(MINE, other.trial_id, digest(other))),
         ):
-            assert (answer.verdict, answer.error) == (Verdict.REFUSED, "RigError")
+            assert (answer.verdict, answer.error) == (ReplyCode.REFUSED, "RigError")
     assert rig.asked == [trial()]
 
 
@@ -220,7 +220,7 @@ def test_a_second_trial_and_new_gains_are_told_that_the_rig_is_busy_and_with_wha
             attendant.begin(trial(1)),
             attendant.set_gains(SetGains(MINE, replace(GAINS, P=2.0))),
         ):
-            assert (answer.verdict, answer.trial_id) == (Verdict.BUSY, trial().trial_id)
+            assert (answer.verdict, answer.trial_id) == (ReplyCode.BUSY, trial().trial_id)
             assert trial().trial_id in answer.sentence
         assert attendant.now.trial_id == trial().trial_id
         rig.go.set()
@@ -245,7 +245,7 @@ def test_what_the_rigs_program_raises_is_the_result_of_the_trial(caplog):
         attendant.begin(trial())
         attendant.wait()
         answer = attendant.ask(trial())
-        assert (answer.verdict, answer.error) == (Verdict.REFUSED, "RigError")
+        assert (answer.verdict, answer.error) == (ReplyCode.REFUSED, "RigError")
         assert "ZeroDivisionError: no answer to 0" in answer.sentence
         assert attendant.now.mode is Mode.LEASED
     assert [record.levelno for record in caplog.records] == [logging.ERROR]
@@ -305,8 +305,8 @@ def test_a_trial_that_cannot_be_noted_is_refused_and_not_run(prompt):
     with attending(rig, ledger) as attendant:
         ledger.fails, attendant._prompt = True, prompt
         answer = attendant.begin(trial())
-        assert (answer.verdict, answer.sentence) == (Verdict.REFUSED, "the disk is full")
-        assert attendant.ask(trial()).verdict is Verdict.UNKNOWN
+        assert (answer.verdict, answer.sentence) == (ReplyCode.REFUSED, "the disk is full")
+        assert attendant.ask(trial()).verdict is ReplyCode.UNKNOWN
         assert attendant.now.mode is Mode.LEASED
         ledger.fails = False
         attendant.begin(trial())
@@ -332,14 +332,14 @@ def test_a_trial_voided_while_it_is_being_noted_does_not_run(prompt):
         begun = threading.Thread(target=lambda: answers.append(attendant.begin(trial())))
         begun.start()
         assert noting.wait(60.0)
-        assert attendant.ask(trial()).verdict is Verdict.BUSY
+        assert attendant.ask(trial()).verdict is ReplyCode.BUSY
         if not prompt:
             voided = attendant.void(Void(MINE, trial().trial_id, digest(trial())))
-            assert (voided.verdict, voided.trial_id) == (Verdict.BUSY, trial().trial_id)
+            assert (voided.verdict, voided.trial_id) == (ReplyCode.BUSY, trial().trial_id)
         MemoryLedger.note(ledger, trial().trial_id, digest(trial()), "void")
         go_on.set()
         begun.join()
-        assert answers[0].verdict is Verdict.VOID
+        assert answers[0].verdict is ReplyCode.VOID
         attendant.wait()
     assert rig.asked == []
 
@@ -348,13 +348,13 @@ def test_a_voided_trial_never_runs():
     rig = ScriptedRig()
     with attending(rig) as attendant:
         void = Void(MINE, trial().trial_id, digest(trial()))
-        assert attendant.void(void).verdict is Verdict.VOID
-        assert attendant.begin(trial()).verdict is Verdict.VOID
-        assert attendant.ask(trial()).verdict is Verdict.VOID
+        assert attendant.void(void).verdict is ReplyCode.VOID
+        assert attendant.begin(trial()).verdict is ReplyCode.VOID
+        assert attendant.ask(trial()).verdict is ReplyCode.VOID
         attendant.begin(trial(1))
         attendant.wait()
         ended = Void(MINE, trial(1).trial_id, digest(trial(1)))
-        assert attendant.void(ended).verdict is Verdict.ENDED
+        assert attendant.void(ended).verdict is ReplyCode.ENDED
     assert rig.asked == [trial(1)]
 
 
@@ -370,12 +370,12 @@ def test_only_the_holder_of_the_lease_commands_the_rig_and_the_others_are_told_w
             *(attendant.begin(trial(), OTHERS), attendant.void(void)),
             attendant.set_gains(SetGains(OTHERS, GAINS)),
         ):
-            assert answer.verdict is Verdict.HELD
+            assert answer.verdict is ReplyCode.HELD
             assert "holder of mine" in answer.sentence
-        assert attendant.lease(Lease("release", MINE)).verdict is Verdict.ACCEPTED
-        assert attendant.acquire(OTHERS).verdict is Verdict.ACCEPTED
+        assert attendant.lease(Lease("release", MINE)).verdict is ReplyCode.ACCEPTED
+        assert attendant.acquire(OTHERS).verdict is ReplyCode.ACCEPTED
         assert attendant.now.holder == "holder of others"
-        assert attendant.begin(trial()).verdict is Verdict.HELD
+        assert attendant.begin(trial()).verdict is ReplyCode.HELD
         assert rig.asked == []
 
 
@@ -391,7 +391,7 @@ def test_a_lease_that_is_not_renewed_ends_its_trial_and_says_why():
         assert record.outcome is Outcome.CANCELLED
         assert "holder of mine has not been heard of for 1 s" in record.reason
         assert attendant.now.mode is Mode.IDLE
-        assert attendant.begin(trial(1)).verdict is Verdict.NO_LEASE
+        assert attendant.begin(trial(1)).verdict is ReplyCode.NO_LEASE
     assert rig.asked == [trial()]
 
 
@@ -436,7 +436,7 @@ def test_cancel_names_the_trial_until_it_has_ended_and_spares_the_next():
         while attendant.cancel(Cancel(MINE, trial().trial_id)).trial_id:
             time.sleep(0.001)
         attendant.begin(trial(1))
-        assert attendant.cancel(Cancel(MINE, trial().trial_id)) == Answer(Verdict.ACCEPTED)
+        assert attendant.cancel(Cancel(MINE, trial().trial_id)) == Answer(ReplyCode.ACCEPTED)
         assert attendant.now.trial_id == trial(1).trial_id
 
 
@@ -447,7 +447,7 @@ def test_closing_stops_the_trial_under_way_and_takes_in_no_more():
         attendant.close()
         assert attendant.now.mode is Mode.CLOSED
         answer = attendant.begin(trial(1))
-        assert (answer.verdict, answer.error) == (Verdict.REFUSED, "RigError")
+        assert (answer.verdict, answer.error) == (ReplyCode.REFUSED, "RigError")
 
 
 def test_a_rig_that_cannot_be_stopped_says_so_each_time_it_is_asked_to():
@@ -455,12 +455,12 @@ def test_a_rig_that_cannot_be_stopped_says_so_each_time_it_is_asked_to():
     rig.abort = lambda: broken(trial(7))
     with attending(rig) as attendant:
         attendant.begin(trial())
-        while (answer := attendant.cancel(Cancel(MINE))).verdict is Verdict.ACCEPTED:
+        while (answer := attendant.cancel(Cancel(MINE))).verdict is ReplyCode.ACCEPTED:
             time.sleep(0.001)
         assert "no answer to 7" in answer.sentence
         rig.go.set()
         attendant.wait()
-        assert attendant.cancel(Cancel(MINE)) == Answer(Verdict.ACCEPTED)
+        assert attendant.cancel(Cancel(MINE)) == Answer(ReplyCode.ACCEPTED)
 
 
 def test_an_emergency_stop_ends_the_trial_and_holds_until_cleared():
@@ -469,18 +469,18 @@ def test_an_emergency_stop_ends_the_trial_and_holds_until_cleared():
         attendant.begin(trial())
         while not rig.asked:
             time.sleep(0.001)
-        assert attendant.stop("smoke").verdict is Verdict.ACCEPTED
+        assert attendant.stop("smoke").verdict is ReplyCode.ACCEPTED
         attendant.wait()
         record = record_frame.decode(attendant.ask(trial()))
         assert (record.outcome, record.reason) == (Outcome.CANCELLED, "emergency stop: smoke")
         assert (attendant.now.mode, attendant.now.latched) == (Mode.SAFE, "smoke")
         for answer in (attendant.begin(trial(1)), attendant.set_gains(SetGains(MINE, GAINS))):
-            assert answer.verdict is Verdict.SAFE
+            assert answer.verdict is ReplyCode.SAFE
             assert "smoke" in answer.sentence
         with pytest.raises(RigError, match="safe state"):
             rig.run(trial(2))
-        assert attendant.clear().verdict is Verdict.ACCEPTED
-        assert attendant.begin(trial(1)).verdict is Verdict.ACCEPTED
+        assert attendant.clear().verdict is ReplyCode.ACCEPTED
+        assert attendant.begin(trial(1)).verdict is ReplyCode.ACCEPTED
 
 
 def test_an_emergency_stop_waits_for_no_trial_and_no_disk(tmp_path):
@@ -493,7 +493,7 @@ def test_an_emergency_stop_waits_for_no_trial_and_no_disk(tmp_path):
         with ledger._writing:  # as while a commit takes its time
             stopping = threading.Thread(target=attendant.estop, args=(Estop("fire"), answers.put))
             stopping.start()
-            assert answers.get(timeout=60.0).verdict is Verdict.ACCEPTED
+            assert answers.get(timeout=60.0).verdict is ReplyCode.ACCEPTED
             assert rig._latched == "fire"
         stopping.join()
         assert ledger.latched == "fire"
@@ -506,8 +506,8 @@ def test_an_emergency_stop_that_fails_is_said_and_latches_all_the_same(caplog):
     rig.estop = lambda reason: broken(trial(7))  # noqa: ARG005  called by position
     with attending(rig) as attendant:
         answer = attendant.stop()
-        assert (answer.verdict, answer.error) == (Verdict.REFUSED, "RigError")
-        assert attendant.begin(trial()).verdict is Verdict.SAFE
+        assert (answer.verdict, answer.error) == (ReplyCode.REFUSED, "RigError")
+        assert attendant.begin(trial()).verdict is ReplyCode.SAFE
     assert "emergency stop" in caplog.text
     assert rig.asked == []
 
@@ -531,12 +531,12 @@ def test_an_emergency_stop_outlives_the_rigs_program(tmp_path):
         with attending(rig, ledger) as attendant:
             if not clear:
                 attendant.stop("smoke")
-            assert attendant.begin(trial()).verdict is Verdict.SAFE
+            assert attendant.begin(trial()).verdict is ReplyCode.SAFE
             with pytest.raises(RigError):
                 rig.apply(GAINS)
             if clear:
                 attendant.clear()
-                assert attendant.begin(trial()).verdict is Verdict.ACCEPTED
+                assert attendant.begin(trial()).verdict is ReplyCode.ACCEPTED
         ledger.close()
     assert rig.asked == [trial()]
 

@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 
 from estune.trial import LinearModel, TrialRequest
 from plants import reference_reel
-from plants.diagnosis.data.measured_record import Measurement
+from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.data.noise_floor import noise_floor
 from plants.diagnosis.data.smoothing import Smoother
 from plants.diagnosis.models.base import BaseNumbers
@@ -47,7 +47,7 @@ def where(*effects):
         open_loop_record(reel, SWEEP, seed=2),
         rig.run(TrialRequest("r", 0, about.gains, about.step)),
     ]
-    measurements = [Measurement.of(record) for record in records]
+    measurements = [MeasuredRecord.of(record) for record in records]
     return localise(
         measurements, [BaseNumbers.of(BASE, m) for m in measurements], noise_floor(measurements)
     )
@@ -102,7 +102,7 @@ def test_free_lines_tell_an_odd_law_from_an_even_one():
 @pytest.mark.parametrize("missing", ["angle_rad", "tension_N"])
 def test_friction_is_found_with_one_sensor_alone(missing):
     reel = BASE + CoulombFriction(0.03)
-    records = [Measurement.of(open_loop_record(reel, e, seed=1)) for e in (SINES, SWEEP)]
+    records = [MeasuredRecord.of(open_loop_record(reel, e, seed=1)) for e in (SINES, SWEEP)]
     records = [replace(m, **{missing: None}) for m in records]
     found = localise(records, [BaseNumbers.of(BASE, m) for m in records], noise_floor(records))
     (block,) = found.blocks
@@ -125,7 +125,7 @@ def test_a_hardening_spring_is_found_in_a_plant_of_any_size_and_rate(rate):
 
     t = np.arange(n) / rate
     y = solve_ivp(slope, (0.0, t[-1]), [0.0, 0.0], t_eval=t, max_step=1.0 / rate, rtol=1e-8).y[0]
-    m = Measurement(
+    m = MeasuredRecord(
         *("spring", "", rate, None, 0.0, "open", "custom", None, t, u),
         *(None, size * (y + rng.normal(0.0, 1e-3, n)), None, None, None),
     )

@@ -15,7 +15,7 @@ from estune.core.gains import Gains
 from estune.errors import JournalError
 from estune.run import figures
 from estune.run.loop import Stopped
-from estune.run.result import Ending
+from estune.run.result import RunEnding
 from estune.run.session import Phase
 from estune.support import plot_style
 from estune.trial import LinearModel, Outcome
@@ -144,7 +144,7 @@ def test_a_run_that_found_nothing_does_not_look_like_one_that_did(kind, request,
     assert not result.success
     assert result.status != 0
     assert result.gains == result.start_gains
-    assert result.ending in (Ending.STOPPED, Ending.NO_IMPROVEMENT)
+    assert result.ending in (RunEnding.STOPPED, RunEnding.NO_IMPROVEMENT)
     for shown in (repr(result), result._repr_html_()):
         assert result.ending.upper() in shown
         assert "TUNED" not in shown
@@ -158,7 +158,7 @@ def test_unsafe_start_gains_are_an_ending_of_their_own(tmp_path):
     with pytest.raises(estune.EstuneError, match="unsafe"):
         estune.tune(Unlucky(diverging=(0,)), folder=tmp_path, run="unsafe", watch=None)
     result = estune.load(tmp_path / "unsafe")
-    assert result.ending is Ending.UNSAFE_START
+    assert result.ending is RunEnding.UNSAFE_START
     assert "UNSAFE START" in repr(result)
     assert result.figure()
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from estune.core.gains import Gains
 from estune.core.margins import Margins
-from estune.run.result_warnings import at_bounds, flat_directions, near_limits, thin_margins
+from estune.run.result_warnings import at_bounds, flat_directions, low_margins, near_limits
 from estune.tuners.search_space import SearchSpace
 
 BEST = (1.0, 10.0, 0.01, 0.005)
@@ -118,6 +118,6 @@ def test_a_response_near_a_limit_of_the_rig_is_said(share, words):
     ],
 )
 def test_margins_thinner_than_usual_are_said(found, words):
-    said = [finding.sentence for finding in thin_margins(found)]
+    said = [finding.sentence for finding in low_margins(found)]
     assert len(said) == (words is not None)
     assert all(words in sentence for sentence in said)

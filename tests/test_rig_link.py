@@ -34,7 +34,7 @@ from estune.remote.messages import (
     Void,
     digest,
 )
-from estune.remote.state_machine.reply_codes import Verdict
+from estune.remote.state_machine.reply_codes import ReplyCode
 from estune.remote.state_machine.state import LEASE_S, RENEW_S, Mode
 from estune.remote.zenoh import connect
 from estune.remote.zenoh.discovery import RECORDS_MAX_BYTES
@@ -43,7 +43,7 @@ from estune.trial import Outcome, TrialRequest, record_frame
 from tests.serve_rig import served
 
 ANSWERED_WITHIN_S = 10.0  # generous: what is timed is not how fast this machine is
-PENDING = (Verdict.ACCEPTED, Verdict.RUNNING, Verdict.BUSY)
+PENDING = (ReplyCode.ACCEPTED, ReplyCode.RUNNING, ReplyCode.BUSY)
 
 
 class Board:
@@ -80,7 +80,7 @@ class Board:
     def acquire(self) -> str:
         self.lease = secrets.token_hex(8)
         answer = self.say("lease", Lease("acquire", self.lease, "the conformance suite"))
-        assert answer.verdict is Verdict.ACCEPTED, answer.sentence
+        assert answer.verdict is ReplyCode.ACCEPTED, answer.sentence
         return self.lease
 
     def trial(self, number: int = 0, **changes) -> TrialRequest:
@@ -196,7 +196,7 @@ def test_a_trial_runs_once_and_its_record_is_what_was_asked_for(board):
     request, before = board.trial(), board.describe().rig
     ended = board.status().ended
     first = board.submit(request)
-    assert first is None or first.verdict in (*PENDING, Verdict.ENDED)
+    assert first is None or first.verdict in (*PENDING, ReplyCode.ENDED)
     record = board.record(request)
     assert (record.trial_id, record.rig) == (request.trial_id, before.name)
     assert (record.outcome, record.gains) == (Outcome.DONE, request.gains)
@@ -205,7 +205,7 @@ def test_a_trial_runs_once_and_its_record_is_what_was_asked_for(board):
     assert np.all(np.isfinite(record.tension_N))
     assert board.describe().rig.gains == before.gains
     again = board.submit(request)
-    assert again is None or again.verdict is Verdict.ENDED
+    assert again is None or again.verdict is ReplyCode.ENDED
     assert board.status().ended == ended + 1
 
 
@@ -229,11 +229,11 @@ def test_a_trial_id_stands_for_one_request(board):
     board.record(request)
     other = replace(request, gains=replace(request.gains, P=1.1 * request.gains.P))
     for answer in (board.submit(other), board.look(other)):
-        assert (answer.verdict, answer.error) == (Verdict.REFUSED, "RigError")
+        assert (answer.verdict, answer.error) == (ReplyCode.REFUSED, "RigError")
 
 
 def test_what_was_never_asked_for_is_unknown(board):
-    assert board.look(board.trial(99)).verdict is Verdict.UNKNOWN
+    assert board.look(board.trial(99)).verdict is ReplyCode.UNKNOWN
 
 
 def test_outside_its_limits_nothing_moves(board):
@@ -243,8 +243,8 @@ def test_outside_its_limits_nothing_moves(board):
         ({"step_N": too_high}, {"duration_s": 2.0 * limits.duration_max_s + 1.0})
     ):
         answer = board.submit(board.trial(number, **changes))
-        assert (answer.verdict, answer.error) == (Verdict.REFUSED, "InvalidInput")
-        assert board.look(board.trial(number, **changes)).verdict is Verdict.UNKNOWN
+        assert (answer.verdict, answer.error) == (ReplyCode.REFUSED, "InvalidInput")
+        assert board.look(board.trial(number, **changes)).verdict is ReplyCode.UNKNOWN
 
 
 def test_without_the_lease_nothing_is_commanded_and_who_holds_it_is_told(board):
@@ -258,11 +258,11 @@ def test_without_the_lease_nothing_is_commanded_and_who_holds_it_is_told(board):
         board.say("gains", SetGains(board.lease, gains)),
         board.say("void", Void(board.lease, request.trial_id, digest(request))),
     ):
-        assert answer.verdict is Verdict.HELD
+        assert answer.verdict is ReplyCode.HELD
         assert "the conformance suite" in answer.sentence
-    assert board.look(request).verdict is Verdict.UNKNOWN
+    assert board.look(request).verdict is ReplyCode.UNKNOWN
     board.say("lease", Lease("release", mine))
-    assert board.submit(request).verdict is Verdict.NO_LEASE
+    assert board.submit(request).verdict is ReplyCode.NO_LEASE
     assert board.status().holder == ""
     board.lease = mine
     board.acquire()
@@ -277,7 +277,7 @@ def test_a_lease_that_is_not_renewed_ends_and_the_trial_with_it(board):
     assert time.monotonic() - began_s > LEASE_S / 2
     record = board.record(request)
     assert (record.outcome, bool(record.reason)) == (Outcome.CANCELLED, True)
-    assert board.submit(board.trial(1)).verdict is Verdict.NO_LEASE
+    assert board.submit(board.trial(1)).verdict is ReplyCode.NO_LEASE
     board.acquire()
 
 
@@ -297,32 +297,32 @@ def test_one_trial_at_a_time_and_it_can_be_cancelled(board):
     status = board.until(Mode.RUNNING)
     assert (status.trial_id, status.holder) == (request.trial_id, "the conformance suite")
     for answer in (board.submit(board.trial(1)), board.say("gains", SetGains(board.lease, gains))):
-        assert (answer.verdict, answer.trial_id) == (Verdict.BUSY, request.trial_id)
+        assert (answer.verdict, answer.trial_id) == (ReplyCode.BUSY, request.trial_id)
     assert board.say("cancel", Cancel(board.lease, "another-00000")).trial_id == ""
     while (
         answer := board.submit(request)
-    ).verdict is Verdict.ACCEPTED:  # the ledger is written after the mode
+    ).verdict is ReplyCode.ACCEPTED:  # the ledger is written after the mode
         board.say("lease", Lease("renew", board.lease))
-    assert answer.verdict is Verdict.RUNNING
+    assert answer.verdict is ReplyCode.RUNNING
     while board.say("cancel", Cancel(board.lease)).trial_id:
         board.say("lease", Lease("renew", board.lease))
     record = board.record(request)
     assert (record.outcome, bool(record.reason)) == (Outcome.CANCELLED, True)
     assert board.describe().rig.gains == gains
-    assert board.say("cancel", Cancel(board.lease)) == Answer(Verdict.ACCEPTED)
+    assert board.say("cancel", Cancel(board.lease)) == Answer(ReplyCode.ACCEPTED)
 
 
 def test_a_voided_trial_never_runs(board):
     request, ended = board.trial(), board.status().ended
     void = Void(board.lease, request.trial_id, digest(request))
-    assert board.say("void", void).verdict is Verdict.VOID
-    assert board.submit(request).verdict is Verdict.VOID
-    assert board.look(request).verdict is Verdict.VOID
+    assert board.say("void", void).verdict is ReplyCode.VOID
+    assert board.submit(request).verdict is ReplyCode.VOID
+    assert board.look(request).verdict is ReplyCode.VOID
     other = board.trial(1)
     board.submit(other)
     board.record(other)
     late = Void(board.lease, other.trial_id, digest(other))
-    assert board.say("void", late).verdict is Verdict.ENDED
+    assert board.say("void", late).verdict is ReplyCode.ENDED
     assert board.status().ended == ended + 1
 
 
@@ -330,7 +330,7 @@ def test_gains_are_live_once_they_are_set(board):
     before = board.describe().rig.gains
     other = replace(before, P=0.8 * before.P)
     for gains in (other, before):
-        assert board.say("gains", SetGains(board.lease, gains)).verdict is Verdict.ACCEPTED
+        assert board.say("gains", SetGains(board.lease, gains)).verdict is ReplyCode.ACCEPTED
         assert board.describe().rig.gains == gains
 
 
@@ -339,14 +339,14 @@ def test_an_emergency_stop_is_obeyed_whatever_it_says_and_holds(board, payload):
     request, gains = board.long_trial(), board.describe().rig.gains
     board.submit(request)
     board.until(Mode.RUNNING)
-    assert board.say("estop", payload).verdict is Verdict.ACCEPTED
+    assert board.say("estop", payload).verdict is ReplyCode.ACCEPTED
     status = board.until(Mode.SAFE)
     assert bool(status.latched)
     assert board.record(request).outcome is Outcome.CANCELLED
     for answer in (board.submit(board.trial(1)), board.say("gains", SetGains(board.lease, gains))):
-        assert answer.verdict is Verdict.SAFE
-    assert board.say("estop", Estop("again")).verdict is Verdict.ACCEPTED
-    assert board.say("clear", Clear()).verdict is Verdict.ACCEPTED
+        assert answer.verdict is ReplyCode.SAFE
+    assert board.say("estop", Estop("again")).verdict is ReplyCode.ACCEPTED
+    assert board.say("clear", Clear()).verdict is ReplyCode.ACCEPTED
     assert board.status().mode is Mode.LEASED
     board.submit(board.trial(1))
     assert board.record(board.trial(1)).outcome is Outcome.DONE
@@ -369,8 +369,8 @@ def test_what_is_no_command_is_refused_and_harms_nothing(board):
             if verb == "clear" and payload.strip() == b"{}" and len(payload) <= 2048:
                 continue
             answer = board.say(verb, payload)
-            assert (answer.verdict, answer.error) == (Verdict.REFUSED, "ProtocolError")
-    assert board.look(request).verdict is Verdict.UNKNOWN
+            assert (answer.verdict, answer.error) == (ReplyCode.REFUSED, "ProtocolError")
+    assert board.look(request).verdict is ReplyCode.UNKNOWN
     assert board.status().mode is Mode.LEASED
 
 
@@ -382,7 +382,7 @@ def test_no_wildcard_reaches_a_command_and_no_other_instance_is_answered_for(boa
         target = zenoh.QueryTarget.ALL
         for reply in board.session.get(key, payload=payload, target=target, timeout=5.0):
             assert "@cmd" not in str(reply.result.key_expr)
-    assert board.look(request).verdict is Verdict.UNKNOWN
+    assert board.look(request).verdict is ReplyCode.UNKNOWN
 
 
 def test_each_change_of_its_status_is_published(board):
@@ -425,7 +425,7 @@ def test_a_board_killed_in_mid_trial_says_so_and_goes_on(tmp_path):
                 board.until(Mode.RUNNING)
                 process.kill()
             else:
-                assert board.submit(requests[0]).verdict is Verdict.INTERRUPTED
+                assert board.submit(requests[0]).verdict is ReplyCode.INTERRUPTED
                 board.run, request = requests[0].run, replace(requests[0], attempt=1)
                 board.submit(request)
                 board.say("cancel", Cancel(board.lease))

@@ -11,18 +11,18 @@ from estune.core.gains import Gains
 from estune.errors import InvalidInput
 from estune.studies.joint.schedule_space import ScheduleSpace
 from estune.tuners import state_from_json, state_to_json
-from estune.tuners.acquisition import Reach, newton_step
-from estune.tuners.gaussian_process import covariance, surface
-from estune.tuners.local_cubic import polynomial
-from estune.tuners.loop_prior import experience
-from estune.tuners.low_discrepancy import ball, normal, simplex
+from estune.tuners.acquisition import TrustRegion, newton_step
+from estune.tuners.gaussian_process import covariance, fit_gaussian_process
+from estune.tuners.local_cubic import fit_local_cubic
+from estune.tuners.loop_prior import cost_prior
+from estune.tuners.low_discrepancy import normal_points, simplex, unit_ball_points
 from estune.tuners.observation import Observation
-from estune.tuners.remaining_improvement import bowls
-from estune.tuners.safe_bayesian import Newton
+from estune.tuners.remaining_improvement import sample_quadratics
+from estune.tuners.safe_bayesian import SafeBayesianTuner
 from estune.tuners.search_space import SearchSpace
 
 SPACE = SearchSpace.around(Gains(0.5, 10.0, 0.005, 0.02))
-TUNER = Newton(SPACE)
+TUNER = SafeBayesianTuner(SPACE)
 START = np.array(SPACE.coordinates(SPACE.start))
 BEST = START + np.array([1.1, 1.6, 1.2, -0.9])
 AXES = np.linalg.qr(np.random.default_rng(5).normal(size=(4, 4)))[0]
@@ -113,7 +113,7 @@ def test_a_rig_that_drifts_is_still_tuned():
 
 
 def test_an_optimum_that_moves_is_followed():
-    tuner = Newton(SPACE, memory=60)
+    tuner = SafeBayesianTuner(SPACE, memory=60)
 
     def moved(k):
         return BEST + 0.004 * k * AXES[:, 2]
@@ -152,7 +152,7 @@ def test_a_gain_too_small_to_do_anything_is_found_out(seed):
             1.0 + 0.6 * (share - 1.0) ** 2 / (1.0 + share**2)
         )
 
-    tuner = Newton(space)
+    tuner = SafeBayesianTuner(space)
     states = run(tuner, 150, seed, cost=shelf)
     said = [s for s in states if (o := tuner.outlook(s)) is not None and o.remaining < 0.02]
     assert said
@@ -270,7 +270,7 @@ def test_with_every_trial_censored_it_stays_by_the_start():
 def test_a_forecast_covers_what_is_measured_near_where_it_has_been():
     state = run(TUNER, 120, 14)[-1]
     inside = 0
-    for z in ball(4, 200):
+    for z in unit_ball_points(4, 200):
         point = tuple(np.exp(BEST + 0.2 * z).tolist())
         forecast = TUNER.forecast(state, point)
         assert forecast.explored
@@ -295,7 +295,7 @@ def test_a_margin_that_is_no_number_is_refused():
 )
 def test_a_setting_out_of_its_range_is_refused_by_name(setting, value):
     with pytest.raises(InvalidInput, match=setting):
-        Newton(**{"space": SPACE, setting: value})
+        SafeBayesianTuner(**{"space": SPACE, setting: value})
 
 
 # Its parts.
@@ -309,7 +309,7 @@ def test_the_surface_is_the_posterior_of_its_prior():
         draws.normal(size=8),
     )
 
-    known = experience((((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0)),))
+    known = cost_prior((((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0)),))
 
     def k(a, b):  # the covariance written once more, point by point
         slopes = (a @ known.slope) @ (b @ known.slope)
@@ -324,15 +324,15 @@ def test_the_surface_is_the_posterior_of_its_prior():
         return np.array([0.5 * row @ known.bend @ row for row in x])
 
     gain = np.linalg.solve(K(points, points) + 0.01 * np.eye(8), K(points, asked)).T
-    mean, spread = surface(points, values[:, None], 0.1, known).expected(asked)
+    mean, spread = fit_gaussian_process(points, values[:, None], 0.1, known).expected(asked)
     assert mean[:, 0] == pytest.approx(m(asked) + gain @ (values - m(points)))
     assert spread**2 == pytest.approx(np.diag(K(asked, asked) - gain @ K(points, asked)))
 
 
 def test_what_is_known_of_loops_is_the_same_in_either_form_and_of_fewer_parameters():
     gains = Gains(0.5, 10.0, 0.005, 0.02)
-    parallel = experience(SearchSpace.around(gains).directions)
-    standard = experience(SearchSpace.around(gains, form="standard").directions)
+    parallel = cost_prior(SearchSpace.around(gains).directions)
+    standard = cost_prior(SearchSpace.around(gains, form="standard").directions)
     draws = np.random.default_rng(18)
     a, b = draws.normal(size=(2, 6, 4))  # logarithms of K, Ti, Td and the time constant
 
@@ -344,14 +344,14 @@ def test_what_is_known_of_loops_is_the_same_in_either_form_and_of_fewer_paramete
     few = np.array([[0.3, 0.0, -0.2, 0.0], [0.1, 0.0, 0.4, 0.0]])
     names, start = ("P", "D"), (0.5, 0.005)
     space = SearchSpace(names, start, (0.1, 0.001), (5.0, 0.05), fixed=(("I", 10.0),))
-    fewer = covariance(experience(space.directions), few[:, ::2], few[:, ::2])
+    fewer = covariance(cost_prior(space.directions), few[:, ::2], few[:, ::2])
     assert fewer == pytest.approx(covariance(parallel, few, few))
 
 
 def test_what_is_known_of_a_schedule_is_what_is_known_at_its_ends():
     gains = Gains(0.5, 10.0, 0.005, 0.02)
-    one = experience(SearchSpace.around(gains).directions)
-    both = experience(ScheduleSpace.over(gains, (0.5, 1.4)).directions)
+    one = cost_prior(SearchSpace.around(gains).directions)
+    both = cost_prior(ScheduleSpace.over(gains, (0.5, 1.4)).directions)
     draws = np.random.default_rng(19)
     x, y = draws.normal(size=(2, 5, 4))
 
@@ -370,7 +370,9 @@ def test_the_polynomial_finds_a_cubic_and_its_drift():
     x, y = points.T
     age = np.arange(299.0, -1.0, -1.0) / 100.0
     values = 0.2 + 0.1 * x - 0.3 * y + 0.5 * x * x + 0.2 * x * y + 0.1 * y**3 - 0.03 * age
-    fit = polynomial(np.zeros(2), np.eye(2), points, values[:, None], noise=1e-3, known=np.eye(2))
+    fit = fit_local_cubic(
+        np.zeros(2), np.eye(2), points, values[:, None], noise=1e-3, known=np.eye(2)
+    )
     assert fit.level == pytest.approx(0.2, abs=1e-3)
     assert fit.slope == pytest.approx([0.1, -0.3], abs=2e-3)
     assert fit.curvature == pytest.approx(np.array([[1.0, 0.2], [0.2, 0.0]]), abs=1e-2)
@@ -380,9 +382,11 @@ def test_draws_of_bowls_have_their_least_where_the_slope_vanishes():
     draws = np.random.default_rng(17)
     points = 0.4 * draws.normal(size=(200, 2))
     values = 0.5 * np.sum((points - (0.1, -0.2)) ** 2 * (1.0, 2.0), axis=1)
-    fit = polynomial(np.zeros(2), np.eye(2), points, values[:, None], noise=1e-4, known=np.eye(2))
+    fit = fit_local_cubic(
+        np.zeros(2), np.eye(2), points, values[:, None], noise=1e-4, known=np.eye(2)
+    )
     far = np.full(2, 5.0)
-    found = bowls(fit, Reach(np.zeros(2), np.eye(2), 1.0, -far, far, 1.0, 0.0))
+    found = sample_quadratics(fit, TrustRegion(np.zeros(2), np.eye(2), 1.0, -far, far, 1.0, 0.0))
     assert np.mean(found.least, axis=0) == pytest.approx([0.1, -0.2], abs=0.02)
     assert np.mean(found.gain) == pytest.approx(0.5 * (0.01 + 2 * 0.04), rel=0.1)
 
@@ -404,9 +408,9 @@ def test_spread_points_are_even():
         corners = simplex(n)
         assert np.linalg.norm(corners, axis=1) == pytest.approx(np.ones(n + 1))
         assert corners.sum(axis=0) == pytest.approx(np.zeros(n), abs=1e-12)
-        filled = np.linalg.norm(ball(n, 1024), axis=1)
+        filled = np.linalg.norm(unit_ball_points(n, 1024), axis=1)
         assert np.mean(filled**n < 0.5) == pytest.approx(0.5, abs=0.02)
-        assert ball(n, 1024).mean(axis=0) == pytest.approx(np.zeros(n), abs=0.03)
-        drawn = normal(n, 1024)
+        assert unit_ball_points(n, 1024).mean(axis=0) == pytest.approx(np.zeros(n), abs=0.03)
+        drawn = normal_points(n, 1024)
         assert drawn.T @ drawn / 1024 == pytest.approx(np.eye(n))
         assert np.mean(np.abs(drawn) < 0.6745) == pytest.approx(0.5, abs=0.02)

@@ -21,8 +21,8 @@ from estune.errors import InvalidInput
 from estune.hardware import HardwareRig, controller_source
 from estune.hardware.controller import CompiledController, PlainController
 from estune.hardware.driver import Reading
-from estune.hardware.live_gains import Following, LiveGains
-from estune.hardware.reel_state_machine import Phase
+from estune.hardware.live_gains import LengthSource, LiveGains
+from estune.hardware.reel_state_machine import MotionPhase
 from estune.hardware.schedule_file import read_schedule, schedule_header
 from estune.interop import schedule_to_control, to_control
 from estune.support import c_compiler
@@ -213,7 +213,7 @@ def test_live_gains_follow_the_drum_without_a_jump_and_a_trial_keeps_its_own(tmp
     own = Gains(1.0, 40.0, 0.015, 0.005)
     step = StepProfile(15.0, 10.0, 0.2, 1.0)
     loop.ask(own, step)
-    loop.until(lambda: loop.machine.phase is Phase.TRIAL)
+    loop.until(lambda: loop.machine.phase is MotionPhase.TRIAL)
     loop.step()
     assert loop.machine._controller._coefficients == pidf.coefficients(rig.settings(), own)
     loop.answer()
@@ -232,7 +232,7 @@ def test_live_gains_follow_the_drum_without_a_jump_and_a_trial_keeps_its_own(tmp
         _, stayed, _ = pidf.step(before, state, machine._setpoint_N, loop.tension_N[-1])
         assert machine._effort_N == pytest.approx(stayed, rel=0.0, abs=1e-11)
     assert len(seen) > 100
-    assert machine.phase is Phase.HOLD
+    assert machine.phase is MotionPhase.HOLD
     angle = (loop.board.read(loop.time_s)[1] + paid_out) * rig.plan().radians_per_count
     expected = SCHEDULE.gains(0.8 - 0.025 * angle, 15.0)
     now = machine._live.coefficients
@@ -333,13 +333,13 @@ def test_scheduled_gains_follow_the_moving_cable_without_a_jump():
     found = plants.simulate_moving(reel, steep, L, LONG)
     state, changes = pidf.at_rest(15.0, 15.0), 0
     before = pidf.coefficients(reel.controller, steep.gains(0.5, 15.0))
-    live = LiveGains(before, Following(steep, reel.controller, 0.5, 0.025))
+    live = LiveGains(before, LengthSource(steep, reel.controller, 0.5, 0.025))
     for r, y, effort, angle in zip(
         found.setpoint_N, found.tension_N, found.effort_N, found.angle_rad, strict=True
     ):
         _, would, _ = pidf.step(before, state, r, y)
         assert effort == pytest.approx(would, rel=0.0, abs=1e-12)
-        if live.follow(angle, 15.0):
+        if live.update(angle, 15.0):
             changes += 1
             state = pidf.exchanged(before, live.coefficients, state, r, y)
             before = live.coefficients

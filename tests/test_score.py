@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from estune.trial import Outcome, RigLimits, TrialRequest, unmeasured
-from estune.trial.scoring import margin_of
+from estune.trial import Outcome, RigLimits, TrialRequest, empty_record
+from estune.trial.scoring import constraint_margin
 from tests.support_runs import START, ArithmeticRig, description
 
 # The step goes from 10 to 20 N; limits 0 to 50 N of tension, -100 to 100 N of effort, 20 N/A.
@@ -36,21 +36,21 @@ def record(**columns):
     ],
 )
 def test_the_margin_is_the_smallest_share_left_of_the_room_beyond_the_setpoint(columns, share):
-    assert margin_of(record(**columns), RIG) == pytest.approx(share)
+    assert constraint_margin(record(**columns), RIG) == pytest.approx(share)
 
 
 def test_a_side_without_room_or_without_a_limit_does_not_count():
     tight = replace(RIG, limits=RigLimits(10.0, 20.0, 5.0))
-    assert margin_of(record(tension_N=25.0), tight) == pytest.approx(1.0)
+    assert constraint_margin(record(tension_N=25.0), tight) == pytest.approx(1.0)
     free = replace(
         RIG,
         limits=RigLimits(-math.inf, math.inf, 5.0),
         controller=replace(RIG.controller, output_min_N=-math.inf, output_max_N=math.inf),
     )
-    assert margin_of(record(tension_N=1e9), free) == math.inf
+    assert constraint_margin(record(tension_N=1e9), free) == math.inf
 
 
 def test_a_trial_without_samples_came_near_nothing():
     request = TrialRequest("run", 0, START, RIG.step)
-    nothing = unmeasured(request, RIG, Outcome.CANCELLED, "stopped", "2009-05-04T12:00:00+00:00")
-    assert margin_of(nothing, RIG) == math.inf
+    nothing = empty_record(request, RIG, Outcome.CANCELLED, "stopped", "2009-05-04T12:00:00+00:00")
+    assert constraint_margin(nothing, RIG) == math.inf

@@ -68,7 +68,9 @@ def test_who_is_let_commands_the_rig_by_password(users):
         anna.estop("smoke")
         anna.clear()
         assert rig.asked == [trial()]
-        assert [p.rig for p in zenoh.find(server.endpoint, security=users["anna"])] == ["scripted"]
+        assert [p.rig for p in zenoh.discover_rigs(server.endpoint, security=users["anna"])] == [
+            "scripted"
+        ]
 
 
 def test_who_may_only_look_sees_all_and_commands_nothing(users):
@@ -100,7 +102,7 @@ def test_who_may_only_look_cannot_speak_in_the_rigs_name(users):
         guest._talk.session.put(guest._talk.keys.status, b"forged")
         guest._talk.session.liveliness().declare_token(guest._talk.keys.alive("0badf00d"))
         assert anna.run(trial()).outcome is Outcome.DONE
-        found = zenoh.find(server.endpoint, security=users["anna"])
+        found = zenoh.discover_rigs(server.endpoint, security=users["anna"])
         assert [p.instance for p in found] == [server.instance]
 
 

@@ -17,12 +17,12 @@ from estune.run.session import (
     UNSAFE_RATIO,
     Phase,
     Plan,
-    begin,
+    after_trial,
     forecast,
+    new_session,
     next_request,
-    told,
 )
-from estune.run.summary import verdict
+from estune.run.summary import summarise
 from estune.trial import Outcome
 from estune.trial.profiles import StepProfile
 from estune.tuners.search_space import SearchSpace
@@ -50,25 +50,27 @@ def advance(session, costs):
         request = next_request(session)
         assert request is not None
         asked.append((session.phase, request))
-        session = told(session, Outcome.DONE, cost)
+        session = after_trial(session, Outcome.DONE, cost)
     return session, asked
 
 
 def test_the_phases_follow_one_another_and_number_every_trial():
-    session, asked = advance(begin(plan()), [1.0] * 3 + [0.9] * 10)
+    session, asked = advance(new_session(plan()), [1.0] * 3 + [0.9] * 10)
     assert [phase for phase, _ in asked] == [Phase.BASELINE] * 3 + [Phase.SEARCH] * 10
     assert [request.number for _, request in asked] == list(range(13))
     assert all(request.gains == START for _, request in asked[:3])
     while next_request(session) is not None:
         assert session.phase is (Phase.CHOOSE if session.confirmation is None else Phase.CONFIRM)
-        session = told(session, Outcome.DONE, 1.0 if next_request(session).gains == START else 0.5)
+        session = after_trial(
+            session, Outcome.DONE, 1.0 if next_request(session).gains == START else 0.5
+        )
     assert {len(costs) for costs in session.confirmation.costs} == {session.plan.repeats}
 
 
 def test_a_void_trial_is_asked_again_under_a_new_id_and_changes_nothing_else():
-    session, _ = advance(begin(plan()), [1.0] * 3)
+    session, _ = advance(new_session(plan()), [1.0] * 3)
     before = next_request(session)
-    again = next_request(told(session, Outcome.CANCELLED, math.nan))
+    again = next_request(after_trial(session, Outcome.CANCELLED, math.nan))
     assert before is not None
     assert again is not None
     assert again.gains == before.gains
@@ -86,30 +88,30 @@ def test_a_void_trial_is_asked_again_under_a_new_id_and_changes_nothing_else():
     ],
 )
 def test_unsafe_trials_end_the_search_and_the_start_is_kept(outcome, cost):
-    session, _ = advance(begin(plan(trials=100)), [1.0] * 3)
+    session, _ = advance(new_session(plan(trials=100)), [1.0] * 3)
     for _ in range(CENSORED_IN_A_ROW):
         assert session.phase is Phase.SEARCH
-        session = told(session, outcome, cost)
+        session = after_trial(session, outcome, cost)
     assert "unsafe" in session.search_end
     while next_request(session) is not None:
-        session = told(session, outcome, cost)
-    assert verdict(session).gains == START
-    assert not verdict(session).improved
+        session = after_trial(session, outcome, cost)
+    assert summarise(session).gains == START
+    assert not summarise(session).improved
 
 
 def test_an_unsafe_start_fails_the_run_with_a_sentence():
-    session = told(begin(plan(eta_max=0.5)), Outcome.DONE, 1.0)
+    session = after_trial(new_session(plan(eta_max=0.5)), Outcome.DONE, 1.0)
     assert next_request(session) is None
     assert "eta_max = 0.5" in session.failure
-    assert verdict(session).message == session.failure
+    assert summarise(session).message == session.failure
 
 
 def test_an_improvement_within_the_scatter_is_not_called_one():
-    session, _ = advance(begin(plan()), [1.0, 1.1, 0.9] + [1.0] * 10)
+    session, _ = advance(new_session(plan()), [1.0, 1.1, 0.9] + [1.0] * 10)
     while next_request(session) is not None:
-        session = told(session, Outcome.DONE, 0.98)
-    assert not verdict(session).improved
-    assert verdict(session).gains == START
+        session = after_trial(session, Outcome.DONE, 0.98)
+    assert not summarise(session).improved
+    assert summarise(session).gains == START
 
 
 def to_the_end(session, cost_of):
@@ -117,13 +119,15 @@ def to_the_end(session, cost_of):
     asked = []
     while (request := next_request(session)) is not None:
         asked.append((session.phase, request.gains))
-        session = told(session, Outcome.DONE, cost_of(request.gains))
+        session = after_trial(session, Outcome.DONE, cost_of(request.gains))
     return session, asked
 
 
 def searched(**changes):
     """A session after its search, with two gains to choose from."""
-    session, _ = advance(begin(plan(**changes)), [1.0, 1.01, 0.99] + [0.9, 0.5, 0.95] + [0.9] * 7)
+    session, _ = advance(
+        new_session(plan(**changes)), [1.0, 1.01, 0.99] + [0.9, 0.5, 0.95] + [0.9] * 7
+    )
     assert session.phase is Phase.CHOOSE
     return session
 
@@ -138,7 +142,7 @@ def test_the_better_of_two_is_chosen_by_other_trials_than_those_that_confirm_it(
     ]
     confirmed = [g for p, g in asked if p is Phase.CONFIRM]
     assert confirmed == [START, second, second, START, START, second]
-    found = verdict(session)
+    found = summarise(session)
     assert found.improved
     assert found.gains == second != first
     assert found.cost == pytest.approx(0.4)
@@ -148,7 +152,7 @@ def test_the_better_of_two_is_chosen_by_other_trials_than_those_that_confirm_it(
 def test_the_start_is_held_to_its_own_repeats_so_that_a_drift_is_no_improvement():
     # The plant gets better by itself during the search: everything costs half of what it did.
     session, _ = to_the_end(searched(), lambda gains: 0.5 if gains == START else 0.51)
-    found = verdict(session)
+    found = summarise(session)
     assert not found.improved
     assert (found.start_cost, found.gains) == (0.5, START)
     assert found.change.estimate == pytest.approx(0.02)
@@ -169,23 +173,23 @@ def test_gains_that_turn_out_unsafe_leave_the_others_or_the_start():
     session = searched()
     first, second = session.choice.gains
     one, _ = to_the_end(session, {START: 1.0, first: math.nan, second: 0.4}.get)
-    assert verdict(one).gains == second
+    assert summarise(one).gains == second
     none, _ = to_the_end(session, {START: 1.0, first: math.nan, second: 99.0}.get)
-    assert verdict(none).gains == START
-    assert "unsafe" in verdict(none).message
-    assert (verdict(one).unsafe, verdict(none).unsafe) == (1, 2)
+    assert summarise(none).gains == START
+    assert "unsafe" in summarise(none).message
+    assert (summarise(one).unsafe, summarise(none).unsafe) == (1, 2)
 
 
 @pytest.mark.parametrize("cost", [0.0, -1.0, math.nan, math.inf])
 def test_a_cost_that_is_none_ends_the_run_at_the_start_and_is_unsafe_later(cost):
-    assert "cost" in told(begin(plan()), Outcome.DONE, cost).failure
-    session, _ = advance(begin(plan()), [1.0] * 3)
-    assert told(session, Outcome.DONE, cost).unsafe == 1
+    assert "cost" in after_trial(new_session(plan()), Outcome.DONE, cost).failure
+    session, _ = advance(new_session(plan()), [1.0] * 3)
+    assert after_trial(session, Outcome.DONE, cost).unsafe == 1
 
 
 def test_a_cost_that_never_changes_is_no_improvement():
-    session, _ = advance(begin(plan()), [1.0] * 13)
-    found = verdict(to_the_end(session, lambda _: 1.0)[0])
+    session, _ = advance(new_session(plan()), [1.0] * 13)
+    found = summarise(to_the_end(session, lambda _: 1.0)[0])
     assert found.complete
     assert not found.improved
     assert found.gains == START
@@ -196,25 +200,25 @@ def seer(**changes):
 
 
 def test_the_search_ends_once_little_is_left_to_gain_for_some_trials_in_a_row():
-    session, _ = advance(begin(seer()), [1.0] * 3 + [0.9] * 9)
+    session, _ = advance(new_session(seer()), [1.0] * 3 + [0.9] * 9)
     assert session.phase is not Phase.SEARCH
     assert "9 of 10 trials" in session.search_end
     assert "1.0% is left" in session.search_end
-    assert verdict(session).intervals == tuple((n, 0.1, 1.0) for n in GAIN_NAMES)
+    assert summarise(session).intervals == tuple((n, 0.1, 1.0) for n in GAIN_NAMES)
 
 
 @pytest.mark.parametrize("made", [seer(tolerance=0.0), plan()], ids=["told not to", "cannot tell"])
 def test_the_search_uses_all_its_trials_unless_it_is_told_what_is_left(made):
-    session, _ = advance(begin(made), [1.0] * 3 + [0.9] * 10)
+    session, _ = advance(new_session(made), [1.0] * 3 + [0.9] * 10)
     assert session.search_end == "the search used its 10 trials"
 
 
 def test_a_forecast_is_had_for_new_gains_alone():
-    session = begin(seer(repeats=1))
+    session = new_session(seer(repeats=1))
     asked = []
     while next_request(session) is not None:
         asked.append((session.phase, next_request(session).gains, forecast(session) is not None))
-        session = told(session, Outcome.DONE, 0.9 + 0.001 * session.number)
+        session = after_trial(session, Outcome.DONE, 0.9 + 0.001 * session.number)
     new = [gains for _, gains, foretold in asked if foretold]
     assert len(new) == len(set(new))
     assert START not in new
@@ -222,16 +226,16 @@ def test_a_forecast_is_had_for_new_gains_alone():
 
 
 def test_declined_trials_are_kept_away_from_and_are_not_unsafe():
-    session, _ = advance(begin(plan()), [1.0] * 3)
-    session = told(session, Outcome.DECLINED, math.nan)
+    session, _ = advance(new_session(plan()), [1.0] * 3)
+    session = after_trial(session, Outcome.DECLINED, math.nan)
     assert (session.declined, session.unsafe, session.searched) == (1, 0, 1)
     assert session.tuner_state.caution < 1.0
 
 
 @given(st.lists(st.floats(0.8, 2.0), min_size=0, max_size=12), st.integers(0, 11))
 def test_the_session_is_a_function_of_what_it_was_told(costs, cut):
-    straight, asked = advance(begin(plan()), costs)
-    first, _ = advance(begin(plan()), costs[:cut])
+    straight, asked = advance(new_session(plan()), costs)
+    first, _ = advance(new_session(plan()), costs[:cut])
     second, again = advance(first, costs[cut:])
     assert straight == second
     assert asked[cut:] == again
@@ -263,4 +267,4 @@ def test_no_run_takes_more_trials_than_its_plan_says():
     for better in (0.3, 1.0):
         session, _ = to_the_end(searched(), lambda g, b=better: 1.0 if g == START else b)
         assert session.number <= session.plan.most_trials
-        assert session.left == 0
+        assert session.trials_left == 0

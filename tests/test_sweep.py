@@ -21,10 +21,10 @@ from estune.run.toml_tables import CostTable, StepTable
 from estune.studies.sweep import progress
 from estune.studies.sweep.cell import noise_seed
 from estune.studies.sweep.design import SweepDesign, SweptRig, read_design
-from estune.studies.sweep.expand import cells_of
-from estune.studies.sweep.outcome import Outcome, failed
+from estune.studies.sweep.expand import expand_cells
+from estune.studies.sweep.outcome import CellOutcome, failed
 from estune.studies.sweep.result import SweepResult
-from estune.support.toml_file import checked
+from estune.support.toml_file import validate
 from tests import support_sweep
 from tests.support_rigs import ScriptedRig
 
@@ -42,7 +42,7 @@ def swept(folder: Path, design=SMALL, **options) -> SweepResult:
     return estune.sweep(design, folder=folder, **{"jobs": 1, "watch": None, **options})
 
 
-def alike(one: Outcome, other: Outcome) -> bool:
+def alike(one: CellOutcome, other: CellOutcome) -> bool:
     """Whether two outcomes are the same but for how long they took."""
     rest = [replace(o, trace=np.empty(0), duration_s=0.0) for o in (one, other)]
     return repr(rest[0]) == repr(rest[1]) and np.array_equal(one.trace, other.trace)
@@ -59,7 +59,7 @@ def test_all_that_is_wrong_with_a_design_is_told_at_once_with_its_place():
         "trails": 100,
     }
     with pytest.raises(InvalidInput) as caught:
-        checked(SweepDesign, wrong, "sweep.toml")
+        validate(SweepDesign, wrong, "sweep.toml")
     for words in (
         "sweep.toml: tuners.0: there is none named 'otisx'",
         "seeds: Input should be greater than or equal to 1",
@@ -97,7 +97,7 @@ def test_all_that_is_wrong_with_a_design_is_told_at_once_with_its_place():
 )
 def test_what_does_not_fit_is_refused_before_anything_is_run(changed, words):
     with pytest.raises(InvalidInput, match=words):
-        cells_of(read_design({**SMALL, **changed}))
+        expand_cells(read_design({**SMALL, **changed}))
 
 
 def test_a_dry_run_shows_what_would_be_commanded_and_keeps_nothing(tmp_path, capsys, monkeypatch):
@@ -107,7 +107,7 @@ def test_a_dry_run_shows_what_would_be_commanded_and_keeps_nothing(tmp_path, cap
     )
     assert run(["sweep", "sweep.toml", "--dry-run"]) == 0
     shown = capsys.readouterr().out
-    most = cells_of(read_design("sweep.toml"))[0].most_trials
+    most = expand_cells(read_design("sweep.toml"))[0].most_trials
     assert "15 to 25 N" in shown
     assert f"at most {4 * most}, each within its rig's limits" in shown
     assert [path.name for path in tmp_path.iterdir()] == ["sweep.toml"]
@@ -118,7 +118,7 @@ def test_processes_give_what_one_gives_and_a_second_call_runs_nothing(tmp_path):
     many = swept(tmp_path / "many", jobs=2)
     assert len(one.outcomes) == 6
     assert all(map(alike, one.outcomes, many.outcomes))
-    seen: list[Outcome] = []
+    seen: list[CellOutcome] = []
     again = swept(tmp_path / "many", watch=seen.append)
     assert not seen
     assert all(map(alike, one.outcomes, again.outcomes))
@@ -130,7 +130,7 @@ def test_processes_give_what_one_gives_and_a_second_call_runs_nothing(tmp_path):
 
 def test_noise_differs_from_place_to_place_and_is_the_same_for_each_tuner():
     both = {**SMALL, "tuners": ["least_squares_gradient", "otis"], "seeds": 2}
-    cells = cells_of(read_design(both))
+    cells = expand_cells(read_design(both))
     seeds = [noise_seed(cell) for cell in cells]
     assert len(cells) == 2 * len(set(seeds)) == len({cell.key for cell in cells})
 
@@ -140,7 +140,7 @@ def test_a_cell_changes_with_its_model_and_not_with_where_the_model_lies(tmp_pat
         folder.mkdir(exist_ok=True)
         (folder / "reel.toml").write_text(model)
         (folder / "sweep.toml").write_text('lengths_m = [0.5, 1.4]\nrigs = ["reel.toml"]\n')
-        return [cell.key for cell in cells_of(read_design(folder / "sweep.toml"))]
+        return [cell.key for cell in expand_cells(read_design(folder / "sweep.toml"))]
 
     here = keys(tmp_path / "here", "[reel]\n")
     assert here == keys(tmp_path / "there", "[reel]\n")
@@ -173,7 +173,7 @@ def test_a_failing_cell_is_a_record_and_is_tried_again(tmp_path):
     assert broken.cell.length_m == 0.9
     assert broken.message == "ZeroDivisionError: no answer to 0"
     assert math.isnan(first.to_frame().set_index("length_m").loc[0.9, "P"])
-    seen: list[Outcome] = []
+    seen: list[CellOutcome] = []
     second = swept(tmp_path, design, watch=seen.append)
     assert [o.cell.length_m for o in seen] == [0.9]
     assert not second.failed
@@ -225,7 +225,7 @@ def test_rigs_are_tuned_side_by_side_and_an_interrupted_one_goes_on_where_it_was
             "tuners": ["least_squares_gradient"],
         }
 
-        def stop(_: Outcome) -> None:
+        def stop(_: CellOutcome) -> None:
             raise KeyboardInterrupt
 
         with pytest.raises(KeyboardInterrupt):
@@ -254,7 +254,7 @@ def test_a_rig_at_the_wrong_length_is_refused(tmp_path, length, given, lengths, 
     with zenoh.serve(rig, "tcp/127.0.0.1:0", ledger=tmp_path / "ledger") as server:
         design = {"rigs": [{"target": server.endpoint, **given}], "lengths_m": lengths}
         with pytest.raises(InvalidInput, match=words):
-            cells_of(read_design(design))
+            expand_cells(read_design(design))
     assert not rig.asked
 
 
@@ -272,7 +272,7 @@ def test_the_page_on_sweeps_has_every_key_and_its_files_are_right():
     examples = re.findall(r"```toml\n(.*?)```", text, re.DOTALL)
     assert len(examples) == 2
     for example in examples:
-        assert checked(SweepDesign, tomllib.loads(example), "docs/sweep.md").rigs
+        assert validate(SweepDesign, tomllib.loads(example), "docs/sweep.md").rigs
     assert rows["tuners"].strip() == f'`["{DEFAULT_TUNER}"]`'
 
 

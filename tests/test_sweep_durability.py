@@ -10,7 +10,7 @@ import pytest
 
 import estune
 from estune.errors import EstuneError
-from estune.studies.sweep.outcome import Outcome
+from estune.studies.sweep.outcome import CellOutcome
 from experiments.sweep_kills import kept
 from experiments.sweep_speed.cluster import cluster
 from tests.test_sweep import alike, swept
@@ -73,10 +73,10 @@ def test_a_killed_sweep_loses_no_finished_cell_and_repeats_none(tmp_path):
 def test_a_cluster_gives_what_one_process_gives_and_its_end_keeps_what_is_done(tmp_path):
     design = tmp_path / "sweep.toml"
     design.write_text(DESIGN)
-    seen: list[Outcome] = []
+    seen: list[CellOutcome] = []
     with cluster(workers=2) as dask:
 
-        def end_it(outcome: Outcome) -> None:
+        def end_it(outcome: CellOutcome) -> None:
             seen.append(outcome)
             if len(seen) == 3:
                 dask.scheduler.kill()

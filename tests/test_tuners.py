@@ -22,7 +22,7 @@ from estune.tuners.observation import Observation
 from estune.tuners.otis import Otis
 from estune.tuners.phase_compensated import PhaseCompensated
 from estune.tuners.search_space import SearchSpace
-from estune.tuners.step_length import limited, straightened
+from estune.tuners.step_length import clip_norm, kesten_step
 
 START = Gains(0.5, 20.0, 0.01, 0.03)
 WIDE = SearchSpace.around(START)
@@ -308,15 +308,15 @@ def test_a_direction_that_was_not_explored_has_no_slope():
 
 
 def test_a_step_is_shortened_to_the_limit_and_never_lengthened():
-    assert limited((3.0, 4.0), 1.0) == pytest.approx((0.6, 0.8))
-    assert limited((0.3, 0.4), 1.0) == (0.3, 0.4)
-    assert limited((0.0, 0.0), 1.0) == (0.0, 0.0)
+    assert clip_norm((3.0, 4.0), 1.0) == pytest.approx((0.6, 0.8))
+    assert clip_norm((0.3, 0.4), 1.0) == (0.3, 0.4)
+    assert clip_norm((0.0, 0.0), 1.0) == (0.0, 0.0)
 
 
 def test_steps_that_point_alike_keep_their_length():
     drift, path = (0.0, 0.0), 0.0
     for _ in range(50):
-        step, drift, path = straightened((0.3, -0.4), drift, path)
+        step, drift, path = kesten_step((0.3, -0.4), drift, path)
         assert step == pytest.approx((0.3, -0.4))
 
 
@@ -324,7 +324,7 @@ def test_steps_that_circle_are_shortened_to_the_least():
     drift, path = (0.0, 0.0), 0.0
     for k in range(200):
         wanted = (math.cos(2.0 * k), math.sin(2.0 * k))
-        step, drift, path = straightened(wanted, drift, path)
+        step, drift, path = kesten_step(wanted, drift, path)
     assert math.hypot(*step) == pytest.approx(0.1)
 
 

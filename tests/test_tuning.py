@@ -7,7 +7,7 @@ import pytest
 import estune
 from estune.errors import Interrupted, InvalidInput, RigError
 from estune.run import loop
-from estune.trial import Outcome, unmeasured
+from estune.trial import Outcome, empty_record
 from estune.tuners.search_space import SearchSpace
 from tests.serve_rig import served
 from tests.support_runs import START, ArithmeticRig, Seer
@@ -28,7 +28,7 @@ class FailingRig(ArithmeticRig):
         if outcome is None:
             return super().run(request)
         at = "2009-05-04T12:00:00+00:00"
-        return unmeasured(request, self.description, outcome, "the rig was restarted", at)
+        return empty_record(request, self.description, outcome, "the rig was restarted", at)
 
 
 def test_a_trial_cut_off_on_a_rig_that_moves_ends_the_run_until_somebody_resumes_it(tmp_path):

@@ -305,7 +305,7 @@ class FaultyBench:
         self._time += duration_s
         self._good -= 1
         level = 16.0 if self._good > 0 else math.nan
-        side = tr.Reading(np.full(10, level), np.zeros(10))
+        side = tr.BenchReading(np.full(10, level), np.zeros(10))
         return tr.BenchRecord(time, side, side)
 
 

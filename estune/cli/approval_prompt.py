@@ -3,12 +3,12 @@
 import sys
 
 from estune.errors import InvalidInput
-from estune.run.loop import Answer, Asker, Question
+from estune.run.loop import Answer, ApprovalCallback, ApprovalRequest
 
 _ANSWERS: dict[str, Answer] = {"y": "yes", "n": "no", "a": "always"}
 
 
-def at_the_terminal() -> Asker:
+def terminal_approval() -> ApprovalCallback:
     """What asks whoever sits at the terminal.
 
     Raises:
@@ -19,7 +19,7 @@ def at_the_terminal() -> Asker:
     return _asked
 
 
-def _asked(question: Question) -> Answer:
+def _asked(question: ApprovalRequest) -> Answer:
     expected = question.expected
     print(
         f"trial {question.request.number} would leave what is known to be safe: "

@@ -41,14 +41,14 @@ def daemon(
     """
     from estune.daemon.config import read_config  # noqa: PLC0415  slow to import
     from estune.daemon.logs import begin_logging  # noqa: PLC0415  as above
-    from estune.daemon.service import Service  # noqa: PLC0415  as above
+    from estune.daemon.service import DaemonService  # noqa: PLC0415  as above
 
     settings, who = read_config(config), security_from(security)
     if check:
         print(f"{config}: {len(settings.rig)} rigs, nothing wrong")
         return
     begin_logging(log, verbose=verbose)
-    service = Service(settings, security=who)
+    service = DaemonService(settings, security=who)
 
     def stop(number: int, frame: FrameType | None) -> None:  # noqa: ARG001  a signal handler
         service.stop()

@@ -8,7 +8,7 @@ from cyclopts import Parameter
 from rich.text import Text
 
 from estune.cli import output
-from estune.cli.checks import REPEATS, Finding, State, examine, gentle_trial
+from estune.cli.checks import REPEATS, CheckResult, State, gentle_trial, run_checks
 from estune.cli.values import security_from
 from estune.core.gains import Gains
 from estune.errors import InvalidInput, RigError
@@ -47,7 +47,7 @@ def doctor(
         about = the_rig.describe()
         move = move or (not json and _allowed(gentle_trial(about), about.gains, repeats))
         found = []
-        for finding in examine(
+        for finding in run_checks(
             the_rig, endpoint, move=move, repeats=repeats, asked_who=who != OPEN
         ):
             found.append(finding)
@@ -71,7 +71,7 @@ def _allowed(step: StepProfile, gains: Gains, repeats: int) -> bool:
     return answer.strip().lower() in ("y", "yes")
 
 
-def _show(finding: Finding) -> None:
+def _show(finding: CheckResult) -> None:
     line = Text.assemble(
         (f"{finding.state:<8}", _LOOKS[finding.state]), f"{finding.check:<12}", finding.sentence
     )

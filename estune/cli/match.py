@@ -20,7 +20,7 @@ from estune.run.toml_tables import CostTable, StepTable
 from estune.studies.match import procedure
 from estune.studies.match.outcome import Matching
 from estune.studies.match.reel_matcher import Settings
-from estune.support.toml_file import checked
+from estune.support.toml_file import validate
 from estune.trial import RigDescription
 
 if TYPE_CHECKING:
@@ -138,8 +138,8 @@ def _asked(
     if not known:
         return None, None
     common = procedure.common_suggestion(known)
-    step_table = checked(StepTable, _given(step), "the step trial")
-    cost_table = checked(CostTable, _given(cost), "its cost")
+    step_table = validate(StepTable, _given(step), "the step trial")
+    cost_table = validate(CostTable, _given(cost), "its cost")
     return step_table.of(common), cost_table.of(common)
 
 

@@ -25,7 +25,7 @@ def rigs(endpoint: str, /, *, security: Path | None = None) -> None:
         security: File that says who this is, where the rigs ask; see docs/security.md.
     """
     who = security_from(security)
-    found = zenoh.find(endpoint, security=who)
+    found = zenoh.discover_rigs(endpoint, security=who)
     if not found:
         raise RigError(
             f"no rig answers at {endpoint}; start one with: estune serve --listen {endpoint}"

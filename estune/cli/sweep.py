@@ -16,7 +16,7 @@ from estune.run.progress import duration
 from estune.studies.sweep import sweep as sweeping
 from estune.studies.sweep.cell import Cell
 from estune.studies.sweep.design import read_design
-from estune.studies.sweep.expand import cells_of
+from estune.studies.sweep.expand import expand_cells
 from estune.studies.sweep.result import SweepResult, write
 
 _Flag = Parameter(negative=(), show_default=False)
@@ -55,7 +55,7 @@ def sweep(
         InvalidInput: something in the file does not fit.
     """
     if dry_run:
-        _show_plan(cells_of(read_design(design)))
+        _show_plan(expand_cells(read_design(design)))
         return
     again = f"estune sweep {design}" + (f" --folder {folder}" if folder else "")
     try:

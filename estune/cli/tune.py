@@ -11,7 +11,7 @@ from cyclopts import Group, Parameter
 
 from estune import api
 from estune.cli import output
-from estune.cli.approval_prompt import at_the_terminal
+from estune.cli.approval_prompt import terminal_approval
 from estune.cli.runs import find_run
 from estune.cli.values import numbers_from, ranges_from, security_from, share_from
 from estune.core.cost import StepCost
@@ -19,7 +19,7 @@ from estune.core.gains import GAIN_NAMES, Gains
 from estune.errors import InvalidInput
 from estune.run.journal import Journal
 from estune.run.plan import DEFAULT_TUNER, MOVE_WEIGHT, model_start
-from estune.run.result import Ending, TuneResult
+from estune.run.result import RunEnding, TuneResult
 from estune.run.session import TOLERANCE
 from estune.run.targets import is_endpoint, open_target
 from estune.trial import Rig, RigDescription
@@ -148,7 +148,7 @@ def tune(
         run=run,
         folder=folder,
         watch=None if quiet else "auto",
-        ask=at_the_terminal() if ask else None,
+        ask=terminal_approval() if ask else None,
     )
     return finish(result, target)
 
@@ -174,7 +174,7 @@ def resume(
     path = find_run(run, folder)
     with Journal.open(path) as journal:
         where = target or journal.fact("target")
-        ask = at_the_terminal() if journal.fact("plan")["ask_first"] else None
+        ask = terminal_approval() if journal.fact("plan")["ask_first"] else None
     who = security_from(security)
     watch: Literal["auto"] | None = None if quiet else "auto"
     return finish(api.resume(path, where, security=who, watch=watch, ask=ask), where)
@@ -191,7 +191,7 @@ def finish(result: TuneResult, target: str | None, more: Mapping[str, str] | Non
     figure = output.save_figure(result)
     if figure:
         facts["figure"] = figure
-    if result.ending is Ending.TUNED and is_endpoint(target):
+    if result.ending is RunEnding.TUNED and is_endpoint(target):
         facts["make live"] = f"estune apply {result.folder} {target}"
     facts["trials"] = f"estune export {result.folder} --csv"
     output.show_next({**facts, **(more or {})})

@@ -25,7 +25,7 @@ class Change:
     confidence: float
 
     @property
-    def is_fall(self) -> bool:
+    def is_decrease(self) -> bool:
         """Whether the whole interval lies below zero."""
         return self.high < 0.0
 
@@ -36,7 +36,9 @@ class Change:
         )
 
 
-def change(before: Sequence[float], after: Sequence[float], confidence: float = 0.95) -> Change:
+def compare_costs(
+    before: Sequence[float], after: Sequence[float], confidence: float = 0.95
+) -> Change:
     """Compares two sets of repeats by their log costs: Welch's interval of unequal variances.
 
     With means m and variances v of n logarithms each, the difference of the means has the standard
@@ -77,7 +79,7 @@ def change(before: Sequence[float], after: Sequence[float], confidence: float = 
     return Change(estimate, low, high, confidence)
 
 
-def scatter(groups: Iterable[Sequence[float]]) -> float:
+def repeatability(groups: Iterable[Sequence[float]]) -> float:
     """Standard deviation of the logarithm of the cost between repeats, pooled; nan without any.
 
     Args:
@@ -94,7 +96,7 @@ def scatter(groups: Iterable[Sequence[float]]) -> float:
     return math.sqrt(squares / freedom) if freedom else math.nan
 
 
-def rounds_for(
+def repeats_needed(
     expected: float, noise: float, *, least: int, most: int, confidence: float = 0.95
 ) -> int:
     """How many repeats of each of two gains tell their difference to a quarter of itself.

@@ -42,7 +42,7 @@ NODES = 64
 """Points of the Gauss-Legendre rule: the run length is then exact to more than six digits."""
 
 
-class Sign(StrEnum):
+class ChartSignal(StrEnum):
     """What the newest trial says, together with those before it."""
 
     STEADY = "steady"
@@ -58,11 +58,11 @@ class Sign(StrEnum):
 
 
 _SENTENCES = {
-    Sign.STEADY: "the cost is what it was",
-    Sign.SUSPECT: "the cost is far from what it was; the trial is repeated before it counts",
-    Sign.OUTLIER: "the trial before was a single bad one and does not count",
-    Sign.WORSE: "the cost has risen beyond its scatter",
-    Sign.BETTER: "the cost has fallen beyond its scatter",
+    ChartSignal.STEADY: "the cost is what it was",
+    ChartSignal.SUSPECT: "the cost is far from what it was; the trial is repeated before it counts",
+    ChartSignal.OUTLIER: "the trial before was a single bad one and does not count",
+    ChartSignal.WORSE: "the cost has risen beyond its scatter",
+    ChartSignal.BETTER: "the cost has fallen beyond its scatter",
 }
 
 
@@ -144,7 +144,7 @@ class ControlChart:
         freedom = sum(len(group) - 1 for group in groups)
         return ChartState(len(costs), float(np.mean(groups[0])), float(squares), freedom)
 
-    def tell(self, state: ChartState, cost: float) -> tuple[ChartState, Sign]:
+    def update(self, state: ChartState, cost: float) -> tuple[ChartState, ChartSignal]:
         """The chart after one more check trial, and what that says.
 
         Args:
@@ -158,16 +158,16 @@ class ControlChart:
         if abs(q) > self.far:
             side = 1 if q > 0.0 else -1
             if state.suspect == side:  # two in a row are no accident
-                return state, Sign.WORSE if side > 0 else Sign.BETTER
-            return state._replace(suspect=side), Sign.SUSPECT
+                return state, ChartSignal.WORSE if side > 0 else ChartSignal.BETTER
+            return state._replace(suspect=side), ChartSignal.SUSPECT
         z = (1.0 - self.smoothing) * state.smoothed + self.smoothing * q
         # Whether to learn is decided by what came before: the value itself has no say in it.
         calm = abs(state.smoothed) <= CALM * self.limit
         learnt = _learn(state, math.log(cost)) if calm else state
         told = learnt._replace(smoothed=z, suspect=0)
         if abs(z) > self.limit:
-            return told, Sign.WORSE if z > 0.0 else Sign.BETTER
-        return told, Sign.OUTLIER if state.suspect else Sign.STEADY
+            return told, ChartSignal.WORSE if z > 0.0 else ChartSignal.BETTER
+        return told, ChartSignal.OUTLIER if state.suspect else ChartSignal.STEADY
 
     def deviation(self, state: ChartState, cost: float) -> float:
         """The q of a cost: how far off it is, in standard deviations.

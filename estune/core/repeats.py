@@ -12,7 +12,7 @@ from typing import NamedTuple, Self
 from estune.core.gains import Gains
 
 
-class Repeats(NamedTuple):
+class InterleavedRepeats(NamedTuple):
     """Gains that are repeated in turn, and what they cost so far.
 
     Attributes:
@@ -36,7 +36,7 @@ class Repeats(NamedTuple):
         return tuple(i for i, costs in enumerate(self.costs) if math.inf not in costs)
 
     @property
-    def turn(self) -> int | None:
+    def next_index(self) -> int | None:
         """Place of the gains to be run next; None when the repeats are over."""
         safe = self.safe
         if len(safe) < 2:
@@ -50,7 +50,7 @@ class Repeats(NamedTuple):
     @property
     def missing(self) -> int:
         """How many repeats are still to come if all of them are safe."""
-        if self.turn is None:
+        if self.next_index is None:
             return 0
         return sum(self.rounds - len(self.costs[i]) for i in self.safe)
 
@@ -60,8 +60,8 @@ class Repeats(NamedTuple):
         means = {i: fmean(self.costs[i]) if self.costs[i] else math.inf for i in self.safe}
         return min(means, key=means.__getitem__, default=None)
 
-    def told(self, cost: float) -> Self:
+    def with_cost(self, cost: float) -> Self:
         """The same with the cost of the gains whose turn it was; infinite if it was unsafe."""
-        here = self.turn
+        here = self.next_index
         costs = tuple((*c, cost) if i == here else c for i, c in enumerate(self.costs))
         return self._replace(costs=costs)

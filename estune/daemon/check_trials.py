@@ -5,10 +5,10 @@ import time
 from datetime import UTC, datetime
 from typing import NamedTuple
 
-from estune.core.control_chart import ChartState, Sign
+from estune.core.control_chart import ChartSignal, ChartState
 from estune.core.gains import Gains
 from estune.daemon.config import RigTable
-from estune.daemon.store import Store
+from estune.daemon.store import DaemonStore
 from estune.daemon.supervisor_state import GainSet
 from estune.errors import Interrupted
 from estune.run.session import UNSAFE_RATIO
@@ -16,7 +16,7 @@ from estune.trial import Outcome, Rig, RigDescription, TrialRecord, TrialRequest
 from estune.trial.scoring import cost_of
 
 
-class Checked(NamedTuple):
+class CheckTrialResult(NamedTuple):
     """What a check trial came to.
 
     Attributes:
@@ -27,13 +27,13 @@ class Checked(NamedTuple):
 
     record: TrialRecord
     cost: float
-    sign: Sign | None
+    sign: ChartSignal | None
 
 
-class Checks:
+class CheckTrials:
     """The check trials of one rig. The charts of gain sets are kept in the store, by name."""
 
-    def __init__(self, store: Store, settings: RigTable) -> None:
+    def __init__(self, store: DaemonStore, settings: RigTable) -> None:
         self._store = store
         self._settings = settings
         self._chart = settings.watch.chart
@@ -68,12 +68,14 @@ class Checks:
         return max(0.0, self._due_s - time.monotonic())
 
     @property
-    def rested(self) -> bool:
+    def is_cooldown_over(self) -> bool:
         """Whether the last tuning is long enough ago for a drift to start the next."""
         ended = self._store.fact("run_ended_at")
         return ended is None or not 0.0 <= _age_s(ended) < self._settings.watch.rest_s
 
-    def run(self, rig: Rig, about: RigDescription, name: GainSet, gains: Gains) -> Checked:
+    def run(
+        self, rig: Rig, about: RigDescription, name: GainSet, gains: Gains
+    ) -> CheckTrialResult:
         """Runs one check trial, and keeps what it came to.
 
         Raises:
@@ -95,17 +97,17 @@ class Checks:
                     f"check trial {record.trial_id} was cut off ({record.reason}); "
                     "see to the rig, then resume"
                 )
-            return Checked(record, math.nan, None)
+            return CheckTrialResult(record, math.nan, None)
         eta = cost_of(record, step, cost, about.newtons_per_ampere)
         eta_max = self._settings.tuning.eta_max or UNSAFE_RATIO * math.exp(state.mean)
         eta = eta if math.isfinite(eta) and eta <= eta_max else math.inf
-        told, sign = self._chart.tell(state, eta)
+        told, sign = self._chart.update(state, eta)
         with self._store.writing():
             charts = self._store.fact("charts")
             self._store.put("charts", {**charts, name.value: list(told)})
             self._store.tell_check(request, record, eta, sign)
         self._due_s = time.monotonic() + self._settings.watch.every_s
-        return Checked(record, eta, sign)
+        return CheckTrialResult(record, eta, sign)
 
     def _age_of_last_s(self) -> float:
         told = [check.told_at for check in self._store.checks(1) if check.told_at]

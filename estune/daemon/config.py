@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, model_validator
 
 from estune.core.control_chart import ControlChart
-from estune.daemon.events import Kind
+from estune.daemon.events import EventKind
 from estune.remote.zenoh.zenoh_session import check_endpoint, check_loopback
 from estune.run.plan import DEFAULT_TUNER
 from estune.run.toml_tables import (
@@ -20,11 +20,11 @@ from estune.run.toml_tables import (
     StepTable,
     TunerName,
 )
-from estune.support.toml_file import Table, checked, read_toml
+from estune.support.toml_file import TomlTable, read_toml, validate
 from estune.trial import RigDescription
 
 
-class ServiceTable(Table):
+class ServiceTable(TomlTable):
     """Where the daemon is asked for its status, and told what to do.
 
     Attributes:
@@ -49,7 +49,7 @@ class ServiceTable(Table):
         return self
 
 
-class MetricsTable(Table):
+class MetricsTable(TomlTable):
     """Figures for Prometheus.
 
     Attributes:
@@ -64,7 +64,7 @@ class MetricsTable(Table):
     every_s: Positive = 15.0
 
 
-class HookTable(Table):
+class HookTable(TomlTable):
     """A command that is run at events, with the event as JSON on its standard input.
 
     Attributes:
@@ -74,7 +74,7 @@ class HookTable(Table):
     """
 
     command: Annotated[list[str], Field(min_length=1)]
-    events: list[Annotated[Kind, Field(strict=False)]] = Field(default=[])
+    events: list[Annotated[EventKind, Field(strict=False)]] = Field(default=[])
     timeout_s: Positive = 10.0
 
 
@@ -100,7 +100,7 @@ class TuningTable(SearchTable):
     improvement_min: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0
 
 
-class WatchTable(Table):
+class WatchTable(TomlTable):
     """How the accepted gains are watched.
 
     Attributes:
@@ -130,7 +130,7 @@ class WatchTable(Table):
         return self
 
 
-class RigTable(Table):
+class RigTable(TomlTable):
     """One rig.
 
     Attributes:
@@ -174,7 +174,7 @@ class RigTable(Table):
         return self
 
 
-class DaemonConfig(Table):
+class DaemonConfig(TomlTable):
     """The daemon's file.
 
     Attributes:
@@ -217,7 +217,7 @@ def config_from(data: dict[str, Any], source: str, beside: Path) -> DaemonConfig
     Raises:
         InvalidInput: something in it is wrong; all of it is in the message, a line each.
     """
-    config = checked(DaemonConfig, data, source)
+    config = validate(DaemonConfig, data, source)
     file, asks = config.metrics.file, config.service.security
     metrics = config.metrics.model_copy(update={"file": file and beside / file})
     service = config.service.model_copy(update={"security": asks and beside / asks})

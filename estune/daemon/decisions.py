@@ -2,14 +2,14 @@
 
 import math
 
-from estune.core.control_chart import Sign
-from estune.daemon.events import Kind
-from estune.daemon.supervised_rig import Supervision
-from estune.daemon.supervisor_state import GainSet, Happening
+from estune.core.control_chart import ChartSignal
+from estune.daemon.events import EventKind
+from estune.daemon.supervised_rig import SupervisedRig
+from estune.daemon.supervisor_state import GainSet, SupervisorEvent
 from estune.daemon.tuning_runs import Decision
 
 
-def decide(supervision: Supervision, decision: Decision, *, accept: bool) -> None:
+def apply_tuning_decision(supervision: SupervisedRig, decision: Decision, *, accept: bool) -> None:
     """Takes up what a search came to: better gains are accepted, or wait for a decision."""
     said, better = decision.sentence, decision.better
 
@@ -27,16 +27,20 @@ def decide(supervision: Supervision, decision: Decision, *, accept: bool) -> Non
 
     if better is None:
         if decision.start_chart is None:
-            unsafe(supervision, f"repeats of the live gains were unsafe; {said}")
+            revert_to_original(supervision, f"repeats of the live gains were unsafe; {said}")
             return
-        supervision.happen(Happening.KEPT, said, Kind.KEPT, write)
+        supervision.apply_event(SupervisorEvent.KEPT, said, EventKind.KEPT, write)
     elif accept:
-        supervision.happen(Happening.ADOPTED, said, Kind.BETTER, write, gains=str(better))
+        supervision.apply_event(
+            SupervisorEvent.ADOPTED, said, EventKind.BETTER, write, gains=str(better)
+        )
     else:
-        supervision.happen(Happening.PROPOSED, said, Kind.BETTER, write, gains=str(better))
+        supervision.apply_event(
+            SupervisorEvent.PROPOSED, said, EventKind.BETTER, write, gains=str(better)
+        )
 
 
-def unsafe(supervision: Supervision, said: str) -> None:
+def revert_to_original(supervision: SupervisedRig, said: str) -> None:
     """The live gains are not safe: back to the original ones, until somebody has looked."""
 
     def write() -> None:
@@ -44,13 +48,17 @@ def unsafe(supervision: Supervision, said: str) -> None:
         supervision.store.set_gains(GainSet.ACCEPTED, None)
         supervision.searches.end()
 
-    supervision.happen(Happening.UNSAFE, said, Kind.UNSAFE, write)
+    supervision.apply_event(SupervisorEvent.UNSAFE, said, EventKind.UNSAFE, write)
 
 
-def drifted(supervision: Supervision, cost: float, sign: Sign) -> None:
+def handle_drift(supervision: SupervisedRig, cost: float, sign: ChartSignal) -> None:
     """Takes up that the cost has left its chart: tunes again, unless that was done only just."""
     if math.isinf(cost):
         home = supervision.life.home
-        unsafe(supervision, f"two check trials of the {home} gains in a row were unsafe")
-    elif supervision.checks.rested:
-        supervision.happen(Happening.DRIFTED, f"{sign.sentence}; tuning again", Kind.DRIFTED)
+        revert_to_original(
+            supervision, f"two check trials of the {home} gains in a row were unsafe"
+        )
+    elif supervision.checks.is_cooldown_over:
+        supervision.apply_event(
+            SupervisorEvent.DRIFTED, f"{sign.sentence}; tuning again", EventKind.DRIFTED
+        )

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 
-class Kind(StrEnum):
+class EventKind(StrEnum):
     """What has happened."""
 
     STARTED = "started"
@@ -45,6 +45,6 @@ class Event:
     rig: str
     number: int
     at: str
-    kind: Kind
+    kind: EventKind
     sentence: str
     facts: dict[str, object]

@@ -5,14 +5,14 @@ through this daemon are somebody else's, and are left as they are until somebody
 """
 
 from estune.core.gains import Gains
-from estune.daemon.events import Kind
-from estune.daemon.rig_access import Reached
-from estune.daemon.supervised_rig import Supervision
+from estune.daemon.events import EventKind
+from estune.daemon.rig_access import RigAccess
+from estune.daemon.supervised_rig import SupervisedRig
 from estune.daemon.supervisor_state import GainSet
 from estune.trial import RigDescription
 
 
-def take_home(supervision: Supervision, reached: Reached, home: GainSet) -> str:
+def apply_nominal_gains(supervision: SupervisedRig, reached: RigAccess, home: GainSet) -> str:
     """Backs up the rig's gains the first time; puts the home ones on it.
 
     Returns:
@@ -20,7 +20,7 @@ def take_home(supervision: Supervision, reached: Reached, home: GainSet) -> str:
     """
     about, store = reached.take(), supervision.store
     fault = _stranger(supervision, about)
-    if not fault and store.gains() and about.gains not in store.ever_set():
+    if not fault and store.gains() and about.gains not in store.all_gain_sets():
         fault = "" if store.fact("overrule") else _strange_gains(about)
     if fault:
         return fault
@@ -31,23 +31,23 @@ def take_home(supervision: Supervision, reached: Reached, home: GainSet) -> str:
     if about.gains != gains:
         reached.apply(gains)
         why = f"{home} gains are live: {supervision.life.why}"
-        supervision.note(Kind.GAINS, why, gains=str(gains))
+        supervision.note(EventKind.GAINS, why, gains=str(gains))
     return ""
 
 
-def put_back(supervision: Supervision, reached: Reached, home: Gains) -> str:
+def restore_nominal_gains(supervision: SupervisedRig, reached: RigAccess, home: Gains) -> str:
     """Puts the home gains back; why they are not live, if they are not."""
     about, life = reached.take(), supervision.life
-    if about.gains not in supervision.store.ever_set():
+    if about.gains not in supervision.store.all_gain_sets():
         return _strange_gains(about)
     if about.gains != home:
         reached.apply(home)
-        supervision.note(Kind.GAINS, f"{life.home} gains are live: {life.why}")
+        supervision.note(EventKind.GAINS, f"{life.home} gains are live: {life.why}")
     supervision.live = life.home
     return ""
 
 
-def _stranger(supervision: Supervision, about: RigDescription) -> str:
+def _stranger(supervision: SupervisedRig, about: RigDescription) -> str:
     """Why this is not the rig of the store; empty if it is."""
     then = supervision.store.fact("rig_facts")
     if then is None or then == _facts(about):
@@ -60,14 +60,14 @@ def _stranger(supervision: Supervision, about: RigDescription) -> str:
     )
 
 
-def _back_up(supervision: Supervision, about: RigDescription) -> None:
+def _back_up(supervision: SupervisedRig, about: RigDescription) -> None:
     with supervision.store.writing():
         supervision.store.put("rig_facts", _facts(about))
         supervision.store.set_gains(
             GainSet.ORIGINAL, about.gains, "the rig ran them when it was found"
         )
     supervision.note(
-        Kind.BACKED_UP, f"the rig's own gains are kept: {about.gains}", gains=str(about.gains)
+        EventKind.BACKED_UP, f"the rig's own gains are kept: {about.gains}", gains=str(about.gains)
     )
 
 

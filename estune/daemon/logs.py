@@ -6,18 +6,18 @@ import sys
 from datetime import UTC, datetime
 from typing import Literal
 
-from estune.daemon.events import Event, Kind
+from estune.daemon.events import Event, EventKind
 
 LOGGER = "estune.daemon"
 
 _LEVELS = {
-    Kind.LOST: logging.WARNING,
-    Kind.FAILED: logging.ERROR,
-    Kind.TROUBLE: logging.ERROR,
-    Kind.UNSAFE: logging.ERROR,
-    Kind.DRIFTED: logging.WARNING,
-    Kind.SUSPECT: logging.WARNING,
-    Kind.OUTLIER: logging.WARNING,
+    EventKind.LOST: logging.WARNING,
+    EventKind.FAILED: logging.ERROR,
+    EventKind.TROUBLE: logging.ERROR,
+    EventKind.UNSAFE: logging.ERROR,
+    EventKind.DRIFTED: logging.WARNING,
+    EventKind.SUSPECT: logging.WARNING,
+    EventKind.OUTLIER: logging.WARNING,
 }
 _log = logging.getLogger(LOGGER)
 

@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import NamedTuple
 
 from estune.core.gains import GAIN_NAMES
-from estune.daemon.supervisor_state import GainSet, Mode
+from estune.daemon.supervisor_state import GainSet, SupervisorMode
 from estune.errors import RigError
 from estune.remote.messages.daemon import DaemonStatus
 from estune.run.export import replace_file
 
 
-class Figure(NamedTuple):
+class MetricSample(NamedTuple):
     """One figure of one rig.
 
     Attributes:
@@ -31,23 +31,23 @@ class Metric(NamedTuple):
     name: str
     kind: str
     help: str
-    of: Callable[[DaemonStatus], Iterable[Figure]]
+    of: Callable[[DaemonStatus], Iterable[MetricSample]]
 
 
-def _one(value: float | None) -> Iterator[Figure]:
+def _one(value: float | None) -> Iterator[MetricSample]:
     if value is not None:
-        yield Figure({}, value)
+        yield MetricSample({}, value)
 
 
-def _states(label: str, names: Iterable[str], actual: str) -> Iterator[Figure]:
+def _states(label: str, names: Iterable[str], actual: str) -> Iterator[MetricSample]:
     for name in names:
-        yield Figure({label: name}, float(name == actual))
+        yield MetricSample({label: name}, float(name == actual))
 
 
-def _gains(status: DaemonStatus) -> Iterator[Figure]:
+def _gains(status: DaemonStatus) -> Iterator[MetricSample]:
     for name, gains in sorted(status.gains.items()):
         for gain in GAIN_NAMES:
-            yield Figure({"set": name, "gain": gain}, getattr(gains, gain))
+            yield MetricSample({"set": name, "gain": gain}, getattr(gains, gain))
 
 
 METRICS = (
@@ -55,7 +55,7 @@ METRICS = (
         "estune_mode",
         "gauge",
         "1 for what is done with the rig now.",
-        lambda s: _states("mode", Mode, s.mode),
+        lambda s: _states("mode", SupervisorMode, s.mode),
     ),
     Metric(
         "estune_gains_live",

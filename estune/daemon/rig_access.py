@@ -13,8 +13,8 @@ from estune.remote import zenoh
 from estune.remote.security import Security
 from estune.remote.zenoh import RemoteRig
 from estune.run.targets import is_endpoint, open_target
-from estune.trial import Outcome, Rig, RigDescription, TrialRecord, TrialRequest, unmeasured
-from estune.trial.record_checks import fault_of
+from estune.trial import Outcome, Rig, RigDescription, TrialRecord, TrialRequest, empty_record
+from estune.trial.record_checks import record_fault
 
 GIVE_UP_AFTER = 5
 """So many trials that came to nothing, one after the other, are no accident."""
@@ -30,11 +30,11 @@ class Refused(RigError):
     """Another daemon supervises the rig."""
 
 
-class GivenUp(RigError):
+class TooManyVoidTrials(RigError):
     """The rig is there, but its trials come to nothing time and again."""
 
 
-class Patience:
+class VoidTrialCounter:
     """Counts trials that came to nothing, one after the other.
 
     It outlasts a rig that is lost: one whose program ends in each trial is to be given up, too.
@@ -52,20 +52,20 @@ class Patience:
         self._void_in_a_row = self._void_in_a_row + 1 if record.outcome.is_void else 0
         if self._void_in_a_row >= GIVE_UP_AFTER:
             self._void_in_a_row = 0
-            raise GivenUp(
+            raise TooManyVoidTrials(
                 f"{GIVE_UP_AFTER} trials in a row came to nothing, the last {record.trial_id}: "
                 f"{record.reason}; see what stops them, then resume"
             )
 
 
-class Reached:
+class RigAccess:
     """A rig that was reached; made by `reach`.
 
     Attributes:
         about: What it says of itself, as last heard.
     """
 
-    def __init__(self, rig: Rig, opened: ExitStack, patience: Patience) -> None:
+    def __init__(self, rig: Rig, opened: ExitStack, patience: VoidTrialCounter) -> None:
         self._rig = rig
         self._opened = opened
         self._patience = patience
@@ -124,7 +124,7 @@ class Reached:
                 raise
             outcome = Outcome.CANCELLED if self.about.simulated else Outcome.INTERRUPTED
             record = self._nothing(request, outcome, str(error))
-        fault = fault_of(record, request, self.about)
+        fault = record_fault(record, request, self.about)
         if fault:
             said = f"the record of trial {request.trial_id} is refused: {fault}"
             record = self._nothing(request, Outcome.CANCELLED, said)
@@ -143,7 +143,7 @@ class Reached:
     def _nothing(self, request: TrialRequest, outcome: Outcome, said: str) -> TrialRecord:
         _log.error("%s", said, extra={"rig": self.about.name})
         at = datetime.now(UTC).isoformat(timespec="milliseconds")
-        return unmeasured(request, self.about, outcome, said, at)
+        return empty_record(request, self.about, outcome, said, at)
 
     def latched(self) -> str:
         """Why its emergency stop was called; empty if it was not, was cleared, or is not known."""
@@ -177,7 +177,7 @@ class Reached:
 class _Inspected:
     """A rig whose records are looked at."""
 
-    def __init__(self, reached: Reached, rig: Rig) -> None:
+    def __init__(self, reached: RigAccess, rig: Rig) -> None:
         self.run = reached.run
         self.describe = reached.describe
         self.apply = reached.apply
@@ -187,7 +187,9 @@ class _Inspected:
         self.close = reached.close
 
 
-def reach(settings: RigTable, holder: str, patience: Patience, security: Security) -> Reached:
+def open_rig(
+    settings: RigTable, holder: str, patience: VoidTrialCounter, security: Security
+) -> RigAccess:
     """Reaches a rig.
 
     Args:
@@ -211,4 +213,4 @@ def reach(settings: RigTable, holder: str, patience: Patience, security: Securit
             rig: Rig = remote
         else:
             rig = opened.enter_context(open_target(settings.target, settings.name))
-        return Reached(rig, opened.pop_all(), patience)
+        return RigAccess(rig, opened.pop_all(), patience)

@@ -7,17 +7,17 @@ import time
 from contextlib import ExitStack
 from dataclasses import replace
 
-from estune.daemon.check_trials import Checks
+from estune.daemon.check_trials import CheckTrials
 from estune.daemon.config import DaemonConfig
 from estune.daemon.events import Event
 from estune.daemon.hooks import Hooks
 from estune.daemon.logs import log_event
 from estune.daemon.metrics import MetricsServer, write_metrics
-from estune.daemon.store import Store
-from estune.daemon.supervised_rig import Supervision
-from estune.daemon.supervisor import Keeper
+from estune.daemon.store import DaemonStore
+from estune.daemon.supervised_rig import SupervisedRig
+from estune.daemon.supervisor import RigSupervisor
 from estune.daemon.systemd import Notifier
-from estune.daemon.tuning_runs import Searches
+from estune.daemon.tuning_runs import TuningRuns
 from estune.errors import EstuneError, RigError
 from estune.remote.messages.daemon import DaemonStatus, EventMessage
 from estune.remote.security import OPEN, Security, read_security
@@ -31,7 +31,7 @@ END_WITHIN_S = 5.0
 _log = logging.getLogger(__name__)
 
 
-class Service:
+class DaemonService:
     """A daemon. `run` returns when every keeper has ended."""
 
     def __init__(
@@ -63,7 +63,7 @@ class Service:
         with ExitStack() as opened:
             stores = {}
             for rig in config.rig:
-                stores[rig.name] = Store.open(config.state / rig.name, rig.name)
+                stores[rig.name] = DaemonStore.open(config.state / rig.name, rig.name)
                 opened.callback(stores[rig.name].close)
             self._hooks = Hooks(config.hook)
             opened.callback(self._hooks.close, END_WITHIN_S)
@@ -77,17 +77,17 @@ class Service:
             opened.callback(self._server.close)
             self.endpoint = self._server.endpoint
             self._supervised = {
-                rig.name: Supervision(
+                rig.name: SupervisedRig(
                     stores[rig.name],
-                    Searches(stores[rig.name], rig),
-                    Checks(stores[rig.name], rig),
+                    TuningRuns(stores[rig.name], rig),
+                    CheckTrials(stores[rig.name], rig),
                     self._instance,
                     self._tell,
                 )
                 for rig in config.rig
             }
             self._keepers = tuple(
-                Keeper(
+                RigSupervisor(
                     *(rig, self._supervised[rig.name]),
                     stop_within_s=config.stop_within_s,
                     security=security,

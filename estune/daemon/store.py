@@ -17,10 +17,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
-from estune.core.control_chart import Sign
+from estune.core.control_chart import ChartSignal
 from estune.core.gains import Gains
-from estune.daemon.events import Event, Kind
-from estune.daemon.supervisor_state import Ending, GainSet, Goal, Life, Link
+from estune.daemon.events import Event, EventKind
+from estune.daemon.supervisor_state import GainSet, Goal, Link, Shutdown, SupervisorState
 from estune.errors import JournalError
 from estune.support import sqlite
 from estune.trial import TrialRecord, TrialRequest, record_frame
@@ -62,7 +62,7 @@ UPDATE fact SET value = json_remove(value, '$.wanted') WHERE key = 'life'
 """What makes each schema out of the one before it; the first makes it out of nothing."""
 
 
-class Done(NamedTuple):
+class CommandResult(NamedTuple):
     """What became of a command.
 
     Attributes:
@@ -94,7 +94,7 @@ class Check(NamedTuple):
     sign: str
 
 
-class Store:
+class DaemonStore:
     """The file of one rig, open for one process; any of its threads may call."""
 
     def __init__(
@@ -176,23 +176,23 @@ class Store:
         self._write("INSERT OR REPLACE INTO fact VALUES (?, ?)", key, json.dumps(value))
 
     @property
-    def life(self) -> Life:
+    def life(self) -> SupervisorState:
         """Where the supervision stands."""
         kept = self.fact("life")
         if kept is None:
-            return Life()
-        return Life(
+            return SupervisorState()
+        return SupervisorState(
             **{
                 **kept,
                 "goal": Goal(kept["goal"]),
                 "home": GainSet(kept["home"]),
                 "link": Link(kept["link"]),
-                "ending": Ending(kept["ending"]),
+                "ending": Shutdown(kept["ending"]),
             }
         )
 
     @life.setter
-    def life(self, life: Life) -> None:
+    def life(self, life: SupervisorState) -> None:
         self.put("life", asdict(life))
 
     def gains(self) -> dict[GainSet, Gains]:
@@ -213,7 +213,7 @@ class Store:
             )
         self.put("gains", {name.value: asdict(gains) for name, gains in kept.items()})
 
-    def ever_set(self) -> set[Gains]:
+    def all_gain_sets(self) -> set[Gains]:
         """All gains that were ever original, candidate or accepted."""
         return {
             Gains(*row)
@@ -232,7 +232,7 @@ class Store:
         names = ("at", "name", "P", "I", "D", "setpoint_filter_s", "why")
         return self._youngest("gain_set", names, limit)
 
-    def note(self, kind: Kind, sentence: str, facts: dict[str, object]) -> Event:
+    def note(self, kind: EventKind, sentence: str, facts: dict[str, object]) -> Event:
         """Notes an event."""
         at = now()
         number = self._write(
@@ -250,16 +250,16 @@ class Store:
         else:
             rows = self._rows(f"{columns} WHERE number > ? ORDER BY number LIMIT ?", after, limit)
         return [
-            Event(self.rig, number, at, Kind(kind), sentence, json.loads(facts))
+            Event(self.rig, number, at, EventKind(kind), sentence, json.loads(facts))
             for number, at, kind, sentence, facts in rows
         ]
 
-    def command(self, command_id: str) -> Done | None:
+    def command(self, command_id: str) -> CommandResult | None:
         """What became of a command, if it came before."""
         rows = self._rows("SELECT done, sentence FROM command WHERE command_id=?", command_id)
-        return Done(bool(rows[0][0]), rows[0][1]) if rows else None
+        return CommandResult(bool(rows[0][0]), rows[0][1]) if rows else None
 
-    def note_command(self, command_id: str, verb: str, who: str, done: Done) -> None:
+    def note_command(self, command_id: str, verb: str, who: str, done: CommandResult) -> None:
         """Notes a command and what became of it."""
         number = self._write(
             "INSERT INTO command (command_id, at, verb, who, done, sentence)"
@@ -293,7 +293,7 @@ class Store:
         )
 
     def tell_check(
-        self, request: TrialRequest, record: TrialRecord, cost: float, sign: Sign | None
+        self, request: TrialRequest, record: TrialRecord, cost: float, sign: ChartSignal | None
     ) -> None:
         """Notes how a check trial ended; without a sign it was void and is asked for again."""
         number = request.number

@@ -10,11 +10,17 @@ import threading
 from collections.abc import Callable
 
 from estune.core.gains import Gains
-from estune.daemon.check_trials import Checks
-from estune.daemon.events import Event, Kind
-from estune.daemon.store import Done, Store, now
-from estune.daemon.supervisor_state import GainSet, Happening, Life, Mode, step
-from estune.daemon.tuning_runs import Searches
+from estune.daemon.check_trials import CheckTrials
+from estune.daemon.events import Event, EventKind
+from estune.daemon.store import CommandResult, DaemonStore, now
+from estune.daemon.supervisor_state import (
+    GainSet,
+    SupervisorEvent,
+    SupervisorMode,
+    SupervisorState,
+    next_state,
+)
+from estune.daemon.tuning_runs import TuningRuns
 from estune.errors import EstuneError, InvalidInput, JournalError
 from estune.remote.messages.daemon import (
     Command,
@@ -34,11 +40,11 @@ Teller = Callable[[Event], None]
 _log = logging.getLogger(__name__)
 
 
-class Turned(Exception):
+class Preempted(Exception):
     """Something else is to be done now than what was being done."""
 
 
-class Supervision:
+class SupervisedRig:
     """Where the supervision of one rig stands.
 
     Attributes:
@@ -55,7 +61,12 @@ class Supervision:
     """
 
     def __init__(
-        self, store: Store, searches: Searches, checks: Checks, instance: str, tell: Teller
+        self,
+        store: DaemonStore,
+        searches: TuningRuns,
+        checks: CheckTrials,
+        instance: str,
+        tell: Teller,
     ) -> None:
         self.name = store.rig
         self.store = store
@@ -71,15 +82,15 @@ class Supervision:
         self._tell = tell
         self._since = now()
         self._lock = threading.RLock()
-        self._life = step(store.life, Happening.BOOT)
+        self._life = next_state(store.life, SupervisorEvent.BOOT)
 
     @property
-    def life(self) -> Life:
+    def life(self) -> SupervisorState:
         """The state."""
         return self._life
 
     @property
-    def mode(self) -> Mode:
+    def mode(self) -> SupervisorMode:
         """What is to be done now."""
         return self._life.mode
 
@@ -101,7 +112,7 @@ class Supervision:
         with self._lock:
             life, gains = self._life, self.store.gains()
             chart = self.checks.chart(life.home)
-            watched = life.mode is Mode.WATCHING and chart is not None
+            watched = life.mode is SupervisorMode.WATCHING and chart is not None
             session, candidate = self.session, GainSet.CANDIDATE
             checks = self.store.checks(1)
             return DaemonStatus(
@@ -149,15 +160,15 @@ class Supervision:
             live: Which those are; None where somebody must see to the rig first.
         """
         with self._lock:
-            if self.mode is Mode.READYING and (live is None or self._life.home is live):
+            if self.mode is SupervisorMode.READYING and (live is None or self._life.home is live):
                 self.live = live
-                self._move(Happening.READIED)
+                self._move(SupervisorEvent.READIED)
 
     def stop(self, why: str) -> None:
         """Has the home gains put back and the supervision end; as the verb does."""
         with self._lock:
-            if self.mode not in (Mode.STOPPING, Mode.STOPPED):
-                self._move(Happening.STOP, why, Kind.STOPPING)
+            if self.mode not in (SupervisorMode.STOPPING, SupervisorMode.STOPPED):
+                self._move(SupervisorEvent.STOP, why, EventKind.STOPPING)
         self.cut()
 
     def accept(self, gains: Gains, why: str) -> None:
@@ -166,11 +177,11 @@ class Supervision:
         self.store.set_gains(GainSet.CANDIDATE, None)
         self.checks.set_charts({GainSet.ACCEPTED: self.checks.chart(GainSet.CANDIDATE)})
 
-    def happen(
+    def apply_event(
         self,
-        happening: Happening,
+        happening: SupervisorEvent,
         words: str,
-        kind: Kind,
+        kind: EventKind,
         write: Callable[[], None] | None = None,
         *,
         sentence: str = "",
@@ -179,16 +190,18 @@ class Supervision:
         """Moves the life on, unless a command has turned it elsewhere meanwhile."""
         with self._lock:
             try:
-                step(self._life, happening, words)
+                next_state(self._life, happening, words)
             except EstuneError as error:
                 _log.debug("%s", error)
-                raise Turned from None
-            repeated = happening in (Happening.LOST, Happening.FAILED, Happening.TROUBLE) and (
-                words in (self._life.trouble, self._life.paused)
-            )
+                raise Preempted from None
+            repeated = happening in (
+                SupervisorEvent.LOST,
+                SupervisorEvent.FAILED,
+                SupervisorEvent.TROUBLE,
+            ) and (words in (self._life.trouble, self._life.paused))
             self._move(happening, words, None if repeated else kind, sentence, write, **facts)
 
-    def note(self, kind: Kind, sentence: str, **facts: object) -> None:
+    def note(self, kind: EventKind, sentence: str, **facts: object) -> None:
         """Notes and tells an event that changes nothing."""
         with self._lock:
             try:
@@ -198,45 +211,47 @@ class Supervision:
                 event = Event(self.name, 0, now(), kind, sentence, dict(facts))
         self._tell(event)
 
-    def _take(self, verb: DaemonVerb, command: Command, words: str) -> Done:
-        happening = Happening(verb)
+    def _take(self, verb: DaemonVerb, command: Command, words: str) -> CommandResult:
+        happening = SupervisorEvent(verb)
         try:
-            after = step(self._life, happening, words)
+            after = next_state(self._life, happening, words)
         except InvalidInput as error:
-            done = Done(done=False, sentence=str(error))
+            done = CommandResult(done=False, sentence=str(error))
             self.store.note_command(command.command_id, verb, command.who, done)
             return done
-        done = Done(done=True, sentence=f"{words}; now {after.mode}: {after.mode.sentence}")
+        done = CommandResult(
+            done=True, sentence=f"{words}; now {after.mode}: {after.mode.sentence}"
+        )
 
         def write() -> None:
             gains = self.store.gains()
             match happening:
-                case Happening.ACCEPT:
+                case SupervisorEvent.ACCEPT:
                     self.accept(gains[GainSet.CANDIDATE], words)
-                case Happening.REJECT:
+                case SupervisorEvent.REJECT:
                     self.store.set_gains(GainSet.CANDIDATE, None)
-                case Happening.REVERT:
+                case SupervisorEvent.REVERT:
                     self.store.set_gains(GainSet.CANDIDATE, None)
                     self.store.set_gains(GainSet.ACCEPTED, None)
                     self.searches.end()
                     self.store.put("overrule", now())
-                case Happening.RESUME:
+                case SupervisorEvent.RESUME:
                     self.store.put("overrule", now())
             self.store.note_command(command.command_id, verb, command.who, done)
 
         kind = {
-            Happening.PAUSE: Kind.PAUSED,
-            Happening.RESUME: Kind.RESUMED,
-            Happening.STOP: Kind.STOPPING,
-        }.get(happening, Kind.COMMAND)
+            SupervisorEvent.PAUSE: EventKind.PAUSED,
+            SupervisorEvent.RESUME: EventKind.RESUMED,
+            SupervisorEvent.STOP: EventKind.STOPPING,
+        }.get(happening, EventKind.COMMAND)
         self._move(happening, words, kind, words, write)
         return done
 
     def _move(
         self,
-        happening: Happening,
+        happening: SupervisorEvent,
         words: str = "",
-        kind: Kind | None = None,
+        kind: EventKind | None = None,
         sentence: str = "",
         write: Callable[[], None] | None = None,
         **facts: object,
@@ -247,7 +262,7 @@ class Supervision:
         same, and written with the next.
         """
         before, event = self._life, None
-        after = step(before, happening, words)
+        after = next_state(before, happening, words)
         try:
             with self.store.writing():
                 if write is not None:
@@ -259,7 +274,9 @@ class Supervision:
             if happening not in _SAFE:
                 raise
             _log.error("not written: %s", error, extra={"rig": self.name})
-            event = Event(self.name, 0, now(), kind or Kind.FAILED, sentence or words, dict(facts))
+            event = Event(
+                self.name, 0, now(), kind or EventKind.FAILED, sentence or words, dict(facts)
+            )
         self._life = after
         if after.mode is not before.mode or after.home is not before.home:
             self.changed.set()
@@ -269,17 +286,17 @@ class Supervision:
 
 _SAFE = frozenset(
     {
-        Happening.FOUND,
-        Happening.READIED,
-        Happening.LOST,
-        Happening.FAILED,
-        Happening.TROUBLE,
-        Happening.UNSAFE,
-        Happening.REJECT,
-        Happening.REVERT,
-        Happening.PAUSE,
-        Happening.STOP,
-        Happening.ENDED,
+        SupervisorEvent.FOUND,
+        SupervisorEvent.READIED,
+        SupervisorEvent.LOST,
+        SupervisorEvent.FAILED,
+        SupervisorEvent.TROUBLE,
+        SupervisorEvent.UNSAFE,
+        SupervisorEvent.REJECT,
+        SupervisorEvent.REVERT,
+        SupervisorEvent.PAUSE,
+        SupervisorEvent.STOP,
+        SupervisorEvent.ENDED,
     }
 )
 """Steps that are taken even if they cannot be written: none makes other gains than known ones live

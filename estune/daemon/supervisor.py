@@ -9,18 +9,25 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
-from estune.core.control_chart import Sign
+from estune.core.control_chart import ChartSignal
 from estune.daemon import gain_restoration
 from estune.daemon.config import RigTable
-from estune.daemon.decisions import decide, drifted, unsafe
-from estune.daemon.events import Kind
-from estune.daemon.rig_access import HOLDER, GivenUp, Patience, Reached, Refused, reach
-from estune.daemon.supervised_rig import Supervision, Turned
-from estune.daemon.supervisor_state import Happening, Mode
+from estune.daemon.decisions import apply_tuning_decision, handle_drift, revert_to_original
+from estune.daemon.events import EventKind
+from estune.daemon.rig_access import (
+    HOLDER,
+    Refused,
+    RigAccess,
+    TooManyVoidTrials,
+    VoidTrialCounter,
+    open_rig,
+)
+from estune.daemon.supervised_rig import Preempted, SupervisedRig
+from estune.daemon.supervisor_state import SupervisorEvent, SupervisorMode
 from estune.errors import EstuneError, Interrupted, InvalidInput, RigError, UnsafeStart
 from estune.remote.security import OPEN, Security
 from estune.run import archived_run, loop
-from estune.run.loop import Progress, Tuning
+from estune.run.loop import Progress, TuningRun
 from estune.run.session import Phase
 
 PATIENCE_S = 120.0
@@ -30,7 +37,7 @@ _STEP_S = 0.5
 _log = logging.getLogger(__name__)
 
 
-class Keeper:
+class RigSupervisor:
     """Does with one rig what its supervision says. `start` begins it.
 
     Attributes:
@@ -41,7 +48,7 @@ class Keeper:
     def __init__(
         self,
         settings: RigTable,
-        supervision: Supervision,
+        supervision: SupervisedRig,
         *,
         stop_within_s: float,
         security: Security = OPEN,
@@ -52,8 +59,8 @@ class Keeper:
         self._supervision = supervision
         self._stop_within_s = stop_within_s
         self._security = security
-        self._reached: Reached | None = None
-        self._patience = Patience()
+        self._reached: RigAccess | None = None
+        self._patience = VoidTrialCounter()
         self._fruitless = 0  # failures since a trial was told or the rig was looked at in peace
         self._cuttable = False
         self._stopping_since_s: float | None = None
@@ -83,40 +90,45 @@ class Keeper:
     def _run(self) -> None:
         try:
             self._supervision.note(
-                Kind.STARTED,
+                EventKind.STARTED,
                 f"supervision of rig {self.name} begins: {self._supervision.life.goal}",
             )
-            while self._supervision.mode is not Mode.STOPPED and not self._supervision.refused:
-                self._beat()
+            while (
+                self._supervision.mode is not SupervisorMode.STOPPED
+                and not self._supervision.refused
+            ):
+                self._mark_progress()
                 self._supervision.changed.clear()
-                with suppress(Turned):
-                    self._turn()
+                with suppress(Preempted):
+                    self._run_step()
         finally:
             live = self._supervision.live
-            self._let_go()
+            self._disconnect()
             if self.confirmed:
                 self._supervision.live = live  # as last heard, and nobody changes it now
 
-    def _turn(self) -> None:
+    def _run_step(self) -> None:
         """Does what is to be done now, and says what came of it if that failed."""
         try:
             self._act(self._supervision.mode)
-        except Turned:
+        except Preempted:
             raise
         except Refused as error:
             self._supervision.refused = str(error)
-            self._supervision.note(Kind.FAILED, f"rig {self.name} is left alone: it is {error}")
-        except (Interrupted, GivenUp) as error:
-            self._call_for_somebody(str(error))
+            self._supervision.note(
+                EventKind.FAILED, f"rig {self.name} is left alone: it is {error}"
+            )
+        except (Interrupted, TooManyVoidTrials) as error:
+            self._pause_for_operator(str(error))
         except UnsafeStart as error:
-            unsafe(self._supervision, str(error))
+            revert_to_original(self._supervision, str(error))
         except RigError as error:
             self._without_rig(error)
         except InvalidInput as error:
             if self._reached is None:
                 self._fail(str(error))
             else:  # the file does not suit the rig, however often it is tried
-                self._call_for_somebody(str(error))
+                self._pause_for_operator(str(error))
         except EstuneError as error:
             self._fail(str(error))
         except Exception as error:  # noqa: BLE001  a fault here must not end the keeping
@@ -125,43 +137,43 @@ class Keeper:
 
     def _fail(self, why: str) -> None:
         """Begins anew with the rig, after a while."""
-        self._let_go()
+        self._disconnect()
         self._fruitless += 1
-        self._supervision.happen(Happening.FAILED, why, Kind.FAILED)
+        self._supervision.apply_event(SupervisorEvent.FAILED, why, EventKind.FAILED)
 
-    def _act(self, mode: Mode) -> None:
+    def _act(self, mode: SupervisorMode) -> None:
         match mode:
-            case Mode.WAITING | Mode.RETRYING:
+            case SupervisorMode.WAITING | SupervisorMode.RETRYING:
                 self._await()
-            case Mode.READYING:
+            case SupervisorMode.READYING:
                 self._ready()
-            case Mode.TUNING | Mode.CONFIRMING:
+            case SupervisorMode.TUNING | SupervisorMode.CONFIRMING:
                 self._search()
-            case Mode.WATCHING:
+            case SupervisorMode.WATCHING:
                 self._watch()
-            case Mode.HOLDING:
-                self._look_on(None)
-            case Mode.PAUSED:
+            case SupervisorMode.HOLDING:
+                self._monitor_gains(None)
+            case SupervisorMode.PAUSED:
                 self._pause()
-            case Mode.STOPPING:
+            case SupervisorMode.STOPPING:
                 self._restore()
 
     def _without_rig(self, error: RigError) -> None:
         """The rig is gone, or in others' hands. After an emergency stop nothing moves unasked."""
         latched = self._reached.latched() if self._reached is not None else ""
-        if latched and self._supervision.mode is not Mode.STOPPING:
-            self._call_for_somebody(
+        if latched and self._supervision.mode is not SupervisorMode.STOPPING:
+            self._pause_for_operator(
                 f"rig {self.name} is in its safe state after an emergency stop ({latched}); "
                 "see to it, clear the stop, then resume"
             )
         else:
-            self._let_go()
+            self._disconnect()
             self._fruitless += 1
-            self._supervision.happen(Happening.LOST, str(error), Kind.LOST)
+            self._supervision.apply_event(SupervisorEvent.LOST, str(error), EventKind.LOST)
 
-    def _call_for_somebody(self, why: str) -> None:
+    def _pause_for_operator(self, why: str) -> None:
         """Pauses until somebody has seen to the rig."""
-        self._supervision.happen(Happening.TROUBLE, why, Kind.TROUBLE)
+        self._supervision.apply_event(SupervisorEvent.TROUBLE, why, EventKind.TROUBLE)
         self._supervision.readied(None)
 
     def _await(self) -> None:
@@ -173,11 +185,13 @@ class Keeper:
             if self._rest(min(most_s, first_s * 2.0 ** min(failures - 1, 30))):
                 return
         self._connect()
-        self._supervision.happen(Happening.FOUND, f"rig {self.name} answers", Kind.FOUND)
+        self._supervision.apply_event(
+            SupervisorEvent.FOUND, f"rig {self.name} answers", EventKind.FOUND
+        )
 
-    def _connect(self) -> Reached:
-        self._let_go()
-        self._reached = reach(
+    def _connect(self) -> RigAccess:
+        self._disconnect()
+        self._reached = open_rig(
             self._settings,
             f"{HOLDER} on {socket.gethostname()}, process {os.getpid()}",
             self._patience,
@@ -188,10 +202,10 @@ class Keeper:
     def _ready(self) -> None:
         """Sees to it that the home gains are live, if the rig is the one that is known."""
         reached, home = self._reached or self._connect(), self._supervision.life.home
-        fault = gain_restoration.take_home(self._supervision, reached, home)
+        fault = gain_restoration.apply_nominal_gains(self._supervision, reached, home)
         if fault:
             reached.release()
-            self._call_for_somebody(fault)
+            self._pause_for_operator(fault)
             return
         if self._supervision.life.paused:
             reached.release()
@@ -204,7 +218,7 @@ class Keeper:
         self._supervision.session = run.session
         try:
             self._supervision.note(
-                Kind.TUNING,
+                EventKind.TUNING,
                 f"run {run.plan.run}: trials {run.session.number} to {run.plan.most_trials}",
             )
             self._show(run)
@@ -217,41 +231,43 @@ class Keeper:
         finally:
             if run.journal is not None:
                 run.journal.close()
-        decide(self._supervision, decision, accept=self._settings.accept == "auto")
+        apply_tuning_decision(self._supervision, decision, accept=self._settings.accept == "auto")
 
-    def _show(self, run: Tuning) -> None:
+    def _show(self, run: TuningRun) -> None:
         """Makes the phase of the run that of the life: a run may be found past its search."""
         past = run.session.phase not in (Phase.BASELINE, Phase.SEARCH)
-        if past and self._supervision.mode is Mode.TUNING:
-            self._supervision.happen(
-                Happening.SEARCHED, f"confirming {run.plan.run}", Kind.CONFIRMING
+        if past and self._supervision.mode is SupervisorMode.TUNING:
+            self._supervision.apply_event(
+                SupervisorEvent.SEARCHED, f"confirming {run.plan.run}", EventKind.CONFIRMING
             )
 
     def _progressed(self, progress: Progress) -> None:
         """After each trial, which is committed by now."""
-        self._beat()
+        self._mark_progress()
         self._fruitless = 0
         entered = self._supervision.mode
         self._supervision.session = progress.session
         self._supervision.cost = _finite(progress.entry.cost)
         after = progress.session.phase in (Phase.CHOOSE, Phase.CONFIRM)
-        if after and entered is Mode.TUNING:
+        if after and entered is SupervisorMode.TUNING:
             said = f"confirming {progress.session.plan.run}; {progress.session.search_end}"
-            self._supervision.happen(Happening.SEARCHED, said, Kind.CONFIRMING)
-        if self._supervision.mode not in (Mode.TUNING, Mode.CONFIRMING):
-            raise Turned
+            self._supervision.apply_event(SupervisorEvent.SEARCHED, said, EventKind.CONFIRMING)
+        if self._supervision.mode not in (SupervisorMode.TUNING, SupervisorMode.CONFIRMING):
+            raise Preempted
 
     def _watch(self) -> None:
         """Waits for the next check trial, runs it, and looks at the chart."""
         reached, home = self._there(), self._supervision.life.home
         if self._supervision.checks.chart(home) is None:
-            self._supervision.happen(
-                Happening.DRIFTED, "there is no baseline to hold checks to", Kind.DRIFTED
+            self._supervision.apply_event(
+                SupervisorEvent.DRIFTED,
+                "there is no baseline to hold checks to",
+                EventKind.DRIFTED,
             )
             return
         wait_s = self._supervision.checks.wait_s(home)
         if wait_s > 0.0:
-            self._look_on(wait_s)
+            self._monitor_gains(wait_s)
             return
         gains = self._supervision.store.gains()[home]
         with self._in_trials():
@@ -262,12 +278,12 @@ class Keeper:
             return
         said = f"check trial {checked.record.trial_id}: {checked.sign.sentence}"
         _log.debug("%s", said, extra={"rig": self.name})
-        if checked.sign in (Sign.SUSPECT, Sign.OUTLIER):
-            self._supervision.note(Kind(checked.sign), said, cost=_finite(checked.cost))
-        if checked.sign in (Sign.WORSE, Sign.BETTER):
-            drifted(self._supervision, checked.cost, checked.sign)
+        if checked.sign in (ChartSignal.SUSPECT, ChartSignal.OUTLIER):
+            self._supervision.note(EventKind(checked.sign), said, cost=_finite(checked.cost))
+        if checked.sign in (ChartSignal.WORSE, ChartSignal.BETTER):
+            handle_drift(self._supervision, checked.cost, checked.sign)
 
-    def _look_on(self, seconds: float | None) -> None:
+    def _monitor_gains(self, seconds: float | None) -> None:
         """Nothing is done with the rig for a while, but that its gains are looked at."""
         look_s = self._settings.look_every_s
         if self._rest(look_s if seconds is None else min(seconds, look_s)):
@@ -277,7 +293,7 @@ class Keeper:
         self._fruitless = 0
         if about.gains != self._supervision.store.gains()[home]:
             said = f"the rig runs {about.gains} instead of the {home} gains"
-            self._supervision.happen(Happening.CHANGED, said, Kind.GAINS)
+            self._supervision.apply_event(SupervisorEvent.CHANGED, said, EventKind.GAINS)
 
     def _pause(self) -> None:
         """The rig is others' to use; it is only seen whether it is there."""
@@ -294,11 +310,11 @@ class Keeper:
         said = ""
         if home is not None:
             try:
-                said = gain_restoration.put_back(
+                said = gain_restoration.restore_nominal_gains(
                     self._supervision, self._reached or self._connect(), home
                 )
             except EstuneError as error:
-                self._let_go()
+                self._disconnect()
                 if time.monotonic() - self._stopping_since_s < self._stop_within_s:
                     self._rest(_STEP_S)
                     return
@@ -308,14 +324,16 @@ class Keeper:
                 )
         self.confirmed = not said
         ended = said or f"ended; the rig has confirmed its gains: {home}" if home else "ended"
-        self._supervision.happen(Happening.ENDED, said, Kind.STOPPED, sentence=ended)
+        self._supervision.apply_event(
+            SupervisorEvent.ENDED, said, EventKind.STOPPED, sentence=ended
+        )
 
-    def _there(self) -> Reached:
+    def _there(self) -> RigAccess:
         if self._reached is None:
             raise RigError(f"rig {self.name} is not connected")
         return self._reached
 
-    def _let_go(self) -> None:
+    def _disconnect(self) -> None:
         reached, self._reached, self._supervision.live = self._reached, None, None
         if reached is not None:
             with suppress(EstuneError):
@@ -326,8 +344,12 @@ class Keeper:
         """Trials are run in the block, which a stop cuts off."""
         self._cuttable = True
         try:
-            if self._supervision.mode not in (Mode.TUNING, Mode.CONFIRMING, Mode.WATCHING):
-                raise Turned
+            if self._supervision.mode not in (
+                SupervisorMode.TUNING,
+                SupervisorMode.CONFIRMING,
+                SupervisorMode.WATCHING,
+            ):
+                raise Preempted
             yield
         finally:
             self._cuttable = False
@@ -344,12 +366,12 @@ class Keeper:
         """Waits; whether something happened before the time was over."""
         until_s = time.monotonic() + seconds
         while (left_s := until_s - time.monotonic()) > 0.0:
-            self._beat()
+            self._mark_progress()
             if self._supervision.changed.wait(min(left_s, _STEP_S)):
                 return True
         return False
 
-    def _beat(self) -> None:
+    def _mark_progress(self) -> None:
         self._step_at_s = time.monotonic()
 
 

@@ -43,7 +43,7 @@ class Link(StrEnum):
     READY = "ready"
 
 
-class Ending(StrEnum):
+class Shutdown(StrEnum):
     """Whether the supervision is to end."""
 
     NO = "no"
@@ -51,7 +51,7 @@ class Ending(StrEnum):
     STOPPED = "stopped"
 
 
-class Mode(StrEnum):
+class SupervisorMode(StrEnum):
     """What is done now. The columns of the table, in this order."""
 
     WAITING = "waiting"
@@ -72,27 +72,27 @@ class Mode(StrEnum):
 
 
 _MODES = {
-    Mode.WAITING: "waiting for the rig",
-    Mode.RETRYING: "something has failed; trying again after a while",
-    Mode.READYING: "looking which gains the rig runs, and putting the right ones on it",
-    Mode.TUNING: "looking for better gains by trials",
-    Mode.CONFIRMING: "repeating the start and the best gains found in turn",
-    Mode.HOLDING: "better gains were found, and are not live: accept or reject them",
-    Mode.WATCHING: "repeating check trials from time to time",
-    Mode.PAUSED: "nothing is done until it is resumed",
-    Mode.STOPPING: "putting the rig's gains back, then ending",
-    Mode.STOPPED: "ended",
+    SupervisorMode.WAITING: "waiting for the rig",
+    SupervisorMode.RETRYING: "something has failed; trying again after a while",
+    SupervisorMode.READYING: "looking which gains the rig runs, and putting the right ones on it",
+    SupervisorMode.TUNING: "looking for better gains by trials",
+    SupervisorMode.CONFIRMING: "repeating the start and the best gains found in turn",
+    SupervisorMode.HOLDING: "better gains were found, and are not live: accept or reject them",
+    SupervisorMode.WATCHING: "repeating check trials from time to time",
+    SupervisorMode.PAUSED: "nothing is done until it is resumed",
+    SupervisorMode.STOPPING: "putting the rig's gains back, then ending",
+    SupervisorMode.STOPPED: "ended",
 }
 _OF_GOAL = {
-    Goal.TUNE: Mode.TUNING,
-    Goal.CONFIRM: Mode.CONFIRMING,
-    Goal.HOLD: Mode.HOLDING,
-    Goal.WATCH: Mode.WATCHING,
+    Goal.TUNE: SupervisorMode.TUNING,
+    Goal.CONFIRM: SupervisorMode.CONFIRMING,
+    Goal.HOLD: SupervisorMode.HOLDING,
+    Goal.WATCH: SupervisorMode.WATCHING,
 }
 
 
 @dataclass(frozen=True, slots=True)
-class Life:
+class SupervisorState:
     """Where the supervision of a rig stands.
 
     Attributes:
@@ -113,23 +113,27 @@ class Life:
     failures: int = 0
     trouble: str = ""
     paused: str = ""
-    ending: Ending = Ending.NO
+    ending: Shutdown = Shutdown.NO
 
     @property
-    def mode(self) -> Mode:
+    def mode(self) -> SupervisorMode:
         """What is done now: a column of the table."""
-        if self.ending is not Ending.NO:
-            return Mode.STOPPED if self.ending is Ending.STOPPED else Mode.STOPPING
+        if self.ending is not Shutdown.NO:
+            return (
+                SupervisorMode.STOPPED
+                if self.ending is Shutdown.STOPPED
+                else SupervisorMode.STOPPING
+            )
         if self.link is Link.AWAY:
-            return Mode.WAITING
+            return SupervisorMode.WAITING
         if self.link is Link.FAILED:
-            return Mode.RETRYING
+            return SupervisorMode.RETRYING
         if self.link is Link.FOUND:
-            return Mode.READYING
-        return Mode.PAUSED if self.paused else _OF_GOAL[self.goal]
+            return SupervisorMode.READYING
+        return SupervisorMode.PAUSED if self.paused else _OF_GOAL[self.goal]
 
 
-class Happening(StrEnum):
+class SupervisorEvent(StrEnum):
     """What can happen. The rows of the table."""
 
     BOOT = "boot"
@@ -155,21 +159,23 @@ class Happening(StrEnum):
 
 
 COMMANDS = (
-    Happening.ACCEPT,
-    Happening.REJECT,
-    Happening.REVERT,
-    Happening.PAUSE,
-    Happening.RESUME,
-    Happening.STOP,
+    SupervisorEvent.ACCEPT,
+    SupervisorEvent.REJECT,
+    SupervisorEvent.REVERT,
+    SupervisorEvent.PAUSE,
+    SupervisorEvent.RESUME,
+    SupervisorEvent.STOP,
 )
 """The verbs."""
 
 
-class Impossible(EstuneError):
+class InvalidTransition(EstuneError):
     """An event that cannot be in this mode: a fault in the program."""
 
 
-def step(life: Life, happening: Happening, words: str = "") -> Life:
+def next_state(
+    life: SupervisorState, happening: SupervisorEvent, words: str = ""
+) -> SupervisorState:
     """The state after an event.
 
     Args:
@@ -185,132 +191,132 @@ def step(life: Life, happening: Happening, words: str = "") -> Life:
     if isinstance(cell, str):
         if happening in COMMANDS:
             raise InvalidInput(f"cannot {happening}: {cell}")
-        raise Impossible(f"{happening} while {life.mode}: {cell}")
+        raise InvalidTransition(f"{happening} while {life.mode}: {cell}")
     return cell(life, words)
 
 
-_Cell = Callable[[Life, str], Life] | str
+_Cell = Callable[[SupervisorState, str], SupervisorState] | str
 
 
-def _boot(life: Life, _: str) -> Life:
+def _boot(life: SupervisorState, _: str) -> SupervisorState:
     """The process has been started: whatever it was doing, it goes on with that."""
     return replace(
         life,
         link=Link.AWAY,
         failures=0,
         trouble="",
-        ending=Ending.NO,
+        ending=Shutdown.NO,
         # What was found is not taken over by a start: a search that was confirmed is decided anew.
         goal=Goal.TUNE if life.goal is Goal.CONFIRM else life.goal,
     )
 
 
-def _found(life: Life, _: str) -> Life:
+def _found(life: SupervisorState, _: str) -> SupervisorState:
     return replace(life, link=Link.FOUND)
 
 
-def _readied(life: Life, _: str) -> Life:
+def _readied(life: SupervisorState, _: str) -> SupervisorState:
     return replace(life, link=Link.READY, failures=0, trouble="")
 
 
-def _lost(life: Life, words: str) -> Life:
+def _lost(life: SupervisorState, words: str) -> SupervisorState:
     return replace(_back(life), link=Link.AWAY, failures=life.failures + 1, trouble=words)
 
 
-def _failed(life: Life, words: str) -> Life:
+def _failed(life: SupervisorState, words: str) -> SupervisorState:
     return replace(_back(life), link=Link.FAILED, failures=life.failures + 1, trouble=words)
 
 
-def _back(life: Life) -> Life:
+def _back(life: SupervisorState) -> SupervisorState:
     """A confirmation that is cut off is taken up from the run's own journal, by way of tuning."""
     return replace(life, goal=Goal.TUNE) if life.goal is Goal.CONFIRM else life
 
 
-def _trouble(life: Life, words: str) -> Life:
+def _trouble(life: SupervisorState, words: str) -> SupervisorState:
     """Somebody must see to it. The rig keeps the home gains."""
     return replace(_back(life), paused=words)
 
 
-def _unsafe(life: Life, words: str) -> Life:
+def _unsafe(life: SupervisorState, words: str) -> SupervisorState:
     """The home gains are no longer safe: the original ones are the best that is known."""
     return replace(_reverted(life, words), paused=words)
 
 
-def _reverted(life: Life, words: str) -> Life:
+def _reverted(life: SupervisorState, words: str) -> SupervisorState:
     return _unsettled(replace(life, goal=Goal.TUNE, home=GainSet.ORIGINAL, why=words))
 
 
-def _unsettled(life: Life) -> Life:
+def _unsettled(life: SupervisorState) -> SupervisorState:
     """What is live must be looked at, and changed where it is not the home gains."""
     return replace(life, link=Link.FOUND) if life.link is Link.READY else life
 
 
-def _changed(life: Life, _: str) -> Life:
+def _changed(life: SupervisorState, _: str) -> SupervisorState:
     return _unsettled(life)
 
 
-def _searched(life: Life, _: str) -> Life:
+def _searched(life: SupervisorState, _: str) -> SupervisorState:
     return replace(life, goal=Goal.CONFIRM)
 
 
-def _proposed(life: Life, _: str) -> Life:
+def _proposed(life: SupervisorState, _: str) -> SupervisorState:
     return replace(life, goal=Goal.HOLD)
 
 
-def _adopted(life: Life, words: str) -> Life:
+def _adopted(life: SupervisorState, words: str) -> SupervisorState:
     return _unsettled(replace(life, goal=Goal.WATCH, home=GainSet.ACCEPTED, why=words))
 
 
-def _kept(life: Life, _: str) -> Life:
+def _kept(life: SupervisorState, _: str) -> SupervisorState:
     return replace(life, goal=Goal.WATCH)
 
 
-def _drifted(life: Life, _: str) -> Life:
+def _drifted(life: SupervisorState, _: str) -> SupervisorState:
     return replace(life, goal=Goal.TUNE)
 
 
-def _accept(life: Life, words: str) -> Life:
+def _accept(life: SupervisorState, words: str) -> SupervisorState:
     if life.goal is not Goal.HOLD:
         raise InvalidInput(f"cannot accept: {_NO_CANDIDATE}")
     return _adopted(life, words)
 
 
-def _reject(life: Life, _: str) -> Life:
+def _reject(life: SupervisorState, _: str) -> SupervisorState:
     if life.goal is not Goal.HOLD:
         raise InvalidInput(f"cannot reject: {_NO_CANDIDATE}")
     return replace(life, goal=Goal.WATCH)
 
 
-def _revert(life: Life, words: str) -> Life:
+def _revert(life: SupervisorState, words: str) -> SupervisorState:
     return replace(_reverted(life, words), paused=words)
 
 
-def _pause(life: Life, words: str) -> Life:
+def _pause(life: SupervisorState, words: str) -> SupervisorState:
     if life.paused:
         raise InvalidInput(f"cannot pause: {_PAUSED} ({life.paused})")
     return replace(_back(life), paused=words)
 
 
-def _resume(life: Life, _: str) -> Life:
+def _resume(life: SupervisorState, _: str) -> SupervisorState:
     """Goes on at once; the rig may have been used by hand meanwhile."""
     return _unsettled(replace(life, paused="", failures=0))
 
 
-def _resume_if_paused(life: Life, words: str) -> Life:
+def _resume_if_paused(life: SupervisorState, words: str) -> SupervisorState:
     if not life.paused:
         raise InvalidInput(f"cannot resume: {_NOT_PAUSED}")
     return _resume(life, words)
 
 
-def _stop(life: Life, words: str) -> Life:
-    return replace(_back(life), ending=Ending.STOPPING, why=f"{words}; {_HOME[life.home]}")
+def _stop(life: SupervisorState, words: str) -> SupervisorState:
+    return replace(_back(life), ending=Shutdown.STOPPING, why=f"{words}; {_HOME[life.home]}")
 
 
-def _ended(life: Life, words: str) -> Life:
-    return replace(life, ending=Ending.STOPPED, trouble=words)
+def _ended(life: SupervisorState, words: str) -> SupervisorState:
+    return replace(life, ending=Shutdown.STOPPED, trouble=words)
 
 
-def _same(life: Life, _: str) -> Life:
+def _same(life: SupervisorState, _: str) -> SupervisorState:
     return life
 
 
@@ -324,57 +330,66 @@ _HOME = {
     GainSet.ACCEPTED: "the accepted gains stay",
 }
 
-_ABSENT = (Mode.WAITING, Mode.RETRYING)
-_DOING = (Mode.TUNING, Mode.CONFIRMING, Mode.HOLDING, Mode.WATCHING)
-_THERE = (Mode.READYING, *_DOING, Mode.PAUSED)
+_ABSENT = (SupervisorMode.WAITING, SupervisorMode.RETRYING)
+_DOING = (
+    SupervisorMode.TUNING,
+    SupervisorMode.CONFIRMING,
+    SupervisorMode.HOLDING,
+    SupervisorMode.WATCHING,
+)
+_THERE = (SupervisorMode.READYING, *_DOING, SupervisorMode.PAUSED)
 _ALIVE = (*_ABSENT, *_THERE)
 
 
 def _row(
-    *cells: tuple[tuple[Mode, ...], _Cell], otherwise: str = "cannot be"
-) -> Mapping[Mode, _Cell]:
-    row: dict[Mode, _Cell] = dict.fromkeys(Mode, otherwise)
+    *cells: tuple[tuple[SupervisorMode, ...], _Cell], otherwise: str = "cannot be"
+) -> Mapping[SupervisorMode, _Cell]:
+    row: dict[SupervisorMode, _Cell] = dict.fromkeys(SupervisorMode, otherwise)
     for modes, cell in cells:
         row |= dict.fromkeys(modes, cell)
     return MappingProxyType(row)
 
 
-_COMMAND_ENDS: tuple[tuple[tuple[Mode, ...], _Cell], ...] = (
-    ((Mode.STOPPING,), _ENDING),
-    ((Mode.STOPPED,), _ENDED),
+_COMMAND_ENDS: tuple[tuple[tuple[SupervisorMode, ...], _Cell], ...] = (
+    ((SupervisorMode.STOPPING,), _ENDING),
+    ((SupervisorMode.STOPPED,), _ENDED),
 )
 
-TABLE: Mapping[Happening, Mapping[Mode, _Cell]] = MappingProxyType(
+TABLE: Mapping[SupervisorEvent, Mapping[SupervisorMode, _Cell]] = MappingProxyType(
     {
-        Happening.BOOT: _row((tuple(Mode), _boot)),
-        Happening.FOUND: _row((_ABSENT, _found), ((Mode.STOPPING,), _found)),
-        Happening.READIED: _row(((Mode.READYING,), _readied)),
+        SupervisorEvent.BOOT: _row((tuple(SupervisorMode), _boot)),
+        SupervisorEvent.FOUND: _row((_ABSENT, _found), ((SupervisorMode.STOPPING,), _found)),
+        SupervisorEvent.READIED: _row(((SupervisorMode.READYING,), _readied)),
         # The rig runs other gains than it should: it was restarted, or somebody changed them.
-        Happening.CHANGED: _row((_DOING, _changed)),
-        Happening.LOST: _row((_ALIVE, _lost), ((Mode.STOPPING,), _lost)),
-        Happening.FAILED: _row((_ALIVE, _failed), ((Mode.STOPPING,), _failed)),
-        Happening.TROUBLE: _row((_ALIVE, _trouble), ((Mode.STOPPING,), _same)),
-        Happening.UNSAFE: _row(
-            ((Mode.TUNING, Mode.CONFIRMING, Mode.WATCHING), _unsafe),
+        SupervisorEvent.CHANGED: _row((_DOING, _changed)),
+        SupervisorEvent.LOST: _row((_ALIVE, _lost), ((SupervisorMode.STOPPING,), _lost)),
+        SupervisorEvent.FAILED: _row((_ALIVE, _failed), ((SupervisorMode.STOPPING,), _failed)),
+        SupervisorEvent.TROUBLE: _row((_ALIVE, _trouble), ((SupervisorMode.STOPPING,), _same)),
+        SupervisorEvent.UNSAFE: _row(
+            ((SupervisorMode.TUNING, SupervisorMode.CONFIRMING, SupervisorMode.WATCHING), _unsafe),
         ),
-        Happening.SEARCHED: _row(((Mode.TUNING,), _searched), ((Mode.CONFIRMING,), _same)),
-        Happening.PROPOSED: _row(((Mode.CONFIRMING,), _proposed)),
-        Happening.ADOPTED: _row(((Mode.CONFIRMING,), _adopted)),
-        Happening.KEPT: _row(((Mode.CONFIRMING,), _kept)),
-        Happening.DRIFTED: _row(((Mode.WATCHING,), _drifted)),
-        Happening.ENDED: _row(((Mode.STOPPING,), _ended)),
-        Happening.ACCEPT: _row((_ALIVE, _accept), *_COMMAND_ENDS),
-        Happening.REJECT: _row((_ALIVE, _reject), *_COMMAND_ENDS),
-        Happening.REVERT: _row((_ALIVE, _revert), *_COMMAND_ENDS),
-        Happening.PAUSE: _row((_ALIVE, _pause), *_COMMAND_ENDS),
-        Happening.RESUME: _row(
+        SupervisorEvent.SEARCHED: _row(
+            ((SupervisorMode.TUNING,), _searched), ((SupervisorMode.CONFIRMING,), _same)
+        ),
+        SupervisorEvent.PROPOSED: _row(((SupervisorMode.CONFIRMING,), _proposed)),
+        SupervisorEvent.ADOPTED: _row(((SupervisorMode.CONFIRMING,), _adopted)),
+        SupervisorEvent.KEPT: _row(((SupervisorMode.CONFIRMING,), _kept)),
+        SupervisorEvent.DRIFTED: _row(((SupervisorMode.WATCHING,), _drifted)),
+        SupervisorEvent.ENDED: _row(((SupervisorMode.STOPPING,), _ended)),
+        SupervisorEvent.ACCEPT: _row((_ALIVE, _accept), *_COMMAND_ENDS),
+        SupervisorEvent.REJECT: _row((_ALIVE, _reject), *_COMMAND_ENDS),
+        SupervisorEvent.REVERT: _row((_ALIVE, _revert), *_COMMAND_ENDS),
+        SupervisorEvent.PAUSE: _row((_ALIVE, _pause), *_COMMAND_ENDS),
+        SupervisorEvent.RESUME: _row(
             (_ABSENT, _resume),
-            ((Mode.READYING, Mode.PAUSED), _resume_if_paused),
+            ((SupervisorMode.READYING, SupervisorMode.PAUSED), _resume_if_paused),
             (_DOING, _NOT_PAUSED),
             *_COMMAND_ENDS,
         ),
-        Happening.STOP: _row(
-            (_ALIVE, _stop), ((Mode.STOPPING,), _same), ((Mode.STOPPED,), _ENDED)
+        SupervisorEvent.STOP: _row(
+            (_ALIVE, _stop),
+            ((SupervisorMode.STOPPING,), _same),
+            ((SupervisorMode.STOPPED,), _ENDED),
         ),
     }
 )

@@ -5,15 +5,15 @@ import math
 from typing import NamedTuple
 
 from estune import api
-from estune.core.comparison import Change, change
+from estune.core.comparison import Change, compare_costs
 from estune.core.control_chart import ChartState
 from estune.core.gains import Gains
 from estune.daemon.config import RigTable, plan_settings
-from estune.daemon.store import RUNS, Store, now
+from estune.daemon.store import RUNS, DaemonStore, now
 from estune.errors import RigError
 from estune.run import loop
 from estune.run.journal import FILE_NAME, Journal
-from estune.run.loop import Tuning
+from estune.run.loop import TuningRun
 from estune.run.plan import (
     description_from_json,
     description_to_json,
@@ -21,7 +21,7 @@ from estune.run.plan import (
     plan_from_json,
     plan_to_json,
 )
-from estune.run.summary import verdict
+from estune.run.summary import summarise
 from estune.trial import RigDescription
 
 _log = logging.getLogger(__name__)
@@ -45,10 +45,10 @@ class Decision(NamedTuple):
     chart: ChartState | None
 
 
-class Searches:
+class TuningRuns:
     """The tuning runs of one rig, in a folder of its own each."""
 
-    def __init__(self, store: Store, settings: RigTable) -> None:
+    def __init__(self, store: DaemonStore, settings: RigTable) -> None:
         self._store = store
         self._settings = settings
 
@@ -57,7 +57,7 @@ class Searches:
         """The run under way, or the last; empty if there was none."""
         return str(self._store.fact("run") or "")
 
-    def open(self, rig: RigDescription) -> Tuning:
+    def open(self, rig: RigDescription) -> TuningRun:
         """The run under way as its journal left it, or a new one.
 
         A run goes on with the plan it was begun with, and on the rig it was begun on only.
@@ -84,13 +84,13 @@ class Searches:
         self._store.put("open_run", "")
         self._store.put("run_ended_at", now())
 
-    def _replayed(self, journal: Journal, rig: RigDescription) -> Tuning:
+    def _replayed(self, journal: Journal, rig: RigDescription) -> TuningRun:
         plan = plan_from_json(journal.fact("plan"))
         then = description_from_json(journal.fact("rig"))
         api.check_same_rig(then, rig)
         return loop.replay(plan, then, journal)
 
-    def _begun(self, rig: RigDescription) -> Tuning:
+    def _begun(self, rig: RigDescription) -> TuningRun:
         count = int(self._store.fact("runs") or 0) + 1
         name = f"{self._store.identity}-{count:03d}"
         plan = make_plan(rig, name, start=rig.gains, **plan_settings(self._settings, rig))
@@ -108,7 +108,7 @@ class Searches:
         }
         return loop.start(plan, rig, Journal.create(self._store.folder / RUNS / name, facts))
 
-    def decide(self, run: Tuning) -> Decision:
+    def decide(self, run: TuningRun) -> Decision:
         """Whether the best gains found are better than the start, by a run that is complete."""
         session, settings = run.session, self._settings.tuning
         repeats = session.confirmation
@@ -118,12 +118,12 @@ class Searches:
             return None if math.inf in costs else self._settings.watch.chart.begin(costs, *safe)
 
         if repeats is None:
-            return Decision(None, verdict(session).message, None, chart(session.baseline), None)
+            return Decision(None, summarise(session).message, None, chart(session.baseline), None)
         start, found = repeats.costs
         if len(repeats.safe) < 2:
             known = (*session.baseline, *start)
-            return Decision(None, verdict(session).message, None, chart(known), None)
-        seen = change(start, found, settings.confidence)
+            return Decision(None, summarise(session).message, None, chart(known), None)
+        seen = compare_costs(start, found, settings.confidence)
         charts = chart(start, found), chart(found, start)
         if seen.high < -settings.improvement_min:
             return Decision(repeats.gains[1], f"better than the start: cost {seen}", seen, *charts)

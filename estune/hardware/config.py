@@ -17,8 +17,8 @@ from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
 from estune.errors import InvalidInput
 from estune.hardware.firmware import controller_source
-from estune.hardware.live_gains import Following
-from estune.hardware.loop_messages import Motion, Plan, RealTime, SafeState
+from estune.hardware.live_gains import LengthSource
+from estune.hardware.loop_messages import LoopPlan, Motion, RealTime, SafeState
 from estune.hardware.scales import CurrentScale, GaugeScale
 from estune.hardware.schedule_file import read_schedule
 from estune.hardware.tables import (
@@ -39,12 +39,12 @@ from estune.hardware.tables import (
 )
 from estune.reel.calibration import CurrentCalibration, GaugeCalibration
 from estune.reel.guard import Limits
-from estune.support.toml_file import Table, checked, read_toml
+from estune.support.toml_file import TomlTable, read_toml, validate
 from estune.trial import RigDescription, RigLimits
 from estune.trial.profiles import StepProfile
 
 
-class RigConfig(Table):
+class RigConfig(TomlTable):
     """A rig's file."""
 
     name: str
@@ -130,7 +130,7 @@ class RigConfig(Table):
             )
         return GaugeScale.of(c2), CurrentScale.of(c1)
 
-    def following(self) -> Following | None:
+    def following(self) -> LengthSource | None:
         """How the live gains follow the cable's length; None where they are fixed.
 
         Raises:
@@ -151,7 +151,7 @@ class RigConfig(Table):
                 "m; tune at that length too, or begin within"
             )
         radius = self.reel.drum_radius_m if self.schedule.length == "angle" else 0.0
-        return Following(schedule, self.settings(), length, radius)
+        return LengthSource(schedule, self.settings(), length, radius)
 
     def _gains(self) -> Gains:
         """The live gains at the start."""
@@ -162,7 +162,7 @@ class RigConfig(Table):
             raise InvalidInput("give live gains as [gains], or a [schedule] of them")
         return Gains(**self.gains.model_dump())
 
-    def plan(self) -> Plan:
+    def plan(self) -> LoopPlan:
         """What the loop is told.
 
         Raises:
@@ -172,7 +172,7 @@ class RigConfig(Table):
         description = self.describe()
         settings, timing = description.controller, self.real_time
         late_s = 0.1 / self.sampling_Hz if timing.late_s is None else timing.late_s
-        return Plan(
+        return LoopPlan(
             driver=self.driver.use,
             driver_settings=self.driver.settings,
             sampling_Hz=self.sampling_Hz,
@@ -315,7 +315,7 @@ def config_from(data: dict[str, Any], source: str) -> RigConfig:
     Raises:
         InvalidInput: something in it is wrong; all of it is in the message, a line each.
     """
-    return checked(RigConfig, data, source)
+    return validate(RigConfig, data, source)
 
 
 def _json(path: Path) -> dict[str, Any]:

@@ -14,7 +14,7 @@ that would otherwise be spent at every sample."""
 
 
 @dataclass(frozen=True, slots=True)
-class Following:
+class LengthSource:
     """How the live gains follow the cable's length.
 
     Attributes:
@@ -43,7 +43,7 @@ class LiveGains:
             fixed.
     """
 
-    def __init__(self, fixed: Coefficients, following: Following | None) -> None:
+    def __init__(self, fixed: Coefficients, following: LengthSource | None) -> None:
         self.coefficients = fixed
         self.used = (math.nan, math.nan)
         self._following = following
@@ -54,11 +54,11 @@ class LiveGains:
         self.coefficients, self._following = coefficients, None
         self.used = (math.nan, math.nan)
 
-    def tell(self, length_m: float) -> None:
+    def set_length(self, length_m: float) -> None:
         """Says how long the cable is, m."""
         self._told_m = length_m
 
-    def follow(self, angle_rad: float, tension_N: float) -> bool:
+    def update(self, angle_rad: float, tension_N: float) -> bool:
         """Whether the gains are others now, at this drum angle and setpoint."""
         following = self._following
         if following is None:

@@ -17,8 +17,18 @@ from estune.errors import EstuneError, RigError
 from estune.hardware import realtime
 from estune.hardware.controller import make_controller
 from estune.hardware.driver import Driver, load_driver
-from estune.hardware.loop_messages import Begin, Clear, Done, End, Failed, Plan, Ready, Swap, Tell
-from estune.hardware.reel_state_machine import Machine
+from estune.hardware.loop_messages import (
+    Begin,
+    Done,
+    End,
+    Failed,
+    LoopPlan,
+    Ready,
+    ResetEstop,
+    SetLength,
+    SetLiveGains,
+)
+from estune.hardware.reel_state_machine import ReelStateMachine
 from estune.hardware.shared_memory import BINS, BIN_s, Memory, Word
 
 _BIN_ns = BIN_s * 1e9
@@ -29,9 +39,9 @@ class Loop:
 
     def __init__(
         self,
-        plan: Plan,
+        plan: LoopPlan,
         driver: Driver,
-        machine: Machine,
+        machine: ReelStateMachine,
         memory: Memory,
         rig: "Connection[Any, Any]",
     ) -> None:
@@ -112,11 +122,11 @@ class Loop:
             case Begin():
                 machine.begin(command)
                 return
-            case Swap(live):
+            case SetLiveGains(live):
                 machine.swap(live)
-            case Tell(length_m):
+            case SetLength(length_m):
                 machine.tell(length_m)
-            case Clear():
+            case ResetEstop():
                 machine.clear()
             case End():
                 self._ending = True
@@ -146,12 +156,12 @@ def main(pipe: int, block: int) -> int:
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the rig, which ends us in order
     rig: Connection[Any, Any] = Connection(pipe)
-    plan: Plan = rig.recv()
+    plan: LoopPlan = rig.recv()
     memory = Memory(block, plan.capacity)
     try:
         with load_driver(plan.driver, plan.driver_settings) as driver:
             controller, note = make_controller(plan.controller)
-            loop = Loop(plan, driver, Machine(plan, memory, controller), memory, rig)
+            loop = Loop(plan, driver, ReelStateMachine(plan, memory, controller), memory, rig)
             signal.signal(signal.SIGTERM, loop.end)
             notes = realtime.prepare(plan.timing)
             rig.send(Ready((note, *notes) if note else notes))

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from estune.core.pidf import Coefficients
-from estune.hardware.live_gains import Following
+from estune.hardware.live_gains import LengthSource
 from estune.hardware.scales import CurrentScale, GaugeScale
 from estune.reel.guard import Limits
 from estune.trial import Outcome
@@ -76,7 +76,7 @@ class RealTime:
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class LoopPlan:
     """Everything the loop needs.
 
     Attributes:
@@ -115,7 +115,7 @@ class Plan:
     effort_max_N: float
     controller: str
     live: Coefficients
-    following: Following | None
+    following: LengthSource | None
     guard: Limits
     motion: Motion
     safe: SafeState
@@ -142,19 +142,19 @@ class Begin(NamedTuple):
     duration_s: float
 
 
-class Swap(NamedTuple):
+class SetLiveGains(NamedTuple):
     """Asks for other live gains, fixed ones."""
 
     live: Coefficients
 
 
-class Tell(NamedTuple):
+class SetLength(NamedTuple):
     """Says how long the cable is now, m."""
 
     length_m: float
 
 
-class Clear(NamedTuple):
+class ResetEstop(NamedTuple):
     """Asks that a rig which has stopped itself takes trials again."""
 
 

@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 
 from estune import errors
 from estune.errors import EstuneError, RigError
-from estune.hardware.loop_messages import End, Failed, Plan, Ready, Refused
+from estune.hardware.loop_messages import End, Failed, LoopPlan, Ready, Refused
 from estune.hardware.shared_memory import Memory, Word, make_file
 
 BEAT_s = 0.02
@@ -39,7 +39,7 @@ class LoopProcess:
         notes: What it asked the system for and did not get, a line each.
     """
 
-    def __init__(self, name: str, plan: Plan) -> None:
+    def __init__(self, name: str, plan: LoopPlan) -> None:
         """Starts a loop, tells it its plan and waits until it runs.
 
         Raises:

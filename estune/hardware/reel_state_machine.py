@@ -20,10 +20,10 @@ from estune.core.pidf import Coefficients
 from estune.hardware.controller import Controller
 from estune.hardware.driver import Reading
 from estune.hardware.live_gains import LiveGains
-from estune.hardware.loop_messages import Begin, Ended, Plan, Refused
-from estune.hardware.shared_memory import Level, Memory, Word
+from estune.hardware.loop_messages import Begin, Ended, LoopPlan, Refused
+from estune.hardware.shared_memory import Memory, SensorLevels, Word
 from estune.reel import guard
-from estune.reel.guard import Limits, Reason, Stop, Watch
+from estune.reel.guard import GuardState, GuardTrip, Limits, Reason
 from estune.trial import GUARD, LATE, SATURATED, Outcome
 
 _PASSING = frozenset((Reason.HEARTBEAT, Reason.LATE))
@@ -33,7 +33,7 @@ _SENSES = frozenset((Reason.READING, Reason.FROZEN, Reason.CLOCK))
 """Faults that nobody but a person can judge."""
 
 
-class Phase(IntEnum):
+class MotionPhase(IntEnum):
     """What the loop is doing with the reel."""
 
     OFF = 0
@@ -44,7 +44,7 @@ class Phase(IntEnum):
     STOPPED = 5
 
 
-class Machine:
+class ReelStateMachine:
     """The reel's behaviour, one sample at a time.
 
     Attributes:
@@ -52,8 +52,8 @@ class Machine:
         answer: What has become of the trial asked for; taken by the loop, which resets it.
     """
 
-    def __init__(self, plan: Plan, memory: Memory, controller: Controller) -> None:
-        self.phase = Phase.OFF
+    def __init__(self, plan: LoopPlan, memory: Memory, controller: Controller) -> None:
+        self.phase = MotionPhase.OFF
         self.answer: Ended | Refused | None = None
         self._plan = plan
         self._memory = memory
@@ -62,7 +62,7 @@ class Machine:
         self._angle_rad = 0.0
         self._limits_take_up, self._limits_recovering = _relaxed(plan)
         self._limits = plan.guard
-        self._watch: Watch | None = None
+        self._watch: GuardState | None = None
         self._recover_until_s = -math.inf
         self._latched = False
         self._effort_N = 0.0
@@ -80,14 +80,14 @@ class Machine:
     @property
     def powered(self) -> bool:
         """Whether the amplifier is to have power."""
-        if self.phase is Phase.STOPPED:
+        if self.phase is MotionPhase.STOPPED:
             return self._plan.safe.effort_N != 0.0
-        return self.phase is not Phase.OFF
+        return self.phase is not MotionPhase.OFF
 
     @property
     def at_rest(self) -> bool:
         """Whether the reel may be let go of."""
-        return self.phase in (Phase.OFF, Phase.STOPPED)
+        return self.phase in (MotionPhase.OFF, MotionPhase.STOPPED)
 
     def begin(self, trial: Begin) -> None:
         """Takes a trial in hand, or refuses it."""
@@ -97,20 +97,20 @@ class Machine:
             return
         self._trial = trial
         self._memory.words[Word.PROGRESS] = 0
-        if self.phase is not Phase.HOLD:
-            self.phase, self._watch = Phase.TAKE_UP, None
+        if self.phase is not MotionPhase.HOLD:
+            self.phase, self._watch = MotionPhase.TAKE_UP, None
         self._still = self._at_preload = 0
 
     def swap(self, live: Coefficients) -> None:
         """Makes gains the live ones, fixed, without a jump of the effort."""
         self._live.fix(live)
-        if self.phase is not Phase.TRIAL:
+        if self.phase is not MotionPhase.TRIAL:
             self._controller.use(live)
             self._bump = True
 
     def tell(self, length_m: float) -> None:
         """Takes the cable to be so long; live gains of a schedule follow."""
-        self._live.tell(length_m)
+        self._live.set_length(length_m)
 
     def clear(self) -> None:
         """Forgets why it stopped."""
@@ -141,7 +141,7 @@ class Machine:
         plan, memory = self._plan, self._memory
         tension = plan.gauge.force_N(reading.gauge_counts)
         angle = reading.encoder_counts * plan.radians_per_count
-        recorded, k = self.phase is Phase.TRIAL, self._k
+        recorded, k = self.phase is MotionPhase.TRIAL, self._k
         flags = LATE if late else 0
         if memory.words[Word.ESTOP] and not self._latched:
             self._stop_by_hand()
@@ -166,9 +166,9 @@ class Machine:
 
     def _look(
         self, reading: Reading, tension: float, angle: float, silence_s: float, *, late: bool
-    ) -> Stop | None:
+    ) -> GuardTrip | None:
         """The guard's word on this sample."""
-        if self.phase is Phase.TRIAL:
+        if self.phase is MotionPhase.TRIAL:
             self._cost += self._memory.weights[self._k] * (
                 (self._memory.setpoint_N[self._k] - tension) ** 2
             )
@@ -180,41 +180,45 @@ class Machine:
             angle,
             late,
             silence_s,
-            self._cost if self.phase is Phase.TRIAL else 0.0,
+            self._cost if self.phase is MotionPhase.TRIAL else 0.0,
         )
         watch = self._watch or guard.begin(sample)
-        if self.phase is Phase.TRIAL and self._k == 0:
+        if self.phase is MotionPhase.TRIAL and self._k == 0:
             watch = watch._replace(start_s=reading.time_s, start_rad=angle)
         limits = self._limits
-        if self.phase is Phase.TAKE_UP:
+        if self.phase is MotionPhase.TAKE_UP:
             limits = self._limits_take_up
         elif reading.time_s < self._recover_until_s:
             limits = self._limits_recovering
-        self._watch, stop = guard.look(limits, watch, sample)
-        if stop is not None and self.phase is Phase.TAKE_UP and stop.reason is Reason.DEADLINE:
+        self._watch, stop = guard.check_sample(limits, watch, sample)
+        if (
+            stop is not None
+            and self.phase is MotionPhase.TAKE_UP
+            and stop.reason is Reason.DEADLINE
+        ):
             motion = self._plan.motion
             sentence = (
                 f"no tension above {motion.taut_N:g} N within {motion.take_up_s:g} s of taking "
                 "the cable up; is it attached, the gauge connected, the direction right?"
             )
-            return Stop(Reason.DEADLINE, sentence)
+            return GuardTrip(Reason.DEADLINE, sentence)
         return stop
 
-    def _stop(self, stop: Stop, time_s: float, tension_N: float) -> None:
+    def _stop(self, stop: GuardTrip, time_s: float, tension_N: float) -> None:
         """Goes to the safe state for a reason of the guard."""
         was, safe = self.phase, self._plan.safe
         holds = safe.hold and stop.reason.leaves_control
         self._memory.reason = stop.sentence
-        blamed = stop.reason.condemns_gains
+        blamed = stop.reason.is_caused_by_gains
         self._give_up(Outcome.GUARD if blamed else Outcome.INTERRUPTED, stop.sentence)
-        if was is Phase.TRIAL and holds:
+        if was is MotionPhase.TRIAL and holds:
             self._recover_until_s = time_s + safe.recover_s
             self._recover(tension_N)
             return
-        if was is Phase.HOLD and holds and stop.reason in _PASSING:
+        if was is MotionPhase.HOLD and holds and stop.reason in _PASSING:
             return  # this is the safe state
         self._latched = stop.reason in _SENSES or (
-            was is not Phase.TRIAL and stop.reason not in _PASSING
+            was is not MotionPhase.TRIAL and stop.reason not in _PASSING
         )
         self._ramp()
 
@@ -236,15 +240,15 @@ class Machine:
             self._ramp()
 
     def _ramp(self) -> None:
-        if self.phase is Phase.RAMP:
+        if self.phase is MotionPhase.RAMP:
             return
         samples = max(1, round(self._plan.safe.ramp_s * self._plan.sampling_Hz))
         self._ramp_step_N = (self._plan.safe.effort_N - self._effort_N) / samples
-        self.phase = Phase.RAMP
+        self.phase = MotionPhase.RAMP
 
     def _give_up(self, outcome: Outcome, sentence: str) -> None:
         """Ends the trial under way, or the one that has not begun, if there is one."""
-        if self.phase is Phase.TRIAL:
+        if self.phase is MotionPhase.TRIAL:
             self._end(outcome, sentence, self._k + 1)
         elif self._trial is not None:
             if outcome is Outcome.CANCELLED:
@@ -259,9 +263,9 @@ class Machine:
         self.answer = Ended(self._trial.number, kept, outcome, sentence, self._first_s)
         last = self._memory.setpoint_N[kept - 1]
         open_loop, self._trial = self._trial.open_loop, None
-        self.phase, self._limits = Phase.HOLD, self._plan.guard
+        self.phase, self._limits = MotionPhase.HOLD, self._plan.guard
         self._controller.use(self._live.coefficients)
-        self._set_out_from(self._memory.levels[Level.TENSION_N] if open_loop else last)
+        self._set_out_from(self._memory.levels[SensorLevels.TENSION_N] if open_loop else last)
 
     def _set_out_from(self, tension_N: float) -> None:
         """Lets the setpoint begin here, within its limits, without a jump of the effort."""
@@ -273,15 +277,15 @@ class Machine:
         """The effort of the phase, N, and the way from one phase to the next."""
         self._limited = False
         match self.phase:
-            case Phase.TAKE_UP:
+            case MotionPhase.TAKE_UP:
                 return self._take_up(tension_N)
-            case Phase.HOLD:
+            case MotionPhase.HOLD:
                 return self._hold(tension_N)
-            case Phase.TRIAL:
+            case MotionPhase.TRIAL:
                 return self._run(time_s, tension_N)
-            case Phase.RAMP:
+            case MotionPhase.RAMP:
                 return self._ramp_on()
-            case Phase.STOPPED:
+            case MotionPhase.STOPPED:
                 return self._plan.safe.effort_N
         return 0.0
 
@@ -289,7 +293,7 @@ class Machine:
         motion = self._plan.motion
         if not tension_N >= motion.taut_N:
             return motion.take_up_N
-        self.phase = Phase.HOLD
+        self.phase = MotionPhase.HOLD
         self._controller.use(self._live.coefficients)
         self._controller.rest(tension_N, self._effort_N)
         self._set_out_from(tension_N)
@@ -303,7 +307,7 @@ class Machine:
             target = self._memory.setpoint_N[0]
         way = motion.rate_N_s / self._plan.sampling_Hz
         self._setpoint_N += min(max(target - self._setpoint_N, -way), way)
-        changed = self._live.follow(self._angle_rad, self._setpoint_N)
+        changed = self._live.update(self._angle_rad, self._setpoint_N)
         if self._bump:
             self._controller.use(self._live.coefficients)
             self._controller.take_over(self._setpoint_N, tension_N, self._effort_N)
@@ -337,7 +341,7 @@ class Machine:
 
     def _start(self, trial: Begin) -> None:
         """The next sample is the trial's first."""
-        self.phase, self._k, self._cost = Phase.TRIAL, 0, 0.0
+        self.phase, self._k, self._cost = MotionPhase.TRIAL, 0, 0.0
         self._limits = replace(
             self._plan.guard, cost_max=trial.cost_max, duration_s=trial.duration_s
         )
@@ -369,25 +373,25 @@ class Machine:
         target = self._plan.safe.effort_N
         effort = self._effort_N + self._ramp_step_N
         if self._ramp_step_N == 0.0 or (target - effort) * self._ramp_step_N <= 0.0:
-            self.phase = Phase.STOPPED
+            self.phase = MotionPhase.STOPPED
             return target
         return effort
 
     def _show(self, time_s: float, tension_N: float, current_A: float, angle_rad: float) -> None:
         """Tells the rig how it stands."""
         words, levels = self._memory.words, self._memory.levels
-        levels[Level.TIME_s], levels[Level.SETPOINT_N] = time_s, self._setpoint_N
-        levels[Level.TENSION_N], levels[Level.CURRENT_A] = tension_N, current_A
-        levels[Level.ANGLE_rad] = angle_rad
-        levels[Level.LENGTH_m], levels[Level.SCHEDULED_N] = self._live.used
+        levels[SensorLevels.TIME_s], levels[SensorLevels.SETPOINT_N] = time_s, self._setpoint_N
+        levels[SensorLevels.TENSION_N], levels[SensorLevels.CURRENT_A] = tension_N, current_A
+        levels[SensorLevels.ANGLE_rad] = angle_rad
+        levels[SensorLevels.LENGTH_m], levels[SensorLevels.SCHEDULED_N] = self._live.used
         words[Word.LATCHED], words[Word.PHASE] = self._latched, self.phase
         words[Word.SAMPLES] += 1
 
 
-_UNWATCHED = frozenset((Phase.OFF, Phase.RAMP, Phase.STOPPED))
+_UNWATCHED = frozenset((MotionPhase.OFF, MotionPhase.RAMP, MotionPhase.STOPPED))
 
 
-def _relaxed(plan: Plan) -> tuple[Limits, Limits]:
+def _relaxed(plan: LoopPlan) -> tuple[Limits, Limits]:
     """The limits while a slack cable is taken up, and while the live gains recover the reel."""
     nothing = Limits()
     take_up = replace(

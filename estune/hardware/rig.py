@@ -16,13 +16,13 @@ from estune.core.gains import Gains
 from estune.core.quantities import FloatArray
 from estune.errors import InvalidInput, RigError
 from estune.hardware.config import RigConfig
-from estune.hardware.loop_messages import Begin, Clear, Done, Ended, Swap, Tell
+from estune.hardware.loop_messages import Begin, Done, Ended, ResetEstop, SetLength, SetLiveGains
 from estune.hardware.process import ANSWER_WITHIN_s, LoopProcess
-from estune.hardware.reel_state_machine import Phase
-from estune.hardware.shared_memory import Level, Word, column, flag_column
-from estune.hardware.state import RigState, Timing
+from estune.hardware.reel_state_machine import MotionPhase
+from estune.hardware.shared_memory import SensorLevels, Word, column, flag_column
+from estune.hardware.state import HardwareStatus, Timing
 from estune.trial import Outcome, RigDescription, Telemetry, TrialRecord, TrialRequest
-from estune.trial.executed_trials import TrialRecords, stopped
+from estune.trial.executed_trials import ExecutedTrials, stopped
 from estune.trial.profiles import Profile, StepProfile
 
 JUMP_s = 1.0
@@ -55,7 +55,7 @@ class HardwareRig:
         self._following = plan.following
         self._cost = StepCost(config.settling_time_s)
         self._live_cost: tuple[Profile, float] | None = None
-        self._records = TrialRecords()
+        self._records = ExecutedTrials()
         self._numbers = 0
         self._day_s = _day_s()
         self._trial = threading.Lock()  # held while anything is said to the loop
@@ -92,7 +92,7 @@ class HardwareRig:
         """
         with self._trial:
             self._check_alive()
-            known = self._records.again(request)
+            known = self._records.find_record(request)
             if known is not None:
                 return known
             self._description.limits.check(request.profile)
@@ -121,7 +121,7 @@ class HardwareRig:
                     f"({self._memory.order}); look at it, then clear it"
                 )
             live = pidf.coefficients(self._description.controller, gains)
-            self._loop.ask(Swap(live), Done, ANSWER_WITHIN_s)
+            self._loop.ask(SetLiveGains(live), Done, ANSWER_WITHIN_s)
             self._description = replace(self._description, gains=gains)
             self._following = None
             self._live_cost = None
@@ -144,7 +144,7 @@ class HardwareRig:
             )
         with self._trial:
             self._check_alive()
-            self._loop.ask(Tell(length_m), Done, ANSWER_WITHIN_s)
+            self._loop.ask(SetLength(length_m), Done, ANSWER_WITHIN_s)
 
     def abort(self) -> RigDescription:
         """Stops the trial under way, if any, and returns once the live gains are back."""
@@ -171,13 +171,13 @@ class HardwareRig:
         with self._trial:
             self._check_alive()
             self._memory.words[Word.ESTOP] = 0
-            self._loop.ask(Clear(), Done, ANSWER_WITHIN_s)
+            self._loop.ask(ResetEstop(), Done, ANSWER_WITHIN_s)
 
     def telemetry(self, after: int) -> Telemetry | None:
         """The samples of the trial under way from index `after` on; None if none is."""
         trial_id, words = self._shown, self._memory.words
         measured = words[Word.PROGRESS]
-        if not trial_id or words[Word.PHASE] != Phase.TRIAL:
+        if not trial_id or words[Word.PHASE] != MotionPhase.TRIAL:
             return None
         memory, first = self._memory, min(after, measured)
         columns = (
@@ -188,10 +188,10 @@ class HardwareRig:
         )
         return Telemetry(trial_id, first, self._config.sampling_Hz, *columns)
 
-    def state(self) -> RigState:
+    def state(self) -> HardwareStatus:
         """How the rig stands now."""
         self._check_alive()
-        return RigState.of(self._memory)
+        return HardwareStatus.of(self._memory)
 
     def timing(self) -> Timing:
         """How the loop has kept its time."""
@@ -318,7 +318,7 @@ class HardwareRig:
     def _now(self) -> RigDescription:
         """The description, with the gains and the length that a schedule has come to."""
         levels = self._memory.levels
-        length, tension = levels[Level.LENGTH_m], levels[Level.SCHEDULED_N]
+        length, tension = levels[SensorLevels.LENGTH_m], levels[SensorLevels.SCHEDULED_N]
         if self._following is None or not length > 0.0:  # it has not begun to follow
             return self._description
         gains = self._following.schedule.gains(length, tension)

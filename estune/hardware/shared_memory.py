@@ -31,7 +31,7 @@ class Word(IntEnum):
     BEAT = 0  # rig: goes on as long as the rig lives
     ESTOP = 1  # rig: one while the emergency stop is latched
     ABORT = 2  # rig: number of the trial that is to be stopped
-    PHASE = 3  # loop: see `estune.hardware.reel_state_machine.Phase`
+    PHASE = 3  # loop: see `estune.hardware.reel_state_machine.MotionPhase`
     LATCHED = 4  # loop: one while the rig takes no trial until it is cleared
     SAMPLES = 5  # loop: how many it has run
     LATE = 6  # loop: how many of them were late
@@ -41,7 +41,7 @@ class Word(IntEnum):
     PROGRESS = 10  # loop: samples measured of the trial under way
 
 
-class Level(IntEnum):
+class SensorLevels(IntEnum):
     """The latest readings, written by the loop."""
 
     TIME_s = 0
@@ -58,7 +58,7 @@ class Memory:
 
     Attributes:
         words: See `Word`.
-        levels: See `Level`.
+        levels: See `SensorLevels`.
         lateness: How long after its instant a sample began, histogram.
         turnaround: How long after its instant the current was commanded, histogram.
         time_s: Columns of the trial under way: when each sample was read.
@@ -81,7 +81,7 @@ class Memory:
         # Views of plain memory: a number is read or written in 40 ns, and nothing is allocated.
         self._views: list[memoryview] = []
         self.words = self._next("q", len(Word))
-        self.levels = self._next("d", len(Level))
+        self.levels = self._next("d", len(SensorLevels))
         self.lateness, self.turnaround = self._next("q", BINS), self._next("q", BINS)
         self._reason, self._order = self._next("B", REASON_BYTES), self._next("B", REASON_BYTES)
         columns = [self._next("d", capacity) for _ in range(_COLUMNS)]
@@ -131,7 +131,7 @@ class Memory:
 
 def size(capacity: int) -> int:
     """Bytes of a block for trials of so many samples."""
-    head = 8 * (len(Word) + len(Level) + 2 * BINS) + 2 * REASON_BYTES
+    head = 8 * (len(Word) + len(SensorLevels) + 2 * BINS) + 2 * REASON_BYTES
     return head + _BYTES_PER_SAMPLE * capacity
 
 

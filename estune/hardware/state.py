@@ -5,11 +5,11 @@ from typing import NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from estune.hardware.reel_state_machine import Phase
-from estune.hardware.shared_memory import BIN_s, Level, Memory, Word
+from estune.hardware.reel_state_machine import MotionPhase
+from estune.hardware.shared_memory import BIN_s, Memory, SensorLevels, Word
 
 
-class RigState(NamedTuple):
+class HardwareStatus(NamedTuple):
     """How a rig stands.
 
     Attributes:
@@ -35,13 +35,13 @@ class RigState(NamedTuple):
         """As the shared memory has it."""
         words, levels = memory.words, memory.levels
         return cls(
-            phase=Phase(words[Word.PHASE]).name.lower(),
+            phase=MotionPhase(words[Word.PHASE]).name.lower(),
             reason=memory.reason,
             latched=bool(words[Word.LATCHED] or words[Word.ESTOP]),
-            tension_N=levels[Level.TENSION_N],
-            setpoint_N=levels[Level.SETPOINT_N],
-            current_A=levels[Level.CURRENT_A],
-            angle_rad=levels[Level.ANGLE_rad],
+            tension_N=levels[SensorLevels.TENSION_N],
+            setpoint_N=levels[SensorLevels.SETPOINT_N],
+            current_A=levels[SensorLevels.CURRENT_A],
+            angle_rad=levels[SensorLevels.ANGLE_rad],
         )
 
 

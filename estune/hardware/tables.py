@@ -5,7 +5,7 @@ from typing import Annotated, Any, Literal, Self, TypeVar
 
 from pydantic import Field, model_validator
 
-from estune.support.toml_file import Table
+from estune.support.toml_file import TomlTable
 
 Positive = Annotated[float, Field(gt=0.0)]
 NotNegative = Annotated[float, Field(ge=0.0)]
@@ -14,14 +14,14 @@ _Any = TypeVar("_Any")
 _Calibration = TypeVar("_Calibration", bound="GaugeTable | CurrentTable")
 
 
-class DriverTable(Table):
+class DriverTable(TomlTable):
     """Which driver: its name among the installed ones, or module:attribute, and its settings."""
 
     use: str
     settings: dict[str, Any] = Field(default={})
 
 
-class GaugeTable(Table):
+class GaugeTable(TomlTable):
     """C2: a file that `GaugeCalibration.as_dict` was saved to as JSON, or known numbers."""
 
     file: Path | None = Field(default=None, strict=False)
@@ -33,7 +33,7 @@ class GaugeTable(Table):
         return _check_one_way(self, self.counts_of_force, self.range_N, "counts_of_force, range_N")
 
 
-class CurrentTable(Table):
+class CurrentTable(TomlTable):
     """C1: a file that `CurrentCalibration.as_dict` was saved to as JSON, or known numbers."""
 
     file: Path | None = Field(default=None, strict=False)
@@ -46,7 +46,7 @@ class CurrentTable(Table):
         return _check_one_way(self, known, self.range_counts, "amperes_of_command, range_counts")
 
 
-class ReelTable(Table):
+class ReelTable(TomlTable):
     """The reel's geometry. Counts that fall while the cable is wound in have a negative turn."""
 
     drum_radius_m: Positive
@@ -61,7 +61,7 @@ class ReelTable(Table):
         return self
 
 
-class LimitsTable(Table):
+class LimitsTable(TomlTable):
     """What a trial may ask for, and the amplifier may be told."""
 
     tension_min_N: float
@@ -76,7 +76,7 @@ class LimitsTable(Table):
         return _check_order(self, "current_min_A", "current_max_A")
 
 
-class GuardTable(Table):
+class GuardTable(TomlTable):
     """What the reel may do before the guard stops it; see `estune.reel.guard.Limits`.
 
     Left out, a limit that only some reels need is none.
@@ -106,7 +106,7 @@ class GuardTable(Table):
         return self
 
 
-class SafeTable(Table):
+class SafeTable(TomlTable):
     """The safe state: `hold` by the live gains where that is possible, else `ramp` the current."""
 
     state: Literal["hold", "ramp"] = "hold"
@@ -115,7 +115,7 @@ class SafeTable(Table):
     recover_s: Positive = 0.3
 
 
-class MotionTable(Table):
+class MotionTable(TomlTable):
     """How the reel is moved outside trials."""
 
     hold_N: float | None = None
@@ -128,13 +128,13 @@ class MotionTable(Table):
     taut_N: Positive
 
 
-class ControllerTable(Table):
+class ControllerTable(TomlTable):
     """The part of the controller that is not tuned."""
 
     derivative_filter_s: NotNegative = 0.002
 
 
-class GainsTable(Table):
+class GainsTable(TomlTable):
     """The live gains the rig starts with: ones that are known to hold it stable."""
 
     P: Positive
@@ -143,7 +143,7 @@ class GainsTable(Table):
     setpoint_filter_s: NotNegative
 
 
-class ScheduleTable(Table):
+class ScheduleTable(TomlTable):
     """Live gains that follow the cable's length, in place of fixed ones.
 
     The length is reel.cable_length_m where the encoder stands at zero, and from there on what the
@@ -154,7 +154,7 @@ class ScheduleTable(Table):
     length: Literal["angle", "told"] = "angle"
 
 
-class StepTable(Table):
+class StepTable(TomlTable):
     """A step trial that suits the reel."""
 
     preload_N: float
@@ -163,7 +163,7 @@ class StepTable(Table):
     duration_s: Positive = 1.0
 
 
-class RealTimeTable(Table):
+class RealTimeTable(TomlTable):
     """How the loop keeps its time; late_s is a tenth of the sampling period by default."""
 
     priority: Annotated[int, Field(ge=0, le=99)] = 50

@@ -35,7 +35,7 @@ class Reason(StrEnum):
     HEARTBEAT = "heartbeat"
 
     @property
-    def condemns_gains(self) -> bool:
+    def is_caused_by_gains(self) -> bool:
         """Whether the gains that were live are to blame."""
         return self in _BY_GAINS
 
@@ -135,7 +135,7 @@ class Sample(NamedTuple):
     cost: float = 0.0
 
 
-class Watch(NamedTuple):
+class GuardState(NamedTuple):
     """What the guard remembers between samples; `began` at the first."""
 
     start_s: float
@@ -149,7 +149,7 @@ class Watch(NamedTuple):
     late_in_a_row: int
 
 
-class Stop(NamedTuple):
+class GuardTrip(NamedTuple):
     """The guard's word that the reel has to go to its safe state.
 
     Attributes:
@@ -161,9 +161,9 @@ class Stop(NamedTuple):
     sentence: str
 
 
-def begin(sample: Sample) -> Watch:
+def begin(sample: Sample) -> GuardState:
     """The state of a watch that begins with this sample, itself still to be looked at."""
-    return Watch(
+    return GuardState(
         start_s=sample.time_s,
         start_rad=sample.angle_rad,
         time_s=-math.inf,
@@ -176,7 +176,9 @@ def begin(sample: Sample) -> Watch:
     )
 
 
-def look(limits: Limits, watch: Watch, sample: Sample) -> tuple[Watch, Stop | None]:
+def check_sample(
+    limits: Limits, watch: GuardState, sample: Sample
+) -> tuple[GuardState, GuardTrip | None]:
     """One sample of the guard.
 
     Args:
@@ -189,7 +191,7 @@ def look(limits: Limits, watch: Watch, sample: Sample) -> tuple[Watch, Stop | No
         crossed at once the graver is named: first what makes the others worthless.
     """
     now, tension = sample.time_s, sample.tension_N
-    following = Watch(
+    following = GuardState(
         start_s=watch.start_s,
         start_rad=watch.start_rad,
         time_s=now,
@@ -206,43 +208,43 @@ def look(limits: Limits, watch: Watch, sample: Sample) -> tuple[Watch, Stop | No
 
 
 def _fault(  # noqa: PLR0911  a return for each fault, the gravest first
-    limits: Limits, watch: Watch, following: Watch, sample: Sample
-) -> Stop | None:
+    limits: Limits, watch: GuardState, following: GuardState, sample: Sample
+) -> GuardTrip | None:
     """What is wrong around the reel. Comparisons are written so that a NaN fails them."""
     now, gap = sample.time_s, sample.time_s - watch.time_s
     if not math.isfinite(sample.tension_N):
-        return Stop(
+        return GuardTrip(
             Reason.READING,
             f"the gauge reads {sample.gauge_counts:g} counts, which is no tension within its "
             "calibration",
         )
     if not math.isfinite(sample.angle_rad):
-        return Stop(Reason.READING, f"the encoder's angle is {sample.angle_rad} rad")
+        return GuardTrip(Reason.READING, f"the encoder's angle is {sample.angle_rad} rad")
     if not gap > 0.0:
-        return Stop(
+        return GuardTrip(
             Reason.CLOCK, f"the driver's time stamp went from {watch.time_s:.6f} to {now:.6f} s"
         )
     if math.inf > gap > limits.gap_s:
-        return Stop(Reason.LATE, f"{_ms(gap)} between two samples; limit {_ms(limits.gap_s)}")
+        return GuardTrip(Reason.LATE, f"{_ms(gap)} between two samples; limit {_ms(limits.gap_s)}")
     if following.late_in_a_row > limits.late_in_a_row:
-        return Stop(
+        return GuardTrip(
             Reason.LATE,
             f"{following.late_in_a_row} late samples in a row; limit {limits.late_in_a_row:g}",
         )
     if not now - following.changed_s <= limits.frozen_s:
-        return Stop(
+        return GuardTrip(
             Reason.FROZEN,
             f"the gauge has read exactly {sample.gauge_counts:g} counts for "
             f"{_ms(now - following.changed_s)}; limit {_ms(limits.frozen_s)}",
         )
     if not sample.silence_s <= limits.heartbeat_s:
-        return Stop(
+        return GuardTrip(
             Reason.HEARTBEAT,
             f"no sign of life from the supervisor for {_ms(sample.silence_s)}; "
             f"limit {_ms(limits.heartbeat_s)}",
         )
     if not now - watch.start_s <= limits.duration_s:
-        return Stop(
+        return GuardTrip(
             Reason.DEADLINE,
             f"{now - watch.start_s:.3f} s since the start; limit {limits.duration_s:.3f} s",
         )
@@ -250,14 +252,14 @@ def _fault(  # noqa: PLR0911  a return for each fault, the gravest first
 
 
 def _crossed(  # noqa: PLR0911  a return for each limit, the gravest first
-    limits: Limits, watch: Watch, following: Watch, sample: Sample
-) -> Stop | None:
+    limits: Limits, watch: GuardState, following: GuardState, sample: Sample
+) -> GuardTrip | None:
     """Which limit the reel itself has crossed; the readings are known to be finite."""
     now, tension, angle = sample.time_s, sample.tension_N, sample.angle_rad
     if tension > limits.tension_max_N:
         return _over(Reason.TENSION, "tension", tension, limits.tension_max_N, " N")
     if now - following.taut_s > limits.slack_s:
-        return Stop(
+        return GuardTrip(
             Reason.SLACK,
             f"the cable has been slack, below {limits.slack_N:g} N, for "
             f"{_ms(now - following.taut_s)} (tension {tension:.4g} N); "
@@ -267,13 +269,13 @@ def _crossed(  # noqa: PLR0911  a return for each limit, the gravest first
     if abs(rate) > limits.rate_max_N_s:  # no number at the first sample
         return _over(Reason.RATE, "rate of the tension", rate, limits.rate_max_N_s, " N/s")
     if now - following.within_s > limits.current_s:
-        return Stop(
+        return GuardTrip(
             Reason.CURRENT,
             f"current {sample.current_A:.4g} A, above {limits.current_max_A:g} A for "
             f"{_ms(now - following.within_s)}; limit {_ms(limits.current_s)}",
         )
     if not limits.angle_min_rad <= angle <= limits.angle_max_rad:
-        return Stop(
+        return GuardTrip(
             Reason.ANGLE,
             f"drum angle {angle:.4g} rad; limits {limits.angle_min_rad:g} to "
             f"{limits.angle_max_rad:g} rad",
@@ -292,8 +294,8 @@ def _crossed(  # noqa: PLR0911  a return for each limit, the gravest first
     return None
 
 
-def _over(reason: Reason, what: str, value: float, limit: float, unit: str) -> Stop:
-    return Stop(reason, f"{what} {value:.4g}{unit}; limit {limit:g}{unit}")
+def _over(reason: Reason, what: str, value: float, limit: float, unit: str) -> GuardTrip:
+    return GuardTrip(reason, f"{what} {value:.4g}{unit}; limit {limit:g}{unit}")
 
 
 def _ms(time_s: float) -> str:

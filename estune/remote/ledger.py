@@ -47,7 +47,7 @@ CREATE TABLE frame (sequence INTEGER PRIMARY KEY, data BLOB NOT NULL);
 _log = logging.getLogger(__name__)
 
 
-class Entry(NamedTuple):
+class LedgerEntry(NamedTuple):
     """One trial as a ledger knows it.
 
     Attributes:
@@ -65,7 +65,7 @@ class Entry(NamedTuple):
     sentence: str = ""
 
 
-NOTHING = Entry("", TrialState.UNKNOWN)
+NOTHING = LedgerEntry("", TrialState.UNKNOWN)
 """A trial that was never heard of."""
 
 
@@ -82,7 +82,7 @@ class Ledger(Protocol):
         """Why the emergency stop was called; empty if it was not, or was cleared."""
         ...
 
-    def find(self, trial_id: str) -> Entry:
+    def find(self, trial_id: str) -> LedgerEntry:
         """What is known of a trial. Never waits for the disk to write."""
         ...
 
@@ -124,12 +124,12 @@ class MemoryLedger:
         self.latched = ""
         self._frames_max_bytes = frames_max_bytes
         self._trials_max = trials_max
-        self._entries: OrderedDict[str, Entry] = OrderedDict()
+        self._entries: OrderedDict[str, LedgerEntry] = OrderedDict()
         self._framed: deque[str] = deque()
         self._frame_bytes = 0
         self._lock = threading.Lock()
 
-    def find(self, trial_id: str) -> Entry:
+    def find(self, trial_id: str) -> LedgerEntry:
         """What is known of a trial."""
         return self._entries.get(trial_id, NOTHING)
 
@@ -202,7 +202,7 @@ class FileLedger:
         self._trials_max = trials_max
         self._writing = threading.Lock()
         self._reading = threading.Lock()
-        self._unwritten: dict[str, Entry] = {}
+        self._unwritten: dict[str, LedgerEntry] = {}
         with self._explained(), ExitStack() as opened:
             path.parent.mkdir(parents=True, exist_ok=True)
             lock = path.with_name(f"{path.name}.lock")
@@ -218,7 +218,7 @@ class FileLedger:
         self._latch_written = True
         self._frame_bytes = self._count()
 
-    def find(self, trial_id: str) -> Entry:
+    def find(self, trial_id: str) -> LedgerEntry:
         """What is known of a trial. Never waits for the disk to write.
 
         Raises:
@@ -235,7 +235,7 @@ class FileLedger:
         if row is None:
             return NOTHING
         digest, state, frame, error, sentence = row
-        return Entry(digest, TrialState(state), frame, error, sentence)
+        return LedgerEntry(digest, TrialState(state), frame, error, sentence)
 
     def note(self, trial_id: str, digest: str, *events: TrialEvent) -> TrialState:
         """Notes what happens to a trial; returns once it would survive a power cut.
@@ -301,7 +301,7 @@ class FileLedger:
         if not self._latch_written:
             self._writer.execute("UPDATE rig SET value=? WHERE key='latched'", (self.latched,))
 
-    def _write(self, trial_id: str, entry: Entry) -> None:
+    def _write(self, trial_id: str, entry: LedgerEntry) -> None:
         (sequence,) = self._writer.execute(
             "INSERT INTO trial (trial_id, digest, state, error, sentence, noted_at)"
             " VALUES (?, ?, ?, ?, ?, ?) ON CONFLICT (trial_id) DO UPDATE SET state=excluded.state,"
@@ -386,11 +386,11 @@ class FileLedger:
             raise RigError(f"the rig's ledger: {error}") from error
 
 
-def _ended(entry: Entry, outcome: bytes | EstuneError) -> Entry:
+def _ended(entry: LedgerEntry, outcome: bytes | EstuneError) -> LedgerEntry:
     if isinstance(outcome, bytes):
-        return Entry(entry.digest, after(entry.state, TrialEvent.END), outcome)
+        return LedgerEntry(entry.digest, after(entry.state, TrialEvent.END), outcome)
     failed = after(entry.state, TrialEvent.FAIL)
-    return Entry(entry.digest, failed, None, type(outcome).__name__, str(outcome))
+    return LedgerEntry(entry.digest, failed, None, type(outcome).__name__, str(outcome))
 
 
 def _now() -> str:

@@ -26,7 +26,7 @@ from typing import Any, Self
 from pydantic import Field, model_validator
 
 from estune.errors import InvalidInput
-from estune.support.toml_file import Table, checked, read_toml
+from estune.support.toml_file import TomlTable, read_toml, validate
 
 _IN, _OUT = ["ingress"], ["egress"]
 # What a client sends who looks on, what it is sent back, and what is said of commands.
@@ -35,7 +35,7 @@ _TOLD = ["reply", "put", "declare_queryable", "liveliness_token"]
 _KEYS, _COMMANDS = ["reel/**"], ["reel/**/@cmd/**"]
 
 
-class Password(Table):
+class Password(TomlTable):
     """Who this process is, and who else there is."""
 
     user: str | None = None
@@ -51,7 +51,7 @@ class Password(Table):
         return self
 
 
-class Tls(Table):
+class Tls(TomlTable):
     """The certificates, as PEM files."""
 
     authority: str
@@ -59,14 +59,14 @@ class Tls(Table):
     key: str
 
 
-class Access(Table):
+class Access(TomlTable):
     """Who may do what: names of users, or common names of certificates."""
 
     command: list[str] = Field(default_factory=list)
     look: list[str] = Field(default_factory=list)
 
 
-class Security(Table):
+class Security(TomlTable):
     """How a process shows who it is, and whom it lets do what. Made by `read_security`."""
 
     password: Password | None = None
@@ -164,7 +164,7 @@ def read_security(path: Path) -> Security:
     faults = list(_resolve(data, path))
     if faults:
         raise InvalidInput("\n".join(f"{path}: {fault}" for fault in faults))
-    return checked(Security, data, str(path))
+    return validate(Security, data, str(path))
 
 
 _FILES = {

@@ -11,14 +11,14 @@ from typing import Any, NamedTuple, Never
 
 from pydantic import TypeAdapter, ValidationError
 
-from estune.core.repeats import Repeats
+from estune.core.repeats import InterleavedRepeats
 from estune.errors import JournalError
 from estune.run import loop
-from estune.run.journal import Entry, Journal
-from estune.run.loop import Tuning
+from estune.run.journal import Journal, JournalEntry
+from estune.run.loop import TuningRun
 from estune.run.plan import description_from_json, plan_from_json
-from estune.run.session import Phase, Session, begin, is_censored, is_unsafe
-from estune.run.summary import verdict
+from estune.run.session import Phase, Session, is_censored, is_unsafe, new_session
+from estune.run.summary import summarise
 from estune.trial import Outcome
 from estune.tuners.observation import Observation
 from estune.tuners.search_space import Point, SearchSpace
@@ -29,16 +29,16 @@ OTHERWISE = (
 )
 
 
-def finished(run: Tuning) -> dict[str, Any]:
+def finished(run: TuningRun) -> dict[str, Any]:
     """What is noted of a run that came to its end, for those who look at it later."""
     return {
         "status": "finished",
         "search_end": run.session.search_end,
-        "intervals": verdict(run.session).intervals,
+        "intervals": summarise(run.session).intervals,
     }
 
 
-def recalled(journal: Journal) -> Tuning:
+def load_finished(journal: Journal) -> TuningRun:
     """A finished run from its journal alone.
 
     Raises:
@@ -51,7 +51,7 @@ def recalled(journal: Journal) -> Tuning:
     made = loop.start(plan, description_from_json(journal.fact("rig")), journal)
     told = [entry for entry in journal.entries() if entry.outcome is not None]
     made.entries.extend(told)
-    made.session = _session(begin(plan), told, journal.fact("search_end"))
+    made.session = _session(new_session(plan), told, journal.fact("search_end"))
     made.intervals = tuple((n, low, high) for n, low, high in journal.fact("intervals") or ())
     if journal.fact("status") != "finished" or made.session.phase is not None:
         raise JournalError(f"{journal.folder}: the run was not finished, and {OTHERWISE}")
@@ -68,7 +68,7 @@ class BygoneState(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Bygone:
+class UnavailableTuner:
     """A tuner of another version, of which name and search space are left.
 
     Attributes:
@@ -104,18 +104,18 @@ class Bygone:
         return state.best_point
 
 
-def _bygone(settings: dict[str, Any]) -> Bygone:
+def _bygone(settings: dict[str, Any]) -> UnavailableTuner:
     """What is left of a stored tuner."""
     try:
         space = TypeAdapter(SearchSpace).validate_python(settings["space"])
-        return Bygone(settings.get("name", settings["kind"]), space)
+        return UnavailableTuner(settings.get("name", settings["kind"]), space)
     except (KeyError, ValidationError) as error:
         raise JournalError(
             f"the stored tuner cannot be read ({error}); it is of another version"
         ) from error
 
 
-def _session(session: Session, told: list[Entry], search_end: str | None) -> Session:
+def _session(session: Session, told: list[JournalEntry], search_end: str | None) -> Session:
     """Where a run stands after its trials, by their phases."""
     plan = session.plan
     costs = {phase: [e for e in told if e.phase is phase and _counts(e)] for phase in Phase}
@@ -142,7 +142,7 @@ def _session(session: Session, told: list[Entry], search_end: str | None) -> Ses
     )
 
 
-def _repeats(session: Session, entries: list[Entry]) -> Repeats | None:
+def _repeats(session: Session, entries: list[JournalEntry]) -> InterleavedRepeats | None:
     """Repeats in turn, in the order in which their gains first came."""
     gains = tuple(dict.fromkeys(e.gains for e in entries))
     if len(gains) < 2:
@@ -151,12 +151,12 @@ def _repeats(session: Session, entries: list[Entry]) -> Repeats | None:
         tuple(math.inf if _censored(session, e) else e.cost for e in entries if e.gains == g)
         for g in gains
     )
-    return Repeats(gains, max(map(len, costs)), costs)
+    return InterleavedRepeats(gains, max(map(len, costs)), costs)
 
 
-def _counts(entry: Entry) -> bool:
+def _counts(entry: JournalEntry) -> bool:
     return entry.outcome is not None and not entry.outcome.is_void
 
 
-def _censored(session: Session, entry: Entry) -> bool:
+def _censored(session: Session, entry: JournalEntry) -> bool:
     return entry.outcome is None or is_censored(session, entry.outcome, entry.cost)

@@ -42,7 +42,7 @@ GO_ON = "go on with: estune resume"
 
 
 @dataclass(frozen=True, slots=True)
-class Entry:
+class JournalEntry:
     """One trial as the journal holds it.
 
     Attributes:
@@ -185,7 +185,7 @@ class Journal:
                     ),
                 )
 
-    def entries(self) -> Iterator[Entry]:
+    def entries(self) -> Iterator[JournalEntry]:
         """Every trial asked for, in order."""
         with _explained(self.folder):
             rows = self._connection.execute(
@@ -193,7 +193,7 @@ class Journal:
                 " outcome, reason, cost FROM trial ORDER BY number, attempt"
             ).fetchall()
         for number, attempt, trial_id, phase, *gains, outcome, reason, cost in rows:
-            yield Entry(
+            yield JournalEntry(
                 *(number, attempt, trial_id, Phase(phase), Gains(*gains)),
                 outcome=None if outcome is None else Outcome(outcome),
                 reason=reason or "",

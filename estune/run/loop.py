@@ -7,20 +7,20 @@ from pathlib import Path
 from typing import Literal, NamedTuple
 
 from estune.errors import Interrupted, InvalidInput, JournalError, RigError, UnsafeStart
-from estune.run.journal import Entry, Journal
+from estune.run.journal import Journal, JournalEntry
 from estune.run.session import (
     Phase,
     Plan,
     Session,
-    begin,
+    after_trial,
     forecast,
     is_unsafe,
+    new_session,
     next_request,
-    told,
 )
-from estune.trial import Outcome, Rig, RigDescription, TrialRecord, TrialRequest, unmeasured
-from estune.trial.scoring import cost_of, margin_of
-from estune.tuners.convergence import Forecast
+from estune.trial import Outcome, Rig, RigDescription, TrialRecord, TrialRequest, empty_record
+from estune.trial.scoring import constraint_margin, cost_of
+from estune.tuners.convergence import CostPrediction
 
 VOID_IN_A_ROW = 10
 """So many trials in a row that came to nothing end a run: something keeps stopping them."""
@@ -38,16 +38,16 @@ class Progress:
     """
 
     session: Session
-    entry: Entry
+    entry: JournalEntry
     unsafe: bool
     record: TrialRecord
 
 
-Watcher = Callable[[Progress], None]
+ProgressListener = Callable[[Progress], None]
 """Told of each trial after it was committed; must return quickly."""
 
 
-class Question(NamedTuple):
+class ApprovalRequest(NamedTuple):
     """What somebody is asked before gains are tried beyond what is known to be safe.
 
     Attributes:
@@ -57,14 +57,14 @@ class Question(NamedTuple):
     """
 
     request: TrialRequest
-    expected: Forecast
+    expected: CostPrediction
     eta_max: float
 
 
 Answer = Literal["yes", "no", "always"]
 """`always` is yes, and to whatever else would be asked until the run ends or is stopped."""
 
-Asker = Callable[[Question], Answer]
+ApprovalCallback = Callable[[ApprovalRequest], Answer]
 """Asked before the trial of a question; may take its time."""
 
 
@@ -83,7 +83,7 @@ class Stopped(KeyboardInterrupt):
 
 
 @dataclass(slots=True)
-class Tuning:
+class TuningRun:
     """A run under way.
 
     Attributes:
@@ -95,30 +95,30 @@ class Tuning:
         first: Record of the first baseline trial, the response before tuning.
         found: Record of the last trial that confirmed the gains found, the response after it.
         intervals: What the tuner knew of the gains at the end of a run that is only looked at, as
-            in `estune.run.summary.Verdict`; None where the tuner itself is there to be asked.
+            in `estune.run.summary.RunSummary`; None where the tuner itself is there to be asked.
     """
 
     plan: Plan
     description: RigDescription
     session: Session
-    entries: list[Entry]
+    entries: list[JournalEntry]
     journal: Journal | None
     first: TrialRecord | None
     found: TrialRecord | None
     intervals: tuple[tuple[str, float, float], ...] | None = None
 
 
-def start(plan: Plan, description: RigDescription, journal: Journal | None) -> Tuning:
+def start(plan: Plan, description: RigDescription, journal: Journal | None) -> TuningRun:
     """A run before its first trial.
 
     Raises:
         InvalidInput: the rig would refuse the plan's step.
     """
     description.limits.check(plan.step)
-    return Tuning(plan, description, begin(plan), [], journal, None, None)
+    return TuningRun(plan, description, new_session(plan), [], journal, None, None)
 
 
-def replay(plan: Plan, description: RigDescription, journal: Journal) -> Tuning:
+def replay(plan: Plan, description: RigDescription, journal: Journal) -> TuningRun:
     """A run as its journal left it: every trial told is told again, none is run.
 
     Raises:
@@ -137,13 +137,16 @@ def replay(plan: Plan, description: RigDescription, journal: Journal) -> Tuning:
             record = journal.record(entry.trial_id)
             tuning.entries.append(entry)
             keep(tuning, entry, record)
-            margin = margin_of(record, description)
-            tuning.session = told(tuning.session, entry.outcome, entry.cost, margin)
+            margin = constraint_margin(record, description)
+            tuning.session = after_trial(tuning.session, entry.outcome, entry.cost, margin)
     return tuning
 
 
 def run(
-    tuning: Tuning, rig: Rig, watchers: Iterable[Watcher] = (), ask: Asker | None = None
+    tuning: TuningRun,
+    rig: Rig,
+    watchers: Iterable[ProgressListener] = (),
+    ask: ApprovalCallback | None = None,
 ) -> None:
     """Runs the trials that are still missing, committing each before the next is asked for.
 
@@ -181,7 +184,7 @@ def run(
             if answer == "always":
                 ask = None
             record = rig.run(request) if answer != "no" else _declined(tuning, request)
-            request = _tell(tuning, request, record, watchers)
+            request = _record_trial(tuning, request, record, watchers)
             void_in_a_row = void_in_a_row + 1 if record.outcome.is_void else 0
             if record.outcome.is_void:
                 _check_void(tuning, record, void_in_a_row)
@@ -192,21 +195,21 @@ def run(
         raise UnsafeStart(tuning.session.failure)
 
 
-def _question(tuning: Tuning, request: TrialRequest) -> Question | None:
+def _question(tuning: TuningRun, request: TrialRequest) -> ApprovalRequest | None:
     """What is to be asked before the next trial; None where nothing is."""
     expected = forecast(tuning.session) if tuning.plan.ask_first else None
     if expected is None or expected.explored:
         return None
-    return Question(request, expected, tuning.session.eta_max)
+    return ApprovalRequest(request, expected, tuning.session.eta_max)
 
 
-def _declined(tuning: Tuning, request: TrialRequest) -> TrialRecord:
+def _declined(tuning: TuningRun, request: TrialRequest) -> TrialRecord:
     outcome = Outcome.DECLINED
     at = datetime.now(UTC).isoformat(timespec="milliseconds")
-    return unmeasured(request, tuning.description, outcome, outcome.sentence, at)
+    return empty_record(request, tuning.description, outcome, outcome.sentence, at)
 
 
-def _check_void(tuning: Tuning, record: TrialRecord, in_a_row: int) -> None:
+def _check_void(tuning: TuningRun, record: TrialRecord, in_a_row: int) -> None:
     """Stops a run whose next trial must not be asked for unasked."""
     folder = tuning.journal.folder if tuning.journal else None
     go_on = f"go on with: estune resume {folder}" if folder else "tune again"
@@ -220,21 +223,24 @@ def _check_void(tuning: Tuning, record: TrialRecord, in_a_row: int) -> None:
         )
 
 
-def _tell(
-    tuning: Tuning, request: TrialRequest, record: TrialRecord, watchers: tuple[Watcher, ...]
+def _record_trial(
+    tuning: TuningRun,
+    request: TrialRequest,
+    record: TrialRecord,
+    watchers: tuple[ProgressListener, ...],
 ) -> TrialRequest | None:
     """Scores and commits one trial, moves the session on, and gives the next request."""
     plan, before = tuning.plan, tuning.session
     cost = cost_of(record, plan.step, plan.cost, tuning.description.newtons_per_ampere)
     phase = before.phase or Phase.CONFIRM
-    entry = Entry(
+    entry = JournalEntry(
         *(request.number, request.attempt, request.trial_id, phase, request.gains),
         outcome=record.outcome,
         reason=record.reason,
         cost=cost,
     )
-    margin = margin_of(record, tuning.description)
-    tuning.session = told(before, record.outcome, cost, margin)
+    margin = constraint_margin(record, tuning.description)
+    tuning.session = after_trial(before, record.outcome, cost, margin)
     following = next_request(tuning.session)
     _commit(tuning, (request, record, cost), following)
     tuning.entries.append(entry)
@@ -246,7 +252,7 @@ def _tell(
 
 
 def _commit(
-    tuning: Tuning,
+    tuning: TuningRun,
     done: tuple[TrialRequest, TrialRecord, float] | None,
     asked: TrialRequest | None,
 ) -> None:
@@ -255,7 +261,7 @@ def _commit(
         tuning.journal.commit(done, None if asked is None or phase is None else (asked, phase))
 
 
-def keep(tuning: Tuning, entry: Entry, record: TrialRecord) -> None:
+def keep(tuning: TuningRun, entry: JournalEntry, record: TrialRecord) -> None:
     """Keeps the first trial with the start, and the last that confirmed the gains found."""
     if record.outcome.is_void:
         return

@@ -21,7 +21,7 @@ from rich.table import Table
 from rich.text import Text
 
 from estune.core.gains import Gains
-from estune.run.loop import Progress, Tuning, Watcher
+from estune.run.loop import Progress, ProgressListener, TuningRun
 from estune.run.session import Phase
 
 _REDRAW_S = 0.25
@@ -36,8 +36,8 @@ _LINES = 12
 
 @contextmanager
 def watching(
-    watch: Watcher | Literal["auto"] | None, tuning: Tuning, *, asking: bool = False
-) -> Iterator[tuple[Watcher, ...]]:
+    watch: ProgressListener | Literal["auto"] | None, tuning: TuningRun, *, asking: bool = False
+) -> Iterator[tuple[ProgressListener, ...]]:
     """The watchers of a run, ready for as long as the block lasts.
 
     Args:
@@ -56,7 +56,7 @@ def watching(
             yield (display.saw,)
 
 
-class Status(NamedTuple):
+class RunStatus(NamedTuple):
     """What there is to show of a run at one moment.
 
     Attributes:
@@ -86,10 +86,10 @@ class Status(NamedTuple):
     left_s: float
 
 
-class Tally:
+class ProgressCounter:
     """Counts what the session does not: the best cost and the pace."""
 
-    def __init__(self, tuning: Tuning) -> None:
+    def __init__(self, tuning: TuningRun) -> None:
         self._tuning = tuning
         self._first = tuning.session.number
         self._began_s = time.monotonic()
@@ -99,20 +99,20 @@ class Tally:
         safe = [e.cost for e in told if e.cost <= tuning.session.eta_max]
         self._best = min(safe, default=math.nan)
 
-    def saw(self, progress: Progress) -> None:
+    def on_trial(self, progress: Progress) -> None:
         """Takes note of a trial."""
         self._last = progress
         if not progress.unsafe:
             self._best = float(np.fmin(self._best, progress.entry.cost))
 
-    def status(self) -> Status:
+    def status(self) -> RunStatus:
         """Everything, now."""
         last, tuning = self._last, self._tuning
         session = tuning.session if last is None else last.session
         here = session.number - self._first
-        most = session.number + session.left
+        most = session.number + session.trials_left
         pace = (time.monotonic() - self._began_s) / here if here else math.nan
-        return Status(
+        return RunStatus(
             rig=tuning.description.name,
             phase=session.phase if last is None else last.entry.phase,
             done=session.number,
@@ -138,8 +138,8 @@ class _Display(Protocol):
 class TerminalDisplay:
     """A few lines at the foot of the terminal, redrawn in place by rich's own thread."""
 
-    def __init__(self, tuning: Tuning, console: Console) -> None:
-        self._tally = Tally(tuning)
+    def __init__(self, tuning: TuningRun, console: Console) -> None:
+        self._tally = ProgressCounter(tuning)
         self._heading = heading(tuning)
         self._live = Live(
             console=console,
@@ -150,7 +150,7 @@ class TerminalDisplay:
 
     def saw(self, progress: Progress) -> None:
         """Takes note of a trial."""
-        self._tally.saw(progress)
+        self._tally.on_trial(progress)
 
     def __enter__(self) -> None:
         self._live.console.print(self._heading, style="dim", highlight=False, soft_wrap=True)
@@ -163,17 +163,17 @@ class TerminalDisplay:
 class PlainDisplay:
     """One line per some trials, for a pipe or a log file."""
 
-    def __init__(self, tuning: Tuning, stream: TextIO) -> None:
-        self._tally = Tally(tuning)
+    def __init__(self, tuning: TuningRun, stream: TextIO) -> None:
+        self._tally = ProgressCounter(tuning)
         self._heading = heading(tuning)
         self._stream = stream
-        self._every = max(1, (tuning.session.number + tuning.session.left) // _LINES)
+        self._every = max(1, (tuning.session.number + tuning.session.trials_left) // _LINES)
         self._shown: tuple[Phase | None, int] = (None, -self._every)
         self._shown_s = -math.inf
 
     def saw(self, progress: Progress) -> None:
         """Takes note of a trial, and prints a line if it is time for one."""
-        self._tally.saw(progress)
+        self._tally.on_trial(progress)
         phase, number = progress.entry.phase, progress.session.number
         late = time.monotonic() - self._shown_s > _LINE_EVERY_S
         if phase is self._shown[0] and number - self._shown[1] < self._every and not late:
@@ -193,8 +193,8 @@ class PlainDisplay:
 class NotebookDisplay:
     """One output of a cell, updated in place by plain display messages: no widgets."""
 
-    def __init__(self, tuning: Tuning) -> None:
-        self._tally = Tally(tuning)
+    def __init__(self, tuning: TuningRun) -> None:
+        self._tally = ProgressCounter(tuning)
         self._heading = heading(tuning)
         self._output: Any = importlib.import_module("IPython.display")
         self._handle: Any = None
@@ -202,7 +202,7 @@ class NotebookDisplay:
 
     def saw(self, progress: Progress) -> None:
         """Takes note of a trial, and redraws if the last drawing is old enough."""
-        self._tally.saw(progress)
+        self._tally.on_trial(progress)
         if time.monotonic() - self._shown_s > _REDRAW_S:
             self._draw()
 
@@ -222,7 +222,7 @@ class NotebookDisplay:
         return {"text/plain": "\n".join(lines)}
 
 
-def render(status: Status) -> RenderableType:
+def render(status: RunStatus) -> RenderableType:
     """The live display: a bar and a line each for costs, gains tried and gains live."""
     grid = Table.grid(padding=(0, 2))
     grid.add_column(style="dim", width=8, no_wrap=True)
@@ -246,7 +246,7 @@ def render(status: Status) -> RenderableType:
     return grid
 
 
-def heading(tuning: Tuning) -> str:
+def heading(tuning: TuningRun) -> str:
     """What is about to go on, where it is kept, and how to stop it."""
     where = f", kept in {tuning.journal.folder}" if tuning.journal else ""
     again = f" from trial {tuning.session.number} on" if tuning.session.number else ""
@@ -256,12 +256,12 @@ def heading(tuning: Tuning) -> str:
     )
 
 
-def line(status: Status) -> str:
+def line(status: RunStatus) -> str:
     """The run in one line."""
     return "  ".join(_parts(status))
 
 
-def _parts(status: Status) -> tuple[str, str]:
+def _parts(status: RunStatus) -> tuple[str, str]:
     """How the run stands, and the gains it tried last."""
     parts = [
         f"{status.phase or 'done':<8} {status.done:>{len(str(status.most))}} of {status.most}",
@@ -289,7 +289,7 @@ def duration(seconds: float) -> str:
     return f"{hours}:{minutes:02}:{rest:02}" if hours else f"{minutes}:{rest:02}"
 
 
-def _display(tuning: Tuning, stream: TextIO) -> _Display:
+def _display(tuning: TuningRun, stream: TextIO) -> _Display:
     if _in_notebook():
         return NotebookDisplay(tuning)
     console = Console(file=stream)

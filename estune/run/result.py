@@ -18,17 +18,17 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from scipy.optimize import OptimizeResult
 
-from estune.core.comparison import Change, scatter
+from estune.core.comparison import Change, repeatability
 from estune.core.gains import GAIN_NAMES, Gains
 from estune.errors import JournalError
 from estune.run import result_warnings
-from estune.run.journal import Entry, Journal
-from estune.run.loop import Tuning
+from estune.run.journal import Journal, JournalEntry
+from estune.run.loop import TuningRun
 from estune.run.performance import Performance
 from estune.run.session import Plan, Session, is_censored, is_unsafe
-from estune.run.summary import Verdict, verdict
+from estune.run.summary import RunSummary, summarise
 from estune.trial import RigDescription, TrialRecord
-from estune.trial.scoring import margin_of
+from estune.trial.scoring import constraint_margin
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-class Ending(StrEnum):
+class RunEnding(StrEnum):
     """How a run ended; the value is what it is called."""
 
     TUNED = "tuned"
@@ -47,12 +47,12 @@ class Ending(StrEnum):
     @property
     def status(self) -> int:
         """The status number of the `OptimizeResult`: zero is success."""
-        return list(Ending).index(self)
+        return list(RunEnding).index(self)
 
     @property
     def exit_code(self) -> int:
         """The exit code of the command line; the other endings are exceptions with one."""
-        return NO_IMPROVEMENT_CODE if self is Ending.NO_IMPROVEMENT else 0
+        return NO_IMPROVEMENT_CODE if self is RunEnding.NO_IMPROVEMENT else 0
 
 
 NO_IMPROVEMENT_CODE = 7
@@ -78,7 +78,7 @@ class TuneResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type i
         success: Whether gains were confirmed to beat the start.
         status: 0 tuned, 1 no significant improvement, 2 stopped, 3 the start is unsafe.
         message: How the run ended, in a sentence.
-        ending: The same as an `Ending`.
+        ending: The same as an `RunEnding`.
         gains: The gains to use; the start where nothing was confirmed to beat it.
         start_gains: The gains the run began from.
         verdict: What the repeats came to.
@@ -103,11 +103,11 @@ class TuneResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type i
     success: bool
     status: int
     message: str
-    ending: Ending
+    ending: RunEnding
     gains: Gains
     start_gains: Gains
-    verdict: Verdict
-    entries: tuple[Entry, ...]
+    verdict: RunSummary
+    entries: tuple[JournalEntry, ...]
     folder: Path | None
     plan: Plan
     rig: RigDescription
@@ -139,7 +139,7 @@ class TuneResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type i
         )
 
     @cached_property
-    def findings(self) -> tuple[result_warnings.Finding, ...]:
+    def findings(self) -> tuple[result_warnings.ResultWarning, ...]:
         """Remarks: thin margins, a response near a limit of the rig, gains at a bound, flat cost.
 
         Of a start that was kept only what the trials do say: they need not have looked around it.
@@ -156,12 +156,12 @@ class TuneResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type i
             *(space, best, at.cost),
             points=np.array([space.point_of(e.gains) for e in safe]),
             costs=np.array([e.cost for e in safe]),
-            noise=at.cost * scatter((session.baseline, *itertools.chain(*repeated))),
+            noise=at.cost * repeatability((session.baseline, *itertools.chain(*repeated))),
         )
         if self.tuned is None:
             flat = tuple(finding for finding in flat if finding.kind == "flat")
-        share = math.inf if at.record is None else margin_of(at.record, self.rig)
-        near = result_warnings.thin_margins(at.margins) + result_warnings.near_limits(share)
+        share = math.inf if at.record is None else constraint_margin(at.record, self.rig)
+        near = result_warnings.low_margins(at.margins) + result_warnings.near_limits(share)
         return near + result_warnings.at_bounds(space, best) + flat
 
     def to_frame(self) -> "pd.DataFrame":
@@ -250,7 +250,7 @@ class TuneResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type i
 
     def heading(self) -> str:
         """The run in one line, its ending first."""
-        if self.ending is Ending.TUNED:
+        if self.ending is RunEnding.TUNED:
             start, cost = self.verdict.start_cost, self.verdict.cost
             came = f"cost {start:.3g} → {cost:.3g}, {self.improvement}"
         elif self.improvement is not None:
@@ -307,18 +307,18 @@ class TuneResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type i
         )
 
 
-def from_tuning(tuning: Tuning) -> TuneResult:
+def from_tuning(tuning: TuningRun) -> TuneResult:
     """The result of a run so far as it went."""
     session, plan = tuning.session, tuning.plan
-    found = verdict(session)
+    found = summarise(session)
     if tuning.intervals is not None:
         found = replace(found, intervals=tuning.intervals)
     if session.failure:
-        ending = Ending.UNSAFE_START
+        ending = RunEnding.UNSAFE_START
     elif not found.complete:
-        ending = Ending.STOPPED
+        ending = RunEnding.STOPPED
     else:
-        ending = Ending.TUNED if found.improved else Ending.NO_IMPROVEMENT
+        ending = RunEnding.TUNED if found.improved else RunEnding.NO_IMPROVEMENT
     return TuneResult(
         x=np.array(found.gains.as_tuple()),
         fun=found.cost,
@@ -343,11 +343,11 @@ def from_tuning(tuning: Tuning) -> TuneResult:
     )
 
 
-def _is_unsafe(session: Session, entry: Entry) -> bool:
+def _is_unsafe(session: Session, entry: JournalEntry) -> bool:
     return entry.outcome is not None and is_unsafe(session, entry.outcome, entry.cost)
 
 
-def _unsafe_said(found: Verdict) -> Iterator[str]:
+def _unsafe_said(found: RunSummary) -> Iterator[str]:
     """How many trials were unsafe, and how many were declined, where there are any."""
     for count, what in ((found.unsafe, "unsafe"), (found.declined, "declined and not run")):
         if count:

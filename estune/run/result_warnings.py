@@ -75,7 +75,7 @@ class _Axis(NamedTuple):
         return math.log(FLAT_FACTOR) if self.log else FLAT_SHARE
 
 
-class Finding(NamedTuple):
+class ResultWarning(NamedTuple):
     """One remark on the result.
 
     Attributes:
@@ -89,7 +89,7 @@ class Finding(NamedTuple):
     sentence: str
 
 
-def thin_margins(found: Margins | None) -> tuple[Finding, ...]:
+def low_margins(found: Margins | None) -> tuple[ResultWarning, ...]:
     """Says where the linear model has less margin than is usual, or is unstable.
 
     Args:
@@ -112,10 +112,10 @@ def thin_margins(found: Margins | None) -> tuple[Finding, ...]:
         )
     else:
         return ()
-    return (Finding("margin", (), sentence),)
+    return (ResultWarning("margin", (), sentence),)
 
 
-def near_limits(share: float) -> tuple[Finding, ...]:
+def near_limits(share: float) -> tuple[ResultWarning, ...]:
     """Says where the response comes near what the rig can bear, so that this decided the gains.
 
     Args:
@@ -127,10 +127,10 @@ def near_limits(share: float) -> tuple[Finding, ...]:
         f"a trial with these gains leaves {max(share, 0.0):.0%} of the room to the rig's limits "
         "of tension or effort: the limit may have chosen them, not the cost"
     )
-    return (Finding("limit", (), sentence),)
+    return (ResultWarning("limit", (), sentence),)
 
 
-def at_bounds(space: SearchSpace, best: Point) -> tuple[Finding, ...]:
+def at_bounds(space: SearchSpace, best: Point) -> tuple[ResultWarning, ...]:
     """Names the parameters that the bounds decided.
 
     Args:
@@ -147,7 +147,7 @@ def at_bounds(space: SearchSpace, best: Point) -> tuple[Finding, ...]:
                 f"{axis.label} is at its {side} bound of {_shown(axis, bound)}: "
                 "the bound chose it, not the cost"
             )
-            found.append(Finding("bound", (axis.name,), sentence))
+            found.append(ResultWarning("bound", (axis.name,), sentence))
     return tuple(found)
 
 
@@ -159,7 +159,7 @@ def flat_directions(
     points: FloatArray,
     costs: FloatArray,
     noise: float,
-) -> tuple[Finding, ...]:
+) -> tuple[ResultWarning, ...]:
     """Names the parameters, alone or together, that may move without the cost telling.
 
     Args:
@@ -176,7 +176,7 @@ def flat_directions(
     axes = _axes(space)
     if not math.isfinite(noise):
         sentence = "without repeats there is no scatter to judge flat directions by"
-        return (Finding("unknown", space.names, sentence),)
+        return (ResultWarning("unknown", space.names, sentence),)
     tolerance = max(2.0 * noise, LEAST_CHANGE * abs(best_cost))
     z = np.array(
         [[a.coordinate(v, o) for a, v, o in zip(axes, p, best, strict=True)] for p in points]
@@ -189,9 +189,11 @@ def flat_directions(
     )
     found, flat, unknown = [], [], []
     for i, axis in enumerate(axes):
-        low, high, decided = _reach(fit, np.eye(len(axes))[i], tolerance)
+        low, high, decided = _flat_interval(fit, np.eye(len(axes))[i], tolerance)
         if high - low >= axis.flat_width:
-            found.append(Finding("flat", (axis.name,), _flat(axis, best[i], low, high, within)))
+            found.append(
+                ResultWarning("flat", (axis.name,), _flat(axis, best[i], low, high, within))
+            )
             flat.append(i)
         elif not decided:
             unknown.append(axis)
@@ -269,7 +271,9 @@ def _fit_near(
     return fit
 
 
-def _reach(fit: _Fit, direction: FloatArray, tolerance: float) -> tuple[float, float, bool]:
+def _flat_interval(
+    fit: _Fit, direction: FloatArray, tolerance: float
+) -> tuple[float, float, bool]:
     """How far the best may move along a unit direction with the cost inside the tolerance.
 
     Returns:
@@ -289,7 +293,7 @@ def _reach(fit: _Fit, direction: FloatArray, tolerance: float) -> tuple[float, f
 
 def _joint(
     axes: Sequence[_Axis], fit: _Fit, tolerance: float, within: str, flat: set[int]
-) -> Iterable[Finding]:
+) -> Iterable[ResultWarning]:
     """Flat directions that lie across parameters none of which is flat by itself."""
     rest = [i for i in range(len(axes)) if i not in flat]
     if len(rest) < 2:
@@ -306,7 +310,7 @@ def _joint(
         direction[rest] = vector
         lead = int(np.argmax(np.abs(direction)))
         direction *= np.sign(direction[lead])
-        low, high, _ = _reach(fit, direction, tolerance)
+        low, high, _ = _flat_interval(fit, direction, tolerance)
         moved = [i for i in rest if abs(direction[i]) >= 0.3 * direction[lead]]
         if len(moved) > 1 and (high - low) * direction[lead] >= axes[lead].flat_width:
             ways = _listed([_way(axes[i], direction[i] * (high - low)) for i in moved])
@@ -314,7 +318,7 @@ def _joint(
                 f"{_listed([axes[i].label for i in moved])} are not determined one by one: "
                 f"{ways} together does not change the cost by more than {within}"
             )
-            yield Finding("flat", tuple(axes[i].name for i in moved), sentence)
+            yield ResultWarning("flat", tuple(axes[i].name for i in moved), sentence)
 
 
 def _flat(axis: _Axis, origin: float, low: float, high: float, within: str) -> str:
@@ -332,10 +336,10 @@ def _way(axis: _Axis, moved: float) -> str:
     return f"{verb} {axis.label} by {size}"
 
 
-def _unknown(axes: Sequence[_Axis]) -> Finding:
+def _unknown(axes: Sequence[_Axis]) -> ResultWarning:
     listed = _listed([axis.label for axis in axes])
     sentence = f"too few trials near the best gains to tell how much the cost depends on {listed}"
-    return Finding("unknown", tuple(axis.name for axis in axes), sentence)
+    return ResultWarning("unknown", tuple(axis.name for axis in axes), sentence)
 
 
 def _shown(axis: _Axis, value: float) -> str:

@@ -14,15 +14,15 @@ from enum import StrEnum
 from statistics import fmean
 from typing import Any
 
-from estune.core.comparison import rounds_for, scatter
+from estune.core.comparison import repeatability, repeats_needed
 from estune.core.cost import StepCost
 from estune.core.gains import Gains
-from estune.core.repeats import Repeats
+from estune.core.repeats import InterleavedRepeats
 from estune.errors import InvalidInput
 from estune.trial import Outcome, TrialRequest
 from estune.trial.profiles import StepProfile
 from estune.tuners import Tuner
-from estune.tuners.convergence import Forecast, Foresighted, Outlook
+from estune.tuners.convergence import ConvergenceEstimate, CostPrediction, ModelBasedTuner
 from estune.tuners.observation import Observation
 
 
@@ -88,7 +88,7 @@ class Plan:
                 f"tolerance is {self.tolerance}; it is a share of the cost, from 0 (use all "
                 "trials) to below 1, such as 0.02"
             )
-        if self.ask_first and not isinstance(self.tuner, Foresighted):
+        if self.ask_first and not isinstance(self.tuner, ModelBasedTuner):
             raise InvalidInput(
                 f"tuner {self.tuner.name} cannot tell what is known to be safe, so that there is "
                 "nothing to ask by; use newton"
@@ -107,10 +107,10 @@ class Plan:
         """The greatest number of trials the run may take, void ones aside."""
         return self.trials + 3 * self.repeats + 2 * max(ROUNDS_MOST, self.repeats)
 
-    def outlook(self, tuner_state: Any) -> Outlook | None:
+    def outlook(self, tuner_state: Any) -> ConvergenceEstimate | None:
         """Where the search stands, by a tuner that can tell and knows enough."""
         tuner = self.tuner
-        return tuner.outlook(tuner_state) if isinstance(tuner, Foresighted) else None
+        return tuner.outlook(tuner_state) if isinstance(tuner, ModelBasedTuner) else None
 
 
 UNSAFE_RATIO = 3.0
@@ -159,8 +159,8 @@ class Session:
     settled_in_a_row: int = 0
     baseline: tuple[float, ...] = ()
     search_end: str = ""
-    choice: Repeats | None = None
-    confirmation: Repeats | None = None
+    choice: InterleavedRepeats | None = None
+    confirmation: InterleavedRepeats | None = None
     failure: str = ""
 
     @property
@@ -173,8 +173,8 @@ class Session:
         if not self.search_end:
             return Phase.SEARCH
         if self.confirmation is not None:
-            return None if self.confirmation.turn is None else Phase.CONFIRM
-        return None if self.choice is None or self.choice.turn is None else Phase.CHOOSE
+            return None if self.confirmation.next_index is None else Phase.CONFIRM
+        return None if self.choice is None or self.choice.next_index is None else Phase.CHOOSE
 
     @property
     def eta_max(self) -> float:
@@ -184,7 +184,7 @@ class Session:
         return UNSAFE_RATIO * fmean(self.baseline) if self.baseline else math.inf
 
     @property
-    def left(self) -> int:
+    def trials_left(self) -> int:
         """The trials still to come if nothing ends a phase early or draws it out."""
         repeats = self.plan.repeats
         if self.phase is None:
@@ -196,12 +196,12 @@ class Session:
         return self.plan.trials - self.searched + 5 * repeats - len(self.baseline)
 
     @property
-    def found(self) -> Gains | None:
+    def candidate(self) -> Gains | None:
         """The gains that are being, or were, confirmed; None if there are none."""
         return None if self.confirmation is None else self.confirmation.gains[1]
 
 
-def begin(plan: Plan) -> Session:
+def new_session(plan: Plan) -> Session:
     """The session before its first trial."""
     return Session(plan, plan.tuner.start())
 
@@ -215,13 +215,13 @@ def next_request(session: Session) -> TrialRequest | None:
     return TrialRequest(plan.run, session.number, gains, plan.step, session.attempt)
 
 
-def forecast(session: Session) -> Forecast | None:
+def forecast(session: Session) -> CostPrediction | None:
     """What the tuner expects of the trial to be run next.
 
     None for gains that have been run before, and with a tuner that cannot tell.
     """
     gains, tuner = _next_gains(session), session.plan.tuner
-    if gains is None or not isinstance(tuner, Foresighted):
+    if gains is None or not isinstance(tuner, ModelBasedTuner):
         return None
     known = [session.plan.start]
     if session.tuner_state.best_cost is not None:
@@ -251,7 +251,9 @@ def is_unsafe(session: Session, outcome: Outcome, cost: float) -> bool:
     )
 
 
-def told(session: Session, outcome: Outcome, cost: float, margin: float = math.inf) -> Session:
+def after_trial(
+    session: Session, outcome: Outcome, cost: float, margin: float = math.inf
+) -> Session:
     """The session after the trial it asked for.
 
     Args:
@@ -272,15 +274,15 @@ def told(session: Session, outcome: Outcome, cost: float, margin: float = math.i
         seen = Observation(math.nan if censored else cost, censored, margin)
         changed = _after_search(session, seen)
     elif phase is Phase.CHOOSE and session.choice is not None:
-        choice = session.choice.told(math.inf if censored else cost)
+        choice = session.choice.with_cost(math.inf if censored else cost)
         changed = {"choice": choice}
-        if choice.turn is None and choice.best is not None:
+        if choice.next_index is None and choice.best is not None:
             gains, costs = choice.gains[choice.best], choice.costs[choice.best]
             expected = fmean(costs) if costs else math.nan
             changed["confirmation"] = _confirmation(session, gains, expected, choice.costs)
     else:
         assert session.confirmation is not None, phase  # noqa: S101  the last phase there is
-        changed = {"confirmation": session.confirmation.told(math.inf if censored else cost)}
+        changed = {"confirmation": session.confirmation.with_cost(math.inf if censored else cost)}
     return replace(
         session,
         number=session.number + 1,
@@ -300,8 +302,8 @@ def _next_gains(session: Session) -> Gains | None:
     if phase is Phase.SEARCH:
         return plan.tuner.space.gains(plan.tuner.ask(session.tuner_state))
     repeats = session.choice if phase is Phase.CHOOSE else session.confirmation
-    assert repeats is not None and repeats.turn is not None, phase  # noqa: S101, PT018
-    return repeats.gains[repeats.turn]
+    assert repeats is not None and repeats.next_index is not None, phase  # noqa: S101, PT018
+    return repeats.gains[repeats.next_index]
 
 
 def _after_search(session: Session, observation: Observation) -> dict[str, Any]:
@@ -334,7 +336,7 @@ def _after_search(session: Session, observation: Observation) -> dict[str, Any]:
     points = (tuner.recommend(state), state.best_point)
     gains = tuple(dict.fromkeys(map(tuner.space.gains, points)))
     if len(gains) > 1:
-        changed["choice"] = Repeats.of(gains, plan.repeats)
+        changed["choice"] = InterleavedRepeats.of(gains, plan.repeats)
     else:
         ended = replace(session, tuner_state=state)
         expected = math.nan if state.best_cost is None else state.best_cost
@@ -347,7 +349,7 @@ def _confirmation(
     gains: Gains,
     expected: float,
     costs: tuple[tuple[float, ...], ...] = (),
-) -> Repeats | None:
+) -> InterleavedRepeats | None:
     """The repeats that tell what the gains found gain; None where they are the start.
 
     Args:
@@ -360,14 +362,14 @@ def _confirmation(
     if gains == plan.start:
         return None
     outlook = plan.outlook(session.tuner_state)
-    noise = scatter((session.baseline, *costs)) if outlook is None else outlook.noise
-    rounds = rounds_for(
+    noise = repeatability((session.baseline, *costs)) if outlook is None else outlook.noise
+    rounds = repeats_needed(
         math.log(expected / fmean(session.baseline)),
         noise,
         least=plan.repeats,
         most=ROUNDS_MOST,
     )
-    return Repeats.of((plan.start, gains), rounds)
+    return InterleavedRepeats.of((plan.start, gains), rounds)
 
 
 def _unsafe_start(session: Session, outcome: Outcome, cost: float) -> str:

@@ -4,14 +4,14 @@ import math
 from dataclasses import dataclass
 from statistics import fmean, variance
 
-from estune.core.comparison import Change, change
+from estune.core.comparison import Change, compare_costs
 from estune.core.gains import Gains
-from estune.core.repeats import Repeats
+from estune.core.repeats import InterleavedRepeats
 from estune.run.session import Session
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class RunSummary:
     """What a run came to.
 
     Attributes:
@@ -46,17 +46,17 @@ class Verdict:
     complete: bool
 
 
-def verdict(session: Session) -> Verdict:
+def summarise(session: Session) -> RunSummary:
     """What the run came to, so far as it went."""
     plan, repeats = session.plan, session.confirmation
     complete = session.phase is None and not session.failure
     compared = repeats if complete and repeats is not None and len(repeats.safe) == 2 else None
-    found = None if compared is None else change(compared.costs[0], compared.costs[1])
-    improved = found is not None and found.is_fall
+    found = None if compared is None else compare_costs(compared.costs[0], compared.costs[1])
+    improved = found is not None and found.is_decrease
     start_costs = session.baseline if compared is None else compared.costs[0]
     start = _mean(start_costs)
     best = _mean(compared.costs[1]) if compared is not None and improved else start
-    return Verdict(
+    return RunSummary(
         gains=compared.gains[1] if compared is not None and improved else plan.start,
         cost=best[0],
         cost_error=best[1],
@@ -72,7 +72,7 @@ def verdict(session: Session) -> Verdict:
     )
 
 
-def _message(session: Session, repeats: Repeats | None, found: Change | None) -> str:
+def _message(session: Session, repeats: InterleavedRepeats | None, found: Change | None) -> str:
     """How a run ended that came to its end."""
     if repeats is None:
         said = (
@@ -85,7 +85,7 @@ def _message(session: Session, repeats: Repeats | None, found: Change | None) ->
         which = "gains found" if repeats.safe == (0,) else "start gains"
         said = f"the {which} were unsafe when they were repeated: see to the rig"
         return f"{said}; nothing was confirmed; {session.search_end}"
-    if found.is_fall:
+    if found.is_decrease:
         start, cost = (fmean(costs) for costs in repeats.costs)
         return f"the cost fell from {start:.3g} to {cost:.3g}, {found}; {session.search_end}"
     return (

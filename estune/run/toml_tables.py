@@ -9,7 +9,7 @@ from estune.core.cost import StepCost
 from estune.core.gains import GAIN_NAMES
 from estune.run.plan import MOVE_WEIGHT
 from estune.run.session import TOLERANCE
-from estune.support.toml_file import Table
+from estune.support.toml_file import TomlTable
 from estune.trial import RigDescription
 from estune.trial.profiles import StepProfile
 from estune.tuners.external import TUNER_NAMES
@@ -29,7 +29,7 @@ def _known(name: str) -> str:
 TunerName = Annotated[str, AfterValidator(_known)]
 
 
-class StepTable(Table):
+class StepTable(TomlTable):
     """The step trial; what is left out is what the rig suggests.
 
     Attributes:
@@ -60,7 +60,7 @@ class StepTable(Table):
         return StepProfile(**{**{name: getattr(rig.step, name) for name in named}, **given})
 
 
-class CostTable(Table):
+class CostTable(TomlTable):
     """How a trial is scored, by (35).
 
     Attributes:
@@ -93,7 +93,7 @@ class CostTable(Table):
         )
 
 
-class SearchTable(Table):
+class SearchTable(TomlTable):
     """How far gains are looked for.
 
     Attributes:

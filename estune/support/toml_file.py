@@ -15,13 +15,13 @@ from pydantic_core import ErrorDetails
 from estune.errors import InvalidInput
 
 
-class Table(BaseModel):
+class TomlTable(BaseModel):
     """A table of a file: no unknown keys, no silent conversions, no NaN or infinity."""
 
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, frozen=True)
 
 
-_Table = TypeVar("_Table", bound=Table)
+_Table = TypeVar("_Table", bound=TomlTable)
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -38,7 +38,7 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise InvalidInput(f"{path}: no TOML: {error}") from error
 
 
-def checked(kind: type[_Table], data: dict[str, Any], source: str) -> _Table:
+def validate(kind: type[_Table], data: dict[str, Any], source: str) -> _Table:
     """What was read, as the table it should be.
 
     Args:
@@ -72,7 +72,7 @@ def checked(kind: type[_Table], data: dict[str, Any], source: str) -> _Table:
     return found
 
 
-def _lines(fault: ErrorDetails, kind: type[Table]) -> Iterator[str]:
+def _lines(fault: ErrorDetails, kind: type[TomlTable]) -> Iterator[str]:
     where = ".".join(map(str, fault["loc"]))
     if fault["type"] == "extra_forbidden":
         known = _keys(kind, fault["loc"][:-1])
@@ -115,18 +115,18 @@ def _without(data: dict[str, Any], places: Iterable[tuple[int | str, ...]]) -> d
     return left
 
 
-def _keys(kind: type[Table], place: tuple[int | str, ...]) -> list[str]:
+def _keys(kind: type[TomlTable], place: tuple[int | str, ...]) -> list[str]:
     """The keys of the table at a place."""
-    found: type[Table] = kind
+    found: type[TomlTable] = kind
     for step in place:
         if isinstance(step, str) and step in found.model_fields:
             found = _table_in(found.model_fields[step].annotation) or found
     return list(found.model_fields)
 
 
-def _table_in(annotation: Any) -> type[Table] | None:
+def _table_in(annotation: Any) -> type[TomlTable] | None:
     """The table that a field holds, itself or as an item."""
-    if inspect.isclass(annotation) and issubclass(annotation, Table):
+    if inspect.isclass(annotation) and issubclass(annotation, TomlTable):
         return annotation
     inner = (_table_in(argument) for argument in typing.get_args(annotation))
     return next((table for table in inner if table is not None), None)

@@ -9,9 +9,9 @@ from estune.trial.records import (
     Telemetry,
     TrialRecord,
     TrialRequest,
-    unmeasured,
+    empty_record,
 )
-from estune.trial.rig import Rig, Watched
+from estune.trial.rig import Rig, TelemetrySource
 
 __all__ = [
     "GUARD",
@@ -23,8 +23,8 @@ __all__ = [
     "RigDescription",
     "RigLimits",
     "Telemetry",
+    "TelemetrySource",
     "TrialRecord",
     "TrialRequest",
-    "Watched",
-    "unmeasured",
+    "empty_record",
 ]

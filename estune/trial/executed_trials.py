@@ -15,7 +15,7 @@ STOP_AGAIN_S = 0.02
 """How often a trial that is to stop is told so."""
 
 
-class TrialRecords:
+class ExecutedTrials:
     """The youngest records, and the ids of all trials, so that none runs twice.
 
     Args:
@@ -36,7 +36,7 @@ class TrialRecords:
         if len(self._records) > REMEMBERED:
             self._records.popitem(last=False)
 
-    def again(self, request: TrialRequest) -> TrialRecord | None:
+    def find_record(self, request: TrialRequest) -> TrialRecord | None:
         """The record of a trial that has run before; None if it is to run.
 
         Raises:

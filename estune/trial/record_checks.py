@@ -13,7 +13,7 @@ STEP_MAX = 10.0
 _COLUMNS = ("time_s", "setpoint_N", "tension_N", "current_A", "angle_rad", "flags")
 
 
-def fault_of(record: TrialRecord, request: TrialRequest, rig: RigDescription) -> str:
+def record_fault(record: TrialRecord, request: TrialRequest, rig: RigDescription) -> str:
     """What is wrong with a record, in words; empty if nothing is.
 
     Only what a sound rig cannot send is a fault. A trial that went badly is none.

@@ -121,7 +121,7 @@ class TrialRecord:
     profile: Kind | Literal["custom"] = "step"
 
 
-def unmeasured(
+def empty_record(
     request: TrialRequest, rig: RigDescription, outcome: Outcome, reason: str, at: str
 ) -> TrialRecord:
     """The record of a trial that nothing was measured of: no samples, the live gains.

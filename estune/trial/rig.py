@@ -54,7 +54,7 @@ class Rig(Protocol):
 
 
 @runtime_checkable
-class Watched(Protocol):
+class TelemetrySource(Protocol):
     """A rig that shows a trial while it runs."""
 
     def telemetry(self, after: int) -> Telemetry | None:

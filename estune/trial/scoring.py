@@ -44,7 +44,7 @@ def cost_of(
     return float(eta) if np.isfinite(eta) else math.nan
 
 
-def margin_of(record: TrialRecord, rig: RigDescription) -> float:
+def constraint_margin(record: TrialRecord, rig: RigDescription) -> float:
     """How near a trial came to a limit of the rig: the smallest share left of any of its room.
 
     The room is what lies between the setpoint, at its highest or lowest, and a limit on the

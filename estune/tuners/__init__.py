@@ -11,7 +11,7 @@ from estune.tuners.least_squares_gradient import LeastSquaresGradient
 from estune.tuners.observation import Observation
 from estune.tuners.otis import Otis
 from estune.tuners.phase_compensated import PhaseCompensated
-from estune.tuners.safe_bayesian import Newton
+from estune.tuners.safe_bayesian import SafeBayesianTuner
 from estune.tuners.search_space import Point, SearchSpace
 
 
@@ -76,7 +76,7 @@ class Tuner(Protocol[S]):
 
 
 TUNERS: dict[str, Any] = {
-    "newton": Newton,
+    "newton": SafeBayesianTuner,
     "killingsworth": Killingsworth,
     "otis": Otis,
     "phase_compensated": PhaseCompensated,

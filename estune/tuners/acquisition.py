@@ -6,7 +6,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from estune.core.quantities import FloatArray
-from estune.tuners.low_discrepancy import ball
+from estune.tuners.low_discrepancy import unit_ball_points
 
 LOOKS = 128
 """Points looked at in the first round, over the whole reach; half as many in each later one."""
@@ -33,7 +33,7 @@ class Model(Protocol):
         ...
 
 
-class Reach(NamedTuple):
+class TrustRegion(NamedTuple):
     """How far a trial may lie from the centre, and what makes it look safe.
 
     Attributes:
@@ -66,7 +66,7 @@ class Reach(NamedTuple):
         """The nearest points within the bounds."""
         return np.clip(points, self.low, self.high)
 
-    def unsafety(self, mean: FloatArray, spread: FloatArray) -> FloatArray:
+    def constraint_violation(self, mean: FloatArray, spread: FloatArray) -> FloatArray:
         """By how much points pass what is safe, in doubt; zero where they do not."""
         over = np.maximum(mean[:, 0] + DOUBT * spread - self.dearest, 0.0)
         if mean.shape[1] > 1:
@@ -79,11 +79,11 @@ class Reach(NamedTuple):
 
     def is_safe(self, model: Model, point: FloatArray) -> bool:
         """Whether a point, shape (n,), looks safe."""
-        return not self.unsafety(*model.expected(point[np.newaxis]))[0]
+        return not self.constraint_violation(*model.expected(point[np.newaxis]))[0]
 
 
-def lowest(
-    model: Model, reach: Reach, first: FloatArray, curiosity: float, turn: int
+def minimise_confidence_bound(
+    model: Model, reach: TrustRegion, first: FloatArray, curiosity: float, turn: int
 ) -> FloatArray:
     """The point whose mean less `curiosity` standard deviations is least, or the safest.
 
@@ -95,7 +95,7 @@ def lowest(
         turn: Number of the trial, which decides what else is looked at.
     """
     n = len(reach.centre)
-    pool = ball(n, POOL)
+    pool = unit_ball_points(n, POOL)
     offset = turn * LOOKS % POOL
     best, width = first, 1.0
     for turns in range(ROUNDS):
@@ -103,7 +103,7 @@ def lowest(
         looks = best[:1] + width * pool[offset : offset + size] @ reach.axes.T
         points = reach.within(np.concatenate((best, looks)))
         mean, spread = model.expected(points)
-        over = reach.unsafety(mean, spread)
+        over = reach.constraint_violation(mean, spread)
         # Whatever is safe comes before whatever is not.
         rank = np.where(over > 0.0, 1e6 + over, mean[:, 0] - curiosity * spread)
         chosen = int(np.argmin(rank))

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 from estune.tuners.search_space import Point
 
 
-class Outlook(NamedTuple):
+class ConvergenceEstimate(NamedTuple):
     """How a search stands, by the tuner's own model of the cost.
 
     Attributes:
@@ -23,7 +23,7 @@ class Outlook(NamedTuple):
     intervals: tuple[tuple[float, float], ...]
 
 
-class Forecast(NamedTuple):
+class CostPrediction(NamedTuple):
     """What a tuner expects of a point not tried yet.
 
     Attributes:
@@ -40,13 +40,13 @@ class Forecast(NamedTuple):
 
 
 @runtime_checkable
-class Foresighted(Protocol):
+class ModelBasedTuner(Protocol):
     """A tuner that has a model of the cost, and tells what it makes of it."""
 
-    def outlook(self, state: Any) -> Outlook | None:
+    def outlook(self, state: Any) -> ConvergenceEstimate | None:
         """Where the search stands; None while too little is known."""
         ...
 
-    def forecast(self, state: Any, point: Point) -> Forecast:
+    def forecast(self, state: Any, point: Point) -> CostPrediction:
         """What is expected of a point."""
         ...

@@ -22,11 +22,11 @@ from estune.tuners.filters import low_pass, washout, washout_at_rest
 from estune.tuners.observation import Observation, log_cost
 from estune.tuners.search_space import Coordinates, Point, SearchSpace
 from estune.tuners.settings import check_above_zero, check_below_one, check_logarithmic
-from estune.tuners.step_length import limited, straightened
-from estune.tuners.step_scale import Best, best_after, caution_after_safe, caution_after_unsafe
+from estune.tuners.step_length import clip_norm, kesten_step
+from estune.tuners.step_scale import Best, best_after, recover_after_safe, shrink_after_unsafe
 
 
-class Carrier(NamedTuple):
+class DemodulationSignal(NamedTuple):
     """What the washed cost is multiplied by to read one slope.
 
     Attributes:
@@ -55,7 +55,7 @@ class DemodulatedState(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Demodulated(ABC):
+class ExtremumSeeking(ABC):
     """What `otis` and `phase_compensated` share: all but what a carrier is.
 
     Attributes:
@@ -87,7 +87,7 @@ class Demodulated(ABC):
             check_below_one(self.name, what, getattr(self, what))
 
     @abstractmethod
-    def carriers(self) -> tuple[Carrier, ...]:
+    def carriers(self) -> tuple[DemodulationSignal, ...]:
         """What the cost is multiplied by, for each parameter."""
 
     def start(self) -> DemodulatedState:
@@ -124,7 +124,7 @@ class Demodulated(ABC):
                 slope=(0.0,) * len(state.slope),
                 drift=(0.0,) * len(state.drift),
                 path=0.0,
-                caution=caution_after_unsafe(state.caution),
+                caution=shrink_after_unsafe(state.caution),
             )
         best = best_after(Best(state.best_point, state.best_cost), self.ask(state), observation)
         level, h = log_cost(observation), self.washout_h
@@ -133,10 +133,10 @@ class Demodulated(ABC):
         alpha = state.caution * self.dither_amplitude
         news = zip(state.slope, self._demodulated(state.k, alpha, washed), strict=True)
         slope = tuple([low_pass(self.low_pass_share, g, d) for g, d in news])
-        wanted = limited(
+        wanted = clip_norm(
             tuple([-self.adaptation_gain * g for g in slope]), state.caution * self.step_limit
         )
-        step, drift, path = straightened(wanted, state.drift, state.path)
+        step, drift, path = kesten_step(wanted, state.drift, state.path)
         return DemodulatedState(
             k=state.k + 1,
             centre=self.space.clipped(
@@ -146,7 +146,7 @@ class Demodulated(ABC):
             slope=slope,
             drift=drift,
             path=path,
-            caution=caution_after_safe(state.caution),
+            caution=recover_after_safe(state.caution),
             best_point=best.point,
             best_cost=best.cost,
         )

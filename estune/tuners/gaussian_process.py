@@ -17,12 +17,12 @@ from typing import NamedTuple
 import numpy as np
 
 from estune.core.quantities import FloatArray
-from estune.tuners.loop_prior import Experience
+from estune.tuners.loop_prior import CostPrior
 
 LEVEL = 2.0  # s_0
 
 
-class Surface(NamedTuple):
+class GaussianProcess(NamedTuple):
     """The posterior, given some trials.
 
     Attributes:
@@ -37,7 +37,7 @@ class Surface(NamedTuple):
     precision: FloatArray
     weights: FloatArray
     variance: float
-    known: Experience
+    known: CostPrior
 
     def expected(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Means, shape (points, quantities), and their standard deviation, shape (points,)."""
@@ -53,7 +53,9 @@ class Surface(NamedTuple):
         return mean
 
 
-def surface(points: FloatArray, values: FloatArray, noise: float, known: Experience) -> Surface:
+def fit_gaussian_process(
+    points: FloatArray, values: FloatArray, noise: float, known: CostPrior
+) -> GaussianProcess:
     """The posterior after trials at these points.
 
     Args:
@@ -67,16 +69,16 @@ def surface(points: FloatArray, values: FloatArray, noise: float, known: Experie
     precision = np.asarray(np.linalg.inv(k), dtype=np.float64)
     left = values.copy()
     left[:, 0] -= expected_before(known, points)
-    return Surface(points, precision, precision @ left, noise**2, known)
+    return GaussianProcess(points, precision, precision @ left, noise**2, known)
 
 
-def expected_before(known: Experience, points: FloatArray) -> FloatArray:
+def expected_before(known: CostPrior, points: FloatArray) -> FloatArray:
     """The prior mean m, shape (points,)."""
     mean: FloatArray = 0.5 * np.sum((points @ known.bend) * points, axis=1)
     return mean
 
 
-def covariance(known: Experience, left: FloatArray, right: FloatArray) -> FloatArray:
+def covariance(known: CostPrior, left: FloatArray, right: FloatArray) -> FloatArray:
     """The prior covariance k of points with others, shape (left points, right points)."""
     slopes = (left @ known.slope) @ (right @ known.slope).T
     bowls = (left @ known.bowl) @ (right @ known.bowl).T
@@ -86,7 +88,7 @@ def covariance(known: Experience, left: FloatArray, right: FloatArray) -> FloatA
     return LEVEL**2 + slopes + bowls * bowls + rest
 
 
-def _variance(known: Experience, points: FloatArray) -> FloatArray:
+def _variance(known: CostPrior, points: FloatArray) -> FloatArray:
     """The diagonal of the covariance of points with themselves."""
     slopes: FloatArray = np.sum((points @ known.slope) ** 2, axis=1)
     bowls: FloatArray = np.sum((points @ known.bowl) ** 2, axis=1)

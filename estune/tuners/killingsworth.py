@@ -25,7 +25,7 @@ from estune.tuners.filters import washout, washout_at_rest
 from estune.tuners.observation import Observation, usable_cost
 from estune.tuners.search_space import Coordinates, Point, SearchSpace
 from estune.tuners.settings import check_above_zero, check_below_one
-from estune.tuners.step_scale import Best, best_after, caution_after_safe, caution_after_unsafe
+from estune.tuners.step_scale import Best, best_after, recover_after_safe, shrink_after_unsafe
 
 RELATIVE_AMPLITUDE = 0.2
 ADAPTATION_GAIN = 1.0
@@ -122,7 +122,7 @@ class Killingsworth:
                 k=k + 1,
                 centre=self.space.coordinates(state.best_point),
                 zeta=None,
-                caution=caution_after_unsafe(state.caution),
+                caution=shrink_after_unsafe(state.caution),
             )
         best = best_after(Best(state.best_point, state.best_cost), self.ask(state), observation)
         J = usable_cost(observation)
@@ -145,7 +145,7 @@ class Killingsworth:
             k=k + 1,
             centre=self.space.clipped(centre),
             zeta=zeta,
-            caution=caution_after_safe(state.caution),
+            caution=recover_after_safe(state.caution),
             best_point=best.point,
             best_cost=best.cost,
         )

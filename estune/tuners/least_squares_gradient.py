@@ -20,8 +20,8 @@ from estune.tuners.dither import dither
 from estune.tuners.observation import Observation, log_cost
 from estune.tuners.search_space import Coordinates, Point, SearchSpace
 from estune.tuners.settings import check_above_zero, check_logarithmic
-from estune.tuners.step_length import limited, straightened
-from estune.tuners.step_scale import Best, best_after, caution_after_safe, caution_after_unsafe
+from estune.tuners.step_length import clip_norm, kesten_step
+from estune.tuners.step_scale import Best, best_after, recover_after_safe, shrink_after_unsafe
 
 
 class LeastSquaresGradientState(NamedTuple):
@@ -101,7 +101,7 @@ class LeastSquaresGradient:
                 moments=_no_moments(n),
                 drift=(0.0,) * n,
                 path=0.0,
-                caution=caution_after_unsafe(state.caution),
+                caution=shrink_after_unsafe(state.caution),
             )
         point = self.ask(state)
         best = best_after(Best(state.best_point, state.best_cost), point, observation)
@@ -111,11 +111,11 @@ class LeastSquaresGradient:
         moments = _moments_with(state.moments, n / (n + 1), [1.0, *x, log_cost(observation)])
         centre, drift, path = state.centre, state.drift, state.path
         if state.regressed >= n:
-            wanted = limited(
+            wanted = clip_norm(
                 tuple([-self.adaptation_gain * g for g in slope(moments, n)]),
                 state.caution * self.step_limit,
             )
-            step, drift, path = straightened(wanted, drift, path)
+            step, drift, path = kesten_step(wanted, drift, path)
             centre = self.space.clipped(
                 tuple([th + s for th, s in zip(centre, step, strict=True)])
             )
@@ -126,7 +126,7 @@ class LeastSquaresGradient:
             moments=moments,
             drift=drift,
             path=path,
-            caution=caution_after_safe(state.caution),
+            caution=recover_after_safe(state.caution),
             best_point=best.point,
             best_cost=best.cost,
         )

@@ -44,7 +44,7 @@ FAR = 3.0  # standard deviations from which on a residual counts no more
 IndexArray = NDArray[np.intp]
 
 
-class Polynomial(NamedTuple):
+class LocalCubicModel(NamedTuple):
     """The posterior, given some trials.
 
     Attributes:
@@ -92,7 +92,7 @@ def curvature_of(squares: FloatArray, n: int) -> FloatArray:
     return upper + np.swapaxes(upper, -1, -2)
 
 
-def polynomial(
+def fit_local_cubic(
     centre: FloatArray,
     curvature: FloatArray,
     points: FloatArray,
@@ -100,7 +100,7 @@ def polynomial(
     *,
     noise: float,
     known: FloatArray,
-) -> Polynomial:
+) -> LocalCubicModel:
     """The posterior about a centre.
 
     Args:
@@ -139,7 +139,7 @@ def polynomial(
     free = max(float(near.sum() - np.sum(spread * known)), 1.0)
     variance = NOISE_WEIGHT * NOISE_EXPECTED**2 + float(np.sum(near * left**2))
     sigma = math.sqrt(variance / (NOISE_WEIGHT + free))
-    return Polynomial(centre, bend, coefficients, spread, sigma)
+    return LocalCubicModel(centre, bend, coefficients, spread, sigma)
 
 
 @lru_cache(maxsize=16)

@@ -22,12 +22,12 @@ import numpy as np
 from estune.core.quantities import FloatArray
 from estune.tuners.search_space import Directions
 
-CAUTION = 1.4
+PRIOR_INFLATION = 1.4
 """A rig differs more from the loops simulated than they do from one another: slopes and what is
 left over may be so many times larger than theirs."""
 
 
-class Experience(NamedTuple):
+class CostPrior(NamedTuple):
     """What is known of a cost before the first trial; x are n logarithms from the start on.
 
     Attributes:
@@ -47,8 +47,8 @@ class Experience(NamedTuple):
     curvature: FloatArray
 
 
-OF_LOOPS = Experience(
-    slope=CAUTION
+PIDF_LOOP_PRIOR = CostPrior(
+    slope=PRIOR_INFLATION
     * np.array(
         [
             [0.305, 0.0, 0.0, 0.0],
@@ -73,7 +73,7 @@ OF_LOOPS = Experience(
             [-0.207, -0.126, 0.029, 0.406],
         ]
     ),
-    rest_size=CAUTION * 0.267,
+    rest_size=PRIOR_INFLATION * 0.267,
     bend=np.array(
         [
             [0.108, -0.029, -0.005, -0.011],
@@ -95,7 +95,7 @@ OF_LOOPS = Experience(
 
 
 @lru_cache(maxsize=64)
-def experience(directions: tuple[Directions, ...]) -> Experience:
+def cost_prior(directions: tuple[Directions, ...]) -> CostPrior:
     """What is known of the mean cost of loops whose parameters lead in these directions."""
     tables = [np.array(table) for table in directions]
 
@@ -105,11 +105,11 @@ def experience(directions: tuple[Directions, ...]) -> Experience:
     def mean(matrix: FloatArray) -> FloatArray:
         return np.asarray(sum(table @ matrix @ table.T for table in tables)) / len(tables)
 
-    return Experience(
-        slope=beside(OF_LOOPS.slope),
-        bowl=beside(OF_LOOPS.bowl),
-        rest=beside(OF_LOOPS.rest),
-        rest_size=OF_LOOPS.rest_size,
-        bend=mean(OF_LOOPS.bend),
-        curvature=mean(OF_LOOPS.curvature),
+    return CostPrior(
+        slope=beside(PIDF_LOOP_PRIOR.slope),
+        bowl=beside(PIDF_LOOP_PRIOR.bowl),
+        rest=beside(PIDF_LOOP_PRIOR.rest),
+        rest_size=PIDF_LOOP_PRIOR.rest_size,
+        bend=mean(PIDF_LOOP_PRIOR.bend),
+        curvature=mean(PIDF_LOOP_PRIOR.curvature),
     )

@@ -17,7 +17,7 @@ def simplex(dimensions: int) -> FloatArray:
 
 
 @lru_cache(maxsize=16)
-def ball(dimensions: int, size: int) -> FloatArray:
+def unit_ball_points(dimensions: int, size: int) -> FloatArray:
     """Points that fill the unit ball evenly, shape (size, n)."""
     even = _even(dimensions + 1, size)
     directions = _normal(even[:, :-1])
@@ -26,7 +26,7 @@ def ball(dimensions: int, size: int) -> FloatArray:
 
 
 @lru_cache(maxsize=16)
-def normal(dimensions: int, size: int) -> FloatArray:
+def normal_points(dimensions: int, size: int) -> FloatArray:
     """What stands for draws of a standard normal distribution, shape (size, dimensions).
 
     Their mean is zero and their covariance one, which few even points are not by themselves.

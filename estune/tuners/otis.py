@@ -15,16 +15,16 @@ from dataclasses import dataclass
 from typing import Literal
 
 from estune.tuners.dither import dither
-from estune.tuners.extremum_seeking import Carrier, Demodulated
+from estune.tuners.extremum_seeking import DemodulationSignal, ExtremumSeeking
 
 
 @dataclass(frozen=True, slots=True)
-class Otis(Demodulated):
-    """The paper's tuner; its settings are those of `Demodulated`."""
+class Otis(ExtremumSeeking):
+    """The paper's tuner; its settings are those of `ExtremumSeeking`."""
 
     name: Literal["otis"] = "otis"
 
-    def carriers(self) -> tuple[Carrier, ...]:
+    def carriers(self) -> tuple[DemodulationSignal, ...]:
         """The dither itself."""
         frequencies = dither(len(self.space.names)).frequencies
-        return tuple([Carrier(w, 1.0, 0.0) for w in frequencies])
+        return tuple([DemodulationSignal(w, 1.0, 0.0) for w in frequencies])

@@ -10,21 +10,23 @@ from functools import lru_cache
 from typing import Literal
 
 from estune.tuners.dither import dither
-from estune.tuners.extremum_seeking import Carrier, Demodulated
+from estune.tuners.extremum_seeking import DemodulationSignal, ExtremumSeeking
 from estune.tuners.filters import washout_response
 
 
 @dataclass(frozen=True, slots=True)
-class PhaseCompensated(Demodulated):
-    """The paper's tuner with compensated demodulation; settings are those of `Demodulated`."""
+class PhaseCompensated(ExtremumSeeking):
+    """The paper's tuner with compensated demodulation; settings are those of `ExtremumSeeking`."""
 
     name: Literal["phase_compensated"] = "phase_compensated"
 
-    def carriers(self) -> tuple[Carrier, ...]:
+    def carriers(self) -> tuple[DemodulationSignal, ...]:
         """The dither as the washout leaves it."""
         return _washed_dither(len(self.space.names), self.washout_h)
 
 
 @lru_cache(maxsize=64)
-def _washed_dither(parameters: int, h: float) -> tuple[Carrier, ...]:
-    return tuple([Carrier(w, *washout_response(h, w)) for w in dither(parameters).frequencies])
+def _washed_dither(parameters: int, h: float) -> tuple[DemodulationSignal, ...]:
+    return tuple(
+        [DemodulationSignal(w, *washout_response(h, w)) for w in dither(parameters).frequencies]
+    )

@@ -14,8 +14,8 @@ from typing import NamedTuple
 import numpy as np
 
 from estune.core.quantities import FloatArray
-from estune.tuners.acquisition import Reach
-from estune.tuners.local_cubic import Polynomial
+from estune.tuners.acquisition import TrustRegion
+from estune.tuners.local_cubic import LocalCubicModel
 
 STRIDE = 1.0
 """Length of a stride, in logarithms."""
@@ -34,7 +34,7 @@ DOUBTED = 0.25
 """A rise of the cost by less, over a stride, is not believed before it is seen."""
 
 
-class Strides(NamedTuple):
+class PlateauScan(NamedTuple):
     """What the strides along one direction have cost.
 
     Attributes:
@@ -56,14 +56,16 @@ class Strides(NamedTuple):
         return last - self.level > most or last - min(self.costs) > math.sqrt(2.0) * most
 
     @property
-    def fell(self) -> bool:
+    def found_lower_cost(self) -> bool:
         """Whether the last two cost less than the centre, each, and more surely in the mean."""
         below = [self.level - cost for cost in self.costs[-2:]]
         doubt = NOTICED * self.noise / math.sqrt(2.0)
         return len(below) == 2 and min(below) > self.noise and fmean(below) > doubt
 
 
-def stride(number: int, made: int, point: FloatArray, reach: Reach) -> FloatArray | None:
+def next_scan_point(
+    number: int, made: int, point: FloatArray, reach: TrustRegion
+) -> FloatArray | None:
     """A point further up or down a parameter; None where the bounds are near.
 
     Args:
@@ -80,7 +82,7 @@ def stride(number: int, made: int, point: FloatArray, reach: Reach) -> FloatArra
     return further if math.dist(further, point) > 0.5 * length else None
 
 
-def may_be_level(model: Polynomial, point: FloatArray) -> bool:
+def may_be_flat(model: LocalCubicModel, point: FloatArray) -> bool:
     """Whether a point is expected to cost so little more than the centre that it may not.
 
     What the model knows of other loops, on which every parameter does something, says that it

@@ -5,15 +5,15 @@ from typing import NamedTuple
 import numpy as np
 
 from estune.core.quantities import FloatArray
-from estune.tuners.acquisition import Reach
-from estune.tuners.local_cubic import FLAT, Polynomial, curvature_of
-from estune.tuners.low_discrepancy import normal
+from estune.tuners.acquisition import TrustRegion
+from estune.tuners.local_cubic import FLAT, LocalCubicModel, curvature_of
+from estune.tuners.low_discrepancy import normal_points
 
 DRAWS = 256
 """Bowls that stand for all that the cost may be; enough for a 2.5 % quantile to be one of six."""
 
 
-class Bowls(NamedTuple):
+class QuadraticSamples(NamedTuple):
     """Costs that the trials leave possible, each with its own least.
 
     Attributes:
@@ -25,7 +25,9 @@ class Bowls(NamedTuple):
     gain: FloatArray
 
 
-def expected_gain(model: Polynomial, values: FloatArray, axes: FloatArray, reach: Reach) -> float:
+def expected_gain(
+    model: LocalCubicModel, values: FloatArray, axes: FloatArray, reach: TrustRegion
+) -> float:
     """What is expected to be left, -g.s - s'Hs/2 and what the doubt of g adds along each axis.
 
     Here s is Newton's step as far as the bounds let it go, for beyond them nothing is to be had.
@@ -46,7 +48,7 @@ def expected_gain(model: Polynomial, values: FloatArray, axes: FloatArray, reach
     return float(max(sure, 0.0) + np.sum(doubt))
 
 
-def bowls(model: Polynomial, reach: Reach) -> Bowls:
+def sample_quadratics(model: LocalCubicModel, reach: TrustRegion) -> QuadraticSamples:
     """Slopes and curvatures drawn from the posterior, and the least of each such bowl.
 
     The cubic terms matter little this near; what they take from the certainty of the others is in
@@ -55,7 +57,7 @@ def bowls(model: Polynomial, reach: Reach) -> Bowls:
     n = len(model.centre)
     kept = slice(1, 1 + n + n * (n + 1) // 2)
     spread = np.linalg.cholesky(model.spread[kept, kept])
-    drawn = model.coefficients[kept, 0] + normal(len(spread), DRAWS) @ spread.T
+    drawn = model.coefficients[kept, 0] + normal_points(len(spread), DRAWS) @ spread.T
     slope = drawn[:, :n]
     values, axes = np.linalg.eigh(curvature_of(drawn[:, n:], n))
     along = np.einsum("dij,di->dj", axes, slope)
@@ -67,4 +69,4 @@ def bowls(model: Polynomial, reach: Reach) -> Bowls:
     step = reach.within(model.centre - np.einsum("dij,dj->di", axes, along / bent)) - model.centre
     rise = 0.5 * np.sum(bent * np.einsum("dij,di->dj", axes, step) ** 2, axis=1)
     gain: FloatArray = -np.sum(slope * step, axis=1) - rise
-    return Bowls(least, np.maximum(gain, 0.0))
+    return QuadraticSamples(least, np.maximum(gain, 0.0))

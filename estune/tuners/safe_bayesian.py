@@ -32,23 +32,23 @@ import numpy as np
 
 from estune.core.quantities import FloatArray
 from estune.errors import InvalidInput
-from estune.tuners.acquisition import Model, Reach, lowest, newton_step
-from estune.tuners.convergence import Forecast, Outlook
-from estune.tuners.gaussian_process import surface
-from estune.tuners.local_cubic import FLAT, NOISE_EXPECTED, Polynomial, polynomial
-from estune.tuners.loop_prior import experience
+from estune.tuners.acquisition import Model, TrustRegion, minimise_confidence_bound, newton_step
+from estune.tuners.convergence import ConvergenceEstimate, CostPrediction
+from estune.tuners.gaussian_process import fit_gaussian_process
+from estune.tuners.local_cubic import FLAT, NOISE_EXPECTED, LocalCubicModel, fit_local_cubic
+from estune.tuners.loop_prior import cost_prior
 from estune.tuners.low_discrepancy import simplex
 from estune.tuners.observation import COST_LIMIT, Observation, log_cost, usable_margin
-from estune.tuners.plateau_scan import CAREFUL, Strides, may_be_level, stride
-from estune.tuners.remaining_improvement import bowls, expected_gain
+from estune.tuners.plateau_scan import CAREFUL, PlateauScan, may_be_flat, next_scan_point
+from estune.tuners.remaining_improvement import expected_gain, sample_quadratics
 from estune.tuners.search_space import Coordinates, Point, SearchSpace
 from estune.tuners.settings import check_above_zero, check_logarithmic
-from estune.tuners.step_scale import Best, best_after, caution_after_safe, caution_after_unsafe
+from estune.tuners.step_scale import Best, best_after, recover_after_safe, shrink_after_unsafe
 
 UNSAFE = 1.0 + math.log(COST_LIMIT)
 """What a censored trial is remembered by; no cost reaches it."""
 
-DEAR = math.log(2.25)
+LOG_COST_MAX = math.log(2.25)
 """Costs count as at most 2.25 times the start's: how bad is bad says little of what is good."""
 
 CLIFF = 1.25
@@ -67,12 +67,12 @@ FURTHEST = 1.5
 """How far from the centre an outlook believes its model, in logarithms."""
 
 
-def capped(costs: FloatArray) -> FloatArray:
+def clip_log_costs(costs: FloatArray) -> FloatArray:
     """Logarithms of costs over the start's, those drawn down that are only known to be bad."""
-    return np.minimum(costs, min(DEAR, float(np.sort(costs)[:3].mean()) + CLIFF))
+    return np.minimum(costs, min(LOG_COST_MAX, float(np.sort(costs)[:3].mean()) + CLIFF))
 
 
-class NewtonState(NamedTuple):
+class SafeBayesianState(NamedTuple):
     """Where the search stands before trial k; points are coordinates from the start on."""
 
     k: int
@@ -92,7 +92,7 @@ class NewtonState(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Newton:
+class SafeBayesianTuner:
     """Models the cost and asks for the trial that promises most.
 
     Attributes:
@@ -165,9 +165,9 @@ class Newton:
                 f"at least {least}"
             )
 
-    def start(self) -> NewtonState:
+    def start(self) -> SafeBayesianState:
         """The state before the first trial."""
-        return NewtonState(
+        return SafeBayesianState(
             k=0,
             tried=(),
             costs=(),
@@ -175,7 +175,7 @@ class Newton:
             centre=(0.0,) * len(self.space.names),
             curvature=(),
             noise=NOISE_EXPECTED,
-            proposal=self._corner(0, 1.0),
+            proposal=self._initial_design(0, 1.0),
             looks=0,
             strides=0,
             level=None,
@@ -184,11 +184,11 @@ class Newton:
             best_cost=None,
         )
 
-    def ask(self, state: NewtonState) -> Point:
+    def ask(self, state: SafeBayesianState) -> Point:
         """The point of the next trial, within the bounds."""
         return state.proposal
 
-    def tell(self, state: NewtonState, observation: Observation) -> NewtonState:
+    def tell(self, state: SafeBayesianState, observation: Observation) -> SafeBayesianState:
         """The state after the trial last asked for.
 
         Raises:
@@ -197,9 +197,9 @@ class Newton:
         """
         n, best = len(self.space.names), Best(state.best_point, state.best_cost)
         if observation.censored:
-            cost, caution = UNSAFE, caution_after_unsafe(state.caution)
+            cost, caution = UNSAFE, shrink_after_unsafe(state.caution)
         else:
-            cost, caution = log_cost(observation), caution_after_safe(state.caution)
+            cost, caution = log_cost(observation), recover_after_safe(state.caution)
             best = best_after(best, state.proposal, observation)
         state = state._replace(
             k=state.k + 1,
@@ -211,37 +211,41 @@ class Newton:
             best_cost=best.cost,
         )
         if state.k <= n or best.cost is None:
-            return state._replace(proposal=self._corner(state.k, caution))
+            return state._replace(proposal=self._initial_design(state.k, caution))
         if state.level is None:
             safe = [cost for cost in state.costs if cost < UNSAFE]
             state = state._replace(level=median(safe))
-        return self._widely(state) if state.k <= self.wide_trials * n else self._nearby(state)
+        return (
+            self._propose_global(state)
+            if state.k <= self.wide_trials * n
+            else self._propose_local(state)
+        )
 
-    def recommend(self, state: NewtonState) -> Point:
+    def recommend(self, state: SafeBayesianState) -> Point:
         """The centre of the search."""
         return self._point(np.array(state.centre))
 
-    def outlook(self, state: NewtonState) -> Outlook | None:
+    def outlook(self, state: SafeBayesianState) -> ConvergenceEstimate | None:
         """Where the search stands; None until it has looked further away."""
         n = len(self.space.names)
         if state.looks < 2 * n:
             return None
         reach = self._reach(np.array(state.centre), FURTHEST, 0.0)
-        left = bowls(self._model(state), reach)
+        left = sample_quadratics(self._model(state), reach)
         low, high = np.quantile(left.least, (0.025, 0.975), axis=0)
         # Where the model ends, a direction counts as flat.
         low = np.where(low < reach.centre - 0.8 * FURTHEST, reach.low, low)
         high = np.where(high > reach.centre + 0.8 * FURTHEST, reach.high, high)
         remaining = -math.expm1(-float(np.quantile(left.gain, 0.95)))
         strode = state.looks == 4 * n and state.strides == 0
-        return Outlook(
+        return ConvergenceEstimate(
             noise=state.noise,
             remaining=remaining if strode else max(remaining, UNTRIED),
             expected=-math.expm1(-float(np.mean(left.gain))),
             intervals=tuple(zip(self._point(low), self._point(high), strict=True)),
         )
 
-    def forecast(self, state: NewtonState, point: Point) -> Forecast:
+    def forecast(self, state: SafeBayesianState, point: Point) -> CostPrediction:
         """What is expected of a point; nothing before there is a safe trial."""
         place = np.array([self._from_start(point)])
         safe = [cost < UNSAFE for cost in state.costs]
@@ -249,34 +253,38 @@ class Newton:
         known = np.concatenate((known, np.zeros_like(place)))  # the start is known to be safe
         explored = bool(np.min(np.linalg.norm(known - place, axis=1)) <= self.near_reach)
         if state.level is None:
-            return Forecast(cost=math.nan, low=0.0, high=math.inf, explored=explored)
+            return CostPrediction(cost=math.nan, low=0.0, high=math.inf, explored=explored)
         model: Model = self._model(state)
         if not state.curvature:
-            model = surface(*self._seen(state), state.noise, experience(self.space.directions))
+            model = fit_gaussian_process(
+                *self._observations(state), state.noise, cost_prior(self.space.directions)
+            )
         mean, spread = model.expected(place)
         low, mid, high = (
             math.exp(state.level + float(mean[0, 0]) + z * float(spread[0]))
             for z in (-1.96, 0.0, 1.96)
         )
-        return Forecast(cost=mid, low=low, high=high, explored=explored)
+        return CostPrediction(cost=mid, low=low, high=high, explored=explored)
 
-    def _widely(self, state: NewtonState) -> NewtonState:
+    def _propose_global(self, state: SafeBayesianState) -> SafeBayesianState:
         """The next proposal and centre by the wide model."""
-        points, values = self._seen(state)
-        model = surface(points, values, state.noise, experience(self.space.directions))
+        points, values = self._observations(state)
+        model = fit_gaussian_process(
+            points, values, state.noise, cost_prior(self.space.directions)
+        )
         smoothed = model.smoothed(values)
         best = int(np.argmin(smoothed))
         dearest = float(smoothed[best]) + math.log(self.wide_safe_rise)
         reach = self._reach(points[best], state.caution * self.wide_reach, dearest)
         first = points[best : best + 1]
-        centre = lowest(model, reach, first, 0.0, state.k)
-        asked = lowest(model, reach, first, self.wide_curiosity, state.k)
+        centre = minimise_confidence_bound(model, reach, first, 0.0, state.k)
+        asked = minimise_confidence_bound(model, reach, first, self.wide_curiosity, state.k)
         return state._replace(centre=tuple(centre.tolist()), proposal=self._point(asked))
 
-    def _nearby(self, state: NewtonState) -> NewtonState:
+    def _propose_local(self, state: SafeBayesianState) -> SafeBayesianState:
         """The next proposal and centre by the model about the centre."""
         model = self._model(state)
-        if self._strides(state, model).fell:
+        if self._strides(state, model).found_lower_cost:
             found = np.reshape(state.tried[-2 * len(state.centre) :], (2, -1))
             found = found[int(np.argmin(state.costs[-2:]))]
             state = state._replace(centre=tuple(found.tolist()), curvature=(), looks=0, strides=0)
@@ -289,7 +297,9 @@ class Newton:
         reach = reach._replace(axes=axes * np.sqrt(2.0 * rise / values))
         centre = reach.bounded(model.centre + newton_step(model.slope, values, axes, reach.radius))
         if model.coefficients.shape[1] > 1:  # a limit is near: the step must keep its distance
-            centre = lowest(model, reach, np.stack((centre, model.centre)), 0.0, state.k)
+            centre = minimise_confidence_bound(
+                model, reach, np.stack((centre, model.centre)), 0.0, state.k
+            )
         state = state._replace(
             centre=tuple(centre.tolist()),
             curvature=tuple(((axes * values) @ axes.T).ravel().tolist()),
@@ -298,73 +308,78 @@ class Newton:
         reach = reach._replace(centre=centre)
         looks, gain = 2 * len(centre), expected_gain(model, values, axes, reach)
         if 0 < state.looks < looks or (state.looks == 0 and gain < LITTLE):
-            asked = self._look(state.looks, model, reach, values, axes)
+            asked = self._probe_axis(state.looks, model, reach, values, axes)
             return state._replace(looks=state.looks + 1, proposal=self._point(asked))
         # What holds a centre at a bound is often a slope so slight that it never settles.
         settled = SETTLED if reach.is_inside(centre) else LITTLE
         if state.looks > looks or (state.looks == looks and gain < settled):
-            state, further = self._stride(state, model, reach)
+            state, further = self._scan_plateau(state, model, reach)
             if further is not None:
                 return state._replace(proposal=self._point(further))
         curiosity = self.last_curiosity if state.looks >= looks else self.near_curiosity
-        asked = lowest(model, reach, centre[np.newaxis], curiosity, state.k)
+        asked = minimise_confidence_bound(model, reach, centre[np.newaxis], curiosity, state.k)
         return state._replace(proposal=self._point(asked))
 
-    def _look(
-        self, number: int, model: Polynomial, reach: Reach, values: FloatArray, axes: FloatArray
+    def _probe_axis(
+        self,
+        number: int,
+        model: LocalCubicModel,
+        reach: TrustRegion,
+        values: FloatArray,
+        axes: FloatArray,
     ) -> FloatArray:
         """A point far away along one axis of the model, nearer by halves until it looks safe."""
         axis, sign = divmod(number, 2)
         far = min(self.look_reach, math.sqrt(2.0 * self.look_rise / float(values[axis])))
         away = (1.0 - 2.0 * sign) * far * axes[:, axis]
         points = reach.bounded(reach.centre + np.outer((1.0, 0.5, 0.25, 0.0), away))
-        safe = reach.unsafety(*model.expected(points)) <= 0.0
+        safe = reach.constraint_violation(*model.expected(points)) <= 0.0
         chosen: FloatArray = points[int(np.argmax(safe)) if safe.any() else -1]
         return chosen
 
-    def _stride(
-        self, state: NewtonState, model: Polynomial, reach: Reach
-    ) -> tuple[NewtonState, FloatArray | None]:
+    def _scan_plateau(
+        self, state: SafeBayesianState, model: LocalCubicModel, reach: TrustRegion
+    ) -> tuple[SafeBayesianState, FloatArray | None]:
         """The next stride along a parameter that may do nothing; None after the last one."""
         n = len(state.centre)
         if state.strides > 0:
             made, along = state.strides, state.looks - 1 - 2 * n
-            point = stride(along, made, np.array(state.tried[-n:]), reach)
+            point = next_scan_point(along, made, np.array(state.tried[-n:]), reach)
             near_limit = state.margins[-1] < 2.0 * self.margin_least
             ended = near_limit or self._strides(state, model).rose
-            if point is not None and not ended and (made >= CAREFUL or may_be_level(model, point)):
+            if point is not None and not ended and (made >= CAREFUL or may_be_flat(model, point)):
                 return state._replace(strides=made + 1), point
         for looks in range(state.looks, 4 * n):
-            point = stride(looks - 2 * n, 0, reach.centre, reach)
-            if point is not None and may_be_level(model, point) and reach.is_safe(model, point):
+            point = next_scan_point(looks - 2 * n, 0, reach.centre, reach)
+            if point is not None and may_be_flat(model, point) and reach.is_safe(model, point):
                 return state._replace(looks=looks + 1, strides=1), point
         return state._replace(looks=4 * n, strides=0), None
 
-    def _strides(self, state: NewtonState, model: Polynomial) -> Strides:
+    def _strides(self, state: SafeBayesianState, model: LocalCubicModel) -> PlateauScan:
         """What the strides along the present direction have cost."""
         costs = state.costs[len(state.costs) - state.strides :]
-        return Strides(costs, model.level + (state.level or 0.0), model.noise)
+        return PlateauScan(costs, model.level + (state.level or 0.0), model.noise)
 
-    def _model(self, state: NewtonState) -> Polynomial:
+    def _model(self, state: SafeBayesianState) -> LocalCubicModel:
         """The model about the centre."""
-        points, values = self._seen(state)
-        known = experience(self.space.directions).curvature
+        points, values = self._observations(state)
+        known = cost_prior(self.space.directions).curvature
         curvature = np.reshape(state.curvature, known.shape) if state.curvature else known
         centre = np.array(state.centre)
-        return polynomial(centre, curvature, points, values, noise=state.noise, known=known)
+        return fit_local_cubic(centre, curvature, points, values, noise=state.noise, known=known)
 
-    def _seen(self, state: NewtonState) -> tuple[FloatArray, FloatArray]:
+    def _observations(self, state: SafeBayesianState) -> tuple[FloatArray, FloatArray]:
         """Where trials were, and what they told: cost, and margin where any was near a limit."""
         points = np.reshape(state.tried, (len(state.costs), len(self.space.names)))
-        costs = capped(np.array(state.costs) - state.level)
+        costs = clip_log_costs(np.array(state.costs) - state.level)
         if min(state.margins) < 1.0:
             return points, np.stack((costs, np.array(state.margins)), axis=1)
         return points, costs[:, np.newaxis]
 
-    def _reach(self, centre: FloatArray, radius: float, dearest: float) -> Reach:
+    def _reach(self, centre: FloatArray, radius: float, dearest: float) -> TrustRegion:
         """A ball about the centre, where costs are safe up to this logarithm."""
         start = np.array(self.space.coordinates(self.space.start))
-        return Reach(
+        return TrustRegion(
             centre=centre,
             axes=radius * np.eye(len(centre)),
             radius=radius,
@@ -374,7 +389,7 @@ class Newton:
             margin=self.margin_least,
         )
 
-    def _corner(self, k: int, caution: float) -> Point:
+    def _initial_design(self, k: int, caution: float) -> Point:
         """A corner of the first design, the nearer to the start the more of it was unsafe."""
         n = len(self.space.names)
         return self._point(caution * self.first_radius * math.sqrt(n) * simplex(n)[k % (n + 1)])

@@ -17,13 +17,13 @@ STRAIGHTNESS_LEAST = 0.1
 """Steps are never shortened more than this, or the search could not get going again."""
 
 
-def limited(step: tuple[float, ...], limit: float) -> tuple[float, ...]:
+def clip_norm(step: tuple[float, ...], limit: float) -> tuple[float, ...]:
     """The step, shortened to a length of at most the limit."""
     length = math.hypot(*step)
     return step if length <= limit else tuple([limit * (s / length) for s in step])
 
 
-def straightened(
+def kesten_step(
     step: tuple[float, ...], drift: tuple[float, ...], path: float
 ) -> tuple[tuple[float, ...], tuple[float, ...], float]:
     """The step to be made of a step u that was wanted.

@@ -32,11 +32,11 @@ def best_after(best: Best, point: Point, observation: Observation) -> Best:
     return Best(point, cost) if best.cost is None or cost < best.cost else best
 
 
-def caution_after_unsafe(caution: float) -> float:
+def shrink_after_unsafe(caution: float) -> float:
     """The caution after an unsafe trial."""
     return max(0.7 * caution, CAUTION_LEAST)
 
 
-def caution_after_safe(caution: float) -> float:
+def recover_after_safe(caution: float) -> float:
     """The caution after a safe trial."""
     return min(1.05 * caution, 1.0)

@@ -15,7 +15,7 @@ from pathlib import Path
 from estune import api
 from estune.core.gains import Gains
 from estune.errors import EstuneError
-from estune.remote.zenoh.rig_connection import Conversation
+from estune.remote.zenoh.rig_connection import RigConnection
 from estune.run.journal import FILE_NAME
 from experiments.chaos.mischief import Mischief, meddle
 from experiments.chaos.plain import tune_plainly
@@ -87,7 +87,7 @@ def main(text: str) -> int:
             tune_plainly(errand.endpoint, errand.journal, errand, mischief)
         else:
             # The one place that all commands pass.
-            Conversation.ask = meddle(Conversation.ask, mischief)  # type: ignore[method-assign]
+            RigConnection.ask = meddle(RigConnection.ask, mischief)  # type: ignore[method-assign]
             tune(errand)
     except EstuneError as error:
         print(error, file=sys.stderr)

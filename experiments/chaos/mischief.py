@@ -98,7 +98,7 @@ class Mischief:
 
 
 def meddle(ask: Callable[..., bytes | None], mischief: Mischief) -> Callable[..., bytes | None]:
-    """`Conversation.ask`, with the mischief between it and the network."""
+    """`RigConnection.ask`, with the mischief between it and the network."""
 
     def meddled(self: object, key: str, payload: bytes, **options: object) -> bytes | None:
         command = "/@cmd/" in key

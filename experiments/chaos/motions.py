@@ -14,7 +14,7 @@ from dataclasses import replace
 from typing import IO, Any, Literal, NamedTuple
 
 from estune.core.gains import Gains
-from estune.trial import Rig, RigDescription, Telemetry, TrialRecord, TrialRequest, Watched
+from estune.trial import Rig, RigDescription, Telemetry, TelemetrySource, TrialRecord, TrialRequest
 
 What = Literal["boot", "begin", "end", "apply"]
 
@@ -134,7 +134,9 @@ class LoggedRig:
     def telemetry(self, after: int) -> Telemetry | None:
         """The samples of the trial under way, if the rig shows any."""
         rig: Any = self._rig
-        shown: Telemetry | None = rig.telemetry(after) if isinstance(rig, Watched) else None
+        shown: Telemetry | None = (
+            rig.telemetry(after) if isinstance(rig, TelemetrySource) else None
+        )
         return shown
 
     def close(self) -> None:

@@ -15,7 +15,7 @@ from estune.core.gains import Gains
 from estune.errors import ProtocolError
 from estune.remote.zenoh.zenoh_session import open_session
 from estune.run.plan import make_plan
-from estune.run.session import Session, begin, next_request, told
+from estune.run.session import Session, after_trial, new_session, next_request
 from estune.trial import Outcome, RigDescription, TrialRecord, TrialRequest, record_frame
 from estune.trial.scoring import cost_of
 from experiments.chaos.mischief import Message, Mischief
@@ -75,9 +75,9 @@ def tune_plainly(endpoint: str, folder: Path, errand: Any, mischief: Mischief) -
     folder.mkdir(parents=True, exist_ok=True)
     book = folder / "trials.jsonl"
     description = as_served(truth(errand.rig)).describe()
-    session = begin(plan_of(errand, description))
+    session = new_session(plan_of(errand, description))
     for entry in read(book):
-        session = told(session, Outcome(entry.outcome), entry.cost)
+        session = after_trial(session, Outcome(entry.outcome), entry.cost)
     with _connected(endpoint) as link:
         while (request := next_request(session)) is not None:
             record = _ask(link, request, mischief)
@@ -93,7 +93,7 @@ def _scored(
     plan = session.plan
     cost = cost_of(record, plan.step, plan.cost, description.newtons_per_ampere)
     entry = Told(request.number, request.gains.as_tuple(), record.outcome.value, cost)
-    return told(session, record.outcome, cost if math.isfinite(cost) else math.nan), entry
+    return after_trial(session, record.outcome, cost if math.isfinite(cost) else math.nan), entry
 
 
 def _connected(endpoint: str) -> zenoh.Session:

@@ -20,8 +20,8 @@ from random import Random
 from typing import Any, NamedTuple
 
 from estune.core.gains import GAIN_NAMES, Gains
-from estune.daemon.store import RUNS, Store
-from estune.daemon.supervisor_state import Mode
+from estune.daemon.store import RUNS, DaemonStore
+from estune.daemon.supervisor_state import SupervisorMode
 from estune.errors import EstuneError
 from estune.remote.messages.daemon import DaemonStatus
 from estune.remote.zenoh.daemon_service import DaemonClient
@@ -177,11 +177,11 @@ class Supervised:
     def _verb(self, status: DaemonStatus) -> Any:
         """What somebody would say to it now, who wants it to tune again and again."""
         match status.mode:
-            case Mode.PAUSED:
+            case SupervisorMode.PAUSED:
                 return "resume"
-            case Mode.HOLDING:
+            case SupervisorMode.HOLDING:
                 return self._random.choice(("accept", "reject"))
-            case Mode.WATCHING if status.checks >= self._checks + CHECKS:
+            case SupervisorMode.WATCHING if status.checks >= self._checks + CHECKS:
                 self._checks = status.checks
                 return "revert"
         return ""
@@ -216,7 +216,7 @@ class Supervised:
     def stop(self) -> None:
         """Ends it in good order, and looks which gains are live."""
         code = end(self._process, signal.SIGTERM)
-        with contextlib.closing(Store.open(self.state / NAME, NAME)) as store:
+        with contextlib.closing(DaemonStore.open(self.state / NAME, NAME)) as store:
             home = store.gains().get(store.life.home)
         live = self._stand.log.motions()[-1].live
         # It may end before it has met the rig.
@@ -238,7 +238,7 @@ def judge(stand: Stand, daemon: Supervised) -> dict[str, Any]:
     """Counts, once no process runs any more."""
     motions = stand.log.motions()
     begun = Counter(motion.trial_id for motion in motions if motion.what == "begin")
-    with contextlib.closing(Store.open(daemon.state / NAME, NAME)) as store:
+    with contextlib.closing(DaemonStore.open(daemon.state / NAME, NAME)) as store:
         history, checks = store.gain_history(-1), store.checks(-1)
     agreed = {
         tuple(row[name] for name in GAIN_NAMES)

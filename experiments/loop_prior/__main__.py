@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from joblib import Parallel, delayed
 
-from estune.tuners.loop_prior import OF_LOOPS, Experience
+from estune.tuners.loop_prior import PIDF_LOOP_PRIOR, CostPrior
 from experiments.judged import at_least, command_line, tell
 from experiments.loop_prior.fitting import fitted, isotropic, likelihood, mean_curvature
 from experiments.loop_prior.loops import Loop, draw
@@ -42,9 +42,11 @@ def main() -> int:
     options = parser.parse_args()
     loops = drawn(QUICK_LOOPS if options.quick else options.loops, options.jobs)
     held = loops[len(loops) // 2 :] if options.fit else loops
-    known = {"what newton knows": OF_LOOPS, "no parameter from another": isotropic(held)}
+    known = {"what newton knows": PIDF_LOOP_PRIOR, "no parameter from another": isotropic(held)}
     if options.fit:
-        known["fitted to the other half"] = fitted(loops[: len(loops) // 2], OF_LOOPS, STEPS)
+        known["fitted to the other half"] = fitted(
+            loops[: len(loops) // 2], PIDF_LOOP_PRIOR, STEPS
+        )
     figures: dict[str, Any] = {name: likelihood(one, held) for name, one in known.items()}
     figures["loops"] = len(held)
     curvature = mean_curvature(loops)
@@ -54,7 +56,7 @@ def main() -> int:
         for name in known:
             print(f"  {name:28s} {figures[name]:7.3f}")
         _show("mean curvature at the optimum, of log P, I, D and the filter", curvature)
-        _show("the same as newton knows it", OF_LOOPS.curvature)
+        _show("the same as newton knows it", PIDF_LOOP_PRIOR.curvature)
         if options.fit:
             _show_all(known["fitted to the other half"])
     gained = figures["what newton knows"] - figures["no parameter from another"]
@@ -62,7 +64,7 @@ def main() -> int:
     return tell(figures, reached, as_json=options.json)
 
 
-def _show_all(known: Experience) -> None:
+def _show_all(known: CostPrior) -> None:
     for name in ("slope", "bowl", "rest", "bend"):
         _show(name, getattr(known, name))
     print(f"rest_size {known.rest_size:.3f}")

@@ -14,7 +14,7 @@ from estune.core.gains import Gains
 from estune.core.quantities import FloatArray
 from estune.trial.profiles import StepProfile
 from estune.tuners.observation import Observation
-from estune.tuners.safe_bayesian import Newton
+from estune.tuners.safe_bayesian import SafeBayesianTuner
 from estune.tuners.search_space import SearchSpace
 from plants.models.linear_plant import LinearPlant
 
@@ -146,7 +146,7 @@ def _search(
     """Where the default tuner looks in its first trials, from the start on, and what it costs."""
     space = SearchSpace.around(Gains(*np.exp(start).tolist()), 50.0)
     dearest = math.log(CENSORED) + float(costs(start[np.newaxis])[0])
-    tuner = Newton(space)
+    tuner = SafeBayesianTuner(space)
     state, points, found = tuner.start(), [], []
     for _ in range(SEARCHED):
         points.append(space.coordinates(tuner.ask(state)))

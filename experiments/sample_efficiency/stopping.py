@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from estune.run.plan import make_tuner
-from estune.run.session import Plan, begin, next_request, told
-from estune.run.summary import verdict
+from estune.run.session import Plan, after_trial, new_session, next_request
+from estune.run.summary import summarise
 from estune.trial import Outcome
 from experiments.sample_efficiency.optimum import optimum
 from experiments.sample_efficiency.problems import PROBLEMS
@@ -58,16 +58,16 @@ def stopped_run(name: str, tuner_name: str, noise: float, seed: int) -> StoppedR
     key = [seed, list(PROBLEMS).index(name)]
     random = np.random.Generator(np.random.Philox(key=key))
     draws = 1.0 + noise * random.standard_normal(plan.most_trials)
-    session = begin(plan)
+    session = new_session(plan)
     while (request := next_request(session)) is not None:
         quiet = float(problem.costs(np.log([request.gains.as_tuple()]))[0])
-        session = told(session, Outcome.DONE, quiet * float(draws[request.number]))
-    found, best = verdict(session), optimum(problem)
+        session = after_trial(session, Outcome.DONE, quiet * float(draws[request.number]))
+    found, best = summarise(session), optimum(problem)
     ended = np.log([found.gains.as_tuple(), problem.start.as_tuple()])
     costs = problem.costs(ended)
     change_inside = None
-    if found.change is not None and session.found is not None:
-        after = problem.costs(np.log([session.found.as_tuple()]))[0]
+    if found.change is not None and session.candidate is not None:
+        after = problem.costs(np.log([session.candidate.as_tuple()]))[0]
         change_inside = found.change.low <= after / costs[1] - 1.0 <= found.change.high
     inside = zip(best.coordinates, found.intervals, strict=False)
     return StoppedRun(

@@ -18,8 +18,8 @@ from estune.studies.sweep import local_executors
 from estune.studies.sweep.cell import Cell
 from estune.studies.sweep.dask_executor import on_cluster
 from estune.studies.sweep.design import read_design
-from estune.studies.sweep.expand import cells_of
-from estune.studies.sweep.outcome import Outcome
+from estune.studies.sweep.expand import expand_cells
+from estune.studies.sweep.outcome import CellOutcome
 from estune.trial import Rig, TrialRequest
 from experiments.judged import Target, at_least, at_most, command_line, tell
 from experiments.sweep_speed import __doc__ as about
@@ -78,7 +78,7 @@ class Swept(NamedTuple):
 
     passed_s: float
     computed_s: float
-    outcomes: tuple[Outcome, ...]
+    outcomes: tuple[CellOutcome, ...]
 
 
 def whole_sweep(design: dict[str, Any], jobs: int) -> Swept:
@@ -89,7 +89,9 @@ def whole_sweep(design: dict[str, Any], jobs: int) -> Swept:
         return Swept(time.perf_counter() - began, time.process_time() - computed, result.outcomes)
 
 
-def starting_s(run: Callable[[Sequence[Cell]], Iterator[Outcome]], cells: Sequence[Cell]) -> float:
+def starting_s(
+    run: Callable[[Sequence[Cell]], Iterator[CellOutcome]], cells: Sequence[Cell]
+) -> float:
     """What a runner adds to each cell, s: its time on all its processes less the cells' own."""
     list(run(cells))  # until its processes have loaded what they need
     began = time.perf_counter()
@@ -144,7 +146,7 @@ def measure(extent: Extent) -> dict[str, float]:
     seconds, outcomes = both.passed_s, both.outcomes
     search = sum(int(outcome.trace[:, 0].sum()) for outcome in outcomes)
     trials = sum(len(outcome.trace) for outcome in outcomes)
-    cells = cells_of(read_design(design))[: extent.beside]
+    cells = expand_cells(read_design(design))[: extent.beside]
     with cluster(workers=CORES) as dask:
         on_dask = starting_s(lambda some: on_cluster(some, dask.address), cells)
     return figures | {
@@ -167,7 +169,7 @@ def measure(extent: Extent) -> dict[str, float]:
     }
 
 
-def _differ(one: Outcome, other: Outcome) -> bool:
+def _differ(one: CellOutcome, other: CellOutcome) -> bool:
     return not np.array_equal(one.trace, other.trace)
 
 

@@ -18,7 +18,7 @@ from estune.core.quantities import FloatArray
 from plants.cable import roots
 
 
-class Shape(NamedTuple):
+class CatenaryShape(NamedTuple):
     """H, m and d as above; NaN, or a value that is not above zero, where no cable fits."""
 
     H: FloatArray
@@ -32,7 +32,7 @@ Known = dict[str, FloatArray]
 _MIRRORED = {"V1": "V3", "V3": "V1", "T1": "T3", "T3": "T1"}
 
 
-def shapes(known: Known) -> list[Shape]:
+def shapes(known: Known) -> list[CatenaryShape]:
     """The shapes that fit, shorter before longer, or lower before higher."""
     if "X" not in known:
         return _without_span(known)
@@ -43,7 +43,7 @@ def shapes(known: Known) -> list[Shape]:
         flipped = {
             _MIRRORED.get(n, n): -v if n in ("Z", "V1", "V3") else v for n, v in known.items()
         }
-        found = [Shape(H, -m, d) for H, m, d in _with_span(flipped)]
+        found = [CatenaryShape(H, -m, d) for H, m, d in _with_span(flipped)]
         by_height = known.keys() == {"S", "X", "T3"}
         return found[::-1] if by_height else found
     return _with_span(known)
@@ -62,7 +62,7 @@ def _completed(known: Known) -> Known:
     return q
 
 
-def _without_span(known: Known) -> list[Shape]:
+def _without_span(known: Known) -> list[CatenaryShape]:
     q = _completed(known)
     if {"S", "V1"} <= q.keys():
         if "H" not in q and "Z" in q and "T1" not in q:
@@ -74,13 +74,15 @@ def _without_span(known: Known) -> list[Shape]:
         S, Z = q["S"], q["Z"]
         if "T1" not in q:
             across = np.sqrt((S - Z) * (S + Z))
-            return [Shape(q["H"], np.arcsinh(Z / across), np.arcsinh(across / (2.0 * q["H"])))]
+            return [
+                CatenaryShape(q["H"], np.arcsinh(Z / across), np.arcsinh(across / (2.0 * q["H"])))
+            ]
         V_1 = Z / S * (q["T1"] + 0.5 * Z) - 0.5 * S  # (4)
         return [_from_ends(_leg(q["T1"], V_1), V_1, V_1 + S, S)]
     return _with_either_sign(q)
 
 
-def _with_either_sign(q: Known) -> list[Shape]:
+def _with_either_sign(q: Known) -> list[CatenaryShape]:
     """H and the size, but not the sign, of a vertical tension are known."""
     if "H" not in q:
         q["H"] = _leg(q["T1"], q["V1"]) if "V1" in q else _leg(q["T3"], q["V3"])
@@ -113,7 +115,7 @@ def _weight(q: Known, H: FloatArray, V_1: FloatArray, V_3: FloatArray) -> FloatA
     return np.where(V_1 * V_3 > 0.0, Z * (T_1 + T_3) / (V_1 + V_3), V_3 - V_1)
 
 
-def _with_span(known: Known) -> list[Shape]:
+def _with_span(known: Known) -> list[CatenaryShape]:
     q = _completed(known)
     X = q["X"]
     if "H" not in q and {"V1", "T1"} <= q.keys():
@@ -130,26 +132,26 @@ def _with_span(known: Known) -> list[Shape]:
     if "Z" in q:
         return [_over(X, d, q["Z"]) for d in roots.sweeps_of_fall(X, q["Z"], q["V1"])]
     sweeps = roots.sweeps_of_ends(X, q["V1"], q["T3"])
-    return [Shape(X / (2.0 * d), np.arcsinh(2.0 * q["V1"] * d / X) + d, d) for d in sweeps]
+    return [CatenaryShape(X / (2.0 * d), np.arcsinh(2.0 * q["V1"] * d / X) + d, d) for d in sweeps]
 
 
-def _with_span_and_pull(q: Known) -> list[Shape]:
+def _with_span_and_pull(q: Known) -> list[CatenaryShape]:
     """X and H are known, and with them d."""
     H = q["H"]
     d = q["X"] / (2.0 * H)
     if "S" in q:
         cosh_m = q["S"] / (2.0 * H * np.sinh(d))
         m = np.arcsinh(np.sqrt((cosh_m - 1.0) * (cosh_m + 1.0)))
-        return [Shape(H, -m, d), Shape(H, m, d)]
+        return [CatenaryShape(H, -m, d), CatenaryShape(H, m, d)]
     if "Z" in q:
         return [_over(q["X"], d, q["Z"])]
     if "V1" in q:
-        return [Shape(H, np.arcsinh(q["V1"] / H) + d, d)]
+        return [CatenaryShape(H, np.arcsinh(q["V1"] / H) + d, d)]
     a = np.arcsinh(_leg(q["T1"], H) / H)
-    return [Shape(H, d - a, d), Shape(H, d + a, d)]
+    return [CatenaryShape(H, d - a, d), CatenaryShape(H, d + a, d)]
 
 
-def _with_span_and_length(q: Known) -> list[Shape]:
+def _with_span_and_length(q: Known) -> list[CatenaryShape]:
     """X and S are known, with Z or T_1."""
     X, S = q["X"], q["S"]
     if "Z" in q:
@@ -157,31 +159,33 @@ def _with_span_and_length(q: Known) -> list[Shape]:
         across = np.sqrt((S - Z) * (S + Z))
         slack = (S - chord) * (S + chord)
         d = roots.sweep_of_length(np.where(slack > 0.0, slack, np.nan) / X**2)
-        return [Shape(X / (2.0 * d), np.arcsinh(Z / across), d)]
+        return [CatenaryShape(X / (2.0 * d), np.arcsinh(Z / across), d)]
     return [
         _from_direction(S, q["T1"], plus, minus) for plus, minus in roots.directions(X, S, q["T1"])
     ]
 
 
-def _over(X: FloatArray, d: FloatArray, Z: FloatArray) -> Shape:
+def _over(X: FloatArray, d: FloatArray, Z: FloatArray) -> CatenaryShape:
     """The cable of sweep d between two points."""
-    return Shape(X / (2.0 * d), np.arcsinh(Z * d / (X * np.sinh(d))), d)
+    return CatenaryShape(X / (2.0 * d), np.arcsinh(Z * d / (X * np.sinh(d))), d)
 
 
-def _from_direction(S: FloatArray, T_1: FloatArray, plus: FloatArray, minus: FloatArray) -> Shape:
+def _from_direction(
+    S: FloatArray, T_1: FloatArray, plus: FloatArray, minus: FloatArray
+) -> CatenaryShape:
     """The cable of length S that leaves end 1 with T_1, at sin(angle) = plus - 1 = 1 - minus."""
     a = 0.5 * np.log(plus / minus)
     H = T_1 * np.sqrt(plus * minus)
     V_1 = T_1 * np.where(plus < minus, plus - 1.0, 1.0 - minus)
-    return Shape(H, a + (d := _from_ends(H, V_1, V_1 + S, S).d), d)
+    return CatenaryShape(H, a + (d := _from_ends(H, V_1, V_1 + S, S).d), d)
 
 
-def _from_ends(H: FloatArray, V_1: FloatArray, V_3: FloatArray, S: FloatArray) -> Shape:
+def _from_ends(H: FloatArray, V_1: FloatArray, V_3: FloatArray, S: FloatArray) -> CatenaryShape:
     """The cable with known tensions at its ends; the weight S apart, as V_3 - V_1 may cancel."""
     T_1, T_3 = np.hypot(H, V_1), np.hypot(H, V_3)
     q = S / (T_1 + T_3)
     a, b = np.arcsinh(V_1 / H), np.arcsinh(V_3 / H)
-    return Shape(
+    return CatenaryShape(
         H, 0.5 * (a + b), np.where(q < 0.9, np.arctanh(np.minimum(q, 0.9)), 0.5 * (b - a))
     )
 

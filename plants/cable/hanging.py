@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from estune.core.quantities import BoolArray, FloatArray, Numbers, at, checked, first, plain
 from estune.errors import InvalidInput
-from plants.cable.equilibrium import Known, Shape, shapes
+from plants.cable.equilibrium import CatenaryShape, Known, shapes
 from plants.cable.reasons import reason
 from plants.cable.triples import NAMES, Solution, check_triple
 
@@ -199,7 +199,7 @@ def _solve(
     given: dict[str, FloatArray],
     solution: Solution,
     solutions: tuple[Solution, ...],
-) -> Shape:
+) -> CatenaryShape:
     known: Known = {
         _SHORT[name]: (v * w if name in _LENGTHS else v).ravel() for name, v in given.items()
     }
@@ -213,24 +213,24 @@ def _solve(
             _refuse_two(w, found, both, solutions)
         wanted = int(solution == solutions[1])
         take = np.where(both, wanted, exists[1]).astype(bool)
-        chosen = Shape(*(np.where(take, b, a) for a, b in zip(*found, strict=True)))
+        chosen = CatenaryShape(*(np.where(take, b, a) for a, b in zip(*found, strict=True)))
     missing = np.isnan(chosen.H)
     if missing.any():
         place = first(missing.reshape(w.shape))
         values = {name: float(v[place]) for name, v in given.items()}
         raise InvalidInput(f"no cable hangs so{at(place)}: {reason(float(w[place]), values)}")
-    return Shape(*(v.reshape(w.shape) for v in chosen))
+    return CatenaryShape(*(v.reshape(w.shape) for v in chosen))
 
 
-def _kept(shape: Shape) -> Shape:
+def _kept(shape: CatenaryShape) -> CatenaryShape:
     """NaN in all three where the shape is not one of a cable."""
     largest = np.cosh(np.abs(shape.m) + shape.d)
     good = (shape.H > 0.0) & (shape.d > 0.0) & np.isfinite(shape.H) & np.isfinite(largest)
-    return Shape(*(np.where(good, v, np.nan) for v in shape))
+    return CatenaryShape(*(np.where(good, v, np.nan) for v in shape))
 
 
 def _refuse_two(
-    w: FloatArray, found: list[Shape], both: BoolArray, solutions: tuple[Solution, ...]
+    w: FloatArray, found: list[CatenaryShape], both: BoolArray, solutions: tuple[Solution, ...]
 ) -> None:
     """Raises where two cables fit that are not one and the same to rounding."""
     apart = both & ~np.isclose(found[0].m, found[1].m, rtol=1e-6, atol=1e-6)
@@ -250,7 +250,7 @@ def _refuse_two(
     raise InvalidInput(f"two cables fit{at(place)}; choose a solution: {' or '.join(told)}")
 
 
-def _quantities(w: FloatArray, given: dict[str, FloatArray], shape: Shape) -> Catenary:
+def _quantities(w: FloatArray, given: dict[str, FloatArray], shape: CatenaryShape) -> Catenary:
     """All quantities of the shape; those that were given are kept as they were."""
     H, m, d = shape
     a, b = m - d, m + d

@@ -22,7 +22,7 @@ from estune.core.gains import Gains
 from estune.core.quantities import FloatArray
 from estune.core.schedule import GainSchedule
 from estune.errors import InvalidInput
-from estune.hardware.live_gains import Following, LiveGains
+from estune.hardware.live_gains import LengthSource, LiveGains
 from estune.trial import SATURATED
 from estune.trial.profiles import AnyProfile
 from plants.models.reel import Reel
@@ -30,7 +30,7 @@ from plants.models.reel_equations import cable_stiffness_N_m, viscous_friction_N
 from plants.models.reel_signal_path import THETA
 from plants.simulation.batch import Response, bound
 from plants.simulation.plant import drive_of
-from plants.simulation.trial_loop import Machine, loop_functions
+from plants.simulation.trial_loop import VirtualMachine, loop_functions
 
 
 def simulate_moving(
@@ -88,7 +88,7 @@ class _Trial:
         shortest = replace(reel, cable_length_m=float(length_m.min()))
         # The encoder is on the drum: what it reads is rounded once phi is known.
         structure = replace(shortest.structure, rounded=False)
-        self._machine = Machine(loop_functions(structure.equations()))
+        self._machine = VirtualMachine(loop_functions(structure.equations()))
         self._parameters = shortest.parameter_values.copy()
         self._place = structure.parameter_names.index("cable_length_m")
         self._parameters[self._place] = length_m[0]
@@ -139,7 +139,7 @@ class _Trial:
     def _follow(self, angle_rad: float, setpoint_N: float, measurement_N: float) -> bool:
         """Whether the gains have become others; the controller then goes on without a jump."""
         before, m = self._live.coefficients, self._machine.memory
-        if not self._live.follow(angle_rad, self._preload_N):
+        if not self._live.update(angle_rad, self._preload_N):
             return False
         after = self._live.coefficients
         state = pidf.PidfState(*m["pidf"])
@@ -164,7 +164,7 @@ def _live(reel: Reel, gains: GainSchedule | Gains, length_m: float, preload_N: f
     settings = reel.controller
     if isinstance(gains, Gains):
         return LiveGains(pidf.coefficients(settings, gains), None)
-    following = Following(gains, settings, length_m, reel.drum_radius_m)
+    following = LengthSource(gains, settings, length_m, reel.drum_radius_m)
     return LiveGains(pidf.coefficients(settings, gains.gains(length_m, preload_N)), following)
 
 

@@ -6,33 +6,39 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from estune.trial import RigDescription
-from plants.diagnosis.data.measured_record import Finding
-from plants.diagnosis.data.noise_floor import Floor
+from plants.diagnosis.data.measured_record import DataIssue
+from plants.diagnosis.data.noise_floor import NoiseFloor
 from plants.diagnosis.experiments.next_experiment import (
     Evidence,
     NextExperiment,
     next_experiment,
 )
-from plants.diagnosis.report.diagnosis import Diagnosis, Interval, NamedEffect, Step, Verdict
+from plants.diagnosis.report.diagnosis import Diagnosis, Interval, NamedEffect, SearchStep, Verdict
 from plants.diagnosis.report.effect_sentences import sentence
 from plants.diagnosis.report.plant_units import in_own_units
 from plants.diagnosis.report.quantities import written_unit
-from plants.diagnosis.residual.localisation import Where
+from plants.diagnosis.residual.localisation import ResidualLocation
 from plants.diagnosis.search import thresholds
-from plants.diagnosis.search.fit import Fitted
-from plants.diagnosis.search.model_comparison import closure
-from plants.diagnosis.search.model_fitter import Attempt, Bench
-from plants.diagnosis.search.rule_based import Hum
-from plants.diagnosis.search.stepwise import Found
+from plants.diagnosis.search.fit import WhitenedFit
+from plants.diagnosis.search.model_comparison import explained_fraction
+from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter
+from plants.diagnosis.search.rule_based import MainsLine
+from plants.diagnosis.search.stepwise import SearchResult
 from plants.diagnosis.search.test_error import calibrations, free_run, intervals, reported
-from plants.diagnosis.search.verdict import Judged, candidates, not_excited, overall, ruled_out
+from plants.diagnosis.search.verdict import (
+    Conclusion,
+    candidates,
+    not_excited,
+    ruled_out,
+    verdict_sentence,
+)
 from plants.effects import Effect, MainsInterference, Quantisation
 
 STEP_KNOWN = 2e-3
 """Relative uncertainty of a step found among readings."""
 
 
-class Choice(NamedTuple):
+class EffectChoices(NamedTuple):
     """The effects to choose from.
 
     Attributes:
@@ -48,15 +54,15 @@ class Choice(NamedTuple):
     unavailable: Mapping[str, str]
 
 
-class Stage(NamedTuple):
+class FittedModel(NamedTuple):
     """A model fitted to records."""
 
-    bench: Bench
-    attempt: Attempt
+    bench: ModelFitter
+    attempt: CandidateFit
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Known:
+class DiagnosisInputs:
     """All that was found before it is told.
 
     Attributes:
@@ -76,29 +82,29 @@ class Known:
     """
 
     model: Any
-    humming: Stage
-    hum: Hum | None
-    bench: Bench
-    found: Found
-    judged: Judged
-    wrong: tuple[Attempt, Attempt] | None
+    humming: FittedModel
+    hum: MainsLine | None
+    bench: ModelFitter
+    found: SearchResult
+    judged: Conclusion
+    wrong: tuple[CandidateFit, CandidateFit] | None
     coarse_step_N: float | None
-    choice: Choice
-    where: Where
-    noise: Floor
-    findings: tuple[Finding, ...]
+    choice: EffectChoices
+    where: ResidualLocation
+    noise: NoiseFloor
+    findings: tuple[DataIssue, ...]
     rig: RigDescription | None = None
 
 
 class Fit(NamedTuple):
     """A stage fitted once more to all that may be fitted, and the slug it added."""
 
-    bench: Bench
-    fitted: Fitted
+    bench: ModelFitter
+    fitted: WhitenedFit
     added: str | None
 
 
-def told(known: Known) -> Diagnosis:
+def build_diagnosis(known: DiagnosisInputs) -> Diagnosis:
     """The verdict with all its evidence."""
     fits = _fits(known)
     before, after = fits[0], fits[-1]
@@ -121,7 +127,7 @@ def told(known: Known) -> Diagnosis:
     values |= {f"{e.name}.{n}": getattr(e, n) for e in added for n in e.parameters()}
     return Diagnosis(
         verdict=verdict,
-        sentence=overall(verdict, known.judged, named, steps, unit),
+        sentence=verdict_sentence(verdict, known.judged, named, steps, unit),
         effects=tuple(named),
         ambiguous=known.judged.tied,
         candidates=listed,
@@ -131,7 +137,9 @@ def told(known: Known) -> Diagnosis:
         floor=steps[0].floor,
         ratio_before=steps[0].ratio,
         ratio_after=steps[-1].ratio,
-        closure=closure(steps[0].ratio ** 2, steps[-1].ratio ** 2) if named else math.nan,
+        closure=explained_fraction(steps[0].ratio ** 2, steps[-1].ratio ** 2)
+        if named
+        else math.nan,
         rms_before=ran.rms_before,
         rms_after=ran.rms_after,
         noise=known.noise,
@@ -143,7 +151,7 @@ def told(known: Known) -> Diagnosis:
         findings=known.findings,
         steps=tuple(steps),
         traces=ran.traces,
-        splits=known.bench.dealt.parts,
+        splits=known.bench.split.parts,
         model=known.model,
         base_model=plant.calibrated(base_values),
         augmented=plant.calibrated(values, [type(effect) for effect in added]),
@@ -152,7 +160,7 @@ def told(known: Known) -> Diagnosis:
 
 
 def _next(
-    known: Known, verdict: Verdict, base_values: Mapping[str, float], ratio_after: float
+    known: DiagnosisInputs, verdict: Verdict, base_values: Mapping[str, float], ratio_after: float
 ) -> NextExperiment | None:
     """The experiment that would decide between the models that are tied, or show the gap best."""
     if verdict not in ("ambiguous", "unknown"):
@@ -167,7 +175,7 @@ def _next(
     return next_experiment(verdict, plant.calibrated(base_values), rivals, evidence, known.rig)
 
 
-def _fits(known: Known) -> list[Fit]:
+def _fits(known: DiagnosisInputs) -> list[Fit]:
     """The models from the base to what is believed, one effect more each."""
     bench = known.bench
     if known.wrong is not None:
@@ -185,12 +193,12 @@ def _fits(known: Known) -> list[Fit]:
     return [*fits, *(Fit(bench, bench.final(a), a.effects[-1].name) for a in believed)]
 
 
-def _step(one: Fit) -> Step:
+def _step(one: Fit) -> SearchStep:
     found = reported(one.bench, one.fitted)
-    return Step(one.added, found.gap, found.floor, found.ratio)
+    return SearchStep(one.added, found.gap, found.floor, found.ratio)
 
 
-def _structural(known: Known) -> tuple[type[Effect], ...]:
+def _structural(known: DiagnosisInputs) -> tuple[type[Effect], ...]:
     return known.wrong[1].effects if known.wrong is not None else known.judged.best.effects
 
 
@@ -205,7 +213,7 @@ def _told_by(parameters: Mapping[str, Interval], effect: type[Effect], model: An
     return NamedEffect(effect.name, effect.title, own, said, built)
 
 
-def _by_rule(known: Known, steps: list[Step]) -> list[NamedEffect]:
+def _by_rule(known: DiagnosisInputs, steps: list[SearchStep]) -> list[NamedEffect]:
     """The effects found by rule; what coarse steps explain is taken off the gap."""
     named, plant = [], known.bench.model
     read = abs(plant.reading_unit)  # a phase differs from record to record, with its sign
@@ -228,29 +236,29 @@ def _by_rule(known: Known, steps: list[Step]) -> list[NamedEffect]:
     return named
 
 
-def _counts(before: Step, after: Step) -> bool:
+def _counts(before: SearchStep, after: SearchStep) -> bool:
     """Whether rounding is much beside all else that is allowed for, and beside what is missing."""
-    closes = closure(before.ratio**2, after.ratio**2)
+    closes = explained_fraction(before.ratio**2, after.ratio**2)
     return before.ratio > thresholds.NOTHING and closes >= thresholds.FURTHER
 
 
-def _without_rounding(steps: Sequence[Step], step_N: float) -> list[Step]:
+def _without_rounding(steps: Sequence[SearchStep], step_N: float) -> list[SearchStep]:
     """The steps against a floor without rounding."""
     rounding, again = step_N**2 / 12.0, []
     for one in steps:
         floor = math.sqrt(max(one.floor**2 - rounding, 0.01 * one.floor**2))
-        again.append(Step(one.effect, one.gap, floor, one.gap / floor))
+        again.append(SearchStep(one.effect, one.gap, floor, one.gap / floor))
     return again
 
 
-def _rounded(last: Step, step_N: float) -> Step:
+def _rounded(last: SearchStep, step_N: float) -> SearchStep:
     """What rounding leaves of the last step's gap."""
     rounding = step_N**2 / 12.0
     gap = math.sqrt(max(last.gap**2 - rounding, last.floor**2))
-    return Step(Quantisation.name, gap, last.floor, gap / last.floor)
+    return SearchStep(Quantisation.name, gap, last.floor, gap / last.floor)
 
 
-def _verdict(known: Known, named: Sequence[NamedEffect]) -> Verdict:
+def _verdict(known: DiagnosisInputs, named: Sequence[NamedEffect]) -> Verdict:
     """What the search says, with what was found besides."""
     verdict = known.judged.verdict
     if verdict == "none" and named:

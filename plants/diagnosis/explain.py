@@ -9,24 +9,29 @@ from threadpoolctl import threadpool_limits
 
 from estune.errors import InvalidInput
 from estune.trial import RigDescription, TrialRecord
-from plants.diagnosis.build_diagnosis import Choice, Known, Stage, told
+from plants.diagnosis.build_diagnosis import (
+    DiagnosisInputs,
+    EffectChoices,
+    FittedModel,
+    build_diagnosis,
+)
 from plants.diagnosis.checks.quality import check
-from plants.diagnosis.data.measured_record import Finding, Measurement
-from plants.diagnosis.data.noise_floor import Floor, noise_floor
+from plants.diagnosis.data.measured_record import DataIssue, MeasuredRecord
+from plants.diagnosis.data.noise_floor import NoiseFloor, noise_floor
 from plants.diagnosis.data.records import read_measurements
 from plants.diagnosis.models.base import BaseNumbers
-from plants.diagnosis.models.diagnosed_model import Diagnosed, diagnosed
+from plants.diagnosis.models.diagnosed_model import DiagnosedModel, diagnosed
 from plants.diagnosis.report.diagnosis import Diagnosis
-from plants.diagnosis.residual.localisation import Where, localise
+from plants.diagnosis.residual.localisation import ResidualLocation, localise
 from plants.diagnosis.search import thresholds
-from plants.diagnosis.search.candidate_fits import roughly
+from plants.diagnosis.search.candidate_fits import coarse_fit
 from plants.diagnosis.search.data_splits import FIT, RANK
 from plants.diagnosis.search.initial_guesses import suggestions
-from plants.diagnosis.search.model_fitter import Attempt, Bench
-from plants.diagnosis.search.rule_based import Hum, coarse_step_N, find_hum
+from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter
+from plants.diagnosis.search.rule_based import MainsLine, coarse_step_N, find_mains_interference
 from plants.diagnosis.search.stepwise import search
-from plants.diagnosis.search.verdict import judge
-from plants.diagnosis.search.wrong_parameter import one_wrong_number
+from plants.diagnosis.search.verdict import conclude
+from plants.diagnosis.search.wrong_parameter import find_wrong_parameter
 from plants.effects import (
     CableWeight,
     CoulombFriction,
@@ -43,7 +48,7 @@ HUM_ROUNDS = 2
 
 def explain(
     model: Any,
-    records: Path | str | Sequence[Measurement] | Sequence[TrialRecord],
+    records: Path | str | Sequence[MeasuredRecord] | Sequence[TrialRecord],
     *,
     effects: Sequence[type[Effect] | str] | None = None,
     rig: RigDescription | None = None,
@@ -53,7 +58,7 @@ def explain(
     Nothing is drawn: the same records give the same answer.
 
     Args:
-        model: A `Reel`, an `UnloadedReel`, a linear or a Python plant, or a system of
+        model: A `ReelProgress`, an `UnloadedReel`, a linear or a Python plant, or a system of
             python-control.
         records: A folder of records, or the records themselves.
         effects: The effects to choose from, classes or names for `plants.effects.find`; None is
@@ -72,7 +77,7 @@ def explain(
 
 def _explained(
     model: Any,
-    records: Path | str | Sequence[Measurement] | Sequence[TrialRecord],
+    records: Path | str | Sequence[MeasuredRecord] | Sequence[TrialRecord],
     effects: Sequence[type[Effect] | str] | None,
     rig: RigDescription | None,
 ) -> Diagnosis:
@@ -85,7 +90,7 @@ def _explained(
     noise = noise_floor(measurements)
     bench, base = _base(model, measurements, noise)
     choice = _choice(bench.model, effects)
-    humming = Stage(bench, base)
+    humming = FittedModel(bench, base)
     hum = None
     for _ in range(HUM_ROUNDS if MainsInterference in choice.by_rule else 0):
         line = _hum(bench, base, measurements)
@@ -101,15 +106,15 @@ def _explained(
         where = _where(bench, base, noise)
         suggest = suggestions(measurements, where, base.values)
         found = search(bench, base, choice.structural, suggest)
-    judged = judge(found)
+    judged = conclude(found)
     wrong = None
     if judged.verdict == "none" and hum is None:
-        wrong = one_wrong_number(bench, base, choice.calibrations)
+        wrong = find_wrong_parameter(bench, base, choice.calibrations)
     coarse = None
     if Quantisation in choice.by_rule and "tension_N" in noise.channels:
         coarse = coarse_step_N(noise.channels["tension_N"])
-    return told(
-        Known(
+    return build_diagnosis(
+        DiagnosisInputs(
             model=model,
             humming=humming,
             hum=hum,
@@ -127,35 +132,35 @@ def _explained(
     )
 
 
-def _base(model: Any, measurements: tuple[Measurement, ...], noise: Floor) -> Stage:
+def _base(model: Any, measurements: tuple[MeasuredRecord, ...], noise: NoiseFloor) -> FittedModel:
     """The base fit, of the model as the records tell it is meant."""
     stages = []
     for plant in diagnosed(model, measurements).alternatives():
-        bench = Bench(plant, measurements, noise)
-        stages.append(Stage(bench, bench.attempt((), bench.base.start[None, :])))
+        bench = ModelFitter(plant, measurements, noise)
+        stages.append(FittedModel(bench, bench.attempt((), bench.base.start[None, :])))
     if len(stages) == 1:
         return stages[0]
     least = min(stage.attempt.fit_J for stage in stages)
     return min(stages, key=_meant if least > thresholds.GAP**2 else lambda s: s.attempt.fit_J)
 
 
-def _meant(stage: Stage) -> float:
+def _meant(stage: FittedModel) -> float:
     """What a way of meaning the model leaves at least; how it sags shows beside more weight.
 
     A slack cable's tension tells its weight; in the linear law more weight stands for the sag.
     """
     beside = CoulombFriction if stage.bench.model.is_often_slack else CableWeight
-    return min(stage.attempt.fit_J, roughly(stage.bench, beside).fit_J)
+    return min(stage.attempt.fit_J, coarse_fit(stage.bench, beside).fit_J)
 
 
-def _where(bench: Bench, base: Attempt, noise: Floor) -> Where:
+def _where(bench: ModelFitter, base: CandidateFit, noise: NoiseFloor) -> ResidualLocation:
     """Where the base model's residual lives."""
     model = bench.model.calibrated(base.values)
     numbers = [BaseNumbers.of(model, m) for m in bench.measurements]
     return localise(bench.measurements, numbers, noise)
 
 
-def _still(humming: Stage, best: Attempt) -> bool:
+def _still(humming: FittedModel, best: CandidateFit) -> bool:
     """Whether there is hum in the records as they are when the effects found are in the model."""
     row = humming.bench.predictor(best.effects).row(best.values)
     attempt = humming.bench.attempt(best.effects, row[None, :])
@@ -163,22 +168,22 @@ def _still(humming: Stage, best: Attempt) -> bool:
 
 
 def _measurements(
-    records: Path | str | Sequence[Measurement] | Sequence[TrialRecord],
-) -> tuple[tuple[Measurement, ...], tuple[Finding, ...]]:
+    records: Path | str | Sequence[MeasuredRecord] | Sequence[TrialRecord],
+) -> tuple[tuple[MeasuredRecord, ...], tuple[DataIssue, ...]]:
     if isinstance(records, Path | str):
         read = read_measurements(records)
         return read.measurements, read.findings
-    return tuple(r if isinstance(r, Measurement) else Measurement.of(r) for r in records), ()
+    return tuple(r if isinstance(r, MeasuredRecord) else MeasuredRecord.of(r) for r in records), ()
 
 
-def _choice(plant: Diagnosed, effects: Sequence[type[Effect] | str] | None) -> Choice:
+def _choice(plant: DiagnosedModel, effects: Sequence[type[Effect] | str] | None) -> EffectChoices:
     asked = (
         declared() if effects is None else [find(e) if isinstance(e, str) else e for e in effects]
     )
     reasons = {e.name: plant.unavailable(e) for e in asked}
     had = [e for e in asked if reasons[e.name] is None]
     special = (*thresholds.CALIBRATIONS, *thresholds.BY_RULE)
-    return Choice(
+    return EffectChoices(
         structural=tuple(e for e in had if e.name not in special),
         calibrations=tuple(e for e in had if e.name in thresholds.CALIBRATIONS),
         by_rule=tuple(e for e in had if e.name in thresholds.BY_RULE),
@@ -186,13 +191,15 @@ def _choice(plant: Diagnosed, effects: Sequence[type[Effect] | str] | None) -> C
     )
 
 
-def _hum(bench: Bench, base: Attempt, measurements: Sequence[Measurement]) -> Hum | None:
+def _hum(
+    bench: ModelFitter, base: CandidateFit, measurements: Sequence[MeasuredRecord]
+) -> MainsLine | None:
     """Hum in what a model leaves of the gauge's readings outside the report split."""
     if "tension_N" not in bench.floor.channels:
         return None
     fitted, index = base.fitted, bench.base.index
     predicted = fitted.predictor.predict(fitted.values[None, :])
-    looked = bench.dealt.where(FIT, RANK)
+    looked = bench.split.where(FIT, RANK)
     seen = []
     for n, m in enumerate(measurements):
         at = np.zeros(m.samples, bool)
@@ -200,4 +207,4 @@ def _hum(bench: Bench, base: Attempt, measurements: Sequence[Measurement]) -> Hu
         # Of a record that is all report only its own phase is wanted.
         seen.append(at if at.any() else ~at)
     left = [None if p.tension_N is None else p.tension_N[0] for p in predicted]
-    return find_hum(measurements, left, seen, bench.floor.tension_N)
+    return find_mains_interference(measurements, left, seen, bench.floor.tension_N)

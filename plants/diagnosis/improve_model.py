@@ -19,7 +19,7 @@ from estune.core.cost import StepCost
 from estune.core.gains import Gains
 from estune.errors import InvalidInput, RigError, UnsafeStart
 from estune.run.export import replace_file, write_record
-from estune.run.loop import Stopped, Watcher
+from estune.run.loop import ProgressListener, Stopped
 from estune.run.plan import DEFAULT_TUNER, MOVE_WEIGHT
 from estune.run.result import TuneResult
 from estune.run.targets import open_target
@@ -28,10 +28,14 @@ from estune.trial import Outcome, Rig, RigDescription, TrialRecord, TrialRequest
 from estune.trial.profiles import AnyProfile
 from estune.trial.scoring import cost_of
 from estune.tuners import Tuner
-from plants.diagnosis.data.measured_record import Measurement
-from plants.diagnosis.experiments.designs import Experiment, battery, catalogue
+from plants.diagnosis.data.measured_record import MeasuredRecord
+from plants.diagnosis.experiments.designs import (
+    Experiment,
+    candidate_experiments,
+    initial_experiments,
+)
 from plants.diagnosis.explain import explain
-from plants.diagnosis.improvement import Costs, Improvement, Round
+from plants.diagnosis.improvement import Costs, Improvement, ImprovementRound
 from plants.effects import Effect
 from plants.models.reel import reference_reel
 from plants.simulation.batch import batch_costs
@@ -62,7 +66,7 @@ class TuneOptions(NamedTuple):
     model_trials: int = 120
     rig_trials: int = 40
     repeats: int = 3
-    watch: Watcher | Literal["auto"] | None = "auto"
+    watch: ProgressListener | Literal["auto"] | None = "auto"
 
 
 def improve(
@@ -107,10 +111,10 @@ def improve(
     with open_target(target, rig) as the_rig:
         about = the_rig.describe()
         given = at_rig(default_model(about) if model is None else model, about)
-        lab = _Lab(the_rig, about, where, say)
+        lab = ExperimentRunner(the_rig, about, where, say)
         try:
-            done = _learn(lab, given, effects, rounds)
-            improved = _believed(done[-1])
+            done = _diagnose_rounds(lab, given, effects, rounds)
+            improved = _selected_model(done[-1])
             compared = _Compared((), None, ())
             if about.step.loop == "closed":
                 compared = _tuned(lab, given, improved, tuning or TuneOptions())
@@ -181,12 +185,12 @@ def at_rig(model: Any, about: RigDescription) -> Any:
     )
 
 
-class _Lab:
+class ExperimentRunner:
     """Runs experiments on the rig and keeps their records."""
 
     def __init__(self, rig: Rig, about: RigDescription, folder: Path, say: Say) -> None:
         self.rig, self.about, self.folder, self.say = rig, about, folder, say
-        self.records: list[Measurement] = []
+        self.records: list[MeasuredRecord] = []
         self.remarks: list[str] = []
         self.done: set[AnyProfile] = set()
         # A rig remembers the ids of its trials: those of another day must not be taken for these.
@@ -203,7 +207,7 @@ class _Lab:
             record = self._ask(one.name, self.about.gains, one.profile)
             write_record(record, self.folder / "data")
             if record.outcome is Outcome.DONE:
-                self.records.append(Measurement.of(record))
+                self.records.append(MeasuredRecord.of(record))
             else:
                 why = record.reason or record.outcome.sentence
                 self.remarks.append(f"{one.name} was left out: {why}")
@@ -211,7 +215,7 @@ class _Lab:
 
     def fresh(self, count: int) -> list[Experiment]:
         """Experiments of the catalogue that have not been run yet, spread over it."""
-        left = [one for one in catalogue(self.about) if one.profile not in self.done]
+        left = [one for one in candidate_experiments(self.about) if one.profile not in self.done]
         return left[:: max(1, len(left) // count)][:count] if left else []
 
     def measured(self, gains: Gains, cost: StepCost, repeats: int) -> tuple[float, float]:
@@ -232,19 +236,19 @@ class _Lab:
         return self.rig.run(request)
 
 
-def _learn(
-    lab: _Lab, given: Any, effects: Sequence[type[Effect] | str] | None, rounds: int
-) -> list[Round]:
+def _diagnose_rounds(
+    lab: ExperimentRunner, given: Any, effects: Sequence[type[Effect] | str] | None, rounds: int
+) -> list[ImprovementRound]:
     """Rounds of measuring and explaining, until nothing is left or nothing more can be said."""
-    asked = lab.run(battery(lab.about))
+    asked = lab.run(initial_experiments(lab.about))
     if not lab.records:
         raise RigError(f"no trial ended well on {lab.about.name}: {'; '.join(lab.remarks)}")
-    model, done = given, list[Round]()
+    model, done = given, list[ImprovementRound]()
     named: set[tuple[str, ...]] = set()
     while True:
         lab.say(f"explaining {len(lab.records)} records")
         found = explain(model, lab.records, effects=effects, rig=lab.about)
-        done.append(Round(asked, found))
+        done.append(ImprovementRound(asked, found))
         lab.say(found.heading())
         if found.verdict == "none" or len(done) == rounds:
             return done
@@ -268,7 +272,7 @@ def _learn(
         model = given
 
 
-def _believed(last: Round) -> Any:
+def _selected_model(last: ImprovementRound) -> Any:
     """The model to be used after the last round."""
     found = last.diagnosis
     return found.base_model if found.verdict in ("none", "unknown") else found.augmented
@@ -282,7 +286,7 @@ class _Compared(NamedTuple):
     remarks: tuple[str, ...]
 
 
-def _tuned(lab: _Lab, given: Any, improved: Any, how: TuneOptions) -> _Compared:
+def _tuned(lab: ExperimentRunner, given: Any, improved: Any, how: TuneOptions) -> _Compared:
     """Tunes on the improved model, then on the rig from there, and compares the costs."""
     about = lab.about
     cost = StepCost(about.settling_time_s, move_weight=MOVE_WEIGHT)
@@ -290,7 +294,7 @@ def _tuned(lab: _Lab, given: Any, improved: Any, how: TuneOptions) -> _Compared:
     remarks: list[str] = []
 
     def compared(label: str, gains: Gains, measured: float, error: float) -> Costs:
-        before, after = (_foretold(plant, gains, about, cost) for plant in (given, improved))
+        before, after = (_predicted_cost(plant, gains, about, cost) for plant in (given, improved))
         return Costs(label, gains, before, after, measured, error)
 
     rows = [compared("the rig's own", about.gains, own, own_error)]
@@ -324,7 +328,7 @@ def _tuned(lab: _Lab, given: Any, improved: Any, how: TuneOptions) -> _Compared:
 
 
 def _on_rig(
-    lab: _Lab, start: Gains, cost: StepCost, how: TuneOptions, remarks: list[str]
+    lab: ExperimentRunner, start: Gains, cost: StepCost, how: TuneOptions, remarks: list[str]
 ) -> TuneResult:
     """The rig's own tuning; from its own gains where those of the model are not safe on it."""
     for number, gains in enumerate((start, lab.about.gains)):
@@ -346,7 +350,7 @@ def _on_rig(
     raise UnsafeStart(remarks[-1])
 
 
-def _foretold(plant: Any, gains: Gains, about: RigDescription, cost: StepCost) -> float:
+def _predicted_cost(plant: Any, gains: Gains, about: RigDescription, cost: StepCost) -> float:
     """Mean cost that a model foretells, with its own measurement noise; nan where it diverges."""
     rows = np.tile(gains.as_tuple(), (FORETOLD, 1))
     return float(batch_costs(plant, rows, about.step, cost, seed=0, workers=1).mean())

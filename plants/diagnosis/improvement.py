@@ -13,7 +13,7 @@ from plants.diagnosis.report.diagnosis import Diagnosis
 COLUMNS = ("gains", "model as given", "improved model", "measured")
 
 
-class Round(NamedTuple):
+class ImprovementRound(NamedTuple):
     """One diagnosis of the loop.
 
     Attributes:
@@ -47,7 +47,7 @@ class Costs:
     error: float
 
     @property
-    def off_given(self) -> float:
+    def error_given(self) -> float:
         """How far the model as given is off, relative to what was measured."""
         return abs(self.given / self.measured - 1.0)
 
@@ -76,7 +76,7 @@ class Improvement:
     rig: RigDescription
     given: Any
     model: Any
-    rounds: tuple[Round, ...]
+    rounds: tuple[ImprovementRound, ...]
     costs: tuple[Costs, ...]
     tuning: TuneResult | None
     remarks: tuple[str, ...]
@@ -104,7 +104,7 @@ class Improvement:
         return tuple(
             (
                 costs.label,
-                _cell(costs.given, costs.off_given),
+                _cell(costs.given, costs.error_given),
                 _cell(costs.improved, costs.off_improved),
                 f"{costs.measured:.4g} ± {costs.error:.2g}",
             )

@@ -14,12 +14,12 @@ FURTHEST_rad = 1.0
 sampling rate, so that no record shows it."""
 
 
-def noted(angle_rad: Any) -> Any:
+def encode_angle(angle_rad: Any) -> Any:
     """What is remembered of an angle: its sine, its cosine, itself."""
     return ca.vertcat(ca.sin(angle_rad), ca.cos(angle_rad), angle_rad)
 
 
-def turned(state: Any, angle_rad: Any) -> Any:
+def advance_angle(state: Any, angle_rad: Any) -> Any:
     """What is remembered of an angle a substep later.
 
     The series are right to 1e-9 for 0.1 rad and to 1e-3 for 1 rad; the sum of the squares is drawn

@@ -51,7 +51,7 @@ class DrumEccentricity(Effect):
         """At the cable the tension for the length wound in, then at the drum the arm's torque."""
         if site.port is Port.DRUM:
             return state, -p.arm_m * state[1] * site.tension_N
-        place = angle_phase.turned(state, site.angle_rad + p.phase_rad)
+        place = angle_phase.advance_angle(state, site.angle_rad + p.phase_rad)
         return place, (signal - p.taut_N) + p.swing_N * place[0]
 
     @staticmethod
@@ -62,7 +62,7 @@ class DrumEccentricity(Effect):
         site: Site,
     ) -> tuple[Signal, Signal]:
         """The same, traced back at the cable."""
-        place = angle_phase.noted(site.angle_rad + p.phase_rad)
+        place = angle_phase.encode_angle(site.angle_rad + p.phase_rad)
         if site.port is Port.DRUM:
             return place, -p.arm_m * place[1] * site.tension_N
         return place, signal - p.swing_N * place[0] + p.taut_N
@@ -74,4 +74,4 @@ class DrumEccentricity(Effect):
         angle_rad: Signal,
     ) -> Signal:
         """The angle there."""
-        return angle_phase.noted(angle_rad + p.phase_rad)
+        return angle_phase.encode_angle(angle_rad + p.phase_rad)

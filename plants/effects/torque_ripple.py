@@ -40,7 +40,7 @@ class TorqueRipple(Effect):
         site: Site,
     ) -> tuple[Signal, Signal]:
         """The torque at this angle."""
-        phase = angle_phase.turned(state, p.per_turn * site.angle_rad + p.phase_rad)
+        phase = angle_phase.advance_angle(state, p.per_turn * site.angle_rad + p.phase_rad)
         return phase, -p.amplitude_Nm * phase[0]
 
     @staticmethod
@@ -51,7 +51,7 @@ class TorqueRipple(Effect):
         site: Site,
     ) -> tuple[Signal, Signal]:
         """The same at the angle of rest."""
-        phase = angle_phase.noted(p.per_turn * site.angle_rad + p.phase_rad)
+        phase = angle_phase.encode_angle(p.per_turn * site.angle_rad + p.phase_rad)
         return phase, -p.amplitude_Nm * phase[0]
 
     @staticmethod
@@ -61,4 +61,4 @@ class TorqueRipple(Effect):
         angle_rad: Signal,
     ) -> Signal:
         """The phase there."""
-        return angle_phase.noted(p.per_turn * angle_rad + p.phase_rad)
+        return angle_phase.encode_angle(p.per_turn * angle_rad + p.phase_rad)

@@ -8,7 +8,7 @@ import numpy as np
 
 from plants.effects.effect import Effect, Port
 from plants.models.linear_structures import Base
-from plants.models.linear_with_effects import PortedStructure
+from plants.models.linear_with_effects import LinearEffectStructure
 
 
 @lru_cache(maxsize=512)
@@ -33,7 +33,7 @@ def unavailable(base: Base, effect: type[Effect]) -> str | None:
     try:
         if Port.CABLE in ports and not _may_push(base, effect):
             return "it lets a cable go slack, and the plant's spring pushes as well as it pulls"
-        PortedStructure(base, (effect,), fractional=True, squarings=0).equations()
+        LinearEffectStructure(base, (effect,), fractional=True, squarings=0).equations()
     except AttributeError as error:
         wanted = str(error).rpartition("attribute ")[2].strip("'")
         return f"it needs {wanted}, which such a plant does not have"
@@ -46,7 +46,7 @@ def _may_push(base: Base, effect: type[Effect]) -> bool:
     """Whether the effect at its neutral value leaves a spring alone that pushes."""
     moved = []
     for added in ((), (effect.neutral(),)):
-        structure = PortedStructure(base, tuple(type(e) for e in added), True, 0)  # noqa: FBT003
+        structure = LinearEffectStructure(base, tuple(type(e) for e in added), True, 0)  # noqa: FBT003
         equations, n = structure.equations(), base.order
         rates = {"sampling_Hz": 1e3, "dead_time_s": 0.0, "delay_samples": 0.0}
         own = [rates.get(name, 1.0) for name in (*structure.own_names, "delay_samples")]

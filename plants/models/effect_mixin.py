@@ -16,7 +16,7 @@ from plants.simulation.plant import whole_and_fraction
 
 
 @dataclass(frozen=True, kw_only=True)
-class TakesEffects(ABC):
+class EffectMixin(ABC):
     """Gives a plant its `+`, and its numbers what effects make of them.
 
     Attributes:

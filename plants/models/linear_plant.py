@@ -18,8 +18,8 @@ from estune.interop import linear_model
 from estune.trial import LinearModel, RigDescription, RigLimits
 from estune.trial.profiles import StepProfile
 from plants.models.effect_applicability import unavailable
-from plants.models.effect_mixin import TakesEffects
-from plants.models.linear_with_effects import PortedStructure
+from plants.models.effect_mixin import EffectMixin
+from plants.models.linear_with_effects import LinearEffectStructure
 from plants.models.mounting import Mounted, Mounting, ServesAsRig
 from plants.models.pole_zero_form import Rational, factorised
 from plants.simulation.equations import Equations, Expression, column_of, pack
@@ -44,7 +44,7 @@ LONGEST_TRIAL_samples = 1_000_000
 
 
 @dataclass(frozen=True)
-class LinearPlant(TakesEffects, Mounted, ServesAsRig):
+class LinearPlant(EffectMixin, Mounted, ServesAsRig):
     """A linear plant, sampled exactly; made by `linear_plant`. Its effects: see `plants.models.linear_with_effects`.
 
     Attributes:
@@ -105,15 +105,15 @@ class LinearPlant(TakesEffects, Mounted, ServesAsRig):
         return self._factorised[0]
 
     @cached_property
-    def _ported(self) -> PortedStructure:
+    def _ported(self) -> LinearEffectStructure:
         """The structure of the plant with its effects."""
         rate = self.controller.sampling_Hz
         fastest = float(np.abs(self.sampled.modes).max(initial=0.0)) * rate
-        squarings = PortedStructure.squarings_for(max(2.0 * fastest, 1e-9), rate)
-        return PortedStructure(self.base, self.kinds, fractional=True, squarings=squarings)
+        squarings = LinearEffectStructure.squarings_for(max(2.0 * fastest, 1e-9), rate)
+        return LinearEffectStructure(self.base, self.kinds, fractional=True, squarings=squarings)
 
     @property
-    def structure(self) -> "LinearStructure | PortedStructure":
+    def structure(self) -> "LinearStructure | LinearEffectStructure":
         """What the equations depend on besides numbers."""
         if self.effects:
             return self._ported

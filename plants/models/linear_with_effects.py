@@ -62,7 +62,7 @@ class _Constants(NamedTuple):
 
 
 @dataclass(frozen=True)
-class PortedStructure(Parametrised):
+class LinearEffectStructure(Parametrised):
     """What the equations depend on besides numbers: one compilation serves all plants of it.
 
     Attributes:

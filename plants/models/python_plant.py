@@ -17,10 +17,10 @@ from estune.errors import PlantError
 from estune.trial import SATURATED, RigDescription, RigLimits
 from estune.trial.profiles import StepProfile
 from plants.effects import Effect
-from plants.models.effect_mixin import TakesEffects
+from plants.models.effect_mixin import EffectMixin
 from plants.models.linear_plant import UNLIMITED_N, LONGEST_TRIAL_samples
 from plants.models.mounting import Mounted, Mounting, ServesAsRig
-from plants.models.symbolic_plant import Shape, TracedStructure, unavailable
+from plants.models.symbolic_plant import StateShape, TracedStructure, unavailable
 from plants.simulation.plant import (
     Columns,
     Drive,
@@ -35,7 +35,7 @@ Step = Callable[[Any, float, float], tuple[Any, float]]
 
 
 @dataclass(frozen=True)
-class PythonPlant(TakesEffects, Mounted, ServesAsRig):
+class PythonPlant(EffectMixin, Mounted, ServesAsRig):
     """A plant given as a function; made by `python_plant`.
 
     Effects are added to its input and output; the function is then traced with symbols, see
@@ -84,12 +84,12 @@ class PythonPlant(TakesEffects, Mounted, ServesAsRig):
         Raises:
             PlantError: the function cannot be traced.
         """
-        return TracedStructure(self.step, Shape.of(self.initial_state), effects)
+        return TracedStructure(self.step, StateShape.of(self.initial_state), effects)
 
     @property
     def own_numbers(self) -> dict[str, float]:
         """The plant's numbers by name, as its equations take them."""
-        flat = Shape.of(self.initial_state).flat(self.initial_state)
+        flat = StateShape.of(self.initial_state).flat(self.initial_state)
         return {
             "sampling_Hz": self.controller.sampling_Hz,
             "dead_time_s": self.dead_time_s,

@@ -12,7 +12,7 @@ from estune.core.quantities import FloatArray
 from estune.errors import InvalidInput
 from estune.trial import LinearModel, RigDescription, RigLimits
 from estune.trial.profiles import StepProfile
-from plants.models.effect_mixin import TakesEffects
+from plants.models.effect_mixin import EffectMixin
 from plants.models.mounting import ServesAsRig
 from plants.models.reel_equations import ReelStructure, drum_stiffness_Nm_rad, viscous_friction_Nms
 from plants.simulation.plant import SOFTWARE, Columns, Drive, check_above_zero, check_not_negative
@@ -33,7 +33,7 @@ _MAY_BE_ZERO = (
 
 
 @dataclass(frozen=True)
-class Reel(TakesEffects, ServesAsRig):
+class Reel(EffectMixin, ServesAsRig):
     """A reel at one cable length and tension; the equations are in `plants.models.reel_equations`.
 
     Attributes:
@@ -221,7 +221,7 @@ def reference_reel(cable_length_m: float = 0.8, tension_N: float = 15.0, **overr
     Args:
         cable_length_m: Deployed length, 0.5 to 1.4 m in the examples.
         tension_N: Preload, 5 to 40 N.
-        **overrides: Any other attribute of `Reel`.
+        **overrides: Any other attribute of `ReelProgress`.
 
     Raises:
         InvalidInput: a value is out of its range, or there is no such attribute.

@@ -46,7 +46,7 @@ PLACED = 2
 def cable_stiffness_N_m(p: Any, preload_N: Any) -> Any:
     """Stiffness k of the cable in series with the structure, N/m, tangent at the preload.
 
-    `p` is a `Reel`, or symbols of the same names.
+    `p` is a `ReelProgress`, or symbols of the same names.
     """
     weight_N_m = GRAVITY_m_s2 * p.cable_density_kg_m
     sag = weight_N_m**2 * p.cable_length_m**3 / (12.0 * preload_N**3)

@@ -29,7 +29,7 @@ Step = Callable[[Any, Any, Any], tuple[Any, Any]]
 
 
 @dataclass(frozen=True)
-class Shape:
+class StateShape:
     """How a state is built of numbers.
 
     Attributes:
@@ -40,10 +40,10 @@ class Shape:
 
     kind: str
     size: tuple[int, ...] = ()
-    parts: tuple["Shape", ...] = ()
+    parts: tuple["StateShape", ...] = ()
 
     @classmethod
-    def of(cls, state: Any) -> "Shape":
+    def of(cls, state: Any) -> "StateShape":
         """The shape of a state.
 
         Raises:
@@ -113,7 +113,7 @@ class TracedStructure(Parametrised):
     """
 
     step: Step
-    shape: Shape
+    shape: StateShape
     effects: tuple[type[Effect], ...] = ()
 
     COMMON: ClassVar[tuple[str, ...]] = (
@@ -223,7 +223,7 @@ def unavailable(structure: TracedStructure) -> str | None:
 
 
 @lru_cache(maxsize=64)
-def traced(step: Step, shape: Shape) -> Expression:
+def traced(step: Step, shape: StateShape) -> Expression:
     """The function as one of CasADi: (state, effort, time) -> (next state, measurement).
 
     Raises:
@@ -247,7 +247,7 @@ def traced(step: Step, shape: Shape) -> Expression:
     )
 
 
-def _called(step: Step, shape: Shape, *, as_columns: bool) -> Expression:
+def _called(step: Step, shape: StateShape, *, as_columns: bool) -> Expression:
     """The function called with symbols."""
     x, effort, span = ca.SX.sym("x", shape.numbers), ca.SX.sym("effort"), ca.SX.sym("span")
     symbols: list[Any] = [*ca.vertsplit(x), effort, span]
@@ -273,7 +273,7 @@ def _bare(value: Any) -> Any:
     return value.item() if isinstance(value, np.ndarray) else value
 
 
-def _agrees(found: Expression, step: Step, shape: Shape) -> bool:
+def _agrees(found: Expression, step: Step, shape: StateShape) -> bool:
     """Whether the traced function gives what the function itself gives."""
     draw = np.random.default_rng(0)
     for _ in range(TRIALS):

@@ -11,9 +11,9 @@ from estune.errors import InvalidInput, PlantError
 from estune.trial import LinearModel, RigDescription, RigLimits
 from estune.trial.profiles import StepProfile
 from plants.models.effect_applicability import unavailable
-from plants.models.effect_mixin import TakesEffects
+from plants.models.effect_mixin import EffectMixin
 from plants.models.linear_structures import Drum
-from plants.models.linear_with_effects import PortedStructure
+from plants.models.linear_with_effects import LinearEffectStructure
 from plants.models.mounting import ServesAsRig
 from plants.models.reel_equations import ReelStructure
 from plants.simulation.plant import SOFTWARE, Columns, Drive, check_above_zero, check_not_negative
@@ -21,14 +21,14 @@ from plants.simulation.trial_loop import Batch, trial_loop
 
 _MAY_BE_ZERO = ("viscous_friction_Nms", "dead_time_s", "derivative_filter_s")
 
-_NUMBERS = (*Drum.own, *PortedStructure.COMMON)
+_NUMBERS = (*Drum.own, *LinearEffectStructure.COMMON)
 
 SHARE_OF_LIMIT = 0.1
 """Size of the suggested step, relative to the force that the greatest current gives."""
 
 
 @dataclass(frozen=True)
-class UnloadedReel(TakesEffects, ServesAsRig):
+class UnloadedReel(EffectMixin, ServesAsRig):
     """A motor and a drum that no cable holds: `J theta'' + b theta' = Kt i`.
 
     Equally a servo or a positioning stage: with a radius of 1, a mass for the inertia and a torque
@@ -130,11 +130,11 @@ class UnloadedReel(TakesEffects, ServesAsRig):
         return {name: named[name] for name in named if name in _NUMBERS} | units
 
     @cached_property
-    def structure(self) -> PortedStructure:
+    def structure(self) -> LinearEffectStructure:
         """What the equations depend on besides numbers."""
         p = self.amended
         fastest = p.viscous_friction_Nms / p.drum_inertia_kg_m2
-        return PortedStructure(
+        return LinearEffectStructure(
             base=Drum(),
             effects=self.kinds,
             fractional=True,
@@ -143,7 +143,7 @@ class UnloadedReel(TakesEffects, ServesAsRig):
 
     @cached_property
     def parameter_values(self) -> FloatArray:
-        """The numbers the equations take, in the order of `PortedStructure.parameter_names`."""
+        """The numbers the equations take, in the order of `LinearEffectStructure.parameter_names`."""
         return self.numbers(self.own_numbers[name] for name in self.structure.own_names)
 
     def respond(

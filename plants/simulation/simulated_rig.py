@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from estune.core.gains import Gains
 from estune.errors import RigError
 from estune.trial import Outcome, RigDescription, Telemetry, TrialRecord, TrialRequest
-from estune.trial.executed_trials import TrialRecords, stopped
+from estune.trial.executed_trials import ExecutedTrials, stopped
 from plants.simulation.batch import Response, simulate
 from plants.simulation.noise import NoiseSource
 from plants.simulation.plant import SOFTWARE, Plant, check_not_negative, drive_of
@@ -56,7 +56,9 @@ class SimulatedRig:
         self._description = replace(plant.describe(name, gains), simulated=True)
         self._noise = NoiseSource(seed)
         self._pace = pace
-        self._records = TrialRecords(same_anew=True)  # its noise depends on seed and number alone
+        self._records = ExecutedTrials(
+            same_anew=True
+        )  # its noise depends on seed and number alone
         self._trial = threading.Lock()  # held while a trial runs
         self._running = False
         self._stop = threading.Event()
@@ -86,7 +88,7 @@ class SimulatedRig:
                 self._stop.clear()
                 self._running = True
             try:
-                known = self._records.again(request)
+                known = self._records.find_record(request)
                 if known is not None:
                     return known
                 limits.check(request.profile)

@@ -217,7 +217,7 @@ class VirtualLoop:
         parameters = np.broadcast_to(batch.parameters, (trials, batch.parameters.shape[-1]))
         noise = np.zeros((1, samples)) if batch.noise_N is None else batch.noise_N
         noise = np.broadcast_to(noise, (trials, samples))
-        machine = Machine(self._functions)
+        machine = VirtualMachine(self._functions)
         for n in range(trials):
             machine.start(parameters[n], batch.preload_N, batch.coefficients[n])
             one = columns.trial(n)
@@ -225,7 +225,7 @@ class VirtualLoop:
         return columns
 
 
-class Machine:
+class VirtualMachine:
     """One trial at a time through CasADi's buffers: memory that the functions read and write.
 
     Attributes:

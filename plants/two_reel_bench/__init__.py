@@ -8,7 +8,7 @@ procedure = TwoReelProcedure(setpoints_N=(8.0, 16.0, 24.0, 32.0, 40.0))
 result = evaluate(procedure.run(bench), angles_x_rad=[2.1])
 print(result.friction_coefficient, result.resolved, result.transparency().verdict)
 
-`procedure.run` takes any `Bench`, also one of real reels.
+`procedure.run` takes any `ModelFitter`, also one of real reels.
 """
 
 from plants.two_reel_bench.bench import SimulatedBench
@@ -48,12 +48,13 @@ from plants.two_reel_bench.index import (
     static_transparency,
 )
 from plants.two_reel_bench.procedure import Measurement, TwoReelProcedure
-from plants.two_reel_bench.reel_comparison import Likeness, likeness
-from plants.two_reel_bench.rig import Bench, BenchRecord, BenchReel, Reading
+from plants.two_reel_bench.reel_comparison import ReelComparison, likeness
+from plants.two_reel_bench.rig import Bench, BenchReading, BenchRecord, BenchReel
 
 __all__ = [
     "WEBER_LIMIT",
     "Bench",
+    "BenchReading",
     "BenchRecord",
     "BenchReel",
     "ContactForce",
@@ -63,9 +64,8 @@ __all__ = [
     "Gauge",
     "HysteresisLoop",
     "HysteresisTest",
-    "Likeness",
     "Measurement",
-    "Reading",
+    "ReelComparison",
     "ReelModel",
     "SimulatedBench",
     "StaticTransparency",

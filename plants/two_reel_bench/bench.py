@@ -20,7 +20,7 @@ from estune.core.quantities import FloatArray
 from estune.errors import InvalidInput, PlantError
 from plants.two_reel_bench.bench_parts import Eyelet, ReelModel
 from plants.two_reel_bench.friction_ratio import log_loss
-from plants.two_reel_bench.rig import BenchRecord, Reading
+from plants.two_reel_bench.rig import BenchReading, BenchRecord
 
 _ROUNDS = 200
 """Sliding at one eyelet after the other; each round leaves less than half of what was missing."""
@@ -167,7 +167,7 @@ class _Contact:
 
 
 class SimulatedBench:
-    """Two simulated reels on one cable; a `Bench`.
+    """Two simulated reels on one cable; a `ModelFitter`.
 
     Both start at rest with the same tension everywhere.
 
@@ -209,7 +209,7 @@ class SimulatedBench:
         self._wander = [g.wander_N * self._random.standard_normal() for g in (x.gauge, y.gauge)]
 
     def record(self, duration_s: float) -> BenchRecord:
-        """Runs both reels for a time; see `Bench`.
+        """Runs both reels for a time; see `ModelFitter`.
 
         Raises:
             InvalidInput: the time is not finite or holds no sample.
@@ -229,7 +229,7 @@ class SimulatedBench:
             x, y = self.x, self.y
             rows.append((self.time_s, x.reading, x.angle_rad, y.reading, y.angle_rad))
         columns = np.array(rows).T
-        return BenchRecord(columns[0], Reading(*columns[1:3]), Reading(*columns[3:5]))
+        return BenchRecord(columns[0], BenchReading(*columns[1:3]), BenchReading(*columns[3:5]))
 
     def _step(self) -> None:
         """One period: the drums move, and the cable slides as far as friction lets it."""

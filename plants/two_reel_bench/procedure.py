@@ -24,7 +24,7 @@ import numpy as np
 
 from estune.core.quantities import FloatArray
 from estune.errors import InvalidInput, RigError
-from plants.two_reel_bench.rig import Bench, BenchRecord, BenchReel, Reading
+from plants.two_reel_bench.rig import Bench, BenchReading, BenchRecord, BenchReel
 
 Holding = Literal["breakout", "position", "moving"]
 
@@ -285,7 +285,7 @@ def _reel(bench: Bench, which: Literal["x", "y"]) -> BenchReel:
     return bench.x if which == "x" else bench.y
 
 
-def _side(record: BenchRecord, which: Literal["x", "y"]) -> Reading:
+def _side(record: BenchRecord, which: Literal["x", "y"]) -> BenchReading:
     return record.x if which == "x" else record.y
 
 
@@ -293,7 +293,7 @@ def _joined(records: list[BenchRecord]) -> BenchRecord:
     return BenchRecord(
         np.concatenate([r.time_s for r in records]),
         *(
-            Reading(
+            BenchReading(
                 np.concatenate([_side(r, which).gauge for r in records]),
                 np.concatenate([_side(r, which).angle_rad for r in records]),
             )
@@ -305,7 +305,7 @@ def _joined(records: list[BenchRecord]) -> BenchRecord:
 def _cut(record: BenchRecord, start: int) -> BenchRecord:
     return BenchRecord(
         record.time_s[start:],
-        *(Reading(*(column[start:] for column in side)) for side in (record.x, record.y)),
+        *(BenchReading(*(column[start:] for column in side)) for side in (record.x, record.y)),
     )
 
 

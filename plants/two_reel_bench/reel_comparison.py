@@ -15,7 +15,7 @@ _WORST_CONDITION = 1e3
 """How much measurements that bend the cable nearly alike may blow up their errors."""
 
 
-class Likeness(NamedTuple):
+class ReelComparison(NamedTuple):
     """Whether two reels have the same friction coefficient.
 
     Attributes:
@@ -34,7 +34,7 @@ class Likeness(NamedTuple):
         return self.chance >= SUSPICIOUS
 
 
-def likeness(first: TwoReelResult, second: TwoReelResult) -> Likeness:
+def likeness(first: TwoReelResult, second: TwoReelResult) -> ReelComparison:
     """Tells the friction of the two reels apart, from two measurements with different angles.
 
     One measurement shows `B_X B_Y` alone, as the cable passes both eyelets in series. With Y bent
@@ -88,7 +88,9 @@ def _losses(C: FloatArray, runs: tuple[TwoReelResult, ...]) -> tuple[FloatArray,
     return parts[0].sum(axis=1), (parts[2] - parts[1]) / (2.0 * h)
 
 
-def _likeness(C: FloatArray, inverse: FloatArray, runs: tuple[TwoReelResult, ...]) -> Likeness:
+def _likeness(
+    C: FloatArray, inverse: FloatArray, runs: tuple[TwoReelResult, ...]
+) -> ReelComparison:
     error = np.array([2.0 * r.attenuation.standard_error / r.attenuation.value for r in runs])
     freedom = sum(run.ratios.shape[0] - 1 for run in runs)
     width = student(runs[0].probability, freedom)
@@ -97,4 +99,4 @@ def _likeness(C: FloatArray, inverse: FloatArray, runs: tuple[TwoReelResult, ...
         for c, e in zip(C, np.hypot(*(inverse * error).T), strict=True)
     )
     apart = float(np.hypot(*((inverse[0] - inverse[1]) * error)))
-    return Likeness(x, y, chance(x.value - y.value, apart, freedom))
+    return ReelComparison(x, y, chance(x.value - y.value, apart, freedom))

@@ -9,7 +9,7 @@ from typing import NamedTuple, Protocol
 from estune.core.quantities import FloatArray
 
 
-class Reading(NamedTuple):
+class BenchReading(NamedTuple):
     """What one reel reads; columns have shape (samples,).
 
     Attributes:
@@ -31,8 +31,8 @@ class BenchRecord(NamedTuple):
     """
 
     time_s: FloatArray
-    x: Reading
-    y: Reading
+    x: BenchReading
+    y: BenchReading
 
 
 class BenchReel(Protocol):

@@ -4,7 +4,7 @@ Each check is a function from evidence to a finding; `examine` gathers the evide
 unless the caller has said that it may.
 """
 
-from estune.cli.checks.check_result import Finding, State
-from estune.cli.checks.run_checks import REPEATS, examine, gentle_trial
+from estune.cli.checks.check_result import CheckResult, State
+from estune.cli.checks.run_checks import REPEATS, gentle_trial, run_checks
 
-__all__ = ["REPEATS", "Finding", "State", "examine", "gentle_trial"]
+__all__ = ["REPEATS", "CheckResult", "State", "gentle_trial", "run_checks"]

@@ -14,7 +14,7 @@ class State(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class CheckResult:
     """What one check came to.
 
     Attributes:
@@ -32,16 +32,16 @@ class Finding:
     figures: Mapping[str, float] = field(default_factory=dict)
 
 
-def fine(check: str, sentence: str, **figures: float) -> Finding:
+def fine(check: str, sentence: str, **figures: float) -> CheckResult:
     """Nothing is to be done."""
-    return Finding(check, State.FINE, sentence, figures=figures)
+    return CheckResult(check, State.FINE, sentence, figures=figures)
 
 
-def fix(check: str, sentence: str, remedy: str, **figures: float) -> Finding:
+def fix(check: str, sentence: str, remedy: str, **figures: float) -> CheckResult:
     """Something must be mended."""
-    return Finding(check, State.FIX, sentence, remedy, figures)
+    return CheckResult(check, State.FIX, sentence, remedy, figures)
 
 
-def unknown(check: str, sentence: str, remedy: str = "", **figures: float) -> Finding:
+def unknown(check: str, sentence: str, remedy: str = "", **figures: float) -> CheckResult:
     """It cannot be told; the remedy says how it could."""
-    return Finding(check, State.UNKNOWN, sentence, remedy, figures)
+    return CheckResult(check, State.UNKNOWN, sentence, remedy, figures)

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterator
 
-from estune.cli.checks.check_result import Finding, fine, fix, unknown
+from estune.cli.checks.check_result import CheckResult, fine, fix, unknown
 from estune.errors import InvalidInput
 from estune.interop import margins
 from estune.remote.messages import Status
@@ -11,7 +11,7 @@ from estune.run import result_warnings
 from estune.trial import RigDescription
 
 
-def check_standing(status: Status) -> Finding:
+def check_status(status: Status) -> CheckResult:
     """Whether the rig can be used at all."""
     if status.latched:
         return fix(
@@ -23,7 +23,7 @@ def check_standing(status: Status) -> Finding:
     return fine("state", f"{status.mode.sentence}{held}")
 
 
-def check_limits(rig: RigDescription) -> Finding:
+def check_limits(rig: RigDescription) -> CheckResult:
     """Whether the limits are limits, in order, and let the rig's own step pass."""
     wrong = list(_faults(rig))
     if wrong:
@@ -67,7 +67,7 @@ def _faults(rig: RigDescription) -> Iterator[str]:
         )
 
 
-def check_gains(rig: RigDescription) -> Finding:
+def check_gains(rig: RigDescription) -> CheckResult:
     """Whether the live gains hold the rig's own model with margins to spare."""
     if rig.linear_model is None:
         return unknown(
@@ -75,7 +75,7 @@ def check_gains(rig: RigDescription) -> Finding:
             f"{rig.gains}; the rig gives no linear model, so their margins are not known",
         )
     found = margins(rig.linear_model, rig.gains, rig.controller)
-    thin = result_warnings.thin_margins(found)
+    thin = result_warnings.low_margins(found)
     if thin:
         return fix(
             "live gains",

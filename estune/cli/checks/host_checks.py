@@ -8,7 +8,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from estune.cli.checks.check_result import Finding, fine, fix, unknown
+from estune.cli.checks.check_result import CheckResult, fine, fix, unknown
 
 _LISTENS = "0A"
 _PROC = Path("/proc")
@@ -57,7 +57,7 @@ def find_host(endpoint: str) -> Host | None:
     return None
 
 
-def check_permissions(host: Host | None, *, simulated: bool) -> Finding:
+def check_permissions(host: Host | None, *, simulated: bool) -> CheckResult:
     """Whether the real-time loop got what it asks the system for."""
     if simulated:
         return fine("permissions", "a simulated rig asks for none")
@@ -74,7 +74,7 @@ def check_permissions(host: Host | None, *, simulated: bool) -> Finding:
     return fine("permissions", "real-time priority and locked memory are granted")
 
 
-def check_ports(host: Host | None, endpoint: str, *, asked_who: bool) -> Finding:
+def check_ports(host: Host | None, endpoint: str, *, asked_who: bool) -> CheckResult:
     """Whether anybody on the network could command the rig.
 
     Args:
@@ -95,7 +95,7 @@ def check_ports(host: Host | None, endpoint: str, *, asked_who: bool) -> Finding
     return fine("ports", f"listens at {', '.join(at)}")
 
 
-def check_ledger(host: Host | None, *, simulated: bool) -> Finding:
+def check_ledger(host: Host | None, *, simulated: bool) -> CheckResult:
     """Whether the rig remembers over a restart what it ran."""
     if host is not None and host.ledger is not None:
         return fine("ledger", f"on disk, {host.ledger}")

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from datetime import datetime
 from typing import NamedTuple
 
-from estune.cli.checks.check_result import Finding, fine, fix
+from estune.cli.checks.check_result import CheckResult, fine, fix
 from estune.remote.state_machine.state import LEASE_S, RENEW_S
 
 QUESTIONS = 200
@@ -43,7 +43,7 @@ def round_trips_s(ask: Callable[[], object], questions: int = QUESTIONS) -> list
     return taken
 
 
-def check_link(taken_s: Sequence[float]) -> Finding:
+def check_link(taken_s: Sequence[float]) -> CheckResult:
     """Whether the lease can be kept: a renewal that takes too long is one that is lost."""
     median_ms = 1e3 * statistics.median(taken_s)
     slow_ms = 1e3 * statistics.quantiles(taken_s, n=100)[-1]
@@ -60,7 +60,7 @@ def check_link(taken_s: Sequence[float]) -> Finding:
     return fine("link", sentence, **figures)
 
 
-def check_clock(dated: Sequence[Dated]) -> Finding:
+def check_clock(dated: Sequence[Dated]) -> CheckResult:
     """Whether the rig's clock agrees with this machine's, and neither jumps."""
     low_s, high_s = float("-inf"), float("inf")
     for trial in dated:

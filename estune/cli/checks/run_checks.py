@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import Protocol
 
 from estune.cli.checks import description_checks, host_checks, link_checks, trial_checks
-from estune.cli.checks.check_result import Finding, State, fine, fix, unknown
+from estune.cli.checks.check_result import CheckResult, State, fine, fix, unknown
 from estune.cli.checks.link_checks import Dated
 from estune.remote.messages import Status
 from estune.trial import RigDescription, TrialRecord, TrialRequest
@@ -18,7 +18,7 @@ GENTLER = 0.5
 """The trial steps by this share of the step that the rig suggests."""
 
 
-class Patient(Protocol):
+class RigUnderTest(Protocol):
     """What is examined: a rig on the link."""
 
     def describe(self) -> RigDescription:
@@ -39,9 +39,14 @@ def gentle_trial(rig: RigDescription) -> StepProfile:
     return replace(rig.step, step_N=GENTLER * rig.step.step_N)
 
 
-def examine(
-    rig: Patient, endpoint: str, *, move: bool, repeats: int = REPEATS, asked_who: bool = False
-) -> Iterator[Finding]:
+def run_checks(
+    rig: RigUnderTest,
+    endpoint: str,
+    *,
+    move: bool,
+    repeats: int = REPEATS,
+    asked_who: bool = False,
+) -> Iterator[CheckResult]:
     """Examines a rig; each finding comes as soon as it is made.
 
     Args:
@@ -55,7 +60,7 @@ def examine(
         RigError: it cannot be reached, or refuses the trials.
     """
     about = rig.describe()
-    standing = description_checks.check_standing(rig.status())
+    standing = description_checks.check_status(rig.status())
     yield standing
     yield link_checks.check_link(link_checks.round_trips_s(rig.status))
     limits = description_checks.check_limits(about)
@@ -73,7 +78,7 @@ def examine(
         yield from _in_motion(rig, about, repeats)
 
 
-def _in_motion(rig: Patient, about: RigDescription, repeats: int) -> Iterator[Finding]:
+def _in_motion(rig: RigUnderTest, about: RigDescription, repeats: int) -> Iterator[CheckResult]:
     step = gentle_trial(about)
     run = f"doctor-{secrets.token_hex(4)}"
     found, dated = [], []

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from estune.cli.checks.check_result import Finding, fine, fix, unknown
+from estune.cli.checks.check_result import CheckResult, fine, fix, unknown
 from estune.core.cost import StepCost
 from estune.errors import RigError
 from estune.run.plan import MOVE_WEIGHT
@@ -33,7 +33,7 @@ SATURATED_MAX = 0.2
 """Share of samples in which the effort may be at its limit."""
 
 
-def check_outcomes(records: Sequence[TrialRecord], step: StepProfile) -> Finding:
+def check_outcomes(records: Sequence[TrialRecord], step: StepProfile) -> CheckResult:
     """Whether the trials ran to their end and every value is one."""
     for record in records:
         if record.outcome is not Outcome.DONE:
@@ -62,7 +62,7 @@ def check_outcomes(records: Sequence[TrialRecord], step: StepProfile) -> Finding
     return fine("trials", f"{len(records)} repeats with the live gains ran to their end")
 
 
-def check_sampling(records: Sequence[TrialRecord]) -> Finding:
+def check_sampling(records: Sequence[TrialRecord]) -> CheckResult:
     """Whether samples were taken when they should have been."""
     late = sum(int(np.count_nonzero(record.flags & LATE)) for record in records)
     samples = sum(len(record.flags) for record in records)
@@ -92,7 +92,9 @@ def check_sampling(records: Sequence[TrialRecord]) -> Finding:
     return fine("sampling", sentence, **figures)
 
 
-def check_gauge(records: Sequence[TrialRecord], step: StepProfile, *, simulated: bool) -> Finding:
+def check_gauge(
+    records: Sequence[TrialRecord], step: StepProfile, *, simulated: bool
+) -> CheckResult:
     """Whether the gauge is quiet, alive, and says the same from repeat to repeat."""
     height_N = abs(step.step_N)
     quiet = [r.tension_N[: step.step_index(r.sampling_Hz)] for r in records]
@@ -124,7 +126,9 @@ def check_gauge(records: Sequence[TrialRecord], step: StepProfile, *, simulated:
     return fine("gauge", sentence, **figures)
 
 
-def check_cost(records: Sequence[TrialRecord], step: StepProfile, rig: RigDescription) -> Finding:
+def check_cost(
+    records: Sequence[TrialRecord], step: StepProfile, rig: RigDescription
+) -> CheckResult:
     """Whether the cost of the same gains is the same from repeat to repeat."""
     cost = StepCost(rig.settling_time_s, move_weight=MOVE_WEIGHT)
     try:

@@ -13,7 +13,7 @@ from estune import errors
 from estune.core.gains import Gains
 from estune.errors import EstuneError, ProtocolError, RigError
 from estune.remote.messages.keys import VERSION
-from estune.remote.state_machine.reply_codes import Verdict
+from estune.remote.state_machine.reply_codes import ReplyCode
 from estune.remote.state_machine.state import Mode
 from estune.trial import RigDescription, TrialRequest, record_frame
 
@@ -182,21 +182,21 @@ class Answer:
     """
 
     __pydantic_config__: ClassVar = _STRICT
-    verdict: Verdict
+    verdict: ReplyCode
     trial_id: str = ""
     error: str = ""
     sentence: str = ""
 
     def check(self) -> None:
         """Raises the error the rig raised, or says no in its words, where the answer is no."""
-        if self.verdict is Verdict.REFUSED:
+        if self.verdict is ReplyCode.REFUSED:
             kind = _ERRORS.get(self.error, RigError)
             raise kind(self.sentence)
         if self.verdict in _NOES:
             raise RigError(self.sentence or self.verdict.sentence)
 
 
-_NOES = (Verdict.BUSY, Verdict.HELD, Verdict.NO_LEASE, Verdict.SAFE)
+_NOES = (ReplyCode.BUSY, ReplyCode.HELD, ReplyCode.NO_LEASE, ReplyCode.SAFE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -253,7 +253,7 @@ ANSWERS = (Answer, Status, Description)
 
 def refusal(error: EstuneError, trial_id: str = "") -> Answer:
     """The answer that makes the client raise the same error."""
-    return Answer(Verdict.REFUSED, trial_id, type(error).__name__, str(error))
+    return Answer(ReplyCode.REFUSED, trial_id, type(error).__name__, str(error))
 
 
 def encode(message: Any) -> bytes:

@@ -18,10 +18,10 @@ from enum import StrEnum
 from types import MappingProxyType
 
 from estune.errors import ProtocolError
-from estune.remote.state_machine.reply_codes import Verdict
+from estune.remote.state_machine.reply_codes import ReplyCode
 
 
-class Stage(StrEnum):
+class ClientStage(StrEnum):
     """How far a trial has come, so far as the client can know."""
 
     FRESH = "fresh"
@@ -30,7 +30,7 @@ class Stage(StrEnum):
     OVER = "over"
 
 
-class Heard(StrEnum):
+class ClientInput(StrEnum):
     """What a client can hear, besides a verdict."""
 
     RECORD = "record"
@@ -48,13 +48,13 @@ class Heard(StrEnum):
 
 
 _HEARD = {
-    Heard.RECORD: "the record of the trial",
-    Heard.SILENCE: "no answer in time",
-    Heard.LEASED: "the lease was granted",
-    Heard.RESTARTED: "the rig was restarted, with the ledger it had",
-    Heard.EMPTIED: "a simulated rig was restarted with an empty ledger: nothing can have moved",
-    Heard.REPLACED: "another ledger answers under the rig's name",
-    Heard.GONE: "no answer for so long that the client gives up",
+    ClientInput.RECORD: "the record of the trial",
+    ClientInput.SILENCE: "no answer in time",
+    ClientInput.LEASED: "the lease was granted",
+    ClientInput.RESTARTED: "the rig was restarted, with the ledger it had",
+    ClientInput.EMPTIED: "a simulated rig was restarted with an empty ledger: nothing can have moved",
+    ClientInput.REPLACED: "another ledger answers under the rig's name",
+    ClientInput.GONE: "no answer for so long that the client gives up",
 }
 
 
@@ -74,66 +74,75 @@ class Action(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class ClientTransition:
     """What comes of what was heard."""
 
-    stage: Stage
+    stage: ClientStage
     action: Action
 
 
-START = Step(Stage.FRESH, Action.SUBMIT)
+START = ClientTransition(ClientStage.FRESH, Action.SUBMIT)
 """Where each trial begins. The rig asks its ledger before it takes anything in."""
 
-_RESUBMIT = Step(Stage.SENT, Action.SUBMIT)
-_ASK_SENT, _ASK_IN_HAND = (Step(stage, Action.INQUIRE) for stage in (Stage.SENT, Stage.IN_HAND))
-_WAIT_SENT, _WAIT_IN_HAND = (Step(stage, Action.WAIT) for stage in (Stage.SENT, Stage.IN_HAND))
-_LEASE = Step(Stage.SENT, Action.LEASE)
+_RESUBMIT = ClientTransition(ClientStage.SENT, Action.SUBMIT)
+_ASK_SENT, _ASK_IN_HAND = (
+    ClientTransition(stage, Action.INQUIRE) for stage in (ClientStage.SENT, ClientStage.IN_HAND)
+)
+_WAIT_SENT, _WAIT_IN_HAND = (
+    ClientTransition(stage, Action.WAIT) for stage in (ClientStage.SENT, ClientStage.IN_HAND)
+)
+_LEASE = ClientTransition(ClientStage.SENT, Action.LEASE)
 _RECORD, _INTERRUPTED, _NOTHING_RAN, _FAIL, _GONE, _AMBIGUOUS = (
-    Step(Stage.OVER, action)
+    ClientTransition(ClientStage.OVER, action)
     for action in (
         *(Action.RECORD, Action.INTERRUPTED, Action.NOTHING_RAN),
         *(Action.FAIL, Action.GONE, Action.AMBIGUOUS),
     )
 )
 
-TABLE: Mapping[Verdict | Heard, tuple[Step | None, Step | None, Step | None]] = MappingProxyType(
+TABLE: Mapping[
+    ReplyCode | ClientInput,
+    tuple[ClientTransition | None, ClientTransition | None, ClientTransition | None],
+] = MappingProxyType(
     {
         # heard: fresh, sent, in hand; None cannot be
-        Heard.RECORD: (None, _RECORD, _RECORD),
-        Heard.SILENCE: (None, _ASK_SENT, _ASK_IN_HAND),
-        Heard.LEASED: (START, _RESUBMIT, _ASK_IN_HAND),
-        Heard.RESTARTED: (START, _ASK_SENT, _ASK_IN_HAND),
-        Heard.EMPTIED: (START, START, START),
-        Heard.REPLACED: (_GONE, _AMBIGUOUS, _AMBIGUOUS),
-        Heard.GONE: (_GONE, _AMBIGUOUS, _AMBIGUOUS),
-        Verdict.ACCEPTED: (None, _WAIT_IN_HAND, _WAIT_IN_HAND),
-        Verdict.RUNNING: (None, _WAIT_IN_HAND, _WAIT_IN_HAND),
-        Verdict.ENDED: (None, _ASK_IN_HAND, _ASK_IN_HAND),
-        Verdict.NEVER_STARTED: (None, _NOTHING_RAN, _NOTHING_RAN),
-        Verdict.INTERRUPTED: (None, _INTERRUPTED, _INTERRUPTED),
-        Verdict.VOID: (None, _NOTHING_RAN, _AMBIGUOUS),
-        Verdict.UNKNOWN: (None, _RESUBMIT, _AMBIGUOUS),
+        ClientInput.RECORD: (None, _RECORD, _RECORD),
+        ClientInput.SILENCE: (None, _ASK_SENT, _ASK_IN_HAND),
+        ClientInput.LEASED: (START, _RESUBMIT, _ASK_IN_HAND),
+        ClientInput.RESTARTED: (START, _ASK_SENT, _ASK_IN_HAND),
+        ClientInput.EMPTIED: (START, START, START),
+        ClientInput.REPLACED: (_GONE, _AMBIGUOUS, _AMBIGUOUS),
+        ClientInput.GONE: (_GONE, _AMBIGUOUS, _AMBIGUOUS),
+        ReplyCode.ACCEPTED: (None, _WAIT_IN_HAND, _WAIT_IN_HAND),
+        ReplyCode.RUNNING: (None, _WAIT_IN_HAND, _WAIT_IN_HAND),
+        ReplyCode.ENDED: (None, _ASK_IN_HAND, _ASK_IN_HAND),
+        ReplyCode.NEVER_STARTED: (None, _NOTHING_RAN, _NOTHING_RAN),
+        ReplyCode.INTERRUPTED: (None, _INTERRUPTED, _INTERRUPTED),
+        ReplyCode.VOID: (None, _NOTHING_RAN, _AMBIGUOUS),
+        ReplyCode.UNKNOWN: (None, _RESUBMIT, _AMBIGUOUS),
         # Busy with this very trial while the ledger is being written, else with another's.
-        Verdict.BUSY: (None, _WAIT_SENT, _WAIT_IN_HAND),
-        Verdict.HELD: (_FAIL, _FAIL, _ASK_IN_HAND),
-        Verdict.NO_LEASE: (_LEASE, _LEASE, _ASK_IN_HAND),
-        Verdict.SAFE: (_FAIL, _FAIL, _ASK_IN_HAND),
-        Verdict.REFUSED: (_FAIL, _FAIL, _FAIL),
+        ReplyCode.BUSY: (None, _WAIT_SENT, _WAIT_IN_HAND),
+        ReplyCode.HELD: (_FAIL, _FAIL, _ASK_IN_HAND),
+        ReplyCode.NO_LEASE: (_LEASE, _LEASE, _ASK_IN_HAND),
+        ReplyCode.SAFE: (_FAIL, _FAIL, _ASK_IN_HAND),
+        ReplyCode.REFUSED: (_FAIL, _FAIL, _FAIL),
     }
 )
 """What is heard by stage."""
 
-_COLUMN = {Stage.FRESH: 0, Stage.SENT: 1, Stage.IN_HAND: 2}
+_COLUMN = {ClientStage.FRESH: 0, ClientStage.SENT: 1, ClientStage.IN_HAND: 2}
 
 
-def sent(step: Step) -> Step:
+def sent(step: ClientTransition) -> ClientTransition:
     """The step once its question is on its way: a trial that was fresh is not any more."""
-    if step.action is Action.SUBMIT and step.stage is Stage.FRESH:
-        return Step(Stage.SENT, step.action)
+    if step.action is Action.SUBMIT and step.stage is ClientStage.FRESH:
+        return ClientTransition(ClientStage.SENT, step.action)
     return step
 
 
-def hear(stage: Stage, heard: Verdict | Heard, *, own: bool = True) -> Step:
+def next_transition(
+    stage: ClientStage, heard: ReplyCode | ClientInput, *, own: bool = True
+) -> ClientTransition:
     """What a client does with what it hears.
 
     Args:
@@ -144,9 +153,9 @@ def hear(stage: Stage, heard: Verdict | Heard, *, own: bool = True) -> Step:
     Raises:
         ProtocolError: that cannot be heard now: the rig breaks the protocol.
     """
-    if heard is Verdict.BUSY and not own:
+    if heard is ReplyCode.BUSY and not own:
         return _FAIL
-    found = None if stage is Stage.OVER else TABLE[heard][_COLUMN[stage]]
+    found = None if stage is ClientStage.OVER else TABLE[heard][_COLUMN[stage]]
     if found is None:
         raise ProtocolError(f"the rig says {heard!s} of a trial that is {stage!s}")
     return found

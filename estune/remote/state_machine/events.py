@@ -33,7 +33,7 @@ class Expire:
 
 
 @dataclass(frozen=True, slots=True)
-class Submit:
+class SubmitEvent:
     """A trial is asked for.
 
     Attributes:
@@ -50,7 +50,7 @@ class Submit:
 
 
 @dataclass(frozen=True, slots=True)
-class Cancel:
+class CancelEvent:
     """The trial in hand is to be stopped: the one named, or any where none is."""
 
     token: str
@@ -58,7 +58,7 @@ class Cancel:
 
 
 @dataclass(frozen=True, slots=True)
-class Void:
+class VoidEvent:
     """A trial is never to run, should its submit still arrive."""
 
     token: str
@@ -67,21 +67,21 @@ class Void:
 
 
 @dataclass(frozen=True, slots=True)
-class SetGains:
+class SetGainsEvent:
     """Gains are to be made the live ones."""
 
     token: str
 
 
 @dataclass(frozen=True, slots=True)
-class Estop:
+class EstopEvent:
     """Emergency stop: from anybody, at any time."""
 
     reason: str
 
 
 @dataclass(frozen=True, slots=True)
-class Clear:
+class ClearEvent:
     """The emergency stop is over."""
 
 
@@ -110,12 +110,12 @@ Event = (
     | Renew
     | Release
     | Expire
-    | Submit
-    | Cancel
-    | Void
-    | SetGains
-    | Estop
-    | Clear
+    | SubmitEvent
+    | CancelEvent
+    | VoidEvent
+    | SetGainsEvent
+    | EstopEvent
+    | ClearEvent
     | Noted
     | Begin
     | End

@@ -13,24 +13,24 @@ from estune.remote.state_machine import transitions as do
 from estune.remote.state_machine.events import (
     Acquire,
     Begin,
-    Cancel,
-    Clear,
+    CancelEvent,
+    ClearEvent,
     Close,
     End,
-    Estop,
+    EstopEvent,
     Event,
     Expire,
     Noted,
     Release,
     Renew,
-    SetGains,
-    Submit,
-    Void,
+    SetGainsEvent,
+    SubmitEvent,
+    VoidEvent,
 )
-from estune.remote.state_machine.state import Mode, Move, RigState
+from estune.remote.state_machine.state import Mode, RigState, Transition
 
 
-def step(state: RigState, event: Event, now_s: float) -> Move:
+def step(state: RigState, event: Event, now_s: float) -> Transition:
     """What a rig does with an event.
 
     A lease that has run out by then is ended first, whether or not anybody said that time passed.
@@ -53,10 +53,10 @@ def step(state: RigState, event: Event, now_s: float) -> Move:
     return move._replace(orders=expired.orders + move.orders)
 
 
-Handler = Callable[[RigState, Event, float], Move]
+Handler = Callable[[RigState, Event, float], Transition]
 
 
-def _row(*handlers: Callable[..., Move]) -> Mapping[Mode, Handler]:
+def _row(*handlers: Callable[..., Transition]) -> Mapping[Mode, Handler]:
     return MappingProxyType(dict(zip(Mode, handlers, strict=True)))
 
 
@@ -83,11 +83,11 @@ TABLE: Mapping[type[Event], Mapping[Mode, Handler]] = MappingProxyType(
             *(do.stay, do.expire, do.expire_and_stop, do.expire_and_stop, do.expire_and_stop),
             *(do.expire, do.expire, do.stay),
         ),
-        Submit: _row(
+        SubmitEvent: _row(
             *(do.take_in, do.take_in, do.while_busy, do.while_busy, do.while_busy, do.while_busy),
             *(do.while_safe, do.while_closed),
         ),
-        Cancel: _row(
+        CancelEvent: _row(
             *(
                 do.cancel_nothing,
                 do.cancel_nothing,
@@ -98,7 +98,7 @@ TABLE: Mapping[type[Event], Mapping[Mode, Handler]] = MappingProxyType(
             ),
             *(do.cancel_nothing, do.cancel_nothing),
         ),
-        Void: _row(
+        VoidEvent: _row(
             *(
                 do.void,
                 do.void,
@@ -110,15 +110,15 @@ TABLE: Mapping[type[Event], Mapping[Mode, Handler]] = MappingProxyType(
                 do.closed,
             ),
         ),
-        SetGains: _row(
+        SetGainsEvent: _row(
             *(do.apply, do.apply, do.apply_later, do.apply_later, do.apply_later, do.apply_later),
             *(do.apply_never, do.closed),
         ),
-        Estop: _row(
+        EstopEvent: _row(
             *(do.estop, do.estop, do.estop_trial, do.estop_trial, do.estop_trial, do.estop_trial),
             *(do.estop, do.estop),
         ),
-        Clear: _row(
+        ClearEvent: _row(
             *(do.clear, do.clear, do.clear_later, do.clear_later, do.clear_later, do.clear_later),
             *(do.clear, do.closed),
         ),

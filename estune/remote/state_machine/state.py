@@ -3,7 +3,7 @@
 from enum import StrEnum
 from typing import NamedTuple
 
-from estune.remote.state_machine.reply_codes import Verdict
+from estune.remote.state_machine.reply_codes import ReplyCode
 
 LEASE_S = 1.0
 """How long a lease lives without being renewed, s. What it protects is stopped when it ends."""
@@ -56,7 +56,7 @@ class Lease(NamedTuple):
     expires_at_s: float
 
 
-class Taken(NamedTuple):
+class AcceptedTrial(NamedTuple):
     """The trial in hand.
 
     Attributes:
@@ -84,7 +84,7 @@ class RigState(NamedTuple):
     """
 
     lease: Lease | None = None
-    trial: Taken | None = None
+    trial: AcceptedTrial | None = None
     latched: str = ""
     closed: bool = False
     ended: int = 0
@@ -106,7 +106,7 @@ class RigState(NamedTuple):
         return Mode.IDLE if self.lease is None else Mode.LEASED
 
 
-class Order(StrEnum):
+class RigAction(StrEnum):
     """What whoever drives the rig must do now."""
 
     TAKE_IN = "take in"
@@ -117,7 +117,7 @@ class Order(StrEnum):
     TOMBSTONE = "tombstone"
 
 
-class Move(NamedTuple):
+class Transition(NamedTuple):
     """What comes of an event.
 
     Attributes:
@@ -128,6 +128,6 @@ class Move(NamedTuple):
     """
 
     state: RigState
-    verdict: Verdict = Verdict.ACCEPTED
+    verdict: ReplyCode = ReplyCode.ACCEPTED
     sentence: str = ""
-    orders: tuple[Order, ...] = ()
+    orders: tuple[RigAction, ...] = ()

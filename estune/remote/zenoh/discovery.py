@@ -15,7 +15,7 @@ from estune.remote import messages
 from estune.remote.messages import Presence, check_name
 from estune.remote.security import OPEN, Security
 from estune.remote.zenoh.remote_rig import RemoteRig
-from estune.remote.zenoh.rig_connection import AGAIN_S, Conversation, present_at
+from estune.remote.zenoh.rig_connection import AGAIN_S, RigConnection, present_at
 from estune.remote.zenoh.zenoh_session import check_endpoint, close_session, open_session
 from estune.trial import record_frame
 
@@ -55,14 +55,14 @@ def connect(
     session = _open(endpoint, security, deadline_s)
     try:
         presence = _find(session, endpoint, rig, deadline_s)
-        talk = Conversation(session, endpoint, presence, timeout_s)
+        talk = RigConnection(session, endpoint, presence, timeout_s)
         return RemoteRig(talk, partial(_open, endpoint, security), holder or _whoami())
     except BaseException:
         close_session(session)
         raise
 
 
-def find(
+def discover_rigs(
     endpoint: str, timeout_s: float = 3.0, *, security: Security = OPEN
 ) -> tuple[Presence, ...]:
     """The rigs that answer at an endpoint, by name; none is spoken to.

@@ -20,18 +20,18 @@ from estune.remote.messages import (
     Submit,
     Void,
 )
-from estune.remote.state_machine.reply_codes import Verdict
-from estune.remote.zenoh.replies import named
-from estune.remote.zenoh.request_handler import Attendant
+from estune.remote.state_machine.reply_codes import ReplyCode
+from estune.remote.zenoh.replies import to_estune_error
+from estune.remote.zenoh.request_handler import RequestHandler
 
 _Say = Callable[[object], None]
 
 
-class Desk:
+class MessageDispatcher:
     """What stands between bytes and an attendant."""
 
     def __init__(
-        self, attendant: Attendant, instance: str, ledger: str, part_bytes: int = 0
+        self, attendant: RequestHandler, instance: str, ledger: str, part_bytes: int = 0
     ) -> None:
         """Opens the desk.
 
@@ -62,7 +62,7 @@ class Desk:
                 case _:
                     self._question(words, payload, say)
         except BaseException as error:  # noqa: BLE001  even SystemExit: somebody waits for it
-            say(messages.refusal(named(error, "/".join(words))))
+            say(messages.refusal(to_estune_error(error, "/".join(words))))
 
     def _command(self, verb: str, payload: bytes, say: _Say) -> None:
         attendant, decode = self._attendant, messages.decode
@@ -98,7 +98,7 @@ class Desk:
     def _briefly(self, say: _Say, message: Answer | bytes) -> None:
         """Answers a submit; where records travel in parts, with where to ask for them."""
         whole = self._part_bytes and isinstance(message, bytes)
-        say(Answer(Verdict.ENDED) if whole else message)
+        say(Answer(ReplyCode.ENDED) if whole else message)
 
 
 def _encoded(reply: Callable[[bytes], None], message: object) -> None:

@@ -11,9 +11,9 @@ import zenoh
 from estune.errors import RigError
 from estune.remote import messages
 from estune.remote.messages import HOLDER_MAX, Answer, Lease
-from estune.remote.state_machine.reply_codes import Verdict
+from estune.remote.state_machine.reply_codes import ReplyCode
 from estune.remote.state_machine.state import LEASE_S, RENEW_S
-from estune.remote.zenoh.rig_connection import AGAIN_S, Conversation
+from estune.remote.zenoh.rig_connection import AGAIN_S, RigConnection
 
 _RENEWED_WITHIN_S = 0.3
 _HELD_WITHIN_S = 1.5 * LEASE_S
@@ -22,14 +22,14 @@ _END_WITHIN_S = 2.0
 _log = logging.getLogger(__name__)
 
 
-class LeaseKeeper:
+class LeaseRenewer:
     """Acquires the lease when it is first needed, and renews it from a thread of its own.
 
     The thread waits on the network and the clock alone, so that it goes on while the main thread
     computes. It knows the conversation, not the rig: a rig that is let go of is closed.
     """
 
-    def __init__(self, talk: Conversation, holder: str) -> None:
+    def __init__(self, talk: RigConnection, holder: str) -> None:
         self._talk = talk
         self._holder = holder[:HOLDER_MAX]
         self._lock = threading.Lock()
@@ -56,7 +56,7 @@ class LeaseKeeper:
             while not self._token:
                 token = secrets.token_hex(8)
                 answer = self._say("acquire", token)
-                if answer.verdict is Verdict.ACCEPTED:
+                if answer.verdict is ReplyCode.ACCEPTED:
                     self._token = token
                 # What is left of a client that was killed runs out by itself.
                 elif time.monotonic() - asked_s > _HELD_WITHIN_S:
@@ -99,9 +99,9 @@ class LeaseKeeper:
 
     def _say(self, action: Literal["acquire"], token: str) -> Answer:
         message = messages.encode(Lease(action, token, self._holder))
-        data = self._talk.insist(self._key, message, "")
+        data = self._talk.query_until_answered(self._key, message, "")
         answer = messages.decode(Answer, data)
-        if answer.verdict is Verdict.REFUSED:
+        if answer.verdict is ReplyCode.REFUSED:
             answer.check()
         return answer
 
@@ -120,7 +120,7 @@ class LeaseKeeper:
                     priority=zenoh.Priority.INTERACTIVE_HIGH,
                 )
                 if data is not None and messages.decode(Answer, data).verdict is not (
-                    Verdict.ACCEPTED
+                    ReplyCode.ACCEPTED
                 ):
                     _log.warning(
                         "the lease of rig %r was lost: no renewal reached it for %g s",

@@ -27,10 +27,10 @@ from estune.remote.messages import (
 )
 from estune.remote.messages.keys import Verb
 from estune.remote.state_machine.client import Action
-from estune.remote.state_machine.reply_codes import Verdict
-from estune.remote.zenoh.lease_renewal import LeaseKeeper
-from estune.remote.zenoh.rig_connection import AGAIN_S, Conversation
-from estune.remote.zenoh.trial_exchange import Asking
+from estune.remote.state_machine.reply_codes import ReplyCode
+from estune.remote.zenoh.lease_renewal import LeaseRenewer
+from estune.remote.zenoh.rig_connection import AGAIN_S, RigConnection
+from estune.remote.zenoh.trial_exchange import TrialExchange
 from estune.remote.zenoh.zenoh_session import close_session
 from estune.trial import (
     Outcome,
@@ -38,7 +38,7 @@ from estune.trial import (
     Telemetry,
     TrialRecord,
     TrialRequest,
-    unmeasured,
+    empty_record,
 )
 
 _SAMPLES_WAITING_MAX = 64
@@ -57,13 +57,13 @@ class RemoteRig:
 
     def __init__(
         self,
-        talk: Conversation,
+        talk: RigConnection,
         reopen: Callable[[float], zenoh.Session],
         holder: str,
     ) -> None:
         self.name = talk.name
         self._talk = talk
-        self._lease = LeaseKeeper(talk, holder)
+        self._lease = LeaseRenewer(talk, holder)
         self._stop_session = _StopSession(reopen)
         # Lets go of all of it when this object is let go of or the interpreter ends, too.
         self._finish = weakref.finalize(self, _let_go, self._lease, self._stop_session, talk)
@@ -87,7 +87,7 @@ class RemoteRig:
         Raises:
             RigError: it cannot be reached.
         """
-        data = self._talk.insist(lambda: self._talk.keys.status, b"", "")
+        data = self._talk.query_until_answered(lambda: self._talk.keys.status, b"", "")
         return messages.decode(Status, data)
 
     def run(self, request: TrialRequest) -> TrialRecord:
@@ -103,7 +103,7 @@ class RemoteRig:
                 message says so.
         """
         trial_id = check_name("trial id", request.trial_id)
-        asking = Asking(self._talk, self._lease, request, self._changed)
+        asking = TrialExchange(self._talk, self._lease, request, self._changed)
         self._unanswered = trial_id, asking.digest
         found = asking.run()
         self._unanswered = None
@@ -112,7 +112,7 @@ class RemoteRig:
         outcome = Outcome.INTERRUPTED if found.action is Action.INTERRUPTED else Outcome.CANCELLED
         about = self._talk.about or self._talk.describe()
         at = datetime.now(UTC).isoformat(timespec="milliseconds")
-        return unmeasured(request, about.rig, outcome, found.sentence, at)
+        return empty_record(request, about.rig, outcome, found.sentence, at)
 
     def has_failed(self, request: TrialRequest) -> bool:
         """Whether a trial can never be had under its id: the rig's own program failed in it.
@@ -123,9 +123,11 @@ class RemoteRig:
             RigError: it cannot be reached.
         """
         inquiry = messages.encode(Inquire(messages.digest(request)))
-        data = self._talk.insist(lambda: self._talk.keys.result(request.trial_id), inquiry, "")
+        data = self._talk.query_until_answered(
+            lambda: self._talk.keys.result(request.trial_id), inquiry, ""
+        )
         found = messages.decode_trial(data)
-        return isinstance(found, Answer) and found.verdict is Verdict.REFUSED
+        return isinstance(found, Answer) and found.verdict is ReplyCode.REFUSED
 
     def apply(self, gains: Gains) -> None:
         """Makes gains the live ones.
@@ -150,9 +152,9 @@ class RemoteRig:
         trial_id = ""
         while True:
             message = messages.encode(Cancel(self._lease.token, trial_id))
-            data = self._talk.insist(partial(self._key, "cancel"), message, about)
+            data = self._talk.query_until_answered(partial(self._key, "cancel"), message, about)
             answer = messages.decode(Answer, data)
-            if answer.verdict is Verdict.NO_LEASE:
+            if answer.verdict is ReplyCode.NO_LEASE:
                 self._lease.lost(self._lease.token)
                 self._lease.hold()
                 continue
@@ -184,7 +186,7 @@ class RemoteRig:
                     f"rig {self.name!r} has not answered the emergency stop: it must be taken as "
                     "not stopped; cut its power"
                 )
-            self._talk.look(asked_s)
+            self._talk.check_liveliness(asked_s)
 
     def clear(self) -> None:
         """Ends an emergency stop. For whoever has seen to the rig.
@@ -194,7 +196,7 @@ class RemoteRig:
         """
         message = messages.encode(Clear())
         about = "; whether the stop is cleared is not known"
-        data = self._talk.insist(partial(self._key, "clear"), message, about)
+        data = self._talk.query_until_answered(partial(self._key, "clear"), message, about)
         messages.decode(Answer, data).check()
 
     @contextmanager
@@ -237,7 +239,7 @@ class RemoteRig:
         trial_id, digest = self._unanswered
         while (
             self._command("void", lambda lease: Void(lease, trial_id, digest), about).verdict
-            is Verdict.BUSY
+            is ReplyCode.BUSY
         ):
             time.sleep(AGAIN_S)  # it is being written into the ledger
         self._unanswered = None
@@ -249,9 +251,9 @@ class RemoteRig:
         while True:
             lease = self._lease.hold()
             payload = messages.encode(message(lease))
-            data = self._talk.insist(partial(self._key, verb), payload, about)
+            data = self._talk.query_until_answered(partial(self._key, verb), payload, about)
             answer = messages.decode(Answer, data)
-            if answer.verdict not in (Verdict.NO_LEASE, Verdict.HELD):
+            if answer.verdict not in (ReplyCode.NO_LEASE, ReplyCode.HELD):
                 return answer
             self._lease.lost(lease)
 
@@ -276,7 +278,7 @@ class _StopSession:
             close_session(self._session)
 
 
-def _let_go(lease: LeaseKeeper, stops: _StopSession, talk: Conversation) -> None:
+def _let_go(lease: LeaseRenewer, stops: _StopSession, talk: RigConnection) -> None:
     lease.close()
     stops.close()
     talk.close()

@@ -4,16 +4,16 @@ import logging
 from datetime import UTC, datetime
 
 from estune.errors import EstuneError, RigError
-from estune.remote.ledger import Entry
+from estune.remote.ledger import LedgerEntry
 from estune.remote.messages import Answer, refusal
-from estune.remote.state_machine.reply_codes import OF_TRIAL, Verdict
+from estune.remote.state_machine.reply_codes import OF_TRIAL, ReplyCode
 from estune.remote.state_machine.trials import TrialState
-from estune.trial import Outcome, RigDescription, TrialRecord, TrialRequest, unmeasured
+from estune.trial import Outcome, RigDescription, TrialRecord, TrialRequest, empty_record
 
 _log = logging.getLogger(__name__)
 
 
-def named(error: BaseException, doing: str) -> EstuneError:
+def to_estune_error(error: BaseException, doing: str) -> EstuneError:
     """An error of the tree for whatever a rig has raised; the trace of a stranger is logged."""
     if isinstance(error, EstuneError):
         return error
@@ -27,10 +27,10 @@ def named(error: BaseException, doing: str) -> EstuneError:
 def never_begun(request: TrialRequest, rig: RigDescription) -> TrialRecord:
     """The record of a trial that was stopped before it began."""
     at = datetime.now(UTC).isoformat(timespec="milliseconds")
-    return unmeasured(request, rig, Outcome.CANCELLED, "stopped before it began", at)
+    return empty_record(request, rig, Outcome.CANCELLED, "stopped before it began", at)
 
 
-def known(trial_id: str, entry: Entry) -> Answer | bytes:
+def reply_from_ledger(trial_id: str, entry: LedgerEntry) -> Answer | bytes:
     """What the ledger knows of a trial: its record, if it holds it."""
     match entry.state:
         case TrialState.ENDED if entry.frame is not None:
@@ -44,17 +44,17 @@ def known(trial_id: str, entry: Entry) -> Answer | bytes:
                 trial_id,
             )
         case TrialState.FAILED:
-            return Answer(Verdict.REFUSED, trial_id, entry.error, entry.sentence)
+            return Answer(ReplyCode.REFUSED, trial_id, entry.error, entry.sentence)
         case state:
             return Answer(OF_TRIAL[state], trial_id)
 
 
-def clashes(entry: Entry, digest: str) -> bool:
+def has_digest_conflict(entry: LedgerEntry, digest: str) -> bool:
     """Whether the ledger knows another request under the id."""
     return entry.state is not TrialState.UNKNOWN and entry.digest != digest
 
 
-def clash(trial_id: str) -> Answer:
+def digest_conflict_reply(trial_id: str) -> Answer:
     """The answer to a request under the id of another."""
     return refusal(
         RigError(

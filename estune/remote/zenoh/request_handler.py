@@ -19,7 +19,7 @@ from dataclasses import replace
 
 from estune.errors import EstuneError, InvalidInput, ProtocolError, RigError
 from estune.remote import messages
-from estune.remote.ledger import Entry, Ledger
+from estune.remote.ledger import Ledger, LedgerEntry
 from estune.remote.messages import (
     HOLDER_MAX,
     Answer,
@@ -35,18 +35,24 @@ from estune.remote.messages import (
     refusal,
 )
 from estune.remote.state_machine import events
-from estune.remote.state_machine.reply_codes import OF_TRIAL, Verdict
-from estune.remote.state_machine.state import Move, Order
+from estune.remote.state_machine.reply_codes import OF_TRIAL, ReplyCode
+from estune.remote.state_machine.state import RigAction, Transition
 from estune.remote.state_machine.trials import TrialEvent, TrialState
-from estune.remote.zenoh.replies import clash, clashes, known, named, never_begun
-from estune.remote.zenoh.shared_rig_state import Duty, Trial
+from estune.remote.zenoh.replies import (
+    digest_conflict_reply,
+    has_digest_conflict,
+    never_begun,
+    reply_from_ledger,
+    to_estune_error,
+)
+from estune.remote.zenoh.shared_rig_state import ActiveTrial, SharedRigState
 from estune.trial import (
     Outcome,
     Rig,
     RigDescription,
     Telemetry,
+    TelemetrySource,
     TrialRequest,
-    Watched,
     record_frame,
 )
 
@@ -58,7 +64,7 @@ _RIG_WITHIN_S = 0.2
 _log = logging.getLogger(__name__)
 
 
-class Attendant:
+class RequestHandler:
     """Answers for one rig. Knows nothing of the transport; may be called from any thread."""
 
     def __init__(self, rig: Rig, ledger: Ledger, changed: Callable[[], None]) -> None:
@@ -77,7 +83,7 @@ class Attendant:
         self._rig_free = threading.Lock()
         if ledger.latched:  # a stop outlives the power supply
             rig.estop(ledger.latched)
-        self._duty = Duty(rig, ledger.latched, changed)
+        self._duty = SharedRigState(rig, ledger.latched, changed)
 
     # --- commands ---
 
@@ -114,28 +120,28 @@ class Attendant:
                 f"the digest of trial {trial_id} is not that of its request: something on the way "
                 "has changed it; it was not taken in"
             )
-        objection = self._objection(command.request)
+        objection = self._limit_violation(command.request)
         with self._duty.lock:
             entry = self._find(trial_id)
-            if clashes(entry, command.digest):
-                said: Answer | bytes = clash(trial_id)
+            if has_digest_conflict(entry, command.digest):
+                said: Answer | bytes = digest_conflict_reply(trial_id)
                 trial = None
             else:
-                event = events.Submit(
+                event = events.SubmitEvent(
                     *(command.lease, trial_id, entry.state),
                     objection="" if objection is None else str(objection),
                 )
                 move = self._duty.step(event, now_s)
                 trial = None
-                if Order.TAKE_IN in move.orders:
-                    trial = self._duty.trial = Trial(command.request, command.digest)
+                if RigAction.TAKE_IN in move.orders:
+                    trial = self._duty.trial = ActiveTrial(command.request, command.digest)
                 else:
                     said = self._say(move, trial_id, entry, objection)
             prompt = self._prompt
         if trial is None:
             answer(said)
         else:
-            self._perform(trial, answer, prompt=prompt)
+            self._run_accepted_trial(trial, answer, prompt=prompt)
 
     def result(self, trial_id: str, inquiry: Inquire, part_bytes: int = 0) -> Answer | bytes:
         """The state of a trial: its record in a frame, or a part of it, once it has ended.
@@ -153,10 +159,10 @@ class Attendant:
             trial = self._duty.trial
         unknown = entry.state is TrialState.UNKNOWN
         if unknown and trial is not None and trial.request.trial_id == trial_id:
-            return Answer(Verdict.BUSY, trial_id)  # it is being written down
-        if clashes(entry, inquiry.digest):
-            return clash(trial_id)
-        found = known(trial_id, entry)
+            return Answer(ReplyCode.BUSY, trial_id)  # it is being written down
+        if has_digest_conflict(entry, inquiry.digest):
+            return digest_conflict_reply(trial_id)
+        found = reply_from_ledger(trial_id, entry)
         most = min(inquiry.length or part_bytes, part_bytes or inquiry.length)
         if isinstance(found, Answer) or not (inquiry.offset or most):
             return found
@@ -166,16 +172,16 @@ class Attendant:
         """Has the trial under way stopped. The answer names it until the live gains are back."""
         now_s = time.monotonic()
         with self._duty.lock:
-            move = self._duty.step(events.Cancel(command.lease, command.trial_id), now_s)
+            move = self._duty.step(events.CancelEvent(command.lease, command.trial_id), now_s)
             trial = self._duty.trial
-            if move.verdict is not Verdict.ACCEPTED:
+            if move.verdict is not ReplyCode.ACCEPTED:
                 return Answer(move.verdict, sentence=move.sentence)
             if trial is None or command.trial_id not in ("", trial.request.trial_id):
-                return Answer(Verdict.ACCEPTED)
+                return Answer(ReplyCode.ACCEPTED)
             failed, trial.stop_failed = trial.stop_failed, None
             if failed is not None:
                 return refusal(failed, trial.request.trial_id)
-        return Answer(Verdict.ACCEPTED, trial.request.trial_id)
+        return Answer(ReplyCode.ACCEPTED, trial.request.trial_id)
 
     def void(self, command: Void) -> Answer:
         """Sees to it that a trial never runs, unless it was taken in already."""
@@ -183,10 +189,10 @@ class Attendant:
         trial_id = check_name("trial id", command.trial_id)
         with self._duty.lock:
             entry = self._ledger.find(trial_id)
-            if clashes(entry, command.digest):
-                return clash(trial_id)
-            move = self._duty.step(events.Void(command.lease, trial_id, entry.state), now_s)
-        if Order.TOMBSTONE not in move.orders:
+            if has_digest_conflict(entry, command.digest):
+                return digest_conflict_reply(trial_id)
+            move = self._duty.step(events.VoidEvent(command.lease, trial_id, entry.state), now_s)
+        if RigAction.TOMBSTONE not in move.orders:
             return Answer(move.verdict, trial_id, sentence=move.sentence)
         # Its submit may have come in meanwhile: then the ledger says what it says of that trial.
         state = self._ledger.note(trial_id, command.digest, TrialEvent.VOID)
@@ -196,8 +202,8 @@ class Attendant:
         """Makes gains the live ones, unless a trial is under way."""
         now_s = time.monotonic()
         with self._duty.lock:
-            move = self._duty.step(events.SetGains(command.lease), now_s)
-        if Order.APPLY not in move.orders:
+            move = self._duty.step(events.SetGainsEvent(command.lease), now_s)
+        if RigAction.APPLY not in move.orders:
             return Answer(move.verdict, self.status("").trial_id, sentence=move.sentence)
         if not self._rig_free.acquire(timeout=_RIG_WITHIN_S):
             return refusal(RigError("the rig is occupied; try again"))
@@ -208,7 +214,7 @@ class Attendant:
             return refusal(error)
         finally:
             self._rig_free.release()
-        return Answer(Verdict.ACCEPTED)
+        return Answer(ReplyCode.ACCEPTED)
 
     def estop(self, command: Estop, answer: Callable[[Answer], None]) -> None:
         """Brings the rig to its safe state. The rig is told before anything else is done.
@@ -222,16 +228,16 @@ class Attendant:
         try:
             self._rig.estop(reason)
         except BaseException as error:  # noqa: BLE001  the stop must hold whatever the rig does
-            failed = named(error, "the emergency stop")
-        self._duty.take(events.Estop(reason))
-        answer(Answer(Verdict.ACCEPTED) if failed is None else refusal(failed))
+            failed = to_estune_error(error, "the emergency stop")
+        self._duty.apply_event(events.EstopEvent(reason))
+        answer(Answer(ReplyCode.ACCEPTED) if failed is None else refusal(failed))
         _log.warning("emergency stop: %s", reason)
         self._ledger.latch(reason)
 
     def clear(self) -> Answer:
         """Ends an emergency stop."""
-        move = self._duty.take(events.Clear())
-        if Order.CLEAR not in move.orders:
+        move = self._duty.apply_event(events.ClearEvent())
+        if RigAction.CLEAR not in move.orders:
             return Answer(move.verdict, sentence=move.sentence)
         self._ledger.latch("")
         try:
@@ -244,7 +250,7 @@ class Attendant:
             if latched:  # called again meanwhile: the later word is the stop's
                 self._rig.estop(latched)
                 self._ledger.latch(latched)
-        return Answer(Verdict.ACCEPTED)
+        return Answer(ReplyCode.ACCEPTED)
 
     # --- questions ---
 
@@ -272,7 +278,7 @@ class Attendant:
 
     def telemetry(self, after: int) -> Telemetry | None:
         """Samples of the trial under way from index `after` on, if the rig shows any."""
-        if self._duty.trial is None or not isinstance(self._rig, Watched):
+        if self._duty.trial is None or not isinstance(self._rig, TelemetrySource):
             return None
         return self._rig.telemetry(after)
 
@@ -283,7 +289,7 @@ class Attendant:
 
     # --- within ---
 
-    def _find(self, trial_id: str) -> Entry:
+    def _find(self, trial_id: str) -> LedgerEntry:
         """What the ledger knows of a trial. The lock is held.
 
         One that is still in hand has not ended, even if the ledger says so already: its client
@@ -295,19 +301,19 @@ class Attendant:
         return entry
 
     def _say(
-        self, move: Move, trial_id: str, entry: Entry, objection: EstuneError | None
+        self, move: Transition, trial_id: str, entry: LedgerEntry, objection: EstuneError | None
     ) -> Answer | bytes:
         """The answer to a submit that was not taken in. The lock is held."""
         trial = self._duty.trial
-        if move.verdict is Verdict.BUSY and trial is not None:
-            return Answer(Verdict.BUSY, trial.request.trial_id, sentence=move.sentence)
+        if move.verdict is ReplyCode.BUSY and trial is not None:
+            return Answer(ReplyCode.BUSY, trial.request.trial_id, sentence=move.sentence)
         if entry.state is not TrialState.UNKNOWN:
-            return known(trial_id, entry)
-        if move.verdict is Verdict.REFUSED:
+            return reply_from_ledger(trial_id, entry)
+        if move.verdict is ReplyCode.REFUSED:
             return refusal(objection or RigError(move.sentence), trial_id)
         return Answer(move.verdict, trial_id, sentence=move.sentence)
 
-    def _objection(self, request: TrialRequest) -> EstuneError | None:
+    def _limit_violation(self, request: TrialRequest) -> EstuneError | None:
         """Why the rig must not run a trial."""
         try:
             check_name("trial id", request.trial_id)
@@ -322,30 +328,30 @@ class Attendant:
             "ask for a shorter one"
         )
 
-    def _perform(
-        self, trial: Trial, answer: Callable[[Answer | bytes], None], *, prompt: bool
+    def _run_accepted_trial(
+        self, trial: ActiveTrial, answer: Callable[[Answer | bytes], None], *, prompt: bool
     ) -> None:
         """Notes a trial that was taken in, runs it, and notes what came of it."""
         trial_id = trial.request.trial_id
         begun = prompt and self._duty.may_begin()
         refused = self._note(trial, begun=begun)
         if refused is not None:
-            self._duty.let_go()
+            self._duty.finish_trial()
             answer(refused)
             return
         if not prompt:
-            self._duty.take(events.Noted())
-            answer(Answer(Verdict.ACCEPTED, trial_id))
+            self._duty.apply_event(events.Noted())
+            answer(Answer(ReplyCode.ACCEPTED, trial_id))
         began_s = time.monotonic()
         result = self._run(trial, begun=begun)
         quick = isinstance(result, bytes) and time.monotonic() - began_s < PROMPT_S
         self._ledger.end(trial_id, result)
         self._prompt = quick and not trial.told_to_stop
-        self._duty.let_go()
+        self._duty.finish_trial()
         if prompt:
             answer(result if isinstance(result, bytes) else refusal(result, trial_id))
 
-    def _note(self, trial: Trial, *, begun: bool) -> Answer | bytes | None:
+    def _note(self, trial: ActiveTrial, *, begun: bool) -> Answer | bytes | None:
         """Writes a trial into the ledger. The answer if it is not taken in after all."""
         trial_id = trial.request.trial_id
         events = (TrialEvent.SUBMIT, TrialEvent.START) if begun else (TrialEvent.SUBMIT,)
@@ -358,9 +364,9 @@ class Attendant:
         if state in (TrialState.ACCEPTED, TrialState.RUNNING):
             return None
         # It was voided while it was on its way into the ledger.
-        return known(trial_id, self._ledger.find(trial_id))
+        return reply_from_ledger(trial_id, self._ledger.find(trial_id))
 
-    def _run(self, trial: Trial, *, begun: bool) -> bytes | EstuneError:
+    def _run(self, trial: ActiveTrial, *, begun: bool) -> bytes | EstuneError:
         request = trial.request
         try:
             with self._rig_free:
@@ -383,4 +389,4 @@ class Attendant:
             record = never_begun(request, self._description)
             return record_frame.encode(replace(record, reason=f"{why} ({error})"))
         except BaseException as error:  # noqa: BLE001  even SystemExit: somebody waits for the trial
-            return named(error, f"trial {request.trial_id}")
+            return to_estune_error(error, f"trial {request.trial_id}")

@@ -10,7 +10,7 @@ import zenoh
 from estune.errors import RigError
 from estune.remote import messages
 from estune.remote.messages import Description, Keys, Presence
-from estune.remote.state_machine.client import Heard
+from estune.remote.state_machine.client import ClientInput
 from estune.remote.zenoh.zenoh_session import close_session
 
 HUNG_AFTER_S = 30.0
@@ -22,18 +22,18 @@ AGAIN_S = 0.05
 _log = logging.getLogger(__name__)
 
 
-class Sign(NamedTuple):
+class LinkStatus(NamedTuple):
     """What has become of a rig that does not answer, and how to say it."""
 
-    heard: Heard
+    heard: ClientInput
     sentence: str = ""
     remedy: str = "start it again and connect again"
 
 
-_SILENT = Sign(Heard.SILENCE)
+_SILENT = LinkStatus(ClientInput.SILENCE)
 
 
-class Conversation:
+class RigConnection:
     """Asks one instance of a rig; follows to the next if the rig is restarted.
 
     Every question is repeated until it is answered, which is safe: none does a thing twice.
@@ -60,7 +60,7 @@ class Conversation:
         Raises:
             RigError: it cannot be reached.
         """
-        data = self.insist(lambda: self.keys.describe, b"", "")
+        data = self.query_until_answered(lambda: self.keys.describe, b"", "")
         self.about = messages.decode_description(data)
         return self.about
 
@@ -111,7 +111,7 @@ class Conversation:
             raise RigError(f"rig {self.name!r}: the link has failed ({error})") from error
         return None
 
-    def insist(self, where: Callable[[], str], payload: bytes, about: str) -> bytes:
+    def query_until_answered(self, where: Callable[[], str], payload: bytes, about: str) -> bytes:
         """Asks until the rig answers, whichever instance of it.
 
         Args:
@@ -124,13 +124,13 @@ class Conversation:
         """
         asked_s = time.monotonic()
         while (answer := self.ask(where(), payload)) is None:
-            sign = self.look(asked_s)
-            if sign.heard in (Heard.GONE, Heard.REPLACED):
+            sign = self.check_liveliness(asked_s)
+            if sign.heard in (ClientInput.GONE, ClientInput.REPLACED):
                 raise RigError(f"{sign.sentence}{about or f'; {sign.remedy}'}")
             time.sleep(AGAIN_S)
         return answer
 
-    def look(self, silent_since_s: float) -> Sign:
+    def check_liveliness(self, silent_since_s: float) -> LinkStatus:
         """Looks what has become of a rig that does not answer, and follows it if it was restarted.
 
         Args:
@@ -141,28 +141,28 @@ class Conversation:
         instances = sorted(p.instance for p in present)
         if self.instance in instances:
             if silent_s > self.timeout_s and self.ask(self.keys.status, b"") is not None:
-                return Sign(
-                    Heard.GONE,
+                return LinkStatus(
+                    ClientInput.GONE,
                     f"{self._called} answers questions but not this command, as if this client "
                     "were not let command it",
                     "ask who keeps the rig for access",
                 )
             if silent_s > max(HUNG_AFTER_S, self.timeout_s):
-                return Sign(
-                    Heard.GONE,
+                return LinkStatus(
+                    ClientInput.GONE,
                     f"{self._called} is there but has not answered for {silent_s:.0f} s",
                     "see what it is doing, or restart it",
                 )
         elif len(instances) == 1:
             return self._follow(instances[0])
         elif silent_s > self.timeout_s:
-            return Sign(
-                Heard.GONE,
+            return LinkStatus(
+                ClientInput.GONE,
                 f"{self._called} is gone: its process has ended or the network is cut",
             )
         return _SILENT
 
-    def _follow(self, instance: str) -> Sign:
+    def _follow(self, instance: str) -> LinkStatus:
         """Turns to another instance, if it is the same rig as far as its ledger goes."""
         before, self.instance = self.instance, instance
         data = self.ask(self.keys.describe, b"")
@@ -171,18 +171,18 @@ class Conversation:
             return _SILENT
         then, now = self.about, messages.decode_description(data)
         if then is None or now.ledger == then.ledger:
-            heard = Heard.RESTARTED
+            heard = ClientInput.RESTARTED
         elif now.rig.simulated and then.rig.simulated:
-            heard = Heard.EMPTIED
+            heard = ClientInput.EMPTIED
         else:
             self.instance = before
-            return Sign(
-                Heard.REPLACED,
+            return LinkStatus(
+                ClientInput.REPLACED,
                 f"{self._called} was restarted, and remembers nothing of what it ran before",
             )
         _log.warning("%s was restarted", self._called)
         self.about = now
-        return Sign(heard)
+        return LinkStatus(heard)
 
 
 def present_at(session: zenoh.Session, key: str) -> set[Presence]:

@@ -18,8 +18,8 @@ from estune.remote.ledger import FileLedger, Ledger, MemoryLedger
 from estune.remote.messages import Keys
 from estune.remote.messages.keys import Verb
 from estune.remote.security import OPEN, Security
-from estune.remote.zenoh.dispatcher import Desk
-from estune.remote.zenoh.request_handler import Attendant
+from estune.remote.zenoh.dispatcher import MessageDispatcher
+from estune.remote.zenoh.request_handler import RequestHandler
 from estune.remote.zenoh.zenoh_session import (
     check_endpoint,
     check_loopback,
@@ -137,8 +137,8 @@ class RigServer:
         self._closing = threading.Event()
         self._news = threading.Event()
         self._threads: list[threading.Thread] = []
-        self._attendant = Attendant(rig, ledger, self._news.set)
-        self._desk = Desk(self._attendant, self.instance, ledger.identity, part_bytes)
+        self._attendant = RequestHandler(rig, ledger, self._news.set)
+        self._desk = MessageDispatcher(self._attendant, self.instance, ledger.identity, part_bytes)
         # No thread of ours keeps the interpreter from getting there.
         atexit.register(self.close)
         try:

@@ -15,9 +15,9 @@ from queue import SimpleQueue
 from estune.errors import EstuneError
 from estune.remote.state_machine import events
 from estune.remote.state_machine import rig as machine
-from estune.remote.state_machine.reply_codes import Verdict
-from estune.remote.state_machine.state import Move, Order, RigState
-from estune.remote.zenoh.replies import named
+from estune.remote.state_machine.reply_codes import ReplyCode
+from estune.remote.state_machine.state import RigAction, RigState, Transition
+from estune.remote.zenoh.replies import to_estune_error
 from estune.trial import Rig, TrialRequest
 
 _ABORT_AGAIN_S = 0.05
@@ -26,7 +26,7 @@ _log = logging.getLogger(__name__)
 
 
 @dataclass(slots=True, eq=False)
-class Trial:
+class ActiveTrial:
     """The trial in hand.
 
     Attributes:
@@ -42,7 +42,7 @@ class Trial:
     stop_failed: EstuneError | None = None
 
 
-class Duty:
+class SharedRigState:
     """The state, the trial in hand, and the threads that end them.
 
     Attributes:
@@ -61,24 +61,24 @@ class Duty:
         """
         self.lock = threading.Lock()
         self.state = RigState(latched=latched)
-        self.trial: Trial | None = None
+        self.trial: ActiveTrial | None = None
         self._rig = rig
         self._changed = changed
         self._ended = threading.Condition(self.lock)
         self._leased = threading.Condition(self.lock)
-        self._stopping: SimpleQueue[Trial | None] = SimpleQueue()
+        self._stopping: SimpleQueue[ActiveTrial | None] = SimpleQueue()
         # Ready from the start: no thread can be made while the interpreter shuts down. Daemons: a
         # rig that will not stop must not keep the process from ending.
         for name, work in (("aborts", self._stop_trials), ("lease", self._watch_lease)):
             threading.Thread(target=work, name=name, daemon=True).start()
 
-    def step(self, event: events.Event, now_s: float) -> Move:
+    def step(self, event: events.Event, now_s: float) -> Transition:
         """Moves the state on, and has a trial stopped where that is ordered. The lock is held."""
         before = self.state
         move = machine.step(before, event, now_s)
         self.state = move.state
         trial = self.trial
-        if Order.STOP in move.orders and trial is not None and not trial.told_to_stop:
+        if RigAction.STOP in move.orders and trial is not None and not trial.told_to_stop:
             trial.told_to_stop = True
             self._stopping.put(trial)
         if isinstance(event, events.Acquire | events.Close):
@@ -87,16 +87,16 @@ class Duty:
             self._changed()
         return move
 
-    def take(self, event: events.Event) -> Move:
+    def apply_event(self, event: events.Event) -> Transition:
         """Moves the state on from now, as `step`."""
         with self.lock:
             return self.step(event, time.monotonic())
 
     def may_begin(self) -> bool:
         """Whether the trial in hand may move the rig."""
-        return self.take(events.Begin()).verdict is Verdict.ACCEPTED
+        return self.apply_event(events.Begin()).verdict is ReplyCode.ACCEPTED
 
-    def let_go(self) -> None:
+    def finish_trial(self) -> None:
         """The trial in hand has ended, and the live gains are back."""
         with self.lock:
             self.step(events.End(), time.monotonic())
@@ -110,7 +110,7 @@ class Duty:
 
     def close(self, within_s: float) -> bool:
         """Ends what is in hand; whether it has ended in time."""
-        self.take(events.Close())
+        self.apply_event(events.Close())
         self._stopping.put(None)
         with self.lock:
             return self._ended.wait_for(lambda: self.trial is None, within_s)
@@ -123,11 +123,11 @@ class Duty:
                     self._rig.abort()
                 except BaseException as error:  # noqa: BLE001  even SystemExit: the stop must hold
                     if trial.stop_failed is None:
-                        trial.stop_failed = named(error, "stopping the trial")
+                        trial.stop_failed = to_estune_error(error, "stopping the trial")
                 with self.lock:
                     ended = self._ended.wait_for(partial(self._has_ended, trial), _ABORT_AGAIN_S)
 
-    def _has_ended(self, trial: Trial) -> bool:
+    def _has_ended(self, trial: ActiveTrial) -> bool:
         return self.trial is not trial
 
     def _watch_lease(self) -> None:

@@ -8,30 +8,30 @@ from estune.errors import ProtocolError, RigError
 from estune.remote import messages
 from estune.remote.messages import Answer, Inquire, Part, Submit
 from estune.remote.state_machine import client as machine
-from estune.remote.state_machine.client import Action, Heard
-from estune.remote.state_machine.reply_codes import Verdict
-from estune.remote.zenoh.lease_renewal import LeaseKeeper
-from estune.remote.zenoh.rig_connection import AGAIN_S, Conversation
+from estune.remote.state_machine.client import Action, ClientInput
+from estune.remote.state_machine.reply_codes import ReplyCode
+from estune.remote.zenoh.lease_renewal import LeaseRenewer
+from estune.remote.zenoh.rig_connection import AGAIN_S, RigConnection
 from estune.trial import TrialRecord, TrialRequest
 from estune.trial.record_frame import decode
 
 _POLL_FIRST_S, _POLL_MAX_S, _POLL_GROWTH = 0.002, 0.05, 1.5
 
 
-class NothingMeasured(NamedTuple):
+class NoRecord(NamedTuple):
     """A trial that came to nothing, and why."""
 
     action: Action
     sentence: str
 
 
-class Asking:
+class TrialExchange:
     """Wants one trial run, once, and its record."""
 
     def __init__(
         self,
-        talk: Conversation,
-        lease: LeaseKeeper,
+        talk: RigConnection,
+        lease: LeaseRenewer,
         request: TrialRequest,
         changed: threading.Event,
     ) -> None:
@@ -42,13 +42,13 @@ class Asking:
         self._request = request
         self._changed = changed
         self._step = machine.START
-        self._answer = Answer(Verdict.UNKNOWN)
+        self._answer = Answer(ReplyCode.UNKNOWN)
         self._record: TrialRecord | None = None
         self._silent_since_s: float | None = None
         self._lost = ""
         self._pause_s = _POLL_FIRST_S
 
-    def run(self) -> TrialRecord | NothingMeasured:
+    def run(self) -> TrialRecord | NoRecord:
         """Sees the trial through.
 
         Raises:
@@ -64,7 +64,7 @@ class Asking:
                     self._wait()
                 case Action.LEASE:
                     self._lease.hold()
-                    self._hear(Heard.LEASED)
+                    self._advance(ClientInput.LEASED)
                 case _:
                     return self._result()
 
@@ -89,10 +89,10 @@ class Asking:
             self._gather(found)
         elif isinstance(found, Answer):
             self._answer = found
-            if submit and found.verdict in (Verdict.NO_LEASE, Verdict.HELD):
+            if submit and found.verdict in (ReplyCode.NO_LEASE, ReplyCode.HELD):
                 self._lease.lost(lease)
             own = found.trial_id in ("", self._request.trial_id)
-            self._hear(found.verdict, own=own)
+            self._advance(found.verdict, own=own)
         else:
             self._keep(found)
 
@@ -103,7 +103,7 @@ class Asking:
                 f"{record.trial_id}"
             )
         self._record = record
-        self._hear(Heard.RECORD)
+        self._advance(ClientInput.RECORD)
 
     def _gather(self, part: Part) -> None:
         """Asks for the rest of a record that comes in parts."""
@@ -135,9 +135,9 @@ class Asking:
         now_s = time.monotonic()
         if self._silent_since_s is None:
             self._silent_since_s = now_s
-        sign = self._talk.look(self._silent_since_s)
+        sign = self._talk.check_liveliness(self._silent_since_s)
         self._lost = sign.sentence
-        self._hear(sign.heard)
+        self._advance(sign.heard)
         time.sleep(AGAIN_S)
 
     def _wait(self) -> None:
@@ -147,15 +147,15 @@ class Asking:
         self._pause_s = min(self._pause_s * _POLL_GROWTH, _POLL_MAX_S)
         self._ask(submit=False)
 
-    def _hear(self, heard: Verdict | Heard, *, own: bool = True) -> None:
-        self._step = machine.hear(self._step.stage, heard, own=own)
+    def _advance(self, heard: ReplyCode | ClientInput, *, own: bool = True) -> None:
+        self._step = machine.next_transition(self._step.stage, heard, own=own)
 
-    def _result(self) -> TrialRecord | NothingMeasured:
+    def _result(self) -> TrialRecord | NoRecord:
         action, trial_id = self._step.action, self._request.trial_id
         if action is Action.RECORD and self._record is not None:
             return self._record
         if action in (Action.INTERRUPTED, Action.NOTHING_RAN):
-            return NothingMeasured(action, self._answer.verdict.sentence)
+            return NoRecord(action, self._answer.verdict.sentence)
         # Whatever of it is still on its way must find a lease that is not the rig's any more.
         self._lease.release()
         if action is Action.FAIL:

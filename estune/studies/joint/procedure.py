@@ -8,18 +8,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from estune import api
-from estune.core.comparison import Change, change
+from estune.core.comparison import Change, compare_costs
 from estune.core.cost import StepCost
 from estune.core.gains import Gains
 from estune.core.schedule import GainSchedule
 from estune.errors import InvalidInput
 from estune.run.journal import FILE_NAME
-from estune.run.loop import Watcher
+from estune.run.loop import ProgressListener
 from estune.run.plan import DEFAULT_TUNER
-from estune.run.result import Ending, TuneResult
+from estune.run.result import RunEnding, TuneResult
 from estune.run.session import Phase
 from estune.run.targets import open_target
-from estune.studies.joint.reels import ReelsInTurn
+from estune.studies.joint.reels import AlternatingReels
 from estune.studies.joint.schedule_tuner import ScheduleTuner
 from estune.trial.profiles import StepProfile
 
@@ -50,7 +50,7 @@ class TunedSchedule:
     @property
     def success(self) -> bool:
         """Whether the schedule was confirmed to beat the start."""
-        return self.improvement.is_fall
+        return self.improvement.is_decrease
 
 
 def tune_schedule(
@@ -67,7 +67,7 @@ def tune_schedule(
     folder: str | Path = api.RUNS,
     journal: bool = True,
     security: "Security | None" = None,
-    watch: Watcher | Literal["auto"] | None = None,
+    watch: ProgressListener | Literal["auto"] | None = None,
 ) -> TunedSchedule:
     """Tunes a schedule directly, by trials on reels of several lengths in turn.
 
@@ -122,7 +122,7 @@ def tune_schedule(
                     f"rig {rig.describe().name} says that its cable is {said:g} m long, not "
                     f"{length:g} m; give its own length"
                 )
-        reels = ReelsInTurn(rigs)
+        reels = AlternatingReels(rigs)
         start = start or reels.describe().gains
         searched = rounds * len(lengths)
         joint = ScheduleTuner(start, lengths, tuple(straight), tuner, searched)
@@ -131,7 +131,7 @@ def tune_schedule(
             result = api.load(path)
             if result.plan.tuner != joint:
                 raise InvalidInput(f"{path} is a run with other settings; give another run name")
-            if result.ending is Ending.STOPPED:
+            if result.ending is RunEnding.STOPPED:
                 result = api.resume(path, reels, watch=watch)
         else:
             result = api.tune(
@@ -165,7 +165,7 @@ def _judged(result: TuneResult) -> TunedSchedule:
         schedule=joint.schedules.schedule(point, result.plan.step.preload_N),
         before=_by_length(lengths, begun),
         after=_by_length(lengths, ended),
-        improvement=change(_blocks(begun, len(lengths)), _blocks(ended, len(lengths))),
+        improvement=compare_costs(_blocks(begun, len(lengths)), _blocks(ended, len(lengths))),
         result=result,
     )
 

@@ -8,7 +8,7 @@ from estune.errors import InvalidInput, RigError
 from estune.trial import Rig, RigDescription, RigLimits, TrialRecord, TrialRequest
 
 
-class ReelsInTurn:
+class AlternatingReels:
     """Runs trial n on reel n mod m; implements `estune.trial.Rig`, but for `apply`.
 
     The reels must be of one kind: what differs between them is the length.

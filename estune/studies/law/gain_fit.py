@@ -8,7 +8,7 @@ import numpy as np
 from estune.core.quantities import FloatArray
 from estune.core.schedule import GainCurve
 from estune.reel.calibration.regression import LackOfFit
-from estune.studies.law.model_selection import Points, Score, Shape, choose, scores
+from estune.studies.law.model_selection import CurveForm, Points, Score, choose, scores
 from estune.studies.law.robust_regression import WeightedFit, student
 from estune.studies.law.tuned import TunedGains
 
@@ -52,7 +52,7 @@ class GainFit:
     name: str
     points: Points
     labels: tuple[str, ...]
-    shape: Shape
+    shape: CurveForm
     fit: WeightedFit
     curve: GainCurve
     straight: WeightedFit
@@ -100,10 +100,12 @@ class GainFit:
         }
 
 
-def fit_gain(name: str, n: int, tunings: tuple[TunedGains, ...], asked: Shape | None) -> GainFit:
+def fit_gain(
+    name: str, n: int, tunings: tuple[TunedGains, ...], asked: CurveForm | None
+) -> GainFit:
     """Fits the nth gain in the form asked for, or in the one that foretells best."""
     points, labels = _points(name, n, tunings)
-    straight = points.fit(Shape("linear", points.tension_varies))
+    straight = points.fit(CurveForm("linear", points.tension_varies))
     judged = scores(points, straight)
     shape = asked
     if shape is None:

@@ -22,7 +22,7 @@ _MISS_MAX = 4.0
 """Standard deviations beyond which a miss counts no further: one wild tuning decides nothing."""
 
 
-class Shape(NamedTuple):
+class CurveForm(NamedTuple):
     """A form in length, with or without a straight line in tension."""
 
     form: Form
@@ -46,11 +46,11 @@ class Shape(NamedTuple):
         return f"{self.form} + tension" if self.with_tension else self.form
 
 
-SHAPES = tuple(Shape(form, tension) for tension in (False, True) for form in FORMS)
+SHAPES = tuple(CurveForm(form, tension) for tension in (False, True) for form in FORMS)
 """All candidates, simplest first, and the straight line before the bent ones."""
 
 
-def shape_named(name: str) -> Shape:
+def shape_named(name: str) -> CurveForm:
     """The shape of a name such as "linear" or "log + tension".
 
     Raises:
@@ -82,7 +82,7 @@ class Points(NamedTuple):
         """Whether more than one tension was tuned at."""
         return bool(np.ptp(self.tension_N) > 0.0)
 
-    def fit(self, shape: Shape) -> WeightedFit:
+    def fit(self, shape: CurveForm) -> WeightedFit:
         """The robust fit of a shape; as `fit_weighted`."""
         return fit_weighted(shape.design(self.length_m, self.tension_N), self.gain, self.own_error)
 
@@ -97,12 +97,12 @@ class Score(NamedTuple):
         error: Standard error of that mean, from its differences between lengths.
     """
 
-    shape: Shape
+    shape: CurveForm
     mean: float
     error: float
 
 
-def candidates(points: Points) -> tuple[Shape, ...]:
+def candidates(points: Points) -> tuple[CurveForm, ...]:
     """The shapes that these points can tell apart."""
     lengths = len(np.unique(points.length_m))
     return tuple(
@@ -141,7 +141,7 @@ def choose(
     *,
     slopes: bool,
     pulled: bool,
-) -> Shape:
+) -> CurveForm:
     """The simplest shape within one standard error of the best that stays usable in the range.
 
     Args:
@@ -153,7 +153,7 @@ def choose(
         pulled: The same of tension.
     """
     if not judged:
-        return Shape("linear" if slopes else "constant")
+        return CurveForm("linear" if slopes else "constant")
     usable = [
         score
         for score in judged
@@ -162,7 +162,7 @@ def choose(
         and _stays_above_zero(points, score.shape, yardstick)
     ]
     if not usable:
-        return Shape("constant")
+        return CurveForm("constant")
     best = min(usable, key=lambda score: score.mean)
     return next(s.shape for s in usable if s.mean <= best.mean + best.error)
 
@@ -178,7 +178,7 @@ def _miss(design: FloatArray, points: Points, by: WeightedFit, left_out: FloatAr
     return float(np.mean(np.minimum(np.abs(u), _MISS_MAX) ** 2))
 
 
-def _stays_above_zero(points: Points, shape: Shape, by: WeightedFit) -> bool:
+def _stays_above_zero(points: Points, shape: CurveForm, by: WeightedFit) -> bool:
     """Whether the fitted curve is a gain over all of the range: monotone, so at its corners."""
     ends = [(float(x.min()), float(x.max())) for x in (points.length_m, points.tension_N)]
     length, tension = (corner.ravel() for corner in np.meshgrid(*ends))

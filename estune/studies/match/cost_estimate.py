@@ -8,7 +8,7 @@ from typing import NamedTuple
 CONFIDENCE = 0.95
 
 
-class Level(NamedTuple):
+class CostEstimate(NamedTuple):
     """The cost of some gains on one reel.
 
     Attributes:
@@ -32,7 +32,7 @@ class Level(NamedTuple):
         return f"{self.cost:.4g} ({self.low:.4g} to {self.high:.4g})"
 
 
-def level_of(costs: Sequence[float]) -> Level:
+def level_of(costs: Sequence[float]) -> CostEstimate:
     """The level by repeats; one alone, or one that was unsafe, leaves it open upward.
 
     Args:
@@ -40,12 +40,12 @@ def level_of(costs: Sequence[float]) -> Level:
     """
     n = len(costs)
     if not all(map(math.isfinite, costs)):
-        return Level(math.inf, 0.0, math.inf, n)
+        return CostEstimate(math.inf, 0.0, math.inf, n)
     logs = [math.log(cost) for cost in costs]
     mean = fmean(logs)
     if n < 2:
-        return Level(math.exp(mean), 0.0, math.inf, n)
+        return CostEstimate(math.exp(mean), 0.0, math.inf, n)
     from scipy.special import stdtrit  # noqa: PLC0415  slow to import
 
     reach = float(stdtrit(n - 1, 0.5 + 0.5 * CONFIDENCE)) * stdev(logs) / math.sqrt(n)
-    return Level(math.exp(mean), math.exp(mean - reach), math.exp(mean + reach), n)
+    return CostEstimate(math.exp(mean), math.exp(mean - reach), math.exp(mean + reach), n)

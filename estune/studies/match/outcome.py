@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Any, Self
 
 from estune.core.cost import StepCost
 from estune.core.gains import GAIN_NAMES, Gains
-from estune.studies.match.cost_estimate import Level
+from estune.studies.match.cost_estimate import CostEstimate
 from estune.trial.profiles import StepProfile
 
 if TYPE_CHECKING:
     import pandas as pd
 
 
-class Standing(StrEnum):
+class MatchOutcome(StrEnum):
     """How a reel stands to the target; only `pass` is one."""
 
     PASS = "pass"  # noqa: S105  no password
@@ -46,21 +46,21 @@ class ReelMatch:
     """
 
     label: str
-    standing: Standing
+    standing: MatchOutcome
     reason: str
     rig: str = ""
     cable_length_m: float | None = None
     tuned: Gains | None = None
-    tuned_level: Level | None = None
+    tuned_level: CostEstimate | None = None
     gains: Gains | None = None
-    level: Level | None = None
+    level: CostEstimate | None = None
     live: bool = False
     trials: int = 0
 
     @property
     def passed(self) -> bool:
         """Whether the reel meets the target."""
-        return self.standing is Standing.PASS
+        return self.standing is MatchOutcome.PASS
 
     def to_json(self) -> dict[str, Any]:
         """The record as JSON values."""
@@ -171,7 +171,7 @@ class Matching:
         )
 
 
-def judge(level: Level, target: float, tolerance: float) -> tuple[Standing, str]:
+def classify(level: CostEstimate, target: float, tolerance: float) -> tuple[MatchOutcome, str]:
     """Whether a level is shown to be the target's: its whole interval lies in the tolerance.
 
     Args:
@@ -185,22 +185,25 @@ def judge(level: Level, target: float, tolerance: float) -> tuple[Standing, str]
     low, high = target * (1.0 - tolerance), target * (1.0 + tolerance)
     found = f"cost {level}, allowed {low:.4g} to {high:.4g}"
     if not math.isfinite(level.cost):
-        return Standing.FAILED, "a repeat of the matched gains was unsafe; see the run's trials"
+        return (
+            MatchOutcome.FAILED,
+            "a repeat of the matched gains was unsafe; see the run's trials",
+        )
     if low <= level.low and level.high <= high:
-        return Standing.PASS, found
+        return MatchOutcome.PASS, found
     if not low <= level.cost <= high:
-        return Standing.OFF_TARGET, f"{found}; more match trials place it better"
-    return Standing.NOT_SHOWN, f"{found}; more repeats narrow its interval"
+        return MatchOutcome.OFF_TARGET, f"{found}; more match trials place it better"
+    return MatchOutcome.NOT_SHOWN, f"{found}; more repeats narrow its interval"
 
 
-def beyond(level: Level, target: float) -> str:
+def unreachable_message(level: CostEstimate, target: float) -> str:
     """Says that a reel cannot reach the target."""
     return (
         f"its tuned gains cost {level}, above the target {target:.4g}; raise eta, or mend the reel"
     )
 
 
-def _spread(levels: Sequence[Level | None]) -> float:
+def _spread(levels: Sequence[CostEstimate | None]) -> float:
     costs = [level.cost for level in levels if level is not None]
     return stdev(costs) if len(costs) > 1 else math.nan
 

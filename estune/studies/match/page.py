@@ -6,7 +6,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from estune.core.gains import GAIN_NAMES, GAIN_UNITS
-from estune.studies.match.cost_estimate import Level
+from estune.studies.match.cost_estimate import CostEstimate
 from estune.studies.match.outcome import Matching, ReelMatch
 from estune.support.html_page import document, drawn, words
 from estune.support.plot_style import (
@@ -85,7 +85,7 @@ def draw_levels(ax: Axes, found: Matching) -> None:
 
 
 def _draw(
-    ax: Axes, levels: list[tuple[float, Level | None]], marker: str, colour: str, label: str
+    ax: Axes, levels: list[tuple[float, CostEstimate | None]], marker: str, colour: str, label: str
 ) -> None:
     known = [(x, level) for x, level in levels if level is not None and level.high < float("inf")]
     if known:
@@ -117,12 +117,12 @@ def _row(reel: ReelMatch) -> str:
     return f"<tr><td>{escape(reel.label)}</td>{cells}<td>{verdict}{why}</td></tr>\n"
 
 
-def _cell(value: Level | float | None) -> str:
+def _cell(value: CostEstimate | float | None) -> str:
     if value is None:
         return "&ndash;"
     return words(
         f"{value.cost:.4g} ± {100.0 * value.half_width:.1f} %"
-        if isinstance(value, Level)
+        if isinstance(value, CostEstimate)
         else f"{value:.4g}"
     )
 

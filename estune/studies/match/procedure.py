@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from estune.core.cost import StepCost
 from estune.errors import InvalidInput, RigError
-from estune.run.loop import Watcher
+from estune.run.loop import ProgressListener
 from estune.run.plan import MOVE_WEIGHT
 from estune.run.targets import is_endpoint
 from estune.studies.match.outcome import Matching
-from estune.studies.match.reel_matcher import Reel, Settings, Stages, Told
+from estune.studies.match.reel_matcher import ReelMatcher, ReelProgress, Settings, Told
 from estune.trial import RigDescription
 from estune.trial.profiles import StepProfile
 
@@ -42,7 +42,7 @@ def match(
     journal: bool = True,
     apply: bool = False,
     security: "Security | None" = None,
-    watch: Watcher | Literal["auto"] | None = None,
+    watch: ProgressListener | Literal["auto"] | None = None,
     tell: Told = lambda _: None,
 ) -> Matching:
     """Tunes several reels to one cost.
@@ -88,7 +88,7 @@ def match(
     where = _folder(folder) if journal else None
     if where is not None:
         tell(f"kept in {where}; if it is cut off, say the same with that folder to go on")
-    stages = Stages(
+    stages = ReelMatcher(
         settings=settings or Settings(),
         folder=where,
         security=security,
@@ -119,7 +119,7 @@ def common_suggestion(known: Sequence[RigDescription]) -> RigDescription:
     return replace(known[0], settling_time_s=max(about.settling_time_s for about in known))
 
 
-def _worst(reels: Sequence[Reel]) -> float:
+def _worst(reels: Sequence[ReelProgress]) -> float:
     """The cost all tuned reels can reach: the worst one's, with its uncertainty."""
     highs = [
         reel.record.tuned_level.high for reel in reels if reel.record.tuned_level and not reel.lost

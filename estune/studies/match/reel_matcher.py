@@ -1,7 +1,7 @@
 """What is done with one reel: reached, tuned on its own, brought to the target, made live.
 
 Every trial goes through `estune.api.tune`: a reel's own tuning is one run, its matching another
-with a `LevelSeeker` as the tuner, so that both are journalled, guarded by eta_max, and resumed
+with a `TargetCostTuner` as the tuner, so that both are journalled, guarded by eta_max, and resumed
 where they were cut off. A reel that something is wrong with has a record that says so.
 """
 
@@ -16,14 +16,14 @@ from estune.core.cost import StepCost
 from estune.core.gains import Gains
 from estune.errors import EstuneError, InvalidInput
 from estune.run.journal import FILE_NAME
-from estune.run.loop import Watcher
+from estune.run.loop import ProgressListener
 from estune.run.plan import DEFAULT_TUNER
-from estune.run.result import Ending, TuneResult
+from estune.run.result import RunEnding, TuneResult
 from estune.run.session import UNSAFE_RATIO, Phase
 from estune.run.targets import open_target
 from estune.studies.match.cost_estimate import level_of
-from estune.studies.match.outcome import ReelMatch, Standing, beyond, judge
-from estune.studies.match.target_cost_tuner import LevelSeeker, gentler_path
+from estune.studies.match.outcome import MatchOutcome, ReelMatch, classify, unreachable_message
+from estune.studies.match.target_cost_tuner import TargetCostTuner, detuning_path
 from estune.trial import RigDescription
 from estune.trial.profiles import StepProfile
 
@@ -70,7 +70,7 @@ class Settings:
 
 
 @dataclass(frozen=True, slots=True)
-class Reel:
+class ReelProgress:
     """A reel under way.
 
     Attributes:
@@ -83,18 +83,18 @@ class Reel:
     record: ReelMatch
     about: RigDescription | None = None
 
-    def with_record(self, **changed: Any) -> "Reel":
+    def with_record(self, **changed: Any) -> "ReelProgress":
         """The same with another record."""
         return replace(self, record=replace(self.record, **changed))
 
     @property
     def lost(self) -> bool:
         """Whether nothing more can be done with it."""
-        return self.record.standing in (Standing.FAILED, Standing.OUT_OF_REACH)
+        return self.record.standing in (MatchOutcome.FAILED, MatchOutcome.OUT_OF_REACH)
 
 
 @dataclass(frozen=True, slots=True)
-class Stages:
+class ReelMatcher:
     """What is done with a reel, and what that needs.
 
     Attributes:
@@ -108,21 +108,23 @@ class Stages:
     settings: Settings
     folder: Path | None
     security: "Security | None"
-    watch: Watcher | Literal["auto"] | None
+    watch: ProgressListener | Literal["auto"] | None
     tell: Told
 
-    def reached(self, label: str, target: Any) -> Reel:
+    def reached(self, label: str, target: Any) -> ReelProgress:
         """A reel and what its rig says of itself."""
-        record = ReelMatch(label, Standing.NOT_SHOWN, "")
+        record = ReelMatch(label, MatchOutcome.NOT_SHOWN, "")
         try:
             with open_target(target, security=self.security) as rig:
                 about = rig.describe()
         except EstuneError as error:
-            return Reel(target, replace(record, standing=Standing.FAILED, reason=str(error)))
+            return ReelProgress(
+                target, replace(record, standing=MatchOutcome.FAILED, reason=str(error))
+            )
         record = replace(record, rig=about.name, cable_length_m=about.cable_length_m)
-        return Reel(target, record, about)
+        return ReelProgress(target, record, about)
 
-    def tuned(self, reel: Reel, step: StepProfile, cost: StepCost) -> Reel:
+    def tuned(self, reel: ReelProgress, step: StepProfile, cost: StepCost) -> ReelProgress:
         """The reel with its own tuning."""
         if reel.lost:
             return reel
@@ -132,21 +134,25 @@ class Stages:
         }
         found = self._run(reel, "tune", {**options, "step": step, "cost": cost})
         if isinstance(found, EstuneError):
-            return reel.with_record(standing=Standing.FAILED, reason=f"not tuned: {found}")
+            return reel.with_record(standing=MatchOutcome.FAILED, reason=f"not tuned: {found}")
         return reel.with_record(
             tuned=found.gains,
             tuned_level=level_of(_repeats(found, found.gains)),
             trials=len(found.entries),
         )
 
-    def matched(self, reel: Reel, target: float, step: StepProfile, cost: StepCost) -> Reel:
+    def matched(
+        self, reel: ReelProgress, target: float, step: StepProfile, cost: StepCost
+    ) -> ReelProgress:
         """The reel brought to the target, and judged."""
         tuned, level = reel.record.tuned, reel.record.tuned_level
         if reel.lost or tuned is None or level is None:
             return reel
         if level.low > target * (1.0 + self.settings.tolerance):
-            return reel.with_record(standing=Standing.OUT_OF_REACH, reason=beyond(level, target))
-        seeker = LevelSeeker(gentler_path(tuned), target)
+            return reel.with_record(
+                standing=MatchOutcome.OUT_OF_REACH, reason=unreachable_message(level, target)
+            )
+        seeker = TargetCostTuner(detuning_path(tuned), target)
         options: dict[str, Any] = {
             "tuner": seeker,
             "trials": self.settings.match_trials,
@@ -158,14 +164,14 @@ class Stages:
         stage = f"match-{target:.5g}".replace(".", "_")
         found = self._run(reel, stage, {**options, "step": step, "cost": cost})
         if isinstance(found, EstuneError):
-            return reel.with_record(standing=Standing.FAILED, reason=f"not matched: {found}")
+            return reel.with_record(standing=MatchOutcome.FAILED, reason=f"not matched: {found}")
         gains = seeker.space.gains(seeker.recommend(found.session.tuner_state))
         # This run's repeats of the tuned gains had no part in choosing them.
         level, fresh = (level_of(_repeats(found, g)) for g in (tuned, gains))
         if gains == tuned and fresh.low > target:
-            standing, reason = Standing.OUT_OF_REACH, beyond(fresh, target)
+            standing, reason = MatchOutcome.OUT_OF_REACH, unreachable_message(fresh, target)
         else:
-            standing, reason = judge(fresh, target, self.settings.tolerance)
+            standing, reason = classify(fresh, target, self.settings.tolerance)
         return reel.with_record(
             standing=standing,
             reason=reason,
@@ -175,7 +181,7 @@ class Stages:
             trials=reel.record.trials + len(found.entries),
         )
 
-    def applied(self, reel: Reel) -> Reel:
+    def applied(self, reel: ReelProgress) -> ReelProgress:
         """The reel with its matched gains live, if it passed."""
         gains = reel.record.gains
         if not reel.record.passed or gains is None:
@@ -189,7 +195,9 @@ class Stages:
             )
         return reel.with_record(live=True)
 
-    def _run(self, reel: Reel, stage: str, options: dict[str, Any]) -> TuneResult | EstuneError:
+    def _run(
+        self, reel: ReelProgress, stage: str, options: dict[str, Any]
+    ) -> TuneResult | EstuneError:
         """One run on the reel, or why there is none: begun, gone on with, or read, as it stands.
 
         Raises:
@@ -203,7 +211,7 @@ class Stages:
             name = f"{self.folder.name}-{name}"
             if (self.folder / name / FILE_NAME).is_file():
                 path = self.folder / name
-        doing = "matching" if isinstance(options["tuner"], LevelSeeker) else "tuning"
+        doing = "matching" if isinstance(options["tuner"], TargetCostTuner) else "tuning"
         try:
             if path is None:
                 self.tell(f"{reel.record.label}: {doing}")
@@ -215,7 +223,7 @@ class Stages:
                 return api.tune(reel.target, **options, **common, **place)
             found = api.load(path)
             _check_same(path, found, options)
-            if found.ending is Ending.STOPPED:
+            if found.ending is RunEnding.STOPPED:
                 self.tell(f"{reel.record.label}: {doing} goes on")
                 found = api.resume(path, reel.target, **common)
         except _OtherSettings:

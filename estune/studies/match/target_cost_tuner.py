@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from estune.core.gains import Gains
 from estune.errors import InvalidInput
-from estune.tuners.convergence import Forecast, Outlook
+from estune.tuners.convergence import ConvergenceEstimate, CostPrediction
 from estune.tuners.observation import Observation, log_cost
 from estune.tuners.search_space import Point, SearchSpace
 from estune.tuners.settings import check_above_zero, check_logarithmic
@@ -46,7 +46,7 @@ DISTANT = 0.25
 COEFFICIENTS = 3
 
 
-def gentler_path(gains: Gains) -> SearchSpace:
+def detuning_path(gains: Gains) -> SearchSpace:
     """The path from tuned gains towards gentler ones: the loop gain K, at most what it is now.
 
     Args:
@@ -87,7 +87,7 @@ class _Fit(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class LevelSeeker:
+class TargetCostTuner:
     """A tuner, in the sense of `estune.tuners`, that looks for a level and not for the least.
 
     Attributes:
@@ -147,7 +147,7 @@ class LevelSeeker:
         """Where the cost is expected to be nearest the target."""
         return state.best_point
 
-    def outlook(self, state: LevelSeekerState) -> Outlook | None:
+    def outlook(self, state: LevelSeekerState) -> ConvergenceEstimate | None:
         """How well the level is met: `remaining` is the 95 % bound of the cost's error there."""
         fit = _fitted(state.distances, state.logs, self._root(state)) if state.logs else None
         if fit is None or not self._bracketed(state):
@@ -157,18 +157,18 @@ class LevelSeeker:
         sides = reach / max(abs(fit.b), 1e-9)
         u = self._root(state)
         interval = self._point(u + sides)[0], self._point(u - sides)[0]
-        return Outlook(fit.noise, reach, error, (interval,))
+        return ConvergenceEstimate(fit.noise, reach, error, (interval,))
 
-    def forecast(self, state: LevelSeekerState, point: Point) -> Forecast:
+    def forecast(self, state: LevelSeekerState, point: Point) -> CostPrediction:
         """What the parabola says of a point; nothing before there is one."""
         u = self.space.coordinates_high[0] - self.space.coordinates(point)[0]
         explored = bool(state.distances) and u <= max(state.distances)
         fit = _fitted(state.distances, state.logs, u)
         if fit is None:
-            return Forecast(math.nan, 0.0, math.inf, explored)
+            return CostPrediction(math.nan, 0.0, math.inf, explored)
         reach = _quantile(fit.freedom) * math.sqrt(fit.variance)
         ends = math.exp(fit.a - reach), math.exp(fit.a + reach) if reach < 1e2 else math.inf
-        return Forecast(math.exp(fit.a), *ends, explored)
+        return CostPrediction(math.exp(fit.a), *ends, explored)
 
     def _next(self, state: LevelSeekerState) -> float:
         """Distance of the next trial."""

@@ -6,14 +6,14 @@ from pathlib import Path
 from estune import api
 from estune.errors import EstuneError, UnsafeStart
 from estune.run.journal import FILE_NAME
-from estune.run.loop import Stopped, Watcher
+from estune.run.loop import ProgressListener, Stopped
 from estune.run.result import TuneResult
 from estune.studies.sweep.cell import Cell, noise_seed, opened
-from estune.studies.sweep.outcome import Outcome, failed, finished, unsafe
+from estune.studies.sweep.outcome import CellOutcome, failed, finished, unsafe
 from estune.trial import Rig
 
 
-def run_model(cell: Cell) -> Outcome:
+def run_model(cell: Cell) -> CellOutcome:
     """Tunes a model at the cell's place; whatever goes wrong is in what is returned.
 
     Nothing is written: what a simulated cell came to can be had again from the cell alone.
@@ -26,7 +26,7 @@ def run_model(cell: Cell) -> Outcome:
         return failed(cell, _sentence(error), time.perf_counter() - began)
 
 
-def run_on_rig(cell: Cell, rig: Rig, runs: Path, watch: Watcher) -> Outcome:
+def run_on_rig(cell: Cell, rig: Rig, runs: Path, watch: ProgressListener) -> CellOutcome:
     """Tunes a rig; the run is kept on disk, so that one cut off goes on where it was.
 
     Args:
@@ -48,8 +48,12 @@ def run_on_rig(cell: Cell, rig: Rig, runs: Path, watch: Watcher) -> Outcome:
 
 
 def _tuned(
-    cell: Cell, rig: Rig, began: float, runs: Path | None = None, watch: Watcher | None = None
-) -> Outcome:
+    cell: Cell,
+    rig: Rig,
+    began: float,
+    runs: Path | None = None,
+    watch: ProgressListener | None = None,
+) -> CellOutcome:
     start = cell.start or rig.describe().gains
     try:
         result = _result(cell, rig, runs, watch)
@@ -58,7 +62,7 @@ def _tuned(
     return finished(cell, result, time.perf_counter() - began)
 
 
-def _result(cell: Cell, rig: Rig, runs: Path | None, watch: Watcher | None) -> TuneResult:
+def _result(cell: Cell, rig: Rig, runs: Path | None, watch: ProgressListener | None) -> TuneResult:
     name = f"cell-{cell.key}"
     if runs is not None and (runs / name / FILE_NAME).exists():
         return api.resume(runs / name, rig, watch=watch)

@@ -9,13 +9,13 @@ from typing import Any
 from estune.errors import EstuneError, InvalidInput
 from estune.studies.sweep.cell import Cell
 from estune.studies.sweep.cell_runner import run_model
-from estune.studies.sweep.outcome import Outcome, failed
+from estune.studies.sweep.outcome import CellOutcome, failed
 
 ANSWERS_WITHIN_s = 10.0
 """How long a cluster may be without a single worker, or its scheduler silent."""
 
 
-def on_cluster(cells: Sequence[Cell], address: str) -> Iterator[Outcome]:
+def on_cluster(cells: Sequence[Cell], address: str) -> Iterator[CellOutcome]:
     """On the workers of a Dask cluster, which must have estune and what the models are named by.
 
     Args:
@@ -53,7 +53,7 @@ def _silent(log: logging.Logger) -> Iterator[None]:
         log.setLevel(before)
 
 
-def _from_cluster(dask: Any, client: Any, cells: Sequence[Cell]) -> Iterator[Outcome]:
+def _from_cluster(dask: Any, client: Any, cells: Sequence[Cell]) -> Iterator[CellOutcome]:
     """What the workers give back; the cells go to them with the name of what runs them."""
     futures = client.map(run_model, cells, pure=False, key=[f"estune-{c.key}" for c in cells])
     waiting = dict(zip(futures, cells, strict=True))
@@ -93,9 +93,9 @@ def _check_alive(client: Any, done: Sequence[Any]) -> None:
         )
 
 
-def _of_future(future: Any, cell: Cell) -> Outcome:
+def _of_future(future: Any, cell: Cell) -> CellOutcome:
     error = future.exception(timeout=ANSWERS_WITHIN_s)
     if error is not None:  # a worker that dies of the cell each time, or does not know estune
         return failed(cell, f"{type(error).__name__}: {error}")
-    outcome: Outcome = future.result(timeout=ANSWERS_WITHIN_s)
+    outcome: CellOutcome = future.result(timeout=ANSWERS_WITHIN_s)
     return outcome

@@ -19,10 +19,10 @@ from estune.run.toml_tables import (
     StepTable,
     TunerName,
 )
-from estune.support.toml_file import Table, checked, read_toml
+from estune.support.toml_file import TomlTable, read_toml, validate
 
 
-class SweptRig(Table):
+class SweptRig(TomlTable):
     """A model, made anew at every length, or a rig at an endpoint, which stands at one.
 
     Attributes:
@@ -137,9 +137,9 @@ def read_design(design: "SweepDesign | str | Path | Mapping[str, Any]") -> Sweep
     if isinstance(design, SweepDesign):
         return design
     if isinstance(design, Mapping):
-        return checked(SweepDesign, dict(design), "sweep")
+        return validate(SweepDesign, dict(design), "sweep")
     path = Path(design)
-    found = checked(SweepDesign, read_toml(path), str(path))
+    found = validate(SweepDesign, read_toml(path), str(path))
     rigs = [_beside(rig, path.parent) for rig in found.rigs]
     return found.model_copy(update={"rigs": rigs})
 

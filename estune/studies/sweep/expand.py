@@ -17,7 +17,7 @@ SAME_LENGTH_m = 1e-3
 """A rig's own word for its length and the file's may differ by so much."""
 
 
-def cells_of(design: SweepDesign) -> tuple[Cell, ...]:
+def expand_cells(design: SweepDesign) -> tuple[Cell, ...]:
     """The cells of a design; endpoints are asked what stands there, and nothing moves.
 
     Raises:

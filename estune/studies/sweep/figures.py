@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from estune.core.gains import GAIN_UNITS
 from estune.core.quantities import FloatArray
 from estune.studies.law.law import GainLaw
-from estune.studies.sweep.outcome import TRACE, Outcome
+from estune.studies.sweep.outcome import TRACE, CellOutcome
 from estune.support.plot_style import (
     BLACK,
     BLUE,
@@ -33,7 +33,7 @@ _CURVE_POINTS = 200
 _MOST_IN_LEGEND = 10
 
 
-def draw_costs(outcomes: Sequence[Outcome]) -> Figure:
+def draw_costs(outcomes: Sequence[CellOutcome]) -> Figure:
     """Fig. 12: the cost of each search trial, one line a length: the median over its tunings."""
     figure, (ax,) = stacked(1, 3.0)
     for length, color, traces in _by_length(outcomes):
@@ -46,7 +46,7 @@ def draw_costs(outcomes: Sequence[Outcome]) -> Figure:
     return figure
 
 
-def draw_integral(outcomes: Sequence[Outcome]) -> Figure:
+def draw_integral(outcomes: Sequence[CellOutcome]) -> Figure:
     """Fig. 13: the integral gain over the search, its dither averaged out, one line a length."""
     figure, (ax,) = stacked(1, 3.0)
     column = TRACE.index("I")
@@ -65,7 +65,7 @@ def draw_integral(outcomes: Sequence[Outcome]) -> Figure:
     return figure
 
 
-def draw_law(law: GainLaw, name: str, left_out: Sequence[Outcome]) -> Figure:
+def draw_law(law: GainLaw, name: str, left_out: Sequence[CellOutcome]) -> Figure:
     """Fig. 14: one gain over length, the law with its bands, and its residuals below.
 
     Args:
@@ -105,7 +105,7 @@ def _called(law: GainLaw, name: str) -> str:
     return f"{law.fits[name].curve}{at}"
 
 
-def _by_length(outcomes: Sequence[Outcome]) -> list[tuple[float, str, list[FloatArray]]]:
+def _by_length(outcomes: Sequence[CellOutcome]) -> list[tuple[float, str, list[FloatArray]]]:
     """Search trials of all tunings of each length, with its colour."""
     found: dict[float, list[FloatArray]] = {}
     for outcome in outcomes:

@@ -13,18 +13,18 @@ from functools import cache
 from estune.errors import EstuneError
 from estune.studies.sweep.cell import Cell
 from estune.studies.sweep.cell_runner import run_model
-from estune.studies.sweep.outcome import Outcome
+from estune.studies.sweep.outcome import CellOutcome
 
 ORPHAN_s = 0.5
 """A worker process outlives its parent by no more than this."""
 
 
-def serial(cells: Sequence[Cell]) -> Iterator[Outcome]:
+def serial(cells: Sequence[Cell]) -> Iterator[CellOutcome]:
     """One after the other in this process."""
     yield from map(run_model, cells)
 
 
-def on_cores(cells: Sequence[Cell], jobs: int) -> Iterator[Outcome]:
+def on_cores(cells: Sequence[Cell], jobs: int) -> Iterator[CellOutcome]:
     """In processes of their own, which are started afresh and never forked.
 
     Args:
@@ -50,7 +50,7 @@ def on_cores(cells: Sequence[Cell], jobs: int) -> Iterator[Outcome]:
         ) from error
 
 
-def _run_for(parent: int, cell: Cell) -> Outcome:
+def _run_for(parent: int, cell: Cell) -> CellOutcome:
     """Runs a cell in a process that must not outlive the one that asked for it."""
     _end_with(parent)
     return run_model(cell)

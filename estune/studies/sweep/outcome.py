@@ -8,11 +8,11 @@ import numpy as np
 
 from estune.core.gains import GAIN_NAMES, Gains
 from estune.core.quantities import FloatArray
-from estune.run.result import Ending, TuneResult
+from estune.run.result import RunEnding, TuneResult
 from estune.run.session import Phase, is_unsafe
 from estune.studies.law.tuned import TunedGains
 from estune.studies.sweep.cell import Cell
-from estune.tuners.convergence import Foresighted, Outlook
+from estune.tuners.convergence import ConvergenceEstimate, ModelBasedTuner
 
 SETTLED = 0.05
 """A search has come to its end where no more than this share of the cost is left to gain."""
@@ -25,7 +25,7 @@ _NORMAL_95 = 1.959964
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Outcome:
+class CellOutcome:
     """What became of one cell.
 
     Attributes:
@@ -64,7 +64,7 @@ class Outcome:
     @property
     def safe(self) -> bool:
         """Whether its gains are safe to run."""
-        return not self.failed and self.ending != Ending.UNSAFE_START
+        return not self.failed and self.ending != RunEnding.UNSAFE_START
 
     @property
     def converged(self) -> bool:
@@ -105,26 +105,28 @@ class Outcome:
 FAILED: Literal["failed"] = "failed"
 
 
-def failed(cell: Cell, why: str, duration_s: float = 0.0) -> Outcome:
+def failed(cell: Cell, why: str, duration_s: float = 0.0) -> CellOutcome:
     """A cell that could not be run."""
-    return Outcome(cell, FAILED, why, duration_s=duration_s)
+    return CellOutcome(cell, FAILED, why, duration_s=duration_s)
 
 
-def unsafe(cell: Cell, start: Gains, why: str, duration_s: float) -> Outcome:
+def unsafe(cell: Cell, start: Gains, why: str, duration_s: float) -> CellOutcome:
     """A cell whose start gains are unsafe."""
-    return Outcome(cell, str(Ending.UNSAFE_START), why, gains=start, duration_s=duration_s)
+    return CellOutcome(cell, str(RunEnding.UNSAFE_START), why, gains=start, duration_s=duration_s)
 
 
-def finished(cell: Cell, result: TuneResult, duration_s: float) -> Outcome:
+def finished(cell: Cell, result: TuneResult, duration_s: float) -> CellOutcome:
     """A cell whose tuning came to an end."""
     outlook, trace = _outlook(result), trace_of(result)
     if outlook is not None:
         left = outlook.remaining
-    elif isinstance(result.plan.tuner, Foresighted) or result.ending is Ending.NO_IMPROVEMENT:
+    elif (
+        isinstance(result.plan.tuner, ModelBasedTuner) or result.ending is RunEnding.NO_IMPROVEMENT
+    ):
         left = math.inf
     else:
         left = _still_falling(trace)
-    return Outcome(
+    return CellOutcome(
         cell,
         str(result.ending),
         result.message,
@@ -153,10 +155,12 @@ def trace_of(result: TuneResult) -> FloatArray:
     return np.array(rows, dtype=np.float64).reshape(-1, len(TRACE))
 
 
-def _outlook(result: TuneResult) -> Outlook | None:
+def _outlook(result: TuneResult) -> ConvergenceEstimate | None:
     """What the tuner itself makes of its search; None where it says nothing."""
     tuner = result.plan.tuner
-    return tuner.outlook(result.session.tuner_state) if isinstance(tuner, Foresighted) else None
+    return (
+        tuner.outlook(result.session.tuner_state) if isinstance(tuner, ModelBasedTuner) else None
+    )
 
 
 def _still_falling(trace: FloatArray) -> float:
@@ -174,7 +178,7 @@ def _still_falling(trace: FloatArray) -> float:
     return max(0.0, fall / float(after.mean())) if fall > 2.0 * error else 0.0
 
 
-def _log_errors(result: TuneResult, outlook: Outlook) -> tuple[float, ...] | None:
+def _log_errors(result: TuneResult, outlook: ConvergenceEstimate) -> tuple[float, ...] | None:
     """Standard errors of the logarithms of P, I, D and tau_F from the tuner's intervals.
 
     A gain whose interval reaches to both its bounds, or that was not tuned, is not known at all.

@@ -14,9 +14,9 @@ from rich.table import Table
 from rich.text import Text
 
 from estune.run.progress import duration
-from estune.studies.sweep.outcome import Outcome
+from estune.studies.sweep.outcome import CellOutcome
 
-Watcher = Callable[[Outcome], None]
+Watcher = Callable[[CellOutcome], None]
 """Told of each cell after it was committed; must return quickly."""
 
 _REFRESH_Hz = 4.0
@@ -24,7 +24,7 @@ _LINES = 12
 """About so many plain lines a sweep."""
 
 
-class Status(NamedTuple):
+class SweepStatus(NamedTuple):
     """How a sweep stands.
 
     Attributes:
@@ -52,18 +52,18 @@ class Tally:
         self._last = ""
         self._began_s = time.monotonic()
 
-    def saw(self, outcome: Outcome) -> None:
+    def saw(self, outcome: CellOutcome) -> None:
         """Takes note of a cell."""
         self._now += 1
         self._failed += outcome.failed
         cost = f", cost {outcome.cost:.3g}" if math.isfinite(outcome.cost) else ""
         self._last = f"{outcome.cell.label}: {outcome.ending}{cost}"
 
-    def status(self) -> Status:
+    def status(self) -> SweepStatus:
         """How it stands now."""
         pace = (time.monotonic() - self._began_s) / self._now if self._now else math.nan
         done = self._before + self._now
-        return Status(done, self._most, self._failed, pace * (self._most - done), self._last)
+        return SweepStatus(done, self._most, self._failed, pace * (self._most - done), self._last)
 
 
 @contextmanager
@@ -88,7 +88,7 @@ def watching(most: int, before: int, stream: TextIO | None = None) -> Iterator[W
         return
     every = max(1, (most - before) // _LINES)
 
-    def saw(outcome: Outcome) -> None:
+    def saw(outcome: CellOutcome) -> None:
         tally.saw(outcome)
         status = tally.status()
         if (status.done - before) % every == 0 or status.done == most or outcome.failed:
@@ -97,7 +97,7 @@ def watching(most: int, before: int, stream: TextIO | None = None) -> Iterator[W
     yield saw
 
 
-def render(status: Status) -> RenderableType:
+def render(status: SweepStatus) -> RenderableType:
     """The live display: a bar, and the last cell below it."""
     bar = Table.grid(padding=(0, 2))
     bar.add_row(
@@ -111,15 +111,15 @@ def render(status: Status) -> RenderableType:
     return grid
 
 
-def line(status: Status) -> str:
+def line(status: SweepStatus) -> str:
     """The sweep in one line."""
     return "  ".join(filter(None, (_count(status), _left(status), status.last)))
 
 
-def _count(status: Status) -> str:
+def _count(status: SweepStatus) -> str:
     trouble = f", {status.failed} failed" if status.failed else ""
     return f"{status.done} of {status.most} cells{trouble}"
 
 
-def _left(status: Status) -> str:
+def _left(status: SweepStatus) -> str:
     return f"{duration(status.left_s)} left" if status.done < status.most else ""

@@ -13,7 +13,7 @@ from estune.errors import InvalidInput
 from estune.run.export import replace_file
 from estune.studies.law.law import GainLaw, fit_law
 from estune.studies.sweep.design import SweepDesign
-from estune.studies.sweep.outcome import Outcome
+from estune.studies.sweep.outcome import CellOutcome
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -35,7 +35,7 @@ class Series(NamedTuple):
     """
 
     label: str
-    outcomes: tuple[Outcome, ...]
+    outcomes: tuple[CellOutcome, ...]
 
     def law(self) -> GainLaw:
         """The law over length; cells that are unsafe, unconverged or failed have no part in it.
@@ -80,23 +80,23 @@ class SweepResult:
     """
 
     design: SweepDesign
-    outcomes: tuple[Outcome, ...]
+    outcomes: tuple[CellOutcome, ...]
     folder: Path
 
     @property
-    def failed(self) -> tuple[Outcome, ...]:
+    def failed(self) -> tuple[CellOutcome, ...]:
         """The cells that could not be run; a further call of the sweep tries them again."""
         return tuple(outcome for outcome in self.outcomes if outcome.failed)
 
     @property
-    def excluded(self) -> tuple[Outcome, ...]:
+    def excluded(self) -> tuple[CellOutcome, ...]:
         """The cells that a law leaves out: failed, unsafe, or not at their end."""
         return tuple(outcome for outcome in self.outcomes if outcome.excluded)
 
     @property
     def series(self) -> tuple[Series, ...]:
         """One for each tuner and model; rigs at endpoints, each at its length, make one."""
-        found: dict[tuple[str, str], list[Outcome]] = {}
+        found: dict[tuple[str, str], list[CellOutcome]] = {}
         for outcome in self.outcomes:
             rig = outcome.cell.rig
             name = rig.label if rig.is_model else "rigs"
@@ -205,7 +205,7 @@ def write(path: Path, content: bytes) -> None:
         raise InvalidInput(f"{path}: {error.strerror or error}; give another file") from error
 
 
-def _row(outcome: Outcome) -> dict[str, Any]:
+def _row(outcome: CellOutcome) -> dict[str, Any]:
     cell, gains, errors = outcome.cell, outcome.gains, outcome.log_errors
     nothing = (np.nan,) * len(GAIN_NAMES)
     told = zip(GAIN_NAMES, errors or nothing, strict=True)

@@ -11,11 +11,11 @@ from estune.errors import EstuneError
 from estune.run.loop import Progress
 from estune.studies.sweep.cell import Cell, opened
 from estune.studies.sweep.cell_runner import run_on_rig
-from estune.studies.sweep.outcome import Outcome, failed
+from estune.studies.sweep.outcome import CellOutcome, failed
 from estune.trial import Rig
 
 
-def on_rigs(cells: Sequence[Cell], folder: Path) -> Iterator[Outcome]:
+def on_rigs(cells: Sequence[Cell], folder: Path) -> Iterator[CellOutcome]:
     """A thread for each rig, which runs its cells in turn.
 
     Args:
@@ -28,8 +28,8 @@ def on_rigs(cells: Sequence[Cell], folder: Path) -> Iterator[Outcome]:
     by_rig: dict[str, list[Cell]] = defaultdict(list)
     for cell in cells:
         by_rig[cell.rig.label].append(cell)
-    benches = [_Bench(some, folder) for some in by_rig.values()]
-    done: SimpleQueue[Outcome | BaseException | None] = SimpleQueue()
+    benches = [_RigWorker(some, folder) for some in by_rig.values()]
+    done: SimpleQueue[CellOutcome | BaseException | None] = SimpleQueue()
     threads = [threading.Thread(target=bench.run, args=(done,)) for bench in benches]
     for thread in threads:
         thread.start()
@@ -39,7 +39,7 @@ def on_rigs(cells: Sequence[Cell], folder: Path) -> Iterator[Outcome]:
             outcome = done.get()
             if outcome is None:
                 going -= 1
-            elif isinstance(outcome, Outcome):
+            elif isinstance(outcome, CellOutcome):
                 yield outcome
             else:
                 raise outcome
@@ -51,7 +51,7 @@ def on_rigs(cells: Sequence[Cell], folder: Path) -> Iterator[Outcome]:
             thread.join()
 
 
-class _Bench:
+class _RigWorker:
     """One rig and the cells to be tuned on it, in a thread of its own."""
 
     def __init__(self, cells: Sequence[Cell], folder: Path) -> None:
@@ -60,7 +60,7 @@ class _Bench:
         self._stopping = threading.Event()
         self._rig: Rig | None = None
 
-    def run(self, done: SimpleQueue[Outcome | BaseException | None]) -> None:
+    def run(self, done: SimpleQueue[CellOutcome | BaseException | None]) -> None:
         """Runs the cells in turn; ends with None."""
         try:
             for cell in self._cells:
@@ -80,7 +80,7 @@ class _Bench:
             with suppress(EstuneError):  # its own thread tells what became of it
                 rig.abort()
 
-    def _one(self, cell: Cell) -> Outcome:
+    def _one(self, cell: Cell) -> CellOutcome:
         try:
             with opened(cell.rig, cell.model) as rig:
                 self._rig = rig

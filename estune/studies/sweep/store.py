@@ -17,7 +17,7 @@ import numpy as np
 
 from estune.core.gains import Gains
 from estune.studies.sweep.cell import Cell
-from estune.studies.sweep.outcome import FAILED, TRACE, Outcome
+from estune.studies.sweep.outcome import FAILED, TRACE, CellOutcome
 from estune.support import sqlite
 
 FILE_NAME = "sweep.sqlite"
@@ -73,7 +73,7 @@ class Store:
     def __exit__(self, *_: object) -> None:
         self._opened.close()
 
-    def keep(self, outcome: Outcome) -> None:
+    def keep(self, outcome: CellOutcome) -> None:
         """Commits what a cell came to. A failure gives way to a later one; what is done stays.
 
         Raises:
@@ -90,7 +90,7 @@ class Store:
             )
             self._connection.execute("INSERT INTO cell VALUES (?, ?, ?, ?, ?, ?, ?)", row)
 
-    def outcomes(self, cells: Iterable[Cell]) -> dict[str, Outcome]:
+    def outcomes(self, cells: Iterable[Cell]) -> dict[str, CellOutcome]:
         """What is kept of some cells, by key.
 
         Raises:
@@ -104,7 +104,7 @@ class Store:
         return {cell.key: _outcome(cell, *kept[cell.key]) for cell in cells if cell.key in kept}
 
 
-def _facts(outcome: Outcome) -> dict[str, Any]:
+def _facts(outcome: CellOutcome) -> dict[str, Any]:
     """The numbers as JSON values; those that are not finite are text."""
     gains, errors = outcome.gains, outcome.log_errors
     return {
@@ -114,10 +114,10 @@ def _facts(outcome: Outcome) -> dict[str, Any]:
     }
 
 
-def _outcome(cell: Cell, ending: str, message: str, facts: str, trace: bytes) -> Outcome:
+def _outcome(cell: Cell, ending: str, message: str, facts: str, trace: bytes) -> CellOutcome:
     said = json.loads(facts)
     gains, errors = said["gains"], said["log_errors"]
-    return Outcome(
+    return CellOutcome(
         cell,
         ending,
         message,

@@ -9,8 +9,8 @@ from estune.errors import InvalidInput
 from estune.studies.sweep import dask_executor, local_executors, progress, rig_workers
 from estune.studies.sweep.cell import Cell
 from estune.studies.sweep.design import SweepDesign, read_design
-from estune.studies.sweep.expand import cells_of
-from estune.studies.sweep.outcome import Outcome
+from estune.studies.sweep.expand import expand_cells
+from estune.studies.sweep.outcome import CellOutcome
 from estune.studies.sweep.progress import Watcher
 from estune.studies.sweep.result import SweepResult
 from estune.studies.sweep.store import RUNS, Store
@@ -57,7 +57,7 @@ def sweep(
     if jobs is not None and jobs < 1:
         raise InvalidInput(f"jobs is {jobs}; it must be at least 1")
     wanted = read_design(design)
-    cells = cells_of(wanted)
+    cells = expand_cells(wanted)
     with Store.open(Path(folder or default_folder(design))) as store:
         kept = store.outcomes(cells)
         missing = [cell for cell in cells if cell.key not in kept or kept[cell.key].failed]
@@ -84,7 +84,7 @@ def default_folder(design: SweepDesign | str | Path | Mapping[str, Any]) -> Path
 
 def _run(
     cells: Sequence[Cell], runs: Path, jobs: int | None, dask: str | None
-) -> Generator[Outcome]:
+) -> Generator[CellOutcome]:
     """What the cells come to: models first, then rigs at endpoints."""
     models = [cell for cell in cells if cell.rig.is_model]
     others = [cell for cell in cells if not cell.rig.is_model]

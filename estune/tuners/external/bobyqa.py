@@ -11,7 +11,7 @@ import numpy as np
 
 from estune.errors import InvalidInput
 from estune.tuners.external.optimiser_cache import Optimiser, check_installed
-from estune.tuners.external.tuner import OutsideTuner
+from estune.tuners.external.tuner import ExternalTuner
 from estune.tuners.search_space import Coordinates
 from estune.tuners.settings import check_above_zero, check_logarithmic
 
@@ -21,7 +21,7 @@ WORSE_BY = math.log(2.0)
 
 
 @dataclass(frozen=True, slots=True)
-class Bobyqa(OutsideTuner):
+class Bobyqa(ExternalTuner):
     """Steps within a trust region about the best point of a quadratic model of the log cost.
 
     Attributes:

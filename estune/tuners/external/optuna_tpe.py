@@ -5,12 +5,12 @@ from typing import Any, Literal
 
 from estune.errors import InvalidInput
 from estune.tuners.external.optimiser_cache import Optimiser, check_installed
-from estune.tuners.external.tuner import OutsideTuner
+from estune.tuners.external.tuner import ExternalTuner
 from estune.tuners.search_space import Coordinates
 
 
 @dataclass(frozen=True, slots=True)
-class OptunaTpe(OutsideTuner):
+class OptunaTpe(ExternalTuner):
     """Searches the whole box between the bounds, so the bounds should be safe.
 
     It begins with the start and some random points, then samples where good trials were denser

@@ -10,7 +10,7 @@ from estune.tuners.search_space import Coordinates, Point, SearchSpace
 
 
 @dataclass(frozen=True, slots=True)
-class OutsideTuner(ABC):
+class ExternalTuner(ABC):
     """What tuners of other libraries share: all but the optimiser that proposes.
 
     Attributes:

@@ -11,7 +11,13 @@ from estune.core.quantities import FloatArray
 from estune.errors import InvalidInput
 from estune.trial import SATURATED
 from plants.diagnosis.checks.units import mistaken_units
-from plants.diagnosis.data.measured_record import OUTPUTS, ROUNDING, Finding, Level, Measurement
+from plants.diagnosis.data.measured_record import (
+    OUTPUTS,
+    ROUNDING,
+    DataIssue,
+    Level,
+    MeasuredRecord,
+)
 from plants.diagnosis.data.noise import FEWEST, upper_rms
 from plants.diagnosis.data.sensors import faults, held_against, shift_between
 from plants.diagnosis.models.base import BaseNumbers
@@ -38,13 +44,13 @@ LATEST = 50
 
 
 def check(
-    measurements: Sequence[Measurement], model: Any
-) -> tuple[tuple[Measurement, ...], tuple[Finding, ...]]:
+    measurements: Sequence[MeasuredRecord], model: Any
+) -> tuple[tuple[MeasuredRecord, ...], tuple[DataIssue, ...]]:
     """The measurements that can be used, and everything found wrong.
 
     Args:
         measurements: The records.
-        model: What they are to be held against, as it was given: a `Reel`, an `UnloadedReel`, a
+        model: What they are to be held against, as it was given: a `ReelProgress`, an `UnloadedReel`, a
             plant with a linear model; of others only what needs no model is looked at.
 
     Raises:
@@ -54,7 +60,7 @@ def check(
     usable = []
     for m in kept:
         found = [
-            Finding(said.level, m.source or m.name, said.column, said.row, said.sentence)
+            DataIssue(said.level, m.source or m.name, said.column, said.row, said.sentence)
             for said in _looked_through(m, BaseNumbers.of(model, m))
         ]
         findings += found
@@ -65,7 +71,9 @@ def check(
     return tuple(usable), tuple(findings)
 
 
-def _of_one_rig(measurements: Sequence[Measurement]) -> tuple[list[Measurement], list[Finding]]:
+def _of_one_rig(
+    measurements: Sequence[MeasuredRecord],
+) -> tuple[list[MeasuredRecord], list[DataIssue]]:
     """The records of the rig with most of them, by time; those without a name go with any."""
     lasting: dict[str, float] = defaultdict(float)
     for m in measurements:
@@ -75,7 +83,7 @@ def _of_one_rig(measurements: Sequence[Measurement]) -> tuple[list[Measurement],
         return list(measurements), []
     rig = max(lasting, key=lambda name: lasting[name])
     findings = [
-        Finding(
+        DataIssue(
             "refused",
             m.source or m.name,
             "",
@@ -88,7 +96,7 @@ def _of_one_rig(measurements: Sequence[Measurement]) -> tuple[list[Measurement],
     return [m for m in measurements if m.rig in ("", rig)], findings
 
 
-class Said(NamedTuple):
+class Issue(NamedTuple):
     """A finding before it is known of which record."""
 
     level: Level
@@ -97,10 +105,10 @@ class Said(NamedTuple):
     sentence: str
 
 
-def _looked_through(m: Measurement, b: BaseNumbers | None) -> Iterator[Said]:
+def _looked_through(m: MeasuredRecord, b: BaseNumbers | None) -> Iterator[Issue]:
     """Everything found wrong with one record."""
     if m.samples < FEWEST:
-        yield Said(
+        yield Issue(
             "refused", "", None, f"{m.samples} samples are too few; record {FEWEST} or more"
         )
         return
@@ -108,7 +116,7 @@ def _looked_through(m: Measurement, b: BaseNumbers | None) -> Iterator[Said]:
         column = m.channel(name)
         if column is not None:
             for refused, row, sentence in faults(column):
-                yield Said("refused" if refused else "warning", name, row, sentence)
+                yield Issue("refused" if refused else "warning", name, row, sentence)
     yield from _unmoved(m)
     yield from _static(m)
     if b is None:
@@ -117,16 +125,16 @@ def _looked_through(m: Measurement, b: BaseNumbers | None) -> Iterator[Said]:
     yield from _labels(m, b)
     yield from _at_limit(m, b)
     for column_name, unit, sentence in mistaken_units(m, b):
-        yield Said("refused" if unit else "warning", column_name, None, sentence)
+        yield Issue("refused" if unit else "warning", column_name, None, sentence)
     if b.stiffness_N_m is not None and m.angle_rad is not None and m.tension_N is not None:
         for refused, row, sentence in held_against(
             m.angle_rad, m.tension_N, 1.0 / b.tension_per_angle_N_rad
         ):
-            yield Said("refused" if refused else "warning", "angle_rad", row, sentence)
+            yield Issue("refused" if refused else "warning", "angle_rad", row, sentence)
         late = shift_between(m.angle_rad, m.tension_N)
         if late:
             which = "after" if late > 0 else "before"
-            yield Said(
+            yield Issue(
                 "warning",
                 "tension_N",
                 None,
@@ -135,10 +143,10 @@ def _looked_through(m: Measurement, b: BaseNumbers | None) -> Iterator[Said]:
             )
 
 
-def _too_short(m: Measurement, b: BaseNumbers) -> Iterator[Said]:
+def _too_short(m: MeasuredRecord, b: BaseNumbers) -> Iterator[Issue]:
     natural = b.natural_rad_s
     if natural > 0.0 and m.duration_s < math.pi / natural:
-        yield Said(
+        yield Issue(
             "refused",
             "",
             None,
@@ -146,7 +154,7 @@ def _too_short(m: Measurement, b: BaseNumbers) -> Iterator[Said]:
             f"{2.0 * math.pi / natural:.3g} s; record longer",
         )
     elif m.duration_s < SETTLES * b.slowest_s:
-        yield Said(
+        yield Issue(
             "warning",
             "",
             None,
@@ -155,18 +163,18 @@ def _too_short(m: Measurement, b: BaseNumbers) -> Iterator[Said]:
         )
 
 
-def _unmoved(m: Measurement) -> Iterator[Said]:
+def _unmoved(m: MeasuredRecord) -> Iterator[Issue]:
     """Neither the command nor the response moves beyond its noise."""
     commanded = [c for c in (m.setpoint_N, m.current_A) if c is not None]
     still = not any(_moves(c) for c in commanded)
     moving = [name for name in m.outputs if _moves(np.asarray(m.channel(name)))]
     if still and not moving:
-        yield Said("refused", "", None, "nothing moves beyond its noise; excite the reel")
+        yield Issue("refused", "", None, "nothing moves beyond its noise; excite the reel")
     elif still:
         sentence = f"the command stands still while {' and '.join(moving)} moves"
-        yield Said("warning", "", None, f"{sentence}: it shows drift and disturbances only")
+        yield Issue("warning", "", None, f"{sentence}: it shows drift and disturbances only")
     elif not moving:
-        yield Said("refused", "", None, "no output moves beyond its noise; excite the reel more")
+        yield Issue("refused", "", None, "no output moves beyond its noise; excite the reel more")
 
 
 def _moves(column: FloatArray) -> bool:
@@ -175,7 +183,7 @@ def _moves(column: FloatArray) -> bool:
     return spread > max(MOVES * upper_rms(column), rounding)
 
 
-def _static(m: Measurement) -> Iterator[Said]:
+def _static(m: MeasuredRecord) -> Iterator[Issue]:
     """The current is a function of the angle: friction, inertia and stiffness are one."""
     command = m.current_A if m.current_A is not None else m.setpoint_N
     if command is None or m.angle_rad is None or not np.ptp(m.angle_rad) > 0.0:
@@ -192,7 +200,7 @@ def _static(m: Measurement) -> Iterator[Said]:
     slope = float(inside @ u) / max(float(inside @ inside), 1e-300)
     left = float((u - slope * inside).std()) / max(float(command.std()), 1e-300)
     if left < STATIC:
-        yield Said(
+        yield Issue(
             "warning",
             "current_A" if m.current_A is not None else "setpoint_N",
             None,
@@ -201,7 +209,7 @@ def _static(m: Measurement) -> Iterator[Said]:
         )
 
 
-def _labels(m: Measurement, b: BaseNumbers) -> Iterator[Said]:
+def _labels(m: MeasuredRecord, b: BaseNumbers) -> Iterator[Issue]:
     """Whether the record is of the loop that its label says."""
     if m.setpoint_N is None or m.current_A is None:
         return
@@ -210,11 +218,11 @@ def _labels(m: Measurement, b: BaseNumbers) -> Iterator[Said]:
         apart = float(np.abs(m.current_A - command).max())
         if _moves(m.setpoint_N) and apart <= ROUNDING * float(np.abs(command).max()):
             sentence = "the record is labelled closed, and the current is the open-loop"
-            yield Said("warning", "current_A", None, f"{sentence} command; check the label")
+            yield Issue("warning", "current_A", None, f"{sentence} command; check the label")
         return
     follows, gain = _follows(command, m.current_A)
     if follows < FOLLOWS:
-        yield Said(
+        yield Issue(
             "refused",
             "current_A",
             None,
@@ -222,7 +230,7 @@ def _labels(m: Measurement, b: BaseNumbers) -> Iterator[Said]:
             "label and the columns",
         )
     elif follows > 1.0 - ROUNDING and abs(gain - 1.0) > CALIBRATION:
-        yield Said(
+        yield Issue(
             "warning",
             "current_A",
             None,
@@ -243,14 +251,14 @@ def _follows(command: FloatArray, current: FloatArray) -> tuple[float, float]:
     return max(best, 0.0) ** 2 / (xx * yy), best / xx
 
 
-def _at_limit(m: Measurement, b: BaseNumbers) -> Iterator[Said]:
+def _at_limit(m: MeasuredRecord, b: BaseNumbers) -> Iterator[Issue]:
     flagged = np.zeros(m.samples, bool) if m.flags is None else (m.flags & SATURATED) > 0
     if m.current_A is not None:
         flagged |= np.abs(m.current_A) >= b.current_limit_A * (1.0 - ROUNDING)
     share = float(flagged.mean())
     if share > AT_LIMIT[0]:
         row = int(flagged.argmax()) + 1
-        yield Said(
+        yield Issue(
             "refused" if share > AT_LIMIT[1] else "warning",
             "current_A",
             row,

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from estune.core.quantities import FloatArray
-from plants.diagnosis.data.measured_record import Measurement
+from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.data.smoothing import Smoother
 from plants.diagnosis.models.base import BaseNumbers
 
@@ -37,7 +37,7 @@ class Doubt(NamedTuple):
     sentence: str
 
 
-def mistaken_units(m: Measurement, b: BaseNumbers) -> Iterator[Doubt]:
+def mistaken_units(m: MeasuredRecord, b: BaseNumbers) -> Iterator[Doubt]:
     """The columns that seem to be in another unit.
 
     A reel's tension goes with the angle by k R and with the command by about one; a drum's
@@ -62,7 +62,7 @@ def mistaken_units(m: Measurement, b: BaseNumbers) -> Iterator[Doubt]:
     yield from _doubts(m, by_angle, by_effort)
 
 
-def _doubts(m: Measurement, by_angle: float | None, by_effort: float | None) -> Iterator[Doubt]:
+def _doubts(m: MeasuredRecord, by_angle: float | None, by_effort: float | None) -> Iterator[Doubt]:
     """What the slopes over those of the model say; both of them speak of the tension."""
     if by_effort is not None and _far(by_effort):
         if by_angle is None or _far(by_angle):

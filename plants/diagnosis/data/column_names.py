@@ -55,7 +55,7 @@ NEARER = 0.85
 _RARE = ("reference_N", "flags")
 
 
-def mistaken(name: str, present: frozenset[str], known: tuple[str, ...]) -> str | None:
+def suggest_name(name: str, present: frozenset[str], known: tuple[str, ...]) -> str | None:
     """What to do about a name that is not known but seems to be meant for one that is.
 
     Args:

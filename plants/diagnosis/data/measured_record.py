@@ -25,7 +25,7 @@ Level = Literal["refused", "warning"]
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class DataIssue:
     """Something that is wrong with a file, or looks wrong.
 
     Attributes:
@@ -50,7 +50,7 @@ class Finding:
 
 
 class Unusable(InvalidInput):
-    """A record cannot be used; becomes a `Finding` where its file is known.
+    """A record cannot be used; becomes a `DataIssue` where its file is known.
 
     Attributes:
         column: The column it is about, or empty.
@@ -62,13 +62,13 @@ class Unusable(InvalidInput):
         super().__init__(sentence)
         self.sentence, self.column, self.row = sentence, column, row
 
-    def finding(self, source: str) -> Finding:
+    def finding(self, source: str) -> DataIssue:
         """The same as a finding about a file."""
-        return Finding("refused", source, self.column, self.row, self.sentence)
+        return DataIssue("refused", source, self.column, self.row, self.sentence)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Measurement:
+class MeasuredRecord:
     """One measured record. Columns have shape (samples,); a channel that is missing is None.
 
     Attributes:
@@ -109,7 +109,7 @@ class Measurement:
     source: str = ""
 
     @classmethod
-    def of(cls, record: TrialRecord) -> "Measurement":
+    def of(cls, record: TrialRecord) -> "MeasuredRecord":
         """The measurement a trial record holds; a column that never differs from zero is missing.
 
         A rig without an encoder or a gauge fills the column of its record with zeros.

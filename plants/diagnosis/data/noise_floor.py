@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from estune.core.quantities import FloatArray
-from plants.diagnosis.data.measured_record import CHANNELS, OUTPUTS, Measurement
+from plants.diagnosis.data.measured_record import CHANNELS, OUTPUTS, MeasuredRecord
 from plants.diagnosis.data.noise import FEWEST, spectral_rms, step_of, upper_rms
 from plants.diagnosis.data.periods import SAME, holds, periods_of
 
@@ -40,7 +40,7 @@ class Noise:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Floor:
+class NoiseFloor:
     """The noise of a set of measurements.
 
     Attributes:
@@ -90,7 +90,7 @@ class Floor:
         return self.channels[channel].rms if channel in self.channels else float("nan")
 
 
-def noise_floor(measurements: Sequence[Measurement]) -> Floor:
+def noise_floor(measurements: Sequence[MeasuredRecord]) -> NoiseFloor:
     """The noise of each channel, from the best source the measurements offer.
 
     Args:
@@ -107,10 +107,10 @@ def noise_floor(measurements: Sequence[Measurement]) -> Floor:
     )
     names = dict.fromkeys(name for record in records for name in record)
     samples = [m.samples for m in measurements]
-    return Floor({name: _pooled(name, records, samples) for name in names}, records)
+    return NoiseFloor({name: _pooled(name, records, samples) for name in names}, records)
 
 
-def _noise(m: Measurement, column: FloatArray, repeated: float | None) -> Noise:
+def _noise(m: MeasuredRecord, column: FloatArray, repeated: float | None) -> Noise:
     """The noise of one channel of one record."""
     lsb = step_of(column)
     rms, how = (repeated, SOURCES[0]) if repeated is not None else _alone(m, column)
@@ -118,7 +118,7 @@ def _noise(m: Measurement, column: FloatArray, repeated: float | None) -> Noise:
     return Noise(rms, lsb, how) if rms > rounding else Noise(rounding, lsb, SOURCES[4])
 
 
-def _alone(m: Measurement, column: FloatArray) -> tuple[float, str]:
+def _alone(m: MeasuredRecord, column: FloatArray) -> tuple[float, str]:
     """The noise of a channel from its own record alone, and what it was found from."""
     if m.samples < FEWEST:
         return _differences_rms(column), SOURCES[3]
@@ -155,7 +155,7 @@ def _differences_rms(column: FloatArray) -> float:
     return float(np.sqrt(np.mean(np.diff(column, 3) ** 2) / 20.0)) if column.size > 3 else 0.0
 
 
-def _repeats(measurements: Sequence[Measurement]) -> dict[tuple[int, str], float]:
+def _repeats(measurements: Sequence[MeasuredRecord]) -> dict[tuple[int, str], float]:
     """Noise by measurement and channel, where the same trial was run twice or more."""
     found = {}
     for same in _repeated(measurements):
@@ -168,7 +168,7 @@ def _repeats(measurements: Sequence[Measurement]) -> dict[tuple[int, str], float
     return found
 
 
-def unrepeated(measurements: Sequence[Measurement]) -> tuple[dict[str, FloatArray], ...]:
+def unrepeated(measurements: Sequence[MeasuredRecord]) -> tuple[dict[str, FloatArray], ...]:
     """What did not come again although the command did, by channel for each measurement.
 
     Of the size of what a single run has of it; nan where a command was not repeated. Besides
@@ -202,7 +202,7 @@ def unrepeated(measurements: Sequence[Measurement]) -> tuple[dict[str, FloatArra
     return found
 
 
-def _repeated(measurements: Sequence[Measurement]) -> list[list[int]]:
+def _repeated(measurements: Sequence[MeasuredRecord]) -> list[list[int]]:
     """Numbers of the measurements of the same trial, for each that was run twice or more."""
     groups: dict[tuple[Any, ...], list[int]] = defaultdict(list)
     for n, m in enumerate(measurements):
@@ -211,7 +211,7 @@ def _repeated(measurements: Sequence[Measurement]) -> list[list[int]]:
     return [same for group in groups.values() for same in _same_setpoints(measurements, group)]
 
 
-def _same_setpoints(measurements: Sequence[Measurement], group: list[int]) -> list[list[int]]:
+def _same_setpoints(measurements: Sequence[MeasuredRecord], group: list[int]) -> list[list[int]]:
     """Splits a group into those with equal setpoints, two or more of each."""
     found: list[tuple[FloatArray, list[int]]] = []
     for n in group:

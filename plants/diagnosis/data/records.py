@@ -16,8 +16,8 @@ from plants.diagnosis.data.measured_record import (
     CHANNELS,
     OUTPUTS,
     ROUNDING,
-    Finding,
-    Measurement,
+    DataIssue,
+    MeasuredRecord,
     Unusable,
 )
 from plants.diagnosis.data.table import Table, read_table
@@ -27,7 +27,7 @@ FEWEST_SAMPLES = 3
 """Fewer rows have no sampling rate."""
 
 
-class Reading(NamedTuple):
+class FolderContents(NamedTuple):
     """What a folder held.
 
     Attributes:
@@ -35,16 +35,16 @@ class Reading(NamedTuple):
         findings: What was refused or looked odd, file by file.
     """
 
-    measurements: tuple[Measurement, ...]
-    findings: tuple[Finding, ...]
+    measurements: tuple[MeasuredRecord, ...]
+    findings: tuple[DataIssue, ...]
 
     @property
-    def refused(self) -> tuple[Finding, ...]:
+    def refused(self) -> tuple[DataIssue, ...]:
         """The findings that cost a record."""
         return tuple(f for f in self.findings if f.level == "refused")
 
 
-def read_measurements(folder: Path | str) -> Reading:
+def read_measurements(folder: Path | str) -> FolderContents:
     """Reads every record below a folder, or a single file; one bad file does not cost the others.
 
     Args:
@@ -57,17 +57,17 @@ def read_measurements(folder: Path | str) -> Reading:
     folder = Path(folder)
     if not folder.exists():
         raise InvalidInput(f"{folder} does not exist; give a folder of records")
-    found: dict[str, Measurement] = {}
-    findings: list[Finding] = []
+    found: dict[str, MeasuredRecord] = {}
+    findings: list[DataIssue] = []
     for result in _read_all(folder):
-        if isinstance(result, Finding):
+        if isinstance(result, DataIssue):
             findings.append(result)
         elif result.name not in found:
             found[result.name] = result
         elif _same(result, found[result.name]):
             first = found[result.name].source
             sentence = f"trial {result.name} was read from {first} already; this copy is left out"
-            findings.append(Finding("warning", result.source, "", None, sentence))
+            findings.append(DataIssue("warning", result.source, "", None, sentence))
         else:
             name = f"{result.name} ({result.source})"
             found[name] = replace(result, name=name)
@@ -75,10 +75,10 @@ def read_measurements(folder: Path | str) -> Reading:
         listed = "; ".join(str(f) for f in findings if f.level == "refused")
         what = listed or "it holds no .csv, .parquet or run"
         raise InvalidInput(f"{folder} has no record that can be used: {what}")
-    return Reading(tuple(found[name] for name in sorted(found)), tuple(findings))
+    return FolderContents(tuple(found[name] for name in sorted(found)), tuple(findings))
 
 
-def _same(one: Measurement, other: Measurement) -> bool:
+def _same(one: MeasuredRecord, other: MeasuredRecord) -> bool:
     columns = [(one.channel(name), other.channel(name)) for name in OUTPUTS]
     return all(
         (a is None and b is None) or (a is not None and b is not None and np.array_equal(a, b))
@@ -86,7 +86,7 @@ def _same(one: Measurement, other: Measurement) -> bool:
     )
 
 
-def _read_all(folder: Path) -> Iterator[Measurement | Finding]:
+def _read_all(folder: Path) -> Iterator[MeasuredRecord | DataIssue]:
     """Every record below the folder, or what was found wrong."""
     for path in [folder] if folder.is_file() else sorted(folder.rglob("*")):
         inside = path.relative_to(folder)
@@ -99,7 +99,7 @@ def _read_all(folder: Path) -> Iterator[Measurement | Finding]:
             yield from _read_file(path, source)
 
 
-def _read_file(path: Path, source: str) -> Iterator[Measurement | Finding]:
+def _read_file(path: Path, source: str) -> Iterator[MeasuredRecord | DataIssue]:
     try:
         table = read_table(path)
         measurement, warnings = _measurement(table, path.stem, source)
@@ -107,34 +107,34 @@ def _read_file(path: Path, source: str) -> Iterator[Measurement | Finding]:
         yield error.finding(source)
         return
     for column, sentence in (*table.warnings, *warnings):
-        yield Finding("warning", source, column, None, sentence)
+        yield DataIssue("warning", source, column, None, sentence)
     yield measurement
 
 
-def _read_run(folder: Path, source: str) -> Iterator[Measurement | Finding]:
+def _read_run(folder: Path, source: str) -> Iterator[MeasuredRecord | DataIssue]:
     try:
         with Journal.open(folder) as journal:
             for entry in journal.entries():
                 if entry.outcome is not None:
                     yield _read_trial(journal, entry.trial_id, source)
     except JournalError as error:
-        yield Finding("refused", source, "", None, str(error))
+        yield DataIssue("refused", source, "", None, str(error))
 
 
-def _read_trial(journal: Journal, trial_id: str, source: str) -> Measurement | Finding:
+def _read_trial(journal: Journal, trial_id: str, source: str) -> MeasuredRecord | DataIssue:
     try:
         record = journal.record(trial_id)
     except JournalError as error:
-        return Finding("refused", source, "", None, str(error))
+        return DataIssue("refused", source, "", None, str(error))
     if record.time_s.size < FEWEST_SAMPLES:
         sentence = f"trial {trial_id} has {record.time_s.size} samples; nothing can be read off it"
-        return Finding("refused", source, "", None, sentence)
-    return replace(Measurement.of(record), source=f"{source} {trial_id}")
+        return DataIssue("refused", source, "", None, sentence)
+    return replace(MeasuredRecord.of(record), source=f"{source} {trial_id}")
 
 
 def _measurement(
     table: Table, stem: str, source: str
-) -> tuple[Measurement, list[tuple[str, str]]]:
+) -> tuple[MeasuredRecord, list[tuple[str, str]]]:
     """The measurement of a table, and column and sentence of what looked odd."""
     # A rig without a gauge or an encoder fills the column with zeros.
     columns = {k: v for k, v in table.columns.items() if k not in OUTPUTS or v.any()}
@@ -165,7 +165,7 @@ def _measurement(
         if warning:
             warnings.append(("time_s", warning))
     flags = columns.get("flags")
-    measurement = Measurement(
+    measurement = MeasuredRecord(
         name=about.text("trial_id") or stem,
         rig=about.text("rig") or "",
         sampling_Hz=sampling_Hz,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from estune.core.quantities import FloatArray
-from plants.diagnosis.data.column_names import METADATA, TABLE_COLUMNS, mistaken
+from plants.diagnosis.data.column_names import METADATA, TABLE_COLUMNS, suggest_name
 from plants.diagnosis.data.measured_record import Unusable
 
 if TYPE_CHECKING:
@@ -136,7 +136,7 @@ def _check_names(present: frozenset[str], known: tuple[str, ...]) -> list[tuple[
     """Refuses what seems to be a known name misspelt; what else is not known is passed over."""
     passed = []
     for name in sorted(present - set(known)):
-        sentence = mistaken(name, present, known)
+        sentence = suggest_name(name, present, known)
         if sentence is not None:
             raise Unusable(sentence, name)
         passed.append((name, "not a column of a record; it is passed over"))

@@ -183,7 +183,7 @@ def answer(model: LinearModel, effort_N: FloatArray, sampling_Hz: float) -> Floa
     return found
 
 
-def battery(rig: RigDescription) -> tuple[Experiment, ...]:
+def initial_experiments(rig: RigDescription) -> tuple[Experiment, ...]:
     """Experiments that between them excite most of what a model may lack.
 
     About 28 s for a rig that settles within a second, longer in proportion for a slower one: two
@@ -214,7 +214,7 @@ def battery(rig: RigDescription) -> tuple[Experiment, ...]:
     return tuple(found)
 
 
-def catalogue(rig: RigDescription) -> tuple[Experiment, ...]:
+def candidate_experiments(rig: RigDescription) -> tuple[Experiment, ...]:
     """Experiments to choose the deciding one from, open loop, of 10 time units at most."""
     room = Room(rig)
     found: list[Experiment | None] = []

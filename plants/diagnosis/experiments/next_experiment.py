@@ -30,13 +30,13 @@ from estune.errors import EstuneError
 from estune.run.trial_file import SUFFIX, TrialFile
 from estune.trial import RigDescription, RigLimits
 from estune.trial.profiles import StepProfile
-from plants.diagnosis.data.measured_record import OUTPUTS, Measurement
-from plants.diagnosis.data.noise_floor import Floor
-from plants.diagnosis.experiments.designs import WIDEST, Experiment, catalogue
-from plants.diagnosis.models.diagnosed_model import Diagnosed, diagnosed
+from plants.diagnosis.data.measured_record import OUTPUTS, MeasuredRecord
+from plants.diagnosis.data.noise_floor import NoiseFloor
+from plants.diagnosis.experiments.designs import WIDEST, Experiment, candidate_experiments
+from plants.diagnosis.models.diagnosed_model import DiagnosedModel, diagnosed
 from plants.diagnosis.prediction.prediction import CHANNELS, Predictor
 from plants.diagnosis.report.diagnosis import Verdict
-from plants.diagnosis.residual.localisation import Block, Where
+from plants.diagnosis.residual.localisation import Block, ResidualLocation
 
 SEPARATE = 0.1
 """A separation below this leaves the wrong model a gap of 1.05 floors: it decides nothing."""
@@ -104,9 +104,9 @@ class Evidence(NamedTuple):
         ratio_after: What the best model leaves, in floors.
     """
 
-    measurements: Sequence[Measurement]
-    noise: Floor
-    where: Where
+    measurements: Sequence[MeasuredRecord]
+    noise: NoiseFloor
+    where: ResidualLocation
     ratio_after: float
 
 
@@ -129,7 +129,7 @@ def next_experiment(
     if verdict not in ("ambiguous", "unknown"):
         return None
     rig = rig or rig_of(base, evidence.measurements)
-    experiments = [] if rig is None else catalogue(rig)
+    experiments = [] if rig is None else candidate_experiments(rig)
     if not experiments or rig is None:
         return None
     if verdict == "ambiguous" and len(rivals) > 1:
@@ -137,7 +137,7 @@ def next_experiment(
     return _exploring(experiments, base, evidence, rig)
 
 
-def rig_of(model: Any, measurements: Sequence[Measurement]) -> RigDescription | None:
+def rig_of(model: Any, measurements: Sequence[MeasuredRecord]) -> RigDescription | None:
     """What is known of a rig from its model and its records: no setpoint goes beyond theirs.
 
     Args:
@@ -235,13 +235,13 @@ def _chosen(
 
 
 def _placeholder(
-    experiment: Experiment, like: Sequence[Measurement], rig: RigDescription
-) -> Measurement:
+    experiment: Experiment, like: Sequence[MeasuredRecord], rig: RigDescription
+) -> MeasuredRecord:
     """The record of an experiment before it has been run: no output but in name."""
     profile, rate = experiment.profile, rig.controller.sampling_Hz
     setpoint = profile.setpoint(rate)
     unknown = {name: np.zeros(setpoint.size) for name in OUTPUTS if _all_have(name, like)}
-    return Measurement(
+    return MeasuredRecord(
         name=experiment.name,
         rig=rig.name,
         sampling_Hz=rate,
@@ -260,11 +260,13 @@ def _placeholder(
     )
 
 
-def _all_have(name: str, measurements: Sequence[Measurement]) -> bool:
+def _all_have(name: str, measurements: Sequence[MeasuredRecord]) -> bool:
     return all(m.channel(name) is not None for m in measurements)
 
 
-def _predicted(model: Any, asked: Sequence[Measurement], noise: Floor) -> list[Measurement]:
+def _predicted(
+    model: Any, asked: Sequence[MeasuredRecord], noise: NoiseFloor
+) -> list[MeasuredRecord]:
     """The records a model foretells of experiments, without noise, in free run."""
     plant = diagnosed(model, asked)
     predictor = Predictor(plant, (), asked, horizon_s=None, floor=_floor(noise, len(asked)))
@@ -279,9 +281,9 @@ def _predicted(model: Any, asked: Sequence[Measurement], noise: Floor) -> list[M
     return records
 
 
-def _left(model: Any, records: Sequence[Measurement], evidence: Evidence) -> FloatArray:
+def _left(model: Any, records: Sequence[MeasuredRecord], evidence: Evidence) -> FloatArray:
     """What a model cannot take up of each record, mean square in sigmas, shape (records,)."""
-    plant: Diagnosed = diagnosed(model, records)
+    plant: DiagnosedModel = diagnosed(model, records)
     predictor = Predictor(plant, (), records, floor=_floor(evidence.noise, len(records)))
     residuals, slopes = predictor.linearise(predictor.start)
     index = predictor.index
@@ -299,7 +301,7 @@ def _left(model: Any, records: Sequence[Measurement], evidence: Evidence) -> Flo
     return left
 
 
-def _form(record: Measurement, channel: Any, evidence: Evidence) -> FloatArray:
+def _form(record: MeasuredRecord, channel: Any, evidence: Evidence) -> FloatArray:
     """Expected model-form error of each residual entry, in its unit, shape (entries,)."""
     error = np.zeros(channel.size)
     for number in np.unique(channel).tolist():
@@ -318,26 +320,26 @@ def _form_share(name: str, evidence: Evidence) -> float:
     return unexplained * evidence.noise.effective(name, rms) / rms if rms > 0.0 else 0.0
 
 
-def _floor(noise: Floor, records: int) -> Floor:
-    return Floor(noise.channels, (noise.channels,) * records)
+def _floor(noise: NoiseFloor, records: int) -> NoiseFloor:
+    return NoiseFloor(noise.channels, (noise.channels,) * records)
 
 
-def _excited(regime: str, m: Measurement) -> float:
+def _excited(regime: str, m: MeasuredRecord) -> float:
     """How far an experiment drives the variable that a residual follows."""
     return _MEASURES.get(regime, _spread_of_rate)(m)
 
 
-def _output(m: Measurement) -> FloatArray:
+def _output(m: MeasuredRecord) -> FloatArray:
     """The first output there is, shape (samples,)."""
     return next(c for name in OUTPUTS if (c := m.channel(name)) is not None)
 
 
-def _moving(m: Measurement) -> FloatArray:
+def _moving(m: MeasuredRecord) -> FloatArray:
     angle = _output(m) if m.angle_rad is None else m.angle_rad
     return np.gradient(angle, 1.0 / m.sampling_Hz)
 
 
-def _reversals(m: Measurement) -> float:
+def _reversals(m: MeasuredRecord) -> float:
     """Time spent moving slowly either way: friction rules there, not inertia."""
     velocity = _moving(m)
     slow = np.abs(velocity) < np.median(np.abs(velocity))
@@ -346,24 +348,24 @@ def _reversals(m: Measurement) -> float:
     return turns * travel / max(float(np.abs(velocity).max()), 1e-300)
 
 
-def _spread_of_rate(m: Measurement) -> float:
+def _spread_of_rate(m: MeasuredRecord) -> float:
     return float(_moving(m).std())
 
 
-def _spread_of_output(m: Measurement) -> float:
+def _spread_of_output(m: MeasuredRecord) -> float:
     return float(_output(m).std())
 
 
-def _spread_of_angle(m: Measurement) -> float:
+def _spread_of_angle(m: MeasuredRecord) -> float:
     return float(np.ptp(_output(m) if m.angle_rad is None else m.angle_rad))
 
 
-def _spread_of_command_rate(m: Measurement) -> float:
+def _spread_of_command_rate(m: MeasuredRecord) -> float:
     assert m.setpoint_N is not None  # noqa: S101  an experiment has a setpoint
     return float(np.diff(m.setpoint_N).std()) * m.sampling_Hz
 
 
-def _longest_hold(m: Measurement) -> float:
+def _longest_hold(m: MeasuredRecord) -> float:
     """Longest time without a change of the setpoint, times how far away it is held."""
     assert m.setpoint_N is not None  # noqa: S101  an experiment has a setpoint
     edges = np.flatnonzero(np.diff(m.setpoint_N, prepend=np.nan, append=np.nan))
@@ -372,7 +374,7 @@ def _longest_hold(m: Measurement) -> float:
     return float((lengths * held).max(initial=0.0))
 
 
-_MEASURES: Mapping[str, Callable[[Measurement], float]] = {
+_MEASURES: Mapping[str, Callable[[MeasuredRecord], float]] = {
     "time": _longest_hold,
     "velocity sign": _reversals,
     "velocity sign and tension": _reversals,
@@ -384,7 +386,7 @@ _MEASURES: Mapping[str, Callable[[Measurement], float]] = {
 }
 
 
-def _within(block: Block | None, m: Measurement) -> float:
+def _within(block: Block | None, m: MeasuredRecord) -> float:
     """Root mean square of an experiment's output inside the band of a block."""
     output = _output(m) - _output(m).mean()
     if block is None or not block.high_Hz > 0.0:

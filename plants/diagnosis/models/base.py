@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estune.trial import LinearModel
-from plants.diagnosis.data.measured_record import Measurement
+from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.models.reel_equations import cable_stiffness_N_m, viscous_friction_Nms
 
 _DRUM = (
@@ -54,11 +54,11 @@ class BaseNumbers:
     linear: LinearModel | None = None
 
     @classmethod
-    def of(cls, model: Any, measurement: Measurement) -> "BaseNumbers | None":
+    def of(cls, model: Any, measurement: MeasuredRecord) -> "BaseNumbers | None":
         """The numbers of a model at a record's cable length and preload.
 
         Args:
-            model: A `Reel`, a reel without cable, or a plant with a `LinearModel`.
+            model: A `ReelProgress`, a reel without cable, or a plant with a `LinearModel`.
             measurement: The record.
 
         Returns:
@@ -83,7 +83,7 @@ class BaseNumbers:
         )
 
     @classmethod
-    def _of_reel(cls, model: Any, measurement: Measurement) -> "BaseNumbers":
+    def _of_reel(cls, model: Any, measurement: MeasuredRecord) -> "BaseNumbers":
         # Not below what the model is for: the sag's share of the flexibility has a pole at zero.
         preload_N = max(measurement.preload_N, model.tension_min_N)
         length_m = measurement.cable_length_m

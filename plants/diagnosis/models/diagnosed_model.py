@@ -10,7 +10,7 @@ import numpy as np
 
 from estune.core.quantities import FloatArray
 from estune.errors import InvalidInput, PlantError
-from plants.diagnosis.data.measured_record import Measurement
+from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.models.calibration import Calibration
 from plants.diagnosis.models.signal_scales import Sizes
 from plants.effects import Effect, Parameter
@@ -62,7 +62,7 @@ class Slot(NamedTuple):
 
     Attributes:
         free: The number.
-        column: Name of the structure's parameter, `calibration.name` for one of `Calibration`, or
+        column: Name of the structure's parameter, `calibration.name` for one of `BaseParameter`, or
             one of `SENSORS`.
         factor: What it is multiplied by on the way.
         record: The only record it goes to, or None for all.
@@ -109,7 +109,7 @@ class Local(NamedTuple):
     to_placed: FloatArray
 
 
-class Diagnosed(ABC):
+class DiagnosedModel(ABC):
     """A model that can be held against measurements; made by `diagnosed`.
 
     Attributes:
@@ -131,7 +131,7 @@ class Diagnosed(ABC):
     drive_unit: float = 1.0
     reading_unit: float = 1.0
 
-    def __init__(self, model: Any, measurements: Sequence[Measurement]) -> None:
+    def __init__(self, model: Any, measurements: Sequence[MeasuredRecord]) -> None:
         self.model = model
         self.measurements = tuple(measurements)
         self.effects: tuple[Effect, ...] = tuple(
@@ -158,11 +158,11 @@ class Diagnosed(ABC):
         """The model with these effects and its calibration after them."""
 
     @abstractmethod
-    def numbers(self, measurement: Measurement) -> dict[str, float]:
+    def numbers(self, measurement: MeasuredRecord) -> dict[str, float]:
         """The structure's own parameters for one record, as the model was given."""
 
     @abstractmethod
-    def local(self, measurement: Measurement) -> Local:
+    def local(self, measurement: MeasuredRecord) -> Local:
         """How the plant moves for a short while."""
 
     @abstractmethod
@@ -189,7 +189,7 @@ class Diagnosed(ABC):
         """Channels that the model predicts."""
         return ("tension_N",)
 
-    def preload(self, measurement: Measurement) -> float:
+    def preload(self, measurement: MeasuredRecord) -> float:
         """The tension at which the plant's constants are taken, N."""
         return measurement.preload_N
 
@@ -204,7 +204,7 @@ class Diagnosed(ABC):
         """Whether records show a cable that hangs slack, not now and then only."""
         return False
 
-    def alternatives(self) -> "tuple[Diagnosed, ...]":
+    def alternatives(self) -> "tuple[DiagnosedModel, ...]":
         """Ways in which the model may be meant, of which the records tell the right one."""
         return (self,)
 
@@ -234,7 +234,7 @@ class Diagnosed(ABC):
         later._starts = {**self._starts, **values}
         return later
 
-    def command_N(self, measurement: Measurement) -> FloatArray:
+    def command_N(self, measurement: MeasuredRecord) -> FloatArray:
         """The recorded command as effort, N, shape (samples,)."""
         amperes = measurement.command_A(self.newtons_per_ampere)
         return np.asarray(amperes * self.newtons_per_ampere, dtype=np.float64)
@@ -244,7 +244,7 @@ class Diagnosed(ABC):
         return (*(type(e) for e in self.effects), *added, type(self.calibration))
 
     def parameters(
-        self, added: Sequence[type[Effect]], measurement: Measurement
+        self, added: Sequence[type[Effect]], measurement: MeasuredRecord
     ) -> dict[str, float]:
         """All parameters of the structure for one record but the samples of dead time."""
         found = dict(self.numbers(measurement))
@@ -320,19 +320,19 @@ def either_way(name: str, unit: str, value: float, reach: float, owner: str = BA
     return Free(name, unit, value, value - reach, value + reach, "linear", owner)
 
 
-def diagnosed(model: Any, measurements: Sequence[Measurement]) -> Diagnosed:
+def diagnosed(model: Any, measurements: Sequence[MeasuredRecord]) -> DiagnosedModel:
     """The model as the discrepancy workflow takes it.
 
     Args:
-        model: `Reel`, `UnloadedReel`, `LinearPlant`, `PythonPlant`, a continuous system of
-            python-control, or a `Diagnosed` for the same measurements as it is.
+        model: `ReelProgress`, `UnloadedReel`, `LinearPlant`, `PythonPlant`, a continuous system of
+            python-control, or a `DiagnosedModel` for the same measurements as it is.
         measurements: What it is to be held against; they decide what can be told apart.
 
     Raises:
         PlantError: the model is of another kind, or its function cannot be traced.
         InvalidInput: there are no measurements, or none has an output that the model predicts.
     """
-    if isinstance(model, Diagnosed):
+    if isinstance(model, DiagnosedModel):
         return model
     if not measurements:
         raise InvalidInput("there are no measurements to hold the model against")
@@ -347,7 +347,7 @@ def diagnosed(model: Any, measurements: Sequence[Measurement]) -> Diagnosed:
     return found
 
 
-def _kind(model: Any) -> type[Diagnosed]:
+def _kind(model: Any) -> type[DiagnosedModel]:
     """The class for a model, each imported only where it is wanted."""
     name = type(model).__name__
     homes = {
@@ -364,5 +364,5 @@ def _kind(model: Any) -> type[Diagnosed]:
             "or a system of python-control"
         )
     module, attribute = homes[name]
-    found: type[Diagnosed] = getattr(importlib.import_module(module), attribute)
+    found: type[DiagnosedModel] = getattr(importlib.import_module(module), attribute)
     return found

@@ -24,7 +24,7 @@ FURTHEST = 5.0
 """Span times the fastest rate, beyond which nothing is left of a mode, or too much backward."""
 
 
-class Anchors(NamedTuple):
+class InitialStates(NamedTuple):
     """States at some instants.
 
     Attributes:
@@ -44,7 +44,7 @@ class _Spanned(NamedTuple):
 
 def anchors(
     local: Local, output: FloatArray, sampling_Hz: float, noise: float, at: NDArray[np.int64]
-) -> Anchors:
+) -> InitialStates:
     """The state at some samples of a record.
 
     Args:
@@ -66,7 +66,7 @@ def anchors(
         if wider.residual > max(TOLERATED * noise, best.residual):
             break
         best = wider
-    return Anchors(best.states @ local.to_placed.T, noise * best.spread)
+    return InitialStates(best.states @ local.to_placed.T, noise * best.spread)
 
 
 class _Sampled:

@@ -11,13 +11,13 @@ from scipy.linalg import expm
 
 from estune.core.margins import sample_plant
 from estune.interop import linear_model
-from plants.diagnosis.data.measured_record import Measurement
+from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.data.noise_floor import noise_floor
 from plants.diagnosis.models.calibration import Calibration
 from plants.diagnosis.models.diagnosed_model import (
     CALIBRATION,
     RANGE,
-    Diagnosed,
+    DiagnosedModel,
     Free,
     Local,
     Slot,
@@ -29,7 +29,7 @@ from plants.diagnosis.models.signal_scales import Sizes, units
 from plants.effects import Effect
 from plants.models.effect_applicability import unavailable
 from plants.models.linear_plant import LinearPlant, linear_plant
-from plants.models.linear_with_effects import READINGS_PER_ANGLE, PortedStructure
+from plants.models.linear_with_effects import READINGS_PER_ANGLE, LinearEffectStructure
 from plants.models.pole_zero_form import transfer_function
 
 HORIZON = 5.0
@@ -51,13 +51,13 @@ LEAST_PER_TERM = 20
 """Samples that a record has for each of a difference equation's terms, to say anything of it."""
 
 
-class DiagnosedLinear(Diagnosed):
+class DiagnosedLinear(DiagnosedModel):
     """A `LinearPlant`, or a continuous system of python-control."""
 
     model: LinearPlant
     placed_by = "tension_N"
 
-    def __init__(self, model: Any, measurements: Sequence[Measurement]) -> None:
+    def __init__(self, model: Any, measurements: Sequence[MeasuredRecord]) -> None:
         if not isinstance(model, LinearPlant):
             model = linear_plant(model, sampling_Hz=measurements[0].sampling_Hz)
         self.kinds, self.values = model.base, model.own_numbers  # raises where it is discrete
@@ -67,7 +67,7 @@ class DiagnosedLinear(Diagnosed):
         self.drive_unit = model.torque_unit
         self.reading_unit = model.angle_unit / READINGS_PER_ANGLE
 
-    def _in_units(self, model: LinearPlant, measurements: Sequence[Measurement]) -> LinearPlant:
+    def _in_units(self, model: LinearPlant, measurements: Sequence[MeasuredRecord]) -> LinearPlant:
         """The plant with units in which its signals are as large as a reel's."""
         inputs = [self.command_N(m) for m in measurements]
         torque, angle = units(inputs, [m.tension_N for m in measurements])
@@ -91,13 +91,13 @@ class DiagnosedLinear(Diagnosed):
         """Effects of the drum and the cable need an output that moves like a position."""
         return unavailable(self.kinds, effect)
 
-    def structure(self, effects: tuple[type[Effect], ...]) -> PortedStructure:
+    def structure(self, effects: tuple[type[Effect], ...]) -> LinearEffectStructure:
         """The plant with these effects."""
         slowest_Hz = min(m.sampling_Hz for m in self.measurements)
         A = np.array(self._linear.A)
         fastest = MOST_RATE * float(np.abs(np.linalg.eigvals(A)).max(initial=1e-9))
-        needed = PortedStructure.squarings_for(fastest, slowest_Hz)
-        return PortedStructure(
+        needed = LinearEffectStructure.squarings_for(fastest, slowest_Hz)
+        return LinearEffectStructure(
             self.kinds, effects, fractional=True, squarings=max(4, needed), rounded=False
         )
 
@@ -107,7 +107,7 @@ class DiagnosedLinear(Diagnosed):
         values = {k: self._starts.get(k, v) for k, v in self.values.items()}
         return linear_model(transfer_function(self.kinds, values), self.values["dead_time_s"])
 
-    def numbers(self, measurement: Measurement) -> dict[str, float]:
+    def numbers(self, measurement: MeasuredRecord) -> dict[str, float]:
         """The plant's own numbers at the record's rate."""
         return {**self.model.own_numbers, "sampling_Hz": measurement.sampling_Hz}
 
@@ -151,7 +151,7 @@ class DiagnosedLinear(Diagnosed):
         held, curved = (sum(self._left(m, newest) for m in self.measurements) for newest in (1, 0))
         return 1.0 if curved < ANSWERS * held else 0.0
 
-    def _left(self, m: Measurement, newest: int) -> float:
+    def _left(self, m: MeasuredRecord, newest: int) -> float:
         """Sum of squares of the output that its past and the input's leave.
 
         Args:
@@ -168,7 +168,7 @@ class DiagnosedLinear(Diagnosed):
         answer = np.linalg.lstsq(terms, y[n:], rcond=None)[0]
         return float(np.sum((y[n:] - terms @ answer) ** 2))
 
-    def local(self, measurement: Measurement) -> Local:
+    def local(self, measurement: MeasuredRecord) -> Local:
         """The plant itself, under an input that is off by a constant."""
         n = self.kinds.order
         p = {k: self._starts.get(k, v) for k, v in self.numbers(measurement).items()}
@@ -211,7 +211,7 @@ class DiagnosedLinear(Diagnosed):
     def calibrated(
         self, values: Mapping[str, float], effects: Sequence[type[Effect]] = ()
     ) -> LinearPlant:
-        """The plant with these values; a `Calibration` holds the offset."""
+        """The plant with these values; a `BaseParameter` holds the offset."""
         known = {**self.values, **self._starts, **values}
         plant = self.model
         rate = plant.controller.sampling_Hz

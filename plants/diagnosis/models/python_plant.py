@@ -5,11 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from plants.diagnosis.data.measured_record import Measurement
+from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.models.calibration import Calibration
 from plants.diagnosis.models.diagnosed_model import (
     CALIBRATION,
-    Diagnosed,
+    DiagnosedModel,
     Local,
     Slot,
     either_way,
@@ -22,14 +22,14 @@ from plants.models.python_plant import PythonPlant
 from plants.models.symbolic_plant import TracedStructure, traced
 
 
-class DiagnosedFunction(Diagnosed):
+class DiagnosedFunction(DiagnosedModel):
     """A `PythonPlant`. Nothing tells its state, so that its records are run through freely."""
 
     model: PythonPlant
     placed_by = None
     suggested_horizon_s = None
 
-    def __init__(self, model: PythonPlant, measurements: Sequence[Measurement]) -> None:
+    def __init__(self, model: PythonPlant, measurements: Sequence[MeasuredRecord]) -> None:
         whole = model.traced(())
         traced(whole.step, whole.shape)  # raises where it cannot be
         if not model.effects:
@@ -48,11 +48,11 @@ class DiagnosedFunction(Diagnosed):
         """The function with these effects."""
         return self.model.traced(effects)
 
-    def numbers(self, measurement: Measurement) -> dict[str, float]:
+    def numbers(self, measurement: MeasuredRecord) -> dict[str, float]:
         """The plant's own numbers at the record's rate."""
         return {**self.model.own_numbers, "sampling_Hz": measurement.sampling_Hz}
 
-    def local(self, measurement: Measurement) -> Local:
+    def local(self, measurement: MeasuredRecord) -> Local:
         """Unknown: the state is the function's own."""
         raise NotImplementedError(f"nothing places a function in {measurement.name}")
 
@@ -85,7 +85,7 @@ class DiagnosedFunction(Diagnosed):
     def calibrated(
         self, values: Mapping[str, float], effects: Sequence[type[Effect]] = ()
     ) -> PythonPlant:
-        """The function with these values; a `Calibration` holds gain and offset."""
+        """The function with these values; a `BaseParameter` holds gain and offset."""
         known = {**self._starts, **values}
         own, read = self.calibration, self.reading_unit
         calibration = replace(

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from estune.core.quantities import FloatArray
-from plants.diagnosis.data.measured_record import Measurement
+from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.models.calibration import Calibration, SaggingCalibration
 from plants.diagnosis.models.diagnosed_model import (
     CALIBRATION,
-    Diagnosed,
+    DiagnosedModel,
     Free,
     Local,
     Slot,
@@ -45,12 +45,12 @@ MOST_RATE = 2.0
 """Allowed growth of the fastest rate in a fit; the matrix exponential stays exact up to it."""
 
 
-class DiagnosedReel(Diagnosed):
-    """A `Reel`; its length and preload are those of each record."""
+class DiagnosedReel(DiagnosedModel):
+    """A `ReelProgress`; its length and preload are those of each record."""
 
     model: Reel
 
-    def __init__(self, model: Reel, measurements: Sequence[Measurement]) -> None:
+    def __init__(self, model: Reel, measurements: Sequence[MeasuredRecord]) -> None:
         self.newtons_per_ampere = model.newtons_per_ampere
         self.has_gauge = any(m.tension_N is not None for m in measurements)
         self.has_encoder = any(m.angle_rad is not None for m in measurements)
@@ -59,7 +59,7 @@ class DiagnosedReel(Diagnosed):
         self.is_watched = any(m.reference_N is not None for m in measurements)
         super().__init__(model, measurements)
 
-    def alternatives(self) -> tuple["Diagnosed", ...]:
+    def alternatives(self) -> tuple["DiagnosedModel", ...]:
         """The linear law, and the same with sag in full where the records could tell."""
         if isinstance(self.calibration, SaggingCalibration) or not self._may_sag:
             return (self,)
@@ -98,7 +98,7 @@ class DiagnosedReel(Diagnosed):
                 samples += m.samples
         return slack > OFTEN * samples
 
-    def _sag_N3(self, m: Measurement) -> float:
+    def _sag_N3(self, m: MeasuredRecord) -> float:
         """The own weight's Q = k w^2 L^3/24, N^3."""
         at = self._at(m)
         weight_N_m = GRAVITY_m_s2 * at.cable_density_kg_m
@@ -110,11 +110,11 @@ class DiagnosedReel(Diagnosed):
         """Gauge, encoder and the gauge outside."""
         return ("tension_N", "angle_rad", "reference_N")
 
-    def length(self, measurement: Measurement) -> float:
+    def length(self, measurement: MeasuredRecord) -> float:
         """Deployed cable length, m."""
         return measurement.cable_length_m or self.model.cable_length_m
 
-    def preload(self, measurement: Measurement) -> float:
+    def preload(self, measurement: MeasuredRecord) -> float:
         """The record's preload, or where it says none the mean tension."""
         tension = measurement.tension_N
         for found in (measurement.preload_N, None if tension is None else float(tension.mean())):
@@ -149,12 +149,12 @@ class DiagnosedReel(Diagnosed):
             rates += [math.sqrt(kappa / J), viscous_friction_Nms(at) / J]
         return float(max(rates))
 
-    def _at(self, m: Measurement) -> Reel:
+    def _at(self, m: MeasuredRecord) -> Reel:
         """The reel at a record's length, with the starts of the fit."""
         known = {k: v for k, v in self._starts.items() if k in ReelStructure.OWN}
         return replace(self.model, cable_length_m=self.length(m), effects=(), **known)
 
-    def numbers(self, measurement: Measurement) -> dict[str, float]:
+    def numbers(self, measurement: MeasuredRecord) -> dict[str, float]:
         """The reel's own numbers at the record's length and rate."""
         own = {name: float(getattr(self.model, name)) for name in ReelStructure.OWN}
         own["cable_length_m"] = self.length(measurement)
@@ -167,7 +167,7 @@ class DiagnosedReel(Diagnosed):
         rates = [m.sampling_Hz for m in self.measurements]
         return Sizes.of(currents, self.model.torque_constant_Nm_A, angles, rates)
 
-    def _angle(self, m: Measurement) -> FloatArray:
+    def _angle(self, m: MeasuredRecord) -> FloatArray:
         """The angle, read or from the tension."""
         if m.angle_rad is not None:
             return m.angle_rad
@@ -176,7 +176,7 @@ class DiagnosedReel(Diagnosed):
         stiffness = cable_stiffness_N_m(self._unstarted(m), self.preload(m))
         return np.asarray(m.tension_N / (stiffness * self.model.drum_radius_m))
 
-    def _unstarted(self, m: Measurement) -> Reel:
+    def _unstarted(self, m: MeasuredRecord) -> Reel:
         return replace(self.model, cable_length_m=self.length(m), effects=())
 
     def _calibrations(self) -> list[Slot]:
@@ -263,7 +263,7 @@ class DiagnosedReel(Diagnosed):
             slots.append(Slot(free, "reference_offset"))
         return slots
 
-    def _zero(self, m: Measurement) -> float:
+    def _zero(self, m: MeasuredRecord) -> float:
         """The angle read where the cable is just taut, by the mean of the linear law.
 
         A sample counts by the square of its tension: where the cable is slack the angle is any.
@@ -277,12 +277,12 @@ class DiagnosedReel(Diagnosed):
         taut = m.angle_rad - (tension - self.calibration.gauge_offset_N) / per_angle
         return float(np.average(taut, weights=weight))
 
-    def _per_angle(self, m: Measurement) -> float:
+    def _per_angle(self, m: MeasuredRecord) -> float:
         """Tension per angle of the linear law, N/rad."""
         stiffness = float(cable_stiffness_N_m(self._unstarted(m), self.preload(m)))
         return stiffness * self.model.drum_radius_m
 
-    def local(self, measurement: Measurement) -> Local:
+    def local(self, measurement: MeasuredRecord) -> Local:
         """Angle and velocity under what current and tension leave of the torque.
 
         What friction takes besides is the constant. Without gauge or encoder all of the torque is.
@@ -313,7 +313,7 @@ class DiagnosedReel(Diagnosed):
     def calibrated(
         self, values: Mapping[str, float], effects: Sequence[type[Effect]] = ()
     ) -> Reel:
-        """The reel with these values; a `Calibration` holds gain and offset."""
+        """The reel with these values; a `BaseParameter` holds gain and offset."""
         known = {**self._starts, **values}
         own = {k: v for k, v in known.items() if k in ReelStructure.OWN}
         calibration = replace(

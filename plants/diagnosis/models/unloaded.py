@@ -7,12 +7,12 @@ from functools import cached_property
 
 import numpy as np
 
-from plants.diagnosis.data.measured_record import Measurement
+from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.data.noise import step_of
 from plants.diagnosis.models.calibration import Calibration
 from plants.diagnosis.models.diagnosed_model import (
     CALIBRATION,
-    Diagnosed,
+    DiagnosedModel,
     Free,
     Local,
     Slot,
@@ -23,7 +23,7 @@ from plants.diagnosis.models.signal_scales import Sizes
 from plants.effects import Effect
 from plants.models.effect_applicability import unavailable
 from plants.models.linear_structures import Drum
-from plants.models.linear_with_effects import PortedStructure
+from plants.models.linear_with_effects import LinearEffectStructure
 from plants.models.unloaded_reel import UnloadedReel
 
 LEAST_SQUARINGS = 4
@@ -35,14 +35,14 @@ horizon."""
 SHORTEST_samples, LONGEST_share = 24, 0.2
 
 
-class DiagnosedDrum(Diagnosed):
+class DiagnosedDrum(DiagnosedModel):
     """An `UnloadedReel`."""
 
     model: UnloadedReel
     output = "rad"
     placed_by = "angle_rad"
 
-    def __init__(self, model: UnloadedReel, measurements: Sequence[Measurement]) -> None:
+    def __init__(self, model: UnloadedReel, measurements: Sequence[MeasuredRecord]) -> None:
         self.newtons_per_ampere = model.newtons_per_ampere
         super().__init__(model, measurements)
 
@@ -51,7 +51,7 @@ class DiagnosedDrum(Diagnosed):
         """The encoder."""
         return ("angle_rad",)
 
-    def preload(self, measurement: Measurement) -> float:  # noqa: ARG002  there is none
+    def preload(self, measurement: MeasuredRecord) -> float:  # noqa: ARG002  there is none
         """None."""
         return 0.0
 
@@ -59,17 +59,17 @@ class DiagnosedDrum(Diagnosed):
         """Effects of cable, eyelet and gauge have no place."""
         return unavailable(Drum(), effect)
 
-    def structure(self, effects: tuple[type[Effect], ...]) -> PortedStructure:
+    def structure(self, effects: tuple[type[Effect], ...]) -> LinearEffectStructure:
         """The drum with these effects."""
         slowest_Hz = min(m.sampling_Hz for m in self.measurements)
         p = self.model
         rate = MOST_RATE * max(p.viscous_friction_Nms, 1e-9) / p.drum_inertia_kg_m2
-        needed = PortedStructure.squarings_for(rate, slowest_Hz)
-        return PortedStructure(
+        needed = LinearEffectStructure.squarings_for(rate, slowest_Hz)
+        return LinearEffectStructure(
             Drum(), effects, fractional=True, squarings=max(LEAST_SQUARINGS, needed), rounded=False
         )
 
-    def numbers(self, measurement: Measurement) -> dict[str, float]:
+    def numbers(self, measurement: MeasuredRecord) -> dict[str, float]:
         """The drum's own numbers at the record's rate."""
         return {**self.model.own_numbers, "sampling_Hz": measurement.sampling_Hz}
 
@@ -123,7 +123,7 @@ class DiagnosedDrum(Diagnosed):
             found.append(self._started(Slot(free, "angle_zero", record=n)))
         return found
 
-    def local(self, measurement: Measurement) -> Local:
+    def local(self, measurement: MeasuredRecord) -> Local:
         """Angle and velocity under a torque that is held constant."""
         del measurement
         A = np.array([[0.0, 1.0], [0.0, 0.0]])
@@ -147,7 +147,7 @@ class DiagnosedDrum(Diagnosed):
     def calibrated(
         self, values: Mapping[str, float], effects: Sequence[type[Effect]] = ()
     ) -> UnloadedReel:
-        """The drum with these values; a `Calibration` holds the torque's offset."""
+        """The drum with these values; a `BaseParameter` holds the torque's offset."""
         known = {**self._starts, **values}
         own = {k: v for k, v in known.items() if k in self.model.own_numbers}
         calibration = replace(

@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 
 from estune.core.quantities import FloatArray
 from estune.trial import GUARD, LATE
-from plants.diagnosis.data.measured_record import Measurement
-from plants.diagnosis.data.noise_floor import Floor, noise_floor, unrepeated
-from plants.diagnosis.models.diagnosed_model import Diagnosed
+from plants.diagnosis.data.measured_record import MeasuredRecord
+from plants.diagnosis.data.noise_floor import NoiseFloor, noise_floor, unrepeated
+from plants.diagnosis.models.diagnosed_model import DiagnosedModel
 from plants.diagnosis.models.initial_states import anchors
 from plants.diagnosis.prediction.library import CHANNELS
-from plants.diagnosis.prediction.window_projection import Blocks
+from plants.diagnosis.prediction.window_projection import WindowProjection
 
 FIRST_samples = 8
 """Samples at a record's start whose mean tells what it reads there."""
@@ -53,7 +53,7 @@ class Index(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Scene:
+class PredictionData:
     """What does not depend on the effects; samples of all records follow each other.
 
     Attributes:
@@ -73,7 +73,7 @@ class Scene:
         index: What the entries stand for.
     """
 
-    measurements: tuple[Measurement, ...]
+    measurements: tuple[MeasuredRecord, ...]
     horizon_s: float | None
     record_samples: NDArray[np.int64]
     preload: FloatArray
@@ -95,13 +95,13 @@ class Scene:
 
 
 @lru_cache(maxsize=16)
-def scene(
-    model: Diagnosed,
-    measurements: tuple[Measurement, ...],
+def prepare_data(
+    model: DiagnosedModel,
+    measurements: tuple[MeasuredRecord, ...],
     horizon_s: float | None,
-    floor: Floor | None,
+    floor: NoiseFloor | None,
     placed: int,
-) -> Scene:
+) -> PredictionData:
     """Prepares some records.
 
     Args:
@@ -117,7 +117,7 @@ def scene(
     for m, start in zip(measurements, starts, strict=True):
         entries.add(m, start.edges)
     measured, source, block_end, index = entries.arrays()
-    return Scene(
+    return PredictionData(
         measurements=measurements,
         horizon_s=horizon_s,
         record_samples=np.array([m.samples for m in measurements], np.int64),
@@ -135,7 +135,7 @@ def scene(
     )
 
 
-def allowed(of: Scene, floor: Floor | None, basis: FloatArray) -> Scene:
+def allowed(of: PredictionData, floor: NoiseFloor | None, basis: FloatArray) -> PredictionData:
     """The same held against what its windows can be expected to predict.
 
     The allowance is a share of what there is to explain in them: a plant that integrates travels
@@ -149,12 +149,12 @@ def allowed(of: Scene, floor: Floor | None, basis: FloatArray) -> Scene:
         basis: What another start of each window explains, orthonormal, shape (placed, entries).
     """
     noise = noise_floor(of.measurements) if floor is None else floor
-    index, blocks = of.index, Blocks(of.block_end)
+    index, blocks = of.index, WindowProjection(of.block_end)
     number = index.measurement * len(CHANNELS) + index.channel
     kinds = len(of.measurements) * len(CHANNELS)
     count = np.maximum(np.bincount(number, minlength=kinds), 1)
     centred = of.measured - (np.bincount(number, of.measured, kinds) / count)[number]
-    left = blocks.beyond(centred / index.sigma, basis) * index.sigma
+    left = blocks.residual_after(centred / index.sigma, basis) * index.sigma
     spread = np.sqrt(np.bincount(number, left * left, kinds) / count)
     largest = np.zeros(kinds)
     np.maximum.at(largest, number, np.abs(of.measured))
@@ -168,7 +168,9 @@ def allowed(of: Scene, floor: Floor | None, basis: FloatArray) -> Scene:
     return replace(of, index=index._replace(sigma=sigma[number]))
 
 
-def _unrepeated_rms(of: Scene, blocks: Blocks, basis: FloatArray, channel: int) -> float:
+def _unrepeated_rms(
+    of: PredictionData, blocks: WindowProjection, basis: FloatArray, channel: int
+) -> float:
     """What does not repeat itself of a channel's windows, rms; 0 where no command came again."""
     index, again = of.index, unrepeated(of.measurements)
     deviation = np.full(index.sigma.size, np.nan)
@@ -178,7 +180,7 @@ def _unrepeated_rms(of: Scene, blocks: Blocks, basis: FloatArray, channel: int) 
             deviation[at] = column[index.sample[at]]
     whole = np.bincount(index.window, ~np.isfinite(deviation))[index.window] == 0
     deviation[~whole] = 0.0
-    left = blocks.beyond(deviation / index.sigma, basis) * index.sigma
+    left = blocks.residual_after(deviation / index.sigma, basis) * index.sigma
     chosen = whole & (index.channel == channel)
     if not chosen.any():
         return 0.0
@@ -198,7 +200,11 @@ class _Start(NamedTuple):
 
 
 def _start(
-    model: Diagnosed, m: Measurement, horizon_s: float | None, noise: Floor, placed: int
+    model: DiagnosedModel,
+    m: MeasuredRecord,
+    horizon_s: float | None,
+    noise: NoiseFloor,
+    placed: int,
 ) -> _Start:
     edges = np.zeros(1, np.int64)
     output = None if model.placed_by is None else m.channel(model.placed_by)
@@ -220,7 +226,11 @@ def _start(
 
 
 def _rests(
-    model: Diagnosed, m: Measurement, placed: FloatArray, deviation: FloatArray, noise: Floor
+    model: DiagnosedModel,
+    m: MeasuredRecord,
+    placed: FloatArray,
+    deviation: FloatArray,
+    noise: NoiseFloor,
 ) -> bool:
     """Whether a record begins at rest."""
     output = m.channel(model.placed_by or "")
@@ -238,7 +248,7 @@ def _rests(
     return begins or bool(rates.size and rates[0] <= strict[0])
 
 
-def _reading(model: Diagnosed, m: Measurement, noise: Floor) -> float:
+def _reading(model: DiagnosedModel, m: MeasuredRecord, noise: NoiseFloor) -> float:
     """What a gauge reads at a record's start: the preload, where nothing speaks against it."""
     tension = m.tension_N
     if tension is None:
@@ -252,7 +262,7 @@ def _reading(model: Diagnosed, m: Measurement, noise: Floor) -> float:
     return m.preload_N if abs(mean - m.preload_N) <= close else mean
 
 
-def _rms(noise: Floor, channel: str | None) -> float:
+def _rms(noise: NoiseFloor, channel: str | None) -> float:
     found = noise.channels.get(channel or "")
     return 0.0 if found is None else found.rms
 
@@ -260,13 +270,13 @@ def _rms(noise: Floor, channel: str | None) -> float:
 class _Entries:
     """Residual entries, window by window and in each channel by channel."""
 
-    def __init__(self, model: Diagnosed, noise: Floor, samples: int) -> None:
+    def __init__(self, model: DiagnosedModel, noise: NoiseFloor, samples: int) -> None:
         self._model, self._noise, self._samples = model, noise, samples
         self._parts: list[tuple[FloatArray, ...]] = []
         self._ends: list[int] = []
         self._record, self._window, self._first, self._count = 0, 0, 0, 0
 
-    def add(self, m: Measurement, edges: NDArray[np.int64]) -> None:
+    def add(self, m: MeasuredRecord, edges: NDArray[np.int64]) -> None:
         """Appends one record whose windows begin at these samples."""
         columns = self._columns(m)
         ok = np.ones(m.samples, bool)
@@ -302,13 +312,13 @@ class _Entries:
         index = Index(measurement, channel, sample, time, sigma, window)
         return measured, source, np.array(self._ends, np.int64), index
 
-    def _columns(self, m: Measurement) -> dict[int, tuple[FloatArray, float]]:
+    def _columns(self, m: MeasuredRecord) -> dict[int, tuple[FloatArray, float]]:
         """The measured channels that the model predicts, with sigma_eff."""
         found = {}
         for number, name in enumerate(CHANNELS):
             column = m.channel(name) if name in self._model.outputs else None
             if name == "current_A":
-                column = _aligned(m, self._model.newtons_per_ampere)
+                column = _without_lag(m, self._model.newtons_per_ampere)
             if column is None:
                 continue
             spread, largest = float(np.nanstd(column)), float(np.nanmax(np.abs(column)))
@@ -316,7 +326,9 @@ class _Entries:
         return found
 
 
-def _sigma(noise: Floor, channel: str, spread: float, largest: float, known: float = 0.0) -> float:
+def _sigma(
+    noise: NoiseFloor, channel: str, spread: float, largest: float, known: float = 0.0
+) -> float:
     """Noise and allowance of a channel with a signal of this rms and greatest size.
 
     Args:
@@ -333,7 +345,7 @@ def _sigma(noise: Floor, channel: str, spread: float, largest: float, known: flo
     return max(sigma, least) if np.isfinite(sigma) else least
 
 
-def _aligned(m: Measurement, newtons_per_ampere: float) -> FloatArray | None:
+def _without_lag(m: MeasuredRecord, newtons_per_ampere: float) -> FloatArray | None:
     """A measured current, put back to where the command was.
 
     Where between command and motor the current is measured, and by which filter, is not known: a

@@ -20,12 +20,18 @@ from numpy.typing import NDArray
 
 from estune.core.quantities import FloatArray
 from estune.errors import InvalidInput, PlantError
-from plants.diagnosis.data.measured_record import Measurement
-from plants.diagnosis.data.noise_floor import Floor
-from plants.diagnosis.models.diagnosed_model import CALIBRATION, SENSORS, Diagnosed, Free, Slot
-from plants.diagnosis.prediction.data import Index, Scene, allowed, scene
+from plants.diagnosis.data.measured_record import MeasuredRecord
+from plants.diagnosis.data.noise_floor import NoiseFloor
+from plants.diagnosis.models.diagnosed_model import (
+    CALIBRATION,
+    SENSORS,
+    DiagnosedModel,
+    Free,
+    Slot,
+)
+from plants.diagnosis.prediction.data import Index, PredictionData, allowed, prepare_data
 from plants.diagnosis.prediction.library import CHANNELS, Library, Task, library
-from plants.diagnosis.prediction.window_projection import Blocks
+from plants.diagnosis.prediction.window_projection import WindowProjection
 from plants.effects import Effect
 
 __all__ = ["CHANNELS", "Index", "Prediction", "Predictor", "warm"]
@@ -67,11 +73,11 @@ class Predictor:
 
     def __init__(
         self,
-        model: Diagnosed,
+        model: DiagnosedModel,
         effects: Sequence[type[Effect]],
-        measurements: Sequence[Measurement],
+        measurements: Sequence[MeasuredRecord],
         horizon_s: float | Literal["model"] | None = "model",
-        floor: Floor | None = None,
+        floor: NoiseFloor | None = None,
     ) -> None:
         """Compiles the structure, or finds it compiled.
 
@@ -206,9 +212,9 @@ class Predictor:
 
 
 def warm(
-    model: Diagnosed,
+    model: DiagnosedModel,
     structures: Iterable[Sequence[type[Effect]]],
-    measurements: Sequence[Measurement] = (),  # noqa: ARG001  a structure is that of the model
+    measurements: Sequence[MeasuredRecord] = (),  # noqa: ARG001  a structure is that of the model
 ) -> None:
     """Compiles several structures at once, each with these effects added to the model.
 
@@ -259,7 +265,7 @@ class _Table:
         return table
 
 
-def _of(slots: list[Slot], model: Diagnosed, of: Scene) -> list[Slot]:
+def _of(slots: list[Slot], model: DiagnosedModel, of: PredictionData) -> list[Slot]:
     """The slots for a scene: those of records that are not in it are left out."""
     place = {id(m): n for n, m in enumerate(of.measurements)}
     kept = []
@@ -275,7 +281,7 @@ def _of(slots: list[Slot], model: Diagnosed, of: Scene) -> list[Slot]:
 
 def _run(
     compiled: Library,
-    of: Scene,
+    of: PredictionData,
     table: FloatArray,
     *,
     kicks: FloatArray | None = None,
@@ -325,21 +331,21 @@ def _run(
 
 @lru_cache(maxsize=16)
 def _windowed(
-    model: Diagnosed,
-    measurements: tuple[Measurement, ...],
+    model: DiagnosedModel,
+    measurements: tuple[MeasuredRecord, ...],
     horizon_s: float | None,
-    floor: Floor | None,
+    floor: NoiseFloor | None,
     placed: int,
-) -> tuple[Scene, FloatArray]:
+) -> tuple[PredictionData, FloatArray]:
     """The scene, and what another start of each of its windows would explain."""
-    whole = scene(model, measurements, horizon_s, floor, placed)
+    whole = prepare_data(model, measurements, horizon_s, floor, placed)
     if horizon_s is None:
         return whole, _basis(model, whole)
     found = allowed(whole, floor, _basis(model, whole))
     return found, _basis(model, found)
 
 
-def _basis(model: Diagnosed, of: Scene) -> FloatArray:
+def _basis(model: DiagnosedModel, of: PredictionData) -> FloatArray:
     """What another start of each window would explain, orthonormal, (placed, entries).
 
     By the model without any effect: a drum that friction holds has no free response.
@@ -356,15 +362,15 @@ def _basis(model: Diagnosed, of: Scene) -> FloatArray:
     found = np.empty((len(kicks), of.index.sigma.size))
     rows, every = np.repeat(row, len(kicks), axis=0), np.arange(of.index.sigma.size)
     _run(bare, of, table.of(rows), kicks=kicks, residuals=found, chosen=every)
-    return Blocks(of.block_end).orthonormal(found[1:] - found[0])
+    return WindowProjection(of.block_end).orthonormal(found[1:] - found[0])
 
 
-def _sensors(model: Diagnosed) -> dict[str, float]:
+def _sensors(model: DiagnosedModel) -> dict[str, float]:
     """The sensors where nothing is known of them."""
     return dict.fromkeys(SENSORS, 0.0) | {"current_gain": model.drive_unit}
 
 
-def _kick_sizes(of: Scene, placed: int) -> FloatArray:
+def _kick_sizes(of: PredictionData, placed: int) -> FloatArray:
     """A small part of what the windows' starts spread over."""
     spread = of.window_place.std(axis=0) if len(of.window_place) > 1 else np.zeros(placed)
     size = np.abs(of.window_place).max(axis=0, initial=0.0)

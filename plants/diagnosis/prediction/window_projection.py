@@ -12,7 +12,7 @@ NOTHING = 1e-6
 """A direction of which less than this share is left beside the others is none."""
 
 
-class Blocks:
+class WindowProjection:
     """Sums over the entries of each window."""
 
     def __init__(self, block_end: NDArray[np.int64]) -> None:
@@ -39,12 +39,12 @@ class Blocks:
             size = np.sqrt(self.dot(direction, direction))
             left = np.divide(direction, size, out=np.zeros_like(direction), where=size > 0.0)
             for _ in range(2):
-                left = self.beyond(left, basis[:n])
+                left = self.residual_after(left, basis[:n])
             rest = np.sqrt(self.dot(left, left))
             np.divide(left, rest, out=basis[n], where=rest > NOTHING)
         return basis
 
-    def beyond(self, signal: FloatArray, basis: FloatArray) -> FloatArray:
+    def residual_after(self, signal: FloatArray, basis: FloatArray) -> FloatArray:
         """What directions leave of a signal, shape (entries,).
 
         Args:

@@ -5,11 +5,11 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 from estune.core.quantities import FloatArray
-from plants.diagnosis.data.measured_record import Finding
-from plants.diagnosis.data.noise_floor import Floor
-from plants.diagnosis.report.display import Shown
+from plants.diagnosis.data.measured_record import DataIssue
+from plants.diagnosis.data.noise_floor import NoiseFloor
+from plants.diagnosis.report.display import DiagnosisDisplay
 from plants.diagnosis.report.quantities import written_unit
-from plants.diagnosis.residual.localisation import Where
+from plants.diagnosis.residual.localisation import ResidualLocation
 from plants.effects import Effect
 
 if TYPE_CHECKING:
@@ -85,7 +85,7 @@ class Candidate:
 
 
 @dataclass(frozen=True, slots=True)
-class Calibration:
+class BaseParameter:
     """A number of the base model, as given and as fitted without and with the effects.
 
     Attributes:
@@ -104,7 +104,7 @@ class Calibration:
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class SearchStep:
     """One step of the search: what the gap is on the report split after it.
 
     Attributes:
@@ -144,7 +144,7 @@ class Trace:
 
 
 @dataclass(frozen=True, slots=True)
-class Part:
+class DataSegment:
     """A stretch of a record, and what it was used for.
 
     Attributes:
@@ -161,11 +161,11 @@ class Part:
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
-class Diagnosis(Shown):
+class Diagnosis(DiagnosisDisplay):
     """The answer of `explain`; it draws itself, and writes itself as a page, text and JSON.
 
     Attributes:
-        verdict: What is said; see `Verdict`.
+        verdict: What is said; see `RunSummary`.
         sentence: The same in plain words.
         effects: The effects found, in the order in which they were; for `ambiguous` the best one.
         ambiguous: Slugs the records cannot tell apart, best first; empty unless `ambiguous`.
@@ -211,16 +211,16 @@ class Diagnosis(Shown):
     closure: float
     rms_before: float
     rms_after: float
-    noise: Floor
-    where: Where
-    calibrations: tuple[Calibration, ...]
+    noise: NoiseFloor
+    where: ResidualLocation
+    calibrations: tuple[BaseParameter, ...]
     not_excited: Mapping[str, str]
     ruled_out: tuple[str, ...]
     next_experiment: "NextExperiment | None"
-    findings: tuple[Finding, ...]
-    steps: tuple[Step, ...]
+    findings: tuple[DataIssue, ...]
+    steps: tuple[SearchStep, ...]
     traces: tuple[Trace, ...]
-    splits: tuple[Part, ...]
+    splits: tuple[DataSegment, ...]
     model: Any
     base_model: Any
     augmented: Any

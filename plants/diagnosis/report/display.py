@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from plants.diagnosis.report.diagnosis import Diagnosis
 
 
-class Shown:
+class DiagnosisDisplay:
     """Gives a diagnosis its figures and its representations; pyplot is not touched."""
 
     __slots__ = ()

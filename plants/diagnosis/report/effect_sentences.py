@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from plants.diagnosis.report.quantities import Scene, also, digits, share, si
+from plants.diagnosis.report.quantities import PlantScale, also, digits, share, si
 from plants.effects import Effect
 
 
@@ -24,7 +24,7 @@ def sentence(effect: type[Effect], values: Mapping[str, float], model: Any) -> s
     Returns:
         One or two sentences with their full stops.
     """
-    scene = Scene.of(model)
+    scene = PlantScale.of(model)
     tell = _SENTENCES.get(effect.name)
     if tell is None:
         numbers = ", ".join(
@@ -37,7 +37,7 @@ def sentence(effect: type[Effect], values: Mapping[str, float], model: Any) -> s
     return f"Your {scene.subject} {tell(values, scene)}."
 
 
-def _eyelet_friction(v: Mapping[str, float], at: Scene) -> str:
+def _eyelet_friction(v: Mapping[str, float], at: PlantScale) -> str:
     B, lost = v["attenuation"], (1.0 - v["attenuation"]) * at.tension_N
     less = "" if math.isnan(lost) else f" ({at.reading(lost)} less at {at.reading(at.tension_N)})"
     inside, slowly = share(v["inner_share"]), at.speed(v["creep_rad_s"])
@@ -48,14 +48,14 @@ def _eyelet_friction(v: Mapping[str, float], at: Scene) -> str:
     )
 
 
-def _coulomb_friction(v: Mapping[str, float], at: Scene) -> str:
+def _coulomb_friction(v: Mapping[str, float], at: PlantScale) -> str:
     return (
         f"has dry friction{at.at_drum}: {at.torque(v['torque_Nm'])} against the motion, whatever "
         "the speed. A smaller change of the command moves nothing"
     )
 
 
-def _stribeck_friction(v: Mapping[str, float], at: Scene) -> str:
+def _stribeck_friction(v: Mapping[str, float], at: PlantScale) -> str:
     return (
         f"has dry friction that is largest at rest: {at.torque(v['coulomb_Nm'])} in motion and "
         f"{at.torque(v['excess_Nm'])} more at rest, which fades over "
@@ -64,14 +64,14 @@ def _stribeck_friction(v: Mapping[str, float], at: Scene) -> str:
     )
 
 
-def _dahl_hysteresis(v: Mapping[str, float], at: Scene) -> str:
+def _dahl_hysteresis(v: Mapping[str, float], at: PlantScale) -> str:
     return (
         f"has dry friction that gives before it slips: {at.torque(v['torque_Nm'])}, built up over "
         f"{at.travel(v['presliding_rad'])} after each reversal, so that small motions meet less"
     )
 
 
-def _viscous_damping(v: Mapping[str, float], at: Scene) -> str:
+def _viscous_damping(v: Mapping[str, float], at: PlantScale) -> str:
     b = v["damping_Nms"]
     if at.subject == "plant":
         return (
@@ -85,7 +85,7 @@ def _viscous_damping(v: Mapping[str, float], at: Scene) -> str:
     )
 
 
-def _dead_time(v: Mapping[str, float], at: Scene) -> str:
+def _dead_time(v: Mapping[str, float], at: PlantScale) -> str:
     d, samples = v["delay_s"], v["delay_s"] * at.sampling_Hz
     counted = "" if math.isnan(samples) else f", {samples:.3g} samples,"
     return (
@@ -94,21 +94,21 @@ def _dead_time(v: Mapping[str, float], at: Scene) -> str:
     )
 
 
-def _current_saturation(v: Mapping[str, float], at: Scene) -> str:
+def _current_saturation(v: Mapping[str, float], at: PlantScale) -> str:
     return (
         f"has a drive that gives no more than {at.current(v['limit_A'])}, however much is "
         "commanded; beyond it the controller's integral winds up"
     )
 
 
-def _rate_limit(v: Mapping[str, float], at: Scene) -> str:
+def _rate_limit(v: Mapping[str, float], at: PlantScale) -> str:
     return (
         f"has a drive whose current changes no faster than {at.current(v['rate_A_per_s'], '/s')}: "
         "large steps become ramps, small ones pass"
     )
 
 
-def _gain_error(v: Mapping[str, float], _: Scene) -> str:
+def _gain_error(v: Mapping[str, float], _: PlantScale) -> str:
     more = "more" if v["error"] > 0.0 else "less"
     return (
         f"has a drive that gives {share(abs(v['error']))} {more} torque than the model says, at "
@@ -116,7 +116,7 @@ def _gain_error(v: Mapping[str, float], _: Scene) -> str:
     )
 
 
-def _gauge_nonlinearity(v: Mapping[str, float], at: Scene) -> str:
+def _gauge_nonlinearity(v: Mapping[str, float], at: PlantScale) -> str:
     c = v["curvature_per_N"]
     if at.subject == "plant":
         return f"has a gauge whose curve is bent: of an output y it reads {digits(c)} y² too much"
@@ -129,12 +129,12 @@ def _gauge_nonlinearity(v: Mapping[str, float], at: Scene) -> str:
     )
 
 
-def _gauge_offset(v: Mapping[str, float], at: Scene) -> str:
+def _gauge_offset(v: Mapping[str, float], at: PlantScale) -> str:
     more = "much" if v["offset_N"] > 0.0 else "little"
     return f"has a gauge that reads {at.reading(abs(v['offset_N']))} too {more} at any tension"
 
 
-def _gauge_drift(v: Mapping[str, float], at: Scene) -> str:
+def _gauge_drift(v: Mapping[str, float], at: PlantScale) -> str:
     rate = v["rate_N_per_s"]
     return (
         f"has a gauge whose zero wanders {'up' if rate > 0.0 else 'down'} from the start of a "
@@ -142,7 +142,7 @@ def _gauge_drift(v: Mapping[str, float], at: Scene) -> str:
     )
 
 
-def _gauge_resonance(v: Mapping[str, float], _: Scene) -> str:
+def _gauge_resonance(v: Mapping[str, float], _: PlantScale) -> str:
     return (
         f"has a gauge with a second resonance, at {digits(v['frequency_Hz'])} Hz with a damping "
         f"ratio of {v['damping']:.2g}: {share(v['share'])} of the reading goes through it and "
@@ -150,7 +150,7 @@ def _gauge_resonance(v: Mapping[str, float], _: Scene) -> str:
     )
 
 
-def _cable_stiffening(v: Mapping[str, float], at: Scene) -> str:
+def _cable_stiffening(v: Mapping[str, float], at: PlantScale) -> str:
     square, cubic = v["stiffening_per_N"], v["cubic_per_N2"]
     if at.subject == "plant":
         pulled = f"{digits(square)} u² more where it is pulled" if square else ""
@@ -167,20 +167,20 @@ def _cable_stiffening(v: Mapping[str, float], at: Scene) -> str:
     )
 
 
-def _cable_creep(v: Mapping[str, float], _: Scene) -> str:
+def _cable_creep(v: Mapping[str, float], _: PlantScale) -> str:
     return (
         f"has a cable that creeps: after each change it gives another {share(v['share'])} of "
         f"what it gave at once, with a time constant of {si(v['time_s'], 's')}"
     )
 
 
-def _cable_slack(v: Mapping[str, float], at: Scene) -> str:
+def _cable_slack(v: Mapping[str, float], at: PlantScale) -> str:
     until = 2.0 * at.stiffness_N_m * v["slack_m"]
     firm = "" if math.isnan(until) else f"; from {si(until, 'N')} on it is as stiff as ever"
     return f"has {at.cable(v['slack_m'])} of slack that is taken up before the cable holds{firm}"
 
 
-def _cable_weight(v: Mapping[str, float], at: Scene) -> str:
+def _cable_weight(v: Mapping[str, float], at: PlantScale) -> str:
     sag = 9.81 * v["density_kg_m"] * at.length_m**2 / (8.0 * at.tension_N)
     seen = "" if math.isnan(sag) else (
         f": on {si(at.length_m, 'm')} at {si(at.tension_N, 'N')} it sags {si(sag, 'm')} more"
@@ -191,7 +191,7 @@ def _cable_weight(v: Mapping[str, float], at: Scene) -> str:
     )
 
 
-def _string_mode(v: Mapping[str, float], at: Scene) -> str:
+def _string_mode(v: Mapping[str, float], at: PlantScale) -> str:
     frequency = math.sqrt(at.tension_N / v["density_kg_m"]) / (2.0 * at.length_m)  # (31)
     where = "" if math.isnan(frequency) else f" at {frequency:.3g} Hz ({si(at.tension_N, 'N')})"
     return (
@@ -200,7 +200,7 @@ def _string_mode(v: Mapping[str, float], at: Scene) -> str:
     )
 
 
-def _structural_mode(v: Mapping[str, float], at: Scene) -> str:
+def _structural_mode(v: Mapping[str, float], at: PlantScale) -> str:
     T = at.tension_N if math.isfinite(at.tension_N) else 10.0
     stiffer = "" if at.subject == "plant" else (
         f" and is {share(v['stiffening_per_N'] * T)} stiffer at {at.reading(T)}"
@@ -211,39 +211,39 @@ def _structural_mode(v: Mapping[str, float], at: Scene) -> str:
     )
 
 
-def _torque_ripple(v: Mapping[str, float], at: Scene) -> str:
+def _torque_ripple(v: Mapping[str, float], at: PlantScale) -> str:
     return (
         f"has a motor that cogs: its torque varies by {at.torque(v['amplitude_Nm'])} either way, "
         f"{digits(v['per_turn'])} times a turn, the same at each passage"
     )
 
 
-def _drum_eccentricity(v: Mapping[str, float], at: Scene) -> str:
+def _drum_eccentricity(v: Mapping[str, float], at: PlantScale) -> str:
     return (
         f"has a drum that is not round: its radius varies by {share(v['eccentricity'])}"
         f"{also(v['eccentricity'] * at.radius_m, 'm')} either way, once a turn"
     )
 
 
-def _backlash(v: Mapping[str, float], at: Scene) -> str:
+def _backlash(v: Mapping[str, float], at: PlantScale) -> str:
     return (
         f"has backlash of {at.travel(v['play_rad'])} between motor and drum; the motor is "
         f"{100.0 * v['motor_share']:.0f} % of what turns and moves alone where the teeth part"
     )
 
 
-def _quantisation(v: Mapping[str, float], at: Scene) -> str:
+def _quantisation(v: Mapping[str, float], at: PlantScale) -> str:
     return f"has a gauge that reads in steps of {at.reading(v['step_N'])}"
 
 
-def _mains_interference(v: Mapping[str, float], at: Scene) -> str:
+def _mains_interference(v: Mapping[str, float], at: PlantScale) -> str:
     return (
         f"has hum in the gauge's signal: {at.reading(v['amplitude_N'])} at "
         f"{v['frequency_Hz']:.4g} Hz, at rest as well as in motion"
     )
 
 
-_SENTENCES: dict[str, Callable[[Mapping[str, float], Scene], str]] = {
+_SENTENCES: dict[str, Callable[[Mapping[str, float], PlantScale], str]] = {
     tell.__name__[1:]: tell
     for tell in (
         _backlash,

@@ -29,9 +29,9 @@ from estune.support.plot_style import (
     legend,
     new_figure,
 )
-from plants.diagnosis.report.diagnosis import Calibration, Diagnosis, Trace
+from plants.diagnosis.report.diagnosis import BaseParameter, Diagnosis, Trace
 from plants.diagnosis.report.quantities import digits, si
-from plants.diagnosis.residual.localisation import Block, Distortion, View
+from plants.diagnosis.residual.localisation import Block, Distortion, ResidualDependence
 
 BEFORE: dict[str, Any] = {"color": ORANGE, "linewidth": 1.1}
 AFTER: dict[str, Any] = {"color": BLUE, "linewidth": 1.1}
@@ -172,7 +172,7 @@ def draw_shares(ax: Axes, d: Diagnosis) -> Axes:
     return ax
 
 
-def draw_view(ax: Axes, block: Block, view: View) -> Axes:
+def draw_view(ax: Axes, block: Block, view: ResidualDependence) -> Axes:
     """The mean residual of a block over one variable."""
     if view.name == "velocity sign":
         place = np.sign(np.round(view.at))
@@ -345,7 +345,7 @@ def _envelope(time: FloatArray, signal: FloatArray) -> tuple[FloatArray, FloatAr
     return time[starts], np.minimum.reduceat(known, starts), np.maximum.reduceat(known, starts)
 
 
-def scalable(d: Diagnosis) -> tuple[Calibration, ...]:
+def scalable(d: Diagnosis) -> tuple[BaseParameter, ...]:
     """The calibrations that can be told as a multiple of what was given."""
     return tuple(c for c in d.calibrations if math.isfinite(c.given) and c.given != 0.0)
 

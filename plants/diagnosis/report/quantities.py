@@ -35,10 +35,10 @@ def share(value: float) -> str:
 
 def written_unit(unit: str, model: Any) -> str:
     """How the unit of an output is written: a plant's is not, its output may be anything."""
-    return unit if Scene.of(model).subject == "reel" else ""
+    return unit if PlantScale.of(model).subject == "reel" else ""
 
 
-class Scene(NamedTuple):
+class PlantScale(NamedTuple):
     """What the numbers of an effect are seen against.
 
     Attributes:
@@ -60,7 +60,7 @@ class Scene(NamedTuple):
     sampling_Hz: float
 
     @classmethod
-    def of(cls, model: Any) -> "Scene":
+    def of(cls, model: Any) -> "PlantScale":
         """The scene of a model; what it does not know is nan."""
 
         def known(name: str) -> float:

@@ -36,7 +36,7 @@ SIMPLER: Mapping[str, tuple[str, ...]] = {
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class View:
+class ResidualDependence:
     """One way of looking at a block's residual: what share of it follows this variable.
 
     Attributes:
@@ -124,11 +124,13 @@ class Fit:
             shares.append(float(with_columns @ inverse @ with_columns) / power)
         return shares[0], shares[1], inverse @ (own.T @ self.residual)
 
-    def binned(self, name: str, unit: str, of: FloatArray, bins: int) -> View:
+    def binned(self, name: str, unit: str, of: FloatArray, bins: int) -> ResidualDependence:
         """Share explained by a law of a variable, as steps over its quantiles."""
         return self.by_label(name, unit, of, quantiles(of, bins))
 
-    def by_label(self, name: str, unit: str, of: FloatArray, label: NDArray[np.int64]) -> View:
+    def by_label(
+        self, name: str, unit: str, of: FloatArray, label: NDArray[np.int64]
+    ) -> ResidualDependence:
         """Share explained by a level for each label, less that of noise.
 
         Args:
@@ -144,16 +146,16 @@ class Fit:
         share, by_chance, mean = self.explained(self.spread(member)[self.chosen])
         share = self._beyond(share, by_chance, count.size - 1.0)
         at = np.bincount(within, of[known]) / count
-        return View(name, unit, share, at, mean - float(mean @ count) / count.sum())
+        return ResidualDependence(name, unit, share, at, mean - float(mean @ count) / count.sum())
 
-    def along(self, name: str, unit: str, of: FloatArray) -> View:
+    def along(self, name: str, unit: str, of: FloatArray) -> ResidualDependence:
         """Share explained by a straight line."""
         line = self.binned(name, unit, of, BINS)
         x = of[self.chosen]
         share, by_chance, _ = self.explained((x - x.mean())[:, None])
         return replace(line, share=self._beyond(share, by_chance, 1.0))
 
-    def periodic(self, angle: FloatArray, unit: str) -> View:
+    def periodic(self, angle: FloatArray, unit: str) -> ResidualDependence:
         """Share explained by the best sine of the angle, as ripple or a bent drum would give."""
         span = max(float(np.nanmax(angle) - np.nanmin(angle)), 1e-300)
         from_start = angle - np.nanmin(angle)
@@ -172,7 +174,7 @@ class Fit:
         sine = self.binned("position period", unit, from_start % period, 2 * BINS)
         return replace(sine, share=share, detail=f"{period:.3g} {unit}")
 
-    def by_length(self, length: FloatArray, slope: FloatArray) -> View:
+    def by_length(self, length: FloatArray, slope: FloatArray) -> ResidualDependence:
         """Share explained when every length has an offset and a slope of its own."""
         lengths, label = np.unique(length[self.chosen], return_inverse=True)
         member = (label[:, None] == np.arange(lengths.size)).astype(np.float64)
@@ -180,7 +182,7 @@ class Fit:
         share, by_chance, _ = self.explained(np.hstack([member, own_slope]))
         share = self._beyond(share, by_chance, 2.0 * lengths.size - 2.0)
         mean = np.bincount(label, self.residual) / np.bincount(label)
-        return View("length", "m", share, lengths, mean)
+        return ResidualDependence("length", "m", share, lengths, mean)
 
     def _beyond(self, share: float, of_noise: float, freedom: float) -> float:
         """What is left of a share when chance has had its part (epsilon squared, Kelley 1935)."""
@@ -188,7 +190,7 @@ class Fit:
         return max(0.0, (share - chance) / (1.0 - chance))
 
 
-def views(fitted: Fit, regime: Regime) -> list[View]:
+def views(fitted: Fit, regime: Regime) -> list[ResidualDependence]:
     """All views of a residual, the strongest first."""
     found = [fitted.binned("time", "of the record", regime.part, BINS)]
     sign = None
@@ -216,7 +218,7 @@ def views(fitted: Fit, regime: Regime) -> list[View]:
     return sorted(found, key=lambda view: -view.share)
 
 
-def strongest(found: Sequence[View]) -> View:
+def strongest(found: Sequence[ResidualDependence]) -> ResidualDependence:
     """The view to name: the best, or a simpler one contained in it that is nearly as good."""
     best = max(found, key=lambda view: view.share)
     by_name = {view.name: view for view in found}

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estune.core.quantities import FloatArray
-from plants.diagnosis.data.measured_record import Measurement
+from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.data.noise import step_of
 from plants.diagnosis.data.periods import Periods, periods_of
 
@@ -50,12 +50,12 @@ class Distortion:
     noise: FloatArray
 
 
-def distortions(measurements: Sequence[Measurement]) -> tuple[Distortion, ...]:
+def distortions(measurements: Sequence[MeasuredRecord]) -> tuple[Distortion, ...]:
     """One entry for each channel of each record with an excitation that repeats on odd lines."""
     return tuple(found for m in measurements for found in _of(m))
 
 
-def _of(m: Measurement) -> Iterator[Distortion]:
+def _of(m: MeasuredRecord) -> Iterator[Distortion]:
     if m.setpoint_N is None:
         return
     periods = periods_of(m.setpoint_N)
@@ -95,7 +95,7 @@ def _drift_free(periods: Periods, column: FloatArray) -> FloatArray:
 
 
 def _distortion(
-    m: Measurement, channel: str, periods: Periods, kind: NDArray[np.int64]
+    m: MeasuredRecord, channel: str, periods: Periods, kind: NDArray[np.int64]
 ) -> Distortion:
     column = np.asarray(m.channel(channel))
     folded = _drift_free(periods, column)

@@ -12,16 +12,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estune.core.quantities import FloatArray
-from plants.diagnosis.data.measured_record import Measurement
-from plants.diagnosis.data.noise_floor import ALLOWANCE, Floor
+from plants.diagnosis.data.measured_record import MeasuredRecord
+from plants.diagnosis.data.noise_floor import ALLOWANCE, NoiseFloor
 from plants.diagnosis.data.smoothing import Smoother
 from plants.diagnosis.models.base import BaseNumbers
 from plants.diagnosis.residual.balance import Equation, equations, smoother_for
-from plants.diagnosis.residual.dependence import Fit, View, independent_share, strongest, views
+from plants.diagnosis.residual.dependence import (
+    Fit,
+    ResidualDependence,
+    independent_share,
+    strongest,
+    views,
+)
 from plants.diagnosis.residual.distortion import Distortion, distortions
 from plants.diagnosis.residual.residuals import (
     FEWEST,
-    Fitted,
+    BalanceFit,
     Record,
     fit_balance,
     inner,
@@ -31,7 +37,7 @@ from plants.diagnosis.residual.residuals import (
     widest_s,
 )
 
-__all__ = ["Block", "Distortion", "View", "Where", "localise"]
+__all__ = ["Block", "Distortion", "ResidualDependence", "ResidualLocation", "localise"]
 
 MIDDLE = 0.9
 """Share of the residual's power that its band holds."""
@@ -77,7 +83,7 @@ class Block:
     smoothing_s: float
     low_Hz: float
     high_Hz: float
-    views: tuple[View, ...]
+    views: tuple[ResidualDependence, ...]
     frequency_Hz: FloatArray
     power: FloatArray
     noise_power: FloatArray
@@ -89,7 +95,7 @@ class Block:
         return self.rms / self.noise_rms
 
     @property
-    def regime(self) -> View | None:
+    def regime(self) -> ResidualDependence | None:
         """The variable the residual follows, or None where it follows none."""
         found = strongest(self.views)
         return found if found.share >= WORTH else None
@@ -121,7 +127,7 @@ class Block:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Where:
+class ResidualLocation:
     """Where the residual of the base model lives.
 
     Attributes:
@@ -154,8 +160,10 @@ class Where:
 
 
 def localise(
-    measurements: Sequence[Measurement], numbers: Sequence[BaseNumbers | None], floor: Floor
-) -> Where:
+    measurements: Sequence[MeasuredRecord],
+    numbers: Sequence[BaseNumbers | None],
+    floor: NoiseFloor,
+) -> ResidualLocation:
     """Says where the base model's residual lives, before any effect is fitted.
 
     Args:
@@ -175,7 +183,7 @@ def localise(
             ):
                 best[equation.name] = block
     blocks = _responsible(list(best.values()), records[0].measurement.sampling_Hz) if best else []
-    return Where(tuple(blocks), found, _sentence(blocks, found))
+    return ResidualLocation(tuple(blocks), found, _sentence(blocks, found))
 
 
 def _block(equation: Equation, records: Sequence[Record]) -> Block | None:
@@ -223,7 +231,7 @@ def _block(equation: Equation, records: Sequence[Record]) -> Block | None:
 
 
 def _seen(
-    fitted: Fitted,
+    fitted: BalanceFit,
     inside: NDArray[np.bool_],
     spread: Callable[[FloatArray], FloatArray],
     loose: float,
@@ -253,9 +261,17 @@ def _responsible(blocks: Sequence[Block], sampling_Hz: float) -> list[Block]:
     force, gauge, eyelet = (by_name.get(name) for name in ("force", "gauge", "eyelet"))
     if gauge is None or not max(block.ratio for block in blocks) > ABOVE:
         return ordered
-    if eyelet is not None and eyelet.ratio > ABOVE and _alike(gauge, eyelet, sampling_Hz) > ALIKE:
+    if (
+        eyelet is not None
+        and eyelet.ratio > ABOVE
+        and _signed_R2(gauge, eyelet, sampling_Hz) > ALIKE
+    ):
         return [eyelet, *(block for block in ordered if block is not eyelet)]
-    if force is not None and force.ratio > ABOVE and _alike(force, gauge, sampling_Hz) < -ALIKE:
+    if (
+        force is not None
+        and force.ratio > ABOVE
+        and _signed_R2(force, gauge, sampling_Hz) < -ALIKE
+    ):
         rest = [block for block in ordered if block not in (force, gauge)]
         return [replace(gauge, title=READING), *rest, force]
     if force is not None and force.ratio < ABOVE:
@@ -263,7 +279,7 @@ def _responsible(blocks: Sequence[Block], sampling_Hz: float) -> list[Block]:
     return ordered
 
 
-def _alike(one: Block, other: Block, sampling_Hz: float) -> float:
+def _signed_R2(one: Block, other: Block, sampling_Hz: float) -> float:
     """Share of a block's residual that another's explains, with the sign of the slope."""
     smoother = Smoother(one.smoothing_s, sampling_Hz)
     x = np.concatenate(one.residual)

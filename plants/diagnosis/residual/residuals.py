@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from estune.core.quantities import FloatArray
-from plants.diagnosis.data.measured_record import Measurement
-from plants.diagnosis.data.noise_floor import Floor
+from plants.diagnosis.data.measured_record import MeasuredRecord
+from plants.diagnosis.data.noise_floor import NoiseFloor
 from plants.diagnosis.data.smoothing import Smoother, least_width
 from plants.diagnosis.models.base import BaseNumbers
 from plants.diagnosis.residual.balance import Equation, Signals
@@ -28,14 +28,16 @@ FEWEST = 64
 class Record(NamedTuple):
     """One measurement made ready: numbers, signals, and noises in their place."""
 
-    measurement: Measurement
+    measurement: MeasuredRecord
     numbers: BaseNumbers
     signals: Signals
     noise: Signals
 
 
 def prepared(
-    measurements: Sequence[Measurement], numbers: Sequence[BaseNumbers | None], floor: Floor
+    measurements: Sequence[MeasuredRecord],
+    numbers: Sequence[BaseNumbers | None],
+    floor: NoiseFloor,
 ) -> list[Record]:
     """The measurements of the most common sampling rate, for spectra to be of one grid."""
     rates = Counter(m.sampling_Hz for m in measurements)
@@ -60,7 +62,7 @@ def prepared(
     return records
 
 
-class Fitted(NamedTuple):
+class BalanceFit(NamedTuple):
     """A balance after its calibrations were fitted, over all records one after the other."""
 
     residual: FloatArray
@@ -77,7 +79,7 @@ def widest_s(records: Sequence[Record]) -> float:
     return min(WIDEST * shortest, 1.0 / natural if natural > 0.0 else math.inf)
 
 
-def fit_balance(equation: Equation, records: Sequence[Record], smoother: Smoother) -> Fitted:
+def fit_balance(equation: Equation, records: Sequence[Record], smoother: Smoother) -> BalanceFit:
     """Residual of the balance, and of noise alone, with the calibrations free."""
     terms = [equation.balance(r.numbers, r.signals, smoother) for r in records]
     noises = [equation.balance(r.numbers, r.noise, smoother) for r in records]
@@ -103,7 +105,7 @@ def fit_balance(equation: Equation, records: Sequence[Record], smoother: Smoothe
     noise_known = np.concatenate([t.known for t in noises])
     noise_A = columns([t.columns for t in noises], offsets=False)
     slope = np.concatenate([t.columns[:, -1] for t in terms])
-    return Fitted(known - A @ found, noise_known - noise_A @ found, known, A / size, slope)
+    return BalanceFit(known - A @ found, noise_known - noise_A @ found, known, A / size, slope)
 
 
 def regime_of(records: Sequence[Record], slope: FloatArray) -> Regime:

@@ -17,9 +17,9 @@ import numpy as np
 
 from plants.diagnosis.search import thresholds
 from plants.diagnosis.search.cable_block import block_of
-from plants.diagnosis.search.candidate_fits import with_one_more
-from plants.diagnosis.search.model_fitter import Attempt, Bench
-from plants.diagnosis.search.score_context import Background
+from plants.diagnosis.search.candidate_fits import fit_added_effect
+from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter
+from plants.diagnosis.search.score_context import ScoreContext
 from plants.diagnosis.search.score_test import screen
 from plants.effects import Effect, Port, Signal, Site, parameter
 from plants.effects.bristles import bent
@@ -153,11 +153,11 @@ SECANTS = 20
 """They halve the error each; what is left is far below a floor."""
 AIMED = 0.5
 """A rival is fitted whose direction explains at least this part of what the effect's does."""
-TOES = ("cable_slack", "cable_weight")
+LOW_TENSION_EFFECTS = ("cable_slack", "cable_weight")
 """Effects that bend the cable's law at low tension, and leave it straight well above."""
 
 
-class Rival(NamedTuple):
+class AlternativeLaw(NamedTuple):
     """A law that an effect is held against.
 
     Attributes:
@@ -172,18 +172,23 @@ class Rival(NamedTuple):
 
 
 RIVALS = tuple(
-    Rival(law, thresholds.BEATEN, ever=False) for law in (CableLoop, GaugeLoop, GaugeWarming)
+    AlternativeLaw(law, thresholds.BEATEN, ever=False)
+    for law in (CableLoop, GaugeLoop, GaugeWarming)
 )
-PLAIN = Rival(CableBend, 1.0, ever=True)
+PLAIN = AlternativeLaw(CableBend, 1.0, ever=True)
 """A toe is there where it does better than a plain curve. Of one that lies below or above all
 tensions of the records they show the curvature alone, and that tells nothing."""
-STILL = Rival(CableBend, thresholds.SIMPLER, ever=True)
+STILL = AlternativeLaw(CableBend, thresholds.SIMPLER, ever=True)
 """A mode is there where it rings. A frame that hardens and rings faster than the records show
 is a curve, whatever bends."""
 
 
-def beaten_by(
-    bench: Bench, before: Attempt, one: Attempt, seen: Sequence[Background], share: float
+def better_alternative(
+    bench: ModelFitter,
+    before: CandidateFit,
+    one: CandidateFit,
+    seen: Sequence[ScoreContext],
+    share: float,
 ) -> str | None:
     """Title of a rival that does about as well as the effect an attempt adds, or None.
 
@@ -203,25 +208,25 @@ def beaten_by(
         screened = screen(law, bench.predictor((law,)), seen)
         if screened.cosine2 < AIMED * share:
             continue
-        other = bench.further(with_one_more(bench, before, screened, ()))
+        other = bench.refine(fit_added_effect(bench, before, screened, ()))
         if max(np.divide(_left(other), _left(one))) < least:
             return law.title
     return None
 
 
-def _held_against(effect: type[Effect]) -> tuple[Rival, ...]:
+def _held_against(effect: type[Effect]) -> tuple[AlternativeLaw, ...]:
     """The rivals of an effect of cable or gauge."""
-    if effect.name in TOES:
+    if effect.name in LOW_TENSION_EFFECTS:
         return (*RIVALS, PLAIN)
     return (*RIVALS, STILL) if effect.name == "structural_mode" else RIVALS
 
 
-def is_closed(attempt: Attempt) -> bool:
+def is_closed(attempt: CandidateFit) -> bool:
     """Whether a model leaves nothing where an effect of cable and gauge is seen."""
     return max(_left(attempt)) <= thresholds.CLOSED**2
 
 
-def _left(attempt: Attempt) -> tuple[float, float]:
+def _left(attempt: CandidateFit) -> tuple[float, float]:
     """Power left on the fit and the rank split: in the cable and gauge block, where it is seen."""
     cable = attempt.fit_blocks.cable, attempt.rank_blocks.cable
     return (attempt.fit_J, attempt.rank_J) if math.isnan(sum(cable)) else cable

@@ -24,14 +24,14 @@ SURE = 1e-3
 """Share of the samples by which a wave must differ from a straight line where they are."""
 
 
-class Turning(NamedTuple):
+class ResidualOverAngle(NamedTuple):
     """A residual over angles that count from one zero; both of shape (samples,), rad."""
 
     angle_rad: FloatArray
     residual: FloatArray
 
 
-def per_turn(turnings: Sequence[Turning], read_rad: float) -> list[float]:
+def per_turn(turnings: Sequence[ResidualOverAngle], read_rad: float) -> list[float]:
     """Periods in a turn that explain the most of residuals, the best first; often none.
 
     Args:
@@ -54,7 +54,7 @@ def per_turn(turnings: Sequence[Turning], read_rad: float) -> list[float]:
     return [float(orders[n]) for n in best]
 
 
-def _explained(turning: Turning, step: float, size: int) -> FloatArray:
+def _explained(turning: ResidualOverAngle, step: float, size: int) -> FloatArray:
     """What a wave explains of a residual that has lost its straight line, shape (size/2,).
 
     Args:

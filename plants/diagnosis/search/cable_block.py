@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estune.core.quantities import FloatArray
-from plants.diagnosis.data.measured_record import Measurement
+from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.models.base import BaseNumbers
 from plants.diagnosis.prediction.prediction import CHANNELS, Index
 from plants.effects import Effect, Port
@@ -102,7 +102,7 @@ class Blocks(NamedTuple):
         return cls(power / left.size, (float(residuals @ residuals) - power) / rest)
 
 
-def pull_N_rad(model: Any, measurements: Sequence[Measurement]) -> FloatArray:
+def pull_N_rad(model: Any, measurements: Sequence[MeasuredRecord]) -> FloatArray:
     """What a model's cable pulls per angle at each record, N/rad; nan without a cable."""
     numbers = [BaseNumbers.of(model, m) for m in measurements]
     return np.array([np.nan if b is None else b.tension_per_angle_N_rad for b in numbers])

@@ -8,10 +8,10 @@ import numpy as np
 from estune.core.quantities import FloatArray
 from plants.diagnosis.prediction.prediction import Predictor
 from plants.diagnosis.search import thresholds
-from plants.diagnosis.search.model_comparison import does
-from plants.diagnosis.search.model_fitter import Attempt, Bench
-from plants.diagnosis.search.score_test import Screened, is_limit
-from plants.diagnosis.search.screening import rings
+from plants.diagnosis.search.model_comparison import is_sufficient
+from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter
+from plants.diagnosis.search.score_test import ScreeningResult, is_limit
+from plants.diagnosis.search.screening import has_resonance
 from plants.effects import Effect, Port
 
 SWITCHED = 0.3
@@ -34,7 +34,7 @@ BEHIND = 3.0
 will do."""
 
 
-def reduced(bench: Bench, attempts: Sequence[Attempt]) -> list[Attempt]:
+def reduced(bench: ModelFitter, attempts: Sequence[CandidateFit]) -> list[CandidateFit]:
     """The attempts, and a simpler one of its family beside each that is more than it needs to be.
 
     A fit with more values to move may find its way where the simpler one did not.
@@ -52,29 +52,31 @@ def reduced(bench: Bench, attempts: Sequence[Attempt]) -> list[Attempt]:
     return found
 
 
-def finished(bench: Bench, base: Attempt, attempts: Sequence[Attempt]) -> list[Attempt]:
+def finished(
+    bench: ModelFitter, base: CandidateFit, attempts: Sequence[CandidateFit]
+) -> list[CandidateFit]:
     """The best attempt with each effect, those that lead fitted to the end, the best first."""
-    each: dict[str, Attempt] = {}
+    each: dict[str, CandidateFit] = {}
     for a in sorted(attempts, key=lambda a: a.fit_J):
         each.setdefault(a.effects[-1].name, a)
     leading = list(each.values())
     if leading:
-        leading[0] = bench.further(leading[0], LONGEST)
+        leading[0] = bench.refine(leading[0], LONGEST)
     # What is far behind after a few rounds is not worth more, least of all where one will do.
     for n, a in enumerate(leading[1:FINISHED], 1):
-        if not does(base, leading[0]) or a.fit_J < BEHIND * leading[0].fit_J:
-            leading[n] = bench.further(a)
+        if not is_sufficient(base, leading[0]) or a.fit_J < BEHIND * leading[0].fit_J:
+            leading[n] = bench.refine(a)
     return sorted(leading, key=lambda a: a.rank_J)
 
 
-def bends(one: Screened) -> bool:
+def may_be_nonlinear(one: ScreeningResult) -> bool:
     """Whether an effect may act so unlike a small one that no direction shows it."""
     bends = bool({Port.CABLE, Port.EYELET} & set(one.effect.ports()))
     sticks = one.effect.resists and one.effect.states > 0
     return (bends or sticks or is_limit(one.effect)) and one.reach >= thresholds.SHOWN
 
 
-def roughly(bench: Bench, effect: type[Effect]) -> Attempt:
+def coarse_fit(bench: ModelFitter, effect: type[Effect]) -> CandidateFit:
     """The model as given with an effect of several sizes, each record's zero put right."""
     predictor = bench.predictor((effect,))
     rows = np.repeat(predictor.start[None, :], ROUGH.size, axis=0)
@@ -90,9 +92,9 @@ def roughly(bench: Bench, effect: type[Effect]) -> Attempt:
     return bench.attempt((effect,), rows, FIRST_ROUNDS)
 
 
-def with_one_more(
-    bench: Bench, current: Attempt, one: Screened, others: Sequence[Attempt]
-) -> Attempt:
+def fit_added_effect(
+    bench: ModelFitter, current: CandidateFit, one: ScreeningResult, others: Sequence[CandidateFit]
+) -> CandidateFit:
     """The current model with one more effect, fitted from the starts that its screening found.
 
     Args:
@@ -118,14 +120,16 @@ def with_one_more(
     if simpler is not None:
         # What is near a simpler law's fit leaves less to begin with, and may lead nowhere else.
         begun = np.concatenate([begun, _inherited(bench, predictor, one, simpler)])
-    if rings(one.effect):
+    if has_resonance(one.effect):
         # One round does not tell which of two frequencies is near enough to lead to the mode's.
         found = [bench.attempt(effects, row[None, :], FIRST_ROUNDS) for row in begun]
         return min(found, key=lambda a: a.fit_J)
     return bench.attempt(effects, begun, FIRST_ROUNDS)
 
 
-def _inherited(bench: Bench, predictor: Predictor, one: Screened, simpler: Attempt) -> FloatArray:
+def _inherited(
+    bench: ModelFitter, predictor: Predictor, one: ScreeningResult, simpler: CandidateFit
+) -> FloatArray:
     """Starts from the fit of a simpler member of the family, shape (some, free).
 
     The best with what is its own switched on, and the best with a part of what it inherits given

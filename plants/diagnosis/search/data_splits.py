@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estune.core.quantities import FloatArray
-from plants.diagnosis.data.measured_record import Measurement
+from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.prediction.prediction import Index
-from plants.diagnosis.report.diagnosis import Part, Split
+from plants.diagnosis.report.diagnosis import DataSegment, Split
 
 SPLITS: tuple[Split, ...] = ("fit", "rank", "report")
 FIT, RANK, REPORT = range(3)
@@ -36,7 +36,7 @@ DEALT = (
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Dealt:
+class DataSplit:
     """What each residual entry is used for.
 
     Attributes:
@@ -49,14 +49,14 @@ class Dealt:
     entries: NDArray[np.int64]
     group: NDArray[np.int64]
     records: frozenset[int]
-    parts: tuple[Part, ...]
+    parts: tuple[DataSegment, ...]
 
     def where(self, *splits: int) -> NDArray[np.int64]:
         """Numbers of the entries of some splits."""
         return np.flatnonzero(np.isin(self.entries, splits))
 
 
-def deal(measurements: Sequence[Measurement], index: Index) -> Dealt:
+def split_data(measurements: Sequence[MeasuredRecord], index: Index) -> DataSplit:
     """Splits the residuals' entries three ways.
 
     Args:
@@ -66,7 +66,7 @@ def deal(measurements: Sequence[Measurement], index: Index) -> Dealt:
     kept = _kept_from_fit(measurements)
     entries = np.zeros(index.measurement.size, np.int64)
     group = np.zeros(index.measurement.size, np.int64)
-    parts: list[Part] = []
+    parts: list[DataSegment] = []
     blocks = 0
     for n, m in enumerate(measurements):
         mine = np.flatnonzero(index.measurement == n)
@@ -81,8 +81,10 @@ def deal(measurements: Sequence[Measurement], index: Index) -> Dealt:
         for b, use in enumerate(uses):
             times = index.time_s[mine[block == b]]
             if times.size:
-                parts.append(Part(m.name, float(times.min()), float(times.max()), SPLITS[use]))
-    return Dealt(entries, group, frozenset(kept), tuple(parts))
+                parts.append(
+                    DataSegment(m.name, float(times.min()), float(times.max()), SPLITS[use])
+                )
+    return DataSplit(entries, group, frozenset(kept), tuple(parts))
 
 
 def _uses(windows: int, kept: int | None, kept_records: int) -> tuple[int, ...]:
@@ -99,7 +101,7 @@ def _uses(windows: int, kept: int | None, kept_records: int) -> tuple[int, ...]:
     return (FIT,)
 
 
-def _kept_from_fit(measurements: Sequence[Measurement]) -> list[int]:
+def _kept_from_fit(measurements: Sequence[MeasuredRecord]) -> list[int]:
     """Numbers of the records kept whole from the fit, the shortest first."""
     reach = np.array([_reach(m) for m in measurements])
     slack = (WITHIN - 1.0) * np.ptp(reach, axis=0) if len(reach) else reach
@@ -118,7 +120,7 @@ def _kept_from_fit(measurements: Sequence[Measurement]) -> list[int]:
     return kept
 
 
-def _same_excitation(one: Measurement, other: Measurement) -> bool:
+def _same_excitation(one: MeasuredRecord, other: MeasuredRecord) -> bool:
     """Whether two records were driven by the same signal."""
     mine, its = one.setpoint_N, other.setpoint_N
     if mine is None or its is None or mine.size != its.size:
@@ -126,7 +128,7 @@ def _same_excitation(one: Measurement, other: Measurement) -> bool:
     return bool(np.abs(mine - its).max() <= 1e-6 * max(float(np.abs(mine).max()), 1e-300))
 
 
-def _reach(m: Measurement) -> FloatArray:
+def _reach(m: MeasuredRecord) -> FloatArray:
     """How far a record reaches: length, duration, and each channel's extent, level and rate."""
     length = m.cable_length_m or 0.0
     found = [length, -length, m.duration_s]

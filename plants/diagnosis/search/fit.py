@@ -29,7 +29,7 @@ FLAT = 1e-10
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Fitted:
+class WhitenedFit:
     """A predictor with values, held against some entries.
 
     Attributes:
@@ -56,7 +56,7 @@ class Fitted:
 
 def fit(
     predictor: Predictor, start: FloatArray, moves: Numbers, entries: Numbers, rounds: int = 15
-) -> Fitted:
+) -> WhitenedFit:
     """Lowers the sum of squares of some residuals: Levenberg-Marquardt within the bounds.
 
     Values on a log scale move by their logarithm. In every round several dampings are tried in
@@ -96,7 +96,7 @@ def fit(
             at = lowest([scale.beyond(begun.values, at.values, n) for n in STRIDES], at)
     if at.residuals is None:
         at = _Point(at.values, predictor.residuals(at.values[None, :], entries)[0])
-    return Fitted(predictor, at.values, entries, at.known, moves, converged)
+    return WhitenedFit(predictor, at.values, entries, at.known, moves, converged)
 
 
 class _Point(NamedTuple):
@@ -162,7 +162,7 @@ def switched_on(
     return after
 
 
-def settled(found: Fitted, moves: Numbers, own: Numbers, entries: Numbers) -> Fitted:
+def settled(found: WhitenedFit, moves: Numbers, own: Numbers, entries: Numbers) -> WhitenedFit:
     """The same held against other entries, with a few values fitted to those they act on.
 
     Args:
@@ -175,7 +175,7 @@ def settled(found: Fitted, moves: Numbers, own: Numbers, entries: Numbers) -> Fi
     if moves.size:
         values = fit(predictor, values, moves, own, rounds=3).values
     residuals = predictor.residuals(values[None, :], entries)[0]
-    return Fitted(predictor, values, entries, residuals, found.moved, found.converged)
+    return WhitenedFit(predictor, values, entries, residuals, found.moved, found.converged)
 
 
 @dataclass(frozen=True, slots=True)
@@ -298,7 +298,7 @@ def _solve(normal: FloatArray, pull: FloatArray, damping: float) -> FloatArray:
     return solution
 
 
-def covariance(found: Fitted, groups: Numbers) -> FloatArray:
+def covariance(found: WhitenedFit, groups: Numbers) -> FloatArray:
     """Covariance of the values that moved, whatever the residuals' colour.
 
     The sandwich H^-1 (sum_g s_g s_g^T) H^-1 G/(G - 1) with the scores s_g = J_g^T r_g of groups

@@ -5,11 +5,11 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from plants.diagnosis.data.measured_record import Measurement
+from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.data.noise import step_of
-from plants.diagnosis.residual.localisation import Block, Where
-from plants.diagnosis.search.angle_periods import Turning, per_turn
-from plants.diagnosis.search.score_context import Suggest
+from plants.diagnosis.residual.localisation import Block, ResidualLocation
+from plants.diagnosis.search.angle_periods import ResidualOverAngle, per_turn
+from plants.diagnosis.search.score_context import InitialGuesses
 
 PEAKS = 3
 """Peaks taken of a spectrum."""
@@ -25,8 +25,8 @@ JOINTS = 0.1
 
 
 def suggestions(
-    measurements: Sequence[Measurement], where: Where, values: Mapping[str, float]
-) -> Suggest:
+    measurements: Sequence[MeasuredRecord], where: ResidualLocation, values: Mapping[str, float]
+) -> InitialGuesses:
     """From `slug.parameter` to values to begin with.
 
     Args:
@@ -70,14 +70,14 @@ def _spectral_peaks(block: Block) -> list[float]:
 
 
 def _per_turn(
-    measurements: Sequence[Measurement], where: Where, values: Mapping[str, float]
+    measurements: Sequence[MeasuredRecord], where: ResidualLocation, values: Mapping[str, float]
 ) -> list[float]:
     """Periods per turn that the torque balance's residual follows."""
     block = next((b for b in where.blocks if b.name in ("force", "plant")), None)
     if block is None:
         return []
-    common: list[Turning] = []
-    turnings: list[Turning] = []
+    common: list[ResidualOverAngle] = []
+    turnings: list[ResidualOverAngle] = []
     read = 0.0
     for n, (m, residual) in enumerate(zip(measurements, block.residual, strict=True)):
         inside = np.isfinite(residual)
@@ -85,11 +85,11 @@ def _per_turn(
             continue
         read = max(read, step_of(m.angle_rad))
         zero = values.get(f"encoder_zero_rad[{n}]")
-        one = Turning(m.angle_rad[inside] - (zero or 0.0), residual[inside])
+        one = ResidualOverAngle(m.angle_rad[inside] - (zero or 0.0), residual[inside])
         (turnings if zero is None else common).append(one)
     if not common:
         return per_turn(turnings, read)
-    joined = Turning(*map(np.concatenate, zip(*common, strict=True)))
+    joined = ResidualOverAngle(*map(np.concatenate, zip(*common, strict=True)))
     # What friction hides here shows in predictions.
     few = 2.0 * math.pi / float(np.ptp(joined.angle_rad)) * FEW
     return [*per_turn([*turnings, joined], read), *few.tolist()]

@@ -8,14 +8,14 @@ import numpy as np
 from estune.core.quantities import FloatArray
 from plants.diagnosis.search import thresholds
 from plants.diagnosis.search.cable_block import Block, block_of
-from plants.diagnosis.search.model_fitter import Attempt
+from plants.diagnosis.search.model_fitter import CandidateFit
 from plants.effects import Effect
 
 BOUND = 1e-6
 """A value this near to a bound, relative to it, is at it."""
 
 
-def closure(before_J: float, after_J: float, floor_J: float = 1.0) -> float:
+def explained_fraction(before_J: float, after_J: float, floor_J: float = 1.0) -> float:
     """Share of the power above the floor that was closed; 1 where all of it was.
 
     Args:
@@ -27,12 +27,12 @@ def closure(before_J: float, after_J: float, floor_J: float = 1.0) -> float:
     return (before_J - max(after_J, floor_J)) / above if above > 0.0 else 0.0
 
 
-def leaves_a_gap(attempt: Attempt) -> bool:
+def leaves_a_gap(attempt: CandidateFit) -> bool:
     """Whether a model leaves anything that another effect could be added for."""
     return _gapes(attempt) or open_block(attempt) is not None
 
 
-def open_block(attempt: Attempt) -> Block | None:
+def open_block(attempt: CandidateFit) -> Block | None:
     """The block in which there is a gap that the effects so far have no part in, or None.
 
     Without an effect the cable and gauge block is as clean as before; the drum's is as soon as
@@ -49,23 +49,26 @@ def open_block(attempt: Attempt) -> Block | None:
     return None
 
 
-def _gapes(attempt: Attempt) -> bool:
+def _gapes(attempt: CandidateFit) -> bool:
     return _gap(attempt) > (thresholds.CLOSED if attempt.effects else thresholds.NOTHING)
 
 
-def _gap(attempt: Attempt) -> float:
+def _gap(attempt: CandidateFit) -> float:
     return math.sqrt(max(attempt.rank_J, attempt.fit_J))
 
 
-def does(base: Attempt, best: Attempt) -> bool:
+def is_sufficient(base: CandidateFit, best: CandidateFit) -> bool:
     """Whether an attempt does so well that no other first effect has to be looked for."""
     if max(base.rank_J, best.rank_J) < thresholds.GAP**2:
         return True
-    return closure(base.rank_J, best.rank_J) > thresholds.DONE
+    return explained_fraction(base.rank_J, best.rank_J) > thresholds.DONE
 
 
 def worth_adding(
-    before: Attempt, after: Attempt, base: Attempt, others: Sequence[Attempt] = ()
+    before: CandidateFit,
+    after: CandidateFit,
+    base: CandidateFit,
+    others: Sequence[CandidateFit] = (),
 ) -> bool:
     """Whether a model is so much better, on both splits, that what it adds is there.
 
@@ -86,12 +89,12 @@ def worth_adding(
         least = thresholds.CLOSURE if small or little or much_left else thresholds.FURTHER
     closed = [_closed(before.rank_J, after.rank_J), _closed(before.fit_J, after.fit_J)]
     gained = float((before.squares - after.squares).sum())
-    if before.effects and small and not told_apart(after, before):
+    if before.effects and small and not is_significantly_better(after, before):
         return False
     return min(closed) >= least and gained >= thresholds.SIGNIFICANT_GAIN
 
 
-def _stands_out(before: Attempt, after: Attempt, others: Sequence[Attempt]) -> bool:
+def _stands_out(before: CandidateFit, after: CandidateFit, others: Sequence[CandidateFit]) -> bool:
     """Whether no effect of another family closes nearly as much."""
     family = family_of(after.effects[-1].name)
     rest = [_closed(before.rank_J, a.rank_J) for a in others if a.effects[-1].name not in family]
@@ -99,7 +102,7 @@ def _stands_out(before: Attempt, after: Attempt, others: Sequence[Attempt]) -> b
     return bool(rest) and max(rest) <= thresholds.SECOND * closed
 
 
-def worth_adding_there(before: Attempt, after: Attempt, block: Block) -> bool:
+def worth_adding_there(before: CandidateFit, after: CandidateFit, block: Block) -> bool:
     """Whether one more effect is there by what it does in a block without one.
 
     There it is judged as if it were alone, whatever the others' laws leave in their own block.
@@ -123,21 +126,21 @@ def worth_adding_there(before: Attempt, after: Attempt, block: Block) -> bool:
 
 def _closed(before_J: float, after_J: float) -> float:
     """Share closed of what is above the floor, or of all there is where that is below it."""
-    return closure(before_J, after_J) if before_J > 1.0 else 1.0 - after_J / before_J
+    return explained_fraction(before_J, after_J) if before_J > 1.0 else 1.0 - after_J / before_J
 
 
-def better(one: Attempt, other: Attempt) -> float:
+def z_score(one: CandidateFit, other: CandidateFit) -> float:
     """By how many standard errors one model's squares are below the other's, block by block."""
     return _errors(other.squares - one.squares)
 
 
-def told_apart(one: Attempt, other: Attempt) -> bool:
+def is_significantly_better(one: CandidateFit, other: CandidateFit) -> bool:
     """Whether one model does better for sure, on the rank split or over both.
 
     Of two laws with as many numbers the fit split tells as much, and is much longer; so it does
     of one more effect that closes the most on the rank split, too.
     """
-    return max(better(one, other), _likelier(one, other)) >= thresholds.SIGNIFICANT
+    return max(z_score(one, other), _likelier(one, other)) >= thresholds.SIGNIFICANT
 
 
 def _errors(gained: FloatArray) -> float:
@@ -150,9 +153,9 @@ def family_of(name: str) -> tuple[str, ...]:
     return next((family for family in thresholds.FAMILIES if name in family), (name,))
 
 
-def simplest(
-    attempts: Sequence[Attempt], base: Attempt, scale: thresholds.Scale
-) -> Attempt | None:
+def select_parsimonious(
+    attempts: Sequence[CandidateFit], base: CandidateFit, scale: thresholds.Scale
+) -> CandidateFit | None:
     """The best attempt that matters, or a simpler one of its family that does as well."""
     for best in attempts:
         family = family_of(best.effects[-1].name)
@@ -179,14 +182,14 @@ def simplest(
     return None
 
 
-def _told(attempt: Attempt, simpler: Sequence[Attempt], base: Attempt) -> bool:
+def _told(attempt: CandidateFit, simpler: Sequence[CandidateFit], base: CandidateFit) -> bool:
     """Whether a member of a family closes enough for a name, and none of the simpler ones does."""
-    closed = max((closure(base.rank_J, a.rank_J) for a in simpler), default=1.0)
-    reached = closure(base.rank_J, attempt.rank_J)
+    closed = max((explained_fraction(base.rank_J, a.rank_J) for a in simpler), default=1.0)
+    reached = explained_fraction(base.rank_J, attempt.rank_J)
     return closed < thresholds.CLOSURE and reached >= thresholds.CLOSURE_OF_MUCH
 
 
-def fullest(taken: Attempt, attempts: Sequence[Attempt]) -> Attempt:
+def select_flexible(taken: CandidateFit, attempts: Sequence[CandidateFit]) -> CandidateFit:
     """The member of an attempt's family to look further from: the one that leaves least.
 
     What the law named leaves for being simple would be taken for something else, or hide it: dry
@@ -197,7 +200,7 @@ def fullest(taken: Attempt, attempts: Sequence[Attempt]) -> Attempt:
     return min(fuller, key=lambda a: a.fit_J, default=taken)
 
 
-def at_bound(attempt: Attempt, effect: type[Effect]) -> bool:
+def at_bound(attempt: CandidateFit, effect: type[Effect]) -> bool:
     """Whether an effect is the most it can be: then it stands for something else.
 
     Its size is, or a wave over the angle is as long as may be, which then is no ripple.
@@ -212,23 +215,30 @@ def at_bound(attempt: Attempt, effect: type[Effect]) -> bool:
     return False
 
 
-def _well(simpler: Attempt, other: Attempt, base: Attempt, scale: thresholds.Scale) -> bool:
+def _well(
+    simpler: CandidateFit, other: CandidateFit, base: CandidateFit, scale: thresholds.Scale
+) -> bool:
     """Whether a member of a family that is more than the first of it does well enough.
 
     It does not where another closes what it leaves as surely as one effect more would have to.
     """
     effect = simpler.effects[-1]
     incomplete = math.sqrt(simpler.rank_J) > thresholds.INCOMPLETE
-    if incomplete and closure(simpler.rank_J, other.rank_J) >= thresholds.CLOSURE_OF_MUCH:
+    if (
+        incomplete
+        and explained_fraction(simpler.rank_J, other.rank_J) >= thresholds.CLOSURE_OF_MUCH
+    ):
         return False
     return (
         family_of(effect.name)[0] != effect.name
         and thresholds.large_enough(effect, simpler.values, scale)
-        and closure(base.rank_J, simpler.rank_J) >= thresholds.WELL
+        and explained_fraction(base.rank_J, simpler.rank_J) >= thresholds.WELL
     )
 
 
-def _will_do(simpler: Sequence[Attempt], other: Attempt, scale: thresholds.Scale) -> bool:
+def _will_do(
+    simpler: Sequence[CandidateFit], other: CandidateFit, scale: thresholds.Scale
+) -> bool:
     """Whether the last of a family's simpler members need not give way to another.
 
     A law that is not quite the machine's leaves what any other takes off that is free to bend
@@ -242,13 +252,13 @@ def _will_do(simpler: Sequence[Attempt], other: Attempt, scale: thresholds.Scale
     return shows or not _gapes(simpler[0]) or _likelier(other, last) < thresholds.LIKELIER
 
 
-def _likelier(one: Attempt, other: Attempt) -> float:
+def _likelier(one: CandidateFit, other: CandidateFit) -> float:
     """Standard errors, over both splits, by which one model's squares are below the other's."""
     gained = other.squares - one.squares, other.fit_squares - one.fit_squares
     return _errors(np.concatenate(gained))
 
 
-def _as_good(simpler: Attempt, other: Attempt) -> bool:
+def _as_good(simpler: CandidateFit, other: CandidateFit) -> bool:
     """Whether a simpler model leaves hardly more."""
     return (
         simpler.rank_J <= thresholds.SIMPLER * other.rank_J
@@ -256,17 +266,20 @@ def _as_good(simpler: Attempt, other: Attempt) -> bool:
     )
 
 
-def tied(
-    before: Attempt, best: Attempt, attempts: Sequence[Attempt], scale: thresholds.Scale
+def indistinguishable(
+    before: CandidateFit,
+    best: CandidateFit,
+    attempts: Sequence[CandidateFit],
+    scale: thresholds.Scale,
 ) -> tuple[str, ...]:
     """Slugs of other families that the records cannot tell from the best."""
-    reached = closure(before.rank_J, best.rank_J)
+    reached = explained_fraction(before.rank_J, best.rank_J)
     return tuple(
         a.effects[-1].name
         for a in attempts
         if a.effects[-1].name not in family_of(best.effects[-1].name)
-        and closure(before.rank_J, a.rank_J) > reached - thresholds.TIE
+        and explained_fraction(before.rank_J, a.rank_J) > reached - thresholds.TIE
         and a.rank_J <= thresholds.ALIKE * max(best.rank_J, 1.0)
-        and not told_apart(best, a)
+        and not is_significantly_better(best, a)
         and thresholds.large_enough(a.effects[-1], a.values, scale)
     )

@@ -8,14 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estune.core.quantities import FloatArray
-from plants.diagnosis.data.measured_record import Measurement
-from plants.diagnosis.data.noise_floor import Floor
-from plants.diagnosis.models.diagnosed_model import Diagnosed
+from plants.diagnosis.data.measured_record import MeasuredRecord
+from plants.diagnosis.data.noise_floor import NoiseFloor
+from plants.diagnosis.models.diagnosed_model import DiagnosedModel
 from plants.diagnosis.prediction.prediction import Prediction, Predictor
 from plants.diagnosis.search import thresholds
 from plants.diagnosis.search.cable_block import Blocks, CableBlock, pull_N_rad
-from plants.diagnosis.search.data_splits import FIT, RANK, REPORT, Dealt, deal
-from plants.diagnosis.search.fit import Fitted, fit, settled, switched_on
+from plants.diagnosis.search.data_splits import FIT, RANK, REPORT, DataSplit, split_data
+from plants.diagnosis.search.fit import WhitenedFit, fit, settled, switched_on
 from plants.effects import Effect, Port
 
 SHIFTS = np.array([0.0, *(sign * 3.0**n for n in range(6) for sign in (-1, 1))])
@@ -33,7 +33,7 @@ Numbers = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Attempt:
+class CandidateFit:
     """A model with effects, fitted on the fit split.
 
     Attributes:
@@ -48,7 +48,7 @@ class Attempt:
     """
 
     effects: Effects
-    fitted: Fitted
+    fitted: WhitenedFit
     fit_J: float
     rank_J: float
     squares: FloatArray
@@ -62,7 +62,7 @@ class Attempt:
         return self.fitted.predictor.values(self.fitted.values)
 
 
-class Bench:
+class ModelFitter:
     """Fits models with effects to the records, and judges them on the other splits.
 
     Attributes:
@@ -74,16 +74,16 @@ class Bench:
     """
 
     def __init__(
-        self, model: Diagnosed, measurements: Sequence[Measurement], floor: Floor
+        self, model: DiagnosedModel, measurements: Sequence[MeasuredRecord], floor: NoiseFloor
     ) -> None:
         self.model, self.measurements, self.floor = model, tuple(measurements), floor
         self._predictors: dict[Effects, Predictor] = {}
         self.base = self.predictor(())
-        self.dealt: Dealt = deal(measurements, self.base.index)
-        self.entries = {FIT: self.dealt.where(FIT)}
+        self.split: DataSplit = split_data(measurements, self.base.index)
+        self.entries = {FIT: self.split.where(FIT)}
         for split, before in ((RANK, (FIT,)), (REPORT, (FIT, RANK))):
-            own = self.dealt.where(split)
-            self.entries[split] = own if own.size else self.dealt.where(*before)
+            own = self.split.where(split)
+            self.entries[split] = own if own.size else self.split.where(*before)
 
     @property
     def scale(self) -> thresholds.Scale:
@@ -129,7 +129,7 @@ class Bench:
         starts: FloatArray,
         rounds: int = 15,
         owners: frozenset[str] | None = None,
-    ) -> Attempt:
+    ) -> CandidateFit:
         """The best fit of a model from several starts.
 
         Args:
@@ -249,7 +249,7 @@ class Bench:
         rows[:, columns] += TURNS[best[:, np.searchsorted(found, records)]] * period[:, None]
         return rows
 
-    def further(self, attempt: Attempt, rounds: int = 15) -> Attempt:
+    def refine(self, attempt: CandidateFit, rounds: int = 15) -> CandidateFit:
         """The same, fitted to the end, or for some rounds."""
         f = attempt.fitted
         if f.converged:
@@ -258,31 +258,31 @@ class Bench:
             attempt.effects, fit(f.predictor, f.values, f.moved, self.entries[FIT], rounds)
         )
 
-    def _judged(self, effects: Effects, found: Fitted) -> Attempt:
+    def _judged(self, effects: Effects, found: WhitenedFit) -> CandidateFit:
         held = self.settled(found, RANK)
-        return Attempt(
+        return CandidateFit(
             *(effects, found, found.mean_square, held.mean_square),
             *(self._squares(held), self._squares(found)),
             *(Blocks.of(self.cable_block(at), at.residuals) for at in (found, held)),
         )
 
-    def _squares(self, found: Fitted) -> FloatArray:
+    def _squares(self, found: WhitenedFit) -> FloatArray:
         """Sum of squares, block by block."""
-        _, block = np.unique(self.dealt.group[found.entries], return_inverse=True)
+        _, block = np.unique(self.split.group[found.entries], return_inverse=True)
         squares: FloatArray = np.bincount(block, found.residuals**2).astype(np.float64)
         return squares
 
-    def cable_block(self, found: Fitted) -> CableBlock | None:
+    def cable_block(self, found: WhitenedFit) -> CableBlock | None:
         """The cable and gauge block of the entries of a fit; None without gauge or encoder."""
         values = found.predictor.values(found.values)
         pull = pull_N_rad(self.model.calibrated(values), self.measurements)
         return CableBlock.of(found.predictor.index, found.entries, pull)
 
-    def settled(self, found: Fitted, split: int) -> Fitted:
+    def settled(self, found: WhitenedFit, split: int) -> WhitenedFit:
         """A fit held against a split, the held-out records' own values fitted to it."""
         predictor, entries = found.predictor, self.entries[split]
         moves = self._own(predictor, split)
-        own = entries[np.isin(predictor.index.measurement[entries], list(self.dealt.records))]
+        own = entries[np.isin(predictor.index.measurement[entries], list(self.split.records))]
         if moves.size:
             rows = found.values[None, :]
             for _ in range(PLACINGS):
@@ -292,10 +292,10 @@ class Bench:
             found = replace(found, values=rows[0])
         return settled(found, moves, own, entries)
 
-    def final(self, attempt: Attempt) -> Fitted:
+    def final(self, attempt: CandidateFit) -> WhitenedFit:
         """The same model fitted to the fit and the rank split together."""
         predictor = attempt.fitted.predictor
-        entries = self.dealt.where(FIT, RANK)
+        entries = self.split.where(FIT, RANK)
         moves = np.union1d(attempt.fitted.moved, self._own(predictor, RANK))
         return fit(predictor, self.settled(attempt.fitted, RANK).values, moves, entries)
 
@@ -303,7 +303,7 @@ class Bench:
         """The effects a predictor adds."""
         return next(e for e, p in self._predictors.items() if p is predictor)
 
-    def free_run(self, fitted: Fitted) -> list[Prediction]:
+    def free_run(self, fitted: WhitenedFit) -> list[Prediction]:
         """Each record from its start, with nothing put right on the way."""
         effects = self.effects_of(fitted.predictor)
         values = fitted.predictor.values(self.settled(fitted, REPORT).values)
@@ -323,7 +323,7 @@ class Bench:
     def _own(self, predictor: Predictor, split: int) -> Numbers:
         """Numbers of the values that belong to held-out records of a split."""
         measured = set(np.unique(predictor.index.measurement[self.entries[split]]).tolist())
-        wanted = measured & self.dealt.records
+        wanted = measured & self.split.records
         return np.array(
             [n for n, f in enumerate(predictor.free) if _record(f.owner) in wanted], dtype=np.int64
         )

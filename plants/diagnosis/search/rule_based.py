@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estune.core.quantities import FloatArray
-from plants.diagnosis.data.measured_record import Measurement
+from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.data.noise_floor import Noise
 from plants.diagnosis.report.diagnosis import Interval
 
@@ -41,7 +41,7 @@ AUDIBLE = 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Hum:
+class MainsLine:
     """A sine of the mains frequency in the gauge's readings.
 
     Attributes:
@@ -55,7 +55,7 @@ class Hum:
     amplitude_N: Interval
     frequency_Hz: Interval
     phase_rad: Interval
-    measurements: tuple[Measurement, ...]
+    measurements: tuple[MeasuredRecord, ...]
 
 
 def coarse_step_N(noise: Noise) -> float | None:
@@ -70,12 +70,12 @@ def coarse_step_N(noise: Noise) -> float | None:
     return noise.lsb if noise.lsb > COARSE * rest else None
 
 
-def find_hum(
-    measurements: Sequence[Measurement],
+def find_mains_interference(
+    measurements: Sequence[MeasuredRecord],
     predicted: Sequence[FloatArray | None],
     seen: Sequence[NDArray[np.bool_]],
     noise_N: float,
-) -> Hum | None:
+) -> MainsLine | None:
     """Looks for hum in what a model leaves of the gauge's readings.
 
     Args:
@@ -154,12 +154,12 @@ def _peak(lines: Sequence[_Line], about_Hz: float, longest_s: float) -> tuple[fl
 
 
 def _hum(
-    measurements: Sequence[Measurement],
+    measurements: Sequence[MeasuredRecord],
     lines: Sequence[_Line],
     frequency_Hz: float,
     longest_s: float,
     noise_N: float,
-) -> Hum | None:
+) -> MainsLine | None:
     waves = {line.number: line.wave(frequency_Hz) for line in lines}
     sizes = np.array([math.hypot(*w) for w in waves.values()])
     middle = float(np.median(sizes))
@@ -184,7 +184,7 @@ def _hum(
                 m = cleaned[line.number]
                 wave = math.hypot(sine, cosine), order * frequency_Hz, math.atan2(cosine, sine)
                 cleaned[line.number] = _without(m, *wave)
-    return Hum(
+    return MainsLine(
         Interval(amplitude, amplitude - spread, amplitude + spread, "N"),
         Interval(
             frequency_Hz, frequency_Hz - 0.15 / longest_s, frequency_Hz + 0.15 / longest_s, "Hz"
@@ -195,8 +195,8 @@ def _hum(
 
 
 def _without(
-    m: Measurement, amplitude_N: float, frequency_Hz: float, phase_rad: float
-) -> Measurement:
+    m: MeasuredRecord, amplitude_N: float, frequency_Hz: float, phase_rad: float
+) -> MeasuredRecord:
     assert m.tension_N is not None  # noqa: S101  only records with a gauge have a line
     wave = np.sin(2.0 * math.pi * frequency_Hz * m.time_s + phase_rad)
     return replace(m, tension_N=m.tension_N - amplitude_N * wave)

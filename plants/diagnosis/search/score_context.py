@@ -11,11 +11,11 @@ from estune.core.quantities import FloatArray
 from plants.diagnosis.search.cable_block import CableBlock
 
 Numbers = NDArray[np.int64]
-Suggest = Callable[[str], Sequence[float]]
+InitialGuesses = Callable[[str], Sequence[float]]
 """From `slug.parameter` to the values to begin with that the data suggest, often none."""
 
 
-class Background(NamedTuple):
+class ScoreContext(NamedTuple):
     """What directions are compared with.
 
     Attributes:
@@ -35,7 +35,7 @@ class Background(NamedTuple):
     entries: Numbers
     lowest_Hz: float
     highest_Hz: float
-    suggest: Suggest
+    suggest: InitialGuesses
     block: CableBlock | None = None
 
     @property
@@ -47,14 +47,14 @@ class Background(NamedTuple):
         """What is looked at of residuals of the entries, shape (..., screened)."""
         return residuals if self.block is None else self.block.left(residuals)
 
-    def against(self, changes: FloatArray) -> "Products":
+    def projected_products(self, changes: FloatArray) -> "NormalEquations":
         """The products of changes that tell what they explain.
 
         Args:
             changes: Changes of the residuals, shape (changes, screened).
         """
         undone = changes @ self.basis.T
-        return Products(
+        return NormalEquations(
             changes @ changes.T - undone @ undone.T,
             -(changes @ self.residual),
             float(self.residual @ self.residual),
@@ -62,7 +62,7 @@ class Background(NamedTuple):
         )
 
 
-class Products(NamedTuple):
+class NormalEquations(NamedTuple):
     """Changes of the residuals, less what calibrations can undo, by their products.
 
     Attributes:
@@ -83,7 +83,7 @@ class Products(NamedTuple):
         found: FloatArray = np.sqrt(np.maximum(np.diag(self.normal), 0.0) / self.entries)
         return found
 
-    def of(self, some: slice) -> "Products":
+    def of(self, some: slice) -> "NormalEquations":
         """Those of some of the changes."""
         return self._replace(normal=self.normal[some, some], pull=self.pull[some])
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from estune.core.quantities import FloatArray
 from plants.diagnosis.prediction.prediction import Predictor
-from plants.diagnosis.search.score_context import Background
+from plants.diagnosis.search.score_context import ScoreContext
 from plants.effects import Effect
 
 DECADES = np.arange(-2.5, 3.5, 0.5)
@@ -49,7 +49,7 @@ ACTING = 1e-3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Screened:
+class ScreeningResult:
     """An effect's direction.
 
     Attributes:
@@ -72,7 +72,9 @@ class Screened:
     reach: float
 
 
-def screen(effect: type[Effect], predictor: Predictor, seen: Sequence[Background]) -> Screened:
+def screen(
+    effect: type[Effect], predictor: Predictor, seen: Sequence[ScoreContext]
+) -> ScreeningResult:
     """An effect's direction along the residual.
 
     Args:
@@ -97,7 +99,7 @@ class _Way(NamedTuple):
 class _Probe:
     """One effect switched on in several ways at the values of the fit without it."""
 
-    def __init__(self, effect: type[Effect], predictor: Predictor, seen: Background) -> None:
+    def __init__(self, effect: type[Effect], predictor: Predictor, seen: ScoreContext) -> None:
         place = {f.name: n for n, f in enumerate(predictor.free)}
         self.effect, self.predictor, self.seen = effect, predictor, seen
         self.declared = effect.parameters()
@@ -112,14 +114,14 @@ class _Probe:
             self.off[self.column[name]] = self.declared[name].neutral
         self.here = seen.shown(predictor.residuals(self.off[None, :], seen.entries))[0]
 
-    def screened(self) -> Screened:
+    def screened(self) -> ScreeningResult:
         """The best of all the ways."""
         ways, reach = self._limits() if is_limit(self.effect) else self._amplitudes()
         ways.sort(key=lambda way: -way.share)
         most = STARTS + len(self.phases)  # a period is soon lost
         starts = np.array([way.start for way in self._apart(ways)[:most]])
         best = ways[0]
-        return Screened(
+        return ScreeningResult(
             *(self.effect, self.predictor, starts, self._grids()),
             *(best.share, best.changes, reach),
         )
@@ -146,7 +148,7 @@ class _Probe:
         p = self.declared[name]
         nothing = [_Way(0.0, self.off.copy(), np.zeros((1, self.here.size)))]
         levels = np.geomspace(p.low, p.high, LEVELS)
-        change = self.seen.against(self._changes(self._rows(name, levels))).rms
+        change = self.seen.projected_products(self._changes(self._rows(name, levels))).rms
         acting = np.flatnonzero(change > ACTING)
         if not acting.size:
             return nothing, 0.0
@@ -156,7 +158,7 @@ class _Probe:
         bottom = int(enough[-1]) if enough.size else int(acting[0])
         rows = self._rows(name, np.geomspace(levels[bottom], levels[top], LEVELS))
         changes = self._changes(rows)
-        products = self.seen.against(changes)
+        products = self.seen.projected_products(changes)
         ways = []
         for n in np.flatnonzero(products.rms > ACTING).tolist():
             share, weights = products.of(slice(n, n + 1)).explained(only_up=True)
@@ -181,7 +183,7 @@ class _Probe:
         if self.loose:
             found = [self._turned(changes[block]) for block in blocks]
         else:
-            all_ = self.seen.against(changes)
+            all_ = self.seen.projected_products(changes)
             found = [
                 all_.of(block).explained(only_up=self._only_up(tried))
                 for block, (tried, _) in zip(blocks, combinations, strict=True)
@@ -206,7 +208,7 @@ class _Probe:
         record = self.predictor.index.measurement[self.seen.entries]
         records = np.unique(record)
         apart = changes[:, None, :] * (record == records[:, None])
-        products = self.seen.against(apart.reshape(-1, record.size))
+        products = self.seen.projected_products(apart.reshape(-1, record.size))
         share, weights = products.explained(only_up=False)
         size2 = np.sum(weights.reshape(2, -1) ** 2, axis=0)
         # As much as a record shows of it.
@@ -228,7 +230,9 @@ class _Probe:
             different, place = np.unique(values[name], return_inverse=True)
             places.append(sum(len(r) for r in rows) + place)
             rows.append(self._rows(name, different))
-        change = self.seen.against(self._changes(np.concatenate(rows))).rms[np.array(places)]
+        change = self.seen.projected_products(self._changes(np.concatenate(rows))).rms[
+            np.array(places)
+        ]
         reach = float(change[:, DECADES == 0.0].max())
         sizes: list[dict[str, float]] = []
         for share in MOVED:

@@ -5,9 +5,9 @@ from dataclasses import replace
 
 from plants.diagnosis.search.cable_block import block_of
 from plants.diagnosis.search.model_comparison import family_of, open_block
-from plants.diagnosis.search.model_fitter import Attempt, Bench, Numbers
-from plants.diagnosis.search.score_context import Background, Suggest, orthonormal
-from plants.diagnosis.search.score_test import Screened, screen
+from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter, Numbers
+from plants.diagnosis.search.score_context import InitialGuesses, ScoreContext, orthonormal
+from plants.diagnosis.search.score_test import ScreeningResult, screen
 from plants.effects import Effect
 
 SCREENED = 12_000
@@ -16,20 +16,20 @@ TWICE = 10
 """Further effects whose direction is looked at once more beside those there are."""
 
 
-def all_screened(
-    bench: Bench, effects: Sequence[type[Effect]], seen: Sequence[Background]
-) -> dict[str, Screened]:
+def screen_effects(
+    bench: ModelFitter, effects: Sequence[type[Effect]], seen: Sequence[ScoreContext]
+) -> dict[str, ScreeningResult]:
     """Each effect's direction, by slug."""
     return {e.name: screen(e, bench.predictor((e,)), seen) for e in effects}
 
 
 def screened_further(
-    bench: Bench,
+    bench: ModelFitter,
     effects: Sequence[type[Effect]],
-    seen: Sequence[Background],
-    current: Attempt,
-    suggest: Suggest,
-) -> dict[str, Screened]:
+    seen: Sequence[ScoreContext],
+    current: CandidateFit,
+    suggest: InitialGuesses,
+) -> dict[str, ScreeningResult]:
     """Each further effect's direction, by slug; those of a block without one in that alone.
 
     All are looked at alone first, which is soon worked out; then the most promising beside the
@@ -39,33 +39,33 @@ def screened_further(
     cable = open_block(current) == "cable"
     block = [background(bench, current, suggest, cable=True)] if cable else seen
 
-    def looked(e: type[Effect], beside: tuple[type[Effect], ...]) -> Screened:
+    def looked(e: type[Effect], beside: tuple[type[Effect], ...]) -> ScreeningResult:
         places = block if cable and block_of(e) == "cable" else seen
         return screen(e, bench.predictor((*beside, e)), places)
 
     # It rings with what drives it, and friction damps it.
-    found = {e.name: looked(e, current.effects if rings(e) else ()) for e in effects}
+    found = {e.name: looked(e, current.effects if has_resonance(e) else ()) for e in effects}
     further = [e for e in effects if e.name not in there]
     further.sort(key=lambda e: -found[e.name].cosine2)
     for e in further[:TWICE]:
-        if not rings(e):
+        if not has_resonance(e):
             found[e.name] = looked(e, current.effects)
     return found
 
 
-def rings(effect: type[Effect]) -> bool:
+def has_resonance(effect: type[Effect]) -> bool:
     """Whether an effect has a frequency of its own."""
     return any(p.unit == "Hz" for p in effect.parameters().values())
 
 
 def background(
-    bench: Bench,
-    attempt: Attempt,
-    suggest: Suggest,
+    bench: ModelFitter,
+    attempt: CandidateFit,
+    suggest: InitialGuesses,
     moves: Numbers | None = None,
     *,
     cable: bool = False,
-) -> Background:
+) -> ScoreContext:
     """What directions are compared with, at a fit.
 
     Args:
@@ -86,7 +86,7 @@ def background(
     if block is not None:
         residual, slope = block.left(residual), block.left(slope)
     basis = orthonormal(slope)
-    return Background(
+    return ScoreContext(
         values=attempt.values,
         residual=residual - (basis @ residual) @ basis,
         basis=basis,

@@ -4,42 +4,42 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from plants.diagnosis.search import thresholds
-from plants.diagnosis.search.alternative_laws import beaten_by, is_closed
+from plants.diagnosis.search.alternative_laws import better_alternative, is_closed
 from plants.diagnosis.search.cable_block import block_of
 from plants.diagnosis.search.candidate_fits import (
-    bends,
+    coarse_fit,
     finished,
+    fit_added_effect,
+    may_be_nonlinear,
     reduced,
-    roughly,
-    with_one_more,
 )
 from plants.diagnosis.search.model_comparison import (
     at_bound,
-    closure,
-    does,
+    explained_fraction,
     family_of,
-    fullest,
+    indistinguishable,
+    is_sufficient,
     leaves_a_gap,
     open_block,
-    simplest,
-    tied,
+    select_flexible,
+    select_parsimonious,
     worth_adding,
     worth_adding_there,
 )
-from plants.diagnosis.search.model_fitter import Attempt, Bench
-from plants.diagnosis.search.score_context import Background, Suggest
-from plants.diagnosis.search.score_test import Screened, screen
+from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter
+from plants.diagnosis.search.score_context import InitialGuesses, ScoreContext
+from plants.diagnosis.search.score_test import ScreeningResult, screen
 from plants.diagnosis.search.screening import (
-    all_screened,
     background,
-    rings,
+    has_resonance,
+    screen_effects,
     screened_further,
 )
 from plants.effects import Effect
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Round:
+class SearchRound:
     """One round of the search.
 
     Attributes:
@@ -51,16 +51,16 @@ class Round:
         rivals: Titles of laws without a name that did better than a named one, by its slug.
     """
 
-    before: Attempt
+    before: CandidateFit
     screened: Mapping[str, float]
-    attempts: tuple[Attempt, ...]
-    taken: Attempt
+    attempts: tuple[CandidateFit, ...]
+    taken: CandidateFit
     tied: tuple[str, ...] = ()
     rivals: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Found:
+class SearchResult:
     """What the search found.
 
     Attributes:
@@ -70,20 +70,23 @@ class Found:
         stages: The models with one effect after the other, of all that were worth adding.
     """
 
-    base: Attempt
-    rounds: tuple[Round, ...]
-    screened: Mapping[str, Screened]
-    stages: tuple[Attempt, ...]
+    base: CandidateFit
+    rounds: tuple[SearchRound, ...]
+    screened: Mapping[str, ScreeningResult]
+    stages: tuple[CandidateFit, ...]
 
     @property
-    def best(self) -> Attempt:
+    def best(self) -> CandidateFit:
         """The model with all effects that were worth adding."""
         return self.stages[-1] if self.stages else self.base
 
 
 def search(
-    bench: Bench, base: Attempt, effects: Sequence[type[Effect]], suggest: Suggest
-) -> Found:
+    bench: ModelFitter,
+    base: CandidateFit,
+    effects: Sequence[type[Effect]],
+    suggest: InitialGuesses,
+) -> SearchResult:
     """Looks for the effects that are missing, one after the other.
 
     Args:
@@ -99,8 +102,8 @@ def search(
         there = background(bench, given, suggest, bench.moves(bench.base))
         # Where calibrations had to move far for good, the model as given is no place to look from.
         seen = [there] if given.fit_J < thresholds.NEAR * base.fit_J else [*seen, there]
-    first = all_screened(bench, effects, seen)
-    rounds: list[Round] = []
+    first = screen_effects(bench, effects, seen)
+    rounds: list[SearchRound] = []
     current = base
     while len(rounds) < thresholds.DEEPEST:
         looked = first
@@ -110,7 +113,7 @@ def search(
             seen = [background(bench, current, recalled)]
             looked = screened_further(bench, effects, seen, current, recalled)
         one = _round(bench, base, current, looked, seen)
-        again = _gone_on(bench, base, one)
+        again = _refit_without_last(bench, base, one)
         if again is not None:
             if rounds[-1].taken is current:
                 rounds[-1] = _ended(rounds[-1], again)
@@ -119,17 +122,17 @@ def search(
         rounds.append(one)
         if one.taken is current:
             break
-        current = fullest(one.taken, one.attempts)
+        current = select_flexible(one.taken, one.attempts)
     if current.effects and len(current.effects) < thresholds.DEEPEST:
         rounds += _mode_beside(bench, current, effects, suggest)
     if current is base and rounds:
         rounds = [*_pair(bench, base, rounds[0], effects, suggest)] or rounds
-    kept = _without_needless(bench, base, rounds)
+    kept = _drop_redundant(bench, base, rounds)
     stages = tuple(one.taken for one in kept if one.taken is not one.before)
-    return Found(base, kept, first, _families_again(bench, base, first, stages))
+    return SearchResult(base, kept, first, _families_again(bench, base, first, stages))
 
 
-def _recalled(suggest: Suggest, attempts: Sequence[Attempt]) -> Suggest:
+def _recalled(suggest: InitialGuesses, attempts: Sequence[CandidateFit]) -> InitialGuesses:
     """What the data suggest, and the frequencies that effects were fitted with as the first one.
 
     A narrow resonance lies between those that are tried, and its line shows less beside what is
@@ -146,8 +149,11 @@ def _recalled(suggest: Suggest, attempts: Sequence[Attempt]) -> Suggest:
 
 
 def _families_again(
-    bench: Bench, base: Attempt, screened: Mapping[str, Screened], stages: tuple[Attempt, ...]
-) -> tuple[Attempt, ...]:
+    bench: ModelFitter,
+    base: CandidateFit,
+    screened: Mapping[str, ScreeningResult],
+    stages: tuple[CandidateFit, ...],
+) -> tuple[CandidateFit, ...]:
     """The stages with each family's member chosen again where more was added after it.
 
     What was missing then bent the law: its member was chosen under what others explain now. A law
@@ -163,9 +169,9 @@ def _families_again(
         held = _from(bench, rest, best, rounds=0)
         attempts = [_from(bench, (*rest, effect), best)]
         for one in family:  # its own, too: the others' fits may lead where it has not been
-            attempts.append(with_one_more(bench, held, one, attempts))
+            attempts.append(fit_added_effect(bench, held, one, attempts))
         attempts = finished(bench, base, reduced(bench, attempts))
-        again = simplest(attempts, held, bench.scale)
+        again = select_parsimonious(attempts, held, bench.scale)
         if again is None:
             continue
         better = max(again.rank_J - best.rank_J, again.fit_J - best.fit_J) < 0.0
@@ -175,14 +181,16 @@ def _families_again(
 
 
 def _from(
-    bench: Bench, effects: tuple[type[Effect], ...], best: Attempt, rounds: int = 15
-) -> Attempt:
+    bench: ModelFitter, effects: tuple[type[Effect], ...], best: CandidateFit, rounds: int = 15
+) -> CandidateFit:
     """A model with some of another's effects, fitted from its values."""
     row = bench.predictor(effects).row(best.values)
     return bench.attempt(effects, row[None, :], rounds)
 
 
-def _gone_on(bench: Bench, base: Attempt, one: Round) -> Attempt | None:
+def _refit_without_last(
+    bench: ModelFitter, base: CandidateFit, one: SearchRound
+) -> CandidateFit | None:
     """The model before a round, fitted on from where the effect added led.
 
     A fit that was stuck goes on when one more value moves: what was added is not there.
@@ -198,13 +206,13 @@ def _gone_on(bench: Bench, base: Attempt, one: Round) -> Attempt | None:
     return again if stuck and not _is_worth(again, taken, base) else None
 
 
-def _ended(one: Round, taken: Attempt) -> Round:
+def _ended(one: SearchRound, taken: CandidateFit) -> SearchRound:
     """The same round with another fit of what it ended with."""
     attempts = tuple(taken if a is one.taken else a for a in one.attempts)
     return replace(one, attempts=attempts, taken=taken)
 
 
-def _is_worth(before: Attempt, after: Attempt, base: Attempt) -> bool:
+def _is_worth(before: CandidateFit, after: CandidateFit, base: CandidateFit) -> bool:
     """Whether the last effect of a model is worth adding to the others."""
     block = block_of(after.effects[-1])
     return worth_adding(before, after, base) or (
@@ -213,8 +221,12 @@ def _is_worth(before: Attempt, after: Attempt, base: Attempt) -> bool:
 
 
 def _pair(
-    bench: Bench, base: Attempt, first: Round, effects: Sequence[type[Effect]], suggest: Suggest
-) -> tuple[Round, ...]:
+    bench: ModelFitter,
+    base: CandidateFit,
+    first: SearchRound,
+    effects: Sequence[type[Effect]],
+    suggest: InitialGuesses,
+) -> tuple[SearchRound, ...]:
     """Two rounds, of effects that do together what neither does alone; none if there are none."""
     leading = [
         family_of(a.effects[-1].name) for a in sorted(first.attempts, key=lambda a: a.fit_J)
@@ -223,8 +235,8 @@ def _pair(
     for family in list(dict.fromkeys(leading))[: thresholds.LEADING]:
         members = [a for a in first.attempts if a.effects[-1].name in family]
         # The most it can be it may be for what else is missing: beside that it is less.
-        one = simplest(members, base, bench.scale) or members[0]
-        if closure(base.fit_J, one.fit_J) < thresholds.FIRST:
+        one = select_parsimonious(members, base, bench.scale) or members[0]
+        if explained_fraction(base.fit_J, one.fit_J) < thresholds.FIRST:
             continue
         seen = [background(bench, one, suggest)]
         looked = screened_further(bench, effects, seen, one, suggest)
@@ -239,8 +251,11 @@ def _pair(
 
 
 def _mode_beside(
-    bench: Bench, current: Attempt, effects: Sequence[type[Effect]], suggest: Suggest
-) -> list[Round]:
+    bench: ModelFitter,
+    current: CandidateFit,
+    effects: Sequence[type[Effect]],
+    suggest: InitialGuesses,
+) -> list[SearchRound]:
     """A round with a mode beside effects that leave no gap, or none.
 
     What rings fills a narrow band, which a mean over everything hides; its direction shows it.
@@ -251,38 +266,40 @@ def _mode_beside(
     further = {e.name: e for e in effects if e.name not in there}
     seen = [background(bench, current, suggest)]
 
-    def looked(e: type[Effect]) -> Screened:
+    def looked(e: type[Effect]) -> ScreeningResult:
         return screen(e, bench.predictor((*current.effects, e)), seen)
 
-    modes = {name: looked(e) for name, e in further.items() if rings(e)}
+    modes = {name: looked(e) for name, e in further.items() if has_resonance(e)}
     shown = [n for n, one in modes.items() if one.cosine2 >= 0.5 * thresholds.NARROW]
     wanted = {m for name in shown for m in family_of(name) if m in further}
-    attempts: list[Attempt] = []
+    attempts: list[CandidateFit] = []
     for name in sorted(wanted, key=lambda n: family_of(n).index(n)):
         one = modes[name] if name in modes else looked(further[name])
-        attempts.append(bench.further(with_one_more(bench, current, one, attempts)))
+        attempts.append(bench.refine(fit_added_effect(bench, current, one, attempts)))
     attempts.sort(key=lambda a: a.rank_J)
-    best = simplest(attempts, current, bench.scale)
-    if best is None or not rings(best.effects[-1]):
+    best = select_parsimonious(attempts, current, bench.scale)
+    if best is None or not has_resonance(best.effects[-1]):
         return []
     left = max(best.rank_J / current.rank_J, best.fit_J / current.fit_J)
     if left > 1.0 - thresholds.NARROW:
         return []
     shares = {name: one.cosine2 for name, one in modes.items()}
-    return [Round(current, shares, tuple(attempts), best)]
+    return [SearchRound(current, shares, tuple(attempts), best)]
 
 
-def _does_together(bench: Bench, base: Attempt, pair: Attempt) -> bool:
+def _does_together(bench: ModelFitter, base: CandidateFit, pair: CandidateFit) -> bool:
     """Whether two effects leave next to nothing, and the second alone does not."""
     splits = (base.fit_J, pair.fit_J), (base.rank_J, pair.rank_J)
     if max(after for _, after in splits) > thresholds.GAP**2:
         return False
-    if min(closure(*split) for split in splits) < thresholds.CLOSURE_OF_MUCH:
+    if min(explained_fraction(*split) for split in splits) < thresholds.CLOSURE_OF_MUCH:
         return False
     return worth_adding(_from(bench, pair.effects[1:], pair), pair, base)
 
 
-def _without_needless(bench: Bench, base: Attempt, rounds: list[Round]) -> tuple[Round, ...]:
+def _drop_redundant(
+    bench: ModelFitter, base: CandidateFit, rounds: list[SearchRound]
+) -> tuple[SearchRound, ...]:
     """The rounds without one whose effect a later one does as well: what was there was not it."""
     taken = [one for one in rounds if one.taken is not one.before]
     if len(taken) < thresholds.DEEPEST:
@@ -295,52 +312,56 @@ def _without_needless(bench: Bench, base: Attempt, rounds: list[Round]) -> tuple
 
 
 def _round(
-    bench: Bench,
-    base: Attempt,
-    current: Attempt,
-    screened: Mapping[str, Screened],
-    seen: Sequence[Background],
-) -> Round:
+    bench: ModelFitter,
+    base: CandidateFit,
+    current: CandidateFit,
+    screened: Mapping[str, ScreeningResult],
+    seen: Sequence[ScoreContext],
+) -> SearchRound:
     """Fits the most promising effects, and takes the best where it is worth adding."""
     there = {member for e in current.effects for member in family_of(e.name)}
     shares = {name: one.cosine2 for name, one in screened.items() if name not in there}
     if not leaves_a_gap(current):
-        return Round(current, shares, (), current)
+        return SearchRound(current, shares, (), current)
     many = thresholds.SHORTLIST_FURTHER if current.effects else thresholds.SHORTLIST
     promising = [n for n in sorted(shares, key=lambda n: -shares[n]) if shares[n] > 0.0][:many]
-    attempts: list[Attempt] = []
+    attempts: list[CandidateFit] = []
     for name in sorted(shares, key=lambda n: family_of(n).index(n)):
         if _is_tried(name, promising, current, attempts):
-            attempts.append(with_one_more(bench, current, screened[name], attempts))
+            attempts.append(fit_added_effect(bench, current, screened[name], attempts))
     attempts = finished(bench, base, reduced(bench, attempts))
-    best = simplest(attempts, current, bench.scale)
-    if not current.effects and (best is None or not does(base, best)):
-        again = [roughly(bench, one.effect) for one in screened.values() if bends(one)]
+    best = select_parsimonious(attempts, current, bench.scale)
+    if not current.effects and (best is None or not is_sufficient(base, best)):
+        again = [
+            coarse_fit(bench, one.effect) for one in screened.values() if may_be_nonlinear(one)
+        ]
         again += [
-            with_one_more(bench, current, screened[name], again)
+            fit_added_effect(bench, current, screened[name], again)
             for name, (source, _) in thresholds.INHERITED.items()
             if name in screened and source not in family_of(name)
         ]
         attempts = finished(bench, base, [*attempts, *again])
-        best = simplest(attempts, current, bench.scale)
+        best = select_parsimonious(attempts, current, bench.scale)
     if best is None or not worth_adding(current, best, base, attempts):
         best = _by_its_block(bench, current, attempts)
     if best is None:
-        return Round(current, shares, tuple(attempts), current)
+        return SearchRound(current, shares, tuple(attempts), current)
     # Further effects may have been looked at in their own block.
     share = 0.0 if current.effects else shares[best.effects[-1].name]
-    rival = beaten_by(bench, current, best, seen, share)
+    rival = better_alternative(bench, current, best, seen, share)
     if rival is not None:
         beaten = {best.effects[-1].name: rival}
-        return Round(current, shares, tuple(attempts), current, rivals=beaten)
-    return Round(current, shares, tuple(attempts), *_likeliest(bench, current, best, attempts))
+        return SearchRound(current, shares, tuple(attempts), current, rivals=beaten)
+    return SearchRound(
+        current, shares, tuple(attempts), *_likeliest(bench, current, best, attempts)
+    )
 
 
 def _likeliest(
-    bench: Bench, current: Attempt, best: Attempt, attempts: Sequence[Attempt]
-) -> tuple[Attempt, tuple[str, ...]]:
+    bench: ModelFitter, current: CandidateFit, best: CandidateFit, attempts: Sequence[CandidateFit]
+) -> tuple[CandidateFit, tuple[str, ...]]:
     """The best, or of those as good the first that an owner would not know of; the others."""
-    alike = tied(current, best, attempts, bench.scale)
+    alike = indistinguishable(current, best, attempts, bench.scale)
     rest = [a for a in attempts if a.effects[-1].name in alike]
     if best.effects[-1].name not in thresholds.KNOWN or not rest:
         return best, alike
@@ -348,7 +369,9 @@ def _likeliest(
     return rest[0], tuple(name if n == alike[0] else n for n in alike)
 
 
-def _by_its_block(bench: Bench, current: Attempt, attempts: Sequence[Attempt]) -> Attempt | None:
+def _by_its_block(
+    bench: ModelFitter, current: CandidateFit, attempts: Sequence[CandidateFit]
+) -> CandidateFit | None:
     """The effect that does the most in a block without one, if it is worth adding."""
     block = open_block(current)
     if block is None:
@@ -357,12 +380,12 @@ def _by_its_block(bench: Bench, current: Attempt, attempts: Sequence[Attempt]) -
         (a for a in attempts if block_of(a.effects[-1]) == block),
         key=lambda a: float(getattr(a.rank_blocks, block)),
     )
-    best = simplest(ranked, current, bench.scale)
+    best = select_parsimonious(ranked, current, bench.scale)
     return best if best is not None and worth_adding_there(current, best, block) else None
 
 
 def _is_tried(
-    name: str, promising: Sequence[str], current: Attempt, attempts: Sequence[Attempt]
+    name: str, promising: Sequence[str], current: CandidateFit, attempts: Sequence[CandidateFit]
 ) -> bool:
     """Whether an effect is fitted: its direction says so, or its family.
 
@@ -375,4 +398,4 @@ def _is_tried(
     if name == family[0]:
         return len(family) > 1 and not current.effects
     first = next((a for a in attempts if a.effects[-1].name == family[0]), None)
-    return first is not None and closure(current.fit_J, first.fit_J) > thresholds.FIRST
+    return first is not None and explained_fraction(current.fit_J, first.fit_J) > thresholds.FIRST

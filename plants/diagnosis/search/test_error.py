@@ -9,10 +9,10 @@ import numpy as np
 from plants.diagnosis.data.measured_record import OUTPUTS
 from plants.diagnosis.models.diagnosed_model import BASE
 from plants.diagnosis.prediction.prediction import CHANNELS, Predictor
-from plants.diagnosis.report.diagnosis import Calibration, Interval, Trace
+from plants.diagnosis.report.diagnosis import BaseParameter, Interval, Trace
 from plants.diagnosis.search.data_splits import REPORT
-from plants.diagnosis.search.fit import Fitted, covariance
-from plants.diagnosis.search.model_fitter import Bench
+from plants.diagnosis.search.fit import WhitenedFit, covariance
+from plants.diagnosis.search.model_fitter import ModelFitter
 
 UNITS = {"tension_N": "N", "angle_rad": "rad", "reference_N": "N", "current_A": "A"}
 
@@ -26,7 +26,7 @@ TAKEN_UP = 0.3
 a law cannot explain."""
 
 
-class Reported(NamedTuple):
+class TestError(NamedTuple):
     """How well one model does on the report split.
 
     Attributes:
@@ -43,7 +43,7 @@ class Reported(NamedTuple):
         return self.ratio * self.floor
 
 
-def reported(bench: Bench, fitted: Fitted) -> Reported:
+def reported(bench: ModelFitter, fitted: WhitenedFit) -> TestError:
     """The gap of a fit on the report split."""
     entries = bench.entries[REPORT]
     at = bench.settled(fitted, REPORT)
@@ -51,17 +51,17 @@ def reported(bench: Bench, fitted: Fitted) -> Reported:
     first = [CHANNELS.index(name) for name in OUTPUTS if UNITS[name] == bench.model.output]
     sigma = index.sigma[entries][np.isin(index.channel[entries], first)]
     floor = float(np.sqrt(np.mean(sigma**2))) if sigma.size else math.nan
-    return Reported(math.sqrt(at.mean_square), floor)
+    return TestError(math.sqrt(at.mean_square), floor)
 
 
-def intervals(bench: Bench, fitted: Fitted, base: Fitted) -> dict[str, Interval]:
+def intervals(bench: ModelFitter, fitted: WhitenedFit, base: WhitenedFit) -> dict[str, Interval]:
     """Values and 95 % confidence intervals of all that is shared by the records.
 
     Residuals are coloured, and those of one record err together: the covariance is the larger of
     those with blocks of time and with records as the groups that belong together.
     """
     index = fitted.predictor.index
-    blocks = covariance(fitted, bench.dealt.group[fitted.entries])
+    blocks = covariance(fitted, bench.split.group[fitted.entries])
     records = covariance(fitted, index.measurement[fitted.entries])
     variance = np.maximum(np.diag(blocks), np.diag(records))
     left = max(fitted.mean_square - 1.0, 0.0) / max(base.mean_square, 1e-300)
@@ -89,10 +89,12 @@ def calibrations(
     predictor: Predictor,
     base: Mapping[str, Interval],
     with_effects: Mapping[str, Interval],
-) -> tuple[Calibration, ...]:
+) -> tuple[BaseParameter, ...]:
     """The base model's numbers as given, as fitted, and as fitted with the effects."""
     return tuple(
-        Calibration(f.name, f.unit, f.start, base[f.name], with_effects.get(f.name, base[f.name]))
+        BaseParameter(
+            f.name, f.unit, f.start, base[f.name], with_effects.get(f.name, base[f.name])
+        )
         for f in predictor.free
         if f.owner == BASE and f.name in base
     )
@@ -112,7 +114,9 @@ class FreeRun(NamedTuple):
     rms_after: float
 
 
-def free_run(before: tuple[Bench, Fitted], after: tuple[Bench, Fitted]) -> FreeRun:
+def free_run(
+    before: tuple[ModelFitter, WhitenedFit], after: tuple[ModelFitter, WhitenedFit]
+) -> FreeRun:
     """Runs the records of the report split from their start, with nothing put right on the way.
 
     Args:
@@ -143,7 +147,7 @@ def free_run(before: tuple[Bench, Fitted], after: tuple[Bench, Fitted]) -> FreeR
     return FreeRun(tuple(traces), float(rms[0]), float(rms[1]))
 
 
-def main_channel(bench: Bench) -> str:
+def main_channel(bench: ModelFitter) -> str:
     """The first output that is measured."""
     measured = {name for m in bench.measurements for name in m.outputs}
     return next(n for n in OUTPUTS if n in measured and UNITS[n] == bench.model.output)

@@ -4,15 +4,15 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-from plants.diagnosis.report.diagnosis import Candidate, NamedEffect, Step, Verdict
+from plants.diagnosis.report.diagnosis import Candidate, NamedEffect, SearchStep, Verdict
 from plants.diagnosis.search import thresholds
-from plants.diagnosis.search.model_comparison import better, closure
-from plants.diagnosis.search.model_fitter import Attempt
-from plants.diagnosis.search.stepwise import Found
+from plants.diagnosis.search.model_comparison import explained_fraction, z_score
+from plants.diagnosis.search.model_fitter import CandidateFit
+from plants.diagnosis.search.stepwise import SearchResult
 from plants.effects import Effect
 
 
-class Judged(NamedTuple):
+class Conclusion(NamedTuple):
     """A verdict and what it rests on.
 
     Attributes:
@@ -23,12 +23,12 @@ class Judged(NamedTuple):
     """
 
     verdict: Verdict
-    best: Attempt
+    best: CandidateFit
     tied: tuple[str, ...] = ()
     like: str = ""
 
 
-def judge(found: Found) -> Judged:
+def conclude(found: SearchResult) -> Conclusion:
     """The verdict on what the search found, on the rank split.
 
     A name needs that most of the power above the floor is closed, or that what is left is the
@@ -40,17 +40,17 @@ def judge(found: Found) -> Judged:
         # What only one of the splits shows may be chance.
         nothing = math.sqrt(min(before.rank_J, before.fit_J)) <= thresholds.NOTHING
         like = next((title for one in found.rounds for title in one.rivals.values()), "")
-        return Judged("none", before) if nothing else Judged("unknown", before, like=like)
-    closed = closure(before.rank_J, best.rank_J)
+        return Conclusion("none", before) if nothing else Conclusion("unknown", before, like=like)
+    closed = explained_fraction(before.rank_J, best.rank_J)
     least = thresholds.CLOSURE if gap_after <= thresholds.GAP else thresholds.CLOSURE_OF_MUCH
     if closed < least and gap_after > thresholds.CLOSED:
-        return Judged("unknown", before)
+        return Conclusion("unknown", before)
     if len(best.effects) == 1 and found.rounds[0].tied:
-        return Judged("ambiguous", best, (best.effects[0].name, *found.rounds[0].tied))
-    return Judged("incomplete" if gap_after > thresholds.INCOMPLETE else "named", best)
+        return Conclusion("ambiguous", best, (best.effects[0].name, *found.rounds[0].tied))
+    return Conclusion("incomplete" if gap_after > thresholds.INCOMPLETE else "named", best)
 
 
-def candidates(found: Found) -> tuple[Candidate, ...]:
+def candidates(found: SearchResult) -> tuple[Candidate, ...]:
     """All effects tried as the first one, best first, each with why it was taken or ruled out."""
     if not found.rounds:
         return ()
@@ -59,7 +59,7 @@ def candidates(found: Found) -> tuple[Candidate, ...]:
     listed = []
     for a in first.attempts:
         effect = a.effects[-1]
-        closed = closure(before.rank_J, a.rank_J)
+        closed = explained_fraction(before.rank_J, a.rank_J)
         listed.append(
             Candidate(
                 effect.name,
@@ -88,9 +88,13 @@ def candidates(found: Found) -> tuple[Candidate, ...]:
 
 
 def _why(
-    effect: type[Effect], attempt: Attempt, before: Attempt, taken: Attempt, rival: str | None
+    effect: type[Effect],
+    attempt: CandidateFit,
+    before: CandidateFit,
+    taken: CandidateFit,
+    rival: str | None,
 ) -> str:
-    closed = _percent(max(closure(before.rank_J, attempt.rank_J), 0.0))
+    closed = _percent(max(explained_fraction(before.rank_J, attempt.rank_J), 0.0))
     what = f"{effect.title} closes {closed} of the gap on records it was not fitted to"
     if attempt is taken:
         return what
@@ -98,9 +102,9 @@ def _why(
         return f"{what}, but {rival} closes more"
     if taken is before:
         return f"{what}, too little for a name"
-    if better(attempt, taken) > 0.0:
+    if z_score(attempt, taken) > 0.0:
         return f"{what}, no more than {taken.effects[-1].title}, which is simpler, needs to"
-    reached = _percent(closure(before.rank_J, taken.rank_J))
+    reached = _percent(explained_fraction(before.rank_J, taken.rank_J))
     return f"{what}, {taken.effects[-1].title} closes {reached}"
 
 
@@ -111,7 +115,7 @@ def ruled_out(
     return tuple(f"{c.sentence}." for c in listed if c.name not in named and c.name not in tied)
 
 
-def not_excited(found: Found, reasons: Mapping[str, str]) -> dict[str, str]:
+def not_excited(found: SearchResult, reasons: Mapping[str, str]) -> dict[str, str]:
     """Effects that these records cannot show, with the reason.
 
     Args:
@@ -133,11 +137,11 @@ def _percent(share: float) -> str:
     return f"{100.0 * share:.0f} %"
 
 
-def overall(
+def verdict_sentence(
     verdict: Verdict,
-    judged: Judged,
+    judged: Conclusion,
     named: Sequence[NamedEffect],
-    steps: Sequence[Step],
+    steps: Sequence[SearchStep],
     unit: str,
 ) -> str:
     """The verdict in plain words; the unit is that of the gap."""

@@ -4,16 +4,16 @@ import math
 from collections.abc import Sequence
 
 from plants.diagnosis.search import thresholds
-from plants.diagnosis.search.model_comparison import told_apart
-from plants.diagnosis.search.model_fitter import Attempt, Bench
+from plants.diagnosis.search.model_comparison import is_significantly_better
+from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter
 from plants.effects import Effect
 
 NOBODY: frozenset[str] = frozenset()
 
 
-def one_wrong_number(
-    bench: Bench, base: Attempt, effects: Sequence[type[Effect]]
-) -> tuple[Attempt, Attempt] | None:
+def find_wrong_parameter(
+    bench: ModelFitter, base: CandidateFit, effects: Sequence[type[Effect]]
+) -> tuple[CandidateFit, CandidateFit] | None:
     """The one calibration that is wrong in the model as given, if one alone is.
 
     All calibrations are free in the base fit, so that none of them is ever missing after it. But
@@ -51,6 +51,6 @@ def one_wrong_number(
         if f.name != own:
             only = frozenset({f.name})
             other = bench.attempt((), bench.base.start[None, :], owners=only)
-            if other.rank_J <= most and not told_apart(best, other):
+            if other.rank_J <= most and not is_significantly_better(best, other):
                 return None
     return given, best
