@@ -42,7 +42,7 @@ class TrustRegion(NamedTuple):
         radius: Greatest distance from the centre.
         low: Lower bounds, shape (n,).
         high: Upper bounds.
-        dearest: Greatest logarithm of the cost that is safe.
+        log_cost_max: Greatest logarithm of the cost that is safe.
         margin: Least margin that is safe.
     """
 
@@ -51,7 +51,7 @@ class TrustRegion(NamedTuple):
     radius: float
     low: FloatArray
     high: FloatArray
-    dearest: float
+    log_cost_max: float
     margin: float
 
     def within(self, points: FloatArray) -> FloatArray:
@@ -68,7 +68,7 @@ class TrustRegion(NamedTuple):
 
     def constraint_violation(self, mean: FloatArray, spread: FloatArray) -> FloatArray:
         """By how much points pass what is safe, in doubt; zero where they do not."""
-        over = np.maximum(mean[:, 0] + DOUBT * spread - self.dearest, 0.0)
+        over = np.maximum(mean[:, 0] + DOUBT * spread - self.log_cost_max, 0.0)
         if mean.shape[1] > 1:
             over += np.maximum(self.margin - (mean[:, 1] - DOUBT * spread), 0.0)
         return over

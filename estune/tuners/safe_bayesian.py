@@ -99,8 +99,8 @@ class SafeBayesianTuner:
         space: What is tuned, on a logarithmic scale.
         first_radius: Size of the first design about the start, in logarithms for one parameter;
             it grows with the root of their number.
-        wide_reach: How far from the centre a trial may lie while the model is wide, in logarithms.
-        near_reach: The same once it is near.
+        global_radius: How far from the centre a trial may lie while the model is wide, in logarithms.
+        local_radius: The same once it is near.
         near_rise: By how much the cost may be expected to rise there, relative to it.
         wide_trials: Trials from which on the model is near, for each parameter.
         wide_curiosity: kappa while the model is wide.
@@ -112,7 +112,7 @@ class SafeBayesianTuner:
         near_safe_rise: The same once it is near: far from it the model then knows little.
         look_reach: How far it looks for what lies beyond a plateau, in logarithms.
         look_rise: By how much the cost may be expected to rise there, relative to it.
-        margin_least: Share of every limit that is to be left, 0 to 1.
+        constraint_margin_min: Share of every limit that is to be left, 0 to 1.
         memory: Trials that are kept; older ones are forgotten.
         name: What the tuner is called.
 
@@ -122,19 +122,19 @@ class SafeBayesianTuner:
 
     space: SearchSpace
     first_radius: float = 0.15
-    wide_reach: float = 0.65
-    near_reach: float = 0.5
+    global_radius: float = 0.65
+    local_radius: float = 0.5
     near_rise: float = 0.08
     wide_trials: int = 7
-    wide_curiosity: float = 2.2
-    near_curiosity: float = 2.5
-    last_curiosity: float = 5.0
+    global_exploration: float = 2.2
+    local_exploration: float = 2.5
+    final_exploration: float = 5.0
     safe_ratio: float = 1.3
     wide_safe_rise: float = 1.65
     near_safe_rise: float = 1.4
     look_reach: float = 1.0
     look_rise: float = 0.1
-    margin_least: float = 0.1
+    constraint_margin_min: float = 0.1
     memory: int = 400
     name: Literal["newton"] = "newton"
 
@@ -154,9 +154,9 @@ class SafeBayesianTuner:
             *("look_reach", "look_rise"),
         ):
             check_above_zero("newton", what, getattr(self, what))
-        if not 0.0 <= self.margin_least < 1.0:
+        if not 0.0 <= self.constraint_margin_min < 1.0:
             raise InvalidInput(
-                f"newton: margin_least is {self.margin_least}; it must lie from 0 to below 1"
+                f"newton: margin_least is {self.constraint_margin_min}; it must lie from 0 to below 1"
             )
         least = 4 * (len(self.space.names) + 1)
         if self.memory < least:
@@ -251,7 +251,7 @@ class SafeBayesianTuner:
         safe = [cost < UNSAFE for cost in state.costs]
         known = np.reshape(state.tried, (len(safe), place.size))[safe]
         known = np.concatenate((known, np.zeros_like(place)))  # the start is known to be safe
-        explored = bool(np.min(np.linalg.norm(known - place, axis=1)) <= self.near_reach)
+        explored = bool(np.min(np.linalg.norm(known - place, axis=1)) <= self.local_radius)
         if state.level is None:
             return CostPrediction(cost=math.nan, low=0.0, high=math.inf, explored=explored)
         model: Model = self._model(state)
@@ -275,10 +275,10 @@ class SafeBayesianTuner:
         smoothed = model.smoothed(values)
         best = int(np.argmin(smoothed))
         dearest = float(smoothed[best]) + math.log(self.wide_safe_rise)
-        reach = self._reach(points[best], state.caution * self.wide_reach, dearest)
+        reach = self._reach(points[best], state.caution * self.global_radius, dearest)
         first = points[best : best + 1]
         centre = minimise_confidence_bound(model, reach, first, 0.0, state.k)
-        asked = minimise_confidence_bound(model, reach, first, self.wide_curiosity, state.k)
+        asked = minimise_confidence_bound(model, reach, first, self.global_exploration, state.k)
         return state._replace(centre=tuple(centre.tolist()), proposal=self._point(asked))
 
     def _propose_local(self, state: SafeBayesianState) -> SafeBayesianState:
@@ -293,7 +293,7 @@ class SafeBayesianTuner:
         values = np.maximum(values, FLAT)
         rise = state.caution**2 * self.near_rise
         dearest = model.level + math.log(self.near_safe_rise)
-        reach = self._reach(model.centre, state.caution * self.near_reach, dearest)
+        reach = self._reach(model.centre, state.caution * self.local_radius, dearest)
         reach = reach._replace(axes=axes * np.sqrt(2.0 * rise / values))
         centre = reach.bounded(model.centre + newton_step(model.slope, values, axes, reach.radius))
         if model.coefficients.shape[1] > 1:  # a limit is near: the step must keep its distance
@@ -316,7 +316,7 @@ class SafeBayesianTuner:
             state, further = self._scan_plateau(state, model, reach)
             if further is not None:
                 return state._replace(proposal=self._point(further))
-        curiosity = self.last_curiosity if state.looks >= looks else self.near_curiosity
+        curiosity = self.final_exploration if state.looks >= looks else self.local_exploration
         asked = minimise_confidence_bound(model, reach, centre[np.newaxis], curiosity, state.k)
         return state._replace(proposal=self._point(asked))
 
@@ -345,7 +345,7 @@ class SafeBayesianTuner:
         if state.strides > 0:
             made, along = state.strides, state.looks - 1 - 2 * n
             point = next_scan_point(along, made, np.array(state.tried[-n:]), reach)
-            near_limit = state.margins[-1] < 2.0 * self.margin_least
+            near_limit = state.margins[-1] < 2.0 * self.constraint_margin_min
             ended = near_limit or self._strides(state, model).rose
             if point is not None and not ended and (made >= CAREFUL or may_be_flat(model, point)):
                 return state._replace(strides=made + 1), point
@@ -385,8 +385,8 @@ class SafeBayesianTuner:
             radius=radius,
             low=np.array(self.space.coordinates_low) - start,
             high=np.array(self.space.coordinates_high) - start,
-            dearest=min(math.log(self.safe_ratio), dearest),
-            margin=self.margin_least,
+            log_cost_max=min(math.log(self.safe_ratio), dearest),
+            margin=self.constraint_margin_min,
         )
 
     def _initial_design(self, k: int, caution: float) -> Point:

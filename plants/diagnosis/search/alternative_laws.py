@@ -206,7 +206,7 @@ def better_alternative(
         if bench.model.unavailable(law) is not None or (closed and not ever):
             continue
         screened = screen(law, bench.predictor((law,)), seen)
-        if screened.cosine2 < AIMED * share:
+        if screened.screening_R2 < AIMED * share:
             continue
         other = bench.refine(fit_added_effect(bench, before, screened, ()))
         if max(np.divide(_left(other), _left(one))) < least:

@@ -73,7 +73,7 @@ def may_be_nonlinear(one: ScreeningResult) -> bool:
     """Whether an effect may act so unlike a small one that no direction shows it."""
     bends = bool({Port.CABLE, Port.EYELET} & set(one.effect.ports()))
     sticks = one.effect.resists and one.effect.states > 0
-    return (bends or sticks or is_limit(one.effect)) and one.reach >= thresholds.SHOWN
+    return (bends or sticks or is_limit(one.effect)) and one.usual_change >= thresholds.SHOWN
 
 
 def coarse_fit(bench: ModelFitter, effect: type[Effect]) -> CandidateFit:

@@ -57,9 +57,9 @@ class ScreeningResult:
         predictor: The model with it.
         starts: Rows of values to begin fits with, the most promising first, shape (some, free).
         grids: Values to try of each parameter that has no neutral value and is no phase.
-        cosine2: Share of the residual that the best start's direction explains.
+        screening_R2: Share of the residual that the best start's direction explains.
         changes: What the best start changes in the residuals, shape (sizes, screened).
-        reach: Root mean square change of the residuals at the usual size of the effect, in
+        usual_change: Root mean square change of the residuals at the usual size of the effect, in
             floors, less what calibrations can undo.
     """
 
@@ -67,9 +67,9 @@ class ScreeningResult:
     predictor: Predictor
     starts: FloatArray
     grids: Mapping[str, list[float]]
-    cosine2: float
+    screening_R2: float
     changes: FloatArray
-    reach: float
+    usual_change: float
 
 
 def screen(
@@ -83,9 +83,9 @@ def screen(
         seen: The fit without it, then other places from which to look.
     """
     found = [_Probe(effect, predictor, one).screened() for one in seen]
-    best = max(found, key=lambda one: one.cosine2)
+    best = max(found, key=lambda one: one.screening_R2)
     starts = np.concatenate([one.starts for one in found])
-    return replace(found[0], cosine2=best.cosine2, starts=starts)
+    return replace(found[0], screening_R2=best.screening_R2, starts=starts)
 
 
 class _Way(NamedTuple):

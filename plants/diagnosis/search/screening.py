@@ -46,7 +46,7 @@ def screened_further(
     # It rings with what drives it, and friction damps it.
     found = {e.name: looked(e, current.effects if has_resonance(e) else ()) for e in effects}
     further = [e for e in effects if e.name not in there]
-    further.sort(key=lambda e: -found[e.name].cosine2)
+    further.sort(key=lambda e: -found[e.name].screening_R2)
     for e in further[:TWICE]:
         if not has_resonance(e):
             found[e.name] = looked(e, current.effects)

@@ -270,7 +270,7 @@ def _mode_beside(
         return screen(e, bench.predictor((*current.effects, e)), seen)
 
     modes = {name: looked(e) for name, e in further.items() if has_resonance(e)}
-    shown = [n for n, one in modes.items() if one.cosine2 >= 0.5 * thresholds.NARROW]
+    shown = [n for n, one in modes.items() if one.screening_R2 >= 0.5 * thresholds.NARROW]
     wanted = {m for name in shown for m in family_of(name) if m in further}
     attempts: list[CandidateFit] = []
     for name in sorted(wanted, key=lambda n: family_of(n).index(n)):
@@ -283,7 +283,7 @@ def _mode_beside(
     left = max(best.rank_J / current.rank_J, best.fit_J / current.fit_J)
     if left > 1.0 - thresholds.NARROW:
         return []
-    shares = {name: one.cosine2 for name, one in modes.items()}
+    shares = {name: one.screening_R2 for name, one in modes.items()}
     return [SearchRound(current, shares, tuple(attempts), best)]
 
 
@@ -320,7 +320,7 @@ def _round(
 ) -> SearchRound:
     """Fits the most promising effects, and takes the best where it is worth adding."""
     there = {member for e in current.effects for member in family_of(e.name)}
-    shares = {name: one.cosine2 for name, one in screened.items() if name not in there}
+    shares = {name: one.screening_R2 for name, one in screened.items() if name not in there}
     if not leaves_a_gap(current):
         return SearchRound(current, shares, (), current)
     many = thresholds.SHORTLIST_FURTHER if current.effects else thresholds.SHORTLIST

@@ -65,7 +65,7 @@ def candidates(found: SearchResult) -> tuple[Candidate, ...]:
                 effect.name,
                 closed,
                 math.sqrt(a.rank_J),
-                found.screened[effect.name].cosine2,
+                found.screened[effect.name].screening_R2,
                 _why(effect, a, before, taken, first.rivals.get(effect.name)),
             )
         )
@@ -126,10 +126,10 @@ def not_excited(found: SearchResult, reasons: Mapping[str, str]) -> dict[str, st
         name: reasons.get(
             name,
             f"at its usual size {one.effect.title} would change these records by "
-            f"{one.reach:.1g} of the floor",
+            f"{one.usual_change:.1g} of the floor",
         )
         for name, one in found.screened.items()
-        if one.reach < thresholds.SHOWN and one.effect not in found.best.effects
+        if one.usual_change < thresholds.SHOWN and one.effect not in found.best.effects
     }
 
 
