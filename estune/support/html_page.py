@@ -1,13 +1,204 @@
-"""Pages of one HTML file that needs nothing beside it: drawings inside, no script, no network."""
+"""Report pages as one HTML file: figures inside, no script, no request, light and dark, printable.
+
+A page is a value: a `Page` has a headline and `Section`s, and each section is a list of blocks.
+
+    page = Page(
+        "Equal transparency",
+        Status("2 of 3 reels pass", good=False),
+        sections=(
+            Section("Result", (Table(("reel", "cost"), (("left", "0.41"),), numeric=(1,)),)),
+            Section("How", (Paragraph("Cost (35), `move_weight` = 0.2."), Warnings(("slack",)))),
+        ),
+    )
+    html = render(page)
+
+All texts are plain and are escaped; `code` between backticks and **bold** are the only markup.
+Numbers stay on one line with their units, and a minus before a number is a true one. A page is the
+same, byte for byte, whenever it shows the same.
+"""
 
 import base64
+import platform
 import re
-from html import escape
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib.metadata import version
+from typing import ClassVar, Literal
 
 import matplotlib as mpl
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup, escape
 from matplotlib.figure import Figure
 
 from estune.support.plot_style import to_svg
+
+
+@dataclass(frozen=True)
+class Paragraph:
+    """A paragraph; `soft` is small and grey, `lead` large, `quote` set off, `code` verbatim."""
+
+    kind: ClassVar[str] = "paragraph"
+    text: str
+    style: Literal["", "soft", "lead", "quote", "code"] = ""
+
+
+@dataclass(frozen=True)
+class Heading:
+    """A heading within a section."""
+
+    kind: ClassVar[str] = "heading"
+    text: str
+
+
+@dataclass(frozen=True)
+class Status:
+    """A coloured verdict, as headline, block or table cell.
+
+    Attributes:
+        text: The verdict.
+        good: Green if true, red if false, neutral if None.
+        detail: Explanation after it, in plain colour.
+    """
+
+    kind: ClassVar[str] = "status"
+    text: str
+    good: bool | None = None
+    detail: str = ""
+
+
+@dataclass(frozen=True)
+class Link:
+    """A table cell that leads to the section with this anchor."""
+
+    kind: ClassVar[str] = "link"
+    text: str
+    anchor: str
+
+
+Cell = str | Status | Link
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table; without columns it has no head.
+
+    Attributes:
+        columns: Heads of the columns.
+        rows: Cells, row by row.
+        numeric: Indices of the columns that are set flush right.
+    """
+
+    kind: ClassVar[str] = "table"
+    columns: Sequence[str]
+    rows: Sequence[Sequence[Cell]]
+    numeric: Sequence[int] = ()
+
+
+@dataclass(frozen=True)
+class Bullets:
+    """A bulleted list."""
+
+    kind: ClassVar[str] = "bullets"
+    items: Sequence[str]
+
+
+@dataclass(frozen=True)
+class Warnings:
+    """Warnings that a reader must not miss; nothing is shown without items."""
+
+    kind: ClassVar[str] = "warnings"
+    items: Sequence[str]
+
+
+@dataclass(frozen=True, eq=False)
+class Drawing:
+    """A figure with the numbers behind it.
+
+    Attributes:
+        figure: The figure.
+        name: File-safe name, unique within the page.
+        alt: Its content in words.
+        caption: Text below it.
+        csv: The numbers in it as CSV, offered as a download; empty offers none.
+    """
+
+    kind: ClassVar[str] = "drawing"
+    figure: Figure
+    name: str
+    alt: str
+    caption: str = ""
+    csv: str = ""
+
+
+Block = Paragraph | Heading | Status | Table | Bullets | Warnings | Drawing
+
+
+@dataclass(frozen=True)
+class Section:
+    """Blocks below a title; `anchor` is the target of a `Link`."""
+
+    title: str
+    blocks: Sequence[Block]
+    anchor: str = ""
+
+
+@dataclass(frozen=True)
+class Page:
+    """A report page.
+
+    Attributes:
+        title: Title of the document.
+        headline: The result in one line.
+        summary: Blocks below the headline.
+        sections: Sections in order; those without blocks are left out.
+    """
+
+    title: str
+    headline: Status
+    summary: Sequence[Block] = ()
+    sections: Sequence[Section] = ()
+
+
+def render(page: Page) -> str:
+    """The page as HTML."""
+    template = _environment().get_template("html_page.html.jinja")
+    return template.render(page=page, versions=_versions()) + "\n"
+
+
+def prose(plain: str) -> Markup:
+    """Escaped text with true minus signs, numbers tied to their units, code and bold."""
+    text = re.sub(r"(?<!\S)-(?=[\d ])", "&minus;", str(escape(plain)))
+    text = re.sub(r"(?<=\d) (?=[A-Za-z%±])|(?<=±) ", "&nbsp;", text)
+    text = re.sub(r"`([^`]+)`", r"<code>\1</code>", text)
+    text = re.sub(r"(?<![\w*])\*\*(\w[^*<]*)\*\*(?!\w)", r"<b>\1</b>", text)
+    return Markup(text)  # noqa: S704  escaped above
+
+
+def _environment() -> Environment:
+    environment = Environment(
+        loader=PackageLoader("estune.support", "."), autoescape=True, undefined=StrictUndefined,
+        trim_blocks=True, lstrip_blocks=True,
+    )  # fmt: skip
+    environment.filters |= {"prose": prose, "svg_address": _svg_address, "base64": _base64}
+    return environment
+
+
+def _svg_address(drawing: Drawing) -> str:
+    """The figure as a data URL: as an image of its own its element ids meet no others."""
+    with mpl.rc_context({"svg.hashsalt": drawing.name}):  # fixed salt: the same figure, same bytes
+        return f"data:image/svg+xml;base64,{_base64(to_svg(drawing.figure))}"
+
+
+def _base64(text: str) -> str:
+    return base64.b64encode(text.encode()).decode()
+
+
+def _versions() -> str:
+    packages = ", ".join(f"{name} {version(name)}" for name in ("numpy", "scipy", "casadi"))
+    return f"Made by estune {version('estune')} (Python {platform.python_version()}, {packages})."
+
+
+# The rest of this file serves plants/diagnosis/report/report.py until that page is a Page.
 
 STYLE = """
 :root { color-scheme: light dark; --ink: #1c1c1c; --soft: #5c5c5c; --rule: #dcdcdc;
@@ -57,15 +248,12 @@ def document(title: str, header: str, main: str, style: str = "") -> str:
     return (
         '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<title>{escape(title)}</title>\n<style>{STYLE}{style}</style>\n</head>\n<body>\n"
+        f"<title>{escape(title)!s}</title>\n<style>{STYLE}{style}</style>\n</head>\n<body>\n"
         f"<header>\n{header}</header>\n<main>\n{main}</main>\n</body>\n</html>\n"
     )
 
 
-def words(plain: str) -> str:
-    """Escaped, with true minus signs, and numbers on one line with their errors and units."""
-    signed = re.sub(r"(?<!\S)-(?=[\d ])", "&minus;", escape(plain))
-    return re.sub(r"(?<=\d) (?=[A-Za-z%±])|(?<=±) ", "&nbsp;", signed)
+words = prose
 
 
 def drawn(figure: Figure, name: str, alt: str) -> str:
@@ -79,4 +267,4 @@ def drawn(figure: Figure, name: str, alt: str) -> str:
     # A fixed salt, so that the same figure gives the same page.
     with mpl.rc_context({"svg.hashsalt": name}):
         svg = base64.b64encode(to_svg(figure).encode()).decode()
-    return f'<figure><img src="data:image/svg+xml;base64,{svg}" alt="{escape(alt)}"></figure>\n'
+    return f'<figure><img src="data:image/svg+xml;base64,{svg}" alt="{escape(alt)!s}"></figure>\n'
