@@ -1,11 +1,10 @@
-"""Files that are full, read-only, old or cut off in the middle: said in one line, nothing lost."""
+"""Files on full or read-only disks, of old schemas or torn: one-line message, no loss."""
 
 import os
 import shutil
-import sqlite3
 import subprocess
 import sys
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +14,7 @@ from estune import api
 from estune.errors import JournalError
 from estune.run import journal
 from estune.run.journal import FILE_NAME, Journal
-from estune.support import sqlite
+from estune.support.sqlite import FileKind, SqliteFile, has_writer
 from tests.support_runs import ArithmeticRig
 
 OLD = Path(__file__).parent / "assets" / "journal_v1.sqlite"
@@ -53,7 +52,7 @@ def small_disk(folder: Path, size: str):
 
 
 def tune_until_it_fails(folder: Path, *limit_bytes: str) -> str:
-    """What a tuning in another process says when it cannot go on."""
+    """Message of a tuning in another process that cannot continue."""
     ended = subprocess.run(
         [sys.executable, "-c", _TUNE, folder, *limit_bytes],
         cwd=Path(__file__).parents[1],
@@ -77,7 +76,7 @@ def undisturbed(trials: int) -> list[tuple]:
     return [(e.number, e.gains, e.cost) for e in whole.entries]
 
 
-def test_a_full_disk_is_said_and_what_was_told_before_is_whole(tmp_path):
+def test_full_disk_is_reported_and_committed_trials_stay_whole(tmp_path):
     with small_disk(tmp_path / "disk", "600k") as disk:
         said = tune_until_it_fails(disk)
         assert "full" in said
@@ -89,7 +88,7 @@ def test_a_full_disk_is_said_and_what_was_told_before_is_whole(tmp_path):
     assert [(e.number, e.gains, e.cost) for e in resumed.entries] == undisturbed(300)
 
 
-def test_a_file_that_may_not_grow_is_said_and_what_was_told_before_is_whole(tmp_path):
+def test_file_size_limit_is_reported_and_committed_trials_stay_whole(tmp_path):
     said = tune_until_it_fails(tmp_path, "400000")
     assert "estune resume" in said
     kept = committed(tmp_path / "run")
@@ -104,7 +103,7 @@ def old_run(tmp_path: Path) -> Path:
     return folder
 
 
-def test_a_disk_that_turns_read_only_is_said_and_the_run_can_still_be_read(tmp_path):
+def test_read_only_disk_is_reported_and_the_run_can_be_read(tmp_path):
     with small_disk(tmp_path / "disk", "4m") as disk:
         shutil.copytree(old_run(tmp_path), disk / "run")
         subprocess.run(["mount", "-o", "remount,ro", disk], check=True)
@@ -115,7 +114,7 @@ def test_a_disk_that_turns_read_only_is_said_and_the_run_can_still_be_read(tmp_p
             api.tune(ArithmeticRig(), folder=disk, run="new", watch=None)
 
 
-def test_a_journal_of_the_first_schema_is_read_and_replayed(tmp_path):
+def test_journal_of_first_schema_is_read_and_replayed(tmp_path):
     result = api.load(old_run(tmp_path))
     assert result.success
     assert [e.number for e in result.entries] == list(range(22))
@@ -140,43 +139,78 @@ LATER = (*journal.VERSIONS, "ALTER TABLE trial ADD COLUMN weather TEXT; DELETE F
 """What a next version of the schema might be."""
 
 
+def schema_of(book: Journal) -> int:
+    return book._file.rows("PRAGMA user_version")[0][0]
+
+
 @pytest.mark.parametrize("write", [True, False])
-def test_an_older_schema_is_brought_up_to_date_when_it_is_opened(write, tmp_path, monkeypatch):
+def test_journal_of_older_schema_is_migrated_when_opened(write, tmp_path, monkeypatch):
     folder = old_run(tmp_path)
     before = committed(folder)
-    monkeypatch.setattr(journal, "VERSIONS", LATER)
+    monkeypatch.setattr(journal, "KIND", journal.KIND._replace(versions=LATER))
     with Journal.open(folder, write=write) as book:
-        assert sqlite.version(book._connection) == len(LATER)
-        assert book._connection.execute("SELECT weather FROM trial").fetchall() == [(None,)] * 22
+        assert schema_of(book) == len(LATER)
+        assert book._file.rows("SELECT weather FROM trial") == [(None,)] * 22
     assert committed(folder) == before
 
 
-def test_a_migration_that_is_cut_off_leaves_the_old_file(tmp_path, monkeypatch):
+def test_interrupted_migration_leaves_the_old_file(tmp_path, monkeypatch):
     folder = old_run(tmp_path)
     before = committed(folder)
-    monkeypatch.setattr(journal, "VERSIONS", (*LATER, "ALTER TABLE nothing ADD COLUMN at_all"))
+    broken = (*LATER, "ALTER TABLE nothing ADD COLUMN at_all")
+    monkeypatch.setattr(journal, "KIND", journal.KIND._replace(versions=broken))
     with pytest.raises(JournalError, match="nothing"):
         Journal.open(folder, write=True)
     monkeypatch.undo()
     with Journal.open(folder) as book:
-        assert sqlite.version(book._connection) == 1
+        assert schema_of(book) == 1
     assert committed(folder) == before
 
 
-def test_a_lock_says_who_holds_it_and_dies_with_its_holder(tmp_path):
-    with sqlite.lock(tmp_path / "lock", "the book"):
-        with pytest.raises(JournalError, match=f"the book .*process {os.getpid()} of "):
-            sqlite.lock(tmp_path / "lock", "the book")
-        assert sqlite.being_written(tmp_path / "lock")
-    assert not sqlite.being_written(tmp_path / "lock")
-    sqlite.lock(tmp_path / "lock", "the book").close()
+KIND = FileKind("a book", ("CREATE TABLE number (n)",), "go on")
 
 
-def test_a_transaction_that_fails_leaves_nothing(tmp_path):
-    with ExitStack() as opened:
-        connection = sqlite.connect(opened, tmp_path / "file", "rwc")
-        connection.execute("CREATE TABLE number (n)")
-        statements = ("INSERT INTO number VALUES (1)", "INSERT INTO nothing VALUES (1)")
-        with pytest.raises(sqlite3.OperationalError), sqlite.transaction(connection):
-            [connection.execute(statement) for statement in statements]
-        assert connection.execute("SELECT * FROM number").fetchall() == []
+def test_lock_names_its_holder_and_ends_with_it(tmp_path):
+    path = tmp_path / "book"
+    with SqliteFile.open_writer(path, KIND) as file:
+        assert file.is_new
+        with pytest.raises(JournalError, match=f"book is .*process {os.getpid()} of "):
+            SqliteFile.open_writer(path, KIND)
+        assert has_writer(path, KIND)
+    assert not has_writer(path, KIND)
+    with SqliteFile.open_writer(path, KIND) as file:
+        assert not file.is_new
+
+
+def test_failed_transaction_leaves_nothing_and_nested_blocks_are_one(tmp_path):
+    def write_and_fail(file):
+        with file.transaction():
+            file.write_many("INSERT INTO number VALUES (?)", [(1,), (2,)])
+            with file.transaction():
+                file.write("INSERT INTO number VALUES (3)")
+            assert len(file.rows("SELECT * FROM number")) == 3
+            file.write("INSERT INTO nothing VALUES (1)")
+
+    with SqliteFile.open_writer(tmp_path / "book", KIND) as file:
+        with pytest.raises(JournalError, match="nothing"):
+            write_and_fail(file)
+        assert file.rows("SELECT * FROM number") == []
+
+
+def test_refused_preparation_leaves_an_empty_file(tmp_path):
+    def refuse(file):
+        file.write("INSERT INTO number VALUES (1)")
+        raise JournalError("of another rig")
+
+    with pytest.raises(JournalError, match="of another rig"):
+        SqliteFile.open_writer(tmp_path / "book", KIND, prepare=refuse)
+    with SqliteFile.open_writer(tmp_path / "book", KIND) as file:
+        assert file.is_new
+
+
+def test_file_in_place_until_it_is_replaced(tmp_path):
+    path = tmp_path / "book"
+    with SqliteFile.open_writer(path, KIND) as file:
+        assert file.is_in_place()
+        path.rename(tmp_path / "elsewhere")
+        assert not file.is_in_place()

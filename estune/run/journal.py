@@ -1,28 +1,22 @@
 """The durable record of a run: one SQLite file in one folder, the only place that writes state.
 
-Every trial is committed before the next is asked for. The file is in WAL mode with
-synchronous=FULL, so that what was acknowledged survives kill -9 and power loss, and readers never
-block the writer. One process writes; a lock that dies with it keeps a second one out.
+Every trial is committed before the next one is requested.
 """
 
 import json
-import os
-import sqlite3
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import IO, Any, Self
+from typing import Any, Self
 
 from estune.core.gains import Gains
 from estune.errors import JournalError, ProtocolError
 from estune.run.session import Phase
-from estune.support import sqlite
+from estune.support.sqlite import FileKind, SqliteFile, has_writer
 from estune.trial import Outcome, TrialRecord, TrialRequest, record_frame
 
 FILE_NAME = "run.sqlite"
-LOCK_NAME = "writer.lock"
 
 VERSIONS = (
     """
@@ -36,23 +30,23 @@ CREATE TABLE trial (
 )
 """,
 )
-"""What makes each schema out of the one before it; the first makes it out of nothing."""
+"""SQL that makes each schema out of the one before it; the first begins an empty file."""
 
-GO_ON = "go on with: estune resume"
+KIND = FileKind("a run", VERSIONS, "continue with: estune resume", lock_name="writer.lock")
 
 
 @dataclass(frozen=True, slots=True)
 class JournalEntry:
-    """One trial as the journal holds it.
+    """One trial in the journal.
 
     Attributes:
         number: Place in the run.
-        attempt: How often it had been void before.
+        attempt: How many void attempts of this trial precede it.
         trial_id: Its id on the rig.
-        phase: Its phase.
-        gains: The gains asked for.
-        outcome: How it ended; None while it is asked for but not told.
-        reason: What happened, in words.
+        phase: Its phase of the run.
+        gains: The requested gains.
+        outcome: How it ended; None while it is under way.
+        reason: The outcome in words.
         cost: Its cost; nan where there is none.
     """
 
@@ -69,43 +63,38 @@ class JournalEntry:
 class Journal:
     """A run on disk, open for reading, or for reading and writing by one process."""
 
-    def __init__(self, folder: Path, connection: sqlite3.Connection, lock: IO[str] | None) -> None:
-        self.folder = folder
-        self._connection = connection
-        self._lock = lock
+    def __init__(self, file: SqliteFile) -> None:
+        self.folder = file.path.parent
+        self._file = file
 
     @classmethod
     def create(cls, folder: Path, facts: dict[str, Any]) -> Self:
         """Begins a run in a new folder.
 
         Args:
-            folder: Where it will live.
-            facts: What is known of the run before its first trial, as JSON values.
+            folder: Folder of the run.
+            facts: Plan of the run, as JSON values.
 
         Raises:
             JournalError: the folder holds a run already, or cannot be written.
         """
+        exists = JournalError(
+            f"{folder} holds a run already; "
+            f"choose another name, or continue it with: estune resume {folder}"
+        )
         if (folder / FILE_NAME).exists():
-            raise JournalError(
-                f"{folder} holds a run already; "
-                f"choose another name, or go on with: estune resume {folder}"
-            )
-        with _explained(folder), ExitStack() as opened:
-            folder.mkdir(parents=True, exist_ok=True)
-            lock = opened.enter_context(_lock(folder))
-            connection = sqlite.connect(opened, folder / FILE_NAME, "rwc")
-            connection.execute("PRAGMA journal_mode=WAL")
-            with sqlite.transaction(connection):
-                sqlite.migrate(connection, VERSIONS)
-                connection.executemany(
-                    "INSERT INTO run VALUES (?, ?)", [(k, json.dumps(v)) for k, v in facts.items()]
-                )
-            opened.pop_all()
-        return cls(folder, connection, lock)
+            raise exists
+
+        def write_facts(file: SqliteFile) -> None:
+            if not file.is_new:  # begun by another process a moment ago
+                raise exists
+            _write_facts(file, facts)
+
+        return cls(SqliteFile.open_writer(folder / FILE_NAME, KIND, prepare=write_facts))
 
     @classmethod
     def open(cls, folder: Path, *, write: bool = False) -> Self:
-        """Opens a run, for reading unless told otherwise.
+        """Opens a run.
 
         Raises:
             JournalError: there is no run, it is torn or from a newer version, or, for writing, it
@@ -113,85 +102,59 @@ class Journal:
         """
         path = folder / FILE_NAME
         if not path.is_file():
-            raise JournalError(f"there is no run in {folder}; see what there is with: estune list")
-        with _explained(folder), ExitStack() as opened:
-            lock = opened.enter_context(_lock(folder)) if write else None
-            # Without the right to write, SQLite cannot make the shared index a WAL reader needs.
-            unshared = (
-                not os.access(folder, os.W_OK) and not (folder / f"{FILE_NAME}-wal").exists()
-            )
-            mode = "rw" if write else "ro&immutable=1" if unshared else "ro"
-            connection = sqlite.connect(opened, path, mode)
-            sqlite.check_version(connection, path, len(VERSIONS), "a run")
-            if write:
-                sqlite.check_whole(connection, path)
-            outdated = sqlite.version(connection) < len(VERSIONS)
-            if outdated and write:
-                with sqlite.transaction(connection):
-                    sqlite.migrate(connection, VERSIONS)
-            elif outdated:
-                cls.open(folder, write=True).close()
-            opened.pop_all()
-        return cls(folder, connection, lock)
+            raise JournalError(f"there is no run in {folder}; list the runs with: estune list")
+        if write:
+            return cls(SqliteFile.open_writer(path, KIND, create=False))
+        return cls(SqliteFile.open_reader(path, KIND))
 
     def fact(self, key: str) -> Any:
-        """What was noted of the run under this key, or None."""
-        with _explained(self.folder):
-            row = self._connection.execute("SELECT value FROM run WHERE key=?", (key,)).fetchone()
-        return None if row is None else json.loads(row[0])
+        """The fact of the run stored under a key, or None."""
+        rows = self._file.rows("SELECT value FROM run WHERE key=?", key)
+        return json.loads(rows[0][0]) if rows else None
 
     def note(self, **facts: Any) -> None:
         """Commits facts of the run, replacing earlier ones under the same keys."""
-        with self._transaction():
-            self._connection.executemany(
-                "INSERT OR REPLACE INTO run VALUES (?, ?)",
-                [(key, json.dumps(value)) for key, value in facts.items()],
-            )
+        _write_facts(self._file, facts)
 
     def commit(
         self,
-        told: tuple[TrialRequest, TrialRecord, float] | None,
-        asked: tuple[TrialRequest, Phase] | None,
+        finished: tuple[TrialRequest, TrialRecord, float] | None,
+        following: tuple[TrialRequest, Phase] | None,
     ) -> None:
-        """Commits a trial's end and the next one's request, in one transaction.
+        """Commits a trial's end and the next request, in one transaction.
 
         Args:
-            told: The request that was run, its record and its cost (nan where it has none).
-            asked: The request about to be run, and its phase.
+            finished: The request that was run, its record and its cost (nan where it has none).
+            following: The request about to be run, and its phase.
 
         Raises:
             JournalError: it could not be committed; nothing was changed.
         """
         now = datetime.now(UTC).isoformat(timespec="milliseconds")
-        with self._transaction():
-            if told is not None:
-                request, record, cost = told
-                self._connection.execute(
+        with self._file.transaction():
+            if finished is not None:
+                request, record, cost = finished
+                self._file.write(
                     "UPDATE trial SET outcome=?, reason=?, cost=?, told_at=?, record=?"
                     " WHERE number=? AND attempt=?",
-                    (
-                        *(record.outcome.value, record.reason, cost, now),
-                        *(record_frame.encode(record), request.number, request.attempt),
-                    ),
+                    *(record.outcome.value, record.reason, cost, now),
+                    *(record_frame.encode(record), request.number, request.attempt),
                 )
-            if asked is not None:
-                request, phase = asked
-                self._connection.execute(
+            if following is not None:
+                request, phase = following
+                self._file.write(
                     "INSERT OR IGNORE INTO trial (number, attempt, trial_id, phase,"
                     " P, I, D, setpoint_filter_s, asked_at) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)",
-                    (
-                        *(request.number, request.attempt, request.trial_id, phase.value),
-                        *(*request.gains.as_tuple(), now),
-                    ),
+                    *(request.number, request.attempt, request.trial_id, phase.value),
+                    *(*request.gains.as_tuple(), now),
                 )
 
     def entries(self) -> Iterator[JournalEntry]:
-        """Every trial asked for, in order."""
-        with _explained(self.folder):
-            rows = self._connection.execute(
-                "SELECT number, attempt, trial_id, phase, P, I, D, setpoint_filter_s,"
-                " outcome, reason, cost FROM trial ORDER BY number, attempt"
-            ).fetchall()
+        """Every requested trial, in order."""
+        rows = self._file.rows(
+            "SELECT number, attempt, trial_id, phase, P, I, D, setpoint_filter_s,"
+            " outcome, reason, cost FROM trial ORDER BY number, attempt"
+        )
         for number, attempt, trial_id, phase, *gains, outcome, reason, cost in rows:
             yield JournalEntry(
                 *(number, attempt, trial_id, Phase(phase), Gains(*gains)),
@@ -206,25 +169,20 @@ class Journal:
         Raises:
             JournalError: the run holds no record of that trial, or a damaged one.
         """
-        with _explained(self.folder):
-            row = self._connection.execute(
-                "SELECT record FROM trial WHERE trial_id=?", (trial_id,)
-            ).fetchone()
-        if row is None or row[0] is None:
+        rows = self._file.rows("SELECT record FROM trial WHERE trial_id=?", trial_id)
+        if not rows or rows[0][0] is None:
             raise JournalError(f"{self.folder} holds no record of trial {trial_id}")
         try:
-            return record_frame.decode(row[0])
+            return record_frame.decode(rows[0][0])
         except ProtocolError as error:
             raise JournalError(
-                f"{self.folder / FILE_NAME}: the record of trial {trial_id} is damaged ({error}); "
+                f"{self._file.path}: the record of trial {trial_id} is damaged ({error}); "
                 "restore the file from a copy"
             ) from error
 
     def close(self) -> None:
-        """Closes the file and lets go of the lock. The journal is complete at any time before."""
-        self._connection.close()
-        if self._lock is not None:
-            self._lock.close()
+        """Closes the file and releases the lock. The journal is complete at any time before."""
+        self._file.close()
 
     def __enter__(self) -> Self:
         return self
@@ -232,20 +190,14 @@ class Journal:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    @contextmanager
-    def _transaction(self) -> Iterator[None]:
-        with _explained(self.folder), sqlite.transaction(self._connection):
-            yield
-
 
 def being_written(folder: Path) -> bool:
     """Whether a process holds the right to write the run in this folder."""
-    return sqlite.being_written(folder / LOCK_NAME)
+    return has_writer(folder / FILE_NAME, KIND)
 
 
-def _lock(folder: Path) -> IO[str]:
-    return sqlite.lock(folder / LOCK_NAME, f"the run in {folder}")
-
-
-def _explained(folder: Path) -> AbstractContextManager[None]:
-    return sqlite.explained(folder / FILE_NAME, GO_ON)
+def _write_facts(file: SqliteFile, facts: dict[str, Any]) -> None:
+    file.write_many(
+        "INSERT OR REPLACE INTO run VALUES (?, ?)",
+        ((key, json.dumps(value)) for key, value in facts.items()),
+    )

@@ -1,20 +1,297 @@
-"""SQLite files that lose nothing: how they are opened, locked, brought up to date and explained.
+"""SQLite files that survive kill -9 and power loss: base of the journal, ledger and stores.
 
-In WAL mode with synchronous=FULL what was committed survives kill -9 and a power cut, and readers
-never block the writer. One process writes; a lock that dies with it keeps a second one out. The
-file's `user_version` says which schema it has.
+A store holds one `SqliteFile` and describes its kind once:
+
+    KIND = FileKind("a run", VERSIONS, "continue with: estune resume", "writer.lock")
+
+    file = SqliteFile.open_writer(path, KIND, prepare=prepare)  # creates it if missing
+    file = SqliteFile.open_reader(path, KIND)  # the file must exist
+
+    file.rows("SELECT P, I FROM trial WHERE number=?", 3)        # a list of tuples
+    file.write("INSERT INTO trial VALUES (?, ?)", 3, "abc")      # committed; returns the row number
+    with file.transaction():                                     # all or nothing; blocks nest
+        file.write(...)
+        file.write_many("INSERT INTO fact VALUES (?, ?)", [("a", 1), ("b", 2)])
+
+`prepare(file)` runs in the transaction that creates or migrates the tables: where `file.is_new`
+it writes the first rows, else it checks whose file it is; it may raise, and nothing is changed.
+Every method raises `JournalError` with the file, the obstacle and the remedy. Any thread may call;
+a transaction holds the file's own lock (reentrant), so other threads wait until it ends. A thread
+that must not wait for the disk reads through a second `SqliteFile`, opened by `open_reader`.
+
+In WAL mode with synchronous=FULL, what was committed is on disk, and readers never block the
+writer. One process writes: a lock file, released by the system if the process dies, refuses a
+second writer. The file's `user_version` is the version of its schema.
 """
 
 import fcntl
 import getpass
 import os
 import sqlite3
-from collections.abc import Iterator, Sequence
+import threading
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import IO
+from typing import IO, Any, NamedTuple, Self
 
 from estune.errors import JournalError
+
+
+class FileKind(NamedTuple):
+    """What the files of one store have in common.
+
+    Attributes:
+        noun: What such a file is, with its article, for messages.
+        versions: SQL that makes schema n + 1 out of schema n, from n = 0 (an empty file) on.
+        continuation: What to do once an obstacle is removed, for messages.
+        lock_name: Name of the writer's lock file; by default that of the file and `.lock`.
+    """
+
+    noun: str
+    versions: tuple[str, ...]
+    continuation: str
+    lock_name: str = ""
+
+    def lock_path(self, path: Path) -> Path:
+        """The lock file beside a file of this kind."""
+        return path.with_name(self.lock_name or f"{path.name}.lock")
+
+
+class SqliteFile:
+    """One open SQLite file.
+
+    Attributes:
+        path: The file.
+        is_new: Whether this process has just begun it.
+    """
+
+    def __init__(
+        self, path: Path, kind: FileKind, connection: sqlite3.Connection, opened: ExitStack
+    ) -> None:
+        """Use `open_writer` or `open_reader`."""
+        self.path = path
+        self.is_new = False
+        self._kind = kind
+        self._connection = connection
+        self._opened = opened
+        self._lock = threading.RLock()
+        self._inode = _inode(path)
+
+    @classmethod
+    def open_writer(
+        cls,
+        path: Path,
+        kind: FileKind,
+        *,
+        create: bool = True,
+        prepare: Callable[[Self], None] = lambda _: None,
+    ) -> Self:
+        """Opens a file for the one process that writes it.
+
+        Args:
+            path: The file.
+            kind: Its kind.
+            create: Whether to begin the file if there is none, and its folder.
+            prepare: Called with the file before its new or migrated tables are committed.
+
+        Raises:
+            JournalError: another process writes it, it is from a newer version, damaged, of
+                another kind, or cannot be written.
+        """
+        with _explained(path, kind), ExitStack() as opened:
+            if create:
+                path.parent.mkdir(parents=True, exist_ok=True)
+            opened.enter_context(_lock(path, kind))
+            file = cls(path, kind, _connect(opened, path, "rwc" if create else "rw"), opened)
+            file.is_new = create and file._version() == 0
+            if not file.is_new:
+                file._check()
+            file._connection.execute("PRAGMA journal_mode=WAL")
+            with file.transaction():
+                file._migrate()
+                prepare(file)
+            file._inode = _inode(path)
+            file._opened = opened.pop_all()
+        return file
+
+    @classmethod
+    def open_reader(cls, path: Path, kind: FileKind) -> Self:
+        """Opens an existing file for reading; migrates one of an older schema first.
+
+        Raises:
+            JournalError: there is none, it is from a newer version or of another kind.
+        """
+        with _explained(path, kind), ExitStack() as opened:
+            # Without the right to write, SQLite cannot make the shared index a WAL reader needs.
+            unshared = not os.access(path.parent, os.W_OK) and not Path(f"{path}-wal").exists()
+            mode = "ro&immutable=1" if unshared else "ro"
+            file = cls(path, kind, _connect(opened, path, mode), opened)
+            file._check_version()
+            if file._version() < len(kind.versions):
+                cls.open_writer(path, kind, create=False).close()
+            file._opened = opened.pop_all()
+        return file
+
+    def rows(self, statement: str, *values: Any) -> list[Any]:
+        """All rows of a query, as tuples."""
+        with self._lock, _explained(self.path, self._kind):
+            return self._connection.execute(statement, values).fetchall()
+
+    def write(self, statement: str, *values: Any) -> int:
+        """Executes one statement, committed at once outside of a transaction; the row's number."""
+        with self._lock, _explained(self.path, self._kind):
+            return self._connection.execute(statement, values).lastrowid or 0
+
+    def write_many(self, statement: str, rows: Iterable[Iterable[Any]]) -> None:
+        """Executes one statement for each row, all or none."""
+        with self.transaction():
+            self._connection.executemany(statement, [tuple(row) for row in rows])
+
+    @contextmanager
+    def transaction(self) -> Iterator[None]:
+        """Commits all that is written in the block at its end, or nothing; blocks nest."""
+        with self._lock, _explained(self.path, self._kind):
+            if self._connection.in_transaction:  # part of a larger block
+                yield
+                return
+            self._connection.execute("BEGIN IMMEDIATE")
+            try:
+                yield
+                self._connection.execute("COMMIT")
+            except BaseException:
+                if self._connection.in_transaction:
+                    self._connection.execute("ROLLBACK")
+                raise
+
+    def is_in_place(self) -> bool:
+        """Whether the path still names the file that was opened, not another or none."""
+        return _inode(self.path) == self._inode
+
+    def close(self) -> None:
+        """Closes the file and releases the writer's lock; what was committed stays."""
+        with self._lock:
+            self._opened.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _version(self) -> int:
+        return int(self._connection.execute("PRAGMA user_version").fetchone()[0])
+
+    def _check_version(self) -> None:
+        version, newest = self._version(), len(self._kind.versions)
+        if not 1 <= version <= newest:
+            remedy = "use a newer" if version > newest else f"it is not {self._kind.noun} of"
+            raise JournalError(
+                f"{self.path} has schema version {version}, this estune knows {newest}; "
+                f"{remedy} estune"
+            )
+
+    def _check(self) -> None:
+        self._check_version()
+        fault = self._connection.execute("PRAGMA quick_check(1)").fetchone()[0]
+        if fault != "ok":
+            raise JournalError(f"{self.path} is damaged ({fault}); restore it from a copy")
+
+    def _migrate(self) -> None:
+        """Brings the file to the newest schema, inside the caller's transaction."""
+        for number in range(self._version(), len(self._kind.versions)):
+            for statement in self._kind.versions[number].split(";"):
+                self._connection.execute(statement)
+            self._connection.execute(f"PRAGMA user_version={number + 1}")
+
+
+def has_writer(path: Path, kind: FileKind) -> bool:
+    """Whether a process holds the right to write this file."""
+    try:
+        with kind.lock_path(path).open() as lock:
+            fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    except OSError:  # no lock file, or not readable for this user: no sign of a writer
+        return False
+    return False
+
+
+def _connect(opened: ExitStack, path: Path, mode: str) -> sqlite3.Connection:
+    """A connection without implicit transactions, closed with the stack."""
+    address = f"{path.resolve().as_uri()}?mode={mode}"
+    connection = sqlite3.connect(
+        address, uri=True, isolation_level=None, timeout=2.0, check_same_thread=False
+    )
+    opened.callback(connection.close)
+    connection.execute("PRAGMA synchronous=FULL")
+    return connection
+
+
+def _lock(path: Path, kind: FileKind) -> IO[str]:
+    """The right to write, held until closed; the lock file names its holder."""
+    lock = kind.lock_path(path).open("a+", encoding="utf-8")
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        lock.seek(0)
+        holder = lock.readline().strip()
+        lock.close()
+        raise JournalError(
+            f"{path} is being written by another process{holder and f' ({holder})'}; "
+            "wait for it or stop it"
+        ) from None
+    lock.truncate(0)
+    lock.write(f"process {os.getpid()} of {_user()}\n")
+    lock.flush()
+    return lock
+
+
+def _inode(path: Path) -> tuple[int, int] | None:
+    """Identity of the file at a path; None if there is none."""
+    try:
+        stat = path.stat()
+    except FileNotFoundError:
+        return None
+    return stat.st_dev, stat.st_ino
+
+
+@contextmanager
+def _explained(path: Path, kind: FileKind) -> Iterator[None]:
+    """Adds the remedy to an error of SQLite or the file system.
+
+    Raises:
+        JournalError: the block failed at the file.
+    """
+    go_on = kind.continuation
+    try:
+        yield
+    except sqlite3.Error as error:
+        remedies = {
+            "locked": f"another program holds the file; close it and {go_on}",
+            "readonly": f"give write permission to the folder and the file, and {go_on}",
+            "unable to open": f"give write permission to the folder and the file, and {go_on}",
+            "malformed": "the file is damaged; restore it from a copy",
+            "not a database": "the file is damaged or not one of estune; restore it from a copy",
+            "full": f"the disk is full; make room and {go_on}",
+            "I/O": f"disk write error; check the disk and {go_on}",
+        }
+        remedy = next((remedies[key] for key in remedies if key in str(error)), "see the message")
+        raise JournalError(f"{path}: {error}; {remedy}") from error
+    except OSError as error:
+        raise JournalError(
+            f"{error.filename or path}: {error.strerror or error}; "
+            f"choose a folder that can be written, or repair this one and {go_on}"
+        ) from error
+
+
+def _user() -> str:
+    try:
+        return getpass.getuser()
+    except (KeyError, OSError):  # a process without a user's name
+        return str(os.getuid())
+
+
+# Until every store uses `SqliteFile`: the functions it replaces.
 
 
 def connect(opened: ExitStack, path: Path, mode: str) -> sqlite3.Connection:
@@ -169,10 +446,3 @@ def explained(path: Path, go_on: str) -> Iterator[None]:
             f"{error.filename or path}: {error.strerror or error}; "
             f"choose a folder that can be written, or mend this one and {go_on}"
         ) from error
-
-
-def _user() -> str:
-    try:
-        return getpass.getuser()
-    except (KeyError, OSError):  # a process without a user's name
-        return str(os.getuid())
