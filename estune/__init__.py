@@ -11,8 +11,9 @@ and over many lengths at once:
     result = estune.sweep("sweep.toml")
 """
 
-import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from estune.support.lazy_exports import lazy_exports
 
 if TYPE_CHECKING:
     from estune.api import load, resume, tune
@@ -21,9 +22,9 @@ if TYPE_CHECKING:
     from estune.core.pidf import ControllerSettings
     from estune.errors import EstuneError
     from estune.run.result import TuneResult
-    from estune.studies.joint.procedure import tune_schedule
     from estune.studies.match.procedure import match
     from estune.studies.sweep.sweep import sweep
+    from estune.support.version import __version__
     from estune.trial.profiles import StepProfile
     from estune.tuners.search_space import SearchSpace
 
@@ -35,33 +36,29 @@ __all__ = [
     "StepCost",
     "StepProfile",
     "TuneResult",
+    "__version__",
     "load",
     "match",
     "resume",
     "sweep",
     "tune",
-    "tune_schedule",
 ]
 
-_HOMES = {
-    "ControllerSettings": "estune.core.pidf",
-    "EstuneError": "estune.errors",
-    "Gains": "estune.core.gains",
-    "SearchSpace": "estune.tuners.search_space",
-    "StepCost": "estune.core.cost",
-    "StepProfile": "estune.trial.profiles",
-    "TuneResult": "estune.run.result",
-    "load": "estune.api",
-    "match": "estune.studies.match.procedure",
-    "resume": "estune.api",
-    "sweep": "estune.studies.sweep.sweep",
-    "tune": "estune.api",
-    "tune_schedule": "estune.studies.joint.procedure",
-}
-
-
-def __getattr__(name: str) -> Any:
-    """Loads a public name when it is first used, so that the command line starts quickly."""
-    if name not in _HOMES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(importlib.import_module(_HOMES[name]), name)
+__getattr__, __dir__ = lazy_exports(
+    __name__,
+    {
+        "ControllerSettings": "estune.core.pidf",
+        "EstuneError": "estune.errors",
+        "Gains": "estune.core.gains",
+        "SearchSpace": "estune.tuners.search_space",
+        "StepCost": "estune.core.cost",
+        "StepProfile": "estune.trial.profiles",
+        "TuneResult": "estune.run.result",
+        "__version__": "estune.support.version",
+        "load": "estune.api",
+        "match": "estune.studies.match.procedure",
+        "resume": "estune.api",
+        "sweep": "estune.studies.sweep.sweep",
+        "tune": "estune.api",
+    },
+)

@@ -4,8 +4,9 @@ reel = plants.reference_reel(cable_length_m=0.8, tension_N=15.0)
 result = estune.tune(reel)
 """
 
-import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from estune.support.lazy_exports import lazy_exports
 
 if TYPE_CHECKING:
     from plants.demonstrations.moving_cable_end import simulate_moving
@@ -44,32 +45,28 @@ __all__ = [
     "unloaded_reel",
 ]
 
-_HOMES = {
-    "CoulombFriction": "plants.effects",
-    "Effect": "plants.effects",
-    "LinearPlant": "plants.models.linear_plant",
-    "Plant": "plants.simulation.plant",
-    "PythonPlant": "plants.models.python_plant",
-    "Reel": "plants.models.reel",
-    "Response": "plants.simulation.batch",
-    "SimulatedRig": "plants.simulation.simulated_rig",
-    "UnloadedReel": "plants.models.unloaded_reel",
-    "batch_costs": "plants.simulation.batch",
-    "explain": "plants.diagnosis.explain",
-    "improve": "plants.diagnosis.improve_model",
-    "linear_plant": "plants.models.linear_plant",
-    "load_model": "plants.models.model_file",
-    "python_plant": "plants.models.python_plant",
-    "reference_reel": "plants.models.reel",
-    "save_model": "plants.models.model_file",
-    "simulate": "plants.simulation.batch",
-    "simulate_moving": "plants.demonstrations.moving_cable_end",
-    "unloaded_reel": "plants.models.unloaded_reel",
-}
-
-
-def __getattr__(name: str) -> Any:
-    """Loads a public name when it is first used, so that the command line starts quickly."""
-    if name not in _HOMES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(importlib.import_module(_HOMES[name]), name)
+__getattr__, __dir__ = lazy_exports(
+    __name__,
+    {
+        "CoulombFriction": "plants.effects",
+        "Effect": "plants.effects",
+        "LinearPlant": "plants.models.linear_plant",
+        "Plant": "plants.simulation.plant",
+        "PythonPlant": "plants.models.python_plant",
+        "Reel": "plants.models.reel",
+        "Response": "plants.simulation.batch",
+        "SimulatedRig": "plants.simulation.simulated_rig",
+        "UnloadedReel": "plants.models.unloaded_reel",
+        "batch_costs": "plants.simulation.batch",
+        "explain": "plants.diagnosis.explain",
+        "improve": "plants.diagnosis.improve_model",
+        "linear_plant": "plants.models.linear_plant",
+        "load_model": "plants.models.model_file",
+        "python_plant": "plants.models.python_plant",
+        "reference_reel": "plants.models.reel",
+        "save_model": "plants.models.model_file",
+        "simulate": "plants.simulation.batch",
+        "simulate_moving": "plants.demonstrations.moving_cable_end",
+        "unloaded_reel": "plants.models.unloaded_reel",
+    },
+)

@@ -9,8 +9,9 @@
 `read_config` reads a rig's file, `HardwareRig` runs it. See docs/hardware.md.
 """
 
-import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from estune.support.lazy_exports import lazy_exports
 
 if TYPE_CHECKING:
     from estune.hardware.config import RigConfig, read_config
@@ -20,18 +21,14 @@ if TYPE_CHECKING:
 
 __all__ = ["Driver", "HardwareRig", "Reading", "RigConfig", "controller_source", "read_config"]
 
-_HOMES = {
-    "Driver": "estune.hardware.driver",
-    "HardwareRig": "estune.hardware.rig",
-    "Reading": "estune.hardware.driver",
-    "RigConfig": "estune.hardware.config",
-    "controller_source": "estune.hardware.firmware",
-    "read_config": "estune.hardware.config",
-}
-
-
-def __getattr__(name: str) -> Any:
-    """Loads a public name when it is first used: the loop's process needs few of them."""
-    if name not in _HOMES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(importlib.import_module(_HOMES[name]), name)
+__getattr__, __dir__ = lazy_exports(
+    __name__,
+    {
+        "Driver": "estune.hardware.driver",
+        "HardwareRig": "estune.hardware.rig",
+        "Reading": "estune.hardware.driver",
+        "RigConfig": "estune.hardware.config",
+        "controller_source": "estune.hardware.firmware",
+        "read_config": "estune.hardware.config",
+    },
+)
