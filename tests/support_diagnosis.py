@@ -20,7 +20,6 @@ from plants.diagnosis.report.diagnosis import (
     SearchStep,
     Trace,
 )
-from plants.diagnosis.report.effect_sentences import sentence
 from plants.diagnosis.residual.localisation import (
     Block,
     Distortion,
@@ -114,7 +113,7 @@ def diagnosis(**changes) -> Diagnosis:
             "attenuation": interval(0.931, 0.0031),
             "inner_share": interval(0.21, 0.02),
         },
-        sentence=sentence(EyeletFriction, FOUND, REEL),
+        sentence=EyeletFriction.sentence(FOUND, REEL),
         effect=EyeletFriction,
     )
     candidates = [

@@ -12,7 +12,7 @@ from estune.errors import InvalidInput
 from estune.trial import TrialRequest
 from estune.trial.profiles import StepProfile
 from plants import effects
-from plants.effects import EFFECTS, Effect, EyeletFriction, Port, Quantisation
+from plants.effects import EFFECTS, Effect, EyeletFriction, Port, Quantisation, RecordScale, Role
 from plants.identify import Band, multisine, open_loop_record
 from plants.simulation.trial_loop import CompiledLoop, VirtualLoop, loop_functions
 from tests.support_effects import (
@@ -62,7 +62,7 @@ RESTLESS = wander(160, -15.0, 60.0)  # beyond the current limits, and through sl
 
 
 def test_every_named_effect_is_there_in_a_file_of_its_name():
-    assert sorted(EFFECTS) == sorted(SLUGS)
+    assert set(SLUGS) <= set(EFFECTS)
     for name, effect in EFFECTS.items():
         assert effect.__module__ == f"plants.effects.{name}"
         assert effects.find(name) is effect
@@ -139,17 +139,18 @@ def test_a_derivative_by_its_parameters_is_the_quotient_of_differences(effect):
     run = ca.Function("run", [p], [seen])
     slope = ca.Function("slope", [p, direction], [ca.jtimes(seen, p, direction)])
     first = p.numel() - len(names)
-    for n, (name, (low, high, _, neutral, begun)) in enumerate(effect.parameters().items()):
+    for n, (name, declared) in enumerate(effect.parameters().items()):
         unit = np.zeros(p.numel())
         unit[first + n] = 1.0
         value = getattr(reel.effects[-1], name)
-        for here in {value, neutral} - {None}:
+        for here in {value, declared.neutral} - {None}:
             at = reel.parameter_values + (here - value) * unit
             found = np.asarray(slope(at, unit)).ravel()
             assert np.isfinite(found).all()
         if not effect.smooth:
             continue
         found = np.asarray(slope(reel.parameter_values, unit)).ravel()
+        low, high = declared.low, declared.high
         h = 1e-6 * min(high - value or 1.0, value - low or 1.0, max(abs(value), 0.01))
         ahead, behind = (
             np.asarray(run(reel.parameter_values + s * h * unit)).ravel() for s in (1, -1)
@@ -158,7 +159,7 @@ def test_a_derivative_by_its_parameters_is_the_quotient_of_differences(effect):
         off = np.abs(found - (ahead - behind) / (2 * h)) > 1e-3 * np.abs(found).max()
         assert off.mean() < 0.02
         # What only shapes a law, as its creep while it sticks, need not show in every trial.
-        assert np.abs(found).max() > 0.0 or begun is not None
+        assert np.abs(found).max() > 0.0 or isinstance(declared.start, float)
 
 
 def test_a_dead_time_of_none_has_a_derivative():
@@ -287,3 +288,47 @@ def test_a_field_that_is_no_parameter_is_told():
 
     with pytest.raises(InvalidInput, match="size has to be declared"):
         dataclass(frozen=True)(Careless)()
+
+
+def test_roles_follow_from_the_declaration_unless_given():
+    declared = EFFECTS["torque_ripple"].parameters()
+    assert [p.role for p in declared.values()] == [Role.SIZE, Role.PERIODS, Role.PHASE]
+    assert EFFECTS["gauge_resonance"].named(Role.FREQUENCY) == ("frequency_Hz",)
+    assert EFFECTS["rate_limit"].named(Role.LIMIT) == ("rate_A_per_s",)
+    assert Own.named(Role.SHAPE) == ("turns",)
+
+
+@every_effect
+def test_every_effect_has_a_size_or_a_limit_and_begins_within_its_bounds(effect):
+    assert effect.named(Role.SIZE, Role.LIMIT)
+    for records in (RecordScale(), RecordScale(*([1.0] * 15), (50.0,), (24.0,))):
+        for name, p in effect.parameters().items():
+            start, high = effect.start(name, records)
+            assert p.low <= start <= high <= p.high
+            assert all(p.low <= value <= p.high for value in effect.guesses(name, records))
+    assert effect.matters(
+        {name: getattr(effect(), name) for name in effect.parameters()}, RecordScale()
+    )
+
+
+def test_fit_of_friction_begins_at_a_share_of_the_torque_in_the_records():
+    records = RecordScale(torque_rms_Nm=0.5, torque_max_Nm=1.0)
+    assert EFFECTS["coulomb_friction"].start("torque_Nm", records) == (0.05, 2.0)
+    assert EFFECTS["coulomb_friction"].start("torque_Nm", RecordScale()) == (0.02, 1e4)
+
+
+def test_guesses_of_a_string_are_the_densities_that_ring_where_the_residual_does():
+    records = RecordScale(preload_N=20.0, cable_length_m=1.0, resonances_Hz=(0.0, 10.0))
+    assert EFFECTS["string_mode"].guesses("density_kg_m", records) == (pytest.approx(0.05),)
+    assert EFFECTS["string_mode"].guesses("density_kg_m", RecordScale()) == ()
+
+
+def test_effect_does_not_matter_below_its_least_size():
+    dead_time = EFFECTS["dead_time"]
+    assert not dead_time.matters({"delay_s": 1e-4}, RecordScale(sample_s=1e-3))
+    assert dead_time.matters({"delay_s": 3e-4}, RecordScale(sample_s=1e-3))
+    friction = {"coulomb_Nm": 0.02, "excess_Nm": 0.001}
+    friction |= {"stribeck_rad_s": 0.5, "presliding_rad": 1e-5, "spread": 1.0}
+    assert not EFFECTS["stribeck_friction"].matters(friction, RecordScale(), distinct=True)
+    slack = EFFECTS["cable_slack"]
+    assert not slack.matters({"slack_m": 2e-3}, RecordScale(stretch_max_m=1e-3))

@@ -15,9 +15,9 @@ import pytest
 import plants
 from estune.errors import InvalidInput
 from estune.support.plot_style import new_figure, to_png
-from plants.diagnosis.report import effect_sentences, figures, quantities, summary
+from plants.diagnosis.report import figures, summary
 from plants.diagnosis.report.report import page
-from plants.effects import EFFECTS, Effect, Port, parameter
+from plants.effects import EFFECTS, Effect, Port, parameter, plant_scale
 from tests.support_diagnosis import FOUND, deciding, diagnosis, nothing_found
 
 
@@ -232,17 +232,17 @@ def test_the_model_a_diagnosis_saves_is_the_augmented_one(named, tmp_path):
 
 
 SHAPES = {"phase_rad", "damping", "density_kg_m", "spread", "bend", "knee"}
-"""Parameters that need not be told: they shape a law, and nobody would do anything about them."""
+"""Parameters that a sentence may leave out."""
 
 
 @pytest.mark.parametrize("name", sorted(EFFECTS))
-def test_the_plain_sentence_of_an_effect_holds_its_numbers(name):
+def test_effect_sentence_holds_its_fitted_numbers(name):
     effect, reel = EFFECTS[name], plants.reference_reel()
     usual = effect()
     for share in (0.5, 1.0):
         values = {n: share * getattr(usual, n) for n in effect.parameters()}
         first, second = (
-            effect_sentences.sentence(effect, values, model)
+            effect.sentence(values, model)
             for model in (reel, plants.linear_plant(control.tf([1.0], [1.0, 1.0])))
         )
         assert first.startswith("Your reel ")
@@ -260,8 +260,8 @@ def test_the_plain_sentence_of_an_effect_holds_its_numbers(name):
             assert near <= 0.006 * abs(value), (parameter_name, first)
 
 
-def test_eyelet_friction_is_told_as_the_ratio_of_the_tensions():
-    said = effect_sentences.sentence(EFFECTS["eyelet_friction"], FOUND, plants.reference_reel())
+def test_eyelet_friction_sentence_gives_the_ratio_of_tensions():
+    said = EFFECTS["eyelet_friction"].sentence(FOUND, plants.reference_reel())
     assert said.startswith(
         "Your reel has eyelet friction: outside tension is 0.931 of inside when winding in"
     )
@@ -269,19 +269,18 @@ def test_eyelet_friction_is_told_as_the_ratio_of_the_tensions():
     assert "(1.03 N less at 15 N)" in said
 
 
-def test_an_effect_of_ones_own_is_told_by_its_title_and_appearance():
+def test_sentence_of_a_user_effect_has_title_numbers_and_appearance():
     from dataclasses import dataclass  # noqa: PLC0415  its only use
-    from typing import ClassVar  # noqa: PLC0415
 
     @dataclass(frozen=True)
     class Heating(Effect):
-        name: ClassVar[str] = "motor_heating"
-        title: ClassVar[str] = "a motor that weakens as it warms up"
-        appearance: ClassVar[str] = "less tension for the same current, the more the longer"
-        port: ClassVar[Port] = Port.ACTUATOR
+        name = "motor_heating"
+        title = "a motor that weakens as it warms up"
+        appearance = "less tension for the same current, the more the longer"
+        port = Port.ACTUATOR
         rate_per_s: float = parameter(1e-3, low=0.0, high=1.0, unit="1/s", neutral=0.0)
 
-    said = effect_sentences.sentence(Heating, {"rate_per_s": 2.5e-3}, plants.reference_reel())
+    said = Heating.sentence({"rate_per_s": 2.5e-3}, plants.reference_reel())
     assert said == (
         "Your reel has a motor that weakens as it warms up: rate_per_s 0.0025 1/s. "
         "In the data: less tension for the same current, the more the longer."
@@ -302,7 +301,7 @@ def test_an_effect_of_ones_own_is_told_by_its_title_and_appearance():
     ],
 )
 def test_numbers_are_told_with_the_unit_that_is_read_easily(value, unit, said):
-    assert quantities.si(value, unit) == said
+    assert plant_scale.si(value, unit) == said
 
 
 def test_tables_tell_as_many_digits_as_the_interval_settles(named):

@@ -14,9 +14,7 @@ from plants.diagnosis.experiments.next_experiment import (
     next_experiment,
 )
 from plants.diagnosis.report.diagnosis import Diagnosis, Interval, NamedEffect, SearchStep, Verdict
-from plants.diagnosis.report.effect_sentences import sentence
 from plants.diagnosis.report.plant_units import in_own_units
-from plants.diagnosis.report.quantities import written_unit
 from plants.diagnosis.residual.localisation import ResidualLocation
 from plants.diagnosis.search import thresholds
 from plants.diagnosis.search.fit import WhitenedFit
@@ -33,6 +31,7 @@ from plants.diagnosis.search.verdict import (
     verdict_sentence,
 )
 from plants.effects import Effect, MainsInterference, Quantisation
+from plants.effects.plant_scale import written_unit
 
 STEP_KNOWN = 2e-3
 """Relative uncertainty of a step found among readings."""
@@ -208,7 +207,7 @@ def _named(effect: type[Effect], found: Mapping[str, Interval], model: Any) -> N
 
 def _told_by(parameters: Mapping[str, Interval], effect: type[Effect], model: Any) -> NamedEffect:
     own = {name: in_own_units(effect, name, one, model) for name, one in parameters.items()}
-    said = sentence(effect, {name: one.value for name, one in own.items()}, model)
+    said = effect.sentence({name: one.value for name, one in own.items()}, model)
     built = effect(**{name: one.value for name, one in parameters.items()})
     return NamedEffect(effect.name, effect.title, own, said, built)
 

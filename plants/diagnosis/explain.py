@@ -182,11 +182,10 @@ def _choice(plant: DiagnosedModel, effects: Sequence[type[Effect] | str] | None)
     )
     reasons = {e.name: plant.unavailable(e) for e in asked}
     had = [e for e in asked if reasons[e.name] is None]
-    special = (*thresholds.CALIBRATIONS, *thresholds.BY_RULE)
     return EffectChoices(
-        structural=tuple(e for e in had if e.name not in special),
-        calibrations=tuple(e for e in had if e.name in thresholds.CALIBRATIONS),
-        by_rule=tuple(e for e in had if e.name in thresholds.BY_RULE),
+        structural=tuple(e for e in had if not (e.base_parameter or e.in_noise)),
+        calibrations=tuple(e for e in had if e.base_parameter),
+        by_rule=tuple(e for e in had if e.in_noise),
         unavailable={name: why for name, why in reasons.items() if why is not None},
     )
 

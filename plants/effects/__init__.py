@@ -1,23 +1,23 @@
 """Physical effects that may be added to a reel, one small class each.
 
 `reel + Effect(...)` is a new reel. Its equations are written with CasADi once; the trial is
-simulated, differentiated and fitted from the same text. An effect of one's own is a class like
+simulated, differentiated and fitted from the same text. All that the program knows of an effect
+is declared in its class; see `plants.effects.effect`. An effect of one's own is a class like
 those of this package, here a spring that winds the cable in, as of a reel for a hose:
 
 ```python
 from dataclasses import dataclass
-from typing import ClassVar
 from plants.effects import Effect, Port, parameter
 
 
 @dataclass(frozen=True)
 class RewindSpring(Effect):
-    name: ClassVar[str] = "rewind_spring"
-    title: ClassVar[str] = "spring that rewinds the drum"
-    appearance: ClassVar[str] = "less current than the tension takes, less still when paid out"
-    port: ClassVar[Port] = Port.DRUM
+    name = "rewind_spring"
+    title = "spring that rewinds the drum"
+    appearance = "less current than the tension takes, less still when paid out"
+    port = Port.DRUM
     torque_Nm: float = parameter(0.05, low=0.0, high=1.0, unit="N m", neutral=0.0)
-    turns: float = parameter(5.0, low=1.0, high=50.0, unit="")
+    turns: float = parameter(5.0, low=1.0, high=50.0)
 
     @staticmethod
     def respond(p, state, signal, site):
@@ -34,67 +34,40 @@ import importlib
 from importlib.metadata import entry_points
 
 from estune.errors import InvalidInput
-from plants.effects.backlash import Backlash
-from plants.effects.cable_creep import CableCreep
-from plants.effects.cable_slack import CableSlack
-from plants.effects.cable_stiffening import CableStiffening
-from plants.effects.cable_weight import CableWeight
-from plants.effects.coulomb_friction import CoulombFriction
-from plants.effects.current_saturation import CurrentSaturation
-from plants.effects.dahl_hysteresis import DahlHysteresis
-from plants.effects.dead_time import DeadTime
-from plants.effects.drum_eccentricity import DrumEccentricity
-from plants.effects.effect import Effect, Parameter, Port, Signal, Site, parameter
-from plants.effects.eyelet_friction import EyeletFriction
-from plants.effects.gain_error import GainError
-from plants.effects.gauge_drift import GaugeDrift
-from plants.effects.gauge_nonlinearity import GaugeNonlinearity
-from plants.effects.gauge_offset import GaugeOffset
-from plants.effects.gauge_resonance import GaugeResonance
-from plants.effects.mains_interference import MainsInterference
-from plants.effects.quantisation import Quantisation
-from plants.effects.rate_limit import RateLimit
-from plants.effects.stribeck_friction import StribeckFriction
-from plants.effects.string_mode import StringMode
-from plants.effects.structural_mode import StructuralMode
-from plants.effects.torque_ripple import TorqueRipple
-from plants.effects.viscous_damping import ViscousDamping
-
-__all__ = [
-    "EFFECTS",
-    "Backlash",
-    "CableCreep",
-    "CableSlack",
-    "CableStiffening",
-    "CableWeight",
-    "CoulombFriction",
-    "CurrentSaturation",
-    "DahlHysteresis",
-    "DeadTime",
-    "DrumEccentricity",
-    "Effect",
-    "EyeletFriction",
-    "GainError",
-    "GaugeDrift",
-    "GaugeNonlinearity",
-    "GaugeOffset",
-    "GaugeResonance",
-    "MainsInterference",
-    "Parameter",
-    "Port",
-    "Quantisation",
-    "RateLimit",
-    "Signal",
-    "Site",
-    "StribeckFriction",
-    "StringMode",
-    "StructuralMode",
-    "TorqueRipple",
-    "ViscousDamping",
-    "declared",
-    "find",
-    "parameter",
-]
+from plants.effects.backlash import Backlash as Backlash
+from plants.effects.cable_creep import CableCreep as CableCreep
+from plants.effects.cable_slack import CableSlack as CableSlack
+from plants.effects.cable_stiffening import CableStiffening as CableStiffening
+from plants.effects.cable_weight import CableWeight as CableWeight
+from plants.effects.coulomb_friction import CoulombFriction as CoulombFriction
+from plants.effects.current_saturation import CurrentSaturation as CurrentSaturation
+from plants.effects.dahl_hysteresis import DahlHysteresis as DahlHysteresis
+from plants.effects.dead_time import DeadTime as DeadTime
+from plants.effects.drum_eccentricity import DrumEccentricity as DrumEccentricity
+from plants.effects.effect import Effect as Effect
+from plants.effects.effect import Port as Port
+from plants.effects.effect import Signal as Signal
+from plants.effects.effect import Site as Site
+from plants.effects.eyelet_friction import EyeletFriction as EyeletFriction
+from plants.effects.gain_error import GainError as GainError
+from plants.effects.gauge_drift import GaugeDrift as GaugeDrift
+from plants.effects.gauge_nonlinearity import GaugeNonlinearity as GaugeNonlinearity
+from plants.effects.gauge_offset import GaugeOffset as GaugeOffset
+from plants.effects.gauge_resonance import GaugeResonance as GaugeResonance
+from plants.effects.mains_interference import MainsInterference as MainsInterference
+from plants.effects.parameter import Parameter as Parameter
+from plants.effects.parameter import RecordScale as RecordScale
+from plants.effects.parameter import Role as Role
+from plants.effects.parameter import Share as Share
+from plants.effects.parameter import parameter as parameter
+from plants.effects.parameter import phase as phase
+from plants.effects.quantisation import Quantisation as Quantisation
+from plants.effects.rate_limit import RateLimit as RateLimit
+from plants.effects.stribeck_friction import StribeckFriction as StribeckFriction
+from plants.effects.string_mode import StringMode as StringMode
+from plants.effects.structural_mode import StructuralMode as StructuralMode
+from plants.effects.torque_ripple import TorqueRipple as TorqueRipple
+from plants.effects.viscous_damping import ViscousDamping as ViscousDamping
 
 EFFECTS: dict[str, type[Effect]] = {
     found.name: found

@@ -1,12 +1,12 @@
 """Play between motor and drum."""
 
 from dataclasses import dataclass
-from types import SimpleNamespace
-from typing import ClassVar
 
 import casadi as ca
 
-from plants.effects.effect import Effect, Port, Signal, Site, parameter
+from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
+from plants.effects.parameter import Share, parameter
+from plants.effects.plant_scale import PlantScale
 
 
 @dataclass(frozen=True)
@@ -30,22 +30,38 @@ class Backlash(Effect):
         motor_share: Share m of the inertia, and of the viscous friction, on the motor's side.
     """
 
-    name: ClassVar[str] = "backlash"
-    title: ClassVar[str] = "backlash between motor and drum"
-    appearance: ClassVar[str] = (
+    name = "backlash"
+    title = "backlash between motor and drum"
+    appearance = (
         "where the torque turns round and no tension holds the teeth together, the angle leaps "
         "ahead and stops with a jerk"
     )
-    port: ClassVar[Port] = Port.DRUM
-    also: ClassVar[tuple[Port, ...]] = (Port.CABLE,)
-    states: ClassVar[int] = 2
-    divides: ClassVar[bool] = True
+    excitation = "reversals of the torque near zero tension"
+    port = Port.DRUM
+    also = (Port.CABLE,)
+    states = 2
+    divides = True
 
-    play_rad: float = parameter(0.003, low=0.0, high=0.5, unit="rad", neutral=0.0)
-    motor_share: float = parameter(0.5, low=0.05, high=0.95, unit="")
+    play_rad: float = parameter(
+        0.003,
+        low=0.0,
+        high=0.5,
+        unit="rad",
+        neutral=0.0,
+        least=(Share(3.0, "angle_noise_rad"),),
+    )
+    motor_share: float = parameter(0.5, low=0.05, high=0.95)
+
+    @classmethod
+    def describe(cls, p: Values, plant: PlantScale) -> str:
+        """What was found, in words."""
+        return (
+            f"has backlash of {plant.travel(p.play_rad)} between motor and drum; the motor is "
+            f"{100.0 * p.motor_share:.0f} % of what turns and moves alone where the teeth part"
+        )
 
     @staticmethod
-    def prepare(p: SimpleNamespace, reel: SimpleNamespace) -> dict[str, Signal]:
+    def prepare(p: Values, reel: Values) -> dict[str, Signal]:
         """Arm, m; tension per gap, N/rad; friction, N m s/rad; the gap's rate per torque."""
         friction = reel.viscous_friction_Nms
         if "cable_length_m" in vars(reel):
@@ -63,9 +79,7 @@ class Backlash(Effect):
         }
 
     @staticmethod
-    def respond(
-        p: SimpleNamespace, state: Signal, signal: Signal, site: Site
-    ) -> tuple[Signal, Signal]:
+    def respond(p: Values, state: Signal, signal: Signal, site: Site) -> Response:
         """The tension at the drum's angle; the torque by which the motor moves unlike the whole.
 
         The whole's momentum does not depend on the teeth: of what the gap's rate changes by, the

@@ -1,12 +1,12 @@
 """A cable that goes on stretching."""
 
 from dataclasses import dataclass
-from types import SimpleNamespace
-from typing import ClassVar
 
 import casadi as ca
 
-from plants.effects.effect import Effect, Port, Signal, Site, parameter
+from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
+from plants.effects.parameter import parameter
+from plants.effects.plant_scale import PlantScale, share, si
 
 
 @dataclass(frozen=True)
@@ -23,42 +23,41 @@ class CableCreep(Effect):
         time_s: Time constant tau of the slow stretch, s.
     """
 
-    name: ClassVar[str] = "cable_creep"
-    title: ClassVar[str] = "creep of the cable"
-    appearance: ClassVar[str] = (
+    name = "cable_creep"
+    title = "creep of the cable"
+    appearance = (
         "after a step the angle goes on moving for long while the tension is held, "
         "in the direction of the step"
     )
-    port: ClassVar[Port] = Port.CABLE
-    states: ClassVar[int] = 1
+    excitation = "long holds after large steps"
+    port = Port.CABLE
+    states = 1
 
-    share: float = parameter(0.1, low=0.0, high=2.0, unit="", neutral=0.0)
+    share: float = parameter(0.1, low=0.0, high=2.0, neutral=0.0)
     time_s: float = parameter(0.3, low=0.01, high=100.0, unit="s")
 
+    @classmethod
+    def describe(cls, p: Values, _plant: PlantScale) -> str:
+        """What was found, in words."""
+        return (
+            f"has a cable that creeps: after each change it gives another {share(p.share)} of "
+            f"what it gave at once, with a time constant of {si(p.time_s, 's')}"
+        )
+
     @staticmethod
-    def prepare(p: SimpleNamespace, reel: SimpleNamespace) -> dict[str, Signal]:
+    def prepare(p: Values, reel: Values) -> dict[str, Signal]:
         """Exact propagation over a substep at held l; while taut e -> c l/(1 + c)."""
         rate = (1.0 + p.share) / p.time_s
         return {"settled": p.share / (1.0 + p.share), "kept": ca.exp(-rate * reel.substep_s)}
 
     @staticmethod
-    def respond(
-        p: SimpleNamespace,
-        state: Signal,
-        signal: Signal,
-        site: Site,  # noqa: ARG004  the span is in the numbers prepared
-    ) -> tuple[Signal, Signal]:
+    def respond(p: Values, state: Signal, signal: Signal, _site: Site) -> Response:
         """The tension left."""
         goal = p.settled * ca.fmax(signal, state)  # with T = max(0, l - e), T + e is max(l, e)
         return goal + (state - goal) * p.kept, signal - state
 
     @staticmethod
-    def rest(
-        p: SimpleNamespace,
-        state: Signal,  # noqa: ARG004  it is the settled stretch
-        signal: Signal,
-        site: Site,  # noqa: ARG004  the same at any angle
-    ) -> tuple[Signal, Signal]:
+    def rest(p: Values, _state: Signal, signal: Signal, _site: Site) -> Response:
         """The slow stretch at its end."""
         stretch = p.share * signal
         return stretch, signal + stretch

@@ -1,12 +1,14 @@
 """Slack that is taken up before the cable holds."""
 
+import math
 from dataclasses import dataclass
-from types import SimpleNamespace
-from typing import Any, ClassVar
+from typing import Any
 
 import casadi as ca
 
-from plants.effects.effect import Effect, Port, Signal, Site, parameter
+from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
+from plants.effects.parameter import Share, parameter
+from plants.effects.plant_scale import PlantScale, si
 
 TINY_N = 1e-30
 """Slack that no tension feels, so that none at zero tension is not 0/0."""
@@ -16,7 +18,7 @@ NEWTON_ROUNDS = 6
 """From above on a convex law; they end within rounding of the root."""
 
 
-def straightened(stretch: Signal, slack: Signal) -> tuple[Signal, Signal]:
+def straightened(stretch: Signal, slack: Signal) -> Response:
     """Tension and its slope, of a cable whose linear law says a tension of stretch less slack.
 
     Args:
@@ -63,24 +65,42 @@ class CableSlack(Effect):
         slack_m: The slack s that the cable has where the straight law says it is just taut, m.
     """
 
-    name: ClassVar[str] = "cable_slack"
-    title: ClassVar[str] = "slack of the cable"
-    appearance: ClassVar[str] = (
+    name = "cable_slack"
+    title = "slack of the cable"
+    appearance = (
         "near zero tension the angle moves far for little tension; "
         "well above, the cable is as stiff as ever"
     )
-    port: ClassVar[Port] = Port.CABLE
-    by_tension: ClassVar[bool] = True
+    excitation = "slow ramps to zero tension and back"
+    port = Port.CABLE
+    by_tension = True
 
-    slack_m: float = parameter(5e-4, low=0.0, high=0.05, unit="m", neutral=0.0)
+    slack_m: float = parameter(
+        5e-4,
+        low=0.0,
+        high=0.05,
+        unit="m",
+        neutral=0.0,
+        # A cable that never comes taut is one that stiffens.
+        most=(Share(1.0, "stretch_max_m"),),
+    )
+
+    @classmethod
+    def describe(cls, p: Values, plant: PlantScale) -> str:
+        """What was found, in words."""
+        until = 2.0 * plant.stiffness_N_m * p.slack_m
+        firm = "" if math.isnan(until) else f"; from {si(until, 'N')} on it is as stiff as ever"
+        return (
+            f"has {plant.cable(p.slack_m)} of slack that is taken up before the cable holds{firm}"
+        )
 
     @staticmethod
-    def amend(p: SimpleNamespace, reel: SimpleNamespace) -> dict[str, Any]:
+    def amend(p: Values, reel: Values) -> dict[str, Any]:
         """The slack, for a reel whose own weight sags at any tension."""
         return {"slack_m": vars(reel).get("slack_m", 0.0) + p.slack_m}
 
     @staticmethod
-    def prepare(p: SimpleNamespace, reel: SimpleNamespace) -> dict[str, Signal]:
+    def prepare(p: Values, reel: Values) -> dict[str, Signal]:
         """The slack as a tension of the linear law, N."""
         return {
             "slack_N": p.slack_m * reel.stiffness_N_m + TINY_N,
@@ -88,23 +108,13 @@ class CableSlack(Effect):
         }
 
     @staticmethod
-    def respond(
-        p: SimpleNamespace,
-        state: Signal,
-        signal: Signal,
-        site: Site,  # noqa: ARG004  the law is the same at all times
-    ) -> tuple[Signal, Signal]:
+    def respond(p: Values, state: Signal, signal: Signal, _site: Site) -> Response:
         """The tension; a slack cable stays slack."""
         tension, _ = straightened(signal + p.slack_N, p.slack_N)
         return state, tension + p.done * (signal - tension)
 
     @staticmethod
-    def rest(
-        p: SimpleNamespace,
-        state: Signal,
-        signal: Signal,
-        site: Site,  # noqa: ARG004  the law is the same at all times
-    ) -> tuple[Signal, Signal]:
+    def rest(p: Values, state: Signal, signal: Signal, _site: Site) -> Response:
         """The linear law's tension."""
         linear = stretched(signal, p.slack_N) - p.slack_N
         return state, linear + p.done * (signal - linear)

@@ -1,12 +1,13 @@
 """A cable that stiffens under tension."""
 
+import math
 from dataclasses import dataclass
-from types import SimpleNamespace
-from typing import ClassVar
 
 import casadi as ca
 
-from plants.effects.effect import Effect, Port, Signal, Site, parameter
+from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
+from plants.effects.parameter import parameter
+from plants.effects.plant_scale import PlantScale, digits, share, si
 
 NEWTON_ROUNDS = 6
 """From the smaller of the two bounds below; they end within rounding of the root."""
@@ -25,35 +26,47 @@ class CableStiffening(Effect):
         cubic_per_N2: The coefficient d, 1/N2.
     """
 
-    name: ClassVar[str] = "cable_stiffening"
-    title: ClassVar[str] = "stiffening of the cable"
-    appearance: ClassVar[str] = (
+    name = "cable_stiffening"
+    title = "stiffening of the cable"
+    appearance = (
         "tension against angle is bent upward while tension against current is straight; "
         "the resonance rises with the tension"
     )
-    port: ClassVar[Port] = Port.CABLE
+    excitation = "slow ramps over the whole range of tension"
+    family = "stiffening"
+    port = Port.CABLE
 
     stiffening_per_N: float = parameter(5e-3, low=0.0, high=0.1, unit="1/N", neutral=0.0)
     cubic_per_N2: float = parameter(0.0, low=0.0, high=0.1, unit="1/N2", neutral=0.0)
 
+    @classmethod
+    def describe(cls, p: Values, plant: PlantScale) -> str:
+        """What was found, in words."""
+        square, cubic = p.stiffening_per_N, p.cubic_per_N2
+        if plant.subject == "plant":
+            pulled = f"{digits(square)} u² more where it is pulled" if square else ""
+            either = f"{digits(cubic)} u³ more either way" if cubic else ""
+            more = " and ".join(filter(None, (pulled, either)))
+            return (
+                f"has a spring that stiffens: it holds {more}, u being what the linear law holds"
+            )
+        T = plant.tension_N if math.isfinite(plant.tension_N) else 10.0
+        bent = square * T + cubic * T * T
+        terms = f"coefficient {square:.3g} 1/N" + (f", cubic {cubic:.3g} 1/N²" if cubic else "")
+        more = "more" if bent > 0.0 else "less"
+        return (
+            f"has a cable that stiffens as it is pulled: where the linear law has {si(T, 'N')} it "
+            f"pulls {share(abs(bent))} {more} ({terms})"
+        )
+
     @staticmethod
-    def respond(
-        p: SimpleNamespace,
-        state: Signal,
-        signal: Signal,
-        site: Site,  # noqa: ARG004  the law is the same at all times
-    ) -> tuple[Signal, Signal]:
+    def respond(p: Values, state: Signal, signal: Signal, _site: Site) -> Response:
         """The tension; a slack cable stays slack."""
         odd = p.cubic_per_N2 * (signal * signal)
         return state, signal * (1.0 + p.stiffening_per_N * ca.fmax(signal, 0.0) + odd)
 
     @staticmethod
-    def rest(
-        p: SimpleNamespace,
-        state: Signal,
-        signal: Signal,
-        site: Site,  # noqa: ARG004  the law is the same at all times
-    ) -> tuple[Signal, Signal]:
+    def rest(p: Values, state: Signal, signal: Signal, _site: Site) -> Response:
         """The linear law's tension, by Newton's method from above on a convex law."""
         size, d = ca.fabs(signal), p.cubic_per_N2
         c = ca.if_else(signal > 0.0, p.stiffening_per_N, 0.0)

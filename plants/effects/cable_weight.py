@@ -1,12 +1,14 @@
 """A cable heavier than the reel's own."""
 
+import math
 from dataclasses import dataclass
-from types import SimpleNamespace
-from typing import Any, ClassVar
+from typing import Any
 
 import casadi as ca
 
-from plants.effects.effect import Effect, Port, Signal, Site, parameter
+from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
+from plants.effects.parameter import parameter
+from plants.effects.plant_scale import PlantScale, si
 
 TINY_N3 = 1e-30
 """Keeps the third root differentiable where nothing is added."""
@@ -28,25 +30,38 @@ class CableWeight(Effect):
         density_kg_m: Mass dmu added per length, kg/m.
     """
 
-    name: ClassVar[str] = "cable_weight"
-    title: ClassVar[str] = "weight of the cable"
-    appearance: ClassVar[str] = (
+    name = "cable_weight"
+    title = "weight of the cable"
+    appearance = (
         "the cable is softer at low tension, the more so the longer it is, "
         "and the resonance falls with the tension"
     )
-    port: ClassVar[Port] = Port.CABLE
-    states: ClassVar[int] = 2
-    by_tension: ClassVar[bool] = True
+    excitation = "slow ramps at low tension on a long cable"
+    known_apart = True
+    port = Port.CABLE
+    states = 2
+    by_tension = True
 
     density_kg_m: float = parameter(0.03, low=0.0, high=0.5, unit="kg/m", neutral=0.0)
 
+    @classmethod
+    def describe(cls, p: Values, plant: PlantScale) -> str:
+        """What was found, in words."""
+        sag = 9.81 * p.density_kg_m * plant.length_m**2 / (8.0 * plant.tension_N)
+        place = f"on {si(plant.length_m, 'm')} at {si(plant.tension_N, 'N')}"
+        seen = "" if math.isnan(sag) else f": {place} it sags {si(sag, 'm')} more"
+        return (
+            f"has a cable {1e3 * p.density_kg_m:.3g} g/m heavier than the model's{seen}, and is "
+            "softer at low tension"
+        )
+
     @staticmethod
-    def amend(p: SimpleNamespace, reel: SimpleNamespace) -> dict[str, Any]:
+    def amend(p: Values, reel: Values) -> dict[str, Any]:
         """The weight added, for a reel whose own weight sags at any tension."""
         return {"added_density_kg_m": vars(reel).get("added_density_kg_m", 0.0) + p.density_kg_m}
 
     @staticmethod
-    def prepare(p: SimpleNamespace, reel: SimpleNamespace) -> dict[str, Signal]:
+    def prepare(p: Values, reel: Values) -> dict[str, Signal]:
         """The constant k q in N^3, its third root, and k q/T_0^2."""
         density = reel.cable_density_kg_m
         weights = (density + p.density_kg_m) ** 2 - density**2
@@ -61,12 +76,7 @@ class CableWeight(Effect):
         }
 
     @staticmethod
-    def respond(
-        p: SimpleNamespace,
-        state: Signal,
-        signal: Signal,
-        site: Site,  # noqa: ARG004  the law is the same at all times
-    ) -> tuple[Signal, Signal]:
+    def respond(p: Values, state: Signal, signal: Signal, _site: Site) -> Response:
         """The root T of T - s - kq/T^2, which is concave: Newton's steps end below it."""
         s = signal - p.shift
         start = ca.fmax(2.0 * state[0] - state[1], 0.125 * state[0])
@@ -77,12 +87,7 @@ class CableWeight(Effect):
         return ca.vertcat(found, state[0]), found + p.done * (signal - found)
 
     @staticmethod
-    def rest(
-        p: SimpleNamespace,
-        state: Signal,  # noqa: ARG004  it is the tension
-        signal: Signal,
-        site: Site,  # noqa: ARG004  the law is the same at all times
-    ) -> tuple[Signal, Signal]:
+    def rest(p: Values, _state: Signal, signal: Signal, _site: Site) -> Response:
         """The linear law's tension."""
         tension = ca.fmax(signal, 0.1 * p.root)
         linear = tension - 0.5 * p.twice / tension**2 + p.shift

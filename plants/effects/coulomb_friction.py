@@ -1,12 +1,12 @@
 """Dry friction of constant size."""
 
 from dataclasses import dataclass
-from types import SimpleNamespace
-from typing import ClassVar
 
 import casadi as ca
 
-from plants.effects.effect import Effect, Port, Signal, Site, parameter
+from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
+from plants.effects.parameter import parameter
+from plants.effects.plant_scale import PlantScale
 
 TINY_Nm = 1e-30
 """Keeps a quotient finite where there is no friction."""
@@ -26,31 +26,36 @@ class CoulombFriction(Effect):
         creep_rad_s: Velocity omega_c up to which they creep, rad/s; 0 where they stick.
     """
 
-    name: ClassVar[str] = "coulomb_friction"
-    title: ClassVar[str] = "Coulomb friction of the drum"
-    appearance: ClassVar[str] = (
+    name = "coulomb_friction"
+    title = "Coulomb friction of the drum"
+    appearance = (
         "current and tension differ by a constant whose sign is that of the velocity; "
         "small steps stop short of the setpoint"
     )
-    port: ClassVar[Port] = Port.DRUM
-    resists: ClassVar[bool] = True
+    excitation = "slow reversals"
+    family = "dry friction"
+    port = Port.DRUM
+    resists = True
 
     torque_Nm: float = parameter(0.02, low=0.0, high=1e4, unit="N m", neutral=0.0)
-    creep_rad_s: float = parameter(0.0, low=0.0, high=1e3, unit="rad/s", begun=0.0)
+    creep_rad_s: float = parameter(0.0, low=0.0, high=1e3, unit="rad/s", start=0.0)
+
+    @classmethod
+    def describe(cls, p: Values, plant: PlantScale) -> str:
+        """What was found, in words."""
+        return (
+            f"has dry friction{plant.at_drum}: {plant.torque(p.torque_Nm)} against the motion, "
+            "whatever the speed. A smaller change of the command moves nothing"
+        )
 
     @staticmethod
-    def prepare(p: SimpleNamespace, reel: SimpleNamespace) -> dict[str, Signal]:
+    def prepare(p: Values, reel: Values) -> dict[str, Signal]:
         """Torque that takes off a unit of velocity, of what the surfaces creep with the less."""
         mass = reel.torque_per_velocity
         return {"stopping": mass * p.torque_Nm / (p.torque_Nm + mass * p.creep_rad_s + TINY_Nm)}
 
     @staticmethod
-    def respond(
-        p: SimpleNamespace,
-        state: Signal,
-        signal: Signal,  # noqa: ARG004  friction does not depend on the torque of other effects
-        site: Site,
-    ) -> tuple[Signal, Signal]:
+    def respond(p: Values, state: Signal, _signal: Signal, site: Site) -> Response:
         """The torque that would end the substep at rest, or at what they creep, no more than F."""
         stopping = -site.velocity_rad_s * p.stopping
         return state, ca.fmin(ca.fmax(stopping, -p.torque_Nm), p.torque_Nm)

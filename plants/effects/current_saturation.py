@@ -1,12 +1,12 @@
 """A current limit."""
 
 from dataclasses import dataclass
-from types import SimpleNamespace
-from typing import ClassVar
 
 import casadi as ca
 
-from plants.effects.effect import Effect, Port, Signal, Site, parameter
+from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
+from plants.effects.parameter import Role, parameter
+from plants.effects.plant_scale import PlantScale
 
 TINY = 1e-12
 
@@ -27,24 +27,28 @@ class CurrentSaturation(Effect):
         bend: Half the width of the bend, b, relative to the limit.
     """
 
-    name: ClassVar[str] = "current_saturation"
-    title: ClassVar[str] = "current limit of the drive"
-    appearance: ClassVar[str] = (
+    name = "current_saturation"
+    title = "current limit of the drive"
+    appearance = (
         "tension stays flat above a level however much is commanded, and the integral winds up; "
         "small steps show nothing"
     )
-    port: ClassVar[Port] = Port.ACTUATOR
+    excitation = "large steps"
+    port = Port.ACTUATOR
 
-    limit_A: float = parameter(1.5, low=1e-3, high=1e6, unit="A", neutral=1e6)
-    bend: float = parameter(0.02, low=1e-3, high=0.9, unit="")
+    limit_A: float = parameter(1.5, low=1e-3, high=1e6, unit="A", neutral=1e6, role=Role.LIMIT)
+    bend: float = parameter(0.02, low=1e-3, high=0.9)
+
+    @classmethod
+    def describe(cls, p: Values, plant: PlantScale) -> str:
+        """What was found, in words."""
+        return (
+            f"has a drive that gives no more than {plant.current(p.limit_A)}, however much is "
+            "commanded; beyond it the controller's integral winds up"
+        )
 
     @staticmethod
-    def respond(
-        p: SimpleNamespace,
-        state: Signal,
-        signal: Signal,
-        site: Site,  # noqa: ARG004  the limit is the same at all times
-    ) -> tuple[Signal, Signal]:
+    def respond(p: Values, state: Signal, signal: Signal, _site: Site) -> Response:
         """The current within the limit."""
         half = p.bend * p.limit_A
         size = ca.fmin(ca.fabs(signal), p.limit_A + half)
@@ -52,12 +56,7 @@ class CurrentSaturation(Effect):
         return state, ca.sign(signal) * (size - into * into / (4.0 * half + TINY))
 
     @staticmethod
-    def rest(
-        p: SimpleNamespace,
-        state: Signal,
-        signal: Signal,
-        site: Site,  # noqa: ARG004  the limit is the same at all times
-    ) -> tuple[Signal, Signal]:
+    def rest(p: Values, state: Signal, signal: Signal, _site: Site) -> Response:
         """The current commanded for one that flows, or the least for as much as there is."""
         half = p.bend * p.limit_A
         size = ca.fmin(ca.fabs(signal), p.limit_A)

@@ -1,11 +1,14 @@
 """Friction that is elastic before it slips."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from types import SimpleNamespace
 from typing import ClassVar
 
 from plants.effects.bristles import both_bent
-from plants.effects.effect import Effect, Port, Signal, Site, parameter
+from plants.effects.coulomb_friction import CoulombFriction
+from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
+from plants.effects.parameter import Share, parameter
+from plants.effects.plant_scale import PlantScale
 
 
 @dataclass(frozen=True)
@@ -25,23 +28,43 @@ class DahlHysteresis(Effect):
         spread: Factor s by which half of it builds up sooner.
     """
 
-    name: ClassVar[str] = "dahl_hysteresis"
-    title: ClassVar[str] = "Dahl hysteresis of the drum"
-    appearance: ClassVar[str] = (
+    name = "dahl_hysteresis"
+    title = "Dahl hysteresis of the drum"
+    appearance = (
         "after each reversal current and tension drift apart over a small angle, "
         "so that small loops are narrower than large ones"
     )
-    port: ClassVar[Port] = Port.DRUM
-    states: ClassVar[int] = 2
-    resists: ClassVar[bool] = True
+    excitation = "slow reversals of several amplitudes"
+    family = "dry friction"
+    extends = CoulombFriction
+    inherits: ClassVar[Mapping[str, str]] = {"torque_Nm": "torque_Nm"}
+    port = Port.DRUM
+    states = 2
+    resists = True
 
     torque_Nm: float = parameter(0.02, low=0.0, high=1e4, unit="N m", neutral=0.0)
-    presliding_rad: float = parameter(2e-3, low=1e-7, high=10.0, unit="rad")
+    presliding_rad: float = parameter(
+        2e-3,
+        low=1e-7,
+        high=10.0,
+        unit="rad",
+        # Shorter than this, bristles that bend and a drum that sticks look alike to the encoder.
+        least=(Share(12.0, "angle_noise_rad"),),
+    )
     # At 1 it acts as the length does: a fit begins beside it.
-    spread: float = parameter(1.0, low=1.0, high=100.0, unit="", begun=4.0)
+    spread: float = parameter(1.0, low=1.0, high=100.0, start=4.0)
+
+    @classmethod
+    def describe(cls, p: Values, plant: PlantScale) -> str:
+        """What was found, in words."""
+        return (
+            f"has dry friction that gives before it slips: {plant.torque(p.torque_Nm)}, built up "
+            f"over {plant.travel(p.presliding_rad)} after each reversal, so that small motions "
+            "meet less"
+        )
 
     @staticmethod
-    def prepare(p: SimpleNamespace, reel: SimpleNamespace) -> dict[str, Signal]:
+    def prepare(p: Values, reel: Values) -> dict[str, Signal]:
         """Half the velocity that friction takes off in a substep; lengths per velocity."""
         bend = reel.substep_s / p.presliding_rad
         return {
@@ -51,12 +74,7 @@ class DahlHysteresis(Effect):
         }
 
     @staticmethod
-    def respond(
-        p: SimpleNamespace,
-        state: Signal,
-        signal: Signal,  # noqa: ARG004  friction does not depend on the torque of other effects
-        site: Site,
-    ) -> tuple[Signal, Signal]:
+    def respond(p: Values, state: Signal, _signal: Signal, site: Site) -> Response:
         """The mean torque of the bristles over the substep."""
         bent = both_bent(state, site, p.slowing, (p.bend_1, p.bend_2))
         return bent.after, -p.torque_Nm * bent.held

@@ -1,10 +1,12 @@
 """Dead time of the drive."""
 
+import math
 from dataclasses import dataclass
-from types import SimpleNamespace
-from typing import Any, ClassVar
+from typing import Any
 
-from plants.effects.effect import Effect, Port, parameter
+from plants.effects.effect import Effect, Port, Values
+from plants.effects.parameter import Share, parameter
+from plants.effects.plant_scale import PlantScale, digits, si
 
 
 @dataclass(frozen=True)
@@ -17,17 +19,30 @@ class DeadTime(Effect):
         delay_s: The dead time d added, s.
     """
 
-    name: ClassVar[str] = "dead_time"
-    title: ClassVar[str] = "dead time of the drive"
-    appearance: ClassVar[str] = (
+    name = "dead_time"
+    title = "dead time of the drive"
+    appearance = (
         "everything comes late by the same time: the phase lags in proportion to the frequency "
         "while gain and tension level play no part"
     )
-    port: ClassVar[Port] = Port.ACTUATOR
+    excitation = "fast changes of the command, as in a multisine"
+    port = Port.ACTUATOR
 
-    delay_s: float = parameter(1e-3, low=0.0, high=0.05, unit="s", neutral=0.0)
+    delay_s: float = parameter(
+        1e-3, low=0.0, high=0.05, unit="s", neutral=0.0, least=(Share(0.2, "sample_s"),)
+    )
+
+    @classmethod
+    def describe(cls, p: Values, plant: PlantScale) -> str:
+        """What was found, in words."""
+        d, samples = p.delay_s, p.delay_s * plant.sampling_Hz
+        counted = "" if math.isnan(samples) else f", {samples:.3g} samples,"
+        return (
+            f"has dead time that the model lacks: every command acts {si(d, 's')}{counted} later, "
+            f"which takes {digits(3600.0 * d)} degrees of phase at 10 Hz"
+        )
 
     @staticmethod
-    def amend(p: SimpleNamespace, reel: SimpleNamespace) -> dict[str, Any]:
+    def amend(p: Values, reel: Values) -> dict[str, Any]:
         """The dead time of reel and effect together."""
         return {"dead_time_s": reel.dead_time_s + p.delay_s}

@@ -1,13 +1,13 @@
 """A drum that is not round about its axis."""
 
 from dataclasses import dataclass
-from types import SimpleNamespace
-from typing import ClassVar
 
 import casadi as ca
 
 from plants.effects import angle_phase
-from plants.effects.effect import Effect, Port, Signal, Site, WINDS_rad, parameter
+from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
+from plants.effects.parameter import parameter, phase
+from plants.effects.plant_scale import PlantScale, also, share
 
 
 @dataclass(frozen=True)
@@ -25,29 +25,34 @@ class DrumEccentricity(Effect):
         phase_rad: Angle phi past the largest radius where the cable is just taut, rad.
     """
 
-    name: ClassVar[str] = "drum_eccentricity"
-    title: ClassVar[str] = "eccentricity of the drum"
-    appearance: ClassVar[str] = (
-        "the ratios of current to tension and of tension to angle vary once per turn"
-    )
-    port: ClassVar[Port] = Port.CABLE
-    also: ClassVar[tuple[Port, ...]] = (Port.DRUM,)
-    states: ClassVar[int] = angle_phase.STATES
+    name = "drum_eccentricity"
+    title = "eccentricity of the drum"
+    appearance = "the ratios of current to tension and of tension to angle vary once per turn"
+    excitation = "motion over a turn or more"
+    port = Port.CABLE
+    also = (Port.DRUM,)
+    states = angle_phase.STATES
 
-    eccentricity: float = parameter(0.02, low=0.0, high=0.2, unit="", neutral=0.0)
-    phase_rad: float = parameter(0.0, low=-WINDS_rad, high=WINDS_rad, unit="rad")
+    eccentricity: float = parameter(0.02, low=0.0, high=0.2, neutral=0.0)
+    phase_rad: float = phase()
+
+    @classmethod
+    def describe(cls, p: Values, plant: PlantScale) -> str:
+        """What was found, in words."""
+        return (
+            f"has a drum that is not round: its radius varies by {share(p.eccentricity)}"
+            f"{also(p.eccentricity * plant.radius_m, 'm')} either way, once a turn"
+        )
 
     @staticmethod
-    def prepare(p: SimpleNamespace, reel: SimpleNamespace) -> dict[str, Signal]:
+    def prepare(p: Values, reel: Values) -> dict[str, Signal]:
         """What the eccentricity stands for in tension and in arm."""
         arm = p.eccentricity * reel.drum_radius_m
         swing = arm * reel.stiffness_N_m
         return {"arm_m": arm, "swing_N": swing, "taut_N": swing * ca.sin(p.phase_rad)}
 
     @staticmethod
-    def respond(
-        p: SimpleNamespace, state: Signal, signal: Signal, site: Site
-    ) -> tuple[Signal, Signal]:
+    def respond(p: Values, state: Signal, signal: Signal, site: Site) -> Response:
         """At the cable the tension for the length wound in, then at the drum the arm's torque."""
         if site.port is Port.DRUM:
             return state, -p.arm_m * state[1] * site.tension_N
@@ -55,12 +60,7 @@ class DrumEccentricity(Effect):
         return place, (signal - p.taut_N) + p.swing_N * place[0]
 
     @staticmethod
-    def rest(
-        p: SimpleNamespace,
-        state: Signal,  # noqa: ARG004  it is the angle
-        signal: Signal,
-        site: Site,
-    ) -> tuple[Signal, Signal]:
+    def rest(p: Values, _state: Signal, signal: Signal, site: Site) -> Response:
         """The same, traced back at the cable."""
         place = angle_phase.encode_angle(site.angle_rad + p.phase_rad)
         if site.port is Port.DRUM:
@@ -68,10 +68,6 @@ class DrumEccentricity(Effect):
         return place, signal - p.swing_N * place[0] + p.taut_N
 
     @staticmethod
-    def put(
-        p: SimpleNamespace,
-        state: Signal,  # noqa: ARG004  it is the angle
-        angle_rad: Signal,
-    ) -> Signal:
+    def put(p: Values, _state: Signal, angle_rad: Signal) -> Signal:
         """The angle there."""
         return angle_phase.encode_angle(angle_rad + p.phase_rad)

@@ -1,16 +1,38 @@
-"""How a physical effect is declared, so that `reel + effect` is a new model."""
+"""How a physical effect is declared, so that `reel + effect` is a new model.
+
+An effect's file says all that the program knows of it. What the search, the report and the
+experiments want to know they read from its class:
+
+- its law: `port`, `also`, `states`, `respond`, `rest`, `amend`, `prepare`, `put`;
+- its words: `name` (the slug), `title`, `appearance` (what it looks like in data), `excitation`
+  (what experiment shows it), `describe` (a sentence with its fitted numbers);
+- its parameters, each with unit, bounds, role (size, limit, shape, frequency, periods, phase),
+  where a fit begins, and the least size that matters: see `Parameter`;
+- its relations: `family` and `extends` (simpler laws that do a part of it), `base_parameter` (a
+  number of the base model that does the same), `in_noise` (found in the noise, not by a fit),
+  `known_apart` (measurable without the machine).
+
+All but `name`, `title`, `appearance`, `port` and the parameters have defaults.
+"""
 
 import math
 from abc import ABC
-from dataclasses import MISSING, dataclass, field, fields
+from collections.abc import Mapping
+from dataclasses import MISSING, dataclass, fields
 from enum import StrEnum
 from types import SimpleNamespace
 from typing import Any, ClassVar, NamedTuple, Self
 
 from estune.errors import InvalidInput
+from plants.effects.parameter import Parameter, RecordScale, Role, Share
+from plants.effects.plant_scale import PlantScale, si
 
 Signal = Any
 """A CasADi expression: no Python `if` may depend on it."""
+Values = SimpleNamespace
+"""Numbers or expressions by name."""
+Response = tuple[Signal, Signal]
+"""The next state of an effect, and the changed signal."""
 
 
 class Port(StrEnum):
@@ -56,47 +78,16 @@ class Site(NamedTuple):
     friction_Nm: Signal = 0.0
 
 
-WINDS_rad = 8.0 * math.pi
-"""How far a phase goes either way: while a period is sought it winds up with it."""
-
-
-class Parameter(NamedTuple):
-    """What is known of one parameter of an effect.
-
-    Attributes:
-        low: Least value it may take.
-        high: Greatest value.
-        unit: Its unit; empty for a plain number.
-        neutral: The value at which the effect does nothing, whatever its other parameters; None
-            where there is no such value.
-        begun: Where a fit begins that knows nothing of it, and tries no other value; None is the
-            usual value, and where nothing is neutral several about it.
-    """
-
-    low: float
-    high: float
-    unit: str
-    neutral: float | None
-    begun: float | None = None
-
-    @property
-    def is_phase(self) -> bool:
-        """Whether it is a phase."""
-        return self.unit == "rad" and (self.low, self.high) == (-WINDS_rad, WINDS_rad)
-
-
-def parameter(
-    value: float,
-    *,
-    low: float,
-    high: float,
-    unit: str,
-    neutral: float | None = None,
-    begun: float | None = None,
-) -> Any:
-    """Declares a field of an effect as a parameter: usual value, and the fields of `Parameter`."""
-    declared = Parameter(low, high, unit, neutral, begun)
-    return field(default=value, metadata={"parameter": declared})
+USUAL_STARTS: dict[tuple[Port, str], tuple[Share, Share | None]] = {
+    (Port.DRUM, "N m"): (Share(0.1, "torque_rms_Nm"), Share(2.0, "torque_max_Nm")),
+    (Port.DRUM, "rad/s"): (Share(0.3, "velocity_rms_rad_s"), Share(2.0, "velocity_max_rad_s")),
+    (Port.EYELET, "rad/s"): (Share(0.01, "velocity_rms_rad_s"), Share(2.0, "velocity_max_rad_s")),
+    (Port.DRUM, "rad"): (Share(0.05, "angle_rms_rad"), Share(2.0, "angle_rms_rad")),
+    (Port.ACTUATOR, "A"): (Share(0.8, "current_max_A"), None),
+    (Port.ACTUATOR, "A/s"): (Share(0.8, "current_rate_A_s"), None),
+}
+"""Where a fit begins, and its upper bound, of a parameter that declares neither: by port and unit,
+relative to what the records show."""
 
 
 @dataclass(frozen=True)
@@ -110,17 +101,24 @@ class Effect(ABC):
         name: Its slug.
         title: Its name in plain words.
         appearance: One sentence on what it looks like in data.
+        excitation: The experiment that shows it, a noun phrase.
+        family: Name of its family. Members do the same in more or less detail; those with fewer
+            parameters are simpler. Empty where it has none.
+        extends: The simpler effect whose fit its own begins with, or None.
+        inherits: Its parameters that begin with the fit of one of `extends`, to that one's name.
+        base_parameter: The base model's own number that does the same; empty where none does.
+        in_noise: Whether it is found in the noise of the records, not by fitting predictions.
+        known_apart: Whether its size is known without the machine, by a scale say: of two
+            effects that explain as much, the other is likelier.
         port: Where it sits.
         also: Further ports it is visited at; `respond` tells them apart by `site.port`.
         states: How many numbers it remembers.
         resists: At the drum, whether it answers to the motion that all else leaves, as friction
             does: it is then visited after those that do not.
-        divides: At the drum, whether it tells what acts on the drum from what acts on the motor;
-            it is then visited last.
-        by_tension: Whether it turns on the tension there is, not on changes of it: beside it an
-            offset of the torque looks unlike one of the gauge.
-        repeats: Name of the parameter that says how often it repeats in a turn of the drum, where
-            it is a wave over the angle.
+        divides: At the drum, whether it separates what acts on the drum from what acts on the
+            motor; it is then visited last.
+        by_tension: Whether it depends on the level of the tension, not on changes of it: beside it
+            an offset of the torque can be told from one of the gauge.
         smooth: Whether the trial has a derivative by the parameters that is worth following.
 
     Raises:
@@ -130,22 +128,27 @@ class Effect(ABC):
     name: ClassVar[str]
     title: ClassVar[str]
     appearance: ClassVar[str]
+    excitation: ClassVar[str] = ""
+    family: ClassVar[str] = ""
+    extends: ClassVar["type[Effect] | None"] = None
+    inherits: ClassVar[Mapping[str, str]] = {}
+    base_parameter: ClassVar[str] = ""
+    in_noise: ClassVar[bool] = False
+    known_apart: ClassVar[bool] = False
     port: ClassVar[Port]
     also: ClassVar[tuple[Port, ...]] = ()
     states: ClassVar[int] = 0
     resists: ClassVar[bool] = False
     divides: ClassVar[bool] = False
     by_tension: ClassVar[bool] = False
-    repeats: ClassVar[str] = ""
     smooth: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        for name, (low, high, unit, _, _) in self.parameters().items():
+        for name, p in self.parameters().items():
             value = getattr(self, name)
-            if not (math.isfinite(value) and low <= value <= high):
-                raise InvalidInput(
-                    f"{self.name}: {name} is {value}; it must lie from {low:g} to {high:g} {unit}"
-                )
+            if not (math.isfinite(value) and p.low <= value <= p.high):
+                allowed = f"it must lie from {p.low:g} to {p.high:g} {p.unit}"
+                raise InvalidInput(f"{self.name}: {name} is {value}; {allowed}")
 
     @classmethod
     def parameters(cls) -> dict[str, Parameter]:
@@ -157,13 +160,113 @@ class Effect(ABC):
         return declared
 
     @classmethod
+    def named(cls, *roles: Role) -> tuple[str, ...]:
+        """Names of the parameters of some roles, in the order of the fields."""
+        return tuple(name for name, p in cls.parameters().items() if p.role in roles)
+
+    @classmethod
     def neutral(cls) -> Self:
         """The effect with the parameters at which it does nothing."""
         declared = cls.parameters().items()
         return cls(**{name: p.neutral for name, p in declared if p.neutral is not None})
 
+    @classmethod
+    def start(cls, name: str, records: RecordScale) -> tuple[float, float]:
+        """Where a fit of a parameter begins, and its upper bound there.
+
+        Args:
+            name: Name of the parameter.
+            records: What the records show.
+        """
+        p, value = cls.parameters()[name], float(getattr(cls(), name))
+        shares = USUAL_STARTS.get((cls.port, p.unit)) if p.role is not Role.PHASE else None
+        begin, most = shares or (None, None)
+        begin = p.start if isinstance(p.start, Share) else begin
+        most = p.fit_high or most
+        relative = value if begin is None else begin.factor * getattr(records, begin.of)
+        high = p.high if most is None else most.factor * getattr(records, most.of)
+        if math.isfinite(relative) and relative > 0.0 and high > p.low:
+            high = min(high, p.high)
+            value = min(max(relative, p.low), high)
+        else:
+            high = p.high
+        return (p.start if isinstance(p.start, float | int) else value), high
+
+    @classmethod
+    def guesses(cls, name: str, records: RecordScale) -> tuple[float, ...]:
+        """Values of a parameter that a search tries; none where those about `start` will do.
+
+        Args:
+            name: Name of the parameter.
+            records: What the records show.
+        """
+        p = cls.parameters()[name]
+        tried: Any = p.start
+        if callable(tried):
+            tried = tuple(tried(records))
+        elif isinstance(tried, float | int):
+            tried = (tried,)
+        elif tried is None or isinstance(tried, Share):
+            tried = {Role.FREQUENCY: records.resonances_Hz, Role.PERIODS: records.periods_per_turn}
+            tried = tried.get(p.role, ())
+        return tuple(float(value) for value in tried if p.low <= value <= p.high)
+
+    @classmethod
+    def matters(
+        cls, values: Mapping[str, float], records: RecordScale, *, distinct: bool = False
+    ) -> bool:
+        """Whether the effect is of a size that matters in practice.
+
+        What is significant may still be of no account: a dead time of a small part of a sample is
+        how two programs hold a signal, not a property of a drive.
+
+        Args:
+            values: Its parameters by name.
+            records: What the records show; what they do not, nan, rules nothing out.
+            distinct: Whether the records distinguish it from a simpler one, so that of its least
+                sizes only those relative to another parameter count.
+        """
+
+        def size(one: Share) -> float:
+            if not one.of:
+                return one.factor
+            of = values[one.of] if one.of in values else getattr(records, one.of)
+            return float(one.factor * of)
+
+        for name, p in cls.parameters().items():
+            least = [one for one in p.least if one.of in values or not distinct]
+            if any(abs(values[name]) < size(one) for one in least):
+                return False
+            if any(abs(values[name]) > size(one) for one in p.most):
+                return False
+        return True
+
+    @classmethod
+    def describe(cls, p: Values, plant: PlantScale) -> str:  # noqa: ARG003  numbers alone
+        """What the effect is and how large: the end of a sentence that begins "Your reel".
+
+        Args:
+            p: The fitted parameters by name, in the plant's own units.
+            plant: Words and sizes of the plant.
+        """
+        numbers = (
+            f"{name} {si(getattr(p, name), d.unit)}" for name, d in cls.parameters().items()
+        )
+        return f"has {cls.title}: {', '.join(numbers)}. In the data: {cls.appearance}"
+
+    @classmethod
+    def sentence(cls, values: Mapping[str, float], model: Any) -> str:
+        """One or two sentences that say what the effect is and how large.
+
+        Args:
+            values: The fitted parameters by name, in the plant's own units.
+            model: The model they were fitted with.
+        """
+        plant = PlantScale.of(model)
+        return f"Your {plant.subject} {cls.describe(SimpleNamespace(**values), plant)}."
+
     @staticmethod
-    def amend(p: SimpleNamespace, reel: SimpleNamespace) -> dict[str, Any]:  # noqa: ARG004  most effects amend nothing
+    def amend(p: Values, reel: Values) -> dict[str, Any]:  # noqa: ARG004  most effects amend nothing
         """What the effect changes of the reel's own numbers; also called with floats.
 
         Args:
@@ -176,7 +279,7 @@ class Effect(ABC):
         return {}
 
     @staticmethod
-    def prepare(p: SimpleNamespace, reel: SimpleNamespace) -> dict[str, Signal]:  # noqa: ARG004  most effects prepare nothing
+    def prepare(p: Values, reel: Values) -> dict[str, Signal]:  # noqa: ARG004  most effects prepare nothing
         """What is worked out once per trial, and joins the parameters under the names given.
 
         Args:
@@ -189,11 +292,11 @@ class Effect(ABC):
 
     @staticmethod
     def respond(
-        p: SimpleNamespace,  # noqa: ARG004  an effect that only amends does nothing here
+        p: Values,  # noqa: ARG004  an effect that only amends does nothing here
         state: Signal,
         signal: Signal,
         site: Site,
-    ) -> tuple[Signal, Signal]:
+    ) -> Response:
         """The law, written with CasADi expressions.
 
         Args:
@@ -209,11 +312,11 @@ class Effect(ABC):
 
     @staticmethod
     def rest(
-        p: SimpleNamespace,  # noqa: ARG004  most effects let what is steady pass unchanged
+        p: Values,  # noqa: ARG004  most effects let what is steady pass unchanged
         state: Signal,
         signal: Signal,
         site: Site,
-    ) -> tuple[Signal, Signal]:
+    ) -> Response:
         """The effect in a reel that has settled, traced back from what the gauge then reads.
 
         An effect that changes a steady signal has to say here what goes in, or trials will begin
@@ -235,7 +338,7 @@ class Effect(ABC):
 
     @staticmethod
     def put(
-        p: SimpleNamespace,  # noqa: ARG004  most effects remember nothing of the angle
+        p: Values,  # noqa: ARG004  most effects remember nothing of the angle
         state: Signal,
         angle_rad: Signal,  # noqa: ARG004
     ) -> Signal:

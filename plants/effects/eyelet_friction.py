@@ -1,12 +1,13 @@
 """Friction where the cable passes the eyelet."""
 
+import math
 from dataclasses import dataclass
-from types import SimpleNamespace
-from typing import ClassVar
 
 import casadi as ca
 
-from plants.effects.effect import Effect, Port, Signal, Site, parameter
+from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
+from plants.effects.parameter import parameter
+from plants.effects.plant_scale import PlantScale, share
 
 TINY = 1e-9
 """Keeps lengths and tensions that are divided by above zero."""
@@ -70,23 +71,40 @@ class EyeletFriction(Effect):
         creep_rad_s: Velocity v_c of the drum below which the cable creeps, rad/s.
     """
 
-    name: ClassVar[str] = "eyelet_friction"
-    title: ClassVar[str] = "friction at the eyelet"
-    appearance: ClassVar[str] = (
+    name = "eyelet_friction"
+    title = "friction at the eyelet"
+    appearance = (
         "tension read against angle is a loop whose height grows with the tension, "
         "while current and tension read agree"
     )
-    port: ClassVar[Port] = Port.EYELET
-    also: ClassVar[tuple[Port, ...]] = (Port.CABLE,)
-    states: ClassVar[int] = 1
+    excitation = "slow reversals at several tensions"
+    port = Port.EYELET
+    also = (Port.CABLE,)
+    states = 1
 
-    attenuation: float = parameter(0.95, low=0.35, high=1.0, unit="", neutral=1.0)
-    inner_share: float = parameter(0.2, low=1e-4, high=0.9, unit="")
-    knee: float = parameter(0.1, low=0.01, high=30.0, unit="")
+    attenuation: float = parameter(0.95, low=0.35, high=1.0, neutral=1.0)
+    inner_share: float = parameter(0.2, low=1e-4, high=0.9, start=(0.03, 0.3))
+    knee: float = parameter(0.1, low=0.01, high=30.0, start=(0.1,))
     creep_rad_s: float = parameter(1e-4, low=1e-7, high=1e3, unit="rad/s")
 
+    @classmethod
+    def describe(cls, p: Values, plant: PlantScale) -> str:
+        """What was found, in words."""
+        B, lost = p.attenuation, (1.0 - p.attenuation) * plant.tension_N
+        less = (
+            ""
+            if math.isnan(lost)
+            else f" ({plant.reading(lost)} less at {plant.reading(plant.tension_N)})"
+        )
+        inside, slowly = share(p.inner_share), plant.speed(p.creep_rad_s)
+        return (
+            f"has eyelet friction: outside tension is {B:.3g} of inside when winding in{less}, "
+            "the other way round when paying out. After a reversal the cable sticks: "
+            f"{inside} of what gives is inside the eyelet. Below {slowly} it creeps"
+        )
+
     @staticmethod
-    def prepare(p: SimpleNamespace, reel: SimpleNamespace) -> dict[str, Signal]:
+    def prepare(p: Values, reel: Values) -> dict[str, Signal]:
         """The factors of z and z^2, 1/v_c, and what travel changes z by, in N s/rad."""
         within, without = 1.0 / p.attenuation, p.attenuation
         stiffness_Nm_rad = reel.stiffness_N_m * reel.drum_radius_m**2
@@ -104,9 +122,7 @@ class EyeletFriction(Effect):
         }
 
     @staticmethod
-    def respond(
-        p: SimpleNamespace, state: Signal, signal: Signal, site: Site
-    ) -> tuple[Signal, Signal]:
+    def respond(p: Values, state: Signal, signal: Signal, site: Site) -> Response:
         """At the cable the tension outside, then at the eyelet that inside."""
         ratio = state * (p.odd + state * p.even)
         if site.port is Port.EYELET:
@@ -120,9 +136,7 @@ class EyeletFriction(Effect):
         return z, signal / (1.0 + p.inner_share * z * (p.odd + z * p.even))
 
     @staticmethod
-    def rest(
-        p: SimpleNamespace, state: Signal, signal: Signal, site: Site
-    ) -> tuple[Signal, Signal]:
+    def rest(p: Values, state: Signal, signal: Signal, site: Site) -> Response:
         """The tension outside of that inside, then the linear law's, with friction as it is."""
         ratio = state * (p.odd + state * p.even)
         if site.port is Port.EYELET:

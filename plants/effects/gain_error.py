@@ -1,10 +1,10 @@
 """A wrong gain of the drive."""
 
 from dataclasses import dataclass
-from types import SimpleNamespace
-from typing import ClassVar
 
-from plants.effects.effect import Effect, Port, Signal, Site, parameter
+from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
+from plants.effects.parameter import Share, parameter
+from plants.effects.plant_scale import PlantScale, share
 
 
 @dataclass(frozen=True)
@@ -15,32 +15,40 @@ class GainError(Effect):
         error: The relative error e.
     """
 
-    name: ClassVar[str] = "gain_error"
-    title: ClassVar[str] = "gain error of the drive"
-    appearance: ClassVar[str] = (
+    name = "gain_error"
+    title = "gain error of the drive"
+    appearance = (
         "commanded current and tension stand in another ratio than the model's, "
         "at rest as well as in motion"
     )
-    port: ClassVar[Port] = Port.ACTUATOR
+    excitation = "rest at several tensions"
+    base_parameter = "torque_gain"
+    port = Port.ACTUATOR
 
-    error: float = parameter(0.05, low=-0.5, high=1.0, unit="", neutral=0.0)
+    error: float = parameter(
+        0.05,
+        low=-0.5,
+        high=1.0,
+        neutral=0.0,
+        # No drive's torque constant is known better.
+        least=(Share(0.04),),
+    )
+
+    @classmethod
+    def describe(cls, p: Values, _plant: PlantScale) -> str:
+        """What was found, in words."""
+        more = "more" if p.error > 0.0 else "less"
+        return (
+            f"has a drive that gives {share(abs(p.error))} {more} torque than the model says, at "
+            "rest as well as in motion"
+        )
 
     @staticmethod
-    def respond(
-        p: SimpleNamespace,
-        state: Signal,
-        signal: Signal,
-        site: Site,  # noqa: ARG004  the gain is the same at all times
-    ) -> tuple[Signal, Signal]:
+    def respond(p: Values, state: Signal, signal: Signal, _site: Site) -> Response:
         """The current given."""
         return state, (1.0 + p.error) * signal
 
     @staticmethod
-    def rest(
-        p: SimpleNamespace,
-        state: Signal,
-        signal: Signal,
-        site: Site,  # noqa: ARG004  the gain is the same at all times
-    ) -> tuple[Signal, Signal]:
+    def rest(p: Values, state: Signal, signal: Signal, _site: Site) -> Response:
         """The current that has to be asked for."""
         return state, signal / (1.0 + p.error)

@@ -1,10 +1,10 @@
 """A zero of the gauge that wanders."""
 
 from dataclasses import dataclass
-from types import SimpleNamespace
-from typing import ClassVar
 
-from plants.effects.effect import Effect, Port, Signal, Site, parameter
+from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
+from plants.effects.parameter import parameter
+from plants.effects.plant_scale import PlantScale
 
 
 @dataclass(frozen=True)
@@ -15,20 +15,28 @@ class GaugeDrift(Effect):
         rate_N_per_s: The rate r, N/s.
     """
 
-    name: ClassVar[str] = "gauge_drift"
-    title: ClassVar[str] = "drift of the gauge"
-    appearance: ClassVar[str] = (
+    name = "gauge_drift"
+    title = "drift of the gauge"
+    appearance = (
         "tension read and current move apart in proportion to the time, whatever the reel does; "
         "the first and last rest of a record disagree"
     )
-    port: ClassVar[Port] = Port.GAUGE
-    states: ClassVar[int] = 1
+    excitation = "a long record that begins and ends at rest"
+    port = Port.GAUGE
+    states = 1
 
     rate_N_per_s: float = parameter(0.1, low=-10.0, high=10.0, unit="N/s", neutral=0.0)
 
+    @classmethod
+    def describe(cls, p: Values, plant: PlantScale) -> str:
+        """What was found, in words."""
+        rate = p.rate_N_per_s
+        return (
+            f"has a gauge whose zero wanders {'up' if rate > 0.0 else 'down'} from the start of a "
+            f"record, whatever happens: {plant.reading(abs(rate))} in a second"
+        )
+
     @staticmethod
-    def respond(
-        p: SimpleNamespace, state: Signal, signal: Signal, site: Site
-    ) -> tuple[Signal, Signal]:
+    def respond(p: Values, state: Signal, signal: Signal, site: Site) -> Response:
         """The tension read; what is remembered is the drift."""
         return state + p.rate_N_per_s * site.span_s, signal + state

@@ -1,12 +1,13 @@
 """A curved gauge."""
 
+import math
 from dataclasses import dataclass
-from types import SimpleNamespace
-from typing import ClassVar
 
 import casadi as ca
 
-from plants.effects.effect import Effect, Port, Signal, Site, parameter
+from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
+from plants.effects.parameter import parameter
+from plants.effects.plant_scale import PlantScale, digits
 
 
 @dataclass(frozen=True)
@@ -17,33 +18,40 @@ class GaugeNonlinearity(Effect):
         curvature_per_N: The curvature c, 1/N; the curve rises up to a tension of -1/(2 c).
     """
 
-    name: ClassVar[str] = "gauge_nonlinearity"
-    title: ClassVar[str] = "nonlinearity of the gauge"
-    appearance: ClassVar[str] = (
+    name = "gauge_nonlinearity"
+    title = "nonlinearity of the gauge"
+    appearance = (
         "tension read against current is bent while angle against current is straight; "
         "the loop's gain depends on the tension level"
     )
-    port: ClassVar[Port] = Port.GAUGE
+    excitation = "slow ramps over the whole range of tension"
+    port = Port.GAUGE
 
     curvature_per_N: float = parameter(1e-3, low=-0.01, high=0.02, unit="1/N", neutral=0.0)
 
+    @classmethod
+    def describe(cls, p: Values, plant: PlantScale) -> str:
+        """What was found, in words."""
+        c = p.curvature_per_N
+        if plant.subject == "plant":
+            return (
+                f"has a gauge whose curve is bent: of an output y it reads {digits(c)} y² too much"
+            )
+        T = plant.tension_N if math.isfinite(plant.tension_N) else 10.0
+        more = "much" if c > 0.0 else "little"
+        return (
+            f"has a gauge whose curve is bent: at {plant.reading(T)} it reads "
+            f"{plant.reading(abs(c) * T * T)} too {more}, at twice that "
+            f"{plant.reading(4.0 * abs(c) * T * T)} (curvature {c:.3g} 1/N)"
+        )
+
     @staticmethod
-    def respond(
-        p: SimpleNamespace,
-        state: Signal,
-        signal: Signal,
-        site: Site,  # noqa: ARG004  the curve is the same at all times
-    ) -> tuple[Signal, Signal]:
+    def respond(p: Values, state: Signal, signal: Signal, _site: Site) -> Response:
         """The tension read."""
         return state, signal * (1.0 + p.curvature_per_N * signal)
 
     @staticmethod
-    def rest(
-        p: SimpleNamespace,
-        state: Signal,
-        signal: Signal,
-        site: Site,  # noqa: ARG004  the curve is the same at all times
-    ) -> tuple[Signal, Signal]:
+    def rest(p: Values, state: Signal, signal: Signal, _site: Site) -> Response:
         """The tension that reads so, on the rising part of the curve."""
         root = ca.sqrt(ca.fmax(1.0 + 4.0 * p.curvature_per_N * signal, 0.0))
         return state, 2.0 * signal / (1.0 + root)

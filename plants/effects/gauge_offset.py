@@ -1,10 +1,10 @@
 """A shifted zero of the gauge."""
 
 from dataclasses import dataclass
-from types import SimpleNamespace
-from typing import ClassVar
 
-from plants.effects.effect import Effect, Port, Signal, Site, parameter
+from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
+from plants.effects.parameter import Share, parameter
+from plants.effects.plant_scale import PlantScale
 
 
 @dataclass(frozen=True)
@@ -15,32 +15,38 @@ class GaugeOffset(Effect):
         offset_N: The amount T_0, N.
     """
 
-    name: ClassVar[str] = "gauge_offset"
-    title: ClassVar[str] = "zero offset of the gauge"
-    appearance: ClassVar[str] = (
+    name = "gauge_offset"
+    title = "zero offset of the gauge"
+    appearance = (
         "tension read and current differ by a constant that no motion changes, "
         "and the cable is slack at a reading other than zero"
     )
-    port: ClassVar[Port] = Port.GAUGE
+    excitation = "rest with a slack cable"
+    base_parameter = "gauge_offset_N"
+    port = Port.GAUGE
 
-    offset_N: float = parameter(0.5, low=-20.0, high=20.0, unit="N", neutral=0.0)
+    offset_N: float = parameter(
+        0.5,
+        low=-20.0,
+        high=20.0,
+        unit="N",
+        neutral=0.0,
+        # No gauge's zero is known better than to a hundredth of what it is there to read.
+        least=(Share(3.0, "tension_noise_N"), Share(0.01, "reading_max_N")),
+    )
+
+    @classmethod
+    def describe(cls, p: Values, plant: PlantScale) -> str:
+        """What was found, in words."""
+        more = "much" if p.offset_N > 0.0 else "little"
+        return f"has a gauge that reads {plant.reading(abs(p.offset_N))} too {more} at any tension"
 
     @staticmethod
-    def respond(
-        p: SimpleNamespace,
-        state: Signal,
-        signal: Signal,
-        site: Site,  # noqa: ARG004  the offset is the same at all times
-    ) -> tuple[Signal, Signal]:
+    def respond(p: Values, state: Signal, signal: Signal, _site: Site) -> Response:
         """The tension read."""
         return state, signal + p.offset_N
 
     @staticmethod
-    def rest(
-        p: SimpleNamespace,
-        state: Signal,
-        signal: Signal,
-        site: Site,  # noqa: ARG004  the offset is the same at all times
-    ) -> tuple[Signal, Signal]:
+    def rest(p: Values, state: Signal, signal: Signal, _site: Site) -> Response:
         """The tension that reads so."""
         return state, signal - p.offset_N

@@ -2,12 +2,12 @@
 
 import math
 from dataclasses import dataclass
-from types import SimpleNamespace
-from typing import ClassVar
 
 import casadi as ca
 
-from plants.effects.effect import Effect, Port, Signal, Site, parameter
+from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
+from plants.effects.parameter import parameter
+from plants.effects.plant_scale import PlantScale, digits, share
 from plants.simulation.equations import held_input
 
 SQUARINGS = 7
@@ -28,20 +28,30 @@ class GaugeResonance(Effect):
         damping: Damping ratio zeta.
     """
 
-    name: ClassVar[str] = "gauge_resonance"
-    title: ClassVar[str] = "second resonance of the gauge"
-    appearance: ClassVar[str] = (
+    name = "gauge_resonance"
+    title = "second resonance of the gauge"
+    appearance = (
         "the reading rings at a high frequency after each blow while current and angle do not"
     )
-    port: ClassVar[Port] = Port.GAUGE
-    states: ClassVar[int] = 3
+    excitation = "a chirp or small steps"
+    port = Port.GAUGE
+    states = 3
 
-    share: float = parameter(0.2, low=0.0, high=1.0, unit="", neutral=0.0)
+    share: float = parameter(0.2, low=0.0, high=1.0, neutral=0.0)
     frequency_Hz: float = parameter(150.0, low=20.0, high=2000.0, unit="Hz")
-    damping: float = parameter(0.03, low=1e-3, high=0.9, unit="")
+    damping: float = parameter(0.03, low=1e-3, high=0.9)
+
+    @classmethod
+    def describe(cls, p: Values, _plant: PlantScale) -> str:
+        """What was found, in words."""
+        return (
+            f"has a gauge with a second resonance, at {digits(p.frequency_Hz)} Hz with a damping "
+            f"ratio of {p.damping:.2g}: {share(p.share)} of the reading goes through it and "
+            "rings after each blow, while angle and current do not"
+        )
 
     @staticmethod
-    def prepare(p: SimpleNamespace, reel: SimpleNamespace) -> dict[str, Signal]:
+    def prepare(p: Values, reel: Values) -> dict[str, Signal]:
         """Exact propagation over a sample of g - T and g'/w, for a change of T."""
         w = 2.0 * math.pi * p.frequency_Hz
         A, B = ca.SX(2, 2), ca.SX(2, 1)  # the input is the slope of T
@@ -52,12 +62,7 @@ class GaugeResonance(Effect):
         return entries | {"b0": gamma[0] / reel.sample_s, "b1": gamma[1] / reel.sample_s}
 
     @staticmethod
-    def respond(
-        p: SimpleNamespace,
-        state: Signal,
-        signal: Signal,
-        site: Site,  # noqa: ARG004  the span is in the numbers prepared
-    ) -> tuple[Signal, Signal]:
+    def respond(p: Values, state: Signal, signal: Signal, _site: Site) -> Response:
         """The tension read."""
         behind, rate, change = state[0], state[1], signal - state[2]
         following = p.a00 * behind + p.a01 * rate + p.b0 * change
@@ -65,11 +70,6 @@ class GaugeResonance(Effect):
         return ca.vertcat(following, rate, signal), signal + p.share * following
 
     @staticmethod
-    def rest(
-        p: SimpleNamespace,  # noqa: ARG004  the mode has settled
-        state: Signal,  # noqa: ARG004  nothing is behind
-        signal: Signal,
-        site: Site,  # noqa: ARG004  the same anywhere
-    ) -> tuple[Signal, Signal]:
+    def rest(_p: Values, _state: Signal, signal: Signal, _site: Site) -> Response:
         """The mode follows what is steady."""
         return ca.vertcat(0.0, 0.0, signal), signal

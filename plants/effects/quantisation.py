@@ -1,12 +1,12 @@
 """A reading in steps."""
 
 from dataclasses import dataclass
-from types import SimpleNamespace
-from typing import ClassVar
 
 import casadi as ca
 
-from plants.effects.effect import Effect, Port, Signal, Site, parameter
+from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
+from plants.effects.parameter import parameter
+from plants.effects.plant_scale import PlantScale
 
 FINEST_N = 1e-12
 
@@ -19,31 +19,28 @@ class Quantisation(Effect):
         step_N: The step q, N; the reel's own gauge has none.
     """
 
-    name: ClassVar[str] = "quantisation"
-    title: ClassVar[str] = "quantisation of the gauge"
-    appearance: ClassVar[str] = (
-        "the reading takes few values, and at rest jumps between two of them"
-    )
-    port: ClassVar[Port] = Port.GAUGE
-    smooth: ClassVar[bool] = False
+    name = "quantisation"
+    title = "quantisation of the gauge"
+    appearance = "the reading takes few values, and at rest jumps between two of them"
+    excitation = "rest and slow ramps"
+    in_noise = True
+    port = Port.GAUGE
+    smooth = False
 
     step_N: float = parameter(0.1, low=0.0, high=5.0, unit="N", neutral=0.0)
 
+    @classmethod
+    def describe(cls, p: Values, plant: PlantScale) -> str:
+        """What was found, in words."""
+        return f"has a gauge that reads in steps of {plant.reading(p.step_N)}"
+
     @staticmethod
-    def prepare(
-        p: SimpleNamespace,
-        reel: SimpleNamespace,  # noqa: ARG004  a step is the same on any reel
-    ) -> dict[str, Signal]:
+    def prepare(p: Values, _reel: Values) -> dict[str, Signal]:
         """The step, and steps per newton; a step of zero is taken as one too small to see."""
         step = ca.fmax(p.step_N, FINEST_N)
         return {"step": step, "per_N": 1.0 / step}
 
     @staticmethod
-    def respond(
-        p: SimpleNamespace,
-        state: Signal,
-        signal: Signal,
-        site: Site,  # noqa: ARG004  the steps are the same at all times
-    ) -> tuple[Signal, Signal]:
+    def respond(p: Values, state: Signal, signal: Signal, _site: Site) -> Response:
         """The nearest step."""
         return state, p.step * ca.floor(signal * p.per_N + 0.5)

@@ -1,12 +1,12 @@
 """A limit to how fast the current changes."""
 
 from dataclasses import dataclass
-from types import SimpleNamespace
-from typing import ClassVar
 
 import casadi as ca
 
-from plants.effects.effect import Effect, Port, Signal, Site, parameter
+from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
+from plants.effects.parameter import Role, parameter
+from plants.effects.plant_scale import PlantScale
 
 
 @dataclass(frozen=True)
@@ -21,32 +21,36 @@ class RateLimit(Effect):
         rate_A_per_s: Greatest size r of its rate of change, A/s.
     """
 
-    name: ClassVar[str] = "rate_limit"
-    title: ClassVar[str] = "rate limit of the drive"
-    appearance: ClassVar[str] = (
+    name = "rate_limit"
+    title = "rate limit of the drive"
+    appearance = (
         "large steps begin with a straight ramp of the tension and lag behind, "
         "small ones show nothing"
     )
-    port: ClassVar[Port] = Port.ACTUATOR
-    states: ClassVar[int] = 1
+    excitation = "large steps"
+    port = Port.ACTUATOR
+    states = 1
 
-    rate_A_per_s: float = parameter(50.0, low=1e-3, high=1e12, unit="A/s", neutral=1e12)
+    rate_A_per_s: float = parameter(
+        50.0, low=1e-3, high=1e12, unit="A/s", neutral=1e12, role=Role.LIMIT
+    )
+
+    @classmethod
+    def describe(cls, p: Values, plant: PlantScale) -> str:
+        """What was found, in words."""
+        return (
+            "has a drive whose current changes no faster than "
+            f"{plant.current(p.rate_A_per_s, '/s')}: large steps become ramps, small ones pass"
+        )
 
     @staticmethod
-    def respond(
-        p: SimpleNamespace, state: Signal, signal: Signal, site: Site
-    ) -> tuple[Signal, Signal]:
+    def respond(p: Values, state: Signal, signal: Signal, site: Site) -> Response:
         """The current that is reached within the sample, and its mean on the way."""
         most = p.rate_A_per_s * site.span_s
         way = ca.fmin(ca.fmax(signal - state, -most), most)
         return state + way, state + way - way * ca.fabs(way) / (2.0 * most)
 
     @staticmethod
-    def rest(
-        p: SimpleNamespace,  # noqa: ARG004  at rest any rate will do
-        state: Signal,  # noqa: ARG004  it is the current
-        signal: Signal,
-        site: Site,  # noqa: ARG004  the same anywhere
-    ) -> tuple[Signal, Signal]:
+    def rest(_p: Values, _state: Signal, signal: Signal, _site: Site) -> Response:
         """The current held."""
         return signal, signal

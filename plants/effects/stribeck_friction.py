@@ -1,13 +1,16 @@
 """Dry friction that is largest at rest."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from types import SimpleNamespace
 from typing import ClassVar
 
 import casadi as ca
 
 from plants.effects.bristles import both_bent
-from plants.effects.effect import Effect, Port, Signal, Site, parameter
+from plants.effects.dahl_hysteresis import DahlHysteresis
+from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
+from plants.effects.parameter import Share, parameter
+from plants.effects.plant_scale import PlantScale
 
 SIXTEENTHS = 16.0
 FURTHEST = 2.5
@@ -35,24 +38,58 @@ class StribeckFriction(Effect):
         spread: Factor s by which half of it builds up sooner.
     """
 
-    name: ClassVar[str] = "stribeck_friction"
-    title: ClassVar[str] = "Stribeck friction of the drum"
-    appearance: ClassVar[str] = (
+    name = "stribeck_friction"
+    title = "Stribeck friction of the drum"
+    appearance = (
         "like Coulomb friction, but the drum breaks away with a jerk and, moved slowly, "
         "sticks and slips"
     )
-    port: ClassVar[Port] = Port.DRUM
-    states: ClassVar[int] = 2
-    resists: ClassVar[bool] = True
+    excitation = "slow reversals and fast motion"
+    family = "dry friction"
+    extends = DahlHysteresis
+    inherits: ClassVar[Mapping[str, str]] = {
+        "coulomb_Nm": "torque_Nm",
+        "presliding_rad": "presliding_rad",
+        "spread": "spread",
+    }
+    port = Port.DRUM
+    states = 2
+    resists = True
 
-    coulomb_Nm: float = parameter(0.02, low=0.0, high=1e4, unit="N m", neutral=0.0)
-    excess_Nm: float = parameter(0.01, low=0.0, high=1e4, unit="N m", neutral=0.0)
+    coulomb_Nm: float = parameter(
+        0.02,
+        low=0.0,
+        high=1e4,
+        unit="N m",
+        neutral=0.0,
+        # Friction that falls to nothing with speed is no dry friction.
+        least=(Share(0.2, "excess_Nm"),),
+    )
+    excess_Nm: float = parameter(
+        0.01,
+        low=0.0,
+        high=1e4,
+        unit="N m",
+        neutral=0.0,
+        # Friction that hardly falls is as good as constant.
+        least=(Share(0.2, "coulomb_Nm"),),
+    )
     stribeck_rad_s: float = parameter(0.5, low=1e-4, high=1e3, unit="rad/s")
     presliding_rad: float = parameter(1e-5, low=1e-7, high=10.0, unit="rad")
-    spread: float = parameter(1.0, low=1.0, high=100.0, unit="", begun=4.0)
+    spread: float = parameter(1.0, low=1.0, high=100.0, start=4.0)
+
+    @classmethod
+    def describe(cls, p: Values, plant: PlantScale) -> str:
+        """What was found, in words."""
+        return (
+            f"has dry friction that is largest at rest: {plant.torque(p.coulomb_Nm)} in motion "
+            f"and {plant.torque(p.excess_Nm)} more at rest, which fades over "
+            f"{plant.speed(p.stribeck_rad_s)}. It gives {plant.travel(p.presliding_rad)} before "
+            "it slips; moved slowly, it sticks and slips"
+        )
 
     @staticmethod
-    def prepare(p: SimpleNamespace, reel: SimpleNamespace) -> dict[str, Signal]:
+    def prepare(p: Values, reel: Values) -> dict[str, Signal]:
         """Factor of the velocity's square, s2/rad2; what a torque slows; lengths per velocity."""
         bend = reel.substep_s / p.presliding_rad
         return {
@@ -63,12 +100,7 @@ class StribeckFriction(Effect):
         }
 
     @staticmethod
-    def respond(
-        p: SimpleNamespace,
-        state: Signal,
-        signal: Signal,  # noqa: ARG004  friction does not depend on the torque of other effects
-        site: Site,
-    ) -> tuple[Signal, Signal]:
+    def respond(p: Values, state: Signal, _signal: Signal, site: Site) -> Response:
         """The mean torque of the bristles over the substep."""
         start = site.start_velocity_rad_s
         size = p.coulomb_Nm + p.excess_Nm * faded(p.per_square * start**2)

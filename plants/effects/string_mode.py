@@ -1,14 +1,25 @@
 """The cable as a string."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
-from types import SimpleNamespace
 from typing import ClassVar
 
 import casadi as ca
 
-from plants.effects.effect import Effect, Port, Signal, Site, parameter
+from plants.effects.cable_weight import CableWeight
+from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
 from plants.effects.oscillator import stepping
+from plants.effects.parameter import RecordScale, parameter
+from plants.effects.plant_scale import PlantScale, share, si
+
+
+def _ringing_densities(records: RecordScale) -> list[float]:
+    """Densities whose string would ring where the residual does: f = 1/(2 L) sqrt(T/mu) (31)."""
+    if math.isnan(records.cable_length_m):
+        return []
+    positive = (f for f in records.resonances_Hz if f > 0.0)
+    return [records.preload_N / (2.0 * records.cable_length_m * f) ** 2 for f in positive]
 
 
 @dataclass(frozen=True)
@@ -31,20 +42,38 @@ class StringMode(Effect):
         damping: Damping ratio zeta.
     """
 
-    name: ClassVar[str] = "string_mode"
-    title: ClassVar[str] = "string mode of the cable"
-    appearance: ClassVar[str] = (
+    name = "string_mode"
+    title = "string mode of the cable"
+    appearance = (
         "a narrow resonance that rises with the root of the tension and falls with the length"
     )
-    port: ClassVar[Port] = Port.CABLE
-    states: ClassVar[int] = 2
+    excitation = "a chirp at several tensions"
+    # What swings sags: with the weight fitted, the records' zeros are where the string needs them.
+    extends = CableWeight
+    inherits: ClassVar[Mapping[str, str]] = {"density_kg_m": "density_kg_m"}
+    port = Port.CABLE
+    states = 2
 
-    coupling: float = parameter(1.0, low=0.0, high=2.0, unit="", neutral=0.0)
-    density_kg_m: float = parameter(0.05, low=0.002, high=0.5, unit="kg/m")
-    damping: float = parameter(0.01, low=1e-3, high=0.5, unit="")
+    coupling: float = parameter(1.0, low=0.0, high=2.0, neutral=0.0)
+    density_kg_m: float = parameter(
+        0.05, low=0.002, high=0.5, unit="kg/m", start=_ringing_densities
+    )
+    damping: float = parameter(0.01, low=1e-3, high=0.5)
+
+    @classmethod
+    def describe(cls, p: Values, plant: PlantScale) -> str:
+        """What was found, in words."""
+        frequency = math.sqrt(plant.tension_N / p.density_kg_m) / (2.0 * plant.length_m)  # (31)
+        where = (
+            "" if math.isnan(frequency) else f" at {frequency:.3g} Hz ({si(plant.tension_N, 'N')})"
+        )
+        return (
+            f"has a cable of {1e3 * p.density_kg_m:.3g} g/m that swings like a string{where}: "
+            f"faster than that, {share(p.coupling)} of its sag's give is lost"
+        )
 
     @staticmethod
-    def prepare(p: SimpleNamespace, reel: SimpleNamespace) -> dict[str, Signal]:
+    def prepare(p: Values, reel: Values) -> dict[str, Signal]:
         """The string over a substep, and how it acts on the tension."""
         L, T_0 = reel.cable_length_m, reel.preload_N
         w = math.pi / L * ca.sqrt(T_0 / p.density_kg_m)
@@ -59,12 +88,7 @@ class StringMode(Effect):
         }
 
     @staticmethod
-    def respond(
-        p: SimpleNamespace,
-        state: Signal,
-        signal: Signal,
-        site: Site,  # noqa: ARG004  the span is in the numbers prepared
-    ) -> tuple[Signal, Signal]:
+    def respond(p: Values, state: Signal, signal: Signal, _site: Site) -> Response:
         """The tension with what the string adds."""
         v, last = state[0], state[1]
         tension = signal + p.given_N * (v * v - 1.0)
@@ -72,12 +96,7 @@ class StringMode(Effect):
         return ca.vertcat(v + step, step), tension
 
     @staticmethod
-    def rest(
-        p: SimpleNamespace,
-        state: Signal,  # noqa: ARG004  it is the sag
-        signal: Signal,
-        site: Site,  # noqa: ARG004  the same at any angle
-    ) -> tuple[Signal, Signal]:
+    def rest(p: Values, _state: Signal, signal: Signal, _site: Site) -> Response:
         """The sag at this tension, and the linear law's tension."""
         v = p.preload_N / ca.fmax(signal, 0.05 * p.preload_N)
         return ca.vertcat(v, 0.0), signal - p.given_N * (v * v - 1.0)

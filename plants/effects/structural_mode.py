@@ -2,13 +2,18 @@
 
 import math
 from dataclasses import dataclass
-from types import SimpleNamespace
-from typing import ClassVar
 
 import casadi as ca
 
-from plants.effects.effect import Effect, Port, Signal, Site, parameter
+from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
 from plants.effects.oscillator import stepping
+from plants.effects.parameter import RecordScale, parameter
+from plants.effects.plant_scale import PlantScale, digits, share
+
+
+def _stiffening_coefficients(records: RecordScale) -> list[float]:
+    """None, and that of joints a tenth stiffer at the records' tension."""
+    return [] if math.isnan(records.preload_N) else [0.0, 0.1 / records.preload_N]
 
 
 @dataclass(frozen=True)
@@ -29,22 +34,38 @@ class StructuralMode(Effect):
         stiffening_per_N: Growth s of its stiffness with the tension, 1/N.
     """
 
-    name: ClassVar[str] = "structural_mode"
-    title: ClassVar[str] = "mode of the structure"
-    appearance: ClassVar[str] = (
+    name = "structural_mode"
+    title = "mode of the structure"
+    appearance = (
         "a second resonance in tension, current and angle whose frequency depends "
         "little on length and tension"
     )
-    port: ClassVar[Port] = Port.CABLE
-    states: ClassVar[int] = 2
+    excitation = "a chirp or small steps"
+    family = "stiffening"  # one that rings too fast to be seen
+    port = Port.CABLE
+    states = 2
 
-    share: float = parameter(0.1, low=0.0, high=1.0, unit="", neutral=0.0)
+    share: float = parameter(0.1, low=0.0, high=1.0, neutral=0.0)
     frequency_Hz: float = parameter(60.0, low=5.0, high=250.0, unit="Hz")
-    damping: float = parameter(0.05, low=1e-3, high=0.9, unit="")
-    stiffening_per_N: float = parameter(0.0, low=0.0, high=0.1, unit="1/N")
+    damping: float = parameter(0.05, low=1e-3, high=0.9)
+    stiffening_per_N: float = parameter(
+        0.0, low=0.0, high=0.1, unit="1/N", start=_stiffening_coefficients
+    )
+
+    @classmethod
+    def describe(cls, p: Values, plant: PlantScale) -> str:
+        """What was found, in words."""
+        T = plant.tension_N if math.isfinite(plant.tension_N) else 10.0
+        stiffer = "" if plant.subject == "plant" else (
+            f" and is {share(p.stiffening_per_N * T)} stiffer at {plant.reading(T)}"
+        )  # fmt: skip
+        return (
+            f"stands on a frame that rings at {digits(p.frequency_Hz)} Hz with a damping ratio of "
+            f"{p.damping:.2g} and gives {share(p.share)} as much as the rest does{stiffer}"
+        )
 
     @staticmethod
-    def prepare(p: SimpleNamespace, reel: SimpleNamespace) -> dict[str, Signal]:
+    def prepare(p: Values, reel: Values) -> dict[str, Signal]:
         """The frame on the taut cable: 1 + c times as stiff, pulled to c/(1 + c) of the rest."""
         root = ca.sqrt(1.0 + p.share)
         w = 2.0 * math.pi * p.frequency_Hz
@@ -58,12 +79,7 @@ class StructuralMode(Effect):
         }
 
     @staticmethod
-    def respond(
-        p: SimpleNamespace,
-        state: Signal,
-        signal: Signal,
-        site: Site,  # noqa: ARG004  the span is in the numbers prepared
-    ) -> tuple[Signal, Signal]:
+    def respond(p: Values, state: Signal, signal: Signal, _site: Site) -> Response:
         """The tension left."""
         q, last = state[0], state[1]
         rest = (1.0 + p.share) * signal
@@ -74,12 +90,7 @@ class StructuralMode(Effect):
         return ca.vertcat(q + step, step), rest - q
 
     @staticmethod
-    def rest(
-        p: SimpleNamespace,
-        state: Signal,  # noqa: ARG004  it is what the frame gives
-        signal: Signal,
-        site: Site,  # noqa: ARG004  the same at any angle
-    ) -> tuple[Signal, Signal]:
+    def rest(p: Values, _state: Signal, signal: Signal, _site: Site) -> Response:
         """What the frame gives, and the linear law's tension."""
         q = p.share * signal / (1.0 + p.stiffening_per_N * ca.fmax(signal, 0.0))
         return ca.vertcat(q, 0.0), (signal + q) / (1.0 + p.share)

@@ -1,11 +1,11 @@
 """Torque that depends on the drum's angle."""
 
 from dataclasses import dataclass
-from types import SimpleNamespace
-from typing import ClassVar
 
 from plants.effects import angle_phase
-from plants.effects.effect import Effect, Port, Signal, Site, WINDS_rad, parameter
+from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
+from plants.effects.parameter import Role, Share, parameter, phase
+from plants.effects.plant_scale import PlantScale, digits
 
 
 @dataclass(frozen=True)
@@ -18,47 +18,48 @@ class TorqueRipple(Effect):
         phase_rad: Phase phi where the cable is just taut, or the encoder reads zero, rad.
     """
 
-    name: ClassVar[str] = "torque_ripple"
-    title: ClassVar[str] = "torque ripple of the motor"
-    appearance: ClassVar[str] = (
+    name = "torque_ripple"
+    title = "torque ripple of the motor"
+    appearance = (
         "current and tension differ by a wave over the angle, the same at each passage "
         "whatever the velocity"
     )
-    port: ClassVar[Port] = Port.DRUM
-    states: ClassVar[int] = angle_phase.STATES
-    repeats: ClassVar[str] = "per_turn"
+    excitation = "slow motion over many periods"
+    port = Port.DRUM
+    states = angle_phase.STATES
 
     amplitude_Nm: float = parameter(0.01, low=0.0, high=1e3, unit="N m", neutral=0.0)
-    per_turn: float = parameter(24.0, low=3.0, high=1e4, unit="")
-    phase_rad: float = parameter(0.0, low=-WINDS_rad, high=WINDS_rad, unit="rad")
+    per_turn: float = parameter(
+        24.0,
+        low=3.0,
+        high=1e4,
+        role=Role.PERIODS,
+        # What comes back nowhere is no wave: any curve that is bent once looks so.
+        least=(Share(0.8, "turn_periods"),),
+    )
+    phase_rad: float = phase()
+
+    @classmethod
+    def describe(cls, p: Values, plant: PlantScale) -> str:
+        """What was found, in words."""
+        return (
+            f"has a motor that cogs: its torque varies by {plant.torque(p.amplitude_Nm)} either "
+            f"way, {digits(p.per_turn)} times a turn, the same at each passage"
+        )
 
     @staticmethod
-    def respond(
-        p: SimpleNamespace,
-        state: Signal,
-        signal: Signal,  # noqa: ARG004  it does not depend on the torque of other effects
-        site: Site,
-    ) -> tuple[Signal, Signal]:
+    def respond(p: Values, state: Signal, _signal: Signal, site: Site) -> Response:
         """The torque at this angle."""
         phase = angle_phase.advance_angle(state, p.per_turn * site.angle_rad + p.phase_rad)
         return phase, -p.amplitude_Nm * phase[0]
 
     @staticmethod
-    def rest(
-        p: SimpleNamespace,
-        state: Signal,  # noqa: ARG004  it is the phase
-        signal: Signal,  # noqa: ARG004  it does not depend on the torque of other effects
-        site: Site,
-    ) -> tuple[Signal, Signal]:
+    def rest(p: Values, _state: Signal, _signal: Signal, site: Site) -> Response:
         """The same at the angle of rest."""
         phase = angle_phase.encode_angle(p.per_turn * site.angle_rad + p.phase_rad)
         return phase, -p.amplitude_Nm * phase[0]
 
     @staticmethod
-    def put(
-        p: SimpleNamespace,
-        state: Signal,  # noqa: ARG004  it is the phase
-        angle_rad: Signal,
-    ) -> Signal:
+    def put(p: Values, _state: Signal, angle_rad: Signal) -> Signal:
         """The phase there."""
         return angle_phase.encode_angle(p.per_turn * angle_rad + p.phase_rad)

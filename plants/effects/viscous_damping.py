@@ -1,10 +1,11 @@
 """Friction in proportion to velocity."""
 
 from dataclasses import dataclass
-from types import SimpleNamespace
-from typing import Any, ClassVar
+from typing import Any
 
-from plants.effects.effect import Effect, Port, parameter
+from plants.effects.effect import Effect, Port, Values
+from plants.effects.parameter import parameter
+from plants.effects.plant_scale import PlantScale, digits
 
 
 @dataclass(frozen=True)
@@ -17,17 +18,34 @@ class ViscousDamping(Effect):
         damping_Nms: The friction b added, N m s/rad.
     """
 
-    name: ClassVar[str] = "viscous_damping"
-    title: ClassVar[str] = "viscous friction of the drum"
-    appearance: ClassVar[str] = (
+    name = "viscous_damping"
+    title = "viscous friction of the drum"
+    appearance = (
         "current and tension differ in proportion to the velocity; "
         "the resonance is lower and wider than the model's"
     )
-    port: ClassVar[Port] = Port.DRUM
+    excitation = "fast motion in both directions"
+    base_parameter = "viscous_friction_Nms"
+    port = Port.DRUM
 
     damping_Nms: float = parameter(0.01, low=0.0, high=1e4, unit="N m s/rad", neutral=0.0)
 
+    @classmethod
+    def describe(cls, p: Values, plant: PlantScale) -> str:
+        """What was found, in words."""
+        b = p.damping_Nms
+        if plant.subject == "plant":
+            return (
+                f"has more viscous friction than the model: {digits(b)} in the input's unit for "
+                "each unit of the output per second"
+            )
+        cable = f" ({digits(b / plant.radius_m**2)} N per m/s of cable)" if plant.has_cable else ""
+        return (
+            f"has more viscous friction than the model: {digits(b)} N m s/rad{cable}, in "
+            "proportion to the speed"
+        )
+
     @staticmethod
-    def amend(p: SimpleNamespace, reel: SimpleNamespace) -> dict[str, Any]:
+    def amend(p: Values, reel: Values) -> dict[str, Any]:
         """The friction of reel and effect together."""
         return {"viscous_friction_Nms": reel.viscous_friction_Nms + p.damping_Nms}

@@ -12,8 +12,7 @@ from estune.core.quantities import FloatArray
 from estune.errors import InvalidInput, PlantError
 from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.models.calibration import Calibration
-from plants.diagnosis.models.signal_scales import Sizes
-from plants.effects import Effect, Parameter
+from plants.effects import Effect, Parameter, RecordScale
 from plants.simulation.equations import Equations
 
 BASE = "base"
@@ -147,7 +146,7 @@ class DiagnosedModel(ABC):
     # What each kind of model says of itself.
 
     @abstractmethod
-    def _sizes(self) -> Sizes: ...
+    def _sizes(self) -> RecordScale: ...
 
     @abstractmethod
     def _calibrations(self) -> list[Slot]:
@@ -273,7 +272,7 @@ class DiagnosedModel(ABC):
         per_ampere = self.newtons_per_ampere
         if all(m.measured_current_A(per_ampere) is None for m in self.measurements):
             return []
-        reach = max(self.sizes.current_max, 1e-9) * self.drive_unit
+        reach = max(self.sizes.current_max_A, 1e-9) * self.drive_unit
         offset = either_way("current_offset_A", "A", 0.0, reach)
         return [
             Slot(positive("current_gain", "", 1.0), "current_gain", self.drive_unit),
@@ -294,8 +293,7 @@ class DiagnosedModel(ABC):
         self, cls: type[Effect], slug: str, name: str, p: Parameter, given: float | None
     ) -> Free:
         """An effect's parameter, begun at what the model has or at a size that suits the data."""
-        start, high = self.sizes.of_effect(cls.port, p, float(getattr(cls(), name)))
-        start = start if p.begun is None else p.begun
+        start, high = cls.start(name, self.sizes)
         low, high = p.low, max(high, given if given is not None else p.low)
         start = given if given is not None else start
         return Free(

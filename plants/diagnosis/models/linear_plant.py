@@ -25,8 +25,8 @@ from plants.diagnosis.models.diagnosed_model import (
     positive,
 )
 from plants.diagnosis.models.initial_states import shifted
-from plants.diagnosis.models.signal_scales import Sizes, units
-from plants.effects import Effect
+from plants.diagnosis.models.signal_scales import signal_scale, units
+from plants.effects import Effect, RecordScale
 from plants.models.effect_applicability import unavailable
 from plants.models.linear_plant import LinearPlant, linear_plant
 from plants.models.linear_with_effects import READINGS_PER_ANGLE, LinearEffectStructure
@@ -111,12 +111,12 @@ class DiagnosedLinear(DiagnosedModel):
         """The plant's own numbers at the record's rate."""
         return {**self.model.own_numbers, "sampling_Hz": measurement.sampling_Hz}
 
-    def _sizes(self) -> Sizes:
+    def _sizes(self) -> RecordScale:
         p = self.model
         currents = [self.command_N(m) / p.torque_unit for m in self.measurements]
         outputs = [m.tension_N for m in self.measurements]
         angles = [np.empty(0) if y is None else y / p.angle_unit for y in outputs]
-        return Sizes.of(currents, 1.0, angles, [m.sampling_Hz for m in self.measurements])
+        return signal_scale(currents, 1.0, angles, [m.sampling_Hz for m in self.measurements])
 
     def _calibrations(self) -> list[Slot]:
         slots = []
@@ -128,7 +128,7 @@ class DiagnosedLinear(DiagnosedModel):
         if "origin" in self.kinds.poles:
             torque = self.model.torque_unit
             start = self.calibration.torque_offset_Nm * torque
-            reach = torque * max(self.sizes.torque_max, 1e-12)
+            reach = torque * max(self.sizes.torque_max_Nm, 1e-12)
             free = either_way("input_offset", "", start, reach)
             slots.append(Slot(free, f"{CALIBRATION}.torque_offset_Nm", 1.0 / torque))
             self.reasons["output_offset"] = "a plant that integrates stands anywhere"
@@ -202,7 +202,7 @@ class DiagnosedLinear(DiagnosedModel):
         model, n = self._linear, self.kinds.order
         stepped = np.zeros((n + 1, n + 1))
         stepped[:n, :n], stepped[:n, n] = np.reshape(np.array(model.A), (n, n)), model.B
-        step = 0.1 * self.sizes.torque_rms * self.model.torque_unit
+        step = 0.1 * self.sizes.torque_rms_Nm * self.model.torque_unit
         seen = 12.0 * SHOWS * noise_floor(self.measurements).tension_N
         times = np.geomspace(shortest_s, max(longest_s, shortest_s), TIMES)
         travels = step * np.abs(expm(times[:, None, None] * stepped)[:, :n, n] @ np.array(model.C))

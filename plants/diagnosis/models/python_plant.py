@@ -15,11 +15,11 @@ from plants.diagnosis.models.diagnosed_model import (
     either_way,
     positive,
 )
-from plants.diagnosis.models.signal_scales import Sizes, units
-from plants.effects import Effect
+from plants.diagnosis.models.signal_scales import signal_scale, units
+from plants.effects import Effect, RecordScale
 from plants.models.linear_with_effects import READINGS_PER_ANGLE
 from plants.models.python_plant import PythonPlant
-from plants.models.symbolic_plant import TracedStructure, traced
+from plants.models.symbolic_plant import TracedStructure, trace
 
 
 class DiagnosedFunction(DiagnosedModel):
@@ -31,7 +31,7 @@ class DiagnosedFunction(DiagnosedModel):
 
     def __init__(self, model: PythonPlant, measurements: Sequence[MeasuredRecord]) -> None:
         whole = model.traced(())
-        traced(whole.step, whole.shape)  # raises where it cannot be
+        trace(whole.step, whole.shape)  # raises where it cannot be
         if not model.effects:
             inputs = [self.command_N(m) for m in measurements]
             torque, angle = units(inputs, [m.tension_N for m in measurements])
@@ -56,14 +56,14 @@ class DiagnosedFunction(DiagnosedModel):
         """Unknown: the state is the function's own."""
         raise NotImplementedError(f"nothing places a function in {measurement.name}")
 
-    def _sizes(self) -> Sizes:
+    def _sizes(self) -> RecordScale:
         p = self.model
         currents = [self.command_N(m) / p.torque_unit for m in self.measurements]
         angles = [
             np.empty(0) if m.tension_N is None else m.tension_N / p.angle_unit
             for m in self.measurements
         ]
-        return Sizes.of(currents, 1.0, angles, [m.sampling_Hz for m in self.measurements])
+        return signal_scale(currents, 1.0, angles, [m.sampling_Hz for m in self.measurements])
 
     def _calibrations(self) -> list[Slot]:
         start = self.calibration.gauge_offset_N * self.reading_unit

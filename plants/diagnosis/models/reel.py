@@ -21,8 +21,8 @@ from plants.diagnosis.models.diagnosed_model import (
     positive,
 )
 from plants.diagnosis.models.initial_states import shifted
-from plants.diagnosis.models.signal_scales import Sizes
-from plants.effects import Effect
+from plants.diagnosis.models.signal_scales import signal_scale
+from plants.effects import Effect, RecordScale
 from plants.models.reel import Reel
 from plants.models.reel_equations import (
     GRAVITY_m_s2,
@@ -161,11 +161,11 @@ class DiagnosedReel(DiagnosedModel):
         own["sampling_Hz"] = measurement.sampling_Hz
         return own
 
-    def _sizes(self) -> Sizes:
+    def _sizes(self) -> RecordScale:
         currents = [m.command_A(self.newtons_per_ampere) for m in self.measurements]
         angles = [self._angle(m) for m in self.measurements]
         rates = [m.sampling_Hz for m in self.measurements]
-        return Sizes.of(currents, self.model.torque_constant_Nm_A, angles, rates)
+        return signal_scale(currents, self.model.torque_constant_Nm_A, angles, rates)
 
     def _angle(self, m: MeasuredRecord) -> FloatArray:
         """The angle, read or from the tension."""
@@ -218,7 +218,7 @@ class DiagnosedReel(DiagnosedModel):
         slots = [Slot(free, free.name) for free in found]
         if self.has_gauge:
             slots.append(_of_calibration(positive("torque_gain", "", c.torque_gain)))
-            reach = max(self.sizes.torque_max / r.drum_radius_m, r.tension_max_N)
+            reach = max(self.sizes.torque_max_Nm / r.drum_radius_m, r.tension_max_N)
             slots.append(
                 _of_calibration(either_way("gauge_offset_N", "N", c.gauge_offset_N, reach))
             )
@@ -238,7 +238,9 @@ class DiagnosedReel(DiagnosedModel):
         if not self.has_gauge or not told:
             return found
         given = self.calibration.torque_offset_Nm
-        free = either_way("torque_offset_Nm", "N m", given, max(self.sizes.torque_max, abs(given)))
+        free = either_way(
+            "torque_offset_Nm", "N m", given, max(self.sizes.torque_max_Nm, abs(given))
+        )
         column = f"{len(self.effects) + len(added)}.{free.name}"
         return [*found, self._started(Slot(free, column))]
 

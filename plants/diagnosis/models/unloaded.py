@@ -19,8 +19,8 @@ from plants.diagnosis.models.diagnosed_model import (
     either_way,
     positive,
 )
-from plants.diagnosis.models.signal_scales import Sizes
-from plants.effects import Effect
+from plants.diagnosis.models.signal_scales import signal_scale
+from plants.effects import Effect, RecordScale, Role
 from plants.models.effect_applicability import unavailable
 from plants.models.linear_structures import Drum
 from plants.models.linear_with_effects import LinearEffectStructure
@@ -73,16 +73,16 @@ class DiagnosedDrum(DiagnosedModel):
         """The drum's own numbers at the record's rate."""
         return {**self.model.own_numbers, "sampling_Hz": measurement.sampling_Hz}
 
-    def _sizes(self) -> Sizes:
+    def _sizes(self) -> RecordScale:
         currents = [m.command_A(self.newtons_per_ampere) for m in self.measurements]
         angles = [np.empty(0) if m.angle_rad is None else m.angle_rad for m in self.measurements]
         rates = [m.sampling_Hz for m in self.measurements]
-        return Sizes.of(currents, self.model.torque_constant_Nm_A, angles, rates)
+        return signal_scale(currents, self.model.torque_constant_Nm_A, angles, rates)
 
     def _calibrations(self) -> list[Slot]:
         p, c = self.model, self.calibration
         # Friction that takes all of the torque at the velocities there are.
-        most = self.sizes.torque_max / max(self.sizes.velocity_rms, 1e-300)
+        most = self.sizes.torque_max_Nm / max(self.sizes.velocity_rms_rad_s, 1e-300)
         most = max(most if math.isfinite(most) else 0.0, 20.0 * p.viscous_friction_Nms)
         friction = Free(
             "viscous_friction_Nms",
@@ -93,7 +93,7 @@ class DiagnosedDrum(DiagnosedModel):
             "linear",
             "base",
         )
-        reach = max(self.sizes.torque_max, 1e-12)
+        reach = max(self.sizes.torque_max_Nm, 1e-12)
         offset = either_way("torque_offset_Nm", "N m", c.torque_offset_Nm, reach)
         self.reasons["torque_gain"] = "without gauge only the ratio of gain to inertia shows"
         self.reasons["encoder_zero_rad"] = "nothing depends on where the angle is zero"
@@ -115,7 +115,7 @@ class DiagnosedDrum(DiagnosedModel):
         own = (type(effect) for effect in self.effects)
         angles = [(n, m.angle_rad) for n, m in enumerate(self.measurements)]
         turning = [(n, angle) for n, angle in angles if angle is not None]
-        if len(turning) < 2 or not any(effect.repeats for effect in (*own, *added)):
+        if len(turning) < 2 or not any(effect.named(Role.PERIODS) for effect in (*own, *added)):
             return found
         for n, angle in turning:
             middle, name = float(angle.mean()), f"encoder_zero_rad[{n}]"
@@ -138,7 +138,7 @@ class DiagnosedDrum(DiagnosedModel):
         steps = [step_of(m.angle_rad) for m in self.measurements if m.angle_rad is not None]
         step = max(steps) or 2.0 * math.pi / self.model.encoder_counts
         step /= math.sqrt(12.0)
-        torque = 0.1 * max(self.sizes.torque_rms, 1e-300)
+        torque = 0.1 * max(self.sizes.torque_rms_Nm, 1e-300)
         wanted = math.sqrt(12.0 * 2.0 * self.model.drum_inertia_kg_m2 * SHOWS * step / torque)
         rate = max(m.sampling_Hz for m in self.measurements)
         longest = LONGEST_share * min(m.duration_s for m in self.measurements)

@@ -8,9 +8,9 @@ from estune.core.quantities import FloatArray
 from plants.diagnosis.data.measured_record import DataIssue
 from plants.diagnosis.data.noise_floor import NoiseFloor
 from plants.diagnosis.report.display import DiagnosisDisplay
-from plants.diagnosis.report.quantities import written_unit
 from plants.diagnosis.residual.localisation import ResidualLocation
 from plants.effects import Effect
+from plants.effects.plant_scale import written_unit
 
 if TYPE_CHECKING:
     from plants.diagnosis.experiments.next_experiment import NextExperiment

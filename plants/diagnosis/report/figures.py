@@ -30,8 +30,8 @@ from estune.support.plot_style import (
     new_figure,
 )
 from plants.diagnosis.report.diagnosis import BaseParameter, Diagnosis, Trace
-from plants.diagnosis.report.quantities import digits, si
 from plants.diagnosis.residual.localisation import Block, Distortion, ResidualDependence
+from plants.effects.plant_scale import digits, si
 
 BEFORE: dict[str, Any] = {"color": ORANGE, "linewidth": 1.1}
 AFTER: dict[str, Any] = {"color": BLUE, "linewidth": 1.1}

@@ -5,8 +5,8 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from plants.diagnosis.report.quantities import digits, si
 from plants.effects import EFFECTS
+from plants.effects.plant_scale import digits, si
 
 if TYPE_CHECKING:  # a diagnosis is built on this
     from plants.diagnosis.report.diagnosis import Diagnosis, Interval

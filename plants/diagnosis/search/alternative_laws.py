@@ -21,7 +21,7 @@ from plants.diagnosis.search.candidate_fits import fit_added_effect
 from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter
 from plants.diagnosis.search.score_context import ScoreContext
 from plants.diagnosis.search.score_test import screen
-from plants.effects import Effect, Port, Signal, Site, parameter
+from plants.effects import Effect, Port, Role, Signal, Site, parameter
 from plants.effects.bristles import bent
 
 
@@ -153,8 +153,6 @@ SECANTS = 20
 """They halve the error each; what is left is far below a floor."""
 AIMED = 0.5
 """A rival is fitted whose direction explains at least this part of what the effect's does."""
-LOW_TENSION_EFFECTS = ("cable_slack", "cable_weight")
-"""Effects that bend the cable's law at low tension, and leave it straight well above."""
 
 
 class AlternativeLaw(NamedTuple):
@@ -216,9 +214,9 @@ def better_alternative(
 
 def _held_against(effect: type[Effect]) -> tuple[AlternativeLaw, ...]:
     """The rivals of an effect of cable or gauge."""
-    if effect.name in LOW_TENSION_EFFECTS:
+    if effect.by_tension:
         return (*RIVALS, PLAIN)
-    return (*RIVALS, STILL) if effect.name == "structural_mode" else RIVALS
+    return (*RIVALS, STILL) if effect.family and effect.named(Role.FREQUENCY) else RIVALS
 
 
 def is_closed(attempt: CandidateFit) -> bool:

@@ -42,7 +42,7 @@ def reduced(bench: ModelFitter, attempts: Sequence[CandidateFit]) -> list[Candid
     found = list(attempts)
     for a in attempts:
         effect = a.effects[-1]
-        source, given = thresholds.INHERITED.get(effect.name, ("", {}))
+        source, given = inheritance(effect)
         simpler = next((o for o in attempts if o.effects[-1].name == source), None)
         if simpler is None or thresholds.large_enough(effect, a.values, bench.scale):
             continue
@@ -115,7 +115,7 @@ def fit_added_effect(
     waves = any(p.is_phase for p in one.effect.parameters().values())
     most = len(rows) if waves else STARTS
     begun = bench.best_starts(predictor, bench.placed(predictor, np.array(rows)), most)
-    source, _ = thresholds.INHERITED.get(one.effect.name, ("", {}))
+    source, _ = inheritance(one.effect)
     simpler = next((a for a in others if a.effects[-1].name == source), None)
     if simpler is not None:
         # What is near a simpler law's fit leaves less to begin with, and may lead nowhere else.
@@ -136,7 +136,7 @@ def _inherited(
     over to that: friction as large at rest that falls with speed is far from any that does not.
     """
     name, declared = one.effect.name, one.effect.parameters()
-    source, given = thresholds.INHERITED[name]
+    source, given = inheritance(one.effect)
     own = {f"{name}.{to}": simpler.values[f"{source}.{of}"] for of, to in given.items()}
     sizes = [n for n, p in declared.items() if p.neutral is not None and n not in given.values()]
     own |= {f"{name}.{n}": declared[n].neutral or 0.0 for n in sizes}
@@ -169,3 +169,9 @@ def _inherited(
     return np.concatenate(
         [bench.best_starts(predictor, bench.placed(predictor, way), 1) for way in ways]
     )
+
+
+def inheritance(effect: type[Effect]) -> tuple[str, dict[str, str]]:
+    """Slug of the effect whose fit another begins with; its parameters, and which those are."""
+    given = {of: to for to, of in effect.inherits.items()}
+    return ("" if effect.extends is None else effect.extends.name), given

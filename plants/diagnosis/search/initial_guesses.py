@@ -10,6 +10,7 @@ from plants.diagnosis.data.noise import step_of
 from plants.diagnosis.residual.localisation import Block, ResidualLocation
 from plants.diagnosis.search.angle_periods import ResidualOverAngle, per_turn
 from plants.diagnosis.search.score_context import InitialGuesses
+from plants.effects import EFFECTS, RecordScale
 
 PEAKS = 3
 """Peaks taken of a spectrum."""
@@ -17,11 +18,6 @@ FEW = np.array([1.0, 1.5, 2.0, 3.0, 4.0])
 """Periods in all the turning there is that are tried at any rate."""
 FEWEST = 4
 """Fewest samples of a record that are looked at for a wave over the angle."""
-SHARES, KNEES = [0.03, 0.3], [0.1]
-"""Shares of the flexibility inside the eyelet, and knees, that its friction is tried with: they
-show its direction, whatever the velocity below which it creeps."""
-JOINTS = 0.1
-"""By how much more a frame is the stiffer at the records' tension for its joints."""
 
 
 def suggestions(
@@ -34,26 +30,20 @@ def suggestions(
         where: Where the base model's residual lives.
         values: The base fit's values, by name.
     """
-    frequencies = sorted({f for block in where.blocks for f in _spectral_peaks(block)})
     lengths = [m.cable_length_m for m in measurements if m.cable_length_m]
-    known = {
-        "torque_ripple.per_turn": _per_turn(measurements, where, values),
-        "string_mode.density_kg_m": [
-            # (31): f = 1/(2 L) sqrt(T/mu)
-            float(np.median([m.preload_N for m in measurements]))
-            / (2.0 * float(np.median(lengths)) * f) ** 2
-            for f in frequencies
-            if lengths and f > 0.0
-        ],
-        "eyelet_friction.inner_share": SHARES,
-        "eyelet_friction.knee": KNEES,
-    }
-    for name in ("gauge_resonance", "structural_mode"):
-        known[f"{name}.frequency_Hz"] = frequencies
     preloads = [m.preload_N for m in measurements if m.preload_N > 0.0]
-    if preloads:
-        known["structural_mode.stiffening_per_N"] = [0.0, JOINTS / float(np.median(preloads))]
-    return lambda name: known.get(name, [])
+    records = RecordScale(
+        preload_N=float(np.median(preloads)) if preloads else math.nan,
+        cable_length_m=float(np.median(lengths)) if lengths else math.nan,
+        resonances_Hz=tuple(sorted({f for b in where.blocks for f in _spectral_peaks(b)})),
+        periods_per_turn=tuple(_per_turn(measurements, where, values)),
+    )
+
+    def suggested(key: str) -> list[float]:
+        slug, _, name = key.partition(".")
+        return list(EFFECTS[slug].guesses(name, records)) if slug in EFFECTS else []
+
+    return suggested
 
 
 def _spectral_peaks(block: Block) -> list[float]:

@@ -9,7 +9,7 @@ from estune.core.quantities import FloatArray
 from plants.diagnosis.search import thresholds
 from plants.diagnosis.search.cable_block import Block, block_of
 from plants.diagnosis.search.model_fitter import CandidateFit
-from plants.effects import Effect
+from plants.effects import EFFECTS, Effect, RecordScale, Role
 
 BOUND = 1e-6
 """A value this near to a bound, relative to it, is at it."""
@@ -150,11 +150,13 @@ def _errors(gained: FloatArray) -> float:
 
 def family_of(name: str) -> tuple[str, ...]:
     """Slugs of the family an effect belongs to, the simplest first; itself alone without one."""
-    return next((family for family in thresholds.FAMILIES if name in family), (name,))
+    family = EFFECTS[name].family if name in EFFECTS else ""
+    members = [e for e in EFFECTS.values() if family and e.family == family]
+    return tuple(e.name for e in sorted(members, key=lambda e: len(e.parameters()))) or (name,)
 
 
 def select_parsimonious(
-    attempts: Sequence[CandidateFit], base: CandidateFit, scale: thresholds.Scale
+    attempts: Sequence[CandidateFit], base: CandidateFit, scale: RecordScale
 ) -> CandidateFit | None:
     """The best attempt that matters, or a simpler one of its family that does as well."""
     for best in attempts:
@@ -205,9 +207,10 @@ def at_bound(attempt: CandidateFit, effect: type[Effect]) -> bool:
 
     Its size is, or a wave over the angle is as long as may be, which then is no ripple.
     """
-    predictor, wave = attempt.fitted.predictor, f"{effect.name}.{effect.repeats}"
+    predictor = attempt.fitted.predictor
+    waves = {f"{effect.name}.{name}" for name in effect.named(Role.PERIODS)}
     for f, value in zip(predictor.free, attempt.fitted.values.tolist(), strict=True):
-        if f.owner == effect.name and (f.neutral is not None or f.name == wave):
+        if f.owner == effect.name and (f.neutral is not None or f.name in waves):
             # Relative to themselves: a limit's range is a million times where it lies.
             at = [edge for edge in (f.low, f.high) if math.isclose(value, edge, rel_tol=BOUND)]
             if at and f.neutral not in at:
@@ -216,7 +219,7 @@ def at_bound(attempt: CandidateFit, effect: type[Effect]) -> bool:
 
 
 def _well(
-    simpler: CandidateFit, other: CandidateFit, base: CandidateFit, scale: thresholds.Scale
+    simpler: CandidateFit, other: CandidateFit, base: CandidateFit, scale: RecordScale
 ) -> bool:
     """Whether a member of a family that is more than the first of it does well enough.
 
@@ -236,9 +239,7 @@ def _well(
     )
 
 
-def _will_do(
-    simpler: Sequence[CandidateFit], other: CandidateFit, scale: thresholds.Scale
-) -> bool:
+def _will_do(simpler: Sequence[CandidateFit], other: CandidateFit, scale: RecordScale) -> bool:
     """Whether the last of a family's simpler members need not give way to another.
 
     A law that is not quite the machine's leaves what any other takes off that is free to bend
@@ -270,7 +271,7 @@ def indistinguishable(
     before: CandidateFit,
     best: CandidateFit,
     attempts: Sequence[CandidateFit],
-    scale: thresholds.Scale,
+    scale: RecordScale,
 ) -> tuple[str, ...]:
     """Slugs of other families that the records cannot tell from the best."""
     reached = explained_fraction(before.rank_J, best.rank_J)

@@ -12,11 +12,10 @@ from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.data.noise_floor import NoiseFloor
 from plants.diagnosis.models.diagnosed_model import DiagnosedModel
 from plants.diagnosis.prediction.prediction import Prediction, Predictor
-from plants.diagnosis.search import thresholds
 from plants.diagnosis.search.cable_block import Blocks, CableBlock, pull_N_rad
 from plants.diagnosis.search.data_splits import FIT, RANK, REPORT, DataSplit, split_data
 from plants.diagnosis.search.fit import WhitenedFit, fit, settled, switched_on
-from plants.effects import Effect, Port
+from plants.effects import Effect, Port, RecordScale, Role
 
 SHIFTS = np.array([0.0, *(sign * 3.0**n for n in range(6) for sign in (-1, 1))])
 """Shifts of a record's own value, in floors of change, among which the best is begun with."""
@@ -86,7 +85,7 @@ class ModelFitter:
             self.entries[split] = own if own.size else self.split.where(*before)
 
     @property
-    def scale(self) -> thresholds.Scale:
+    def scale(self) -> RecordScale:
         """What sizes of effects are measured against."""
         angle_rad, tension_N = self.floor.angle_rad, self.floor.tension_N
         model = self.model.calibrated({})
@@ -106,13 +105,13 @@ class ModelFitter:
             for m, pull in zip(self.measurements, given, strict=True)
             if m.tension_N is not None and math.isfinite(pull)
         ]
-        return thresholds.Scale(
+        return RecordScale(
             sample_s=1.0 / min(m.sampling_Hz for m in self.measurements),
-            angle_rad=angle_rad,
-            tension_N=tension_N,
-            read_N=max(read, default=math.nan),
-            stretch_m=max(stretched, default=math.nan),
-            repeats=2.0 * math.pi / max(*turned, 1e-9) if turned else math.nan,
+            angle_noise_rad=angle_rad,
+            tension_noise_N=tension_N,
+            reading_max_N=max(read, default=math.nan),
+            stretch_max_m=max(stretched, default=math.nan),
+            turn_periods=2.0 * math.pi / max(*turned, 1e-9) if turned else math.nan,
         )
 
     def predictor(self, effects: Effects) -> Predictor:
@@ -233,7 +232,11 @@ class ModelFitter:
             for n in moves.tolist()
             if (record := _record(free[n].owner)) is not None and free[n].name not in known
         }
-        waves = {f"{e.name}.{e.repeats}" for e in self.effects_of(predictor) if e.repeats}
+        waves = {
+            f"{e.name}.{name}"
+            for e in self.effects_of(predictor)
+            for name in e.named(Role.PERIODS)
+        }
         repeats = [n for n, f in enumerate(free) if f.name in waves]
         if not places or not repeats:
             return rows

@@ -17,7 +17,7 @@ import numpy as np
 from estune.core.quantities import FloatArray
 from plants.diagnosis.prediction.prediction import Predictor
 from plants.diagnosis.search.score_context import ScoreContext
-from plants.effects import Effect
+from plants.effects import Effect, Role
 
 DECADES = np.arange(-2.5, 3.5, 0.5)
 """Sizes tried, in powers of ten of the usual one, when one that moves the residual is sought: less
@@ -108,7 +108,9 @@ class _Probe:
         self.phases = [n for n, p in self.declared.items() if p.neutral is None and p.is_phase]
         # A wave over an angle whose zero each record has for itself, and nothing else tells.
         own = (f.name for f in predictor.free if f.owner.startswith("record "))
-        self.loose = bool(effect.repeats) and any(name not in seen.values for name in own)
+        self.loose = bool(effect.named(Role.PERIODS)) and any(
+            name not in seen.values for name in own
+        )
         self.off = predictor.row(seen.values)
         for name in self.sizes:
             self.off[self.column[name]] = self.declared[name].neutral
@@ -310,8 +312,6 @@ class _Probe:
             v for v in self.seen.suggest(f"{self.effect.name}.{name}") if p.low <= v <= p.high
         ]
         usual = float(self.predictor.start[self.column[name]])
-        if p.begun is not None:
-            return [usual]
         if p.unit == "Hz":
             low, high = max(p.low, self.seen.lowest_Hz), min(p.high, self.seen.highest_Hz)
             return [*suggested, *np.geomspace(low, max(high, low), FREQUENCIES).tolist()]
@@ -325,5 +325,4 @@ class _Probe:
 
 def is_limit(effect: type[Effect]) -> bool:
     """Whether an effect's size is one that acts when it is small: a limit, neutral far up."""
-    p = next(p for p in effect.parameters().values() if p.neutral is not None)
-    return p.neutral == p.high and p.low > 0.0 and p.high > 100.0 * p.low
+    return bool(effect.named(Role.LIMIT))

@@ -336,9 +336,9 @@ def _round(
             coarse_fit(bench, one.effect) for one in screened.values() if may_be_nonlinear(one)
         ]
         again += [
-            fit_added_effect(bench, current, screened[name], again)
-            for name, (source, _) in thresholds.INHERITED.items()
-            if name in screened and source not in family_of(name)
+            fit_added_effect(bench, current, one, again)
+            for one in screened.values()
+            if one.effect.extends is not None and one.effect.extends.family != one.effect.family
         ]
         attempts = finished(bench, base, [*attempts, *again])
         best = select_parsimonious(attempts, current, bench.scale)
@@ -363,7 +363,7 @@ def _likeliest(
     """The best, or of those as good the first that an owner would not know of; the others."""
     alike = indistinguishable(current, best, attempts, bench.scale)
     rest = [a for a in attempts if a.effects[-1].name in alike]
-    if best.effects[-1].name not in thresholds.KNOWN or not rest:
+    if not best.effects[-1].known_apart or not rest:
         return best, alike
     name = best.effects[-1].name
     return rest[0], tuple(name if n == alike[0] else n for n in alike)

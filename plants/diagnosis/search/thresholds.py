@@ -3,9 +3,9 @@
 Gaps are in floors: the root mean square of residuals that were divided by noise and allowance.
 """
 
-from typing import NamedTuple
+from collections.abc import Mapping
 
-from plants.effects import Effect
+from plants.effects import Effect, RecordScale
 
 GAP = 1.5
 """A model as given has something to explain from this gap on."""
@@ -91,112 +91,13 @@ LEADING = 2
 DEEPEST = 3
 """Most effects added."""
 
-FAMILIES: tuple[tuple[str, ...], ...] = (
-    ("coulomb_friction", "dahl_hysteresis", "stribeck_friction"),
-    # A frame that is the stiffer, the more the cable pulls, and rings too fast to be seen.
-    ("cable_stiffening", "structural_mode"),
-)
-"""Effects of which each may do what the ones before it do; all are fitted where one is."""
-
-INHERITED: dict[str, tuple[str, dict[str, str]]] = {
-    "dahl_hysteresis": ("coulomb_friction", {"torque_Nm": "torque_Nm"}),
-    "stribeck_friction": (
-        "dahl_hysteresis",
-        {"torque_Nm": "coulomb_Nm", "presliding_rad": "presliding_rad", "spread": "spread"},
-    ),
-    # What swings sags: the weight there is tells where the string's records have their zeros.
-    "string_mode": ("cable_weight", {"density_kg_m": "density_kg_m"}),
-}
-"""What an effect begins with: the fit of another that does a part of it, and which of its
-parameters are which of its own."""
-
-KNOWN = ("cable_weight",)
-"""Effects whose size a scale tells without the machine: of two that do as well, the other is
-likelier."""
-
-CALIBRATIONS = {
-    "gain_error": "torque_gain",
-    "viscous_damping": "viscous_friction_Nms",
-    "gauge_offset": "gauge_offset_N",
-}
-"""Effects that a calibration of the base model does as well, and which: they leave no gap after
-it."""
 RECKONED = 0.1
 """Share to which inertia and friction are known that were reckoned from drawings."""
 
-BY_RULE = ("quantisation", "mains_interference")
-"""Effects that are found by a rule of their own; see `plants.diagnosis.search.rule_based`."""
-
-
-class Scale(NamedTuple):
-    """What sizes are measured against.
-
-    Attributes:
-        sample_s: Sampling interval, s.
-        angle_rad: Noise of the encoder, or of the gauge as an angle, rad rms; nan without both.
-        tension_N: Noise of the gauge, N rms; nan without.
-        read_N: Most that the gauge reads, N; nan without.
-        stretch_m: Most that the cable is stretched by in the records, m; nan without.
-        repeats: Periods in a turn of a wave of which the widest record shows one; nan where
-            neither encoder nor gauge tells.
-    """
-
-    sample_s: float
-    angle_rad: float
-    tension_N: float
-    read_N: float
-    stretch_m: float
-    repeats: float
-
 
 def large_enough(
-    effect: type[Effect], values: dict[str, float], scale: Scale, *, told: bool = False
+    effect: type[Effect], values: Mapping[str, float], scale: RecordScale, *, told: bool = False
 ) -> bool:
-    """Whether an effect is of a size that matters in practice.
-
-    What is significant may still be of no account: a dead time of a small part of a sample is how
-    two programs hold a signal, not a property of a drive. Nor is what would show only far beyond
-    the records.
-
-    Args:
-        effect: The effect.
-        values: Its parameters, by `slug.parameter`.
-        scale: What sizes are measured against.
-        told: Whether the records tell it from a simpler one, so that of its least sizes only those
-            relative to another parameter count.
-    """
-    own = {n: values[f"{effect.name}.{n}"] for n in effect.parameters()}
-    # Neither way round does a unit that is not known, nan, rule anything out.
-    return all(
-        not abs(own[name]) < factor * (own[unit] if unit in own else getattr(scale, unit, 1.0))
-        for name, factor, unit in _LEAST.get(effect.name, ())
-        if unit in own or not told
-    ) and not any(
-        abs(own[name]) > factor * getattr(scale, unit)
-        for name, factor, unit in _MOST.get(effect.name, ())
-    )
-
-
-_LEAST: dict[str, tuple[tuple[str, float, str], ...]] = {
-    "dead_time": (("delay_s", 0.2, "sample_s"),),
-    # No drive's torque constant is known better.
-    "gain_error": (("error", 0.04, "as given"),),
-    # No gauge's zero is known better than to a hundredth of what it is there to read.
-    "gauge_offset": (("offset_N", 3.0, "tension_N"), ("offset_N", 0.01, "read_N")),
-    "backlash": (("play_rad", 3.0, "angle_rad"),),
-    # Shorter than this, bristles that bend and a drum that sticks look alike to the encoder.
-    "dahl_hysteresis": (("presliding_rad", 12.0, "angle_rad"),),
-    # What comes back nowhere is no wave: any curve that is bent once looks so.
-    "torque_ripple": (("per_turn", 0.8, "repeats"),),
-    # Friction that falls to nothing with speed is no dry friction, and one that hardly falls is
-    # as good as constant.
-    "stribeck_friction": (("excess_Nm", 0.2, "coulomb_Nm"), ("coulomb_Nm", 0.2, "excess_Nm")),
-}
-"""Parameters, and their least size in units of a field of `Scale` or of another parameter; `as
-given` is the size itself."""
-
-_MOST: dict[str, tuple[tuple[str, float, str], ...]] = {
-    # A cable that never comes taut is one that stiffens.
-    "cable_slack": (("slack_m", 1.0, "stretch_m"),),
-}
-"""Parameters, and their greatest size in units of a field of `Scale`."""
+    """Whether an effect is of a size that matters in practice; see `Effect.matters`."""
+    own = {name: values[f"{effect.name}.{name}"] for name in effect.parameters()}
+    return effect.matters(own, scale, distinct=told)

@@ -42,7 +42,7 @@ def find_wrong_parameter(
     if not thresholds.large_enough(best.effects[0], best.values, bench.scale):
         return None
     numbers = [f for f in bench.base.free if f.owner == "base"]
-    own = thresholds.CALIBRATIONS[best.effects[0].name]
+    own = best.effects[0].base_parameter
     if own not in [f.name for f in numbers]:
         # It does what all the others do together, which are wrong only where one is far off.
         moved = [abs(base.values[f.name] / f.start - 1.0) for f in numbers if f.start]

@@ -1,0 +1,145 @@
+"""How a parameter of an effect is declared: its range, its role, and where a fit begins."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import field
+from enum import StrEnum
+from typing import Any, NamedTuple
+
+PHASE_MAX_rad = 8.0 * math.pi
+"""Bound of a phase on either side: while a period is fitted, its phase winds up with it."""
+
+
+class Role(StrEnum):
+    """What a parameter stands for; the search treats parameters by their role alone."""
+
+    SIZE = "size"  # how much of the effect there is: at the neutral value it does nothing
+    LIMIT = "limit"  # level beyond which it acts: at the upper bound, its neutral value, never
+    SHAPE = "shape"  # how it acts: cannot be fitted where all sizes are neutral
+    FREQUENCY = "frequency"  # shape: frequency in time, Hz
+    PERIODS = "periods"  # shape: periods of a wave in a turn of the drum
+    PHASE = "phase"  # angle of a wave, from -PHASE_MAX_rad to PHASE_MAX_rad
+
+
+class RecordScale(NamedTuple):
+    """What the records show of a machine, to begin a fit and to judge sizes by.
+
+    Any number is nan, and any list empty, where the records do not tell.
+
+    Attributes:
+        sample_s: Sampling interval.
+        torque_rms_Nm: Commanded torque about its mean.
+        torque_max_Nm: Greatest magnitude of the commanded torque.
+        angle_rms_rad: Angle about its mean.
+        velocity_rms_rad_s: Velocity.
+        velocity_max_rad_s: Greatest speed.
+        current_max_A: Greatest magnitude of the command.
+        current_rate_A_s: Greatest rate of change of the command.
+        angle_noise_rad: Noise of the encoder, or of the gauge as an angle, rms.
+        tension_noise_N: Noise of the gauge, rms.
+        reading_max_N: Greatest reading of the gauge.
+        stretch_max_m: Greatest stretch of the cable.
+        turn_periods: Periods a turn of a wave of which the widest record shows one.
+        preload_N: Median preload, of the records that have one.
+        cable_length_m: Median cable length.
+        resonances_Hz: Frequencies at which the residual of the base model stands out.
+        periods_per_turn: Periods a turn that the residual follows.
+    """
+
+    sample_s: float = math.nan
+    torque_rms_Nm: float = math.nan
+    torque_max_Nm: float = math.nan
+    angle_rms_rad: float = math.nan
+    velocity_rms_rad_s: float = math.nan
+    velocity_max_rad_s: float = math.nan
+    current_max_A: float = math.nan
+    current_rate_A_s: float = math.nan
+    angle_noise_rad: float = math.nan
+    tension_noise_N: float = math.nan
+    reading_max_N: float = math.nan
+    stretch_max_m: float = math.nan
+    turn_periods: float = math.nan
+    preload_N: float = math.nan
+    cable_length_m: float = math.nan
+    resonances_Hz: tuple[float, ...] = ()
+    periods_per_turn: tuple[float, ...] = ()
+
+
+class Share(NamedTuple):
+    """A size relative to another: 0.2 of `sample_s` is a fifth of a sample.
+
+    Attributes:
+        factor: How many times.
+        of: Field of `RecordScale`, another parameter of the effect, or empty for the factor alone.
+    """
+
+    factor: float
+    of: str = ""
+
+
+Start = float | Share | tuple[float, ...] | Callable[[RecordScale], Sequence[float]] | None
+
+
+class Parameter(NamedTuple):
+    """Declaration of one parameter of an effect.
+
+    Attributes:
+        low: Lower bound.
+        high: Upper bound.
+        unit: Its unit; empty for a plain number.
+        role: What it stands for.
+        neutral: The value at which the effect does nothing, whatever its other parameters; None
+            where there is no such value.
+        start: Where a fit begins. A number: there, and nowhere else. A `Share`: there, and for a
+            shape at values about it. Several numbers, or a function of the records: at each of
+            them. None: a frequency begins at the resonances of the residual, periods at those it
+            follows, anything else at the usual share of what the records show (`USUAL_STARTS`),
+            or else at the usual value.
+        fit_high: Upper bound of a fit, relative to the records; None is `high`.
+        least: The effect does not matter in practice where the parameter is less than one of them.
+        most: It is not believed where the parameter is more than one of them.
+    """
+
+    low: float
+    high: float
+    unit: str
+    role: Role
+    neutral: float | None
+    start: Start = None
+    fit_high: Share | None = None
+    least: tuple[Share, ...] = ()
+    most: tuple[Share, ...] = ()
+
+    @property
+    def is_phase(self) -> bool:
+        """Whether it is a phase."""
+        return self.role is Role.PHASE
+
+
+def parameter(
+    value: float,
+    *,
+    low: float,
+    high: float,
+    unit: str = "",
+    neutral: float | None = None,
+    role: Role | None = None,
+    start: Start = None,
+    fit_high: Share | None = None,
+    least: tuple[Share, ...] = (),
+    most: tuple[Share, ...] = (),
+) -> Any:
+    """Declares a field of an effect as a parameter: usual value, and the fields of `Parameter`.
+
+    Without a role, one with a neutral value is a size, one in Hz a frequency, any other a shape.
+    """
+    if role is None:
+        role = Role.SHAPE if unit != "Hz" else Role.FREQUENCY
+        role = role if neutral is None else Role.SIZE
+    declared = Parameter(low, high, unit, role, neutral, start, fit_high, least, most)
+    return field(default=value, metadata={"parameter": declared})
+
+
+def phase() -> Any:
+    """Declares a field of an effect as a phase, zero as a rule."""
+    return parameter(0.0, low=-PHASE_MAX_rad, high=PHASE_MAX_rad, unit="rad", role=Role.PHASE)
