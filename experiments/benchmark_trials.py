@@ -33,13 +33,13 @@ from estune.core.quantities import FloatArray
 from estune.support import c_compiler
 from estune.trial import Outcome, TrialRequest
 from estune.trial.scoring import cost_of
-from estune.tuners import TUNERS
+from estune.tuners import TUNERS, create_tuner
 from estune.tuners.observation import Observation
 from estune.tuners.search_space import SearchSpace
 from experiments.judged import Target, at_least, at_most, command_line, tell
 from plants.models.reel import Reel
 from plants.models.reel_equations import cable_stiffness_N_m, viscous_friction_Nms
-from plants.simulation.batch import bound
+from plants.simulation.batch import divergence_limit_N
 from plants.simulation.noise import NoiseSource
 from plants.simulation.plant import drive_of
 from plants.simulation.trial_loop import Batch, VirtualLoop, loop_functions, trial_loop
@@ -188,7 +188,7 @@ def measure_nonlinear(rounds: int) -> dict[str, float]:
         profile.setpoint(reel.sampling_Hz),
         noise[np.newaxis],
         delay=1,
-        bound_N=bound(profile),
+        bound_N=divergence_limit_N(profile),
     )
     library, compiled = reference_library(), trial_loop(reel.structure)
     virtual = VirtualLoop(loop_functions(reel.structure.equations()))
@@ -242,7 +242,7 @@ def measure_linear(rounds: int) -> dict[str, float]:
         profile=REEL.profile,
     )
     row = np.array([pidf.coefficients(plant.controller, GAINS)])
-    loop, limit = linear_loop(), bound(plant.profile)
+    loop, limit = linear_loop(), divergence_limit_N(plant.profile)
     drive = drive_of(plant.profile, REEL.sampling_Hz)
     t = np.arange(632 - plant.profile.step_index(REEL.sampling_Hz)) / REEL.sampling_Hz
     figures = alternate(
@@ -320,8 +320,8 @@ def memory_MB() -> float:
 def measure_tuners(trials: int) -> dict[str, float]:
     """Ask and tell alone, and the whole loop in this process."""
     figures: dict[str, float] = {}
-    for name, kind in TUNERS.items():
-        tuner = kind(SearchSpace.around(Gains(0.4, 12.0, 0.01, 0.03)))
+    for name in TUNERS:
+        tuner = create_tuner(name, SearchSpace.around(Gains(0.4, 12.0, 0.01, 0.03)))
         figures[f"ask_and_tell_{name}_us"] = median_block(asking(tuner), trials)
         figures[f"loop_{name}_trials_per_s"] = 1e6 / median_block(tuning(tuner, name), trials)
     figures["slowest_ask_and_tell_us"] = max(

@@ -19,11 +19,12 @@ import numpy as np
 from joblib import Parallel, delayed
 
 from estune.core.gains import Gains
-from estune.run.plan import DEFAULT_TUNER, make_tuner
+from estune.run.plan import make_tuner
 from estune.run.session import Plan, after_trial, new_session, next_request
 from estune.run.summary import summarise
 from estune.support import plot_style
 from estune.trial import Outcome
+from estune.tuners import DEFAULT_TUNER
 from experiments.judged import Target, at_most, between, command_line, tell
 from experiments.sample_efficiency.optimum import OUT, optimum
 from experiments.sample_efficiency.problems import PROBLEMS

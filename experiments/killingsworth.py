@@ -36,7 +36,7 @@ from scipy.optimize import minimize
 from estune.core.gains import Gains
 from estune.core.metrics import step_metrics
 from estune.trial.profiles import StepProfile
-from estune.tuners import TUNERS, Tuner
+from estune.tuners import Tuner, create_tuner
 from estune.tuners.killingsworth import Killingsworth
 from estune.tuners.observation import Observation
 from estune.tuners.search_space import Point, SearchSpace
@@ -179,8 +179,8 @@ def tuners(benchmark: Benchmark) -> dict[str, Tuner[Any]]:
         )
         for exponents in ((1, 2, 3), (2, 1, 3))
     }
-    ours = ("newton", "phase_compensated", "least_squares_gradient")
-    return {**published, **{name: TUNERS[name](space=space) for name in ours}}
+    ours = ("safe_bayesian", "phase_compensated", "least_squares_gradient")
+    return {**published, **{name: create_tuner(name, space) for name in ours}}
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,7 @@ def another_version(monkeypatch, request):
     return {"other gains": proposes, "no such tuner": gone}[request.param]
 
 
-@pytest.mark.parametrize("tuner", ["phase_compensated", "newton"])
+@pytest.mark.parametrize("tuner", ["phase_compensated", "safe_bayesian"])
 def test_what_a_finished_run_came_to_is_recalled_though_its_tuner_has_changed(
     tmp_path, another_version, tuner
 ):
@@ -40,7 +40,7 @@ def test_what_a_finished_run_came_to_is_recalled_though_its_tuner_has_changed(
     another_version(tmp_path / "old")
     now = api.load(tmp_path / "old")
     assert then.success
-    assert bool(then.verdict.intervals) == (tuner == "newton")
+    assert bool(then.verdict.intervals) == (tuner == "safe_bayesian")
     assert now.verdict == then.verdict
     assert now.rows() == then.rows()
     assert now.remarks() == then.remarks()

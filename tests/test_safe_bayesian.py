@@ -1,6 +1,5 @@
 """What `newton` promises beyond every tuner: few trials, safe ones, and honesty about the rest."""
 
-import json
 import math
 from dataclasses import replace
 
@@ -10,7 +9,6 @@ import pytest
 from estune.core.gains import Gains
 from estune.errors import InvalidInput
 from estune.studies.joint.schedule_space import ScheduleSpace
-from estune.tuners import state_from_json, state_to_json
 from estune.tuners.acquisition import TrustRegion, newton_step
 from estune.tuners.gaussian_process import covariance, fit_gaussian_process
 from estune.tuners.local_cubic import fit_local_cubic
@@ -76,18 +74,6 @@ def test_proposals_are_rounded_so_that_machines_agree():
             assert value == float(f"{value:.6g}")
 
 
-def test_a_search_resumed_from_json_at_any_trial_is_the_same_search():
-    states = run(TUNER, 60, 2)
-    for k in range(0, 60, 7):
-        stored = state_from_json(TUNER, json.loads(json.dumps(state_to_json(states[k]))))
-        draws = np.random.default_rng(2)
-        draws.normal(size=k)
-        for expected in states[k + 1 : k + 8]:
-            cost = (1.0 + excess(TUNER.ask(stored))) * (1.0 + NOISE * draws.normal())
-            stored = TUNER.tell(stored, Observation(cost))
-            assert stored == expected
-
-
 # What rigs do.
 
 
@@ -136,7 +122,11 @@ def test_a_plateau_is_not_taken_for_the_optimum(seed):
         return 1.0 + min(rise, slight) + 0.3 * max(rise - 6.0, 0.0)
 
     states = run(TUNER, 180, seed, cost=shelf)
-    said = [s for s in states if (o := TUNER.outlook(s)) is not None and o.remaining < 0.02]
+    said = [
+        s
+        for s in states
+        if (o := TUNER.convergence(s)) is not None and o.remaining_improvement < 0.02
+    ]
     assert said
     assert max(left(TUNER, state) for state in said) < 0.03
 
@@ -154,7 +144,11 @@ def test_a_gain_too_small_to_do_anything_is_found_out(seed):
 
     tuner = SafeBayesianTuner(space)
     states = run(tuner, 150, seed, cost=shelf)
-    said = [s for s in states if (o := tuner.outlook(s)) is not None and o.remaining < 0.02]
+    said = [
+        s
+        for s in states
+        if (o := tuner.convergence(s)) is not None and o.remaining_improvement < 0.02
+    ]
     assert said
     assert max(shelf(tuner.recommend(state), 0) for state in said) < 1.03
 
@@ -170,7 +164,7 @@ def test_censored_trials_do_not_hold_it_and_make_it_cautious():
         )
         if censored:
             unsafe += 1
-            assert states[-1].caution < states[-2].caution
+            assert states[-1].step_scale < states[-2].step_scale
     assert 1 <= unsafe <= 15
     assert left(TUNER, states[-1]) < 0.05
 
@@ -201,29 +195,32 @@ def test_it_keeps_its_distance_from_a_limit():
 
 def test_the_noise_it_tells_is_the_noise_there_is():
     for noise in (0.01, 0.03, 0.1):
-        told = TUNER.outlook(run(TUNER, 150, 8, noise=noise)[-1]).noise
+        told = TUNER.convergence(run(TUNER, 150, 8, noise=noise)[-1]).noise
         assert told == pytest.approx(noise, rel=0.25)
 
 
 def test_there_is_no_outlook_before_it_has_looked_further_away():
     states = run(TUNER, 150, 9)
-    first = next(k for k, state in enumerate(states) if TUNER.outlook(state) is not None)
+    first = next(k for k, state in enumerate(states) if TUNER.convergence(state) is not None)
     asked = np.array([SPACE.coordinates(TUNER.ask(state)) for state in states])
     centres = np.array([SPACE.coordinates(TUNER.recommend(state)) for state in states])
     away = np.linalg.norm(asked - centres, axis=1)
     assert np.max(away[first - 9 : first]) > 0.4
     assert np.max(away[first + 20 :]) < np.max(away[first - 9 : first])
-    assert all(TUNER.outlook(state) is not None for state in states[first:])
+    assert all(TUNER.convergence(state) is not None for state in states[first:])
 
 
 def test_what_is_left_is_within_what_it_says_may_be_left():
     told = []
     for seed in range(6):
         for state in run(TUNER, 120, 10 + seed)[60::10]:
-            outlook = TUNER.outlook(state)
+            outlook = TUNER.convergence(state)
             if outlook is not None:
-                told.append(left(TUNER, state) / (1.0 + left(TUNER, state)) <= outlook.remaining)
-                assert 0.0 <= outlook.expected <= outlook.remaining < 1.0
+                told.append(
+                    left(TUNER, state) / (1.0 + left(TUNER, state))
+                    <= outlook.remaining_improvement
+                )
+                assert 0.0 <= outlook.expected_improvement <= outlook.remaining_improvement < 1.0
     assert len(told) >= 30
     assert np.mean(told) >= 0.9
 
@@ -233,7 +230,7 @@ def test_a_parameter_without_effect_has_an_interval_to_its_bounds():
         return 1.0 + excess((*point[:3], math.exp(BEST[3])))
 
     state = run(TUNER, 150, 11, cost=flat)[-1]
-    low, high = TUNER.outlook(state).intervals[3]
+    low, high = TUNER.convergence(state).intervals[3]
     assert high / low > 100.0
 
 
@@ -241,7 +238,7 @@ def test_a_parameter_without_effect_has_an_interval_to_its_bounds():
 def test_a_cost_that_tells_nothing_leaves_it_finite(cost):
     state = run(TUNER, 60, 12, cost=lambda _p, _k: cost, noise=0.0)[-1]
     assert all(map(math.isfinite, (*TUNER.ask(state), *TUNER.recommend(state))))
-    outlook = TUNER.outlook(state)
+    outlook = TUNER.convergence(state)
     if outlook is not None:
         assert all(math.isfinite(end) for pair in outlook.intervals for end in pair)
 
@@ -263,8 +260,8 @@ def test_with_every_trial_censored_it_stays_by_the_start():
         state = TUNER.tell(state, Observation(math.nan, censored=True))
     assert TUNER.recommend(state) == pytest.approx(SPACE.start, rel=1e-5)
     assert math.dist(SPACE.coordinates(TUNER.ask(state)), START) < 0.05
-    assert TUNER.outlook(state) is None
-    assert not TUNER.forecast(state, tuple(np.exp(BEST))).explored
+    assert TUNER.convergence(state) is None
+    assert not TUNER.predict(state, tuple(np.exp(BEST))).explored
 
 
 def test_a_forecast_covers_what_is_measured_near_where_it_has_been():
@@ -272,7 +269,7 @@ def test_a_forecast_covers_what_is_measured_near_where_it_has_been():
     inside = 0
     for z in unit_ball_points(4, 200):
         point = tuple(np.exp(BEST + 0.2 * z).tolist())
-        forecast = TUNER.forecast(state, point)
+        forecast = TUNER.predict(state, point)
         assert forecast.explored
         inside += forecast.low <= 1.0 + excess(point) <= forecast.high
     assert inside >= 160
@@ -287,9 +284,9 @@ def test_a_margin_that_is_no_number_is_refused():
     ("setting", "value"),
     [
         ("safe_ratio", 0.0),
-        ("margin_least", 1.0),
+        ("constraint_margin_min", 1.0),
         ("memory", 3),
-        ("near_reach", math.nan),
+        ("local_radius", math.nan),
         ("space", replace(SPACE, scale="linear")),
     ],
 )

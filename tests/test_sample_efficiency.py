@@ -15,7 +15,7 @@ PROBLEM = PROBLEMS["20 Hz"]
 
 
 def row(*excess):
-    return Row(Job("20 Hz", "newton", 0.03, COLD, 1, len(excess)), excess, 0, 0.0)
+    return Row(Job("20 Hz", "safe_bayesian", 0.03, COLD, 1, len(excess)), excess, 0, 0.0)
 
 
 def test_the_optimum_is_beaten_by_no_point_near_it_or_far():

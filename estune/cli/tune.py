@@ -18,24 +18,28 @@ from estune.core.cost import StepCost
 from estune.core.gains import GAIN_NAMES, Gains
 from estune.errors import InvalidInput
 from estune.run.journal import Journal
-from estune.run.plan import DEFAULT_TUNER, MOVE_WEIGHT, model_start
+from estune.run.plan import MOVE_WEIGHT, model_start
 from estune.run.result import RunEnding, TuneResult
 from estune.run.session import TOLERANCE
 from estune.run.targets import is_endpoint, open_target
 from estune.trial import Rig, RigDescription
 from estune.trial.profiles import StepProfile
+from estune.tuners import DEFAULT_TUNER, TUNERS, tuner_class
 
 _STEP = Group("The step trial", sort_key=1)
 _COST = Group("The cost of a trial, (35)", sort_key=2)
 
-TunerName = Literal[
-    "newton",
-    "least_squares_gradient",
-    "phase_compensated",
-    "otis",
-    "killingsworth",
-    "optuna",
-    "bobyqa",
+
+def _check_tuner(_kind: Any, name: str) -> None:
+    tuner_class(name)
+
+
+TunerName = Annotated[
+    str,
+    Parameter(
+        validator=_check_tuner,
+        help=f"How gains are proposed: {', '.join(TUNERS)}; or module:Class of your own tuner.",
+    ),
 ]
 
 

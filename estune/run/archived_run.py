@@ -9,8 +9,6 @@ import math
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, Never
 
-from pydantic import TypeAdapter, ValidationError
-
 from estune.core.repeats import InterleavedRepeats
 from estune.errors import JournalError
 from estune.run import loop
@@ -20,8 +18,7 @@ from estune.run.plan import description_from_json, plan_from_json
 from estune.run.session import Phase, Session, is_censored, is_unsafe, new_session
 from estune.run.summary import summarise
 from estune.trial import Outcome
-from estune.tuners.observation import Observation
-from estune.tuners.search_space import Point, SearchSpace
+from estune.tuners import Observation, Point, SearchSpace, tuner_name, tuner_space
 
 OTHERWISE = (
     "this version's tuner would go on otherwise; read it with the version that made it, or export "
@@ -106,13 +103,7 @@ class UnavailableTuner:
 
 def _bygone(settings: dict[str, Any]) -> UnavailableTuner:
     """What is left of a stored tuner."""
-    try:
-        space = TypeAdapter(SearchSpace).validate_python(settings["space"])
-        return UnavailableTuner(settings.get("name", settings["kind"]), space)
-    except (KeyError, ValidationError) as error:
-        raise JournalError(
-            f"the stored tuner cannot be read ({error}); it is of another version"
-        ) from error
+    return UnavailableTuner(tuner_name(settings), tuner_space(settings))
 
 
 def _session(session: Session, told: list[JournalEntry], search_end: str | None) -> Session:

@@ -1,9 +1,8 @@
 """A plan from what a user says and a rig suggests, and its way to JSON and back."""
 
 import dataclasses
-import importlib
 from collections.abc import Mapping
-from typing import Any, Final, Literal
+from typing import Any, Literal
 
 from pydantic import TypeAdapter, ValidationError
 
@@ -14,15 +13,16 @@ from estune.interop import model_gains
 from estune.run.session import Plan
 from estune.trial import RigDescription
 from estune.trial.profiles import StepProfile
-from estune.tuners import Tuner
-from estune.tuners.external import TUNER_NAMES, tuner_class
-from estune.tuners.search_space import SearchSpace
+from estune.tuners import (
+    SearchSpace,
+    Tuner,
+    create_tuner,
+    tuner_from_stored,
+    tuner_to_stored,
+)
 
 MOVE_WEIGHT = 0.2
 """Default price on effort: without one the cost (35) has no interior optimum on a good plant."""
-
-DEFAULT_TUNER: Final = "newton"
-"""What gains are proposed by where nothing else is asked for."""
 
 
 def make_tuner(
@@ -39,10 +39,7 @@ def make_tuner(
                 "a ready-made tuner has its own search space; give bounds to that one"
             )
         return tuner
-    if tuner not in TUNER_NAMES:
-        raise InvalidInput(f"there is no tuner {tuner!r}; the tuners are {', '.join(TUNER_NAMES)}")
-    made: Tuner[Any] = tuner_class(tuner)(space=SearchSpace.around(start, bounds=bounds))
-    return made
+    return create_tuner(tuner, SearchSpace.around(start, bounds=bounds))
 
 
 def make_plan(
@@ -96,19 +93,13 @@ def plan_to_json(plan: Plan) -> dict[str, Any]:
     Raises:
         InvalidInput: the tuner is not a dataclass, so that its settings cannot be stored.
     """
-    kind: type[Any] = type(plan.tuner)
-    if not dataclasses.is_dataclass(kind):
-        raise InvalidInput(
-            f"tuner {kind.__qualname__} is not a dataclass; only one can be journalled"
-        )
+    tuner = tuner_to_stored(plan.tuner)
     shown = {
         f.name: TypeAdapter(type(value)).dump_python(value, mode="json")
         for f in dataclasses.fields(plan)
         if f.name != "tuner" and (value := getattr(plan, f.name)) is not None
     }
-    tuner: Any = plan.tuner
-    settings = TypeAdapter(kind).dump_python(tuner, mode="json")
-    return {"tuner": {"kind": f"{kind.__module__}:{kind.__qualname__}", **settings}, **shown}
+    return {"tuner": tuner, **shown}
 
 
 def plan_from_json(values: dict[str, Any], tuner: Tuner[Any] | None = None) -> Plan:
@@ -123,10 +114,7 @@ def plan_from_json(values: dict[str, Any], tuner: Tuner[Any] | None = None) -> P
     """
     try:
         if tuner is None:
-            settings = dict(values["tuner"])
-            module, _, name = settings.pop("kind").partition(":")
-            kind = getattr(importlib.import_module(module), name)
-            tuner = TypeAdapter(kind).validate_python(settings)
+            tuner = tuner_from_stored(values["tuner"])
         types = {"start": Gains, "step": StepProfile, "cost": StepCost}
         rest = {
             key: TypeAdapter(types[key]).validate_python(value) if key in types else value

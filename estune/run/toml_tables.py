@@ -12,7 +12,7 @@ from estune.run.session import TOLERANCE
 from estune.support.toml_file import TomlTable
 from estune.trial import RigDescription
 from estune.trial.profiles import StepProfile
-from estune.tuners.external import TUNER_NAMES
+from estune.tuners import tuner_class
 
 Positive = Annotated[float, Field(gt=0.0)]
 NotNegative = Annotated[float, Field(ge=0.0)]
@@ -20,13 +20,12 @@ Count = Annotated[int, Field(ge=1)]
 Range = Annotated[tuple[float, float], Field(strict=False)]
 
 
-def _known(name: str) -> str:
-    if name not in TUNER_NAMES:
-        raise ValueError(f"there is none named {name!r}; the tuners are {', '.join(TUNER_NAMES)}")
+def _check_tuner(name: str) -> str:
+    tuner_class(name)
     return name
 
 
-TunerName = Annotated[str, AfterValidator(_known)]
+TunerName = Annotated[str, AfterValidator(_check_tuner)]
 
 
 class StepTable(TomlTable):

@@ -5,33 +5,44 @@ With l(k) the logarithm of the cost and x the logarithms of the parameters,
     b(k)    = l(k) - (1+h) zeta(k),  zeta(k+1) = -h zeta(k) + l(k)        high-pass
     d_i(k)  = (2/alpha) cos(w_i k + phi_i) b(k) / W_i                     demodulation
     g_i(k)  = g_i(k-1) + lambda [d_i(k) - g_i(k-1)]                       low-pass: the slope of l
-    th(k+1) = th(k) - gamma g(k), limited and straightened as in `steps`
+    th(k+1) = th(k) - gamma g(k), limited and straightened as in `step_control`
     x_i(k)  = th_i(k) + alpha cos(w_i k)
 
-Which phase phi_i and gain W_i the demodulation has is what `otis` and `phase_compensated` differ
-in. The frequencies keep the cost's curvature off the gradient: see `dither`.
+`Otis` and `PhaseCompensated` differ in the phase phi_i and the gain W_i of the demodulation. The
+frequencies separate the curvature of the cost from its gradient, see `perturbation.dither`.
 """
 
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import NamedTuple
+from functools import lru_cache
+from typing import Literal, NamedTuple
 
-from estune.tuners.dither import dither
-from estune.tuners.filters import low_pass, washout, washout_at_rest
 from estune.tuners.observation import Observation, log_cost
+from estune.tuners.perturbation import (
+    dither,
+    low_pass,
+    washout,
+    washout_at_rest,
+    washout_response,
+)
 from estune.tuners.search_space import Coordinates, Point, SearchSpace
 from estune.tuners.settings import check_above_zero, check_below_one, check_logarithmic
-from estune.tuners.step_length import clip_norm, kesten_step
-from estune.tuners.step_scale import Best, best_after, recover_after_safe, shrink_after_unsafe
+from estune.tuners.step_control import (
+    best_after,
+    clip_norm,
+    kesten_step,
+    recover_after_safe,
+    shrink_after_unsafe,
+)
 
 
 class DemodulationSignal(NamedTuple):
-    """What the washed cost is multiplied by to read one slope.
+    """The factor cos(w_i k + phi_i)/W_i that reads one slope from the washed cost.
 
     Attributes:
         frequency: w_i, rad/trial.
-        gain: W_i, what it is divided by.
+        gain: W_i.
         lead: phi_i, rad.
     """
 
@@ -40,32 +51,32 @@ class DemodulationSignal(NamedTuple):
     lead: float
 
 
-class DemodulatedState(NamedTuple):
-    """Where the search stands before trial k."""
+class ExtremumSeekingState(NamedTuple):
+    """The state of the search before trial k."""
 
     k: int
     centre: Coordinates  # th(k), logarithms
     zeta: float | None  # None: the washout will be at rest on the next cost
     slope: tuple[float, ...]  # g(k-1)
-    drift: tuple[float, ...]  # mean step wanted, see `straightened`
-    path: float  # mean length of it
-    caution: float
+    mean_step: tuple[float, ...]  # see `kesten_step`
+    mean_length: float
+    step_scale: float
     best_point: Point
     best_cost: float | None
 
 
 @dataclass(frozen=True, slots=True)
 class ExtremumSeeking(ABC):
-    """What `otis` and `phase_compensated` share: all but what a carrier is.
+    """Base of `Otis` and `PhaseCompensated`: everything but the demodulation signals.
 
     Attributes:
-        space: What is tuned, on a logarithmic scale.
+        space: The tuned parameters, on a logarithmic scale.
         dither_amplitude: alpha, in logarithms: 0.2 moves each gain by about a fifth.
         adaptation_gain: gamma, step in logarithms per slope of the logarithm of the cost.
         step_limit: Longest step of the centre between two trials, in logarithms.
-        low_pass_share: lambda, the share of what is new in the low-pass filter.
+        low_pass_share: lambda, weight of the newest slope in the low-pass filter.
         washout_h: h, between 0 and 1.
-        name: What the tuner is called.
+        name: The registered name.
 
     Raises:
         InvalidInput: a setting is out of its range, or the scale is not logarithmic.
@@ -81,81 +92,127 @@ class ExtremumSeeking(ABC):
 
     def __post_init__(self) -> None:
         check_logarithmic(self.name, self.space)
-        for what in ("dither_amplitude", "adaptation_gain", "step_limit"):
-            check_above_zero(self.name, what, getattr(self, what))
-        for what in ("low_pass_share", "washout_h"):
-            check_below_one(self.name, what, getattr(self, what))
+        for setting in ("dither_amplitude", "adaptation_gain", "step_limit"):
+            check_above_zero(self.name, setting, getattr(self, setting))
+        for setting in ("low_pass_share", "washout_h"):
+            check_below_one(self.name, setting, getattr(self, setting))
 
     @abstractmethod
-    def carriers(self) -> tuple[DemodulationSignal, ...]:
-        """What the cost is multiplied by, for each parameter."""
+    def demodulation_signals(self) -> tuple[DemodulationSignal, ...]:
+        """One signal for each parameter."""
 
-    def start(self) -> DemodulatedState:
+    def start(self) -> ExtremumSeekingState:
         """The state before the first trial."""
-        return DemodulatedState(
+        return ExtremumSeekingState(
             k=0,
             centre=self.space.coordinates(self.space.start),
             zeta=None,
             slope=(0.0,) * len(self.space.names),
-            drift=(0.0,) * len(self.space.names),
-            path=0.0,
-            caution=1.0,
+            mean_step=(0.0,) * len(self.space.names),
+            mean_length=0.0,
+            step_scale=1.0,
             best_point=self.space.start,
             best_cost=None,
         )
 
-    def ask(self, state: DemodulatedState) -> Point:
+    def ask(self, state: ExtremumSeekingState) -> Point:
         """The centre with its dither, within the bounds."""
-        k, alpha = state.k, state.caution * self.dither_amplitude
+        k, alpha = state.k, state.step_scale * self.dither_amplitude
         rows = zip(state.centre, dither(len(state.centre)).frequencies, strict=True)
         return self.space.point(tuple([th + alpha * math.cos(w * k) for th, w in rows]))
 
-    def tell(self, state: DemodulatedState, observation: Observation) -> DemodulatedState:
+    def tell(self, state: ExtremumSeekingState, observation: Observation) -> ExtremumSeekingState:
         """The state after the trial last asked for.
 
         Raises:
             InvalidInput: the cost is not finite although the observation is not censored.
         """
         if observation.censored:
-            return state._replace(
+            return self.start()._replace(
                 k=state.k + 1,
                 centre=self.space.coordinates(state.best_point),
-                zeta=None,
-                slope=(0.0,) * len(state.slope),
-                drift=(0.0,) * len(state.drift),
-                path=0.0,
-                caution=shrink_after_unsafe(state.caution),
+                step_scale=shrink_after_unsafe(state.step_scale),
+                best_point=state.best_point,
+                best_cost=state.best_cost,
             )
-        best = best_after(Best(state.best_point, state.best_cost), self.ask(state), observation)
+        best_point, best_cost = best_after(state, self.ask(state), observation)
         level, h = log_cost(observation), self.washout_h
         zeta = washout_at_rest(h, level) if state.zeta is None else state.zeta
         washed, zeta = washout(h, zeta, level)
-        alpha = state.caution * self.dither_amplitude
-        news = zip(state.slope, self._demodulated(state.k, alpha, washed), strict=True)
-        slope = tuple([low_pass(self.low_pass_share, g, d) for g, d in news])
-        wanted = clip_norm(
-            tuple([-self.adaptation_gain * g for g in slope]), state.caution * self.step_limit
+        rows = zip(state.slope, self._demodulate(state, washed), strict=True)
+        slope = tuple([low_pass(self.low_pass_share, g, d) for g, d in rows])
+        step, mean_step, mean_length = kesten_step(
+            clip_norm(
+                tuple([-self.adaptation_gain * g for g in slope]),
+                state.step_scale * self.step_limit,
+            ),
+            state.mean_step,
+            state.mean_length,
         )
-        step, drift, path = kesten_step(wanted, state.drift, state.path)
-        return DemodulatedState(
+        return ExtremumSeekingState(
             k=state.k + 1,
             centre=self.space.clipped(
                 tuple([th + s for th, s in zip(state.centre, step, strict=True)])
             ),
             zeta=zeta,
             slope=slope,
-            drift=drift,
-            path=path,
-            caution=recover_after_safe(state.caution),
-            best_point=best.point,
-            best_cost=best.cost,
+            mean_step=mean_step,
+            mean_length=mean_length,
+            step_scale=recover_after_safe(state.step_scale),
+            best_point=best_point,
+            best_cost=best_cost,
         )
 
-    def recommend(self, state: DemodulatedState) -> Point:
-        """The search's centre, without dither."""
+    def recommend(self, state: ExtremumSeekingState) -> Point:
+        """The centre of the search, without dither."""
         return self.space.point(state.centre)
 
-    def _demodulated(self, k: int, alpha: float, washed: float) -> list[float]:
-        """d_i(k), of a trial that was dithered by alpha."""
-        scale = 2.0 * washed / alpha
-        return [scale * math.cos(w * k + lead) / gain for w, gain, lead in self.carriers()]
+    def _demodulate(self, state: ExtremumSeekingState, washed: float) -> list[float]:
+        """d_i(k) by the washed cost b(k)."""
+        k, scale = state.k, 2.0 * washed / (state.step_scale * self.dither_amplitude)
+        return [
+            scale * math.cos(w * k + lead) / gain for w, gain, lead in self.demodulation_signals()
+        ]
+
+
+@dataclass(frozen=True, slots=True)
+class Otis(ExtremumSeeking):
+    """Extremum seeking of the paper (section V-C): [39] adapted to a real, noisy reel.
+
+    It adds to Killingsworth & Krstic the logarithms of the parameters, the setpoint filter's time
+    constant as a fourth parameter, and the low-pass after the demodulation. Like [39] it
+    demodulates by the dither itself, phi_i = 0 and W_i = 1, and so ignores the phase lead of the
+    washout: each slope is read at cos(lead) times the washout's gain of its size.
+
+    The paper prints no settings and no frequencies. It normalises the cost by the first-order
+    reference in (35), which lets a bad start make the first steps a hundred times the last ones.
+    The logarithm of the cost used here prevents that.
+    """
+
+    name: Literal["otis"] = "otis"
+
+    def demodulation_signals(self) -> tuple[DemodulationSignal, ...]:
+        """The dither itself."""
+        frequencies = dither(len(self.space.names)).frequencies
+        return tuple([DemodulationSignal(w, 1.0, 0.0) for w in frequencies])
+
+
+@dataclass(frozen=True, slots=True)
+class PhaseCompensated(ExtremumSeeking):
+    """Extremum seeking that compensates the phase lead and the gain of its washout filter.
+
+    phi_i and W_i are those of the washout at w_i, so that every slope is read at its full size.
+    """
+
+    name: Literal["phase_compensated"] = "phase_compensated"
+
+    def demodulation_signals(self) -> tuple[DemodulationSignal, ...]:
+        """The dither after the washout."""
+        return _washed_dither(len(self.space.names), self.washout_h)
+
+
+@lru_cache(maxsize=64)
+def _washed_dither(parameters: int, h: float) -> tuple[DemodulationSignal, ...]:
+    return tuple(
+        [DemodulationSignal(w, *washout_response(h, w)) for w in dither(parameters).frequencies]
+    )

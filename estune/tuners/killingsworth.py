@@ -21,11 +21,11 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 from estune.errors import InvalidInput
-from estune.tuners.filters import washout, washout_at_rest
 from estune.tuners.observation import Observation, usable_cost
+from estune.tuners.perturbation import washout, washout_at_rest
 from estune.tuners.search_space import Coordinates, Point, SearchSpace
 from estune.tuners.settings import check_above_zero, check_below_one
-from estune.tuners.step_scale import Best, best_after, recover_after_safe, shrink_after_unsafe
+from estune.tuners.step_control import best_after, recover_after_safe, shrink_after_unsafe
 
 RELATIVE_AMPLITUDE = 0.2
 ADAPTATION_GAIN = 1.0
@@ -37,7 +37,7 @@ class KillingsworthState(NamedTuple):
     k: int
     centre: Coordinates  # th(k)
     zeta: float | None  # None: the washout will be at rest on the next cost
-    caution: float
+    step_scale: float
     best_point: Point
     best_cost: float | None
 
@@ -95,7 +95,7 @@ class Killingsworth:
             k=1,
             centre=self.space.coordinates(self.space.start),
             zeta=None,
-            caution=1.0,
+            step_scale=1.0,
             best_point=self.space.start,
             best_cost=None,
         )
@@ -104,10 +104,10 @@ class Killingsworth:
         """theta(k), (KK 3), within the bounds."""
         if state.k == 1:
             return self.space.start
-        k, caution = state.k, state.caution
+        k = state.k
         rows = zip(state.centre, self.dither_amplitudes, self._frequencies(), strict=True)
         return self.space.point(
-            tuple([th + caution * alpha * math.cos(w * k) for th, alpha, w in rows])
+            tuple([th + state.step_scale * alpha * math.cos(w * k) for th, alpha, w in rows])
         )
 
     def tell(self, state: KillingsworthState, observation: Observation) -> KillingsworthState:
@@ -122,9 +122,9 @@ class Killingsworth:
                 k=k + 1,
                 centre=self.space.coordinates(state.best_point),
                 zeta=None,
-                caution=shrink_after_unsafe(state.caution),
+                step_scale=shrink_after_unsafe(state.step_scale),
             )
-        best = best_after(Best(state.best_point, state.best_cost), self.ask(state), observation)
+        best_point, best_cost = best_after(state, self.ask(state), observation)
         J = usable_cost(observation)
         zeta = washout_at_rest(h, J) if state.zeta is None else state.zeta
         washed, zeta = washout(h, zeta, J)  # (KK 1)
@@ -137,7 +137,7 @@ class Killingsworth:
         )
         centre = tuple(
             [
-                th - state.caution * gamma * alpha * math.cos(w * k) * washed  # (KK 2)
+                th - state.step_scale * gamma * alpha * math.cos(w * k) * washed  # (KK 2)
                 for th, gamma, alpha, w in rows
             ]
         )
@@ -145,9 +145,9 @@ class Killingsworth:
             k=k + 1,
             centre=self.space.clipped(centre),
             zeta=zeta,
-            caution=recover_after_safe(state.caution),
-            best_point=best.point,
-            best_cost=best.cost,
+            step_scale=recover_after_safe(state.step_scale),
+            best_point=best_point,
+            best_cost=best_cost,
         )
 
     def recommend(self, state: KillingsworthState) -> Point:

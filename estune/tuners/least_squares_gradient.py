@@ -16,12 +16,17 @@ import math
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
-from estune.tuners.dither import dither
 from estune.tuners.observation import Observation, log_cost
+from estune.tuners.perturbation import dither
 from estune.tuners.search_space import Coordinates, Point, SearchSpace
 from estune.tuners.settings import check_above_zero, check_logarithmic
-from estune.tuners.step_length import clip_norm, kesten_step
-from estune.tuners.step_scale import Best, best_after, recover_after_safe, shrink_after_unsafe
+from estune.tuners.step_control import (
+    best_after,
+    clip_norm,
+    kesten_step,
+    recover_after_safe,
+    shrink_after_unsafe,
+)
 
 
 class LeastSquaresGradientState(NamedTuple):
@@ -33,7 +38,7 @@ class LeastSquaresGradientState(NamedTuple):
     moments: tuple[float, ...]  # sum lambda^(k-m) v v' with v = (1, x, l), upper triangle by rows
     drift: tuple[float, ...]  # mean step wanted, see `straightened`
     path: float  # mean length of it
-    caution: float
+    step_scale: float
     best_point: Point
     best_cost: float | None
 
@@ -73,14 +78,14 @@ class LeastSquaresGradient:
             moments=_no_moments(len(self.space.names)),
             drift=(0.0,) * len(self.space.names),
             path=0.0,
-            caution=1.0,
+            step_scale=1.0,
             best_point=self.space.start,
             best_cost=None,
         )
 
     def ask(self, state: LeastSquaresGradientState) -> Point:
         """The next neighbour of the centre, within the bounds."""
-        k, alpha = state.k, state.caution * self.dither_amplitude
+        k, alpha = state.k, state.step_scale * self.dither_amplitude
         rows = zip(state.centre, dither(len(state.centre)).frequencies, strict=True)
         return self.space.point(tuple([th + alpha * math.cos(w * k) for th, w in rows]))
 
@@ -101,10 +106,10 @@ class LeastSquaresGradient:
                 moments=_no_moments(n),
                 drift=(0.0,) * n,
                 path=0.0,
-                caution=shrink_after_unsafe(state.caution),
+                step_scale=shrink_after_unsafe(state.step_scale),
             )
         point = self.ask(state)
-        best = best_after(Best(state.best_point, state.best_cost), point, observation)
+        best_point, best_cost = best_after(state, point, observation)
         # Measured from the start, so that the moments stay small and their differences exact.
         origin = self.space.coordinates(self.space.start)
         x = [c - o for c, o in zip(self.space.coordinates(point), origin, strict=True)]
@@ -113,7 +118,7 @@ class LeastSquaresGradient:
         if state.regressed >= n:
             wanted = clip_norm(
                 tuple([-self.adaptation_gain * g for g in slope(moments, n)]),
-                state.caution * self.step_limit,
+                state.step_scale * self.step_limit,
             )
             step, drift, path = kesten_step(wanted, drift, path)
             centre = self.space.clipped(
@@ -126,9 +131,9 @@ class LeastSquaresGradient:
             moments=moments,
             drift=drift,
             path=path,
-            caution=recover_after_safe(state.caution),
-            best_point=best.point,
-            best_cost=best.cost,
+            step_scale=recover_after_safe(state.step_scale),
+            best_point=best_point,
+            best_cost=best_cost,
         )
 
     def recommend(self, state: LeastSquaresGradientState) -> Point:

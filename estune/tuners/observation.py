@@ -1,4 +1,4 @@
-"""What a tuner is told about the trial it asked for."""
+"""The observation that a tuner receives of each trial it asked for."""
 
 import math
 from typing import NamedTuple
@@ -10,10 +10,11 @@ class Observation(NamedTuple):
     """The outcome of one trial, as far as a tuner is concerned.
 
     Attributes:
-        cost: The cost of the trial; means nothing where it is censored.
-        censored: The trial was unsafe: over eta_max, aborted, or without a finite cost. All it
-            says is that its gains are to be kept away from.
-        margin: The smallest share the trial left of any of the rig's limits: 1 far away, 0 at it.
+        cost: The cost of the trial; without meaning where it is censored.
+        censored: The trial was unsafe: over eta_max, aborted, or without a finite cost. It only
+            marks its gains as unsafe.
+        margin: Constraint margin: the least share that the trial left of any of the rig's limits;
+            1 far away, 0 at the limit.
     """
 
     cost: float
@@ -22,11 +23,11 @@ class Observation(NamedTuple):
 
 
 COST_LIMIT = 1e100
-"""Costs beyond this count as this, so that no arithmetic on them overflows."""
+"""Greater costs count as this, so that no arithmetic on them overflows."""
 
 
 def usable_cost(observation: Observation) -> float:
-    """The cost of an uncensored observation, within what arithmetic can bear.
+    """The cost of an uncensored observation, clipped to COST_LIMIT.
 
     Raises:
         InvalidInput: the cost is not finite although the observation is not censored.
@@ -40,7 +41,7 @@ def usable_cost(observation: Observation) -> float:
 
 
 def log_cost(observation: Observation) -> float:
-    """The logarithm of the cost, which makes a tuner indifferent to the unit of the cost.
+    """The logarithm of the cost, so that the unit of the cost does not matter to a tuner.
 
     A cost at or below zero, which (35) never has, counts as 1/COST_LIMIT.
 
@@ -51,9 +52,7 @@ def log_cost(observation: Observation) -> float:
 
 
 def usable_margin(observation: Observation) -> float:
-    """The margin of an observation: at most one, however far away the limits are.
-
-    A trial that was unsafe had none left, unless it says so itself.
+    """The constraint margin, from -1 to 1; at most 0 after an unsafe trial.
 
     Raises:
         InvalidInput: the margin is not a number.
@@ -61,6 +60,5 @@ def usable_margin(observation: Observation) -> float:
     margin = observation.margin
     if math.isnan(margin):
         raise InvalidInput("margin is nan; leave it out where no limit is known")
-    if observation.censored:
-        return max(min(margin, 0.0), -1.0)
-    return max(min(margin, 1.0), -1.0)
+    most = 0.0 if observation.censored else 1.0
+    return max(min(margin, most), -1.0)

@@ -12,7 +12,7 @@ Trans. Information Theory 58, 2012),
 so that it dithers by itself: along each direction as far as what is not known there may be worth,
 which is little where the cost is steep, and less with every trial. A point looks safe where
 mu + 2.5 s is at most `safe_ratio` times the start's cost and so many times the centre's, and the
-margin foretold, less 2.5 s, at least `margin_least`. The reach shrinks after an unsafe trial and
+margin foretold, less 2.5 s, at least `constraint_margin_min`. The reach shrinks after an unsafe trial and
 recovers, see `guard`. What the costs of all loops have in common is known before the first trial,
 see `experience`.
 
@@ -33,7 +33,7 @@ import numpy as np
 from estune.core.quantities import FloatArray
 from estune.errors import InvalidInput
 from estune.tuners.acquisition import Model, TrustRegion, minimise_confidence_bound, newton_step
-from estune.tuners.convergence import ConvergenceEstimate, CostPrediction
+from estune.tuners.interface import ConvergenceEstimate, CostPrediction
 from estune.tuners.gaussian_process import fit_gaussian_process
 from estune.tuners.local_cubic import FLAT, NOISE_EXPECTED, LocalCubicModel, fit_local_cubic
 from estune.tuners.loop_prior import cost_prior
@@ -43,7 +43,7 @@ from estune.tuners.plateau_scan import CAREFUL, PlateauScan, may_be_flat, next_s
 from estune.tuners.remaining_improvement import expected_gain, sample_quadratics
 from estune.tuners.search_space import Coordinates, Point, SearchSpace
 from estune.tuners.settings import check_above_zero, check_logarithmic
-from estune.tuners.step_scale import Best, best_after, recover_after_safe, shrink_after_unsafe
+from estune.tuners.step_control import best_after, recover_after_safe, shrink_after_unsafe
 
 UNSAFE = 1.0 + math.log(COST_LIMIT)
 """What a censored trial is remembered by; no cost reaches it."""
@@ -86,7 +86,7 @@ class SafeBayesianState(NamedTuple):
     looks: int  # directions looked along further away, of 4 n
     strides: int  # made along the last of them; zero where there are none
     level: float | None  # logarithm of the cost of the first trials; None until they are made
-    caution: float
+    step_scale: float
     best_point: Point
     best_cost: float | None
 
@@ -97,21 +97,21 @@ class SafeBayesianTuner:
 
     Attributes:
         space: What is tuned, on a logarithmic scale.
-        first_radius: Size of the first design about the start, in logarithms for one parameter;
+        initial_radius: Size of the first design about the start, in logarithms for one parameter;
             it grows with the root of their number.
         global_radius: How far from the centre a trial may lie while the model is wide, in logarithms.
         local_radius: The same once it is near.
-        near_rise: By how much the cost may be expected to rise there, relative to it.
-        wide_trials: Trials from which on the model is near, for each parameter.
-        wide_curiosity: kappa while the model is wide.
-        near_curiosity: kappa once it is near.
-        last_curiosity: kappa once it has looked beyond plateaus: what is then left to gain is
+        local_rise: By how much the cost may be expected to rise there, relative to it.
+        global_trials: Trials from which on the model is near, for each parameter.
+        global_exploration: kappa while the model is wide.
+        local_exploration: kappa once it is near.
+        final_exploration: kappa once it has looked beyond plateaus: what is then left to gain is
             little, and a wider dither finds it sooner.
         safe_ratio: Cost over that of the start up to which a point counts as safe.
-        wide_safe_rise: The same over the cost at the centre, while the model is wide.
-        near_safe_rise: The same once it is near: far from it the model then knows little.
-        look_reach: How far it looks for what lies beyond a plateau, in logarithms.
-        look_rise: By how much the cost may be expected to rise there, relative to it.
+        global_safe_ratio: The same over the cost at the centre, while the model is wide.
+        local_safe_ratio: The same once it is near: far from it the model then knows little.
+        probe_radius: How far it looks for what lies beyond a plateau, in logarithms.
+        probe_rise: By how much the cost may be expected to rise there, relative to it.
         constraint_margin_min: Share of every limit that is to be left, 0 to 1.
         memory: Trials that are kept; older ones are forgotten.
         name: What the tuner is called.
@@ -121,47 +121,47 @@ class SafeBayesianTuner:
     """
 
     space: SearchSpace
-    first_radius: float = 0.15
+    initial_radius: float = 0.15
     global_radius: float = 0.65
     local_radius: float = 0.5
-    near_rise: float = 0.08
-    wide_trials: int = 7
+    local_rise: float = 0.08
+    global_trials: int = 7
     global_exploration: float = 2.2
     local_exploration: float = 2.5
     final_exploration: float = 5.0
     safe_ratio: float = 1.3
-    wide_safe_rise: float = 1.65
-    near_safe_rise: float = 1.4
-    look_reach: float = 1.0
-    look_rise: float = 0.1
+    global_safe_ratio: float = 1.65
+    local_safe_ratio: float = 1.4
+    probe_radius: float = 1.0
+    probe_rise: float = 0.1
     constraint_margin_min: float = 0.1
     memory: int = 400
-    name: Literal["newton"] = "newton"
+    name: Literal["safe_bayesian"] = "safe_bayesian"
 
     def __post_init__(self) -> None:
-        check_logarithmic("newton", self.space)
+        check_logarithmic("safe_bayesian", self.space)
         for what in (
-            *("first_radius", "wide_reach", "near_reach", "near_rise", "wide_trials"),
+            *("initial_radius", "global_radius", "local_radius", "local_rise", "global_trials"),
             *(
-                "wide_curiosity",
-                "near_curiosity",
-                "last_curiosity",
+                "global_exploration",
+                "local_exploration",
+                "final_exploration",
                 "safe_ratio",
-                "wide_safe_rise",
-                "near_safe_rise",
+                "global_safe_ratio",
+                "local_safe_ratio",
                 "memory",
             ),
-            *("look_reach", "look_rise"),
+            *("probe_radius", "probe_rise"),
         ):
-            check_above_zero("newton", what, getattr(self, what))
+            check_above_zero("safe_bayesian", what, getattr(self, what))
         if not 0.0 <= self.constraint_margin_min < 1.0:
             raise InvalidInput(
-                f"newton: margin_least is {self.constraint_margin_min}; it must lie from 0 to below 1"
+                f"safe_bayesian: constraint_margin_min is {self.constraint_margin_min}; it must lie from 0 to below 1"
             )
         least = 4 * (len(self.space.names) + 1)
         if self.memory < least:
             raise InvalidInput(
-                f"newton: memory is {self.memory} trials; {len(self.space.names)} parameters need "
+                f"safe_bayesian: memory is {self.memory} trials; {len(self.space.names)} parameters need "
                 f"at least {least}"
             )
 
@@ -179,7 +179,7 @@ class SafeBayesianTuner:
             looks=0,
             strides=0,
             level=None,
-            caution=1.0,
+            step_scale=1.0,
             best_point=self.space.start,
             best_cost=None,
         )
@@ -195,29 +195,30 @@ class SafeBayesianTuner:
             InvalidInput: the cost is not finite although the observation is not censored, or the
                 margin is not a number.
         """
-        n, best = len(self.space.names), Best(state.best_point, state.best_cost)
+        n = len(self.space.names)
+        best_point, best_cost = state.best_point, state.best_cost
         if observation.censored:
-            cost, caution = UNSAFE, shrink_after_unsafe(state.caution)
+            cost, step_scale = UNSAFE, shrink_after_unsafe(state.step_scale)
         else:
-            cost, caution = log_cost(observation), recover_after_safe(state.caution)
-            best = best_after(best, state.proposal, observation)
+            cost, step_scale = log_cost(observation), recover_after_safe(state.step_scale)
+            best_point, best_cost = best_after(state, state.proposal, observation)
         state = state._replace(
             k=state.k + 1,
             tried=(*state.tried, *self._from_start(state.proposal))[-n * self.memory :],
             costs=(*state.costs, cost)[-self.memory :],
             margins=(*state.margins, usable_margin(observation))[-self.memory :],
-            caution=caution,
-            best_point=best.point,
-            best_cost=best.cost,
+            step_scale=step_scale,
+            best_point=best_point,
+            best_cost=best_cost,
         )
-        if state.k <= n or best.cost is None:
-            return state._replace(proposal=self._initial_design(state.k, caution))
+        if state.k <= n or best_cost is None:
+            return state._replace(proposal=self._initial_design(state.k, step_scale))
         if state.level is None:
             safe = [cost for cost in state.costs if cost < UNSAFE]
             state = state._replace(level=median(safe))
         return (
             self._propose_global(state)
-            if state.k <= self.wide_trials * n
+            if state.k <= self.global_trials * n
             else self._propose_local(state)
         )
 
@@ -225,7 +226,7 @@ class SafeBayesianTuner:
         """The centre of the search."""
         return self._point(np.array(state.centre))
 
-    def outlook(self, state: SafeBayesianState) -> ConvergenceEstimate | None:
+    def convergence(self, state: SafeBayesianState) -> ConvergenceEstimate | None:
         """Where the search stands; None until it has looked further away."""
         n = len(self.space.names)
         if state.looks < 2 * n:
@@ -240,12 +241,12 @@ class SafeBayesianTuner:
         strode = state.looks == 4 * n and state.strides == 0
         return ConvergenceEstimate(
             noise=state.noise,
-            remaining=remaining if strode else max(remaining, UNTRIED),
-            expected=-math.expm1(-float(np.mean(left.gain))),
+            remaining_improvement=remaining if strode else max(remaining, UNTRIED),
+            expected_improvement=-math.expm1(-float(np.mean(left.gain))),
             intervals=tuple(zip(self._point(low), self._point(high), strict=True)),
         )
 
-    def forecast(self, state: SafeBayesianState, point: Point) -> CostPrediction:
+    def predict(self, state: SafeBayesianState, point: Point) -> CostPrediction:
         """What is expected of a point; nothing before there is a safe trial."""
         place = np.array([self._from_start(point)])
         safe = [cost < UNSAFE for cost in state.costs]
@@ -274,8 +275,8 @@ class SafeBayesianTuner:
         )
         smoothed = model.smoothed(values)
         best = int(np.argmin(smoothed))
-        dearest = float(smoothed[best]) + math.log(self.wide_safe_rise)
-        reach = self._reach(points[best], state.caution * self.global_radius, dearest)
+        dearest = float(smoothed[best]) + math.log(self.global_safe_ratio)
+        reach = self._reach(points[best], state.step_scale * self.global_radius, dearest)
         first = points[best : best + 1]
         centre = minimise_confidence_bound(model, reach, first, 0.0, state.k)
         asked = minimise_confidence_bound(model, reach, first, self.global_exploration, state.k)
@@ -291,9 +292,9 @@ class SafeBayesianTuner:
             model = self._model(state)
         values, axes = np.linalg.eigh(model.curvature)
         values = np.maximum(values, FLAT)
-        rise = state.caution**2 * self.near_rise
-        dearest = model.level + math.log(self.near_safe_rise)
-        reach = self._reach(model.centre, state.caution * self.local_radius, dearest)
+        rise = state.step_scale**2 * self.local_rise
+        dearest = model.level + math.log(self.local_safe_ratio)
+        reach = self._reach(model.centre, state.step_scale * self.local_radius, dearest)
         reach = reach._replace(axes=axes * np.sqrt(2.0 * rise / values))
         centre = reach.bounded(model.centre + newton_step(model.slope, values, axes, reach.radius))
         if model.coefficients.shape[1] > 1:  # a limit is near: the step must keep its distance
@@ -330,7 +331,7 @@ class SafeBayesianTuner:
     ) -> FloatArray:
         """A point far away along one axis of the model, nearer by halves until it looks safe."""
         axis, sign = divmod(number, 2)
-        far = min(self.look_reach, math.sqrt(2.0 * self.look_rise / float(values[axis])))
+        far = min(self.probe_radius, math.sqrt(2.0 * self.probe_rise / float(values[axis])))
         away = (1.0 - 2.0 * sign) * far * axes[:, axis]
         points = reach.bounded(reach.centre + np.outer((1.0, 0.5, 0.25, 0.0), away))
         safe = reach.constraint_violation(*model.expected(points)) <= 0.0
@@ -389,10 +390,10 @@ class SafeBayesianTuner:
             margin=self.constraint_margin_min,
         )
 
-    def _initial_design(self, k: int, caution: float) -> Point:
+    def _initial_design(self, k: int, step_scale: float) -> Point:
         """A corner of the first design, the nearer to the start the more of it was unsafe."""
         n = len(self.space.names)
-        return self._point(caution * self.first_radius * math.sqrt(n) * simplex(n)[k % (n + 1)])
+        return self._point(step_scale * self.initial_radius * math.sqrt(n) * simplex(n)[k % (n + 1)])
 
     def _from_start(self, point: Point) -> Coordinates:
         """Coordinates of a point, from the start on."""

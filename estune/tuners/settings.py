@@ -1,4 +1,4 @@
-"""Checks that the tuners' settings share."""
+"""Checks of the settings that tuners share."""
 
 import math
 
@@ -6,32 +6,20 @@ from estune.errors import InvalidInput
 from estune.tuners.search_space import SearchSpace
 
 
-def check_above_zero(tuner: str, what: str, value: float) -> None:
-    """Refuses what is not a finite number above zero.
-
-    Raises:
-        InvalidInput: it is not.
-    """
+def check_above_zero(tuner: str, setting: str, value: float) -> None:
+    """Raises InvalidInput unless the value is finite and above zero."""
     if not (math.isfinite(value) and value > 0.0):
-        raise InvalidInput(f"{tuner}: {what} is {value}; it must be finite and above zero")
+        raise InvalidInput(f"{tuner}: {setting} is {value}; it must be finite and above zero")
 
 
-def check_below_one(tuner: str, what: str, value: float) -> None:
-    """Refuses what does not lie between zero and one.
-
-    Raises:
-        InvalidInput: it does not.
-    """
+def check_below_one(tuner: str, setting: str, value: float) -> None:
+    """Raises InvalidInput unless the value lies between zero and one."""
     if not 0.0 < value < 1.0:  # refuses NaN too
-        raise InvalidInput(f"{tuner}: {what} is {value}; it must lie between 0 and 1")
+        raise InvalidInput(f"{tuner}: {setting} is {value}; it must lie between 0 and 1")
 
 
 def check_logarithmic(tuner: str, space: SearchSpace) -> None:
-    """Refuses a search space on a linear scale.
-
-    Raises:
-        InvalidInput: it is on one.
-    """
+    """Raises InvalidInput unless the search space has a logarithmic scale."""
     if space.scale != "log":
         raise InvalidInput(
             f"{tuner}: the search space is {space.scale}, but this tuner steps in logarithms; "

@@ -12,7 +12,7 @@ from experiments.sample_efficiency.problems import PROBLEMS
 from experiments.sample_efficiency.searches import COLD, NEAR, Row, of
 
 COLOURS = {
-    "newton": "#c1272d",
+    "safe_bayesian": "#c1272d",
     "phase_compensated": "#e08214",
     "least_squares_gradient": "#b8860b",
     "otis": "#7f5539",
@@ -25,7 +25,7 @@ COLOURS = {
     "Nelder-Mead": "#5c6b73",
     "SPSA": "#d670ad",
 }
-BANDS = ("newton", "Optuna TPE", "Py-BOBYQA")  # more quartiles than these hide each other
+BANDS = ("safe_bayesian", "Optuna TPE", "Py-BOBYQA")  # more quartiles than these hide each other
 LEAST = 3e-4  # what is nearer to the optimum than this is drawn here
 
 

@@ -1,0 +1,115 @@
+"""The interface of a tuner: it proposes a point, takes in the cost of the trial, and so on.
+
+A tuner is a value, its settings; what it has learnt is another, its state. Every method is pure:
+the same state and observations give the same proposals bit for bit, in any process.
+"""
+
+from typing import Any, NamedTuple, Protocol, TypeVar, runtime_checkable
+
+from estune.tuners.observation import Observation
+from estune.tuners.search_space import Point, SearchSpace
+
+
+class TunerState(Protocol):
+    """The fields every state has; the others are the tuner's own.
+
+    A state is a NamedTuple of floats, ints, None and flat tuples of floats.
+    """
+
+    @property
+    def best_point(self) -> Point:
+        """The point of the best safe trial; the start until there was one."""
+        ...
+
+    @property
+    def best_cost(self) -> float | None:
+        """Its cost; None until there was one."""
+        ...
+
+
+S = TypeVar("S", bound=TunerState)
+
+
+class Tuner(Protocol[S]):
+    """Ask for a point, run the trial there, tell its cost; in turns.
+
+    A censored observation takes the search back to safe points and shortens its steps, by the rule
+    in `estune.tuners.step_control`.
+    """
+
+    @property
+    def name(self) -> str:
+        """Its registered name; the user's choice for a user's own tuner."""
+        ...
+
+    @property
+    def space(self) -> SearchSpace:
+        """The tuned parameters."""
+        ...
+
+    def start(self) -> S:
+        """The state before the first trial."""
+        ...
+
+    def ask(self, state: S) -> Point:
+        """The point of the next trial, within the bounds, dither included."""
+        ...
+
+    def tell(self, state: S, observation: Observation) -> S:
+        """The state after the trial last asked for.
+
+        Raises:
+            InvalidInput: the cost is not finite although the observation is not censored.
+        """
+        ...
+
+    def recommend(self, state: S) -> Point:
+        """The centre of the search, without dither."""
+        ...
+
+
+class ConvergenceEstimate(NamedTuple):
+    """The state of convergence, by the tuner's own model of the cost.
+
+    Attributes:
+        noise: Standard deviation of one trial's cost, relative to it.
+        remaining_improvement: Upper 95 % bound of the improvement still possible: the excess of
+            the recommended point's cost over the optimum within the bounds, relative to it.
+        expected_improvement: The mean of the same quantity.
+        intervals: 95 % interval of the optimum of each parameter, in its own unit and the order
+            of `SearchSpace.names`; reaches to the bounds along a flat direction.
+    """
+
+    noise: float
+    remaining_improvement: float
+    expected_improvement: float
+    intervals: tuple[tuple[float, float], ...]
+
+
+class CostPrediction(NamedTuple):
+    """The cost that a tuner predicts for a point.
+
+    Attributes:
+        cost: Expected cost.
+        low: Lower end of its 95 % interval for the mean of repeats.
+        high: Upper end.
+        explored: Whether the point lies within the region that safe trials have shown to be safe.
+    """
+
+    cost: float
+    low: float
+    high: float
+    explored: bool
+
+
+@runtime_checkable
+class ModelBasedTuner(Protocol):
+    """A tuner with a model of the cost: predictions and a convergence estimate."""
+
+    def convergence(self, state: Any) -> ConvergenceEstimate | None:
+        """The state of convergence; None while too little is known."""
+        ...
+
+    def predict(self, state: Any, point: Point) -> CostPrediction:
+        """The cost predicted at a point."""
+        ...

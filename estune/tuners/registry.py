@@ -1,0 +1,240 @@
+"""The tuners there are, by name, and their stored form.
+
+`TUNERS` is the only place that lists tuners: command line, settings files, stored plans and
+documentation follow it. A user's own tuner is named "module:Class" wherever a name is expected.
+It is a dataclass with the methods of `Tuner` whose fields all have defaults, but for `space`.
+
+    tuner = create_tuner("otis", space)     # by name; InvalidInput names the tuners there are
+    values = tuner_to_stored(tuner)         # {"kind": "otis", "space": {...}, settings ...}
+    tuner = tuner_from_stored(values)       # JournalError where that is not possible
+
+The stored kind is the registered name, or "module:Class" of a tuner outside the table. Plans
+stored before tuners had registered names give module and class of that time, and the settings
+names of that time; `tuner_from_stored` reads both. `tuner_name(values)` and `tuner_space(values)`
+work for every stored tuner, also for one that can no longer be made.
+"""
+
+import dataclasses
+import importlib
+from typing import Any, Final, NamedTuple, cast
+
+from pydantic import TypeAdapter, ValidationError
+
+from estune.errors import InvalidInput, JournalError
+from estune.tuners.extremum_seeking import Otis, PhaseCompensated
+from estune.tuners.interface import Tuner
+from estune.tuners.killingsworth import Killingsworth
+from estune.tuners.least_squares_gradient import LeastSquaresGradient
+from estune.tuners.safe_bayesian import SafeBayesianTuner
+from estune.tuners.search_space import SearchSpace
+
+
+class RegisteredTuner(NamedTuple):
+    """A tuner of the table.
+
+    Attributes:
+        kind: The class; each is created from a search space, with defaults for all settings.
+        method: How it searches, in one line.
+        purpose: When to use it.
+    """
+
+    kind: type[Any]
+    method: str
+    purpose: str
+
+
+TUNERS: Final[dict[str, RegisteredTuner]] = {
+    "safe_bayesian": RegisteredTuner(
+        SafeBayesianTuner,
+        "safe Bayesian optimisation: cost model with a prior from simulated PIDF loops, trust "
+        "region, safety constraints",
+        "the default: fewest trials",
+    ),
+    "least_squares_gradient": RegisteredTuner(
+        LeastSquaresGradient,
+        "steps against the slope of a regression on recent trials (section V-C)",
+        "an alternative",
+    ),
+    "phase_compensated": RegisteredTuner(
+        PhaseCompensated,
+        "extremum seeking whose demodulation allows for the phase of its filters",
+        "an alternative",
+    ),
+    "otis": RegisteredTuner(
+        Otis,
+        "the paper's extremum seeking: logarithms, setpoint filter, high-pass and low-pass",
+        "an alternative",
+    ),
+    "killingsworth": RegisteredTuner(
+        Killingsworth,
+        "the equations of Killingsworth & Krstic (2006), verbatim",
+        "to reproduce the publication",
+    ),
+}
+
+DEFAULT_TUNER: Final = "safe_bayesian"
+"""The tuner of a run for which none is named."""
+
+_RENAMED: Final = {"newton": "safe_bayesian"}
+_REMOVED: Final = {"OptunaTpe": "optuna", "Bobyqa": "bobyqa", "ScheduleTuner": "schedule"}
+_OLD_KINDS: Final = {
+    "Newton": "safe_bayesian",
+    "LevelSeeker": "estune.studies.match.target_cost_tuner:TargetCostTuner",
+    **{entry.kind.__name__: name for name, entry in TUNERS.items()},
+}
+"""Stored kind by the class name in plans that give module and class of a tuner of estune."""
+
+_OLD_SETTINGS: Final = {
+    "safe_bayesian": {
+        "first_radius": "initial_radius",
+        "wide_reach": "global_radius",
+        "near_reach": "local_radius",
+        "near_rise": "local_rise",
+        "wide_trials": "global_trials",
+        "wide_curiosity": "global_exploration",
+        "near_curiosity": "local_exploration",
+        "last_curiosity": "final_exploration",
+        "wide_safe_rise": "global_safe_ratio",
+        "near_safe_rise": "local_safe_ratio",
+        "look_reach": "probe_radius",
+        "look_rise": "probe_rise",
+        "margin_least": "constraint_margin_min",
+    }
+}
+
+
+def tuner_class(name: str) -> type[Any]:
+    """The class of a registered tuner, or of a user's own by "module:Class".
+
+    Raises:
+        InvalidInput: there is no tuner of that name, or the class is not one.
+    """
+    if name in TUNERS:
+        return TUNERS[name].kind
+    if name in _RENAMED:
+        raise InvalidInput(f"tuner {name!r} is now called {_RENAMED[name]}; use that name")
+    module, colon, attribute = name.partition(":")
+    if not colon:
+        raise InvalidInput(
+            f"there is no tuner {name!r}; the tuners are {', '.join(TUNERS)}, or module:Class"
+        )
+    try:
+        kind = getattr(importlib.import_module(module), attribute)
+    except ModuleNotFoundError as error:
+        raise InvalidInput(f"tuner {name}: there is no module {error.name!r}") from error
+    except ImportError as error:
+        raise InvalidInput(f"tuner {name} cannot be imported: {error}") from error
+    except (AttributeError, ValueError, TypeError) as error:  # the last of a relative name
+        raise InvalidInput(f"tuner {name}: {module or 'the name'} has no {attribute!r}") from error
+    methods = ("start", "ask", "tell", "recommend")
+    if not (dataclasses.is_dataclass(kind) and all(hasattr(kind, method) for method in methods)):
+        raise InvalidInput(
+            f"tuner {name} must be a dataclass with the methods {', '.join(methods)}; see "
+            "estune.tuners.Tuner"
+        )
+    return cast("type[Any]", kind)
+
+
+def create_tuner(name: str, space: SearchSpace) -> Tuner[Any]:
+    """The tuner of that name with its default settings.
+
+    Raises:
+        InvalidInput: there is no such tuner, or the search space does not suit it.
+    """
+    kind = tuner_class(name)
+    try:
+        made: Tuner[Any] = kind(space=space)
+    except TypeError as error:
+        raise InvalidInput(
+            f"tuner {name} cannot be created from a search space alone: {error}"
+        ) from error
+    return made
+
+
+def tuner_to_stored(tuner: Tuner[Any]) -> dict[str, Any]:
+    """The kind of a tuner and its settings as JSON values; floats survive exactly.
+
+    Raises:
+        InvalidInput: the tuner is not a dataclass, so that its settings cannot be stored.
+    """
+    kind: type[Any] = type(tuner)
+    if not dataclasses.is_dataclass(kind):
+        raise InvalidInput(
+            f"tuner {kind.__qualname__} is not a dataclass; only one can be journalled"
+        )
+    names = {entry.kind: name for name, entry in TUNERS.items()}
+    settings = TypeAdapter(kind).dump_python(cast("Any", tuner), mode="json")
+    return {"kind": names.get(kind, f"{kind.__module__}:{kind.__qualname__}"), **settings}
+
+
+def tuner_from_stored(values: dict[str, Any]) -> Tuner[Any]:
+    """The tuner that was stored.
+
+    Raises:
+        JournalError: the tuner is not part of this version, or its settings are not.
+    """
+    stored = dict(values)
+    name = _present_kind(str(stored.pop("kind", "")))
+    try:
+        kind = tuner_class(name)
+        if name in TUNERS:
+            stored.pop("name", None)  # the registered name stands for it
+            renamed = _OLD_SETTINGS.get(name, {})
+            stored = {renamed.get(key, key): value for key, value in stored.items()}
+        unknown = stored.keys() - {field.name for field in dataclasses.fields(kind)}
+        if unknown:
+            raise JournalError(
+                f"the stored tuner {name} has settings of another version: "
+                f"{', '.join(sorted(unknown))}"
+            )
+        tuner: Tuner[Any] = TypeAdapter(kind).validate_python(stored)
+    except (InvalidInput, ValidationError) as error:
+        raise JournalError(
+            f"the stored tuner cannot be read ({error}); it is of another version"
+        ) from error
+    return tuner
+
+
+def tuner_name(values: dict[str, Any]) -> str:
+    """The name of a stored tuner, to be shown.
+
+    Raises:
+        JournalError: no tuner was stored.
+    """
+    kind = values.get("kind")
+    if not isinstance(kind, str):
+        raise JournalError("the stored plan names no tuner; it is of another version")
+    _, _, class_name = kind.partition(":")
+    name = _OLD_KINDS.get(class_name, kind)
+    return name if name in TUNERS else str(values.get("name", kind))
+
+
+def tuner_space(values: dict[str, Any]) -> SearchSpace:
+    """The search space of a stored tuner.
+
+    Raises:
+        JournalError: it is not of this version.
+    """
+    try:
+        return TypeAdapter(SearchSpace).validate_python(values["space"])
+    except (KeyError, ValidationError, InvalidInput) as error:
+        raise JournalError(
+            f"the stored search space cannot be read ({error}); it is of another version"
+        ) from error
+
+
+def _present_kind(kind: str) -> str:
+    """The kind that this version stores for the same tuner.
+
+    Raises:
+        JournalError: the tuner is no longer part of estune.
+    """
+    module, colon, class_name = kind.partition(":")
+    if not colon or module.partition(".")[0] != "estune":
+        return kind
+    if class_name in _REMOVED:
+        raise JournalError(
+            f"tuner {_REMOVED[class_name]} is no longer part of estune, so its search cannot go "
+            "on; continue with the version that began it, or begin a new run"
+        )
+    return _OLD_KINDS.get(class_name, kind)

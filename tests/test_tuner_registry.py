@@ -1,0 +1,167 @@
+"""Tuners by name, and plans stored by this version and by older ones."""
+
+import json
+import math
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import pytest
+
+from estune.errors import InvalidInput, JournalError
+from estune.tuners import (
+    TUNERS,
+    Observation,
+    SearchSpace,
+    create_tuner,
+    tuner_class,
+    tuner_from_stored,
+    tuner_name,
+    tuner_space,
+    tuner_to_stored,
+)
+from estune.tuners.extremum_seeking import ExtremumSeekingState, Otis
+from tests.support_runs import START
+
+SPACE = SearchSpace.around(START)
+STORED_SPACE = tuner_to_stored(create_tuner("otis", SPACE))["space"]
+
+
+@dataclass(frozen=True)
+class OwnTuner:
+    """A user's own tuner: stays at the start."""
+
+    space: SearchSpace
+    width: float = 0.1
+    name: str = field(default="own")
+
+    def start(self) -> ExtremumSeekingState:
+        return Otis(self.space).start()
+
+    def ask(self, state: ExtremumSeekingState) -> tuple[float, ...]:
+        return state.best_point
+
+    def tell(self, state: ExtremumSeekingState, observation: Observation) -> ExtremumSeekingState:
+        return state._replace(k=state.k + 1, best_cost=observation.cost)
+
+    def recommend(self, state: ExtremumSeekingState) -> tuple[float, ...]:
+        return state.best_point
+
+
+class NotATuner:
+    """Has none of the methods."""
+
+
+def stored(tuner: Any) -> dict[str, Any]:
+    """The stored form after a journey through JSON."""
+    values: dict[str, Any] = json.loads(json.dumps(tuner_to_stored(tuner)))
+    return values
+
+
+@pytest.mark.parametrize("name", TUNERS)
+def test_registered_tuner_is_stored_by_name_and_read_back(name):
+    tuner = create_tuner(name, SPACE)
+    assert tuner.name == name
+    assert stored(tuner)["kind"] == name
+    assert tuner_from_stored(stored(tuner)) == tuner
+    assert tuner_name(stored(tuner)) == name
+    assert tuner_space(stored(tuner)) == SPACE
+
+
+def test_own_tuner_by_module_and_class_is_created_stored_and_read_back():
+    reference = f"{__name__}:OwnTuner"
+    tuner = replace(create_tuner(reference, SPACE), width=0.3)
+    assert stored(tuner)["kind"] == reference
+    assert tuner_from_stored(stored(tuner)) == tuner
+    assert tuner_name(stored(tuner)) == "own"
+
+
+@pytest.mark.parametrize(
+    ("name", "says"),
+    [
+        ("newton", "safe_bayesian"),
+        ("optuna", "the tuners are safe_bayesian, "),
+        ("bobyqa", "the tuners are safe_bayesian, "),
+        ("nowhere:Thing", "no module 'nowhere'"),
+        (f"{__name__}:Nothing", "has no 'Nothing'"),
+        (f"{__name__}:NotATuner", "must be a dataclass with the methods start, ask"),
+        (":Thing", "has no 'Thing'"),
+        ("estune:", "has no ''"),
+    ],
+)
+def test_unknown_tuner_is_refused_with_a_remedy(name, says):
+    with pytest.raises(InvalidInput, match=says):
+        tuner_class(name)
+
+
+def test_old_plan_of_newton_becomes_safe_bayesian_with_its_settings():
+    old = {
+        "kind": "estune.core.tuners.newton:Newton",
+        "name": "newton",
+        "space": STORED_SPACE,
+        "first_radius": 0.11,
+        "wide_reach": 0.12,
+        "near_reach": 0.13,
+        "near_rise": 0.14,
+        "wide_trials": 8,
+        "wide_curiosity": 2.1,
+        "near_curiosity": 2.2,
+        "last_curiosity": 2.3,
+        "safe_ratio": 1.31,
+        "wide_safe_rise": 1.32,
+        "near_safe_rise": 1.33,
+        "look_reach": 0.15,
+        "look_rise": 0.16,
+        "margin_least": 0.17,
+        "memory": 500,
+    }
+    tuner = tuner_from_stored(old)
+    settings = {k: v for k, v in stored(tuner).items() if k not in ("kind", "name", "space")}
+    assert list(settings.values()) == [
+        *(0.11, 0.12, 0.13, 0.14, 8, 2.1, 2.2, 2.3, 1.31, 1.32, 1.33, 0.15, 0.16, 0.17, 500)
+    ]
+    assert tuner.name == tuner_name(old) == "safe_bayesian"
+
+
+@pytest.mark.parametrize(
+    ("kind", "name"),
+    [
+        ("estune.core.tuners.otis:Otis", "otis"),
+        ("estune.core.tuners.killingsworth:Killingsworth", "killingsworth"),
+        ("estune.core.tuners.phase_compensated:PhaseCompensated", "phase_compensated"),
+        (
+            "estune.core.tuners.least_squares_gradient:LeastSquaresGradient",
+            "least_squares_gradient",
+        ),
+        ("estune.tuners.safe_bayesian:SafeBayesianTuner", "safe_bayesian"),
+    ],
+)
+def test_old_plan_by_module_and_class_gives_the_registered_tuner(kind, name):
+    assert tuner_from_stored({"kind": kind, "space": STORED_SPACE}) == create_tuner(name, SPACE)
+
+
+def test_old_plan_of_the_level_seeker_gives_the_target_cost_tuner():
+    path = {"names": ["K"], "start": [1.0], "low": [0.05], "high": [1.0], "form": "standard"}
+    old = {"kind": "estune.matching.level_seeker:LevelSeeker", "space": path, "target": 1.5}
+    assert type(tuner_from_stored({**old, "name": "level_seeker"})).__name__ == "TargetCostTuner"
+
+
+@pytest.mark.parametrize(
+    ("values", "says"),
+    [
+        ({"kind": "estune.outside.optuna_tpe:OptunaTpe", "seed": 0}, "tuner optuna is no longer"),
+        ({"kind": "estune.outside.bobyqa:Bobyqa"}, "tuner bobyqa is no longer"),
+        ({"kind": "estune.joint.schedule_tuner:ScheduleTuner"}, "tuner schedule is no longer"),
+        ({"kind": "estune.core.tuners.gone:Gone"}, "another version"),
+        ({"kind": "otis", "boldness": 2.0}, "settings of another version: boldness"),
+        ({"kind": "otis", "washout_h": 2.0}, "washout_h"),
+        ({}, "another version"),
+    ],
+)
+def test_stored_tuner_that_cannot_be_made_is_a_journal_error(values, says):
+    with pytest.raises(JournalError, match=says):
+        tuner_from_stored({"space": STORED_SPACE, **values})
+
+
+def test_settings_survive_bit_for_bit():
+    tuner = Otis(SPACE, adaptation_gain=math.nextafter(0.1, 1.0))
+    assert tuner_from_stored(stored(tuner)) == tuner
