@@ -1,75 +1,96 @@
-"""The command line: what to type, and what a failure comes to.
+"""The command line: its commands, and the exit code and message of every failure.
 
-Commands are loaded when they are called, so that help and version answer at once. An error estune
-can name is one line on standard error, its number the exit code; any other keeps its traceback.
-Ctrl-C, and a polite request to end from the system, stop the rig first.
+Commands are imported when they are called, so that help and version answer at once. An
+`EstuneError` is one line on standard error, and its number the exit code; any other exception
+keeps its traceback. Ctrl-C and SIGTERM stop the rig first.
+
+Installed packages add commands by the entry point group `estune.commands`: each entry point names
+an iterable of tuples (name, "module:function", help, place), and its module must be quick to
+import.
 """
 
 import signal
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from types import FrameType
 
 from cyclopts import App, CycloptsError
 
 from estune.errors import EstuneError, InvalidInput
+from estune.support.plugins import load_plugin, plugins
 
 INTERRUPTED = 130
-"""Exit code of a command that was stopped, as shells have it: 128 and the number of SIGINT."""
+"""Exit code of a stopped command, as in shells: 128 and the number of SIGINT."""
+
+COMMANDS = (
+    ("serve-hardware", "hardware:serve_hardware", "Serve a reel on hardware as a rig.", 30),
+    ("tune", "tune:tune", "Tune a rig by step trials.", 40),
+    ("resume", "tune:resume", "Continue a run that was stopped or interrupted.", 50),
+    ("sweep", "sweep:sweep", "Tune over cable lengths and fit the gains over length.", 60),
+    ("match", "match:match", "Tune several reels to the same cost.", 70),
+    ("list", "runs:list_runs", "List the runs of a folder.", 80),
+    ("show", "runs:show", "Show the result of a run.", 90),
+    ("export", "runs:export", "Write a run's trial records as CSV or Parquet.", 100),
+    (
+        "export-controller",
+        "hardware:export_controller",
+        "Write a controller with its gains as one C file.",
+        110,
+    ),
+    ("apply", "rigs:apply", "Make the gains of a run live on a rig.", 120),
+    ("run-experiment", "experiment:run_experiment", "Run the trial of a file on a rig.", 140),
+    ("discover", "rigs:discover", "List the rigs at an endpoint and their status.", 160),
+    ("doctor", "doctor:doctor", "Check a rig, with a remedy for each failed check.", 170),
+    ("estop", "rigs:estop", "Stop a rig at once and hold it in its safe state.", 180),
+    ("clear", "rigs:clear", "Reset the emergency stop of a rig.", 190),
+    ("daemon", "daemon:daemon", "Tune and supervise rigs for days, as a service.", 200),
+    ("daemon-control", "daemon:daemon_control", "Query or command a daemon.", 210),
+)
+"""Name, function in `estune.cli`, help, and place in the list of commands."""
+
+RENAMED = {
+    "rig": "serve-hardware",
+    "rigs": "discover",
+    "control": "daemon-control",
+    "improve": "improve-model",
+    "paper": "reproduce-paper",
+}
+"""Earlier names of commands; they are refused with the present one."""
 
 
 def _version() -> str:
-    from importlib.metadata import version  # noqa: PLC0415  only --version needs it
+    from estune.support.version import __version__  # noqa: PLC0415  only --version needs it
 
-    return version("estune")
+    return __version__
 
 
 app = App(
     name="estune",
     help="Tunes a cable reel's PIDF controller by step trials. Begin with: estune demo",
     version=_version,
-    suppress_keyboard_interrupt=False,  # `run` says what became of the rig
+    suppress_keyboard_interrupt=False,  # `run` reports the live gains of the rig
 )
-_COMMANDS = (
-    ("demo", "demo:demo", "Watch a simulated reel in another process being tuned over Zenoh."),
-    ("serve", "serve:serve", "Serve a simulated reel, or any plant, as a rig on the network."),
-    ("rig", "rig:rig", "Serve a reel on hardware, or an emulated one, as a rig on the network."),
-    ("tune", "tune:tune", "Tune a rig by step trials."),
-    ("resume", "tune:resume", "Go on with a run that was stopped or cut off."),
-    ("sweep", "sweep:sweep", "Tune over cable lengths, and say how the gains follow them."),
-    ("match", "match:match", "Tune several reels to one and the same cost."),
-    ("list", "runs:list_runs", "List the runs of a folder."),
-    ("show", "runs:show", "Show what a run came to."),
-    ("export", "runs:export", "Write the trial records of a run as CSV or Parquet files."),
-    (
-        "export-controller",
-        "rig:export_controller",
-        "Write a controller with its gains as one C file for firmware.",
-    ),
-    ("apply", "rigs:apply", "Make a run's gains, or its start gains, live on a rig."),
-    ("explain", "explain:explain", "Find what a model lacks that records show, and name it."),
-    (
-        "run-experiment",
-        "experiment:run_experiment",
-        "Run the trial of a file on a rig, and add its record to a folder.",
-    ),
-    ("improve", "improve:improve", "Mend a rig's model by experiment, and tune the rig with it."),
-    ("rigs", "rigs:rigs", "Say which rigs answer at an endpoint, and how they stand."),
-    ("doctor", "doctor:doctor", "Check a rig: what is fine, what to mend, and how."),
-    ("estop", "rigs:estop", "Bring a rig to its safe state at once, and hold it there."),
-    ("clear", "rigs:clear", "End a rig's emergency stop, once you have seen to the rig."),
-    ("daemon", "daemon:daemon", "Tune and watch rigs for days, as a service."),
-    ("control", "daemon:control", "Ask a daemon how a rig stands, or tell it what to do."),
-    ("paper", "paper:paper", "Make the paper's figures again; say which of its claims hold here."),
-)
-for _place, (_name, _where, _help) in enumerate(_COMMANDS):
-    app.command(f"estune.cli.{_where}", name=_name, help=_help, sort_key=_place)
+
+
+def _add_commands() -> Iterator[str]:
+    """Registers all commands; messages on packages whose commands cannot be added."""
+    found = [(name, f"estune.cli.{where}", *rest) for name, where, *rest in COMMANDS]
+    for point in plugins("estune.commands").values():
+        try:
+            found.extend(load_plugin(point))
+        except EstuneError as error:
+            yield f"no commands of {point.name}: {error}"
+    for name, where, text, place in found:
+        app.command(where, name=name, help=text, sort_key=place)
+
+
+_faults = tuple(_add_commands())
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Runs the command line and ends the process with its exit code."""
-    sys.path.append(str(Path.cwd()))  # where a user's own module:attribute is looked for, at last
+    sys.path.append(str(Path.cwd()))  # for module:attribute of the user, after all else
     sys.exit(run(sys.argv[1:] if arguments is None else arguments))
 
 
@@ -79,60 +100,68 @@ def run(arguments: Sequence[str]) -> int:
     Returns:
         Its exit code.
     """
+    for fault in _faults:
+        _print_error(fault)
     interrupts = Interrupts()
     signal.signal(signal.SIGINT, interrupts)
     signal.signal(signal.SIGTERM, interrupts)
     try:
+        if arguments and arguments[0] in RENAMED:
+            old, new = arguments[0], RENAMED[arguments[0]]
+            raise InvalidInput(f"command {old} is now called {new}; use: estune {new}")
         code = app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
     except CycloptsError as error:
-        _say(f"{' '.join(str(error).split())} (see: estune --help)")
+        _print_error(f"{' '.join(str(error).split())} (see: estune --help)")
         return InvalidInput.exit_code
     except EstuneError as error:
         if not interrupts.count:
-            _say(str(error))
+            _print_error(str(error))
             return error.exit_code
-        _say(f"stopped, but the rig has not confirmed which gains are live; check it: {error}")
+        _print_error(f"stopped, but the live gains are not confirmed; check the rig: {error}")
         return INTERRUPTED
     except KeyboardInterrupt as stop:
-        _say(_after(stop))
+        _print_error(_stop_message(stop))
         return INTERRUPTED
-    except BrokenPipeError:  # the reader of our output has seen enough, as in: estune list | head
+    except BrokenPipeError:  # the reader of standard output has closed it: estune list | head
         sys.stderr.close()
         return 0
     return code if isinstance(code, int) else 0
 
 
 class Interrupts:
-    """Takes SIGINT and SIGTERM: the first stops, the second waits, the third gives up waiting.
+    """Handler of SIGINT and SIGTERM: the first stops, the second waits, the third aborts the wait.
 
-    A stop ends in asking the rig for its gains; an impatient second Ctrl-C must not cut that off.
+    A stop ends with a query for the rig's live gains; a second Ctrl-C must not cut that off.
 
     Attributes:
-        count: How many came.
+        count: Number of signals so far.
     """
 
     def __init__(self) -> None:
         self.count = 0
 
     def __call__(self, number: int, frame: FrameType | None) -> None:  # noqa: ARG002  a handler
-        """Takes one."""
+        """Handles one signal."""
         self.count += 1
         if self.count == 2:
-            _say("waiting for the rig to confirm its gains; once more ends without that")
+            _print_error(
+                "waiting for the rig to confirm its gains; "
+                "press Ctrl-C again to exit without confirmation"
+            )
         else:
             raise KeyboardInterrupt
 
 
-def _after(stop: KeyboardInterrupt) -> str:
-    """What to say of a stop: the gains the rig confirmed, if it was asked, and how to go on."""
+def _stop_message(stop: KeyboardInterrupt) -> str:
+    """The gains that the rig confirmed, where a run was stopped, and how to continue it."""
     from estune.run.loop import Stopped  # noqa: PLC0415  slow to import
 
     if not isinstance(stop, Stopped):
         return "stopped"
     rig = stop.description
-    on = f"; go on with: estune resume {stop.folder}" if stop.folder else ""
-    return f"stopped; {rig.name} confirms that its own gains are live: {rig.gains}{on}"
+    again = f"; continue with: estune resume {stop.folder}" if stop.folder else ""
+    return f"stopped; {rig.name} confirms that its own gains are live: {rig.gains}{again}"
 
 
-def _say(text: str) -> None:
+def _print_error(text: str) -> None:
     print(f"estune: {text}", file=sys.stderr, flush=True)

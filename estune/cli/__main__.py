@@ -1,4 +1,4 @@
-"""`python -m estune.cli`, for a process that starts another one of its own kind."""
+"""`python -m estune.cli`: the command line without its script, for child processes."""
 
 from estune.cli import main
 

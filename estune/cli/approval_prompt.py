@@ -1,4 +1,4 @@
-"""Asks at the terminal before gains are tried beyond what is known to be safe."""
+"""Approval, on the terminal, of gains outside the region shown to be safe."""
 
 import sys
 
@@ -9,30 +9,30 @@ _ANSWERS: dict[str, Answer] = {"y": "yes", "n": "no", "a": "always"}
 
 
 def terminal_approval() -> ApprovalCallback:
-    """What asks whoever sits at the terminal.
+    """Approval callback that prompts on the terminal.
 
     Raises:
-        InvalidInput: nobody does.
+        InvalidInput: standard input is not a terminal.
     """
     if not sys.stdin.isatty():
-        raise InvalidInput("--ask needs a terminal to ask at; run it at one, or leave --ask out")
-    return _asked
+        raise InvalidInput("--ask needs a terminal for its prompt; use one, or leave out --ask")
+    return _prompt
 
 
-def _asked(question: ApprovalRequest) -> Answer:
+def _prompt(question: ApprovalRequest) -> Answer:
     expected = question.expected
     print(
-        f"trial {question.request.number} would leave what is known to be safe: "
+        f"trial {question.request.number} tests gains outside the region shown to be safe: "
         f"{question.request.gains}\n"
-        f"its cost is expected at {expected.cost:.3g} ({expected.low:.3g} to "
+        f"predicted cost: {expected.cost:.3g} ({expected.low:.3g} to "
         f"{expected.high:.3g}); it is unsafe above {question.eta_max:.3g}",
         flush=True,
     )
     while True:
         try:
-            said = input("run it? yes, no, or always (yes from here on): ")
+            text = input("run it? yes, no, or always (yes from here on): ")
         except EOFError:
-            raise KeyboardInterrupt from None  # whoever was there has gone: stop, as by Ctrl-C
-        answer = _ANSWERS.get(said.strip().lower()[:1])
+            raise KeyboardInterrupt from None  # the terminal has closed: stop, as by Ctrl-C
+        answer = _ANSWERS.get(text.strip().lower()[:1])
         if answer is not None:
             return answer

@@ -1,4 +1,4 @@
-"""`estune daemon` and `estune control`: rigs that are tuned and watched for days."""
+"""`estune daemon` and `estune daemon-control`: rigs that are supervised for days."""
 
 import getpass
 import os
@@ -6,49 +6,46 @@ import signal
 import socket
 from pathlib import Path
 from types import FrameType
-from typing import Annotated, Literal, get_args
-
-from cyclopts import Parameter
+from typing import Any, Literal
 
 from estune.cli import output
-from estune.cli.values import security_from
+from estune.cli.values import Flag, security_from
 from estune.core.gains import GAIN_NAMES
 from estune.errors import InvalidInput
-from estune.remote.messages.daemon import DaemonStatus, DaemonVerb
+from estune.remote.messages.daemon import DaemonStatus, DaemonVerb, History
 
-_Flag = Parameter(negative=(), show_default=False)
-
-Asked = Literal["status", "history", "events"]
+Query = Literal["status", "history", "events"]
 
 
 def daemon(
     config: Path,
     /,
     *,
-    check: Annotated[bool, _Flag] = False,
+    check: Flag = False,
     security: Path | None = None,
     log: Literal["auto", "json", "text"] = "auto",
-    verbose: Annotated[bool, _Flag] = False,
+    verbose: Flag = False,
 ) -> None:
-    """Tune rigs, keep what was accepted, and tune again when it no longer holds; until stopped.
+    """Tune rigs, monitor the accepted gains, and tune again when the cost drifts; until stopped.
 
     Args:
-        config: The daemon's file; see docs/daemon.md.
-        check: Only say whether the file is right.
-        security: File that says who this is, where a rig asks; see docs/security.md.
-        log: JSON lines or text, on standard error; text on a terminal if left to itself.
+        config: The daemon's file (TOML): the rigs, and for each when to tune and check it.
+        check: Only check the file.
+        security: Credentials file, if a rig requires authentication.
+        log: JSON lines or text, on standard error; auto is text on a terminal.
         verbose: Log every check trial, too.
     """
-    from estune.daemon.config import read_config  # noqa: PLC0415  slow to import
-    from estune.daemon.logs import begin_logging  # noqa: PLC0415  as above
+    from estune.daemon.config import check_targets, read_config  # noqa: PLC0415  slow to import
+    from estune.daemon.notifications import begin_logging  # noqa: PLC0415  as above
     from estune.daemon.service import DaemonService  # noqa: PLC0415  as above
 
-    settings, who = read_config(config), security_from(security)
+    settings, credentials = read_config(config), security_from(security)
     if check:
+        check_targets(settings)
         print(f"{config}: {len(settings.rig)} rigs, nothing wrong")
         return
     begin_logging(log, verbose=verbose)
-    service = DaemonService(settings, security=who)
+    service = DaemonService(settings, security=credentials)
 
     def stop(number: int, frame: FrameType | None) -> None:  # noqa: ARG001  a signal handler
         service.stop()
@@ -59,8 +56,8 @@ def daemon(
     service.run()
 
 
-def control(
-    verb: DaemonVerb | Asked,
+def daemon_control(
+    verb: DaemonVerb | Query,
     endpoint: str,
     /,
     *,
@@ -68,17 +65,17 @@ def control(
     why: str = "",
     limit: int = 20,
     security: Path | None = None,
-    json: Annotated[bool, _Flag] = False,
+    json: Flag = False,
 ) -> None:
-    """Ask a daemon how a rig stands, or tell it what to do.
+    """Query or command a daemon.
 
     Args:
-        verb: status, history, events; accept, reject, revert, pause, resume, stop.
-        endpoint: Where the daemon listens, such as tcp/127.0.0.1:7450.
-        rig: Which rig; may be left out where there is one.
-        why: Why, for the daemon's history.
-        limit: Most rows of history or events.
-        security: File that says who this is, where the daemon asks; see docs/security.md.
+        verb: Query or command.
+        endpoint: Address of the daemon, such as tcp/127.0.0.1:7450.
+        rig: The rig; may be left out if there is one only.
+        why: Reason, for the daemon's history.
+        limit: Maximum number of rows of history or events.
+        security: Credentials file, if the daemon requires authentication.
         json: Print JSON.
     """
     from estune.remote.zenoh.daemon_service import DaemonClient  # noqa: PLC0415  slow to import
@@ -86,33 +83,37 @@ def control(
     with DaemonClient(endpoint, security=security_from(security)) as client:
         names = client.rigs() if rig is None else (rig,)
         if not names:
-            client.status("any")  # says that no daemon answers
-        if verb in get_args(DaemonVerb):
-            if len(names) > 1:
-                raise InvalidInput(f"name the rig with --rig: {', '.join(names)}")
-            said = client.command(names[0], verb, _whoami(), why)  # type: ignore[arg-type]
-            status = client.status(names[0])
-            if json:
-                output.print_json(status)
-                return
-            print(said)
-            _show_status(status)
+            client.status("any")  # raises: no daemon answers
+        answer: Any
+        if verb == "events":
+            answer = [event for name in names for event in client.events(name, limit=limit)]
+        elif verb == "history":
+            answer = {name: client.history(name, limit) for name in names}
         elif verb == "status":
-            statuses = [client.status(name) for name in names]
-            if json:
-                output.print_json(statuses)
-                return
-            for status in statuses:
-                _show_status(status)
-        elif verb == "events":
-            found = [event for name in names for event in client.events(name, limit=limit)]
-            if json:
-                output.print_json(found)
-                return
-            rows = [(e.at, e.rig, e.kind, e.sentence) for e in found]
-            output.show_table(("at", "rig", "event", ""), rows)
+            answer = [client.status(name) for name in names]
+        elif len(names) > 1:
+            raise InvalidInput(f"name the rig with --rig: {', '.join(names)}")
         else:
-            _show_history(client, names, limit, as_json=json)
+            reply = client.command(names[0], verb, _user(), why)
+            answer = client.status(names[0])
+            if not json:
+                print(reply)
+    if json:
+        output.print_json(answer)
+    else:
+        _show(verb, answer)
+
+
+def _show(verb: str, answer: Any) -> None:
+    if verb == "events":
+        rows = [(e.at, e.rig, e.kind, e.sentence) for e in answer]
+        output.show_table(("at", "rig", "event", ""), rows)
+    elif verb == "history":
+        for name, history in answer.items():
+            _show_history(name, history)
+    else:
+        for status in answer if isinstance(answer, list) else [answer]:
+            _show_status(status)
 
 
 def _show_status(status: DaemonStatus) -> None:
@@ -120,14 +121,14 @@ def _show_status(status: DaemonStatus) -> None:
     facts: dict[str, object] = {
         "rig": status.rig,
         "mode": f"{status.mode}: {status.sentence}",
-        "live": f"{live}; home: {status.home}, for: {status.why}",
+        "live": f"{live}; nominal gains: {status.home}, for: {status.why}",
     }
     facts |= status.gains
     if status.found:
         facts["candidate is"] = status.found
     if status.run:
-        of = f" of {status.trials_max}" if status.trials_max else ""
-        facts["run"] = f"{status.run}, {status.trials}{of} trials"
+        limit = f" of {status.trials_max}" if status.trials_max else ""
+        facts["run"] = f"{status.run}, {status.trials}{limit} trials"
     if status.baseline_cost is not None:
         drift = 0.0 if status.drift is None else status.drift
         last = "" if status.cost is None else f", last {status.cost:.4g}"
@@ -141,26 +142,18 @@ def _show_status(status: DaemonStatus) -> None:
     output.show_next(facts)
 
 
-def _show_history(client: object, names: tuple[str, ...], limit: int, *, as_json: bool) -> None:
-    from estune.remote.zenoh.daemon_service import DaemonClient  # noqa: PLC0415  slow to import
-
-    assert isinstance(client, DaemonClient)  # noqa: S101  for the type checker
-    found = {name: client.history(name, limit) for name in names}
-    if as_json:
-        output.print_json(found)
-        return
-    for name, history in found.items():
-        print(name)
-        sets = [
-            (row["at"], row["name"], *(f"{row[gain]:.6g}" for gain in GAIN_NAMES), row["why"])
-            for row in history.gains
-        ]
-        output.show_table(("at", "gain set", *GAIN_NAMES, "why"), sets)
-        told = [(row["at"], row["verb"], row["sentence"]) for row in history.commands]
-        output.show_table(("at", "verb", ""), told)
+def _show_history(rig: str, history: History) -> None:
+    print(rig)
+    sets = [
+        (row["at"], row["name"], *(f"{row[gain]:.6g}" for gain in GAIN_NAMES), row["why"])
+        for row in history.gains
+    ]
+    output.show_table(("at", "gain set", *GAIN_NAMES, "why"), sets)
+    commands = [(row["at"], row["verb"], row["sentence"]) for row in history.commands]
+    output.show_table(("at", "verb", ""), commands)
 
 
-def _whoami() -> str:
+def _user() -> str:
     try:
         user = getpass.getuser()
     except (KeyError, OSError):  # a process without a user's name

@@ -1,67 +1,66 @@
-"""`estune doctor`: whether a rig is fit to be tuned, and what to mend."""
+"""`estune doctor`: checks of a rig, each with its remedy."""
 
 import sys
 from pathlib import Path
-from typing import Annotated
 
-from cyclopts import Parameter
 from rich.text import Text
 
 from estune.cli import output
 from estune.cli.checks import REPEATS, CheckResult, State, gentle_trial, run_checks
-from estune.cli.values import security_from
+from estune.cli.values import Flag, security_from
 from estune.core.gains import Gains
 from estune.errors import InvalidInput, RigError
 from estune.remote import zenoh
 from estune.remote.security import OPEN
 from estune.trial.profiles import StepProfile
 
-_Flag = Parameter(negative=(), show_default=False)
-_LOOKS = {State.FINE: "green", State.FIX: "bold red", State.UNKNOWN: "yellow"}
+_STYLES = {State.FINE: "green", State.FIX: "bold red", State.UNKNOWN: "yellow"}
 
 
 def doctor(
     endpoint: str,
     /,
     *,
-    move: Annotated[bool, _Flag] = False,
+    move: Flag = False,
     repeats: int = REPEATS,
     rig: str | None = None,
-    json: Annotated[bool, _Flag] = False,
+    json: Flag = False,
     security: Path | None = None,
 ) -> None:
-    """Check a rig: what is fine and what to mend. Ends with an error if anything must be mended.
+    """Check a rig. Lists failed checks with remedies, and exits with code 4 until all pass.
 
     Args:
-        endpoint: Where the rig is, such as tcp/127.0.0.1:7447.
-        move: Have the rig repeat a gentle step with its live gains, without being asked first.
-        repeats: How often.
-        rig: Name of the rig, where several answer at the endpoint.
-        json: Print the findings as JSON.
-        security: File that says who this is, where the rig asks; see docs/security.md.
+        endpoint: Address of the rig, such as tcp/127.0.0.1:7447.
+        move: Have the rig repeat a gentle step with its live gains, without a prompt.
+        repeats: Number of repeats.
+        rig: Name of the rig, if several answer at the endpoint.
+        json: Print the results as JSON.
+        security: Credentials file, if the rig requires authentication.
     """
     if repeats < 2:
-        raise InvalidInput(f"{repeats} repeats show no scatter; ask for 2 or more")
-    who = security_from(security)
-    with zenoh.connect(endpoint, rig=rig, security=who) as the_rig:
+        raise InvalidInput(f"{repeats} repeats show no repeatability; ask for 2 or more")
+    credentials = security_from(security)
+    with zenoh.connect(endpoint, rig=rig, security=credentials) as the_rig:
         about = the_rig.describe()
         move = move or (not json and _allowed(gentle_trial(about), about.gains, repeats))
-        found = []
-        for finding in run_checks(
-            the_rig, endpoint, move=move, repeats=repeats, asked_who=who != OPEN
+        results = []
+        for result in run_checks(
+            the_rig, endpoint, move=move, repeats=repeats, asked_who=credentials != OPEN
         ):
-            found.append(finding)
+            results.append(result)
             if not json:
-                _show(finding)
+                _show(result)
     if json:
-        output.print_json({"rig": about.name, "endpoint": endpoint, "findings": found})
-    wrong = [finding.check for finding in found if finding.state is State.FIX]
-    if wrong:
-        raise RigError(f"rig {about.name}: to be mended, as said above: {', '.join(wrong)}")
+        output.print_json({"rig": about.name, "endpoint": endpoint, "findings": results})
+    failed = [result.check for result in results if result.state is State.FIX]
+    if failed:
+        raise RigError(
+            f"rig {about.name}: failed checks: {', '.join(failed)}; follow the remedies above"
+        )
 
 
 def _allowed(step: StepProfile, gains: Gains, repeats: int) -> bool:
-    """Whether somebody is there who says that the rig may be moved."""
+    """Whether the operator allows the rig to move."""
     if not sys.stdin.isatty():
         return False
     answer = input(
@@ -71,10 +70,10 @@ def _allowed(step: StepProfile, gains: Gains, repeats: int) -> bool:
     return answer.strip().lower() in ("y", "yes")
 
 
-def _show(finding: CheckResult) -> None:
+def _show(result: CheckResult) -> None:
     line = Text.assemble(
-        (f"{finding.state:<8}", _LOOKS[finding.state]), f"{finding.check:<12}", finding.sentence
+        (f"{result.state:<8}", _STYLES[result.state]), f"{result.check:<12}", result.sentence
     )
-    if finding.remedy:
-        line.append(f"\n{'':20}-> {finding.remedy}")
+    if result.remedy:
+        line.append(f"\n{'':20}-> {result.remedy}")
     output.console().print(line, soft_wrap=True)

@@ -1,4 +1,4 @@
-"""What commands print: the before/after table, remarks, tables of other things, JSON."""
+"""Output of commands: the before/after table, other tables, JSON."""
 
 import dataclasses
 import json
@@ -17,7 +17,7 @@ FIGURE_NAME = "figure.png"
 
 
 def console() -> Console:
-    """Where results go; in a pipe lines are not cut to the width of a terminal."""
+    """Console for results; in a pipe, lines are not cut to the width of a terminal."""
     out = Console(highlight=False)
     if not out.is_terminal:
         out.width = 160
@@ -25,7 +25,7 @@ def console() -> Console:
 
 
 def show_result(result: TuneResult) -> None:
-    """Prints how a run ended, its before/after table and what is to be known beside it."""
+    """Prints how a run ended, its before/after table and its warnings."""
     out = console()
     style = "bold green" if result.success else "bold yellow"
     out.print(Text(result.heading(), style=style), soft_wrap=True)
@@ -42,7 +42,7 @@ def show_result(result: TuneResult) -> None:
 
 
 def save_figure(result: TuneResult) -> Path | None:
-    """Draws the run's figure into its folder; None for a run without a folder or a trial."""
+    """Draws the figure of a run into its folder; None for a run without a folder or a trial."""
     if result.folder is None or not result.entries:
         return None
     from estune.run.export import replace_file  # noqa: PLC0415  of no use to most commands
@@ -54,7 +54,7 @@ def save_figure(result: TuneResult) -> Path | None:
 
 
 def show_next(facts: Mapping[str, object]) -> None:
-    """Prints a short list of names and values: paths, and what to type next."""
+    """Prints a short list of names and values: paths, and the next commands."""
     out = console()
     width = max(map(len, facts))
     for name, value in facts.items():
@@ -78,7 +78,7 @@ def print_json(value: Any) -> None:
 
 
 def plain(value: Any) -> Any:
-    """The same in JSON's own types."""
+    """A value in the types of JSON."""
     if isinstance(value, float):
         return float(value) if math.isfinite(value) else None
     if isinstance(value, tuple) and hasattr(value, "_asdict"):

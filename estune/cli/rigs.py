@@ -1,14 +1,11 @@
-"""`estune rigs` and `estune apply`: rigs, and the gains that are live on them."""
+"""Commands on served rigs: `estune discover`, `apply`, `estop` and `clear`."""
 
 from pathlib import Path
-from typing import Annotated
-
-from cyclopts import Parameter
 
 from estune import api
 from estune.cli import output
 from estune.cli.runs import find_run
-from estune.cli.values import security_from
+from estune.cli.values import Flag, security_from
 from estune.core.gains import GAIN_NAMES, GAIN_UNITS, Gains
 from estune.errors import RigError
 from estune.remote import messages, zenoh
@@ -17,20 +14,20 @@ from estune.run.targets import open_target
 from estune.trial import RigDescription
 
 
-def rigs(endpoint: str, /, *, security: Path | None = None) -> None:
-    """Say which rigs answer at an endpoint, and how they stand.
+def discover(endpoint: str, /, *, security: Path | None = None) -> None:
+    """List the rigs at an endpoint and their status.
 
     Args:
         endpoint: Where to look, such as tcp/127.0.0.1:7447.
-        security: File that says who this is, where the rigs ask; see docs/security.md.
+        security: Credentials file, if the rigs require authentication.
     """
-    who = security_from(security)
-    found = zenoh.discover_rigs(endpoint, security=who)
-    if not found:
+    credentials = security_from(security)
+    presences = zenoh.discover_rigs(endpoint, security=credentials)
+    if not presences:
         raise RigError(
             f"no rig answers at {endpoint}; start one with: estune serve --listen {endpoint}"
         )
-    rows = [_row(endpoint, presence, who) for presence in found]
+    rows = [_row(endpoint, presence, credentials) for presence in presences]
     output.show_table(("rig", "state", "cable length", "step", "live gains", "software"), rows)
 
 
@@ -39,40 +36,43 @@ def apply(
     target: str,
     /,
     *,
-    start: Annotated[bool, Parameter(negative=(), show_default=False)] = False,
+    start: Flag = False,
     rig: str | None = None,
     security: Path | None = None,
     folder: Path = Path(api.RUNS),
 ) -> None:
-    """Make a run's gains, or its start gains, live on a rig.
+    """Make the gains of a run, or its start gains, live on a rig.
 
     Args:
         run: The run: its name, or its folder.
-        target: Where the rig is, such as tcp/127.0.0.1:7447.
-        start: Put the gains back that the run began from.
-        rig: Name of the rig; the one the run was made on by default.
-        security: File that says who this is, where the rig asks; see docs/security.md.
-        folder: Folder that runs are kept in.
+        target: Address of the rig, such as tcp/127.0.0.1:7447.
+        start: Restore the gains that the run began from.
+        rig: Name of the rig; the rig of the run by default.
+        security: Credentials file, if the rig requires authentication.
+        folder: Folder of runs.
     """
     result = api.load(find_run(run, folder))
-    wanted = result.start_gains if start else result.gains
+    gains = result.start_gains if start else result.gains
     with open_target(target, rig, security_from(security)) as the_rig:
         before = the_rig.describe()
         if rig is None and before.name != result.rig.name:
             raise RigError(
                 f"the run was made on rig {result.rig.name}, at {target} is {before.name}; "
-                f"to use its gains there all the same, say --rig {before.name}"
+                f"to use its gains there all the same, give --rig {before.name}"
             )
-        the_rig.apply(wanted)
+        the_rig.apply(gains)
         after = the_rig.describe()
-    _show_change(before, after)
-    if after.gains != wanted:
-        raise RigError(f"{after.name} runs {after.gains}, not the gains it was given: {wanted}")
+    rows = [(name, _gain(before.gains, name), _gain(after.gains, name)) for name in GAIN_NAMES]
+    output.show_table(("", "old", "new"), rows)
+    if after.gains != gains:
+        raise RigError(
+            f"{after.name} runs {after.gains}, not the requested gains: {gains}; check the rig"
+        )
     print(f"{after.name} confirms that these gains are live")
     if not start and not result.success:
         print(f"they are the gains the run began from: {result.message}")
     elif not start:
-        print(f"put the old ones back with: estune apply {result.folder} {target} --start")
+        print(f"restore the old ones with: estune apply {result.folder} {target} --start")
 
 
 def estop(
@@ -83,53 +83,50 @@ def estop(
     reason: str = "estune estop",
     security: Path | None = None,
 ) -> None:
-    """Bring a rig to its safe state at once, whoever commands it; it stays there until cleared.
+    """Stop a rig at once, whichever client controls it; it stays in its safe state until reset.
 
     Args:
-        endpoint: Where the rig is, such as tcp/127.0.0.1:7447.
-        rig: Name of the rig, where several answer at the endpoint.
-        reason: Why; whoever commands the rig is told.
-        security: File that says who this is, where the rig asks; see docs/security.md.
+        endpoint: Address of the rig, such as tcp/127.0.0.1:7447.
+        rig: Name of the rig, if several answer at the endpoint.
+        reason: Reason, reported to the client that controls the rig.
+        security: Credentials file, if the rig requires authentication.
     """
     with zenoh.connect(endpoint, rig=rig, security=security_from(security)) as the_rig:
         the_rig.estop(reason)
-        print(f"{the_rig.name} is stopped and held; when you have seen to it: estune clear")
+        print(f"{the_rig.name} is stopped and held; once it is safe, reset it with: estune clear")
 
 
 def clear(endpoint: str, /, *, rig: str | None = None, security: Path | None = None) -> None:
-    """End a rig's emergency stop. For whoever has seen to the rig.
+    """Reset the emergency stop of a rig, once you have checked that it is safe.
 
     Args:
-        endpoint: Where the rig is, such as tcp/127.0.0.1:7447.
-        rig: Name of the rig, where several answer at the endpoint.
-        security: File that says who this is, where the rig asks; see docs/security.md.
+        endpoint: Address of the rig, such as tcp/127.0.0.1:7447.
+        rig: Name of the rig, if several answer at the endpoint.
+        security: Credentials file, if the rig requires authentication.
     """
     with zenoh.connect(endpoint, rig=rig, security=security_from(security)) as the_rig:
         the_rig.clear()
         print(f"{the_rig.name} is cleared: {the_rig.status().mode.sentence}")
 
 
-def _show_change(before: RigDescription, after: RigDescription) -> None:
-    def cell(gains: Gains, name: str) -> str:
-        return f"{getattr(gains, name):.6g} {GAIN_UNITS[name]}"
-
-    rows = [(name, cell(before.gains, name), cell(after.gains, name)) for name in GAIN_NAMES]
-    output.show_table(("", "old", "new"), rows)
+def _gain(gains: Gains, name: str) -> str:
+    return f"{getattr(gains, name):.6g} {GAIN_UNITS[name]}"
 
 
 def _row(endpoint: str, presence: messages.Presence, security: Security) -> tuple[str, ...]:
     try:
         with zenoh.connect(endpoint, rig=presence.rig, security=security) as rig:
-            about, status = rig.describe(), rig.status()
+            about: RigDescription = rig.describe()
+            status = rig.status()
     except RigError as error:
         return (presence.rig, "-", "-", "-", str(error), "-")
     length = "-" if about.cable_length_m is None else f"{about.cable_length_m:g} m"
     step = f"{about.step.preload_N:g} N {about.step.step_N:+g} N, {about.step.duration_s:g} s"
-    return (about.name, _doing(status), length, step, str(about.gains), about.software)
+    return (about.name, _state(status), length, step, str(about.gains), about.software)
 
 
-def _doing(status: messages.Status) -> str:
-    """What a rig does, and at whose command."""
+def _state(status: messages.Status) -> str:
+    """Mode of a rig, its trial and its lease holder."""
     parts = [status.mode.value]
     if status.trial_id:
         parts.append(f"trial {status.trial_id}")

@@ -2,40 +2,33 @@
 
 import math
 from pathlib import Path
-from typing import Annotated, Any
-
-from cyclopts import Parameter
+from typing import Any
 
 from estune import api
 from estune.cli import output
+from estune.cli.values import Flag
 from estune.core.gains import GAIN_NAMES
 from estune.errors import EstuneError, InvalidInput, JournalError
 from estune.run.journal import FILE_NAME, Journal, being_written
 from estune.run.result import TuneResult
 
-_Flag = Parameter(negative=(), show_default=False)
 
-
-def list_runs(
-    *,
-    folder: Path = Path(api.RUNS),
-    json: Annotated[bool, _Flag] = False,
-) -> None:
+def list_runs(*, folder: Path = Path(api.RUNS), json: Flag = False) -> None:
     """List the runs of a folder.
 
     Args:
-        folder: Folder that runs are kept in.
+        folder: Folder of runs.
         json: Print JSON.
     """
-    found = [_listed(path.parent) for path in sorted(folder.glob(f"*/{FILE_NAME}"))]
+    rows = [_summary(path.parent) for path in sorted(folder.glob(f"*/{FILE_NAME}"))]
     if json:
-        output.print_json(found)
-    elif not found:
+        output.print_json(rows)
+    elif not rows:
         print(f"no runs in {folder}; make one with: estune tune TARGET")
     else:
         columns = ("run", "created_at", "rig", "trials", "state", "start_cost", "cost")
         heads = ("run", "begun", "rig", "trials", "state", "start cost", "cost")
-        output.show_table(heads, ([_cell(row[name]) for name in columns] for row in found))
+        output.show_table(heads, ([_cell(row[name]) for name in columns] for row in rows))
 
 
 def show(
@@ -43,14 +36,14 @@ def show(
     /,
     *,
     folder: Path = Path(api.RUNS),
-    trials: Annotated[bool, _Flag] = False,
-    json: Annotated[bool, _Flag] = False,
+    trials: Flag = False,
+    json: Flag = False,
 ) -> None:
-    """Show what a run came to.
+    """Show the result of a run.
 
     Args:
         run: The run: its name, or its folder.
-        folder: Folder that runs are kept in.
+        folder: Folder of runs.
         trials: Show every trial too.
         json: Print JSON.
     """
@@ -71,26 +64,26 @@ def export(
     run: str,
     /,
     *,
-    csv: Annotated[bool, _Flag] = False,
-    parquet: Annotated[bool, _Flag] = False,
+    csv: Flag = False,
+    parquet: Flag = False,
     out: Path | None = None,
     folder: Path = Path(api.RUNS),
 ) -> None:
-    """Write the trial records of a run as files, one per trial.
+    """Write a run's trial records as files, one per trial.
 
     Args:
         run: The run: its name, or its folder.
         csv: Write TRIAL.csv with the columns, and TRIAL.json with everything else.
         parquet: Write TRIAL.parquet with everything.
         out: Folder for the files; csv or parquet in the run's own folder by default.
-        folder: Folder that runs are kept in.
+        folder: Folder of runs.
     """
     from estune.run.export import export_run  # noqa: PLC0415  no other command here needs it
 
     if csv == parquet:
-        raise InvalidInput("say which form to write: either --csv or --parquet")
-    path, form = find_run(run, folder), "csv" if csv else "parquet"
-    target = out or path / form
+        raise InvalidInput("the form of the files is not clear; give either --csv or --parquet")
+    path = find_run(run, folder)
+    target = out or path / ("csv" if csv else "parquet")
     written = export_run(path, target, "csv" if csv else "parquet")
     print(f"{len(written)} trials written to {target}")
 
@@ -105,13 +98,13 @@ def find_run(run: str, folder: Path) -> Path:
         if (path / FILE_NAME).is_file():
             return path
     raise JournalError(
-        f"there is no run {run}, neither as a folder nor in {folder}; see what there is with: "
-        "estune list"
+        f"there is no run {run}, neither as a folder nor in {folder}; "
+        "list the runs with: estune list"
     )
 
 
-def _listed(path: Path) -> dict[str, Any]:
-    """A run in one row; one that cannot be read says why in its place."""
+def _summary(path: Path) -> dict[str, Any]:
+    """Row of a run in the list; its state is the reason, if the run cannot be read."""
     row: dict[str, Any] = dict.fromkeys(("created_at", "rig", "trials", "start_cost", "cost"))
     try:
         with Journal.open(path) as journal:

@@ -13,7 +13,15 @@ from estune import api
 from estune.cli import output
 from estune.cli.approval_prompt import terminal_approval
 from estune.cli.runs import find_run
-from estune.cli.values import numbers_from, ranges_from, security_from, share_from
+from estune.cli.values import (
+    Flag,
+    TunerName,
+    Values,
+    numbers_from,
+    ranges_from,
+    security_from,
+    share_from,
+)
 from estune.core.cost import StepCost
 from estune.core.gains import GAIN_NAMES, Gains
 from estune.errors import InvalidInput
@@ -24,29 +32,16 @@ from estune.run.session import TOLERANCE
 from estune.run.targets import is_endpoint, open_target
 from estune.trial import Rig, RigDescription
 from estune.trial.profiles import StepProfile
-from estune.tuners import DEFAULT_TUNER, TUNERS, tuner_class
+from estune.tuners import DEFAULT_TUNER
 
 _STEP = Group("The step trial", sort_key=1)
 _COST = Group("The cost of a trial, (35)", sort_key=2)
 
 
-def _check_tuner(_kind: Any, name: str) -> None:
-    tuner_class(name)
-
-
-TunerName = Annotated[
-    str,
-    Parameter(
-        validator=_check_tuner,
-        help=f"How gains are proposed: {', '.join(TUNERS)}; or module:Class of your own tuner.",
-    ),
-]
-
-
 @Parameter(name="*", group=_STEP)
 @dataclass(frozen=True, kw_only=True)
 class StepOptions:
-    """The step trial; what is left out is what the rig suggests.
+    """The step trial; defaults are suggested by the rig.
 
     Attributes:
         preload_N: Tension held before the step, N.
@@ -64,13 +59,13 @@ class StepOptions:
 @Parameter(name="*", group=_COST)
 @dataclass(frozen=True, kw_only=True)
 class CostOptions:
-    """How a trial is scored; what is left out is the usual.
+    """The cost of a trial; defaults apply where omitted.
 
     Attributes:
-        settling_time_s: Settling time asked for, s; the one the rig suggests by default.
-        weight: Weight over the transient: as the paper prints it, or rising as its prose says.
+        settling_time_s: Desired settling time, s; suggested by the rig by default.
+        weight: Weight over the transient: as the paper prints it, or rising as its text says.
         time_unit: Unit of the time weight: seconds as printed, or the settling time.
-        move_weight: Price on jumps of the effort; 0.2 by default, 0 is none, as printed.
+        move_weight: Control-move penalty; 0.2 by default, 0 is none, as printed.
     """
 
     settling_time_s: float | None = None
@@ -91,51 +86,49 @@ def tune(
     tolerance: str = f"{TOLERANCE:.0%}",
     repeats: int = 3,
     eta_max: float | None = None,
-    ask: Annotated[bool, Parameter(negative=(), show_default=False)] = False,
-    warm_start: Annotated[bool, Parameter(negative=(), show_default=False)] = False,
-    start: Annotated[tuple[str, ...], Parameter(negative=(), show_default=False)] = (),
-    bounds: Annotated[tuple[str, ...], Parameter(negative=(), show_default=False)] = (),
+    ask: Flag = False,
+    warm_start: Flag = False,
+    start: Values = (),
+    bounds: Values = (),
     rig: str | None = None,
     security: Path | None = None,
     run: str | None = None,
     folder: Path = Path(api.RUNS),
-    quiet: Annotated[bool, Parameter(negative=(), show_default=False)] = False,
+    quiet: Flag = False,
     step: StepOptions = _NO_STEP,
     cost: CostOptions = _NO_COST,
 ) -> int:
     """Tune a rig by step trials.
 
-    It ends with 0 if the gains found are better than the start, and with 7 if they are not beyond
-    the scatter of repeats.
+    Exits with code 0 if the improvement is statistically significant, and with 7 if it is not.
 
     Args:
-        target: Where the rig is: an endpoint such as tcp/127.0.0.1:7447, a model file such as
-            reel.toml, or module:attribute such as plants:reference_reel.
-        tuner: How gains are proposed.
-        trials: Greatest number of search trials.
-        tolerance: The search ends once no more than this share of the cost is left to gain, as 1%
-            or 0.01, by a tuner that can tell; 0 makes it use all its trials.
-        repeats: Trials of the start gains before the search, and at the least of the start and of
-            the gains found after it.
-        eta_max: Cost above which a trial counts as unsafe; three times the start's by default.
-        ask: Ask here before gains are tried that lie beyond what safe trials have shown to be
-            safe.
+        target: The rig: an endpoint such as tcp/127.0.0.1:7447, a model file such as reel.toml,
+            or module:attribute such as plants:reference_reel.
+        tuner: Tuner.
+        trials: Maximum number of search trials.
+        tolerance: The search ends once the remaining improvement is less than this share of the
+            cost, as 1% or 0.01, if the tuner estimates it; 0 makes it use all its trials.
+        repeats: Trials of the initial gains before the search; also the minimum of confirmation
+            trials of the initial and of the tuned gains.
+        eta_max: Cost above which a trial is unsafe; three times the initial cost by default.
+        ask: Prompt before gains are tried that lie outside the region shown to be safe.
         warm_start: Begin from the gains that the rig's own linear model suggests.
-        start: A gain to begin from instead of the rig's or its model's, as P=0.5; repeat for
+        start: Initial value of a gain, instead of the rig's or its model's, as P=0.5; repeat for
             more.
-        bounds: Least and greatest value of a gain, as P=0.1:10; repeat for more. The gains are P,
+        bounds: Lowest and highest value of a gain, as P=0.1:10; repeat for more. The gains are P,
             I, D and setpoint_filter_s.
-        rig: Name of the rig, where several answer at the endpoint.
-        security: File that says who this is, where the rig asks; see docs/security.md.
+        rig: Name of the rig, if several answer at the endpoint.
+        security: Credentials file, if the rig requires authentication.
         run: Name of the run; the time of day by default.
-        folder: Folder that runs are kept in.
+        folder: Folder of runs.
         quiet: Show no progress.
         step: The step trial.
-        cost: How a trial is scored.
+        cost: The cost of a trial.
     """
-    who = security_from(security)
-    reach = partial(open_target, target, rig, who)
-    chosen = _chosen(reach, numbers_from(start), step, cost, warm_start=warm_start)
+    credentials = security_from(security)
+    open_rig = partial(open_target, target, rig, credentials)
+    chosen = _chosen(open_rig, numbers_from(start), step, cost, warm_start=warm_start)
     result = api.tune(
         target,
         tuner=tuner,
@@ -148,7 +141,7 @@ def tune(
         step=chosen.step,
         cost=chosen.cost,
         rig=rig,
-        security=who,
+        security=credentials,
         run=run,
         folder=folder,
         watch=None if quiet else "auto",
@@ -164,31 +157,32 @@ def resume(
     target: str | None = None,
     security: Path | None = None,
     folder: Path = Path(api.RUNS),
-    quiet: Annotated[bool, Parameter(negative=(), show_default=False)] = False,
+    quiet: Flag = False,
 ) -> int:
-    """Go on with a run that was stopped or cut off.
+    """Continue a run that was stopped or interrupted.
 
     Args:
         run: The run: its name, or its folder.
-        target: Where its rig is now; by default where it was.
-        security: File that says who this is, where the rig asks; see docs/security.md.
-        folder: Folder that runs are kept in.
+        target: Present address of its rig; the earlier one by default.
+        security: Credentials file, if the rig requires authentication.
+        folder: Folder of runs.
         quiet: Show no progress.
     """
     path = find_run(run, folder)
     with Journal.open(path) as journal:
         where = target or journal.fact("target")
         ask = terminal_approval() if journal.fact("plan")["ask_first"] else None
-    who = security_from(security)
+    credentials = security_from(security)
     watch: Literal["auto"] | None = None if quiet else "auto"
-    return finish(api.resume(path, where, security=who, watch=watch, ask=ask), where)
+    result = api.resume(path, where, security=credentials, watch=watch, ask=ask)
+    return finish(result, where)
 
 
 def finish(result: TuneResult, target: str | None, more: Mapping[str, str] | None = None) -> int:
-    """Prints a result, saves its figure, and says what to type next, and `more` below that.
+    """Prints a result, saves its figure, and lists the next commands and `more`.
 
     Returns:
-        The exit code that tells how the run ended.
+        The exit code of the run's ending.
     """
     output.show_result(result)
     facts: dict[str, object] = {"run": result.folder}
@@ -204,7 +198,7 @@ def finish(result: TuneResult, target: str | None, more: Mapping[str, str] | Non
 
 @dataclass(frozen=True)
 class _Chosen:
-    """What the user settled; None where the library's own default holds."""
+    """Choices of the user; None means the default of the library."""
 
     start: Gains | None
     step: StepProfile | None
@@ -212,14 +206,14 @@ class _Chosen:
 
 
 def _chosen(
-    reach: Callable[[], AbstractContextManager[Rig]],
+    open_rig: Callable[[], AbstractContextManager[Rig]],
     start: Mapping[str, float],
     step: StepOptions,
     cost: CostOptions,
     *,
     warm_start: bool,
 ) -> _Chosen:
-    """Fills in what the user left open by asking the rig, if there is anything to fill in."""
+    """Completes the user's choices from the rig's suggestions, if there are any choices."""
     unknown = set(start) - set(GAIN_NAMES)
     if unknown:
         raise InvalidInput(
@@ -227,16 +221,17 @@ def _chosen(
         )
     if not start and not warm_start and step == _NO_STEP and cost == _NO_COST:
         return _Chosen(None, None, None)
-    with reach() as the_rig:
+    with open_rig() as the_rig:
         suggested: RigDescription = the_rig.describe()
-    usual = StepCost(suggested.settling_time_s, move_weight=MOVE_WEIGHT)
+    default = StepCost(suggested.settling_time_s, move_weight=MOVE_WEIGHT)
     return _Chosen(
         replace(model_start(suggested) if warm_start else suggested.gains, **start),
-        replace(suggested.step, **_given(step)),
-        replace(usual, **_given(cost)),
+        replace(suggested.step, **given(step)),
+        replace(default, **given(cost)),
     )
 
 
-def _given(options: StepOptions | CostOptions) -> dict[str, Any]:
+def given(options: StepOptions | CostOptions) -> dict[str, Any]:
+    """The options that are given, by name."""
     values = {field.name: getattr(options, field.name) for field in fields(options)}
     return {name: value for name, value in values.items() if value is not None}

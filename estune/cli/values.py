@@ -1,14 +1,41 @@
-"""Values written as text on the command line: `P=0.1:10`, `cable_length_m=1.1`."""
+"""Options that commands share, and values written as text: `P=0.1:10`, `cable_length_m=1.1`."""
 
 import ast
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import Parameter
 
 from estune.errors import InvalidInput
+from estune.tuners import TUNERS, tuner_class
 
 if TYPE_CHECKING:
     from estune.remote.security import Security
+
+Flag = Annotated[bool, Parameter(negative=(), show_default=False)]
+"""An option without a value."""
+
+Values = Annotated[tuple[str, ...], Parameter(negative=(), show_default=False)]
+"""An option that may be repeated."""
+
+Effects = Annotated[
+    tuple[str, ...], Parameter(negative=(), show_default=False, consume_multiple=True)
+]
+"""Effects of the user's own, each as module:Class."""
+
+
+def _check_tuner(_kind: Any, name: str) -> None:
+    tuner_class(name)
+
+
+TunerName = Annotated[
+    str,
+    Parameter(
+        validator=_check_tuner,
+        help=f"Tuner: {', '.join(TUNERS)}, or module:Class of your own tuner.",
+    ),
+]
 
 
 def settings_from(texts: Iterable[str]) -> dict[str, Any]:
@@ -17,11 +44,17 @@ def settings_from(texts: Iterable[str]) -> dict[str, Any]:
     Raises:
         InvalidInput: one of them has no name or no value.
     """
-    return dict(_setting(text) for text in texts)
+    settings = {}
+    for name, value in map(_split, texts):
+        try:
+            settings[name] = ast.literal_eval(value)
+        except (ValueError, SyntaxError):
+            settings[name] = value
+    return settings
 
 
 def security_from(path: Path | None) -> "Security":
-    """The settings in a security file; where none is named, nobody is asked who they are.
+    """The settings in a security file; without a file, no authentication.
 
     Raises:
         InvalidInput: something in the file is wrong.
@@ -29,6 +62,16 @@ def security_from(path: Path | None) -> "Security":
     from estune.remote.security import OPEN, read_security  # noqa: PLC0415  slow to import
 
     return OPEN if path is None else read_security(path)
+
+
+def check_folder_exists(option: str, path: Path | None) -> None:
+    """Refuses an output file whose folder does not exist.
+
+    Raises:
+        InvalidInput: there is no such folder.
+    """
+    if path is not None and not path.parent.is_dir():
+        raise InvalidInput(f"there is no folder {path.parent}; make it, or give another {option}")
 
 
 def numbers_from(texts: Iterable[str]) -> dict[str, float]:
@@ -63,14 +106,6 @@ def ranges_from(texts: Iterable[str]) -> dict[str, tuple[float, float]]:
             raise InvalidInput(f"{name}={value} is no range; write {name}=LOW:HIGH")
         ranges[name] = (_number(name, low), _number(name, high))
     return ranges
-
-
-def _setting(text: str) -> tuple[str, Any]:
-    name, value = _split(text)
-    try:
-        return name, ast.literal_eval(value)
-    except (ValueError, SyntaxError):
-        return name, value
 
 
 def _split(text: str) -> tuple[str, str]:

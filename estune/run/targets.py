@@ -1,22 +1,22 @@
-"""From what a user names as a target to a rig that answers."""
+"""The rig that a target names: an endpoint, a model file, module:attribute, or an object."""
 
 import functools
 import importlib
 import inspect
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from estune.errors import InvalidInput
+from estune.support.plugins import hiding_hint, load_plugin, plugins
 from estune.trial import Rig
 
 if TYPE_CHECKING:
     from estune.remote.security import Security
 
 MODEL_FILE = ".toml"
-_READER = "plants:load_model"
-"""What reads a model file; by name as a user's own plant is, for plants are built on estune."""
+"""Ending of a model file; the entry point group `estune.model_files` offers its reader."""
 
 _ENDPOINT = re.compile(r"(tcp|udp|tls|quic|ws|serial|unixsock-stream)/.+")
 
@@ -30,20 +30,20 @@ def is_endpoint(target: object) -> bool:
 def open_target(
     target: Any, rig: str | None = None, security: "Security | None" = None
 ) -> Iterator[Rig]:
-    """The rig a user means, for as long as the block lasts.
+    """The rig that a target names, for the duration of the block.
 
     Args:
         target: An endpoint ("tcp/127.0.0.1:7447"), a model file ("reel.toml"), "module:attribute"
             naming a plant or a rig, a plant (anything with a `.rig()` method), or a rig.
-        rig: Name of the rig, where several answer at the endpoint.
-        security: Who this is, where the rig at the endpoint asks.
+        rig: Name of the rig, if several answer at the endpoint.
+        security: Credentials, if the rig at the endpoint requires authentication.
 
     Raises:
         InvalidInput: the target is none of these.
-        RigError: nothing, or not the rig meant, answers at the endpoint.
+        RigError: no rig, or none of that name, answers at the endpoint.
     """
     if isinstance(target, str) and is_endpoint(target):
-        from estune.remote import zenoh  # noqa: PLC0415  loads the network only where there is one
+        from estune.remote import zenoh  # noqa: PLC0415  slow to import
         from estune.remote.security import OPEN  # noqa: PLC0415  as above
 
         remote = zenoh.connect(target, rig=rig, security=security or OPEN)
@@ -55,11 +55,11 @@ def open_target(
     if isinstance(target, str):
         target = load(target)
     if hasattr(target, "rig"):
-        made: Rig = target.rig()
+        simulated: Rig = target.rig()
         try:
-            yield made
+            yield simulated
         finally:
-            made.close()
+            simulated.close()
     elif hasattr(target, "describe") and hasattr(target, "run"):
         yield target
     else:
@@ -71,15 +71,16 @@ def open_target(
 
 
 def load(reference: str, settings: Mapping[str, Any] | None = None) -> Any:
-    """The model of a file, or what "module:attribute" names.
+    """The model of a file, or the object that "module:attribute" names.
 
-    A function or class is called with the settings; in a file they come before what it says.
+    A function or class is called with the settings; they override those of a file.
 
     Raises:
         InvalidInput: there is no such file, module or attribute, or it does not take the settings.
     """
+    settings = settings or {}
     if reference.endswith(MODEL_FILE):
-        return load(_READER, {"model": reference, **(settings or {})})
+        return _model_reader()(reference, **settings)
     module_name, colon, attribute = reference.partition(":")
     if not colon or not module_name or not attribute:
         raise InvalidInput(
@@ -87,19 +88,31 @@ def load(reference: str, settings: Mapping[str, Any] | None = None) -> Any:
             "such as reel.toml, nor module:attribute such as plants:reference_reel"
         )
     try:
-        found = getattr(importlib.import_module(module_name), attribute)
+        target = getattr(importlib.import_module(module_name), attribute)
     except ModuleNotFoundError as error:
-        raise InvalidInput(f"{reference}: there is no module {error.name!r}") from error
+        hint = hiding_hint(module_name)
+        raise InvalidInput(
+            f"{reference}: there is no module {error.name!r}{hint and f'; {hint}'}"
+        ) from error
     except AttributeError as error:
-        raise InvalidInput(f"{reference}: {module_name} has no {attribute!r}") from error
-    if not (isinstance(found, type | functools.partial) or inspect.isroutine(found)):
+        hint = hiding_hint(module_name)
+        raise InvalidInput(
+            f"{reference}: {module_name} has no {attribute!r}{hint and f'; {hint}'}"
+        ) from error
+    if not (isinstance(target, type | functools.partial) or inspect.isroutine(target)):
         if settings:
-            raise InvalidInput(
-                f"{reference} is made already and takes no settings {dict(settings)}"
-            )
-        return found
+            raise InvalidInput(f"{reference} is an object; it takes no settings {dict(settings)}")
+        return target
     try:
-        inspect.signature(found).bind(**(settings or {}))
+        inspect.signature(target).bind(**settings)
     except TypeError as error:
         raise InvalidInput(f"{reference}: {error}") from error
-    return found(**(settings or {}))
+    return target(**settings)
+
+
+def _model_reader() -> Callable[..., Any]:
+    readers = plugins("estune.model_files")
+    if MODEL_FILE not in readers:
+        raise InvalidInput("no installed package reads model files; reinstall estune")
+    reader: Callable[..., Any] = load_plugin(readers[MODEL_FILE])
+    return reader

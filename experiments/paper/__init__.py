@@ -1,7 +1,7 @@
 """The paper's figures, each made again by the project's own models, beside what the paper claims.
 
 One file per figure, which can also be run by itself: `python -m experiments.paper.fig09`.
-`estune paper` puts them all on one page. Every number in a sentence is computed by the figure's
+`estune reproduce-paper` puts them all on one page. Every number in a sentence is computed by the figure's
 own run.
 """
 

@@ -10,4 +10,9 @@ from plants.emulator.driver import EmulatedDriver
 
 RIG_FILE = Path(__file__).with_name("rig.toml")
 
-__all__ = ["RIG_FILE", "EmulatedDriver"]
+__all__ = ["RIG_FILE", "EmulatedDriver", "example_rig_file"]
+
+
+def example_rig_file() -> str:
+    """Text of `RIG_FILE`, printed by `estune serve-hardware --example`."""
+    return RIG_FILE.read_text()

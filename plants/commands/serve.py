@@ -1,4 +1,4 @@
-"""`estune serve`: a plant as a rig in a process of its own."""
+"""`estune serve`: a simulated plant served as a rig."""
 
 import os
 import sys
@@ -9,13 +9,11 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from estune.cli.values import security_from, settings_from
+from estune.cli.values import Flag, Values, security_from, settings_from
 from estune.errors import InvalidInput
 from estune.remote import zenoh
 from estune.run.targets import load
 from estune.trial import Rig
-
-_Flag = Parameter(negative=(), show_default=False)
 
 
 def serve(
@@ -26,28 +24,26 @@ def serve(
     name: str = "reel",
     seed: int = 0,
     pace: float = 0.0,
-    set_: Annotated[
-        tuple[str, ...], Parameter(name="--set", negative=(), show_default=False)
-    ] = (),
+    set_: Annotated[Values, Parameter(name="--set")] = (),
     ledger: str = "",
-    allow_remote: Annotated[bool, _Flag] = False,
+    allow_remote: Flag = False,
     security: Path | None = None,
-    stop_on_eof: Annotated[bool, _Flag] = False,
+    stop_on_eof: Flag = False,
 ) -> None:
     """Serve a simulated reel, or any plant, as a rig on the network, until Ctrl-C.
 
     Args:
         plant: The plant: a model file such as reel.toml, or module:attribute.
-        listen: Where to listen; port 0 picks a free one, which is printed.
+        listen: Address to listen at; port 0 picks a free one, which is printed.
         name: Name of the rig.
         seed: Seed of the measurement noise.
-        pace: Seconds a second of a trial takes: 1 is real time, 0 as fast as it can be simulated.
+        pace: Duration of a second of a trial, s: 1 is real time, 0 as fast as possible.
         set_: A setting of the plant, as cable_length_m=1.1 or tension_N=20; repeat for more.
-        ledger: File in which it is remembered which trials have run; rigs/<name>.ledger below
-            this folder by default. "memory" forgets them when it ends.
-        allow_remote: Let other machines reach the rig; without --security, whoever reaches it can
-            move it.
-        security: File that says who may reach and command the rig; see docs/security.md.
+        ledger: File of the trials that have run; rigs/<name>.ledger by default. "memory" keeps
+            them only until the server ends.
+        allow_remote: Let other machines reach the rig; without --security, any of them can move
+            it.
+        security: Credentials file: the users that may reach and command the rig.
         stop_on_eof: Stop when standard input is closed, too: when a parent process has ended.
     """
     book = None if ledger == "memory" else Path(ledger or f"rigs/{name}.ledger")

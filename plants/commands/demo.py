@@ -1,4 +1,4 @@
-"""`estune demo`: the main job, with nothing but this machine."""
+"""`estune demo`: a simulated reel in another process, tuned over Zenoh."""
 
 import subprocess
 import sys
@@ -8,13 +8,14 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from estune import api
-from estune.cli.tune import TunerName, finish
+from estune.cli.tune import finish
+from estune.cli.values import TunerName
 from estune.errors import RigError
 from estune.run.loop import Stopped
-from estune.run.plan import DEFAULT_TUNER
+from estune.tuners import DEFAULT_TUNER
 
 _START_S = 60.0
-"""How long the other process may take to serve the reel: the first time it compiles the model."""
+"""Time limit of the other process to serve the reel; the first time, it compiles the model."""
 
 _STOP_S = 5.0
 
@@ -27,14 +28,14 @@ def demo(
     pace: float = 0.1,
     folder: Path = Path(api.RUNS),
 ) -> int:
-    """Watch a simulated reel in another process being tuned over Zenoh.
+    """Tune a simulated reel, which runs in another process, over Zenoh.
 
     Args:
-        tuner: How gains are proposed.
-        trials: Greatest number of search trials.
+        tuner: Tuner.
+        trials: Maximum number of search trials.
         seed: Seed of the measurement noise.
-        pace: Seconds a second of a trial takes: 1 is real time, 0 as fast as it can be simulated.
-        folder: Folder that runs are kept in.
+        pace: Duration of a second of a trial, s: 1 is real time, 0 as fast as possible.
+        folder: Folder of runs.
     """
     with served_reel(seed, pace) as endpoint:
         print(
@@ -44,7 +45,7 @@ def demo(
             result = api.tune(endpoint, tuner=tuner, trials=trials, folder=folder)
         except Stopped:
             print(
-                "the demo's reel ends with it; to go on, bring it back first with: "
+                "the reel of the demo ends with it; to continue, restart the reel with: "
                 f"estune serve --listen {endpoint} --seed {seed} --pace {pace:g}"
             )
             raise
@@ -58,22 +59,23 @@ def demo(
 
 @contextmanager
 def served_reel(seed: int, pace: float) -> Iterator[str]:
-    """The reference reel served by a process of its own, which ends with the block.
+    """Serves the reference reel in a process of its own, for the duration of the block.
 
     Yields:
         Its endpoint.
 
     Raises:
-        RigError: the process does not come to serve it.
+        RigError: the process ends, or does not serve the reel in time.
     """
-    command = [sys.executable, "-m", "estune.cli", "serve", "--stop-on-eof", "--ledger", "memory"]
-    command += ["--seed", str(seed), "--pace", str(pace)]
+    # -P: a folder of the working directory must not hide an installed package.
+    command = [sys.executable, "-P", "-m", "estune.cli", "serve", "--stop-on-eof"]
+    command += ["--ledger", "memory", "--seed", str(seed), "--pace", str(pace)]
     process = subprocess.Popen(  # noqa: S603  our own interpreter and module
         command,
         stdin=subprocess.PIPE,  # closes however this process ends, and the other ends with it
         stdout=subprocess.PIPE,
         text=True,
-        start_new_session=True,  # Ctrl-C is for us: the rig must live to put its gains back
+        start_new_session=True,  # Ctrl-C must not reach the rig, which restores its gains
     )
     try:
         yield _endpoint(process)
@@ -92,8 +94,8 @@ def _endpoint(process: "subprocess.Popen[str]") -> str:
     words = line.split()
     if not words:
         raise RigError(
-            f"the process that should serve the reel ended at once (exit code {process.wait()}); "
-            "try it by itself: estune serve"
+            f"the process that serves the reel ended at once (exit code {process.wait()}); "
+            "run it by itself: estune serve"
         )
     return words[-1]
 

@@ -1,46 +1,49 @@
-"""`estune rig`: a reel on hardware as a rig; `estune export-controller`: its controller as C."""
+"""`estune serve-hardware` and `estune export-controller`: a real reel, and its controller as C."""
 
 import sys
 import threading
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-from cyclopts import Parameter
-
-from estune.cli.values import security_from
+from estune.cli.values import Flag, security_from
 from estune.errors import InvalidInput
 from estune.remote import zenoh
+from estune.support.plugins import load_plugin, plugins
 
 if TYPE_CHECKING:
     from estune.hardware import HardwareRig
 
-_Flag = Parameter(negative=(), show_default=False)
 
-
-def rig(
-    file: Path,
+def serve_hardware(
+    file: Path | None = None,
     /,
     *,
     listen: str = "tcp/127.0.0.1:0",
     ledger: Path | None = None,
-    allow_remote: Annotated[bool, _Flag] = False,
+    allow_remote: Flag = False,
     security: Path | None = None,
+    example: Flag = False,
 ) -> None:
     """Serve a reel on hardware, or an emulated one, as a rig on the network, until Ctrl-C.
 
     Args:
-        file: The rig's file, such as rig.toml.
-        listen: Where to listen; port 0 picks a free one, which is printed.
-        ledger: Where it is remembered which trials have run; beside the rig's file by default.
-        allow_remote: Let other machines reach the rig; without --security, whoever reaches it can
-            move it.
-        security: File that says who may reach and command the rig; see docs/security.md.
+        file: The rig's file (TOML), such as my-rig.toml; --example prints one.
+        listen: Address to listen at; port 0 picks a free one, which is printed.
+        ledger: File of the trials that have run; beside the rig's file by default.
+        allow_remote: Let other machines reach the rig; without --security, any of them can move
+            it.
+        security: Credentials file: the users that may reach and command the rig.
+        example: Print a complete rig file, of an emulated reel, and exit.
     """
+    if example:
+        print(_example(), end="")
+        return
+    if file is None:
+        raise InvalidInput("give the rig's file; for one to begin from, use --example")
     from estune.hardware import HardwareRig, read_config  # noqa: PLC0415  slow to import
 
     config = read_config(file)
-    book = ledger or file.with_suffix(".ledger")
     with HardwareRig(config) as hardware:
         for note in hardware.notes:
             print(f"estune: {note}", file=sys.stderr, flush=True)
@@ -48,7 +51,7 @@ def rig(
             suppress(KeyboardInterrupt),
             zenoh.serve(
                 *(hardware, listen),
-                ledger=book,
+                ledger=ledger or file.with_suffix(".ledger"),
                 allow_remote=allow_remote,
                 security=security_from(security),
             ) as server,
@@ -61,11 +64,18 @@ def rig(
             )
             threading.Thread(target=_close_after, args=(hardware, server), daemon=True).start()
             server.wait()
-            hardware.describe()  # says why its loop has ended, if that is why we are here
+            hardware.describe()  # raises the failure of its control loop, if that ended the wait
+
+
+def _example() -> str:
+    examples = plugins("estune.examples")
+    if "rig" not in examples:
+        raise InvalidInput("no installed package offers an example; reinstall estune")
+    return str(load_plugin(examples["rig"])())
 
 
 def _close_after(hardware: "HardwareRig", server: zenoh.RigServer) -> None:
-    """Lets a rig whose loop has failed vanish from the network, and its process end."""
+    """Closes the server once the control loop of its rig has failed."""
     hardware.wait()
     server.close()
 
@@ -74,22 +84,22 @@ def export_controller(
     source: str,
     /,
     *,
-    out: Path | None = None,
-    c: Annotated[bool, _Flag] = False,
-    start: Annotated[bool, _Flag] = False,
+    out: Path = Path("estune_pidf.c"),
+    c: Flag = False,
+    start: Flag = False,
     schedule: Path | None = None,
     folder: Path | None = None,
 ) -> None:
     """Write a controller with its gains and settings as one C file for firmware.
 
     Args:
-        source: A run, by its name or folder, or a rig's file such as rig.toml.
-        out: The file to write; estune_pidf.c by default.
+        source: A run, by its name or folder, or a rig's file such as my-rig.toml.
+        out: The file to write.
         c: Write C, the only form there is.
-        start: The gains the run began from, instead of those it found.
+        start: The gains the run began from, instead of the tuned ones.
         schedule: A gain schedule (JSON, as of a sweep) to be written beside it as a C header,
             estune_schedule.h.
-        folder: Folder that runs are kept in.
+        folder: Folder of runs; runs by default.
     """
     from estune import api  # noqa: PLC0415  slow to import
     from estune.cli.runs import find_run  # noqa: PLC0415  as above
@@ -101,21 +111,20 @@ def export_controller(
     from estune.run.export import replace_file  # noqa: PLC0415  as above
 
     if not c:
-        raise InvalidInput("say in which form to write the controller: --c")
+        raise InvalidInput("the form of the controller is missing; give --c")
     if source.endswith(".toml"):
         description = read_config(source).describe()
         settings, gains = description.controller, description.gains
     else:
         result = api.load(find_run(source, folder or Path(api.RUNS)))
         settings, gains = result.rig.controller, result.start_gains if start else result.gains
-    path = out or Path("estune_pidf.c")
-    header = None if schedule is None else schedule_header(read_schedule(schedule))
-    try:
-        replace_file(path, controller_source(settings, gains).encode())
-        print(f"controller at {settings.sampling_Hz:g} Hz, {gains}: {path}")
-        if header is not None:
-            path = path.with_name("estune_schedule.h")
-            replace_file(path, header.encode())
-            print(f"gain schedule: {path}")
-    except OSError as error:
-        raise InvalidInput(f"{path}: {error.strerror or error}; give another --out") from error
+    files = {out: controller_source(settings, gains)}
+    if schedule is not None:
+        files[out.with_name("estune_schedule.h")] = schedule_header(read_schedule(schedule))
+    for path, text in files.items():
+        try:
+            replace_file(path, text.encode())
+        except OSError as error:
+            raise InvalidInput(f"{path}: {error.strerror or error}; give another --out") from error
+        of = f"controller at {settings.sampling_Hz:g} Hz, {gains}" if path == out else ""
+        print(f"{of or 'gain schedule'}: {path}")

@@ -1,0 +1,19 @@
+"""Commands for simulated plants and their models; `COMMANDS` adds them to the command line."""
+
+COMMANDS = (
+    ("demo", "plants.commands.demo:demo", "Tune a simulated reel over Zenoh.", 10),
+    ("serve", "plants.commands.serve:serve", "Serve a simulated plant as a rig.", 20),
+    (
+        "explain",
+        "plants.commands.explain:explain",
+        "Identify the effect missing from a model, from records.",
+        130,
+    ),
+    (
+        "improve-model",
+        "plants.commands.improve_model:improve_model",
+        "Improve a rig's model by experiment, then tune the rig.",
+        150,
+    ),
+)
+"""Name, function, help, and place in the list of commands (see `estune.cli`)."""

@@ -1,0 +1,103 @@
+"""`estune improve-model`: a rig's model improved by experiment, and the rig tuned with it."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rich.text import Text
+
+from estune.cli import output
+from estune.cli.values import Effects, Flag, check_folder_exists, security_from
+from estune.run.targets import is_endpoint, open_target
+
+if TYPE_CHECKING:
+    from plants.diagnosis.improvement import Improvement
+
+
+def improve_model(
+    target: str,
+    /,
+    *,
+    model: str | None = None,
+    folder: Path | None = None,
+    rounds: int = 6,
+    model_trials: int = 120,
+    trials: int = 40,
+    repeats: int = 3,
+    effects: Effects = (),
+    json: Flag = False,
+    report: Path | None = None,
+    save: Path | None = None,
+    rig: str | None = None,
+    security: Path | None = None,
+    quiet: Flag = False,
+) -> None:
+    """Improve a rig's model by experiment, then tune the rig with it.
+
+    Args:
+        target: The rig: an endpoint such as tcp/127.0.0.1:7447, a model file such as reel.toml,
+            or module:attribute such as plants:reference_reel.
+        model: The initial model: a model file or module:attribute; by default the reference reel
+            at the rig's cable length, or the linear model in the rig's description.
+        folder: Folder for records, trial files and the tuning's run; the time of day by default.
+        rounds: Maximum number of rounds of experiments and diagnosis.
+        model_trials: Maximum number of search trials on the improved model.
+        trials: Maximum number of search trials on the rig.
+        repeats: Trials of each set of gains whose cost is compared.
+        effects: Effects of your own that join the search, each as module:Class.
+        json: Print JSON.
+        report: Write the last diagnosis as one HTML page.
+        save: Write the improved model as a model file.
+        rig: Name of the rig, if several answer at the endpoint.
+        security: Credentials file, if the rig requires authentication.
+        quiet: Show no progress.
+    """
+    check_folder_exists("--report", report)
+    check_folder_exists("--save", save)
+    import plants  # noqa: PLC0415  slow to import
+    from plants.diagnosis.improve_model import TuneOptions  # noqa: PLC0415  slow to import
+    from plants.effects import declared, find  # noqa: PLC0415  slow to import
+
+    own = tuple(map(find, effects))
+    silent = quiet or json
+    initial = None if model is None else plants.load_model(model)
+    with open_target(target, rig, security_from(security)) as the_rig:
+        improvement = plants.improve(
+            the_rig,
+            initial,
+            folder=folder,
+            effects=(*declared(), *own) if own else None,
+            rounds=rounds,
+            tuning=TuneOptions(
+                model_trials=model_trials,
+                rig_trials=trials,
+                repeats=repeats,
+                watch=None if silent else "auto",
+            ),
+            say=(lambda _: None) if silent else output.console().print,
+        )
+    if report is not None:
+        improvement.diagnosis.report(report)
+    if save is not None:
+        plants.save_model(improvement.model, save)
+    if json:
+        output.print_json(improvement.to_json())
+        return
+    _show(improvement)
+    facts: dict[str, object] = {"records": improvement.folder / "data"}
+    if improvement.tuning is not None and is_endpoint(target):
+        facts["make live"] = f"estune apply {improvement.tuning.folder} {target}"
+    if save is not None:
+        facts |= {"model": save, "try it": f"estune tune {save}"}
+    output.show_next(facts)
+
+
+def _show(improvement: "Improvement") -> None:
+    from plants.diagnosis.improvement import COLUMNS  # noqa: PLC0415  slow to import
+
+    out = output.console()
+    out.print()
+    out.print(Text(improvement.heading(), style="bold"), soft_wrap=True)
+    if improvement.costs:
+        output.show_table(COLUMNS, improvement.rows())
+    for remark in improvement.remarks:
+        out.print(Text(remark), soft_wrap=True)
