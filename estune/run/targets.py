@@ -6,6 +6,7 @@ import inspect
 import re
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from estune.errors import InvalidInput
@@ -81,6 +82,31 @@ def load(reference: str, settings: Mapping[str, Any] | None = None) -> Any:
     settings = settings or {}
     if reference.endswith(MODEL_FILE):
         return _model_reader()(reference, **settings)
+    target = _attribute(reference)
+    if not (isinstance(target, type | functools.partial) or inspect.isroutine(target)):
+        if settings:
+            raise InvalidInput(f"{reference} is an object; it takes no settings {dict(settings)}")
+        return target
+    try:
+        inspect.signature(target).bind(**settings)
+    except TypeError as error:
+        raise InvalidInput(f"{reference}: {error}") from error
+    return target(**settings)
+
+
+def check_reference(reference: str) -> None:
+    """Refuses a model file or "module:attribute" that does not exist; calls nothing.
+
+    Raises:
+        InvalidInput: there is no such file, module or attribute.
+    """
+    if not reference.endswith(MODEL_FILE):
+        _attribute(reference)
+    elif not Path(reference).is_file():
+        raise InvalidInput(f"{reference}: there is no such model file")
+
+
+def _attribute(reference: str) -> Any:
     module_name, colon, attribute = reference.partition(":")
     if not colon or not module_name or not attribute:
         raise InvalidInput(
@@ -88,7 +114,7 @@ def load(reference: str, settings: Mapping[str, Any] | None = None) -> Any:
             "such as reel.toml, nor module:attribute such as plants:reference_reel"
         )
     try:
-        target = getattr(importlib.import_module(module_name), attribute)
+        return getattr(importlib.import_module(module_name), attribute)
     except ModuleNotFoundError as error:
         hint = hiding_hint(module_name)
         raise InvalidInput(
@@ -99,15 +125,6 @@ def load(reference: str, settings: Mapping[str, Any] | None = None) -> Any:
         raise InvalidInput(
             f"{reference}: {module_name} has no {attribute!r}{hint and f'; {hint}'}"
         ) from error
-    if not (isinstance(target, type | functools.partial) or inspect.isroutine(target)):
-        if settings:
-            raise InvalidInput(f"{reference} is an object; it takes no settings {dict(settings)}")
-        return target
-    try:
-        inspect.signature(target).bind(**settings)
-    except TypeError as error:
-        raise InvalidInput(f"{reference}: {error}") from error
-    return target(**settings)
 
 
 def _model_reader() -> Callable[..., Any]:
