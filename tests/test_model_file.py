@@ -2,6 +2,7 @@
 
 import tomllib
 from dataclasses import fields, replace
+from pathlib import Path
 
 import control
 import numpy as np
@@ -98,7 +99,7 @@ def test_a_python_plant_is_written_by_the_name_it_is_found_by(tmp_path, monkeypa
     (tmp_path / "own_motor.py").write_text(MOTOR)
     monkeypatch.syspath_prepend(tmp_path)
     plant = plants.load_model("own_motor:motor") + CurrentSaturation(0.5)
-    with pytest.raises(InvalidInput, match="say what the plant is found by"):
+    with pytest.raises(InvalidInput, match="give the plant's reference"):
         model_file.to_toml(plant)
     again = model_file.from_toml(model_file.to_toml(plant, plant="own_motor:motor"))
     assert again == plant
@@ -129,6 +130,21 @@ def test_a_file_is_simulated_like_the_model_it_was_saved_from(tmp_path):
     again = plants.load_model(tmp_path / "reel.toml")
     first, second = (plants.simulate(r, GAINS) for r in (reel, again))
     assert np.array_equal(first.tension_N, second.tension_N)
+
+
+OLD_FILES = sorted((Path(__file__).parent / "assets" / "model_files").glob("*.toml"))
+
+
+@pytest.mark.parametrize("path", OLD_FILES, ids=lambda path: path.stem)
+def test_a_file_of_an_earlier_version_opens_with_all_its_values(path):
+    text = path.read_text(encoding="utf-8")
+    tables, again = tomllib.loads(text), tomllib.loads(model_file.to_toml(plants.load_model(path)))
+    effects, effects_again = (t.pop("effects", []) for t in (tables, again))
+    assert again == tables
+    assert len(effects_again) == len(effects)
+    for old, new in zip(effects, effects_again, strict=True):
+        assert old.pop("name").rpartition(":")[2] == new.pop("name").rpartition(":")[2]
+        assert new == old
 
 
 def test_what_a_file_leaves_out_is_the_reference_reel():

@@ -51,8 +51,7 @@ def test_the_virtual_machine_gives_the_numbers_of_the_compiled_trial(name, monke
     noise = np.random.default_rng(4).normal(0.0, 0.05, samples)
     compiled = plants.simulate(plant, GAINS, profile, noise_N=noise)
     virtual_loop = VirtualLoop(loop_functions(plant.structure.equations()))
-    for home in ("plants.models.reel", "plants.models.linear_plant"):
-        monkeypatch.setattr(f"{home}.trial_loop", lambda _: virtual_loop)
+    monkeypatch.setattr("plants.models.plant_model.trial_loop", lambda _: virtual_loop)
     virtual = plants.simulate(plant, GAINS, profile, noise_N=noise)
     for column in ("tension_N", "effort_N", "angle_rad"):
         assert getattr(virtual, column) == pytest.approx(
@@ -107,7 +106,7 @@ def test_many_processes_may_compile_the_same_at_once(cache):
 def run_elsewhere(**environment):
     """A trial in a new process: its answer and what it said."""
     code = (
-        "import plants; from estune.core.gains import Gains; from plants import trial_loop;"
+        "import plants; from estune.core.gains import Gains; from plants.simulation import trial_loop;"
         "a = plants.reference_reel(); b = a + plants.CoulombFriction();"
         "g = Gains(1.2, 50.0, 0.02, 0.004);"
         "n = [float(plants.simulate(r, g).tension_N.sum()) for r in (a, b, a)];"

@@ -1,4 +1,4 @@
-"""Which effects have a place on a linear plant, and why others have none."""
+"""Whether an effect can be added to a linear plant, and why not."""
 
 from functools import lru_cache
 from types import SimpleNamespace
@@ -7,22 +7,22 @@ import casadi as ca
 import numpy as np
 
 from plants.effects.effect import Effect, Port
-from plants.models.linear_structures import Base
+from plants.models.linear_structures import LinearBase
 from plants.models.linear_with_effects import LinearEffectStructure
 
 
 @lru_cache(maxsize=512)
-def unavailable(base: Base, effect: type[Effect]) -> str | None:
-    """Why an effect has no place on a linear plant, or None where it has."""
-    names = dict.fromkeys((*base.own, *_AMENDED))
+def unavailable(base: LinearBase, effect: type[Effect]) -> str | None:
+    """Reason why an effect cannot be added to a linear plant; None where it can."""
+    names = dict.fromkeys((*base.own, *_COMMON_NAMES))
     symbols = ca.vertsplit(ca.SX.sym("p", len(names)))
     motion = base.motion(SimpleNamespace(**dict(zip(names, symbols, strict=True))))
-    # What turns the drum does so without the cable it pulls at, too.
+    # An effect of the drum acts without a cable, too.
     ports = {effect.port} if base.is_drum and effect.port is Port.DRUM else set(effect.ports())
     missing = (
         {Port.CABLE, Port.EYELET, Port.GAUGE} if base.is_drum else {Port.EYELET, Port.ENCODER}
     )
-    if ports == {Port.DRUM, Port.GAUGE}:  # an offset and a gain, which any plant may have
+    if ports == {Port.DRUM, Port.GAUGE}:  # offset and gain apply to any plant
         missing = set()
     elif not base.is_drum and motion.V is None:
         missing |= {Port.DRUM, Port.CABLE}
@@ -32,18 +32,18 @@ def unavailable(base: Base, effect: type[Effect]) -> str | None:
         return f"it acts at the {min(ports & missing)}, {_ABSENT[base.is_drum]}"
     try:
         if Port.CABLE in ports and not _may_push(base, effect):
-            return "it lets a cable go slack, and the plant's spring pushes as well as it pulls"
+            return "it lets a cable go slack, and the plant's spring also pushes"
         LinearEffectStructure(base, (effect,), fractional=True, squarings=0).equations()
     except AttributeError as error:
         wanted = str(error).rpartition("attribute ")[2].strip("'")
         return f"it needs {wanted}, which such a plant does not have"
-    except (TypeError, NotImplementedError):  # what CasADi raises for a number that is none
-        return "it goes with the angle of a drum, and the plant's output is none"
+    except (TypeError, NotImplementedError):  # raised by CasADi for an angle of None
+        return "it depends on the angle of a drum, and the plant's output is no angle"
     return None
 
 
-def _may_push(base: Base, effect: type[Effect]) -> bool:
-    """Whether the effect at its neutral value leaves a spring alone that pushes."""
+def _may_push(base: LinearBase, effect: type[Effect]) -> bool:
+    """Whether the effect at its neutral value leaves a pushing spring unchanged."""
     moved = []
     for added in ((), (effect.neutral(),)):
         structure = LinearEffectStructure(base, tuple(type(e) for e in added), True, 0)  # noqa: FBT003
@@ -53,12 +53,12 @@ def _may_push(base: Base, effect: type[Effect]) -> bool:
         values = [*own, *(getattr(e, name) for e in added for name in e.parameters())]
         constants, _, _ = equations.prepare(values, 1.0)
         state, _ = equations.settle(constants, -1.0)
-        state[:n] = -np.eye(n)[0]  # beyond rest, where the linear plant alone is
+        state[:n] = -np.eye(n)[0]  # on the far side of rest, where the spring pushes
         moved.append(np.asarray(equations.substep(constants, state, 0.0, 0.0, 0))[:n])
     return bool(np.allclose(moved[0], moved[1], rtol=1e-6, atol=1e-9))
 
 
-_AMENDED = ("torque_unit", "angle_unit", "viscous_friction_Nms")
+_COMMON_NAMES = ("torque_unit", "angle_unit", "viscous_friction_Nms")
 _ABSENT = {
     True: "and a drum without a cable has none",
     False: "which takes an output that moves like a position and a spring that holds it",

@@ -1,6 +1,6 @@
-"""The stages along the signal's path through a reel, with the effects that sit at each."""
+"""The effects of one plant as stages along the signal's path."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
@@ -10,41 +10,30 @@ from plants.effects.effect import Effect, Port, Site
 from plants.simulation.equations import Expression
 
 
-def amended(
-    reel: SimpleNamespace, effects: Iterable[tuple[type[Effect], SimpleNamespace]]
-) -> SimpleNamespace:
-    """A reel's own numbers as its effects leave them; the effects come with their parameters."""
-    changed = SimpleNamespace(**vars(reel))
-    for effect, p in effects:
-        vars(changed).update(effect.amend(p, changed))
-    return changed
-
-
-class Place(NamedTuple):
-    """One effect within a reel: its numbers, and which part of the reel's state is its own."""
+class _Stage(NamedTuple):
+    """One effect: its parameters and prepared constants, and its slice of the state."""
 
     effect: type[Effect]
     p: SimpleNamespace
     own: slice
 
 
-class Stages:
-    """The effects of one reel, visited port by port."""
+class EffectStages:
+    """The effects of one plant, evaluated port by port.
+
+    Args:
+        effects: In the order in which the signal meets them.
+        numbers: For each effect its parameters and prepared constants, by name.
+        first_state: Index in the state at which the effects' states begin.
+    """
 
     def __init__(
         self, effects: tuple[type[Effect], ...], numbers: list[dict[str, Any]], first_state: int
     ) -> None:
-        """Gives each effect its part of the state.
-
-        Args:
-            effects: In the order in which the signal meets them.
-            numbers: For each the parameters and what it prepared, by name.
-            first_state: Where in the state the effects' parts begin.
-        """
-        self._places: list[Place] = []
-        for effect, known in zip(effects, numbers, strict=True):
+        self._stages: list[_Stage] = []
+        for effect, values in zip(effects, numbers, strict=True):
             own = slice(first_state, first_state + effect.states)
-            self._places.append(Place(effect, SimpleNamespace(**known), own))
+            self._stages.append(_Stage(effect, SimpleNamespace(**values), own))
             first_state += effect.states
         self.states = first_state
 
@@ -53,72 +42,70 @@ class Stages:
     ) -> tuple[Expression, Expression]:
         """State and signal after the effects of the site's port."""
         for effect, p, own in self._at(site.port):
-            remembered, signal = effect.respond(p, x[own, :], signal, site)
-            x = _with(x, own, remembered)
+            memory, signal = effect.respond(p, x[own, :], signal, site)
+            x = _with_slice(x, own, memory)
         return x, signal
 
-    def torque(
+    def drum_torque(
         self, x: Expression, site: Site, velocity_per_torque: Expression
     ) -> tuple[Expression, Expression]:
-        """State, and torque that effects add at the drum, each seeing what the others leave.
+        """State, and the effects' torque at the drum; each effect sees the sum of those before it.
 
         Args:
             x: The state.
-            site: With the velocity the span would end with if no effect gave a torque.
+            site: With the velocity at the end of the span if no effect gave a torque.
             velocity_per_torque: Velocity at the end of the span per torque held over it.
         """
         torque = ca.SX(0.0)
-        for effect, p, own in sorted(self._at(Port.DRUM), key=_turn):
-            remembered, added = effect.respond(p, x[own, :], torque, site)
-            x = _with(x, own, remembered)
+        for effect, p, own in sorted(self._at(Port.DRUM), key=_drum_order):
+            memory, added = effect.respond(p, x[own, :], torque, site)
+            x = _with_slice(x, own, memory)
             torque = torque + added
             velocity = site.velocity_rad_s + velocity_per_torque * added
             friction = site.friction_Nm + added if effect.resists else site.friction_Nm
             site = site._replace(velocity_rad_s=velocity, friction_Nm=friction)
         return x, torque
 
-    def back(
-        self, x: Expression, signal: Expression, site: Site, *, moved: bool = False
+    def inverse(
+        self, x: Expression, signal: Expression, site: Site, *, keep_memory: bool = False
     ) -> tuple[Expression, Expression]:
-        """State at rest, and what goes into the site's port when the signal steadily comes out.
+        """State at rest, and the port's input for a steady output.
 
         Args:
             x: The state.
-            signal: What comes out.
-            site: Where and when.
-            moved: Whether the reel is only put elsewhere, and effects know what they remember.
+            signal: The port's output.
+            site: The port and its conditions.
+            keep_memory: Whether the effects start from their present states instead of zero.
         """
         for effect, p, own in reversed(list(self._at(site.port))):
-            state = x[own, :] if moved else ca.SX.zeros(effect.states)
-            remembered, signal = effect.rest(p, state, signal, site)
-            x = _with(x, own, remembered)
+            memory = x[own, :] if keep_memory else ca.SX.zeros(effect.states)
+            memory, signal = effect.rest(p, memory, signal, site)
+            x = _with_slice(x, own, memory)
         return x, signal
 
     def rest_torque(self, x: Expression, site: Site) -> tuple[Expression, Expression]:
-        """State at rest, and torque that effects then add at the drum."""
+        """State at rest, and the effects' torque at the drum there."""
         torque = ca.SX(0.0)
         for effect, p, own in self._at(Port.DRUM):
-            remembered, added = effect.rest(p, ca.SX.zeros(effect.states), torque, site)
-            x = _with(x, own, remembered)
+            memory, added = effect.rest(p, ca.SX.zeros(effect.states), torque, site)
+            x = _with_slice(x, own, memory)
             torque = torque + added
         return x, torque
 
-    def put(self, x: Expression, angle_rad: Expression) -> Expression:
-        """State of a drum that is put at an angle, with what the effects then remember."""
-        for effect, p, own in self._places:
-            x = _with(x, own, effect.put(p, x[own, :], angle_rad))
+    def place(self, x: Expression, angle_rad: Expression) -> Expression:
+        """State after the drum has been placed at an angle."""
+        for effect, p, own in self._stages:
+            x = _with_slice(x, own, effect.put(p, x[own, :], angle_rad))
         return x
 
-    def _at(self, port: Port) -> Iterator[Place]:
-        return (place for place in self._places if port in place.effect.ports())
+    def _at(self, port: Port) -> Iterator[_Stage]:
+        return (stage for stage in self._stages if port in stage.effect.ports())
 
 
-def _turn(place: Place) -> tuple[bool, bool]:
-    """Where in the order of effects at the drum one comes."""
-    return place.effect.divides, place.effect.resists
+def _drum_order(stage: _Stage) -> tuple[bool, bool]:
+    return stage.effect.divides, stage.effect.resists
 
 
-def _with(x: Expression, own: slice, remembered: Expression) -> Expression:
-    """The state with one effect's part renewed."""
+def _with_slice(x: Expression, own: slice, memory: Expression) -> Expression:
     # Both indices: x[1:] of a single row is a row without columns, which vertcat counts as one.
-    return ca.vertcat(x[: own.start, :], remembered, x[own.stop :, :])
+    return ca.vertcat(x[: own.start, :], memory, x[own.stop :, :])

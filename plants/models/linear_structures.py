@@ -1,4 +1,4 @@
-"""Linear plants from torque to angle, which effects attach to; see `plants.models.linear_with_effects`."""
+"""Linear plants from torque to angle, to which effects are added; see `linear_with_effects`."""
 
 from dataclasses import dataclass
 from types import SimpleNamespace
@@ -10,16 +10,16 @@ from plants.simulation.equations import Expression
 
 
 class Motion(NamedTuple):
-    """The linear plant from torque to angle, in numbers or symbols.
+    """State space of a linear plant from torque to angle, in numbers or symbols.
 
     Attributes:
         A: State matrix, 1/s.
         B: Input vector.
         C: Output row.
         E: Direct feed-through.
-        V: Row that gives the output's derivative; None where it jumps with the input.
+        V: Row of the output's derivative; None where the output jumps with the input.
         restoring: Torque that holds the output at one: 1/G(0), zero of a plant that integrates,
-            None of one that stands nowhere but at zero.
+            None where the plant has no rest but at zero.
     """
 
     A: Expression
@@ -30,8 +30,8 @@ class Motion(NamedTuple):
     restoring: Expression | None
 
 
-class Base(Protocol):
-    """What kind of linear plant it is; hashable."""
+class LinearBase(Protocol):
+    """Kind of linear plant; hashable."""
 
     @property
     def own(self) -> tuple[str, ...]:
@@ -45,11 +45,16 @@ class Base(Protocol):
 
     @property
     def is_drum(self) -> bool:
-        """Whether its output is an angle read by an encoder, else it is read by a gauge."""
+        """Whether an encoder reads its output as an angle; otherwise a gauge reads it."""
+        ...
+
+    @property
+    def can_rest(self) -> bool:
+        """Whether it can be at rest at an output other than zero."""
         ...
 
     def motion(self, p: SimpleNamespace) -> Motion:
-        """The plant for its parameters by name, as effects leave them."""
+        """The plant for its parameters by name, as amended by effects."""
         ...
 
 
@@ -65,6 +70,7 @@ class Drum:
     )
     order: ClassVar[int] = 2
     is_drum: ClassVar[bool] = True
+    can_rest: ClassVar[bool] = True
 
     def motion(self, p: SimpleNamespace) -> Motion:
         """The states are angle and velocity."""

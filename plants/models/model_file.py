@@ -1,4 +1,4 @@
-"""Models as files: a reel, or another plant, and its effects as TOML.
+"""Models as TOML files: a reel, or another plant, and its effects.
 
 ```toml
 [reel]
@@ -11,9 +11,9 @@ attenuation = 0.93
 inner_share = 0.2
 ```
 
-What a file leaves out is as in `plants.reference_reel`; what is saved is whole. An effect's name
-is its slug, or module:attribute for one of your own. Everything that is wrong with a file is told
-at once, a line each.
+Keys that a file leaves out have the values of `plants.reference_reel`; a saved file is complete.
+The name of an effect is its slug, or module:attribute for an effect of the user's. All mistakes in
+a file are reported at once, one per line.
 """
 
 import difflib
@@ -28,7 +28,13 @@ from estune.run import targets
 from estune.run.export import replace_file
 from plants.effects import Effect, find
 from plants.models import model_tables
-from plants.models.model_tables import KINDS, Kind, Reader
+from plants.models.model_tables import KINDS, ModelKind, Reader
+
+_MOVED = {
+    f"plants.discrepancy.models.calibration:{name}": f"plants.diagnosis.models.calibration:{name}"
+    for name in ("Calibration", "SaggingCalibration")
+}
+"""References in files of earlier versions."""
 
 
 def load_model(model: str | Path, **settings: Any) -> Any:
@@ -36,14 +42,14 @@ def load_model(model: str | Path, **settings: Any) -> Any:
 
     Args:
         model: A TOML file such as `reel.toml`, or a name such as `plants:reference_reel`.
-        **settings: What is to be otherwise than in the file; arguments of the function named.
+        **settings: Replace values of the file; or arguments of the named function.
 
     Returns:
         The model: anything with a `.rig()`.
 
     Raises:
-        InvalidInput: there is no such model, or what is there cannot be used; every mistake in a
-            file is in the message, a line each.
+        InvalidInput: there is no such model, or it is invalid; the message has one line per
+            mistake.
     """
     if isinstance(model, str) and not model.endswith(targets.MODEL_FILE):
         return targets.load(model, settings)
@@ -52,13 +58,13 @@ def load_model(model: str | Path, **settings: Any) -> Any:
 
 
 def save_model(model: Any, path: str | Path, note: str = "", plant: str = "") -> None:
-    """Writes a model as a TOML file, whole or not at all.
+    """Writes a model as a TOML file, atomically.
 
     Args:
         model: A reel or another plant of this package.
-        path: The file; one that is there is replaced.
-        note: Lines of comment to begin with.
-        plant: What a Python plant is found by, module:attribute; a function cannot be written.
+        path: The file; an existing one is replaced.
+        note: Comment at the top.
+        plant: Reference of a Python plant, module:attribute; a function cannot be written.
 
     Raises:
         InvalidInput: the model cannot be written as text, or the file cannot be written.
@@ -78,34 +84,34 @@ def to_toml(model: Any, note: str = "", plant: str = "") -> str:
     Raises:
         InvalidInput: the model cannot be written as text.
     """
-    kind = next((kind for kind in KINDS if isinstance(model, kind.type())), None)
+    kind = next((kind for kind in KINDS if isinstance(model, kind.type)), None)
     if kind is None:
         raise InvalidInput(
-            f"a {type(model).__name__} cannot be written as TOML; what can is "
-            f"{model_tables.names()}"
+            f"a {type(model).__name__} cannot be written as TOML; a model is one of "
+            f"{model_tables.table_names()}"
         )
     values = kind.values(model)
     if kind.table == "python_plant":
         if not plant:
             raise InvalidInput(
-                "a function cannot be written as TOML; say what the plant is found by, as "
+                "a function cannot be written as TOML; give the plant's reference, as "
                 'save_model(..., plant="module:attribute")'
             )
         values = {"plant": plant, **values}
     lines = [f"# {line}".rstrip() for line in note.splitlines()]
-    lines += [""] * bool(lines) + [f"[{kind.table}]", *model_tables.written(values)]
+    lines += [""] * bool(lines) + [f"[{kind.table}]", *model_tables.toml_lines(values)]
     for effect in getattr(model, "effects", ()):
         values = {name: getattr(effect, name) for name in effect.parameters()}
         named = {"name": reference_of(type(effect)), **values}
-        lines += ["", f"# {effect.title}", "[[effects]]", *model_tables.written(named)]
+        lines += ["", f"# {effect.title}", "[[effects]]", *model_tables.toml_lines(named)]
     return "\n".join(lines) + "\n"
 
 
 def reference_of(effect: type[Effect]) -> str:
-    """What `plants.effects.find` finds the effect by: its slug, or module:attribute.
+    """Reference by which `plants.effects.find` returns the effect: slug or module:attribute.
 
     Raises:
-        InvalidInput: it is found by neither, as one defined in a notebook or a function is not.
+        InvalidInput: there is none, as for an effect defined in a notebook or a function.
     """
     for name in (effect.name, f"{effect.__module__}:{effect.__qualname__}"):
         try:
@@ -122,15 +128,15 @@ def reference_of(effect: type[Effect]) -> str:
 def from_toml(
     text: str, settings: Mapping[str, Any] | None = None, source: str = "the model"
 ) -> Any:
-    """The model a TOML text describes.
+    """The model described by a TOML text.
 
     Args:
         text: The text.
-        settings: What is to be otherwise than in the text, by key of the model's own table.
-        source: What to call the text in messages.
+        settings: Replace values of the text, by key of the model's own table.
+        source: Name of the text in messages.
 
     Raises:
-        InvalidInput: anything is wrong with it; the message has a line for each.
+        InvalidInput: the text is invalid; the message has one line per mistake.
     """
     try:
         tables = tomllib.loads(text)
@@ -169,8 +175,8 @@ def _text(path: Path) -> str:
         raise InvalidInput(f"{path}: this is not text in UTF-8, as TOML is: {error}") from error
 
 
-def _kind(tables: Mapping[str, Any], problems: list[str]) -> Kind | None:
-    """The model's table; there is exactly one."""
+def _kind(tables: Mapping[str, Any], problems: list[str]) -> ModelKind | None:
+    """The kind of the one model table."""
     known = [kind.table for kind in KINDS]
     problems += [
         f"[{name}]: there is no such table{_near(name, [*known, 'effects'])}"
@@ -180,7 +186,7 @@ def _kind(tables: Mapping[str, Any], problems: list[str]) -> Kind | None:
     given = [kind for kind in KINDS if kind.table in tables]
     if len(given) != 1:
         which = f"it has [{'] and ['.join(k.table for k in given)}]" if given else "it has none"
-        problems.append(f"a model is one table of {model_tables.names()}; {which}")
+        problems.append(f"a model is one table of {model_tables.table_names()}; {which}")
         return None
     if not isinstance(tables[given[0].table], dict):
         problems.append(
@@ -190,21 +196,18 @@ def _kind(tables: Mapping[str, Any], problems: list[str]) -> Kind | None:
     return given[0]
 
 
-def _model(kind: Kind, values: Mapping[str, Any], problems: list[str]) -> Any:
-    """The model of a table, or what is wrong with the table's values."""
+def _model(kind: ModelKind, values: Mapping[str, Any], problems: list[str]) -> Any:
+    """The model of a table; None where its values are invalid."""
     place = f"[{kind.table}]"
-    return _built(kind.make, _known(values, kind.keys(), place, problems), place, problems)
+    return _make(kind.make, _read_values(values, kind.keys, place, problems), place, problems)
 
 
 def _effects(tables: Any, problems: list[str]) -> list[tuple[int, Effect]]:
     if not (isinstance(tables, list) and all(isinstance(table, dict) for table in tables)):
         problems.append("effects: these are tables; begin each with [[effects]]")
         return []
-    return [
-        (number, found)
-        for number, table in enumerate(tables, 1)
-        if (found := _effect(table, number, problems)) is not None
-    ]
+    effects = [(n, _effect(table, n, problems)) for n, table in enumerate(tables, 1)]
+    return [(n, effect) for n, effect in effects if effect is not None]
 
 
 def _effect(table: Mapping[str, Any], number: int, problems: list[str]) -> Effect | None:
@@ -213,24 +216,24 @@ def _effect(table: Mapping[str, Any], number: int, problems: list[str]) -> Effec
         problems.append(f'{place}: its name is missing; give one as name = "coulomb_friction"')
         return None
     try:
-        effect = find(name)
+        effect = find(_MOVED.get(name, name))
     except InvalidInput as error:
         problems.append(f"{place} name: {error}")
         return None
     values = {key: value for key, value in table.items() if key != "name"}
-    keys = dict.fromkeys(effect.parameters(), model_tables.number)
-    good = _known(values, keys, f"{place} ({name})", problems)
-    built: Effect | None = _built(effect, good, f"{place} ({name})", problems)
-    return built
+    keys = dict.fromkeys(effect.parameters(), model_tables.read_number)
+    good = _read_values(values, keys, f"{place} ({name})", problems)
+    made: Effect | None = _make(effect, good, f"{place} ({name})", problems)
+    return made
 
 
-def _known(
+def _read_values(
     values: Mapping[str, Any],
     keys: Mapping[str, Reader],
     place: str,
     problems: list[str],
 ) -> dict[str, Any]:
-    """The values that have a known key and the right form; what is wrong with the others."""
+    """The values with a known key and a valid form; mistakes go to `problems`."""
     good = {}
     for name, value in values.items():
         if name not in keys:
@@ -243,24 +246,24 @@ def _known(
     return good
 
 
-def _built(
+def _make(
     make: Callable[..., Any], values: dict[str, Any], place: str, problems: list[str]
 ) -> Any:
-    """What is made of the values; each one that is refused by name is told and left out."""
+    """Makes an object; a value that is rejected by name is reported and left out."""
     while True:
         try:
             return make(**values)
         except EstuneError as error:
-            said = str(error)
-        blamed = next((name for name in re.findall(r"\w+", said) if name in values), None)
-        problems.append(f"{place} {blamed}: {said}" if blamed else f"{place}: {said}")
-        if blamed is None:
+            message = str(error)
+        wrong = next((name for name in re.findall(r"\w+", message) if name in values), None)
+        problems.append(f"{place} {wrong}: {message}" if wrong else f"{place}: {message}")
+        if wrong is None:
             return None
-        values = {name: value for name, value in values.items() if name != blamed}
+        values = {name: value for name, value in values.items() if name != wrong}
 
 
 def _near(name: str, known: Iterable[str]) -> str:
-    """The known name that was probably meant, or all there are."""
+    """Hint at the closest known name, or at all names."""
     names = list(known)
     near = difflib.get_close_matches(name, names, 1)
     return f"; did you mean {near[0]}?" if near else f"; there are {', '.join(sorted(names))}"

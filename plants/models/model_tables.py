@@ -1,4 +1,4 @@
-"""The kinds of model that a file can hold: their keys, how one is made, what is written of it."""
+"""The tables of a model file: keys, constructors and saved values of each kind of model."""
 
 import json
 import math
@@ -11,50 +11,61 @@ from estune.errors import InvalidInput
 from estune.run import targets
 from estune.trial import RigLimits
 from estune.trial.profiles import StepProfile
+from plants.models.linear_plant import LinearPlant, linear_plant
+from plants.models.plant_model import PlantModel, own_fields
+from plants.models.python_plant import PythonPlant
+from plants.models.reel import Reel, reference_reel
+from plants.models.unloaded_reel import UnloadedReel, unloaded_reel
 
 Reader = Callable[[Any], Any]
-"""Takes a value as TOML has it and gives it as the model takes it, or raises InvalidInput."""
+"""Converts a value of TOML to an argument of the model, or raises InvalidInput."""
 
 
-class Kind(NamedTuple):
+class ModelKind(NamedTuple):
     """A kind of model.
 
     Attributes:
         table: Name of its table.
-        type: Its class, loaded when it is asked for.
-        keys: How each key is read.
-        make: Makes the model of the values of some keys; what is missing takes its usual value.
-        values: What is written of a model, by key.
+        type: Its class.
+        keys: Reader of each key.
+        make: Makes the model from the values of some keys; the others have defaults.
+        values: Saved values of a model, by key.
     """
 
     table: str
-    type: Callable[[], type]
-    keys: Callable[[], Mapping[str, Reader]]
+    type: type[PlantModel]
+    keys: Mapping[str, Reader]
     make: Callable[..., Any]
     values: Callable[[Any], dict[str, Any]]
 
 
-def number(value: Any) -> float:
+def read_number(value: Any) -> float:
     """A number.
 
     Raises:
-        InvalidInput: it is something else.
+        InvalidInput: the value is something else.
     """
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise InvalidInput(f"this is {_shown(value)}; it must be a number")
     return float(value)
 
 
-def written(values: Mapping[str, Any]) -> Iterator[str]:
+def toml_lines(values: Mapping[str, Any]) -> Iterator[str]:
     """Lines of TOML."""
     for name, value in values.items():
         yield f"{name} = {_toml(value)}"
 
 
-def names() -> str:
-    """The tables there are, in words."""
+def table_names() -> str:
+    """The names of the tables, as a phrase."""
     *most, last = (f"[{kind.table}]" for kind in KINDS)
     return f"{', '.join(most)} or {last}"
+
+
+def _reference(value: Any) -> str:
+    if not isinstance(value, str):
+        raise InvalidInput(f"this is {_shown(value)}; it must be module:attribute")
+    return value
 
 
 def _flag(value: Any) -> bool:
@@ -66,7 +77,7 @@ def _flag(value: Any) -> bool:
 def _numbers(value: Any) -> tuple[float, ...]:
     if not isinstance(value, list):
         raise InvalidInput(f"this is {_shown(value)}; it must be a list of numbers")
-    return tuple(number(item) for item in value)
+    return tuple(read_number(item) for item in value)
 
 
 def _matrix(value: Any) -> tuple[tuple[float, ...], ...]:
@@ -79,7 +90,7 @@ def _matrix(value: Any) -> tuple[tuple[float, ...], ...]:
 
 
 def _record_of(made: type) -> Reader:
-    """A table whose keys are the fields of a dataclass: numbers, or one of a few words."""
+    """Reader of a table whose keys are the fields of a dataclass: numbers or literals."""
     known = {f.name: f for f in fields(made) if f.name != "kind"}
     needed = {name for name, f in known.items() if f.default is MISSING}
 
@@ -95,7 +106,7 @@ def _record_of(made: type) -> Reader:
 
 def _entry(kind: Any, value: Any) -> Any:
     if kind is float:
-        return number(value)
+        return read_number(value)
     if value not in get_args(kind):
         raise InvalidInput(f"this is {_shown(value)}; it must be {' or '.join(get_args(kind))}")
     return value
@@ -111,7 +122,7 @@ def _shown(value: Any) -> str:
 
 def _toml(value: Any) -> str:
     if isinstance(value, Mapping):
-        return f"{{ {', '.join(written(value))} }}"
+        return f"{{ {', '.join(toml_lines(value))} }}"
     if isinstance(value, tuple):
         return f"[{', '.join(map(_toml, value))}]"
     if isinstance(value, bool | str):
@@ -119,77 +130,37 @@ def _toml(value: Any) -> str:
     return repr(float(value))
 
 
-# ---------------------------------------------------------------- reels
+def _own_keys(kind: type[PlantModel]) -> dict[str, Reader]:
+    return {f.name: read_number for f in own_fields(kind)}
 
 
-def _reel() -> type:
-    from plants.models.reel import Reel  # noqa: PLC0415  slow to import
-
-    return Reel
-
-
-def _own_keys(made: Callable[[], type]) -> Callable[[], Mapping[str, Reader]]:
-    return lambda: {f.name: number for f in fields(made()) if f.name != "effects"}
-
-
-def _own_values(model: Any) -> dict[str, Any]:
-    return {f.name: getattr(model, f.name) for f in fields(model) if f.name != "effects"}
-
-
-def _make_reel(**values: Any) -> Any:
-    from plants.models.reel import reference_reel  # noqa: PLC0415  slow to import
-
-    return reference_reel(**values)
-
-
-def _unloaded() -> type:
-    from plants.models.unloaded_reel import UnloadedReel  # noqa: PLC0415  slow to import
-
-    return UnloadedReel
-
-
-def _make_unloaded(**values: Any) -> Any:
-    from plants.models.unloaded_reel import unloaded_reel  # noqa: PLC0415  slow to import
-
-    return unloaded_reel(**values)
-
-
-# ---------------------------------------------------------------- linear plants
-
-
-def _linear() -> type:
-    from plants.models.linear_plant import LinearPlant  # noqa: PLC0415  slow to import
-
-    return LinearPlant
+def _own_values(model: PlantModel) -> dict[str, Any]:
+    return {f.name: getattr(model, f.name) for f in own_fields(type(model))}
 
 
 _UNITS = ("torque_unit", "angle_unit")
-"""What stands for a newton metre and a radian of the effects."""
-_LINEAR_NUMBERS = (
-    *("dead_time_s", "sampling_Hz", "output_min_N", "output_max_N"),
-    *("derivative_filter_s", "noise_rms_N", "settling_time_s"),
-    *_UNITS,
-)
+_CONTROLLER = ("sampling_Hz", "output_min_N", "output_max_N", "derivative_filter_s")
 _LINEAR_KEYS: dict[str, Reader] = {
     "numerator": _numbers,
     "denominator": _numbers,
     "A": _matrix,
     "B": _numbers,
     "C": _numbers,
-    "E": number,
+    "E": read_number,
     "discrete": _flag,
-    **dict.fromkeys(_LINEAR_NUMBERS, number),
+    **dict.fromkeys(
+        ("dead_time_s", *_CONTROLLER, "noise_rms_N", "settling_time_s", *_UNITS), read_number
+    ),
     "step": _record_of(StepProfile),
     "limits": _record_of(RigLimits),
     "gains": _record_of(Gains),
 }
+_PYTHON_KEYS: dict[str, Reader] = {"plant": _reference, **dict.fromkeys(_UNITS, read_number)}
 
 
-def _make_linear(**values: Any) -> Any:
+def _make_linear(**values: Any) -> LinearPlant:
     """A linear plant from its transfer function or its matrices."""
     import control  # noqa: PLC0415  slow to import
-
-    from plants.models.linear_plant import linear_plant  # noqa: PLC0415  slow to import
 
     top, bottom = values.pop("numerator", None), values.pop("denominator", None)
     matrices = [values.pop(name, None) for name in ("A", "B", "C")]
@@ -214,72 +185,45 @@ def _make_linear(**values: Any) -> Any:
     return replace(linear_plant(system, profile=values.pop("step", None), **values), **units)
 
 
-def _linear_values(plant: Any) -> dict[str, Any]:
-    mounting, sampled = plant.mounting, plant.sampled
-    if plant.model is not None:
-        m = plant.model
-        shown = {"A": m.A, "B": m.B, "C": m.C, "E": m.E, "dead_time_s": m.dead_time_s}
+def _linear_values(plant: LinearPlant) -> dict[str, Any]:
+    m, mounting, sampled = plant.model, plant.mounting, plant.sampled
+    values: dict[str, Any]
+    if m is not None:
+        values = {"A": m.A, "B": m.B, "C": m.C, "E": m.E, "dead_time_s": m.dead_time_s}
     else:
-        shown = {
+        values = {
             "discrete": True,
             "A": tuple(map(tuple, sampled.Phi.tolist())),
             "B": tuple(sampled.now.tolist()),
             "C": tuple(sampled.C.tolist()),
             "dead_time_s": sampled.delay / mounting.controller.sampling_Hz,
         }
-    settings = mounting.controller
-    shown |= {name: getattr(plant, name) for name in _UNITS}
-    shown |= {
-        "sampling_Hz": settings.sampling_Hz,
-        "output_min_N": settings.output_min_N,
-        "output_max_N": settings.output_max_N,
-        "derivative_filter_s": settings.derivative_filter_s,
-        "noise_rms_N": mounting.noise_rms_N,
-        "settling_time_s": mounting.settling_time_s,
-        "step": _table(mounting.profile),
-        "limits": _table(mounting.limits),
-    }
-    return shown if mounting.gains is None else {**shown, "gains": _table(mounting.gains)}
+    values |= _units_of(plant)
+    values |= {name: getattr(mounting.controller, name) for name in _CONTROLLER}
+    values |= {"noise_rms_N": mounting.noise_rms_N, "settling_time_s": mounting.settling_time_s}
+    values |= {"step": _table(mounting.profile), "limits": _table(mounting.limits)}
+    return values if mounting.gains is None else {**values, "gains": _table(mounting.gains)}
 
 
-# ---------------------------------------------------------------- Python functions
-
-
-def _python() -> type:
-    from plants.models.python_plant import PythonPlant  # noqa: PLC0415  slow to import
-
-    return PythonPlant
-
-
-def _reference(value: Any) -> str:
-    if not isinstance(value, str):
-        raise InvalidInput(f"this is {_shown(value)}; it must be module:attribute")
-    return value
-
-
-_PYTHON_KEYS: dict[str, Reader] = {"plant": _reference, **dict.fromkeys(_UNITS, number)}
-
-
-def _make_python(**values: Any) -> Any:
-    """The plant that a name leads to; its effects are those the file lists."""
+def _make_python(**values: Any) -> PythonPlant:
+    """The plant that a reference names, with the effects listed in the file."""
     if "plant" not in values:
         raise InvalidInput('which one is missing; say it as plant = "module:attribute"')
     reference = values.pop("plant")
-    found = targets.load(reference)
-    kind: Any = _python()
-    if not isinstance(found, kind):
-        raise InvalidInput(f"plant {reference} is a {type(found).__name__}, not a python_plant")
-    return replace(found, effects=(), **values)
+    plant = targets.load(reference)
+    if not isinstance(plant, PythonPlant):
+        raise InvalidInput(f"plant {reference} is a {type(plant).__name__}, not a python_plant")
+    return replace(plant, effects=(), **values)
 
 
-def _python_values(plant: Any) -> dict[str, Any]:
+def _units_of(plant: LinearPlant | PythonPlant) -> dict[str, Any]:
     return {name: getattr(plant, name) for name in _UNITS}
 
 
 KINDS = (
-    Kind("reel", _reel, _own_keys(_reel), _make_reel, _own_values),
-    Kind("unloaded_reel", _unloaded, _own_keys(_unloaded), _make_unloaded, _own_values),
-    Kind("linear_plant", _linear, lambda: _LINEAR_KEYS, _make_linear, _linear_values),
-    Kind("python_plant", _python, lambda: _PYTHON_KEYS, _make_python, _python_values),
+    ModelKind("reel", Reel, _own_keys(Reel), reference_reel, _own_values),
+    ModelKind("unloaded_reel", UnloadedReel, _own_keys(UnloadedReel), unloaded_reel, _own_values),
+    ModelKind("linear_plant", LinearPlant, _LINEAR_KEYS, _make_linear, _linear_values),
+    ModelKind("python_plant", PythonPlant, _PYTHON_KEYS, _make_python, _units_of),
 )
-"""In the order they are told in."""
+"""All kinds, in the order of messages."""

@@ -1,4 +1,4 @@
-"""The parts of a rig that a model does not define itself, and the rig made of a plant."""
+"""The parts of a rig that a model does not define itself."""
 
 from dataclasses import dataclass
 
@@ -7,19 +7,25 @@ from estune.core.pidf import ControllerSettings
 from estune.errors import UnsafeStart
 from estune.trial import LinearModel, RigDescription, RigLimits
 from estune.trial.profiles import StepProfile
-from plants.simulation.plant import SOFTWARE, Plant, check_above_zero, check_not_negative
-from plants.simulation.simulated_rig import SimulatedRig
+from plants.models.plant_model import PlantModel
+from plants.simulation.plant import SOFTWARE, check_above_zero, check_not_negative
+
+UNLIMITED_N = 1e9
+"""Value for "no limit"; JSON has no infinity."""
+
+SETTLING_TIMES_AFTER_STEP = 5.0
+TRIAL_MAX_samples = 1_000_000
 
 
 @dataclass(frozen=True, slots=True)
 class Mounting:
-    """What goes with a model that does not know it itself, to make a rig of it.
+    """Settings that turn a bare model into a rig.
 
     Attributes:
         controller: The fixed part of the controller.
         profile: A step trial that suits the model.
         settling_time_s: The settling time a good tuning can reach, s.
-        limits: What the rig will accept.
+        limits: Limits of the rig.
         noise_rms_N: Root mean square of the measurement noise, N.
         gains: Safe live gains, or None where none are known.
 
@@ -38,10 +44,35 @@ class Mounting:
         check_above_zero("settling time", self.settling_time_s, "s")
         check_not_negative("measurement noise", self.noise_rms_N, "N rms")
 
+    @classmethod
+    def with_defaults(
+        cls,
+        controller: ControllerSettings,
+        settling_time_s: float,
+        *,
+        preload_N: float,
+        profile: StepProfile | None,
+        limits: RigLimits | None,
+        noise_rms_N: float,
+        gains: Gains | None,
+    ) -> "Mounting":
+        """A mounting with a unit step from the preload and wide limits, where none are given."""
+        start = 0.5 * settling_time_s
+        duration_s = start + SETTLING_TIMES_AFTER_STEP * settling_time_s
+        longest_s = TRIAL_MAX_samples / controller.sampling_Hz
+        return cls(
+            controller=controller,
+            profile=profile or StepProfile(preload_N, 1.0, start, duration_s),
+            settling_time_s=settling_time_s,
+            limits=limits or RigLimits(-UNLIMITED_N, UNLIMITED_N, longest_s),
+            noise_rms_N=noise_rms_N,
+            gains=gains,
+        )
+
     def describe(
         self, name: str, gains: Gains | None, linear_model: LinearModel | None
     ) -> RigDescription:
-        """What a rig with this mounting says of itself.
+        """Description of a rig with this mounting.
 
         Raises:
             UnsafeStart: no gains were given and no safe ones are known.
@@ -65,48 +96,32 @@ class Mounting:
         )
 
 
-class Mounted:
-    """Gives a model that carries a `Mounting` the rest of what a `Plant` is."""
+@dataclass(frozen=True, repr=False)
+class MountedModel(PlantModel):
+    """A plant model that carries a `Mounting`, in units of its own.
+
+    Attributes:
+        mounting: Controller, suggested step, limits and noise.
+    """
 
     mounting: Mounting
-    newtons_per_ampere = 1.0
+
+    @property
+    def newtons_per_ampere(self) -> float:
+        """Effort per motor current, N/A; effort and current are the same."""
+        return 1.0
 
     @property
     def controller(self) -> ControllerSettings:
-        """The fixed part of the controller it is run with."""
+        """The fixed part of the controller."""
         return self.mounting.controller
 
     @property
     def profile(self) -> StepProfile:
-        """A step trial that suits it."""
+        """A step trial that suits the model."""
         return self.mounting.profile
 
     @property
     def noise_rms_N(self) -> float:
         """Root mean square of the measurement noise, N."""
         return self.mounting.noise_rms_N
-
-
-class ServesAsRig:
-    """Gives a plant its `rig`."""
-
-    def rig(
-        self: Plant,
-        name: str = "simulated-reel",
-        seed: int = 0,
-        gains: Gains | None = None,
-        pace: float = 0.0,
-    ) -> SimulatedRig:
-        """A rig in this process that runs the plant.
-
-        Args:
-            name: The rig's name.
-            seed: Seed of the measurement noise.
-            gains: The live gains to begin with; None is the plant's own safe ones.
-            pace: Seconds of wall-clock time that a second of a trial takes; 0 is at once.
-
-        Raises:
-            InvalidInput: the seed or the pace is out of its range.
-            UnsafeStart: no gains were given and no safe ones are known.
-        """
-        return SimulatedRig(self, name=name, seed=seed, gains=gains, pace=pace)

@@ -1,15 +1,24 @@
-"""The parameters of a plant's equations: its own, the samples of dead time, those of effects."""
+"""Parameters of a plant's equations: its own, the samples of dead time, those of its effects."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import casadi as ca
 
 from plants.effects.effect import Effect
-from plants.models.effect_stages import amended
 from plants.simulation.equations import Expression
+
+
+def amend_parameters(
+    own: SimpleNamespace, effects: Iterable[tuple[type[Effect], SimpleNamespace]]
+) -> SimpleNamespace:
+    """A plant's own parameters after the changes that its effects make to them."""
+    changed = SimpleNamespace(**vars(own))
+    for effect, p in effects:
+        vars(changed).update(effect.amend(p, changed))
+    return changed
 
 
 class Parameters(NamedTuple):
@@ -18,20 +27,20 @@ class Parameters(NamedTuple):
     Attributes:
         nominal: The plant's own.
         delay: Whole samples of dead time.
-        effects: The effects with theirs.
+        effects: The effects with their parameters.
     """
 
     nominal: SimpleNamespace
     delay: Expression
     effects: list[tuple[type[Effect], SimpleNamespace]]
 
-    def amended(self) -> SimpleNamespace:
-        """The plant's own as the effects leave them."""
-        return amended(self.nominal, self.effects)
+    def with_effects(self) -> SimpleNamespace:
+        """The plant's own parameters, as amended by the effects."""
+        return amend_parameters(self.nominal, self.effects)
 
 
-class Parametrised(ABC):
-    """Gives a structure with effects its parameters.
+class ParametricStructure(ABC):
+    """Structure of a plant's equations: all that they depend on besides numbers.
 
     Attributes:
         effects: The effects added, in order.
@@ -42,23 +51,23 @@ class Parametrised(ABC):
     @property
     @abstractmethod
     def own_names(self) -> tuple[str, ...]:
-        """The plant's own parameters."""
+        """Names of the plant's own parameters."""
 
-    def plain_numbers(self) -> dict[str, float]:
-        """Numbers that effects may ask for, of a plant that has no such parameters."""
+    def substitutes(self) -> dict[str, float]:
+        """Constants in place of parameters that effects ask for and this plant does not have."""
         return {}
 
     @property
     def parameter_names(self) -> tuple[str, ...]:
-        """The parameters in order; those of the nth effect as `n.name`."""
+        """Names of all parameters in order; those of the nth effect as `n.name`."""
         added = (f"{n}.{name}" for n, e in enumerate(self.effects) for name in e.parameters())
         return (*self.own_names, "delay_samples", *added)
 
-    def named(self, parameters: Expression) -> Parameters:
+    def split_parameters(self, parameters: Expression) -> Parameters:
         """The column of parameters by their names."""
         symbols: Iterator[Any] = iter(ca.vertsplit(parameters))
         own = {name: next(symbols) for name in self.own_names}
-        own |= {name: ca.SX(value) for name, value in self.plain_numbers().items()}
+        own |= {name: ca.SX(value) for name, value in self.substitutes().items()}
         delay = next(symbols)
         effects = [
             (effect, SimpleNamespace(**{name: next(symbols) for name in effect.parameters()}))
@@ -66,7 +75,7 @@ class Parametrised(ABC):
         ]
         return Parameters(SimpleNamespace(**own), delay, effects)
 
-    def late(self, parameters: Expression) -> Expression:
-        """The dead time in samples, with what effects add."""
-        p = self.named(parameters).amended()
+    def dead_time_samples(self, parameters: Expression) -> Expression:
+        """Dead time in samples, with the share of the effects."""
+        p = self.split_parameters(parameters).with_effects()
         return p.dead_time_s * p.sampling_Hz

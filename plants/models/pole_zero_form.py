@@ -1,9 +1,9 @@
-"""A linear plant by its gain, modes and time constants, in the form that effects attach to.
+"""A linear plant by its gain, modes and time constants, the form to which effects are added.
 
 G(s) = K N(s)/D(s), a product of factors for poles and zeros: `1 + 2 zeta s/w + (s/w)^2` for a pair
 (any two real ones of the same sign are one, with zeta above 1), `1 + T s` for a single real one,
 `s` at the origin. So K is the gain at rest where nothing lies at the origin, each number has a
-meaning of its own, and the excess of poles over zeros stays as it is when a fit moves them.
+physical meaning, and a fit cannot change the excess of poles over zeros.
 """
 
 import cmath
@@ -28,20 +28,15 @@ if TYPE_CHECKING:  # python-control takes more than a second to import
 Kind = Literal["pair", "real", "origin"]
 
 AT_ORIGIN = 1e-9
-"""A root is at the origin where it is smaller than the largest pole by this."""
+"""Size of a root at the origin, relative to the largest pole."""
 AT_INFINITY = 1e7
-"""A zero is none where it is larger than the largest pole by this."""
-AGREES = 1e-6
+"""Size above which a zero is infinite, relative to the largest pole."""
+RESPONSE_RTOL = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
-class Rational:
-    """The kinds of a plant's poles and zeros; its parameters are their numbers.
-
-    Attributes:
-        poles: One entry a factor, pairs first.
-        zeros: The same.
-    """
+class PoleZeroForm:
+    """Kinds of a plant's poles and zeros, one entry per factor, pairs first."""
 
     poles: tuple[Kind, ...]
     zeros: tuple[Kind, ...]
@@ -59,12 +54,17 @@ class Rational:
         return self.order - _degree(self.zeros)
 
     @property
+    def can_rest(self) -> bool:
+        """Whether it can be at rest at an output other than zero."""
+        return "origin" not in self.zeros
+
+    @property
     def own(self) -> tuple[str, ...]:
-        """The gain, then poles, then zeros, then the rate by which time is scaled, rad/s."""
+        """Names of the gain, poles and zeros, and of the rate by which time is scaled, rad/s."""
         return ("gain", *_names(self.poles, ""), *_names(self.zeros, "zero_"), "rate_rad_s")
 
     def motion(self, p: SimpleNamespace) -> Motion:
-        """The plant in the observer's form, from torque to angle, with friction added to it."""
+        """The plant in the observer's form from torque to angle, with added viscous friction."""
         rate = p.rate_rad_s
         gain = p.gain * p.torque_unit / p.angle_unit
         denominator = _polynomial(self._factors(p, self.poles, ""))
@@ -93,15 +93,21 @@ class Rational:
         A, B, C = (np.asarray(ca.evalf(part).full()) for part in (motion.A, motion.B, motion.C))
         return A, B.ravel(), C.ravel()
 
+    def coefficients(self, values: dict[str, float]) -> tuple[list[Any], list[Any]]:
+        """Numerator for a gain of one, and denominator, in ascending powers of s."""
+        p = SimpleNamespace(**{**values, "rate_rad_s": 1.0})
+        numerator = _polynomial(self._factors(p, self.zeros, "zero_"))
+        return numerator, _polynomial(self._factors(p, self.poles, ""))
+
     def _restoring(self, gain: Expression) -> Expression | None:
-        if "origin" in self.zeros:
+        if not self.can_rest:
             return None
         return ca.SX(0.0) if "origin" in self.poles else 1.0 / gain
 
     def _factors(
         self, p: SimpleNamespace, kinds: tuple[Kind, ...], prefix: str
     ) -> Iterable[list[Any]]:
-        """Each factor's coefficients, ascending, of s/rate."""
+        """Coefficients of each factor in ascending powers of s/rate."""
         names = iter(_names(kinds, prefix))
         for kind in kinds:
             if kind == "origin":
@@ -113,71 +119,65 @@ class Rational:
                 yield [1.0, 2.0 * getattr(p, next(names)) / w, 1.0 / w**2]
 
 
-def factorised(model: LinearModel) -> tuple[Rational, dict[str, float]]:
-    """A linear model's kinds of poles and zeros, and their numbers by name.
+def factorise(model: LinearModel) -> tuple[PoleZeroForm, dict[str, float]]:
+    """Pole-zero form of a linear model, and its parameters by name.
 
     Raises:
-        PlantError: it has no states or no gain, or its poles and zeros do not give it back.
+        PlantError: the model has no states or no gain, or the form does not reproduce it.
     """
     A, B, C = np.array(model.A), np.array(model.B), np.array(model.C)
     if not B.size:
-        raise PlantError("the linear plant has no states, so that nothing moves in it")
+        raise PlantError("the linear plant has no states; give one with a pole")
     poles = np.linalg.eigvals(A)
     zeros = _zeros(A, B, C, model.E, poles)
     size = float(np.abs(poles).max(initial=0.0)) or 1.0
-    pole_kinds, pole_numbers = _sorted(poles, size)
-    zero_kinds, zero_numbers = _sorted(zeros, size)
-    base = Rational(pole_kinds, zero_kinds)
+    pole_kinds, pole_numbers = _factors_of_roots(poles, size)
+    zero_kinds, zero_numbers = _factors_of_roots(zeros, size)
+    base = PoleZeroForm(pole_kinds, zero_kinds)
     away = np.abs(poles[np.abs(poles) > AT_ORIGIN * size])
     rate = float(np.exp(np.log(away).mean())) if away.size else 1.0
     names = (*_names(pole_kinds, ""), *_names(zero_kinds, "zero_"))
     numbers = dict(zip(names, (*pole_numbers, *zero_numbers), strict=True))
     at = 1j * rate * np.array([0.5, 1.1, 3.0])
     wanted = np.array([C @ np.linalg.solve(s * np.eye(B.size) - A, B) + model.E for s in at])
-    bare = _response(base, {"gain": 1.0, **numbers}, at)
+    numerator, denominator = base.coefficients(numbers)
+    bare = np.polyval(numerator[::-1], at) / np.polyval(denominator[::-1], at)
     gain = complex(wanted[1] / bare[1])
-    if not (abs(gain) > 0.0 and np.allclose(gain.real * bare, wanted, rtol=AGREES, atol=0.0)):
+    if not (
+        abs(gain) > 0.0 and np.allclose(gain.real * bare, wanted, rtol=RESPONSE_RTOL, atol=0.0)
+    ):
         raise PlantError(
-            "the linear plant cannot be told by its poles and zeros: they do not give its "
-            "response back; give it with fewer, well separated ones"
+            "the poles and zeros of the linear plant do not reproduce its response; give a model "
+            "with fewer, well separated ones"
         )
     return base, {"gain": gain.real, **numbers, "rate_rad_s": rate}
 
 
-def transfer_function(base: Rational, values: dict[str, float]) -> "TransferFunction":
-    """The plant in python-control."""
+def transfer_function(base: PoleZeroForm, values: dict[str, float]) -> "TransferFunction":
+    """The plant as a transfer function of python-control."""
     from control import TransferFunction  # noqa: PLC0415  slow to import
 
-    p = SimpleNamespace(**{**values, "rate_rad_s": 1.0})
     numerator, denominator = (
-        np.array(_polynomial(base._factors(p, kinds, prefix)), dtype=np.float64)[::-1]  # noqa: SLF001  its own module
-        for kinds, prefix in ((base.zeros, "zero_"), (base.poles, ""))
+        np.array(part, dtype=np.float64)[::-1] for part in base.coefficients(values)
     )
     return TransferFunction(values["gain"] * numerator, denominator)
 
 
-def _response(base: Rational, values: dict[str, float], s: Any) -> Any:
-    p = SimpleNamespace(**{**values, "rate_rad_s": 1.0})
-    numerator = _polynomial(base._factors(p, base.zeros, "zero_"))  # noqa: SLF001  its own module
-    denominator = _polynomial(base._factors(p, base.poles, ""))  # noqa: SLF001  its own module
-    return np.polyval(numerator[::-1], s) / np.polyval(denominator[::-1], s) * values["gain"]
-
-
 def _zeros(A: FloatArray, B: FloatArray, C: FloatArray, E: float, poles: Any) -> Any:
-    """Finite zeros: where the pencil of the system loses rank."""
+    """Finite zeros: the points at which the system's pencil loses rank."""
     from scipy.linalg import eigvals  # noqa: PLC0415  slow to import
 
     n = B.size
     pencil = np.block([[A, B[:, None]], [C[None], np.array([[E]])]])
     mass = np.zeros((n + 1, n + 1))
     mass[:n, :n] = np.eye(n)
-    found = eigvals(pencil, mass)
+    zeros = eigvals(pencil, mass)
     limit = AT_INFINITY * max(float(np.abs(poles).max(initial=0.0)), 1e-300)
-    return found[np.isfinite(found) & (np.abs(found) < limit)]
+    return zeros[np.isfinite(zeros) & (np.abs(zeros) < limit)]
 
 
-def _sorted(roots: Any, size: float) -> tuple[tuple[Kind, ...], list[float]]:
-    """The factors of some roots: their kinds, pairs first, and their numbers."""
+def _factors_of_roots(roots: Any, size: float) -> tuple[tuple[Kind, ...], list[float]]:
+    """Kinds of the roots' factors, pairs first, and their parameters."""
     at_origin = np.abs(roots) <= AT_ORIGIN * size
     away = [complex(r) for r in roots[~at_origin]]
     pairs = [r for r in away if r.imag > AT_ORIGIN * size]
@@ -203,7 +203,7 @@ def _sorted(roots: Any, size: float) -> tuple[tuple[Kind, ...], list[float]]:
 
 
 def _names(kinds: tuple[Kind, ...], prefix: str) -> list[str]:
-    """Names of the factors' numbers; a lone factor of its kind goes without a number."""
+    """Names of the factors' parameters, numbered where a kind has several factors."""
     names: list[str] = []
     for kind, parts in (("pair", ("frequency", "damping")), ("real", ("time_constant",))):
         count = kinds.count(kind)
@@ -215,7 +215,7 @@ def _names(kinds: tuple[Kind, ...], prefix: str) -> list[str]:
 
 
 def _polynomial(factors: Iterable[list[Any]]) -> list[Any]:
-    """The product of polynomials, ascending."""
+    """Product of polynomials in ascending powers."""
     product: list[Any] = [1.0]
     for factor in factors:
         longer: list[Any] = [0.0] * (len(product) + len(factor) - 1)

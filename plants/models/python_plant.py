@@ -1,4 +1,4 @@
-"""Any Python function as a plant, run sample by sample with the controller of the rig."""
+"""A Python function as a plant, run sample by sample with the controller of the rig."""
 
 import copy
 import math
@@ -17,42 +17,40 @@ from estune.errors import PlantError
 from estune.trial import SATURATED, RigDescription, RigLimits
 from estune.trial.profiles import StepProfile
 from plants.effects import Effect
-from plants.models.effect_mixin import EffectMixin
-from plants.models.linear_plant import UNLIMITED_N, LONGEST_TRIAL_samples
-from plants.models.mounting import Mounted, Mounting, ServesAsRig
-from plants.models.symbolic_plant import StateShape, TracedStructure, unavailable
+from plants.models.mounting import UNLIMITED_N, MountedModel, Mounting
+from plants.models.state_shape import StateShape
+from plants.models.symbolic_plant import TracedStructure, unavailable
 from plants.simulation.plant import (
     Columns,
     Drive,
     check_above_zero,
     check_not_negative,
-    whole_and_fraction,
+    split_dead_time,
 )
-from plants.simulation.trial_loop import Batch, trial_loop
 
 Step = Callable[[Any, float, float], tuple[Any, float]]
 """(state, effort in N, time step in s) -> (next state, measurement in N at its end)."""
 
 
-@dataclass(frozen=True)
-class PythonPlant(EffectMixin, Mounted, ServesAsRig):
+@dataclass(frozen=True, repr=False)
+class PythonPlant(MountedModel):
     """A plant given as a function; made by `python_plant`.
 
-    Effects are added to its input and output; the function is then traced with symbols, see
+    Effects act on its input and output; the function is then traced with symbols, see
     `plants.models.symbolic_plant`.
 
     Attributes:
         mounting: Controller, suggested step, limits and noise.
         step: The function.
-        initial_state: Its state at the start of every trial; each trial gets a copy.
-        initial_effort_N: Effort in force until the dead time has passed, and of the controller.
+        initial_state: State at the start of a trial; each trial gets a copy.
+        initial_effort_N: Effort of the controller at the start, and during the dead time.
         initial_measurement_N: Measurement at the start.
         dead_time_s: Delay of the effort, s.
-        torque_unit: Input that stands for a newton metre, or an ampere, of the effects.
-        angle_unit: Output that stands for a radian of the effects.
+        torque_unit: Input that is one newton metre, or ampere, of the effects.
+        angle_unit: Output that is one radian of the effects.
 
     Raises:
-        PlantError: an effect has no place on it, or the function cannot be traced.
+        PlantError: an effect cannot be added, or the function cannot be traced.
     """
 
     mounting: Mounting
@@ -71,7 +69,7 @@ class PythonPlant(EffectMixin, Mounted, ServesAsRig):
                 raise PlantError(f"{effect.name} cannot be added to a Python plant: {reason}")
 
     def unavailable(self, effect: type[Effect]) -> str | None:
-        """Why an effect has no place on the plant, or None where it has.
+        """Reason why an effect cannot be added to the plant; None where it can.
 
         Raises:
             PlantError: the function cannot be traced.
@@ -79,7 +77,7 @@ class PythonPlant(EffectMixin, Mounted, ServesAsRig):
         return unavailable(self.traced((effect,)))
 
     def traced(self, effects: tuple[type[Effect], ...]) -> TracedStructure:
-        """The structure of the plant's equations with these effects.
+        """Structure of the plant's equations with these effects.
 
         Raises:
             PlantError: the function cannot be traced.
@@ -88,8 +86,8 @@ class PythonPlant(EffectMixin, Mounted, ServesAsRig):
 
     @property
     def own_numbers(self) -> dict[str, float]:
-        """The plant's numbers by name, as its equations take them."""
-        flat = StateShape.of(self.initial_state).flat(self.initial_state)
+        """The plant's own parameters by name."""
+        flat = StateShape.of(self.initial_state).flatten(self.initial_state)
         return {
             "sampling_Hz": self.controller.sampling_Hz,
             "dead_time_s": self.dead_time_s,
@@ -99,10 +97,19 @@ class PythonPlant(EffectMixin, Mounted, ServesAsRig):
             "initial_output": self.initial_measurement_N,
         } | {f"initial.{n}": float(value) for n, value in enumerate(flat)}
 
+    def summary(self) -> str:
+        """The function's name and the sampling rate."""
+        name = getattr(self.step, "__qualname__", type(self.step).__name__)
+        return f"{name}, {self.controller.sampling_Hz:g} Hz"
+
     @cached_property
-    def _with_effects(self) -> tuple[TracedStructure, FloatArray]:
-        """Structure and parameters of the plant with its effects."""
-        return self.traced(self.kinds), self.numbers(self.own_numbers.values())
+    def structure(self) -> TracedStructure:
+        """What the equations depend on besides numbers.
+
+        Raises:
+            PlantError: the function cannot be traced.
+        """
+        return self.traced(self.kinds)
 
     def respond(
         self,
@@ -113,18 +120,7 @@ class PythonPlant(EffectMixin, Mounted, ServesAsRig):
     ) -> Columns:
         """Runs a batch of trials; see `Plant.respond`."""
         if self.effects:
-            structure, parameters = self._with_effects
-            batch = Batch(
-                parameters=parameters,
-                coefficients=coefficients,
-                preload_N=drive.preload_N,
-                setpoint_N=drive.setpoint_N,
-                noise_N=noise_N,
-                delay=self.delay_samples,
-                bound_N=bound_N,
-                open_loop=drive.open_loop,
-            )
-            return trial_loop(structure).run(batch)
+            return super().respond(coefficients, drive, noise_N, bound_N)
         samples = len(drive.setpoint_N)
         columns = Columns.empty(len(coefficients), samples)
         for n, row in enumerate(coefficients):
@@ -143,9 +139,9 @@ class PythonPlant(EffectMixin, Mounted, ServesAsRig):
         bound_N: float,
         columns: Columns,
     ) -> int:
-        """The loop of `trial_loop.c` around the function; returns where it ended."""
+        """Runs the loop of `trial_loop.c` around the function; returns its end index."""
         h = coefficients.sample_s
-        delay, fraction = whole_and_fraction(self.dead_time_s, self.controller.sampling_Hz)
+        delay, fraction = split_dead_time(self.dead_time_s, self.controller.sampling_Hz)
         ring = [self.initial_effort_N] * (delay + 2)
         memory = pidf.at_rest(self.initial_measurement_N, self.initial_effort_N)
         state, y = copy.deepcopy(self.initial_state), self.initial_measurement_N
@@ -166,8 +162,12 @@ class PythonPlant(EffectMixin, Mounted, ServesAsRig):
         return len(drive.setpoint_N)
 
     def _call(self, state: Any, effort: float, dt_s: float, k: int) -> tuple[Any, float]:
-        """One call of the function, and what is wrong with its answer if anything is."""
-        expected = "expected (state, measurement), the measurement a finite number"
+        """One checked call of the function."""
+
+        def fail(what: str) -> PlantError:
+            expected = "expected (state, measurement), the measurement a finite number"
+            return PlantError(f"the plant's function returned {what} at sample {k}; {expected}")
+
         try:
             answer = self.step(state, effort, dt_s)
         except Exception as error:
@@ -175,35 +175,22 @@ class PythonPlant(EffectMixin, Mounted, ServesAsRig):
                 f"the plant's function raised {type(error).__name__} at sample {k}: {error}"
             ) from error
         if not isinstance(answer, tuple | list):
-            raise PlantError(
-                f"the plant's function returned a {type(answer).__name__} at sample {k}; "
-                f"{expected}"
-            )
+            raise fail(f"a {type(answer).__name__}")
         if len(answer) != 2:
-            raise PlantError(
-                f"the plant's function returned {len(answer)} values at sample {k}; {expected}"
-            )
-        following, y = answer
+            raise fail(f"{len(answer)} values")
+        next_state, y = answer
         if np.size(y) != 1:
-            raise PlantError(
-                f"the plant's function returned a measurement of shape {np.shape(y)} at sample "
-                f"{k}; {expected}"
-            )
+            raise fail(f"a measurement of shape {np.shape(y)}")
         try:
             measurement = float(np.asarray(y).item())
         except (TypeError, ValueError) as error:
-            raise PlantError(
-                f"the plant's function returned the measurement {y!r} at sample {k}; {expected}"
-            ) from error
+            raise fail(f"the measurement {y!r}") from error
         if not math.isfinite(measurement):
-            raise PlantError(
-                f"the plant's function returned the measurement {measurement} at sample {k}; "
-                f"{expected}"
-            )
-        return following, measurement
+            raise fail(f"the measurement {measurement}")
+        return next_state, measurement
 
     def describe(self, name: str, gains: Gains | None) -> RigDescription:
-        """What a rig that runs this plant says of itself."""
+        """Description of a rig that runs this plant."""
         return self.mounting.describe(name, gains, None)
 
 
@@ -226,29 +213,29 @@ def python_plant(
 ) -> PythonPlant:
     """A plant from a function `step(state, effort, dt_s) -> (state, measurement)`.
 
-    Each trial starts from a copy of the initial state; give the effort and the measurement that
-    belong to it at rest. A dead time that is no whole number of samples calls the function twice
-    in a sample, with the parts of it.
+    Each trial starts from a copy of the initial state; give the effort and the measurement at
+    rest there. With a dead time that is no whole number of samples, the function is called twice a
+    sample.
 
     Args:
         step: Advances the plant by `dt_s` under a constant effort, and measures at the end.
-        initial_state: Anything the function takes.
+        initial_state: State in the form that the function takes.
         sampling_Hz: Rate of the controller.
         settling_time_s: Settling time a good tuning can reach, s.
-        gains: Safe live gains of a rig of it; a function tells nothing to choose them by.
-        profile: The step suggested; None is a step of one from the initial measurement, followed
+        gains: Safe live gains of its rig.
+        profile: The suggested step; None is a step of one from the initial measurement, followed
             for five settling times.
         dead_time_s: Delay of the effort, s.
         initial_effort_N: Effort at rest in the initial state.
         initial_measurement_N: Measurement in the initial state.
-        output_min_N: Least effort of the controller.
-        output_max_N: Greatest effort.
+        output_min_N: Lower limit of the controller's effort.
+        output_max_N: Upper limit.
         derivative_filter_s: Time constant of the controller's derivative filter, s.
         noise_rms_N: Measurement noise, rms.
-        limits: What a rig of it accepts; None is practically everything.
+        limits: Limits of its rig; None is practically none.
 
     Raises:
-        PlantError: the step is no function.
+        PlantError: `step` is no function.
         InvalidInput: a value is out of its range.
     """
     if not callable(step):
@@ -258,15 +245,13 @@ def python_plant(
     check_above_zero("sampling rate", sampling_Hz, "Hz")
     check_above_zero("settling time", settling_time_s, "s")
     check_not_negative("dead time", dead_time_s, "s")
-    start = 0.5 * settling_time_s
-    mounting = Mounting(
-        controller=ControllerSettings(
-            sampling_Hz, derivative_filter_s, output_min_N, output_max_N
-        ),
-        profile=profile
-        or StepProfile(initial_measurement_N, 1.0, start, start + 5.0 * settling_time_s),
-        settling_time_s=settling_time_s,
-        limits=limits or RigLimits(-UNLIMITED_N, UNLIMITED_N, LONGEST_TRIAL_samples / sampling_Hz),
+    controller = ControllerSettings(sampling_Hz, derivative_filter_s, output_min_N, output_max_N)
+    mounting = Mounting.with_defaults(
+        controller,
+        settling_time_s,
+        preload_N=initial_measurement_N,
+        profile=profile,
+        limits=limits,
         noise_rms_N=noise_rms_N,
         gains=gains,
     )

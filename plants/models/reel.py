@@ -1,25 +1,28 @@
 """A motorised cable reel whose far cable end is fixed: its physical parameters."""
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property
 from types import SimpleNamespace
 from typing import Any
 
 from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
-from estune.core.quantities import FloatArray
 from estune.errors import InvalidInput
 from estune.trial import LinearModel, RigDescription, RigLimits
 from estune.trial.profiles import StepProfile
-from plants.models.effect_mixin import EffectMixin
-from plants.models.mounting import ServesAsRig
+from plants.models.path_structure import squarings_for
+from plants.models.plant_model import (
+    PlantModel,
+    changed_fields,
+    check_field_names,
+    check_fields,
+)
 from plants.models.reel_equations import ReelStructure, drum_stiffness_Nm_rad, viscous_friction_Nms
-from plants.simulation.plant import SOFTWARE, Columns, Drive, check_above_zero, check_not_negative
-from plants.simulation.trial_loop import Batch, trial_loop
+from plants.simulation.plant import SOFTWARE
 
 SAFE_GAINS = Gains(P=0.4, I=12.0, D=0.01, setpoint_filter_s=0.03)
-"""Deliberately mediocre: stable with room to spare over the lengths and tensions of the reel."""
+"""Deliberately mediocre: stable with large margins over the reel's lengths and tensions."""
 
 _MAY_BE_ZERO = (
     "viscous_friction_Nms",
@@ -32,31 +35,31 @@ _MAY_BE_ZERO = (
 )
 
 
-@dataclass(frozen=True)
-class Reel(EffectMixin, ServesAsRig):
-    """A reel at one cable length and tension; the equations are in `plants.models.reel_equations`.
+@dataclass(frozen=True, repr=False)
+class Reel(PlantModel):
+    """A reel at one cable length and tension; equations in `plants.models.reel_equations`.
 
     Attributes:
         cable_length_m: Deployed length L, m.
         tension_N: Preload of the suggested step, N.
-        drum_radius_m: Radius R on which the cable lies, m.
-        drum_inertia_kg_m2: Inertia of motor and drum, seen at the drum, kg m2.
+        drum_radius_m: Radius R of the cable on the drum, m.
+        drum_inertia_kg_m2: Inertia of motor and drum, referred to the drum, kg m2.
         viscous_friction_Nms: Viscous friction without cable, N m s/rad.
-        viscous_friction_per_length_Ns: What each metre of cable adds to it, N m s/rad per m.
+        viscous_friction_per_length_Ns: Viscous friction per metre of cable, N m s/rad per m.
         structure_stiffness_N_m: Stiffness of the structure and the gauge, N/m.
-        cable_EA_N: Young's modulus times section of the cable, N.
-        cable_density_kg_m: Mass of the cable per length, kg/m; about that of a 3 mm fibre line.
+        cable_EA_N: Young's modulus times cross-section of the cable, N.
+        cable_density_kg_m: Mass per length of the cable, kg/m; the default is a 3 mm fibre line.
         torque_constant_Nm_A: Torque at the drum per motor current, N m/A.
-        current_limit_A: Greatest size of the motor current, A.
-        dead_time_s: From the command to the torque, s.
+        current_limit_A: Maximum magnitude of the motor current, A.
+        dead_time_s: Dead time from command to torque, s.
         gauge_Hz: Natural frequency of the gauge, Hz.
         gauge_damping: Damping ratio of the gauge.
         gauge_noise_N: Noise of the gauge, N rms.
-        encoder_counts: Steps of the encoder per turn of the drum.
-        sampling_Hz: Rate at which the controller runs, Hz.
+        encoder_counts: Encoder counts per turn of the drum.
+        sampling_Hz: Sampling rate of the controller, Hz.
         derivative_filter_s: Time constant of the controller's derivative filter, s.
-        tension_min_N: Least setpoint, N.
-        tension_max_N: Greatest setpoint, N.
+        tension_min_N: Minimum setpoint, N.
+        tension_max_N: Maximum setpoint, N.
 
     Raises:
         InvalidInput: a value is out of its range.
@@ -84,11 +87,7 @@ class Reel(EffectMixin, ServesAsRig):
     tension_max_N: float = 40.0
 
     def __post_init__(self) -> None:
-        for f in fields(self):
-            if f.name in _MAY_BE_ZERO:
-                check_not_negative(f"reel: {f.name}", getattr(self, f.name), "")
-            elif f.name != "effects":
-                check_above_zero(f"reel: {f.name}", getattr(self, f.name), "")
+        check_fields(self, "reel", _MAY_BE_ZERO)
         if not self.tension_min_N <= self.tension_N <= self.tension_max_N:
             raise InvalidInput(
                 f"reel: tension is {self.tension_N:g} N; it must lie from "
@@ -117,23 +116,23 @@ class Reel(EffectMixin, ServesAsRig):
 
     @cached_property
     def controller(self) -> ControllerSettings:
-        """The controller's limits are those of the current."""
+        """Controller whose limits are those of the current."""
         limit = self.current_limit_A * self.newtons_per_ampere
         return ControllerSettings(self.sampling_Hz, self.derivative_filter_s, -limit, limit)
 
     @cached_property
     def profile(self) -> StepProfile:
-        """A step of 10 N at 0.2 s in a trial of 1 s, downward where the range ends above."""
+        """A step of 10 N at 0.2 s in a trial of 1 s; downward near the maximum tension."""
         room = self.tension_max_N - self.tension_N
         return StepProfile(self.tension_N, 10.0 if room >= 10.0 else -10.0, 0.2, 1.0)
 
     @property
     def natural_frequency_rad_s(self) -> float:
-        """omega_n of drum and cable at the preload, rad/s."""
+        """Natural frequency omega_n of drum and cable at the preload, rad/s."""
         return math.sqrt(drum_stiffness_Nm_rad(self, self.tension_N) / self.drum_inertia_kg_m2)
 
     def linear_model(self) -> LinearModel:
-        """Effort to gauge reading about the preload, without the effects."""
+        """Linear model from effort to gauge reading at the preload, without the effects."""
         kappa = drum_stiffness_Nm_rad(self, self.tension_N)
         J, b = self.drum_inertia_kg_m2, viscous_friction_Nms(self)
         w = 2.0 * math.pi * self.gauge_Hz
@@ -150,7 +149,7 @@ class Reel(EffectMixin, ServesAsRig):
         )
 
     def describe(self, name: str, gains: Gains | None) -> RigDescription:
-        """What a rig that runs this reel says of itself."""
+        """Description of a rig that runs this reel."""
         return RigDescription(
             name=name,
             gains=gains or SAFE_GAINS,
@@ -166,68 +165,42 @@ class Reel(EffectMixin, ServesAsRig):
 
     @property
     def own_numbers(self) -> dict[str, float]:
-        """The reel's own numbers by name, as the equations take them."""
+        """The reel's own parameters by name."""
         return {name: getattr(self, name) for name in ReelStructure.OWN}
 
-    @property
-    def _moved(self) -> set[str]:
-        """Which of the reel's own numbers the effects may change."""
-        p = self.amended
-        return {name for e in self.effects for name in e.amend(SimpleNamespace(**vars(e)), p)}
+    def summary(self) -> str:
+        """Length, tension, and the fields that differ from their defaults."""
+        return changed_fields(self, always=("cable_length_m", "tension_N"))
 
     @cached_property
     def structure(self) -> ReelStructure:
         """What the equations depend on besides numbers."""
-        p = self.amended
+        p = self.amended_numbers
+        amended = {n for e in self.effects for n in e.amend(SimpleNamespace(**vars(e)), p)}
         kappa = drum_stiffness_Nm_rad(p, self.tension_max_N)
         J, b = p.drum_inertia_kg_m2, viscous_friction_Nms(p)
         fastest = max(2.0 * math.pi * p.gauge_Hz, math.sqrt(kappa / J), b / J)
         return ReelStructure(
             effects=self.kinds,
-            # A dead time that an effect may move is whole by chance only.
-            fractional=self.dead_time[1] > 0.0 or "dead_time_s" in self._moved,
-            squarings=ReelStructure.squarings_for(fastest, self.sampling_Hz),
+            # A dead time that an effect may change is whole by chance only.
+            fractional=self.dead_time[1] > 0.0 or "dead_time_s" in amended,
+            squarings=squarings_for(fastest, self.sampling_Hz),
         )
-
-    @cached_property
-    def parameter_values(self) -> FloatArray:
-        """The numbers the equations take, in the order of `ReelStructure.parameter_names`."""
-        return self.numbers(self.own_numbers.values())
-
-    def respond(
-        self,
-        coefficients: FloatArray,
-        drive: Drive,
-        noise_N: FloatArray | None,
-        bound_N: float,
-    ) -> Columns:
-        """Runs a batch of trials; see `Plant.respond`."""
-        batch = Batch(
-            parameters=self.parameter_values,
-            coefficients=coefficients,
-            preload_N=drive.preload_N,
-            setpoint_N=drive.setpoint_N,
-            noise_N=noise_N,
-            delay=self.delay_samples,
-            bound_N=bound_N,
-            open_loop=drive.open_loop,
-        )
-        return trial_loop(self.structure).run(batch)
 
 
 def reference_reel(cable_length_m: float = 0.8, tension_N: float = 15.0, **overrides: Any) -> Reel:
     """The reel of the examples: plausible numbers, not those of any one machine.
 
+    >>> reference_reel(tension_N=20.0)
+    Reel(cable_length_m=0.8, tension_N=20)
+
     Args:
         cable_length_m: Deployed length, 0.5 to 1.4 m in the examples.
         tension_N: Preload, 5 to 40 N.
-        **overrides: Any other attribute of `ReelProgress`.
+        **overrides: Any other attribute of `Reel`.
 
     Raises:
         InvalidInput: a value is out of its range, or there is no such attribute.
     """
-    known = {f.name for f in fields(Reel)}
-    for name in overrides:
-        if name not in known:
-            raise InvalidInput(f"a reel has no {name}; it has {', '.join(sorted(known))}")
+    check_field_names(Reel, "a reel", overrides)
     return Reel(cable_length_m, tension_N, **overrides)
