@@ -2,21 +2,24 @@
 
 import contextlib
 import json
+import os
 import re
 import signal
 import sqlite3
 import subprocess
 import sys
 from collections.abc import Iterator
+from importlib.metadata import version
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
 import estune
-from estune.cli import Interrupts, app, run
+from estune.cli import RENAMED, Interrupts, app, run
 from estune.cli.approval_prompt import terminal_approval
 from estune.errors import RigError
+from estune.hardware import read_config
 from estune.run.journal import FILE_NAME, Journal
 from estune.run.loop import ApprovalRequest
 from estune.trial import TrialRequest
@@ -25,20 +28,9 @@ from tests.support_runs import START, ArithmeticRig
 
 COMMAND = [sys.executable, "-m", "estune.cli"]
 COMMANDS = {
-    "demo",
-    "serve",
-    "rig",
-    "tune",
-    "resume",
-    "list",
-    "show",
-    "export",
-    "export-controller",
-    "apply",
-    "rigs",
-    "paper",
-    "explain",
-    "match",
+    *("demo", "serve", "serve-hardware", "tune", "resume", "sweep", "match", "list", "show"),
+    *("export", "export-controller", "apply", "explain", "run-experiment", "improve-model"),
+    *("discover", "doctor", "estop", "clear", "daemon", "daemon-control", "reproduce-paper"),
 }
 HERE = Path(__file__).parent.parent
 HEAVY = {
@@ -109,7 +101,7 @@ def test_help_names_every_command_and_loads_nothing_heavy():
     shown = subprocess.run(
         [sys.executable, "-c", script], cwd=HERE, capture_output=True, text=True, check=True
     ).stdout
-    assert set(re.findall(r"^│ ([\w-]+)", shown, re.MULTILINE)) >= COMMANDS
+    assert set(re.findall(r"^│ (\w[\w-]+)", shown, re.MULTILINE)) == COMMANDS
 
 
 def test_every_command_has_help_for_every_option(capsys):
@@ -120,7 +112,7 @@ def test_every_command_has_help_for_every_option(capsys):
         assert capsys.readouterr().out.startswith(f"Usage: estune {name}")
 
 
-def test_a_plant_of_the_users_own_is_found_in_the_current_folder(tmp_path):
+def test_tune_finds_a_user_module_in_the_working_directory(tmp_path):
     (tmp_path / "my_reel.py").write_text(
         "import plants\n\n\ndef short():\n    return plants.reference_reel(cable_length_m=0.5)\n"
     )
@@ -142,10 +134,47 @@ def test_a_plant_of_the_users_own_is_found_in_the_current_folder(tmp_path):
     assert estune.load(tmp_path / "runs" / "one").rig.cable_length_m == 0.5
 
 
-def test_version_is_the_packages():
-    from importlib.metadata import version  # noqa: PLC0415  its only use
+def test_version_is_that_of_the_distribution():
+    assert call("--version").stdout.strip() == estune.__version__ == version("estune")
 
-    assert call("--version").stdout.strip() == version("estune")
+
+@pytest.mark.parametrize(("old", "new"), RENAMED.items())
+def test_earlier_command_name_is_refused_with_the_present_one(refused, old, new):
+    code, said = refused(old, "--help")
+    assert (code, f"use: estune {new}" in said) == (2, True)
+
+
+def test_example_rig_file_is_complete(here, tmp_path):
+    file = tmp_path / "my-rig.toml"
+    file.write_text(here("serve-hardware", "--example"))
+    assert read_config(file).name == "reel"
+
+
+def test_serve_hardware_without_a_file_points_to_the_example(refused):
+    assert refused("serve-hardware") == (
+        2,
+        "estune: give the rig's file; for one to begin from, use --example\n",
+    )
+
+
+def test_help_mentions_no_page_that_is_not_installed(capsys):
+    for name in sorted(COMMANDS):
+        run([name, "--help"])
+        assert "docs/" not in capsys.readouterr().out, name
+
+
+def test_folder_that_hides_an_installed_package_is_named(tmp_path):
+    hiding = tmp_path / "plants" / "__init__.py"
+    hiding.parent.mkdir()
+    hiding.touch()
+    environment = {**os.environ, "PYTHONPATH": str(HERE)}
+    options = {"cwd": tmp_path, "env": environment, "text": True, "capture_output": True}
+    done = subprocess.run([*COMMAND, "list"], **options, check=False)
+    assert done.returncode == 0
+    assert f"{hiding} hides the installed package plants; rename" in done.stderr
+    done = subprocess.run([*COMMAND, "tune", REEL], **options, check=False)
+    assert done.returncode == 2
+    assert f"no 'reference_reel'; {hiding} hides the" in done.stderr.splitlines()[-1]
 
 
 def test_tune_help_lists_every_registered_tuner():
@@ -153,7 +182,7 @@ def test_tune_help_lists_every_registered_tuner():
     assert all(name in shown for name in TUNERS)
 
 
-def test_tune_shows_before_and_after_where_it_is_kept_and_its_figure(tuned):
+def test_tune_prints_comparison_run_folder_and_figure(tuned):
     folder, done = tuned
     assert done.stdout.startswith("TUNED: long-reel, ")
     for label in ("P", "cost η", "rise time", "overshoot", "gain margin", "phase margin"):
@@ -165,7 +194,7 @@ def test_tune_shows_before_and_after_where_it_is_kept_and_its_figure(tuned):
     assert "search" in done.stderr
 
 
-def test_list_and_show_say_what_the_library_loads(tuned, here):
+def test_list_and_show_agree_with_the_library(tuned, here):
     folder, done = tuned
     result = estune.load(folder / "first")
     (row,) = json.loads(call("list", "--folder", folder, "--json").stdout)
@@ -179,15 +208,15 @@ def test_list_and_show_say_what_the_library_loads(tuned, here):
     assert table.splitlines()[0] == done.stdout.splitlines()[0]
 
 
-def test_apply_makes_the_gains_live_and_start_puts_the_old_ones_back(tuned, endpoint, here):
+def test_apply_makes_gains_live_and_start_restores_the_old(tuned, endpoint, here):
     folder, _ = tuned
     result = estune.load(folder / "first")
     done = here("apply", folder / "first", endpoint)
     assert "confirms" in done
     assert f"{result.gains.P:.6g} N/N" in done
-    assert str(result.gains) in call("rigs", endpoint).stdout
+    assert str(result.gains) in call("discover", endpoint).stdout
     here("apply", folder / "first", endpoint, "--start")
-    assert str(result.start_gains) in here("rigs", endpoint)
+    assert str(result.start_gains) in here("discover", endpoint)
 
 
 @pytest.mark.parametrize("form", ["csv", "parquet"])
@@ -199,7 +228,7 @@ def test_export_writes_one_file_per_trial(tuned, form, tmp_path):
     assert done.stdout.startswith(f"{trials} trials")
 
 
-def test_ctrl_c_stops_says_which_gains_are_live_and_resume_goes_on(tmp_path, here):
+def test_ctrl_c_reports_live_gains_and_resume_continues(tmp_path, here):
     with served("--pace", "0.1") as endpoint:
         options = ["--trials", "6", "--run", "cut", "--folder", str(tmp_path)]
         process = subprocess.Popen(
@@ -223,7 +252,7 @@ def test_ctrl_c_stops_says_which_gains_are_live_and_resume_goes_on(tmp_path, her
         assert f"reel confirms that its own gains are live: {result.start_gains}" in stop
         assert f"estune resume {tmp_path / 'cut'}" in stop
         assert "Traceback" not in said
-        assert str(result.start_gains) in here("rigs", endpoint)
+        assert str(result.start_gains) in here("discover", endpoint)
         (row,) = json.loads(here("list", "--folder", tmp_path, "--json"))
         assert row["state"] == "stopped"
         assert "trials" in call("resume", tmp_path / "cut").stdout
@@ -232,23 +261,23 @@ def test_ctrl_c_stops_says_which_gains_are_live_and_resume_goes_on(tmp_path, her
     assert again.entries[: result.nfev] == result.entries
 
 
-def test_a_rig_can_be_stopped_from_anywhere_and_stays_so_until_cleared(tmp_path, here):
+def test_estop_holds_the_rig_across_restarts_until_cleared(tmp_path, here):
     with served("--name", "drum", ledger=tmp_path / "ledger") as endpoint:
         assert "drum is stopped" in here("estop", endpoint, "--reason", "smoke")
-        assert "emergency stop: smoke" in here("rigs", endpoint)
+        assert "emergency stop: smoke" in here("discover", endpoint)
         assert "smoke" in call("tune", endpoint, "--folder", tmp_path, code=4).stderr
     with served("--name", "drum", ledger=tmp_path / "ledger") as endpoint:
-        assert "emergency stop: smoke" in here("rigs", endpoint)
+        assert "emergency stop: smoke" in here("discover", endpoint)
         assert "drum is cleared" in here("clear", endpoint)
-        assert "idle" in here("rigs", endpoint)
+        assert "idle" in here("discover", endpoint)
 
 
-def test_the_demo_tunes_a_reel_in_another_process_and_ends_it(tmp_path):
+def test_demo_tunes_a_reel_in_another_process_and_ends_it(tmp_path):
     done = call("demo", "--trials", 25, "--pace", 0, "--folder", tmp_path)
     assert "TUNED: reel, " in done.stdout
     endpoint = re.search(r"tcp/\S+", done.stdout)[0]
     assert "figure.png" in done.stdout
-    call("rigs", endpoint, code=4)
+    call("discover", endpoint, code=4)
 
 
 @pytest.fixture
@@ -311,11 +340,11 @@ QUIET = ("--quiet", "--folder")
         (("--tuner", "newton"), "is now called safe_bayesian"),
         (("--tolerance", "little"), "tolerance: 'little' is not a number"),
         (("--tolerance", "200%"), "tolerance is 2.0; it is a share"),
-        (("--ask",), "needs a terminal to ask at"),
+        (("--ask",), "needs a terminal for its prompt"),
         (("--trails", 3), "Did you mean --trials?"),
     ],
 )
-def test_a_bad_value_is_one_line_with_code_2_and_leaves_no_run(refused, arguments, says, tmp_path):
+def test_tune_refuses_bad_value_with_code_2_and_leaves_no_run(refused, arguments, says, tmp_path):
     code, said = refused("tune", REEL, *arguments, *QUIET, tmp_path)
     assert code == 2
     assert says in said
@@ -335,7 +364,7 @@ def test_a_bad_value_is_one_line_with_code_2_and_leaves_no_run(refused, argument
         ("tcp/127.0.0.1:9", 4, "estune serve --listen tcp/127.0.0.1:9"),
     ],
 )
-def test_a_target_that_cannot_be_tuned_is_one_line_with_its_code(
+def test_tune_reports_unusable_target_in_one_line_with_its_code(
     refused, target, code, says, tmp_path
 ):
     found, said = refused("tune", target, *QUIET, tmp_path)
@@ -343,9 +372,7 @@ def test_a_target_that_cannot_be_tuned_is_one_line_with_its_code(
     assert says in said
 
 
-def test_a_run_that_is_not_there_or_of_another_version_is_one_line_with_code_5(
-    refused, arithmetic_run
-):
+def test_missing_locked_newer_or_torn_run_exits_with_code_5(refused, arithmetic_run):
     assert refused("show", "nothing", "--folder", arithmetic_run.parent)[0] == 5
     with Journal.open(arithmetic_run, write=True):
         code, said = refused("resume", arithmetic_run)
@@ -360,7 +387,7 @@ def test_a_run_that_is_not_there_or_of_another_version_is_one_line_with_code_5(
         assert (code, "damaged" in said) == (5, True)
 
 
-def test_a_damaged_record_is_one_line_with_code_5_that_names_the_trial(refused, arithmetic_run):
+def test_damaged_record_exits_with_code_5_and_names_the_trial(refused, arithmetic_run):
     with contextlib.closing(sqlite3.connect(arithmetic_run / FILE_NAME)) as connection:
         connection.execute("UPDATE trial SET record = substr(record, 1, 100) WHERE number = 0")
         connection.commit()
@@ -371,9 +398,7 @@ def test_a_damaged_record_is_one_line_with_code_5_that_names_the_trial(refused, 
 @pytest.mark.parametrize(
     ("said", "answer"), [("y", "yes"), (" No ", "no"), ("maybe", None), ("always", "always")]
 )
-def test_whoever_sits_at_the_terminal_is_asked_until_they_answer(
-    monkeypatch, capsys, said, answer
-):
+def test_terminal_approval_prompts_until_answered(monkeypatch, capsys, said, answer):
     lines = iter([said])
 
     def type_in(_prompt):
@@ -396,7 +421,7 @@ def test_whoever_sits_at_the_terminal_is_asked_until_they_answer(
         assert what in shown
 
 
-def test_an_impatient_second_ctrl_c_does_not_cut_off_the_wait_for_the_rig(capsys):
+def test_second_ctrl_c_does_not_cut_off_the_wait_for_the_rig(capsys):
     interrupts = Interrupts()
     with pytest.raises(KeyboardInterrupt):
         interrupts(signal.SIGINT, None)
@@ -406,9 +431,7 @@ def test_an_impatient_second_ctrl_c_does_not_cut_off_the_wait_for_the_rig(capsys
         interrupts(signal.SIGINT, None)
 
 
-def test_a_rig_lost_while_it_is_being_stopped_is_not_called_confirmed(
-    monkeypatch, capsys, tmp_path
-):
+def test_rig_lost_during_stop_is_not_reported_as_confirmed(monkeypatch, capsys, tmp_path):
     handlers = {}
     monkeypatch.setattr(signal, "signal", handlers.__setitem__)
 
@@ -422,11 +445,11 @@ def test_a_rig_lost_while_it_is_being_stopped_is_not_called_confirmed(
     monkeypatch.setattr("estune.run.targets.load", lambda _: Lost())
     assert run(["tune", REEL, *QUIET, str(tmp_path)]) == 130
     said = capsys.readouterr().err
-    assert "has not confirmed which gains are live; check it: the rig is gone" in said
+    assert "stopped, but the live gains are not confirmed; check the rig: the rig is gone" in said
     assert said.count("\n") == 1
 
 
-def test_list_shows_the_other_runs_beside_one_that_cannot_be_read(arithmetic_run, here):
+def test_list_shows_other_runs_beside_an_unreadable_one(arithmetic_run, here):
     torn = arithmetic_run.parent / "torn"
     torn.mkdir()
     (torn / FILE_NAME).write_bytes(b"torn" * 100)
@@ -436,14 +459,14 @@ def test_list_shows_the_other_runs_beside_one_that_cannot_be_read(arithmetic_run
     assert states["torn"].startswith("unreadable: ")
 
 
-def test_apply_refuses_another_rig_unless_it_is_named(refused, here, arithmetic_run):
+def test_apply_refuses_another_rig_unless_named(refused, here, arithmetic_run):
     code, said = refused("apply", arithmetic_run, REEL)
     assert code == 4
     assert "--rig simulated-reel" in said
     assert "confirms" in here("apply", arithmetic_run, REEL, "--rig", "simulated-reel")
 
 
-def test_an_error_of_ours_keeps_its_traceback(monkeypatch, tmp_path):
+def test_programming_error_keeps_its_traceback(monkeypatch, tmp_path):
     monkeypatch.setattr(signal, "signal", lambda *_: None)
     monkeypatch.setattr("estune.api.load", lambda _: 1 / 0)
     (tmp_path / FILE_NAME).write_bytes(b"")

@@ -97,7 +97,7 @@ def test_the_command_line_shows_and_commands(tmp_path, capsys):
         endpoint = it.service.endpoint
 
         def say(*words: str) -> str:
-            assert run(["control", *words]) == 0
+            assert run(["daemon-control", *words]) == 0
             return capsys.readouterr().out
 
         shown = say("status", endpoint)
@@ -108,7 +108,7 @@ def test_the_command_line_shows_and_commands(tmp_path, capsys):
         assert "accept by" in say("accept", endpoint, "--why", "looks good")
         assert "looks good" in say("history", endpoint)
         assert "better than the start" in say("events", endpoint)
-        assert run(["control", "accept", endpoint]) == InvalidInput.exit_code
+        assert run(["daemon-control", "accept", endpoint]) == InvalidInput.exit_code
         assert "no candidate gains" in capsys.readouterr().err
-        assert run(["control", "status", endpoint, "--rig", "other"]) == RigError.exit_code
+        assert run(["daemon-control", "status", endpoint, "--rig", "other"]) == RigError.exit_code
         assert "there is: drum" in capsys.readouterr().err

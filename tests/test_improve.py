@@ -181,7 +181,7 @@ def test_what_is_hidden_in_a_rig_is_found_added_and_makes_its_costs_foretellable
 @pytest.mark.slow
 def test_a_model_that_lacks_nothing_is_left_as_it_is_over_the_link(tmp_path, capsys):
     with served("simulated") as rig:
-        wanted = ["improve", rig.endpoint, "--folder", str(tmp_path / "x"), "--json"]
+        wanted = ["improve-model", rig.endpoint, "--folder", str(tmp_path / "x"), "--json"]
         wanted += ["--model-trials", "20", "--trials", "4"]
         assert run(wanted) == 0
     told = json.loads(capsys.readouterr().out)

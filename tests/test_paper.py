@@ -19,7 +19,7 @@ from plants.models.reel import Reel
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
-    """What `estune paper --quick` makes: each figure, and the page it writes."""
+    """What `estune reproduce-paper --quick` makes: each figure, and the page it writes."""
     figures, original = [], paper.make
 
     def kept(number, *, quick):
@@ -29,7 +29,7 @@ def made(tmp_path_factory):
     out = tmp_path_factory.mktemp("paper") / "page.html"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(paper, "make", kept)
-        assert run(["paper", "--quick", "--out", str(out)]) == 0
+        assert run(["reproduce-paper", "--quick", "--out", str(out)]) == 0
     return {figure.number: figure for figure in figures}, out
 
 
@@ -153,5 +153,5 @@ def test_the_same_figure_gives_the_same_page():
 
 def test_a_page_that_cannot_be_written_is_refused_before_the_work(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(paper, "make", lambda *_, **__: pytest.fail("worked in vain"))
-    assert run(["paper", "--out", str(tmp_path / "nowhere" / "p.html")]) == InvalidInput.exit_code
+    assert run(["reproduce-paper", "--out", str(tmp_path / "nowhere" / "p.html")]) == InvalidInput.exit_code
     assert "no folder" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""`estune rig` and `estune export-controller`, as a user calls them."""
+"""`estune serve-hardware` and `estune export-controller`, as a user calls them."""
 
 import json
 import os
@@ -31,7 +31,7 @@ def call(*arguments, code=0) -> subprocess.CompletedProcess:
 def served(file: Path):
     """A rig served from its file: its process and its endpoint."""
     with subprocess.Popen(
-        [*COMMAND, "rig", str(file)],
+        [*COMMAND, "serve-hardware", str(file)],
         cwd=ROOT,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
@@ -77,7 +77,7 @@ def test_a_loop_that_has_died_ends_the_command_and_is_named(file):
 
 def test_a_file_that_is_wrong_is_told_in_full(file):
     file.write_text(file.read_text().replace("taut_N = 2.0", "taut_kN = 2.0"))
-    told = call("rig", file, code=2).stderr
+    told = call("serve-hardware", file, code=2).stderr
     assert "motion.taut_N: Field required" in told
     assert "motion.taut_kN: " in told
     assert "Traceback" not in told

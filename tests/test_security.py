@@ -133,7 +133,7 @@ def test_a_trial_of_a_file_is_run_for_who_may_command(who, code, users, tmp_path
 
 def test_a_model_is_improved_by_who_may_command_alone(users, tmp_path, capsys):
     with served("tcp/127.0.0.1:0", security=users["rig"]) as (rig, server):
-        words = ["improve", server.endpoint, "--folder", str(tmp_path / "runs"), "--quiet"]
+        words = ["improve-model", server.endpoint, "--folder", str(tmp_path / "runs"), "--quiet"]
         guest = ["--security", str(tmp_path / "guest.toml")]
         assert run([*words, *guest]) == RigError.exit_code
         assert "were not let command it" in capsys.readouterr().err
@@ -154,7 +154,7 @@ def test_a_daemon_is_commanded_by_who_may_and_asked_by_who_may_look(users, tmp_p
         table, more = rig_table("scripted", server.endpoint), 'security = "rig.toml"'
         with daemon(tmp_path, table, more=more, client=users["anna"]) as it:
             it.until_mode("holding", "scripted")
-            words, guest = ["control", "reject", it.service.endpoint], tmp_path / "guest.toml"
+            words, guest = ["daemon-control", "reject", it.service.endpoint], tmp_path / "guest.toml"
             assert run([*words, "--security", str(guest)]) == RigError.exit_code
             assert run(words) == RigError.exit_code
             assert "see --security" in capsys.readouterr().err

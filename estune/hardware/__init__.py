@@ -6,7 +6,7 @@
       requests, records, heartbeat  ──►  guard ─► PIDF ─► C1 ─► Driver.write ─►  amplifier
                ◄── columns, outcome      C2 ◄── Driver.read ◄────────────────    gauge, encoder
 
-`read_config` reads a rig's file, `HardwareRig` runs it. See docs/hardware.md.
+`read_config` reads a rig's file, `HardwareRig` runs it.
 """
 
 from typing import TYPE_CHECKING

@@ -33,7 +33,7 @@ def simulated(name: str, pace: float) -> LoggedRig:
 
 
 def serve_until_told(rig: LoggedRig, endpoint: str, ledger: Path, routers: list[str]) -> None:
-    """Serves it as `estune serve` and `estune rig` do, until it is told to end."""
+    """Serves it as `estune serve` and `estune serve-hardware` do, until it is told to end."""
     with serve(rig, endpoint, ledger=ledger, routers=routers) as server:
         rig.boot()
         server.wait()
