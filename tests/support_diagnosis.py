@@ -9,22 +9,22 @@ from estune.run.trial_file import TrialFile
 from estune.trial.profiles import TriangleProfile
 from plants.diagnosis.data.measured_record import DataIssue
 from plants.diagnosis.data.noise_floor import Noise, NoiseFloor
-from plants.diagnosis.experiments.next_experiment import NextExperiment
-from plants.diagnosis.report.diagnosis import (
-    BaseParameter,
-    Candidate,
-    DataSegment,
-    Diagnosis,
-    Interval,
-    NamedEffect,
-    SearchStep,
-    Trace,
-)
+from plants.diagnosis.report.diagnosis import Diagnosis
 from plants.diagnosis.residual.localisation import (
     Block,
     Distortion,
     ResidualDependence,
     ResidualLocation,
+)
+from plants.diagnosis.result import (
+    BaseParameter,
+    Candidate,
+    DataSegment,
+    Interval,
+    NamedEffect,
+    NextExperiment,
+    SearchStep,
+    Trace,
 )
 from plants.effects import EFFECTS, EyeletFriction
 

@@ -16,7 +16,7 @@ import plants
 from estune.errors import InvalidInput
 from estune.support.plot_style import new_figure, to_png
 from plants.diagnosis.report import figures, summary
-from plants.diagnosis.report.report import page
+from plants.diagnosis.report.page import page
 from plants.effects import EFFECTS, Effect, Port, parameter, plant_scale
 from tests.support_diagnosis import FOUND, deciding, diagnosis, nothing_found
 
@@ -70,7 +70,7 @@ def test_the_page_says_what_the_diagnosis_says(named, shown):
         named.effects[0].effect.appearance,
         *(finding.sentence for finding in named.findings),
         *named.not_excited.values(),
-        *named.ruled_out,
+        *summary.reasons(named),
     ):
         assert sentence.replace("\N{NO-BREAK SPACE}", " ") in found.text, sentence
     assert named.where.sentence[1:] in found.text
@@ -199,7 +199,7 @@ def test_a_record_that_is_not_in_the_report_split_is_named(named):
 def test_the_figures_show_the_numbers_they_are_of(named):
     gap = named.plot_gap()
     assert [bar.get_height() for bar in gap.patches] == [0.58, 0.047]
-    trace = figures.most_telling(named)
+    trace = summary.worst_trace(named)
     assert trace.name == "triangle-3"
     frequency, density = figures.error_density([trace], "before")
     power = np.sum(density[1:] ** 2) * frequency[1]
@@ -210,7 +210,7 @@ def test_the_figures_show_the_numbers_they_are_of(named):
 
 
 def test_the_stretch_that_is_shown_is_the_one_with_the_greatest_error():
-    trace = figures.most_telling(diagnosis())
+    trace = summary.worst_trace(diagnosis())
     wrong = np.zeros(trace.time_s.size)
     wrong[200:500] = 1.0
     part = figures.excerpt(replace(trace, before=trace.measured - wrong))

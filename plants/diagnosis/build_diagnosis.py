@@ -8,14 +8,11 @@ from typing import Any, NamedTuple
 from estune.trial import RigDescription
 from plants.diagnosis.data.measured_record import DataIssue
 from plants.diagnosis.data.noise_floor import NoiseFloor
-from plants.diagnosis.experiments.next_experiment import (
-    Evidence,
-    NextExperiment,
-    next_experiment,
-)
-from plants.diagnosis.report.diagnosis import Diagnosis, Interval, NamedEffect, SearchStep, Verdict
+from plants.diagnosis.experiments.next_experiment import Evidence, next_experiment
+from plants.diagnosis.report.diagnosis import Diagnosis
 from plants.diagnosis.report.plant_units import in_own_units
 from plants.diagnosis.residual.localisation import ResidualLocation
+from plants.diagnosis.result import Interval, NamedEffect, NextExperiment, SearchStep, Verdict
 from plants.diagnosis.search import thresholds
 from plants.diagnosis.search.fit import WhitenedFit
 from plants.diagnosis.search.model_comparison import explained_fraction

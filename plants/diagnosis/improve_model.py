@@ -20,14 +20,14 @@ from estune.core.gains import Gains
 from estune.errors import InvalidInput, RigError, UnsafeStart
 from estune.run.export import replace_file, write_record
 from estune.run.loop import ProgressListener, Stopped
-from estune.run.plan import DEFAULT_TUNER, MOVE_WEIGHT
+from estune.run.plan import MOVE_WEIGHT
 from estune.run.result import TuneResult
 from estune.run.targets import open_target
 from estune.run.trial_file import TrialFile
 from estune.trial import Outcome, Rig, RigDescription, TrialRecord, TrialRequest
 from estune.trial.profiles import AnyProfile
 from estune.trial.scoring import cost_of
-from estune.tuners import Tuner
+from estune.tuners import DEFAULT_TUNER, Tuner
 from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.experiments.designs import (
     Experiment,

@@ -18,8 +18,7 @@ drives the base model furthest in what the residual follows, within the band in 
 import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,7 +26,7 @@ import numpy as np
 from estune.core.gains import Gains
 from estune.core.quantities import FloatArray
 from estune.errors import EstuneError
-from estune.run.trial_file import SUFFIX, TrialFile
+from estune.run.trial_file import TrialFile
 from estune.trial import RigDescription, RigLimits
 from estune.trial.profiles import StepProfile
 from plants.diagnosis.data.measured_record import OUTPUTS, MeasuredRecord
@@ -35,63 +34,13 @@ from plants.diagnosis.data.noise_floor import NoiseFloor
 from plants.diagnosis.experiments.designs import WIDEST, Experiment, candidate_experiments
 from plants.diagnosis.models.diagnosed_model import DiagnosedModel, diagnosed
 from plants.diagnosis.prediction.prediction import CHANNELS, Predictor
-from plants.diagnosis.report.diagnosis import Verdict
 from plants.diagnosis.residual.localisation import Block, ResidualLocation
+from plants.diagnosis.result import NextExperiment, Verdict
 
 SEPARATE = 0.1
 """A separation below this leaves the wrong model a gap of 1.05 floors: it decides nothing."""
 ANY_GAINS = Gains(1.0, 0.0, 0.0, 0.0)
 """In an open loop the gains play no part."""
-
-
-@dataclass(frozen=True, slots=True)
-class NextExperiment:
-    """A trial worth running next.
-
-    Attributes:
-        trial: The trial, ready to be written to a file.
-        sentence: What it is and what it would show.
-        separation: Predicted mean square difference between the models, in sigma^2; None where no
-            two models are compared.
-        tried: The separation, or else the score from 0 to 1, of every experiment considered.
-    """
-
-    trial: TrialFile
-    sentence: str
-    separation: float | None
-    tried: Mapping[str, float]
-
-    @property
-    def file_name(self) -> str:
-        """Name of the trial's file."""
-        return f"{self.trial.name}{SUFFIX}"
-
-    @property
-    def command(self) -> str:
-        """What to type to run it."""
-        return f"estune run-experiment {self.file_name} tcp/127.0.0.1:7447 --data data"
-
-    def write(self, folder: Path) -> Path:
-        """Writes the trial's file into a folder.
-
-        Raises:
-            InvalidInput: it cannot be written there.
-        """
-        return self.trial.write(folder)
-
-    def to_json(self) -> dict[str, Any]:
-        """The same as JSON values."""
-        profile = self.trial.profile
-        values = {name: getattr(profile, name) for name in type(profile).__slots__}
-        return {
-            "name": self.trial.name,
-            "file": self.file_name,
-            "command": self.command,
-            "sentence": self.sentence,
-            "separation": self.separation,
-            "profile": values,
-            "tried": dict(self.tried),
-        }
 
 
 class Evidence(NamedTuple):

@@ -29,7 +29,9 @@ from plants.diagnosis.models.signal_scales import signal_scale, units
 from plants.effects import Effect, RecordScale
 from plants.models.effect_applicability import unavailable
 from plants.models.linear_plant import LinearPlant, linear_plant
-from plants.models.linear_with_effects import READINGS_PER_ANGLE, LinearEffectStructure
+from plants.models.linear_signal_path import READINGS_PER_ANGLE
+from plants.models.linear_with_effects import LinearEffectStructure
+from plants.models.path_structure import squarings_for
 from plants.models.pole_zero_form import transfer_function
 
 HORIZON = 5.0
@@ -96,7 +98,7 @@ class DiagnosedLinear(DiagnosedModel):
         slowest_Hz = min(m.sampling_Hz for m in self.measurements)
         A = np.array(self._linear.A)
         fastest = MOST_RATE * float(np.abs(np.linalg.eigvals(A)).max(initial=1e-9))
-        needed = LinearEffectStructure.squarings_for(fastest, slowest_Hz)
+        needed = squarings_for(fastest, slowest_Hz)
         return LinearEffectStructure(
             self.kinds, effects, fractional=True, squarings=max(4, needed), rounded=False
         )

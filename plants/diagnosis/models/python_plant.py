@@ -17,7 +17,7 @@ from plants.diagnosis.models.diagnosed_model import (
 )
 from plants.diagnosis.models.signal_scales import signal_scale, units
 from plants.effects import Effect, RecordScale
-from plants.models.linear_with_effects import READINGS_PER_ANGLE
+from plants.models.linear_signal_path import READINGS_PER_ANGLE
 from plants.models.python_plant import PythonPlant
 from plants.models.symbolic_plant import TracedStructure, trace
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from estune.core.quantities import FloatArray
+from plants.cable.taut import GRAVITY_M_S2
 from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.models.calibration import Calibration, SaggingCalibration
 from plants.diagnosis.models.diagnosed_model import (
@@ -23,9 +24,9 @@ from plants.diagnosis.models.diagnosed_model import (
 from plants.diagnosis.models.initial_states import shifted
 from plants.diagnosis.models.signal_scales import signal_scale
 from plants.effects import Effect, RecordScale
+from plants.models.path_structure import squarings_for
 from plants.models.reel import Reel
 from plants.models.reel_equations import (
-    GRAVITY_m_s2,
     ReelStructure,
     cable_stiffness_N_m,
     drum_stiffness_Nm_rad,
@@ -101,7 +102,7 @@ class DiagnosedReel(DiagnosedModel):
     def _sag_N3(self, m: MeasuredRecord) -> float:
         """The own weight's Q = k w^2 L^3/24, N^3."""
         at = self._at(m)
-        weight_N_m = GRAVITY_m_s2 * at.cable_density_kg_m
+        weight_N_m = GRAVITY_M_S2 * at.cable_density_kg_m
         k = float(cable_stiffness_N_m(at, self.preload(m)))
         return k * weight_N_m**2 * at.cable_length_m**3 / 24.0
 
@@ -129,7 +130,7 @@ class DiagnosedReel(DiagnosedModel):
     def structure(self, effects: tuple[type[Effect], ...]) -> ReelStructure:
         """The reel with these effects."""
         slowest_Hz = min(m.sampling_Hz for m in self.measurements)
-        squarings = ReelStructure.squarings_for(MOST_RATE * self._fastest_rad_s, slowest_Hz)
+        squarings = squarings_for(MOST_RATE * self._fastest_rad_s, slowest_Hz)
         return ReelStructure(
             effects=effects,
             fractional=True,

@@ -24,6 +24,7 @@ from plants.effects import Effect, RecordScale, Role
 from plants.models.effect_applicability import unavailable
 from plants.models.linear_structures import Drum
 from plants.models.linear_with_effects import LinearEffectStructure
+from plants.models.path_structure import squarings_for
 from plants.models.unloaded_reel import UnloadedReel
 
 LEAST_SQUARINGS = 4
@@ -64,7 +65,7 @@ class DiagnosedDrum(DiagnosedModel):
         slowest_Hz = min(m.sampling_Hz for m in self.measurements)
         p = self.model
         rate = MOST_RATE * max(p.viscous_friction_Nms, 1e-9) / p.drum_inertia_kg_m2
-        needed = LinearEffectStructure.squarings_for(rate, slowest_Hz)
+        needed = squarings_for(rate, slowest_Hz)
         return LinearEffectStructure(
             Drum(), effects, fractional=True, squarings=max(LEAST_SQUARINGS, needed), rounded=False
         )

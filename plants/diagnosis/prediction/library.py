@@ -107,7 +107,7 @@ def _functions(plant: Equations) -> tuple[Any, ...]:
     driven, drive = plant.drive(c, observed, effort)
     *held, n = plant.substep.sx_in()
     written = {
-        "late": ([parameters], [plant.late(parameters)]),
+        "late": ([parameters], [plant.dead_time_samples(parameters)]),
         "prepare": ([parameters, preload], [constants]),
         "settle": ([c, reading], [rest, rest_drive]),
         "locate": ([c, x], [plant.locate(c, x)]),

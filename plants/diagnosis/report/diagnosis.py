@@ -1,232 +1,157 @@
-"""What a diagnosis says: the verdict, the effects found, and the evidence for them."""
+"""The answer of `explain`: a diagnosis with figures, page, text and JSON."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Literal
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from estune.core.quantities import FloatArray
-from plants.diagnosis.data.measured_record import DataIssue
-from plants.diagnosis.data.noise_floor import NoiseFloor
-from plants.diagnosis.report.display import DiagnosisDisplay
-from plants.diagnosis.residual.localisation import ResidualLocation
-from plants.effects import Effect
-from plants.effects.plant_scale import written_unit
+from plants.diagnosis.report import summary
+from plants.diagnosis.report.json_form import to_json
+from plants.diagnosis.result import DiagnosisResult
 
-if TYPE_CHECKING:
-    from plants.diagnosis.experiments.next_experiment import NextExperiment
-
-Verdict = Literal["named", "incomplete", "ambiguous", "unknown", "none"]
-"""`named`: the effects close the gap; `incomplete`: they close most of it, and more is left than
-noise; `ambiguous`: the records cannot tell two effects apart; `unknown`: no declared effect closes
-the gap; `none`: there is no gap worth naming."""
-
-Split = Literal["fit", "rank", "report"]
+if TYPE_CHECKING:  # matplotlib is slow to import: a diagnosis can be had without it
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 
-@dataclass(frozen=True, slots=True)
-class Interval:
-    """A fitted value and its 95 % confidence interval.
+class Diagnosis(DiagnosisResult):
+    """A diagnosis with its representations; pyplot is not touched.
 
-    Attributes:
-        value: The value.
-        low: Lower end, inside the parameter's range.
-        high: Upper end.
-        unit: Unit of all three; empty for a plain number.
+    The `plot_...` methods draw on the axes `ax`, or on a figure of their own.
     """
 
-    value: float
-    low: float
-    high: float
-    unit: str
+    __slots__ = ()
 
-    def over(self, size: float) -> "Interval":
-        """The same as a multiple of a size above zero."""
-        return replace(self, value=self.value / size, low=self.low / size, high=self.high / size)
+    def heading(self) -> str:
+        """The verdict and the prediction error in one line."""
+        return summary.heading(self)
+
+    def to_json(self) -> dict[str, Any]:
+        """Verdict, effects, prediction errors and evidence as JSON values."""
+        return to_json(self)
+
+    def save(self, path: str | Path, plant: str = "") -> None:
+        """Writes the augmented model as a TOML file; see `plants.load_model`.
+
+        Args:
+            path: The file; one that is there is replaced.
+            plant: What a Python plant is found by, module:attribute.
+
+        Raises:
+            InvalidInput: the model cannot be written as text, or the file cannot be written.
+        """
+        from plants.models.model_file import save_model  # noqa: PLC0415  slow to import
+
+        save_model(self.augmented, path, self.heading(), plant)
+
+    def report(self, path: str | Path) -> Path:
+        """Writes everything as one page that needs no other file and no network.
+
+        Raises:
+            InvalidInput: the page cannot be written there.
+        """
+        from plants.diagnosis.report.page import write  # noqa: PLC0415  slow to import
+
+        return write(self, Path(path))
+
+    def plot_gap(self, ax: "Axes | None" = None) -> "Axes":
+        """Draws the prediction error above the noise floor after each step."""
+        from plants.diagnosis.report import figures  # noqa: PLC0415  slow to import
+
+        return figures.draw_gap(_axes(ax), self)
+
+    def plot_traces(self, record: str | None = None, ax: "Axes | None" = None) -> "Axes":
+        """Draws a test record in free run, before and after, where the base model is worst.
+
+        Args:
+            record: Name of a test record; the one with the largest error by default.
+            ax: Where to draw; on a figure of its own by default.
+
+        Raises:
+            InvalidInput: there is no such test record.
+        """
+        from plants.diagnosis.report import figures  # noqa: PLC0415  slow to import
+
+        return figures.draw_trace(_axes(ax), summary.trace_of(self, record))
+
+    def plot_error(self, record: str | None = None, ax: "Axes | None" = None) -> "Axes":
+        """Draws the free-run error over a whole record; see `plot_traces`."""
+        from plants.diagnosis.report import figures  # noqa: PLC0415  slow to import
+
+        return figures.draw_error(_axes(ax), summary.trace_of(self, record))
+
+    def plot_spectrum(self, ax: "Axes | None" = None) -> "Axes":
+        """Draws the free-run error over frequency, before and after."""
+        from plants.diagnosis.report import figures  # noqa: PLC0415  slow to import
+
+        return figures.draw_spectrum(_axes(ax), self)
+
+    def plot_where(self, ax: "Axes | None" = None) -> "Axes":
+        """Draws the share of each block's residual that follows time, speed, tension and so on."""
+        from plants.diagnosis.report.residual_figures import (  # noqa: PLC0415  slow to import
+            draw_shares,
+        )
+
+        return draw_shares(_axes(ax), self.where)
+
+    def plot_ranking(self, ax: "Axes | None" = None) -> "Axes":
+        """Draws the prediction error left by each effect that was fitted."""
+        from plants.diagnosis.report import figures  # noqa: PLC0415  slow to import
+
+        return figures.draw_ranking(_axes(ax), self)
+
+    def plot_calibrations(self, ax: "Axes | None" = None) -> "Axes":
+        """Draws how the base model's numbers shifted."""
+        from plants.diagnosis.report import figures  # noqa: PLC0415  slow to import
+
+        return figures.draw_calibrations(_axes(ax), self)
+
+    def plot_splits(self, ax: "Axes | None" = None) -> "Axes":
+        """Draws what each stretch of the records was used for."""
+        from plants.diagnosis.report import figures  # noqa: PLC0415  slow to import
+
+        return figures.draw_splits(_axes(ax), self)
+
+    def figure(self) -> "Figure":
+        """Before and after, the error step by step, and where it is, on one page."""
+        from plants.diagnosis.report import figures  # noqa: PLC0415  slow to import
+
+        return figures.overview(self)
+
+    def __repr__(self) -> str:
+        table = summary.gaps(self)
+        rows = [table.columns, *table.rows]
+        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+        lines = [
+            "  ".join(
+                [f"  {row[0]:<{widths[0]}}"]
+                + [f"{cell:>{width}}" for cell, width in zip(row[1:], widths[1:], strict=True)]
+            ).rstrip()
+            for row in rows
+        ]
+        return "\n".join([self.heading(), *lines, *summary.sentences(self)])
+
+    def _repr_html_(self) -> str:
+        from estune.support import plot_style  # noqa: PLC0415  slow to import
+
+        certain = self.verdict in {"named", "none"}
+        colour = plot_style.GREEN if certain else plot_style.VERMILION
+        prose = "".join(f"<p>{escape(text)}</p>" for text in summary.sentences(self))
+        tables = [summary.gaps(self), *([summary.parameters(self)] if self.effects else [])]
+        return (
+            f'<div><p style="border-left:4px solid {colour};padding-left:8px">'
+            f"<b>{escape(self.heading())}</b></p>{prose}{''.join(map(_table_html, tables))}"
+            f"{plot_style.to_svg(self.figure())}</div>"
+        )
 
 
-@dataclass(frozen=True, slots=True)
-class NamedEffect:
-    """An effect that was found.
-
-    Attributes:
-        name: Its slug.
-        title: Its name in plain words.
-        parameters: What was fitted, by the parameter's name. Of a plant that is no reel in its
-            own units: `input` and `output` are what it is given and what it reads.
-        sentence: What it is and how large, in plain words.
-        effect: The effect with the fitted values, to be added to a model.
-    """
-
-    name: str
-    title: str
-    parameters: Mapping[str, Interval]
-    sentence: str
-    effect: Effect
+def _table_html(table: summary.Table) -> str:
+    rows = [[f"<td>{escape(cell)}</td>" for cell in row] for row in table.rows]
+    head = [f"<th>{escape(cell)}</th>" for cell in table.columns]
+    lines = "".join(f"<tr>{''.join(row)}</tr>" for row in [head, *rows])
+    return f"<table>{lines}</table>"
 
 
-@dataclass(frozen=True, slots=True)
-class Candidate:
-    """An effect that was tried as the first one missing.
+def _axes(ax: "Axes | None") -> "Axes":
+    from estune.support.plot_style import new_axes  # noqa: PLC0415  slow to import
 
-    Attributes:
-        name: Its slug.
-        closure: Share of the gap's power above the floor that it closes on the rank split, 1 is
-            all of it; nan where its score direction ruled it out before a fit.
-        gap: What is left on the rank split, in floors.
-        cosine2: Share of the residual that its score direction explains on the fit split.
-        sentence: Why it was taken or ruled out.
-    """
-
-    name: str
-    closure: float
-    gap: float
-    cosine2: float
-    sentence: str
-
-
-@dataclass(frozen=True, slots=True)
-class BaseParameter:
-    """A number of the base model, as given and as fitted without and with the effects.
-
-    Attributes:
-        name: Its name in the model.
-        unit: Its unit.
-        given: The value in the model as given.
-        base: Fitted without any effect.
-        with_effects: Fitted together with the effects; the same as `base` where there are none.
-    """
-
-    name: str
-    unit: str
-    given: float
-    base: Interval
-    with_effects: Interval
-
-
-@dataclass(frozen=True, slots=True)
-class SearchStep:
-    """One step of the search: what the gap is on the report split after it.
-
-    Attributes:
-        effect: Slug of the effect added; None for the base fit.
-        gap: Root mean square of the short-horizon prediction error, in the diagnosis's unit.
-        floor: What noise and allowance alone would give, same unit.
-        ratio: The gap in floors over all channels, each by its own floor.
-    """
-
-    effect: str | None
-    gap: float
-    floor: float
-    ratio: float
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Trace:
-    """One channel of one record of the report split, measured and predicted in free run.
-
-    Attributes:
-        name: The record.
-        channel: Its column.
-        unit: Its unit.
-        time_s: Time of the samples, shape (samples,).
-        measured: What was measured, same shape.
-        before: The base model's free run, same shape.
-        after: That with the effects; the same as `before` where there are none.
-    """
-
-    name: str
-    channel: str
-    unit: str
-    time_s: FloatArray
-    measured: FloatArray
-    before: FloatArray
-    after: FloatArray
-
-
-@dataclass(frozen=True, slots=True)
-class DataSegment:
-    """A stretch of a record, and what it was used for.
-
-    Attributes:
-        record: Name of the record.
-        start_s: Its first moment.
-        end_s: Its last moment.
-        split: `fit`, `rank` or `report`.
-    """
-
-    record: str
-    start_s: float
-    end_s: float
-    split: Split
-
-
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
-class Diagnosis(DiagnosisDisplay):
-    """The answer of `explain`; it draws itself, and writes itself as a page, text and JSON.
-
-    Attributes:
-        verdict: What is said; see `RunSummary`.
-        sentence: The same in plain words.
-        effects: The effects found, in the order in which they were; for `ambiguous` the best one.
-        ambiguous: Slugs the records cannot tell apart, best first; empty unless `ambiguous`.
-        candidates: All effects tried as the first one, best first.
-        unit: Unit of gaps and floors: N, or rad where no tension was measured; that of the column
-            the output is in.
-        gap_before: Short-horizon prediction error of the base model on the report split, rms.
-        gap_after: The same with the effects.
-        floor: What noise and allowance alone would give, same unit.
-        ratio_before: `gap_before` in floors over all channels, each by its own floor.
-        ratio_after: The same with the effects.
-        closure: Share of the gap's power above the floor that was closed, over all channels; nan
-            where there is no effect.
-        rms_before: Free-run error of the base model on the report split, rms, in `unit`.
-        rms_after: The same with the effects.
-        noise: The noise of each channel.
-        where: Where the base model's residual lives.
-        calibrations: The base model's numbers and how they shifted.
-        not_excited: Effects that these records cannot show, with the reason.
-        ruled_out: What was ruled out and why, one sentence each.
-        next_experiment: The trial that would decide, or None.
-        findings: What was wrong with the data.
-        steps: The gap on the report split, step by step.
-        traces: Records of the report split in free run, before and after.
-        splits: What each stretch of the data was used for.
-        model: The model as given.
-        base_model: The model with its calibrations fitted.
-        augmented: The same with the effects added; `base_model` where there are none.
-        values: The fit's values by the names of the predictor's free numbers.
-    """
-
-    verdict: Verdict
-    sentence: str
-    effects: tuple[NamedEffect, ...]
-    ambiguous: tuple[str, ...]
-    candidates: tuple[Candidate, ...]
-    unit: Literal["N", "rad"]
-    gap_before: float
-    gap_after: float
-    floor: float
-    ratio_before: float
-    ratio_after: float
-    closure: float
-    rms_before: float
-    rms_after: float
-    noise: NoiseFloor
-    where: ResidualLocation
-    calibrations: tuple[BaseParameter, ...]
-    not_excited: Mapping[str, str]
-    ruled_out: tuple[str, ...]
-    next_experiment: "NextExperiment | None"
-    findings: tuple[DataIssue, ...]
-    steps: tuple[SearchStep, ...]
-    traces: tuple[Trace, ...]
-    splits: tuple[DataSegment, ...]
-    model: Any
-    base_model: Any
-    augmented: Any
-    values: Mapping[str, float]
-
-    @property
-    def written_unit(self) -> str:
-        """The same as it is written; see `amounts.written_unit`."""
-        return written_unit(self.unit, self.base_model)
+    return ax or new_axes()

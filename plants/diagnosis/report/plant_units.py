@@ -6,9 +6,9 @@ said in `plants.models.linear_with_effects`.
 
 from typing import Any
 
-from plants.diagnosis.report.diagnosis import Interval
+from plants.diagnosis.result import Interval
 from plants.effects import Effect, Port
-from plants.models.linear_with_effects import READINGS_PER_ANGLE, ARM_m
+from plants.models.linear_signal_path import READINGS_PER_ANGLE, ARM_m
 
 
 def in_own_units(effect: type[Effect], name: str, found: Interval, model: Any) -> Interval:

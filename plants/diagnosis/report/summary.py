@@ -1,31 +1,28 @@
-"""A diagnosis as text: the heading, tables of strings, and JSON."""
+"""A diagnosis as text: heading, sentences, tables of strings."""
 
 import math
-from collections.abc import Mapping
-from dataclasses import asdict
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import NamedTuple
 
+import numpy as np
+
+from estune.errors import InvalidInput
+from plants.diagnosis.result import DiagnosisResult, Interval, Trace
 from plants.effects import EFFECTS
 from plants.effects.plant_scale import digits, si
 
-if TYPE_CHECKING:  # a diagnosis is built on this
-    from plants.diagnosis.report.diagnosis import Diagnosis, Interval
-
 _HEADINGS = {
-    "named": "NAMED",
-    "incomplete": "NAMED, BUT INCOMPLETE",
+    "named": "IDENTIFIED",
+    "incomplete": "IDENTIFIED, INCOMPLETE",
     "ambiguous": "AMBIGUOUS",
-    "unknown": "UNKNOWN",
-    "none": "NONE",
+    "unknown": "UNEXPLAINED",
+    "none": "NO MISSING EFFECT",
 }
-
-
-_MOST_PLACES = 7
-"""Decimals beyond which a number is told with an exponent."""
+_PLACES_MAX = 7
+"""Decimals beyond which a number is written with an exponent."""
 
 
 class Table(NamedTuple):
-    """A table of strings; numbers are told with their units.
+    """A table of strings; numbers are written with their units.
 
     Attributes:
         columns: Heads of the columns.
@@ -36,75 +33,76 @@ class Table(NamedTuple):
     rows: tuple[tuple[str, ...], ...]
 
 
-def heading(d: "Diagnosis") -> str:
-    """The verdict in one line, and what became of the gap."""
+def heading(d: DiagnosisResult) -> str:
+    """The verdict and the prediction error in one line."""
     if d.verdict == "ambiguous":
-        what = " or ".join(title(d, name) for name in d.ambiguous)
+        what = " or ".join(_title(d, name) for name in d.ambiguous)
     elif d.verdict == "unknown":
-        what = "no declared effect closes the gap"
+        what = "no declared effect explains the prediction error"
     elif d.verdict == "none":
-        what = "there is nothing to name"
+        what = "the prediction error is at the noise floor"
     else:
         what = " and ".join(effect.title for effect in d.effects)
-    came = _in(d.gap_before, d.written_unit)
+    error = _in(d.gap_before, d)
     if d.effects:
-        came += f" → {_in(d.gap_after, d.written_unit)}"
-    return f"{_HEADINGS[d.verdict]}: {what}; gap {came}, floor {_in(d.floor, d.written_unit)}"
+        error += f" → {_in(d.gap_after, d)}"
+    return (
+        f"{_HEADINGS[d.verdict]}: {what}; prediction error {error}, noise floor {_in(d.floor, d)}"
+    )
 
 
-def sentences(d: "Diagnosis") -> tuple[str, ...]:
-    """The verdict in plain words, what each effect is and how large, and where it shows."""
-    told = [d.sentence, *(e.sentence for e in d.effects if e.sentence not in d.sentence)]
-    if d.where.sentence:
-        told.append(d.where.sentence)
-    return tuple(f"{text[:1].upper()}{text[1:].rstrip('.')}." for text in told if text)
+def sentences(d: DiagnosisResult) -> tuple[str, ...]:
+    """The verdict, each effect with its size, and where it shows, in plain words."""
+    own = [e.sentence for e in d.effects if e.sentence not in d.sentence]
+    return tuple(full_sentence(text) for text in (d.sentence, *own, d.where.sentence) if text)
 
 
-def title(d: "Diagnosis", name: str) -> str:
+def full_sentence(text: str) -> str:
+    """The text with a capital and a full stop."""
+    return f"{text[:1].upper()}{text[1:].rstrip('.')}."
+
+
+def _title(d: DiagnosisResult, name: str) -> str:
     """The name of an effect in plain words, by its slug."""
-    found = {effect.name: effect.title for effect in d.effects}
-    if name in found:
-        return found[name]
-    return EFFECTS[name].title if name in EFFECTS else name.replace("_", " ")
+    titles = {n: e.title for n, e in EFFECTS.items()} | {e.name: e.title for e in d.effects}
+    return titles.get(name, name.replace("_", " "))
 
 
-def gaps(d: "Diagnosis") -> Table:
-    """What the gap was and what is left of it, on records that were never used to choose."""
+def gaps(d: DiagnosisResult) -> Table:
+    """Prediction errors on test data, before and after."""
     rows = [
-        (
-            "gap of short predictions",
-            _in(d.gap_before, d.written_unit),
-            _in(d.gap_after, d.written_unit),
-        ),
-        ("noise floor", _in(d.floor, d.written_unit), _in(d.floor, d.written_unit)),
-        ("gap in floors, all channels", number(d.ratio_before), number(d.ratio_after)),
-        (
-            "error of a free run",
-            _in(d.rms_before, d.written_unit),
-            _in(d.rms_after, d.written_unit),
-        ),
+        ("error of short predictions, rms", _in(d.gap_before, d), _in(d.gap_after, d)),
+        ("noise floor", _in(d.floor, d), _in(d.floor, d)),
+        ("times the noise floor, all channels", number(d.ratio_before), number(d.ratio_after)),
+        ("error of a free run, rms", _in(d.rms_before, d), _in(d.rms_after, d)),
     ]
     if math.isfinite(d.closure):
-        rows.append(("closed of what is above the floor", "", f"{100.0 * d.closure:.1f} %"))
+        rows.append(("explained of the power above the floor", "", _percent(d.closure)))
     if d.effects:
         return Table(("", "base model", "with the effects"), tuple(rows))
     return Table(("", "base model"), tuple(row[:2] for row in rows if row[1]))
 
 
-def parameters(d: "Diagnosis") -> Table:
-    """What was fitted of each effect, with its 95 % interval."""
+def parameters(d: DiagnosisResult) -> Table:
+    """The fitted parameters of each effect, with 95 % confidence intervals."""
     rows = [
-        (effect.name, name, *_interval(found))
+        (effect.name, name, *_interval(fitted_value))
         for effect in d.effects
-        for name, found in effect.parameters.items()
+        for name, fitted_value in effect.parameters.items()
     ]
     return Table(("effect", "parameter", "value", "95 % interval", "unit"), tuple(rows))
 
 
-def calibrations(d: "Diagnosis") -> Table:
+def calibrations(d: DiagnosisResult) -> Table:
     """The base model's numbers: as given, fitted alone, fitted with the effects."""
     rows = [
-        (c.name, number(c.given), _with(c.base), _with(c.with_effects), c.unit)
+        (
+            c.name,
+            number(c.given),
+            _with_half_width(c.base),
+            _with_half_width(c.with_effects),
+            c.unit,
+        )
         for c in d.calibrations
     ]
     if d.effects:
@@ -113,41 +111,35 @@ def calibrations(d: "Diagnosis") -> Table:
     return Table(("", "given", "fitted", "unit"), tuple((*r[:3], r[4]) for r in rows))
 
 
-def ranking(d: "Diagnosis") -> Table:
-    """All effects that were tried as the first one, best first, and why each was taken or not."""
+def ranking(d: DiagnosisResult) -> Table:
+    """All effects that were tried as the first one, best first."""
     rows = [
-        (c.name, _percent(c.cosine2), _percent(c.closure), number(c.gap), c.sentence)
-        for c in d.candidates
+        (c.name, _percent(c.cosine2), _percent(c.closure), number(c.gap)) for c in d.candidates
     ]
-    return Table(("effect", "explains", "closes", "leaves, floors", ""), tuple(rows))
+    return Table(("effect", "screening R²", "explained", "times the floor left"), tuple(rows))
 
 
-def fitted(d: "Diagnosis", most: int) -> Table:
-    """The best of the effects that were fitted, without the reasons."""
+def fitted(d: DiagnosisResult, most: int) -> Table:
+    """The best of the effects that were fitted."""
+    columns, rows = ranking(d)
+    return Table(columns, tuple(row for row in rows if row[-1] != "-")[:most])
+
+
+def steps(d: DiagnosisResult) -> Table:
+    """Prediction error on test data, step by step."""
     rows = [
-        (c.name, _percent(c.cosine2), _percent(c.closure), f"{number(c.gap)} floors")
-        for c in d.candidates
-        if math.isfinite(c.gap)
+        (step_name(s.effect), _in(s.gap, d), _in(s.floor, d), number(s.ratio)) for s in d.steps
     ]
-    return Table(("tried", "explains", "closes", "leaves"), tuple(rows[:most]))
+    return Table(("", "error, rms", "noise floor", "times the floor"), tuple(rows))
 
 
-def steps(d: "Diagnosis") -> Table:
-    """The gap on the report split, step by step."""
-    rows = [
-        (
-            "base fit" if s.effect is None else f"+ {s.effect}",
-            _in(s.gap, d.written_unit),
-            _in(s.floor, d.written_unit),
-            number(s.ratio),
-        )
-        for s in d.steps
-    ]
-    return Table(("", "gap", "floor", "in floors"), tuple(rows))
+def step_name(effect: str | None) -> str:
+    """What a step of the search added to the model."""
+    return "base fit" if effect is None else f"+ {effect}"
 
 
-def distortions(d: "Diagnosis") -> Table:
-    """What records that repeat a period show on lines they do not excite."""
+def distortions(d: DiagnosisResult) -> Table:
+    """Power of periodic records on lines they do not excite."""
     rows = [
         (x.source, x.channel, f"{number(x.even_dB)} dB", f"{number(x.odd_dB)} dB")
         for x in d.where.distortion
@@ -155,24 +147,24 @@ def distortions(d: "Diagnosis") -> Table:
     return Table(("record", "channel", "even lines, over the noise", "odd lines"), tuple(rows))
 
 
-def reasons(d: "Diagnosis") -> tuple[str, ...]:
-    """What was ruled out and why, beyond what the ranking says of each effect."""
-    told = {c.sentence.rstrip(".").lower() for c in d.candidates}
-    return tuple(text for text in d.ruled_out if text.rstrip(".").lower() not in told)
+def reasons(d: DiagnosisResult) -> tuple[str, ...]:
+    """What was ruled out and why, beyond the numbers of the ranking."""
+    known = {c.sentence.rstrip(".").lower() for c in d.candidates}
+    return tuple(text for text in d.ruled_out if text.rstrip(".").lower() not in known)
 
 
-def noises(d: "Diagnosis") -> Table:
-    """The noise of each channel, and what it was found from."""
+def noises(d: DiagnosisResult) -> Table:
+    """The noise of each channel, and how it was estimated."""
     rows = [
-        (name, _in(n.rms, unit), _in(n.lsb, unit) if n.lsb > 0.0 else "-", n.how)
+        (name, _amount(n.rms, unit), _amount(n.lsb, unit) if n.lsb > 0.0 else "-", n.how)
         for name, n in d.noise.channels.items()
         for unit in [name.rpartition("_")[2]]
     ]
     return Table(("channel", "noise, rms", "step of the reading", "from"), tuple(rows))
 
 
-def findings(d: "Diagnosis") -> Table:
-    """What was wrong with the data."""
+def findings(d: DiagnosisResult) -> Table:
+    """Issues of the data."""
     rows = [
         (f.level, f.source, f.column or "-", "-" if f.row is None else str(f.row), f.sentence)
         for f in d.findings
@@ -180,92 +172,44 @@ def findings(d: "Diagnosis") -> Table:
     return Table(("", "file", "column", "row", ""), tuple(rows))
 
 
+def main_channel(d: DiagnosisResult) -> str:
+    """The channel of the prediction error, or the first there is."""
+    channels = [trace.channel for trace in d.traces]
+    wanted = "tension_N" if d.unit == "N" else "angle_rad"
+    return wanted if wanted in channels else channels[0]
+
+
+def worst_trace(d: DiagnosisResult) -> Trace:
+    """The test record of the main channel in which the base model is worst."""
+    traces = [trace for trace in d.traces if trace.channel == main_channel(d)]
+    return max(traces, key=lambda t: float(np.nanmean((t.measured - t.before) ** 2)))
+
+
+def trace_of(d: DiagnosisResult, record: str | None) -> Trace:
+    """A test record by name, in the main channel if it has it; the worst for None.
+
+    Raises:
+        InvalidInput: there is no such test record.
+    """
+    if record is None and d.traces:
+        return worst_trace(d)
+    named = [trace for trace in d.traces if trace.name == record]
+    if not named:
+        names = ", ".join(dict.fromkeys(trace.name for trace in d.traces)) or "nothing"
+        raise InvalidInput(f"the report split has no record {record}; it has {names}")
+    return next((trace for trace in named if trace.channel == main_channel(d)), named[0])
+
+
 def number(value: float) -> str:
     """A number to three digits, or a dash where there is none."""
     return digits(value) if math.isfinite(value) else "-"
 
 
-def to_json(d: "Diagnosis") -> dict[str, Any]:
-    """The diagnosis as JSON values; what is not a finite number is null."""
-    unit = d.unit
-    told: dict[str, Any] = _strict(
-        {
-            "verdict": d.verdict,
-            "sentence": d.sentence,
-            "effects": [
-                {
-                    "name": effect.name,
-                    "title": effect.title,
-                    "sentence": effect.sentence,
-                    "parameters": {n: _bounds(i) for n, i in effect.parameters.items()},
-                }
-                for effect in d.effects
-            ],
-            "ambiguous": list(d.ambiguous),
-            "candidates": [
-                {
-                    "name": c.name,
-                    f"gap_{unit}": c.gap * d.floor,
-                    "gap_floors": c.gap,
-                    "closure": c.closure,
-                    "explains": c.cosine2,
-                    "sentence": c.sentence,
-                }
-                for c in d.candidates
-            ],
-            f"gap_before_{unit}": d.gap_before,
-            f"gap_after_{unit}": d.gap_after,
-            f"floor_{unit}": d.floor,
-            "gap_before_floors": d.ratio_before,
-            "gap_after_floors": d.ratio_after,
-            "closure": d.closure,
-            f"free_run_before_{unit}": d.rms_before,
-            f"free_run_after_{unit}": d.rms_after,
-            "where": d.where.to_json(),
-            "not_excited": dict(d.not_excited),
-            "ruled_out": list(d.ruled_out),
-            "next_experiment": d.next_experiment and d.next_experiment.to_json(),
-            "calibrations": {
-                c.name: {
-                    "unit": c.unit,
-                    "given": c.given,
-                    "base": _bounds(c.base),
-                    "with_effects": _bounds(c.with_effects),
-                }
-                for c in d.calibrations
-            },
-            "steps": [
-                {"effect": s.effect, f"gap_{unit}": s.gap, f"floor_{unit}": s.floor,
-                 "gap_floors": s.ratio}
-                for s in d.steps
-            ],
-            "noise": d.noise.to_json(),
-            "findings": [asdict(f) for f in d.findings],
-            "splits": [
-                {"record": p.record, "start_s": p.start_s, "end_s": p.end_s, "split": p.split}
-                for p in d.splits
-            ],
-        }
-    )  # fmt: skip
-    return told
+def _in(value: float, d: DiagnosisResult) -> str:
+    return _amount(value, d.written_unit)
 
 
-def _bounds(found: "Interval") -> dict[str, Any]:
-    return {"value": found.value, "low": found.low, "high": found.high, "unit": found.unit}
-
-
-def _strict(value: Any) -> Any:
-    """The same with null for what is not a finite number."""
-    if isinstance(value, Mapping):
-        return {str(key): _strict(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_strict(item) for item in value]
-    if isinstance(value, bool | int | str) or value is None:
-        return value
-    return float(value) if math.isfinite(value) else None
-
-
-def _in(value: float, unit: str) -> str:
+def _amount(value: float, unit: str) -> str:
     return si(value, unit) if math.isfinite(value) else "-"
 
 
@@ -273,24 +217,24 @@ def _percent(value: float) -> str:
     return f"{100.0 * value:.1f} %" if math.isfinite(value) else "-"
 
 
-def _interval(found: "Interval") -> tuple[str, str, str]:
-    """Value, interval and unit, to as many digits as the interval settles."""
-    places = _places(found)
-    value, low, high = (_rounded(v, places) for v in (found.value, found.low, found.high))
-    return value, f"{low} to {high}", found.unit
+def _interval(it: Interval) -> tuple[str, str, str]:
+    """Value, interval and unit, to the digits that the interval determines."""
+    places = _places(it)
+    value, low, high = (_rounded(v, places) for v in (it.value, it.low, it.high))
+    return value, f"{low} to {high}", it.unit
 
 
-def _with(found: "Interval") -> str:
-    """A value with half its interval."""
-    places = _places(found)
-    half = max(abs(found.high - found.value), abs(found.value - found.low))
-    value = _rounded(found.value, places)
+def _with_half_width(it: Interval) -> str:
+    """A value with the half width of its interval."""
+    places = _places(it)
+    half = max(abs(it.high - it.value), abs(it.value - it.low))
+    value = _rounded(it.value, places)
     return f"{value} ± {_rounded(half, places)}" if math.isfinite(half) else value
 
 
-def _places(found: "Interval") -> int | None:
+def _places(it: Interval) -> int | None:
     """Decimals that two digits of the interval's width take; None where it has none."""
-    width = found.high - found.low
+    width = it.high - it.low
     if not (math.isfinite(width) and width > 0.0):
         return None
     return 1 - math.floor(math.log10(width))
@@ -299,6 +243,6 @@ def _places(found: "Interval") -> int | None:
 def _rounded(value: float, places: int | None) -> str:
     if not math.isfinite(value):
         return "-"
-    if places is None or not 0 <= places <= _MOST_PLACES:
+    if places is None or not 0 <= places <= _PLACES_MAX:
         return f"{value:.4g}" if places is None else f"{round(value, places):.6g}"
     return f"{value:.{places}f}"

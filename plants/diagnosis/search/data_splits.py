@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from estune.core.quantities import FloatArray
 from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.prediction.prediction import Index
-from plants.diagnosis.report.diagnosis import DataSegment, Split
+from plants.diagnosis.result import DataSegment, Split
 
 SPLITS: tuple[Split, ...] = ("fit", "rank", "report")
 FIT, RANK, REPORT = range(3)

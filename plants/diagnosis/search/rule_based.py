@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from estune.core.quantities import FloatArray
 from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.data.noise_floor import Noise
-from plants.diagnosis.report.diagnosis import Interval
+from plants.diagnosis.result import Interval
 
 COARSE = 3.0
 """A gauge's steps are coarse from so many times the noise beside them: then most readings of a

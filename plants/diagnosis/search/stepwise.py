@@ -338,7 +338,8 @@ def _round(
         again += [
             fit_added_effect(bench, current, one, again)
             for one in screened.values()
-            if one.effect.extends is not None and one.effect.extends.family != one.effect.family
+            if one.effect.extends is not None
+            and one.effect.extends.name not in family_of(one.effect.name)
         ]
         attempts = finished(bench, base, [*attempts, *again])
         best = select_parsimonious(attempts, current, bench.scale)

@@ -9,7 +9,7 @@ import numpy as np
 from plants.diagnosis.data.measured_record import OUTPUTS
 from plants.diagnosis.models.diagnosed_model import BASE
 from plants.diagnosis.prediction.prediction import CHANNELS, Predictor
-from plants.diagnosis.report.diagnosis import BaseParameter, Interval, Trace
+from plants.diagnosis.result import BaseParameter, Interval, Trace
 from plants.diagnosis.search.data_splits import REPORT
 from plants.diagnosis.search.fit import WhitenedFit, covariance
 from plants.diagnosis.search.model_fitter import ModelFitter

@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-from plants.diagnosis.report.diagnosis import Candidate, NamedEffect, SearchStep, Verdict
+from plants.diagnosis.result import Candidate, NamedEffect, SearchStep, Verdict
 from plants.diagnosis.search import thresholds
 from plants.diagnosis.search.model_comparison import explained_fraction, z_score
 from plants.diagnosis.search.model_fitter import CandidateFit

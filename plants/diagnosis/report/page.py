@@ -1,0 +1,219 @@
+"""The page of a diagnosis: one HTML file that needs nothing beside it."""
+
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from estune.errors import InvalidInput
+from estune.run.export import replace_file
+from estune.support import html_page
+from estune.support.html_page import Block, Bullets, Drawing, Heading, Page, Paragraph, Section
+from estune.support.plot_style import WIDTH_in, new_figure
+from plants.diagnosis.report import figures, residual_figures, summary
+from plants.diagnosis.result import DiagnosisResult, Trace
+
+TITLE = "Where simulation and measurement disagree"
+
+
+def write(d: DiagnosisResult, path: Path) -> Path:
+    """Writes the page, whole or not at all.
+
+    Raises:
+        InvalidInput: it cannot be written there.
+    """
+    text = page(d)
+    try:
+        replace_file(path, text.encode())
+    except OSError as error:
+        raise InvalidInput(f"{path}: {error.strerror or error}; give another file") from error
+    return path
+
+
+def page(d: DiagnosisResult) -> str:
+    """The whole page as HTML."""
+    certain = d.verdict in {"named", "none"}
+    lead = [Paragraph(text, "lead") for text in summary.sentences(d)]
+    explained = Paragraph(
+        "All figures are computed on test data, used neither to fit nor to select. The noise "
+        "floor is the noise of the sensors and an allowance for the model's form. A short "
+        "prediction starts anew from the measured angle every few moments, a free run never.",
+        "soft",
+    )
+    sections = (
+        Section("What was found", _effects(d)),
+        Section("Before and after" if d.effects else "What the model predicts", _traces(d)),
+        Section("Where it shows", _where(d)),
+        Section("What was tried", _ranking(d)),
+        Section("The base model's numbers", _calibrations(d)),
+        Section("What to measure next", _next_experiment(d)),
+        Section("The data", _data(d)),
+    )
+    headline = html_page.Status(summary.heading(d), good=certain)
+    return html_page.render(
+        Page(TITLE, headline, (*lead, _table(summary.gaps(d)), explained), sections)
+    )
+
+
+def _effects(d: DiagnosisResult) -> list[Block]:
+    if not d.effects:
+        return []
+    looks = [
+        Paragraph(f"**{e.title}** (`{e.name}`) looks like this in data: {e.effect.appearance}.")
+        for e in d.effects
+    ]
+    return [*looks, _table(summary.parameters(d))]
+
+
+def _traces(d: DiagnosisResult) -> list[Block]:
+    blocks: list[Block] = []
+    if d.traces:
+        trace = summary.worst_trace(d)
+        blocks += [
+            Paragraph(
+                f"Record `{trace.name}` in free run: only the command goes in. Above, the stretch "
+                "in which the base model is worst; below, the error over the whole record."
+            ),
+            Drawing(_trace_figure(trace), "traces", "a record before and after"),
+            Heading("Over frequency"),
+            _plot(lambda ax: figures.draw_spectrum(ax, d), "spectrum", "error over frequency"),
+        ]
+    if len(d.steps) > 1:
+        blocks += [
+            Heading("Step by step"),
+            _plot(lambda ax: figures.draw_gap(ax, d), "gap", "prediction error after each step"),
+            _table(summary.steps(d)),
+        ]
+    return blocks
+
+
+def _where(d: DiagnosisResult) -> list[Block]:
+    where = d.where
+    if not where.blocks:
+        return []
+    height = 1.0 + 0.32 * len({v.name for b in where.blocks for v in b.views})
+    blocks: list[Block] = [
+        Paragraph(
+            "The residual of the base model with its own numbers fitted, before any effect was. "
+            "Each block is one of its balances, so that what is missing shows in the block it "
+            "belongs to; grey is what noise alone would give."
+        ),
+        _plot(lambda ax: residual_figures.draw_shares(ax, where), "shares", "shares", height),
+    ]
+    for block in where.blocks:
+        drawing = residual_figures.block_figure(block)
+        heading = Heading(block.title[:1].upper() + block.title[1:])
+        blocks += [heading, Drawing(drawing, f"block-{block.name}", block.title)]
+    return blocks + (_distortion(d) if where.distortion else [])
+
+
+def _distortion(d: DiagnosisResult) -> list[Block]:
+    drawings = [
+        _plot(
+            partial(residual_figures.draw_distortion, distortion=distortion),
+            f"distortion-{channel}",
+            f"lines of {channel}",
+        )
+        for channel, distortion in residual_figures.most_distorted(d.where).items()
+    ]
+    return [
+        Heading("Lines that a periodic setpoint does not excite"),
+        Paragraph(
+            "A linear plant answers on the excited lines alone. A law that bends both ways alike "
+            "adds odd lines, any other even lines as well. Drawn is the record of each channel "
+            "that shows most."
+        ),
+        *drawings,
+        _table(summary.distortions(d)),
+    ]
+
+
+def _ranking(d: DiagnosisResult) -> list[Block]:
+    blocks: list[Block] = [
+        Paragraph(
+            "Every effect was tried as the first one. The screening R² is the share of the "
+            "residual along the direction in which the effect would change it, on training data. "
+            "The best were fitted together with the base model, and judged by the share of the "
+            "error power above the noise floor that they explain on validation data; the others "
+            "change the predictions in another way."
+        )
+    ]
+    count = len(summary.fitted(d, figures.BARS_MAX).rows)
+    if count:
+        draw = partial(figures.draw_ranking, d=d)
+        blocks.append(_plot(draw, "ranking", "error left", 1.0 + 0.3 * count))
+    blocks.append(_table(summary.ranking(d)))
+    if summary.reasons(d):
+        blocks += [Heading("Ruled out"), Bullets(summary.reasons(d))]
+    if d.not_excited:
+        table = html_page.Table(("effect", "why"), tuple(d.not_excited.items()))
+        blocks += [Heading("What these records cannot show"), table]
+    return blocks
+
+
+def _calibrations(d: DiagnosisResult) -> list[Block]:
+    if not d.calibrations:
+        return []
+    text = (
+        "A missing effect biases the base model's numbers. Where they return to what was given "
+        "with the effect, that is evidence too."
+        if d.effects
+        else "Numbers of the base model that were free in every fit."
+    )
+    blocks: list[Block] = [Paragraph(text)]
+    count = len(figures.scalable(d))
+    if count:
+        draw = partial(figures.draw_calibrations, d=d)
+        blocks.append(_plot(draw, "calibrations", "shifts", 0.9 + 0.36 * count))
+    return [*blocks, _table(summary.calibrations(d))]
+
+
+def _next_experiment(d: DiagnosisResult) -> list[Block]:
+    if d.next_experiment is None:
+        return []
+    return [
+        Paragraph(summary.full_sentence(d.next_experiment.sentence)),
+        Paragraph("`estune explain` with `--next` writes its trial file; then"),
+        Paragraph(d.next_experiment.command, "code"),
+        Paragraph("runs it on the rig, and its record joins the data."),
+    ]
+
+
+def _data(d: DiagnosisResult) -> list[Block]:
+    records = len({part.record for part in d.splits})
+    height = 0.9 + 0.24 * max(records, 2)
+    blocks: list[Block] = [
+        Paragraph(
+            f"{records} records. Each stretch serves one end: effects are fitted on training data "
+            "(fit), selected on validation data (rank), and all figures are of test data (report)."
+        ),
+        _plot(lambda ax: figures.draw_splits(ax, d), "splits", "splits", height),
+        Heading("Noise"),
+        _table(summary.noises(d)),
+    ]
+    if d.findings:
+        blocks += [Heading("Issues of the files"), _table(summary.findings(d))]
+    return blocks
+
+
+def _table(table: summary.Table) -> html_page.Table:
+    return html_page.Table(*table)
+
+
+def _plot(
+    draw: Callable[[Axes], Axes], name: str, alt: str, height_in: float = 3.0
+) -> html_page.Drawing:
+    """A drawing with one pair of axes."""
+    figure = new_figure(WIDTH_in, height_in)
+    draw(figure.add_subplot())
+    return Drawing(figure, name, alt)
+
+
+def _trace_figure(trace: Trace) -> Figure:
+    figure = new_figure(WIDTH_in, 5.0)
+    above, below = figure.subplots(2, 1, height_ratios=(1.5, 1.0))
+    figures.draw_trace(above, trace)
+    figures.draw_error(below, trace)
+    return figure

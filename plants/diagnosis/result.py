@@ -1,0 +1,262 @@
+"""Result of a diagnosis as plain values: verdict, effects found, evidence."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+from estune.core.quantities import FloatArray
+from estune.run.trial_file import SUFFIX, TrialFile
+from plants.diagnosis.data.measured_record import DataIssue
+from plants.diagnosis.data.noise_floor import NoiseFloor
+from plants.diagnosis.residual.localisation import ResidualLocation
+from plants.effects import Effect
+from plants.effects.plant_scale import written_unit
+
+Verdict = Literal["named", "incomplete", "ambiguous", "unknown", "none"]
+"""`named`: the effects explain the prediction error; `incomplete`: most of it; `ambiguous`: the
+records do not distinguish several effects; `unknown`: no declared effect explains it; `none`:
+there is nothing to explain."""
+
+Split = Literal["fit", "rank", "report"]
+
+
+@dataclass(frozen=True, slots=True)
+class Interval:
+    """A fitted value and its 95 % confidence interval.
+
+    Attributes:
+        value: The value.
+        low: Lower end, inside the parameter's range.
+        high: Upper end.
+        unit: Unit of all three; empty for a plain number.
+    """
+
+    value: float
+    low: float
+    high: float
+    unit: str
+
+    def over(self, size: float) -> "Interval":
+        """The same as a multiple of a size above zero."""
+        return replace(self, value=self.value / size, low=self.low / size, high=self.high / size)
+
+
+@dataclass(frozen=True, slots=True)
+class NamedEffect:
+    """An effect that was found.
+
+    Attributes:
+        name: Its slug.
+        title: Its name in plain words.
+        parameters: Fitted values by name; in units of `input` and `output` for a plant that is no
+            reel.
+        sentence: What it is and how large, in plain words.
+        effect: The effect with the fitted values, to be added to a model.
+    """
+
+    name: str
+    title: str
+    parameters: Mapping[str, Interval]
+    sentence: str
+    effect: Effect
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """An effect that was tried as the first one missing.
+
+    Attributes:
+        name: Its slug.
+        closure: Explained fraction of the error power above the noise floor on validation data;
+            nan where its screening ruled it out before a fit.
+        gap: Prediction error left on validation data, in times the noise floor.
+        cosine2: Screening R2 on training data.
+        sentence: Why it was taken or ruled out.
+    """
+
+    name: str
+    closure: float
+    gap: float
+    cosine2: float
+    sentence: str
+
+
+@dataclass(frozen=True, slots=True)
+class BaseParameter:
+    """A number of the base model: as given, fitted alone, and fitted with the effects."""
+
+    name: str
+    unit: str
+    given: float
+    base: Interval
+    with_effects: Interval
+
+
+@dataclass(frozen=True, slots=True)
+class SearchStep:
+    """Prediction error on test data after one step of the search.
+
+    Attributes:
+        effect: Slug of the effect added; None for the base fit.
+        gap: Short-horizon prediction error, rms, in the unit of the result.
+        floor: Noise floor, same unit.
+        ratio: Prediction error over all channels, in times the noise floor.
+    """
+
+    effect: str | None
+    gap: float
+    floor: float
+    ratio: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trace:
+    """One channel of one test record, measured and simulated in free run; arrays (samples,).
+
+    Attributes:
+        name: Name of the record.
+        channel: Its column.
+        unit: Its unit.
+        time_s: Time of the samples.
+        measured: As measured.
+        before: Simulated by the base model.
+        after: Simulated with the effects; the same as `before` where there are none.
+    """
+
+    name: str
+    channel: str
+    unit: str
+    time_s: FloatArray
+    measured: FloatArray
+    before: FloatArray
+    after: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class DataSegment:
+    """A stretch of a record, and what it was used for."""
+
+    record: str
+    start_s: float
+    end_s: float
+    split: Split
+
+
+@dataclass(frozen=True, slots=True)
+class NextExperiment:
+    """A trial worth running next.
+
+    Attributes:
+        trial: The trial, ready to be written to a file.
+        sentence: What it is and what it would show.
+        separation: Predicted mean square difference between the models, in variances; None where
+            no two models are compared.
+        tried: The separation, or else the score from 0 to 1, of every experiment considered.
+    """
+
+    trial: TrialFile
+    sentence: str
+    separation: float | None
+    tried: Mapping[str, float]
+
+    @property
+    def file_name(self) -> str:
+        """Name of the trial's file."""
+        return f"{self.trial.name}{SUFFIX}"
+
+    @property
+    def command(self) -> str:
+        """Command line that runs it."""
+        return f"estune run-experiment {self.file_name} tcp/127.0.0.1:7447 --data data"
+
+    def write(self, folder: Path) -> Path:
+        """Writes the trial's file into a folder.
+
+        Raises:
+            InvalidInput: it cannot be written there.
+        """
+        return self.trial.write(folder)
+
+    def to_json(self) -> dict[str, Any]:
+        """JSON values."""
+        profile = self.trial.profile
+        return {
+            "name": self.trial.name,
+            "file": self.file_name,
+            "command": self.command,
+            "sentence": self.sentence,
+            "separation": self.separation,
+            "profile": {name: getattr(profile, name) for name in type(profile).__slots__},
+            "tried": dict(self.tried),
+        }
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class DiagnosisResult:
+    """Result of a diagnosis.
+
+    Attributes:
+        verdict: The conclusion; see `Verdict`.
+        sentence: The conclusion in plain words.
+        effects: The effects found, in order; for `ambiguous` the best one.
+        ambiguous: Slugs the records do not distinguish, best first; empty unless `ambiguous`.
+        candidates: All effects tried as the first one, best first.
+        unit: Unit of prediction errors: N, or rad where no tension was measured.
+        gap_before: Short-horizon prediction error of the base model on test data, rms.
+        gap_after: That with the effects.
+        floor: Noise floor, same unit.
+        ratio_before: `gap_before` over all channels, in times the noise floor.
+        ratio_after: `gap_after` over all channels, in times the noise floor.
+        closure: Explained fraction of the error power above the noise floor; nan without effects.
+        rms_before: Free-run error of the base model on test data, rms, in `unit`.
+        rms_after: That with the effects.
+        noise: The noise of each channel.
+        where: Localisation of the base model's residual.
+        calibrations: The base model's numbers and how they shifted.
+        not_excited: Effects that these records cannot show, with the reason.
+        ruled_out: What was ruled out and why, one sentence each.
+        next_experiment: The trial that would decide, or None.
+        findings: Issues of the data.
+        steps: Prediction error on test data, step by step.
+        traces: Test records in free run, before and after.
+        splits: What each stretch of the data was used for.
+        model: The model as given.
+        base_model: The model with its own numbers fitted.
+        augmented: `base_model` with the effects, fitted together.
+        values: The fit's values by the names of the predictor's free numbers.
+    """
+
+    verdict: Verdict
+    sentence: str
+    effects: tuple[NamedEffect, ...]
+    ambiguous: tuple[str, ...]
+    candidates: tuple[Candidate, ...]
+    unit: Literal["N", "rad"]
+    gap_before: float
+    gap_after: float
+    floor: float
+    ratio_before: float
+    ratio_after: float
+    closure: float
+    rms_before: float
+    rms_after: float
+    noise: NoiseFloor
+    where: ResidualLocation
+    calibrations: tuple[BaseParameter, ...]
+    not_excited: Mapping[str, str]
+    ruled_out: tuple[str, ...]
+    next_experiment: NextExperiment | None
+    findings: tuple[DataIssue, ...]
+    steps: tuple[SearchStep, ...]
+    traces: tuple[Trace, ...]
+    splits: tuple[DataSegment, ...]
+    model: Any
+    base_model: Any
+    augmented: Any
+    values: Mapping[str, float]
+
+    @property
+    def written_unit(self) -> str:
+        """`unit` as it is written: empty for a plant, whose output may be anything."""
+        return written_unit(self.unit, self.base_model)
