@@ -117,7 +117,7 @@ def test_the_trial_that_would_decide_is_told_and_written_as_a_file(monkeypatch, 
     monkeypatch.setattr(module, "explain", lambda *_, **__: unsure)
     assert command() == 0
     first = capsys.readouterr().out
-    assert "Coulomb friction of the drum or Dahl hysteresis of the drum" in first
+    assert "Coulomb friction or Dahl hysteresis" in first
     assert deciding().sentence in first
     assert "--data runs --next ." in first
     assert command("--next", str(tmp_path)) == 0

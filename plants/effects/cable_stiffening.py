@@ -1,6 +1,5 @@
 """A cable that stiffens under tension."""
 
-import math
 from dataclasses import dataclass
 
 import casadi as ca
@@ -43,14 +42,14 @@ class CableStiffening(Effect):
     def describe(cls, p: Values, plant: PlantScale) -> str:
         """What was found, in words."""
         square, cubic = p.stiffening_per_N, p.cubic_per_N2
-        if plant.subject == "plant":
+        if plant.is_plant:
             pulled = f"{digits(square)} u² more where it is pulled" if square else ""
             either = f"{digits(cubic)} u³ more either way" if cubic else ""
             more = " and ".join(filter(None, (pulled, either)))
             return (
                 f"has a spring that stiffens: it holds {more}, u being what the linear law holds"
             )
-        T = plant.tension_N if math.isfinite(plant.tension_N) else 10.0
+        T = plant.usual_tension_N
         bent = square * T + cubic * T * T
         terms = f"coefficient {square:.3g} 1/N" + (f", cubic {cubic:.3g} 1/N²" if cubic else "")
         more = "more" if bent > 0.0 else "less"

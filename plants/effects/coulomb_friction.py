@@ -27,7 +27,7 @@ class CoulombFriction(Effect):
     """
 
     name = "coulomb_friction"
-    title = "Coulomb friction of the drum"
+    title = "Coulomb friction"
     appearance = (
         "current and tension differ by a constant whose sign is that of the velocity; "
         "small steps stop short of the setpoint"

@@ -29,7 +29,7 @@ class DahlHysteresis(Effect):
     """
 
     name = "dahl_hysteresis"
-    title = "Dahl hysteresis of the drum"
+    title = "Dahl hysteresis"
     appearance = (
         "after each reversal current and tension drift apart over a small angle, "
         "so that small loops are narrower than large ones"

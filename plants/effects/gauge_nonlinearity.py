@@ -1,6 +1,5 @@
 """A curved gauge."""
 
-import math
 from dataclasses import dataclass
 
 import casadi as ca
@@ -33,11 +32,11 @@ class GaugeNonlinearity(Effect):
     def describe(cls, p: Values, plant: PlantScale) -> str:
         """What was found, in words."""
         c = p.curvature_per_N
-        if plant.subject == "plant":
+        if plant.is_plant:
             return (
                 f"has a gauge whose curve is bent: of an output y it reads {digits(c)} y² too much"
             )
-        T = plant.tension_N if math.isfinite(plant.tension_N) else 10.0
+        T = plant.usual_tension_N
         more = "much" if c > 0.0 else "little"
         return (
             f"has a gauge whose curve is bent: at {plant.reading(T)} it reads "

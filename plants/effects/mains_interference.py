@@ -1,4 +1,4 @@
-"""Hum of the mains in the reading."""
+"""Mains interference in the reading."""
 
 import math
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from plants.effects.plant_scale import PlantScale
 
 @dataclass(frozen=True)
 class MainsInterference(Effect):
-    """Hum in the gauge's signal: `y = T + A sin(2 pi f t + phi)`, t from the start of the trial.
+    """Mains interference in the gauge's signal: `y = T + A sin(2 pi f t + phi)`, t from the start of the trial.
 
     Attributes:
         amplitude_N: Amplitude A, N.
@@ -21,7 +21,7 @@ class MainsInterference(Effect):
     """
 
     name = "mains_interference"
-    title = "mains hum in the gauge"
+    title = "mains interference in the gauge"
     appearance = "the reading carries a sine of the mains frequency at rest as well as in motion"
     excitation = "rest for a second or more"
     in_noise = True
@@ -36,7 +36,7 @@ class MainsInterference(Effect):
     def describe(cls, p: Values, plant: PlantScale) -> str:
         """What was found, in words."""
         return (
-            f"has hum in the gauge's signal: {plant.reading(p.amplitude_N)} at "
+            f"has mains interference in the gauge's signal: {plant.reading(p.amplitude_N)} at "
             f"{p.frequency_Hz:.4g} Hz, at rest as well as in motion"
         )
 
@@ -48,7 +48,7 @@ class MainsInterference(Effect):
 
     @staticmethod
     def respond(p: Values, state: Signal, signal: Signal, _site: Site) -> Response:
-        """The reading with its hum; what is remembered is the wave and its quadrature."""
+        """The reading with the interference; what is remembered is the wave and its quadrature."""
         wave, quadrature = state[0], state[1]
         turned = ca.vertcat(
             p.cosine * wave + p.sine * quadrature, p.cosine * quadrature - p.sine * wave
@@ -57,5 +57,5 @@ class MainsInterference(Effect):
 
     @staticmethod
     def rest(p: Values, _state: Signal, signal: Signal, _site: Site) -> Response:
-        """The wave at its phase; a trial starts settled but for the hum."""
+        """The wave at its phase; a trial starts settled but for it."""
         return ca.vertcat(ca.sin(p.phase_rad), ca.cos(p.phase_rad)), signal

@@ -35,14 +35,14 @@ def share(value: float) -> str:
 
 def written_unit(unit: str, model: Any) -> str:
     """How the unit of an output is written: a plant's is not, its output may be anything."""
-    return unit if PlantScale.of(model).subject == "reel" else ""
+    return "" if PlantScale.of(model).is_plant else unit
 
 
 class PlantScale(NamedTuple):
     """What the numbers of an effect are seen against.
 
     Attributes:
-        subject: What the model is of: reel or plant.
+        subject: What the model is of: a reel, a drive without a cable, or any other plant.
         radius_m: Drum radius, m; nan without a drum.
         length_m: Cable length, m; nan without a cable.
         tension_N: Usual tension, N; nan where there is none.
@@ -70,8 +70,10 @@ class PlantScale(NamedTuple):
         softness = 1.0 / known("structure_stiffness_N_m")
         softness += known("cable_length_m") / known("cable_EA_N")
         controller = getattr(model, "controller", None)
+        subject = "reel" if math.isfinite(known("cable_length_m")) else "drive"
+        subject = subject if math.isfinite(known("drum_inertia_kg_m2")) else "plant"
         return cls(
-            subject="reel" if math.isfinite(known("drum_inertia_kg_m2")) else "plant",
+            subject=subject,
             radius_m=known("drum_radius_m"),
             length_m=known("cable_length_m"),
             tension_N=known("tension_N"),
@@ -79,6 +81,16 @@ class PlantScale(NamedTuple):
             newtons_per_ampere=known("newtons_per_ampere"),
             sampling_Hz=float(getattr(controller, "sampling_Hz", math.nan)),
         )
+
+    @property
+    def is_plant(self) -> bool:
+        """Whether it is known by input and output alone, in units of its own."""
+        return self.subject == "plant"
+
+    @property
+    def usual_tension_N(self) -> float:
+        """Tension that sentences refer to."""
+        return self.tension_N if math.isfinite(self.tension_N) else 10.0
 
     @property
     def has_cable(self) -> bool:
@@ -92,41 +104,41 @@ class PlantScale(NamedTuple):
 
     def torque(self, torque_Nm: float) -> str:
         """A torque, and the tension it is at the cable."""
-        if self.subject == "plant":
+        if self.is_plant:
             return _input(torque_Nm)
         at_cable = torque_Nm / self.radius_m if self.has_cable else math.nan
         return f"{si(torque_Nm, 'N m')}{also(at_cable, 'N', ' at the cable')}"
 
     def travel(self, angle_rad: float) -> str:
         """An angle of the drum, and the cable it winds."""
-        if self.subject == "plant":
+        if self.is_plant:
             return _output(angle_rad)
         wound = angle_rad * self.radius_m if self.has_cable else math.nan
         return f"{si(angle_rad, 'rad')}{also(wound, 'm', ' of cable')}"
 
     def cable(self, length_m: float) -> str:
         """A length of cable."""
-        if self.subject == "plant":
+        if self.is_plant:
             return _output(length_m)
         return si(length_m, "m")
 
     def speed(self, velocity_rad_s: float) -> str:
         """A velocity of the drum, and of the cable."""
-        if self.subject == "plant":
+        if self.is_plant:
             return f"{_output(velocity_rad_s)} per second"
         wound = velocity_rad_s * self.radius_m if self.has_cable else math.nan
         return f"{si(velocity_rad_s, 'rad/s')}{also(wound, 'm/s', ' of cable')}"
 
     def current(self, current_A: float, per: str = "") -> str:
         """A current, and the tension it holds."""
-        if self.subject == "plant":
+        if self.is_plant:
             return f"{_input(current_A)}{' per second' if per else ''}"
         tension = current_A * self.newtons_per_ampere
         return f"{si(current_A, f'A{per}')}{also(tension, f'N{per}')}"
 
     def reading(self, tension_N: float) -> str:
         """A tension, or what stands for it in a plant's output."""
-        if self.subject == "plant":
+        if self.is_plant:
             return _output(tension_N)
         return si(tension_N, "N")
 

@@ -39,7 +39,7 @@ class StribeckFriction(Effect):
     """
 
     name = "stribeck_friction"
-    title = "Stribeck friction of the drum"
+    title = "Stribeck friction"
     appearance = (
         "like Coulomb friction, but the drum breaks away with a jerk and, moved slowly, "
         "sticks and slips"

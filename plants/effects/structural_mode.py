@@ -55,8 +55,8 @@ class StructuralMode(Effect):
     @classmethod
     def describe(cls, p: Values, plant: PlantScale) -> str:
         """What was found, in words."""
-        T = plant.tension_N if math.isfinite(plant.tension_N) else 10.0
-        stiffer = "" if plant.subject == "plant" else (
+        T = plant.usual_tension_N
+        stiffer = "" if plant.is_plant else (
             f" and is {share(p.stiffening_per_N * T)} stiffer at {plant.reading(T)}"
         )  # fmt: skip
         return (

@@ -19,7 +19,7 @@ class ViscousDamping(Effect):
     """
 
     name = "viscous_damping"
-    title = "viscous friction of the drum"
+    title = "viscous friction"
     appearance = (
         "current and tension differ in proportion to the velocity; "
         "the resonance is lower and wider than the model's"
@@ -34,7 +34,7 @@ class ViscousDamping(Effect):
     def describe(cls, p: Values, plant: PlantScale) -> str:
         """What was found, in words."""
         b = p.damping_Nms
-        if plant.subject == "plant":
+        if plant.is_plant:
             return (
                 f"has more viscous friction than the model: {digits(b)} in the input's unit for "
                 "each unit of the output per second"
