@@ -1,4 +1,4 @@
-"""What is shown while a run goes on: on a terminal, in a pipe, in a notebook."""
+"""Progress of a run on a terminal, in a pipe and in a notebook."""
 
 import io
 import re
@@ -18,7 +18,7 @@ from tests.support_runs import START, ArithmeticRig
 
 
 class Unlucky(ArithmeticRig):
-    """Diverges in one trial and is interrupted before another."""
+    """Rig that diverges in one trial and is interrupted before another."""
 
     def __init__(self, *, diverging, stop_before):
         super().__init__()
@@ -35,7 +35,7 @@ class Unlucky(ArithmeticRig):
         )
 
 
-def test_plain_progress_is_a_heading_and_some_lines_whatever_the_number_of_trials(capsys):
+def test_plain_progress_is_a_heading_and_about_a_dozen_lines(capsys):
     for trials in (40, 400):
         estune.tune(ArithmeticRig(), trials=trials, tolerance=0.0, journal=False)
         lines = capsys.readouterr().err.splitlines()
@@ -46,7 +46,7 @@ def test_plain_progress_is_a_heading_and_some_lines_whatever_the_number_of_trial
         assert done == most
 
 
-def test_a_resumed_run_counts_its_best_and_unsafe_trials_from_the_beginning(tmp_path):
+def test_progress_of_resumed_run_counts_earlier_trials(tmp_path):
     rig = Unlucky(diverging=5, stop_before=20)
     with pytest.raises(Stopped):
         estune.tune(rig, trials=40, folder=tmp_path, run="cut", watch=None)
@@ -57,17 +57,17 @@ def test_a_resumed_run_counts_its_best_and_unsafe_trials_from_the_beginning(tmp_
         seen.append(shown)
 
     with Journal.open(tmp_path / "cut") as journal:
-        tally = progress.ProgressCounter(replay(before.plan, before.rig, journal))
-    assert tally.status().unsafe == 1
-    assert tally.status().best == before.to_frame()["best_cost"].iloc[-1]
-    assert tally.status().done == 20
+        counter = progress.ProgressCounter(replay(before.plan, before.rig, journal))
+    assert "1 unsafe" in counter.status().summary
+    assert counter.best == before.to_frame()["best_cost"].iloc[-1]
+    assert counter.status().done == 20
     rig.stop_before = None
     estune.resume(tmp_path / "cut", rig, watch=watch)
     assert seen[0].entry.number == 20
 
 
 class Cell:
-    """A notebook cell's display, as IPython offers it."""
+    """Display of a notebook cell, with the interface of IPython."""
 
     def __init__(self):
         self.shown = []
@@ -82,7 +82,7 @@ class Cell:
         self.shown.append(content)
 
 
-def test_a_notebook_gets_one_updated_output_without_widgets(monkeypatch, capsys):
+def test_notebook_progress_updates_one_output_without_widgets(monkeypatch, capsys):
     cell = Cell()
     shell = SimpleNamespace(get_ipython=lambda: SimpleNamespace(kernel=object()))
     monkeypatch.setitem(sys.modules, "IPython", shell)
@@ -97,7 +97,7 @@ def test_a_notebook_gets_one_updated_output_without_widgets(monkeypatch, capsys)
 
 
 @pytest.mark.parametrize("width", [80, 120])
-def test_a_terminal_shows_where_the_run_stands_and_which_gains_are_live(tmp_path, width):
+def test_terminal_progress_shows_status_and_live_gains(tmp_path, width):
     out = io.StringIO()
     console = Console(file=out, force_terminal=True, width=width, legacy_windows=False)
 
@@ -106,7 +106,8 @@ def test_a_terminal_shows_where_the_run_stands_and_which_gains_are_live(tmp_path
     result = estune.load(tmp_path / "cut")
     with Journal.open(tmp_path / "cut") as journal:
         tuning = replay(result.plan, result.rig, journal)
-        with progress.TerminalDisplay(tuning, console):
+        counter = progress.ProgressCounter(tuning)
+        with progress.show_live(counter.status, counter.heading(), console):
             pass
     text = re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", out.getvalue())
     assert str(tmp_path / "cut") in text.replace("\n", "")
@@ -121,5 +122,5 @@ def test_a_terminal_shows_where_the_run_stands_and_which_gains_are_live(tmp_path
 @pytest.mark.parametrize(
     ("seconds", "shown"), [(0.2, "0:00"), (61.0, "1:01"), (3725.0, "1:02:05"), (float("nan"), "-")]
 )
-def test_durations_read_as_a_clock(seconds, shown):
+def test_duration_reads_as_a_clock(seconds, shown):
     assert progress.duration(seconds) == shown
