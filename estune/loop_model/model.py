@@ -1,0 +1,223 @@
+"""A discrete linear model of the plant, and the closed loop it forms with the PIDF.
+
+With q^-1 the backward shift, h the sampling interval, d whole samples of dead time,
+
+    y = G u,      G = q^-(d+1) B / A,    A = 1 + a1 q^-1 + a2 q^-2,   B = b0 + b1 q^-1 + b2 q^-2
+    u = Cr F r - Cy y                                                                 (32) to (34)
+    Cr = Sr / Ni,          Sr = P Ni + I h q^-1,                         Ni = 1 - q^-1
+    Cy = Sy / (Ni Nd),     Sy = Sr Nd + D Ni^2,                Nd = (tau_d + h) - tau_d q^-1
+
+which is the difference equation of `estune.core.pidf` within its limits. All signals are
+deviations from the steady state before the step.
+"""
+
+import math
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+from estune.core.gains import Gains
+from estune.core.pidf import ControllerSettings
+from estune.core.quantities import FloatArray
+
+ComplexArray = NDArray[np.complex128]
+
+GRID_POINTS = 250
+LOWEST_rad = 1e-4
+POINTS_PER_TURN = 24
+"""Grid of the frequency response; Ms is refined between its points."""
+
+
+class LoopModel(NamedTuple):
+    """Two poles, three numerator terms and a dead time.
+
+    Attributes:
+        poles: a1 and a2.
+        zeros: b0, b1 and b2, N of measurement per N of effort.
+        dead_samples: Whole samples d of dead time beyond the one of sampling.
+    """
+
+    poles: tuple[float, float]
+    zeros: tuple[float, float, float]
+    dead_samples: int
+
+    @property
+    def parameters(self) -> FloatArray:
+        """The five real parameters, shape (5,)."""
+        return np.array([*self.poles, *self.zeros])
+
+    def with_parameters(self, values: FloatArray) -> "LoopModel":
+        """The model with other values of the five real parameters and the same dead time."""
+        a1, a2, b0, b1, b2 = (float(value) for value in values)
+        return LoopModel((a1, a2), (b0, b1, b2), self.dead_samples)
+
+    @property
+    def numerator(self) -> FloatArray:
+        """q^-(d+1) B as a polynomial in q^-1."""
+        return np.concatenate([np.zeros(self.dead_samples + 1), self.zeros])
+
+    @property
+    def denominator(self) -> FloatArray:
+        """A as a polynomial in q^-1."""
+        return np.array([1.0, *self.poles])
+
+    def respond(self, effort_N: FloatArray) -> FloatArray:
+        """The output for an effort, both as deviations, shape (samples,)."""
+        return np.asarray(lfilter(self.numerator, self.denominator, effort_N))
+
+
+class ClosedLoop(NamedTuple):
+    """Polynomials in q^-1 of the loop with one set of gains.
+
+    Attributes:
+        characteristic: A Ni Nd + q^-(d+1) B Sy; its zeros are the poles of the closed loop.
+        forward: A Ni Nd, so that S = forward / characteristic is the sensitivity.
+        to_output: From the filtered setpoint to the output, over the characteristic.
+        to_effort: From the filtered setpoint to the effort.
+        noise_to_effort: From measurement noise to the effort.
+        setpoint_pole: Pole of the setpoint filter F.
+    """
+
+    characteristic: FloatArray
+    forward: FloatArray
+    to_output: FloatArray
+    to_effort: FloatArray
+    noise_to_effort: FloatArray
+    setpoint_pole: float
+
+    def step_response(self, setpoint_N: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Output and effort for a setpoint, as deviations, without limits, shape (samples,)."""
+        p = self.setpoint_pole
+        filtered = lfilter([1.0 - p], [1.0, -p], setpoint_N)
+        return (
+            np.asarray(lfilter(self.to_output, self.characteristic, filtered)),
+            np.asarray(lfilter(self.to_effort, self.characteristic, filtered)),
+        )
+
+    def noise_gains(self, samples: int) -> tuple[float, float]:
+        """Variance of the measurement and of one move of the effort, per variance of the noise."""
+        impulse = np.zeros(samples)
+        impulse[0] = 1.0
+        measured = lfilter(self.forward, self.characteristic, impulse)
+        effort = lfilter(self.noise_to_effort, self.characteristic, impulse)
+        moves = np.diff(effort, prepend=0.0)
+        return float(measured @ measured), float(moves @ moves)
+
+
+def close_loop(model: LoopModel, gains: Gains, settings: ControllerSettings) -> ClosedLoop:
+    """The closed loop of a model and a PIDF with these gains."""
+    h, lag = 1.0 / settings.sampling_Hz, settings.derivative_filter_s
+    Ni, Nd = np.array([1.0, -1.0]), np.array([lag + h, -lag])
+    Sr = gains.P * Ni + np.array([0.0, gains.I * h])
+    Sr_Nd = np.convolve(Sr, Nd)
+    Sy = Sr_Nd + gains.D * np.convolve(Ni, Ni)
+    A, B = model.denominator, model.numerator
+    forward = np.convolve(A, np.convolve(Ni, Nd))
+    feedback = np.convolve(B, Sy)
+    characteristic = np.zeros(max(forward.size, feedback.size))
+    characteristic[: forward.size] += forward
+    characteristic[: feedback.size] += feedback
+    return ClosedLoop(
+        characteristic=characteristic,
+        forward=forward,
+        to_output=np.convolve(B, Sr_Nd),
+        to_effort=np.convolve(A, Sr_Nd),
+        noise_to_effort=-np.convolve(A, Sy),
+        setpoint_pole=math.exp(-h / max(gains.setpoint_filter_s, 1e-12)),
+    )
+
+
+class Robustness(NamedTuple):
+    """Stability margins of the linear loop.
+
+    Attributes:
+        sensitivity: Ms, the largest |S| over frequency; infinite where the loop is unstable.
+        phase_margin_deg: Smallest phase margin over all gain crossovers, degrees; infinite
+            without a crossover, NaN where the loop is unstable.
+    """
+
+    sensitivity: float
+    phase_margin_deg: float
+
+
+UNSTABLE = Robustness(math.inf, math.nan)
+
+
+class FrequencyGrid(NamedTuple):
+    """What the margins need of a model, on a grid of angles; shape (angles,) each.
+
+    Attributes:
+        theta: Angles, rad/sample, from well below the loop's rates to half the sampling rate.
+        later: q^-1 = exp(-i theta).
+        difference: Ni = 1 - q^-1, with all its digits at low frequency.
+        plant: G.
+        poles: A.
+    """
+
+    theta: FloatArray
+    later: ComplexArray
+    difference: ComplexArray
+    plant: ComplexArray
+    poles: ComplexArray
+
+
+@lru_cache(maxsize=64)
+def frequency_grid(model: LoopModel) -> FrequencyGrid:
+    """The grid of a model: logarithmic, with `POINTS_PER_TURN` to a turn of its dead time."""
+    turns = POINTS_PER_TURN * (model.dead_samples + 2) // 2
+    theta = np.union1d(
+        np.geomspace(LOWEST_rad, math.pi, GRID_POINTS), np.linspace(0.0, math.pi, turns)[1:]
+    )
+    later = np.exp(-1j * theta)
+    b0, b1, b2 = model.zeros
+    a1, a2 = model.poles
+    poles = 1.0 + later * (a1 + later * a2)
+    plant = later ** (model.dead_samples + 1) * (b0 + later * (b1 + later * b2)) / poles
+    return FrequencyGrid(theta, later, -np.expm1(-1j * theta), plant, poles)
+
+
+def robustness(model: LoopModel, gains: Gains, settings: ControllerSettings) -> Robustness:
+    """Ms and phase margin of the loop of a model and a PIDF.
+
+    The loop is stable where its characteristic polynomial in q^-1 makes no turn about the origin
+    as theta goes from 0 to pi.
+    """
+    h, lag = 1.0 / settings.sampling_Hz, settings.derivative_filter_s
+    grid = frequency_grid(model)
+    Nd = (lag + h) - lag * grid.later
+    controller = (
+        gains.P + gains.I * h * grid.later / grid.difference + gains.D * grid.difference / Nd
+    )
+    loop = grid.plant * controller
+    back = 1.0 + loop
+    characteristic = back * grid.poles * grid.difference * Nd
+    turn = np.angle(characteristic[1:] / characteristic[:-1])
+    # At theta = 0 the polynomial is real; its angle from there to the first point is counted too.
+    total = float(np.angle(characteristic[0]) + turn.sum())
+    if not math.isfinite(total) or abs(total) > math.pi / 2.0:
+        return UNSTABLE
+    size = np.abs(back)
+    lowest = int(np.argmin(size))
+    crossing = np.log(np.abs(loop))
+    change = np.flatnonzero(crossing[:-1] * crossing[1:] < 0.0)
+    if not change.size:
+        return Robustness(1.0 / _refined(size, lowest), math.inf)
+    share = crossing[change] / (crossing[change] - crossing[change + 1])
+    angle = np.angle(-loop)
+    step = np.angle(loop[change + 1] / loop[change])
+    margins = np.abs(np.degrees(angle[change] + share * step))
+    return Robustness(1.0 / _refined(size, lowest), float(margins.min()))
+
+
+def _refined(values: FloatArray, lowest: int) -> float:
+    """Minimum of a parabola through a smallest value and its neighbours."""
+    if not 0 < lowest < values.size - 1:
+        return float(values[lowest])
+    left, middle, right = values[lowest - 1 : lowest + 2].tolist()
+    bend = left - 2.0 * middle + right
+    if bend <= 0.0:
+        return float(middle)
+    return float(middle - (left - right) ** 2 / (8.0 * bend))

@@ -1,0 +1,198 @@
+"""The gains of least predicted cost within limits of sensitivity and overshoot."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import minimize
+from scipy.stats import qmc
+
+from estune.core.gains import Gains
+from estune.core.quantities import FloatArray
+from estune.errors import InvalidInput
+from estune.loop_model.model import LoopModel
+from estune.loop_model.prediction import Prediction, StepTrial, predict
+
+
+@dataclass(frozen=True, slots=True)
+class RobustnessLimits:
+    """Limits that gains have to keep; None is no limit.
+
+    Attributes:
+        max_sensitivity: Largest Ms.
+        max_overshoot: Largest overshoot, as a share of the step.
+        min_phase_margin_deg: Smallest phase margin, degrees.
+
+    Raises:
+        InvalidInput: a value is out of its range.
+    """
+
+    max_sensitivity: float | None = 1.6
+    max_overshoot: float | None = 0.05
+    min_phase_margin_deg: float | None = None
+
+    def __post_init__(self) -> None:
+        for what, value, least, most in (
+            ("sensitivity limit", self.max_sensitivity, 1.0, 100.0),
+            ("overshoot limit", self.max_overshoot, 0.0, 1.0),
+            ("phase margin limit", self.min_phase_margin_deg, 0.0, 90.0),
+        ):
+            if value is not None and not least < value <= most:
+                raise InvalidInput(
+                    f"{what} is {value}; it must be above {least:g}, at most {most:g}"
+                )
+
+    def excess(self, p: Prediction) -> FloatArray:
+        """By how much a prediction exceeds each limit, shape (3,).
+
+        Sensitivity as a logarithm, overshoot as a share of the step, phase margin in radians.
+        """
+        return np.array(
+            [
+                -1.0
+                if self.max_sensitivity is None
+                else math.log(p.sensitivity / self.max_sensitivity),
+                -1.0 if self.max_overshoot is None else p.overshoot - self.max_overshoot,
+                -1.0
+                if self.min_phase_margin_deg is None
+                else math.radians(self.min_phase_margin_deg - p.phase_margin_deg),
+            ]
+        )
+
+    def loosened_to(self, p: Prediction) -> "RobustnessLimits":
+        """The limits, widened where a prediction exceeds them."""
+        return RobustnessLimits(
+            None
+            if self.max_sensitivity is None
+            else max(self.max_sensitivity, min(p.sensitivity, 100.0)),
+            None if self.max_overshoot is None else max(self.max_overshoot, min(p.overshoot, 1.0)),
+            None
+            if self.min_phase_margin_deg is None
+            else max(min(self.min_phase_margin_deg, p.phase_margin_deg), 1e-3),
+        )
+
+
+class Optimum(NamedTuple):
+    """The best gains of a model within limits.
+
+    Attributes:
+        coordinates: Logarithms of the tuned parameters, shape (n,).
+        prediction: What the model predicts there.
+        feasible: Whether the limits hold there.
+    """
+
+    coordinates: FloatArray
+    prediction: Prediction
+    feasible: bool
+
+
+TOLERANCE = 2e-3
+"""Excess over a limit that still counts as kept: 0.2 % of Ms, 0.2 % of the step."""
+
+PENALTY = 30.0
+"""Logarithms of cost per unit of excess, by which solutions outside the limits are compared."""
+
+EXCESS_MAX = 5.0
+"""Excess of an unstable loop."""
+
+INFEASIBLE = 10.0
+"""Logarithm of the cost of an unstable loop."""
+
+GENTLER = np.array([-0.4, -0.6, -0.4, 0.2])
+"""Step from gains at which a model is unstable, in logarithms of P, I, D and the filter."""
+
+
+@dataclass(frozen=True, slots=True)
+class RegionSearch:
+    """Minimises the predicted cost over a box of logarithms of the tuned parameters.
+
+    Attributes:
+        model: The loop.
+        trial: The step trial.
+        limits: What the gains have to keep.
+        gains_of: From coordinates to gains.
+        low: Least coordinates, shape (n,).
+        high: Greatest coordinates.
+        noise_N: Standard deviation of the measurement noise.
+        correction: Added to the logarithm of the predicted cost.
+    """
+
+    model: LoopModel
+    trial: StepTrial
+    limits: RobustnessLimits
+    gains_of: Callable[[FloatArray], Gains]
+    low: FloatArray
+    high: FloatArray
+    noise_N: float = 0.0
+    correction: Callable[[FloatArray], float] | None = None
+    _known: dict[bytes, Prediction] = field(default_factory=dict, repr=False, compare=False)
+
+    def minimise(
+        self, starts: Sequence[FloatArray], *, iterations: int = 40, scattered: int = 0
+    ) -> Optimum:
+        """The best of sequential quadratic programmes from several starts.
+
+        Args:
+            starts: Where searches begin, each of shape (n,).
+            iterations: Greatest number of iterations of each.
+            scattered: Number of low-discrepancy points of which the best is one more start.
+        """
+        starts = [*starts, *([self._best_of(scattered)] if scattered else [])]
+        stable = [x for start in starts if (x := self._stabilised(start)) is not None]
+        if not stable:
+            middle = (self.low + self.high) / 2.0
+            return Optimum(middle, self.predicted(middle), feasible=False)
+        return min((self._descend(x, iterations) for x in stable), key=self._rank)
+
+    def predicted(self, x: FloatArray) -> Prediction:
+        """What the model predicts at some coordinates."""
+        key = x.tobytes()
+        if key not in self._known:
+            gains = self.gains_of(x)
+            self._known[key] = predict(self.model, self.trial, gains, self.noise_N)
+        return self._known[key]
+
+    def _descend(self, start: FloatArray, iterations: int) -> Optimum:
+        found = minimize(
+            self._objective,
+            start,
+            method="SLSQP",
+            bounds=list(zip(self.low, self.high, strict=True)),
+            constraints={"type": "ineq", "fun": lambda x: -self._excess(x)},
+            options={"maxiter": iterations, "ftol": 1e-5, "eps": 1e-4},
+        )
+        x = np.clip(found.x, self.low, self.high)
+        kept = bool(self._excess(x).max() < TOLERANCE)
+        return Optimum(x, self.predicted(x), feasible=kept)
+
+    def _objective(self, x: FloatArray) -> float:
+        cost = self.predicted(x).cost
+        value = math.log(cost) if math.isfinite(cost) else INFEASIBLE
+        return value + (self.correction(x) if self.correction else 0.0)
+
+    def _excess(self, x: FloatArray) -> FloatArray:
+        excess = self.limits.excess(self.predicted(x))
+        return np.where(np.isfinite(excess), np.minimum(excess, EXCESS_MAX), EXCESS_MAX)
+
+    def _penalised(self, x: FloatArray, penalty: float) -> float:
+        beyond = np.maximum(self._excess(x) - TOLERANCE, 0.0)
+        return self._objective(x) + penalty * float(beyond.sum())
+
+    def _rank(self, one: Optimum) -> float:
+        return self._penalised(one.coordinates, PENALTY)
+
+    def _best_of(self, count: int) -> FloatArray:
+        unit = qmc.Sobol(self.low.size, scramble=False).random(count)
+        points: FloatArray = self.low + (self.high - self.low) * unit
+        return min(points, key=lambda x: self._penalised(x, 1.0))
+
+    def _stabilised(self, start: FloatArray) -> FloatArray | None:
+        """The start, moved to lower gains until the model is stable there."""
+        x = np.clip(start, self.low, self.high)
+        for _ in range(20):
+            if math.isfinite(self.predicted(x).cost):
+                return x
+            x = np.clip(x + GENTLER[: x.size], self.low, self.high)
+        return None

@@ -1,0 +1,213 @@
+"""Cost, overshoot and stability margins that an identified loop predicts at any gains."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from estune.core import pidf
+from estune.core.cost import StepCost
+from estune.core.gains import Gains
+from estune.core.pidf import ControllerSettings
+from estune.core.quantities import FloatArray
+from estune.loop_model.identification import LoopFit
+from estune.loop_model.model import ClosedLoop, LoopModel, close_loop, robustness
+
+INFLATION = 1.5
+"""Factor on the wider of the two standard errors of the fit: with it intervals of Ms hold the
+true value in 1.00 of 42 fits on seven families, without it in 0.83 to 0.95."""
+
+
+class StepTrial(NamedTuple):
+    """What decides a step trial besides the plant and the gains.
+
+    Attributes:
+        controller: The fixed part of the controller.
+        cost: The settings of (35).
+        preload_N: Setpoint before the step.
+        step_N: Size of the step.
+        step_index: First sample of the step.
+        samples: Samples of the trial.
+        effort_N: Effort at rest before the step.
+    """
+
+    controller: ControllerSettings
+    cost: StepCost
+    preload_N: float
+    step_N: float
+    step_index: int
+    samples: int
+    effort_N: float
+
+    @property
+    def setpoint_N(self) -> FloatArray:
+        """The setpoint as a deviation from the preload, shape (samples,)."""
+        setpoint = np.zeros(self.samples)
+        setpoint[self.step_index :] = self.step_N
+        return setpoint
+
+
+class Prediction(NamedTuple):
+    """What a model predicts of one set of gains; cost and Ms are infinite where it is unstable.
+
+    Attributes:
+        cost: Expected cost of a trial, with the noise's share.
+        overshoot: Of the response without noise, as a share of the step.
+        sensitivity: Ms.
+        phase_margin_deg: Phase margin, degrees.
+    """
+
+    cost: float
+    overshoot: float
+    sensitivity: float
+    phase_margin_deg: float
+
+
+UNSTABLE = Prediction(math.inf, math.inf, math.inf, math.nan)
+
+
+def predict(model: LoopModel, trial: StepTrial, gains: Gains, noise_N: float = 0.0) -> Prediction:
+    """What a model predicts of a step trial with these gains."""
+    margins = robustness(model, gains, trial.controller)
+    if not math.isfinite(margins.sensitivity):
+        return UNSTABLE
+    loop = close_loop(model, gains, trial.controller)
+    output, effort = _response(model, loop, trial, gains)
+    eta = trial.cost.evaluate(
+        trial.controller.sampling_Hz,
+        trial.step_index,
+        trial.step_N,
+        trial.setpoint_N,
+        output,
+        effort,
+    )
+    peak = float(np.max(output[trial.step_index :] / trial.step_N)) - 1.0
+    return Prediction(
+        cost=float(eta) + _noise_cost(loop, trial, noise_N),
+        overshoot=max(peak, 0.0),
+        sensitivity=margins.sensitivity,
+        phase_margin_deg=margins.phase_margin_deg,
+    )
+
+
+def _response(
+    model: LoopModel, loop: ClosedLoop, trial: StepTrial, gains: Gains
+) -> tuple[FloatArray, FloatArray]:
+    """Output and effort as deviations; sample by sample only where the limits act."""
+    output, effort = loop.step_response(trial.setpoint_N)
+    settings = trial.controller
+    total = effort + trial.effort_N
+    if settings.output_min_N <= total.min() and total.max() <= settings.output_max_N:
+        return output, effort
+    return _limited_response(model, trial, gains)
+
+
+def _limited_response(
+    model: LoopModel, trial: StepTrial, gains: Gains
+) -> tuple[FloatArray, FloatArray]:
+    """The same by the controller's own steps, with its limits and anti-windup."""
+    c = pidf.coefficients(trial.controller, gains)
+    state = pidf.at_rest(0.0, trial.effort_N)
+    a1, a2 = model.poles
+    b = model.numerator.tolist()
+    past_u = [0.0] * len(b)
+    y1 = y2 = 0.0
+    outputs, efforts = [], []
+    for r in trial.setpoint_N.tolist():
+        y = sum(bi * ui for bi, ui in zip(b[1:], past_u, strict=False)) - a1 * y1 - a2 * y2
+        state, effort, _ = pidf.step(c, state, r, y)
+        past_u = [float(effort) - trial.effort_N, *past_u[:-1]]
+        y1, y2 = y, y1
+        outputs.append(y)
+        efforts.append(past_u[0])
+    return np.array(outputs), np.array(efforts)
+
+
+def _noise_cost(loop: ClosedLoop, trial: StepTrial, noise_N: float) -> float:
+    """Expected share of the measurement noise in the cost."""
+    if noise_N == 0.0:
+        return 0.0
+    after = trial.samples - trial.step_index
+    error, move = loop.noise_gains(after)
+    weights = float(trial.cost.weights(trial.controller.sampling_Hz, after).sum())
+    return (noise_N / trial.step_N) ** 2 * (
+        weights * error + trial.cost.move_weight * after * move
+    )
+
+
+class Interval(NamedTuple):
+    """An estimate with its 95 % interval."""
+
+    value: float
+    low: float
+    high: float
+
+
+class PredictedMargins(NamedTuple):
+    """Predictions with intervals.
+
+    Attributes:
+        cost: Expected cost.
+        overshoot: As a share of the step.
+        sensitivity: Ms.
+        phase_margin_deg: Degrees.
+    """
+
+    cost: Interval
+    overshoot: Interval
+    sensitivity: Interval
+    phase_margin_deg: Interval
+
+
+def predict_with_intervals(fit: LoopFit, trial: StepTrial, gains: Gains) -> PredictedMargins:
+    """Predictions of an identified loop with 95 % intervals by linear propagation of errors.
+
+    Cost and Ms are propagated as logarithms. The standard error is the wider of the white and the
+    between-record estimate, times `INFLATION`.
+    """
+    at = predict(fit.model, trial, gains, fit.noise_N)
+    centre = _transformed(at)
+    theta = fit.model.parameters
+    white, clustered = (
+        np.linalg.cholesky(_positive(cov)) for cov in (fit.covariance, fit.clustered)
+    )
+    widths = []
+    for factor, quantile in ((white, 1.96), (clustered, fit.quantile)):
+        moved = []
+        for column in factor.T:
+            ends = [
+                _transformed(
+                    predict(
+                        fit.model.with_parameters(theta + s * column), trial, gains, fit.noise_N
+                    )
+                )
+                for s in (0.5, -0.5)
+            ]
+            moved.append(ends[0] - ends[1])
+        widths.append(quantile * np.sqrt(np.sum(np.square(moved), axis=0)))
+    half = INFLATION * np.fmax(*widths)
+    low, high = centre - half, centre + half
+    return PredictedMargins(
+        Interval(at.cost, float(np.exp(low[0])), float(np.exp(high[0]))),
+        Interval(at.overshoot, max(float(low[1]), 0.0), float(high[1])),
+        Interval(at.sensitivity, float(np.exp(low[2])), float(np.exp(high[2]))),
+        Interval(at.phase_margin_deg, float(low[3]), float(high[3])),
+    )
+
+
+def standard_errors(fit: LoopFit) -> FloatArray:
+    """Factor F of the inflated covariance F F' of the model's parameters, shape (5, 5)."""
+    return np.asarray(INFLATION * np.linalg.cholesky(_positive(fit.covariance)))
+
+
+def _transformed(p: Prediction) -> FloatArray:
+    return np.array([math.log(p.cost), p.overshoot, math.log(p.sensitivity), p.phase_margin_deg])
+
+
+def _positive(covariance: FloatArray) -> FloatArray:
+    """A covariance with rounding errors removed, so that it has a Cholesky factor."""
+    scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    correlation = covariance / np.outer(scale, scale)
+    values, vectors = np.linalg.eigh((correlation + correlation.T) / 2.0)
+    fixed = (vectors * np.maximum(values, 1e-12)) @ vectors.T
+    return np.asarray(fixed * np.outer(scale, scale))

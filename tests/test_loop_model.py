@@ -1,0 +1,180 @@
+"""The loop identified from step records: margins, predictions, optimum and claims."""
+
+import math
+
+import control
+import numpy as np
+import pytest
+
+import plants
+from estune.core.cost import StepCost
+from estune.core.gains import Gains
+from estune.core.margins import loop_margins, sample_plant
+from estune.loop_model.claim import claim
+from estune.loop_model.identification import LoopRecord, fit_loop
+from estune.loop_model.model import LoopModel, close_loop, robustness
+from estune.loop_model.optimum import RegionSearch, RobustnessLimits
+from estune.loop_model.prediction import StepTrial, predict, predict_with_intervals
+from estune.trial.profiles import StepProfile
+from plants.effects import CoulombFriction
+from plants.simulation.noise import NoiseSource
+
+SAMPLING_HZ = 200.0
+W = 2.0 * math.pi * 5.0
+SYSTEM = control.tf([W * W], [1.0, 0.6 * W, W * W])
+STEP = StepProfile(preload_N=0.0, step_N=1.0, step_at_s=0.1, duration_s=1.5)
+COST = StepCost(0.2, time_unit="settling_time", move_weight=1.0)
+GAINS = Gains(0.4, 6.0, 0.01, 0.02)
+NOISE_N = 0.004
+
+
+def linear(limit_N=1e6):
+    return plants.linear_plant(
+        SYSTEM,
+        dead_time_s=2.0 / SAMPLING_HZ,
+        sampling_Hz=SAMPLING_HZ,
+        output_min_N=-limit_N,
+        output_max_N=limit_N,
+        derivative_filter_s=0.01,
+        profile=STEP,
+    )
+
+
+def exact_model():
+    """The plant under zero-order hold; y_k depends on u_{k-1} at the earliest."""
+    sampled = control.c2d(SYSTEM, 1.0 / SAMPLING_HZ)
+    numerator, denominator = sampled.num[0][0], sampled.den[0][0]
+    return LoopModel(tuple(denominator[1:]), (*numerator[-2:], 0.0), 2)
+
+
+def trial_of(plant, effort_N=0.0):
+    c, step = plant.controller, plant.profile
+    rate = c.sampling_Hz
+    return StepTrial(
+        c, COST, step.preload_N, step.step_N, step.step_index(rate), step.samples(rate), effort_N
+    )
+
+
+def record_of(plant, gains, number=0, noise_N=NOISE_N):
+    step, rate = plant.profile, plant.controller.sampling_Hz
+    noise = NoiseSource(5).draw(number, step.samples(rate), noise_N)
+    response = plants.simulate(plant, gains, noise_N=noise)
+    return LoopRecord(response.effort_N, response.tension_N, step.step_N, step.step_index(rate))
+
+
+def cost_of(plant, gains, cost=COST):
+    step, rate = plant.profile, plant.controller.sampling_Hz
+    r = plants.simulate(plant, gains)
+    columns = (r.setpoint_N, r.tension_N, r.effort_N)
+    return cost.evaluate(rate, step.step_index(rate), step.step_N, *columns)
+
+
+def around(gains, count, spread=0.3, seed=1):
+    rng = np.random.default_rng(seed)
+    base = np.log(gains.as_tuple())
+    return [Gains(*np.exp(base + spread * rng.standard_normal(4))) for _ in range(count)]
+
+
+@pytest.mark.parametrize("factor", [0.3, 1.0, 2.0])
+def test_margins_equal_those_of_the_sampled_plant(factor):
+    gains = Gains(factor * 0.4, factor * 6.0, factor * 0.01, 0.02)
+    settings, dead_time_s = linear().controller, 2.0 / SAMPLING_HZ
+    ss = control.ss(SYSTEM)
+    plant = sample_plant(
+        ss.A, ss.B[:, 0], ss.C[0], 0.0, dead_time_s=dead_time_s, sample_s=1.0 / SAMPLING_HZ
+    )
+    reference = loop_margins(plant, gains, settings)
+    found = robustness(exact_model(), gains, settings)
+    assert found.phase_margin_deg == pytest.approx(reference.phase_margin_deg, abs=0.1)
+    theta = np.linspace(1e-4, math.pi, 200_000)
+    h, lag = 1.0 / SAMPLING_HZ, settings.derivative_filter_s
+    z = np.exp(1j * theta)
+    controller = gains.P + gains.I * h / (z - 1) + gains.D * (z - 1) / ((lag + h) * z - lag)
+    peak = np.max(1.0 / np.abs(1.0 + controller * plant.response(theta)))
+    assert found.sensitivity == pytest.approx(peak, rel=2e-3)
+
+
+def test_stability_agrees_with_the_poles_of_the_closed_loop():
+    settings, model = linear().controller, exact_model()
+    for gains in around(Gains(2.0, 40.0, 0.05, 0.01), 60, spread=1.0):
+        radius = np.abs(np.roots(close_loop(model, gains, settings).characteristic)).max()
+        if abs(radius - 1.0) > 1e-6:
+            assert math.isfinite(robustness(model, gains, settings).sensitivity) == (radius < 1.0)
+
+
+@pytest.mark.parametrize("limit_N", [1e6, 1.05])
+def test_prediction_of_the_exact_model_equals_the_simulated_trial(limit_N):
+    plant = linear(limit_N)
+    for gains in around(GAINS, 5):
+        predicted = predict(exact_model(), trial_of(plant), gains)
+        assert predicted.cost == pytest.approx(cost_of(plant, gains), rel=1e-9)
+
+
+def test_identified_loop_predicts_cost_and_sensitivity_far_from_the_trials():
+    plant = linear()
+    start = Gains(0.1, 2.0, 0.002, 0.1)
+    records = [record_of(plant, g, n) for n, g in enumerate(around(start, 10))]
+    fit = fit_loop(records, SAMPLING_HZ, COST.settling_time_s)
+    assert fit.misfit < 0.002
+    far = predict_with_intervals(fit, trial_of(plant), GAINS)
+    truth = robustness(exact_model(), GAINS, plant.controller)
+    assert far.sensitivity.value == pytest.approx(truth.sensitivity, rel=0.02)
+    assert far.sensitivity.low < truth.sensitivity < far.sensitivity.high
+    assert far.cost.value == pytest.approx(cost_of(plant, GAINS), rel=0.03)
+
+
+def test_intervals_of_sensitivity_hold_the_true_value():
+    plant, held = linear(), 0
+    truth = robustness(exact_model(), GAINS, plant.controller).sensitivity
+    for seed in range(20):
+        gains = around(Gains(0.2, 4.0, 0.005, 0.05), 5, seed=seed)
+        records = [record_of(plant, g, 100 * seed + n) for n, g in enumerate(gains)]
+        fit = fit_loop(records, SAMPLING_HZ, COST.settling_time_s)
+        interval = predict_with_intervals(fit, trial_of(plant), GAINS).sensitivity
+        held += interval.low < truth < interval.high
+    assert held >= 17  # at a coverage of 0.95 fewer have a chance of 0.3 %
+
+
+def test_optimum_keeps_its_limits_and_no_sampled_gains_within_them_are_better():
+    plant, limits = linear(), RobustnessLimits(max_sensitivity=1.6, max_overshoot=0.05)
+    centre = np.log(GAINS.as_tuple())
+    search = RegionSearch(
+        model=exact_model(),
+        trial=trial_of(plant),
+        limits=limits,
+        gains_of=lambda x: Gains(*np.exp(x).tolist()),
+        low=centre - 1.5,
+        high=centre + 1.5,
+    )
+    best = search.minimise([centre], scattered=32)
+    assert best.feasible
+    assert best.prediction.sensitivity <= 1.6 * 1.01
+    assert best.prediction.overshoot <= 0.052
+    rng = np.random.default_rng(3)
+    for x in best.coordinates + rng.uniform(-0.3, 0.3, (200, 4)):
+        other = search.predicted(np.clip(x, search.low, search.high))
+        if max(limits.excess(other)) <= 0.0:
+            assert other.cost > 0.998 * best.prediction.cost
+
+
+def test_claim_needs_trials_near_the_gains():
+    plant = linear()
+    tried = around(GAINS, 6, spread=0.1)
+    fit = fit_loop(
+        [record_of(plant, g, n) for n, g in enumerate(tried)], SAMPLING_HZ, COST.settling_time_s
+    )
+    assert claim(fit, trial_of(plant), GAINS, tried).margins is not None
+    far = claim(fit, trial_of(plant), Gains(4.0, 60.0, 0.1, 0.002), tried)
+    assert far.margins is None
+    assert "trials near these gains" in far.reason
+
+
+def test_claim_is_refused_where_friction_leaves_a_misfit():
+    reel = plants.reference_reel() + CoulombFriction(torque_Nm=0.02)
+    gains = Gains(1.0, 30.0, 0.018, 0.0016)
+    tried = around(gains, 6, spread=0.1)
+    records = [record_of(reel, g, n, 0.04) for n, g in enumerate(tried)]
+    fit = fit_loop(records, reel.controller.sampling_Hz, 0.13)
+    refused = claim(fit, trial_of(reel), gains, tried)
+    assert refused.margins is None
+    assert "estune explain" in refused.reason
