@@ -235,7 +235,7 @@ def test_compiled_it_gives_what_the_virtual_machine_gives(order, monkeypatch):
     functions = loop_functions(reel.structure.equations())
     seen = []
     for kind in (CompiledLoop, VirtualLoop):
-        monkeypatch.setattr("plants.models.reel.trial_loop", lambda _, kind=kind: kind(functions))
+        monkeypatch.setattr("plants.models.plant_model.trial_loop", lambda _, kind=kind: kind(functions))
         noise = np.random.default_rng(3).normal(0.0, 0.05, UP.samples(REEL.sampling_Hz))
         seen.append(plants.simulate(reel, GAINS, UP, noise_N=noise))
     for column in ("tension_N", "effort_N", "angle_rad", "reference_N"):

@@ -75,14 +75,9 @@ class CableSlack(Effect):
     port = Port.CABLE
     by_tension = True
 
+    # A cable that never comes taut is one that stiffens.
     slack_m: float = parameter(
-        5e-4,
-        low=0.0,
-        high=0.05,
-        unit="m",
-        neutral=0.0,
-        # A cable that never comes taut is one that stiffens.
-        most=(Share(1.0, "stretch_max_m"),),
+        5e-4, low=0.0, high=0.05, unit="m", neutral=0.0, most=(Share(1.0, "stretch_max_m"),)
     )
 
     @classmethod

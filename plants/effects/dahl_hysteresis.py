@@ -43,13 +43,9 @@ class DahlHysteresis(Effect):
     resists = True
 
     torque_Nm: float = parameter(0.02, low=0.0, high=1e4, unit="N m", neutral=0.0)
+    # Shorter than this, bristles that bend and a drum that sticks look alike to the encoder.
     presliding_rad: float = parameter(
-        2e-3,
-        low=1e-7,
-        high=10.0,
-        unit="rad",
-        # Shorter than this, bristles that bend and a drum that sticks look alike to the encoder.
-        least=(Share(12.0, "angle_noise_rad"),),
+        2e-3, low=1e-7, high=10.0, unit="rad", least=(Share(12.0, "angle_noise_rad"),)
     )
     # At 1 it acts as the length does: a fit begins beside it.
     spread: float = parameter(1.0, low=1.0, high=100.0, start=4.0)

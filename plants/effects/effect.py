@@ -178,19 +178,17 @@ class Effect(ABC):
             name: Name of the parameter.
             records: What the records show.
         """
-        p, value = cls.parameters()[name], float(getattr(cls(), name))
-        shares = USUAL_STARTS.get((cls.port, p.unit)) if p.role is not Role.PHASE else None
-        begin, most = shares or (None, None)
+        p, usual = cls.parameters()[name], float(getattr(cls(), name))
+        if isinstance(p.start, float | int):
+            return float(p.start), p.high
+        begin, most = USUAL_STARTS.get((cls.port, "" if p.is_phase else p.unit), (None, None))
         begin = p.start if isinstance(p.start, Share) else begin
-        most = p.fit_high or most
-        relative = value if begin is None else begin.factor * getattr(records, begin.of)
+        value = usual if begin is None else begin.factor * getattr(records, begin.of)
         high = p.high if most is None else most.factor * getattr(records, most.of)
-        if math.isfinite(relative) and relative > 0.0 and high > p.low:
-            high = min(high, p.high)
-            value = min(max(relative, p.low), high)
-        else:
-            high = p.high
-        return (p.start if isinstance(p.start, float | int) else value), high
+        if not (math.isfinite(value) and value > 0.0 and high > p.low):
+            return usual, p.high
+        high = min(high, p.high)
+        return min(max(value, p.low), high), high
 
     @classmethod
     def guesses(cls, name: str, records: RecordScale) -> tuple[float, ...]:

@@ -25,14 +25,8 @@ class GainError(Effect):
     base_parameter = "torque_gain"
     port = Port.ACTUATOR
 
-    error: float = parameter(
-        0.05,
-        low=-0.5,
-        high=1.0,
-        neutral=0.0,
-        # No drive's torque constant is known better.
-        least=(Share(0.04),),
-    )
+    # No drive's torque constant is known better.
+    error: float = parameter(0.05, low=-0.5, high=1.0, neutral=0.0, least=(Share(0.04),))
 
     @classmethod
     def describe(cls, p: Values, _plant: PlantScale) -> str:

@@ -25,13 +25,13 @@ class GaugeOffset(Effect):
     base_parameter = "gauge_offset_N"
     port = Port.GAUGE
 
+    # No gauge's zero is known better than to a hundredth of what it is there to read.
     offset_N: float = parameter(
         0.5,
         low=-20.0,
         high=20.0,
         unit="N",
         neutral=0.0,
-        # No gauge's zero is known better than to a hundredth of what it is there to read.
         least=(Share(3.0, "tension_noise_N"), Share(0.01, "reading_max_N")),
     )
 

@@ -12,7 +12,7 @@ from plants.effects.plant_scale import PlantScale
 
 @dataclass(frozen=True)
 class MainsInterference(Effect):
-    """Mains interference in the gauge's signal: `y = T + A sin(2 pi f t + phi)`, t from the start of the trial.
+    """Mains interference in the gauge: `y = T + A sin(2 pi f t + phi)`, t from the start.
 
     Attributes:
         amplitude_N: Amplitude A, N.

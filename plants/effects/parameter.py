@@ -95,7 +95,6 @@ class Parameter(NamedTuple):
             them. None: a frequency begins at the resonances of the residual, periods at those it
             follows, anything else at the usual share of what the records show (`USUAL_STARTS`),
             or else at the usual value.
-        fit_high: Upper bound of a fit, relative to the records; None is `high`.
         least: The effect does not matter in practice where the parameter is less than one of them.
         most: It is not believed where the parameter is more than one of them.
     """
@@ -106,7 +105,6 @@ class Parameter(NamedTuple):
     role: Role
     neutral: float | None
     start: Start = None
-    fit_high: Share | None = None
     least: tuple[Share, ...] = ()
     most: tuple[Share, ...] = ()
 
@@ -125,7 +123,6 @@ def parameter(
     neutral: float | None = None,
     role: Role | None = None,
     start: Start = None,
-    fit_high: Share | None = None,
     least: tuple[Share, ...] = (),
     most: tuple[Share, ...] = (),
 ) -> Any:
@@ -136,7 +133,7 @@ def parameter(
     if role is None:
         role = Role.SHAPE if unit != "Hz" else Role.FREQUENCY
         role = role if neutral is None else Role.SIZE
-    declared = Parameter(low, high, unit, role, neutral, start, fit_high, least, most)
+    declared = Parameter(low, high, unit, role, neutral, start, least, most)
     return field(default=value, metadata={"parameter": declared})
 
 

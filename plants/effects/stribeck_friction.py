@@ -56,23 +56,13 @@ class StribeckFriction(Effect):
     states = 2
     resists = True
 
+    # Friction that falls to nothing with speed is no dry friction.
     coulomb_Nm: float = parameter(
-        0.02,
-        low=0.0,
-        high=1e4,
-        unit="N m",
-        neutral=0.0,
-        # Friction that falls to nothing with speed is no dry friction.
-        least=(Share(0.2, "excess_Nm"),),
+        0.02, low=0.0, high=1e4, unit="N m", neutral=0.0, least=(Share(0.2, "excess_Nm"),)
     )
+    # Friction that hardly falls is as good as constant.
     excess_Nm: float = parameter(
-        0.01,
-        low=0.0,
-        high=1e4,
-        unit="N m",
-        neutral=0.0,
-        # Friction that hardly falls is as good as constant.
-        least=(Share(0.2, "coulomb_Nm"),),
+        0.01, low=0.0, high=1e4, unit="N m", neutral=0.0, least=(Share(0.2, "coulomb_Nm"),)
     )
     stribeck_rad_s: float = parameter(0.5, low=1e-4, high=1e3, unit="rad/s")
     presliding_rad: float = parameter(1e-5, low=1e-7, high=10.0, unit="rad")

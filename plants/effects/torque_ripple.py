@@ -29,13 +29,9 @@ class TorqueRipple(Effect):
     states = angle_phase.STATES
 
     amplitude_Nm: float = parameter(0.01, low=0.0, high=1e3, unit="N m", neutral=0.0)
+    # What comes back nowhere is no wave: any curve that is bent once looks so.
     per_turn: float = parameter(
-        24.0,
-        low=3.0,
-        high=1e4,
-        role=Role.PERIODS,
-        # What comes back nowhere is no wave: any curve that is bent once looks so.
-        least=(Share(0.8, "turn_periods"),),
+        24.0, low=3.0, high=1e4, role=Role.PERIODS, least=(Share(0.8, "turn_periods"),)
     )
     phase_rad: float = phase()
 
