@@ -13,7 +13,6 @@ from estune.run import archived_run, loop, progress, result
 from estune.run.journal import Journal
 from estune.run.loop import ApprovalCallback, ProgressListener, Stopped, TuningRun
 from estune.run.plan import (
-    DEFAULT_TUNER,
     description_from_json,
     description_to_json,
     make_plan,
@@ -25,7 +24,7 @@ from estune.run.session import TOLERANCE
 from estune.run.targets import open_target
 from estune.trial import Rig, RigDescription
 from estune.trial.profiles import StepProfile
-from estune.tuners import Tuner
+from estune.tuners import DEFAULT_TUNER, Tuner
 
 if TYPE_CHECKING:
     from estune.remote.security import Security

@@ -20,6 +20,9 @@ from tests.support_runs import ArithmeticRig
 OLD = Path(__file__).parent / "assets" / "journal_v1.sqlite"
 """Written by the first version of the schema: `otis`, 12 search trials, 2 repeats."""
 
+NEWTON = OLD.with_name("journal_newton.sqlite")
+"""Written when tuners were stored as module and class: `newton`, stopped before trial 40."""
+
 _TUNE = """
 import resource, sys, estune
 from estune.errors import EstuneError
@@ -133,6 +136,23 @@ def test_journal_of_first_schema_is_read_and_replayed(tmp_path):
         np.array([[*e.gains.as_tuple(), e.cost] for e in found.entries]) for found in (result, now)
     )
     np.testing.assert_allclose(today, then, rtol=1e-12)
+
+
+def test_interrupted_run_of_an_earlier_tuner_name_resumes(tmp_path):
+    """`newton`, of which settings have other names now, was cut off after 40 of 60 trials."""
+    (tmp_path / "newton").mkdir()
+    shutil.copy(NEWTON, tmp_path / "newton" / FILE_NAME)
+    before = committed(tmp_path / "newton")
+    assert len(before) == 40
+    resumed = api.resume(tmp_path / "newton", ArithmeticRig(), watch=None)
+    options = {"trials": 60, "tolerance": 0.0, "repeats": 2, "run": "newton", "watch": None}
+    whole = api.tune(ArithmeticRig(), tuner="safe_bayesian", journal=False, **options)
+    assert [(e.number, e.gains, e.cost) for e in resumed.entries[:40]] == before
+    then, today = (
+        np.array([[*e.gains.as_tuple(), e.cost] for e in found.entries])
+        for found in (resumed, whole)
+    )
+    np.testing.assert_allclose(today, then, rtol=1e-9)
 
 
 LATER = (*journal.VERSIONS, "ALTER TABLE trial ADD COLUMN weather TEXT; DELETE FROM run WHERE 0")

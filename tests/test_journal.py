@@ -1,4 +1,4 @@
-"""The journal: what is committed stays, and a run goes on from it bit for bit."""
+"""The journal: committed trials stay, and a run resumes from them bit for bit."""
 
 import json
 import shutil
@@ -27,11 +27,11 @@ from tests.support_runs import ArithmeticRig
 
 
 class Killed(BaseException):
-    """Stands for the process ending at this very point."""
+    """The process ends at this very point."""
 
 
 class Doomed:
-    """Lets a run get to a certain event, keeps the files as a kill leaves them, and ends it."""
+    """Ends a run at a certain event, with a copy of its files as a kill leaves them."""
 
     def __init__(self, folder: Path, dies_at: int) -> None:
         self.folder, self.dies_at, self.events = folder, dies_at, 0
@@ -67,9 +67,9 @@ def begin(folder: Path, tuner: str, rig: ArithmeticRig) -> loop.TuningRun:
     return loop.start(plan, rig.describe(), Journal.create(folder, facts))
 
 
-def go_on(folder: Path, rig: ArithmeticRig) -> loop.TuningRun:
+def resume(folder: Path, rig: ArithmeticRig) -> loop.TuningRun:
     with Journal.open(folder, write=True) as journal:
-        journal._connection.execute("PRAGMA synchronous=OFF")
+        journal._file.rows("PRAGMA synchronous=OFF")
         plan = plan_from_json(journal.fact("plan"))
         resumed = loop.replay(plan, description_from_json(journal.fact("rig")), journal)
         loop.run(resumed, rig)
@@ -81,7 +81,7 @@ def trace(entries) -> list[tuple]:
 
 
 @pytest.mark.parametrize("tuner", TUNERS)
-def test_a_run_killed_at_any_event_goes_on_as_if_nothing_had_been(tuner, tmp_path):
+def test_run_killed_at_any_event_resumes_as_if_undisturbed(tuner, tmp_path):
     rig = ArithmeticRig()
     whole = begin(tmp_path / "whole", tuner, rig)
     loop.run(whole, rig)
@@ -92,7 +92,7 @@ def test_a_run_killed_at_any_event_goes_on_as_if_nothing_had_been(tuner, tmp_pat
         doomed, rig = Doomed(folder, dies_at), ArithmeticRig()
         dying = begin(folder, tuner, rig)
         # A killed process leaves what it wrote whether or not it was synced, and this is faster.
-        dying.journal._connection.execute("PRAGMA synchronous=OFF")
+        dying.journal._file.rows("PRAGMA synchronous=OFF")
         dying.journal.commit = doomed.around(dying.journal.commit)
         rig.run = doomed.around(rig.run)
         try:
@@ -100,19 +100,19 @@ def test_a_run_killed_at_any_event_goes_on_as_if_nothing_had_been(tuner, tmp_pat
             finished = True
         except Killed:
             with Journal.open(folder.with_name("left")) as journal:
-                told_before = len(list(journal.entries()))
+                requested_before = len(list(journal.entries()))
             again = ArithmeticRig()
-            resumed = go_on(folder.with_name("left"), again)
+            resumed = resume(folder.with_name("left"), again)
             assert trace(resumed.entries) == expected
-            # Only what had not been told is run: never a trial whose record is there.
-            assert len(again.asked) >= len(expected) - told_before
-            assert len(again.asked) <= len(expected) - max(told_before - 1, 0)
+            # No trial is run again whose record is committed.
+            assert len(again.asked) >= len(expected) - requested_before
+            assert len(again.asked) <= len(expected) - max(requested_before - 1, 0)
         dying.journal.close()
         dies_at += 1
     assert dies_at == 2 * len(expected) + 2 * (len(expected) + 1) + 1
 
 
-def test_records_come_back_bit_for_bit(tmp_path):
+def test_journal_returns_records_bit_for_bit(tmp_path):
     rig = ArithmeticRig()
     run = begin(tmp_path / "run", "otis", rig)
     loop.run(run, rig)
@@ -126,14 +126,14 @@ def test_records_come_back_bit_for_bit(tmp_path):
             assert stored.outcome is Outcome.DONE
 
 
-def test_a_loaded_result_equals_the_one_first_returned(tmp_path):
+def test_loaded_result_equals_the_returned_one(tmp_path):
     made = estune.tune(ArithmeticRig(), trials=11, folder=tmp_path, run="a", watch=None)
     loaded = estune.load(tmp_path / "a")
     assert loaded.verdict == made.verdict
     assert loaded.to_frame().equals(made.to_frame())
 
 
-def test_a_second_writer_is_kept_out_and_a_reader_is_not(tmp_path):
+def test_journal_refuses_a_second_writer_but_no_reader(tmp_path):
     run = begin(tmp_path / "run", "otis", ArithmeticRig())
     with pytest.raises(JournalError, match="another process"):
         Journal.open(tmp_path / "run", write=True)
@@ -142,13 +142,13 @@ def test_a_second_writer_is_kept_out_and_a_reader_is_not(tmp_path):
     run.journal.close()
 
 
-def test_a_name_in_use_is_not_written_over(tmp_path):
+def test_journal_refuses_to_overwrite_a_run(tmp_path):
     begin(tmp_path / "run", "otis", ArithmeticRig()).journal.close()
     with pytest.raises(JournalError, match="holds a run already"):
         begin(tmp_path / "run", "otis", ArithmeticRig())
 
 
-def test_a_file_locked_by_another_program_is_said_and_nothing_is_lost(tmp_path):
+def test_journal_locked_by_another_program_is_reported_without_loss(tmp_path):
     rig = ArithmeticRig()
     run = begin(tmp_path / "run", "otis", rig)
     other = sqlite3.connect(tmp_path / "run" / FILE_NAME, isolation_level=None)
@@ -158,7 +158,7 @@ def test_a_file_locked_by_another_program_is_said_and_nothing_is_lost(tmp_path):
     other.execute("ROLLBACK")
     other.close()
     run.journal.close()
-    assert go_on(tmp_path / "run", rig).session.phase is None
+    assert resume(tmp_path / "run", rig).session.phase is None
 
 
 @pytest.mark.parametrize(
@@ -173,17 +173,17 @@ def test_a_file_locked_by_another_program_is_said_and_nothing_is_lost(tmp_path):
     ],
     ids=["torn", "foreign", "missing"],
 )
-def test_a_damaged_journal_is_refused_with_what_to_do(damage, words, tmp_path):
+def test_damaged_journal_is_refused_with_a_remedy(damage, words, tmp_path):
     rig = ArithmeticRig()
     run = begin(tmp_path / "run", "otis", rig)
     loop.run(run, rig)
     run.journal.close()
     damage(tmp_path / "run" / FILE_NAME)
     with pytest.raises(JournalError, match=words):
-        go_on(tmp_path / "run", rig)
+        resume(tmp_path / "run", rig)
 
 
-def test_a_journal_from_a_newer_version_is_left_alone(tmp_path):
+def test_journal_of_newer_version_is_refused_unchanged(tmp_path):
     begin(tmp_path / "run", "otis", ArithmeticRig()).journal.close()
     path = tmp_path / "run" / FILE_NAME
     with sqlite3.connect(path) as connection:
@@ -195,11 +195,11 @@ def test_a_journal_from_a_newer_version_is_left_alone(tmp_path):
     assert path.read_bytes() == before
 
 
-def test_a_full_disk_ends_the_run_and_keeps_what_was_committed(tmp_path):
+def test_full_disk_ends_the_run_and_keeps_committed_trials(tmp_path):
     rig = ArithmeticRig()
     run = begin(tmp_path / "run", "otis", rig)
-    pages = run.journal._connection.execute("PRAGMA page_count").fetchone()[0]
-    run.journal._connection.execute(f"PRAGMA max_page_count={pages + 12}")
+    pages = run.journal._file.rows("PRAGMA page_count")[0][0]
+    run.journal._file.rows(f"PRAGMA max_page_count={pages + 12}")
     with pytest.raises(JournalError, match=r"full.*estune resume"):
         loop.run(run, rig)
     run.journal.close()
@@ -207,10 +207,10 @@ def test_a_full_disk_ends_the_run_and_keeps_what_was_committed(tmp_path):
         assert (
             sum(entry.outcome is not None for entry in journal.entries()) == len(run.entries) > 0
         )
-    assert go_on(tmp_path / "run", rig).session.phase is None
+    assert resume(tmp_path / "run", rig).session.phase is None
 
 
-def test_a_changed_journal_is_noticed_before_anything_moves(tmp_path):
+def test_changed_journal_is_refused_before_any_trial(tmp_path):
     rig = ArithmeticRig()
     run = begin(tmp_path / "run", "otis", rig)
     loop.run(run, rig)
@@ -220,7 +220,7 @@ def test_a_changed_journal_is_noticed_before_anything_moves(tmp_path):
     connection.close()
     ran = len(rig.asked)
     with pytest.raises(JournalError, match="not what the plan asks for"):
-        go_on(tmp_path / "run", rig)
+        resume(tmp_path / "run", rig)
     assert len(rig.asked) == ran
 
 
@@ -233,7 +233,7 @@ estune.tune(ArithmeticRig(), folder=sys.argv[1], **options)
 
 
 @pytest.mark.slow
-def test_a_process_killed_in_earnest_loses_nothing_it_had_told(tmp_path):
+def test_killed_process_loses_no_committed_trial(tmp_path):
     process = subprocess.Popen(
         [sys.executable, "-c", _TUNE, tmp_path], cwd=Path(__file__).parents[1]
     )

@@ -86,7 +86,7 @@ def match(
         apply=apply,
         security=credentials,
         watch=None if quiet or json else "auto",
-        tell=_print_note if not (quiet or json) else lambda _: None,
+        log=_print_note if not (quiet or json) else lambda _: None,
     )
     files = _write(matching)
     if json:
@@ -170,7 +170,8 @@ def _gains(values: tuple[float, ...]) -> str:
 
 def _write(matching: Matching) -> dict[str, object]:
     """Writes the record for production beside the runs; the main files, by name."""
-    from estune.studies.match.page import page  # noqa: PLC0415  draws, which is slow to import
+    from estune.studies.match.report import page  # noqa: PLC0415  draws: slow to import
+    from estune.support.html_page import render  # noqa: PLC0415  as above
 
     if matching.folder is None:
         return {}
@@ -179,7 +180,7 @@ def _write(matching: Matching) -> dict[str, object]:
     contents = {
         "match.json": json_.dumps(output.plain(matching.to_json()), indent=2, allow_nan=False),
         "match.csv": table,
-        "match.html": page(matching),
+        "match.html": render(page(matching)),
     }
     for name, text in contents.items():
         replace_file(matching.folder / name, text.encode())

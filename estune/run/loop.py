@@ -20,7 +20,7 @@ from estune.run.session import (
 )
 from estune.trial import Outcome, Rig, RigDescription, TrialRecord, TrialRequest, empty_record
 from estune.trial.scoring import constraint_margin, cost_of
-from estune.tuners.convergence import CostPrediction
+from estune.tuners.interface import CostPrediction
 
 VOID_IN_A_ROW = 10
 """So many trials in a row that came to nothing end a run: something keeps stopping them."""

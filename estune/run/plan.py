@@ -82,7 +82,7 @@ def model_start(description: RigDescription) -> Gains:
     if description.linear_model is None:
         raise InvalidInput(
             f"rig {description.name} gives no linear model of itself to start from; "
-            "give the gains to start from, or tune a model of it first (estune improve)"
+            "give the gains to start from, or tune a model of it first (estune improve-model)"
         )
     return model_gains(description.linear_model, description.controller)
 

@@ -22,7 +22,7 @@ from estune.errors import InvalidInput
 from estune.trial import Outcome, TrialRequest
 from estune.trial.profiles import StepProfile
 from estune.tuners import Tuner
-from estune.tuners.convergence import ConvergenceEstimate, CostPrediction, ModelBasedTuner
+from estune.tuners.interface import ConvergenceEstimate, CostPrediction, ModelBasedTuner
 from estune.tuners.observation import Observation
 
 
@@ -91,7 +91,7 @@ class Plan:
         if self.ask_first and not isinstance(self.tuner, ModelBasedTuner):
             raise InvalidInput(
                 f"tuner {self.tuner.name} cannot tell what is known to be safe, so that there is "
-                "nothing to ask by; use newton"
+                "nothing to ask by; use safe_bayesian"
             )
         if self.step.loop != "closed":
             raise InvalidInput("an open-loop step cannot tune a controller; make it a closed one")
@@ -110,7 +110,7 @@ class Plan:
     def outlook(self, tuner_state: Any) -> ConvergenceEstimate | None:
         """Where the search stands, by a tuner that can tell and knows enough."""
         tuner = self.tuner
-        return tuner.outlook(tuner_state) if isinstance(tuner, ModelBasedTuner) else None
+        return tuner.convergence(tuner_state) if isinstance(tuner, ModelBasedTuner) else None
 
 
 UNSAFE_RATIO = 3.0
@@ -231,7 +231,7 @@ def forecast(session: Session) -> CostPrediction | None:
             known += [g for g, costs in zip(repeats.gains, repeats.costs, strict=True) if costs]
     if gains in known:
         return None
-    return tuner.forecast(session.tuner_state, tuner.space.point_of(gains))
+    return tuner.predict(session.tuner_state, tuner.space.point_of(gains))
 
 
 def is_censored(session: Session, outcome: Outcome, cost: float) -> bool:
@@ -312,7 +312,7 @@ def _after_search(session: Session, observation: Observation) -> dict[str, Any]:
     tuner = plan.tuner
     state = tuner.tell(session.tuner_state, observation)
     outlook = plan.outlook(state) if plan.tolerance else None
-    settled = outlook is not None and outlook.remaining < plan.tolerance
+    settled = outlook is not None and outlook.remaining_improvement < plan.tolerance
     changed = {
         "tuner_state": state,
         "searched": session.searched + 1,
@@ -324,7 +324,7 @@ def _after_search(session: Session, observation: Observation) -> dict[str, Any]:
     elif outlook is not None and changed["settled_in_a_row"] >= SETTLED_IN_A_ROW:
         end = (
             f"the search ended after {changed['searched']} of {plan.trials} trials: "
-            f"at most {outlook.remaining:.1%} is left to gain, under the tolerance of "
+            f"at most {outlook.remaining_improvement:.1%} is left to gain, under the tolerance of "
             f"{100.0 * plan.tolerance:.3g}%"
         )
     elif changed["searched"] >= plan.trials:
