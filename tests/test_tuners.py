@@ -1,4 +1,4 @@
-"""What every tuner promises, and what each law is by itself."""
+"""Properties of every tuner, and the law of each."""
 
 import json
 import math
@@ -17,15 +17,8 @@ from estune.tuners import TUNERS, Observation, SearchSpace, create_tuner
 from estune.tuners.extremum_seeking import Otis, PhaseCompensated
 from estune.tuners.killingsworth import Killingsworth
 from estune.tuners.least_squares_gradient import LeastSquaresGradient, slope
-from estune.tuners.perturbation import (
-    dither as dither_of,
-)
-from estune.tuners.perturbation import (
-    low_pass,
-    washout,
-    washout_at_rest,
-    washout_response,
-)
+from estune.tuners.perturbation import dither as dither_of
+from estune.tuners.perturbation import low_pass, washout, washout_at_rest, washout_response
 from estune.tuners.step_control import clip_norm, kesten_step
 
 START = Gains(0.5, 20.0, 0.01, 0.03)
@@ -38,8 +31,10 @@ ALL = {
     "killingsworth, linear": Killingsworth(LINEAR),
 }
 every_tuner = pytest.mark.parametrize("tuner", ALL.values(), ids=ALL.keys())
-FORGETFUL = {name: tuner for name, tuner in ALL.items() if name != "safe_bayesian"}
-every_forgetful_tuner = pytest.mark.parametrize("tuner", FORGETFUL.values(), ids=FORGETFUL.keys())
+WITHOUT_RECORD = {name: tuner for name, tuner in ALL.items() if name != "safe_bayesian"}
+every_tuner_without_record = pytest.mark.parametrize(
+    "tuner", WITHOUT_RECORD.values(), ids=WITHOUT_RECORD.keys()
+)
 
 margins = st.just(math.inf) | st.floats(-2.0, 2.0)
 observations = st.lists(
@@ -55,7 +50,7 @@ def bowl(point, best=(0.8, 35.0, 0.02, 0.015)):
     return 1.0 + sum((math.log(p) - math.log(b)) ** 2 for p, b in zip(point, best, strict=True))
 
 
-def told(tuner, state, cost, trials):
+def run(tuner, state, cost, trials):
     """The state after so many trials of a cost."""
     for _ in range(trials):
         state = tuner.tell(state, Observation(cost(tuner.ask(state))))
@@ -63,19 +58,19 @@ def told(tuner, state, cost, trials):
 
 
 def dither(tuner, state):
-    """How far the proposal lies from the centre, in coordinates."""
+    """Distance of the proposal from the centre, in coordinates."""
     asked, centre = map(tuner.space.coordinates, (tuner.ask(state), tuner.recommend(state)))
     return math.dist(asked, centre)
 
 
-# What every tuner promises.
+# Every tuner.
 
 
 @every_tuner
-@given(told_each=observations)
-def test_proposals_stay_within_the_bounds_whatever_is_told(tuner, told_each):
+@given(observed=observations)
+def test_proposals_stay_within_the_bounds_for_any_observations(tuner, observed):
     state = tuner.start()
-    for observation in (*told_each, CENSORED):
+    for observation in (*observed, CENSORED):
         for point in (tuner.ask(state), tuner.recommend(state)):
             rows = zip(tuner.space.low, point, tuner.space.high, strict=True)
             assert all(low <= value <= high for low, value, high in rows)
@@ -83,10 +78,10 @@ def test_proposals_stay_within_the_bounds_whatever_is_told(tuner, told_each):
 
 
 @every_tuner
-@given(told_each=observations, cut=st.integers(0, 60))
-def test_a_stored_state_goes_on_bit_for_bit(tuner, told_each, cut):
+@given(observed=observations, cut=st.integers(0, 60))
+def test_restored_state_continues_bit_for_bit(tuner, observed, cut):
     state = stored = tuner.start()
-    for k, observation in enumerate(told_each):
+    for k, observation in enumerate(observed):
         if k == cut:
             stored = pickle.loads(pickle.dumps(stored))  # noqa: S301  our own bytes
         state, stored = tuner.tell(state, observation), tuner.tell(stored, observation)
@@ -95,14 +90,14 @@ def test_a_stored_state_goes_on_bit_for_bit(tuner, told_each, cut):
 
 
 @every_tuner
-def test_settings_survive_a_journal(tuner):
+def test_settings_survive_json(tuner):
     kind = TypeAdapter(type(tuner))
     stored = json.loads(json.dumps(kind.dump_python(tuner, mode="json")))
     assert kind.validate_python(stored) == tuner
 
 
 @every_tuner
-def test_the_search_descends_and_gets_over_unsafe_trials(tuner):
+def test_search_descends_despite_unsafe_trials(tuner):
     start = bowl(tuner.space.start)
     state = tuner.start()
     for k in range(1000):
@@ -112,9 +107,9 @@ def test_the_search_descends_and_gets_over_unsafe_trials(tuner):
     assert bowl(tuner.recommend(state)) - 1.0 < 0.1 * (start - 1.0)
 
 
-@every_forgetful_tuner
-def test_an_unsafe_trial_puts_the_centre_on_the_best_safe_point_with_less_dither(tuner):
-    state = told(tuner, tuner.start(), bowl, 20)
+@every_tuner_without_record
+def test_unsafe_trial_returns_to_best_safe_point_with_less_dither(tuner):
+    state = run(tuner, tuner.start(), bowl, 20)
     safe = tuner.tell(state, Observation(bowl(tuner.ask(state))))
     unsafe = tuner.tell(state, CENSORED)
     assert tuner.recommend(unsafe) == pytest.approx(state.best_point, rel=1e-12)
@@ -123,15 +118,15 @@ def test_an_unsafe_trial_puts_the_centre_on_the_best_safe_point_with_less_dither
 
 
 @every_tuner
-def test_caution_wears_off_with_safe_trials(tuner):
+def test_step_scale_recovers_with_safe_trials(tuner):
     state = tuner.tell(tuner.start(), CENSORED)
     assert state.step_scale < 1.0
-    assert told(tuner, state, bowl, 10).step_scale == 1.0
+    assert run(tuner, state, bowl, 10).step_scale == 1.0
 
 
 @every_tuner
 @given(costs=st.lists(st.floats(0.1, 10.0) | st.none(), max_size=30))
-def test_the_best_safe_point_is_the_cheapest_that_was_told(tuner, costs):
+def test_best_point_is_the_cheapest_safe_trial(tuner, costs):
     state, seen = tuner.start(), []
     assert (state.best_point, state.best_cost) == (tuner.space.start, None)
     for cost in costs:
@@ -147,7 +142,7 @@ def test_the_best_safe_point_is_the_cheapest_that_was_told(tuner, costs):
 
 @every_tuner
 @pytest.mark.parametrize("cost", [math.nan, math.inf, -math.inf])
-def test_a_cost_that_is_not_finite_must_be_told_as_censored(tuner, cost):
+def test_cost_that_is_not_finite_is_refused_unless_censored(tuner, cost):
     with pytest.raises(InvalidInput, match="censored=True"):
         tuner.tell(tuner.start(), Observation(cost))
     tuner.tell(tuner.start(), Observation(cost, censored=True))
@@ -167,7 +162,7 @@ def test_a_cost_that_is_not_finite_must_be_told_as_censored(tuner, cost):
         (LeastSquaresGradient, "space", LINEAR),
     ],
 )
-def test_a_setting_out_of_its_range_is_refused_by_name(kind, setting, value):
+def test_setting_out_of_range_is_refused_by_name(kind, setting, value):
     with pytest.raises(InvalidInput, match=setting):
         kind(**{"space": WIDE, setting: value})
 
@@ -175,7 +170,7 @@ def test_a_setting_out_of_its_range_is_refused_by_name(kind, setting, value):
 # Killingsworth & Krstic, 2006.
 
 
-def test_the_published_law_is_that_of_the_printed_equations():
+def test_killingsworth_follows_the_printed_equations():
     start, low, high = (4.06, 9.25, 2.31), (1e-6,) * 3, (1e6,) * 3
     tuner = Killingsworth(
         SearchSpace(("K", "Ti", "Td"), start, low, high, scale="linear", form="standard"),
@@ -204,22 +199,22 @@ def test_the_published_law_is_that_of_the_printed_equations():
     assert abs(th[1] - start[1]) > 1.0  # it went somewhere
 
 
-# The paper's form of it, and with its phase compensated.
+# Extremum seeking of the paper, without and with phase compensation.
 
 
 def still(kind):
-    """Such a tuner with a centre that practically stands still, so that it only measures."""
+    """A tuner with a nearly fixed centre, which only measures."""
     return kind(WIDE, adaptation_gain=1e-9, dither_amplitude=0.02, low_pass_share=0.5)
 
 
 def mean_slope(tuner, cost):
     """The measured slope, over one period of the dither once the filters have settled."""
-    state = told(tuner, tuner.start(), cost, 200)
-    found = []
+    state = run(tuner, tuner.start(), cost, 200)
+    slopes = []
     for _ in range(dither_of(len(tuner.space.names)).period):
-        state = told(tuner, state, cost, 1)
-        found.append(state.slope)
-    return np.mean(found, axis=0)
+        state = run(tuner, state, cost, 1)
+        slopes.append(state.slope)
+    return np.mean(slopes, axis=0)
 
 
 TRUE_SLOPE = (1.0, -0.5, 0.25, 2.0)
@@ -230,11 +225,11 @@ def exponential(point):
     return math.prod(p**g for p, g in zip(point, TRUE_SLOPE, strict=True))
 
 
-def test_compensated_demodulation_reads_the_slope_of_every_parameter_alike():
+def test_compensated_demodulation_reads_every_slope_at_full_size():
     assert mean_slope(still(PhaseCompensated), exponential) == pytest.approx(TRUE_SLOPE, rel=1e-5)
 
 
-def test_published_demodulation_reads_the_in_phase_part_of_the_washout_alone():
+def test_published_demodulation_reads_the_in_phase_part_of_the_washout():
     responses = [washout_response(0.5, w) for w in dither_of(4).frequencies]
     in_phase = [gain * math.cos(lead) for gain, lead in responses]
     expected = [g * share for g, share in zip(TRUE_SLOPE, in_phase, strict=True)]
@@ -243,7 +238,7 @@ def test_published_demodulation_reads_the_in_phase_part_of_the_washout_alone():
     assert max(in_phase) > 4.0 * min(in_phase)
 
 
-def test_the_curvature_of_the_cost_does_not_reach_the_slope():
+def test_demodulated_slope_is_free_of_curvature():
     centre = WIDE.coordinates(WIDE.start)
 
     def curved(point):
@@ -278,19 +273,19 @@ def test_dithers_are_an_orthogonal_design_over_one_period(parameters):
 # Least-squares gradient.
 
 
-def test_the_regressed_slope_is_exact_on_a_linear_cost_while_the_centre_moves():
+def test_regressed_slope_is_exact_on_a_linear_cost():
     tuner = LeastSquaresGradient(WIDE)
-    state = told(tuner, tuner.start(), exponential, 4)
+    state = run(tuner, tuner.start(), exponential, 4)
     for _ in range(30):
         before = tuner.space.coordinates(tuner.recommend(state))
-        state = told(tuner, state, exponential, 1)
+        state = run(tuner, state, exponential, 1)
         assert slope(state.moments, 4) == pytest.approx(TRUE_SLOPE, rel=1e-7)
         step = np.subtract(tuner.space.coordinates(tuner.recommend(state)), before)
         wanted = -tuner.step_limit * np.array(TRUE_SLOPE) / np.linalg.norm(TRUE_SLOPE)
         assert step == pytest.approx(wanted, rel=1e-6)
 
 
-def test_the_regression_is_weighted_least_squares():
+def test_regression_is_weighted_least_squares():
     tuner = LeastSquaresGradient(WIDE)
     state, rows, costs = tuner.start(), [], []
     for _ in range(25):
@@ -303,36 +298,36 @@ def test_the_regression_is_weighted_least_squares():
     assert slope(state.moments, 4) == pytest.approx(expected, rel=1e-6)
 
 
-def test_a_direction_that_was_not_explored_has_no_slope():
+def test_slope_along_an_unexplored_direction_is_zero():
     x, costs = np.array([[1.0, 0.3, 0.0], [1.0, -0.2, 0.0], [1.0, 0.5, 0.0]]), [0.3, -0.2, 0.5]
     table = np.column_stack([x, costs])
     moments = (table.T @ table)[np.triu_indices(4)]
     assert slope(tuple(moments.tolist()), 2) == pytest.approx((1.0, 0.0))
 
 
-def test_a_step_is_shortened_to_the_limit_and_never_lengthened():
+def test_clip_norm_shortens_and_never_lengthens():
     assert clip_norm((3.0, 4.0), 1.0) == pytest.approx((0.6, 0.8))
     assert clip_norm((0.3, 0.4), 1.0) == (0.3, 0.4)
     assert clip_norm((0.0, 0.0), 1.0) == (0.0, 0.0)
 
 
-def test_steps_that_point_alike_keep_their_length():
-    drift, path = (0.0, 0.0), 0.0
+def test_kesten_step_keeps_the_length_of_aligned_steps():
+    mean_step, mean_length = (0.0, 0.0), 0.0
     for _ in range(50):
-        step, drift, path = kesten_step((0.3, -0.4), drift, path)
+        step, mean_step, mean_length = kesten_step((0.3, -0.4), mean_step, mean_length)
         assert step == pytest.approx((0.3, -0.4))
 
 
-def test_steps_that_circle_are_shortened_to_the_least():
-    drift, path = (0.0, 0.0), 0.0
+def test_kesten_step_shortens_circling_steps_to_the_minimum():
+    mean_step, mean_length = (0.0, 0.0), 0.0
     for k in range(200):
         wanted = (math.cos(2.0 * k), math.sin(2.0 * k))
-        step, drift, path = kesten_step(wanted, drift, path)
+        step, mean_step, mean_length = kesten_step(wanted, mean_step, mean_length)
     assert math.hypot(*step) == pytest.approx(0.1)
 
 
 @pytest.mark.parametrize("kind", [PhaseCompensated, LeastSquaresGradient])
-def test_the_search_settles_on_a_cost_too_steep_for_its_gain(kind):
+def test_search_settles_on_a_cost_too_steep_for_its_gain(kind):
     best = np.log([0.8, 35.0, 0.02, 0.015])
 
     def steep(point):
@@ -340,9 +335,9 @@ def test_the_search_settles_on_a_cost_too_steep_for_its_gain(kind):
 
     tuner = kind(WIDE)
     assert tuner.adaptation_gain * 5.0 > 2.0  # plain descent with this gain never settles here
-    state, late = told(tuner, tuner.start(), steep, 250), []
+    state, late = run(tuner, tuner.start(), steep, 250), []
     for _ in range(50):
-        state = told(tuner, state, steep, 1)
+        state = run(tuner, state, steep, 1)
         late.append(steep(tuner.recommend(state)))
     assert np.mean(late) < 1.05
 
@@ -350,7 +345,7 @@ def test_the_search_settles_on_a_cost_too_steep_for_its_gain(kind):
 # The filters.
 
 
-def test_the_washout_is_its_transfer_function():
+def test_washout_is_its_transfer_function():
     levels = np.random.default_rng(3).normal(size=50)
     zeta, washed = washout_at_rest(0.4, levels[0]), []
     for level in levels:
@@ -363,13 +358,13 @@ def test_the_washout_is_its_transfer_function():
 
 
 @given(st.floats(0.01, 3.1), st.floats(0.05, 0.95))
-def test_the_washout_response_is_that_of_its_transfer_function(frequency, h):
+def test_washout_response_is_that_of_its_transfer_function(frequency, h):
     gain, lead = washout_response(h, frequency)
     expected = signal.freqz([1.0, -1.0], [1.0, h], [frequency])[1][0]
     assert gain * np.exp(1j * lead) == pytest.approx(expected)
 
 
-def test_the_low_pass_is_its_transfer_function():
+def test_low_pass_is_its_transfer_function():
     signals, level, found = np.random.default_rng(4).normal(size=50), 0.0, []
     for value in signals:
         level = low_pass(0.1, level, value)

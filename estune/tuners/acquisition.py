@@ -1,6 +1,5 @@
-"""Where to look next: the least of a bound within reach of the centre, among what looks safe."""
+"""Minimisation of the lower confidence bound over the safe part of a trust region."""
 
-import math
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -8,33 +7,33 @@ import numpy as np
 from estune.core.quantities import FloatArray
 from estune.tuners.low_discrepancy import unit_ball_points
 
-LOOKS = 128
-"""Points looked at in the first round, over the whole reach; half as many in each later one."""
+POINTS = 128
+"""Points evaluated in the first round, over the whole region; half as many in each later one."""
 
 ROUNDS = 3
 NARROWING = 3.0
-"""Each round looks about the best of the one before, this many times narrower."""
+"""Each round searches about the best point of the round before, this many times narrower."""
 
-DOUBT = 2.5
-"""Standard deviations by which a point must look safe."""
+SAFETY_SDS = 2.5
+"""Standard deviations by which a point must satisfy the constraints to count as safe."""
 
-POOL = 16 * LOOKS
-"""Points in store, so that consecutive trials look at different ones."""
+POOL = 16 * POINTS
+"""Points in store, so that consecutive trials evaluate different ones."""
 
 
 class Model(Protocol):
-    """What can say what to expect of a point."""
+    """A model of the cost, and of the constraint margin where there is a limit."""
 
-    def expected(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def predict(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Mean of every quantity, shape (points, quantities), and standard deviation, (points,).
 
-        The first quantity is the logarithm of the cost, the second the margin, if there is one.
+        The first quantity is the log cost, the second the constraint margin, if there is one.
         """
         ...
 
 
 class TrustRegion(NamedTuple):
-    """How far a trial may lie from the centre, and what makes it look safe.
+    """The set in which the next trial may lie, and the constraints that make it safe.
 
     Attributes:
         centre: Shape (n,).
@@ -42,8 +41,8 @@ class TrustRegion(NamedTuple):
         radius: Greatest distance from the centre.
         low: Lower bounds, shape (n,).
         high: Upper bounds.
-        log_cost_max: Greatest logarithm of the cost that is safe.
-        margin: Least margin that is safe.
+        log_cost_max: Greatest log cost that is safe.
+        margin_min: Least constraint margin that is safe.
     """
 
     centre: FloatArray
@@ -52,95 +51,65 @@ class TrustRegion(NamedTuple):
     low: FloatArray
     high: FloatArray
     log_cost_max: float
-    margin: float
+    margin_min: float
 
-    def within(self, points: FloatArray) -> FloatArray:
-        """The points, those outside drawn in towards the centre, and within the bounds."""
+    def project(self, points: FloatArray) -> FloatArray:
+        """The points, drawn towards the centre into the region, and within the bounds."""
         away = points - self.centre
-        inside = (away @ self.axes) / np.sum(self.axes * self.axes, axis=0)
-        far = np.maximum(_length(inside), _length(away) / self.radius)
-        drawn: FloatArray = self.centre + away / np.maximum(far, 1.0)[:, np.newaxis]
-        return self.bounded(drawn)
+        scaled = (away @ self.axes) / np.sum(self.axes * self.axes, axis=0)
+        excess = np.maximum(_norms(scaled), _norms(away) / self.radius)
+        inside: FloatArray = self.centre + away / np.maximum(excess, 1.0)[:, np.newaxis]
+        return self.clip(inside)
 
-    def bounded(self, points: FloatArray) -> FloatArray:
+    def clip(self, points: FloatArray) -> FloatArray:
         """The nearest points within the bounds."""
         return np.clip(points, self.low, self.high)
 
-    def constraint_violation(self, mean: FloatArray, spread: FloatArray) -> FloatArray:
-        """By how much points pass what is safe, in doubt; zero where they do not."""
-        over = np.maximum(mean[:, 0] + DOUBT * spread - self.log_cost_max, 0.0)
+    def constraint_violation(self, mean: FloatArray, sd: FloatArray) -> FloatArray:
+        """Violation of the constraints at their confidence bound; zero at safe points."""
+        violation = np.maximum(mean[:, 0] + SAFETY_SDS * sd - self.log_cost_max, 0.0)
         if mean.shape[1] > 1:
-            over += np.maximum(self.margin - (mean[:, 1] - DOUBT * spread), 0.0)
-        return over
+            violation += np.maximum(self.margin_min - (mean[:, 1] - SAFETY_SDS * sd), 0.0)
+        return violation
 
-    def is_inside(self, point: FloatArray) -> bool:
+    def is_inside_bounds(self, point: FloatArray) -> bool:
         """Whether a point, shape (n,), is at none of the bounds."""
         return bool(np.all((self.low < point) & (point < self.high)))
 
     def is_safe(self, model: Model, point: FloatArray) -> bool:
-        """Whether a point, shape (n,), looks safe."""
-        return not self.constraint_violation(*model.expected(point[np.newaxis]))[0]
+        """Whether a point, shape (n,), satisfies the constraints with confidence."""
+        return not self.constraint_violation(*model.predict(point[np.newaxis]))[0]
 
 
 def minimise_confidence_bound(
-    model: Model, reach: TrustRegion, first: FloatArray, curiosity: float, turn: int
+    model: Model, region: TrustRegion, seeds: FloatArray, exploration_weight: float, trial: int
 ) -> FloatArray:
-    """The point whose mean less `curiosity` standard deviations is least, or the safest.
+    """The point of least lower confidence bound among safe ones, or of least violation.
 
     Args:
-        model: What is expected.
-        reach: Where to look.
-        first: Points to be looked at too, shape (points, n).
-        curiosity: Standard deviations.
-        turn: Number of the trial, which decides what else is looked at.
+        model: Prediction of cost and margin.
+        region: Where to search.
+        seeds: Further points to evaluate, shape (points, n).
+        exploration_weight: kappa, standard deviations subtracted from the mean.
+        trial: Number of the trial; selects the points that are evaluated.
     """
-    n = len(reach.centre)
-    pool = unit_ball_points(n, POOL)
-    offset = turn * LOOKS % POOL
-    best, width = first, 1.0
-    for turns in range(ROUNDS):
-        size = LOOKS if turns == 0 else LOOKS // 2
-        looks = best[:1] + width * pool[offset : offset + size] @ reach.axes.T
-        points = reach.within(np.concatenate((best, looks)))
-        mean, spread = model.expected(points)
-        over = reach.constraint_violation(mean, spread)
-        # Whatever is safe comes before whatever is not.
-        rank = np.where(over > 0.0, 1e6 + over, mean[:, 0] - curiosity * spread)
+    pool = unit_ball_points(len(region.centre), POOL)
+    offset = trial * POINTS % POOL
+    best, width = seeds, 1.0
+    for number in range(ROUNDS):
+        size = POINTS if number == 0 else POINTS // 2
+        about = best[:1] + width * pool[offset : offset + size] @ region.axes.T
+        points = region.project(np.concatenate((best, about)))
+        mean, sd = model.predict(points)
+        violation = region.constraint_violation(mean, sd)
+        # Every safe point ranks before every unsafe one.
+        rank = np.where(violation > 0.0, 1e6 + violation, mean[:, 0] - exploration_weight * sd)
         chosen = int(np.argmin(rank))
         best, width = points[chosen : chosen + 1], width / NARROWING
     point: FloatArray = best[0]
     return point
 
 
-def newton_step(
-    slope: FloatArray, values: FloatArray, axes: FloatArray, radius: float
-) -> FloatArray:
-    """The step to the least of a bowl, no longer than a radius (Levenberg & Marquardt).
-
-    Args:
-        slope: g, shape (n,).
-        values: Curvatures along the axes, above zero, shape (n,).
-        axes: One a column, orthonormal, shape (n, n).
-        radius: Longest step.
-    """
-    along = axes.T @ slope
-
-    def step(damping: float) -> FloatArray:
-        found: FloatArray = along / (values + damping)
-        return found
-
-    damping = 0.0
-    if math.hypot(*step(0.0)) > radius:
-        low, damping = 0.0, math.hypot(*along) / radius  # the step shortens as damping grows
-        for _ in range(30):
-            middle = 0.5 * (low + damping)
-            low, damping = (
-                (middle, damping) if math.hypot(*step(middle)) > radius else (low, middle)
-            )
-    taken: FloatArray = -axes @ step(damping)
-    return taken
-
-
-def _length(rows: FloatArray) -> FloatArray:
-    length: FloatArray = np.sqrt(np.sum(rows * rows, axis=1))
-    return length
+def _norms(rows: FloatArray) -> FloatArray:
+    norms: FloatArray = np.sqrt(np.sum(rows * rows, axis=1))
+    return norms

@@ -122,11 +122,7 @@ class ExtremumSeeking(ABC):
         return self.space.point(tuple([th + alpha * math.cos(w * k) for th, w in rows]))
 
     def tell(self, state: ExtremumSeekingState, observation: Observation) -> ExtremumSeekingState:
-        """The state after the trial last asked for.
-
-        Raises:
-            InvalidInput: the cost is not finite although the observation is not censored.
-        """
+        """The state after the trial last asked for."""
         if observation.censored:
             return self.start()._replace(
                 k=state.k + 1,

@@ -7,13 +7,13 @@ with dither, the printed law is
     th_i(k+1)    = th_i(k) - gamma_i alpha_i cos(w_i k) [J(theta(k)) - (1+h) zeta(k)]   (KK 2)
     theta_i(k+1) = th_i(k+1) + alpha_i cos(w_i (k+1)),    w_i = a^i pi              (KK 3)
 
-(KK 3) defines theta from the second trial on, so the first one applies the start itself, and the
-washout is at rest on its cost; trials count from k = 1. These readings, which are ours, come
-nearest to the published transient of the first plant.
+(KK 3) defines theta from the second trial on. By our reading the first trial applies the start
+itself, the washout is at rest on its cost, and trials count from k = 1: this comes nearest to the
+published transient of the first plant.
 
-The law is kept as it is, with its defects: the washout leads by 44 to 76 degrees at the published
-frequencies and the demodulation ignores it, so parameters adapt at unequal rates by the order they
-are listed in; and for four parameters 2 w_4 falls next to w_1. It is here to reproduce.
+The law is kept with its defects, to reproduce the publication. The washout leads by 44 to 76
+degrees at the published frequencies, which the demodulation ignores, so that parameters adapt at
+rates that depend on their order. For four parameters 2 w_4 falls next to w_1.
 """
 
 import math
@@ -32,7 +32,7 @@ ADAPTATION_GAIN = 1.0
 
 
 class KillingsworthState(NamedTuple):
-    """Where the search stands before trial k."""
+    """The state of the search before trial k."""
 
     k: int
     centre: Coordinates  # th(k)
@@ -44,17 +44,17 @@ class KillingsworthState(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Killingsworth:
-    """The published law, in the coordinates of its search space; published was the linear scale.
+    """The published law in the coordinates of its search space; the publication uses linear ones.
 
     Attributes:
-        space: What is tuned. The order of the names matters to this law.
+        space: The tuned parameters; their order matters to this law.
         dither_amplitudes: alpha_i, in coordinates; left empty, 0.2 on a logarithmic scale and
             0.2 of the start on a linear one.
         adaptation_gains: gamma_i, 1/cost; left empty, 1.
         frequency_base: a, between 0 and 1.
         frequency_exponents: The power of a for each parameter; left empty, 1, 2, ... as printed.
         washout_h: h, between 0 and 1.
-        name: What the tuner is called.
+        name: The registered name.
 
     Raises:
         InvalidInput: a setting is out of its range, or there is not one for each parameter.
@@ -78,16 +78,16 @@ class Killingsworth:
             fill(self, "adaptation_gains", (ADAPTATION_GAIN,) * n)
         if not self.frequency_exponents:
             fill(self, "frequency_exponents", tuple(range(1, n + 1)))
-        for what in ("dither_amplitudes", "adaptation_gains", "frequency_exponents"):
-            values = getattr(self, what)
+        for setting in ("dither_amplitudes", "adaptation_gains", "frequency_exponents"):
+            values = getattr(self, setting)
             if len(values) != n:
                 raise InvalidInput(
-                    f"killingsworth: {len(values)} {what} for {n} parameters; give one for each"
+                    f"{self.name}: {len(values)} {setting} for {n} parameters; give one for each"
                 )
             for value in values:
-                check_above_zero("killingsworth", what, value)
-        check_below_one("killingsworth", "frequency_base", self.frequency_base)
-        check_below_one("killingsworth", "washout_h", self.washout_h)
+                check_above_zero(self.name, setting, value)
+        check_below_one(self.name, "frequency_base", self.frequency_base)
+        check_below_one(self.name, "washout_h", self.washout_h)
 
     def start(self) -> KillingsworthState:
         """The state before the first trial."""
@@ -111,11 +111,7 @@ class Killingsworth:
         )
 
     def tell(self, state: KillingsworthState, observation: Observation) -> KillingsworthState:
-        """The state after the trial last asked for.
-
-        Raises:
-            InvalidInput: the cost is not finite although the observation is not censored.
-        """
+        """The state after the trial last asked for."""
         k, h = state.k, self.washout_h
         if observation.censored:
             return state._replace(
@@ -128,22 +124,15 @@ class Killingsworth:
         J = usable_cost(observation)
         zeta = washout_at_rest(h, J) if state.zeta is None else state.zeta
         washed, zeta = washout(h, zeta, J)  # (KK 1)
-        rows = zip(
-            state.centre,
-            self.adaptation_gains,
-            self.dither_amplitudes,
-            self._frequencies(),
-            strict=True,
-        )
-        centre = tuple(
-            [
-                th - state.step_scale * gamma * alpha * math.cos(w * k) * washed  # (KK 2)
-                for th, gamma, alpha, w in rows
-            ]
-        )
+        gains, alphas = self.adaptation_gains, self.dither_amplitudes
+        rows = zip(state.centre, gains, alphas, self._frequencies(), strict=True)
+        centre = [
+            th - state.step_scale * gamma * alpha * math.cos(w * k) * washed  # (KK 2)
+            for th, gamma, alpha, w in rows
+        ]
         return KillingsworthState(
             k=k + 1,
-            centre=self.space.clipped(centre),
+            centre=self.space.clipped(tuple(centre)),
             zeta=zeta,
             step_scale=recover_after_safe(state.step_scale),
             best_point=best_point,
@@ -151,7 +140,7 @@ class Killingsworth:
         )
 
     def recommend(self, state: KillingsworthState) -> Point:
-        """th(k): the search's centre, without dither."""
+        """th(k), without dither."""
         return self.space.point(state.centre)
 
     def _frequencies(self) -> list[float]:

@@ -1,15 +1,15 @@
-"""The paper's second method (section V-C): the slope by least squares over neighbouring points.
+"""Gradient by least squares over neighbouring points, the paper's second method (section V-C).
 
-The trials visit neighbours of the centre on an orthogonal design, the logarithm of the cost is
-regressed on where they were, and the centre steps against the slope:
+The trials visit neighbours of the centre on an orthogonal design. The logarithm of the cost is
+regressed on their coordinates, and the centre steps against the slope:
 
     minimise over (c, g)   sum_m lambda^(k-m) [l(m) - c - g . x(m)]^2
-    th(k+1) = th(k) - gamma g, limited and straightened as in `steps`
+    th(k+1) = th(k) - gamma g, limited and straightened as in `step_control`
 
 with x the logarithms of the parameters and l that of the cost. The regression forgets with
-lambda = n/(n+1), a memory of n + 1 trials, the fewest that determine a slope; so the centre can
-step after every trial and not only after a whole design, and on a cost that is linear in these
-coordinates the slope is exact from the first n + 1 trials on, however the centre moved meanwhile.
+lambda = n/(n+1), a memory of n + 1 trials, the fewest that determine a slope. So the centre steps
+after every trial, not only after a whole design. On a cost that is linear in these coordinates the
+slope is exact from the first n + 1 trials on, even while the centre moves.
 """
 
 import math
@@ -30,14 +30,14 @@ from estune.tuners.step_control import (
 
 
 class LeastSquaresGradientState(NamedTuple):
-    """Where the search stands before trial k."""
+    """The state of the search before trial k."""
 
     k: int
     centre: Coordinates  # th(k), logarithms
-    regressed: int  # trials in the regression since it last began
+    regressed: int  # trials in the regression since its last reset
     moments: tuple[float, ...]  # sum lambda^(k-m) v v' with v = (1, x, l), upper triangle by rows
-    drift: tuple[float, ...]  # mean step wanted, see `straightened`
-    path: float  # mean length of it
+    mean_step: tuple[float, ...]  # see `kesten_step`
+    mean_length: float
     step_scale: float
     best_point: Point
     best_cost: float | None
@@ -45,14 +45,14 @@ class LeastSquaresGradientState(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class LeastSquaresGradient:
-    """Steps against the slope of a linear regression on recent trials.
+    """Descent along the slope of a linear regression on recent trials.
 
     Attributes:
-        space: What is tuned, on a logarithmic scale.
-        dither_amplitude: How far the neighbours lie from the centre, in logarithms.
+        space: The tuned parameters, on a logarithmic scale.
+        dither_amplitude: Distance of the neighbours from the centre, in logarithms.
         adaptation_gain: gamma, step in logarithms per slope of the logarithm of the cost.
         step_limit: Longest step of the centre between two trials, in logarithms.
-        name: What the tuner is called.
+        name: The registered name.
 
     Raises:
         InvalidInput: a setting is out of its range, or the scale is not logarithmic.
@@ -65,9 +65,9 @@ class LeastSquaresGradient:
     name: Literal["least_squares_gradient"] = "least_squares_gradient"
 
     def __post_init__(self) -> None:
-        check_logarithmic("least_squares_gradient", self.space)
-        for what in ("dither_amplitude", "adaptation_gain", "step_limit"):
-            check_above_zero("least_squares_gradient", what, getattr(self, what))
+        check_logarithmic(self.name, self.space)
+        for setting in ("dither_amplitude", "adaptation_gain", "step_limit"):
+            check_above_zero(self.name, setting, getattr(self, setting))
 
     def start(self) -> LeastSquaresGradientState:
         """The state before the first trial."""
@@ -76,8 +76,8 @@ class LeastSquaresGradient:
             centre=self.space.coordinates(self.space.start),
             regressed=0,
             moments=_no_moments(len(self.space.names)),
-            drift=(0.0,) * len(self.space.names),
-            path=0.0,
+            mean_step=(0.0,) * len(self.space.names),
+            mean_length=0.0,
             step_scale=1.0,
             best_point=self.space.start,
             best_cost=None,
@@ -92,35 +92,29 @@ class LeastSquaresGradient:
     def tell(
         self, state: LeastSquaresGradientState, observation: Observation
     ) -> LeastSquaresGradientState:
-        """The state after the trial last asked for.
-
-        Raises:
-            InvalidInput: the cost is not finite although the observation is not censored.
-        """
+        """The state after the trial last asked for."""
         n = len(self.space.names)
         if observation.censored:
-            return state._replace(
+            return self.start()._replace(
                 k=state.k + 1,
                 centre=self.space.coordinates(state.best_point),
-                regressed=0,
-                moments=_no_moments(n),
-                drift=(0.0,) * n,
-                path=0.0,
                 step_scale=shrink_after_unsafe(state.step_scale),
+                best_point=state.best_point,
+                best_cost=state.best_cost,
             )
         point = self.ask(state)
         best_point, best_cost = best_after(state, point, observation)
-        # Measured from the start, so that the moments stay small and their differences exact.
-        origin = self.space.coordinates(self.space.start)
-        x = [c - o for c, o in zip(self.space.coordinates(point), origin, strict=True)]
+        # Relative to the start, so that the moments stay small and their differences exact.
+        x = self.space.from_start(point)
         moments = _moments_with(state.moments, n / (n + 1), [1.0, *x, log_cost(observation)])
-        centre, drift, path = state.centre, state.drift, state.path
+        centre, mean_step, mean_length = state.centre, state.mean_step, state.mean_length
         if state.regressed >= n:
-            wanted = clip_norm(
-                tuple([-self.adaptation_gain * g for g in slope(moments, n)]),
-                state.step_scale * self.step_limit,
+            downhill = [-self.adaptation_gain * g for g in slope(moments, n)]
+            step, mean_step, mean_length = kesten_step(
+                clip_norm(tuple(downhill), state.step_scale * self.step_limit),
+                mean_step,
+                mean_length,
             )
-            step, drift, path = kesten_step(wanted, drift, path)
             centre = self.space.clipped(
                 tuple([th + s for th, s in zip(centre, step, strict=True)])
             )
@@ -129,15 +123,15 @@ class LeastSquaresGradient:
             centre=centre,
             regressed=state.regressed + 1,
             moments=moments,
-            drift=drift,
-            path=path,
+            mean_step=mean_step,
+            mean_length=mean_length,
             step_scale=recover_after_safe(state.step_scale),
             best_point=best_point,
             best_cost=best_cost,
         )
 
     def recommend(self, state: LeastSquaresGradientState) -> Point:
-        """The search's centre, without dither."""
+        """The centre of the search, without dither."""
         return self.space.point(state.centre)
 
 
@@ -156,8 +150,8 @@ def _moments_with(
 def slope(moments: tuple[float, ...], parameters: int) -> tuple[float, ...]:
     """The slope of the weighted least-squares plane through the trials in the moments.
 
-    Gauss elimination of the moments of (1, x, l); taking out the first row centres the rest.
-    A direction the trials did not vary in has no slope to be known, and gets zero.
+    Gauss elimination of the moments of (1, x, l); eliminating the first row centres the rest. The
+    slope along a direction without variation is zero.
 
     Args:
         moments: Upper triangle by rows of the weighted moments of (1, x_1 ... x_n, l).
@@ -167,15 +161,15 @@ def slope(moments: tuple[float, ...], parameters: int) -> tuple[float, ...]:
     for length in range(parameters + 2, 1, -1):
         rows.append(list(moments[first : first + length]))  # from the diagonal to the last column
         first += length
-    least = [1e-12 * row[0] for row in rows]
+    pivot_min = [1e-12 * row[0] for row in rows]
     for j, pivot_row in enumerate(rows):
-        if pivot_row[0] <= least[j]:
-            pivot_row[0] = math.inf  # nothing is eliminated by it, and its slope comes out zero
+        if pivot_row[0] <= pivot_min[j]:
+            pivot_row[0] = math.inf  # eliminates nothing, and its slope becomes zero
         for i in range(j + 1, parameters + 1):
             factor = pivot_row[i - j] / pivot_row[0]
             rows[i] = [a - factor * b for a, b in zip(rows[i], pivot_row[i - j :], strict=True)]
-    found: list[float] = []
+    solution: list[float] = []
     for row in reversed(rows[1:]):
-        known = sum([a * b for a, b in zip(row[1:-1], found, strict=True)])
-        found.insert(0, (row[-1] - known) / row[0])
-    return tuple(found)
+        explained = sum([a * b for a, b in zip(row[1:-1], solution, strict=True)])
+        solution.insert(0, (row[-1] - explained) / row[0])
+    return tuple(solution)

@@ -4,6 +4,7 @@ import math
 from typing import NamedTuple
 
 from estune.errors import InvalidInput
+from estune.loop_model.identification import LoopRecord
 
 
 class Observation(NamedTuple):
@@ -15,11 +16,13 @@ class Observation(NamedTuple):
             marks its gains as unsafe.
         margin: Constraint margin: the least share that the trial left of any of the rig's limits;
             1 far away, 0 at the limit.
+        record: Signals of the trial, for tuners that identify the loop; None without them.
     """
 
     cost: float
     censored: bool = False
     margin: float = math.inf
+    record: LoopRecord | None = None
 
 
 COST_LIMIT = 1e100

@@ -1,4 +1,4 @@
-"""Where the optimum may be, and what is left to gain there, by what is not known of the cost."""
+"""The optimum and the remaining improvement, as far as the local cubic model leaves them open."""
 
 from typing import NamedTuple
 
@@ -6,67 +6,67 @@ import numpy as np
 
 from estune.core.quantities import FloatArray
 from estune.tuners.acquisition import TrustRegion
-from estune.tuners.local_cubic import FLAT, LocalCubicModel, curvature_of
+from estune.tuners.local_cubic import CURVATURE_MIN, LocalCubicModel, curvature_matrix
 from estune.tuners.low_discrepancy import normal_points
 
-DRAWS = 256
-"""Bowls that stand for all that the cost may be; enough for a 2.5 % quantile to be one of six."""
+SAMPLES = 256
+"""Number of posterior samples; 2.5 % of them are six."""
 
 
 class QuadraticSamples(NamedTuple):
-    """Costs that the trials leave possible, each with its own least.
+    """Posterior samples of the cost as quadratics.
 
     Attributes:
-        least: Where each is least within reach, shape (draws, n).
-        gain: By how much the logarithm of the cost at the centre lies above it, shape (draws,).
+        minima: Minimum of each within the region, shape (samples, n).
+        improvement: Log cost at the centre above that at the minimum, shape (samples,).
     """
 
-    least: FloatArray
-    gain: FloatArray
+    minima: FloatArray
+    improvement: FloatArray
+
+    def intervals(self, region: TrustRegion) -> FloatArray:
+        """95 % intervals of the optimum, shape (2, n); to the bounds where the region ends."""
+        low, high = np.quantile(self.minima, (0.025, 0.975), axis=0)
+        low = np.where(low < region.centre - 0.8 * region.radius, region.low, low)
+        high = np.where(high > region.centre + 0.8 * region.radius, region.high, high)
+        return np.stack((low, high))
 
 
-def expected_gain(
-    model: LocalCubicModel, values: FloatArray, axes: FloatArray, reach: TrustRegion
-) -> float:
-    """What is expected to be left, -g.s - s'Hs/2 and what the doubt of g adds along each axis.
+def expected_improvement(model: LocalCubicModel, region: TrustRegion) -> float:
+    """Expected remaining improvement, -g.s - s'Hs/2 plus the part of an uncertain g on each axis.
 
-    Here s is Newton's step as far as the bounds let it go, for beyond them nothing is to be had.
-    A slope in doubt by d adds d^2/(2 h) on average, but no more than is gained within reach.
-
-    Args:
-        model: The cost.
-        values: Curvatures along the axes, above zero, shape (n,).
-        axes: One a column, orthonormal, shape (n, n).
-        reach: The bounds.
+    s is Newton's step as far as the bounds allow. A slope with standard deviation d adds d^2/(2 h)
+    on average, but no more than it can reduce the cost within the region.
     """
-    slopes = slice(1, 1 + len(values))
-    newton = axes @ ((axes.T @ model.slope) / values)
-    step = reach.bounded(model.centre - newton) - model.centre
-    sure = -model.slope @ step - 0.5 * np.sum(values * (axes.T @ step) ** 2)
-    spread = np.sum((model.spread[slopes, slopes] @ axes) * axes, axis=0)
-    doubt = np.minimum(0.5 * spread / values, np.sqrt(spread) * reach.radius)
-    return float(max(sure, 0.0) + np.sum(doubt))
+    slopes = slice(1, 1 + len(model.centre))
+    axes, curvatures = model.axes, model.curvatures
+    newton = axes @ ((axes.T @ model.slope) / curvatures)
+    step = region.clip(model.centre - newton) - model.centre
+    certain = -model.slope @ step - 0.5 * np.sum(curvatures * (axes.T @ step) ** 2)
+    variance = np.sum((model.covariance[slopes, slopes] @ axes) * axes, axis=0)
+    uncertain = np.minimum(0.5 * variance / curvatures, np.sqrt(variance) * region.radius)
+    return float(max(certain, 0.0) + np.sum(uncertain))
 
 
-def sample_quadratics(model: LocalCubicModel, reach: TrustRegion) -> QuadraticSamples:
-    """Slopes and curvatures drawn from the posterior, and the least of each such bowl.
+def sample_quadratics(model: LocalCubicModel, region: TrustRegion) -> QuadraticSamples:
+    """Quadratics with slope and curvature from the posterior, and their minima.
 
-    The cubic terms matter little this near; what they take from the certainty of the others is in
-    the posterior already.
+    The cubic terms matter little this near; the uncertainty they add is in the posterior already.
     """
     n = len(model.centre)
     kept = slice(1, 1 + n + n * (n + 1) // 2)
-    spread = np.linalg.cholesky(model.spread[kept, kept])
-    drawn = model.coefficients[kept, 0] + normal_points(len(spread), DRAWS) @ spread.T
-    slope = drawn[:, :n]
-    values, axes = np.linalg.eigh(curvature_of(drawn[:, n:], n))
+    root = np.linalg.cholesky(model.covariance[kept, kept])
+    samples = model.coefficients[kept, 0] + normal_points(len(root), SAMPLES) @ root.T
+    slope = samples[:, :n]
+    values, axes = np.linalg.eigh(curvature_matrix(samples[:, n:], n))
     along = np.einsum("dij,di->dj", axes, slope)
-    # Along a direction that does not bend the optimum lies as far away as may be believed; what is
-    # to be gained on the way there is told by the least bend that a step is taken by.
-    bent = np.maximum(values, FLAT)
-    far = np.where(values < FLAT, np.copysign(reach.radius, along), along / bent)
-    least = reach.within(model.centre - np.einsum("dij,dj->di", axes, far))
-    step = reach.within(model.centre - np.einsum("dij,dj->di", axes, along / bent)) - model.centre
-    rise = 0.5 * np.sum(bent * np.einsum("dij,di->dj", axes, step) ** 2, axis=1)
-    gain: FloatArray = -np.sum(slope * step, axis=1) - rise
-    return QuadraticSamples(least, np.maximum(gain, 0.0))
+    # Along a direction without curvature the optimum lies at the edge of the region; the
+    # improvement on the way there follows from the least curvature that a step is taken by.
+    positive = np.maximum(values, CURVATURE_MIN)
+    far = np.where(values < CURVATURE_MIN, np.copysign(region.radius, along), along / positive)
+    minima = region.project(model.centre - np.einsum("dij,dj->di", axes, far))
+    newton = np.einsum("dij,dj->di", axes, along / positive)
+    step = region.project(model.centre - newton) - model.centre
+    rise = 0.5 * np.sum(positive * np.einsum("dij,di->dj", axes, step) ** 2, axis=1)
+    improvement: FloatArray = -np.sum(slope * step, axis=1) - rise
+    return QuadraticSamples(minima, np.maximum(improvement, 0.0))

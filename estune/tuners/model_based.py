@@ -1,0 +1,387 @@
+"""Model-based search: the loop identified from the records predicts the cost of any gains.
+
+After each trial a linear model of the loop is fitted to the last records (`estune.loop_model`). With
+m the logarithm of the cost it predicts and r a Gaussian process of what measured costs differ from
+that, the next trial is
+
+    x(k) = argmin  m(x) + mean r(x) - kappa sd r(x)
+
+within limits of sensitivity and overshoot, a box about the best trial, and what is safe by all
+likely models. The prior standard deviation of r grows with the misfit rho of the model and is zero
+below `MISFIT_EXACT`: then the model alone decides. Where its predictions fail, the fallback tuner,
+which is told every trial, proposes. The improvement that remains is estimated by draws from the
+posterior of the model. Measured costs decide what is kept.
+"""
+
+import math
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+
+from estune.core.quantities import FloatArray
+from estune.loop_model.identification import LoopFit, LoopRecord, fit_loop
+from estune.loop_model.model import LoopModel
+from estune.loop_model.optimum import Optimum, RegionSearch, RobustnessLimits
+from estune.loop_model.prediction import Prediction, StepTrial, parameter_deviations, predict
+from estune.tuners.interface import ConvergenceEstimate, CostPrediction
+from estune.tuners.observation import Observation, log_cost
+from estune.tuners.safe_bayesian import SafeBayesianTuner
+from estune.tuners.search_space import Coordinates, Point, SearchSpace
+from estune.tuners.settings import check_above_zero, check_logarithmic
+
+MISFIT_EXACT = 0.002
+"""Misfit up to which the model alone decides: on plants in its class a surface on top left the
+search 0.5 to 2 % above the optimum after 24 trials, none left it at 0.0 %."""
+
+SURFACE_SLOPE = 30.0
+SURFACE_MAX = 1.0
+"""Prior standard deviation of r per misfit beyond `MISFIT_EXACT`, and at most."""
+
+SURFACE_LENGTH = 1.0
+"""Distance in logarithms over which r changes."""
+
+SURFACE_NOISE = 0.03
+EXPLORATION = 2.0
+"""kappa."""
+
+PREDICTION_FAILED = 0.5
+"""Median error of the last three predictions of the log cost from which the fallback proposes."""
+
+SAFE_DEVIATIONS = 2.5
+SAFE_RATIO = 1.3
+"""A trial is safe if all models this many standard deviations away predict at most so many times
+the cost of the first trial."""
+
+DRAWS = 10
+DRAW_ITERATIONS = 8
+"""Posterior draws of the remaining improvement, and iterations of the optimum of each."""
+
+WORTH_DRAWING = 0.1
+"""Improvement of the model's optimum over the best trial, in the log cost, below which the
+remaining improvement is worth estimating."""
+
+
+class ModelBasedState(NamedTuple):
+    """The state of a model-based search.
+
+    Attributes:
+        fallback: State of the fallback tuner.
+        records: Last records of the loop.
+        points: Coordinates of all trials with a record.
+        costs: Logarithms of their costs.
+        errors: Errors of the predictions of these before they ran; NaN before the first fit.
+        fit: The identified loop; None before the first record.
+        proposal: The next trial.
+        centre: Coordinates of the recommended point.
+        step_scale: Factor on the reach after unsafe trials.
+        estimate: State of convergence.
+        best_point: The point of the best safe trial.
+        best_cost: Its cost.
+    """
+
+    fallback: Any
+    records: tuple[LoopRecord, ...]
+    points: tuple[Coordinates, ...]
+    costs: tuple[float, ...]
+    errors: tuple[float, ...]
+    fit: LoopFit | None
+    proposal: Point
+    centre: Coordinates
+    step_scale: float
+    estimate: ConvergenceEstimate | None
+    best_point: Point
+    best_cost: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class IdentifiedLoopTuner:
+    """Proposes the optimum of the identified loop within limits of sensitivity and overshoot.
+
+    Attributes:
+        space: The tuned parameters, on a logarithmic scale.
+        trial: The step trial; without it the fallback tuner does all the search.
+        limits: Limits of sensitivity, overshoot and phase margin.
+        reach: Greatest distance of a trial from the best one in each logarithm.
+        memory: Records that are fitted.
+        name: Registered name.
+
+    Raises:
+        InvalidInput: a setting is out of its range, or the scale is not logarithmic.
+    """
+
+    space: SearchSpace
+    trial: StepTrial | None = None
+    limits: RobustnessLimits = field(default_factory=RobustnessLimits)
+    reach: float = 1.2
+    memory: int = 20
+    name: Literal["model_based"] = "model_based"
+
+    def __post_init__(self) -> None:
+        check_logarithmic(self.name, self.space)
+        check_above_zero(self.name, "reach", self.reach)
+        check_above_zero(self.name, "memory", self.memory)
+
+    @property
+    def settled_trials(self) -> int:
+        """Trials in a row with little improvement left that end a search."""
+        return 2
+
+    def start(self) -> ModelBasedState:
+        """The state before the first trial."""
+        fallback = self._fallback.start()
+        return ModelBasedState(
+            fallback=fallback,
+            records=(),
+            points=(),
+            costs=(),
+            errors=(),
+            fit=None,
+            proposal=fallback.proposal,
+            centre=self.space.coordinates(self.space.start),
+            step_scale=1.0,
+            estimate=None,
+            best_point=self.space.start,
+            best_cost=None,
+        )
+
+    def ask(self, state: ModelBasedState) -> Point:
+        """The point of the next trial."""
+        return state.proposal
+
+    def tell(self, state: ModelBasedState, observation: Observation) -> ModelBasedState:
+        """The state after the trial last asked for."""
+        point = state.proposal
+        fallback = self._fallback.tell(state.fallback._replace(proposal=point), observation)
+        state = state._replace(
+            fallback=fallback,
+            step_scale=fallback.step_scale,
+            best_point=fallback.best_point,
+            best_cost=fallback.best_cost,
+        )
+        if not observation.censored and observation.record is not None and self.trial is not None:
+            state = self._learn(state, point, log_cost(observation), observation.record)
+        recent = [abs(error) for error in state.errors[-3:]]
+        failed = len(recent) == 3 and float(np.median(recent)) > PREDICTION_FAILED  # not with NaN
+        if state.fit is None or state.best_cost is None or failed:
+            return self._fall_back(state)
+        return self._propose(state, state.fit)
+
+    def recommend(self, state: ModelBasedState) -> Point:
+        """The optimum of the model, corrected by the measured costs."""
+        return self.space.point(state.centre)
+
+    def convergence(self, state: ModelBasedState) -> ConvergenceEstimate | None:
+        """The state of convergence; None while too little is known."""
+        return state.estimate
+
+    def predict(self, state: ModelBasedState, point: Point) -> CostPrediction:
+        """The predicted cost of a point, by the fallback's model of the cost."""
+        return self._fallback.predict(state.fallback, point)
+
+    @property
+    def _fallback(self) -> SafeBayesianTuner:
+        return SafeBayesianTuner(self.space)
+
+    def _fall_back(self, state: ModelBasedState) -> ModelBasedState:
+        tuner = self._fallback
+        return state._replace(
+            proposal=tuner.ask(state.fallback),
+            centre=self.space.coordinates(tuner.recommend(state.fallback)),
+            estimate=tuner.convergence(state.fallback),
+        )
+
+    def _learn(
+        self, state: ModelBasedState, point: Point, cost: float, record: LoopRecord
+    ) -> ModelBasedState:
+        """The state with the model fitted to one more record."""
+        assert self.trial is not None  # noqa: S101  checked by the caller
+        x, last = self.space.coordinates(point), state.fit
+        error = cost - _log_cost(self._at(state, last, x)) if last else math.nan
+        records = (*state.records, record)[-self.memory :]
+        fit = fit_loop(
+            records,
+            self.trial.controller.sampling_Hz,
+            self.trial.cost.settling_time_s,
+            last.model if last else None,
+        )
+        return state._replace(
+            records=records,
+            points=(*state.points, x),
+            costs=(*state.costs, cost),
+            errors=(*state.errors, error),
+            fit=fit,
+        )
+
+    def _propose(self, state: ModelBasedState, fit: LoopFit) -> ModelBasedState:
+        """The next trial and the centre by the model."""
+        left = [
+            c - _log_cost(self._at(state, fit, x)) for x, c in zip(*_tried(state), strict=True)
+        ]
+        surface = fit_residual_surface(fit.misfit, np.array(state.points), np.array(left))
+        best = np.array(self.space.coordinates(state.best_point))
+        optimum = self._search(state, fit.model, surface, 0.0).minimise(
+            [np.array(state.centre), best], scattered=32
+        )
+        if not math.isfinite(optimum.prediction.cost):
+            return self._fall_back(state)
+        wanted = optimum
+        if surface is not None:
+            search = self._search(state, fit.model, surface, EXPLORATION)
+            wanted = search.minimise([optimum.coordinates, best])
+        proposal = self._made_safe(state, fit, best, wanted.coordinates)
+        return state._replace(
+            centre=tuple(optimum.coordinates.tolist()),
+            proposal=self.space.point(tuple(proposal.tolist())),
+            estimate=self._convergence(state, fit, surface, optimum),
+        )
+
+    def _search(
+        self,
+        state: ModelBasedState,
+        model: LoopModel,
+        surface: "ResidualSurface | None",
+        exploration: float,
+    ) -> RegionSearch:
+        """The search for the optimum of a model within reach of the best trial."""
+        best = np.array(self.space.coordinates(state.best_point))
+        radius = self.reach * state.step_scale
+        return RegionSearch(
+            model=model,
+            trial=self._trial(state),
+            limits=self.limits,
+            gains_of=lambda x: self.space.gains(self.space.point(tuple(x.tolist()))),
+            low=np.maximum(self.space.coordinates_low, best - radius),
+            high=np.minimum(self.space.coordinates_high, best + radius),
+            noise_N=state.fit.noise_N if state.fit else 0.0,
+            correction=None if surface is None else lambda x: surface.bound(x, exploration),
+        )
+
+    def _made_safe(
+        self, state: ModelBasedState, fit: LoopFit, safe: FloatArray, wanted: FloatArray
+    ) -> FloatArray:
+        """The furthest point on the way to a proposal that is safe by all likely models."""
+        theta = fit.model.parameters
+        away = SAFE_DEVIATIONS * parameter_deviations(fit).T
+        likely = [
+            fit.model.with_parameters(theta + s * column) for column in away for s in (-1, 1)
+        ]
+        limit = SAFE_RATIO * math.exp(state.costs[0])
+        for share in (1.0, 0.7, 0.45, 0.25):
+            x = safe + share * (wanted - safe)
+            gains = self.space.gains(self.space.point(tuple(x.tolist())))
+            trial = self._trial(state)
+            if all(predict(model, trial, gains, fit.noise_N).cost < limit for model in likely):
+                return x
+        return safe + 0.1 * (wanted - safe)
+
+    def _convergence(
+        self,
+        state: ModelBasedState,
+        fit: LoopFit,
+        surface: "ResidualSurface | None",
+        optimum: Optimum,
+    ) -> ConvergenceEstimate | None:
+        """Remaining improvement within the limits, by draws from the posterior of the model."""
+        best = _log_cost(self._at(state, fit, self.space.coordinates(state.best_point)))
+        close = best - math.log(optimum.prediction.cost) < WORTH_DRAWING
+        if len(state.costs) < 3 or not (close and optimum.feasible):
+            return None
+        rng = np.random.default_rng(len(state.costs))
+        theta, factor = fit.model.parameters, parameter_deviations(fit)
+        gains, optima = [], []
+        for _ in range(DRAWS):
+            model = fit.model.with_parameters(theta + factor @ rng.standard_normal(theta.size))
+            search = self._search(state, model, surface, 0.0)
+            here = search.predicted(optimum.coordinates)
+            if not math.isfinite(here.cost):
+                gains.append(1.0)
+                continue
+            # What a draw violates at the centre is the model's doubt and no improvement.
+            own = replace(search, limits=self.limits.loosened_to(here), _known={})
+            drawn = own.minimise([optimum.coordinates], iterations=DRAW_ITERATIONS)
+            gains.append(max(math.log(here.cost / drawn.prediction.cost), 0.0))
+            optima.append(drawn.coordinates)
+        points = np.array(optima) if optima else optimum.coordinates[np.newaxis]
+        low, high = points.min(axis=0), points.max(axis=0)
+        doubt = 0.0 if surface is None else surface.deviation(optimum.coordinates)
+        recent = [error for error in state.errors[-8:] if not math.isnan(error)]
+        return ConvergenceEstimate(
+            noise=float(np.std(recent)) if len(recent) > 3 else SURFACE_NOISE,
+            remaining_improvement=-math.expm1(-float(np.quantile(gains, 0.95)) - doubt),
+            expected_improvement=-math.expm1(-float(np.mean(gains))),
+            intervals=tuple(
+                zip(
+                    self.space.point(tuple(low.tolist())),
+                    self.space.point(tuple(high.tolist())),
+                    strict=True,
+                )
+            ),
+        )
+
+    def _trial(self, state: ModelBasedState) -> StepTrial:
+        """The step trial with the effort at rest of the last record."""
+        assert self.trial is not None  # noqa: S101  there is a record, so there was a trial
+        return replace(self.trial, effort_N=state.records[-1].rest_effort_N)
+
+    def _at(self, state: ModelBasedState, fit: LoopFit, x: Coordinates) -> Prediction:
+        gains = self.space.gains(self.space.point(x))
+        return predict(fit.model, self._trial(state), gains, fit.noise_N)
+
+
+class ResidualSurface(NamedTuple):
+    """Gaussian process of the measured log costs less those of the model, with prior mean zero.
+
+    Attributes:
+        size: Prior standard deviation.
+        points: Coordinates of the trials, shape (trials, n).
+        precision: Inverse of their covariance, shape (trials, trials).
+        weights: Precision times the residuals, shape (trials,).
+    """
+
+    size: float
+    points: FloatArray
+    precision: FloatArray
+    weights: FloatArray
+
+    def bound(self, x: FloatArray, exploration: float) -> float:
+        """Mean less `exploration` standard deviations, at coordinates of shape (n,)."""
+        k = _kernel(x[np.newaxis], self.points, self.size)[0]
+        variance = self.size**2 - float(k @ self.precision @ k)
+        return float(k @ self.weights) - exploration * math.sqrt(max(variance, 0.0))
+
+    def deviation(self, x: FloatArray) -> float:
+        """Standard deviation."""
+        return self.bound(x, 0.0) - self.bound(x, 1.0)
+
+
+def fit_residual_surface(
+    misfit: float, points: FloatArray, residuals: FloatArray
+) -> ResidualSurface | None:
+    """The surface after some trials; None where the model is exact.
+
+    Args:
+        misfit: rho of the model.
+        points: Shape (trials, n).
+        residuals: Measured log cost less the model's, shape (trials,); infinite counts as -1.
+    """
+    size = min(SURFACE_SLOPE * (misfit - MISFIT_EXACT), SURFACE_MAX)
+    if size <= 0.0:
+        return None
+    residuals = np.clip(residuals, -1.0, 1.0)
+    covariance = _kernel(points, points, size) + SURFACE_NOISE**2 * np.eye(len(points))
+    precision = np.asarray(np.linalg.inv(covariance), dtype=np.float64)
+    return ResidualSurface(size, points, precision, precision @ residuals)
+
+
+def _kernel(left: FloatArray, right: FloatArray, size: float) -> FloatArray:
+    squares = np.sum((left[:, np.newaxis] - right) ** 2, axis=2)
+    return np.asarray(size**2 * np.exp(-0.5 * squares / SURFACE_LENGTH**2))
+
+
+def _log_cost(prediction: Prediction) -> float:
+    return math.log(prediction.cost)
+
+
+def _tried(state: ModelBasedState) -> tuple[tuple[Coordinates, ...], tuple[float, ...]]:
+    return state.points, state.costs
