@@ -11,7 +11,7 @@ from scipy import stats
 from estune.core.gains import GAIN_NAMES, Gains
 from estune.errors import InvalidInput
 from estune.studies.law.law import fit_law
-from estune.studies.law.robust_regression import fit_weighted, student
+from estune.studies.law.robust_regression import fit_weighted, interval_factor
 from estune.studies.law.tuned import TunedGains
 
 LENGTHS = (0.5, 0.65, 0.8, 0.95, 1.1, 1.25, 1.4)
@@ -69,7 +69,7 @@ def test_the_interval_of_the_slope_covers_the_truth_as_often_as_it_says(told, re
         own = rng.uniform(0.3, 1.5, length.size)
         gain = 52.0 - 18.5 * length + np.hypot(own, 0.7) * rng.normal(size=length.size)
         fit = fit_weighted(design, gain, own if told else np.zeros_like(own))
-        width = student(0.95, fit.degrees) * math.sqrt(fit.covariance[1, 1])
+        width = interval_factor(0.95, fit.degrees) * math.sqrt(fit.covariance[1, 1])
         hits += abs(fit.coefficients[1] + 18.5) <= width
     # Fewer hits of intervals of 95 % would have a chance below one in a thousand.
     assert hits >= stats.binom.ppf(0.001, n, 0.95)
@@ -91,7 +91,7 @@ def test_on_points_with_the_same_error_the_interval_is_that_of_textbooks():
     reference = stats.linregress(x, y)
     assert fit.coefficients[1] == pytest.approx(reference.slope, abs=reference.stderr)
     assert math.sqrt(fit.covariance[1, 1]) == pytest.approx(reference.stderr, rel=0.2)
-    assert student(0.95, fit.degrees) == pytest.approx(stats.t.ppf(0.975, 19))
+    assert interval_factor(0.95, fit.degrees) == pytest.approx(stats.t.ppf(0.975, 19))
 
 
 def test_a_tuning_that_knows_little_counts_little():
@@ -110,7 +110,7 @@ def test_a_wild_tuning_is_named_and_does_not_move_the_law():
     law = fit_law([*made[:5], wild, *made[6:]])
     clean = fit_law(made)
     assert law.fits["I"].outliers == (wild.label,)
-    assert law.remarks == (f"I: {wild.label} is an outlier and hardly counts",)
+    assert law.remarks == (f"I: {wild.label} is an outlier, down-weighted",)
     difference = law.fits["I"].slope.value - clean.fits["I"].slope.value
     assert abs(difference) < clean.fits["I"].slope.half_width
 
@@ -125,7 +125,7 @@ def test_a_wild_tuning_is_named_and_does_not_move_the_law():
 )
 def test_the_form_that_made_the_tunings_is_chosen(law, form):
     chosen = [
-        str(fit_law(tunings(law, seed=s, seeds=3, tensions=(5.0, 20.0, 35.0))).fits["I"].shape)
+        str(fit_law(tunings(law, seed=s, seeds=3, tensions=(5.0, 20.0, 35.0))).fits["I"].form)
         for s in range(12)
     ]
     assert chosen.count(form) >= 10
@@ -133,13 +133,13 @@ def test_the_form_that_made_the_tunings_is_chosen(law, form):
 
 def test_a_gain_that_does_not_change_is_constant():
     laws = [fit_law(tunings(seed=s, seeds=2)) for s in range(12)]
-    assert sum(law.fits["P"].shape.form == "constant" for law in laws) >= 10
+    assert sum(law.fits["P"].form.over_length == "constant" for law in laws) >= 10
 
 
 def test_a_form_that_misses_the_repeats_is_told():
     law = fit_law(tunings(inverse, seeds=6, scatter=0.0), forms={"I": "linear"})
     assert law.fits["I"].lack_of_fit.p_value < 1e-6
-    assert "I: the linear form misses the repeated tunings" in law.remarks[0]
+    assert "I: the linear form does not fit the repeated tunings" in law.remarks[0]
     assert fit_law(tunings()).fits["I"].lack_of_fit is None  # nothing was repeated
 
 

@@ -17,8 +17,7 @@ from estune.core.gains import Gains
 from estune.errors import InvalidInput, RigError
 from estune.remote import zenoh
 from estune.run.journal import Journal
-from estune.studies.match.cost_estimate import level_of
-from estune.studies.match.outcome import MatchOutcome, classify
+from estune.studies.match.outcome import MatchOutcome, classify, estimate_cost
 from estune.studies.match.reel_matcher import Settings
 from estune.studies.match.target_cost_tuner import TargetCostTuner, detuning_path
 from estune.tuners.observation import Observation
@@ -78,7 +77,7 @@ def test_only_the_loop_gain_changes_on_the_path():
 def test_the_interval_of_a_level_holds_its_mean_in_95_of_100_cases():
     random = np.random.default_rng(3)
     rows = 1.4 * np.exp(0.02 * random.standard_normal((2000, 6)))
-    held = [level.low <= 1.4 <= level.high for level in map(level_of, rows.tolist())]
+    held = [level.low <= 1.4 <= level.high for level in map(estimate_cost, rows.tolist())]
     assert 0.935 < np.mean(held) < 0.965
 
 
@@ -93,7 +92,7 @@ def test_the_interval_of_a_level_holds_its_mean_in_95_of_100_cases():
     ],
 )
 def test_a_reel_passes_only_where_its_whole_interval_is_within_the_tolerance(costs, standing):
-    assert classify(level_of(costs), 1.4, 0.02)[0] is standing
+    assert classify(estimate_cost(costs), 1.4, 0.02)[0] is standing
 
 
 def test_reels_of_different_mechanics_come_to_the_cost_of_the_worst_of_them():
@@ -129,7 +128,7 @@ def test_a_reel_that_cannot_reach_the_target_and_one_that_is_away_do_not_keep_th
     slow = plants.reference_reel(drum_inertia_kg_m2=8e-3)
     targets = {"away": Away(), "slow": slow, "good": plants.reference_reel()}
     found = estune.match(targets, eta=1.1, settings=BRIEF, journal=False)
-    stands = {reel.label: reel.standing for reel in found.reels}
+    stands = {reel.label: reel.outcome for reel in found.reels}
     assert stands == {"away": "failed", "slow": "out of reach", "good": "pass"}
     assert "nobody there" in found.reels[0].reason
     assert not found.passed

@@ -140,7 +140,7 @@ def test_a_claim_that_fails_is_shown_as_such():
     held = paper.make(18, quick=True)
     failed = replace(held, holds=False, caveat="Because <a> & <b>.")
     text = page([held, failed])
-    assert "1 of its 2 claims hold here, and those that do not" in text
+    assert "1&nbsp;of 2&nbsp;claims hold here." in text
     assert '<span class="no">does not hold</span>' in text
     assert '<span class="no">Does not hold here.</span>' in text
     assert "Because &lt;a&gt; &amp; &lt;b&gt;." in text
@@ -153,5 +153,8 @@ def test_the_same_figure_gives_the_same_page():
 
 def test_a_page_that_cannot_be_written_is_refused_before_the_work(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(paper, "make", lambda *_, **__: pytest.fail("worked in vain"))
-    assert run(["reproduce-paper", "--out", str(tmp_path / "nowhere" / "p.html")]) == InvalidInput.exit_code
+    assert (
+        run(["reproduce-paper", "--out", str(tmp_path / "nowhere" / "p.html")])
+        == InvalidInput.exit_code
+    )
     assert "no folder" in capsys.readouterr().err

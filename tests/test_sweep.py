@@ -3,6 +3,7 @@
 import io
 import math
 import re
+import shutil
 import tomllib
 from contextlib import ExitStack
 from dataclasses import replace
@@ -16,15 +17,14 @@ import estune
 from estune.cli import run
 from estune.errors import InvalidInput
 from estune.remote import zenoh
-from estune.run.plan import DEFAULT_TUNER
 from estune.run.toml_tables import CostTable, StepTable
-from estune.studies.sweep import progress
-from estune.studies.sweep.cell import noise_seed
+from estune.studies.sweep.cells import expand_cells
 from estune.studies.sweep.design import SweepDesign, SweptRig, read_design
-from estune.studies.sweep.expand import expand_cells
 from estune.studies.sweep.outcome import CellOutcome, failed
 from estune.studies.sweep.result import SweepResult
+from estune.studies.sweep.sweep import show_outcomes
 from estune.support.toml_file import validate
+from estune.tuners import DEFAULT_TUNER
 from tests import support_sweep
 from tests.support_rigs import ScriptedRig
 
@@ -61,7 +61,7 @@ def test_all_that_is_wrong_with_a_design_is_told_at_once_with_its_place():
     with pytest.raises(InvalidInput) as caught:
         validate(SweepDesign, wrong, "sweep.toml")
     for words in (
-        "sweep.toml: tuners.0: there is none named 'otisx'",
+        "sweep.toml: tuners.0: there is no tuner 'otisx'",
         "seeds: Input should be greater than or equal to 1",
         "rigs.1: cable_length_m: reel.toml is a model",
         "trails: there is no such key; did you mean trials?",
@@ -73,7 +73,7 @@ def test_all_that_is_wrong_with_a_design_is_told_at_once_with_its_place():
         read_design(right)
     for words in (
         "lengths_m: 0.5 m is there more than once",
-        "tensions_N: 15 N comes after 25 N; give them rising",
+        "tensions_N: 15 N comes after 25 N; give them in ascending order",
         "start.Q: no gain; the gains are P, I, D, setpoint_filter_s",
     ):
         assert words in str(caught.value), words
@@ -83,7 +83,7 @@ def test_all_that_is_wrong_with_a_design_is_told_at_once_with_its_place():
     ("changed", "words"),
     [
         ({"lengths_m": [0.8]}, "0.8 m is one length only, which gives no law"),
-        ({"lengths_m": []}, "plants:reference_reel is a model, to be made at each"),
+        ({"lengths_m": []}, "plants:reference_reel is a model, to be simulated at each"),
         ({"step": {"preload_N": 10.0}}, "in a sweep that is tensions_N"),
         ({"tensions_N": [35.0], "step": {"step_N": 10.0}}, "setpoint 45 N is outside the rig's"),
         ({"tensions_N": [45.0]}, "it must lie from 5 to 40 N"),
@@ -131,7 +131,7 @@ def test_processes_give_what_one_gives_and_a_second_call_runs_nothing(tmp_path):
 def test_noise_differs_from_place_to_place_and_is_the_same_for_each_tuner():
     both = {**SMALL, "tuners": ["least_squares_gradient", "otis"], "seeds": 2}
     cells = expand_cells(read_design(both))
-    seeds = [noise_seed(cell) for cell in cells]
+    seeds = [cell.noise_seed for cell in cells]
     assert len(cells) == 2 * len(set(seeds)) == len({cell.key for cell in cells})
 
 
@@ -145,6 +145,24 @@ def test_a_cell_changes_with_its_model_and_not_with_where_the_model_lies(tmp_pat
     here = keys(tmp_path / "here", "[reel]\n")
     assert here == keys(tmp_path / "there", "[reel]\n")
     assert not set(here) & set(keys(tmp_path / "here", "[reel]\ngauge_noise_N = 0.1\n"))
+
+
+def test_a_sweep_stored_by_an_earlier_version_is_continued_without_rerunning_cells(
+    tmp_path, monkeypatch
+):
+    monkeypatch.setattr("estune.studies.sweep.cells.version", lambda _: "0.1.0")
+    shutil.copy(Path(__file__).parent / "assets" / "sweep_v1.sqlite", tmp_path / "sweep.sqlite")
+    design = {
+        "lengths_m": [0.5, 1.4],
+        "rigs": ["tests.support_sweep:fragile"],
+        "trials": 4,
+        "repeats": 2,
+    }
+    rerun: list[CellOutcome] = []
+    outcomes = swept(tmp_path, design, watch=rerun.append).outcomes
+    assert not rerun
+    assert [o.cell.key for o in outcomes] == ["cb3fa07925f723c2308a", "9d0a29c49ef4b5cdff4c"]
+    assert [o.trace.shape for o in outcomes] == [(16, 7), (16, 7)]
 
 
 def test_the_frame_is_tidy_and_the_dataset_has_a_dimension_for_each_choice(tmp_path):
@@ -181,7 +199,7 @@ def test_a_failing_cell_is_a_record_and_is_tried_again(tmp_path):
 
 def test_unsafe_and_unfinished_tunings_are_named_and_have_no_part_in_the_law(tmp_path):
     unfinished = swept(tmp_path / "unfinished")
-    assert all("the search had not come to its end" in o.excluded for o in unfinished.excluded)
+    assert all("the search had not converged" in o.excluded for o in unfinished.excluded)
     assert len(unfinished.excluded) == 6
     with pytest.raises(InvalidInput, match="too few for a law over length"):
         unfinished.law()
@@ -244,8 +262,8 @@ def test_rigs_are_tuned_side_by_side_and_an_interrupted_one_goes_on_where_it_was
     ("length", "given", "lengths", "words"),
     [
         (1.6, {}, [0.5, 1.4], "it stands at 1.6 m, outside the sweep's range of 0.5 to 1.4 m"),
-        (None, {}, [0.5, 1.4], "it does not say its cable length; give cable_length_m"),
-        (0.8, {"cable_length_m": 0.9}, [0.5, 1.4], "it says its cable is 0.8 m long"),
+        (None, {}, [0.5, 1.4], "it does not state its cable length; give cable_length_m"),
+        (0.8, {"cable_length_m": 0.9}, [0.5, 1.4], "its description has a cable of 0.8 m"),
         (0.8, {}, [], "one length only, which gives no law over length"),
     ],
 )
@@ -279,7 +297,7 @@ def test_the_page_on_sweeps_has_every_key_and_its_files_are_right():
 def test_plain_progress_counts_what_is_done_and_what_failed(tmp_path):
     stream = io.StringIO()
     outcome = swept(tmp_path, {**SMALL, "lengths_m": [0.5, 1.4], "tensions_N": []}).outcomes[0]
-    with progress.watching(most=5, before=2, stream=stream) as saw:
+    with show_outcomes(cells=5, missing=3, stream=stream) as saw:
         saw(outcome)
         saw(failed(outcome.cell, "the cable is off"))
         saw(outcome)

@@ -94,7 +94,7 @@ def test_a_cluster_gives_what_one_process_gives_and_its_end_keeps_what_is_done(t
 
 
 def test_a_cluster_that_is_not_there_is_said_to_be_so(tmp_path, monkeypatch):
-    monkeypatch.setattr("estune.studies.sweep.dask_executor.ANSWERS_WITHIN_s", 0.5)
+    monkeypatch.setattr("estune.studies.sweep.executors.CLUSTER_TIMEOUT_s", 0.5)
     with pytest.raises(EstuneError, match=r"no Dask scheduler answers at tcp://127\.0\.0\.1:9"):
         estune.sweep(
             {"lengths_m": [0.5, 1.4], "rigs": ["plants:reference_reel"]},

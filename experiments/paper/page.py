@@ -1,57 +1,62 @@
-"""The page: every figure with its claim, in one file that needs nothing beside it."""
+"""The page: every figure with its claim and the verdict on it."""
 
 from collections.abc import Sequence
-from html import escape
-from importlib.metadata import version
 
-from estune.support.html_page import document, drawn, words
+from estune.support.html_page import (
+    Drawing,
+    Link,
+    Page,
+    Paragraph,
+    Section,
+    Status,
+    Table,
+    render,
+)
 from experiments.paper import PaperFigure
 
-TITLE = "The paper's figures, made again"
+TITLE = "The paper's figures, reproduced"
 PAPER = (
     "Otis, Nguyen-Dang, Laliberté, Ouellet, Laurendeau and Gosselin: Cable Tension Control and "
     "Analysis of Reel Transparency for 6-DOF Haptic Foot Platform on a Cable-Driven Locomotion "
-    "Interface (2009)"
+    "Interface (2009)."
 )
 
 
-def page(made: Sequence[PaperFigure]) -> str:
-    """The whole page as HTML."""
-    held = sum(figure.holds for figure in made)
-    failing = (
-        "" if held == len(made) else ", and those that do not are shown as such, with the reason"
+def page(figures: Sequence[PaperFigure]) -> str:
+    """The page as HTML."""
+    holding = sum(figure.holds for figure in figures)
+    headline = Status(
+        f"{holding} of {len(figures)} claims hold here.",
+        good=holding == len(figures) or None,
+        detail=(
+            "Each figure is computed on simulated reels and benches; the paper's own machine and "
+            "data are not available. A claim that does not hold is shown with the reason."
+        ),
     )
-    rows = "".join(_row(figure) for figure in made)
-    sections = "".join(_section(figure) for figure in made)
-    header = (
-        f"<h1>{escape(TITLE)}</h1>\n"
-        f"<p>Each figure is computed anew on simulated reels and benches; the paper's own machine "
-        f"and data are not at hand. {held} of its {len(made)} claims hold here{failing}.</p>\n"
-        f'<p class="soft">{escape(PAPER)}. Computed by estune {escape(version("estune"))}.</p>\n'
-        f"<table>\n<tr><th>Figure</th><th>What the paper claims</th><th>Here</th></tr>\n{rows}"
-        f"</table>\n"
+    rows = [
+        (
+            Link(f"Fig. {figure.number}", f"figure-{figure.number}"),
+            figure.claim,
+            Status(figure.verdict.removesuffix(" here"), figure.holds),
+        )
+        for figure in figures
+    ]
+    summary = Table(("Figure", "The paper's claim", "Here"), rows)
+    sections = tuple(map(_section, figures))
+    return render(Page(TITLE, headline, (Paragraph(PAPER, style="soft"), summary), sections))
+
+
+def _section(figure: PaperFigure) -> Section:
+    verdict = f"{figure.verdict.capitalize()}."
+    name = f"figure-{figure.number}"
+    return Section(
+        f"Fig. {figure.number}. {figure.title}",
+        (
+            Paragraph(figure.claim, style="quote"),
+            Status(verdict, figure.holds, figure.measured),
+            Drawing(figure.figure, name, figure.title),
+            Paragraph(f"**Rule.** {figure.rule}", style="soft"),
+            Paragraph(f"**Note.** {figure.caveat}", style="soft"),
+        ),
+        name,
     )
-    return document(TITLE, header, sections)
-
-
-def _row(made: PaperFigure) -> str:
-    return (
-        f'<tr><td><a href="#figure-{made.number}">Fig. {made.number}</a></td>'
-        f"<td>{words(made.claim)}</td><td>{_verdict(made, 'holds', 'does not hold')}</td></tr>\n"
-    )
-
-
-def _section(made: PaperFigure) -> str:
-    return (
-        f'<section id="figure-{made.number}">\n'
-        f"<h2>Fig. {made.number}. {escape(made.title)}</h2>\n"
-        f"<blockquote>{words(made.claim)}</blockquote>\n"
-        f"<p>{_verdict(made, 'Holds here.', 'Does not hold here.')} {words(made.measured)}</p>\n"
-        f"{drawn(made.figure, f'figure-{made.number}', made.title)}"
-        f'<p class="soft"><b>Rule.</b> {words(made.rule)}</p>\n'
-        f'<p class="soft"><b>Note.</b> {words(made.caveat)}</p>\n</section>\n'
-    )
-
-
-def _verdict(made: PaperFigure, yes: str, no: str) -> str:
-    return f'<span class="{"yes" if made.holds else "no"}">{yes if made.holds else no}</span>'

@@ -15,13 +15,13 @@ from estune.core.schedule import GainSchedule
 from estune.errors import InvalidInput
 from estune.run.journal import FILE_NAME
 from estune.run.loop import ProgressListener
-from estune.run.plan import DEFAULT_TUNER
 from estune.run.result import RunEnding, TuneResult
 from estune.run.session import Phase
 from estune.run.targets import open_target
 from estune.studies.joint.reels import AlternatingReels
 from estune.studies.joint.schedule_tuner import ScheduleTuner
 from estune.trial.profiles import StepProfile
+from estune.tuners import DEFAULT_TUNER
 
 if TYPE_CHECKING:
     from estune.remote.security import Security

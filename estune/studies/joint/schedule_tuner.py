@@ -18,7 +18,7 @@ from typing import Any, Literal, NamedTuple
 from estune.core.gains import Gains
 from estune.errors import InvalidInput
 from estune.studies.joint.schedule_space import ScheduleSpace
-from estune.tuners import TUNERS, Tuner
+from estune.tuners import TUNERS, Tuner, create_tuner
 from estune.tuners.observation import Observation, log_cost
 from estune.tuners.search_space import Point, SearchSpace
 
@@ -128,5 +128,5 @@ class ScheduleTuner:
 @lru_cache(maxsize=32)
 def _inside(tuner: ScheduleTuner) -> Tuner[Any]:
     """The tuner inside; made once, for its space is asked for at every step."""
-    made: Tuner[Any] = TUNERS[tuner.inside](space=tuner.schedules)
+    made: Tuner[Any] = create_tuner(tuner.inside, tuner.schedules)
     return made

@@ -1,1 +1,1 @@
-"""The law of tuned gains over cable length and tension: regression, its uncertainty, its words."""
+"""Law of tuned gains over cable length and tension, by robust regression."""

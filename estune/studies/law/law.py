@@ -1,34 +1,36 @@
-"""The law of tuned gains over cable length and tension: the paper's adaptive law with its doubts.
+"""Law of tuned gains over cable length and tension: the paper's adaptive law, with intervals.
 
 The paper regresses the integral gain on the cable length, I = a + b L, and finds it falling
-(Fig. 14). `fit_law` does so for each gain, and beside the straight line looks at the forms of
+(Fig. 14). `fit_law` does so for each gain, and also considers the forms of
 `estune.studies.law.model_selection`.
 
-What is said of a slope is said of the straight line, which is fitted whatever form is chosen: its
-interval does not know of the choice, and is not made narrower by it. Bands are those of the chosen
-form, given that form.
+A stated slope is that of the straight line, which is fitted whatever form is selected, so that its
+interval is not narrowed by the selection. Bands are those of the selected form, given that form.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from estune.core.gains import GAIN_NAMES
-from estune.core.quantities import FloatArray
+from estune.core.gains import GAIN_NAMES, GAIN_UNITS
+from estune.core.quantities import BoolArray, FloatArray
 from estune.core.schedule import GainSchedule
 from estune.errors import InvalidInput
-from estune.studies.law import text
-from estune.studies.law.gain_fit import LEVEL, GainFit, fit_gain
-from estune.studies.law.model_selection import shape_named
-from estune.studies.law.robust_regression import student
+from estune.studies.law.gain_fit import CONFIDENCE, GainFit, fit_gain
+from estune.studies.law.model_selection import parse_form
+from estune.studies.law.robust_regression import interval_factor
 from estune.studies.law.tuned import TunedGains
+
+_NAMES = {"setpoint_filter_s": "the setpoint filter"}
+_LACK_OF_FIT_P = 0.05
+"""p value of the lack-of-fit test below which a remark warns of it."""
 
 
 class Band(NamedTuple):
-    """What the law says of a gain at some lengths; arrays of their shape.
+    """A gain by the law at some lengths; arrays of their shape.
 
     Attributes:
         gain: The fitted curve.
@@ -36,7 +38,7 @@ class Band(NamedTuple):
         high: Its upper end.
         new_low: Lower end of the prediction band, in which one further tuning would lie.
         new_high: Its upper end.
-        extrapolated: True beyond the range that was tuned.
+        extrapolated: Whether the length or tension lies beyond the tuned range.
     """
 
     gain: FloatArray
@@ -44,7 +46,7 @@ class Band(NamedTuple):
     high: FloatArray
     new_low: FloatArray
     new_high: FloatArray
-    extrapolated: NDArray[np.bool_]
+    extrapolated: BoolArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,10 +55,10 @@ class GainLaw:
 
     Attributes:
         fits: By name, in the order of `GAIN_NAMES`.
-        tunings: Those they are fitted to.
-        excluded: Label and reason of each tuning that was left out.
-        length_m: Least and greatest length tuned at, m.
-        tension_N: Least and greatest tension tuned at, N.
+        tunings: The tunings.
+        excluded: Label and reason of each excluded tuning.
+        length_m: Range of tuned lengths, m.
+        tension_N: Range of tuned tensions, N.
     """
 
     fits: Mapping[str, GainFit]
@@ -67,13 +69,24 @@ class GainLaw:
 
     @property
     def sentence(self) -> str:
-        """The law in a plain sentence, with 95 % intervals."""
-        return text.sentence(self.fits.values())
+        """The dependence of each gain on length, then on tension, with 95 % intervals."""
+        fits = sorted(self.fits.values(), key=lambda fit: fit.form.over_length == "constant")
+        return "; ".join([*map(_over_length, fits), _over_tension(self.fits.values())])
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What is to be known beside the sentence: what was left out, and where a form misses."""
-        return text.remarks(self.fits.values(), self.excluded)
+        """Warnings: excluded tunings, outliers, and forms that do not fit."""
+        remarks = [f"left out: {label}, {reason}" for label, reason in self.excluded]
+        for fit in self.fits.values():
+            name = _NAMES.get(fit.name, fit.name)
+            remarks += [f"{name}: {label} is an outlier, down-weighted" for label in fit.outliers]
+            lack = fit.lack_of_fit
+            if lack is not None and lack.p_value < _LACK_OF_FIT_P:
+                remarks.append(
+                    f"{name}: the {fit.form} form does not fit the repeated tunings within their "
+                    f"variation (p = {lack.p_value:.2g}); tune at more lengths"
+                )
+        return tuple(remarks)
 
     def band(
         self,
@@ -81,7 +94,7 @@ class GainLaw:
         length_m: ArrayLike,
         tension_N: float | None = None,
         *,
-        level: float = LEVEL,
+        level: float = CONFIDENCE,
         extrapolate: bool = False,
     ) -> Band:
         """One gain over lengths, with its confidence and prediction bands.
@@ -89,14 +102,14 @@ class GainLaw:
         Args:
             name: The gain, of `GAIN_NAMES`.
             length_m: Cable lengths, m, any shape.
-            tension_N: Tension, N; None is the middle of those tuned at.
-            level: Of the bands, between 0 and 1.
-            extrapolate: Whether lengths and tensions beyond those tuned at are answered, and
-                marked so in the band.
+            tension_N: Tension, N; by default the middle of the tuned range.
+            level: Level of the bands, between 0 and 1.
+            extrapolate: Whether lengths and tensions beyond the tuned range are allowed; the band
+                marks them.
 
         Raises:
             InvalidInput: there is no such gain, the level is not between 0 and 1, or a length or
-                tension is beyond those tuned at and `extrapolate` was not given.
+                tension is beyond the tuned range without `extrapolate`.
         """
         if name not in self.fits:
             raise InvalidInput(f"there is no gain {name!r}; the gains are {', '.join(self.fits)}")
@@ -104,73 +117,66 @@ class GainLaw:
         tension = np.full_like(
             length, sum(self.tension_N) / 2.0 if tension_N is None else tension_N
         )
-        beyond = self._beyond(length, tension)
+        beyond = ~(_within(length, self.length_m) & _within(tension, self.tension_N))
         if beyond.any() and not extrapolate:
             raise InvalidInput(
                 f"the law holds from {self.length_m[0]:g} to {self.length_m[1]:g} m and "
                 f"{self.tension_N[0]:g} to {self.tension_N[1]:g} N; {length[beyond].flat[0]:g} m "
-                f"at {tension[beyond].flat[0]:g} N is beyond: tune there too, or say "
+                f"at {tension[beyond].flat[0]:g} N is beyond: tune there too, or set "
                 "extrapolate=True"
             )
-        of = self.fits[name]
-        rows = of.shape.design(length, tension)
-        variance = np.einsum("...i,ij,...j", rows, of.fit.covariance, rows)
-        new = variance + float(np.median(of.fit.deviations)) ** 2
-        t, value = student(level, of.fit.degrees), rows @ of.fit.coefficients
+        form, fit = self.fits[name].form, self.fits[name].fit
+        rows = form.design(length, tension)
+        variance = np.einsum("...i,ij,...j", rows, fit.covariance, rows)
+        new = variance + float(np.median(fit.deviations)) ** 2
+        t, value = interval_factor(level, fit.degrees), rows @ fit.coefficients
         width, new_width = t * np.sqrt(variance), t * np.sqrt(new)
         return Band(
             value, value - width, value + width, value - new_width, value + new_width, beyond
         )
 
     def schedule(self) -> GainSchedule:
-        """The law as a gain schedule, valid where it was tuned.
+        """The law as a gain schedule over the tuned range.
 
         Raises:
-            InvalidInput: a form that was asked for falls below zero within the range.
+            InvalidInput: a form given by the caller falls below zero within the range.
         """
-        curves = {name: of.curve for name, of in self.fits.items()}
+        curves = {name: fit.curve for name, fit in self.fits.items()}
         return GainSchedule(**curves, length_m=self.length_m, tension_N=self.tension_N)
 
     def to_json(self) -> dict[str, Any]:
-        """The law as JSON values: sentence, schedule, and each fit with its figures."""
+        """The law as JSON values."""
         return {
             "sentence": self.sentence,
             "remarks": list(self.remarks),
             "schedule": self.schedule().as_dict(),
-            "fits": {name: of.to_json() for name, of in self.fits.items()},
-            "excluded": [{"label": label, "reason": why} for label, why in self.excluded],
+            "fits": {name: fit.to_json() for name, fit in self.fits.items()},
+            "excluded": [{"label": label, "reason": reason} for label, reason in self.excluded],
         }
-
-    def _beyond(self, length: FloatArray, tension: FloatArray) -> NDArray[np.bool_]:
-        within = [
-            (low <= value) & (value <= high)
-            for value, (low, high) in ((length, self.length_m), (tension, self.tension_N))
-        ]
-        return np.asarray(~(within[0] & within[1]))
 
 
 def fit_law(tunings: Sequence[TunedGains], *, forms: Mapping[str, str] | None = None) -> GainLaw:
     """Fits the law to tunings at different lengths.
 
-    Tunings that are unsafe or have not converged are left out and named. Several at one length and
-    tension are repeats.
+    Tunings that are unsafe or have not converged are excluded. Several at one length and tension
+    are repeats.
 
     Args:
         tunings: In any order.
-        forms: The form of single gains by name, such as {"I": "linear"} or "log + tension"; the
-            others are chosen.
+        forms: Form of single gains by name, such as {"I": "linear"} or "log + tension"; those of
+            the others are selected by cross-validation.
 
     Raises:
-        InvalidInput: fewer than two lengths or three tunings are left, or there is no such gain
-            or form, or the tunings do not tell its coefficients apart.
+        InvalidInput: fewer than two lengths or three tunings remain, there is no such gain or
+            form, or its coefficients are not identifiable.
     """
-    kept, excluded = _sorted_out(tunings)
-    asked = {name: shape_named(form) for name, form in (forms or {}).items()}
-    for name in asked:
+    kept, excluded = _split(tunings)
+    given = {name: parse_form(form) for name, form in (forms or {}).items()}
+    for name in given:
         if name not in GAIN_NAMES:
             raise InvalidInput(f"there is no gain {name!r}; the gains are {', '.join(GAIN_NAMES)}")
     lengths, tensions = [t.length_m for t in kept], [t.tension_N for t in kept]
-    fits = {name: fit_gain(name, n, kept, asked.get(name)) for n, name in enumerate(GAIN_NAMES)}
+    fits = {name: fit_gain(name, n, kept, given.get(name)) for n, name in enumerate(GAIN_NAMES)}
     return GainLaw(
         fits=fits,
         tunings=kept,
@@ -180,10 +186,10 @@ def fit_law(tunings: Sequence[TunedGains], *, forms: Mapping[str, str] | None = 
     )
 
 
-def _sorted_out(
+def _split(
     tunings: Sequence[TunedGains],
 ) -> tuple[tuple[TunedGains, ...], tuple[tuple[str, str], ...]]:
-    """The tunings to be fitted to, and those left out with the reason."""
+    """The usable tunings, and label and reason of the excluded ones."""
     excluded = tuple(
         (t.label, "unsafe" if not t.safe else "not converged")
         for t in tunings
@@ -192,10 +198,48 @@ def _sorted_out(
     kept = tuple(t for t in tunings if t.safe and t.converged)
     lengths = {t.length_m for t in kept}
     if len(lengths) < 2 or len(kept) < 3:
-        at = ", ".join(f"{length:g} m" for length in sorted(lengths)) or "no length"
-        named = ", ".join(f"{label} ({why})" for label, why in excluded)
+        places = ", ".join(f"{length:g} m" for length in sorted(lengths)) or "no length"
+        reasons = ", ".join(f"{label} ({reason})" for label, reason in excluded)
         raise InvalidInput(
-            f"{len(kept)} tunings at {at} are too few for a law over length; tune at three "
-            "lengths or more" + (f"; left out: {named}" if named else "")
+            f"{len(kept)} tunings at {places} are too few for a law over length; tune at three "
+            "lengths or more" + (f"; left out: {reasons}" if reasons else "")
         )
     return kept, excluded
+
+
+def _within(values: FloatArray, limits: tuple[float, float]) -> BoolArray:
+    return np.asarray((limits[0] <= values) & (values <= limits[1]))
+
+
+def _over_length(fit: GainFit) -> str:
+    """Dependence of a gain on length."""
+    name, unit, slope = _NAMES.get(fit.name, fit.name), _unit(fit), fit.slope
+    interval = f"±{slope.half_width:.2g}"
+    if np.ptp(fit.points.gain) == 0.0:
+        return f"{name} is {fit.mean:.4g}{unit} throughout"
+    if fit.form.over_length == "constant":
+        verb = "changes little" if slope.is_significant else "is constant within its error"
+        return f"{name} {verb} at {fit.mean:.3g}{unit} ({slope.value:+.2g} {interval} per metre)"
+    verb = "falls" if slope.value < 0.0 else "rises"
+    best = "" if fit.form.over_length == "linear" else f", best as {fit.curve}"
+    return f"{name} {verb} by {abs(slope.value):.3g} {interval}{unit} per metre{best}"
+
+
+def _over_tension(fits: Iterable[GainFit]) -> str:
+    """Dependence of all gains on tension."""
+    effects = [(fit, fit.tension_effect) for fit in fits if fit.tension_effect is not None]
+    if not effects:
+        return "tension was not varied"
+    changes = [
+        f"{_NAMES.get(fit.name, fit.name)} by {effect.value:+.2g} ±{effect.half_width:.1g}"
+        f"{_unit(fit)}"
+        for fit, effect in effects
+        if fit.form.with_tension
+    ]
+    if not changes:
+        return "tension has no detectable effect"
+    return f"each N of tension changes {', '.join(changes)}"
+
+
+def _unit(fit: GainFit) -> str:
+    return "" if fit.name == "P" else f" {GAIN_UNITS[fit.name]}"

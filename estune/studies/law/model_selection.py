@@ -1,9 +1,9 @@
-"""Which curve a gain follows: candidates judged on lengths they were not fitted on.
+"""Model selection for a gain's curve over length, by cross-validation over lengths.
 
-Each length is left out in turn, each candidate fitted to the others, and the gains tuned there
-foretold; the score is the mean over lengths of the squared miss per variance. Of the candidates
-within one standard error of the best score the simplest is taken (Breiman et al. 1984), so that a
-curve has to earn each coefficient, and the paper's straight line each departure from it.
+Each length is left out in turn, each candidate is fitted to the others and predicts the gains
+there. The score is the mean over lengths of the squared prediction error per variance. Of the
+candidates within one standard error of the best score, the simplest is selected (Breiman et al.
+1984), so that each additional coefficient must improve the prediction.
 """
 
 from typing import NamedTuple
@@ -16,50 +16,50 @@ from estune.errors import InvalidInput
 from estune.studies.law.robust_regression import WeightedFit, fit_weighted
 
 LEAST_LENGTHS = 3
-"""With fewer, leaving one out leaves no slope to be fitted."""
+"""Least number of lengths; with one of two left out, no slope can be fitted."""
 
-_MISS_MAX = 4.0
-"""Standard deviations beyond which a miss counts no further: one wild tuning decides nothing."""
+_ERROR_MAX = 4.0
+"""Clip of a prediction error, in standard deviations: one outlier does not decide."""
 
 
 class CurveForm(NamedTuple):
-    """A form in length, with or without a straight line in tension."""
+    """A curve over length, with or without a linear term in tension."""
 
-    form: Form
+    over_length: Form
     with_tension: bool = False
 
     @property
     def coefficients(self) -> int:
-        """How many it has."""
-        return 1 + (self.form != "constant") + self.with_tension
+        """Number of coefficients."""
+        return 1 + (self.over_length != "constant") + self.with_tension
 
     def design(self, length_m: FloatArray, tension_N: FloatArray) -> FloatArray:
-        """The regression's rows, shape (n, p): one, f(L), T."""
+        """The design matrix, shape (n, p): columns 1, f(L), T."""
         columns = [np.ones_like(length_m)]
-        if self.form != "constant":
-            columns.append(np.asarray(of_length(self.form, length_m)))
+        if self.over_length != "constant":
+            columns.append(np.asarray(of_length(self.over_length, length_m)))
         if self.with_tension:
             columns.append(tension_N)
         return np.stack(columns, axis=-1)
 
     def __str__(self) -> str:
-        return f"{self.form} + tension" if self.with_tension else self.form
+        return f"{self.over_length} + tension" if self.with_tension else self.over_length
 
 
-SHAPES = tuple(CurveForm(form, tension) for tension in (False, True) for form in FORMS)
-"""All candidates, simplest first, and the straight line before the bent ones."""
+CANDIDATES = tuple(CurveForm(form, tension) for tension in (False, True) for form in FORMS)
+"""All forms, simplest first, and the straight line before the curved ones."""
 
 
-def shape_named(name: str) -> CurveForm:
-    """The shape of a name such as "linear" or "log + tension".
+def parse_form(name: str) -> CurveForm:
+    """The form of a name such as "linear" or "log + tension".
 
     Raises:
         InvalidInput: there is none of that name.
     """
-    known = {str(shape): shape for shape in SHAPES}
-    if name not in known:
-        raise InvalidInput(f"there is no form {name!r}; the forms are {', '.join(known)}")
-    return known[name]
+    forms = {str(form): form for form in CANDIDATES}
+    if name not in forms:
+        raise InvalidInput(f"there is no form {name!r}; the forms are {', '.join(forms)}")
+    return forms[name]
 
 
 class Points(NamedTuple):
@@ -68,8 +68,8 @@ class Points(NamedTuple):
     Attributes:
         length_m: Shape (n,).
         tension_N: Same shape.
-        gain: What was found, same shape.
-        own_error: Standard error of each by its own tuning, zero where unknown, same shape.
+        gain: The tuned gain, same shape.
+        own_error: Its standard error by its own tuning, zero where unknown, same shape.
     """
 
     length_m: FloatArray
@@ -79,110 +79,108 @@ class Points(NamedTuple):
 
     @property
     def tension_varies(self) -> bool:
-        """Whether more than one tension was tuned at."""
+        """Whether there is more than one tension."""
         return bool(np.ptp(self.tension_N) > 0.0)
 
-    def fit(self, shape: CurveForm) -> WeightedFit:
-        """The robust fit of a shape; as `fit_weighted`."""
-        return fit_weighted(shape.design(self.length_m, self.tension_N), self.gain, self.own_error)
+    def fit(self, form: CurveForm) -> WeightedFit:
+        """The robust fit of a form; as `fit_weighted`."""
+        return fit_weighted(form.design(self.length_m, self.tension_N), self.gain, self.own_error)
 
 
 class Score(NamedTuple):
-    """How well a shape foretells lengths it was not fitted on.
+    """Cross-validation score of one form.
 
     Attributes:
-        shape: Which.
-        mean: Mean over the lengths of the squared miss per variance; about one is as good as the
-            points' own errors and scatter allow.
+        form: The form.
+        mean: Mean over the lengths of the squared prediction error per variance; about one if the
+            form is right.
         error: Standard error of that mean, from its differences between lengths.
     """
 
-    shape: CurveForm
+    form: CurveForm
     mean: float
     error: float
 
 
-def candidates(points: Points) -> tuple[CurveForm, ...]:
-    """The shapes that these points can tell apart."""
-    lengths = len(np.unique(points.length_m))
-    return tuple(
-        shape
-        for shape in SHAPES
-        if (points.tension_varies or not shape.with_tension)
-        and shape.coefficients < len(points.gain)
-        and (lengths >= LEAST_LENGTHS or shape.form == "constant")
-    )
-
-
-def scores(points: Points, yardstick: WeightedFit) -> tuple[Score, ...]:
-    """The score of each candidate, in the order of `SHAPES`; empty below `LEAST_LENGTHS`.
+def cross_validate(points: Points, reference: WeightedFit) -> tuple[Score, ...]:
+    """The score of each identifiable form, in the order of `CANDIDATES`.
 
     Args:
-        points: The tunings.
-        yardstick: The fit whose variances and doubts all candidates are held to.
+        points: The tunings; with fewer than `LEAST_LENGTHS` lengths there are no scores.
+        reference: The fit whose weights and variances hold for all candidates.
     """
-    groups = np.unique(points.length_m)
-    if len(groups) < LEAST_LENGTHS:
+    lengths = np.unique(points.length_m)
+    if len(lengths) < LEAST_LENGTHS:
         return ()
-    found = []
-    for shape in candidates(points):
-        design = shape.design(points.length_m, points.tension_N)
-        misses = [_miss(design, points, yardstick, points.length_m == left) for left in groups]
-        if all(np.isfinite(misses)):
-            error = float(np.std(misses, ddof=1)) / len(misses) ** 0.5
-            found.append(Score(shape, float(np.mean(misses)), error))
-    return tuple(found)
+    scores = []
+    for form in CANDIDATES:
+        if form.with_tension and not points.tension_varies:
+            continue
+        if form.coefficients >= len(points.gain):
+            continue
+        design = form.design(points.length_m, points.tension_N)
+        errors = [
+            _prediction_error(design, points, reference, points.length_m == length)
+            for length in lengths
+        ]
+        if all(np.isfinite(errors)):
+            error = float(np.std(errors, ddof=1)) / len(errors) ** 0.5
+            scores.append(Score(form, float(np.mean(errors)), error))
+    return tuple(scores)
 
 
-def choose(
+def select_form(
     points: Points,
-    judged: tuple[Score, ...],
-    yardstick: WeightedFit,
+    scores: tuple[Score, ...],
+    reference: WeightedFit,
     *,
-    slopes: bool,
-    pulled: bool,
+    length_matters: bool,
+    tension_matters: bool,
 ) -> CurveForm:
-    """The simplest shape within one standard error of the best that stays usable in the range.
+    """The simplest form within one standard error of the best that is positive over the range.
 
     Args:
         points: The tunings.
-        judged: Scores of the candidates; with fewer than three lengths there are none, and a
-            straight line is taken where there is one.
-        yardstick: What they were judged by.
-        slopes: Whether the gain goes with length at all; else only constants are usable.
-        pulled: The same of tension.
+        scores: Scores of the candidates; without any, only a constant and a line are considered.
+        reference: The fit they were validated with.
+        length_matters: Whether the slope over length is significant; otherwise only constants are
+            considered.
+        tension_matters: Whether the slope over tension is significant.
     """
-    if not judged:
-        return CurveForm("linear" if slopes else "constant")
+    if not scores:
+        return CurveForm("linear" if length_matters else "constant")
     usable = [
         score
-        for score in judged
-        if (slopes or score.shape.form == "constant")
-        and (pulled or not score.shape.with_tension)
-        and _stays_above_zero(points, score.shape, yardstick)
+        for score in scores
+        if (length_matters or score.form.over_length == "constant")
+        and (tension_matters or not score.form.with_tension)
+        and _stays_above_zero(points, score.form, reference)
     ]
     if not usable:
         return CurveForm("constant")
     best = min(usable, key=lambda score: score.mean)
-    return next(s.shape for s in usable if s.mean <= best.mean + best.error)
+    return next(s.form for s in usable if s.mean <= best.mean + best.error)
 
 
-def _miss(design: FloatArray, points: Points, by: WeightedFit, left_out: FloatArray) -> float:
-    """Mean squared miss per variance of what is left out; not a number where not foretold."""
+def _prediction_error(
+    design: FloatArray, points: Points, reference: WeightedFit, left_out: FloatArray
+) -> float:
+    """Mean squared error per variance at the points left out; nan where not identifiable."""
     kept = ~np.asarray(left_out, dtype=bool)
-    root = np.sqrt(by.weights[kept])
+    root = np.sqrt(reference.weights[kept])
     beta, _, rank, _ = np.linalg.lstsq(design[kept] * root[:, None], points.gain[kept] * root)
     if rank < design.shape[1]:
         return float("nan")
-    u = (points.gain[~kept] - design[~kept] @ beta) / by.deviations[~kept]
-    return float(np.mean(np.minimum(np.abs(u), _MISS_MAX) ** 2))
+    u = (points.gain[~kept] - design[~kept] @ beta) / reference.deviations[~kept]
+    return float(np.mean(np.minimum(np.abs(u), _ERROR_MAX) ** 2))
 
 
-def _stays_above_zero(points: Points, shape: CurveForm, by: WeightedFit) -> bool:
-    """Whether the fitted curve is a gain over all of the range: monotone, so at its corners."""
+def _stays_above_zero(points: Points, form: CurveForm, reference: WeightedFit) -> bool:
+    """Whether the fitted curve, which is monotone, is positive at the corners of the range."""
     ends = [(float(x.min()), float(x.max())) for x in (points.length_m, points.tension_N)]
     length, tension = (corner.ravel() for corner in np.meshgrid(*ends))
-    design, root = shape.design(points.length_m, points.tension_N), np.sqrt(by.weights)
+    design = form.design(points.length_m, points.tension_N)
+    root = np.sqrt(reference.weights)
     beta = np.linalg.lstsq(design * root[:, None], points.gain * root)[0]
-    lowest = (shape.design(length, tension) @ beta).min()
+    lowest = (form.design(length, tension) @ beta).min()
     return bool(lowest > 0.0 or (points.gain == 0.0).all())

@@ -1,16 +1,16 @@
-"""Robust weighted regression of points that differ in how well they are known.
+"""Robust weighted regression of points with different standard errors.
 
-A tuned gain errs by its tuning's own error s_i, which the tuner tells, and by a scatter tau that
-all tunings share and none knows of: where the search stopped, which day it was. So
+A tuned gain has its tuning's own standard error s_i, which the tuner estimates, and a variation
+between tunings of standard deviation tau, which all share and which is unknown. So
 
     y_i = x_i . beta + e_i,    var e_i = s_i^2 + tau^2
 
-and tau is what makes the residuals as large as they are: sum min(u_i^2, k^2) = (n - p) E_k with
+and tau makes the residuals consistent: sum min(u_i^2, k^2) = (n - p) E_k with
 u_i = r_i / sqrt(s_i^2 + tau^2). Without the bound k this is the estimate of Paule & Mandel (1982);
-with it, Huber's proposal 2 (1964), which a few wild points do not move. Where the residuals are
-smaller than the s_i alone would make them, tau is zero and all s_i are taken down by one factor,
-as in any regression whose weights are known but for their scale. beta is the bisquare estimate
-(Beaton & Tukey 1974) from a Huber start, its covariance Huber's (1981, 7.6.7).
+with it, Huber's proposal 2 (1964), which is robust to outliers. Where the residuals are smaller
+than the s_i predict, tau is zero and all s_i are reduced by one factor, as in any regression with
+weights known up to scale. beta is the bisquare estimate (Beaton & Tukey 1974) from a Huber start,
+its covariance Huber's (1981, 7.6.7).
 """
 
 import math
@@ -24,17 +24,17 @@ from estune.errors import InvalidInput
 
 BISQUARE = 6.0
 HUBER = 1.345
-"""Where the weights reach zero, and where Huber's begin to fall. The usual 4.685
-doubts good points, where there are few, so often that intervals come out too narrow."""
+"""Residuals, in standard deviations, at which the bisquare weight is zero and Huber's below one.
+The usual 4.685 rejects good points of small samples so often that intervals are too narrow."""
 
 BOUND = 1.5
-"""k: the size beyond which a residual counts no further toward the scatter."""
+"""k: clip of a residual in the estimate of tau, in standard deviations."""
 
 _HUBER_ROUNDS, _BISQUARE_ROUNDS, _BISECTIONS = 5, 15, 30
 _SETTLED = 1e-6
 _CONDITION_MAX = 1e7
 _FLOOR = 1e-9
-"""Least standard deviation of a point, relative to the largest response: below it is rounding."""
+"""Least standard deviation of a point, relative to the largest response: rounding error."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,16 +44,16 @@ class WeightedFit:
     Attributes:
         coefficients: Shape (p,).
         covariance: Shape (p, p).
-        scatter: tau, in the response's unit.
+        between_sd: tau, in the response's unit.
         residuals: Measured minus fitted, shape (n,).
-        deviations: sqrt(s_i^2 + tau^2), or the s_i taken down, same shape.
-        robustness: The bisquare weight of each point: 1 counts in full, 0 not at all.
-        leverage: How much each point draws the fit to itself, same shape.
+        deviations: sqrt(s_i^2 + tau^2), or the reduced s_i, same shape.
+        robustness: Bisquare weight of each point, 0 to 1, same shape.
+        leverage: Diagonal of the hat matrix, same shape.
     """
 
     coefficients: FloatArray
     covariance: FloatArray
-    scatter: float
+    between_sd: float
     residuals: FloatArray
     deviations: FloatArray
     robustness: FloatArray
@@ -66,12 +66,12 @@ class WeightedFit:
 
     @property
     def weights(self) -> FloatArray:
-        """What each squared residual counts, in one over the response's unit squared."""
+        """Weight of each squared residual, in one over the response's unit squared."""
         return np.asarray(self.robustness / self.deviations**2)
 
     @property
     def studentised(self) -> FloatArray:
-        """Residuals per their own standard deviation."""
+        """Residuals divided by their own standard deviations."""
         own = self.deviations * np.sqrt(np.maximum(1.0 - self.leverage, 1e-6))
         return np.asarray(self.residuals / own)
 
@@ -85,8 +85,7 @@ def fit_weighted(design: FloatArray, response: FloatArray, own_errors: FloatArra
         own_errors: Known standard error s_i of each point, shape (n,).
 
     Raises:
-        InvalidInput: there are no more points than coefficients, or they do not tell the
-            coefficients apart.
+        InvalidInput: there are no more points than coefficients, or these are not identifiable.
     """
     n, p = design.shape
     if n <= p:
@@ -95,9 +94,9 @@ def fit_weighted(design: FloatArray, response: FloatArray, own_errors: FloatArra
     scaled = design / np.where(scale > 0.0, scale, 1.0)
     if not np.linalg.cond(scaled) < _CONDITION_MAX:
         raise InvalidInput(
-            f"the tunings do not tell {p} coefficients apart; vary length and tension separately"
+            f"the tunings do not identify {p} coefficients; vary length and tension separately"
         )
-    # Zero residuals and errors, as of a gain that was held, have no scatter: only rounding.
+    # A gain that was held constant has zero residuals and errors: only rounding remains.
     floor = _FLOOR * (float(np.abs(response).max()) or 1.0)
     own = np.hypot(own_errors, floor)
     robust, deviations, tau = np.ones(n), own, 0.0
@@ -117,7 +116,7 @@ def fit_weighted(design: FloatArray, response: FloatArray, own_errors: FloatArra
     return WeightedFit(
         coefficients=beta / scale,
         covariance=covariance / np.outer(scale, scale),
-        scatter=tau,
+        between_sd=tau,
         residuals=residuals,
         deviations=deviations,
         robustness=robust,
@@ -125,8 +124,8 @@ def fit_weighted(design: FloatArray, response: FloatArray, own_errors: FloatArra
     )
 
 
-def student(level: float, degrees: int) -> float:
-    """Half the width of an interval of this level, in standard errors, from so many degrees.
+def interval_factor(level: float, degrees: int) -> float:
+    """Student's t: half the width of a confidence interval, in standard errors.
 
     Raises:
         InvalidInput: the level does not lie between 0 and 1.
@@ -141,7 +140,7 @@ def student(level: float, degrees: int) -> float:
 def _solve(
     design: FloatArray, response: FloatArray, weights: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Weighted least squares: the coefficients, and each point's leverage."""
+    """Weighted least squares: coefficients and leverages."""
     root = np.sqrt(weights)
     Q, R = np.linalg.qr(design * root[:, None])
     return np.linalg.solve(R, Q.T @ (response * root)), np.sum(Q * Q, axis=1)
@@ -150,26 +149,26 @@ def _solve(
 def _deviations(
     residuals: FloatArray, own: FloatArray, floor: float, degrees: int
 ) -> tuple[FloatArray, float]:
-    """The deviations that make the residuals as large as they should be, and tau."""
-    squares, wanted = residuals**2, degrees * _EXPECTED
+    """The standard deviations consistent with the residuals, and tau."""
+    squares, expected = residuals**2, degrees * _EXPECTED
 
     def bounded(variance: FloatArray) -> float:
         return float(np.minimum(squares / variance, BOUND**2).sum())
 
-    if bounded(own**2) > wanted:
+    if bounded(own**2) > expected:
         most = float(np.abs(residuals).max()) * math.sqrt(len(residuals))
-        tau = _falling_to(wanted, lambda tau: bounded(own**2 + tau**2), most)
+        tau = _bisect(expected, lambda tau: bounded(own**2 + tau**2), most)
         return np.hypot(own, tau), tau
-    factor = _falling_to(wanted, lambda f: bounded((f * own) ** 2 + floor**2), 1.0)
+    factor = _bisect(expected, lambda f: bounded((f * own) ** 2 + floor**2), 1.0)
     return np.hypot(factor * own, floor), 0.0
 
 
-def _falling_to(wanted: float, function: Callable[[float], float], high: float) -> float:
-    """Where a function that falls from zero to `high` comes to a value, by bisection."""
+def _bisect(value: float, function: Callable[[float], float], high: float) -> float:
+    """Argument from 0 to `high` at which a decreasing function has a value."""
     low = 0.0
     for _ in range(_BISECTIONS):
         middle = 0.5 * (low + high)
-        low, high = (middle, high) if function(middle) > wanted else (low, middle)
+        low, high = (middle, high) if function(middle) > value else (low, middle)
     return high
 
 

@@ -1,4 +1,4 @@
-"""What one finished tuning brings to the law: where it stood, what it found, how well it knows."""
+"""Data point of a law: the gains of one finished tuning, with their uncertainty."""
 
 import math
 from dataclasses import dataclass
@@ -9,23 +9,23 @@ from estune.errors import InvalidInput
 
 @dataclass(frozen=True, slots=True)
 class TunedGains:
-    """The gains a tuning found at one cable length and tension.
+    """The gains tuned at one cable length and tension.
 
     Attributes:
-        label: What to call it in messages, such as a cell of a sweep or a run's folder.
+        label: Name in messages.
         length_m: Cable length it was tuned at, m.
         tension_N: Tension it was tuned at, N.
-        gains: What it found.
+        gains: The tuned gains.
         log_errors: Standard errors of (ln P, ln I, ln D, ln tau_F), or None where the tuner gives
-            none; a gain without one is infinite or not a number there.
+            none; infinite for a gain that the tuning does not determine, nan where unknown.
         cost: Cost (35) at those gains.
-        cost_error: Its standard error; zero where it is not known.
+        cost_error: Its standard error; zero where unknown.
         safe: Whether the gains are safe to run.
-        converged: Whether the search had come to its end.
+        converged: Whether the search had converged.
 
     Raises:
-        InvalidInput: length or tension is not finite and above zero, or the errors are not four,
-            or one of them is negative.
+        InvalidInput: length or tension is not finite and above zero, or the errors are not four
+            numbers of at least zero.
     """
 
     label: str
@@ -39,13 +39,13 @@ class TunedGains:
     converged: bool
 
     def __post_init__(self) -> None:
-        for what, value, unit in (
+        for name, value, unit in (
             ("cable length", self.length_m, "m"),
             ("tension", self.tension_N, "N"),
         ):
             if not (math.isfinite(value) and value > 0.0):
                 raise InvalidInput(
-                    f"{self.label}: {what} is {value} {unit}; it must be finite and above zero"
+                    f"{self.label}: {name} is {value} {unit}; it must be finite and above zero"
                 )
         if self.log_errors is None:
             return

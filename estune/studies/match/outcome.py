@@ -1,24 +1,68 @@
-"""What a matching came to: each reel's record, the spread before and after."""
+"""Outcome of a matching: the record of each reel, and the spread before and after."""
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from statistics import stdev
-from typing import TYPE_CHECKING, Any, Self
+from statistics import fmean, stdev
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from estune.core.cost import StepCost
 from estune.core.gains import GAIN_NAMES, Gains
-from estune.studies.match.cost_estimate import CostEstimate
 from estune.trial.profiles import StepProfile
 
 if TYPE_CHECKING:
     import pandas as pd
 
+CONFIDENCE = 0.95
+
+
+class CostEstimate(NamedTuple):
+    """Mean cost of some gains on one reel, with its 95 % confidence interval.
+
+    Attributes:
+        cost: Geometric mean over the repeats; infinite where one was unsafe.
+        low: Lower end of the interval, Student's t on the logarithms.
+        high: Upper end.
+        repeats: Number of repeats.
+    """
+
+    cost: float
+    low: float
+    high: float
+    repeats: int
+
+    @property
+    def half_width(self) -> float:
+        """Half the width of the interval, relative to the cost."""
+        return 0.5 * (self.high - self.low) / self.cost
+
+    def __str__(self) -> str:
+        return f"{self.cost:.4g} ({self.low:.4g} to {self.high:.4g})"
+
+
+def estimate_cost(costs: Sequence[float]) -> CostEstimate:
+    """The cost by its repeats; the interval of one alone, or with an unsafe one, is open upward.
+
+    Args:
+        costs: Costs of repeats, at least one; not finite where a trial was unsafe.
+    """
+    n = len(costs)
+    if not all(map(math.isfinite, costs)):
+        return CostEstimate(math.inf, 0.0, math.inf, n)
+    logs = [math.log(cost) for cost in costs]
+    mean = fmean(logs)
+    if n < 2:
+        return CostEstimate(math.exp(mean), 0.0, math.inf, n)
+    from scipy.special import stdtrit  # noqa: PLC0415  slow to import
+
+    half = float(stdtrit(n - 1, 0.5 + 0.5 * CONFIDENCE)) * stdev(logs) / math.sqrt(n)
+    return CostEstimate(math.exp(mean), math.exp(mean - half), math.exp(mean + half), n)
+
 
 class MatchOutcome(StrEnum):
-    """How a reel stands to the target; only `pass` is one."""
+    """Relation of a reel's cost to the target."""
 
     PASS = "pass"  # noqa: S105  no password
     OFF_TARGET = "off target"
@@ -32,69 +76,69 @@ class ReelMatch:
     """The record of one reel.
 
     Attributes:
-        label: What the user calls it.
-        standing: How it stands to the target.
-        reason: That in a sentence.
+        label: The user's name of it.
+        outcome: Relation of its cost to the target.
+        reason: The outcome as a sentence.
         rig: The rig's own name; empty if it was never reached.
         cable_length_m: Its cable length, m, or None.
-        tuned: The gains it was tuned to on its own, or None.
-        tuned_level: Their cost.
-        gains: The gains that bring it to the target, or None.
-        level: Their cost, from repeats that had no part in finding them.
-        live: Whether the gains were made the rig's live ones.
-        trials: Trials run on it.
+        tuned: The gains of its own tuning, or None.
+        tuned_cost: Their cost.
+        gains: The matched gains, or None.
+        cost: Their cost, from repeats that were not used to find them.
+        live: Whether the matched gains are the rig's live ones.
+        trials: Number of trials run on it.
     """
 
     label: str
-    standing: MatchOutcome
+    outcome: MatchOutcome
     reason: str
     rig: str = ""
     cable_length_m: float | None = None
     tuned: Gains | None = None
-    tuned_level: CostEstimate | None = None
+    tuned_cost: CostEstimate | None = None
     gains: Gains | None = None
-    level: CostEstimate | None = None
+    cost: CostEstimate | None = None
     live: bool = False
     trials: int = 0
 
     @property
     def passed(self) -> bool:
         """Whether the reel meets the target."""
-        return self.standing is MatchOutcome.PASS
+        return self.outcome is MatchOutcome.PASS
 
     def to_json(self) -> dict[str, Any]:
         """The record as JSON values."""
-        shown: dict[str, Any] = {
+        values: dict[str, Any] = {
             "label": self.label,
             "rig": self.rig,
             "passed": self.passed,
-            "standing": str(self.standing),
+            "standing": str(self.outcome),
             "reason": self.reason,
             "cable_length_m": self.cable_length_m,
             "live": self.live,
             "trials": self.trials,
         }
-        pairs = ("tuned", self.tuned, self.tuned_level), ("matched", self.gains, self.level)
-        for name, gains, level in pairs:
-            values = gains.as_tuple() if gains else (None,) * len(GAIN_NAMES)
-            shown |= {f"{name}_{n}": v for n, v in zip(GAIN_NAMES, values, strict=True)}
-            told = dict(zip(("eta", "eta_low", "eta_high"), level or (None,) * 3, strict=False))
-            shown |= {f"{name}_{n}": _finite(v) for n, v in told.items()}
-        return shown
+        pairs = ("tuned", self.tuned, self.tuned_cost), ("matched", self.gains, self.cost)
+        for prefix, gains, cost in pairs:
+            numbers = gains.as_tuple() if gains else (None,) * len(GAIN_NAMES)
+            values |= {f"{prefix}_{n}": v for n, v in zip(GAIN_NAMES, numbers, strict=True)}
+            etas = zip(("eta", "eta_low", "eta_high"), cost or (None,) * 3, strict=False)
+            values |= {f"{prefix}_{n}": _finite(v) for n, v in etas}
+        return values
 
 
 @dataclass(frozen=True, slots=True)
 class Matching:
-    """Several reels brought to one cost.
+    """Several reels tuned to one cost.
 
     Attributes:
-        target: The cost aimed at.
-        by_worst: Whether the worst tuned reel chose it; otherwise the user did.
-        tolerance: How far from the target a reel may be, relative to it.
+        target: The target cost.
+        by_worst: Whether it is that of the worst tuned reel; otherwise the user chose it.
+        tolerance: Largest deviation from the target, relative to it.
         step: The step trial, the same on all reels.
-        cost: How it was scored, the same on all reels.
+        cost: Its cost, the same on all reels.
         reels: The records, in the user's order.
-        folder: Where the runs are kept, or None.
+        folder: Folder of the runs, or None.
     """
 
     target: float
@@ -113,30 +157,30 @@ class Matching:
     @property
     def spread_before(self) -> float:
         """Standard deviation of the tuned costs over the reels that could be matched."""
-        return _spread([r.tuned_level for r in self._matched])
+        return _spread([r.tuned_cost for r in self._matched])
 
     @property
     def spread_after(self) -> float:
-        """The same of the matched costs."""
-        return _spread([r.level for r in self._matched])
+        """Standard deviation of the matched costs over these reels."""
+        return _spread([r.cost for r in self._matched])
 
     @property
     def worst_tuned(self) -> float:
         """Greatest tuned cost of a reel that could be matched; nan without any."""
-        return max((r.tuned_level.cost for r in self._matched if r.tuned_level), default=math.nan)
+        return max((r.tuned_cost.cost for r in self._matched if r.tuned_cost), default=math.nan)
 
     @property
     def _matched(self) -> Sequence[ReelMatch]:
-        return [r for r in self.reels if r.level is not None and math.isfinite(r.level.cost)]
+        return [r for r in self.reels if r.cost is not None and math.isfinite(r.cost.cost)]
 
     def heading(self) -> str:
         """The outcome in one line."""
         passed = sum(reel.passed for reel in self.reels)
-        said = f"{passed} of {len(self.reels)} reels pass at cost {self.target:.4g}"
+        text = f"{passed} of {len(self.reels)} reels pass at cost {self.target:.4g}"
         before, after = self.spread_before, self.spread_after
         if math.isfinite(before):
-            said += f"; spread {before:.3g} before, {after:.2g} after"
-        return said
+            text += f"; spread {before:.3g} before, {after:.2g} after"
+        return text
 
     def to_json(self) -> dict[str, Any]:
         """The outcome as JSON values."""
@@ -157,55 +201,41 @@ class Matching:
         }
 
     def to_frame(self) -> "pd.DataFrame":
-        """The records, a row for each reel, with the target and the tolerance."""
+        """The records, one row for each reel, with the target and the tolerance."""
         import pandas as pd  # noqa: PLC0415  slow to import
 
         common = {"target": self.target, "tolerance": self.tolerance}
         return pd.DataFrame([{**reel.to_json(), **common} for reel in self.reels])
 
-    def with_reels(self, reels: Sequence[ReelMatch]) -> Self:
-        """The same with other records."""
-        return type(self)(
-            *(self.target, self.by_worst, self.tolerance, self.step, self.cost),
-            *(tuple(reels), self.folder),
-        )
 
-
-def classify(level: CostEstimate, target: float, tolerance: float) -> tuple[MatchOutcome, str]:
-    """Whether a level is shown to be the target's: its whole interval lies in the tolerance.
+def classify(cost: CostEstimate, target: float, tolerance: float) -> tuple[MatchOutcome, str]:
+    """The outcome of matched gains: they pass if the whole interval lies within the tolerance.
 
     Args:
-        level: The level, from fresh repeats.
-        target: The cost aimed at.
-        tolerance: Relative to it.
+        cost: Their cost, from fresh repeats.
+        target: The target cost.
+        tolerance: Relative to the target.
 
     Returns:
-        The standing and a sentence.
+        The outcome and a sentence.
     """
     low, high = target * (1.0 - tolerance), target * (1.0 + tolerance)
-    found = f"cost {level}, allowed {low:.4g} to {high:.4g}"
-    if not math.isfinite(level.cost):
+    values = f"cost {cost}, allowed {low:.4g} to {high:.4g}"
+    if not math.isfinite(cost.cost):
         return (
             MatchOutcome.FAILED,
             "a repeat of the matched gains was unsafe; see the run's trials",
         )
-    if low <= level.low and level.high <= high:
-        return MatchOutcome.PASS, found
-    if not low <= level.cost <= high:
-        return MatchOutcome.OFF_TARGET, f"{found}; more match trials place it better"
-    return MatchOutcome.NOT_SHOWN, f"{found}; more repeats narrow its interval"
+    if low <= cost.low and cost.high <= high:
+        return MatchOutcome.PASS, values
+    if not low <= cost.cost <= high:
+        return MatchOutcome.OFF_TARGET, f"{values}; use more match trials"
+    return MatchOutcome.NOT_SHOWN, f"{values}; use more repeats to narrow the interval"
 
 
-def unreachable_message(level: CostEstimate, target: float) -> str:
-    """Says that a reel cannot reach the target."""
-    return (
-        f"its tuned gains cost {level}, above the target {target:.4g}; raise eta, or mend the reel"
-    )
-
-
-def _spread(levels: Sequence[CostEstimate | None]) -> float:
-    costs = [level.cost for level in levels if level is not None]
-    return stdev(costs) if len(costs) > 1 else math.nan
+def _spread(costs: Sequence[CostEstimate | None]) -> float:
+    means = [cost.cost for cost in costs if cost is not None]
+    return stdev(means) if len(means) > 1 else math.nan
 
 
 def _finite(value: float | None) -> float | None:

@@ -1,8 +1,8 @@
-"""What is done with one reel: reached, tuned on its own, brought to the target, made live.
+"""Stages of a matching for one reel: reach, tune, match, apply.
 
 Every trial goes through `estune.api.tune`: a reel's own tuning is one run, its matching another
-with a `TargetCostTuner` as the tuner, so that both are journalled, guarded by eta_max, and resumed
-where they were cut off. A reel that something is wrong with has a record that says so.
+with a `TargetCostTuner`, so that both are journalled, guarded by eta_max and resumable. A reel
+that fails has a record with the reason.
 """
 
 import math
@@ -17,36 +17,38 @@ from estune.core.gains import Gains
 from estune.errors import EstuneError, InvalidInput
 from estune.run.journal import FILE_NAME
 from estune.run.loop import ProgressListener
-from estune.run.plan import DEFAULT_TUNER
 from estune.run.result import RunEnding, TuneResult
 from estune.run.session import UNSAFE_RATIO, Phase
 from estune.run.targets import open_target
-from estune.studies.match.cost_estimate import level_of
-from estune.studies.match.outcome import MatchOutcome, ReelMatch, classify, unreachable_message
+from estune.studies.match.outcome import (
+    CostEstimate,
+    MatchOutcome,
+    ReelMatch,
+    classify,
+    estimate_cost,
+)
 from estune.studies.match.target_cost_tuner import TargetCostTuner, detuning_path
 from estune.trial import RigDescription
 from estune.trial.profiles import StepProfile
+from estune.tuners import DEFAULT_TUNER
 
 if TYPE_CHECKING:
     from estune.remote.security import Security
 
-LEVEL_SHARE = 0.25
-"""The search for the level ends once its error is surely within this share of the tolerance; the
-rest is for the interval of the repeats."""
-
-Told = Callable[[str], None]
-"""Told in a line what is done next."""
+SEARCH_SHARE = 0.25
+"""The search for the target ends once the 95 % bound of its error is this share of the tolerance;
+the rest is for the interval of the repeats."""
 
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """How reels are matched.
+    """Settings of a matching.
 
     Attributes:
-        tolerance: How far from the target a reel may be, relative to it.
-        tuner: The tuner of each reel's own tuning, by name.
+        tolerance: Largest deviation from the target, relative to it.
+        tuner: Name of the tuner of each reel's own tuning.
         trials: Greatest number of search trials of each reel's own tuning.
-        match_trials: Trials that look for the target on each reel.
+        match_trials: Search trials for the target on each reel.
         repeats: Repeats of the tuned and of the matched gains.
 
     Raises:
@@ -71,114 +73,112 @@ class Settings:
 
 @dataclass(frozen=True, slots=True)
 class ReelProgress:
-    """A reel under way.
+    """One reel between two stages.
 
     Attributes:
-        target: Where it is.
+        target: Endpoint, plant or rig.
         record: Its record so far.
-        about: What its rig says of itself; None if it was not reached.
+        description: The rig's description; None if it was not reached.
     """
 
     target: Any
     record: ReelMatch
-    about: RigDescription | None = None
+    description: RigDescription | None = None
 
-    def with_record(self, **changed: Any) -> "ReelProgress":
-        """The same with another record."""
-        return replace(self, record=replace(self.record, **changed))
+    def with_record(self, **changes: Any) -> "ReelProgress":
+        """The reel with changes of its record."""
+        return replace(self, record=replace(self.record, **changes))
+
+    def with_failure(self, reason: str) -> "ReelProgress":
+        """The reel as failed."""
+        return self.with_record(outcome=MatchOutcome.FAILED, reason=reason)
 
     @property
-    def lost(self) -> bool:
-        """Whether nothing more can be done with it."""
-        return self.record.standing in (MatchOutcome.FAILED, MatchOutcome.OUT_OF_REACH)
+    def failed(self) -> bool:
+        """Whether the further stages skip it."""
+        return self.record.outcome in (MatchOutcome.FAILED, MatchOutcome.OUT_OF_REACH)
 
 
 @dataclass(frozen=True, slots=True)
 class ReelMatcher:
-    """What is done with a reel, and what that needs.
+    """The stages, with the settings they share.
 
     Attributes:
-        settings: How reels are matched.
-        folder: Where runs are kept, or None.
-        security: Who this is, where a rig asks.
-        watch: Told of each trial.
-        tell: Told what is done next.
+        settings: Settings of the matching.
+        folder: Folder of the runs, or None.
+        security: Credentials, if a rig requires authentication.
+        watch: Called after each trial.
+        log: Called with a line of text at each stage.
     """
 
     settings: Settings
     folder: Path | None
     security: "Security | None"
     watch: ProgressListener | Literal["auto"] | None
-    tell: Told
+    log: Callable[[str], None]
 
     def reached(self, label: str, target: Any) -> ReelProgress:
-        """A reel and what its rig says of itself."""
-        record = ReelMatch(label, MatchOutcome.NOT_SHOWN, "")
+        """A reel with its rig's description."""
+        reel = ReelProgress(target, ReelMatch(label, MatchOutcome.NOT_SHOWN, ""))
         try:
             with open_target(target, security=self.security) as rig:
-                about = rig.describe()
+                description = rig.describe()
         except EstuneError as error:
-            return ReelProgress(
-                target, replace(record, standing=MatchOutcome.FAILED, reason=str(error))
-            )
-        record = replace(record, rig=about.name, cable_length_m=about.cable_length_m)
-        return ReelProgress(target, record, about)
+            return reel.with_failure(str(error))
+        name, length = description.name, description.cable_length_m
+        return replace(reel, description=description).with_record(rig=name, cable_length_m=length)
 
     def tuned(self, reel: ReelProgress, step: StepProfile, cost: StepCost) -> ReelProgress:
-        """The reel with its own tuning."""
-        if reel.lost:
+        """The reel after its own tuning."""
+        if reel.failed:
             return reel
-        options: dict[str, Any] = {
-            "tuner": self.settings.tuner,
-            "trials": self.settings.trials,
-        }
-        found = self._run(reel, "tune", {**options, "step": step, "cost": cost})
-        if isinstance(found, EstuneError):
-            return reel.with_record(standing=MatchOutcome.FAILED, reason=f"not tuned: {found}")
+        options: dict[str, Any] = {"tuner": self.settings.tuner, "trials": self.settings.trials}
+        result = self._run(reel, "tune", {**options, "step": step, "cost": cost})
+        if isinstance(result, EstuneError):
+            return reel.with_failure(f"not tuned: {result}")
         return reel.with_record(
-            tuned=found.gains,
-            tuned_level=level_of(_repeats(found, found.gains)),
-            trials=len(found.entries),
+            tuned=result.gains,
+            tuned_cost=_cost_of(result, result.gains),
+            trials=len(result.entries),
         )
 
     def matched(
         self, reel: ReelProgress, target: float, step: StepProfile, cost: StepCost
     ) -> ReelProgress:
-        """The reel brought to the target, and judged."""
-        tuned, level = reel.record.tuned, reel.record.tuned_level
-        if reel.lost or tuned is None or level is None:
+        """The reel after the search for the target, with its outcome."""
+        tuned, tuned_cost = reel.record.tuned, reel.record.tuned_cost
+        if reel.failed or tuned is None or tuned_cost is None:
             return reel
-        if level.low > target * (1.0 + self.settings.tolerance):
+        if tuned_cost.low > target * (1.0 + self.settings.tolerance):
             return reel.with_record(
-                standing=MatchOutcome.OUT_OF_REACH, reason=unreachable_message(level, target)
+                outcome=MatchOutcome.OUT_OF_REACH, reason=_out_of_reach(tuned_cost, target)
             )
-        seeker = TargetCostTuner(detuning_path(tuned), target)
+        tuner = TargetCostTuner(detuning_path(tuned), target)
         options: dict[str, Any] = {
-            "tuner": seeker,
+            "tuner": tuner,
             "trials": self.settings.match_trials,
             "start": tuned,
             "eta_max": UNSAFE_RATIO * target,
-            "tolerance": LEVEL_SHARE * self.settings.tolerance,
+            "tolerance": SEARCH_SHARE * self.settings.tolerance,
         }
         # The target is in the name, so that the same tunings serve another target too.
         stage = f"match-{target:.5g}".replace(".", "_")
-        found = self._run(reel, stage, {**options, "step": step, "cost": cost})
-        if isinstance(found, EstuneError):
-            return reel.with_record(standing=MatchOutcome.FAILED, reason=f"not matched: {found}")
-        gains = seeker.space.gains(seeker.recommend(found.session.tuner_state))
-        # This run's repeats of the tuned gains had no part in choosing them.
-        level, fresh = (level_of(_repeats(found, g)) for g in (tuned, gains))
-        if gains == tuned and fresh.low > target:
-            standing, reason = MatchOutcome.OUT_OF_REACH, unreachable_message(fresh, target)
-        else:
-            standing, reason = classify(fresh, target, self.settings.tolerance)
+        result = self._run(reel, stage, {**options, "step": step, "cost": cost})
+        if isinstance(result, EstuneError):
+            return reel.with_failure(f"not matched: {result}")
+        gains = tuner.space.gains(tuner.recommend(result.session.tuner_state))
+        # This run's repeats of the tuned gains were not used to choose them.
+        tuned_cost, matched_cost = _cost_of(result, tuned), _cost_of(result, gains)
+        outcome, reason = classify(matched_cost, target, self.settings.tolerance)
+        if gains == tuned and matched_cost.low > target:
+            outcome, reason = MatchOutcome.OUT_OF_REACH, _out_of_reach(matched_cost, target)
         return reel.with_record(
-            standing=standing,
+            outcome=outcome,
             reason=reason,
-            tuned_level=level,
+            tuned_cost=tuned_cost,
             gains=gains,
-            level=fresh,
-            trials=reel.record.trials + len(found.entries),
+            cost=matched_cost,
+            trials=reel.record.trials + len(result.entries),
         )
 
     def applied(self, reel: ReelProgress) -> ReelProgress:
@@ -198,10 +198,10 @@ class ReelMatcher:
     def _run(
         self, reel: ReelProgress, stage: str, options: dict[str, Any]
     ) -> TuneResult | EstuneError:
-        """One run on the reel, or why there is none: begun, gone on with, or read, as it stands.
+        """One run on the reel, started, resumed or loaded; or the error that prevented it.
 
         Raises:
-            InvalidInput: it was begun with other settings.
+            InvalidInput: the run on disk has other settings.
         """
         options = {**options, "repeats": self.settings.repeats}
         name = f"{stage}-{reel.record.label}"
@@ -211,55 +211,58 @@ class ReelMatcher:
             name = f"{self.folder.name}-{name}"
             if (self.folder / name / FILE_NAME).is_file():
                 path = self.folder / name
-        doing = "matching" if isinstance(options["tuner"], TargetCostTuner) else "tuning"
+        activity = "matching" if isinstance(options["tuner"], TargetCostTuner) else "tuning"
         try:
             if path is None:
-                self.tell(f"{reel.record.label}: {doing}")
-                place: dict[str, Any] = {
-                    "run": name,
-                    "journal": self.folder is not None,
-                    "folder": self.folder,
-                }
-                return api.tune(reel.target, **options, **common, **place)
-            found = api.load(path)
-            _check_same(path, found, options)
-            if found.ending is RunEnding.STOPPED:
-                self.tell(f"{reel.record.label}: {doing} goes on")
-                found = api.resume(path, reel.target, **common)
+                self.log(f"{reel.record.label}: {activity}")
+                common |= {"run": name, "journal": self.folder is not None, "folder": self.folder}
+                return api.tune(reel.target, **options, **common)
+            result = api.load(path)
+            _check_settings(path, result, options)
+            if result.ending is RunEnding.STOPPED:
+                self.log(f"{reel.record.label}: {activity} continued")
+                result = api.resume(path, reel.target, **common)
         except _OtherSettings:
             raise
         except EstuneError as error:
             return error
-        return found
+        return result
 
 
 class _OtherSettings(InvalidInput):
-    """A matching on disk is not the one asked for."""
+    """A run on disk has other settings."""
 
 
-def _check_same(path: Path, found: TuneResult, options: Mapping[str, Any]) -> None:
+def _check_settings(path: Path, result: TuneResult, options: Mapping[str, Any]) -> None:
     for name, value in options.items():
-        made = getattr(found.plan, name)
+        stored = getattr(result.plan, name)
         if name == "tuner" and isinstance(value, str):
-            made = made.name
-        if made != value:
+            stored = stored.name
+        if stored != value:
             raise _OtherSettings(
-                f"{path} was begun with {name} {made}, not {value}; say the same to go on with "
-                "it, or give another folder"
+                f"{path} was begun with {name} {stored}, not {value}; give the same settings to "
+                "continue it, or another folder"
             )
 
 
-def _repeats(found: TuneResult, gains: Gains) -> list[float]:
-    """Costs of a run's repeats of some gains; infinite where one was unsafe.
+def _cost_of(result: TuneResult, gains: Gains) -> CostEstimate:
+    """The cost of some gains by a run's repeats, those after the search where there are any.
 
-    Those after the search where there are any: they are nearer in time to what follows.
+    They are nearer in time to what follows than those before it.
     """
     for phase in (Phase.CONFIRM, Phase.BASELINE):
         costs = [
             e.cost if math.isfinite(e.cost) else math.inf
-            for e in found.entries
+            for e in result.entries
             if e.phase is phase and e.gains == gains and e.outcome and not e.outcome.is_void
         ]
         if costs:
-            return costs
-    return [math.inf]
+            return estimate_cost(costs)
+    return estimate_cost([math.inf])
+
+
+def _out_of_reach(cost: CostEstimate, target: float) -> str:
+    return (
+        f"its tuned gains cost {cost}, above the target {target:.4g}; raise eta, or repair the "
+        "reel"
+    )

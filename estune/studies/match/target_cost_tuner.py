@@ -1,18 +1,17 @@
-"""Finds, under noise, how much gentler the tuned gains must be for the cost to reach a level.
+"""Root search under noise: how far to detune a reel for its cost to equal a target.
 
 The path is the loop gain K of the standard form, `K (1 + 1/(Ti s) + Td s)`: P, I and D shrink by
 one factor and their ratios stay. Of the one-parameter paths away from the optimum it is the best
-conditioned: the cost rises most steeply along it, so that trials tell most exactly where the level
-is met, and effort, noise in the effort and overshoot all fall on the way, while the gain margin
-grows by the same factor. `experiments/equal_transparency.py` has it beside the setpoint filter
-alone and the integrator alone.
+conditioned: the cost rises most steeply along it, so that trials locate the target most exactly.
+Effort, its noise and overshoot fall along it, and the gain margin grows by the same factor.
+`experiments/equal_transparency.py` compares it with the setpoint filter or the integrator alone.
 
-With u = ln(K_tuned/K) >= 0 and the target eta*, the trials first go outward, doubling u, until one
-costs more than eta*; then they stay near the root of the parabola through what was seen,
+With u = ln(K_tuned/K) >= 0 and the target eta*, the first trials go outward, doubling u, until one
+costs more than eta*. The others stay near the root of the parabola fitted to all of them,
 
     ln eta(u) = a + b u + c u^2,    u* = 2 g/(b + sqrt(b^2 + 4 c g)) with g = ln eta* - a,
 
-which is the crossing where the cost rises. The fit weights trials by how near they are.
+the crossing where the cost rises. The fit weights trials by their distance from the root.
 """
 
 import math
@@ -25,53 +24,49 @@ from numpy.typing import NDArray
 
 from estune.core.gains import Gains
 from estune.errors import InvalidInput
-from estune.tuners.convergence import ConvergenceEstimate, CostPrediction
+from estune.tuners.interface import ConvergenceEstimate, CostPrediction
 from estune.tuners.observation import Observation, log_cost
 from estune.tuners.search_space import Point, SearchSpace
 from estune.tuners.settings import check_above_zero, check_logarithmic
 
-GENTLEST = 20.0
-"""The loop gain may shrink by this factor, no further."""
+DETUNING_MAX = 20.0
+"""Greatest reduction factor of the loop gain."""
 
 FIRST_STEP = 0.1
-"""Distance u of the first trial away from the start; the next doubles it."""
+"""Distance u of the first trial from the start; the next doubles it."""
 
 DITHER = 0.2
-"""How far trials lie to either side of the root, as a share of it, less as they become many: they
-keep the slope known, and the nearer they are, the less the shape of the curve matters."""
+"""Distance of trials to either side of the root, relative to it; reduced as they become many.
+It keeps the slope observable; the smaller it is, the less the shape of the curve matters."""
 
-DISTANT = 0.25
-"""Trials that lie from the root by this share of it have a quarter of the weight in the fit."""
+WEIGHT_WIDTH = 0.25
+"""Distance from the root, relative to it, at which a trial has a quarter of the weight."""
 
 COEFFICIENTS = 3
 
 
 def detuning_path(gains: Gains) -> SearchSpace:
-    """The path from tuned gains towards gentler ones: the loop gain K, at most what it is now.
-
-    Args:
-        gains: The tuned gains.
-    """
+    """The search space of detuned gains: the loop gain K, at most that of the tuned gains."""
     K, Ti, Td = gains.to_standard()
-    held = {"Ti": Ti, "Td": Td, "setpoint_filter_s": gains.setpoint_filter_s}
+    fixed = {"Ti": Ti, "Td": Td, "setpoint_filter_s": gains.setpoint_filter_s}
     return SearchSpace(
         names=("K",),
         start=(K,),
-        low=(K / GENTLEST,),
+        low=(K / DETUNING_MAX,),
         high=(K,),
         form="standard",
-        fixed=tuple((name, value) for name, value in held.items() if math.isfinite(value)),
+        fixed=tuple((name, value) for name, value in fixed.items() if math.isfinite(value)),
     )
 
 
-class LevelSeekerState(NamedTuple):
-    """What was seen on the path before trial k."""
+class TargetCostState(NamedTuple):
+    """The trials on the path before trial k."""
 
     k: int
     distances: tuple[float, ...]  # u of the safe trials
     logs: tuple[float, ...]  # logarithms of their costs
-    nearest_unsafe: float  # least u of an unsafe trial; infinite until there was one
-    best_point: Point  # what is recommended now
+    nearest_unsafe: float  # least u of an unsafe trial; infinite without one
+    best_point: Point  # the recommended point
     best_cost: float | None  # the cost expected there
 
 
@@ -83,18 +78,18 @@ class _Fit(NamedTuple):
     c: float
     variance: float  # of a
     noise: float  # of one trial's logarithm
-    freedom: float
+    degrees: float  # of freedom
 
 
 @dataclass(frozen=True, slots=True)
 class TargetCostTuner:
-    """A tuner, in the sense of `estune.tuners`, that looks for a level and not for the least.
+    """A tuner, in the sense of `estune.tuners`, that seeks a target cost instead of the least.
 
     Attributes:
         space: A path of one parameter on a logarithmic scale that begins at its upper bound; see
-            `gentler_path`.
-        target: The cost eta* to be met.
-        name: What the tuner is called.
+            `detuning_path`.
+        target: The target cost eta*.
+        name: Name of the tuner in plans.
 
     Raises:
         InvalidInput: the target is not above zero, or the space is not such a path.
@@ -116,15 +111,15 @@ class TargetCostTuner:
     def __str__(self) -> str:
         return f"{self.name} of cost {self.target:.6g} from {self.space.gains(self.space.start)}"
 
-    def start(self) -> LevelSeekerState:
+    def start(self) -> TargetCostState:
         """The state before the first trial."""
-        return LevelSeekerState(0, (), (), math.inf, self.space.start, None)
+        return TargetCostState(0, (), (), math.inf, self.space.start, None)
 
-    def ask(self, state: LevelSeekerState) -> Point:
+    def ask(self, state: TargetCostState) -> Point:
         """The next point of the path."""
         return self._point(self._next(state))
 
-    def tell(self, state: LevelSeekerState, observation: Observation) -> LevelSeekerState:
+    def tell(self, state: TargetCostState, observation: Observation) -> TargetCostState:
         """The state after the trial last asked for.
 
         Raises:
@@ -133,44 +128,46 @@ class TargetCostTuner:
         u, k = self._next(state), state.k + 1
         if observation.censored:
             return state._replace(k=k, nearest_unsafe=min(u, state.nearest_unsafe))
-        told = state._replace(
+        after = state._replace(
             k=k,
             distances=(*state.distances, u),
             logs=(*state.logs, log_cost(observation)),
         )
-        found = self._root(told)
-        fit = _fitted(told.distances, told.logs, found)
-        expected = math.exp(told.logs[-1] if fit is None else fit.a)
-        return told._replace(best_point=self._point(found), best_cost=expected)
+        root = self._root(after)
+        fit = _fit(after.distances, after.logs, root)
+        expected = math.exp(after.logs[-1] if fit is None else fit.a)
+        return after._replace(best_point=self._point(root), best_cost=expected)
 
-    def recommend(self, state: LevelSeekerState) -> Point:
-        """Where the cost is expected to be nearest the target."""
+    def recommend(self, state: TargetCostState) -> Point:
+        """The point with the expected cost nearest the target."""
         return state.best_point
 
-    def outlook(self, state: LevelSeekerState) -> ConvergenceEstimate | None:
-        """How well the level is met: `remaining` is the 95 % bound of the cost's error there."""
-        fit = _fitted(state.distances, state.logs, self._root(state)) if state.logs else None
+    def convergence(self, state: TargetCostState) -> ConvergenceEstimate | None:
+        """The 95 % bound of the cost's error at the root, in place of an improvement."""
+        if not state.logs:
+            return None
+        u = self._root(state)
+        fit = _fit(state.distances, state.logs, u)
         if fit is None or not self._bracketed(state):
             return None
         error = math.sqrt(fit.variance)
-        reach = _quantile(fit.freedom) * error
-        sides = reach / max(abs(fit.b), 1e-9)
-        u = self._root(state)
+        bound = _quantile(fit.degrees) * error
+        sides = bound / max(abs(fit.b), 1e-9)
         interval = self._point(u + sides)[0], self._point(u - sides)[0]
-        return ConvergenceEstimate(fit.noise, reach, error, (interval,))
+        return ConvergenceEstimate(fit.noise, bound, error, (interval,))
 
-    def forecast(self, state: LevelSeekerState, point: Point) -> CostPrediction:
-        """What the parabola says of a point; nothing before there is one."""
+    def predict(self, state: TargetCostState, point: Point) -> CostPrediction:
+        """The cost at a point by the parabola; an unlimited interval without one."""
         u = self.space.coordinates_high[0] - self.space.coordinates(point)[0]
         explored = bool(state.distances) and u <= max(state.distances)
-        fit = _fitted(state.distances, state.logs, u)
+        fit = _fit(state.distances, state.logs, u)
         if fit is None:
             return CostPrediction(math.nan, 0.0, math.inf, explored)
-        reach = _quantile(fit.freedom) * math.sqrt(fit.variance)
-        ends = math.exp(fit.a - reach), math.exp(fit.a + reach) if reach < 1e2 else math.inf
+        half = _quantile(fit.degrees) * math.sqrt(fit.variance)
+        ends = math.exp(fit.a - half), math.exp(fit.a + half) if half < 1e2 else math.inf
         return CostPrediction(math.exp(fit.a), *ends, explored)
 
-    def _next(self, state: LevelSeekerState) -> float:
+    def _next(self, state: TargetCostState) -> float:
         """Distance of the next trial."""
         if not state.logs:
             return 0.0 if state.k == 0 else self._within(FIRST_STEP / 2.0**state.k, state)
@@ -181,76 +178,76 @@ class TargetCostTuner:
         aside = DITHER / math.sqrt(1 + near) * (1.0 if state.k % 2 else -1.0)
         return self._within(root * (1.0 + aside), state)
 
-    def _within(self, u: float, state: LevelSeekerState) -> float:
-        """The distance held within the path, and half way to what was unsafe."""
+    def _within(self, u: float, state: TargetCostState) -> float:
+        """The distance limited to the path, and to half way to the nearest unsafe trial."""
         far = max(state.distances, default=0.0)
-        return max(0.0, min(u, self._reach, (far + state.nearest_unsafe) / 2.0))
+        return max(0.0, min(u, self._length, (far + state.nearest_unsafe) / 2.0))
 
-    def _bracketed(self, state: LevelSeekerState) -> bool:
-        """Whether the farthest trials cost more than the target, or none may go farther."""
+    def _bracketed(self, state: TargetCostState) -> bool:
+        """Whether the farthest trials cost more than the target, or lie at the end of the path."""
         far = max(state.distances)
-        at = [cost for u, cost in zip(state.distances, state.logs, strict=True) if u == far]
-        return sum(at) / len(at) >= math.log(self.target) or far >= self._reach
+        logs = [log for u, log in zip(state.distances, state.logs, strict=True) if u == far]
+        return sum(logs) / len(logs) >= math.log(self.target) or far >= self._length
 
-    def _root(self, state: LevelSeekerState) -> float:
-        """The distance at which the cost is expected to cross the target, or come nearest."""
+    def _root(self, state: TargetCostState) -> float:
+        """The distance at which the expected cost crosses the target, or is nearest to it."""
         far = max(state.distances)
-        found = far
-        for _ in range(2):  # once from afar, once with the weights of the place found
-            fit = _fitted(state.distances, state.logs, found)
+        root = far
+        for _ in range(2):  # the second fit has the weights of the first one's root
+            fit = _fit(state.distances, state.logs, root)
             if fit is None:
                 return far if state.logs[-1] < math.log(self.target) else min(state.distances)
-            found = min(max(0.0, found + _crossing(fit, math.log(self.target))), far)
-        return found
+            root = min(max(0.0, root + _crossing(fit, math.log(self.target))), far)
+        return root
 
     def _point(self, u: float) -> Point:
         return self.space.point((self.space.coordinates_high[0] - u,))
 
     @property
-    def _reach(self) -> float:
+    def _length(self) -> float:
         return self.space.coordinates_high[0] - self.space.coordinates_low[0]
 
 
-def _quantile(freedom: float) -> float:
+def _quantile(degrees: float) -> float:
     """Student's t of a 95 % interval."""
     from scipy.special import stdtrit  # noqa: PLC0415  slow to import
 
-    return float(stdtrit(freedom, 0.975))
+    return float(stdtrit(degrees, 0.975))
 
 
-def _crossing(fit: _Fit, level: float) -> float:
-    """Where the parabola rises through the level; its lowest point where it is all above it.
+def _crossing(fit: _Fit, log_target: float) -> float:
+    """Where the parabola rises through the target; its minimum where it is all above it.
 
-    Infinite where it never gets there.
+    Infinite where it never rises to the target.
     """
-    gap = level - fit.a
-    square = fit.b**2 + 4.0 * fit.c * gap
+    g = log_target - fit.a
+    square = fit.b**2 + 4.0 * fit.c * g
     if square < 0.0:
         return -fit.b / (2.0 * fit.c) if fit.c > 0.0 else math.inf
     root = math.sqrt(square)
-    # Two forms of one root: each is exact where the other subtracts like from like.
+    # Two forms of one root: each avoids the cancellation that the other has.
     if fit.b >= 0.0:
-        return 2.0 * gap / (fit.b + root) if fit.b + root > 0.0 else math.inf
+        return 2.0 * g / (fit.b + root) if fit.b + root > 0.0 else math.inf
     return (root - fit.b) / (2.0 * fit.c) if fit.c != 0.0 else -math.inf
 
 
 @lru_cache(maxsize=64)
-def _fitted(distances: tuple[float, ...], logs: tuple[float, ...], near: float) -> _Fit | None:
-    """The weighted parabola near a distance; None with fewer than three different distances."""
+def _fit(distances: tuple[float, ...], logs: tuple[float, ...], near: float) -> _Fit | None:
+    """The parabola weighted about a distance; None with fewer than three distinct distances."""
     if len(set(distances)) < COEFFICIENTS:
         return None
     u: NDArray[np.float64] = np.array(distances) - near
-    width = DISTANT * max(near, FIRST_STEP)
+    width = WEIGHT_WIDTH * max(near, FIRST_STEP)
     weights = 1.0 / (1.0 + (u / width) ** 2) ** 2
     rows = np.vander(u, COEFFICIENTS, increasing=True)
     inverse = np.linalg.pinv(rows.T @ (weights[:, None] * rows))
     a, b, c = inverse @ (rows.T @ (weights * logs))
     residuals = np.array(logs) - rows @ (a, b, c)
-    freedom = float(weights.sum()) - COEFFICIENTS
-    if freedom < 1.0:
+    degrees = float(weights.sum()) - COEFFICIENTS
+    if degrees < 1.0:
         return _Fit(float(a), float(b), float(c), math.inf, math.nan, 1.0)
-    noise = float(weights @ residuals**2) / freedom
-    spread = inverse @ (rows.T @ (weights[:, None] ** 2 * rows)) @ inverse
+    variance = float(weights @ residuals**2) / degrees  # of one trial
+    factor = inverse @ (rows.T @ (weights[:, None] ** 2 * rows)) @ inverse
     return _Fit(
-        float(a), float(b), float(c), noise * float(spread[0, 0]), math.sqrt(noise), freedom
+        float(a), float(b), float(c), variance * float(factor[0, 0]), math.sqrt(variance), degrees
     )

@@ -1,4 +1,4 @@
-"""What a sweep is to find out: its file, `sweep.toml`, or the same from Python."""
+"""Design of a sweep: its file, `sweep.toml`, or the same keys from Python."""
 
 from collections import Counter
 from collections.abc import Mapping
@@ -23,15 +23,15 @@ from estune.support.toml_file import TomlTable, read_toml, validate
 
 
 class SweptRig(TomlTable):
-    """A model, made anew at every length, or a rig at an endpoint, which stands at one.
+    """A model, instantiated at every length, or a rig at an endpoint, which stands at one.
 
     Attributes:
         target: A model (`plants:reference_reel`, `reel.toml`) or an endpoint
             (`tcp/127.0.0.1:7447`).
-        name: What the sweep calls it; the target itself if left out.
+        name: Label in the sweep; by default the target.
         rig: Name of the rig, where several answer at the endpoint.
-        cable_length_m: Length at which a rig stands, where it does not say so itself.
-        security: File that says who this is, where the rig asks.
+        cable_length_m: Cable length of a rig whose description does not state it, m.
+        security: Credentials file, if the rig requires authentication.
     """
 
     target: str
@@ -42,22 +42,22 @@ class SweptRig(TomlTable):
 
     @property
     def label(self) -> str:
-        """What it is called in tables and messages."""
+        """Name in tables and messages."""
         return self.name or (self.target if self.rig is None else f"{self.rig}@{self.target}")
 
     @property
     def is_model(self) -> bool:
-        """Whether it is simulated here."""
+        """Whether it is a simulation model, not an endpoint."""
         return not targets.is_endpoint(self.target)
 
     @model_validator(mode="after")
-    def _fits(self) -> Self:
+    def _check(self) -> Self:
         given = {"rig": self.rig, "cable_length_m": self.cable_length_m, "security": self.security}
         wrong = [key for key, value in given.items() if value is not None and self.is_model]
         if wrong:
             raise ValueError(
                 f"{wrong[0]}: {self.target} is a model, not an endpoint, and takes no "
-                f"{' or '.join(wrong)}; it is made at each of lengths_m"
+                f"{' or '.join(wrong)}; it is simulated at each of lengths_m"
             )
         return self
 
@@ -73,15 +73,15 @@ class SweepDesign(SearchTable):
     """A sweep: each of its cells is one tuning.
 
     Attributes:
-        lengths_m: Cable lengths, rising. Models are made at each of them; a rig at an endpoint
-            must stand within their range. May be left out where all rigs are at endpoints.
-        tensions_N: Preloads of the step, rising; each rig's own suggestion if left out.
-        tuners: How gains are proposed; `estune.tune`'s usual if left out.
-        seeds: How often each tuning is repeated, with noise of its own.
-        rigs: Models and rigs; a text is short for `{target = "..."}`.
-        start: Gains to begin from, by name; each rig's own if left out.
+        lengths_m: Cable lengths, ascending. Models are simulated at each of them; a rig at an
+            endpoint must stand within their range. Optional if all rigs are at endpoints.
+        tensions_N: Preloads of the step, ascending; by default each rig's own suggestion.
+        tuners: Names of tuners; by default that of `estune.tune`.
+        seeds: Number of tunings at each place, each with noise of its own.
+        rigs: Models and rigs; a string is short for `{target = "..."}`.
+        start: Initial gains, by name; by default each rig's own.
         step: The step trial.
-        cost: How a trial is scored.
+        cost: The cost of a trial.
     """
 
     lengths_m: list[Positive] = Field(default=[])
@@ -94,12 +94,12 @@ class SweepDesign(SearchTable):
     cost: CostTable = CostTable()
 
     @model_validator(mode="after")
-    def _fits(self) -> Self:
+    def _check(self) -> Self:
         wrong = [
-            *_not_rising("lengths_m", self.lengths_m, "m"),
-            *_not_rising("tensions_N", self.tensions_N, "N"),
-            *_twice("tuners", self.tuners),
-            *_twice("rigs", [rig.label for rig in self.rigs]),
+            *_order_fault("lengths_m", self.lengths_m, "m"),
+            *_order_fault("tensions_N", self.tensions_N, "N"),
+            *_duplicates("tuners", self.tuners),
+            *_duplicates("rigs", [rig.label for rig in self.rigs]),
         ]
         if len(self.lengths_m) == 1:
             wrong.append(
@@ -109,8 +109,8 @@ class SweepDesign(SearchTable):
         models = [rig.label for rig in self.rigs if rig.is_model]
         if models and not self.lengths_m:
             wrong.append(
-                f"lengths_m: none is given, and {models[0]} is a model, to be made at each of "
-                "them; give at least two"
+                f"lengths_m: none is given, and {models[0]} is a model, to be simulated at each "
+                "of them; give at least two"
             )
         if self.step.preload_N is not None:
             wrong.append("step.preload_N: in a sweep that is tensions_N; give it there")
@@ -126,46 +126,44 @@ class SweepDesign(SearchTable):
 
 
 def read_design(design: "SweepDesign | str | Path | Mapping[str, Any]") -> SweepDesign:
-    """A design from its TOML file, or from the same keys in Python.
-
-    Paths in a file are beside it unless absolute.
+    """A design from its TOML file, whose paths are relative to it, or from a mapping.
 
     Raises:
-        InvalidInput: it cannot be read, or something in it is wrong; all of it is in the message,
-            a line each.
+        InvalidInput: it cannot be read, or is wrong; the message has one line for each fault.
     """
     if isinstance(design, SweepDesign):
         return design
     if isinstance(design, Mapping):
         return validate(SweepDesign, dict(design), "sweep")
     path = Path(design)
-    found = validate(SweepDesign, read_toml(path), str(path))
-    rigs = [_beside(rig, path.parent) for rig in found.rigs]
-    return found.model_copy(update={"rigs": rigs})
+    read = validate(SweepDesign, read_toml(path), str(path))
+    rigs = [_with_paths_from(rig, path.parent) for rig in read.rigs]
+    return read.model_copy(update={"rigs": rigs})
 
 
-def _beside(rig: SweptRig, folder: Path) -> SweptRig:
-    """A rig whose files are found from anywhere; its name is as it was written."""
-    changed: dict[str, Any] = {}
+def _with_paths_from(rig: SweptRig, folder: Path) -> SweptRig:
+    """The rig with its paths resolved from a folder, and the label as it was written."""
+    changes: dict[str, Any] = {}
     if rig.is_model and rig.target.endswith(targets.MODEL_FILE):
-        changed |= {"name": rig.label, "target": str(folder / rig.target)}
+        changes |= {"name": rig.label, "target": str(folder / rig.target)}
     if rig.security is not None:
-        changed |= {"security": folder / rig.security}
-    return rig.model_copy(update=changed)
+        changes |= {"security": folder / rig.security}
+    return rig.model_copy(update=changes)
 
 
-def _not_rising(key: str, values: list[float], unit: str) -> list[str]:
-    twice = [value for value, count in Counter(values).items() if count > 1]
-    if twice:
-        said = f"{key}: {twice[0]:g} {unit} is there more than once; give each once, and say how "
-        return [said + "often it is to be tuned by seeds"]
+def _order_fault(key: str, values: list[float], unit: str) -> list[str]:
+    duplicates = [value for value, count in Counter(values).items() if count > 1]
+    if duplicates:
+        fault = f"{key}: {duplicates[0]:g} {unit} is there more than once; give each once, and "
+        return [fault + "the number of tunings as seeds"]
     for before, after in pairwise(values):
         if after < before:
-            return [f"{key}: {after:g} {unit} comes after {before:g} {unit}; give them rising"]
+            fault = f"{key}: {after:g} {unit} comes after {before:g} {unit}"
+            return [f"{fault}; give them in ascending order"]
     return []
 
 
-def _twice(key: str, names: list[str]) -> list[str]:
+def _duplicates(key: str, names: list[str]) -> list[str]:
     return [
         f"{key}: {name} is there more than once; give each once, or names of their own"
         for name, count in Counter(names).items()

@@ -27,7 +27,7 @@ from estune.support.plot_style import (
 
 _COST, _UNSAFE = TRACE.index("cost"), TRACE.index("unsafe")
 _SMOOTHED = 8
-"""Trials in the running mean that takes the dither out of a gain."""
+"""Trials in the running mean that removes the dither from a gain."""
 _LABELS = {"P": "P", "I": "I", "D": "D", "setpoint_filter_s": "setpoint filter"}
 _CURVE_POINTS = 200
 _MOST_IN_LEGEND = 10
@@ -38,40 +38,34 @@ def draw_costs(outcomes: Sequence[CellOutcome]) -> Figure:
     figure, (ax,) = stacked(1, 3.0)
     for length, color, traces in _by_length(outcomes):
         costs = [np.where(t[:, _UNSAFE] == 0.0, t[:, _COST], np.nan) for t in traces]
-        middle = _median(costs)
-        ax.plot(np.arange(1, middle.size + 1), middle, color=color, label=f"{length:g} m", lw=1.1)
+        median = _median(costs)
+        ax.plot(np.arange(1, median.size + 1), median, color=color, label=f"{length:g} m", lw=1.1)
     ax.set_yscale("log")
     finish(ax, "cost η", "search trial")
-    _keyed(ax)
+    _legend(ax)
     return figure
 
 
 def draw_integral(outcomes: Sequence[CellOutcome]) -> Figure:
-    """Fig. 13: the integral gain over the search, its dither averaged out, one line a length."""
+    """Fig. 13: the running mean of the integral gain over the search, one line a length."""
     figure, (ax,) = stacked(1, 3.0)
     column = TRACE.index("I")
     for length, color, traces in _by_length(outcomes):
-        middle = _median([_running_mean(trace[:, column]) for trace in traces])
-        first = _SMOOTHED
-        ax.plot(
-            np.arange(first, first + middle.size),
-            middle,
-            color=color,
-            label=f"{length:g} m",
-            lw=1.1,
-        )
+        median = _median([_running_mean(trace[:, column]) for trace in traces])
+        trial = np.arange(_SMOOTHED, _SMOOTHED + median.size)
+        ax.plot(trial, median, color=color, label=f"{length:g} m", lw=1.1)
     finish(ax, f"I, {GAIN_UNITS['I']}", "search trial")
-    _keyed(ax)
+    _legend(ax)
     return figure
 
 
-def draw_law(law: GainLaw, name: str, left_out: Sequence[CellOutcome]) -> Figure:
+def draw_law(law: GainLaw, name: str, excluded: Sequence[CellOutcome]) -> Figure:
     """Fig. 14: one gain over length, the law with its bands, and its residuals below.
 
     Args:
         law: The law.
         name: The gain, of `GAIN_NAMES`.
-        left_out: Cells that have no part in it; those that found gains are shown as crosses.
+        excluded: Cells that it excludes; those that have gains are shown as crosses.
     """
     figure = new_figure(WIDTH_in, 4.0)
     ax, below = figure.subplots(2, 1, sharex=True, height_ratios=[3.0, 1.0])
@@ -85,9 +79,9 @@ def draw_law(law: GainLaw, name: str, left_out: Sequence[CellOutcome]) -> Figure
     ax.fill_between(
         length, band.low, band.high, color=BLUE, alpha=0.25, lw=0.0, label="the law, 95 %"
     )
-    ax.plot(length, band.gain, color=BLUE, lw=1.4, label=_called(law, name))
+    ax.plot(length, band.gain, color=BLUE, lw=1.4, label=_curve_label(law, name))
     ax.plot(fit.points.length_m, fit.points.gain, ".", color=BLACK, ms=5, label="tuned")
-    shown = [(o.cell.length_m, getattr(o.gains, name)) for o in left_out if o.gains is not None]
+    shown = [(o.cell.length_m, getattr(o.gains, name)) for o in excluded if o.gains is not None]
     if shown:
         ax.plot(*zip(*shown, strict=True), "x", color=VERMILION, ms=5, label="left out")
     finish(ax, f"{_LABELS[name]}, {GAIN_UNITS[name]}")
@@ -98,53 +92,49 @@ def draw_law(law: GainLaw, name: str, left_out: Sequence[CellOutcome]) -> Figure
     return figure
 
 
-def _called(law: GainLaw, name: str) -> str:
-    """The curve in the legend, and at which tension it is drawn where that matters."""
+def _curve_label(law: GainLaw, name: str) -> str:
+    """The curve, with its tension where the law depends on it."""
     low, high = law.tension_N
     at = f" at {(low + high) / 2.0:g} N" if low < high else ""
     return f"{law.fits[name].curve}{at}"
 
 
 def _by_length(outcomes: Sequence[CellOutcome]) -> list[tuple[float, str, list[FloatArray]]]:
-    """Search trials of all tunings of each length, with its colour."""
-    found: dict[float, list[FloatArray]] = {}
+    """Length, colour, and the search trials of each tuning there."""
+    traces: dict[float, list[FloatArray]] = {}
     for outcome in outcomes:
-        searched = outcome.trace[outcome.trace[:, 0] == 1.0]
-        if searched.size:
-            found.setdefault(outcome.cell.length_m, []).append(searched)
-    lengths = sorted(found)
+        search = outcome.trace[outcome.trace[:, 0] == 1.0]
+        if search.size:
+            traces.setdefault(outcome.cell.length_m, []).append(search)
+    # The colour map is distinguishable in grey; its palest end is not used.
+    shares = np.linspace(0.0, 0.88, len(traces))
     return [
-        (length, color, found[length])
-        for length, color in zip(lengths, _colors(len(lengths)), strict=True)
+        (length, to_hex(mpl.colormaps["viridis"](share)), traces[length])
+        for length, share in zip(sorted(traces), shares, strict=True)
     ]
 
 
-def _colors(count: int) -> list[str]:
-    """Colours from short to long, apart in grey as well; the palest end is left out."""
-    return [to_hex(mpl.colormaps["viridis"](share)) for share in np.linspace(0.0, 0.88, count)]
-
-
 def _median(rows: Sequence[FloatArray]) -> FloatArray:
-    """Median over rows of unequal length, as far as half of them go."""
-    reach = sorted(row.size for row in rows)[(len(rows) - 1) // 2]
-    table = np.full((len(rows), reach), np.nan)
+    """Median over rows of unequal length, up to the median length."""
+    columns = sorted(row.size for row in rows)[(len(rows) - 1) // 2]
+    table = np.full((len(rows), columns), np.nan)
     for place, row in zip(table, rows, strict=True):
-        place[: row.size] = row[:reach]
-    some = np.isfinite(table).any(axis=0)
-    middle = np.full(reach, np.nan)
-    middle[some] = np.nanmedian(table[:, some], axis=0)
-    return middle
+        place[: row.size] = row[:columns]
+    defined = np.isfinite(table).any(axis=0)
+    median = np.full(columns, np.nan)
+    median[defined] = np.nanmedian(table[:, defined], axis=0)
+    return median
 
 
 def _running_mean(values: FloatArray) -> FloatArray:
-    """Means of each so many in a row."""
+    """Means of `_SMOOTHED` consecutive values."""
     if values.size < _SMOOTHED:
         return values[:0]
     return np.convolve(values, np.full(_SMOOTHED, 1.0 / _SMOOTHED), mode="valid")
 
 
-def _keyed(ax: Axes) -> None:
-    """A legend where the lengths are few enough to be told apart by it."""
+def _legend(ax: Axes) -> None:
+    """A legend of at most `_MOST_IN_LEGEND` lengths."""
     handles, labels = ax.get_legend_handles_labels()
     every = -(-len(labels) // _MOST_IN_LEGEND)
     ax.legend(

@@ -1,4 +1,4 @@
-"""What a cell came to: the gains found, how surely, and whether they may be used."""
+"""Outcome of a cell: the gains found, their uncertainty, and whether they may be used."""
 
 import math
 from dataclasses import dataclass, field
@@ -11,36 +11,39 @@ from estune.core.quantities import FloatArray
 from estune.run.result import RunEnding, TuneResult
 from estune.run.session import Phase, is_unsafe
 from estune.studies.law.tuned import TunedGains
-from estune.studies.sweep.cell import Cell
-from estune.tuners.convergence import ConvergenceEstimate, ModelBasedTuner
+from estune.studies.sweep.cells import Cell
+from estune.tuners.interface import ConvergenceEstimate, ModelBasedTuner
 
-SETTLED = 0.05
-"""A search has come to its end where no more than this share of the cost is left to gain."""
+CONVERGED_BELOW = 0.05
+"""A search has converged if it may improve the cost by no more than this share of it."""
+
+FAILED: Literal["failed"] = "failed"
+"""Ending of a cell that could not be run."""
 
 TRACE = ("search", *GAIN_NAMES, "cost", "unsafe")
-"""Columns of a trace: whether it is a search trial, its gains, its cost, whether it was unsafe."""
+"""Columns of a trace; search and unsafe are 0 or 1."""
 
 _NORMAL_95 = 1.959964
-"""Half the width of a 95 % interval, in standard deviations."""
+"""Half the width of a 95 % interval of a normal distribution, in standard deviations."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CellOutcome:
-    """What became of one cell.
+    """Outcome of one cell.
 
     Attributes:
         cell: The cell.
         ending: How its tuning ended; `failed` where it could not be run.
-        message: How it ended, in a sentence.
-        gains: The gains to use; the start's where nothing beat them, None where it failed.
-        cost: Their mean cost; nan where there is none.
+        message: The ending as a sentence.
+        gains: The gains to use; the initial ones where no others were better, None if it failed.
+        cost: Their mean cost; nan without trials.
         cost_error: Its standard error.
-        start_cost: Mean cost of the start gains.
+        start_cost: Mean cost of the initial gains.
         log_errors: Standard errors of (ln P, ln I, ln D, ln tau_F), or None where the tuner gives
             none; infinite for a gain along which the cost is flat up to its bounds.
-        remaining: Share of the cost left to gain when the search ended, by the tuner's own word or
-            as the cost still fell; infinite where nobody can tell.
-        duration_s: How long it took, s.
+        remaining: Remaining improvement when the search ended, relative to the cost; infinite
+            where it is unknown.
+        duration_s: Wall-clock time, s.
         trace: Its trials in order, columns as in `TRACE`, shape (trials, 7).
     """
 
@@ -68,25 +71,25 @@ class CellOutcome:
 
     @property
     def converged(self) -> bool:
-        """Whether the search had come to its end."""
-        return self.remaining <= SETTLED
+        """Whether the search had converged."""
+        return self.remaining <= CONVERGED_BELOW
 
     @property
     def excluded(self) -> str:
-        """Why a law leaves it out; empty where it does not."""
+        """Why a law excludes it; empty where it does not."""
         if self.failed or not self.safe:
             return self.message
         if self.converged:
             return ""
-        known = math.isfinite(self.remaining)
-        left = f"{100.0 * self.remaining:.1f} % of the cost" if known else "nobody knows how much"
+        percent = f"{100.0 * self.remaining:.1f} %"
+        share = percent if math.isfinite(self.remaining) else "an unknown share"
         return (
-            f"the search had not come to its end: {left} may be left to gain (limit "
-            f"{100.0 * SETTLED:g} %); give it more trials"
+            f"the search had not converged: {share} of the cost may remain to be gained (limit "
+            f"{100.0 * CONVERGED_BELOW:g} %); give it more trials"
         )
 
     def tuned(self) -> TunedGains | None:
-        """What it brings to a law over length; None where it could not be run."""
+        """Its data point of a law over length; None where it could not be run."""
         if self.gains is None:
             return None
         return TunedGains(
@@ -102,30 +105,27 @@ class CellOutcome:
         )
 
 
-FAILED: Literal["failed"] = "failed"
-
-
 def failed(cell: Cell, why: str, duration_s: float = 0.0) -> CellOutcome:
-    """A cell that could not be run."""
+    """Outcome of a cell that could not be run."""
     return CellOutcome(cell, FAILED, why, duration_s=duration_s)
 
 
 def unsafe(cell: Cell, start: Gains, why: str, duration_s: float) -> CellOutcome:
-    """A cell whose start gains are unsafe."""
+    """Outcome of a cell whose initial gains are unsafe."""
     return CellOutcome(cell, str(RunEnding.UNSAFE_START), why, gains=start, duration_s=duration_s)
 
 
 def finished(cell: Cell, result: TuneResult, duration_s: float) -> CellOutcome:
-    """A cell whose tuning came to an end."""
-    outlook, trace = _outlook(result), trace_of(result)
-    if outlook is not None:
-        left = outlook.remaining
-    elif (
-        isinstance(result.plan.tuner, ModelBasedTuner) or result.ending is RunEnding.NO_IMPROVEMENT
-    ):
-        left = math.inf
+    """Outcome of a cell whose tuning ended by itself."""
+    trace, tuner = _trace(result), result.plan.tuner
+    estimate = None
+    if isinstance(tuner, ModelBasedTuner):
+        estimate = tuner.convergence(result.session.tuner_state)
+        remaining = math.inf if estimate is None else estimate.remaining_improvement
+    elif result.ending is RunEnding.NO_IMPROVEMENT:
+        remaining = math.inf
     else:
-        left = _still_falling(trace)
+        remaining = _late_decrease(trace)
     return CellOutcome(
         cell,
         str(result.ending),
@@ -134,20 +134,19 @@ def finished(cell: Cell, result: TuneResult, duration_s: float) -> CellOutcome:
         cost=result.verdict.cost,
         cost_error=result.verdict.cost_error,
         start_cost=result.verdict.start_cost,
-        log_errors=None if outlook is None else _log_errors(result, outlook),
-        remaining=left,
+        log_errors=None if estimate is None else _log_errors(result, estimate),
+        remaining=remaining,
         duration_s=duration_s,
         trace=trace,
     )
 
 
-def trace_of(result: TuneResult) -> FloatArray:
-    """The trials that said something, shape (trials, 7)."""
-    session = result.session
+def _trace(result: TuneResult) -> FloatArray:
+    """The trials that are not void, shape (trials, 7)."""
     rows = [
         (
             *(e.phase is Phase.SEARCH, *e.gains.as_tuple(), e.cost),
-            is_unsafe(session, e.outcome, e.cost),
+            is_unsafe(result.session, e.outcome, e.cost),
         )
         for e in result.entries
         if e.outcome is not None and not e.outcome.is_void
@@ -155,41 +154,33 @@ def trace_of(result: TuneResult) -> FloatArray:
     return np.array(rows, dtype=np.float64).reshape(-1, len(TRACE))
 
 
-def _outlook(result: TuneResult) -> ConvergenceEstimate | None:
-    """What the tuner itself makes of its search; None where it says nothing."""
-    tuner = result.plan.tuner
-    return (
-        tuner.outlook(result.session.tuner_state) if isinstance(tuner, ModelBasedTuner) else None
-    )
+def _late_decrease(trace: FloatArray) -> float:
+    """Relative decrease of the cost from the second to the last third of the search.
 
-
-def _still_falling(trace: FloatArray) -> float:
-    """How much the cost still fell, as a share, from the second third of the search to the last.
-
-    For tuners that do not say what is left to gain. A fall within two standard errors is none.
+    It stands in for the remaining improvement of tuners without a model. A decrease within two
+    standard errors counts as zero.
     """
     safe = trace[(trace[:, 0] == 1.0) & (trace[:, -1] == 0.0), -2]
-    thirds = np.array_split(safe, 3)
-    before, after = thirds[1], thirds[2]
+    _, before, after = np.array_split(safe, 3)
     if min(before.size, after.size) < 2:
         return math.inf
-    fall = float(before.mean() - after.mean())
+    decrease = float(before.mean() - after.mean())
     error = math.sqrt(before.var(ddof=1) / before.size + after.var(ddof=1) / after.size)
-    return max(0.0, fall / float(after.mean())) if fall > 2.0 * error else 0.0
+    return max(0.0, decrease / float(after.mean())) if decrease > 2.0 * error else 0.0
 
 
-def _log_errors(result: TuneResult, outlook: ConvergenceEstimate) -> tuple[float, ...] | None:
-    """Standard errors of the logarithms of P, I, D and tau_F from the tuner's intervals.
+def _log_errors(result: TuneResult, estimate: ConvergenceEstimate) -> tuple[float, ...] | None:
+    """Standard errors of ln P, ln I, ln D and ln tau_F from the tuner's intervals.
 
-    A gain whose interval reaches to both its bounds, or that was not tuned, is not known at all.
-    None where the tuner searches the standard form.
+    Infinite for a gain that was not tuned or whose interval spans all of its range; None where
+    the tuner searches the standard form.
     """
     space = result.plan.tuner.space
     if space.form != "parallel":
         return None
     errors = dict.fromkeys(GAIN_NAMES, math.inf)
     for name, (low, high), least, most in zip(
-        space.names, outlook.intervals, space.low, space.high, strict=True
+        space.names, estimate.intervals, space.low, space.high, strict=True
     ):
         if low > least * (1.0 + 1e-9) or high < most * (1.0 - 1e-9):
             errors[name] = math.log(high / low) / (2.0 * _NORMAL_95)

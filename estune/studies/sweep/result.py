@@ -1,7 +1,6 @@
-"""What a sweep came to: a tidy frame, an xarray, the laws over length, and one offline page."""
+"""Result of a sweep: a tidy frame, an xarray, and the laws over cable length."""
 
 import html
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -21,29 +20,36 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 DIMENSIONS = ("length_m", "tension_N", "tuner", "seed", "rig")
-"""What a cell is found by in a frame; the dimensions of the xarray, without their units."""
+"""Columns that identify a cell; without their units, the dimensions of the xarray."""
 
 _UNITS = {**GAIN_UNITS, "duration_s": "s", "length": "m", "tension": "N"}
 
 
 class Series(NamedTuple):
-    """Cells that one law is fitted to.
+    """Cells that share one law.
 
     Attributes:
-        label: Which model, or the rigs at endpoints, and which tuner.
-        outcomes: What they came to.
+        label: Name of the model, or `rigs`, and of the tuner.
+        outcomes: Outcomes of the cells.
     """
 
     label: str
     outcomes: tuple[CellOutcome, ...]
 
     def law(self) -> GainLaw:
-        """The law over length; cells that are unsafe, unconverged or failed have no part in it.
+        """The law over length, of the cells that are safe and converged.
 
         Raises:
-            InvalidInput: too few are left; the message names those left out.
+            InvalidInput: too few are left; the message names the excluded ones.
         """
         return fit_law([tuned for o in self.outcomes if (tuned := o.tuned()) is not None])
+
+    def law_or_reason(self) -> GainLaw | str:
+        """The law, or why there is none."""
+        try:
+            return self.law()
+        except InvalidInput as error:
+            return str(error)
 
     def plot_costs(self) -> "Figure":
         """Fig. 12: the cost over the search, one line a length."""
@@ -65,18 +71,17 @@ class Series(NamedTuple):
         """
         from estune.studies.sweep import figures  # noqa: PLC0415  slow to import
 
-        left_out = [outcome for outcome in self.outcomes if outcome.excluded]
-        return figures.draw_law(self.law(), name, left_out)
+        return figures.draw_law(self.law(), name, [o for o in self.outcomes if o.excluded])
 
 
 @dataclass(frozen=True, eq=False)
 class SweepResult:
-    """Every cell of a sweep, and what is made of them.
+    """The outcomes of all cells of a sweep.
 
     Attributes:
-        design: What was asked for.
-        outcomes: What each cell came to, in the order of the design.
-        folder: Where it is kept.
+        design: The design.
+        outcomes: The outcome of each cell, in the order of the design.
+        folder: Folder of the sweep.
     """
 
     design: SweepDesign
@@ -90,18 +95,18 @@ class SweepResult:
 
     @property
     def excluded(self) -> tuple[CellOutcome, ...]:
-        """The cells that a law leaves out: failed, unsafe, or not at their end."""
+        """The cells that a law excludes: failed, unsafe or not converged."""
         return tuple(outcome for outcome in self.outcomes if outcome.excluded)
 
     @property
     def series(self) -> tuple[Series, ...]:
-        """One for each tuner and model; rigs at endpoints, each at its length, make one."""
-        found: dict[tuple[str, str], list[CellOutcome]] = {}
+        """One for each tuner and model; all rigs at endpoints make one together."""
+        groups: dict[tuple[str, str], list[CellOutcome]] = {}
         for outcome in self.outcomes:
             rig = outcome.cell.rig
             name = rig.label if rig.is_model else "rigs"
-            found.setdefault((name, outcome.cell.tuner), []).append(outcome)
-        return tuple(Series(", ".join(k), tuple(some)) for k, some in found.items())
+            groups.setdefault((name, outcome.cell.tuner), []).append(outcome)
+        return tuple(Series(", ".join(key), tuple(group)) for key, group in groups.items())
 
     def law(self) -> GainLaw:
         """The law over length of a sweep of one series.
@@ -119,37 +124,36 @@ class SweepResult:
 
     def heading(self) -> str:
         """The sweep in one line."""
-        trouble = [
-            f"{len(some)} {what}"
-            for what, some in (
-                ("failed", self.failed),
-                ("left out", [o for o in self.excluded if not o.failed]),
-            )
-            if some
-        ]
         lengths = sorted({outcome.cell.length_m for outcome in self.outcomes})
         trials = sum(len(outcome.trace) for outcome in self.outcomes)
-        where = f"{len(lengths)} lengths from {lengths[0]:g} to {lengths[-1]:g} m"
-        return ", ".join([f"{len(self.outcomes)} tunings at {where}, {trials} trials", *trouble])
+        failed = len(self.failed)
+        unused = {"failed": failed, "excluded": len(self.excluded) - failed}
+        return ", ".join(
+            [
+                f"{len(self.outcomes)} tunings",
+                f"{len(lengths)} lengths from {lengths[0]:g} to {lengths[-1]:g} m",
+                f"{trials} trials",
+                *(f"{count} {name}" for name, count in unused.items() if count),
+            ]
+        )
 
     def to_frame(self) -> "pd.DataFrame":
-        """The cells, one row each; gains have their own units, as in `estune.Gains`."""
+        """One row for each cell; gains in their own units, as in `estune.Gains`."""
         import pandas as pd  # noqa: PLC0415  slow to import
 
         return pd.DataFrame(list(map(_row, self.outcomes)))
 
     def to_xarray(self) -> "xr.Dataset":
-        """The same by length, tension, tuner, seed and rig; what was not tuned is empty."""
+        """The frame by length, tension, tuner, seed and rig; nan where no cell is."""
         import xarray as xr  # noqa: PLC0415  slow to import
 
         short = {name: name.rpartition("_")[0] or name for name in DIMENSIONS}
         frame = self.to_frame().rename(columns=short).set_index(list(short.values()))
-        found = xr.Dataset.from_dataframe(frame)
-        for name in map(str, found.variables):
-            unit = _UNITS.get(name.removesuffix("_log_error"))
-            if unit is not None and not name.endswith("_log_error"):
-                found[name].attrs["units"] = unit
-        return found
+        dataset = xr.Dataset.from_dataframe(frame)
+        for name in map(str, dataset.variables):
+            if name in _UNITS:
+                dataset[name].attrs["units"] = _UNITS[name]
+        return dataset
 
     def to_parquet(self, path: str | Path) -> None:
         """Writes the frame as Parquet, whole or not at all.
@@ -163,37 +167,21 @@ class SweepResult:
             raise InvalidInput(
                 "Parquet needs pyarrow, which is not installed: pip install 'estune[parquet]'"
             ) from error
-        write(Path(path), content)
-
-    def write_report(self, path: str | Path) -> None:
-        """Writes everything on one page that needs no other file and no network.
-
-        Raises:
-            InvalidInput: the file cannot be written.
-        """
-        from estune.studies.sweep import report  # noqa: PLC0415  slow to import
-
-        write(Path(path), report.page(self).encode())
+        write_file(Path(path), content)
 
     def __repr__(self) -> str:
-        return "\n".join([self.heading(), *laws_in_words(self)])
+        laws = ((series.label, series.law_or_reason()) for series in self.series)
+        lines = (
+            f"{label}: {law.sentence if isinstance(law, GainLaw) else f'no law: {law}'}"
+            for label, law in laws
+        )
+        return "\n".join([self.heading(), *lines])
 
     def _repr_html_(self) -> str:
         return "".join(f"<p>{html.escape(line)}</p>" for line in repr(self).split("\n"))
 
 
-def laws_in_words(result: SweepResult) -> Iterator[str]:
-    """Each series' law as a sentence, or why there is none."""
-    for series in result.series:
-        try:
-            law = series.law()
-        except InvalidInput as error:
-            yield f"{series.label}: no law: {error}"
-        else:
-            yield f"{series.label}: {law.sentence}"
-
-
-def write(path: Path, content: bytes) -> None:
+def write_file(path: Path, content: bytes) -> None:
     """Writes a file whole or not at all.
 
     Raises:
@@ -206,20 +194,15 @@ def write(path: Path, content: bytes) -> None:
 
 
 def _row(outcome: CellOutcome) -> dict[str, Any]:
-    cell, gains, errors = outcome.cell, outcome.gains, outcome.log_errors
-    nothing = (np.nan,) * len(GAIN_NAMES)
-    told = zip(GAIN_NAMES, errors or nothing, strict=True)
+    cell, unknown = outcome.cell, (np.nan,) * len(GAIN_NAMES)
+    place = (cell.length_m, cell.tension_N, cell.tuner, cell.seed, cell.rig.label)
+    gains = unknown if outcome.gains is None else outcome.gains.as_tuple()
+    errors = zip(GAIN_NAMES, outcome.log_errors or unknown, strict=True)
     return {
-        **dict(
-            zip(
-                DIMENSIONS,
-                (cell.length_m, cell.tension_N, cell.tuner, cell.seed, cell.rig.label),
-                strict=True,
-            )
-        ),
+        **dict(zip(DIMENSIONS, place, strict=True)),
         "ending": str(outcome.ending),
-        **dict(zip(GAIN_NAMES, nothing if gains is None else gains.as_tuple(), strict=True)),
-        **{f"{name}_log_error": error for name, error in told},
+        **dict(zip(GAIN_NAMES, gains, strict=True)),
+        **{f"{name}_log_error": error for name, error in errors},
         "cost": outcome.cost,
         "cost_error": outcome.cost_error,
         "start_cost": outcome.start_cost,

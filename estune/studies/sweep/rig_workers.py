@@ -1,4 +1,4 @@
-"""Cells on rigs at endpoints: one trial at a time on each, several rigs side by side."""
+"""Executor of cells on rigs at endpoints: one thread per rig, one trial at a time on each."""
 
 import threading
 from collections import defaultdict
@@ -9,18 +9,18 @@ from queue import SimpleQueue
 
 from estune.errors import EstuneError
 from estune.run.loop import Progress
-from estune.studies.sweep.cell import Cell, opened
-from estune.studies.sweep.cell_runner import run_on_rig
-from estune.studies.sweep.outcome import CellOutcome, failed
+from estune.studies.sweep.cells import Cell
+from estune.studies.sweep.executors import run_cell
+from estune.studies.sweep.outcome import CellOutcome
 from estune.trial import Rig
 
 
 def on_rigs(cells: Sequence[Cell], folder: Path) -> Iterator[CellOutcome]:
-    """A thread for each rig, which runs its cells in turn.
+    """Runs the cells of each rig in turn, and several rigs in parallel.
 
     Args:
         cells: Cells of rigs at endpoints.
-        folder: Where their runs are kept.
+        folder: Folder of their runs.
 
     Raises:
         Stopped: interrupted; every rig is back at its live gains.
@@ -28,31 +28,31 @@ def on_rigs(cells: Sequence[Cell], folder: Path) -> Iterator[CellOutcome]:
     by_rig: dict[str, list[Cell]] = defaultdict(list)
     for cell in cells:
         by_rig[cell.rig.label].append(cell)
-    benches = [_RigWorker(some, folder) for some in by_rig.values()]
+    workers = [_RigWorker(some, folder) for some in by_rig.values()]
     done: SimpleQueue[CellOutcome | BaseException | None] = SimpleQueue()
-    threads = [threading.Thread(target=bench.run, args=(done,)) for bench in benches]
+    threads = [threading.Thread(target=worker.run, args=(done,)) for worker in workers]
     for thread in threads:
         thread.start()
     try:
-        going = len(threads)
-        while going:
+        running = len(threads)
+        while running:
             outcome = done.get()
             if outcome is None:
-                going -= 1
+                running -= 1
             elif isinstance(outcome, CellOutcome):
                 yield outcome
             else:
                 raise outcome
     finally:
         # Also when interrupted: no rig is left with a trial under way.
-        for bench in benches:
-            bench.stop()
+        for worker in workers:
+            worker.stop()
         for thread in threads:
             thread.join()
 
 
 class _RigWorker:
-    """One rig and the cells to be tuned on it, in a thread of its own."""
+    """One rig and its cells, in a thread of its own."""
 
     def __init__(self, cells: Sequence[Cell], folder: Path) -> None:
         self._cells = cells
@@ -66,31 +66,23 @@ class _RigWorker:
             for cell in self._cells:
                 if self._stopping.is_set():
                     break
-                done.put(self._one(cell))
-        except BaseException as error:  # noqa: BLE001  it is raised in the thread that waits
+                done.put(run_cell(cell, self._folder, self._on_trial, self._set_rig))
+        except BaseException as error:  # noqa: BLE001  the waiting thread raises it
             done.put(error)
         finally:
             done.put(None)
 
     def stop(self) -> None:
-        """Ends the trial under way, if any; may be called again and by any thread."""
+        """Ends the trial under way, if any; any thread may call it, repeatedly."""
         self._stopping.set()
         rig = self._rig
         if rig is not None:
-            with suppress(EstuneError):  # its own thread tells what became of it
+            with suppress(EstuneError):  # the worker's own thread reports it
                 rig.abort()
 
-    def _one(self, cell: Cell) -> CellOutcome:
-        try:
-            with opened(cell.rig, cell.model) as rig:
-                self._rig = rig
-                try:
-                    return run_on_rig(cell, rig, self._folder, self._saw)
-                finally:
-                    self._rig = None
-        except EstuneError as error:
-            return failed(cell, str(error))
+    def _set_rig(self, rig: Rig | None) -> None:
+        self._rig = rig
 
-    def _saw(self, progress: Progress) -> None:  # noqa: ARG002  what a watcher is told
+    def _on_trial(self, progress: Progress) -> None:  # noqa: ARG002  signature of a listener
         if self._stopping.is_set():
-            raise KeyboardInterrupt  # what `estune.run.loop.run` takes for a stop
+            raise KeyboardInterrupt  # `estune.run.loop.run` treats it as a stop

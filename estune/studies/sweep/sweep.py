@@ -1,22 +1,26 @@
-"""The library call: runs the cells of a design that are still missing, and gives all of them."""
+"""The library call `estune.sweep`: runs the missing cells of a design, returns all of them."""
 
-from collections.abc import Generator, Iterator, Mapping, Sequence
+import math
+import time
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TextIO
 
 from estune.errors import InvalidInput
-from estune.studies.sweep import dask_executor, local_executors, progress, rig_workers
-from estune.studies.sweep.cell import Cell
+from estune.run.progress import ProgressStatus, show_progress
+from estune.studies.sweep import executors, rig_workers
+from estune.studies.sweep.cells import Cell, expand_cells
 from estune.studies.sweep.design import SweepDesign, read_design
-from estune.studies.sweep.expand import expand_cells
 from estune.studies.sweep.outcome import CellOutcome
-from estune.studies.sweep.progress import Watcher
 from estune.studies.sweep.result import SweepResult
-from estune.studies.sweep.store import RUNS, Store
+from estune.studies.sweep.store import RUNS, SweepStore
 
 SWEEPS = "sweeps"
-"""Folder that sweeps are kept in, below the one estune is called from."""
+"""Default folder of sweeps, in the current directory."""
+
+Watcher = Callable[[CellOutcome], None]
+"""Called with each outcome after it was committed; must return quickly."""
 
 
 def sweep(
@@ -29,21 +33,21 @@ def sweep(
 ) -> SweepResult:
     """Tunes at every length, tension, tuner, seed and rig of a design.
 
-    Each cell that is done is on disk at once. Called again with the same folder, only the cells
-    that are missing or failed are run; a cell is the same where everything that decides it is.
+    Each finished cell is committed to disk at once. A further call with the same folder runs only
+    the cells that are missing or failed; cells are identified by everything that determines them.
 
     Args:
         design: The sweep's TOML file, or the same keys as a mapping; see `SweepDesign`.
-        folder: Where it is kept; below `sweeps` and called as its file by default.
-        jobs: Processes for models; 1 is this one alone, None is one for each core.
-        dask: Address of a Dask cluster's scheduler, to run models there.
-        watch: Told of each cell; "auto" shows progress, None nothing.
+        folder: Folder of the sweep; by default `sweeps/NAME`, after the file.
+        jobs: Number of processes for models; 1 uses this one, None one for each core.
+        dask: Address of the scheduler of a Dask cluster that runs the models.
+        watch: Called with each outcome; "auto" shows progress, None nothing.
 
     Raises:
-        InvalidInput: the design, or a length, tension or limit does not fit; each is a line.
-        RigError: a rig cannot be reached before anything has begun.
-        JournalError: a cell cannot be kept.
-        EstuneError: the cluster or a process ended half way; what is done is kept.
+        InvalidInput: the design, a length, a tension or a limit does not fit; one line for each.
+        RigError: a rig cannot be reached before the sweep begins.
+        JournalError: an outcome cannot be stored.
+        EstuneError: the cluster or a process ended half way; finished cells are stored.
         Stopped: interrupted (a KeyboardInterrupt); every rig is back at its live gains.
 
     Example:
@@ -56,54 +60,90 @@ def sweep(
     """
     if jobs is not None and jobs < 1:
         raise InvalidInput(f"jobs is {jobs}; it must be at least 1")
-    wanted = read_design(design)
-    cells = expand_cells(wanted)
-    with Store.open(Path(folder or default_folder(design))) as store:
-        kept = store.outcomes(cells)
-        missing = [cell for cell in cells if cell.key not in kept or kept[cell.key].failed]
+    checked = read_design(design)
+    cells = expand_cells(checked)
+    with SweepStore.open(Path(folder or _default_folder(design))) as store:
+        stored = store.outcomes(cells)
+        missing = [cell for cell in cells if cell.key not in stored or stored[cell.key].failed]
         outcomes = _run(missing, store.folder / RUNS, jobs, dask)
-        before = len(cells) - len(missing)
-        with _watching(watch, len(cells), before) as saw, closing(outcomes):
+        with _watching(watch, len(cells), len(missing)) as watcher, closing(outcomes):
             for outcome in outcomes:
-                store.keep(outcome)
-                saw(outcome)
-        kept = store.outcomes(cells)
-    return SweepResult(wanted, tuple(kept[cell.key] for cell in cells), store.folder)
+                store.add(outcome)
+                watcher(outcome)
+        stored = store.outcomes(cells)
+    return SweepResult(checked, tuple(stored[cell.key] for cell in cells), store.folder)
 
 
-def default_folder(design: SweepDesign | str | Path | Mapping[str, Any]) -> Path:
-    """Where a sweep is kept that is given no folder.
-
-    Raises:
-        InvalidInput: the design is no file, whose name it could have.
-    """
+def _default_folder(design: SweepDesign | str | Path | Mapping[str, Any]) -> Path:
     if not isinstance(design, str | Path):
-        raise InvalidInput("give a folder, where the sweep is kept and goes on if it is cut off")
+        raise InvalidInput("give a folder: it stores the sweep, to be continued if it is cut off")
     return Path(SWEEPS) / Path(design).stem
 
 
 def _run(
     cells: Sequence[Cell], runs: Path, jobs: int | None, dask: str | None
 ) -> Generator[CellOutcome]:
-    """What the cells come to: models first, then rigs at endpoints."""
+    """The outcomes of the cells: models first, then rigs at endpoints."""
     models = [cell for cell in cells if cell.rig.is_model]
-    others = [cell for cell in cells if not cell.rig.is_model]
+    remote = [cell for cell in cells if not cell.rig.is_model]
     if models and dask is not None:
-        yield from dask_executor.on_cluster(models, dask)
+        yield from executors.on_cluster(models, dask)
     elif models and jobs == 1:
-        yield from local_executors.serial(models)
+        yield from map(executors.run_cell, models)
     elif models:
-        yield from local_executors.on_cores(models, -1 if jobs is None else jobs)
-    if others:
-        yield from rig_workers.on_rigs(others, runs)
+        yield from executors.on_cores(models, -1 if jobs is None else jobs)
+    if remote:
+        yield from rig_workers.on_rigs(remote, runs)
 
 
 @contextmanager
 def _watching(
-    watch: Watcher | Literal["auto"] | None, most: int, before: int
+    watch: Watcher | Literal["auto"] | None, cells: int, missing: int
 ) -> Iterator[Watcher]:
     if watch == "auto":
-        with progress.watching(most, before) as saw:
-            yield saw
+        with show_outcomes(cells, missing) as watcher:
+            yield watcher
     else:
         yield watch or (lambda _: None)
+
+
+@contextmanager
+def show_outcomes(cells: int, missing: int, stream: TextIO | None = None) -> Iterator[Watcher]:
+    """A watcher that shows the progress of a sweep for the duration of the block.
+
+    Args:
+        cells: Number of cells.
+        missing: Number of cells that are to be run.
+        stream: Output; standard error by default.
+    """
+    outcomes: list[CellOutcome] = []
+    began = time.monotonic()
+
+    def status() -> ProgressStatus:
+        done = len(outcomes)
+        failed = sum(outcome.failed for outcome in outcomes)
+        pace = (time.monotonic() - began) / done if done else math.nan
+        last = _line(outcomes[-1]) if outcomes else ""
+        return ProgressStatus(
+            stage="",
+            done=cells - missing + done,
+            total=cells,
+            unit="cells",
+            alerts=f"{failed} failed" if failed else "",
+            summary=last,
+            details=(("last", last),),
+            remaining_s=pace * (missing - done),
+        )
+
+    with show_progress(status, stream=stream) as update:
+
+        def watch(outcome: CellOutcome) -> None:
+            outcomes.append(outcome)
+            update()
+
+        yield watch
+
+
+def _line(outcome: CellOutcome) -> str:
+    cost = f", cost {outcome.cost:.3g}" if math.isfinite(outcome.cost) else ""
+    return f"{outcome.cell.label}: {outcome.ending}{cost}"

@@ -1,0 +1,249 @@
+"""Cells of a sweep: single tunings, each with everything that determines its outcome."""
+
+import hashlib
+import json
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, replace
+from importlib.metadata import version
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+from estune.core.cost import StepCost
+from estune.core.gains import Gains
+from estune.errors import InvalidInput
+from estune.remote.security import OPEN, read_security
+from estune.run import targets
+from estune.run.plan import make_plan
+from estune.studies.sweep.design import SweepDesign, SweptRig
+from estune.trial import Rig, RigDescription
+from estune.trial.profiles import StepProfile
+from estune.tuners import DEFAULT_TUNER
+
+LENGTH_TOLERANCE_m = 1e-3
+"""Largest difference between the cable length in a rig's description and in the design."""
+
+_NAME_IN_KEYS = {"safe_bayesian": "newton"}
+"""Tuner names as cell keys have them: keys on disk are older than a tuner's present name."""
+
+
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """One tuning of a sweep.
+
+    Attributes:
+        key: Digest of everything that determines the outcome; the same on every machine.
+        rig: The model or rig.
+        length_m: Cable length, m.
+        tension_N: Preload of the step, N.
+        tuner: Name of the tuner.
+        seed: Number of the repeat, from 0.
+        search: Arguments of `estune.tune`: trials, repeats, eta_max, bounds, tolerance.
+        start: Initial gains; None for the rig's own.
+        step: The step trial.
+        cost: Its cost.
+        model: Arguments of a model: cable_length_m, and tension_N where the design varies it.
+        most_trials: Number of trials if nothing ends the tuning early.
+    """
+
+    key: str
+    rig: SweptRig
+    length_m: float
+    tension_N: float
+    tuner: str
+    seed: int
+    search: dict[str, Any]
+    start: Gains | None
+    step: StepProfile
+    cost: StepCost
+    model: Mapping[str, float]
+    most_trials: int
+
+    @property
+    def label(self) -> str:
+        """Name of the cell in messages."""
+        return (
+            f"{self.rig.label} at {self.length_m:g} m, {self.tension_N:g} N, {self.tuner}, "
+            f"seed {self.seed}"
+        )
+
+    @property
+    def noise_seed(self) -> int:
+        """Seed of a model's noise: different at each place, the same for each tuner there.
+
+        With one seed at all lengths the errors of the tunings would be correlated, and a law
+        over them would look more certain than it is.
+        """
+        place = repr((self.rig.label, self.length_m, self.tension_N, self.seed))
+        return int.from_bytes(hashlib.sha256(place.encode()).digest()[:8], "little")
+
+
+@contextmanager
+def open_rig(rig: SweptRig, model: Mapping[str, float], seed: int = 0) -> Iterator[Rig]:
+    """A simulated rig made from a model, or the rig at an endpoint.
+
+    Args:
+        rig: The model or endpoint.
+        model: Arguments of the model.
+        seed: Seed of the model's noise.
+
+    Raises:
+        InvalidInput: there is no such model, or it does not take these arguments.
+        RigError: the rig cannot be reached.
+    """
+    if not rig.is_model:
+        security = OPEN if rig.security is None else read_security(rig.security)
+        with targets.open_target(rig.target, rig.rig, security) as remote:
+            yield remote
+        return
+    plant = targets.load(rig.target, model)
+    if not hasattr(plant, "rig"):
+        raise InvalidInput(
+            f"a {type(plant).__name__} is no model that can be made at each length; name a "
+            "function such as plants:reference_reel, a model file, or an endpoint"
+        )
+    simulated: Rig = plant.rig(name="simulated-reel", seed=seed)
+    try:
+        yield simulated
+    finally:
+        simulated.close()
+
+
+def expand_cells(design: SweepDesign) -> tuple[Cell, ...]:
+    """The cells of a design; rigs at endpoints are asked for their description, nothing moves.
+
+    Raises:
+        InvalidInput: a model, length, tension or limit does not fit; one line for each rig.
+        RigError: a rig cannot be reached.
+    """
+    cells: list[Cell] = []
+    faults: list[str] = []
+    for rig in design.rigs:
+        try:
+            cells += _cells_of_rig(design, rig)
+        except InvalidInput as error:
+            faults.append(str(error))
+    lengths = {cell.length_m for cell in cells}
+    if not faults and len(lengths) < 2:
+        only = ", ".join(f"{length:g} m" for length in lengths)
+        faults.append(
+            f"all rigs stand at {only}: one length only, which gives no law over length; add rigs "
+            "at other lengths"
+        )
+    if faults:
+        raise InvalidInput("\n".join(faults))
+    return tuple(cells)
+
+
+def _cells_of_rig(design: SweepDesign, rig: SweptRig) -> list[Cell]:
+    """The cells of one rig.
+
+    Raises:
+        InvalidInput: some places do not fit; names the first and the number of the others.
+    """
+    source = _file_digest(rig)
+    lengths = design.lengths_m if rig.is_model else [_remote_length(design, rig)]
+    tensions: list[float | None] = [*design.tensions_N] or [None]
+    cells: list[Cell] = []
+    faults: list[str] = []
+    for length, tension in product(lengths, tensions):
+        try:
+            cells += _cells_at(design, rig, source, length, tension)
+        except InvalidInput as error:
+            place = "" if tension is None else f" and {tension:g} N"
+            faults.append(f"{rig.label} at {length:g} m{place}: {error}")
+    if faults:
+        others = f" ({len(faults) - 1} more places do not fit)" if len(faults) > 1 else ""
+        raise InvalidInput(faults[0] + others)
+    return cells
+
+
+def _remote_length(design: SweepDesign, rig: SweptRig) -> float:
+    """Cable length of a rig at an endpoint; it must be known, unambiguous and within range."""
+    with open_rig(rig, {}) as remote:
+        described = remote.describe().cable_length_m
+    given = rig.cable_length_m
+    if described and given and abs(described - given) > LENGTH_TOLERANCE_m:
+        raise InvalidInput(
+            f"{rig.label}: its description has a cable of {described:g} m, and cable_length_m is "
+            f"{given:g}; correct the wrong one"
+        )
+    length = described or given
+    if length is None:
+        raise InvalidInput(f"{rig.label}: it does not state its cable length; give cable_length_m")
+    if design.lengths_m and not design.lengths_m[0] <= length <= design.lengths_m[-1]:
+        raise InvalidInput(
+            f"{rig.label}: it stands at {length:g} m, outside the sweep's range of "
+            f"{design.lengths_m[0]:g} to {design.lengths_m[-1]:g} m; widen lengths_m or leave "
+            "the rig out"
+        )
+    return length
+
+
+def _cells_at(
+    design: SweepDesign, rig: SweptRig, source: str, length: float, tension: float | None
+) -> list[Cell]:
+    """The cells of one rig at one length and tension, checked against the rig's limits."""
+    model = {"cable_length_m": length}
+    if tension is not None:
+        model["tension_N"] = tension
+    with open_rig(rig, model) as opened:
+        description = opened.describe()
+    step, cost = _step(design, description, tension), design.cost.of(description)
+    start = replace(description.gains, **design.start) if design.start else None
+    search: dict[str, Any] = {
+        "trials": design.trials,
+        "repeats": design.repeats,
+        "tolerance": design.tolerance,
+        "eta_max": design.eta_max,
+        "bounds": dict(design.bounds) or None,
+    }
+    cells = []
+    for tuner in design.tuners or [DEFAULT_TUNER]:
+        plan = make_plan(
+            description, "check", tuner=tuner, start=start, step=step, cost=cost, **search
+        )
+        for seed in range(design.seeds):
+            fields = (length, step.preload_N, tuner, seed, search, start, step, cost, model)
+            cells.append(Cell(_key(rig, source, fields), rig, *fields, plan.max_trials))
+    return cells
+
+
+def _step(design: SweepDesign, rig: RigDescription, tension: float | None) -> StepProfile:
+    step = design.step.of(rig)
+    if tension is not None:
+        step = replace(step, preload_N=tension)
+    rig.limits.check(step)
+    return step
+
+
+def _key(rig: SweptRig, source: str, fields: tuple[Any, ...]) -> str:
+    """Digest of everything that determines a cell's outcome, wherever its files lie.
+
+    Args:
+        rig: The model or rig.
+        source: Digest of the content of a model's file.
+        fields: The fields of `Cell` after `rig`, without `most_trials`, which they determine.
+    """
+    length, tension, tuner, seed, search, start, step, cost, model = fields
+    parts = [
+        version("estune"),
+        *(rig.label, rig.rig, source),
+        *(length, tension, _NAME_IN_KEYS.get(tuner, tuner), seed, search),
+        *(start and asdict(start), asdict(step), asdict(cost), model),
+    ]
+    text = json.dumps(parts, sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:20]
+
+
+def _file_digest(rig: SweptRig) -> str:
+    """Digest of a model's file, so that a changed model makes new cells; empty without a file."""
+    if not (rig.is_model and rig.target.endswith(targets.MODEL_FILE)):
+        return ""
+    try:
+        return hashlib.sha256(Path(rig.target).read_bytes()).hexdigest()
+    except OSError as error:
+        raise InvalidInput(
+            f"{rig.target}: {error.strerror or error}; name a model file"
+        ) from error
