@@ -1,4 +1,4 @@
-"""Daemons in this process or another, on rigs that answer at once."""
+"""Daemons in this process or another, with rigs that answer at once."""
 
 import json
 import subprocess
@@ -12,8 +12,8 @@ from pathlib import Path
 
 from estune.core.gains import Gains
 from estune.daemon.config import config_from
+from estune.daemon.notifications import Notifier
 from estune.daemon.service import DaemonService
-from estune.daemon.systemd import Notifier
 from estune.remote import zenoh
 from estune.remote.security import OPEN, Security
 from estune.remote.zenoh.daemon_service import DaemonClient
@@ -111,7 +111,7 @@ class Watched:
     def until_mode(self, mode: str, rig: str = "drum"):
         return self.until(lambda status: status.mode == mode, rig)
 
-    def say(self, verb: str, rig: str = "drum") -> str:
+    def command(self, verb: str, rig: str = "drum") -> str:
         return self.client.command(rig, verb, "the test")
 
     def kinds(self, rig: str = "drum") -> list[str]:
@@ -120,7 +120,7 @@ class Watched:
 
 @contextmanager
 def daemon_process(folder: Path, *rigs: str, env=None):
-    """A daemon in another process, from its file; killed at the end if it lives."""
+    """A daemon in another process, from its file; killed at the end."""
     file = folder / "daemon.toml"
     endpoint = with_port("tcp/127.0.0.1:0")
     file.write_text(

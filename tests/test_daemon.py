@@ -1,4 +1,4 @@
-"""A daemon's life with rigs over Zenoh: what it does, what is live, what survives."""
+"""Daemons with rigs over Zenoh: modes, live gains, faults, kills and restarts."""
 
 import signal
 import time
@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from estune.core.gains import Gains
-from estune.daemon.rig_access import GIVE_UP_AFTER
+from estune.daemon.rig_access import VOID_TRIALS_MAX
 from estune.daemon.store import RUNS, DaemonStore
 from estune.daemon.supervisor import RigSupervisor
 from estune.daemon.tuning_runs import TuningRuns
@@ -32,17 +32,17 @@ from tests.support_daemon import (
 )
 from tests.support_rigs import COLUMNS, ScriptedRig, response
 
-STRANGE = Gains(0.123, 4.5, 0.006, 0.03)
+FOREIGN = Gains(0.123, 4.5, 0.006, 0.03)
 
 
-def test_a_whole_life_from_tuning_over_a_drift_to_the_next_tuning(tmp_path):
+def test_daemon_tunes_watches_and_tunes_again_after_a_drift(tmp_path):
     plant = Plant()
     with rig_served(plant=plant) as (rig, where):
         with daemon(tmp_path, rig_table("drum", where)) as it:
             held = it.until_mode("holding")
             assert held.live == "original"
             assert rig.describe().gains == ORIGINAL != held.gains["candidate"]
-            it.say("accept")
+            it.command("accept")
             watching = it.until(lambda s: s.mode == "watching" and s.checks >= 14)
             assert watching.live == "accepted"
             assert watching.gains == {"original": ORIGINAL, "accepted": held.gains["candidate"]}
@@ -55,7 +55,7 @@ def test_a_whole_life_from_tuning_over_a_drift_to_the_next_tuning(tmp_path):
         assert rig.describe().gains == held.gains["candidate"]
 
 
-def test_gains_better_beyond_doubt_are_accepted_unasked_where_the_file_says_so(tmp_path):
+def test_significant_improvement_is_accepted_automatically_if_configured(tmp_path):
     with rig_served() as (rig, where):
         with daemon(tmp_path, rig_table("drum", where, accept="auto")) as it:
             status = it.until_mode("watching")
@@ -64,7 +64,7 @@ def test_gains_better_beyond_doubt_are_accepted_unasked_where_the_file_says_so(t
         assert rig.describe().gains == status.gains["accepted"]
 
 
-def test_gains_that_are_no_better_are_not_taken(tmp_path):
+def test_gains_without_improvement_are_not_accepted(tmp_path):
     # Every response is the same, but for the noise.
     def deaf(request):
         return replace(response(replace(request, gains=ORIGINAL)), gains=request.gains)
@@ -79,13 +79,13 @@ def test_gains_that_are_no_better_are_not_taken(tmp_path):
 
 
 @pytest.mark.parametrize("verb", ["reject", "revert", "stop"])
-def test_a_candidate_that_is_not_accepted_is_never_live(verb, tmp_path):
+def test_candidate_is_not_live_unless_accepted(verb, tmp_path):
     given = []
     with rig_served() as (rig, where), daemon(tmp_path, rig_table("drum", where)) as it:
         apply = rig.apply
         rig.apply = lambda gains: (given.append(gains), apply(gains))[1]
         it.until_mode("holding")
-        it.say(verb)
+        it.command(verb)
         if verb == "stop":
             it.thread.join(WITHIN_S)
         else:
@@ -97,19 +97,19 @@ def test_a_candidate_that_is_not_accepted_is_never_live(verb, tmp_path):
 def test_revert_brings_the_original_gains_back_after_others_were_accepted(tmp_path):
     with rig_served() as (rig, where), daemon(tmp_path, rig_table("drum", where)) as it:
         it.until_mode("holding")
-        it.say("accept")
+        it.command("accept")
         it.until(lambda s: s.live == "accepted")
-        it.say("revert")
+        it.command("revert")
         status = it.until(lambda s: s.mode == "paused" and s.live == "original")
         assert rig.describe().gains == ORIGINAL
         assert status.gains == {"original": ORIGINAL}
-        it.say("resume")
+        it.command("resume")
         it.until(lambda s: s.run.endswith("-002"))
         said = [(row["verb"], row["done"]) for row in it.client.history("drum").commands]
         assert said == [("accept", 1), ("revert", 1), ("resume", 1)]
 
 
-def test_a_stop_in_the_middle_of_a_trial_does_not_wait_for_it(tmp_path):
+def test_stop_in_a_trial_does_not_wait_for_its_end(tmp_path):
     with (
         rig_served(duration_s=1000.0) as (rig, where),
         daemon(tmp_path, rig_table("drum", where)) as it,
@@ -117,45 +117,45 @@ def test_a_stop_in_the_middle_of_a_trial_does_not_wait_for_it(tmp_path):
         it.until_mode("tuning")
         while not rig.asked:
             time.sleep(0.01)
-        it.say("stop")
+        it.command("stop")
         it.thread.join(WITHIN_S)
         assert not it.thread.is_alive()
         assert rig.describe().gains == ORIGINAL
         assert not it.failed
 
 
-def test_verbs_without_a_place_are_refused_and_commands_are_carried_out_once(tmp_path):
+def test_commands_not_allowed_in_a_mode_are_refused(tmp_path):
     with rig_served() as (_, where), daemon(tmp_path, rig_table("drum", where)) as it:
         it.until_mode("holding")
         with pytest.raises(InvalidInput, match="not paused"):
-            it.say("resume")
-        it.say("pause")
+            it.command("resume")
+        it.command("pause")
         with pytest.raises(InvalidInput, match="paused already"):
-            it.say("pause")
+            it.command("pause")
         with pytest.raises(RigError, match="there is: drum"):
-            it.say("pause", rig="other")
+            it.command("pause", rig="other")
 
 
-def test_a_paused_rig_is_others_to_use_and_strange_gains_are_not_written_over(tmp_path):
+def test_paused_rig_is_free_for_others_and_foreign_gains_are_kept(tmp_path):
     with rig_served() as (rig, where), daemon(tmp_path, rig_table("drum", where)) as it:
         it.until_mode("holding")
-        it.say("reject")
+        it.command("reject")
         it.until_mode("watching")
-        it.say("pause")
+        it.command("pause")
         it.until_mode("paused")
         with zenoh.connect(where) as other:
-            other.apply(STRANGE)
+            other.apply(FOREIGN)
         # Found again after the link was cut: nobody has said to go on.
-        it.service._keepers[0]._disconnect()
+        it.service._supervisors[0]._disconnect()
         status = it.until(lambda s: "not set through this daemon" in s.paused)
         assert "revert the original" in status.paused
-        assert rig.describe().gains == STRANGE
-        it.say("revert")
+        assert rig.describe().gains == FOREIGN
+        it.command("revert")
         it.until(lambda s: s.live == "original")
         assert rig.describe().gains == ORIGINAL
 
 
-def test_the_home_gains_are_put_back_on_a_rig_that_was_restarted(tmp_path):
+def test_nominal_gains_are_restored_on_a_restarted_rig(tmp_path):
     table = rig_table("drum", "{}")
     with rig_served() as (_, where):
         pass  # a port that is free again
@@ -163,7 +163,7 @@ def test_the_home_gains_are_put_back_on_a_rig_that_was_restarted(tmp_path):
         it.until(lambda s: "nothing that speaks Zenoh" in s.trouble)
         with zenoh.serve(ScriptedRig(Plant(), name="drum"), where):
             it.until_mode("holding")
-            it.say("accept")
+            it.command("accept")
             kept = it.until(lambda s: s.live == "accepted")
         it.until_mode("waiting")
         again = ScriptedRig(Plant(), name="drum")
@@ -172,7 +172,7 @@ def test_the_home_gains_are_put_back_on_a_rig_that_was_restarted(tmp_path):
             assert again.describe().gains == kept.gains["accepted"] != ORIGINAL
 
 
-def test_a_single_bad_check_is_repeated_and_counts_for_nothing(tmp_path):
+def test_single_outlying_check_is_repeated_and_starts_no_tuning(tmp_path):
     bad = []
 
     def plant(request):
@@ -185,7 +185,7 @@ def test_a_single_bad_check_is_repeated_and_counts_for_nothing(tmp_path):
 
     with rig_served(plant=plant) as (_, where), daemon(tmp_path, rig_table("drum", where)) as it:
         it.until_mode("holding")
-        it.say("accept")
+        it.command("accept")
         it.until(lambda s: s.checks >= 18)
         assert bad == [13]
         kinds = it.kinds()
@@ -193,11 +193,11 @@ def test_a_single_bad_check_is_repeated_and_counts_for_nothing(tmp_path):
         assert "drifted" not in kinds
 
 
-def test_gains_that_have_become_unsafe_give_way_to_the_original_ones(tmp_path):
+def test_accepted_gains_that_become_unsafe_are_reverted(tmp_path):
     plant = Plant()
     with rig_served(plant=plant) as (rig, where), daemon(tmp_path, rig_table("drum", where)) as it:
         it.until_mode("holding")
-        it.say("accept")
+        it.command("accept")
         it.until(lambda s: s.checks >= 14)
         plant.slower = 100.0
         status = it.until(lambda s: s.mode == "paused" and s.live == "original")
@@ -205,7 +205,7 @@ def test_gains_that_have_become_unsafe_give_way_to_the_original_ones(tmp_path):
         assert rig.describe().gains == ORIGINAL
 
 
-def test_after_an_emergency_stop_nothing_moves_until_somebody_resumes(tmp_path):
+def test_emergency_stop_pauses_until_resume(tmp_path):
     with rig_served(duration_s=0.02) as (rig, where):
         with daemon(tmp_path, rig_table("drum", where)) as it:
             it.until(lambda s: s.trials > 5)
@@ -217,12 +217,12 @@ def test_after_an_emergency_stop_nothing_moves_until_somebody_resumes(tmp_path):
             asked = len(rig.asked)
             time.sleep(0.5)
             assert len(rig.asked) == asked
-            it.say("resume")
+            it.command("resume")
             it.until_mode("holding")
         assert rig.describe().gains == ORIGINAL
 
 
-def test_a_trial_cut_off_on_a_rig_that_moves_waits_for_somebody(tmp_path):
+def test_trial_cut_off_on_a_real_rig_pauses(tmp_path):
     def plant(request):
         cut = request.number == 5 and request.attempt == 0
         record = response(request)
@@ -234,12 +234,12 @@ def test_a_trial_cut_off_on_a_rig_that_moves_waits_for_somebody(tmp_path):
         daemon(tmp_path, rig_table("drum", server.endpoint)) as it,
     ):
         assert "cut off (power)" in it.until_mode("paused").paused
-        it.say("resume")
+        it.command("resume")
         it.until_mode("holding")
 
 
-@pytest.mark.parametrize(("simulated", "tries"), [(True, GIVE_UP_AFTER), (False, 1)])
-def test_a_rig_whose_own_program_fails_is_given_up_until_it_is_mended(simulated, tries, tmp_path):
+@pytest.mark.parametrize(("simulated", "tries"), [(True, VOID_TRIALS_MAX), (False, 1)])
+def test_rig_whose_program_fails_pauses_until_resume(simulated, tries, tmp_path):
     asked, mended = [], []
 
     def plant(request):
@@ -258,11 +258,11 @@ def test_a_rig_whose_own_program_fails_is_given_up_until_it_is_mended(simulated,
         assert rig.describe().gains == ORIGINAL
         assert it.kinds().count("trouble") == 1
         mended.append(True)
-        it.say("resume")
+        it.command("resume")
         it.until_mode("holding")
 
 
-def test_what_fails_again_and_again_is_tried_ever_more_seldom(tmp_path, monkeypatch):
+def test_repeated_failures_are_retried_at_growing_intervals(tmp_path, monkeypatch):
     waits = []
 
     def no_run(*_):
@@ -281,7 +281,7 @@ def test_what_fails_again_and_again_is_tried_ever_more_seldom(tmp_path, monkeypa
         assert waits[:4] == pytest.approx([0.1, 0.2, 0.3, 0.3])
 
 
-def test_settings_that_do_not_suit_the_rig_are_not_tried_again_unasked(tmp_path):
+def test_settings_that_do_not_suit_the_rig_pause(tmp_path):
     table = rig_table("drum", "{}") + "step = {step_N = 1000.0}\n"
     with rig_served() as (rig, where), daemon(tmp_path, table.replace("{}", where)) as it:
         assert "setpoint 1010 N is outside" in it.until_mode("paused").paused
@@ -299,7 +299,7 @@ FAULTS = {
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-def test_a_record_that_cannot_be_is_refused_and_the_trial_asked_for_again(fault, tmp_path):
+def test_faulty_record_is_refused_and_the_trial_repeated(fault, tmp_path):
     spoil, words = FAULTS[fault]
 
     def plant(request):
@@ -314,11 +314,11 @@ def test_a_record_that_cannot_be_is_refused_and_the_trial_asked_for_again(fault,
     assert words in void[0].reason
 
 
-def test_a_second_daemon_is_refused_and_told_who_has_the_rig(tmp_path):
+def test_second_daemon_is_refused_with_the_holders_name(tmp_path):
     with rig_served() as (_, where), daemon(tmp_path / "a", rig_table("drum", where)) as it:
         it.until_mode("holding")
         with (
-            pytest.raises(JournalError, match="written by another process"),
+            pytest.raises(RigError, match="written by another process"),
             daemon(tmp_path / "a", rig_table("drum", where)),
         ):
             pass
@@ -329,7 +329,7 @@ def test_a_second_daemon_is_refused_and_told_who_has_the_rig(tmp_path):
         assert it.client.status("drum").mode == "holding"
 
 
-def test_a_rig_that_hangs_does_not_keep_another_waiting(tmp_path):
+def test_hanging_rig_does_not_delay_another(tmp_path):
     with served("unhurried", "hung") as hung, rig_served() as (_, where):
         tables = rig_table("hung", hung.endpoint, trials=400), rig_table("drum", where)
         with daemon(tmp_path, *tables) as it:
@@ -337,7 +337,7 @@ def test_a_rig_that_hangs_does_not_keep_another_waiting(tmp_path):
             hung.process.send_signal(signal.SIGSTOP)
             try:
                 it.until_mode("holding")
-                it.say("accept")
+                it.command("accept")
                 it.until(lambda s: s.checks > 20)
                 it.until(lambda s: bool(s.trouble), "hung")
             finally:
@@ -346,17 +346,17 @@ def test_a_rig_that_hangs_does_not_keep_another_waiting(tmp_path):
             it.until(lambda s: s.mode == "tuning" and s.trials > seen, "hung")
 
 
-def test_a_disk_that_is_full_does_not_make_a_candidate_live(tmp_path):
+def test_full_disk_prevents_accept_and_still_stops_safely(tmp_path):
     with rig_served() as (rig, where), daemon(tmp_path, rig_table("drum", where)) as it:
         it.until_mode("holding")
         store = it.service._supervised["drum"].store
-        with store._lock:
-            pages = store._connection.execute("PRAGMA page_count").fetchone()[0]
-            store._connection.execute(f"PRAGMA max_page_count={pages}")
+        with store._file._lock:
+            pages = store._file._connection.execute("PRAGMA page_count").fetchone()[0]
+            store._file._connection.execute(f"PRAGMA max_page_count={pages}")
         # Commands that are refused are kept, too, until there is no room for another.
         while True:
             try:
-                it.say("resume")
+                it.command("resume")
             except InvalidInput as error:
                 if "the disk is full" in str(error):
                     break
@@ -370,7 +370,7 @@ def test_a_disk_that_is_full_does_not_make_a_candidate_live(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("moment", ["tuning", "confirming", "holding", "watching"])
-def test_a_daemon_that_is_killed_goes_on_where_it_was(moment, tmp_path):
+def test_killed_daemon_continues_where_it_was(moment, tmp_path):
     with served("unhurried", "drum") as server:
         table = rig_table("drum", server.endpoint, trials=30)
         with daemon_process(tmp_path, table) as (process, it):
@@ -382,13 +382,13 @@ def test_a_daemon_that_is_killed_goes_on_where_it_was(moment, tmp_path):
             }[moment]
             if moment == "watching":
                 it.until_mode("holding")
-                it.say("accept")
+                it.command("accept")
             killed = it.until(at)
             process.kill()
             process.wait()
-        # A trial is a guest, also of who was killed; a candidate is live in trials only.
-        home = killed.gains["accepted"] if moment == "watching" else ORIGINAL
-        assert live_gains(server.endpoint) == home
+        # The rig ends a trial whose daemon died; a candidate is live in trials only.
+        nominal = killed.gains["accepted"] if moment == "watching" else ORIGINAL
+        assert live_gains(server.endpoint) == nominal
         with daemon_process(tmp_path, table) as (process, it):
             mode = "watching" if moment == "watching" else "holding"
             status = it.until_mode(mode)
@@ -396,7 +396,7 @@ def test_a_daemon_that_is_killed_goes_on_where_it_was(moment, tmp_path):
             assert status.live == ("accepted" if moment == "watching" else "original")
             process.terminate()
             assert process.wait(WITHIN_S) == 0
-        assert live_gains(server.endpoint) == home
+        assert live_gains(server.endpoint) == nominal
     with Journal.open(tmp_path / "estune-state" / "drum" / RUNS / killed.run) as book:
         entries = [entry for entry in book.entries() if not entry.outcome.is_void]
         plan = plan_from_json(book.fact("plan"))
@@ -408,7 +408,7 @@ def test_a_daemon_that_is_killed_goes_on_where_it_was(moment, tmp_path):
 
 
 @pytest.mark.slow
-def test_signals_put_the_gains_back_and_a_lost_rig_gets_them_at_the_next_start(
+def test_signals_restore_gains_and_a_lost_rig_gets_them_at_next_start(
     tmp_path,
 ):
     with served("unhurried", "drum") as server:
@@ -427,12 +427,12 @@ def test_signals_put_the_gains_back_and_a_lost_rig_gets_them_at_the_next_start(
         assert "could not be confirmed" in (tmp_path / "log").read_text()
         with daemon_process(tmp_path, table) as (process, it):
             it.until_mode("holding")
-            it.say("stop")
+            it.command("stop")
             assert process.wait(WITHIN_S) == 0
         assert live_gains(server.endpoint) == ORIGINAL
 
 
-def test_a_store_of_another_rig_is_left_alone(tmp_path):
+def test_store_of_another_rig_is_refused_unchanged(tmp_path):
     DaemonStore.open(tmp_path, "drum").close()
     before = (tmp_path / "daemon.sqlite").read_bytes()
     with pytest.raises(JournalError, match="that of rig 'drum', not of 'reel'"):
@@ -440,12 +440,12 @@ def test_a_store_of_another_rig_is_left_alone(tmp_path):
     assert (tmp_path / "daemon.sqlite").read_bytes() == before
 
 
-def test_another_rig_under_the_same_name_is_left_alone(tmp_path):
+def test_another_rig_of_the_same_name_keeps_its_gains(tmp_path):
     with rig_served() as (_, where), daemon(tmp_path, rig_table("drum", where)) as it:
         it.until_mode("holding")
     with (
-        rig_served(newtons_per_ampere=7.0, gains=STRANGE) as (rig, where),
+        rig_served(newtons_per_ampere=7.0, gains=FOREIGN) as (rig, where),
         daemon(tmp_path, rig_table("drum", where)) as it,
     ):
         assert "7 N/A" in it.until_mode("paused").paused
-        assert rig.describe().gains == STRANGE
+        assert rig.describe().gains == FOREIGN

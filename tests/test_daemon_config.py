@@ -1,4 +1,4 @@
-"""The daemon's file: what is wrong in it is told, and all of it is in the docs."""
+"""The daemon's file: its mistakes are reported, and all of its keys are in the docs."""
 
 import json
 import re
@@ -45,7 +45,7 @@ settling_time_s = nan
 """
 
 
-def test_all_that_is_wrong_in_a_file_is_told_at_once_with_its_place(tmp_path, capsys):
+def test_read_config_reports_all_mistakes_with_their_places(tmp_path, capsys):
     file = tmp_path / "daemon.toml"
     file.write_text(WRONG)
     assert run(["daemon", str(file)]) == InvalidInput.exit_code
@@ -60,7 +60,7 @@ def test_all_that_is_wrong_in_a_file_is_told_at_once_with_its_place(tmp_path, ca
         "rig.0.name: 'a b' may hold only",
         "rig.0.acept: there is no such key; did you mean accept?",
         "rig.0.retry_first_s: 100 is above retry_max_s 60",
-        "rig.0.tuning.tuner: there is none named 'otisx'",
+        "rig.0.tuning.tuner: there is no tuner 'otisx'",
         "rig.0.tuning.trials: Input should be greater than or equal to 1",
         "rig.0.tuning.bounds.P: 10 to 0.1 is no range",
         "rig.0.tuning.bounds.Q: no gain",
@@ -73,16 +73,36 @@ def test_all_that_is_wrong_in_a_file_is_told_at_once_with_its_place(tmp_path, ca
 
 
 @pytest.mark.parametrize(
+    ("target", "words"),
+    [
+        ("tcp/127.0.0.1:99999", "endpoint 'tcp/127.0.0.1:99999' is malformed"),
+        ("nothing.toml", "there is no such model file"),
+        ("nothing", "is neither an endpoint"),
+        ("no_module:reel", "there is no module 'no_module'"),
+        ("plants:no_reel", "plants has no 'no_reel'"),
+        ("plants:reference_reel", ""),
+        ("tcp/127.0.0.1:7447", ""),
+    ],
+)
+def test_check_refuses_targets_that_cannot_exist(target, words, tmp_path, capsys):
+    file = tmp_path / "daemon.toml"
+    file.write_text(f'[[rig]]\nname = "drum"\ntarget = "{target}"\n')
+    code = run(["daemon", "--check", str(file)])
+    assert code == (InvalidInput.exit_code if words else 0)
+    assert words in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
     ("text", "words"),
     [("rig = []", "at least 1 item"), ("rig = 3 x", "no TOML"), ("", "rig: Field required")],
 )
-def test_files_that_say_nothing_are_refused(text, words, tmp_path):
+def test_read_config_refuses_empty_and_torn_files(text, words, tmp_path):
     (tmp_path / "d.toml").write_text(text)
     with pytest.raises(InvalidInput, match=words):
         read_config(tmp_path / "d.toml")
 
 
-def test_the_example_in_the_docs_is_right_and_every_key_is_in_the_docs():
+def test_docs_have_a_valid_example_and_every_key_event_and_metric():
     text = (ROOT / "docs" / "daemon.md").read_text()
     example = re.search(r"```toml\n(.*?)```", text, re.DOTALL)[1]
     config = config_from(tomllib.loads(example), "docs", Path("/etc/estune"))

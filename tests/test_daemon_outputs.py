@@ -1,4 +1,4 @@
-"""What the daemon tells others: metrics, hooks, log lines."""
+"""Outputs of the daemon: metrics, hooks, log lines."""
 
 import http.client
 import json
@@ -13,9 +13,8 @@ import pytest
 
 from estune.daemon.config import HookTable
 from estune.daemon.events import Event, EventKind
-from estune.daemon.hooks import WAITING_MAX, Hooks
-from estune.daemon.logs import JsonLines, PlainLines
 from estune.daemon.metrics import render, write_metrics
+from estune.daemon.notifications import QUEUE_MAX, Hooks, JsonLines, PlainLines
 from estune.remote.messages.daemon import (
     DaemonStatus,
 )
@@ -63,7 +62,7 @@ def parsed(text: str) -> dict[tuple[str, frozenset], float]:
     return found
 
 
-def test_metrics_are_prometheus_text_and_say_what_the_status_says():
+def test_metrics_are_prometheus_text_of_the_status():
     found = parsed(render([status(), status(rig='o"d\\d', mode="paused", live="")]))
 
     def figure(name, rig="drum", **labels):
@@ -79,7 +78,7 @@ def test_metrics_are_prometheus_text_and_say_what_the_status_says():
     assert all(figure("estune_gains_live", odd, set=s) == 0.0 for s in ("original", "candidate"))
 
 
-def test_the_metrics_file_is_whole_whenever_it_is_read(tmp_path):
+def test_metrics_file_is_whole_at_every_read(tmp_path):
     file, seen, over = tmp_path / "estune.prom", set(), threading.Event()
     write_metrics(file, [status()])
 
@@ -120,7 +119,7 @@ def event(kind=EventKind.DRIFTED, number=1) -> Event:
     return Event("drum", number, "2009-05-04T12:00:00+02:00", kind, "the cost", {"cost": 1.5})
 
 
-def test_hooks_get_the_events_they_ask_for_as_json(tmp_path):
+def test_hooks_get_their_kinds_of_events_as_json(tmp_path):
     out = tmp_path / "out"
     hook = HookTable(
         command=["sh", "-c", f"cat >> {out}; echo >> {out}"],
@@ -128,7 +127,7 @@ def test_hooks_get_the_events_they_ask_for_as_json(tmp_path):
     )
     hooks = Hooks([hook])
     for kind in (EventKind.DRIFTED, EventKind.GAINS, EventKind.LOST):
-        hooks.tell(event(kind))
+        hooks.submit(event(kind))
     hooks.close(WITHIN_S)
     told = [json.loads(line) for line in out.read_text().splitlines()]
     assert [line["kind"] for line in told] == ["drifted", "lost"]
@@ -151,23 +150,23 @@ def test_hooks_get_the_events_they_ask_for_as_json(tmp_path):
         (["true"], ""),
     ],
 )
-def test_hooks_that_fail_are_logged(command, words, caplog):
+def test_failing_hooks_are_logged(command, words, caplog):
     hooks = Hooks([HookTable(command=command, timeout_s=0.05 if "sleep" in command[-1] else 10.0)])
-    hooks.tell(event())
+    hooks.submit(event())
     hooks.close(WITHIN_S)
     assert words in caplog.text
     assert bool(caplog.text) is bool(words)
 
 
-def test_a_hook_that_hangs_keeps_nobody_waiting(tmp_path, caplog):
+def test_hanging_hook_drops_events_beyond_the_queue(tmp_path, caplog):
     fifo = tmp_path / "go"
     subprocess.run(["mkfifo", fifo], check=True)
     hooks = Hooks([HookTable(command=["sh", "-c", f"read line < {fifo}"], timeout_s=30.0)])
-    hooks.tell(event())
+    hooks.submit(event())
     while not hooks._waiting.empty():
         time.sleep(0.01)
-    for number in range(WAITING_MAX + 1):
-        hooks.tell(event(number=number))
+    for number in range(QUEUE_MAX + 1):
+        hooks.submit(event(number=number))
     assert "too slow" in caplog.text
     hooks._hooks = ()
     while not hooks._waiting.empty():
@@ -176,7 +175,7 @@ def test_a_hook_that_hangs_keeps_nobody_waiting(tmp_path, caplog):
     hooks.close(WITHIN_S)
 
 
-def test_log_lines_are_json_with_the_rig_and_the_event_and_plain_on_a_terminal():
+def test_log_lines_are_json_or_plain_with_rig_and_event():
     record = logging.LogRecord("estune.daemon", logging.WARNING, "", 0, "%s", ("drift\nb",), None)
     record.rig, record.event, record.facts = "drum", "drifted", {"cost": 1.5}
     line = JsonLines().format(record)

@@ -11,26 +11,21 @@ from hypothesis import strategies as st
 
 from estune.cli import run
 from estune.errors import InvalidInput, ProtocolError, RigError
-from estune.remote.messages.daemon import (
-    Command,
-    CommandAnswer,
-    Request,
-    decode_daemon,
-    encode_daemon,
-)
+from estune.remote.messages.codec import decode, encode
+from estune.remote.messages.daemon import Command, CommandAnswer, Request
 from estune.trial import Outcome, TrialRequest, record_checks
 from tests.support_daemon import ORIGINAL, daemon, rig_served, rig_table
 from tests.support_rigs import description, diverged, response
 
 
 @given(st.binary(max_size=200) | st.text(max_size=200).map(str.encode))
-def test_what_is_no_command_is_refused(data):
+def test_decode_refuses_arbitrary_bytes(data):
     for kind in (Command, Request):
         try:
-            message = decode_daemon(kind, data)
+            message = decode(kind, data)
         except ProtocolError:
             continue
-        assert decode_daemon(kind, encode_daemon(message)) == message
+        assert decode(kind, encode(message)) == message
 
 
 @pytest.mark.parametrize(
@@ -42,18 +37,18 @@ def test_what_is_no_command_is_refused(data):
         b'{"command_id": "0123456789abcdef", "who": "' + b"x" * 3000 + b'"}',
     ],
 )
-def test_commands_are_checked(data):
+def test_decode_refuses_malformed_commands(data):
     with pytest.raises(ProtocolError):
-        decode_daemon(Command, data)
+        decode(Command, data)
 
 
-def test_a_repeated_command_is_carried_out_once(tmp_path):
+def test_repeated_command_is_executed_once(tmp_path):
     with rig_served() as (_, where), daemon(tmp_path, rig_table("drum", where)) as it:
         it.until_mode("holding")
         supervision, command = it.service._supervised["drum"], Command("ab" * 8, "me")
         first = supervision.command("pause", command)
         assert first.done
-        it.say("resume")
+        it.command("resume")
         assert supervision.command("pause", command) == first
         assert it.until_mode("holding").paused == ""
         assert isinstance(first, CommandAnswer)
@@ -76,14 +71,14 @@ FAULTS = [
 
 
 @pytest.mark.parametrize(("changes", "words"), FAULTS)
-def test_records_that_cannot_be_are_told_from_bad_trials(changes, words):
+def test_record_fault_names_what_is_wrong(changes, words):
     record = replace(response(REQUEST), **changes)
     found = record_checks.record_fault(record, REQUEST, description())
     assert words in found
     assert bool(found) is bool(words)
 
 
-def test_a_trial_that_diverged_or_was_cut_short_is_no_fault():
+def test_record_fault_accepts_diverged_and_short_trials():
     for record in (
         diverged(REQUEST),
         replace(diverged(REQUEST), outcome=Outcome.GUARD),
@@ -91,7 +86,7 @@ def test_a_trial_that_diverged_or_was_cut_short_is_no_fault():
         assert record_checks.record_fault(record, REQUEST, description()) == ""
 
 
-def test_the_command_line_shows_and_commands(tmp_path, capsys):
+def test_daemon_control_shows_and_commands(tmp_path, capsys):
     with rig_served() as (_, where), daemon(tmp_path, rig_table("drum", where)) as it:
         it.until_mode("holding")
         endpoint = it.service.endpoint
@@ -101,13 +96,13 @@ def test_the_command_line_shows_and_commands(tmp_path, capsys):
             return capsys.readouterr().out
 
         shown = say("status", endpoint)
-        assert re.search(r"^live +original gains; home: original", shown, re.MULTILINE)
-        assert re.search(r"^candidate is +better than the start: ", shown, re.MULTILINE)
+        assert re.search(r"^live +original gains; nominal gains: original", shown, re.MULTILINE)
+        assert re.search(r"^candidate is +better than the initial gains: ", shown, re.MULTILINE)
         told = json.loads(say("status", endpoint, "--json"))
         assert told[0]["gains"]["original"]["P"] == ORIGINAL.P
         assert "accept by" in say("accept", endpoint, "--why", "looks good")
         assert "looks good" in say("history", endpoint)
-        assert "better than the start" in say("events", endpoint)
+        assert "better than the initial gains" in say("events", endpoint)
         assert run(["daemon-control", "accept", endpoint]) == InvalidInput.exit_code
         assert "no candidate gains" in capsys.readouterr().err
         assert run(["daemon-control", "status", endpoint, "--rig", "other"]) == RigError.exit_code

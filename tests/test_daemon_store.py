@@ -1,10 +1,13 @@
-"""What the daemon's store holds comes back, and does not grow without end."""
+"""The daemon's store: what it holds comes back, old files open, and its size is bounded."""
 
+import shutil
 from dataclasses import asdict, replace
+from pathlib import Path
 
 import pytest
 
-from estune.core.control_chart import ChartSignal
+from estune.core.control_chart import ChartSignal, ChartState
+from estune.core.gains import Gains
 from estune.daemon.events import EventKind
 from estune.daemon.store import DaemonStore
 from estune.daemon.supervisor_state import GainSet, Goal, SupervisorState
@@ -13,27 +16,28 @@ from estune.trial import TrialRequest
 from tests.support_daemon import ORIGINAL
 from tests.support_rigs import description, response, same
 
+ASSETS = Path(__file__).with_name("assets")
 REQUEST = TrialRequest("run", 0, ORIGINAL, description().step)
 
 
-def test_a_store_comes_back_as_it_was_left(tmp_path):
+def test_store_holds_after_reopening_what_was_written(tmp_path):
     candidate = replace(ORIGINAL, P=0.1 + 0.2)
-    life = SupervisorState(Goal.HOLD, GainSet.ORIGINAL, "found so", paused="asked to")
+    state = SupervisorState(Goal.HOLD, GainSet.ORIGINAL, "found so", paused="asked to")
     store = DaemonStore.open(tmp_path, "drum")
-    with store.writing():
+    with store.transaction():
         store.set_gains(GainSet.ORIGINAL, ORIGINAL, "found")
         store.set_gains(GainSet.CANDIDATE, candidate, "better")
-        store.life = life
-        noted = store.note(EventKind.BETTER, "better", {"cost": 0.5})
+        store.state = state
+        noted = store.add_event(EventKind.BETTER, "better", {"cost": 0.5})
     record = response(REQUEST)
-    store.ask_check(REQUEST)
+    store.begin_check(REQUEST)
     assert store.next_check() == (0, 0)
-    store.tell_check(REQUEST, record, 1.5, ChartSignal.STEADY)
+    store.finish_check(REQUEST, record, 1.5, ChartSignal.STEADY)
     identity = store.identity
     store.close()
     store = DaemonStore.open(tmp_path, "drum")
     try:
-        assert store.life == life
+        assert store.state == state
         assert store.gains() == {GainSet.ORIGINAL: ORIGINAL, GainSet.CANDIDATE: candidate}
         assert store.events(0, 9) == store.events(-1, 9) == [noted]
         assert store.identity == identity
@@ -45,25 +49,46 @@ def test_a_store_comes_back_as_it_was_left(tmp_path):
         store.close()
 
 
-def test_a_store_of_the_first_version_is_gone_on_with(tmp_path):
+def test_store_of_the_first_version_is_migrated(tmp_path):
     store = DaemonStore.open(tmp_path, "drum")
-    life = SupervisorState(Goal.HOLD, GainSet.ACCEPTED, "better")
-    with store.writing():
-        store.put("life", asdict(life) | {"wanted": "candidate"})
-        store._connection.execute("PRAGMA user_version=1")
+    state = SupervisorState(Goal.HOLD, GainSet.ACCEPTED, "better")
+    with store.transaction():
+        store.set_fact("life", asdict(state) | {"wanted": "candidate"})
+        store._file._connection.execute("PRAGMA user_version=1")
     store.close()
     store = DaemonStore.open(tmp_path, "drum")
-    assert store.life == life
+    assert store.state == state
     store.close()
 
 
-def test_what_is_written_in_a_block_that_fails_is_not_there(tmp_path):
+def test_store_of_a_released_daemon_opens_with_all_it_holds(tmp_path):
+    """Made by the daemon before the layout changed: tuned, accepted, four checks, paused."""
+    shutil.copy(ASSETS / "daemon_state" / "daemon.sqlite", tmp_path)
+    store = DaemonStore.open(tmp_path, "drum")
+    accepted = Gains(3.75726, 29.2887, 0.00388863, 0.0040028)
+    assert store.state.home is GainSet.ACCEPTED
+    assert (store.state.goal, store.state.paused) == (Goal.WATCH, "pause by the test")
+    assert store.gains() == {GainSet.ORIGINAL: ORIGINAL, GainSet.ACCEPTED: accepted}
+    assert store.fact("rig_facts")["name"] == "drum"
+    assert ChartState(*store.fact("charts")["accepted"]).known == 6
+    assert [check.sign for check in store.checks(100)] == ["steady"] * 4
+    assert store.check_record(3).gains == accepted
+    assert store.next_check() == (4, 0)
+    kinds = (
+        "started found backed_up tuning confirming better command gains paused stopping stopped"
+    )
+    assert [event.kind.value for event in store.events(0, 100)] == kinds.split()
+    assert [command["verb"] for command in store.commands(9)] == ["accept", "pause"]
+    store.close()
+
+
+def test_transaction_that_fails_writes_nothing(tmp_path):
     store = DaemonStore.open(tmp_path, "drum")
 
     def half() -> None:
-        with store.writing():
+        with store.transaction():
             store.set_gains(GainSet.ORIGINAL, ORIGINAL, "found")
-            store.put("rig", object())
+            store.set_fact("rig", object())
 
     with pytest.raises(TypeError):
         half()
@@ -72,17 +97,17 @@ def test_what_is_written_in_a_block_that_fails_is_not_there(tmp_path):
     store.close()
 
 
-def test_a_store_does_not_grow_without_end(tmp_path, monkeypatch):
+def test_store_keeps_a_bounded_number_of_rows(tmp_path, monkeypatch):
     monkeypatch.setattr("estune.daemon.store.RECORDS_KEPT", 10)
     monkeypatch.setattr("estune.daemon.store.ROWS_KEPT", 20)
     store, record, sizes = DaemonStore.open(tmp_path, "drum"), response(REQUEST), []
-    store._connection.execute("PRAGMA synchronous=OFF")
+    store._file._connection.execute("PRAGMA synchronous=OFF")
     for number in range(300):
         request = replace(REQUEST, number=number)
-        store.ask_check(request)
-        store.tell_check(request, record, 1.0, ChartSignal.STEADY)
-        store.note(EventKind.SUSPECT, "far off", {})
-        sizes.append(store._connection.execute("PRAGMA page_count").fetchone()[0])
+        store.begin_check(request)
+        store.finish_check(request, record, 1.0, ChartSignal.STEADY)
+        store.add_event(EventKind.SUSPECT, "far off", {})
+        sizes.append(store._file._connection.execute("PRAGMA page_count").fetchone()[0])
     assert len(store.checks(100)) == len(store.events(0, 100)) == 20
     assert sizes[-1] == sizes[100]
     store.close()

@@ -1,4 +1,4 @@
-"""What systemd hears of the daemon, and the unit it is given."""
+"""Notifications to systemd, and the unit file."""
 
 import select
 import socket
@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from estune.daemon.notifications import Notifier
 from estune.daemon.supervisor import RigSupervisor
-from estune.daemon.systemd import Notifier
 from tests.support_daemon import WITHIN_S, daemon, rig_served, rig_table
 
 ROOT = Path(__file__).parents[1]
@@ -43,7 +43,7 @@ def manager(tmp_path):
     made.socket.close()
 
 
-def test_systemd_hears_of_the_start_the_state_life_and_the_end(tmp_path, manager):
+def test_notifier_reports_start_state_watchdog_and_stop(tmp_path, manager):
     environment = {"NOTIFY_SOCKET": str(tmp_path / "notify"), "WATCHDOG_USEC": "100000"}
     with rig_served() as (_, where):
         notifier = Notifier(environment)
@@ -56,40 +56,40 @@ def test_systemd_hears_of_the_start_the_state_life_and_the_end(tmp_path, manager
         manager.until("STATUS", "drum: stopped, original gains live")
 
 
-def test_a_keeper_that_is_stuck_starves_the_watchdog(tmp_path, manager, monkeypatch):
+def test_stuck_supervisor_stops_feeding_the_watchdog(tmp_path, manager, monkeypatch):
     environment = {"NOTIFY_SOCKET": str(tmp_path / "notify"), "WATCHDOG_USEC": "60000"}
     with rig_served() as (_, where):
         notifier = Notifier(environment)
         with daemon(tmp_path, rig_table("drum", where), notifier=notifier) as it:
             it.until_mode("holding")
             manager.until("WATCHDOG", "1")
-            keeper = it.service._keepers[0]
-            assert not keeper.is_stuck
-            monkeypatch.setattr(RigSupervisor, "_beat", lambda _: None)
-            keeper._step_at_s -= 1e4
-            assert keeper.is_stuck
+            supervisor = it.service._supervisors[0]
+            assert not supervisor.is_stuck
+            monkeypatch.setattr(RigSupervisor, "_mark_progress", lambda _: None)
+            supervisor._step_at_s -= 1e4
+            assert supervisor.is_stuck
             time.sleep(0.6)  # what was on its way
             while select.select([manager.socket], [], [], 0.0)[0]:
                 manager.socket.recv(65536)
             assert not select.select([manager.socket], [], [], 0.6)[0]
 
 
-def test_without_systemd_nothing_is_sent_and_another_process_watchdog_is_not_ours():
-    Notifier({}).tell(READY=1)
+def test_notifier_ignores_missing_socket_and_foreign_watchdog():
+    Notifier({}).notify(READY=1)
     assert Notifier({}).watchdog_s is None
     assert Notifier({"WATCHDOG_USEC": "5000000", "WATCHDOG_PID": "1"}).watchdog_s is None
     assert Notifier({"WATCHDOG_USEC": "5000000"}).watchdog_s == 5.0
 
 
-def test_an_abstract_socket_is_reached_and_line_breaks_forge_nothing():
+def test_notifier_reaches_abstract_socket_and_escapes_line_breaks():
     name = f"estune-test-{id(object())}"
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as receiver:
         receiver.bind(f"\0{name}")
-        Notifier({"NOTIFY_SOCKET": f"@{name}"}).tell(STATUS="one\nREADY=1")
+        Notifier({"NOTIFY_SOCKET": f"@{name}"}).notify(STATUS="one\nREADY=1")
         assert receiver.recv(100) == b"STATUS=one READY=1"
 
 
-def test_the_unit_is_one_that_systemd_takes(tmp_path):
+def test_unit_file_is_accepted_by_systemd(tmp_path):
     unit = (ROOT / "contrib" / "estune-daemon.service").read_text()
     file = tmp_path / "estune-daemon.service"
     file.write_text(unit.replace("/opt/estune/bin/estune", sys.executable))

@@ -1,4 +1,4 @@
-"""The supervision of a rig, state by event, without rig, clock or disk."""
+"""State machine of a supervision: every state with every event."""
 
 from dataclasses import replace
 from itertools import product
@@ -22,125 +22,124 @@ from estune.daemon.supervisor_state import (
 )
 from estune.errors import InvalidInput
 
-LIVES = [
+STATES = [
     SupervisorState(goal, home, "why", link, 0, "", paused, ending)
     for goal, home, link, paused, ending in product(
         Goal, (GainSet.ORIGINAL, GainSet.ACCEPTED), Link, ("", "told to"), Shutdown
     )
 ]
-"""Every state there can be."""
+"""Every possible state."""
 
 
-def outcome(life: SupervisorState, happening: SupervisorEvent) -> SupervisorState | None:
+def outcome(state: SupervisorState, event: SupervisorEvent) -> SupervisorState | None:
     try:
-        return next_state(life, happening, "words")
+        return next_state(state, event, "words")
     except InvalidInput:
-        assert happening in COMMANDS
+        assert event in COMMANDS
     except InvalidTransition:
-        assert happening not in COMMANDS
+        assert event not in COMMANDS
     return None
 
 
 def moves():
-    for life, happening in product(LIVES, SupervisorEvent):
-        after = outcome(life, happening)
+    for state, event in product(STATES, SupervisorEvent):
+        after = outcome(state, event)
         if after is not None:
-            yield life, happening, after
+            yield state, event, after
 
 
-def test_every_cell_of_the_table_is_filled_in():
+def test_table_has_a_cell_for_every_event_and_mode():
     assert set(TABLE) == set(SupervisorEvent)
     assert all(set(row) == set(SupervisorMode) for row in TABLE.values())
-    assert {life.mode for life in LIVES} == set(SupervisorMode)
+    assert {state.mode for state in STATES} == set(SupervisorMode)
 
 
-def test_no_event_leads_out_of_the_states_there_can_be():
-    known = {replace(life, why="", failures=0, trouble="", paused="") for life in LIVES}
-    for life, happening, after in moves():
+def test_every_event_leads_to_a_known_state():
+    known = {replace(state, why="", failures=0, trouble="", paused="") for state in STATES}
+    for state, event, after in moves():
         plain = replace(after, why="", failures=0, trouble="", paused="")
-        assert plain in known, (life, happening)
+        assert plain in known, (state, event)
 
 
-def test_a_candidate_is_never_at_home():
-    for life, happening, after in moves():
-        assert after.home is not GainSet.CANDIDATE, (life, happening)
+def test_candidate_is_never_the_nominal_gains():
+    for state, event, after in moves():
+        assert after.home is not GainSet.CANDIDATE, (state, event)
 
 
-def test_gains_become_the_home_ones_only_by_being_accepted():
-    for life, happening, after in moves():
-        if after.home is GainSet.ACCEPTED and life.home is GainSet.ORIGINAL:
-            assert happening in (SupervisorEvent.ACCEPT, SupervisorEvent.ADOPTED)
-        if after.home is GainSet.ORIGINAL and life.home is GainSet.ACCEPTED:
-            assert happening in (SupervisorEvent.REVERT, SupervisorEvent.UNSAFE)
+def test_nominal_gains_change_only_by_accept_or_revert():
+    for state, event, after in moves():
+        if after.home is GainSet.ACCEPTED and state.home is GainSet.ORIGINAL:
+            assert event in (SupervisorEvent.ACCEPT, SupervisorEvent.ADOPTED)
+        if after.home is GainSet.ORIGINAL and state.home is GainSet.ACCEPTED:
+            assert event in (SupervisorEvent.REVERT, SupervisorEvent.UNSAFE)
 
 
-def test_a_stop_is_heeded_wherever_it_comes():
-    for life in LIVES:
-        if life.ending is not Shutdown.STOPPED:
-            assert next_state(life, SupervisorEvent.STOP, "words").mode is SupervisorMode.STOPPING
+def test_stop_is_taken_in_every_state():
+    for state in STATES:
+        if state.ending is not Shutdown.STOPPED:
+            assert next_state(state, SupervisorEvent.STOP, "words").mode is SupervisorMode.STOPPING
 
 
-def test_while_stopping_only_the_rig_and_the_end_are_heeded():
-    for life, happening, after in moves():
-        if life.mode is SupervisorMode.STOPPING:
-            assert after.ending is not Shutdown.NO or happening is SupervisorEvent.BOOT
+def test_stopping_ends_only_by_the_end_or_a_boot():
+    for state, event, after in moves():
+        if state.mode is SupervisorMode.STOPPING:
+            assert after.ending is not Shutdown.NO or event is SupervisorEvent.BOOT
 
 
-def test_home_gains_that_change_are_put_on_the_rig_before_anything_else():
-    for life, happening, after in moves():
-        if after.home is not life.home:
-            assert after.link is not Link.READY, (life, happening)
+def test_changed_nominal_gains_are_applied_before_anything_else():
+    for state, event, after in moves():
+        if after.home is not state.home:
+            assert after.link is not Link.READY, (state, event)
 
 
 @given(st.lists(st.sampled_from(SupervisorEvent), max_size=40))
-def test_killed_at_any_instant_a_daemon_leaves_gains_that_were_at_home(happenings):
-    """The rig as the keeper leaves it: written to while readying and stopping, and never else.
+def test_kill_at_any_instant_leaves_gains_that_were_nominal(events):
+    """The supervisor changes the rig's gains while readying and stopping only.
 
-    A kill may come before the rig is written to or after. Trials are not in it: they are the rig's
-    to undo.
+    A kill may come before or after the change. Trials are left out: the rig restores its gains.
     """
-    life = next_state(SupervisorState(), SupervisorEvent.BOOT)
-    live, homes = GainSet.ORIGINAL, {GainSet.ORIGINAL}
-    for happening in happenings:
-        after = outcome(life, happening)
+    state = next_state(SupervisorState(), SupervisorEvent.BOOT)
+    live, nominal = GainSet.ORIGINAL, {GainSet.ORIGINAL}
+    for event in events:
+        after = outcome(state, event)
         if after is None:
             continue
-        if happening in (SupervisorEvent.READIED, SupervisorEvent.ENDED):
-            live = life.home
-        homes.add(after.home)
-        assert live in homes - {GainSet.CANDIDATE}
+        if event in (SupervisorEvent.READIED, SupervisorEvent.ENDED):
+            live = state.home
+        nominal.add(after.home)
+        assert live in nominal - {GainSet.CANDIDATE}
         if after.link is Link.READY and not after.paused and after.ending is Shutdown.NO:
             assert live is after.home
-        life = after
+        state = after
 
 
-def test_a_start_goes_on_with_what_was_being_done():
-    for life in LIVES:
-        after = next_state(life, SupervisorEvent.BOOT)
+def test_boot_continues_the_goal_and_keeps_a_pause():
+    for state in STATES:
+        after = next_state(state, SupervisorEvent.BOOT)
         assert after.mode is SupervisorMode.WAITING
-        expected = Goal.TUNE if life.goal is Goal.CONFIRM else life.goal
-        assert (after.goal, after.home, after.paused) == (expected, life.home, life.paused)
+        expected = Goal.TUNE if state.goal is Goal.CONFIRM else state.goal
+        assert (after.goal, after.home, after.paused) == (expected, state.home, state.paused)
 
 
-def test_nothing_but_a_command_ends_a_pause():
-    for life, happening, after in moves():
-        if life.paused and not after.paused:
-            assert happening is SupervisorEvent.RESUME
+def test_pause_ends_only_by_resume():
+    for state, event, after in moves():
+        if state.paused and not after.paused:
+            assert event is SupervisorEvent.RESUME
 
 
-@pytest.mark.parametrize("happening", [SupervisorEvent.LOST, SupervisorEvent.FAILED])
-def test_failures_are_counted_until_the_rig_is_ready(happening):
-    life = SupervisorState()
+@pytest.mark.parametrize("event", [SupervisorEvent.LOST, SupervisorEvent.FAILED])
+def test_failures_are_counted_until_the_rig_is_ready(event):
+    state = SupervisorState()
     for count in (1, 2, 3):
-        life = next_state(life, happening, "gone")
-        assert (life.failures, life.trouble) == (count, "gone")
-    life = next_state(next_state(life, SupervisorEvent.FOUND), SupervisorEvent.READIED)
-    assert (life.failures, life.trouble) == (0, "")
+        state = next_state(state, event, "gone")
+        assert (state.failures, state.trouble) == (count, "gone")
+    state = next_state(next_state(state, SupervisorEvent.FOUND), SupervisorEvent.READIED)
+    assert (state.failures, state.trouble) == (0, "")
 
 
-def test_a_whole_life():
-    life = SupervisorState()
-    for happening, mode in (
+def test_supervision_from_first_tuning_to_stop_and_restart():
+    state = SupervisorState()
+    for event, mode in (
         (SupervisorEvent.BOOT, SupervisorMode.WAITING),
         (SupervisorEvent.FOUND, SupervisorMode.READYING),
         (SupervisorEvent.READIED, SupervisorMode.TUNING),
@@ -161,20 +160,20 @@ def test_a_whole_life():
         (SupervisorEvent.ENDED, SupervisorMode.STOPPED),
         (SupervisorEvent.BOOT, SupervisorMode.WAITING),
     ):
-        life = next_state(life, happening, "words")
-        assert life.mode is mode
-    assert (life.goal, life.home) == (Goal.WATCH, GainSet.ACCEPTED)
+        state = next_state(state, event, "words")
+        assert state.mode is mode
+    assert (state.goal, state.home) == (Goal.WATCH, GainSet.ACCEPTED)
 
 
 @pytest.mark.parametrize(
-    ("happening", "words"),
+    ("event", "words"),
     [
         (SupervisorEvent.ACCEPT, "no candidate"),
         (SupervisorEvent.REJECT, "no candidate"),
         (SupervisorEvent.RESUME, "not paused"),
     ],
 )
-def test_a_command_without_a_place_is_refused_in_words(happening, words):
+def test_command_not_allowed_is_refused_with_the_reason(event, words):
     watching = SupervisorState(Goal.WATCH, link=Link.READY)
     with pytest.raises(InvalidInput, match=words):
-        next_state(watching, happening)
+        next_state(watching, event)

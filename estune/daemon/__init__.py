@@ -1,5 +1,5 @@
-"""The daemon: tunes rigs for days, keeps what was accepted, and notices when it no longer holds.
+"""The daemon: tunes rigs, watches the accepted gains for days, and tunes again after a drift.
 
-`life` says as a table what one rig's supervision does with each event, `store` keeps it on disk,
-`keeper` carries it out, and `service` runs the keepers of several rigs in one process.
+`supervisor_state` is the state machine of one rig, `store` keeps its state on disk, `supervisor`
+executes it, and `service` runs the supervisors of several rigs in one process.
 """

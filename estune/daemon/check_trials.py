@@ -1,4 +1,4 @@
-"""Check trials of the gains that are live, held to a control chart."""
+"""Check trials of the nominal gains, evaluated by a control chart."""
 
 import math
 import time
@@ -17,21 +17,21 @@ from estune.trial.scoring import cost_of
 
 
 class CheckTrialResult(NamedTuple):
-    """What a check trial came to.
+    """Result of a check trial.
 
     Attributes:
         record: Its record.
-        cost: Its cost; infinite where it was unsafe, nan where it was void.
-        sign: What the chart says; None where it was void.
+        cost: Its cost; infinite where it was unsafe, NaN where it was void.
+        signal: Signal of the control chart; None where it was void.
     """
 
     record: TrialRecord
     cost: float
-    sign: ChartSignal | None
+    signal: ChartSignal | None
 
 
 class CheckTrials:
-    """The check trials of one rig. The charts of gain sets are kept in the store, by name."""
+    """Check trials of one rig. The store keeps a control chart for each gain set."""
 
     def __init__(self, store: DaemonStore, settings: RigTable) -> None:
         self._store = store
@@ -40,17 +40,18 @@ class CheckTrials:
         self._due_s: float | None = None
 
     def chart(self, name: GainSet) -> ChartState | None:
-        """The chart of a gain set, if it has one."""
-        kept = (self._store.fact("charts") or {}).get(name.value)
-        return ChartState(*kept) if kept else None
+        """Control chart of a gain set, if it has one."""
+        stored = (self._store.fact("charts") or {}).get(name.value)
+        return ChartState(*stored) if stored else None
 
     def set_charts(self, charts: dict[GainSet, ChartState | None]) -> None:
-        """Keeps charts in place of all there were."""
-        self._store.put("charts", {n.value: list(c) for n, c in charts.items() if c is not None})
+        """Replaces all charts."""
+        stored = {name.value: list(c) for name, c in charts.items() if c is not None}
+        self._store.set_fact("charts", stored)
         self._due_s = None
 
     def drift(self, name: GainSet) -> float | None:
-        """How far the smoothed cost is off, as a share of the chart's limit."""
+        """Deviation of the smoothed cost, as a fraction of the chart's limit."""
         state = self.chart(name)
         return None if state is None else state.smoothed / self._chart.limit
 
@@ -60,11 +61,9 @@ class CheckTrials:
         if state is None or state.suspect or state.known < self._settings.watch.baseline_checks:
             return 0.0
         if self._due_s is None:
-            # Only once by the time of day, which may jump; within the process by a clock that
-            # does not.
-            self._due_s = time.monotonic() + min(
-                every_s, max(0.0, every_s - self._age_of_last_s())
-            )
+            # The time of day, which may jump, counts once; later the process's own clock does.
+            remaining_s = max(0.0, every_s - self._age_of_last_s())
+            self._due_s = time.monotonic() + min(every_s, remaining_s)
         return max(0.0, self._due_s - time.monotonic())
 
     @property
@@ -74,46 +73,46 @@ class CheckTrials:
         return ended is None or not 0.0 <= _age_s(ended) < self._settings.watch.rest_s
 
     def run(
-        self, rig: Rig, about: RigDescription, name: GainSet, gains: Gains
+        self, rig: Rig, description: RigDescription, name: GainSet, gains: Gains
     ) -> CheckTrialResult:
-        """Runs one check trial, and keeps what it came to.
+        """Runs one check trial of a gain set that has a chart, and stores its result.
 
         Raises:
-            RigError: the rig cannot be asked.
-            Interrupted: it was cut off on a rig that moves.
-            JournalError: it cannot be kept; the same trial is asked for again.
+            RigError: the rig cannot be reached.
+            Interrupted: the trial was cut off on a real rig.
+            JournalError: the result cannot be stored; the same trial is requested again.
         """
         state = self.chart(name)
-        assert state is not None, name  # noqa: S101  the keeper looked
-        step, cost = self._settings.step.of(about), self._settings.cost.of(about)
+        assert state is not None, name  # noqa: S101  checked by the supervisor
+        step, cost = self._settings.step.of(description), self._settings.cost.of(description)
         number, attempt = self._store.next_check()
         request = TrialRequest(f"{self._store.identity}-check", number, gains, step, attempt)
-        self._store.ask_check(request)
+        self._store.begin_check(request)
         record = rig.run(request)
         if record.outcome.is_void:
-            self._store.tell_check(request, record, math.nan, None)
-            if record.outcome is Outcome.INTERRUPTED and not about.simulated:
+            self._store.finish_check(request, record, math.nan, None)
+            if record.outcome is Outcome.INTERRUPTED and not description.simulated:
                 raise Interrupted(
                     f"check trial {record.trial_id} was cut off ({record.reason}); "
-                    "see to the rig, then resume"
+                    "check the rig, then resume"
                 )
             return CheckTrialResult(record, math.nan, None)
-        eta = cost_of(record, step, cost, about.newtons_per_ampere)
+        eta = cost_of(record, step, cost, description.newtons_per_ampere)
         eta_max = self._settings.tuning.eta_max or UNSAFE_RATIO * math.exp(state.mean)
         eta = eta if math.isfinite(eta) and eta <= eta_max else math.inf
-        told, sign = self._chart.update(state, eta)
-        with self._store.writing():
+        updated, signal = self._chart.update(state, eta)
+        with self._store.transaction():
             charts = self._store.fact("charts")
-            self._store.put("charts", {**charts, name.value: list(told)})
-            self._store.tell_check(request, record, eta, sign)
+            self._store.set_fact("charts", {**charts, name.value: list(updated)})
+            self._store.finish_check(request, record, eta, signal)
         self._due_s = time.monotonic() + self._settings.watch.every_s
-        return CheckTrialResult(record, eta, sign)
+        return CheckTrialResult(record, eta, signal)
 
     def _age_of_last_s(self) -> float:
-        told = [check.told_at for check in self._store.checks(1) if check.told_at]
-        return _age_s(told[0]) if told else math.inf
+        finished = [check.told_at for check in self._store.checks(1) if check.told_at]
+        return _age_s(finished[0]) if finished else math.inf
 
 
 def _age_s(at: str) -> float:
-    """Time passed since, by the time of day; below zero if that was set back."""
+    """Time since, by the time of day; negative if that was set back."""
     return (datetime.now(UTC) - datetime.fromisoformat(at)).total_seconds()

@@ -1,4 +1,4 @@
-"""The daemon's file, `daemon.toml`: which rigs, how they are tuned and watched, who is told."""
+"""The daemon's file, `daemon.toml`: rigs, how they are tuned and watched, notifications."""
 
 import re
 from collections import Counter
@@ -9,8 +9,9 @@ from pydantic import Field, model_validator
 
 from estune.core.control_chart import ControlChart
 from estune.daemon.events import EventKind
+from estune.errors import InvalidInput
 from estune.remote.zenoh.zenoh_session import check_endpoint, check_loopback
-from estune.run.plan import DEFAULT_TUNER
+from estune.run.targets import check_reference, is_endpoint
 from estune.run.toml_tables import (
     CostTable,
     Count,
@@ -22,17 +23,18 @@ from estune.run.toml_tables import (
 )
 from estune.support.toml_file import TomlTable, read_toml, validate
 from estune.trial import RigDescription
+from estune.tuners import DEFAULT_TUNER
 
 
 class ServiceTable(TomlTable):
-    """Where the daemon is asked for its status, and told what to do.
+    """Server for status requests and commands.
 
     Attributes:
-        listen: Where it listens.
+        listen: Endpoint on which the daemon listens.
         routers: Zenoh routers to join as well.
-        allow_remote: Whether to listen where other machines can reach it; without `security`,
-            whoever reaches it can command it.
-        security: File that says who may ask and command it; see docs/security.md.
+        allow_remote: Allow an endpoint that other machines can reach; without `security`, every
+            client on the network can command the daemon.
+        security: File of the clients that may read and command; see docs/security.md.
     """
 
     listen: str = "tcp/127.0.0.1:7450"
@@ -50,13 +52,13 @@ class ServiceTable(TomlTable):
 
 
 class MetricsTable(TomlTable):
-    """Figures for Prometheus.
+    """Metrics for Prometheus.
 
     Attributes:
-        file: Written anew each time for the node exporter's textfile collector; its name should
+        file: File for the node exporter's textfile collector, replaced each time; its name should
             end in `.prom`.
-        http_port: Served on this port of 127.0.0.1, under /metrics.
-        every_s: How often the file is written.
+        http_port: Port of 127.0.0.1 that serves /metrics.
+        every_s: Time between two writes of the file.
     """
 
     file: Path | None = Field(default=None, strict=False)
@@ -68,9 +70,9 @@ class HookTable(TomlTable):
     """A command that is run at events, with the event as JSON on its standard input.
 
     Attributes:
-        command: The program and its arguments; no shell is involved.
-        events: Which events; all if none is named.
-        timeout_s: After this time it is killed.
+        command: Program and arguments; no shell is involved.
+        events: Kinds of events; all if empty.
+        timeout_s: Time after which the command is killed.
     """
 
     command: Annotated[list[str], Field(min_length=1)]
@@ -79,18 +81,19 @@ class HookTable(TomlTable):
 
 
 class TuningTable(SearchTable):
-    """How gains are looked for, and when they are good enough.
+    """How gains are searched for, and when they are accepted.
 
     Attributes:
-        tuner: How gains are proposed.
+        tuner: Tuner that proposes gains.
         trials: Greatest number of search trials.
-        repeats: Trials of the start before the search, and at the least of the start and of the
-            gains found after it.
-        tolerance: The search ends once no more than this share of the cost is left to gain; zero
-            makes it use all its trials.
-        eta_max: Cost above which a trial is unsafe; three times the start's if left out.
-        confidence: Of the interval that the improvement must lie in.
-        improvement_min: Fall of the cost, as a share, that the whole interval must exceed.
+        repeats: Trials of the initial gains before the search; also the minimum of confirmation
+            trials of the initial and of the best gains.
+        tolerance: Remaining improvement, relative to the cost, below which the search ends; 0 uses
+            all trials.
+        eta_max: Cost above which a trial is unsafe; by default three times that of the initial
+            gains.
+        confidence: Confidence level of the interval of the improvement.
+        improvement_min: Relative decrease of the cost that the whole interval must exceed.
         bounds: Least and greatest value of gains, by name, in their own units.
     """
 
@@ -105,11 +108,11 @@ class WatchTable(TomlTable):
 
     Attributes:
         every_s: Time between check trials.
-        baseline_checks: So many checks come one after the other, to learn the scatter.
+        baseline_checks: Number of back-to-back check trials that estimate the baseline.
         smoothing: Weight of the newest check in the moving average.
         false_alarm_checks: Mean number of checks between false alarms.
-        scatter_min: Scatter of the cost, as a share, that is always allowed for.
-        rest_s: Least time from the end of a tuning to the next that a drift can start.
+        scatter_min: Lower bound of the relative standard deviation of the cost.
+        rest_s: Least time from the end of a tuning to the next one that a drift starts.
     """
 
     every_s: Positive = 3600.0
@@ -134,17 +137,13 @@ class RigTable(TomlTable):
     """One rig.
 
     Attributes:
-        name: The rig's name on the link; names its folder too.
-        target: Where it is: an endpoint, or a model as `estune tune` takes.
-        accept: `auto` accepts gains that are better beyond doubt, `ask` waits for the verb.
-        answer_within_s: How long the rig may take to answer.
-        look_every_s: How often the rig is looked at while nothing is done with it.
-        retry_first_s: Wait after a first failure; doubled with each that follows.
+        name: The rig's name on the link, and of its folder.
+        target: Endpoint of the rig, or a model as `estune tune` takes.
+        accept: `auto` accepts a statistically significant improvement, `ask` waits for the verb.
+        answer_within_s: Timeout of the rig's answers.
+        look_every_s: Polling interval of an idle rig.
+        retry_first_s: Wait after a first failure; doubled with each further one.
         retry_max_s: Longest wait.
-        step: The step trial.
-        cost: How it is scored.
-        tuning: How gains are looked for.
-        watch: How they are watched.
     """
 
     name: str
@@ -178,12 +177,8 @@ class DaemonConfig(TomlTable):
     """The daemon's file.
 
     Attributes:
-        state: Folder for everything that must not be lost, beside this file unless absolute.
-        stop_within_s: How long a stop waits for a rig that does not answer.
-        service: Where the daemon is spoken to.
-        metrics: Figures for Prometheus.
-        hook: Commands to be run at events.
-        rig: The rigs.
+        state: Folder of the daemon's state, beside this file unless absolute.
+        stop_within_s: Time that a stop waits for a rig that does not answer.
     """
 
     state: Path = Field(default=Path("estune-state"), strict=False)
@@ -197,43 +192,60 @@ class DaemonConfig(TomlTable):
     def _names_differ(self) -> Self:
         twice = [name for name, count in Counter(r.name for r in self.rig).items() if count > 1]
         if twice:
-            raise ValueError(f"rig: {', '.join(twice)} is there more than once")
+            raise ValueError(f"rig: {', '.join(twice)} appears more than once")
         return self
 
 
 def read_config(path: Path) -> DaemonConfig:
-    """Reads the daemon's file; its folders and files are looked for beside it.
+    """Reads the daemon's file; its paths are relative to its own folder.
 
     Raises:
-        InvalidInput: it cannot be read, or something in it is wrong; all of it is in the message,
-            a line each.
+        InvalidInput: it cannot be read, or has mistakes; the message has a line for each.
     """
     return config_from(read_toml(path), str(path), path.parent)
 
 
 def config_from(data: dict[str, Any], source: str, beside: Path) -> DaemonConfig:
-    """The configuration in data read from somewhere.
+    """The configuration in data from a source.
 
     Raises:
-        InvalidInput: something in it is wrong; all of it is in the message, a line each.
+        InvalidInput: it has mistakes; the message has a line for each.
     """
     config = validate(DaemonConfig, data, source)
-    file, asks = config.metrics.file, config.service.security
+    file, security = config.metrics.file, config.service.security
     metrics = config.metrics.model_copy(update={"file": file and beside / file})
-    service = config.service.model_copy(update={"security": asks and beside / asks})
+    service = config.service.model_copy(update={"security": security and beside / security})
     return config.model_copy(
         update={"state": beside / config.state, "metrics": metrics, "service": service}
     )
 
 
+def check_targets(config: DaemonConfig) -> None:
+    """Refuses targets that cannot exist; no rig is contacted.
+
+    Raises:
+        InvalidInput: an endpoint is malformed, or a model file, module or attribute is missing.
+    """
+    faults = []
+    for rig in config.rig:
+        try:
+            if is_endpoint(rig.target):
+                check_endpoint(rig.target)
+            else:
+                check_reference(rig.target)
+        except InvalidInput as error:
+            faults.append(f"rig {rig.name}: target: {error}")
+    if faults:
+        raise InvalidInput("\n".join(faults))
+
+
 def plan_settings(rig: RigTable, description: RigDescription) -> dict[str, Any]:
-    """What `estune.run.plan.make_plan` is told for a rig.
+    """Arguments of `estune.run.plan.make_plan` for a rig.
 
     Raises:
         InvalidInput: the step or the cost does not suit the rig.
     """
-    tuning = rig.tuning
-    step = rig.step.of(description)
+    tuning, step = rig.tuning, rig.step.of(description)
     description.limits.check(step)
     return {
         "tuner": tuning.tuner,

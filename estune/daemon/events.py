@@ -1,11 +1,13 @@
-"""What a daemon tells of: in its log, its history, on the link and to hooks."""
+"""Events of a daemon: in its log and history, on the link, and to hooks."""
 
 from dataclasses import dataclass
 from enum import StrEnum
 
+from estune.remote.messages.daemon import EventMessage
+
 
 class EventKind(StrEnum):
-    """What has happened."""
+    """Kind of an event; docs/daemon.md says when each occurs."""
 
     STARTED = "started"
     FOUND = "found"
@@ -31,15 +33,15 @@ class EventKind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """One thing that has happened.
+    """One event.
 
     Attributes:
-        rig: The rig.
-        number: Its place among the rig's events, from 1.
-        at: When, ISO 8601 with offset.
-        kind: What.
-        sentence: The same in words.
-        facts: Figures and names beside it, as JSON values.
+        rig: Name of the rig.
+        number: Number among the rig's events, from 1; 0 if it could not be stored.
+        at: Time of day, ISO 8601 with offset.
+        kind: Its kind.
+        sentence: Description for the operator.
+        facts: Numbers and names that belong to it, as JSON values.
     """
 
     rig: str
@@ -48,3 +50,8 @@ class Event:
     kind: EventKind
     sentence: str
     facts: dict[str, object]
+
+    def as_message(self) -> EventMessage:
+        """The event as it is sent over the link."""
+        kind = self.kind.value
+        return EventMessage(self.rig, self.number, self.at, kind, self.sentence, self.facts)

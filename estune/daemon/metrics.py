@@ -1,4 +1,4 @@
-"""Figures for Prometheus: as a file for the node exporter's collector, or over loopback HTTP."""
+"""Metrics for Prometheus: in a file for the node exporter's collector, or over loopback HTTP."""
 
 import threading
 from collections.abc import Callable, Iterable, Iterator
@@ -14,29 +14,24 @@ from estune.run.export import replace_file
 
 
 class MetricSample(NamedTuple):
-    """One figure of one rig.
-
-    Attributes:
-        labels: What it is of, beside the rig.
-        value: It.
-    """
+    """One value of a metric for one rig, with its labels beside the rig."""
 
     labels: dict[str, str]
     value: float
 
 
 class Metric(NamedTuple):
-    """A metric: its name, type, help, and what it is for a rig."""
+    """A metric: its name, help, samples of a rig, and type."""
 
     name: str
-    kind: str
     help: str
-    of: Callable[[DaemonStatus], Iterable[MetricSample]]
+    samples: Callable[[DaemonStatus], Iterable[MetricSample]]
+    kind: str = "gauge"
 
 
 def _one(value: float | None) -> Iterator[MetricSample]:
     if value is not None:
-        yield MetricSample({}, value)
+        yield MetricSample({}, float(value))
 
 
 def _states(label: str, names: Iterable[str], actual: str) -> Iterator[MetricSample]:
@@ -53,56 +48,42 @@ def _gains(status: DaemonStatus) -> Iterator[MetricSample]:
 METRICS = (
     Metric(
         "estune_mode",
-        "gauge",
-        "1 for what is done with the rig now.",
+        "1 for the current mode, 0 for the others.",
         lambda s: _states("mode", SupervisorMode, s.mode),
     ),
     Metric(
         "estune_gains_live",
-        "gauge",
         "1 for the gain set that the rig has confirmed to be live; none while it is away.",
         lambda s: _states("set", GainSet, s.live),
     ),
-    Metric("estune_gain", "gauge", "Controller gains of each set, in their own units.", _gains),
-    Metric(
-        "estune_paused",
-        "gauge",
-        "1 while nothing is done until somebody resumes.",
-        lambda s: _one(float(bool(s.paused))),
-    ),
+    Metric("estune_gain", "Controller gains of each set, in their own units.", _gains),
+    Metric("estune_paused", "1 while the supervision is paused.", lambda s: _one(bool(s.paused))),
     Metric(
         "estune_failing",
-        "gauge",
         "1 while the rig is not reached or something fails.",
-        lambda s: _one(float(bool(s.trouble))),
+        lambda s: _one(bool(s.trouble)),
     ),
     Metric(
         "estune_run_trials",
-        "gauge",
-        "Trials told in the tuning run under way or the last one.",
-        lambda s: _one(float(s.trials)),
+        "Trials of the tuning run under way or the last one.",
+        lambda s: _one(s.trials),
     ),
     Metric(
         "estune_cost_ratio",
-        "gauge",
         "Cost of the last trial; 1 is as good as first order.",
         lambda s: _one(s.cost),
     ),
     Metric(
         "estune_baseline_cost_ratio",
-        "gauge",
-        "Cost that check trials are held to.",
+        "Baseline cost of the control chart.",
         lambda s: _one(s.baseline_cost),
     ),
     Metric(
         "estune_drift_ratio",
-        "gauge",
-        "Smoothed cost off its baseline, as a share of the control chart's limit.",
+        "Deviation of the smoothed cost from its baseline, as a fraction of the alarm limit.",
         lambda s: _one(s.drift),
     ),
-    Metric(
-        "estune_check_trials_total", "counter", "Check trials.", lambda s: _one(float(s.checks))
-    ),
+    Metric("estune_check_trials_total", "Check trials.", lambda s: _one(s.checks), "counter"),
 )
 
 
@@ -110,18 +91,18 @@ def render(statuses: Iterable[DaemonStatus]) -> str:
     """The metrics of several rigs in Prometheus' text format."""
     statuses, lines = tuple(statuses), []
     for metric in METRICS:
-        figures = [(s.rig, figure) for s in statuses for figure in metric.of(s)]
-        if figures:
+        samples = [(s.rig, sample) for s in statuses for sample in metric.samples(s)]
+        if samples:
             lines += [f"# HELP {metric.name} {metric.help}", f"# TYPE {metric.name} {metric.kind}"]
-        for rig, figure in figures:
-            labels = {"rig": rig, **figure.labels}
-            inside = ",".join(f'{name}="{_quoted(value)}"' for name, value in labels.items())
-            lines.append(f"{metric.name}{{{inside}}} {figure.value!r}")
+        for rig, sample in samples:
+            labels = {"rig": rig, **sample.labels}
+            inside = ",".join(f'{name}="{_escape(value)}"' for name, value in labels.items())
+            lines.append(f"{metric.name}{{{inside}}} {sample.value!r}")
     return "\n".join([*lines, ""])
 
 
 def write_metrics(path: Path, statuses: Iterable[DaemonStatus]) -> None:
-    """Writes the metrics into a file, which is there whole at any time.
+    """Replaces a file by the metrics; readers always see a whole file.
 
     Raises:
         OSError: it cannot be written.
@@ -139,7 +120,7 @@ class MetricsServer:
             RigError: the port is taken.
         """
         try:
-            self._server = _Server(("127.0.0.1", port), _Answer)
+            self._server = _Server(("127.0.0.1", port), _RequestHandler)
         except OSError as error:
             raise RigError(
                 f"cannot serve metrics on port {port} of 127.0.0.1: {error.strerror}; choose "
@@ -156,15 +137,11 @@ class MetricsServer:
 
 
 class _Server(ThreadingHTTPServer):
-    """The server, with what its answers are made of."""
-
     daemon_threads = True
     statuses: Callable[[], Iterable[DaemonStatus]]
 
 
-class _Answer(BaseHTTPRequestHandler):
-    """One request."""
-
+class _RequestHandler(BaseHTTPRequestHandler):
     timeout = 5.0
     server: _Server
 
@@ -180,8 +157,8 @@ class _Answer(BaseHTTPRequestHandler):
         self.wfile.write(text)
 
     def log_message(self, *_: object) -> None:
-        """Says nothing: a scrape is no event."""
+        """Logs nothing: a scrape is not an event."""
 
 
-def _quoted(value: str) -> str:
+def _escape(value: str) -> str:
     return value.replace("\\", r"\\").replace('"', r"\"").replace("\n", r"\n")

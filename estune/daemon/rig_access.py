@@ -1,4 +1,8 @@
-"""A rig as a keeper uses it: taken before it is used, its records looked at before they count."""
+"""Access of a supervisor to its rig: connection, checked trials, and the nominal gains.
+
+The gains a rig is found with are stored before any others are applied. Gains that were not set
+through this daemon are foreign: they are left as they are until an operator decides.
+"""
 
 import logging
 import time
@@ -8,6 +12,9 @@ from datetime import UTC, datetime
 
 from estune.core.gains import Gains
 from estune.daemon.config import RigTable
+from estune.daemon.events import EventKind
+from estune.daemon.supervised_rig import SupervisedRig
+from estune.daemon.supervisor_state import GainSet
 from estune.errors import EstuneError, PlantError, RigError
 from estune.remote import zenoh
 from estune.remote.security import Security
@@ -16,191 +23,170 @@ from estune.run.targets import is_endpoint, open_target
 from estune.trial import Outcome, Rig, RigDescription, TrialRecord, TrialRequest, empty_record
 from estune.trial.record_checks import record_fault
 
-GIVE_UP_AFTER = 5
-"""So many trials that came to nothing, one after the other, are no accident."""
+VOID_TRIALS_MAX = 5
+"""Consecutive void trials after which an operator is needed."""
 
-HOLDER = "estune daemon"
-"""How a daemon's name as the holder of a rig begins."""
+HOLDER_PREFIX = "estune daemon"
+"""Beginning of a daemon's name as the holder of a rig's lease."""
 
-_CUT_AGAIN_S = 0.05
+_ABORT_PERIOD_S = 0.05
 _log = logging.getLogger(__name__)
 
 
-class Refused(RigError):
+class HeldByOtherDaemon(RigError):
     """Another daemon supervises the rig."""
 
 
 class TooManyVoidTrials(RigError):
-    """The rig is there, but its trials come to nothing time and again."""
+    """The rig answers, but its trials are void one after the other."""
 
 
 class VoidTrialCounter:
-    """Counts trials that came to nothing, one after the other.
-
-    It outlasts a rig that is lost: one whose program ends in each trial is to be given up, too.
-    """
+    """Counts consecutive void trials, also across reconnections: a rig may restart in each."""
 
     def __init__(self) -> None:
-        self._void_in_a_row = 0
+        self._consecutive = 0
 
-    def tell(self, record: TrialRecord) -> None:
+    def count(self, record: TrialRecord) -> None:
         """Counts a trial.
 
         Raises:
-            GivenUp: it is one too many.
+            TooManyVoidTrials: the limit is reached.
         """
-        self._void_in_a_row = self._void_in_a_row + 1 if record.outcome.is_void else 0
-        if self._void_in_a_row >= GIVE_UP_AFTER:
-            self._void_in_a_row = 0
+        self._consecutive = self._consecutive + 1 if record.outcome.is_void else 0
+        if self._consecutive >= VOID_TRIALS_MAX:
+            self._consecutive = 0
             raise TooManyVoidTrials(
-                f"{GIVE_UP_AFTER} trials in a row came to nothing, the last {record.trial_id}: "
-                f"{record.reason}; see what stops them, then resume"
+                f"{VOID_TRIALS_MAX} consecutive trials were void, the last {record.trial_id}: "
+                f"{record.reason}; fix the cause, then resume"
             )
 
 
 class RigAccess:
-    """A rig that was reached; made by `reach`.
+    """A connected rig whose records are checked; implements `estune.trial.Rig`.
 
     Attributes:
-        about: What it says of itself, as last heard.
+        description: The rig's last description of itself.
     """
 
-    def __init__(self, rig: Rig, opened: ExitStack, patience: VoidTrialCounter) -> None:
+    def __init__(self, rig: Rig, opened: ExitStack, void_trials: VoidTrialCounter) -> None:
+        """Use `open_rig`."""
         self._rig = rig
-        self._opened = opened
-        self._patience = patience
-        self.about = rig.describe()
+        self._void_trials = void_trials
+        self.description = rig.describe()
+        self.abort, self.estop, self.clear = rig.abort, rig.estop, rig.clear
+        self.close = opened.close
 
     def describe(self) -> RigDescription:
-        """What it is, and which gains are live now."""
-        self.about = self._rig.describe()
-        return self.about
+        """Description of the rig, with its live gains."""
+        self.description = self._rig.describe()
+        return self.description
 
-    def take(self) -> RigDescription:
-        """Takes the right to command it, and ends whatever trial an earlier self left under way.
+    def acquire(self) -> RigDescription:
+        """Takes the right to command the rig, and ends a trial that an earlier process left.
 
         Raises:
-            Refused: another daemon holds it.
-            RigError: somebody else does, or it cannot be reached.
+            HeldByOtherDaemon: another daemon has the right.
+            RigError: another client has it, or the rig cannot be reached.
         """
         if isinstance(self._rig, RemoteRig):
             try:
                 self._rig.acquire()
             except RigError as error:
                 holder = self._rig.status().holder
-                if holder.startswith(HOLDER):
-                    raise Refused(f"held by {holder}; stop one of the two daemons") from error
+                if holder.startswith(HOLDER_PREFIX):
+                    message = f"held by {holder}; stop one of the two daemons"
+                    raise HeldByOtherDaemon(message) from error
                 raise
-        self.about = self._rig.abort()
-        return self.about
+        self.description = self._rig.abort()
+        return self.description
 
     def apply(self, gains: Gains) -> None:
-        """Makes gains the live ones, and sees that they are.
+        """Makes gains the live ones, and reads them back.
 
         Raises:
-            RigError: it refuses them, or says that others are live.
+            RigError: the rig refuses them, or reports others.
         """
         self._rig.apply(gains)
-        if self.describe().gains != gains:
+        live = self.describe().gains
+        if live != gains:
             raise RigError(
-                f"rig {self.about.name} was given {gains} and says that others are live: "
-                f"{self.about.gains}"
+                f"rig {self.description.name} was given {gains} and reports other live gains: "
+                f"{live}"
             )
 
     def run(self, request: TrialRequest) -> TrialRecord:
-        """Runs a trial. A record that cannot be what was asked for counts as none.
+        """Runs a trial. A record with a fault, or a failure of the rig's program, makes it void.
 
-        Neither does one in which the rig's own program failed: it would say so for ever, asked by
-        the same id. On a rig that moves that is a trial cut off.
+        A failed trial would fail for ever under its id. On a real rig it counts as interrupted.
 
         Raises:
-            RigError: the rig cannot be asked.
-            GivenUp: its trials come to nothing time and again.
+            RigError: the rig cannot be reached.
+            TooManyVoidTrials: too many consecutive trials were void.
         """
         try:
             record = self._rig.run(request)
         except EstuneError as error:
             if not self._has_failed(request, error):
                 raise
-            outcome = Outcome.CANCELLED if self.about.simulated else Outcome.INTERRUPTED
-            record = self._nothing(request, outcome, str(error))
-        fault = record_fault(record, request, self.about)
+            is_simulated = self.description.simulated
+            outcome = Outcome.CANCELLED if is_simulated else Outcome.INTERRUPTED
+            record = self._void(request, outcome, str(error))
+        fault = record_fault(record, request, self.description)
         if fault:
-            said = f"the record of trial {request.trial_id} is refused: {fault}"
-            record = self._nothing(request, Outcome.CANCELLED, said)
-        self._patience.tell(record)
+            reason = f"the record of trial {request.trial_id} is refused: {fault}"
+            record = self._void(request, Outcome.CANCELLED, reason)
+        self._void_trials.count(record)
         return record
 
-    def _has_failed(self, request: TrialRequest, error: EstuneError) -> bool:
-        """Whether a trial can never run under its id."""
-        if not isinstance(self._rig, RemoteRig):
-            return isinstance(error, PlantError)
-        try:
-            return self._rig.has_failed(request)
-        except EstuneError:  # it is gone: what has become of the trial is seen when it is back
-            return False
-
-    def _nothing(self, request: TrialRequest, outcome: Outcome, said: str) -> TrialRecord:
-        _log.error("%s", said, extra={"rig": self.about.name})
-        at = datetime.now(UTC).isoformat(timespec="milliseconds")
-        return empty_record(request, self.about, outcome, said, at)
-
-    def latched(self) -> str:
-        """Why its emergency stop was called; empty if it was not, was cleared, or is not known."""
+    def estop_reason(self) -> str:
+        """Reason of the rig's emergency stop; empty if there is none or it is not known."""
         if isinstance(self._rig, RemoteRig):
             with suppress(EstuneError):
                 return self._rig.status().latched
         return ""
 
-    def cut(self, while_: Callable[[], bool]) -> None:
-        """Ends the trial under way, and any that is just being begun, so long as there may be."""
+    def abort_trials(self, while_: Callable[[], bool]) -> None:
+        """Ends the trial under way, and any that is just beginning, while the condition holds."""
         with suppress(EstuneError):
             while while_():
                 self._rig.abort()
-                time.sleep(_CUT_AGAIN_S)
+                time.sleep(_ABORT_PERIOD_S)
 
     def release(self) -> None:
-        """Lets others command it."""
+        """Returns the right to command."""
         if isinstance(self._rig, RemoteRig):
             self._rig.release()
 
-    def close(self) -> None:
-        """Lets go of it."""
-        self._opened.close()
+    def _has_failed(self, request: TrialRequest, error: EstuneError) -> bool:
+        """Whether the trial can never run under its id."""
+        if not isinstance(self._rig, RemoteRig):
+            return isinstance(error, PlantError)
+        try:
+            return self._rig.has_failed(request)
+        except EstuneError:  # unreachable: the trial's fate is known after reconnection
+            return False
 
-    @property
-    def as_rig(self) -> Rig:
-        """The rig, with records looked at before they are handed on."""
-        return _Inspected(self, self._rig)
-
-
-class _Inspected:
-    """A rig whose records are looked at."""
-
-    def __init__(self, reached: RigAccess, rig: Rig) -> None:
-        self.run = reached.run
-        self.describe = reached.describe
-        self.apply = reached.apply
-        self.abort = rig.abort
-        self.estop = rig.estop
-        self.clear = rig.clear
-        self.close = reached.close
+    def _void(self, request: TrialRequest, outcome: Outcome, reason: str) -> TrialRecord:
+        _log.error("%s", reason, extra={"rig": self.description.name})
+        at = datetime.now(UTC).isoformat(timespec="milliseconds")
+        return empty_record(request, self.description, outcome, reason, at)
 
 
 def open_rig(
-    settings: RigTable, holder: str, patience: VoidTrialCounter, security: Security
+    settings: RigTable, holder: str, void_trials: VoidTrialCounter, security: Security
 ) -> RigAccess:
-    """Reaches a rig.
+    """Connects to a rig.
 
     Args:
-        settings: Which.
-        holder: Who commands it, for others to be told.
-        patience: What is told how its trials end.
-        security: Who this is, where the rig asks.
+        settings: The rig's table.
+        holder: Name of the lease holder, shown to other clients.
+        void_trials: Counter that outlives the connection.
+        security: Credentials, if the rig requires authentication.
 
     Raises:
-        RigError: it is not there.
-        InvalidInput: the target is none.
+        RigError: the rig does not answer.
+        InvalidInput: the target is not one.
     """
     with ExitStack() as opened:
         if is_endpoint(settings.target):
@@ -213,4 +199,72 @@ def open_rig(
             rig: Rig = remote
         else:
             rig = opened.enter_context(open_target(settings.target, settings.name))
-        return RigAccess(rig, opened.pop_all(), patience)
+        return RigAccess(rig, opened.pop_all(), void_trials)
+
+
+def apply_nominal_gains(rig: SupervisedRig, access: RigAccess, home: GainSet) -> str:
+    """Makes the nominal gains live; stores the rig's original gains the first time.
+
+    Returns:
+        Why not, where an operator is needed; else empty.
+    """
+    description, store = access.acquire(), rig.store
+    fault = _identity_mismatch(rig, description)
+    if not fault and store.gains() and description.gains not in store.all_gain_sets():
+        fault = "" if store.fact("overrule") else _foreign_gains(description)
+    if fault:
+        return fault
+    store.set_fact("overrule", None)
+    if not store.gains():
+        _back_up(rig, description)
+    gains = store.gains()[home]
+    if description.gains != gains:
+        access.apply(gains)
+        sentence = f"{home} gains are live: {rig.state.why}"
+        rig.log_event(EventKind.GAINS, sentence, gains=str(gains))
+    return ""
+
+
+def restore_nominal_gains(rig: SupervisedRig, access: RigAccess, home: Gains) -> str:
+    """Makes the nominal gains live again; why they are not, if they are not."""
+    description, state = access.acquire(), rig.state
+    if description.gains not in rig.store.all_gain_sets():
+        return _foreign_gains(description)
+    if description.gains != home:
+        access.apply(home)
+        rig.log_event(EventKind.GAINS, f"{state.home} gains are live: {state.why}")
+    rig.live = state.home
+    return ""
+
+
+def _identity_mismatch(rig: SupervisedRig, description: RigDescription) -> str:
+    stored = rig.store.fact("rig_facts")
+    if stored is None or stored == _identity(description):
+        return ""
+    return (
+        f"the rig reports name {description.name!r} and {description.newtons_per_ampere:g} N/A, "
+        f"the one stored in {rig.store.folder} has name {stored['name']!r} and "
+        f"{stored['newtons_per_ampere']:g} N/A; "
+        "connect that one, or give this one a name and a folder of its own"
+    )
+
+
+def _back_up(rig: SupervisedRig, description: RigDescription) -> None:
+    gains = description.gains
+    with rig.store.transaction():
+        rig.store.set_fact("rig_facts", _identity(description))
+        rig.store.set_gains(GainSet.ORIGINAL, gains, "the rig ran them when it was found")
+    sentence = f"the rig's original gains are stored: {gains}"
+    rig.log_event(EventKind.BACKED_UP, sentence, gains=str(gains))
+
+
+def _identity(description: RigDescription) -> dict[str, str | float]:
+    return {"name": description.name, "newtons_per_ampere": description.newtons_per_ampere}
+
+
+def _foreign_gains(description: RigDescription) -> str:
+    return (
+        f"rig {description.name} runs {description.gains}, which were not set through this "
+        "daemon; they are left as they are: resume applies the nominal gains, revert the "
+        "original ones"
+    )

@@ -1,4 +1,4 @@
-"""The daemon's process: a keeper for each rig, and all who are told of what they do."""
+"""The daemon's process: one supervisor per rig, its server, metrics and notifications."""
 
 import logging
 import secrets
@@ -7,32 +7,26 @@ import time
 from contextlib import ExitStack
 from dataclasses import replace
 
-from estune.daemon.check_trials import CheckTrials
 from estune.daemon.config import DaemonConfig
 from estune.daemon.events import Event
-from estune.daemon.hooks import Hooks
-from estune.daemon.logs import log_event
 from estune.daemon.metrics import MetricsServer, write_metrics
+from estune.daemon.notifications import Hooks, Notifier, log_event
 from estune.daemon.store import DaemonStore
 from estune.daemon.supervised_rig import SupervisedRig
 from estune.daemon.supervisor import RigSupervisor
-from estune.daemon.systemd import Notifier
-from estune.daemon.tuning_runs import TuningRuns
 from estune.errors import EstuneError, RigError
-from estune.remote.messages.daemon import DaemonStatus, EventMessage
+from estune.remote.messages.daemon import DaemonStatus
 from estune.remote.security import OPEN, Security, read_security
 from estune.remote.zenoh.daemon_service import DaemonServer
 
-TURN_S = 0.25
-"""How often the process looks after its keepers."""
-END_WITHIN_S = 5.0
-"""How much longer than a rig may take to be made safe the process waits for its keeper."""
+_POLL_S = 0.25
+_HOOKS_END_WITHIN_S = 5.0
 
 _log = logging.getLogger(__name__)
 
 
 class DaemonService:
-    """A daemon. `run` returns when every keeper has ended."""
+    """A daemon. `run` returns when every supervisor has ended."""
 
     def __init__(
         self,
@@ -41,23 +35,22 @@ class DaemonService:
         *,
         security: Security = OPEN,
     ) -> None:
-        """Opens the stores and listens; nothing is done with a rig before `run`.
+        """Opens the stores and listens; no rig is contacted before `run`.
 
         Args:
-            config: What to do.
-            notifier: Who is told of it; systemd, where there is one, by default.
-            security: Who this is, where a rig asks.
+            config: The daemon's file.
+            notifier: Connection to systemd; by default the one of the environment.
+            security: Credentials, if a rig requires authentication.
 
         Raises:
             InvalidInput: a security file is wrong.
-            JournalError: another daemon has a store, or it cannot be used.
-            RigError: an endpoint or port is taken.
+            JournalError: a store cannot be used.
+            RigError: another daemon has a store, or an endpoint or port is taken.
         """
         self._config = config
         self._notifier = notifier or Notifier()
-        self._instance = secrets.token_hex(4)
         self._stopping = threading.Event()
-        self._shown: dict[str, DaemonStatus] = {}
+        self._published: dict[str, DaemonStatus] = {}
         self._written_at_s = -float("inf")
         self._watched_at_s = -float("inf")
         with ExitStack() as opened:
@@ -66,27 +59,22 @@ class DaemonService:
                 stores[rig.name] = DaemonStore.open(config.state / rig.name, rig.name)
                 opened.callback(stores[rig.name].close)
             self._hooks = Hooks(config.hook)
-            opened.callback(self._hooks.close, END_WITHIN_S)
+            opened.callback(self._hooks.close, _HOOKS_END_WITHIN_S)
+            instance, service = secrets.token_hex(4), config.service
             self._server = DaemonServer(
-                config.service.listen,
-                instance=self._instance,
-                routers=config.service.routers,
-                allow_remote=config.service.allow_remote,
-                security=read_security(asks) if (asks := config.service.security) else OPEN,
+                service.listen,
+                instance=instance,
+                routers=service.routers,
+                allow_remote=service.allow_remote,
+                security=read_security(service.security) if service.security else OPEN,
             )
             opened.callback(self._server.close)
             self.endpoint = self._server.endpoint
             self._supervised = {
-                rig.name: SupervisedRig(
-                    stores[rig.name],
-                    TuningRuns(stores[rig.name], rig),
-                    CheckTrials(stores[rig.name], rig),
-                    self._instance,
-                    self._tell,
-                )
+                rig.name: SupervisedRig(stores[rig.name], rig, instance, self._publish)
                 for rig in config.rig
             }
-            self._keepers = tuple(
+            self._supervisors = tuple(
                 RigSupervisor(
                     *(rig, self._supervised[rig.name]),
                     stop_within_s=config.stop_within_s,
@@ -101,15 +89,15 @@ class DaemonService:
             self._opened = opened.pop_all()
 
     def statuses(self) -> list[DaemonStatus]:
-        """Where each rig stands."""
-        return [supervision.status() for supervision in self._supervised.values()]
+        """Status of each rig."""
+        return [rig.status() for rig in self._supervised.values()]
 
     def stop(self) -> None:
-        """Has every rig put back to its home gains, and `run` return. Any thread may call."""
+        """Has every rig's nominal gains restored, and `run` return. Any thread may call."""
         self._stopping.set()
 
     def run(self) -> None:
-        """Supervises the rigs until all have ended: told to by a verb, or all at once by `stop`.
+        """Supervises the rigs until all have ended, each by a verb or all by `stop`.
 
         Raises:
             RigError: a rig was left alone as another daemon has it, or its gains could not be
@@ -117,31 +105,33 @@ class DaemonService:
         """
         with self._opened:
             self._server.serve(self._supervised)
-            for keeper in self._keepers:
-                keeper.start()
-            self._notifier.tell(READY=1, STATUS=self._summary())
-            told = False
-            while not all(keeper.join(0.0) for keeper in self._keepers):
-                self._look_after()
-                if self._stopping.wait(TURN_S if not told else 0.0) and not told:
-                    told = True
-                    self._notifier.tell(STOPPING=1)
-                    for supervision in self._supervised.values():
-                        supervision.stop("the daemon is being stopped")
-                elif told:
-                    time.sleep(TURN_S)
-            self._look_after()
+            for supervisor in self._supervisors:
+                supervisor.start()
+            self._notifier.notify(READY=1, STATUS=self._summary())
+            is_stopping = False
+            while not all(supervisor.join(0.0) for supervisor in self._supervisors):
+                self._report()
+                if is_stopping:
+                    time.sleep(_POLL_S)
+                elif self._stopping.wait(_POLL_S):
+                    is_stopping = True
+                    self._notifier.notify(STOPPING=1)
+                    for rig in self._supervised.values():
+                        rig.stop("the daemon is being stopped")
+            self._report()
         self._check_ends()
 
-    def _look_after(self) -> None:
-        """Shows what has changed, writes the metrics, and tells systemd that all goes on."""
+    def _report(self) -> None:
+        """Publishes changed states, writes the metrics, and feeds the watchdog."""
         statuses = self.statuses()
-        changed = [s for s in statuses if _lasting(s) != self._shown.get(s.rig)]
+        # Without the time to the next check, which changes by itself.
+        lasting = {status.rig: replace(status, next_check_s=None) for status in statuses}
+        changed = [s for s in statuses if lasting[s.rig] != self._published.get(s.rig)]
         for status in changed:
-            self._shown[status.rig] = _lasting(status)
+            self._published[status.rig] = lasting[status.rig]
             self._server.show(status)
         if changed:
-            self._notifier.tell(STATUS=self._summary())
+            self._notifier.notify(STATUS=self._summary())
         now_s = time.monotonic()
         metrics = self._config.metrics
         if metrics.file is not None and now_s - self._written_at_s >= metrics.every_s:
@@ -153,14 +143,14 @@ class DaemonService:
         self._feed_watchdog(now_s)
 
     def _feed_watchdog(self, now_s: float) -> None:
-        """A sign of life, so long as every keeper makes progress."""
-        stuck = [keeper.name for keeper in self._keepers if keeper.is_stuck]
+        """Feeds the watchdog, unless a supervisor makes no progress."""
+        stuck = [supervisor.name for supervisor in self._supervisors if supervisor.is_stuck]
         every_s = self._notifier.watchdog_s
         if stuck:
-            _log.error("the keeper of rig %s is stuck; no sign of life is given", ", ".join(stuck))
+            _log.error("no progress with rig %s; the watchdog is not fed", ", ".join(stuck))
         elif every_s is not None and now_s - self._watched_at_s >= 0.3 * every_s:
             self._watched_at_s = now_s
-            self._notifier.tell(WATCHDOG=1)
+            self._notifier.notify(WATCHDOG=1)
 
     def _summary(self) -> str:
         return "; ".join(
@@ -169,28 +159,18 @@ class DaemonService:
 
     def _check_ends(self) -> None:
         faults = []
-        for keeper in self._keepers:
-            supervision = self._supervised[keeper.name]
-            if said := supervision.refused or (
-                "" if keeper.confirmed else supervision.life.trouble
-            ):
-                faults.append(f"rig {keeper.name}: {said}")
+        for supervisor in self._supervisors:
+            rig = self._supervised[supervisor.name]
+            fault = rig.refused or ("" if supervisor.confirmed else rig.state.trouble)
+            if fault:
+                faults.append(f"rig {supervisor.name}: {fault}")
         if faults:
             raise RigError("; ".join(faults))
 
-    def _tell(self, event: Event) -> None:
+    def _publish(self, event: Event) -> None:
         log_event(event)
-        self._hooks.tell(event)
-        kind = event.kind.value
-        message = EventMessage(
-            event.rig, event.number, event.at, kind, event.sentence, event.facts
-        )
+        self._hooks.submit(event)
         try:
-            self._server.show(message)
+            self._server.show(event.as_message())
         except EstuneError as error:
-            _log.debug("event not shown: %s", error)
-
-
-def _lasting(status: DaemonStatus) -> DaemonStatus:
-    """The status without what changes by itself."""
-    return replace(status, next_check_s=None)
+            _log.debug("event not published: %s", error)

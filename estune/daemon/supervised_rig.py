@@ -1,7 +1,7 @@
-"""The state of one rig's supervision: asked, told and moved by any thread, kept on disk.
+"""Thread-safe supervision of one rig: its state, commands to it, and results that change it.
 
-Whoever moves it does so under one lock: the next state is committed together with its event, and
-only then is it the state. The keeper's thread is woken by it; nobody waits for the keeper.
+The next state is committed together with its event, under one lock, before it becomes the state.
+The supervisor's thread is woken by `changed`; no caller waits for it.
 """
 
 import logging
@@ -9,8 +9,9 @@ import math
 import threading
 from collections.abc import Callable
 
-from estune.core.gains import Gains
+from estune.core.control_chart import ChartSignal
 from estune.daemon.check_trials import CheckTrials
+from estune.daemon.config import RigTable
 from estune.daemon.events import Event, EventKind
 from estune.daemon.store import CommandResult, DaemonStore, now
 from estune.daemon.supervisor_state import (
@@ -20,277 +21,35 @@ from estune.daemon.supervisor_state import (
     SupervisorState,
     next_state,
 )
-from estune.daemon.tuning_runs import TuningRuns
+from estune.daemon.tuning_runs import Decision, TuningRuns
 from estune.errors import EstuneError, InvalidInput, JournalError
 from estune.remote.messages.daemon import (
     Command,
     CommandAnswer,
     DaemonStatus,
     DaemonVerb,
-    EventMessage,
     Events,
     History,
     Request,
 )
 from estune.run.session import Session
 
-Teller = Callable[[Event], None]
-"""Told of each event after it was committed; must return at once."""
+EventListener = Callable[[Event], None]
+"""Callback after each committed event; must return at once."""
 
-_log = logging.getLogger(__name__)
+_EVENT_OF_COMMAND = {
+    SupervisorEvent.PAUSE: EventKind.PAUSED,
+    SupervisorEvent.RESUME: EventKind.RESUMED,
+    SupervisorEvent.STOP: EventKind.STOPPING,
+}
+_REPEATED = (SupervisorEvent.LOST, SupervisorEvent.FAILED, SupervisorEvent.TROUBLE)
+"""Events that are logged once while their message stays the same."""
 
-
-class Preempted(Exception):
-    """Something else is to be done now than what was being done."""
-
-
-class SupervisedRig:
-    """Where the supervision of one rig stands.
-
-    Attributes:
-        name: The rig.
-        store: Where it is kept.
-        searches: Its tuning runs.
-        checks: Its check trials.
-        changed: Set whenever something else may have to be done.
-        live: The gain set that the rig has confirmed to be live; None while it is not known.
-        session: The tuning run under way, or the last of this process.
-        cost: Cost of the last trial told, if it had one.
-        refused: Why this rig must be left alone: another daemon has it; empty otherwise.
-        cut: Ends the trial under way, if any, without making anybody wait.
-    """
-
-    def __init__(
-        self,
-        store: DaemonStore,
-        searches: TuningRuns,
-        checks: CheckTrials,
-        instance: str,
-        tell: Teller,
-    ) -> None:
-        self.name = store.rig
-        self.store = store
-        self.searches = searches
-        self.checks = checks
-        self.changed = threading.Event()
-        self.live: GainSet | None = None
-        self.session: Session | None = None
-        self.cost: float | None = None
-        self.refused = ""
-        self.cut: Callable[[], None] = _nothing
-        self._instance = instance
-        self._tell = tell
-        self._since = now()
-        self._lock = threading.RLock()
-        self._life = next_state(store.life, SupervisorEvent.BOOT)
-
-    @property
-    def life(self) -> SupervisorState:
-        """The state."""
-        return self._life
-
-    @property
-    def mode(self) -> SupervisorMode:
-        """What is to be done now."""
-        return self._life.mode
-
-    def command(self, verb: DaemonVerb, command: Command) -> CommandAnswer:
-        """Takes a command; the keeper's own thread carries it out."""
-        words = f"{verb} by {command.who}" + (f": {command.why}" if command.why else "")
-        with self._lock:
-            done = self.store.command(command.command_id)
-            if done is None:
-                done = self._take(verb, command, words)
-        if done.done:
-            self.changed.set()
-        if done.done and verb in ("stop", "revert"):
-            self.cut()
-        return CommandAnswer(done.done, done.sentence)
-
-    def status(self) -> DaemonStatus:
-        """What is done now, and which gains are live."""
-        with self._lock:
-            life, gains = self._life, self.store.gains()
-            chart = self.checks.chart(life.home)
-            watched = life.mode is SupervisorMode.WATCHING and chart is not None
-            session, candidate = self.session, GainSet.CANDIDATE
-            checks = self.store.checks(1)
-            return DaemonStatus(
-                rig=self.name,
-                instance=self._instance,
-                mode=life.mode.value,
-                sentence=self.refused or life.mode.sentence,
-                paused=life.paused,
-                trouble=life.trouble,
-                live=self.live.value if self.live else "",
-                home=life.home.value,
-                why=life.why,
-                gains={name.value: values for name, values in gains.items()},
-                found=self.store.why(candidate) if candidate in gains else "",
-                run=self.searches.name,
-                trials=session.number if session else 0,
-                trials_max=session.plan.most_trials if session else 0,
-                baseline_cost=None if chart is None else math.exp(chart.mean),
-                cost=self.cost,
-                drift=self.checks.drift(life.home),
-                checks=checks[0].number + 1 if checks else 0,
-                next_check_s=self.checks.wait_s(life.home) if watched else None,
-                since=self._since,
-            )
-
-    def history(self, request: Request) -> History:
-        """What was done."""
-        limit = request.limit
-        checks = [check._asdict() for check in self.store.checks(limit)]
-        return History(self.store.gain_history(limit), self.store.commands(limit), checks)
-
-    def events(self, request: Request) -> Events:
-        """What has happened."""
-        return Events(
-            [
-                EventMessage(e.rig, e.number, e.at, e.kind.value, e.sentence, e.facts)
-                for e in self.store.events(request.after, request.limit)
-            ]
-        )
-
-    def readied(self, live: GainSet | None) -> None:
-        """The rig runs the home gains, unless those have changed meanwhile.
-
-        Args:
-            live: Which those are; None where somebody must see to the rig first.
-        """
-        with self._lock:
-            if self.mode is SupervisorMode.READYING and (live is None or self._life.home is live):
-                self.live = live
-                self._move(SupervisorEvent.READIED)
-
-    def stop(self, why: str) -> None:
-        """Has the home gains put back and the supervision end; as the verb does."""
-        with self._lock:
-            if self.mode not in (SupervisorMode.STOPPING, SupervisorMode.STOPPED):
-                self._move(SupervisorEvent.STOP, why, EventKind.STOPPING)
-        self.cut()
-
-    def accept(self, gains: Gains, why: str) -> None:
-        """Writes that the candidate is accepted, with the chart that it has."""
-        self.store.set_gains(GainSet.ACCEPTED, gains, why)
-        self.store.set_gains(GainSet.CANDIDATE, None)
-        self.checks.set_charts({GainSet.ACCEPTED: self.checks.chart(GainSet.CANDIDATE)})
-
-    def apply_event(
-        self,
-        happening: SupervisorEvent,
-        words: str,
-        kind: EventKind,
-        write: Callable[[], None] | None = None,
-        *,
-        sentence: str = "",
-        **facts: object,
-    ) -> None:
-        """Moves the life on, unless a command has turned it elsewhere meanwhile."""
-        with self._lock:
-            try:
-                next_state(self._life, happening, words)
-            except EstuneError as error:
-                _log.debug("%s", error)
-                raise Preempted from None
-            repeated = happening in (
-                SupervisorEvent.LOST,
-                SupervisorEvent.FAILED,
-                SupervisorEvent.TROUBLE,
-            ) and (words in (self._life.trouble, self._life.paused))
-            self._move(happening, words, None if repeated else kind, sentence, write, **facts)
-
-    def note(self, kind: EventKind, sentence: str, **facts: object) -> None:
-        """Notes and tells an event that changes nothing."""
-        with self._lock:
-            try:
-                event = self.store.note(kind, sentence, dict(facts))
-            except JournalError as error:
-                _log.error("not written: %s", error, extra={"rig": self.name})
-                event = Event(self.name, 0, now(), kind, sentence, dict(facts))
-        self._tell(event)
-
-    def _take(self, verb: DaemonVerb, command: Command, words: str) -> CommandResult:
-        happening = SupervisorEvent(verb)
-        try:
-            after = next_state(self._life, happening, words)
-        except InvalidInput as error:
-            done = CommandResult(done=False, sentence=str(error))
-            self.store.note_command(command.command_id, verb, command.who, done)
-            return done
-        done = CommandResult(
-            done=True, sentence=f"{words}; now {after.mode}: {after.mode.sentence}"
-        )
-
-        def write() -> None:
-            gains = self.store.gains()
-            match happening:
-                case SupervisorEvent.ACCEPT:
-                    self.accept(gains[GainSet.CANDIDATE], words)
-                case SupervisorEvent.REJECT:
-                    self.store.set_gains(GainSet.CANDIDATE, None)
-                case SupervisorEvent.REVERT:
-                    self.store.set_gains(GainSet.CANDIDATE, None)
-                    self.store.set_gains(GainSet.ACCEPTED, None)
-                    self.searches.end()
-                    self.store.put("overrule", now())
-                case SupervisorEvent.RESUME:
-                    self.store.put("overrule", now())
-            self.store.note_command(command.command_id, verb, command.who, done)
-
-        kind = {
-            SupervisorEvent.PAUSE: EventKind.PAUSED,
-            SupervisorEvent.RESUME: EventKind.RESUMED,
-            SupervisorEvent.STOP: EventKind.STOPPING,
-        }.get(happening, EventKind.COMMAND)
-        self._move(happening, words, kind, words, write)
-        return done
-
-    def _move(
-        self,
-        happening: SupervisorEvent,
-        words: str = "",
-        kind: EventKind | None = None,
-        sentence: str = "",
-        write: Callable[[], None] | None = None,
-        **facts: object,
-    ) -> None:
-        """Commits the next state with its event and whatever is written along; the lock is held.
-
-        A disk that is full must not keep a rig from being made safe: such a step is taken all the
-        same, and written with the next.
-        """
-        before, event = self._life, None
-        after = next_state(before, happening, words)
-        try:
-            with self.store.writing():
-                if write is not None:
-                    write()
-                self.store.life = after
-                if kind is not None:
-                    event = self.store.note(kind, sentence or words, dict(facts))
-        except JournalError as error:
-            if happening not in _SAFE:
-                raise
-            _log.error("not written: %s", error, extra={"rig": self.name})
-            event = Event(
-                self.name, 0, now(), kind or EventKind.FAILED, sentence or words, dict(facts)
-            )
-        self._life = after
-        if after.mode is not before.mode or after.home is not before.home:
-            self.changed.set()
-        if event is not None:
-            self._tell(event)
-
-
-_SAFE = frozenset(
+_WITHOUT_DISK = frozenset(
     {
         SupervisorEvent.FOUND,
         SupervisorEvent.READIED,
-        SupervisorEvent.LOST,
-        SupervisorEvent.FAILED,
-        SupervisorEvent.TROUBLE,
+        *_REPEATED,
         SupervisorEvent.UNSAFE,
         SupervisorEvent.REJECT,
         SupervisorEvent.REVERT,
@@ -299,9 +58,274 @@ _SAFE = frozenset(
         SupervisorEvent.ENDED,
     }
 )
-"""Steps that are taken even if they cannot be written: none makes other gains than known ones live
-or claims that any were accepted."""
+"""Events that take effect even if they cannot be written: none makes other gains than stored ones
+live, or claims that any were accepted."""
+
+_log = logging.getLogger(__name__)
 
 
-def _nothing() -> None:
-    pass
+class Preempted(Exception):
+    """An event pre-empted the current activity."""
+
+
+class SupervisedRig:
+    """Supervision of one rig.
+
+    Attributes:
+        changed: Set whenever the supervisor may have to do something else.
+        live: The gain set that the rig has confirmed to be live; None while unknown.
+        session: The tuning run of this process, current or last.
+        cost: Cost of the last trial, if it had one.
+        refused: Why this rig is left alone: another daemon has it; empty otherwise.
+        abort_trial: Ends the trial under way, if any, without waiting.
+    """
+
+    def __init__(
+        self, store: DaemonStore, settings: RigTable, instance: str, listener: EventListener
+    ) -> None:
+        self.name = store.rig
+        self.store = store
+        self.tuning_runs = TuningRuns(store, settings)
+        self.checks = CheckTrials(store, settings)
+        self.changed = threading.Event()
+        self.live: GainSet | None = None
+        self.session: Session | None = None
+        self.cost: float | None = None
+        self.refused = ""
+        self.abort_trial: Callable[[], None] = lambda: None
+        self._instance = instance
+        self._listener = listener
+        self._since = now()
+        self._lock = threading.RLock()
+        self._state = next_state(store.state, SupervisorEvent.BOOT)
+
+    @property
+    def state(self) -> SupervisorState:
+        """The state, as committed."""
+        return self._state
+
+    @property
+    def mode(self) -> SupervisorMode:
+        """What the supervisor does now."""
+        return self._state.mode
+
+    def command(self, verb: DaemonVerb, command: Command) -> CommandAnswer:
+        """Accepts or refuses a command, once for each id; the supervisor's thread executes it."""
+        reason = f"{verb} by {command.who}" + (f": {command.why}" if command.why else "")
+        with self._lock:
+            result = self.store.command(command.command_id)
+            if result is None:
+                result = self._take(SupervisorEvent(verb), command, reason)
+        if result.done:
+            self.changed.set()
+        if result.done and verb in ("stop", "revert"):
+            self.abort_trial()
+        return CommandAnswer(result.done, result.sentence)
+
+    def status(self) -> DaemonStatus:
+        """Mode, gain sets, costs and drift."""
+        with self._lock:
+            state, gains = self._state, self.store.gains()
+            chart = self.checks.chart(state.home)
+            is_watched = state.mode is SupervisorMode.WATCHING and chart is not None
+            session, candidate = self.session, GainSet.CANDIDATE
+            checks = self.store.checks(1)
+            return DaemonStatus(
+                rig=self.name,
+                instance=self._instance,
+                mode=state.mode.value,
+                sentence=self.refused or state.mode.sentence,
+                paused=state.paused,
+                trouble=state.trouble,
+                live=self.live.value if self.live else "",
+                home=state.home.value,
+                why=state.why,
+                gains={name.value: values for name, values in gains.items()},
+                found=self.store.why(candidate) if candidate in gains else "",
+                run=self.tuning_runs.name,
+                trials=session.number if session else 0,
+                trials_max=session.plan.max_trials if session else 0,
+                baseline_cost=None if chart is None else math.exp(chart.mean),
+                cost=self.cost,
+                drift=self.checks.drift(state.home),
+                checks=checks[0].number + 1 if checks else 0,
+                next_check_s=self.checks.wait_s(state.home) if is_watched else None,
+                since=self._since,
+            )
+
+    def history(self, request: Request) -> History:
+        """Gain sets, commands and check trials."""
+        limit = request.limit
+        checks = [check._asdict() for check in self.store.checks(limit)]
+        return History(self.store.gain_history(limit), self.store.commands(limit), checks)
+
+    def events(self, request: Request) -> Events:
+        """Stored events."""
+        events = self.store.events(request.after, request.limit)
+        return Events([event.as_message() for event in events])
+
+    def mark_ready(self, live: GainSet | None) -> None:
+        """Reports that the rig runs the nominal gains, unless those have changed meanwhile.
+
+        Args:
+            live: Which gains those are; None where an operator is needed first.
+        """
+        with self._lock:
+            if self.mode is SupervisorMode.READYING and (live is None or self.state.home is live):
+                self.live = live
+                self._change(SupervisorEvent.READIED)
+
+    def stop(self, why: str) -> None:
+        """Ends the supervision with the nominal gains restored, as the verb does."""
+        with self._lock:
+            if self.mode not in (SupervisorMode.STOPPING, SupervisorMode.STOPPED):
+                self._change(SupervisorEvent.STOP, why, EventKind.STOPPING)
+        self.abort_trial()
+
+    def apply_event(
+        self,
+        event: SupervisorEvent,
+        reason: str,
+        kind: EventKind,
+        write: Callable[[], None] | None = None,
+        *,
+        sentence: str = "",
+        **facts: object,
+    ) -> None:
+        """Commits an event with what `write` stores along.
+
+        Raises:
+            Preempted: a command has changed the state meanwhile, and the event does not apply.
+        """
+        with self._lock:
+            state = self._state
+            try:
+                next_state(state, event, reason)
+            except EstuneError as error:
+                _log.debug("%s", error)
+                raise Preempted from None
+            is_repeated = event in _REPEATED and reason in (state.trouble, state.paused)
+            self._change(event, reason, None if is_repeated else kind, sentence, write, **facts)
+
+    def log_event(self, kind: EventKind, sentence: str, **facts: object) -> None:
+        """Stores and publishes an event that does not change the state."""
+        with self._lock:
+            try:
+                event = self.store.add_event(kind, sentence, dict(facts))
+            except JournalError as error:
+                event = self._unwritten(error, kind, sentence, facts)
+        self._listener(event)
+
+    def apply_decision(self, decision: Decision, *, accept: bool) -> None:
+        """Applies the result of a tuning run: better gains are accepted, or await a decision."""
+        sentence, better = decision.sentence, decision.better
+        if better is None and decision.start_chart is None:
+            self.revert_to_original(f"repeats of the live gains were unsafe; {sentence}")
+            return
+
+        def write() -> None:
+            self.tuning_runs.end()
+            charts = {self.state.home: decision.start_chart, GainSet.CANDIDATE: decision.chart}
+            self.checks.set_charts(charts)
+            if better is not None:
+                self.store.set_gains(GainSet.CANDIDATE, better, sentence)
+                if accept:
+                    self._store_accepted(sentence)
+
+        if better is None:
+            self.apply_event(SupervisorEvent.KEPT, sentence, EventKind.KEPT, write)
+        else:
+            event = SupervisorEvent.ADOPTED if accept else SupervisorEvent.PROPOSED
+            self.apply_event(event, sentence, EventKind.BETTER, write, gains=str(better))
+
+    def revert_to_original(self, reason: str) -> None:
+        """Replaces unsafe nominal gains by the original ones, and pauses."""
+        write = self._drop_all_but_original
+        self.apply_event(SupervisorEvent.UNSAFE, reason, EventKind.UNSAFE, write)
+
+    def handle_drift(self, cost: float, signal: ChartSignal) -> None:
+        """Tunes again after a drift of the cost, unless the last tuning ended only recently."""
+        if math.isinf(cost):
+            reason = f"two check trials of the {self.state.home} gains in a row were unsafe"
+            self.revert_to_original(reason)
+        elif self.checks.is_cooldown_over:
+            sentence = f"{signal.sentence}; tuning again"
+            self.apply_event(SupervisorEvent.DRIFTED, sentence, EventKind.DRIFTED)
+
+    def _take(self, event: SupervisorEvent, command: Command, reason: str) -> CommandResult:
+        verb = event.value
+        try:
+            after = next_state(self._state, event, reason)
+        except InvalidInput as error:
+            refused = CommandResult(done=False, sentence=str(error))
+            self.store.add_command(command.command_id, verb, command.who, refused)
+            return refused
+        now_doing = f"{reason}; now {after.mode}: {after.mode.sentence}"
+        result = CommandResult(done=True, sentence=now_doing)
+
+        def write() -> None:
+            match event:
+                case SupervisorEvent.ACCEPT:
+                    self._store_accepted(reason)
+                case SupervisorEvent.REJECT:
+                    self.store.set_gains(GainSet.CANDIDATE, None)
+                case SupervisorEvent.REVERT:
+                    self._drop_all_but_original()
+                    self.store.set_fact("overrule", now())
+                case SupervisorEvent.RESUME:
+                    self.store.set_fact("overrule", now())
+            self.store.add_command(command.command_id, verb, command.who, result)
+
+        kind = _EVENT_OF_COMMAND.get(event, EventKind.COMMAND)
+        self._change(event, reason, kind, reason, write)
+        return result
+
+    def _store_accepted(self, why: str) -> None:
+        """The candidate becomes the accepted gains, with its control chart."""
+        self.store.set_gains(GainSet.ACCEPTED, self.store.gains()[GainSet.CANDIDATE], why)
+        self.store.set_gains(GainSet.CANDIDATE, None)
+        self.checks.set_charts({GainSet.ACCEPTED: self.checks.chart(GainSet.CANDIDATE)})
+
+    def _drop_all_but_original(self) -> None:
+        self.store.set_gains(GainSet.CANDIDATE, None)
+        self.store.set_gains(GainSet.ACCEPTED, None)
+        self.tuning_runs.end()
+
+    def _change(
+        self,
+        event: SupervisorEvent,
+        reason: str = "",
+        kind: EventKind | None = None,
+        sentence: str = "",
+        write: Callable[[], None] | None = None,
+        **facts: object,
+    ) -> None:
+        """Commits the next state with its event and what `write` stores; the lock is held.
+
+        A full disk must not keep a rig from being made safe: such an event takes effect all the
+        same, and the state is written with the next.
+        """
+        before, logged = self._state, None
+        after = next_state(before, event, reason)
+        try:
+            with self.store.transaction():
+                if write is not None:
+                    write()
+                self.store.state = after
+                if kind is not None:
+                    logged = self.store.add_event(kind, sentence or reason, dict(facts))
+        except JournalError as error:
+            if event not in _WITHOUT_DISK:
+                raise
+            logged = self._unwritten(error, kind or EventKind.FAILED, sentence or reason, facts)
+        self._state = after
+        if after.mode is not before.mode or after.home is not before.home:
+            self.changed.set()
+        if logged is not None:
+            self._listener(logged)
+
+    def _unwritten(
+        self, error: JournalError, kind: EventKind, sentence: str, facts: dict[str, object]
+    ) -> Event:
+        _log.error("not written: %s", error, extra={"rig": self.name})
+        return Event(self.name, 0, now(), kind, sentence, dict(facts))

@@ -1,4 +1,4 @@
-"""Carries out, for one rig and in a thread of its own, what the table in `life` says."""
+"""Supervisor of one rig, in a thread of its own: does what the state machine's mode requires."""
 
 import logging
 import math
@@ -10,18 +10,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
 from estune.core.control_chart import ChartSignal
-from estune.daemon import gain_restoration
+from estune.daemon import rig_access
 from estune.daemon.config import RigTable
-from estune.daemon.decisions import apply_tuning_decision, handle_drift, revert_to_original
 from estune.daemon.events import EventKind
-from estune.daemon.rig_access import (
-    HOLDER,
-    Refused,
-    RigAccess,
-    TooManyVoidTrials,
-    VoidTrialCounter,
-    open_rig,
-)
+from estune.daemon.rig_access import HeldByOtherDaemon, RigAccess, TooManyVoidTrials
 from estune.daemon.supervised_rig import Preempted, SupervisedRig
 from estune.daemon.supervisor_state import SupervisorEvent, SupervisorMode
 from estune.errors import EstuneError, Interrupted, InvalidInput, RigError, UnsafeStart
@@ -30,25 +22,26 @@ from estune.run import archived_run, loop
 from estune.run.loop import Progress, TuningRun
 from estune.run.session import Phase
 
-PATIENCE_S = 120.0
-"""A keeper that has made no step for so long, beside the longest trial, is stuck."""
+STUCK_AFTER_S = 120.0
+"""Time without progress, beside the longest trial, after which a supervisor is stuck."""
 
-_STEP_S = 0.5
+_POLL_S = 0.5
+_TRIAL_MODES = (SupervisorMode.TUNING, SupervisorMode.CONFIRMING, SupervisorMode.WATCHING)
 _log = logging.getLogger(__name__)
 
 
 class RigSupervisor:
-    """Does with one rig what its supervision says. `start` begins it.
+    """Supervisor of one rig.
 
     Attributes:
         name: The rig.
-        confirmed: Whether the rig has confirmed, at the end, that the home gains are live.
+        confirmed: Whether the rig has confirmed, at the end, that the nominal gains are live.
     """
 
     def __init__(
         self,
         settings: RigTable,
-        supervision: SupervisedRig,
+        rig: SupervisedRig,
         *,
         stop_within_s: float,
         security: Security = OPEN,
@@ -56,318 +49,293 @@ class RigSupervisor:
         self.name = settings.name
         self.confirmed = False
         self._settings = settings
-        self._supervision = supervision
+        self._rig = rig
         self._stop_within_s = stop_within_s
         self._security = security
-        self._reached: RigAccess | None = None
-        self._patience = VoidTrialCounter()
-        self._fruitless = 0  # failures since a trial was told or the rig was looked at in peace
-        self._cuttable = False
+        self._access: RigAccess | None = None
+        self._void_trials = rig_access.VoidTrialCounter()
+        self._consecutive_failures = 0  # since a trial or a check of the live gains succeeded
+        self._in_trial = False
         self._stopping_since_s: float | None = None
         self._step_at_s = time.monotonic()
-        self._thread = threading.Thread(target=self._run, name=f"keeper {self.name}", daemon=True)
-        supervision.cut = self._cut
+        name = f"supervisor {self.name}"
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+        rig.abort_trial = self._abort_trial
 
     def start(self) -> None:
-        """Begins."""
+        """Starts the thread."""
         self._thread.start()
 
     def join(self, timeout_s: float) -> bool:
-        """Waits for the end; whether it has come."""
+        """Waits for the end of the thread; whether it has ended."""
         self._thread.join(timeout_s)
         return not self._thread.is_alive()
 
     @property
     def is_stuck(self) -> bool:
-        """Whether it has made no step for longer than anything may take."""
-        reached = self._reached
-        longest_s = reached.about.limits.duration_max_s if reached is not None else 0.0
-        allowed_s = PATIENCE_S + 2.0 * min(longest_s, PATIENCE_S)  # some rigs have no limit
+        """Whether it has made no progress for longer than any step may take."""
+        access = self._access
+        longest_s = access.description.limits.duration_max_s if access is not None else 0.0
+        allowed_s = STUCK_AFTER_S + 2.0 * min(longest_s, STUCK_AFTER_S)  # some rigs have no limit
         begun = self._thread.ident is not None
         alive = begun and self._thread.is_alive()
         return alive and time.monotonic() - self._step_at_s > allowed_s
 
     def _run(self) -> None:
+        rig = self._rig
         try:
-            self._supervision.note(
-                EventKind.STARTED,
-                f"supervision of rig {self.name} begins: {self._supervision.life.goal}",
-            )
-            while (
-                self._supervision.mode is not SupervisorMode.STOPPED
-                and not self._supervision.refused
-            ):
+            goal = rig.state.goal
+            rig.log_event(EventKind.STARTED, f"supervision of rig {self.name} begins: {goal}")
+            while rig.mode is not SupervisorMode.STOPPED and not rig.refused:
                 self._mark_progress()
-                self._supervision.changed.clear()
+                rig.changed.clear()
                 with suppress(Preempted):
                     self._run_step()
         finally:
-            live = self._supervision.live
+            live = rig.live
             self._disconnect()
             if self.confirmed:
-                self._supervision.live = live  # as last heard, and nobody changes it now
+                rig.live = live  # as confirmed last, and no longer changed
 
     def _run_step(self) -> None:
-        """Does what is to be done now, and says what came of it if that failed."""
+        """Does what the mode requires; turns a failure into an event."""
         try:
-            self._act(self._supervision.mode)
+            self._act(self._rig.mode)
         except Preempted:
             raise
-        except Refused as error:
-            self._supervision.refused = str(error)
-            self._supervision.note(
-                EventKind.FAILED, f"rig {self.name} is left alone: it is {error}"
-            )
+        except HeldByOtherDaemon as error:
+            self._rig.refused = str(error)
+            sentence = f"rig {self.name} is left alone: it is {error}"
+            self._rig.log_event(EventKind.FAILED, sentence)
         except (Interrupted, TooManyVoidTrials) as error:
             self._pause_for_operator(str(error))
         except UnsafeStart as error:
-            revert_to_original(self._supervision, str(error))
+            self._rig.revert_to_original(str(error))
         except RigError as error:
-            self._without_rig(error)
+            self._handle_rig_error(error)
         except InvalidInput as error:
-            if self._reached is None:
+            if self._access is None:
                 self._fail(str(error))
-            else:  # the file does not suit the rig, however often it is tried
+            else:  # the file does not suit the rig: trying again does not help
                 self._pause_for_operator(str(error))
         except EstuneError as error:
             self._fail(str(error))
-        except Exception as error:  # noqa: BLE001  a fault here must not end the keeping
+        except Exception as error:  # noqa: BLE001  a fault here must not end the supervision
             _log.exception("rig %s", self.name, extra={"rig": self.name})
             self._fail(f"{type(error).__name__}: {error}")
-
-    def _fail(self, why: str) -> None:
-        """Begins anew with the rig, after a while."""
-        self._disconnect()
-        self._fruitless += 1
-        self._supervision.apply_event(SupervisorEvent.FAILED, why, EventKind.FAILED)
 
     def _act(self, mode: SupervisorMode) -> None:
         match mode:
             case SupervisorMode.WAITING | SupervisorMode.RETRYING:
-                self._await()
+                self._wait_for_rig()
             case SupervisorMode.READYING:
-                self._ready()
+                self._apply_nominal_gains()
             case SupervisorMode.TUNING | SupervisorMode.CONFIRMING:
-                self._search()
+                self._tune()
             case SupervisorMode.WATCHING:
                 self._watch()
             case SupervisorMode.HOLDING:
-                self._monitor_gains(None)
+                self._monitor_gains(self._settings.look_every_s)
             case SupervisorMode.PAUSED:
-                self._pause()
+                self._stay_paused()
             case SupervisorMode.STOPPING:
-                self._restore()
+                self._restore_nominal_gains()
 
-    def _without_rig(self, error: RigError) -> None:
-        """The rig is gone, or in others' hands. After an emergency stop nothing moves unasked."""
-        latched = self._reached.latched() if self._reached is not None else ""
-        if latched and self._supervision.mode is not SupervisorMode.STOPPING:
+    def _fail(self, why: str) -> None:
+        self._disconnect()
+        self._consecutive_failures += 1
+        self._rig.apply_event(SupervisorEvent.FAILED, why, EventKind.FAILED)
+
+    def _handle_rig_error(self, error: RigError) -> None:
+        """The rig is lost or held by others; after an emergency stop an operator is needed."""
+        estop_reason = self._access.estop_reason() if self._access is not None else ""
+        if estop_reason and self._rig.mode is not SupervisorMode.STOPPING:
             self._pause_for_operator(
-                f"rig {self.name} is in its safe state after an emergency stop ({latched}); "
-                "see to it, clear the stop, then resume"
+                f"rig {self.name} is in its safe state after an emergency stop ({estop_reason}); "
+                "check the rig, clear the stop, then resume"
             )
         else:
             self._disconnect()
-            self._fruitless += 1
-            self._supervision.apply_event(SupervisorEvent.LOST, str(error), EventKind.LOST)
+            self._consecutive_failures += 1
+            self._rig.apply_event(SupervisorEvent.LOST, str(error), EventKind.LOST)
 
     def _pause_for_operator(self, why: str) -> None:
-        """Pauses until somebody has seen to the rig."""
-        self._supervision.apply_event(SupervisorEvent.TROUBLE, why, EventKind.TROUBLE)
-        self._supervision.readied(None)
+        self._rig.apply_event(SupervisorEvent.TROUBLE, why, EventKind.TROUBLE)
+        self._rig.mark_ready(None)
 
-    def _await(self) -> None:
-        """Waits longer after each failure, then looks for the rig."""
-        if self._supervision.life.failures:
-            failures = max(self._supervision.life.failures, self._fruitless)
-            first_s, most_s = self._settings.retry_first_s, self._settings.retry_max_s
+    def _wait_for_rig(self) -> None:
+        """Connects to the rig, after a wait that doubles with each failure."""
+        if self._rig.state.failures:
+            failures = max(self._rig.state.failures, self._consecutive_failures)
+            first_s, max_s = self._settings.retry_first_s, self._settings.retry_max_s
             # The exponent is bounded: a rig may be away for years.
-            if self._rest(min(most_s, first_s * 2.0 ** min(failures - 1, 30))):
+            if self._rest(min(max_s, first_s * 2.0 ** min(failures - 1, 30))):
                 return
         self._connect()
-        self._supervision.apply_event(
-            SupervisorEvent.FOUND, f"rig {self.name} answers", EventKind.FOUND
-        )
+        sentence = f"rig {self.name} answers"
+        self._rig.apply_event(SupervisorEvent.FOUND, sentence, EventKind.FOUND)
 
     def _connect(self) -> RigAccess:
         self._disconnect()
-        self._reached = open_rig(
-            self._settings,
-            f"{HOLDER} on {socket.gethostname()}, process {os.getpid()}",
-            self._patience,
-            self._security,
+        holder = f"{rig_access.HOLDER_PREFIX} on {socket.gethostname()}, process {os.getpid()}"
+        self._access = rig_access.open_rig(
+            self._settings, holder, self._void_trials, self._security
         )
-        return self._reached
+        return self._access
 
-    def _ready(self) -> None:
-        """Sees to it that the home gains are live, if the rig is the one that is known."""
-        reached, home = self._reached or self._connect(), self._supervision.life.home
-        fault = gain_restoration.apply_nominal_gains(self._supervision, reached, home)
+    def _apply_nominal_gains(self) -> None:
+        access, home = self._access or self._connect(), self._rig.state.home
+        fault = rig_access.apply_nominal_gains(self._rig, access, home)
         if fault:
-            reached.release()
+            access.release()
             self._pause_for_operator(fault)
             return
-        if self._supervision.life.paused:
-            reached.release()
-        self._supervision.readied(home)
+        if self._rig.state.paused:
+            access.release()
+        self._rig.mark_ready(home)
 
-    def _search(self) -> None:
-        """Tunes, from where the run's journal ends, and decides."""
-        reached = self._there()
-        run = self._supervision.searches.open(reached.about)
-        self._supervision.session = run.session
+    def _tune(self) -> None:
+        """Continues the tuning run from the end of its journal, and applies its result."""
+        access = self._connected()
+        run = self._rig.tuning_runs.open(access.description)
+        self._rig.session = run.session
         try:
-            self._supervision.note(
-                EventKind.TUNING,
-                f"run {run.plan.run}: trials {run.session.number} to {run.plan.most_trials}",
-            )
-            self._show(run)
-            with self._in_trials():
-                loop.run(run, reached.as_rig, [self._progressed])
-            self._show(run)
-            decision = self._supervision.searches.decide(run)
+            sentence = f"run {run.plan.run}: trials {run.session.number} to {run.plan.max_trials}"
+            self._rig.log_event(EventKind.TUNING, sentence)
+            self._follow_phase(run)
+            with self._trials():
+                loop.run(run, access, [self._on_trial])
+            self._follow_phase(run)
+            decision = self._rig.tuning_runs.decide(run)
             if run.journal is not None:
                 run.journal.note(**archived_run.finished(run))
         finally:
             if run.journal is not None:
                 run.journal.close()
-        apply_tuning_decision(self._supervision, decision, accept=self._settings.accept == "auto")
+        self._rig.apply_decision(decision, accept=self._settings.accept == "auto")
 
-    def _show(self, run: TuningRun) -> None:
-        """Makes the phase of the run that of the life: a run may be found past its search."""
-        past = run.session.phase not in (Phase.BASELINE, Phase.SEARCH)
-        if past and self._supervision.mode is SupervisorMode.TUNING:
-            self._supervision.apply_event(
-                SupervisorEvent.SEARCHED, f"confirming {run.plan.run}", EventKind.CONFIRMING
-            )
+    def _follow_phase(self, run: TuningRun) -> None:
+        """Synchronises the mode with the phase of a resumed run, which may be past its search."""
+        is_past_search = run.session.phase not in (Phase.BASELINE, Phase.SEARCH)
+        if is_past_search and self._rig.mode is SupervisorMode.TUNING:
+            sentence = f"confirming {run.plan.run}"
+            self._rig.apply_event(SupervisorEvent.SEARCHED, sentence, EventKind.CONFIRMING)
 
-    def _progressed(self, progress: Progress) -> None:
+    def _on_trial(self, progress: Progress) -> None:
         """After each trial, which is committed by now."""
         self._mark_progress()
-        self._fruitless = 0
-        entered = self._supervision.mode
-        self._supervision.session = progress.session
-        self._supervision.cost = _finite(progress.entry.cost)
-        after = progress.session.phase in (Phase.CHOOSE, Phase.CONFIRM)
-        if after and entered is SupervisorMode.TUNING:
-            said = f"confirming {progress.session.plan.run}; {progress.session.search_end}"
-            self._supervision.apply_event(SupervisorEvent.SEARCHED, said, EventKind.CONFIRMING)
-        if self._supervision.mode not in (SupervisorMode.TUNING, SupervisorMode.CONFIRMING):
+        self._consecutive_failures = 0
+        mode = self._rig.mode
+        self._rig.session = progress.session
+        self._rig.cost = _finite(progress.entry.cost)
+        is_past_search = progress.session.phase in (Phase.CHOOSE, Phase.CONFIRM)
+        if is_past_search and mode is SupervisorMode.TUNING:
+            sentence = f"confirming {progress.session.plan.run}; {progress.session.search_end}"
+            self._rig.apply_event(SupervisorEvent.SEARCHED, sentence, EventKind.CONFIRMING)
+        if self._rig.mode not in (SupervisorMode.TUNING, SupervisorMode.CONFIRMING):
             raise Preempted
 
     def _watch(self) -> None:
-        """Waits for the next check trial, runs it, and looks at the chart."""
-        reached, home = self._there(), self._supervision.life.home
-        if self._supervision.checks.chart(home) is None:
-            self._supervision.apply_event(
-                SupervisorEvent.DRIFTED,
-                "there is no baseline to hold checks to",
-                EventKind.DRIFTED,
-            )
+        """Waits for the next check trial, runs it, and evaluates the control chart."""
+        rig, access, home = self._rig, self._connected(), self._rig.state.home
+        if rig.checks.chart(home) is None:
+            reason = "there is no baseline for the check trials"
+            rig.apply_event(SupervisorEvent.DRIFTED, reason, EventKind.DRIFTED)
             return
-        wait_s = self._supervision.checks.wait_s(home)
+        wait_s = rig.checks.wait_s(home)
         if wait_s > 0.0:
-            self._monitor_gains(wait_s)
+            self._monitor_gains(min(wait_s, self._settings.look_every_s))
             return
-        gains = self._supervision.store.gains()[home]
-        with self._in_trials():
-            checked = self._supervision.checks.run(reached.as_rig, reached.about, home, gains)
-        self._fruitless = 0
-        self._supervision.cost = _finite(checked.cost)
-        if checked.sign is None:
+        gains = rig.store.gains()[home]
+        with self._trials():
+            check = rig.checks.run(access, access.description, home, gains)
+        self._consecutive_failures = 0
+        rig.cost = _finite(check.cost)
+        if check.signal is None:
             return
-        said = f"check trial {checked.record.trial_id}: {checked.sign.sentence}"
-        _log.debug("%s", said, extra={"rig": self.name})
-        if checked.sign in (ChartSignal.SUSPECT, ChartSignal.OUTLIER):
-            self._supervision.note(EventKind(checked.sign), said, cost=_finite(checked.cost))
-        if checked.sign in (ChartSignal.WORSE, ChartSignal.BETTER):
-            handle_drift(self._supervision, checked.cost, checked.sign)
+        sentence = f"check trial {check.record.trial_id}: {check.signal.sentence}"
+        _log.debug("%s", sentence, extra={"rig": self.name})
+        if check.signal in (ChartSignal.SUSPECT, ChartSignal.OUTLIER):
+            rig.log_event(EventKind(check.signal), sentence, cost=rig.cost)
+        if check.signal in (ChartSignal.WORSE, ChartSignal.BETTER):
+            rig.handle_drift(check.cost, check.signal)
 
-    def _monitor_gains(self, seconds: float | None) -> None:
-        """Nothing is done with the rig for a while, but that its gains are looked at."""
-        look_s = self._settings.look_every_s
-        if self._rest(look_s if seconds is None else min(seconds, look_s)):
+    def _monitor_gains(self, seconds: float) -> None:
+        """Waits, then compares the rig's live gains with the nominal ones."""
+        if self._rest(seconds):
             return
-        home = self._supervision.life.home
-        about = self._there().describe()
-        self._fruitless = 0
-        if about.gains != self._supervision.store.gains()[home]:
-            said = f"the rig runs {about.gains} instead of the {home} gains"
-            self._supervision.apply_event(SupervisorEvent.CHANGED, said, EventKind.GAINS)
+        home = self._rig.state.home
+        live = self._connected().describe().gains
+        self._consecutive_failures = 0
+        if live != self._rig.store.gains()[home]:
+            reason = f"the rig runs {live} instead of the {home} gains"
+            self._rig.apply_event(SupervisorEvent.CHANGED, reason, EventKind.GAINS)
 
-    def _pause(self) -> None:
-        """The rig is others' to use; it is only seen whether it is there."""
-        reached = self._there()
-        reached.release()
+    def _stay_paused(self) -> None:
+        """Leaves the rig to other clients; only checks that it answers."""
+        access = self._connected()
+        access.release()
         if not self._rest(self._settings.look_every_s):
-            reached.describe()
+            access.describe()
 
-    def _restore(self) -> None:
-        """Puts the home gains back, so long as there is hope of it."""
+    def _restore_nominal_gains(self) -> None:
+        """Restores the nominal gains, with retries until the stop timeout."""
         if self._stopping_since_s is None:
             self._stopping_since_s = time.monotonic()
-        home = self._supervision.store.gains().get(self._supervision.life.home)
-        said = ""
+        rig, name = self._rig, self._rig.state.home
+        home, fault = rig.store.gains().get(name), ""
         if home is not None:
             try:
-                said = gain_restoration.restore_nominal_gains(
-                    self._supervision, self._reached or self._connect(), home
-                )
+                access = self._access or self._connect()
+                fault = rig_access.restore_nominal_gains(rig, access, home)
             except EstuneError as error:
                 self._disconnect()
                 if time.monotonic() - self._stopping_since_s < self._stop_within_s:
-                    self._rest(_STEP_S)
+                    self._rest(_POLL_S)
                     return
-                said = (
-                    f"the {self._supervision.life.home} gains could not be confirmed on the rig "
-                    f"({error}); they are put back when the daemon is started again"
+                fault = (
+                    f"the {name} gains could not be confirmed on the rig ({error}); they are "
+                    "restored when the daemon is started again"
                 )
-        self.confirmed = not said
-        ended = said or f"ended; the rig has confirmed its gains: {home}" if home else "ended"
-        self._supervision.apply_event(
-            SupervisorEvent.ENDED, said, EventKind.STOPPED, sentence=ended
-        )
+        self.confirmed = not fault
+        ended = f"ended; the rig has confirmed its gains: {home}" if home else "ended"
+        rig.apply_event(SupervisorEvent.ENDED, fault, EventKind.STOPPED, sentence=fault or ended)
 
-    def _there(self) -> RigAccess:
-        if self._reached is None:
+    def _connected(self) -> RigAccess:
+        if self._access is None:
             raise RigError(f"rig {self.name} is not connected")
-        return self._reached
+        return self._access
 
     def _disconnect(self) -> None:
-        reached, self._reached, self._supervision.live = self._reached, None, None
-        if reached is not None:
+        access, self._access, self._rig.live = self._access, None, None
+        if access is not None:
             with suppress(EstuneError):
-                reached.close()
+                access.close()
 
     @contextmanager
-    def _in_trials(self) -> Iterator[None]:
-        """Trials are run in the block, which a stop cuts off."""
-        self._cuttable = True
+    def _trials(self) -> Iterator[None]:
+        """Block of trials, which a stop ends at once."""
+        self._in_trial = True
         try:
-            if self._supervision.mode not in (
-                SupervisorMode.TUNING,
-                SupervisorMode.CONFIRMING,
-                SupervisorMode.WATCHING,
-            ):
+            if self._rig.mode not in _TRIAL_MODES:
                 raise Preempted
             yield
         finally:
-            self._cuttable = False
+            self._in_trial = False
 
-    def _cut(self) -> None:
-        """Ends the trial under way, if any, without making anybody wait."""
-        reached = self._reached
-        if self._cuttable and reached is not None:
-            threading.Thread(
-                target=reached.cut, args=(lambda: self._cuttable,), daemon=True
-            ).start()
+    def _abort_trial(self) -> None:
+        """Ends the trial under way, if any, without waiting."""
+        access = self._access
+        if self._in_trial and access is not None:
+            abort, while_ = access.abort_trials, lambda: self._in_trial
+            threading.Thread(target=abort, args=(while_,), daemon=True).start()
 
     def _rest(self, seconds: float) -> bool:
-        """Waits; whether something happened before the time was over."""
+        """Waits; whether the state changed before the time was over."""
         until_s = time.monotonic() + seconds
-        while (left_s := until_s - time.monotonic()) > 0.0:
+        while (remaining_s := until_s - time.monotonic()) > 0.0:
             self._mark_progress()
-            if self._supervision.changed.wait(min(left_s, _STEP_S)):
+            if self._rig.changed.wait(min(remaining_s, _POLL_S)):
                 return True
         return False
 

@@ -1,24 +1,25 @@
-"""What the supervision of one rig does at each event: a table, without clock, rig or disk.
+"""Pure state machine of one rig's supervision, without clock, rig or disk.
 
-The state is a value. `mode` follows from it: what the keeper has to do now. Each row of `TABLE` is
-an event, each column a mode. A command without a place in a mode is refused in words and changes
-nothing; an event from within that has none is an error.
+`SupervisorState.mode` says what the supervisor does now. `TABLE` has a row for each event and a
+column for each mode. A command that a mode does not allow is refused with the reason and changes
+nothing; any other event that it does not allow is an error of the program.
 
-Only the home gains are ever put on the rig. A candidate is measured in trials, which put them back
-whatever becomes of the daemon, and stays off the rig until it is accepted, which makes it the home
-set. So whenever the daemon is killed, the rig runs gains that somebody or the file agreed to.
+Only the nominal gains (field `home`) are ever made live. A candidate is measured in trials, after
+which the rig restores its live gains even if the daemon dies. It becomes the nominal gains when it
+is accepted. So at every instant the rig runs gains that somebody or the file agreed to.
 """
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from types import MappingProxyType
+from typing import Any
 
 from estune.errors import EstuneError, InvalidInput
 
 
 class GainSet(StrEnum):
-    """The gains a daemon knows for a rig."""
+    """Name of a set of gains that the daemon stores for a rig."""
 
     ORIGINAL = "original"
     CANDIDATE = "candidate"
@@ -26,7 +27,7 @@ class GainSet(StrEnum):
 
 
 class Goal(StrEnum):
-    """What is to be done with the rig when nothing stands in the way."""
+    """Activity while the rig is ready and the supervision is not paused."""
 
     TUNE = "tune"
     CONFIRM = "confirm"
@@ -35,7 +36,7 @@ class Goal(StrEnum):
 
 
 class Link(StrEnum):
-    """How it stands with the rig."""
+    """State of the connection to the rig; ready once its live gains are the nominal ones."""
 
     AWAY = "away"
     FAILED = "failed"
@@ -44,7 +45,7 @@ class Link(StrEnum):
 
 
 class Shutdown(StrEnum):
-    """Whether the supervision is to end."""
+    """Whether the supervision is to end, or has ended."""
 
     NO = "no"
     STOPPING = "stopping"
@@ -52,7 +53,7 @@ class Shutdown(StrEnum):
 
 
 class SupervisorMode(StrEnum):
-    """What is done now. The columns of the table, in this order."""
+    """What the supervisor does now: the columns of the table, in this order."""
 
     WAITING = "waiting"
     RETRYING = "retrying"
@@ -67,23 +68,23 @@ class SupervisorMode(StrEnum):
 
     @property
     def sentence(self) -> str:
-        """The mode in words."""
-        return _MODES[self]
+        """Description of the mode for the operator."""
+        return _SENTENCES[self]
 
 
-_MODES = {
+_SENTENCES = {
     SupervisorMode.WAITING: "waiting for the rig",
-    SupervisorMode.RETRYING: "something has failed; trying again after a while",
-    SupervisorMode.READYING: "looking which gains the rig runs, and putting the right ones on it",
-    SupervisorMode.TUNING: "looking for better gains by trials",
-    SupervisorMode.CONFIRMING: "repeating the start and the best gains found in turn",
+    SupervisorMode.RETRYING: "an operation failed; trying again after a while",
+    SupervisorMode.READYING: "checking the rig's gains and applying the nominal ones",
+    SupervisorMode.TUNING: "searching for better gains by trials",
+    SupervisorMode.CONFIRMING: "repeating the initial and the best gains, interleaved",
     SupervisorMode.HOLDING: "better gains were found, and are not live: accept or reject them",
-    SupervisorMode.WATCHING: "repeating check trials from time to time",
-    SupervisorMode.PAUSED: "nothing is done until it is resumed",
-    SupervisorMode.STOPPING: "putting the rig's gains back, then ending",
+    SupervisorMode.WATCHING: "repeating check trials at intervals",
+    SupervisorMode.PAUSED: "nothing is done until resume",
+    SupervisorMode.STOPPING: "restoring the nominal gains, then ending",
     SupervisorMode.STOPPED: "ended",
 }
-_OF_GOAL = {
+_MODE_OF_GOAL = {
     Goal.TUNE: SupervisorMode.TUNING,
     Goal.CONFIRM: SupervisorMode.CONFIRMING,
     Goal.HOLD: SupervisorMode.HOLDING,
@@ -93,17 +94,17 @@ _OF_GOAL = {
 
 @dataclass(frozen=True, slots=True)
 class SupervisorState:
-    """Where the supervision of a rig stands.
+    """State of the supervision of one rig.
 
     Attributes:
-        goal: What is to be done.
-        home: The gains that are to be live between trials, and after the end.
+        goal: Activity while the rig is ready.
+        home: The nominal gains: live between trials and after the end.
         why: Why these.
-        link: How it stands with the rig.
-        failures: How often in a row the rig was not reached, or something failed.
-        trouble: What the last of them was; empty once it is over.
-        paused: Why nothing is done; empty if it is not paused.
-        ending: Whether it is to end.
+        link: State of the connection to the rig.
+        failures: Consecutive failures to reach or use the rig.
+        trouble: Message of the last failure; empty once it is over.
+        paused: Why the supervision is paused; empty if it is not.
+        ending: Whether the supervision is to end.
     """
 
     goal: Goal = Goal.TUNE
@@ -117,24 +118,22 @@ class SupervisorState:
 
     @property
     def mode(self) -> SupervisorMode:
-        """What is done now: a column of the table."""
-        if self.ending is not Shutdown.NO:
-            return (
-                SupervisorMode.STOPPED
-                if self.ending is Shutdown.STOPPED
-                else SupervisorMode.STOPPING
-            )
+        """What the supervisor does now: a column of the table."""
+        if self.ending is Shutdown.STOPPED:
+            return SupervisorMode.STOPPED
+        if self.ending is Shutdown.STOPPING:
+            return SupervisorMode.STOPPING
         if self.link is Link.AWAY:
             return SupervisorMode.WAITING
         if self.link is Link.FAILED:
             return SupervisorMode.RETRYING
         if self.link is Link.FOUND:
             return SupervisorMode.READYING
-        return SupervisorMode.PAUSED if self.paused else _OF_GOAL[self.goal]
+        return SupervisorMode.PAUSED if self.paused else _MODE_OF_GOAL[self.goal]
 
 
 class SupervisorEvent(StrEnum):
-    """What can happen. The rows of the table."""
+    """Input of the state machine: the rows of the table."""
 
     BOOT = "boot"
     FOUND = "found"
@@ -166,183 +165,127 @@ COMMANDS = (
     SupervisorEvent.RESUME,
     SupervisorEvent.STOP,
 )
-"""The verbs."""
+"""Events that are verbs of the operator."""
 
 
 class InvalidTransition(EstuneError):
-    """An event that cannot be in this mode: a fault in the program."""
+    """Event that cannot occur in this mode: an error of the program."""
 
 
 def next_state(
-    life: SupervisorState, happening: SupervisorEvent, words: str = ""
+    state: SupervisorState, event: SupervisorEvent, reason: str = ""
 ) -> SupervisorState:
-    """The state after an event.
-
-    Args:
-        life: Where it stood.
-        happening: What has happened.
-        words: Why, or who says so.
+    """State after an event.
 
     Raises:
-        InvalidInput: a command has no place here; nothing is changed.
-        Impossible: an event cannot be here.
+        InvalidInput: the command is not allowed in this state; nothing is changed.
+        InvalidTransition: the event cannot occur in this state.
     """
-    cell = TABLE[happening][life.mode]
+    cell = TABLE[event][state.mode]
     if isinstance(cell, str):
-        if happening in COMMANDS:
-            raise InvalidInput(f"cannot {happening}: {cell}")
-        raise InvalidTransition(f"{happening} while {life.mode}: {cell}")
-    return cell(life, words)
+        if event in COMMANDS:
+            raise InvalidInput(f"cannot {event}: {cell}")
+        raise InvalidTransition(f"{event} while {state.mode}: {cell}")
+    return cell(state, reason)
 
 
-_Cell = Callable[[SupervisorState, str], SupervisorState] | str
+_Transition = Callable[[SupervisorState, str], SupervisorState]
+_Cell = _Transition | str
+"""A transition, or why there is none."""
 
 
-def _boot(life: SupervisorState, _: str) -> SupervisorState:
-    """The process has been started: whatever it was doing, it goes on with that."""
-    return replace(
-        life,
-        link=Link.AWAY,
-        failures=0,
-        trouble="",
-        ending=Shutdown.NO,
-        # What was found is not taken over by a start: a search that was confirmed is decided anew.
-        goal=Goal.TUNE if life.goal is Goal.CONFIRM else life.goal,
-    )
+def _set(**changes: Any) -> _Transition:
+    """Transition that replaces these fields."""
+    return lambda state, _: replace(state, **changes)
 
 
-def _found(life: SupervisorState, _: str) -> SupervisorState:
-    return replace(life, link=Link.FOUND)
+def _boot(state: SupervisorState, _: str) -> SupervisorState:
+    # The result of a confirmation is not stored: its run is continued, and decided again.
+    started = replace(_back_to_tuning(state), ending=Shutdown.NO)
+    return replace(started, link=Link.AWAY, failures=0, trouble="")
 
 
-def _readied(life: SupervisorState, _: str) -> SupervisorState:
-    return replace(life, link=Link.READY, failures=0, trouble="")
+def _failure(link: Link) -> _Transition:
+    def fail(state: SupervisorState, reason: str) -> SupervisorState:
+        failures = state.failures + 1
+        return replace(_back_to_tuning(state), link=link, failures=failures, trouble=reason)
+
+    return fail
 
 
-def _lost(life: SupervisorState, words: str) -> SupervisorState:
-    return replace(_back(life), link=Link.AWAY, failures=life.failures + 1, trouble=words)
+def _back_to_tuning(state: SupervisorState) -> SupervisorState:
+    """An interrupted confirmation is continued from the run's own journal, by way of tuning."""
+    return replace(state, goal=Goal.TUNE) if state.goal is Goal.CONFIRM else state
 
 
-def _failed(life: SupervisorState, words: str) -> SupervisorState:
-    return replace(_back(life), link=Link.FAILED, failures=life.failures + 1, trouble=words)
+def _check_gains(state: SupervisorState, _: str = "") -> SupervisorState:
+    """The live gains must be read, and replaced where they are not the nominal ones."""
+    return replace(state, link=Link.FOUND) if state.link is Link.READY else state
 
 
-def _back(life: SupervisorState) -> SupervisorState:
-    """A confirmation that is cut off is taken up from the run's own journal, by way of tuning."""
-    return replace(life, goal=Goal.TUNE) if life.goal is Goal.CONFIRM else life
+def _pause(state: SupervisorState, reason: str) -> SupervisorState:
+    return replace(_back_to_tuning(state), paused=reason)
 
 
-def _trouble(life: SupervisorState, words: str) -> SupervisorState:
-    """Somebody must see to it. The rig keeps the home gains."""
-    return replace(_back(life), paused=words)
+def _revert(state: SupervisorState, reason: str) -> SupervisorState:
+    original = replace(state, goal=Goal.TUNE, home=GainSet.ORIGINAL, why=reason, paused=reason)
+    return _check_gains(original)
 
 
-def _unsafe(life: SupervisorState, words: str) -> SupervisorState:
-    """The home gains are no longer safe: the original ones are the best that is known."""
-    return replace(_reverted(life, words), paused=words)
+def _adopt(state: SupervisorState, reason: str) -> SupervisorState:
+    return _check_gains(replace(state, goal=Goal.WATCH, home=GainSet.ACCEPTED, why=reason))
 
 
-def _reverted(life: SupervisorState, words: str) -> SupervisorState:
-    return _unsettled(replace(life, goal=Goal.TUNE, home=GainSet.ORIGINAL, why=words))
-
-
-def _unsettled(life: SupervisorState) -> SupervisorState:
-    """What is live must be looked at, and changed where it is not the home gains."""
-    return replace(life, link=Link.FOUND) if life.link is Link.READY else life
-
-
-def _changed(life: SupervisorState, _: str) -> SupervisorState:
-    return _unsettled(life)
-
-
-def _searched(life: SupervisorState, _: str) -> SupervisorState:
-    return replace(life, goal=Goal.CONFIRM)
-
-
-def _proposed(life: SupervisorState, _: str) -> SupervisorState:
-    return replace(life, goal=Goal.HOLD)
-
-
-def _adopted(life: SupervisorState, words: str) -> SupervisorState:
-    return _unsettled(replace(life, goal=Goal.WATCH, home=GainSet.ACCEPTED, why=words))
-
-
-def _kept(life: SupervisorState, _: str) -> SupervisorState:
-    return replace(life, goal=Goal.WATCH)
-
-
-def _drifted(life: SupervisorState, _: str) -> SupervisorState:
-    return replace(life, goal=Goal.TUNE)
-
-
-def _accept(life: SupervisorState, words: str) -> SupervisorState:
-    if life.goal is not Goal.HOLD:
+def _accept(state: SupervisorState, reason: str) -> SupervisorState:
+    if state.goal is not Goal.HOLD:
         raise InvalidInput(f"cannot accept: {_NO_CANDIDATE}")
-    return _adopted(life, words)
+    return _adopt(state, reason)
 
 
-def _reject(life: SupervisorState, _: str) -> SupervisorState:
-    if life.goal is not Goal.HOLD:
+def _reject(state: SupervisorState, _: str) -> SupervisorState:
+    if state.goal is not Goal.HOLD:
         raise InvalidInput(f"cannot reject: {_NO_CANDIDATE}")
-    return replace(life, goal=Goal.WATCH)
+    return replace(state, goal=Goal.WATCH)
 
 
-def _revert(life: SupervisorState, words: str) -> SupervisorState:
-    return replace(_reverted(life, words), paused=words)
+def _pause_once(state: SupervisorState, reason: str) -> SupervisorState:
+    if state.paused:
+        raise InvalidInput(f"cannot pause: it is paused already ({state.paused})")
+    return _pause(state, reason)
 
 
-def _pause(life: SupervisorState, words: str) -> SupervisorState:
-    if life.paused:
-        raise InvalidInput(f"cannot pause: {_PAUSED} ({life.paused})")
-    return replace(_back(life), paused=words)
+def _resume(state: SupervisorState, _: str) -> SupervisorState:
+    # Others may have changed the rig's gains meanwhile.
+    return _check_gains(replace(state, paused="", failures=0))
 
 
-def _resume(life: SupervisorState, _: str) -> SupervisorState:
-    """Goes on at once; the rig may have been used by hand meanwhile."""
-    return _unsettled(replace(life, paused="", failures=0))
-
-
-def _resume_if_paused(life: SupervisorState, words: str) -> SupervisorState:
-    if not life.paused:
+def _resume_if_paused(state: SupervisorState, reason: str) -> SupervisorState:
+    if not state.paused:
         raise InvalidInput(f"cannot resume: {_NOT_PAUSED}")
-    return _resume(life, words)
+    return _resume(state, reason)
 
 
-def _stop(life: SupervisorState, words: str) -> SupervisorState:
-    return replace(_back(life), ending=Shutdown.STOPPING, why=f"{words}; {_HOME[life.home]}")
+def _stop(state: SupervisorState, reason: str) -> SupervisorState:
+    stays = state.home is GainSet.ACCEPTED
+    gains = "the accepted gains stay" if stays else "the rig's own gains are restored"
+    return replace(_back_to_tuning(state), ending=Shutdown.STOPPING, why=f"{reason}; {gains}")
 
 
-def _ended(life: SupervisorState, words: str) -> SupervisorState:
-    return replace(life, ending=Shutdown.STOPPED, trouble=words)
-
-
-def _same(life: SupervisorState, _: str) -> SupervisorState:
-    return life
+def _end(state: SupervisorState, reason: str) -> SupervisorState:
+    return replace(state, ending=Shutdown.STOPPED, trouble=reason)
 
 
 _NO_CANDIDATE = "there are no candidate gains to decide on"
-_PAUSED = "it is paused already"
 _NOT_PAUSED = "it is not paused"
-_ENDING = "it is being stopped"
-_ENDED = "it has ended; start the daemon again"
-_HOME = {
-    GainSet.ORIGINAL: "the rig's own gains are put back",
-    GainSet.ACCEPTED: "the accepted gains stay",
-}
 
+_STOPPING = (SupervisorMode.STOPPING,)
 _ABSENT = (SupervisorMode.WAITING, SupervisorMode.RETRYING)
-_DOING = (
-    SupervisorMode.TUNING,
-    SupervisorMode.CONFIRMING,
-    SupervisorMode.HOLDING,
-    SupervisorMode.WATCHING,
-)
-_THERE = (SupervisorMode.READYING, *_DOING, SupervisorMode.PAUSED)
-_ALIVE = (*_ABSENT, *_THERE)
+_ACTIVE = tuple(_MODE_OF_GOAL.values())
+_RUNNING = (*_ABSENT, SupervisorMode.READYING, *_ACTIVE, SupervisorMode.PAUSED)
 
 
 def _row(
-    *cells: tuple[tuple[SupervisorMode, ...], _Cell], otherwise: str = "cannot be"
+    *cells: tuple[tuple[SupervisorMode, ...], _Cell], otherwise: str = "impossible"
 ) -> Mapping[SupervisorMode, _Cell]:
     row: dict[SupervisorMode, _Cell] = dict.fromkeys(SupervisorMode, otherwise)
     for modes, cell in cells:
@@ -350,46 +293,47 @@ def _row(
     return MappingProxyType(row)
 
 
-_COMMAND_ENDS: tuple[tuple[tuple[SupervisorMode, ...], _Cell], ...] = (
-    ((SupervisorMode.STOPPING,), _ENDING),
-    ((SupervisorMode.STOPPED,), _ENDED),
-)
+def _command(
+    *cells: tuple[tuple[SupervisorMode, ...], _Cell], stopping: _Cell = "it is being stopped"
+) -> Mapping[SupervisorMode, _Cell]:
+    return _row(*cells, (_STOPPING, stopping), otherwise="it has ended; start the daemon again")
+
 
 TABLE: Mapping[SupervisorEvent, Mapping[SupervisorMode, _Cell]] = MappingProxyType(
     {
         SupervisorEvent.BOOT: _row((tuple(SupervisorMode), _boot)),
-        SupervisorEvent.FOUND: _row((_ABSENT, _found), ((SupervisorMode.STOPPING,), _found)),
-        SupervisorEvent.READIED: _row(((SupervisorMode.READYING,), _readied)),
-        # The rig runs other gains than it should: it was restarted, or somebody changed them.
-        SupervisorEvent.CHANGED: _row((_DOING, _changed)),
-        SupervisorEvent.LOST: _row((_ALIVE, _lost), ((SupervisorMode.STOPPING,), _lost)),
-        SupervisorEvent.FAILED: _row((_ALIVE, _failed), ((SupervisorMode.STOPPING,), _failed)),
-        SupervisorEvent.TROUBLE: _row((_ALIVE, _trouble), ((SupervisorMode.STOPPING,), _same)),
+        SupervisorEvent.FOUND: _row(((*_ABSENT, *_STOPPING), _set(link=Link.FOUND))),
+        SupervisorEvent.READIED: _row(
+            ((SupervisorMode.READYING,), _set(link=Link.READY, failures=0, trouble=""))
+        ),
+        # The rig runs other gains than the nominal ones: restarted, or changed by others.
+        SupervisorEvent.CHANGED: _row((_ACTIVE, _check_gains)),
+        SupervisorEvent.LOST: _row(((*_RUNNING, *_STOPPING), _failure(Link.AWAY))),
+        SupervisorEvent.FAILED: _row(((*_RUNNING, *_STOPPING), _failure(Link.FAILED))),
+        # Operator action is required. The rig keeps the nominal gains.
+        SupervisorEvent.TROUBLE: _row((_RUNNING, _pause), (_STOPPING, _set())),
+        # The nominal gains are no longer safe: the original ones are the best alternative.
         SupervisorEvent.UNSAFE: _row(
-            ((SupervisorMode.TUNING, SupervisorMode.CONFIRMING, SupervisorMode.WATCHING), _unsafe),
+            ((SupervisorMode.TUNING, SupervisorMode.CONFIRMING, SupervisorMode.WATCHING), _revert),
         ),
         SupervisorEvent.SEARCHED: _row(
-            ((SupervisorMode.TUNING,), _searched), ((SupervisorMode.CONFIRMING,), _same)
+            ((SupervisorMode.TUNING,), _set(goal=Goal.CONFIRM)),
+            ((SupervisorMode.CONFIRMING,), _set()),
         ),
-        SupervisorEvent.PROPOSED: _row(((SupervisorMode.CONFIRMING,), _proposed)),
-        SupervisorEvent.ADOPTED: _row(((SupervisorMode.CONFIRMING,), _adopted)),
-        SupervisorEvent.KEPT: _row(((SupervisorMode.CONFIRMING,), _kept)),
-        SupervisorEvent.DRIFTED: _row(((SupervisorMode.WATCHING,), _drifted)),
-        SupervisorEvent.ENDED: _row(((SupervisorMode.STOPPING,), _ended)),
-        SupervisorEvent.ACCEPT: _row((_ALIVE, _accept), *_COMMAND_ENDS),
-        SupervisorEvent.REJECT: _row((_ALIVE, _reject), *_COMMAND_ENDS),
-        SupervisorEvent.REVERT: _row((_ALIVE, _revert), *_COMMAND_ENDS),
-        SupervisorEvent.PAUSE: _row((_ALIVE, _pause), *_COMMAND_ENDS),
-        SupervisorEvent.RESUME: _row(
+        SupervisorEvent.PROPOSED: _row(((SupervisorMode.CONFIRMING,), _set(goal=Goal.HOLD))),
+        SupervisorEvent.ADOPTED: _row(((SupervisorMode.CONFIRMING,), _adopt)),
+        SupervisorEvent.KEPT: _row(((SupervisorMode.CONFIRMING,), _set(goal=Goal.WATCH))),
+        SupervisorEvent.DRIFTED: _row(((SupervisorMode.WATCHING,), _set(goal=Goal.TUNE))),
+        SupervisorEvent.ENDED: _row((_STOPPING, _end)),
+        SupervisorEvent.ACCEPT: _command((_RUNNING, _accept)),
+        SupervisorEvent.REJECT: _command((_RUNNING, _reject)),
+        SupervisorEvent.REVERT: _command((_RUNNING, _revert)),
+        SupervisorEvent.PAUSE: _command((_RUNNING, _pause_once)),
+        SupervisorEvent.RESUME: _command(
             (_ABSENT, _resume),
             ((SupervisorMode.READYING, SupervisorMode.PAUSED), _resume_if_paused),
-            (_DOING, _NOT_PAUSED),
-            *_COMMAND_ENDS,
+            (_ACTIVE, _NOT_PAUSED),
         ),
-        SupervisorEvent.STOP: _row(
-            (_ALIVE, _stop),
-            ((SupervisorMode.STOPPING,), _same),
-            ((SupervisorMode.STOPPED,), _ENDED),
-        ),
+        SupervisorEvent.STOP: _command((_RUNNING, _stop), stopping=_set()),
     }
 )
