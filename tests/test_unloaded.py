@@ -10,7 +10,7 @@ from estune.core.gains import Gains
 from estune.errors import InvalidInput, PlantError
 from estune.trial import TrialRequest
 from estune.trial.profiles import ChirpProfile, StepProfile
-from plants.effects import EFFECTS, CoulombFriction, DeadTime, TorqueRipple
+from plants.effects import EFFECTS, CoulombFriction, DeadTime, Port, TorqueRipple
 
 FINE = plants.unloaded_reel(encoder_counts=1e12)  # so that the angle can be compared to rounding
 PUSH = StepProfile(0.0, 10.0, 0.1, 0.6, loop="open")
