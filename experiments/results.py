@@ -1,0 +1,112 @@
+"""Command line and output of an experiment: its figures, and which targets it meets.
+
+Every experiment has `--json` and `--quick`. It prints a table, and in its last lines each target
+with its value and its limit; with `--json` it prints one object instead, {"figures": {name:
+value}, "targets": {name: {"value", "limit", "met"}}}. Its exit code is 0 if every target is met,
+else 1.
+"""
+
+import argparse
+import contextlib
+import io
+import json
+import math
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from matplotlib.figure import Figure
+
+from estune.support.plot_style import to_png
+
+
+class Target(NamedTuple):
+    """A figure with its required limit, in the figure's own unit.
+
+    Attributes:
+        value: The measured value; None if it could not be measured.
+        limit: The limit; lower and upper if there are two.
+        met: Whether the value is within the limit.
+    """
+
+    value: float | None
+    limit: float | tuple[float, float]
+    met: bool
+
+
+def at_most(value: float | None, limit: float) -> Target:
+    """A figure with an upper limit; None and NaN miss it."""
+    return Target(value, limit, value is not None and bool(value <= limit))
+
+
+def at_least(value: float | None, limit: float) -> Target:
+    """A figure with a lower limit; None and NaN miss it."""
+    return Target(value, limit, value is not None and bool(value >= limit))
+
+
+def between(value: float | None, low: float, high: float) -> Target:
+    """A figure with two limits; None and NaN miss them."""
+    return Target(value, (low, high), value is not None and bool(low <= value <= high))
+
+
+def command_line(about: str | None, *, quick: str, out: str = "") -> argparse.ArgumentParser:
+    """Parser of the options of every experiment; an experiment may add its own.
+
+    Args:
+        about: Docstring of the experiment; its first line is the description.
+        quick: What the short form leaves out.
+        out: What the experiment writes into the folder of `--out`; without it no such option.
+    """
+    parser = argparse.ArgumentParser(description=(about or "").partition("\n")[0])
+    parser.add_argument("--json", action="store_true", help="print one JSON object instead")
+    parser.add_argument("--quick", action="store_true", help=quick)
+    if out:
+        text = f"folder for {out}; default: out, in the current directory"
+        parser.add_argument("--out", type=Path, default=Path("out"), metavar="FOLDER", help=text)
+    return parser
+
+
+def save_figure(figure: Figure, folder: Path, name: str) -> Path:
+    """Writes a figure as PNG into a folder, which is created if missing; its path."""
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / f"{name}.png"
+    path.write_bytes(to_png(figure))
+    return path
+
+
+def print_tables(*, hidden: bool) -> contextlib.AbstractContextManager[object]:
+    """Context of an experiment that prints while it measures; hidden discards the output."""
+    return contextlib.redirect_stdout(io.StringIO() if hidden else sys.stdout)
+
+
+def print_results(
+    figures: Mapping[str, Any], targets: Mapping[str, Target], *, as_json: bool
+) -> int:
+    """Prints one JSON object, or a line for each target.
+
+    Returns:
+        The exit code: 1 if a target is missed.
+    """
+    if as_json:
+        values = {name: target._asdict() for name, target in targets.items()}
+        print(json.dumps(_finite({"figures": figures, "targets": values}), allow_nan=False))
+    elif targets:
+        print()
+        for name, (value, limit, met) in targets.items():
+            limits = " to ".join(map(_text, limit if isinstance(limit, tuple) else (limit,)))
+            print(f"{'met' if met else 'MISSED':6} {name}: {_text(value)}, limit {limits}")
+    return 0 if all(target.met for target in targets.values()) else 1
+
+
+def _text(number: float | None) -> str:
+    return "none" if number is None else f"{number:.4g}"
+
+
+def _finite(value: Any) -> Any:
+    """The value with None in place of numbers that JSON does not have."""
+    if isinstance(value, Mapping):
+        return {name: _finite(one) for name, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(one) for one in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
