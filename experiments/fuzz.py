@@ -1,11 +1,11 @@
-"""Does anything that can be sent to a rig or a client break it, or pass for what it is not?
+"""Fuzz test of the messages to a rig and to a client.
 
-Takes valid frames, parts, live samples, commands and answers, changes them at random (bits, bytes,
-pieces cut out, repeated or swapped with another message's, numbers in the JSON made extreme), and
-puts each where it would arrive. A frame, a part, live samples and a submit carry a checksum: a
-changed one must be refused. Anything else must be refused, or be valid as it stands. Each query
-must have one answer that can be understood, nothing but an error estune can name may be raised,
-and the rig must have run the trials that were really asked for and no other.
+Valid frames, parts, live samples, commands and replies are changed at random (bits, bytes, pieces
+removed, repeated or exchanged with another message's, numbers in the JSON made extreme) and sent
+to their receiver. A frame, a part, live samples and a submit carry a checksum: a changed one must
+be refused. Any other message must be refused, or be valid as it stands. Each query must have one
+reply that can be decoded, only an `EstuneError` may be raised, and the rig must have run exactly
+the trials that were submitted.
 """
 
 import logging
@@ -18,21 +18,8 @@ from estune.core.gains import Gains
 from estune.errors import EstuneError
 from estune.remote import messages
 from estune.remote.ledger import MemoryLedger
-from estune.remote.messages import (
-    Answer,
-    Cancel,
-    Clear,
-    Description,
-    Estop,
-    Inquire,
-    Lease,
-    SetGains,
-    Status,
-    Submit,
-    Void,
-    digest,
-)
-from estune.remote.zenoh.dispatcher import MessageDispatcher
+from estune.remote.messages import Answer, Description, Inquire, Status, digest
+from estune.remote.messages.commands import Cancel, Clear, Lease, Submit, Void
 from estune.remote.zenoh.request_handler import RequestHandler
 from estune.trial import RigDescription, TrialRecord, TrialRequest, empty_record, record_frame
 from estune.trial.profiles import (
@@ -42,31 +29,37 @@ from estune.trial.profiles import (
     StaircaseProfile,
     TriangleProfile,
 )
-from experiments.judged import at_most, command_line, tell
-from experiments.rig_protocol_page import DESCRIBED, EXAMPLES, GAINS, RECORD, REQUEST, SAMPLES
+from experiments.results import at_most, command_line, print_results
+from experiments.rig_protocol_page import (
+    COMMANDS,
+    DESCRIBED,
+    EXAMPLES,
+    GAINS,
+    LEASE,
+    RECORD,
+    REQUEST,
+    SAMPLES,
+)
 
 MUTATIONS, QUICK = 120_000, 6_000
-HELD = "5ad1e7c0ffee0042"
-"""The lease."""
-
 EXTREMES = (
     *("NaN", "Infinity", "-Infinity", "1e999", "-1e999", "1e308", "5e-324", "-0.0", "0"),
     *("9223372036854775808", "1" * 400, "true", "null", '"1"', "[]", "{}", "-1", "0.5"),
 )
 
 Message = tuple[str, bytes]
-"""Where it goes, and its bytes."""
+"""Destination and bytes: a verb, `result/<trial id>`, or `decode/<kind>`."""
 
 
 class CountingRig:
-    """Runs nothing, and counts what it was asked to run."""
+    """Rig without motion that records the requests."""
 
     def __init__(self) -> None:
         self.asked: list[TrialRequest] = []
         self._live = GAINS
 
     def describe(self) -> RigDescription:
-        """What it would be."""
+        """A simulated rig with the live gains."""
         return replace(DESCRIBED, gains=self._live, simulated=True)
 
     def run(self, request: TrialRequest) -> TrialRecord:
@@ -76,20 +69,20 @@ class CountingRig:
         return replace(record, gains=request.gains)
 
     def apply(self, gains: Gains) -> None:
-        """Nothing is live here."""
+        """Does nothing."""
 
     def abort(self) -> RigDescription:
-        """Nothing is ever under way."""
+        """Does nothing."""
         return self.describe()
 
     def estop(self, reason: str) -> None:
-        """Nothing ever moves here."""
+        """Does nothing."""
 
     def clear(self) -> None:
-        """Nothing was stopped."""
+        """Does nothing."""
 
     def close(self) -> None:
-        """Nothing is held."""
+        """Does nothing."""
 
 
 PROFILES: tuple[AnyProfile, ...] = (
@@ -102,21 +95,19 @@ PROFILES: tuple[AnyProfile, ...] = (
 
 
 def seeds() -> list[Message]:
-    """Valid messages of every kind but `submit`, and where they go."""
+    """Valid messages of every kind but `submit`."""
     whole = record_frame.encode(RECORD)
-    commands: list[tuple[str, object]] = [
-        *((f"result/{REQUEST.trial_id}", Inquire(digest(REQUEST), n, n)) for n in (0, 8)),
-        ("@cmd/0f/lease", Lease("renew", HELD, "fuzz")),
-        ("@cmd/0f/cancel", Cancel(HELD)),
-        ("@cmd/0f/void", Void(HELD, "other-00001", digest(REQUEST))),
-        ("@cmd/0f/gains", SetGains(HELD, GAINS)),
-        ("@cmd/0f/estop", Estop("fuzz")),
-        ("@cmd/0f/clear", Clear()),
-    ]
-    answers = [e for e in EXAMPLES if isinstance(e, Answer | Status | Description)]
+    commands = COMMANDS | {
+        "lease": Lease("renew", LEASE, "fuzz"),
+        "cancel": Cancel(LEASE),
+        "void": Void(LEASE, "other-00001", digest(REQUEST)),
+    }
+    inquiries = (Inquire(digest(REQUEST), n, n) for n in (0, 8))
+    replies = [e for e in EXAMPLES if isinstance(e, Answer | Status | Description)]
     return [
-        *((where, messages.encode(message)) for where, message in commands),
-        *((f"decode/{type(a).__name__}", messages.encode(a)) for a in answers),
+        *((f"result/{REQUEST.trial_id}", messages.encode(inquiry)) for inquiry in inquiries),
+        *((verb, messages.encode(c)) for verb, c in commands.items() if verb != "submit"),
+        *((f"decode/{type(r).__name__}", messages.encode(r)) for r in replies),
         ("decode/frame", whole),
         ("decode/part", messages.encode_part(whole, 16, 100)),
         ("decode/live", messages.encode_live(SAMPLES)),
@@ -162,67 +153,72 @@ def _with_extreme(random: Random, data: bytes) -> bytes:
 
 
 class Fuzz:
-    """Puts messages where they would arrive, and notes what comes of it.
+    """Sends messages to their receivers, and checks the results.
 
     Attributes:
-        told: How many were refused, or were valid as they stood, by where they went.
-        faults: What should not have been.
+        counts: Number of messages by destination, refused or understood.
+        faults: Violations found.
     """
 
     def __init__(self, seed: int) -> None:
         self.random = Random(seed)  # noqa: S311  nothing here is secret
         self.rig = CountingRig()
-        self.attendant = RequestHandler(self.rig, MemoryLedger(), lambda: None)
-        self.desk = MessageDispatcher(self.attendant, "0f", "0f")
+        self.handler = RequestHandler(self.rig, MemoryLedger(), lambda: None, instance="0f")
         self.seeds = seeds()
-        self.told: Counter[str] = Counter()
+        self.counts: Counter[str] = Counter()
         self.faults: list[str] = []
-        self._wanted: set[TrialRequest] = set()
+        self._submitted: set[TrialRequest] = set()
 
     def turn(self, number: int) -> None:
-        """Sends one changed message, and the valid one where that is a trial."""
+        """Sends one changed message, and the valid one if it is a submit."""
         if number % 3:
             where, data = self.random.choice(self.seeds)
         else:
             request = replace(REQUEST, number=number, profile=self.random.choice(PROFILES))
-            where = "@cmd/0f/submit"
-            data = messages.encode(Submit(HELD, request, digest(request)))
+            where = "submit"
+            data = messages.encode(Submit(LEASE, request, digest(request)))
         changed = mutated(self.random, data, self.seeds)
         if where.startswith("decode/"):
             self._decode(where.removeprefix("decode/"), data, changed)
             return
-        self._command("@cmd/0f/lease", messages.encode(Lease("acquire", HELD, "fuzz")))
-        self._command(where, changed)
-        if where.endswith("submit"):
-            self._wanted.add(request)
-            self._command(where, data)
-        self._command("@cmd/0f/clear", messages.encode(Clear()))
+        self._send("lease", messages.encode(Lease("acquire", LEASE, "fuzz")))
+        self._send(where, changed)
+        if where == "submit":
+            self._submitted.add(request)
+            self._send(where, data)
+        self._send("clear", messages.encode(Clear()))
 
     def finish(self) -> None:
-        """Looks whether the rig has run what it was asked to, and nothing else."""
-        self.attendant.close()
+        """Checks that the rig has run the submitted trials and no other."""
+        self.handler.close()
         asked = self.rig.asked
         if len(set(asked)) != len(asked):
             self.faults.append("a trial ran twice")
-        if strangers := [r.trial_id for r in asked if r not in self._wanted]:
-            self.faults.append(f"trials ran that nobody had asked for: {strangers[:3]}")
+        if others := [r.trial_id for r in asked if r not in self._submitted]:
+            self.faults.append(f"trials ran that were not submitted: {others[:3]}")
 
-    def _command(self, where: str, data: bytes) -> None:
-        answers: list[bytes] = []
-        self.desk.answer(where.split("/"), data, answers.append)
-        what = where.rsplit("/", maxsplit=1)[-1] if where.startswith("@") else "inquire"
-        if len(answers) != 1:
-            self.faults.append(f"{len(answers)} answers to {where} {data!r}")
+    def _send(self, where: str, data: bytes) -> None:
+        replies: list[bytes] = []
+        verb, _, trial_id = where.partition("/")
+        if trial_id:
+            self.handler.query(
+                lambda: self.handler.result(trial_id, messages.decode(Inquire, data)),
+                replies.append,
+            )
+        else:
+            self.handler.command(verb, data, replies.append)
+        if len(replies) != 1:
+            self.faults.append(f"{len(replies)} replies to {where} {data!r}")
             return
         try:
-            found = messages.decode_trial(answers[0])
+            reply = messages.decode_trial(replies[0])
         except EstuneError as error:
-            self.faults.append(f"the answer to {where} {data!r} cannot be understood: {error}")
+            self.faults.append(f"the reply to {where} {data!r} cannot be decoded: {error}")
             return
-        if isinstance(found, Answer) and "the rig's own program failed" in found.sentence:
-            self.faults.append(f"{where} {data!r} broke the rig's program: {found.sentence}")
-        refused = isinstance(found, Answer) and found.error == "ProtocolError"
-        self.told[f"{what}, {'refused' if refused else 'understood'}"] += 1
+        if isinstance(reply, Answer) and "the rig's own program failed" in reply.sentence:
+            self.faults.append(f"{where} {data!r} broke the rig's program: {reply.sentence}")
+        refused = isinstance(reply, Answer) and reply.error == "ProtocolError"
+        self.counts[f"{verb}, {'refused' if refused else 'understood'}"] += 1
 
     def _decode(self, what: str, original: bytes, data: bytes) -> None:
         kinds = {"Answer": Answer, "Status": Status, "Description": Description}
@@ -236,19 +232,19 @@ class Fuzz:
             else:
                 messages.decode_trial(data)
         except EstuneError:
-            self.told[f"{what}, refused"] += 1
+            self.counts[f"{what}, refused"] += 1
             return
-        except Exception as error:  # noqa: BLE001  what this experiment looks for
+        except Exception as error:  # noqa: BLE001  this experiment looks for them
             self.faults.append(f"{what} {data!r} raises {type(error).__name__}: {error}")
             return
-        self.told[f"{what}, understood"] += 1
+        self.counts[f"{what}, understood"] += 1
         if what in ("frame", "part", "live") and data != original:
             self.faults.append(f"a damaged {what} passes for a good one: {data!r}")
 
 
 def fuzz(mutations: int, seed: int = 0) -> Fuzz:
-    """Sends so many changed messages."""
-    logging.disable()  # each stop, and each fault of a client, would be a line
+    """Sends a number of changed messages."""
+    logging.disable()  # each stop, and each error of a client, would be a line
     try:
         run = Fuzz(seed)
         for number in range(mutations):
@@ -260,22 +256,22 @@ def fuzz(mutations: int, seed: int = 0) -> Fuzz:
 
 
 def main() -> int:
-    """Fuzzes, prints, and says by its exit code whether every target was met."""
+    """Runs the fuzz test; returns 1 where a target is missed."""
     parser = command_line(__doc__, quick="some thousand messages only")
-    parser.add_argument("--mutations", type=int, default=MUTATIONS, help="how many messages")
-    parser.add_argument("--seed", type=int, default=0, help="of the changes")
+    parser.add_argument("--mutations", type=int, default=MUTATIONS, help="number of messages")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the changes")
     arguments = parser.parse_args()
     mutations = QUICK if arguments.quick else arguments.mutations
     run = fuzz(mutations, arguments.seed)
     figures = {"mutations": mutations, "trials_run": len(run.rig.asked), "faults": len(run.faults)}
     if not arguments.json:
         print(f"{mutations} changed messages; {len(run.rig.asked)} trials run\n")
-        for what in sorted(run.told):
-            print(f"  {run.told[what]:7}  {what}")
+        for name in sorted(run.counts):
+            print(f"  {run.counts[name]:7}  {name}")
         print(f"\n{len(run.faults)} faults")
         for fault in run.faults[:10]:
             print(f"  {fault[:300]}")
-    return tell(figures, {"faults": at_most(len(run.faults), 0)}, as_json=arguments.json)
+    return print_results(figures, {"faults": at_most(len(run.faults), 0)}, as_json=arguments.json)
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
-"""What does the code say of the rig protocol? Writes it into docs/rig-protocol.md.
+"""Writes the generated sections of docs/rig-protocol.md.
 
-The page's prose is written by hand; its tables, diagrams and bytes lie between markers and come
-from the code, so that they cannot say anything else. Run it after the protocol has changed:
+The prose of the page is written by hand. Its tables, examples and bytes lie between markers and
+are made from the code. Run it after each change of the protocol:
 python -m experiments.rig_protocol_page
 """
 
@@ -20,13 +20,14 @@ import numpy as np
 from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
 from estune.remote import messages
-from estune.remote.messages import Answer, Description, Keys, Status
+from estune.remote.messages import VERBS, Answer, Description, Inquire, Keys, Status
+from estune.remote.messages.codec import Message
 from estune.remote.state_machine import client, rig, state
 from estune.remote.state_machine.client import ClientInput, ClientStage
 from estune.remote.state_machine.reply_codes import ReplyCode
 from estune.remote.state_machine.state import Mode
 from estune.remote.state_machine.trials import TABLE, TrialEvent, TrialState
-from estune.remote.zenoh import rig_connection, rig_server, zenoh_session
+from estune.remote.zenoh import rig_connection, zenoh_session
 from estune.trial import (
     LinearModel,
     Outcome,
@@ -78,15 +79,25 @@ DESCRIBED = RigDescription(
     cable_length_m=0.8,
     software="board 1.0",
 )
+VALUES: dict[str, Any] = {
+    "action": "acquire",
+    "lease": LEASE,
+    "holder": "anna@lab, process 4711",
+    "request": REQUEST,
+    "digest": messages.digest(REQUEST),
+    "trial_id": REQUEST.trial_id,
+    "gains": GAINS,
+    "reason": "anna: the cable smokes",
+}
+"""Values of the fields of the example commands, by name."""
+
+COMMANDS: dict[str, Message] = {
+    name: verb.message(**{f.name: VALUES[f.name] for f in fields(verb.message)})  # type: ignore[arg-type]
+    for name, verb in VERBS.items()
+}
 EXAMPLES: tuple[Any, ...] = (
-    messages.Lease("acquire", LEASE, "anna@lab, process 4711"),
-    messages.Submit(LEASE, REQUEST, messages.digest(REQUEST)),
-    messages.Cancel(LEASE, REQUEST.trial_id),
-    messages.Void(LEASE, REQUEST.trial_id, messages.digest(REQUEST)),
-    messages.SetGains(LEASE, GAINS),
-    messages.Estop("anna: the cable smokes"),
-    messages.Clear(),
-    messages.Inquire(messages.digest(REQUEST), 1024, 1024),
+    *COMMANDS.values(),
+    Inquire(messages.digest(REQUEST), 1024, 1024),
     Answer(ReplyCode.HELD, sentence="the rig is held by anna@lab, process 4711"),
     Status("9f3c01aa", Mode.RUNNING, REQUEST.trial_id, 7, "anna@lab, process 4711", ""),
     Description(DESCRIBED, "9f3c01aa", "d1a5c0de00000001"),
@@ -95,21 +106,37 @@ PARTS = (TrialRequest, Gains, RigDescription, ControllerSettings, RigLimits, Lin
 
 
 def keys() -> Iterator[str]:
-    """The keys, one a line."""
+    """Keys of a rig."""
     made = Keys("<rig>")
     shown = (
         *((made.alive("<instance>"), "liveliness token"), (made.status, "queryable, published")),
         *((made.describe, "queryable"), (made.result("<trial id>"), "queryable")),
-        *((made.command("<instance>", verb), "queryable") for verb in rig_server.VERBS),
+        *((made.command("<instance>", verb), "queryable") for verb in VERBS),
         (made.telemetry("<trial id>"), "published, optional"),
     )
-    yield "| key | what the rig declares there |\n| --- | --- |\n"
+    yield "| key | declared by the rig as |\n| --- | --- |\n"
     for key, what in shown:
         yield f"| `{key}` | {what} |\n"
 
 
+def verbs() -> Iterator[str]:
+    """Commands and queries: key, message, lease, reply."""
+    yield "| sent to | message | needs the lease | reply |\n| --- | --- | --- | --- |\n"
+    for name, verb in VERBS.items():
+        lease = "yes" if verb.needs_lease else "no"
+        message = _link(verb.message.__name__)
+        yield f"| `@cmd/<instance>/{name}` | {message} | {lease} | {verb.reply} |\n"
+    queries = (
+        ("result/<trial id>", _link("Inquire"), "[Answer](#answer), the frame, or a part of it"),
+        ("status", "none", _link("Status")),
+        ("describe", "none", _link("Description")),
+    )
+    for key, message, reply in queries:
+        yield f"| `{key}` | {message} | no | {reply} |\n"
+
+
 def message_examples() -> Iterator[str]:
-    """Each message: its fields, and an example."""
+    """Fields and an example of each message."""
     for example in EXAMPLES:
         kind = type(example)
         yield f"### {kind.__name__}\n\n{_title(kind)}\n\n"
@@ -118,14 +145,14 @@ def message_examples() -> Iterator[str]:
 
 
 def parts() -> Iterator[str]:
-    """The objects inside the messages."""
+    """Objects inside the messages."""
     for kind in PARTS:
         yield f"### {kind.__name__}\n\n{_title(kind)}\n\n"
         yield from _fields(kind)
 
 
 def profiles() -> Iterator[str]:
-    """What a trial may ask for, with the formulas."""
+    """Setpoint profiles, with their formulas."""
     for kind in PROFILES:
         text = inspect.getdoc(kind) or ""
         prose = text.split("Attributes:")[0].partition("\n")[2].strip("\n")
@@ -135,20 +162,21 @@ def profiles() -> Iterator[str]:
 
 
 def verdicts() -> Iterator[str]:
-    """The words of an answer."""
+    """Reply codes."""
     yield "| verdict | meaning |\n| --- | --- |\n"
     for verdict in ReplyCode:
         yield f"| `{verdict}` | {verdict.sentence} |\n"
 
 
 def modes() -> Iterator[str]:
-    """The modes of a rig, and what each event does in each."""
+    """Modes of a rig, and the effect of each event in each mode."""
     yield "| mode | meaning |\n| --- | --- |\n"
     for mode in Mode:
         yield f"| `{mode}` | {mode.sentence} |\n"
     yield "\n"
     for event, row in rig.TABLE.items():
-        yield f"**{event.__name__}**: {_title(event)}\n\n| in mode | then |\n| --- | --- |\n"
+        name = event.__name__.removesuffix("Event")
+        yield f"**{name}**: {_title(event)}\n\n| in mode | then |\n| --- | --- |\n"
         by_handler: dict[rig.Handler, list[str]] = {}
         for mode, handler in row.items():
             by_handler.setdefault(handler, []).append(f"`{mode}`")
@@ -158,65 +186,65 @@ def modes() -> Iterator[str]:
 
 
 def trials() -> Iterator[str]:
-    """The life of a trial id in the ledger."""
+    """States of a trial id in the ledger."""
     yield f"| state | {' | '.join(TrialEvent)} |\n| --- |{' --- |' * len(TrialEvent)}\n"
     for trial in TrialState:
-        cells = (f"{TABLE[trial].get(event, 'cannot be')}" for event in TrialEvent)
+        cells = (f"{TABLE[trial].get(event, 'impossible')}" for event in TrialEvent)
         yield f"| `{trial}` | {' | '.join(cells)} |\n"
 
 
 def clients() -> Iterator[str]:
-    """What a client does with what it hears."""
+    """Transitions of a client."""
     stages = [stage for stage in ClientStage if stage is not ClientStage.OVER]
-    yield f"| heard | {' | '.join(stages)} |\n| --- |{' --- |' * len(stages)}\n"
+    yield f"| input | {' | '.join(stages)} |\n| --- |{' --- |' * len(stages)}\n"
     for heard, row in client.TABLE.items():
-        cells = ("cannot be" if s is None else f"{s.action} (`{s.stage}`)" for s in row)
+        cells = ("impossible" if s is None else f"{s.action} (`{s.stage}`)" for s in row)
         meaning = heard.sentence if isinstance(heard, ClientInput) else f"`{heard}`"
         yield f"| {meaning} | {' | '.join(cells)} |\n"
 
 
 def outcomes() -> Iterator[str]:
-    """How a trial may end."""
+    """Outcomes of a trial."""
     yield "| outcome | meaning | void |\n| --- | --- | --- |\n"
     for outcome in Outcome:
         yield f"| `{outcome}` | {outcome.sentence} | {'yes' if outcome.is_void else 'no'} |\n"
 
 
 def header() -> Iterator[str]:
-    """The header of a record's frame."""
+    """Header of a record's frame."""
     yield from _fields(record_frame.Header, {f.name: f for f in fields(TrialRecord)})
 
 
 def frame_bytes() -> Iterator[str]:
-    """A whole frame, byte by byte."""
+    """A complete frame."""
     yield from _hex(record_frame.encode(RECORD))
 
 
 def part_bytes() -> Iterator[str]:
-    """The first 32 bytes of that frame as a part."""
+    """A part of that frame: its first 32 bytes."""
     yield from _hex(messages.encode_part(record_frame.encode(RECORD), 0, 32))
 
 
 def live_bytes() -> Iterator[str]:
-    """Live samples, byte by byte."""
+    """Live samples of a trial."""
     yield from _hex(messages.encode_live(SAMPLES))
 
 
 def limits() -> Iterator[str]:
-    """Every number that matters."""
+    """Limits and times."""
     rows = (
         ("protocol version", messages.VERSION),
         ("lease, s", state.LEASE_S),
-        ("renewed every, s", state.RENEW_S),
+        ("renewal interval of the lease, s", state.RENEW_S),
         ("largest command, bytes", messages.COMMAND_MAX_BYTES),
-        ("largest JSON answer, bytes", messages.ANSWER_MAX_BYTES),
+        ("largest JSON reply, bytes", messages.ANSWER_MAX_BYTES),
         ("largest frame, bytes", record_frame.MAX_BYTES),
         ("largest header of a frame, bytes", record_frame.HEADER_MAX_BYTES),
         ("largest number of live samples in a message", messages.LIVE_MAX_SAMPLES),
         ("longest holder and reason, characters", messages.HOLDER_MAX),
-        ("a client waits for an answer, s", rig_connection.ASK_S),
-        ("a client gives up a rig that is alive and silent after, s", rig_connection.HUNG_AFTER_S),
-        ("transport lease of estune's own sessions, ms", zenoh_session.LEASE_MS),
+        ("timeout of a client's query, s", rig_connection.ASK_S),
+        ("timeout of a client for a rig that is alive but silent, s", rig_connection.HUNG_AFTER_S),
+        ("transport lease of estune's sessions, ms", zenoh_session.LEASE_MS),
     )
     yield "| what | value |\n| --- | --- |\n"
     for what, value in rows:
@@ -226,7 +254,18 @@ def limits() -> Iterator[str]:
 SECTIONS: dict[str, Callable[[], Iterator[str]]] = {
     made.__name__: made
     for made in (
-        *(keys, message_examples, parts, profiles, verdicts, modes, trials, clients, outcomes),
+        *(
+            keys,
+            verbs,
+            message_examples,
+            parts,
+            profiles,
+            verdicts,
+            modes,
+            trials,
+            clients,
+            outcomes,
+        ),
         *(header, frame_bytes, part_bytes, live_bytes, limits),
     )
 }
@@ -235,7 +274,7 @@ _SECTION = re.compile(r"(<!-- from the code: (\w+) -->\n).*?(<!-- end -->)", re.
 
 
 def page(text: str) -> str:
-    """The page with all that comes from the code renewed."""
+    """The page with its generated sections renewed."""
 
     def renewed(found: re.Match[str]) -> str:
         return f"{found[1]}\n{''.join(SECTIONS[found[2]]()).strip()}\n\n{found[3]}"
@@ -248,20 +287,20 @@ def _fields(kind: type, others: dict[str, Any] | None = None) -> Iterator[str]:
     if not fields(kind):
         yield "No fields: `{}`.\n\n"
         return
-    hints, said = get_type_hints(kind), _attributes(kind)
+    hints, meanings = get_type_hints(kind), _attributes(kind)
     if others:
-        said = _attributes(TrialRecord) | said
+        meanings = _attributes(TrialRecord) | meanings
     yield "| field | type | meaning |\n| --- | --- | --- |\n"
     for field in fields(kind):
-        default = "" if field.default is MISSING else f"; {_json(field.default)} if left out"
-        meaning = said.get(field.name, _OWN.get(field.name, "")).replace("|", "\\|")
+        default = "" if field.default is MISSING else f"; default {_json(field.default)}"
+        meaning = meanings.get(field.name, _OWN.get(field.name, "")).replace("|", "\\|")
         yield f"| `{field.name}` | {_type(hints[field.name])}{default} | {meaning} |\n"
     yield "\n"
 
 
 _OWN = {
     "columns": "The columns that follow, in this order: the five of a record, and `reference_N` "
-    "if there is one. `flags` always comes last and is not named.",
+    "if there is one. `flags` is always the last and is not named.",
     "samples": "Number of samples in each column.",
 }
 
@@ -278,12 +317,13 @@ _PLAIN: dict[Any, str] = {
     type(None): "null",
     Outcome: "an outcome",
     **dict.fromkeys(PROFILES, "a profile"),
-    **dict.fromkeys((ReplyCode, Mode), "one of the words below"),
+    ReplyCode: "a reply code",
+    Mode: "a mode",
 }
 
 
 def _type(hint: Any) -> str:
-    """A type in the words of JSON."""
+    """JSON name of a type."""
     origin, inside = get_origin(hint), get_args(hint)
     if hint in _PLAIN:
         return _PLAIN[hint]
@@ -293,7 +333,10 @@ def _type(hint: Any) -> str:
         return " or ".join(dict.fromkeys(map(_type, inside)))
     if origin is tuple:
         return f"array of {_type(inside[0])}"
-    name: str = hint.__name__
+    return _link(hint.__name__)
+
+
+def _link(name: str) -> str:
     return f"[{name}](#{name.lower()})"
 
 
@@ -307,7 +350,7 @@ def _default(kind: type, name: str) -> str:
 
 
 def _attributes(kind: type) -> dict[str, str]:
-    """What a docstring says of each attribute."""
+    """Meanings of the attributes, from a docstring."""
     text = inspect.getdoc(kind) or ""
     _, _, section = text.partition("Attributes:\n")
     found: dict[str, str] = {}
@@ -324,7 +367,7 @@ def _attributes(kind: type) -> dict[str, str]:
 
 
 def _hex(data: bytes) -> Iterator[str]:
-    """Bytes as a dump: offset, sixteen of them, and what of it is text."""
+    """Hexadecimal dump: offset, sixteen bytes, and their text."""
     yield "```text\n"
     for at in range(0, len(data), 16):
         line = data[at : at + 16]
@@ -334,7 +377,7 @@ def _hex(data: bytes) -> Iterator[str]:
 
 
 def main() -> None:
-    """Renews the page."""
+    """Updates the page."""
     argparse.ArgumentParser(description=__doc__).parse_args()
     PAGE.write_text(page(PAGE.read_text("utf-8")), "utf-8")
     print(f"{len(SECTIONS)} sections written: {PAGE}")

@@ -1,8 +1,8 @@
-"""A whole rig as a small board would be it: one Zenoh session, JSON, struct and CRC, no estune.
+"""A complete rig as on a small board: one Zenoh session, JSON, struct and CRC, no estune.
 
-Written from docs/rig-protocol.md alone. Its drum follows the setpoint with a lag; it knows steps
-only, keeps one record, answers it in parts of 1 KiB, and writes its ledger to a file. Prints its
-endpoint; ends when its standard input is closed.
+Written from docs/rig-protocol.md alone. Its drum follows the setpoint with a lag. It supports steps
+only, keeps one record, sends it in parts of 1 KiB, and writes its ledger to a file. It prints its
+endpoint, and ends when its standard input is closed.
 """
 
 import json
@@ -15,6 +15,7 @@ import sys
 import threading
 import time
 import zlib
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -39,11 +40,11 @@ FIELDS = {
 
 
 class Refused(Exception):
-    """Says no, and which error it is."""
+    """Refusal, with the kind of error."""
 
 
 def load():
-    """The ledger as the last start left it."""
+    """The ledger of the last start, with its open trials ended."""
     kept = {"identity": secrets.token_hex(8), "latched": "", "trials": {}}
     if FILE.exists():
         kept = json.loads(FILE.read_text())
@@ -61,13 +62,13 @@ now = SimpleNamespace(
     trial=None,
     frame=(None, b""),
     ended=0,
-    stop="",  # why the trial is being stopped
+    stop="",  # reason why the trial is being stopped
 )
 work = threading.Condition(lock)
 
 
 def save():
-    """Writes the ledger through to the disk, whole or not at all."""
+    """Writes the ledger to the disk, whole or not at all."""
     new = FILE.with_suffix(".new")
     with new.open("w") as file:
         json.dump(ledger, file)
@@ -106,7 +107,7 @@ def finite(*values):
 
 
 def checked(what, given):
-    """Refuses an object that has not the fields it should have."""
+    """Refuses an object with missing, unknown or wrong fields."""
     needed, more = FIELDS[what]
     if not isinstance(given, dict) or not needed <= set(given) <= needed | more:
         raise Refused("ProtocolError", f"{what}: wrong fields")
@@ -129,7 +130,7 @@ def gains_of(given):
 
 
 def known(trial_id, digest):
-    """What the ledger says of a trial: an answer, a part of its record, or None."""
+    """Reply with the state of a trial in the ledger, or None."""
     entry = ledger["trials"].get(trial_id)
     if entry is None:
         return None
@@ -194,7 +195,7 @@ def leased(given):
             lease["until"] = until
         case "release" if holds(token):
             lease["until"] = 0.0
-            now.stop = now.stop or ("its client let go of the rig" if now.trial else "")
+            now.stop = now.stop or ("its client released the lease" if now.trial else "")
         case "acquire" | "renew" | "release":
             return denied()
         case _:
@@ -269,7 +270,7 @@ def question(words, payload):
             if b'"ended"' in found:
                 raise Refused("RigError", "it has run, its record is gone")
             return found
-    return None
+    raise AssertionError(words)
 
 
 def description():
@@ -310,23 +311,29 @@ def parse(payload):
         raise Refused("ProtocolError", str(error)) from error
 
 
-def reply(query):
-    words = str(query.key_expr).split("/")[3:]
+def serve(key, query):
+    """Replies to a query; to a command only if the query's key is exactly the command's own."""
+    asked = str(query.key_expr)
+    if key.endswith("/result/*"):
+        key = f"{ROOT}/result/{asked.rpartition('/')[2]}"
     payload = query.payload.to_bytes() if query.payload is not None else b""
+    with query:
+        if "*" not in key and (asked == key or "/@cmd/" not in key):
+            query.reply(key, reply(key, payload), attachment=INSTANCE)
+
+
+def reply(key, payload):
     try:
         with lock:
-            match words:
+            match key.split("/")[3:]:
                 case ["@cmd", _, "estop"]:
-                    data = emergency(payload)
+                    return emergency(payload)
                 case ["@cmd", _, verb]:
-                    data = COMMANDS[verb](checked(verb, parse(payload)))
-                case _:
-                    data = question(words, payload)
+                    return COMMANDS[verb](checked(verb, parse(payload)))
+                case words:
+                    return question(words, payload)
     except Refused as refused:
-        data = answer("refused", "", *refused.args)
-    with query:
-        if data is not None:
-            query.reply(query.key_expr, data, attachment=INSTANCE)
+        return answer("refused", "", *refused.args)
 
 
 def emergency(payload):
@@ -342,7 +349,7 @@ def emergency(payload):
 
 
 def run():
-    """The board's main loop: waits for a trial, runs it, writes down what came of it."""
+    """The board's main loop: waits for a trial, runs it, and notes its end."""
     while True:
         with lock:
             work.wait_for(lambda: now.trial is not None)
@@ -366,7 +373,7 @@ def follow(preload, size, at, duration):
     for k in range(round(duration * RATE_HZ)):
         with lock:
             if not now.stop and not holds(lease["token"]):
-                now.stop = f"{lease['holder']} has not been heard of for 1 s"
+                now.stop = f"{lease['holder']} has not renewed the lease for 1 s"
             work.wait_for(lambda: now.stop, max(0.0, began + k / RATE_HZ - time.monotonic()))
             if now.stop:
                 break
@@ -413,8 +420,8 @@ config = {
 with zenoh.open(zenoh.Config.from_json5(json.dumps(config))) as session:
     save()
     commands = (f"{ROOT}/@cmd/{INSTANCE}/{verb}" for verb in (*COMMANDS, "estop"))
-    for key in (*commands, f"{ROOT}/**"):
-        session.declare_queryable(key, reply, complete=True)
+    for key in (*commands, *(f"{ROOT}/{name}" for name in ("status", "describe", "result/*"))):
+        session.declare_queryable(key, partial(serve, key), complete=True)
     threading.Thread(target=run, daemon=True).start()
     token = session.liveliness().declare_token(f"{ROOT}/alive/{INSTANCE}")
     print(endpoint, flush=True)

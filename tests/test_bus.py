@@ -1,4 +1,4 @@
-"""The link over Zenoh: what it survives, and how it ends."""
+"""Link over Zenoh: restarts, cuts, kills, and the end of its processes."""
 
 import signal
 import subprocess
@@ -23,9 +23,9 @@ from tests.serve_rig import served
 from tests.support_rigs import ScriptedRig, description, response, same
 
 SOON_S = 0.3
-"""How long a test waits for a rig that it knows is not there."""
+"""Timeout for a rig that is known to be absent."""
 ENDS_WITHIN_S = 30.0
-"""A generous time for a process that is not hung, on a slow machine."""
+"""Generous time limit of a process, on a slow machine."""
 
 
 def trial(number: int = 0, **changes) -> TrialRequest:
@@ -34,15 +34,15 @@ def trial(number: int = 0, **changes) -> TrialRequest:
 
 
 def until(condition) -> None:
-    """Waits until something has come about."""
+    """Waits until a condition holds."""
     while not condition():
         time.sleep(0.005)
 
 
-# --- what it survives ---
+# --- restarts, cuts and kills ---
 
 
-def test_a_second_client_is_told_who_holds_the_rig_and_can_stop_it_all_the_same():
+def test_second_client_is_refused_with_the_holder_but_may_stop():
     with (
         served("slow scripted") as server,
         zenoh.connect(server.endpoint, holder="anna") as first,
@@ -70,7 +70,7 @@ def test_a_second_client_is_told_who_holds_the_rig_and_can_stop_it_all_the_same(
         assert second.describe().gains == trial().gains
 
 
-def test_trials_over_a_wire_cut_again_and_again_run_once_each_and_arrive():
+def test_trials_over_a_wire_cut_repeatedly_run_once_each():
     rig = ScriptedRig(duration_s=0.02)
     trials = [trial(number) for number in range(25)]
     with (
@@ -95,7 +95,7 @@ def test_trials_over_a_wire_cut_again_and_again_run_once_each_and_arrive():
     assert all(same(response(t), r) for t, r in zip(trials, records, strict=True))
 
 
-def test_a_trial_whose_first_answer_is_lost_runs_once_all_the_same():
+def test_trial_whose_first_reply_is_lost_runs_once():
     rig = ScriptedRig()
     trials = [trial(number) for number in range(5)]
     with (
@@ -109,14 +109,14 @@ def test_a_trial_whose_first_answer_is_lost_runs_once_all_the_same():
     assert rig.asked == trials
 
 
-def test_a_trial_survives_a_rig_that_hangs_longer_than_its_lease():
+def test_trial_survives_a_rig_frozen_longer_than_the_lease():
     with served("unhurried") as server, zenoh.connect(server.endpoint, timeout_s=10.0) as client:
         server.process.send_signal(signal.SIGSTOP)
         threading.Timer(2.5, server.process.send_signal, [signal.SIGCONT]).start()
         assert same(client.run(trial()), replace(response(trial()), rig="reel"))
 
 
-def test_a_rig_killed_in_a_trial_is_gone_and_the_error_says_what_is_known():
+def test_rig_killed_during_a_trial_raises_that_it_may_have_run():
     with (
         served("slow scripted") as server,
         zenoh.connect(server.endpoint, timeout_s=SOON_S) as client,
@@ -130,7 +130,7 @@ def test_a_rig_killed_in_a_trial_is_gone_and_the_error_says_what_is_known():
 
 @contextmanager
 def run_across_a_restart(kind: str, first: Path, second: Path):
-    """A trial on a slow rig that is killed in the middle of it and comes back quick."""
+    """A trial on a slow rig that is killed in the middle of it and restarted as a quick one."""
     with (
         served(kind, ledger=first) as server,
         zenoh.connect(server.endpoint, timeout_s=20) as client,
@@ -156,7 +156,7 @@ def run_across_a_restart(kind: str, first: Path, second: Path):
 
 
 @pytest.mark.parametrize("kind", ["slow scripted", "moving scripted"])
-def test_a_trial_interrupted_by_a_restart_is_told_as_that_and_not_run_again(kind, tmp_path):
+def test_trial_interrupted_by_a_restart_is_reported_not_repeated(kind, tmp_path):
     with run_across_a_restart(kind, tmp_path / "l", tmp_path / "l") as (client, record):
         assert record.outcome is Outcome.INTERRUPTED
         assert "restarted in the middle" in record.reason
@@ -165,18 +165,18 @@ def test_a_trial_interrupted_by_a_restart_is_told_as_that_and_not_run_again(kind
         assert client.run(trial()).outcome is Outcome.INTERRUPTED
 
 
-def test_a_trial_on_a_rig_that_moves_and_lost_its_ledger_is_not_asked_for_again(tmp_path):
+def test_trial_on_a_moving_rig_without_its_ledger_is_not_repeated(tmp_path):
     with run_across_a_restart("moving scripted", tmp_path / "1", tmp_path / "2") as (_, error):
-        assert "remembers nothing" in str(error)
+        assert "with another ledger" in str(error)
         assert "trial run-00000 may have run" in str(error)
 
 
-def test_a_trial_on_a_simulated_rig_that_lost_its_ledger_is_run_again(tmp_path):
+def test_trial_on_a_simulated_rig_without_its_ledger_is_repeated(tmp_path):
     with run_across_a_restart("slow scripted", tmp_path / "1", tmp_path / "2") as (_, record):
         assert same(record, replace(response(trial()), rig="reel"))
 
 
-def test_a_rig_restarted_between_two_trials_is_followed(tmp_path):
+def test_client_follows_a_rig_restarted_between_trials(tmp_path):
     ledger = tmp_path / "ledger"
     with served("scripted", ledger=ledger) as server, zenoh.connect(server.endpoint) as client:
         first = client.run(trial())
@@ -187,10 +187,10 @@ def test_a_rig_restarted_between_two_trials_is_followed(tmp_path):
             assert client.run(trial(1)).outcome is Outcome.DONE
 
 
-def test_a_client_killed_in_a_trial_has_it_stopped_within_its_lease():
+def test_client_killed_during_a_trial_stops_it():
     text = """
 import sys
-from estune import bus
+from estune.remote import zenoh
 from tests.test_bus import trial
 zenoh.connect(sys.argv[1]).run(trial())
 """
@@ -203,13 +203,13 @@ zenoh.connect(sys.argv[1]).run(trial())
         until(lambda: witness.status().mode is Mode.IDLE)
         record = witness.run(trial())
         assert record.outcome is Outcome.CANCELLED
-        assert "has not been heard of for 1 s" in record.reason
+        assert "for 1 s, so the lease expired" in record.reason
 
 
-def test_a_client_whose_main_thread_computes_keeps_its_lease():
+def test_lease_is_renewed_while_the_main_thread_computes():
     text = """
 import sys, time
-from estune import bus
+from estune.remote import zenoh
 from tests.test_bus import trial
 with zenoh.connect(sys.argv[1]) as rig:
     rig.apply(trial().gains)
@@ -224,7 +224,7 @@ with zenoh.connect(sys.argv[1]) as rig:
         assert end(script(text, server.endpoint)).split() == ["True"]
 
 
-def test_a_client_that_was_stopped_longer_than_its_lease_takes_it_again():
+def test_client_reacquires_an_expired_lease():
     with served("scripted") as server, zenoh.connect(server.endpoint) as client:
         client.run(trial())
         client._lease._ended.set()  # it renews no more
@@ -233,7 +233,7 @@ def test_a_client_that_was_stopped_longer_than_its_lease_takes_it_again():
         assert client.run(trial(1)).outcome is Outcome.DONE
 
 
-def test_records_in_parts_are_put_together():
+def test_run_assembles_records_in_parts():
     rig = ScriptedRig()
     with zenoh.serve(rig, part_bytes=1000) as server, zenoh.connect(server.endpoint) as client:
         for number in range(3):
@@ -241,7 +241,7 @@ def test_records_in_parts_are_put_together():
     assert len(rig.asked) == 3
 
 
-def test_samples_of_a_trial_under_way_can_be_watched():
+def test_watch_yields_samples_of_the_active_trial():
     rig = plants.reference_reel().rig(name="reel", pace=1.0)
     with (
         zenoh.serve(rig) as server,
@@ -252,29 +252,29 @@ def test_samples_of_a_trial_under_way_can_be_watched():
         request = TrialRequest("watched", 0, rig.describe().gains, rig.describe().step)
         record = client.run(request)
         first = next(chunks)
-        assert (first.trial_id, first.first) == (request.trial_id, 0)
+        assert (first.trial_id, first.first_sample) == (request.trial_id, 0)
         seen = first
-        while seen.first == 0:
+        while seen.first_sample == 0:
             seen = next(chunks)
-        place = slice(seen.first, seen.first + seen.tension_N.size)
+        place = slice(seen.first_sample, seen.first_sample + seen.tension_N.size)
         np.testing.assert_allclose(seen.tension_N, record.tension_N[place], rtol=1e-6)
         np.testing.assert_allclose(seen.current_A, record.current_A[place], rtol=1e-6)
     rig.close()
 
 
-def test_a_rig_that_moves_is_not_served_without_a_ledger():
+def test_serve_of_a_moving_rig_without_a_ledger_is_refused():
     with pytest.raises(InvalidInput, match="name a ledger file"):
         zenoh.serve(ScriptedRig(simulated=False))
 
 
-def test_what_a_rigs_own_program_raises_reaches_the_client():
+def test_exception_of_the_rig_reaches_the_client():
     with served("broken") as server, zenoh.connect(server.endpoint) as client:
         for _ in range(2):
             with pytest.raises(RigError, match="ZeroDivisionError: no answer to 0"):
                 client.run(trial())
 
 
-# --- how it ends ---
+# --- end of a process ---
 
 
 def script(text: str, *arguments: str, **options) -> subprocess.Popen:
@@ -290,7 +290,7 @@ def script(text: str, *arguments: str, **options) -> subprocess.Popen:
 
 
 def end(process: subprocess.Popen) -> str:
-    """What a process printed, once it has ended by itself, in good order."""
+    """Output of a process that ends by itself with exit code 0."""
     try:
         output, _ = process.communicate(timeout=ENDS_WITHIN_S)
     finally:
@@ -301,10 +301,10 @@ def end(process: subprocess.Popen) -> str:
     return output
 
 
-def test_a_client_that_forgets_to_close_ends_all_the_same():
+def test_client_process_ends_without_close():
     text = """
 import sys
-from estune import bus
+from estune.remote import zenoh
 from tests.test_bus import trial
 rig = zenoh.connect(sys.argv[1])
 print(rig.run(trial()).outcome)
@@ -313,20 +313,20 @@ print(rig.run(trial()).outcome)
         assert end(script(text, server.endpoint)).split() == ["done"]
 
 
-def test_a_server_that_forgets_to_close_stops_its_trial_and_ends():
+def test_server_process_without_close_stops_its_trial_and_ends():
     text = """
 import threading
-from estune import bus
+from estune.remote import zenoh
 from tests.support_rigs import ScriptedRig
 from tests.test_bus import trial
 
-class Telling(ScriptedRig):
+class PrintingRig(ScriptedRig):
     def _perform(self, request):
         record = super()._perform(request)
         print(record.outcome)
         return record
 
-rig = Telling(duration_s=100.0)
+rig = PrintingRig(duration_s=100.0)
 server = zenoh.serve(rig)
 client = zenoh.connect(server.endpoint)
 threading.Thread(target=client.run, args=(trial(),), daemon=True).start()
@@ -336,10 +336,10 @@ while not rig.asked:
     assert "cancelled" in end(script(text))
 
 
-def test_ctrl_c_gets_through_while_a_trial_runs_and_the_trial_can_be_stopped():
+def test_ctrl_c_interrupts_run_and_abort_stops_the_trial():
     text = """
 import signal, sys
-from estune import bus
+from estune.remote import zenoh
 from tests.test_bus import trial
 signal.signal(signal.SIGINT, signal.default_int_handler)  # also where a shell's & has it ignored
 with zenoh.connect(sys.argv[1]) as rig:
@@ -358,16 +358,16 @@ with zenoh.connect(sys.argv[1]) as rig:
         witness.apply(trial().gains)
 
 
-def test_a_rig_let_go_of_closes_its_session():
+def test_deleted_remote_rig_closes_its_session():
     with zenoh.serve(ScriptedRig()) as server:
         client = zenoh.connect(server.endpoint)
         client.run(trial())  # which begins to keep a lease
-        session = client._talk.session
+        session = client._connection.session
         del client
         assert session.is_closed()
 
 
-def test_a_closed_server_is_not_found_and_its_port_is_free():
+def test_closed_server_frees_its_port():
     server = zenoh.serve(ScriptedRig())
     server.close()
     server.wait()

@@ -1,4 +1,4 @@
-"""Who finds a rig over Zenoh, and who does not: the link is closed unless it is opened."""
+"""Discovery of rigs over Zenoh, and defaults that keep the link closed."""
 
 import json
 import socket
@@ -11,10 +11,11 @@ import zenoh
 
 from estune.errors import InvalidInput, ProtocolError, RigError
 from estune.remote import messages
-from estune.remote.messages import Keys, Lease, Submit, digest
+from estune.remote.messages import VERBS, Keys, digest
+from estune.remote.messages.commands import Lease, Submit
 from estune.remote.state_machine.reply_codes import ReplyCode
 from estune.remote.zenoh import connect, serve
-from estune.remote.zenoh.discovery import RECORDS_MAX_BYTES
+from estune.remote.zenoh.remote_rig import RECORDS_MAX_BYTES
 from estune.remote.zenoh.zenoh_session import open_session, with_port
 from estune.trial import Outcome
 from tests.serve_rig import served
@@ -24,7 +25,7 @@ from tests.test_bus import SOON_S, trial
 
 @contextmanager
 def session(role: str, endpoint: str):
-    """A session beside the ones under test; a router where the role is `listen`."""
+    """A session of the test's own; `listen` makes it a peer that listens."""
     ends = {"listen" if role == "listen" else "connect": (endpoint,)}
     opened = open_session(
         "peer" if role == "listen" else "client", message_max_bytes=RECORDS_MAX_BYTES, **ends
@@ -46,19 +47,19 @@ def router():
 
 
 def forever(call) -> None:
-    """Calls until the call raises: for what another process is about to bring about."""
+    """Calls until the call raises: for an event in another process."""
     while True:
         call()
 
 
-def test_the_only_rig_is_found_and_so_is_the_one_named():
+def test_connect_finds_the_only_rig_and_the_one_named():
     with served("scripted", "drum") as server:
         for name in (None, "drum"):
             with connect(server.endpoint, rig=name) as rig:
                 assert rig.describe().name == rig.name == "drum"
 
 
-def test_several_rigs_behind_a_router_are_told_apart_by_name():
+def test_connect_selects_among_rigs_behind_a_router_by_name():
     with (
         router() as hub,
         served("scripted", "a", "tcp/127.0.0.1:0", hub),
@@ -67,13 +68,13 @@ def test_several_rigs_behind_a_router_are_told_apart_by_name():
         for name in "ab":
             with connect(hub, rig=name) as rig:
                 assert rig.run(trial()).rig == name
-        with pytest.raises(RigError, match=r"2 rigs at .*: a, b; name the one"):
+        with pytest.raises(RigError, match=r"2 rigs at .*: a, b; name one"):
             connect(hub, timeout_s=SOON_S)
         with pytest.raises(RigError, match=r"no rig named 'c' at .*; there is: a, b"):
             connect(hub, rig="c", timeout_s=SOON_S)
 
 
-def test_one_name_served_by_two_processes_is_refused():
+def test_connect_to_a_name_served_twice_is_refused():
     with (
         router() as hub,
         served("scripted", "a", "tcp/127.0.0.1:0", hub),
@@ -85,13 +86,13 @@ def test_one_name_served_by_two_processes_is_refused():
         assert same(early.run(trial()), replace(response(trial()), rig="a"))
 
 
-def test_where_nothing_listens_the_error_says_so():
+def test_connect_without_a_listener_names_the_remedy():
     endpoint = with_port("tcp/127.0.0.1:0")
     with pytest.raises(RigError, match=rf"nothing .* listens at {endpoint}; start a rig"):
         connect(endpoint, timeout_s=SOON_S)
 
 
-def test_a_listener_that_does_not_speak_zenoh_is_not_taken_for_a_rig():
+def test_connect_to_a_listener_without_zenoh_is_refused():
     with (
         socket.create_server(("127.0.0.1", 0)) as mute,
         pytest.raises(RigError, match="nothing that speaks Zenoh listens"),
@@ -99,12 +100,12 @@ def test_a_listener_that_does_not_speak_zenoh_is_not_taken_for_a_rig():
         connect(f"tcp/127.0.0.1:{mute.getsockname()[1]}", timeout_s=SOON_S)
 
 
-def test_where_there_is_no_rig_the_error_says_so():
+def test_connect_without_a_rig_names_the_remedy():
     with router() as hub, pytest.raises(RigError, match=f"no rig answers at {hub}; start one"):
         connect(hub, timeout_s=SOON_S)
 
 
-def test_a_rig_of_another_protocol_version_is_named():
+def test_connect_to_another_protocol_version_is_refused():
     endpoint = with_port("tcp/127.0.0.1:0")
     with session("listen", endpoint) as later:
         token = later.liveliness().declare_token("reel/v2/drum/alive/0f")
@@ -118,7 +119,7 @@ def test_a_rig_of_another_protocol_version_is_named():
 @pytest.mark.parametrize(
     "endpoint", ["", "127.0.0.1:7447", "tcp/127.0.0.1", "tcp/127.0.0.1:70000", "tcp/a b:1"]
 )
-def test_what_is_no_endpoint_is_refused(endpoint):
+def test_malformed_endpoint_is_refused(endpoint):
     with pytest.raises(InvalidInput, match="write it as tcp/host:port"):
         connect(endpoint)
     with pytest.raises(InvalidInput, match="write it as tcp/host:port"):
@@ -126,7 +127,7 @@ def test_what_is_no_endpoint_is_refused(endpoint):
 
 
 @pytest.mark.parametrize("timeout_s", [0.0, -1.0, float("nan"), float("inf")])
-def test_a_timeout_that_is_none_is_refused(timeout_s):
+def test_invalid_timeout_is_refused(timeout_s):
     with pytest.raises(InvalidInput, match="timeout is"):
         connect("tcp/127.0.0.1:7447", timeout_s=timeout_s)
 
@@ -135,17 +136,17 @@ def test_a_timeout_that_is_none_is_refused(timeout_s):
 
 
 @pytest.mark.parametrize("endpoint", ["tcp/0.0.0.0:0", "tcp/[::]:0", "tcp/192.0.2.1:7447"])
-def test_a_rig_is_not_shown_to_the_network_unless_asked_for(endpoint):
+def test_serve_beyond_loopback_is_refused_by_default(endpoint):
     with pytest.raises(InvalidInput, match="any machine on the network"):
         serve(ScriptedRig(), endpoint)
 
 
-def test_a_rig_is_shown_to_the_network_where_that_is_asked_for():
+def test_serve_beyond_loopback_with_allow_remote():
     with serve(ScriptedRig(), "tcp/0.0.0.0:0", allow_remote=True) as server:
         assert server.endpoint.startswith("tcp/0.0.0.0:")
 
 
-def test_a_port_that_is_taken_is_named():
+def test_serve_on_a_port_in_use_names_it():
     with (
         serve(ScriptedRig()) as server,
         pytest.raises(RigError, match=f"cannot listen at {server.endpoint}: address already in"),
@@ -154,7 +155,7 @@ def test_a_port_that_is_taken_is_named():
 
 
 @pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="reads Linux's socket tables")
-def test_a_server_has_one_socket_open_to_others_and_that_on_this_machine_only():
+def test_server_listens_on_one_loopback_socket_only():
     with served("scripted") as server:
         process = Path("/proc") / str(server.process.pid)
         mine = {str(fd.readlink()) for fd in (process / "fd").iterdir()}
@@ -170,7 +171,7 @@ def test_a_server_has_one_socket_open_to_others_and_that_on_this_machine_only():
 
 
 @pytest.mark.skipif(not Path("/proc/self/maps").exists(), reason="reads Linux's memory tables")
-def test_no_process_on_the_link_shares_memory_or_listens_for_multicast():
+def test_link_uses_neither_shared_memory_nor_multicast():
     with served("scripted") as server, connect(server.endpoint) as client:
         client.run(trial(duration_s=4.9))  # a record that would be passed in shared memory
         for process in (Path("/proc") / str(server.process.pid), Path("/proc/self")):
@@ -181,24 +182,23 @@ def test_no_process_on_the_link_shares_memory_or_listens_for_multicast():
                     assert f"socket:[{line.split()[9]}]" not in mine
 
 
-def test_no_wildcard_reaches_a_command():
+def test_command_on_a_wildcard_key_is_not_executed():
     rig = ScriptedRig()
     with serve(rig) as server, session("connect", server.endpoint) as snoop:
-        lease = server._attendant.lease(Lease("acquire", "ab", "the test"))
+        lease = server._handler.lease(Lease("acquire", "ab", "the test"))
         assert lease.verdict is ReplyCode.ACCEPTED
         payload = messages.encode(Submit("ab", trial(), digest(trial())))
-        for key in ("reel/**", "**", "reel/v1/*/*/*/submit"):
+        for key in ("reel/**", "**", "reel/v1/*/*/*/submit", "reel/v1/*/@cmd/*/submit"):
             list(snoop.get(key, payload=payload, target=zenoh.QueryTarget.ALL, timeout=5.0))
         assert rig.asked == []
 
 
-def test_a_command_that_is_garbage_is_refused_and_harms_nothing():
+def test_random_commands_are_refused_without_effect():
     rig = ScriptedRig()
     with serve(rig) as server, session("connect", server.endpoint) as vandal:
         keys = Keys(server.name)
         for key in (
-            *(keys.command(server.instance, verb) for verb in ("lease", "submit", "cancel")),
-            *(keys.command(server.instance, verb) for verb in ("void", "gains", "clear")),
+            *(keys.command(server.instance, verb) for verb in VERBS.keys() - {"estop"}),
             keys.result("run-00000"),
         ):
             for payload in (b"", b"\xff" * 100, b'{"x":1}', b"[" * 2000, b"x" * 10_000):

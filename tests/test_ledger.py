@@ -1,4 +1,4 @@
-"""The rig's ledger: what was noted is known for ever, and what could not be written is said."""
+"""Ledger of a rig: durable entries, transitions, limits, and errors of the file."""
 
 import os
 import signal
@@ -34,10 +34,10 @@ def states(ledger, *trial_ids: str) -> list[TrialState]:
     return [ledger.find(trial_id).state for trial_id in trial_ids]
 
 
-# --- what both promise ---
+# --- both ledgers ---
 
 
-def test_a_trial_is_known_by_its_digest_and_its_end(ledger):
+def test_find_returns_digest_state_and_frame(ledger):
     assert ledger.find("t") == NOTHING
     ledger.note("t", "d", SUBMIT)
     assert ledger.find("t") == ("d", TrialState.ACCEPTED, None, "", "")
@@ -46,14 +46,14 @@ def test_a_trial_is_known_by_its_digest_and_its_end(ledger):
     assert ledger.find("t") == ("d", TrialState.ENDED, b"frame", "", "")
 
 
-def test_an_error_of_the_rig_is_the_end_of_a_trial(ledger):
+def test_end_with_an_error_stores_it(ledger):
     ledger.note("t", "d", SUBMIT, START)
     ledger.end("t", InvalidInput("20 N is too much"))
     assert ledger.find("t") == ("d", TrialState.FAILED, None, "InvalidInput", "20 N is too much")
 
 
 @given(st.lists(st.sampled_from([SUBMIT, START, VOID]), max_size=6))
-def test_a_ledger_notes_what_can_be_and_nothing_else(events):
+def test_note_accepts_possible_events_only(events):
     ledger, state = MemoryLedger(), TrialState.UNKNOWN
     for event in events:
         try:
@@ -67,7 +67,7 @@ def test_a_ledger_notes_what_can_be_and_nothing_else(events):
         assert ledger.find("t").state is state
 
 
-def test_a_trial_that_was_voided_cannot_begin(ledger):
+def test_note_of_a_start_after_void_is_an_error(ledger):
     ledger.note("t", "d", VOID)
     with pytest.raises(ProtocolError, match="void cannot start"):
         ledger.note("t", "d", SUBMIT, START)
@@ -75,7 +75,7 @@ def test_a_trial_that_was_voided_cannot_begin(ledger):
 
 
 @pytest.mark.parametrize("kind", ["memory", "file"])
-def test_records_are_let_go_of_long_before_it_is_forgotten_that_they_ran(kind, tmp_path):
+def test_frames_are_deleted_long_before_trial_ids(kind, tmp_path):
     limits = {"frames_max_bytes": 25, "trials_max": 4}
     ledger = MemoryLedger(**limits) if kind == "memory" else opened(tmp_path, **limits)
     for number in range(6):
@@ -92,14 +92,14 @@ def test_records_are_let_go_of_long_before_it_is_forgotten_that_they_ran(kind, t
     ledger.close()
 
 
-def test_each_ledger_has_an_identity_of_its_own(ledger):
+def test_identity_is_unique(ledger):
     assert ledger.identity not in ("", MemoryLedger().identity)
 
 
-# --- what the file promises ---
+# --- the ledger on disk ---
 
 
-def test_what_was_noted_is_known_after_a_restart(tmp_path):
+def test_entries_persist_over_a_restart(tmp_path):
     first = opened(tmp_path)
     first.note("accepted", "d", SUBMIT)
     first.note("running", "d", SUBMIT)
@@ -123,7 +123,7 @@ def test_what_was_noted_is_known_after_a_restart(tmp_path):
     third.close()
 
 
-def test_a_ledger_killed_at_any_moment_knows_all_it_had_said_it_noted(tmp_path):
+def test_entries_survive_kill_at_any_moment(tmp_path):
     text = """
 import sys
 from pathlib import Path
@@ -167,7 +167,7 @@ for number in range(10**6):
         ledger.close()
 
 
-def test_a_second_process_is_kept_out(tmp_path):
+def test_second_writer_is_refused(tmp_path):
     ledger = opened(tmp_path)
     with pytest.raises(RigError, match="is being written by another process"):
         opened(tmp_path)
@@ -175,7 +175,7 @@ def test_a_second_process_is_kept_out(tmp_path):
     opened(tmp_path).close()
 
 
-def test_a_ledger_serves_the_rig_it_was_begun_for(tmp_path):
+def test_ledger_of_another_rig_is_refused(tmp_path):
     opened(tmp_path).close()
     with pytest.raises(RigError, match="is that of rig 'reel', not of 'drum'"):
         FileLedger(tmp_path / "l", "drum")
@@ -186,14 +186,14 @@ def test_a_ledger_serves_the_rig_it_was_begun_for(tmp_path):
     ("content", "complaint"),
     [(b"not a ledger" * 1000, "not a database|damaged"), (b"SQLite format 3\0" * 999, "damaged")],
 )
-def test_a_file_that_is_no_ledger_is_refused_and_left_alone(tmp_path, content, complaint):
+def test_file_that_is_no_ledger_is_refused_and_unchanged(tmp_path, content, complaint):
     (tmp_path / "l").write_bytes(content)
     with pytest.raises(RigError, match=complaint):
         opened(tmp_path)
     assert (tmp_path / "l").read_bytes() == content
 
 
-def test_a_ledger_of_a_newer_version_is_refused(tmp_path):
+def test_ledger_of_a_newer_version_is_refused(tmp_path):
     opened(tmp_path).close()
     with sqlite3.connect(tmp_path / "l") as connection:
         connection.execute("PRAGMA user_version=99")
@@ -203,19 +203,19 @@ def test_a_ledger_of_a_newer_version_is_refused(tmp_path):
 
 
 @pytest.mark.skipif(os.getuid() == 0, reason="root may write anywhere")
-def test_a_folder_that_cannot_be_written_is_named(tmp_path):
+def test_folder_without_write_permission_is_named(tmp_path):
     tmp_path.chmod(0o500)
     with pytest.raises(RigError, match=r"Permission denied|unable to open"):
         opened(tmp_path)
 
 
 def full(ledger: FileLedger, *, is_full: bool) -> None:
-    """Lets the file grow no further, as a full disk would; SQLite says the same of both."""
-    (pages,) = ledger._writer.execute("PRAGMA page_count").fetchone()
-    ledger._writer.execute(f"PRAGMA max_page_count={pages if is_full else 2**30}")
+    """Keeps the file from growing, as a full disk does; SQLite reports the same error."""
+    ((pages,),) = ledger._file.rows("PRAGMA page_count")
+    ledger._file.rows(f"PRAGMA max_page_count={pages if is_full else 2**30}")
 
 
-def test_a_full_disk_keeps_trials_out_and_loses_no_record(tmp_path):
+def test_full_disk_refuses_trials_and_loses_no_record(tmp_path):
     ledger = opened(tmp_path)
     ledger.note("t", "d", SUBMIT, START)
     full(ledger, is_full=True)
@@ -234,7 +234,7 @@ def test_a_full_disk_keeps_trials_out_and_loses_no_record(tmp_path):
 
 
 @pytest.mark.parametrize("replaced", [False, True])
-def test_a_ledger_deleted_under_a_running_rig_takes_no_trial_in(replaced, tmp_path):
+def test_ledger_deleted_in_use_refuses_trials(replaced, tmp_path):
     book = opened(tmp_path)
     try:
         book.note("a", "d", SUBMIT, START)
@@ -250,7 +250,7 @@ def test_a_ledger_deleted_under_a_running_rig_takes_no_trial_in(replaced, tmp_pa
         book.close()
 
 
-def test_a_ledger_does_not_grow_without_end(tmp_path):
+def test_ledger_size_is_bounded(tmp_path):
     ledger = opened(tmp_path, frames_max_bytes=200_000)
     sizes = []
     for number in range(300):
@@ -261,7 +261,7 @@ def test_a_ledger_does_not_grow_without_end(tmp_path):
     ledger.close()
 
 
-def test_what_is_known_can_be_asked_while_the_disk_is_slow(tmp_path):
+def test_find_does_not_wait_for_a_slow_disk(tmp_path):
     ledger = opened(tmp_path)
     ledger.note("t", "d", SUBMIT)
     found = []

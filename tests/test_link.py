@@ -1,6 +1,6 @@
-"""The state machines of the link: every state by every event, and both ends over a bad network."""
+"""State machines of the protocol: every state by every event, and both ends over a bad network."""
 
-from dataclasses import dataclass, field
+from dataclasses import MISSING, dataclass, field, fields
 from itertools import product
 
 import pytest
@@ -14,7 +14,8 @@ from hypothesis.stateful import (
 )
 
 from estune.errors import ProtocolError
-from estune.remote.state_machine import client, events, rig, trials
+from estune.remote.state_machine import client, rig, trials
+from estune.remote.state_machine import state as events
 from estune.remote.state_machine.client import Action, ClientInput, ClientStage
 from estune.remote.state_machine.reply_codes import OF_TRIAL, ReplyCode
 from estune.remote.state_machine.state import LEASE_S, Mode, RigAction, RigState, Transition
@@ -22,9 +23,13 @@ from estune.remote.state_machine.trials import TrialEvent, TrialState
 
 # --- one trial id ---
 
+MAY_HAVE_MOVED = (
+    *(TrialState.RUNNING, TrialState.ENDED, TrialState.FAILED, TrialState.INTERRUPTED),
+)
+
 
 @pytest.mark.parametrize(("state", "event"), list(product(TrialState, TrialEvent)))
-def test_a_trial_id_moves_forward_only_and_what_cannot_be_is_an_error(state, event):
+def test_trial_state_only_advances_and_impossible_events_raise(state, event):
     begins = {TrialState.UNKNOWN: 0, TrialState.VOID: 1, TrialState.ACCEPTED: 1}
     rank = {**dict.fromkeys(TrialState, 3), TrialState.RUNNING: 2, **begins}
     try:
@@ -39,12 +44,12 @@ def test_a_trial_id_moves_forward_only_and_what_cannot_be_is_an_error(state, eve
     assert (following is TrialState.RUNNING) <= (
         state is TrialState.RUNNING or event is TrialEvent.START
     )
-    assert following.may_have_moved >= state.may_have_moved
+    assert (following in MAY_HAVE_MOVED) >= (state in MAY_HAVE_MOVED)
     if event is TrialEvent.BOOT:
         assert following.is_final or following is TrialState.UNKNOWN
 
 
-def test_a_trial_begins_from_accepted_alone():
+def test_trial_starts_from_accepted_only():
     assert [s for s in TrialState if TrialEvent.START in trials.TABLE[s]] == [TrialState.ACCEPTED]
 
 
@@ -52,43 +57,36 @@ def test_a_trial_begins_from_accepted_alone():
 
 TOKENS, IDS = ("a", "b"), ("t0", "t1")
 KNOWN = (TrialState.UNKNOWN, TrialState.ENDED, TrialState.VOID)
-EVENTS = (
-    *(events.Acquire(token, f"holder {token}") for token in TOKENS),
-    *(events.Renew(token) for token in TOKENS),
-    *(events.Release(token) for token in TOKENS),
-    events.Expire(),
-    *(
-        events.SubmitEvent(token, trial_id, known, objection)
-        for token, trial_id, known in product(TOKENS, IDS, KNOWN)
-        for objection in ("", "too far")
-    ),
-    *(events.CancelEvent(token, trial_id) for token, trial_id in product(TOKENS, ("", *IDS))),
-    *(
-        events.VoidEvent(token, trial_id, known)
-        for token, trial_id, known in product(TOKENS, IDS, KNOWN)
-    ),
-    *(events.SetGainsEvent(token) for token in TOKENS),
-    *(
-        events.EstopEvent("smoke"),
-        events.ClearEvent(),
-        events.Noted(),
-        events.Begin(),
-        events.End(),
-        events.Close(),
-    ),
-)
+VALUES = {
+    "token": TOKENS,
+    "trial_id": IDS,
+    "known": KNOWN,
+    "objection": ("", "too far"),
+    "reason": ("smoke",),
+}
+
+
+def examples(kind: type[events.Event]) -> list[events.Event]:
+    """Events of a kind with all combinations of values, defaults included."""
+    if kind is events.Acquire:
+        return [events.Acquire(token, f"holder {token}") for token in TOKENS]
+    values = [dict.fromkeys((f.default, *VALUES[f.name])) for f in fields(kind)]
+    return [kind(*chosen) for chosen in product(*values) if MISSING not in chosen]
+
+
+EVENTS = tuple(event for kind in rig.TABLE for event in examples(kind))
 INTERNAL = (events.Noted, events.Begin, events.End)
 STEP_S = LEASE_S / 2
 
 
 def normal(state: RigState, now_s: float) -> RigState:
-    """The same state seen from time zero, so that there are finitely many."""
+    """The state relative to time zero, so that there are finitely many."""
     lease = state.lease and state.lease._replace(expires_at_s=state.lease.expires_at_s - now_s)
     return state._replace(lease=lease, ended=0)
 
 
 def reachable() -> list[tuple[RigState, float, events.Event, Transition | None]]:
-    """Every move from every state that can be reached, each event at three times."""
+    """Every transition from every reachable state, each event at three times."""
     found, queue, moves = {RigState()}, [RigState()], []
     while queue:
         state = queue.pop()
@@ -115,7 +113,7 @@ def lives(state: RigState, now_s: float) -> bool:
     return state.lease is not None and now_s < state.lease.expires_at_s
 
 
-def test_every_mode_meets_every_event_and_only_the_impossible_is_an_error(moves):
+def test_step_handles_every_event_in_every_mode(moves):
     met = {(state.mode, type(event)) for state, _, event, _ in moves}
     assert met == set(product(Mode, rig.TABLE))
     for state, now_s, event, move in moves:
@@ -130,7 +128,7 @@ def test_every_mode_meets_every_event_and_only_the_impossible_is_an_error(moves)
             assert at not in possible[type(event)]
 
 
-def test_a_command_that_is_refused_changes_nothing_and_orders_nothing(moves):
+def test_step_with_a_refused_command_changes_nothing(moves):
     for state, now_s, event, move in moves:
         if move is None or move.verdict in (ReplyCode.ACCEPTED, ReplyCode.VOID):
             continue
@@ -138,7 +136,7 @@ def test_a_command_that_is_refused_changes_nothing_and_orders_nothing(moves):
         assert (move.state, move.orders) == (passed.state, passed.orders), event
 
 
-def test_a_trial_is_taken_in_by_its_owner_alone_once_and_into_a_rig_at_rest(moves):
+def test_submit_is_accepted_once_by_the_holder_on_an_idle_rig(moves):
     taken = 0
     for state, now_s, event, move in moves:
         if move is None or RigAction.TAKE_IN not in move.orders:
@@ -151,7 +149,7 @@ def test_a_trial_is_taken_in_by_its_owner_alone_once_and_into_a_rig_at_rest(move
     assert taken
 
 
-def test_nothing_moves_but_by_the_holder_of_a_lease_that_lives(moves):
+def test_motion_is_ordered_only_by_the_lease_holder(moves):
     for state, now_s, event, move in moves:
         if move is None:
             continue
@@ -160,7 +158,7 @@ def test_nothing_moves_but_by_the_holder_of_a_lease_that_lives(moves):
             assert event.token == state.lease.token
 
 
-def test_a_trial_whose_lease_ends_is_stopped(moves):
+def test_end_of_the_lease_stops_the_trial(moves):
     ends = 0
     for state, now_s, _, move in moves:
         if move is None or move.state.trial is None or move.state.lease is not None:
@@ -173,13 +171,13 @@ def test_a_trial_whose_lease_ends_is_stopped(moves):
     assert ends
 
 
-def test_a_lease_passes_to_another_only_once_it_has_ended(moves):
+def test_lease_changes_hands_only_after_its_end(moves):
     for state, now_s, _, move in moves:
         if move is not None and lives(state, now_s) and move.state.lease is not None:
             assert move.state.lease.token == state.lease.token
 
 
-def test_an_emergency_stop_is_obeyed_in_every_state_and_holds_until_cleared(moves):
+def test_estop_is_obeyed_in_every_state_and_holds_until_clear(moves):
     for state, _, event, move in moves:
         if isinstance(event, events.EstopEvent):
             assert move.verdict is ReplyCode.ACCEPTED
@@ -191,7 +189,7 @@ def test_an_emergency_stop_is_obeyed_in_every_state_and_holds_until_cleared(move
             assert not {RigAction.TAKE_IN, RigAction.APPLY, RigAction.CLEAR} & set(move.orders)
 
 
-def test_a_trial_begins_once_and_never_when_it_is_being_stopped(moves):
+def test_begin_is_accepted_once_and_never_while_stopping(moves):
     for state, now_s, event, move in moves:
         if not isinstance(event, events.Begin) or move is None:
             continue
@@ -203,13 +201,13 @@ def test_a_trial_begins_once_and_never_when_it_is_being_stopped(moves):
                 rig.step(move.state, events.Begin(), now_s)
 
 
-def test_who_is_refused_is_told_who_holds_the_rig(moves):
+def test_held_reply_names_the_holder(moves):
     for _, _, _, move in moves:
         if move is not None and move.verdict is ReplyCode.HELD:
             assert move.state.lease.holder in move.sentence
 
 
-def test_a_rig_that_closes_takes_nothing_in_any_more(moves):
+def test_closed_rig_accepts_no_commands(moves):
     for state, _, _, move in moves:
         if state.closed and move is not None:
             assert move.state.closed
@@ -223,7 +221,7 @@ def test_a_rig_that_closes_takes_nothing_in_any_more(moves):
 @pytest.mark.parametrize(
     ("stage", "heard"), list(product(ClientStage, [*ReplyCode, *ClientInput]))
 )
-def test_a_client_never_sends_a_trial_again_that_may_have_been_taken_in(stage, heard):
+def test_client_never_resubmits_a_trial_that_may_be_accepted(stage, heard):
     try:
         step = client.next_transition(stage, heard)
     except ProtocolError:
@@ -254,13 +252,13 @@ OVER = {
 }
 
 
-def test_a_trial_that_may_have_been_sent_is_not_fresh():
+def test_sent_trial_is_not_fresh():
     assert client.sent(client.START).stage is ClientStage.SENT
     waiting = client.next_transition(ClientStage.SENT, ReplyCode.ACCEPTED)
     assert client.sent(waiting) == waiting
 
 
-def test_busy_with_anothers_trial_is_a_refusal():
+def test_busy_with_another_trial_is_a_refusal():
     assert (
         client.next_transition(ClientStage.SENT, ReplyCode.BUSY, own=False).action is Action.FAIL
     )
@@ -271,8 +269,8 @@ def test_busy_with_anothers_trial_is_a_refusal():
 
 
 @dataclass
-class Life:
-    """A client's view of one trial; a new one after each kill of the client."""
+class ClientTrial:
+    """State of one trial at a client; a new one after each kill of the client."""
 
     trial_id: str
     step: client.ClientTransition = field(default_factory=lambda: client.START)
@@ -281,7 +279,7 @@ class Life:
 
 
 class Exchange(RuleBasedStateMachine):
-    """One rig with a durable ledger, one client after another, one network in between.
+    """One rig with a durable ledger, one client after another, and a network between them.
 
     Messages wait in a bag: any of them may be delivered next, be delivered twice, or be lost.
     """
@@ -298,26 +296,26 @@ class Exchange(RuleBasedStateMachine):
         self.tokens = 0
         self.boots = 0
         self.number = 0
-        self.client = Life("t0")
+        self.client = ClientTrial("t0")
 
     # the client
 
     @rule()
     def client_acts(self):
-        """Sends what its machine says is next; waiting is inquiring."""
-        life = self.client
-        if life.result is not None:
+        """Sends the next message of its state machine; waiting is inquiring."""
+        view = self.client
+        if view.result is not None:
             self.number += 1
-            self.client = Life(f"t{self.number}", token=life.token)
+            self.client = ClientTrial(f"t{self.number}", token=view.token)
             return
-        if life.step.action is Action.LEASE:
+        if view.step.action is Action.LEASE:
             self.tokens += 1
-            life.token = f"k{self.tokens}"
+            view.token = f"k{self.tokens}"
             verb = "lease"
         else:
-            life.step = client.sent(life.step)
-            verb = "submit" if life.step.action is Action.SUBMIT else "inquire"
-        self.queries.append((self.boots, verb, life.token, life.trial_id))
+            view.step = client.sent(view.step)
+            verb = "submit" if view.step.action is Action.SUBMIT else "inquire"
+        self.queries.append((self.boots, verb, view.token, view.trial_id))
 
     @rule(at=st.integers(0, 99), twice=st.integers(0, 9).map(lambda n: n == 0))
     def answer_arrives(self, at, twice):
@@ -328,33 +326,33 @@ class Exchange(RuleBasedStateMachine):
         boot, verb, trial_id, token, heard, record = self.answers[index]
         if not twice:
             del self.answers[index]
-        life = self.client
-        if boot != self.boots or trial_id != life.trial_id or life.result is not None:
+        view = self.client
+        if boot != self.boots or trial_id != view.trial_id or view.result is not None:
             return
-        leasing = life.step.action is Action.LEASE
-        if verb == "lease" and leasing and token == life.token:
+        leasing = view.step.action is Action.LEASE
+        if verb == "lease" and leasing and token == view.token:
             self._hear(ClientInput.LEASED if heard is ReplyCode.ACCEPTED else heard)
-        elif verb != "lease" and not leasing and life.step.stage is not ClientStage.FRESH:
-            # A late answer to an earlier question is heard as if it were to the latest.
+        elif verb != "lease" and not leasing and view.step.stage is not ClientStage.FRESH:
+            # A late reply to an earlier query is taken for one to the latest.
             self._hear(heard, record)
 
     def _hear(self, heard, record=None):
-        life = self.client
-        life.step = client.next_transition(life.step.stage, heard)
-        action = life.step.action
-        moved = self.moved.get(life.trial_id, 0)
+        view = self.client
+        view.step = client.next_transition(view.step.stage, heard)
+        action = view.step.action
+        moved = self.moved.get(view.trial_id, 0)
         if action is Action.RECORD:
-            assert record == self.records[life.trial_id]
-            assert self.ledger[life.trial_id] is TrialState.ENDED
+            assert record == self.records[view.trial_id]
+            assert self.ledger[view.trial_id] is TrialState.ENDED
         elif action is Action.NOTHING_RAN:
             assert moved == 0
-            assert self.ledger[life.trial_id] in (TrialState.NEVER_STARTED, TrialState.VOID)
+            assert self.ledger[view.trial_id] in (TrialState.NEVER_STARTED, TrialState.VOID)
         elif action is Action.INTERRUPTED:
             assert moved == 1
         elif action is Action.FAIL:
-            life.token = ""
-        if life.step.stage is ClientStage.OVER:
-            life.result = action
+            view.token = ""
+        if view.step.stage is ClientStage.OVER:
+            view.result = action
             reached.add(action)
 
     # the rig
@@ -376,7 +374,7 @@ class Exchange(RuleBasedStateMachine):
         elif verb == "submit":
             move = self._rig(events.SubmitEvent(token, trial_id, known))
             if RigAction.TAKE_IN in move.orders:
-                return  # answered once it is in the ledger
+                return  # the reply follows once it is in the ledger
             verdict = move.verdict
         elif known is TrialState.UNKNOWN and mine:
             verdict = ReplyCode.BUSY
@@ -434,9 +432,9 @@ class Exchange(RuleBasedStateMachine):
         bag = self.queries if of_queries else self.answers
         if bag:
             del bag[at % len(bag)]
-        life = self.client
-        leasing = life.step.action is Action.LEASE  # it will ask again, for another lease
-        if life.step.stage is not ClientStage.FRESH and life.result is None and not leasing:
+        view = self.client
+        leasing = view.step.action is Action.LEASE  # it will ask again, for another lease
+        if view.step.stage is not ClientStage.FRESH and view.result is None and not leasing:
             self._hear(ClientInput.SILENCE)
 
     @rule()
@@ -450,7 +448,7 @@ class Exchange(RuleBasedStateMachine):
 
     @rule()
     def client_dies_and_another_goes_on_with_its_trial(self):
-        self.client = Life(self.client.trial_id)
+        self.client = ClientTrial(self.client.trial_id)
 
     @rule(passed=st.sampled_from([0.3, 0.6, 2.0]), renews=st.booleans())
     def time_passes(self, passed, renews):
@@ -463,7 +461,7 @@ class Exchange(RuleBasedStateMachine):
 
     @rule()
     def client_voids(self):
-        """As after Ctrl-C: what was not taken in must never run."""
+        """As after Ctrl-C: a trial not accepted by now must never run."""
         known = self.ledger.get(self.client.trial_id, TrialState.UNKNOWN)
         self._rig(events.VoidEvent(self.client.token, self.client.trial_id, known))
 
@@ -479,10 +477,10 @@ class Exchange(RuleBasedStateMachine):
 
 
 reached: set[Action] = set()
-"""What the clients of all the exchanges came to."""
+"""Final actions of the clients of all exchanges."""
 
 
-def test_no_trial_runs_twice_over_a_network_that_loses_repeats_and_reorders():
+def test_exchange_over_a_bad_network_runs_no_trial_twice():
     reached.clear()
     settled = settings(max_examples=200, stateful_step_count=100)
     run_state_machine_as_test(Exchange, settings=settled)

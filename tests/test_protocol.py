@@ -1,4 +1,4 @@
-"""The protocol: what may be said, and whom it reaches."""
+"""Messages of the protocol: encoding, limits, digests, names, choice of a rig."""
 
 import json
 from dataclasses import replace
@@ -12,21 +12,15 @@ from estune.core.gains import Gains
 from estune.errors import InvalidInput, ProtocolError, RigError
 from estune.remote import messages
 from estune.remote.messages import (
+    VERBS,
     Answer,
-    Cancel,
-    Clear,
     Description,
-    Estop,
     Inquire,
     Keys,
-    Lease,
     Presence,
-    SetGains,
     Status,
-    Submit,
-    Void,
 )
-from estune.remote.messages.messages import COMMANDS
+from estune.remote.messages.commands import Submit
 from estune.remote.state_machine.reply_codes import ReplyCode
 from estune.remote.state_machine.state import Mode
 from estune.trial import TrialRequest
@@ -37,6 +31,7 @@ from estune.trial.profiles import (
     StepProfile,
     TriangleProfile,
 )
+from experiments.rig_protocol_page import EXAMPLES
 from tests.support_rigs import description
 
 finite = st.floats(allow_nan=False, allow_infinity=False)
@@ -73,7 +68,7 @@ SUBMIT = messages.encode(Submit("1e", REQUEST, messages.digest(REQUEST)))
 
 
 @given(requests)
-def test_a_request_arrives_as_it_was_sent(request):
+def test_decode_of_an_encoded_request_returns_it(request):
     sent = Submit("1e", request, messages.digest(request))
     received = messages.decode(Submit, messages.encode(sent))
     assert received == sent
@@ -83,8 +78,8 @@ def test_a_request_arrives_as_it_was_sent(request):
 @pytest.mark.parametrize(
     "message",
     [
-        *(Inquire("ab", 3, 100), Cancel("1e", "run-00003"), SetGains("1e", REQUEST.gains)),
-        *(Lease("renew", "1e"), Void("1e", "run-00003", "ab"), Estop("smoke"), Clear()),
+        *EXAMPLES,
+        Inquire("ab", 3, 100),
         Status("4f1c", Mode.ABORTING, "run-00003", 3, "anna@lab", "smoke"),
         Answer(ReplyCode.REFUSED, "run-00003", "InvalidInput", "too far"),
         *(Answer(verdict) for verdict in ReplyCode),
@@ -92,11 +87,11 @@ def test_a_request_arrives_as_it_was_sent(request):
     ],
     ids=lambda message: type(message).__name__,
 )
-def test_a_message_arrives_as_it_was_sent(message):
+def test_decode_of_an_encoded_message_returns_it(message):
     assert messages.decode(type(message), messages.encode(message)) == message
 
 
-def test_a_request_of_whole_numbers_has_the_digest_of_the_same_in_floats():
+def test_digest_of_integers_equals_that_of_floats():
     whole = replace(REQUEST, profile=StepProfile(10, 5, 0.1, 0.5))
     received = messages.decode(
         Submit, messages.encode(Submit("1e", whole, messages.digest(whole)))
@@ -113,7 +108,7 @@ def test_a_request_of_whole_numbers_has_the_digest_of_the_same_in_floats():
         replace(REQUEST, attempt=1),
     ],
 )
-def test_requests_that_differ_at_all_have_different_digests(other):
+def test_digest_differs_for_different_requests(other):
     assert messages.digest(other) != messages.digest(REQUEST)
 
 
@@ -136,7 +131,7 @@ def test_requests_that_differ_at_all_have_different_digests(other):
         (("request",), ("run", None), "request.run: .*string"),
     ],
 )
-def test_a_command_that_is_wrong_is_refused_with_the_place(where, value, complaint):
+def test_decode_of_a_wrong_field_names_its_place(where, value, complaint):
     command = json.loads(SUBMIT)
     part = command
     for name in where:
@@ -146,33 +141,38 @@ def test_a_command_that_is_wrong_is_refused_with_the_place(where, value, complai
         messages.decode(Submit, json.dumps(command).encode())
 
 
-def test_a_command_with_a_field_missing_is_refused():
+def test_decode_with_a_missing_field_is_refused():
     command = json.loads(SUBMIT)
     del command["request"]["profile"]
     with pytest.raises(ProtocolError, match=r"request\.profile: .*required"):
         messages.decode(Submit, json.dumps(command).encode())
 
 
-@given(st.sampled_from([*COMMANDS, Answer, Status, Description]), st.binary())
-def test_what_is_no_message_is_refused(kind, data):
+@given(
+    st.sampled_from(
+        [*(verb.message for verb in VERBS.values()), Inquire, Answer, Status, Description]
+    ),
+    st.binary(),
+)
+def test_decode_of_random_bytes_is_refused(kind, data):
     with pytest.raises(ProtocolError):
         messages.decode(kind, data)
 
 
 @given(st.data())
-def test_a_command_cut_short_is_refused(data):
+def test_decode_of_a_truncated_command_is_refused(data):
     with pytest.raises(ProtocolError):
         messages.decode(Submit, SUBMIT[: data.draw(st.integers(0, len(SUBMIT) - 1))])
 
 
-def test_a_command_over_the_limit_is_refused_on_both_sides():
+def test_command_over_the_limit_is_refused_on_both_sides():
     with pytest.raises(ProtocolError, match="the limit is 2048"):
         messages.encode(Submit("", replace(REQUEST, run="x" * 2048), ""))
     with pytest.raises(ProtocolError, match="the limit is 2048"):
         messages.decode(Submit, SUBMIT + b" " * 2048)
 
 
-def test_a_description_of_another_protocol_is_refused():
+def test_description_of_another_protocol_is_refused():
     text = messages.encode(Description(description(), "4f1c", "9e"))
     with pytest.raises(ProtocolError, match="protocol"):
         messages.decode_description(text.replace(b'"protocol":1', b'"protocol":2'))
@@ -185,14 +185,14 @@ def test_a_description_of_another_protocol_is_refused():
         *(errors.UnsafeStart, errors.JournalError),
     ],
 )
-def test_the_client_raises_what_the_rig_raised(kind):
+def test_check_raises_the_error_of_the_rig(kind):
     answer = messages.encode(messages.refusal(kind("20 N is too much")))
     with pytest.raises(errors.EstuneError, match=r"^20 N is too much$") as raised:
         messages.decode(Answer, answer).check()
     assert raised.type is kind
 
 
-def test_an_error_of_an_unknown_kind_is_still_an_error_of_the_rig():
+def test_check_of_an_unknown_error_raises_rig_error():
     with pytest.raises(RigError, match="oil low"):
         Answer(ReplyCode.REFUSED, error="SystemExit", sentence="oil low").check()
 
@@ -208,7 +208,7 @@ A, B, A_AGAIN, A_NEXT = "v1/a/alive/01", "v1/b/alive/02", "v1/a/alive/03", "v2/a
     ("found", "rig", "instance"),
     [([A], None, "01"), ([A, B], "b", "02"), ([B, A_NEXT], None, "02"), ([A, A_NEXT], "a", "01")],
 )
-def test_the_one_rig_meant_is_chosen(found, rig, instance):
+def test_choose_returns_the_requested_rig(found, rig, instance):
     assert messages.choose(present(*found), rig, "here").instance == instance
 
 
@@ -218,25 +218,25 @@ def test_the_one_rig_meant_is_chosen(found, rig, instance):
         ([], None, RigError, "no rig answers at here; start one"),
         ([], "a", RigError, "no rig answers at here; start one"),
         ([A, B], "c", RigError, "no rig named 'c' at here; there is: a, b"),
-        ([A, B], None, RigError, "2 rigs at here: a, b; name the one"),
+        ([A, B], None, RigError, "2 rigs at here: a, b; name one"),
         ([A, B, A_AGAIN], "a", RigError, r"2 processes .* named 'a' \(instances 01, 03\); stop"),
         ([A, A_AGAIN], None, RigError, "2 processes .* named 'a'"),
         ([A_NEXT], None, ProtocolError, "'a' at here speaks protocol v2, this estune v1; update"),
         ([B, A_NEXT], "a", ProtocolError, "speaks protocol v2"),
     ],
 )
-def test_where_it_is_not_clear_which_rig_is_meant_the_error_says_why(found, rig, kind, complaint):
+def test_choose_without_a_unique_rig_explains_why(found, rig, kind, complaint):
     with pytest.raises(RigError, match=complaint) as raised:
         messages.choose(present(*found), rig, "here")
     assert raised.type is kind
 
 
 @pytest.mark.parametrize("name", ["", "a/b", "*", "a*", "a$b", "@a", "a?b", "a#b", " a", "a\n"])
-def test_a_name_that_would_change_the_key_is_refused(name):
+def test_name_that_would_change_the_key_is_refused(name):
     with pytest.raises(InvalidInput, match="cannot be used on the link"):
         Keys(name)
 
 
 @pytest.mark.parametrize("name", ["a", "reel 2", "Spule-3_ü.1", "x" * 128])
-def test_other_names_are_taken(name):
+def test_other_names_are_accepted(name):
     assert Presence.parse(Keys(name).alive("0f")) == Presence(name, "v1", "0f")

@@ -56,7 +56,7 @@ def test_the_part_in_the_page_is_the_beginning_of_the_frame():
 
 def test_the_live_samples_in_the_page_are_those_they_are_said_to_be():
     samples = messages.decode_live(SAMPLES.trial_id, dumped("live_bytes"))
-    assert (samples.first, samples.sampling_Hz) == (32, 632.0)
+    assert (samples.first_sample, samples.sampling_Hz) == (32, 632.0)
     for name in ("setpoint_N", "tension_N", "current_A", "angle_rad"):
         np.testing.assert_array_equal(getattr(samples, name), getattr(SAMPLES, name))
 

@@ -1,4 +1,4 @@
-"""What every rig promises, in this process and over Zenoh: the `Rig` protocol of estune.trial.rig."""
+"""The `Rig` protocol of estune.trial.rig, in this process and over Zenoh."""
 
 import threading
 from contextlib import ExitStack
@@ -26,7 +26,7 @@ OTHER = Gains(0.7, 12.0, 0.004, 0.01)
 
 @pytest.fixture(scope="module")
 def endpoints():
-    """Where a rig of each kind is served; one process per kind, started when first asked for."""
+    """Endpoint of a served rig of each kind; one process per kind, started when first needed."""
     with ExitStack() as stack:
         found: dict[str, str] = {}
 
@@ -39,22 +39,22 @@ def endpoints():
 
 
 @pytest.fixture
-def reach_from(endpoints):
-    """Gives a rig of a kind, in this process ("here") or in another ("zenoh")."""
+def make_rig_at(endpoints):
+    """Makes a rig of a kind, in this process ("here") or in another ("zenoh")."""
     with ExitStack() as stack:
 
-        def reach_from(where: str, kind: str):
+        def make_rig_at(where: str, kind: str):
             rig = make(kind, "reel") if where == "here" else zenoh.connect(endpoints(kind))
             stack.callback(rig.close)
             return rig
 
-        yield reach_from
+        yield make_rig_at
 
 
 @pytest.fixture(params=["here", "zenoh"])
-def reach(request, reach_from):
-    """The same from either place."""
-    return partial(reach_from, request.param)
+def make_rig(request, make_rig_at):
+    """Makes a rig of a kind, in either place."""
+    return partial(make_rig_at, request.param)
 
 
 # Hardware is served only: the rig itself is the same, and takes a second to start.
@@ -62,8 +62,8 @@ RIGS = ["here scripted", "here simulated", "zenoh scripted", "zenoh simulated", 
 
 
 @pytest.fixture(params=RIGS)
-def rig(request, reach_from):
-    return reach_from(*request.param.split())
+def rig(request, make_rig_at):
+    return make_rig_at(*request.param.split())
 
 
 @pytest.fixture
@@ -77,14 +77,14 @@ def trial(request):
     return trial
 
 
-def test_a_rig_says_what_it_is(rig):
+def test_describe_is_constant_and_within_its_own_limits(rig):
     description = rig.describe()
     assert description.name == "reel"
     description.limits.check(description.step)
     assert rig.describe() == description
 
 
-def test_a_trial_is_answered_with_its_record(rig, trial):
+def test_run_returns_the_record_of_the_request(rig, trial):
     request = trial(rig)
     record = rig.run(request)
     rate = rig.describe().controller.sampling_Hz
@@ -109,7 +109,7 @@ EXCITATIONS = [
 
 @pytest.mark.parametrize("loop", ["closed", "open"])
 @pytest.mark.parametrize("profile", EXCITATIONS, ids=lambda profile: profile.kind)
-def test_a_trial_may_ask_for_more_than_a_step(rig, trial, profile, loop):
+def test_run_supports_every_profile_in_both_loops(rig, trial, profile, loop):
     request = replace(trial(rig), profile=replace(profile, loop=loop))
     record = rig.run(request)
     assert (record.outcome, record.loop, record.profile) == (Outcome.DONE, loop, profile.kind)
@@ -121,19 +121,19 @@ def test_a_trial_may_ask_for_more_than_a_step(rig, trial, profile, loop):
         rig.run(replace(request, profile=other))
 
 
-def test_a_trial_asked_for_again_is_not_run_again(rig, trial):
+def test_run_repeated_returns_the_same_record(rig, trial):
     first = rig.run(trial(rig))
     rig.run(trial(rig, 1))
     assert same(first, rig.run(trial(rig)))
 
 
-def test_a_trial_id_stands_for_one_request(rig, trial):
+def test_run_of_another_request_under_a_used_id_is_refused(rig, trial):
     rig.run(trial(rig))
     with pytest.raises(RigError, match=trial(rig).trial_id):
         rig.run(replace(trial(rig), gains=replace(OTHER, P=OTHER.P * 1.5)))
 
 
-def test_a_step_outside_the_limits_is_refused(rig, trial):
+def test_run_outside_the_limits_is_refused(rig, trial):
     limits = rig.describe().limits
     with pytest.raises(InvalidInput, match="outside the rig's range"):
         rig.run(trial(rig, step_N=2.0 * limits.tension_max_N))
@@ -142,13 +142,13 @@ def test_a_step_outside_the_limits_is_refused(rig, trial):
     assert rig.run(trial(rig)).outcome is Outcome.DONE
 
 
-def test_a_trial_leaves_the_live_gains_alone(rig, trial):
+def test_run_leaves_the_live_gains_unchanged(rig, trial):
     before = rig.describe()
     assert rig.run(trial(rig)).gains != before.gains
     assert rig.describe() == before
 
 
-def test_gains_applied_are_live_until_others_are(rig):
+def test_apply_sets_the_live_gains(rig):
     before = rig.describe().gains
     rig.apply(OTHER)
     assert rig.describe().gains == OTHER
@@ -156,14 +156,14 @@ def test_gains_applied_are_live_until_others_are(rig):
     assert rig.describe().gains == before
 
 
-def test_an_idle_rig_can_be_aborted(rig, trial):
+def test_abort_of_an_idle_rig_has_no_effect(rig, trial):
     assert rig.abort() == rig.describe()
     assert rig.run(trial(rig)).outcome is Outcome.DONE
 
 
 @pytest.mark.parametrize("kind", ["slow scripted", "slow simulated", "slow hardware"])
-def test_abort_stops_the_trial_under_way(reach, kind, trial):
-    rig = reach(kind)
+def test_abort_stops_the_active_trial(make_rig, kind, trial):
+    rig = make_rig(kind)
     before = rig.describe()
     records = []
     running = threading.Thread(target=lambda: records.append(rig.run(trial(rig))))
@@ -177,8 +177,8 @@ def test_abort_stops_the_trial_under_way(reach, kind, trial):
     assert len({len(record.time_s), len(record.tension_N), len(record.flags)}) == 1
 
 
-def test_a_diverged_trial_is_a_record_like_any_other(reach, trial):
-    rig = reach("diverging")
+def test_run_that_diverges_returns_a_record(make_rig, trial):
+    rig = make_rig("diverging")
     record = rig.run(trial(rig))
     assert record.outcome is Outcome.DIVERGED
     assert "sample 50" in record.reason
@@ -186,7 +186,7 @@ def test_a_diverged_trial_is_a_record_like_any_other(reach, trial):
     assert record.tension_N[-1] == np.inf
 
 
-def test_a_closed_rig_refuses_further_calls(rig, trial):
+def test_closed_rig_refuses_calls(rig, trial):
     request = trial(rig)
     rig.close()
     for call in (rig.describe, rig.abort, lambda: rig.run(request), lambda: rig.apply(OTHER)):
@@ -196,7 +196,7 @@ def test_a_closed_rig_refuses_further_calls(rig, trial):
 
 
 @pytest.mark.parametrize("kind", ["scripted", "simulated"])
-def test_the_link_changes_nothing_in_a_record(endpoints, kind, trial):
+def test_link_leaves_records_unchanged(endpoints, kind, trial):
     here = make(kind, "reel")
     with zenoh.connect(endpoints(kind)) as there:
         assert there.describe() == here.describe()

@@ -1,4 +1,4 @@
-"""Who may reach a rig and command it: by password and by certificate, and nobody else."""
+"""Authentication and access control, by password and by certificate."""
 
 import shutil
 import subprocess
@@ -46,7 +46,7 @@ ACCESS = '[access]\ncommand = ["anna"]\nlook = ["guest"]\n'
 
 @pytest.fixture
 def users(tmp_path):
-    """The rig's security, and that of anna, of a guest, of a liar and of a stranger."""
+    """Settings of the rig, of anna, of a guest, of a liar and of a stranger."""
     secret(tmp_path / "users", "anna:horse battery\nguest:look\nstranger:odd\n")
     given = {"anna": "horse battery", "guest": "look", "liar": "wrong", "stranger": "odd"}
     found = {"rig": security(tmp_path / "rig.toml", f'[password]\nusers_file = "users"\n{ACCESS}')}
@@ -58,7 +58,7 @@ def users(tmp_path):
     return found
 
 
-def test_who_is_let_commands_the_rig_by_password(users):
+def test_user_with_command_right_commands_by_password(users):
     with (
         served("tcp/127.0.0.1:0", security=users["rig"]) as (rig, server),
         zenoh.connect(server.endpoint, security=users["anna"]) as anna,
@@ -73,7 +73,7 @@ def test_who_is_let_commands_the_rig_by_password(users):
         ]
 
 
-def test_who_may_only_look_sees_all_and_commands_nothing(users):
+def test_user_with_look_right_sees_all_and_commands_nothing(users):
     with (
         served("tcp/127.0.0.1:0", security=users["rig"]) as (rig, server),
         zenoh.connect(server.endpoint, timeout_s=SOON_S, security=users["guest"]) as guest,
@@ -84,37 +84,39 @@ def test_who_may_only_look_sees_all_and_commands_nothing(users):
             *(lambda: guest.run(trial()), lambda: guest.apply(trial().gains)),
             *(guest.abort, guest.clear),
         ):
-            with pytest.raises(RigError, match="were not let command it"):
+            with pytest.raises(RigError, match="had no right to command it"):
                 call()
         with pytest.raises(RigError, match="has not answered the emergency stop"):
             guest.estop("smoke")
         assert rig.asked == []
-        assert server._attendant.status("").mode is Mode.IDLE
+        assert server._handler.status().mode is Mode.IDLE
 
 
-def test_who_may_only_look_cannot_speak_in_the_rigs_name(users):
+def test_user_with_look_right_cannot_publish_as_the_rig(users):
     with (
         served("tcp/127.0.0.1:0", security=users["rig"]) as (_, server),
         zenoh.connect(server.endpoint, security=users["anna"]) as anna,
         zenoh.connect(server.endpoint, security=users["guest"]) as guest,
     ):
         anna._changed.clear()
-        guest._talk.session.put(guest._talk.keys.status, b"forged")
-        guest._talk.session.liveliness().declare_token(guest._talk.keys.alive("0badf00d"))
+        guest._connection.session.put(guest._connection.keys.status, b"forged")
+        guest._connection.session.liveliness().declare_token(
+            guest._connection.keys.alive("0badf00d")
+        )
         assert anna.run(trial()).outcome is Outcome.DONE
         found = zenoh.discover_rigs(server.endpoint, security=users["anna"])
         assert [p.instance for p in found] == [server.instance]
 
 
 @pytest.mark.parametrize("who", ["liar", None])
-def test_who_has_no_password_or_a_wrong_one_is_not_let_in(users, who):
+def test_client_with_no_or_wrong_password_is_rejected(users, who):
     with served("tcp/127.0.0.1:0", security=users["rig"]) as (_, server):
         given = {} if who is None else {"security": users[who]}
         with pytest.raises(RigError, match="see --security"):
             zenoh.connect(server.endpoint, timeout_s=SOON_S, **given)
 
 
-def test_who_is_known_and_let_do_nothing_does_not_see_the_rig(users):
+def test_user_without_rights_does_not_see_the_rig(users):
     with (
         served("tcp/127.0.0.1:0", security=users["rig"]) as (_, server),
         pytest.raises(RigError, match="no rig answers"),
@@ -123,7 +125,7 @@ def test_who_is_known_and_let_do_nothing_does_not_see_the_rig(users):
 
 
 @pytest.mark.parametrize(("who", "code"), [("anna", 0), ("guest", RigError.exit_code)])
-def test_a_trial_of_a_file_is_run_for_who_may_command(who, code, users, tmp_path):
+def test_run_experiment_requires_the_command_right(who, code, users, tmp_path):
     file = TrialFile("step", description().step).write(tmp_path)
     with served("tcp/127.0.0.1:0", security=users["rig"]) as (rig, server):
         words = ["run-experiment", str(file), server.endpoint, "--data", str(tmp_path / "data")]
@@ -131,30 +133,33 @@ def test_a_trial_of_a_file_is_run_for_who_may_command(who, code, users, tmp_path
         assert len(rig.asked) == (code == 0)
 
 
-def test_a_model_is_improved_by_who_may_command_alone(users, tmp_path, capsys):
+def test_improve_requires_the_command_right(users, tmp_path, capsys):
     with served("tcp/127.0.0.1:0", security=users["rig"]) as (rig, server):
         words = ["improve-model", server.endpoint, "--folder", str(tmp_path / "runs"), "--quiet"]
         guest = ["--security", str(tmp_path / "guest.toml")]
         assert run([*words, *guest]) == RigError.exit_code
-        assert "were not let command it" in capsys.readouterr().err
+        assert "had no right to command it" in capsys.readouterr().err
         assert rig.asked == []
 
 
-def test_a_daemon_says_who_it_is(users, tmp_path):
+def test_daemon_authenticates_at_the_rig(users, tmp_path):
     with served("tcp/127.0.0.1:0", security=users["rig"]) as (_, server):
         table = rig_table("scripted", server.endpoint)
         with daemon(tmp_path / "a", table) as it:
-            it.until(lambda s: "asks who this is" in s.trouble, "scripted")
+            it.until(lambda s: "requires authentication" in s.trouble, "scripted")
         with daemon(tmp_path / "b", table, security=users["anna"]) as it:
             it.until_mode("tuning", "scripted")
 
 
-def test_a_daemon_is_commanded_by_who_may_and_asked_by_who_may_look(users, tmp_path, capsys):
+def test_daemon_commands_require_the_command_right(users, tmp_path, capsys):
     with served("tcp/127.0.0.1:0") as (_, server):
         table, more = rig_table("scripted", server.endpoint), 'security = "rig.toml"'
         with daemon(tmp_path, table, more=more, client=users["anna"]) as it:
             it.until_mode("holding", "scripted")
-            words, guest = ["daemon-control", "reject", it.service.endpoint], tmp_path / "guest.toml"
+            words, guest = (
+                ["daemon-control", "reject", it.service.endpoint],
+                tmp_path / "guest.toml",
+            )
             assert run([*words, "--security", str(guest)]) == RigError.exit_code
             assert run(words) == RigError.exit_code
             assert "see --security" in capsys.readouterr().err
@@ -196,7 +201,7 @@ def certificate(folder: Path, name: str, signer: str) -> None:
 
 @pytest.fixture(scope="module")
 def holders(tmp_path_factory):
-    """The same by certificate; the forger's is signed by another authority."""
+    """Settings with certificates; the forger's is signed by another authority."""
     if shutil.which("openssl") is None:
         pytest.skip("openssl is not installed")
     folder = tmp_path_factory.mktemp("certificates")
@@ -213,7 +218,7 @@ def holders(tmp_path_factory):
     return found
 
 
-def test_who_is_let_commands_the_rig_by_certificate_and_who_may_look_does_not(holders):
+def test_certificates_grant_command_and_look_rights(holders):
     with (
         served("tls/127.0.0.1:0", security=holders["rig"]) as (rig, server),
         zenoh.connect(server.endpoint, security=holders["anna"]) as anna,
@@ -221,12 +226,12 @@ def test_who_is_let_commands_the_rig_by_certificate_and_who_may_look_does_not(ho
     ):
         assert anna.run(trial()).outcome is Outcome.DONE
         assert guest.describe() == anna.describe()
-        with pytest.raises(RigError, match="were not let command it"):
+        with pytest.raises(RigError, match="had no right to command it"):
             guest.run(trial(1))
         assert rig.asked == [trial()]
 
 
-def test_a_certificate_of_another_authority_is_not_taken(holders):
+def test_certificate_of_another_authority_is_rejected(holders):
     with (
         served("tls/127.0.0.1:0", security=holders["rig"]) as (_, server),
         pytest.raises(RigError, match="see --security"),
@@ -234,7 +239,7 @@ def test_a_certificate_of_another_authority_is_not_taken(holders):
         zenoh.connect(server.endpoint, timeout_s=SOON_S, security=holders["forger"])
 
 
-def test_where_there_are_certificates_nothing_goes_unencrypted(holders):
+def test_unencrypted_endpoint_with_certificates_is_refused(holders):
     with pytest.raises(InvalidInput, match=r"write it as tls/127\.0\.0\.1:"):
         zenoh.serve(ScriptedRig(), "tcp/127.0.0.1:0", security=holders["rig"])
     with pytest.raises(InvalidInput, match="needs certificates"):
@@ -261,7 +266,7 @@ def test_where_there_are_certificates_nothing_goes_unencrypted(holders):
         ("[tls", ["no TOML"]),
     ],
 )
-def test_a_security_file_that_is_wrong_says_what_and_where(tmp_path, text, complaints):
+def test_wrong_security_file_lists_its_faults(tmp_path, text, complaints):
     (tmp_path / "open").write_text("anna:secret\n")
     (tmp_path / "open").chmod(0o644)
     with pytest.raises(InvalidInput) as refused:

@@ -1,12 +1,11 @@
-"""What a rig remembers of every trial it was ever asked for, so that none runs twice.
+"""Ledger of a rig: the state of every trial id ever submitted, so that no trial runs twice.
 
-On a rig that moves, it is a file: one SQLite database in WAL mode with synchronous=FULL, so that
-what was noted survives kill -9 and power loss. A trial is noted as accepted before its sender is
-told so, as running before anything moves, and with its record once the live gains are back. When
-the rig starts again, what was accepted has never started and what was running was interrupted.
-The rig's emergency stop is remembered too.
+On a rig that moves, it is a file (`estune.support.sqlite`), so that an entry survives kill -9 and
+power loss. A trial is noted as accepted before its sender has a reply, as running before anything
+moves, and with its record once the live gains are restored. At the start of the rig, an accepted
+trial becomes never started and a running one interrupted. The emergency stop is noted as well.
 
-Frames of the oldest trials are let go first; that they have run is remembered far longer.
+Frames of the oldest trials are deleted first; their ids are remembered far longer.
 """
 
 import logging
@@ -22,16 +21,16 @@ from typing import NamedTuple, Protocol
 
 from estune.errors import EstuneError, JournalError, RigError
 from estune.remote.state_machine.trials import TrialEvent, TrialState, after
-from estune.support import sqlite
+from estune.support.sqlite import FileKind, SqliteFile
 
 FRAMES_MAX_BYTES = 64 * 2**20
-"""What the frames of a ledger may take on disk."""
+"""Limit of the frames of a ledger on disk."""
 
 MEMORY_MAX_BYTES = 8 * 2**20
-"""What they may take in memory."""
+"""Limit of the frames of a ledger in memory."""
 
 TRIALS_MAX = 1_000_000
-"""How many trials are remembered at all: some 100 bytes each."""
+"""Limit of the number of trials in a ledger, about 100 bytes each."""
 
 _VERSIONS = (
     """
@@ -43,19 +42,20 @@ CREATE TABLE trial (
 CREATE TABLE frame (sequence INTEGER PRIMARY KEY, data BLOB NOT NULL);
 """,
 )
+_KIND = FileKind("a ledger", _VERSIONS, "restart the rig")
 
 _log = logging.getLogger(__name__)
 
 
 class LedgerEntry(NamedTuple):
-    """One trial as a ledger knows it.
+    """Entry of one trial.
 
     Attributes:
-        digest: Tells its request from any other under the same id.
-        state: How far it came.
-        frame: Its record, once it has ended; None too if the record was let go.
-        error: Kind of error, where the rig's own program failed in it.
-        sentence: The error's message.
+        digest: Digest of its request.
+        state: Its state.
+        frame: Its record, once it has ended; None too if the record was deleted.
+        error: Kind of error, where the rig's program failed in it.
+        sentence: Message of that error.
     """
 
     digest: str
@@ -64,58 +64,62 @@ class LedgerEntry(NamedTuple):
     error: str = ""
     sentence: str = ""
 
+    def ended(self, outcome: bytes | EstuneError) -> "LedgerEntry":
+        """The entry after the end of the trial."""
+        if isinstance(outcome, bytes):
+            return LedgerEntry(self.digest, after(self.state, TrialEvent.END), outcome)
+        failed = after(self.state, TrialEvent.FAIL)
+        return LedgerEntry(self.digest, failed, None, type(outcome).__name__, str(outcome))
+
 
 NOTHING = LedgerEntry("", TrialState.UNKNOWN)
-"""A trial that was never heard of."""
+"""The entry of a trial that was never submitted."""
 
 
 class Ledger(Protocol):
-    """What the rig's server needs of a ledger. Any thread may call."""
+    """Interface of a ledger. Any thread may call."""
 
     @property
     def identity(self) -> str:
-        """Tells this ledger from any other; lasts as long as it does."""
+        """Random identity, as durable as the ledger itself."""
         ...
 
     @property
     def latched(self) -> str:
-        """Why the emergency stop was called; empty if it was not, or was cleared."""
+        """Reason of the emergency stop; empty if there was none, or it was cleared."""
         ...
 
     def find(self, trial_id: str) -> LedgerEntry:
-        """What is known of a trial. Never waits for the disk to write."""
+        """Entry of a trial. Never waits for a write to the disk."""
         ...
 
     def note(self, trial_id: str, digest: str, *events: TrialEvent) -> TrialState:
-        """Notes what happens to a trial; returns once it would survive a power cut.
-
-        Returns:
-            Its state now.
+        """Applies events to a trial; returns its state once it would survive a power cut.
 
         Raises:
             RigError: it cannot be written; nothing is noted.
-            ProtocolError: that cannot happen to this trial; nothing is noted.
+            ProtocolError: an event is impossible for this trial; nothing is noted.
         """
         ...
 
     def end(self, trial_id: str, outcome: bytes | EstuneError) -> None:
-        """Notes how a trial ended: its frame, or what the rig's program raised. Does not fail.
+        """Notes the end of a trial: its frame, or the error of the rig's program. Does not fail.
 
-        What cannot be written now is kept in memory, found, and written before the next trial.
+        What cannot be written now is kept in memory, and written before the next trial.
         """
         ...
 
     def latch(self, reason: str) -> None:
-        """Notes an emergency stop, or with an empty reason the end of one. Does not fail."""
+        """Notes an emergency stop, or with an empty reason its reset. Does not fail."""
         ...
 
     def close(self) -> None:
-        """Lets go of the file, if any."""
+        """Releases the file, if any."""
         ...
 
 
 class MemoryLedger:
-    """A ledger that dies with its process: for simulated rigs, where nothing can be hurt."""
+    """Ledger that lasts as long as its process: for simulated rigs."""
 
     def __init__(
         self, frames_max_bytes: int = MEMORY_MAX_BYTES, trials_max: int = TRIALS_MAX
@@ -130,43 +134,43 @@ class MemoryLedger:
         self._lock = threading.Lock()
 
     def find(self, trial_id: str) -> LedgerEntry:
-        """What is known of a trial."""
+        """Entry of a trial."""
         return self._entries.get(trial_id, NOTHING)
 
     def note(self, trial_id: str, digest: str, *events: TrialEvent) -> TrialState:
-        """Notes what happens to a trial, and returns its state now.
+        """Applies events to a trial, and returns its state.
 
         Raises:
-            ProtocolError: that cannot happen to this trial; nothing is noted.
+            ProtocolError: an event is impossible for this trial; nothing is noted.
         """
         with self._lock:
             state = reduce(after, events, self.find(trial_id).state)
             if trial_id not in self._entries and len(self._entries) >= self._trials_max:
-                # Long ended: one is under way at a time, and it is the youngest.
-                self._let_go(oldest := next(iter(self._entries)))
+                # Long ended: one is active at a time, and it is the youngest.
+                self._drop_frame(oldest := next(iter(self._entries)))
                 del self._entries[oldest]
             self._entries[trial_id] = self.find(trial_id)._replace(digest=digest, state=state)
         return state
 
     def end(self, trial_id: str, outcome: bytes | EstuneError) -> None:
-        """Notes how a trial ended; its record, the youngest, is held in any case."""
+        """Notes the end of a trial; the youngest record is kept whatever its size."""
         with self._lock:
-            ended = _ended(self.find(trial_id), outcome)
+            ended = self.find(trial_id).ended(outcome)
             self._entries[trial_id] = ended
             if ended.frame is not None:
                 self._framed.append(trial_id)
                 self._frame_bytes += len(ended.frame)
             while self._frame_bytes > self._frames_max_bytes and len(self._framed) > 1:
-                self._let_go(self._framed[0])
+                self._drop_frame(self._framed[0])
 
     def latch(self, reason: str) -> None:
-        """Notes an emergency stop, or with an empty reason the end of one."""
+        """Notes an emergency stop, or with an empty reason its reset."""
         self.latched = reason
 
     def close(self) -> None:
-        """Nothing is held."""
+        """Does nothing."""
 
-    def _let_go(self, trial_id: str) -> None:
+    def _drop_frame(self, trial_id: str) -> None:
         entry = self._entries[trial_id]
         if entry.frame is not None:
             self._framed.remove(trial_id)  # always at or near the left end
@@ -175,7 +179,7 @@ class MemoryLedger:
 
 
 class FileLedger:
-    """A ledger on disk, written by one process."""
+    """Ledger on disk, written by one process."""
 
     def __init__(
         self,
@@ -185,213 +189,173 @@ class FileLedger:
         frames_max_bytes: int = FRAMES_MAX_BYTES,
         trials_max: int = TRIALS_MAX,
     ) -> None:
-        """Opens the ledger of a rig, or begins one; ends what an earlier start left unended.
+        """Opens or creates the ledger of a rig; ends the trials that an earlier start left open.
 
         Args:
             path: The file.
             rig: Name of the rig; a ledger serves no other.
-            frames_max_bytes: How much of the youngest trials' records is held.
-            trials_max: How many trials are remembered at all.
+            frames_max_bytes: Limit of the frames of the youngest trials.
+            trials_max: Limit of the number of trials.
 
         Raises:
-            RigError: it is that of another rig, held by another process, from a newer version,
+            RigError: it is that of another rig, in use by another process, from a newer version,
                 damaged, or cannot be written.
         """
-        self._path = path
         self._frames_max_bytes = frames_max_bytes
         self._trials_max = trials_max
         self._writing = threading.Lock()
-        self._reading = threading.Lock()
         self._unwritten: dict[str, LedgerEntry] = {}
-        with self._explained(), ExitStack() as opened:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            lock = path.with_name(f"{path.name}.lock")
-            opened.enter_context(sqlite.lock(lock, f"ledger {path}"))
-            self._writer = sqlite.connect(opened, path, "rwc")
-            self._prepare(rig)
-            self._reader = sqlite.connect(opened, path, "rw")
-            self._file = sqlite.inode(path)
+        with _as_rig_error(), ExitStack() as opened:
+            self._file = opened.enter_context(
+                SqliteFile.open_writer(path, _KIND, prepare=lambda file: _prepare(file, rig))
+            )
+            self._reader = opened.enter_context(SqliteFile.open_reader(path, _KIND))
+            facts = dict(self._file.rows("SELECT key, value FROM rig"))
+            self._frame_bytes = self._count()
             self._opened = opened.pop_all()
-        facts = dict(self._writer.execute("SELECT key, value FROM rig"))
         self.identity: str = facts["identity"]
         self.latched: str = facts["latched"]
         self._latch_written = True
-        self._frame_bytes = self._count()
 
     def find(self, trial_id: str) -> LedgerEntry:
-        """What is known of a trial. Never waits for the disk to write.
+        """Entry of a trial. Never waits for a write to the disk.
 
         Raises:
             RigError: the file cannot be read.
         """
         if (unwritten := self._unwritten.get(trial_id)) is not None:
             return unwritten
-        with self._reading, self._explained():
-            row = self._reader.execute(
+        with _as_rig_error():
+            rows = self._reader.rows(
                 "SELECT digest, state, data, error, sentence FROM trial LEFT JOIN frame"
                 " USING (sequence) WHERE trial_id=?",
-                (trial_id,),
-            ).fetchone()
-        if row is None:
+                trial_id,
+            )
+        if not rows:
             return NOTHING
-        digest, state, frame, error, sentence = row
+        digest, state, frame, error, sentence = rows[0]
         return LedgerEntry(digest, TrialState(state), frame, error, sentence)
 
     def note(self, trial_id: str, digest: str, *events: TrialEvent) -> TrialState:
-        """Notes what happens to a trial; returns once it would survive a power cut.
-
-        Returns:
-            Its state now.
+        """Applies events to a trial; returns its state once it would survive a power cut.
 
         Raises:
-            RigError: it cannot be written, or is not where it was; nothing is noted.
-            ProtocolError: that cannot happen to this trial; nothing is noted.
+            RigError: it cannot be written, or the file was replaced; nothing is noted.
+            ProtocolError: an event is impossible for this trial; nothing is noted.
         """
         with self._writing:
-            self._check_there()
-            found = self.find(trial_id)
-            state = reduce(after, events, found.state)
-            with self._transaction():
-                self._write_unwritten()
-                self._write(trial_id, found._replace(digest=digest, state=state, frame=None))
-            self._unwritten.clear()
-            self._latch_written = True
+            if not self._file.is_in_place():
+                raise RigError(
+                    f"the rig's ledger {self._file.path} was deleted or replaced while it was in "
+                    "use, and with it the ids of the trials that have run; restore it from a "
+                    "copy, or inspect the rig and begin a new one, and restart the rig"
+                )
+            entry = self.find(trial_id)
+            state = reduce(after, events, entry.state)
+            self._write_all((trial_id, entry._replace(digest=digest, state=state, frame=None)))
         return state
 
     def end(self, trial_id: str, outcome: bytes | EstuneError) -> None:
-        """Notes how a trial ended. What cannot be written now is written before the next trial."""
+        """Notes the end of a trial; if it cannot be written now, before the next trial."""
         with self._writing:
-            self._unwritten[trial_id] = _ended(self.find(trial_id), outcome)
+            self._unwritten[trial_id] = self.find(trial_id).ended(outcome)
             self._try_to_write()
 
     def latch(self, reason: str) -> None:
-        """Notes an emergency stop, or with an empty reason the end of one."""
+        """Notes an emergency stop, or with an empty reason its reset."""
         with self._writing:
             self.latched = reason
             self._latch_written = False
             self._try_to_write()
 
     def close(self) -> None:
-        """Lets go of the file."""
-        with self._writing, self._reading:
+        """Releases the file."""
+        with self._writing:
             self._opened.close()
-
-    def _check_there(self) -> None:
-        """Refuses to go on in a file that nobody would find again."""
-        if sqlite.inode(self._path) != self._file:
-            raise RigError(
-                f"the rig's ledger {self._path} was deleted or replaced while it was in use: what "
-                "trials have run would be forgotten; put it back from a copy, or see to the rig "
-                "and begin a new one, and start the rig again"
-            )
 
     def _try_to_write(self) -> None:
         try:
-            with self._transaction():
-                self._write_unwritten()
+            self._write_all()
         except RigError as error:
             _log.error("kept in memory until it can be written: %s", error)
-        else:
-            self._unwritten.clear()
-            self._latch_written = True
 
-    def _write_unwritten(self) -> None:
-        for trial_id, entry in self._unwritten.items():
-            self._write(trial_id, entry)
-        if not self._latch_written:
-            self._writer.execute("UPDATE rig SET value=? WHERE key='latched'", (self.latched,))
+    def _write_all(self, *entries: tuple[str, LedgerEntry]) -> None:
+        """Writes what is still unwritten, and more entries: all or nothing."""
+        with _as_rig_error():
+            try:
+                with self._file.transaction():
+                    for trial_id, entry in (*self._unwritten.items(), *entries):
+                        self._write(trial_id, entry)
+                    if not self._latch_written:
+                        latch = "UPDATE rig SET value=? WHERE key='latched'"
+                        self._file.write(latch, self.latched)
+            except BaseException:
+                self._frame_bytes = self._count()
+                raise
+        self._unwritten.clear()
+        self._latch_written = True
 
     def _write(self, trial_id: str, entry: LedgerEntry) -> None:
-        (sequence,) = self._writer.execute(
+        ((sequence,),) = self._file.rows(
             "INSERT INTO trial (trial_id, digest, state, error, sentence, noted_at)"
             " VALUES (?, ?, ?, ?, ?, ?) ON CONFLICT (trial_id) DO UPDATE SET state=excluded.state,"
             " error=excluded.error, sentence=excluded.sentence RETURNING sequence",
-            (trial_id, entry.digest, entry.state.value, entry.error, entry.sentence, _now()),
-        ).fetchone()
+            *(trial_id, entry.digest, entry.state.value, entry.error, entry.sentence),
+            datetime.now(UTC).isoformat(timespec="milliseconds"),
+        )
         if entry.frame is not None:
-            self._writer.execute("INSERT INTO frame VALUES (?, ?)", (sequence, entry.frame))
+            self._file.write("INSERT INTO frame VALUES (?, ?)", sequence, entry.frame)
             self._frame_bytes += len(entry.frame)
         self._make_room(sequence)
 
     def _make_room(self, youngest: int) -> None:
-        """Lets go of the oldest frames, and at last of the oldest trials."""
+        """Deletes the oldest frames beyond the limit, and the oldest trials beyond theirs."""
         while self._frame_bytes > self._frames_max_bytes:
-            oldest = self._writer.execute(
+            oldest = self._file.rows(
                 "SELECT sequence, length(data) FROM frame WHERE sequence < ?"
                 " ORDER BY sequence LIMIT 1",
-                (youngest,),
-            ).fetchone()
-            if oldest is None:
+                youngest,
+            )
+            if not oldest:
                 break
-            self._writer.execute("DELETE FROM frame WHERE sequence=?", oldest[:1])
-            self._frame_bytes -= oldest[1]
-        self._writer.execute(
+            sequence, size = oldest[0]
+            self._file.write("DELETE FROM frame WHERE sequence=?", sequence)
+            self._frame_bytes -= size
+        self._file.write(
             "DELETE FROM trial WHERE sequence <= ? AND sequence NOT IN"
             " (SELECT sequence FROM frame)",
-            (youngest - self._trials_max,),
+            youngest - self._trials_max,
         )
 
     def _count(self) -> int:
-        (total,) = self._writer.execute(
-            "SELECT coalesce(sum(length(data)), 0) FROM frame"
-        ).fetchone()
+        ((total,),) = self._file.rows("SELECT coalesce(sum(length(data)), 0) FROM frame")
         return int(total)
 
-    def _prepare(self, rig: str) -> None:
-        """Makes the tables, or checks whose they are and ends what was left unended."""
-        self._writer.execute("PRAGMA journal_mode=WAL")
-        with sqlite.transaction(self._writer):
-            if sqlite.version(self._writer) == 0:
-                sqlite.migrate(self._writer, _VERSIONS)
-                facts = (("name", rig), ("identity", secrets.token_hex(8)), ("latched", ""))
-                self._writer.executemany("INSERT INTO rig VALUES (?, ?)", facts)
-                return
-            sqlite.check_version(self._writer, self._path, len(_VERSIONS), "a ledger")
-            sqlite.check_whole(self._writer, self._path)
-            (name,) = self._writer.execute("SELECT value FROM rig WHERE key='name'").fetchone()
-            if name != rig:
-                raise RigError(
-                    f"ledger {self._path} is that of rig {name!r}, not of {rig!r}; "
-                    "name another file, or the rig as it was"
-                )
-            sqlite.migrate(self._writer, _VERSIONS)
-            self._boot()
 
-    def _boot(self) -> None:
-        for state in (TrialState.ACCEPTED, TrialState.RUNNING):
-            rows = self._writer.execute(
-                "UPDATE trial SET state=? WHERE state=? RETURNING trial_id",
-                (after(state, TrialEvent.BOOT).value, state.value),
-            ).fetchall()
-            for (trial_id,) in rows:
-                _log.warning("trial %s: %s", trial_id, after(state, TrialEvent.BOOT).value)
-
-    @contextmanager
-    def _transaction(self) -> Iterator[None]:
-        with self._explained():
-            try:
-                with sqlite.transaction(self._writer):
-                    yield
-            except BaseException:
-                self._frame_bytes = self._count()
-                raise
-
-    @contextmanager
-    def _explained(self) -> Iterator[None]:
-        """Turns what SQLite and the file system say into what is wrong with the rig."""
-        try:
-            with sqlite.explained(self._path, "start the rig again"):
-                yield
-        except JournalError as error:
-            raise RigError(f"the rig's ledger: {error}") from error
+def _prepare(file: SqliteFile, rig: str) -> None:
+    """Writes the first rows, or checks the rig's name and ends the trials left open."""
+    if file.is_new:
+        facts = (("name", rig), ("identity", secrets.token_hex(8)), ("latched", ""))
+        file.write_many("INSERT INTO rig VALUES (?, ?)", facts)
+        return
+    ((name,),) = file.rows("SELECT value FROM rig WHERE key='name'")
+    if name != rig:
+        raise RigError(
+            f"ledger {file.path} is that of rig {name!r}, not of {rig!r}; "
+            "choose another file, or the rig's former name"
+        )
+    for state in (TrialState.ACCEPTED, TrialState.RUNNING):
+        booted = after(state, TrialEvent.BOOT).value
+        for (trial_id,) in file.rows(
+            "UPDATE trial SET state=? WHERE state=? RETURNING trial_id", booted, state.value
+        ):
+            _log.warning("trial %s: %s", trial_id, booted)
 
 
-def _ended(entry: LedgerEntry, outcome: bytes | EstuneError) -> LedgerEntry:
-    if isinstance(outcome, bytes):
-        return LedgerEntry(entry.digest, after(entry.state, TrialEvent.END), outcome)
-    failed = after(entry.state, TrialEvent.FAIL)
-    return LedgerEntry(entry.digest, failed, None, type(outcome).__name__, str(outcome))
-
-
-def _now() -> str:
-    return datetime.now(UTC).isoformat(timespec="milliseconds")
+@contextmanager
+def _as_rig_error() -> Iterator[None]:
+    """Converts an error of the file into one of the rig."""
+    try:
+        yield
+    except JournalError as error:
+        raise RigError(f"the rig's ledger: {error}") from error

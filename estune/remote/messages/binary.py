@@ -1,15 +1,15 @@
-"""What travels in bytes: records, whole or in parts, and live samples.
+"""Binary messages: records, whole or in parts, and live samples.
 
-All numbers are little-endian. A record is the frame of `estune.trial.record_frame`, beginning with `RTR1`. A
-rig that cannot send one in a single message answers with a part of it::
+All numbers are little-endian. A record is the frame of `estune.trial.record_frame`, beginning with
+`RTR1`. A rig that cannot send it in a single message replies with a part of it::
 
     offset 0   4 bytes   the magic, "RTP1"
            4   u32       length of the whole frame in bytes
-           8   u32       which byte of it the part begins with
+           8   u32       offset in the frame of the first byte of the part
           12   u32       CRC-32 of everything else in the part
           16             the bytes of the part, one at least
 
-Live samples of a trial under way are numbers for a picture, not a record::
+Live samples of the active trial are for display only::
 
     offset 0   4 bytes   the magic, "RTL1"
            4   u32       index in the trial of the first sample
@@ -22,12 +22,13 @@ Live samples of a trial under way are numbers for a picture, not a record::
 
 import struct
 import zlib
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from estune.errors import ProtocolError
-from estune.remote.messages.messages import Answer, decode
+from estune.remote.messages.codec import decode
+from estune.remote.messages.replies import Answer
 from estune.trial import Telemetry, TrialRecord, record_frame
 
 PART, LIVE = b"RTP1", b"RTL1"
@@ -39,14 +40,13 @@ _COLUMNS = ("setpoint_N", "tension_N", "current_A", "angle_rad")
 _FLOAT = np.dtype("<f4")
 
 
-@dataclass(frozen=True, slots=True)
-class Part:
-    """A piece of a record's frame.
+class Part(NamedTuple):
+    """A part of a record's frame.
 
     Attributes:
         total: Length of the whole frame in bytes.
-        offset: Which byte of it the piece begins with.
-        data: The piece.
+        offset: Offset in the frame of the first byte.
+        data: The bytes.
     """
 
     total: int
@@ -55,10 +55,10 @@ class Part:
 
 
 def encode_part(whole: bytes, offset: int, length: int) -> bytes:
-    """The piece of a frame from `offset` on, of `length` bytes or what there is.
+    """The part of a frame from `offset` on, of `length` bytes or up to its end.
 
     Raises:
-        ProtocolError: the frame does not reach that far.
+        ProtocolError: the part is empty.
     """
     piece = whole[offset : offset + length]
     if not piece or offset < 0:
@@ -71,10 +71,10 @@ def encode_part(whole: bytes, offset: int, length: int) -> bytes:
 
 
 def decode_part(data: bytes) -> Part:
-    """The piece of a frame in a message.
+    """The part of a frame in a message.
 
     Raises:
-        ProtocolError: it is none, is corrupt, or reaches beyond its frame.
+        ProtocolError: it is no part, is corrupt, or exceeds its frame.
     """
     if len(data) <= _PART.size or data[:4] != PART:
         raise ProtocolError(f"{len(data)} bytes are no part of a record")
@@ -96,18 +96,14 @@ def encode_live(samples: Telemetry) -> bytes:
         np.asarray(getattr(samples, name)[:LIVE_MAX_SAMPLES], _FLOAT).tobytes()
         for name in _COLUMNS
     ]
-    prefix = LIVE, samples.first, len(columns[0]) // _FLOAT.itemsize
+    prefix = LIVE, samples.first_sample, len(columns[0]) // _FLOAT.itemsize
     head = _LIVE.pack(*prefix, 0, samples.sampling_Hz)
     checksum = zlib.crc32(b"".join((head, *columns)))
     return b"".join((_LIVE.pack(*prefix, checksum, samples.sampling_Hz), *columns))
 
 
 def decode_live(trial_id: str, data: bytes) -> Telemetry:
-    """The live samples in a message.
-
-    Args:
-        trial_id: The trial, which its key tells.
-        data: The message.
+    """The live samples in a message, of the trial that its key names.
 
     Raises:
         ProtocolError: it is corrupt or no such message.
@@ -124,11 +120,11 @@ def decode_live(trial_id: str, data: bytes) -> Telemetry:
         raise ProtocolError(f"live samples: sampling rate {sampling_Hz} Hz; it must be above zero")
     rows = np.frombuffer(data, _FLOAT, offset=_LIVE.size).astype(float)
     columns = dict(zip(_COLUMNS, rows.reshape(len(_COLUMNS), samples), strict=True))
-    return Telemetry(trial_id=trial_id, first=first, sampling_Hz=sampling_Hz, **columns)
+    return Telemetry(trial_id=trial_id, first_sample=first, sampling_Hz=sampling_Hz, **columns)
 
 
 def decode_trial(data: bytes) -> Answer | Part | TrialRecord:
-    """What a rig answers to `submit` and `result`: the record, a part of it, or why there is none.
+    """Reply of a rig to `submit` or `result`: the record, a part of it, or why there is none.
 
     Raises:
         ProtocolError: it is none of these.

@@ -1,24 +1,22 @@
-"""The keys of a rig, and which of the rigs that were found is meant."""
+"""Keys of a rig, and the choice of one rig among those found."""
 
 import re
 from collections.abc import Collection
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 from estune.errors import InvalidInput, ProtocolError, RigError
 
 VERSION: Literal[1] = 1
 
 ANY_RIG = "reel/*/*/alive/*"
-"""Finds the rigs of every protocol version."""
-
-Verb = Literal["lease", "submit", "cancel", "void", "gains", "estop", "clear"]
+"""Matches the liveliness tokens of the rigs of every protocol version."""
 
 _CHUNK = re.compile(r"(?!@)[^/*$#?\s](?:[^/*$#?\x00-\x1f]{0,126}[^/*$#?\s])?")
 
 
 def check_name(what: str, name: str) -> str:
-    """Returns a rig's name or a trial id that can be part of a key.
+    """Returns a rig's name or a trial id if it can be part of a key.
 
     Raises:
         InvalidInput: it cannot.
@@ -33,7 +31,7 @@ def check_name(what: str, name: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Keys:
-    """The keys of one rig."""
+    """The keys of one rig; `*` for an instance or trial id matches any."""
 
     rig: str
 
@@ -42,44 +40,38 @@ class Keys:
 
     @property
     def root(self) -> str:
-        """What all of them begin with."""
+        """Common prefix."""
         return f"reel/v{VERSION}/{self.rig}"
 
     def alive(self, instance: str) -> str:
-        """Where an instance shows that it lives; `*` for any."""
+        """Liveliness token of an instance."""
         return f"{self.root}/alive/{instance}"
 
-    def command(self, instance: str, verb: Verb) -> str:
-        """Where an instance takes commands."""
+    def command(self, instance: str, verb: str) -> str:
+        """Command to an instance."""
         return f"{self.root}/@cmd/{instance}/{verb}"
 
     def result(self, trial_id: str) -> str:
-        """Where the state of a trial is asked for."""
+        """State or record of a trial."""
         return f"{self.root}/result/{trial_id}"
 
     def telemetry(self, trial_id: str) -> str:
-        """Where samples of a trial under way are shown; `*` for any."""
+        """Live samples of the active trial."""
         return f"{self.root}/telemetry/{trial_id}"
 
     @property
-    def anything(self) -> str:
-        """All but the commands; the rig's own declaration."""
-        return f"{self.root}/**"
-
-    @property
     def status(self) -> str:
-        """Where the rig says what it does."""
+        """Current state of the rig."""
         return f"{self.root}/status"
 
     @property
     def describe(self) -> str:
-        """Where the rig says what it is."""
+        """Properties of the rig."""
         return f"{self.root}/describe"
 
 
-@dataclass(frozen=True, slots=True, order=True)
-class Presence:
-    """A rig that was found, of whatever protocol version."""
+class Presence(NamedTuple):
+    """A rig that was found, of any protocol version."""
 
     rig: str
     version: str
@@ -87,46 +79,44 @@ class Presence:
 
     @classmethod
     def parse(cls, key: str) -> "Presence":
-        """The presence a liveliness key tells of."""
+        """The rig of a liveliness token's key."""
         _, version, rig, _, instance = key.split("/")
         return cls(rig, version, instance)
 
 
 def choose(present: Collection[Presence], rig: str | None, endpoint: str) -> Presence:
-    """The one rig meant among those found.
+    """The requested rig among those found.
 
     Args:
-        present: All that were found, whatever their version.
-        rig: The name asked for, or None where the only one is meant.
-        endpoint: Where was looked, for the message.
+        present: All rigs found, of any version.
+        rig: Name of the rig, or None for the only one.
+        endpoint: Where they were found, for the message.
 
     Raises:
-        ProtocolError: the rig speaks another version of the protocol.
-        RigError: there is none, not the one asked for, more than one, or one name served twice.
+        ProtocolError: the rig uses another version of the protocol.
+        RigError: there is none, not the one requested, more than one, or one name served twice.
     """
-    meant = sorted(p for p in present if rig is None or p.rig == rig)
-    spoken = [p for p in meant if p.version == f"v{VERSION}"]
-    names = sorted({p.rig for p in spoken})
-    if meant and not spoken:
+    matching = sorted(p for p in present if rig is None or p.rig == rig)
+    usable = [p for p in matching if p.version == f"v{VERSION}"]
+    names = sorted({p.rig for p in usable})
+    if matching and not usable:
         raise ProtocolError(
-            f"rig {meant[0].rig!r} at {endpoint} speaks protocol {meant[0].version}, this estune "
-            f"v{VERSION}; update the older of the two"
+            f"rig {matching[0].rig!r} at {endpoint} speaks protocol {matching[0].version}, this "
+            f"estune v{VERSION}; update the older of the two"
         )
-    if not spoken and rig is not None and present:
+    if not usable and rig is not None and present:
         others = ", ".join(sorted({p.rig for p in present}))
         raise RigError(f"no rig named {rig!r} at {endpoint}; there is: {others}")
-    if not spoken:
+    if not usable:
         raise RigError(
             f"no rig answers at {endpoint}; start one there with: estune serve --listen {endpoint}"
         )
     if len(names) > 1:
+        raise RigError(f"{len(names)} rigs at {endpoint}: {', '.join(names)}; name one of them")
+    if len(usable) > 1:
+        instances = ", ".join(p.instance for p in usable)
         raise RigError(
-            f"{len(names)} rigs at {endpoint}: {', '.join(names)}; name the one you mean"
-        )
-    if len(spoken) > 1:
-        instances = ", ".join(p.instance for p in spoken)
-        raise RigError(
-            f"{len(spoken)} processes at {endpoint} serve a rig named {names[0]!r} "
+            f"{len(usable)} processes at {endpoint} serve a rig named {names[0]!r} "
             f"(instances {instances}); stop all but one, or give them different names"
         )
-    return spoken[0]
+    return usable[0]

@@ -1,6 +1,6 @@
-"""Who may do what on a link, and when: state machines with no transport, clock or disk in them.
+"""Pure state machines of the rig protocol: no transport, clock or disk.
 
-`trials` is the life of one trial id in a rig's ledger, `rig` what a rig does with each command,
-`client` what a client does with each answer. Each is a table of state by event; `estune.remote.zenoh` and
-`estune.remote.ledger` are thin layers over them.
+`trials` holds the states of one trial id in a rig's ledger, `rig` the reaction of a rig to each
+command, `client` the reaction of a client to each reply. Each is a table of state by event, which
+`estune.remote.zenoh` and `estune.remote.ledger` execute.
 """

@@ -1,15 +1,15 @@
-"""What a client does with each answer while it wants one trial run, once, and its record.
+"""Reaction of a client to each input while it wants one trial run once, and its record.
 
 ::
 
-    fresh      nothing of the trial was ever sent
-    sent       a submit was sent; whether it arrived is not known
-    in_hand    the rig has said that it has the trial
-    over       the trial has come to its end, or the client has to give up
+    fresh      no message about the trial was sent
+    sent       a submit was sent; whether it arrived is unknown
+    in_hand    the rig has confirmed that it has the trial
+    over       the trial has ended, or the client gives up
 
-Silence says nothing: after it, the ledger is asked, and only its word that it knows nothing of the
-trial has it sent again. A trial that a rig has said it has is never sent again. An interrupted
-trial is told to the caller as what it is: whether to run it again is not a client's to say.
+A missing reply carries no information: the client then queries the ledger, and submits again only
+if the ledger has no entry. A trial that the rig has confirmed is never submitted again. An
+interrupted trial is reported as such: the caller decides whether to run it again.
 """
 
 from collections.abc import Mapping
@@ -22,7 +22,7 @@ from estune.remote.state_machine.reply_codes import ReplyCode
 
 
 class ClientStage(StrEnum):
-    """How far a trial has come, so far as the client can know."""
+    """Progress of a trial, as far as the client can know it."""
 
     FRESH = "fresh"
     SENT = "sent"
@@ -31,7 +31,7 @@ class ClientStage(StrEnum):
 
 
 class ClientInput(StrEnum):
-    """What a client can hear, besides a verdict."""
+    """Input of a client besides a reply code."""
 
     RECORD = "record"
     SILENCE = "silence"
@@ -43,69 +43,63 @@ class ClientInput(StrEnum):
 
     @property
     def sentence(self) -> str:
-        """What it means."""
-        return _HEARD[self]
+        """Meaning of the input."""
+        return _SENTENCES[self]
 
 
-_HEARD = {
+_SENTENCES = {
     ClientInput.RECORD: "the record of the trial",
-    ClientInput.SILENCE: "no answer in time",
+    ClientInput.SILENCE: "no reply in time",
     ClientInput.LEASED: "the lease was granted",
-    ClientInput.RESTARTED: "the rig was restarted, with the ledger it had",
-    ClientInput.EMPTIED: "a simulated rig was restarted with an empty ledger: nothing can have moved",
-    ClientInput.REPLACED: "another ledger answers under the rig's name",
-    ClientInput.GONE: "no answer for so long that the client gives up",
+    ClientInput.RESTARTED: "the rig was restarted with the same ledger",
+    ClientInput.EMPTIED: "a simulated rig was restarted with an empty ledger: nothing has moved",
+    ClientInput.REPLACED: "another ledger replies under the rig's name",
+    ClientInput.GONE: "no reply until the client's timeout",
 }
 
 
 class Action(StrEnum):
-    """What a client does next."""
+    """Next action of a client."""
 
     SUBMIT = "submit"
     INQUIRE = "inquire"
     WAIT = "wait, then inquire"
-    LEASE = "ask for the lease, then submit"
+    LEASE = "acquire the lease, then submit"
     RECORD = "return the record"
     INTERRUPTED = "return: interrupted"
     NOTHING_RAN = "return: nothing ran"
-    FAIL = "raise what the rig said"
+    FAIL = "raise the rig's error"
     GONE = "raise: gone, the trial did not run"
     AMBIGUOUS = "raise: the trial may have run"
 
 
 @dataclass(frozen=True, slots=True)
 class ClientTransition:
-    """What comes of what was heard."""
+    """Next stage and action of a client."""
 
     stage: ClientStage
     action: Action
 
 
+def _after(stage: ClientStage, *actions: Action) -> tuple[ClientTransition, ...]:
+    return tuple(ClientTransition(stage, action) for action in actions)
+
+
 START = ClientTransition(ClientStage.FRESH, Action.SUBMIT)
-"""Where each trial begins. The rig asks its ledger before it takes anything in."""
+"""Start of each trial; the rig consults its ledger before it accepts a submit."""
 
-_RESUBMIT = ClientTransition(ClientStage.SENT, Action.SUBMIT)
-_ASK_SENT, _ASK_IN_HAND = (
-    ClientTransition(stage, Action.INQUIRE) for stage in (ClientStage.SENT, ClientStage.IN_HAND)
+_RESUBMIT, _ASK_SENT, _WAIT_SENT, _LEASE = _after(
+    ClientStage.SENT, Action.SUBMIT, Action.INQUIRE, Action.WAIT, Action.LEASE
 )
-_WAIT_SENT, _WAIT_IN_HAND = (
-    ClientTransition(stage, Action.WAIT) for stage in (ClientStage.SENT, ClientStage.IN_HAND)
+_ASK_IN_HAND, _WAIT_IN_HAND = _after(ClientStage.IN_HAND, Action.INQUIRE, Action.WAIT)
+_RECORD, _INTERRUPTED, _NOTHING_RAN = _after(
+    ClientStage.OVER, Action.RECORD, Action.INTERRUPTED, Action.NOTHING_RAN
 )
-_LEASE = ClientTransition(ClientStage.SENT, Action.LEASE)
-_RECORD, _INTERRUPTED, _NOTHING_RAN, _FAIL, _GONE, _AMBIGUOUS = (
-    ClientTransition(ClientStage.OVER, action)
-    for action in (
-        *(Action.RECORD, Action.INTERRUPTED, Action.NOTHING_RAN),
-        *(Action.FAIL, Action.GONE, Action.AMBIGUOUS),
-    )
-)
+_FAIL, _GONE, _AMBIGUOUS = _after(ClientStage.OVER, Action.FAIL, Action.GONE, Action.AMBIGUOUS)
 
-TABLE: Mapping[
-    ReplyCode | ClientInput,
-    tuple[ClientTransition | None, ClientTransition | None, ClientTransition | None],
-] = MappingProxyType(
+TABLE: Mapping[ReplyCode | ClientInput, tuple[ClientTransition | None, ...]] = MappingProxyType(
     {
-        # heard: fresh, sent, in hand; None cannot be
+        # by stage: fresh, sent, in hand; None is impossible
         ClientInput.RECORD: (None, _RECORD, _RECORD),
         ClientInput.SILENCE: (None, _ASK_SENT, _ASK_IN_HAND),
         ClientInput.LEASED: (START, _RESUBMIT, _ASK_IN_HAND),
@@ -128,34 +122,34 @@ TABLE: Mapping[
         ReplyCode.REFUSED: (_FAIL, _FAIL, _FAIL),
     }
 )
-"""What is heard by stage."""
+"""Transition by input and stage."""
 
 _COLUMN = {ClientStage.FRESH: 0, ClientStage.SENT: 1, ClientStage.IN_HAND: 2}
 
 
 def sent(step: ClientTransition) -> ClientTransition:
-    """The step once its question is on its way: a trial that was fresh is not any more."""
+    """The transition once its message was sent: a fresh trial is fresh no longer."""
     if step.action is Action.SUBMIT and step.stage is ClientStage.FRESH:
-        return ClientTransition(ClientStage.SENT, step.action)
+        return _RESUBMIT
     return step
 
 
 def next_transition(
     stage: ClientStage, heard: ReplyCode | ClientInput, *, own: bool = True
 ) -> ClientTransition:
-    """What a client does with what it hears.
+    """Transition of a client on an input.
 
     Args:
-        stage: How far the trial has come.
-        heard: What was heard.
-        own: Whether a verdict names this trial; `busy` with another's trial is a refusal.
+        stage: Progress of the trial.
+        heard: The input.
+        own: Whether a reply names this trial; `busy` with another trial is a refusal.
 
     Raises:
-        ProtocolError: that cannot be heard now: the rig breaks the protocol.
+        ProtocolError: the input is impossible in this stage: the rig violates the protocol.
     """
     if heard is ReplyCode.BUSY and not own:
         return _FAIL
-    found = None if stage is ClientStage.OVER else TABLE[heard][_COLUMN[stage]]
-    if found is None:
-        raise ProtocolError(f"the rig says {heard!s} of a trial that is {stage!s}")
-    return found
+    following = None if stage is ClientStage.OVER else TABLE[heard][_COLUMN[stage]]
+    if following is None:
+        raise ProtocolError(f"the rig replies {heard!s} to a trial that is {stage!s}")
+    return following

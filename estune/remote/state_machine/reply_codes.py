@@ -1,4 +1,4 @@
-"""What a rig can say to a command, in one word."""
+"""Reply codes of a rig."""
 
 from enum import StrEnum
 
@@ -6,7 +6,7 @@ from estune.remote.state_machine.trials import TrialState
 
 
 class ReplyCode(StrEnum):
-    """One word of an answer. Only the first is a yes."""
+    """Result of a command in one word; only `accepted` is a success of every command."""
 
     ACCEPTED = "accepted"
     RUNNING = "running"
@@ -23,23 +23,23 @@ class ReplyCode(StrEnum):
 
     @property
     def sentence(self) -> str:
-        """What it means."""
+        """Meaning of the code."""
         return _SENTENCES[self]
 
 
 _SENTENCES = {
-    ReplyCode.ACCEPTED: "done; a trial: taken in, and not begun",
-    ReplyCode.RUNNING: "the trial was taken in before, has begun and has not ended",
-    ReplyCode.ENDED: "the trial has ended; ask for its result",
-    ReplyCode.NEVER_STARTED: "the rig was restarted before the trial began; nothing moved",
+    ReplyCode.ACCEPTED: "done; of a trial: accepted, not yet started",
+    ReplyCode.RUNNING: "the trial was accepted before, has started and has not ended",
+    ReplyCode.ENDED: "the trial has ended; query its result",
+    ReplyCode.NEVER_STARTED: "the rig was restarted before the trial started; nothing moved",
     ReplyCode.INTERRUPTED: "the rig was restarted in the middle of the trial",
-    ReplyCode.VOID: "the trial was voided before it was taken in, and will never run",
-    ReplyCode.UNKNOWN: "the ledger knows nothing of the trial",
-    ReplyCode.BUSY: "a trial is under way",
+    ReplyCode.VOID: "the trial was voided before it was accepted, and will never run",
+    ReplyCode.UNKNOWN: "the ledger holds no entry of the trial",
+    ReplyCode.BUSY: "a trial is active",
     ReplyCode.HELD: "another client holds the lease",
-    ReplyCode.NO_LEASE: "the command names a lease that is not, or is no longer, the rig's",
+    ReplyCode.NO_LEASE: "the lease in the command is not, or no longer, the rig's",
     ReplyCode.SAFE: "the rig is in its safe state after an emergency stop, until it is cleared",
-    ReplyCode.REFUSED: "not done; the error says why",
+    ReplyCode.REFUSED: "not done; the error gives the reason",
 }
 
 OF_TRIAL = {
@@ -52,4 +52,4 @@ OF_TRIAL = {
     TrialState.INTERRUPTED: ReplyCode.INTERRUPTED,
     TrialState.VOID: ReplyCode.VOID,
 }
-"""How a rig says what its ledger knows of a trial."""
+"""Reply code by state of the trial in the ledger."""

@@ -1,16 +1,19 @@
-"""What a rig does with each command: one lease, one trial at a time, a stop that latches.
+"""Reaction of a rig to each event: one lease, one trial at a time, an emergency stop that latches.
 
-A state is a value, and so is the time: `step(state, event, now_s)` gives the next state, the
-answer, and the orders that whoever drives the rig must carry out. Each row of `TABLE` is an event,
-each column a mode. A command that has no place in a mode is refused by its answer and changes
-nothing; an event from within the rig that cannot be is an error and changes nothing.
+State and time are values: `step(state, event, now_s)` returns the next state, the reply and the
+actions that the server must execute. `TABLE` has a row for each event and a column for each mode;
+its cells are the functions of this module. A refused command changes nothing; an event from inside
+the rig that is impossible in a mode raises an error and changes nothing.
 """
 
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
 
-from estune.remote.state_machine import transitions as do
-from estune.remote.state_machine.events import (
+from estune.errors import ProtocolError
+from estune.remote.state_machine.reply_codes import OF_TRIAL, ReplyCode
+from estune.remote.state_machine.state import (
+    LEASE_S,
+    AcceptedTrial,
     Acquire,
     Begin,
     CancelEvent,
@@ -20,28 +23,31 @@ from estune.remote.state_machine.events import (
     EstopEvent,
     Event,
     Expire,
+    Lease,
+    Mode,
     Noted,
     Release,
     Renew,
+    RigAction,
+    RigState,
     SetGainsEvent,
     SubmitEvent,
+    Transition,
     VoidEvent,
 )
-from estune.remote.state_machine.state import Mode, RigState, Transition
+from estune.remote.state_machine.trials import TrialState
 
 
 def step(state: RigState, event: Event, now_s: float) -> Transition:
-    """What a rig does with an event.
-
-    A lease that has run out by then is ended first, whether or not anybody said that time passed.
+    """Transition of a rig on an event, after a lease that has expired by then was ended.
 
     Args:
-        state: Where the rig stands.
-        event: What happens.
-        now_s: When it happened, on a clock that never goes back, s.
+        state: Protocol state.
+        event: The event.
+        now_s: Time of the event on a monotonic clock, s.
 
     Raises:
-        ProtocolError: the event comes from within the rig and cannot be now; nothing changes.
+        ProtocolError: the event comes from inside the rig and is impossible; nothing changes.
     """
     if state.lease is None or now_s < state.lease.expires_at_s:
         return TABLE[type(event)][state.mode](state, event, now_s)
@@ -53,88 +59,312 @@ def step(state: RigState, event: Event, now_s: float) -> Transition:
     return move._replace(orders=expired.orders + move.orders)
 
 
+# --- lease ---
+
+
+def lease(state: RigState, event: Acquire, now_s: float) -> Transition:
+    """Grant the lease, unless another client holds it."""
+    current = state.lease
+    if current is not None and current.token != event.token:
+        return Transition(state, ReplyCode.HELD, _held(current))
+    if state.closed:
+        return refuse_closed(state, event, now_s)
+    return Transition(state._replace(lease=Lease(event.token, event.holder, now_s + LEASE_S)))
+
+
+def renew(state: RigState, event: Renew, now_s: float) -> Transition:
+    """Renew the lease, if it is the rig's."""
+    current = state.lease
+    if current is None or current.token != event.token:
+        return _without_lease(state)
+    return Transition(state._replace(lease=current._replace(expires_at_s=now_s + LEASE_S)))
+
+
+def release(state: RigState, event: Release, _now_s: float) -> Transition:
+    """End the lease, if it is the rig's."""
+    if not _owns(state, event.token):
+        return _without_lease(state)
+    return Transition(state._replace(lease=None))
+
+
+def release_and_stop(state: RigState, event: Release, _now_s: float) -> Transition:
+    """End the lease and stop the trial, if it is the rig's lease."""
+    if not _owns(state, event.token):
+        return _without_lease(state)
+    return _stopping(state._replace(lease=None), "its client released the lease")
+
+
+def expire(state: RigState, _event: Expire, now_s: float) -> Transition:
+    """End a lease that has expired."""
+    return Transition(state if _is_leased(state, now_s) else state._replace(lease=None))
+
+
+def expire_and_stop(state: RigState, _event: Expire, now_s: float) -> Transition:
+    """End a lease that has expired, and stop the trial: the dead-man's switch."""
+    if state.lease is None or _is_leased(state, now_s):
+        return Transition(state)
+    reason = f"no renewal by {state.lease.holder} for {LEASE_S:g} s, so the lease expired"
+    return _stopping(state._replace(lease=None), reason)
+
+
+# --- commands ---
+
+
+def accept(state: RigState, event: SubmitEvent, _now_s: float) -> Transition:
+    """Accept the trial, if the ledger has no entry, the lease is right and the limits hold."""
+    if event.known is not TrialState.UNKNOWN:
+        return Transition(state, OF_TRIAL[event.known])
+    if not _owns(state, event.token):
+        return _without_lease(state)
+    if event.objection:
+        return Transition(state, ReplyCode.REFUSED, event.objection)
+    trial = AcceptedTrial(event.trial_id)
+    return Transition(state._replace(trial=trial), orders=(RigAction.TAKE_IN,))
+
+
+def submit_while_busy(state: RigState, event: SubmitEvent, _now_s: float) -> Transition:
+    """Reply with the trial's state in the ledger; busy without an entry."""
+    if event.known is not TrialState.UNKNOWN:
+        return Transition(state, OF_TRIAL[event.known])
+    return _busy(state) if _owns(state, event.token) else _without_lease(state)
+
+
+def submit_while_safe(state: RigState, event: SubmitEvent, _now_s: float) -> Transition:
+    """Reply with the trial's state in the ledger; refuse until cleared without an entry."""
+    if event.known is not TrialState.UNKNOWN:
+        return Transition(state, OF_TRIAL[event.known])
+    return _safe(state)
+
+
+def submit_while_closed(state: RigState, event: SubmitEvent, now_s: float) -> Transition:
+    """Reply with the trial's state in the ledger; refuse without an entry."""
+    if event.known is not TrialState.UNKNOWN:
+        return Transition(state, OF_TRIAL[event.known])
+    return refuse_closed(state, event, now_s)
+
+
+def cancel_without_trial(state: RigState, _event: CancelEvent, _now_s: float) -> Transition:
+    """Accept: no trial is active."""
+    return Transition(state)
+
+
+def cancel(state: RigState, event: CancelEvent, _now_s: float) -> Transition:
+    """Stop the trial, if the lease is right and the command names this trial or none."""
+    if not _owns(state, event.token):
+        return _without_lease(state)
+    if state.trial is None or event.trial_id not in ("", state.trial.trial_id):
+        return Transition(state)
+    return _stopping(state, "stopped by its client")
+
+
+def cancel_again(state: RigState, event: CancelEvent, _now_s: float) -> Transition:
+    """Accept, if the lease is right: the trial is being stopped already."""
+    return Transition(state) if _owns(state, event.token) else _without_lease(state)
+
+
+def void(state: RigState, event: VoidEvent, _now_s: float) -> Transition:
+    """Note in the ledger that the trial must never run, if the ledger has no entry of it."""
+    if event.known is not TrialState.UNKNOWN:
+        return Transition(state, OF_TRIAL[event.known])
+    if not _owns(state, event.token):
+        return _without_lease(state)
+    return Transition(state, ReplyCode.VOID, orders=(RigAction.TOMBSTONE,))
+
+
+def void_while_taking(state: RigState, event: VoidEvent, now_s: float) -> Transition:
+    """Reply busy, if this very trial is being accepted; else as in the other modes."""
+    if state.trial is not None and state.trial.trial_id == event.trial_id:
+        return _busy(state)
+    return void(state, event, now_s)
+
+
+def apply(state: RigState, event: SetGainsEvent, _now_s: float) -> Transition:
+    """Apply the gains, if the lease is right."""
+    if not _owns(state, event.token):
+        return _without_lease(state)
+    return Transition(state, orders=(RigAction.APPLY,))
+
+
+def apply_while_busy(state: RigState, event: SetGainsEvent, _now_s: float) -> Transition:
+    """Refuse: a trial is active."""
+    return _busy(state) if _owns(state, event.token) else _without_lease(state)
+
+
+def apply_while_safe(state: RigState, _event: SetGainsEvent, _now_s: float) -> Transition:
+    """Refuse until cleared."""
+    return _safe(state)
+
+
+def estop(state: RigState, event: EstopEvent, _now_s: float) -> Transition:
+    """Bring the rig to its safe state and hold it there."""
+    latched = state._replace(latched=state.latched or event.reason)
+    return Transition(latched, orders=(RigAction.ESTOP,))
+
+
+def estop_trial(state: RigState, event: EstopEvent, _now_s: float) -> Transition:
+    """Stop the trial, bring the rig to its safe state and hold it there."""
+    move = _stopping(state, f"emergency stop: {event.reason}")
+    latched = move.state._replace(latched=state.latched or event.reason)
+    return move._replace(state=latched, orders=(RigAction.ESTOP, *move.orders))
+
+
+def clear(state: RigState, _event: ClearEvent, _now_s: float) -> Transition:
+    """End the emergency stop: the rig may be used again."""
+    return Transition(state._replace(latched=""), orders=(RigAction.CLEAR,))
+
+
+def clear_while_busy(state: RigState, _event: ClearEvent, _now_s: float) -> Transition:
+    """Refuse while a trial is active."""
+    return _busy(state)
+
+
+def refuse_closed(state: RigState, _event: Event, _now_s: float) -> Transition:
+    """Refuse: the rig is shutting down."""
+    return Transition(state, ReplyCode.REFUSED, "the rig is shutting down; restart it")
+
+
+# --- events from inside the rig ---
+
+
+def noted(state: RigState, _event: Noted, _now_s: float) -> Transition:
+    """Note that the trial is in the ledger."""
+    return Transition(_noted(state, begun=False))
+
+
+def begin(state: RigState, _event: Begin, _now_s: float) -> Transition:
+    """Start the trial."""
+    return Transition(_noted(state, begun=True))
+
+
+def refuse_begin(state: RigState, _event: Begin, _now_s: float) -> Transition:
+    """Refuse to start the trial: it is being stopped."""
+    return Transition(
+        state, ReplyCode.REFUSED, "" if state.trial is None else state.trial.stopping
+    )
+
+
+def end(state: RigState, _event: End, _now_s: float) -> Transition:
+    """End the trial."""
+    return Transition(state._replace(trial=None, ended=state.ended + 1))
+
+
+def close(state: RigState, _event: Close, _now_s: float) -> Transition:
+    """Accept no more commands."""
+    return Transition(state._replace(closed=True, lease=None))
+
+
+def close_trial(state: RigState, _event: Close, _now_s: float) -> Transition:
+    """Stop the trial, and accept no more commands."""
+    return _stopping(state._replace(closed=True, lease=None), "the rig is shutting down")
+
+
+def stay(state: RigState, _event: Event, _now_s: float) -> Transition:
+    """Change nothing."""
+    return Transition(state)
+
+
+def fail(state: RigState, event: Event, _now_s: float) -> Transition:
+    """Impossible: an error."""
+    name = type(event).__name__.lower()
+    raise ProtocolError(f"a rig that is {state.mode} cannot {name}; nothing was done")
+
+
+# --- shared ---
+
+
+def _owns(state: RigState, token: str) -> bool:
+    return state.lease is not None and state.lease.token == token
+
+
+def _is_leased(state: RigState, now_s: float) -> bool:
+    return state.lease is not None and now_s < state.lease.expires_at_s
+
+
+def _noted(state: RigState, *, begun: bool) -> RigState:
+    trial = state.trial
+    return (
+        state if trial is None else state._replace(trial=trial._replace(noted=True, begun=begun))
+    )
+
+
+def _stopping(state: RigState, reason: str) -> Transition:
+    """Order to stop the active trial; the first reason stands."""
+    trial = state.trial
+    if trial is None or trial.stopping:
+        return Transition(state)
+    stopped = state._replace(trial=trial._replace(stopping=reason))
+    return Transition(stopped, orders=(RigAction.STOP,))
+
+
+def _held(current: Lease) -> str:
+    return f"the rig is held by {current.holder}; wait until the holder releases it"
+
+
+def _without_lease(state: RigState) -> Transition:
+    if state.lease is not None:
+        return Transition(state, ReplyCode.HELD, _held(state.lease))
+    return Transition(state, ReplyCode.NO_LEASE, "the lease has expired; acquire a new one")
+
+
+def _busy(state: RigState) -> Transition:
+    trial_id = "" if state.trial is None else state.trial.trial_id
+    remedy = f"the rig is busy with trial {trial_id}; wait until it has ended, or stop it"
+    return Transition(state, ReplyCode.BUSY, remedy)
+
+
+def _safe(state: RigState) -> Transition:
+    return Transition(
+        state,
+        ReplyCode.SAFE,
+        f"the rig is held in its safe state after an emergency stop ({state.latched}); "
+        "remove the cause, then clear the stop",
+    )
+
+
+# --- table ---
+
 Handler = Callable[[RigState, Event, float], Transition]
 
+_UNSTOPPED = (Mode.TAKING, Mode.ACCEPTED, Mode.RUNNING)
+_ACTIVE = (*_UNSTOPPED, Mode.ABORTING)
+_SAFE, _CLOSED = (Mode.SAFE,), (Mode.CLOSED,)
 
-def _row(*handlers: Callable[..., Transition]) -> Mapping[Mode, Handler]:
-    return MappingProxyType(dict(zip(Mode, handlers, strict=True)))
+
+def _row(
+    usual: Callable[..., Transition], *others: tuple[Callable[..., Transition], tuple[Mode, ...]]
+) -> Mapping[Mode, Handler]:
+    """Handler of each mode: the usual one, but for the modes of the others."""
+    row = dict.fromkeys(Mode, usual)
+    for handler, modes in others:
+        row |= dict.fromkeys(modes, handler)
+    return MappingProxyType(row)
 
 
 TABLE: Mapping[type[Event], Mapping[Mode, Handler]] = MappingProxyType(
     {
-        # idle, leased, taking, accepted, running, aborting, safe, closed
-        Acquire: _row(
-            *(do.lease, do.lease, do.lease, do.lease, do.lease, do.lease, do.lease, do.closed),
-        ),
-        Renew: _row(
-            *(do.renew, do.renew, do.renew, do.renew, do.renew, do.renew, do.renew, do.closed),
-        ),
-        Release: _row(
-            *(
-                do.release,
-                do.release,
-                do.release_and_stop,
-                do.release_and_stop,
-                do.release_and_stop,
-            ),
-            *(do.release, do.release, do.stay),
-        ),
-        Expire: _row(
-            *(do.stay, do.expire, do.expire_and_stop, do.expire_and_stop, do.expire_and_stop),
-            *(do.expire, do.expire, do.stay),
-        ),
+        Acquire: _row(lease, (refuse_closed, _CLOSED)),
+        Renew: _row(renew, (refuse_closed, _CLOSED)),
+        Release: _row(release, (release_and_stop, _UNSTOPPED), (stay, _CLOSED)),
+        Expire: _row(expire, (expire_and_stop, _UNSTOPPED), (stay, (Mode.IDLE, Mode.CLOSED))),
         SubmitEvent: _row(
-            *(do.take_in, do.take_in, do.while_busy, do.while_busy, do.while_busy, do.while_busy),
-            *(do.while_safe, do.while_closed),
+            accept,
+            (submit_while_busy, _ACTIVE),
+            (submit_while_safe, _SAFE),
+            (submit_while_closed, _CLOSED),
         ),
         CancelEvent: _row(
-            *(
-                do.cancel_nothing,
-                do.cancel_nothing,
-                do.cancel,
-                do.cancel,
-                do.cancel,
-                do.cancel_again,
-            ),
-            *(do.cancel_nothing, do.cancel_nothing),
+            cancel_without_trial, (cancel, _UNSTOPPED), (cancel_again, (Mode.ABORTING,))
         ),
-        VoidEvent: _row(
-            *(
-                do.void,
-                do.void,
-                do.void_while_taking,
-                do.void,
-                do.void,
-                do.void,
-                do.void,
-                do.closed,
-            ),
-        ),
+        VoidEvent: _row(void, (void_while_taking, (Mode.TAKING,)), (refuse_closed, _CLOSED)),
         SetGainsEvent: _row(
-            *(do.apply, do.apply, do.apply_later, do.apply_later, do.apply_later, do.apply_later),
-            *(do.apply_never, do.closed),
+            apply, (apply_while_busy, _ACTIVE), (apply_while_safe, _SAFE), (refuse_closed, _CLOSED)
         ),
-        EstopEvent: _row(
-            *(do.estop, do.estop, do.estop_trial, do.estop_trial, do.estop_trial, do.estop_trial),
-            *(do.estop, do.estop),
-        ),
-        ClearEvent: _row(
-            *(do.clear, do.clear, do.clear_later, do.clear_later, do.clear_later, do.clear_later),
-            *(do.clear, do.closed),
-        ),
-        Noted: _row(
-            *(do.never, do.never, do.noted, do.never, do.never, do.noted, do.never, do.never),
-        ),
-        Begin: _row(
-            *(do.never, do.never, do.begin, do.begin, do.never, do.not_begun, do.never, do.never),
-        ),
-        End: _row(
-            *(do.never, do.never, do.end, do.end, do.end, do.end, do.never, do.never),
-        ),
-        Close: _row(
-            *(do.close, do.close, do.close_trial, do.close_trial, do.close_trial, do.close_trial),
-            *(do.close, do.stay),
-        ),
+        EstopEvent: _row(estop, (estop_trial, _ACTIVE)),
+        ClearEvent: _row(clear, (clear_while_busy, _ACTIVE), (refuse_closed, _CLOSED)),
+        Noted: _row(fail, (noted, (Mode.TAKING, Mode.ABORTING))),
+        Begin: _row(fail, (begin, (Mode.TAKING, Mode.ACCEPTED)), (refuse_begin, (Mode.ABORTING,))),
+        End: _row(fail, (end, _ACTIVE)),
+        Close: _row(close, (close_trial, _ACTIVE), (stay, _CLOSED)),
     }
 )
-"""Event by mode."""
+"""Handler by event and mode."""

@@ -1,19 +1,21 @@
-"""Where a rig stands (lease, trial in hand, emergency stop), and what can be ordered of it."""
+"""State of a rig in the protocol, the events that change it, and the actions they require."""
 
+from dataclasses import dataclass
 from enum import StrEnum
 from typing import NamedTuple
 
 from estune.remote.state_machine.reply_codes import ReplyCode
+from estune.remote.state_machine.trials import TrialState
 
 LEASE_S = 1.0
-"""How long a lease lives without being renewed, s. What it protects is stopped when it ends."""
+"""Time a lease lasts without renewal, s; the active trial is stopped when it expires."""
 
 RENEW_S = 0.2
-"""How often its holder renews it, s."""
+"""Renewal interval of a lease, s."""
 
 
 class Mode(StrEnum):
-    """What a rig does now. The columns of the table, in this order."""
+    """Activity of a rig: the columns of the transition table, in this order."""
 
     IDLE = "idle"
     LEASED = "leased"
@@ -31,24 +33,24 @@ class Mode(StrEnum):
 
 
 _MODES = {
-    Mode.IDLE: "nobody holds the lease, nothing moves",
+    Mode.IDLE: "no client holds the lease, nothing moves",
     Mode.LEASED: "a client holds the lease, nothing moves",
-    Mode.TAKING: "a trial is being written to the ledger; its sender has no answer yet",
-    Mode.ACCEPTED: "a trial is in the ledger and has not begun",
-    Mode.RUNNING: "a trial is under way",
-    Mode.ABORTING: "a trial is being stopped and the live gains are being put back",
+    Mode.TAKING: "a trial is being written to the ledger; its sender has no reply yet",
+    Mode.ACCEPTED: "a trial is in the ledger and has not started",
+    Mode.RUNNING: "a trial is running",
+    Mode.ABORTING: "a trial is being stopped and the live gains are being restored",
     Mode.SAFE: "held in the safe state after an emergency stop, until cleared",
     Mode.CLOSED: "shutting down",
 }
 
 
 class Lease(NamedTuple):
-    """Who commands the rig, and how long without another word.
+    """Right of one client to command the rig.
 
     Attributes:
-        token: What its commands must name; made by the client, new each time.
-        holder: Who holds it, in words for people.
-        expires_at_s: When it ends, on the rig's own clock.
+        token: Random token drawn by the client, part of each of its commands.
+        holder: The client, in words for people.
+        expires_at_s: Time of expiry on the rig's own monotonic clock.
     """
 
     token: str
@@ -57,13 +59,13 @@ class Lease(NamedTuple):
 
 
 class AcceptedTrial(NamedTuple):
-    """The trial in hand.
+    """The active trial.
 
     Attributes:
         trial_id: Its id.
-        noted: Whether it is in the ledger.
+        noted: Whether the ledger holds it.
         begun: Whether it has begun to move the rig.
-        stopping: Why it is being stopped, in words; empty while it is not.
+        stopping: Reason why it is being stopped; empty otherwise.
     """
 
     trial_id: str
@@ -73,14 +75,14 @@ class AcceptedTrial(NamedTuple):
 
 
 class RigState(NamedTuple):
-    """Where a rig stands.
+    """Protocol state of a rig.
 
     Attributes:
-        lease: The lease that lives, if any.
-        trial: The trial in hand, if any.
-        latched: Why the emergency stop was called; empty once cleared.
+        lease: The lease in force, if any.
+        trial: The active trial, if any.
+        latched: Reason of the emergency stop; empty once cleared.
         closed: Whether the rig is shutting down.
-        ended: How many trials have ended since the start.
+        ended: Number of trials ended since the start.
     """
 
     lease: Lease | None = None
@@ -91,7 +93,7 @@ class RigState(NamedTuple):
 
     @property
     def mode(self) -> Mode:
-        """The mode: a column of the table."""
+        """Mode that follows from the state: a column of the table."""
         trial = self.trial
         if trial is not None:
             if trial.stopping:
@@ -107,7 +109,7 @@ class RigState(NamedTuple):
 
 
 class RigAction(StrEnum):
-    """What whoever drives the rig must do now."""
+    """Action that the server must execute after a transition."""
 
     TAKE_IN = "take in"
     STOP = "stop"
@@ -118,16 +120,137 @@ class RigAction(StrEnum):
 
 
 class Transition(NamedTuple):
-    """What comes of an event.
+    """Result of an event.
 
     Attributes:
-        state: The next state.
-        verdict: The answer.
-        sentence: Why not, where the answer is no; may be empty.
-        orders: What must be done now, in this order.
+        state: Next state.
+        verdict: Reply code.
+        sentence: Reason of a refusal; may be empty.
+        orders: Actions to execute now, in this order.
     """
 
     state: RigState
     verdict: ReplyCode = ReplyCode.ACCEPTED
     sentence: str = ""
     orders: tuple[RigAction, ...] = ()
+
+
+# --- events ---
+
+
+@dataclass(frozen=True, slots=True)
+class Acquire:
+    """A client requests or extends the lease."""
+
+    token: str
+    holder: str
+
+
+@dataclass(frozen=True, slots=True)
+class Renew:
+    """A client renews its lease."""
+
+    token: str
+
+
+@dataclass(frozen=True, slots=True)
+class Release:
+    """A client returns its lease."""
+
+    token: str
+
+
+@dataclass(frozen=True, slots=True)
+class Expire:
+    """Time has passed."""
+
+
+@dataclass(frozen=True, slots=True)
+class SubmitEvent:
+    """A client submits a trial.
+
+    Attributes:
+        token: The client's lease.
+        trial_id: Its id.
+        known: Its state in the ledger.
+        objection: Reason why the rig must not run it; empty if it may.
+    """
+
+    token: str
+    trial_id: str
+    known: TrialState
+    objection: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class CancelEvent:
+    """A client cancels the active trial: the one named, or any where no id is given."""
+
+    token: str
+    trial_id: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class VoidEvent:
+    """A client voids a trial: it must never run, even if its submit still arrives."""
+
+    token: str
+    trial_id: str
+    known: TrialState
+
+
+@dataclass(frozen=True, slots=True)
+class SetGainsEvent:
+    """A client sets the live gains."""
+
+    token: str
+
+
+@dataclass(frozen=True, slots=True)
+class EstopEvent:
+    """Emergency stop, by any client at any time."""
+
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class ClearEvent:
+    """A client resets the emergency stop."""
+
+
+@dataclass(frozen=True, slots=True)
+class Noted:
+    """The ledger holds the accepted trial."""
+
+
+@dataclass(frozen=True, slots=True)
+class Begin:
+    """The active trial is about to move the rig; it must not unless this is accepted."""
+
+
+@dataclass(frozen=True, slots=True)
+class End:
+    """The active trial is over, the live gains are restored, and the ledger holds its end."""
+
+
+@dataclass(frozen=True, slots=True)
+class Close:
+    """The rig's program shuts down."""
+
+
+Event = (
+    Acquire
+    | Renew
+    | Release
+    | Expire
+    | SubmitEvent
+    | CancelEvent
+    | VoidEvent
+    | SetGainsEvent
+    | EstopEvent
+    | ClearEvent
+    | Noted
+    | Begin
+    | End
+    | Close
+)

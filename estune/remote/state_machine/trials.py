@@ -1,4 +1,4 @@
-"""The life of one trial id, as a rig's ledger knows it.
+"""States of one trial id in a rig's ledger.
 
 ::
 
@@ -10,8 +10,8 @@
        void      never_started  failed  interrupted  failed
 
 `end` straight from `accepted` is a trial that was stopped before it began. What is not drawn
-changes nothing (`submit`, `void` and `boot` of a trial that is known) or cannot be (`start` of a
-trial that has begun). So no id begins twice, however often a message comes, and in what order.
+changes nothing (`submit`, `void` and `boot` of a trial in the ledger) or is impossible (`start` of
+a trial that has begun). So no id starts twice, however often and in whatever order messages come.
 """
 
 from collections.abc import Mapping
@@ -22,7 +22,7 @@ from estune.errors import ProtocolError
 
 
 class TrialState(StrEnum):
-    """What a ledger knows of a trial id."""
+    """State of a trial id in a ledger."""
 
     UNKNOWN = "unknown"
     ACCEPTED = "accepted"
@@ -35,20 +35,12 @@ class TrialState(StrEnum):
 
     @property
     def is_final(self) -> bool:
-        """Whether nothing will change it any more."""
+        """Whether no event changes it any more."""
         return self not in (TrialState.UNKNOWN, TrialState.ACCEPTED, TrialState.RUNNING)
-
-    @property
-    def may_have_moved(self) -> bool:
-        """Whether the trial may have moved the rig."""
-        return self in (
-            *(TrialState.RUNNING, TrialState.ENDED),
-            *(TrialState.FAILED, TrialState.INTERRUPTED),
-        )
 
 
 class TrialEvent(StrEnum):
-    """What happens to a trial id."""
+    """Event in the life of a trial id."""
 
     SUBMIT = "submit"
     START = "start"
@@ -58,9 +50,7 @@ class TrialEvent(StrEnum):
     BOOT = "boot"
 
 
-def _stays(state: TrialState) -> Mapping[TrialEvent, TrialState]:
-    return dict.fromkeys((TrialEvent.SUBMIT, TrialEvent.VOID, TrialEvent.BOOT), state)
-
+_UNCHANGING = (TrialEvent.SUBMIT, TrialEvent.VOID, TrialEvent.BOOT)
 
 TABLE: Mapping[TrialState, Mapping[TrialEvent, TrialState]] = MappingProxyType(
     {
@@ -84,17 +74,17 @@ TABLE: Mapping[TrialState, Mapping[TrialEvent, TrialState]] = MappingProxyType(
             TrialEvent.VOID: TrialState.RUNNING,
             TrialEvent.BOOT: TrialState.INTERRUPTED,
         },
-        **{state: _stays(state) for state in TrialState if state.is_final},
+        **{s: dict.fromkeys(_UNCHANGING, s) for s in TrialState if s.is_final},
     }
 )
-"""State by event; an event that is missing cannot happen in that state."""
+"""Next state by state and event; a missing event is impossible in that state."""
 
 
 def after(state: TrialState, event: TrialEvent) -> TrialState:
-    """The state of a trial id after an event.
+    """State of a trial id after an event.
 
     Raises:
-        ProtocolError: the event cannot happen in that state.
+        ProtocolError: the event is impossible in that state.
     """
     try:
         return TABLE[state][event]

@@ -1,37 +1,38 @@
-"""A rig in another process, reached over Zenoh."""
+"""A rig in another process over Zenoh: `discover_rigs` lists the rigs, `connect` opens one."""
 
+import getpass
+import math
+import os
+import socket
 import threading
 import time
 import weakref
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from datetime import UTC, datetime
 from functools import partial
-from typing import Literal, Self
+from operator import attrgetter
+from typing import Any, Self
 
 import zenoh
 
 from estune.core.gains import Gains
-from estune.errors import RigError
+from estune.errors import InvalidInput, ProtocolError, RigError
 from estune.remote import messages
-from estune.remote.messages import (
-    Answer,
-    Cancel,
-    Clear,
-    Estop,
-    Inquire,
-    SetGains,
-    Status,
-    Void,
-    check_name,
-)
-from estune.remote.messages.keys import Verb
+from estune.remote.messages import Answer, Inquire, Presence, Status, check_name
+from estune.remote.messages.commands import Cancel, Clear, Estop, SetGains, Void
+from estune.remote.security import OPEN, Security
 from estune.remote.state_machine.client import Action
 from estune.remote.state_machine.reply_codes import ReplyCode
-from estune.remote.zenoh.lease_renewal import LeaseRenewer
-from estune.remote.zenoh.rig_connection import AGAIN_S, RigConnection
+from estune.remote.zenoh.rig_connection import LeaseRenewer, RigConnection, present_at
 from estune.remote.zenoh.trial_exchange import TrialExchange
-from estune.remote.zenoh.zenoh_session import close_session
+from estune.remote.zenoh.zenoh_session import (
+    AGAIN_S,
+    check_endpoint,
+    close_session,
+    open_client,
+)
 from estune.trial import (
     Outcome,
     RigDescription,
@@ -39,179 +40,264 @@ from estune.trial import (
     TrialRecord,
     TrialRequest,
     empty_record,
+    record_frame,
 )
+
+RECORDS_MAX_BYTES = record_frame.MAX_BYTES + 2**16
+"""Largest message that a client accepts."""
 
 _SAMPLES_WAITING_MAX = 64
 _STOPPED_WITHIN_S = 0.3
 
 
+def connect(
+    endpoint: str,
+    rig: str | None = None,
+    timeout_s: float = 3.0,
+    *,
+    holder: str = "",
+    security: Security = OPEN,
+) -> "RemoteRig":
+    """Connects to a rig.
+
+    Args:
+        endpoint: Endpoint of a rig, or of a Zenoh router: `tcp/127.0.0.1:7447`.
+        rig: Name of the rig; None for the only one.
+        timeout_s: Timeout for a rig that does not reply, now and later, s.
+        holder: Name of the lease holder, as others see it; user, machine and process by default.
+        security: Credentials, if the rig requires authentication.
+
+    Raises:
+        InvalidInput: the endpoint or the name is malformed, or the time is not above zero.
+        ProtocolError: the rig uses another version of the protocol.
+        RigError: nothing listens there, there is no rig, not the one named, several and none was
+            named, or one name served by several processes.
+    """
+    check_endpoint(endpoint)
+    if rig is not None:
+        check_name("rig name", rig)
+    if not (math.isfinite(timeout_s) and timeout_s > 0.0):
+        raise InvalidInput(f"timeout is {timeout_s} s; it must be finite and above zero")
+    deadline_s = time.monotonic() + timeout_s
+    session = _open(endpoint, security, deadline_s)
+    try:
+        presence = _find(session, endpoint, rig, deadline_s)
+        connection = RigConnection(session, endpoint, presence, timeout_s)
+        return RemoteRig(connection, partial(_open, endpoint, security), holder or _holder())
+    except BaseException:
+        close_session(session)
+        raise
+
+
+def discover_rigs(
+    endpoint: str, timeout_s: float = 3.0, *, security: Security = OPEN
+) -> tuple[Presence, ...]:
+    """The rigs at an endpoint, by name; none of them is queried.
+
+    Args:
+        endpoint: Endpoint of a rig, or of a Zenoh router.
+        timeout_s: How long to wait for a listener, s.
+        security: Credentials, if the rigs require authentication.
+
+    Raises:
+        InvalidInput: the endpoint is malformed.
+        RigError: nothing listens there.
+    """
+    check_endpoint(endpoint)
+    session = _open(endpoint, security, time.monotonic() + timeout_s)
+    try:
+        return tuple(sorted(present_at(session, messages.ANY_RIG), key=attrgetter("rig")))
+    finally:
+        close_session(session)
+
+
+def _find(session: zenoh.Session, endpoint: str, rig: str | None, deadline_s: float) -> Presence:
+    while True:
+        try:
+            return messages.choose(present_at(session, messages.ANY_RIG), rig, endpoint)
+        except ProtocolError:
+            raise
+        except RigError:
+            # It may be about to appear, or the token of an earlier start about to vanish.
+            if time.monotonic() > deadline_s:
+                raise
+        time.sleep(AGAIN_S)
+
+
+def _holder() -> str:
+    try:
+        user = getpass.getuser()
+    except (KeyError, OSError):  # a process without a user's name
+        user = str(os.getuid())
+    return f"{user}@{socket.gethostname()}, process {os.getpid()}"
+
+
+def _open(endpoint: str, security: Security, deadline_s: float) -> zenoh.Session:
+    remedy = f"a rig there with: estune serve --listen {endpoint}"
+    return open_client(endpoint, RECORDS_MAX_BYTES, security, deadline_s, remedy)
+
+
 class RemoteRig:
-    """A rig in another process; the `Rig` protocol over Zenoh. Made by `estune.remote.zenoh.connect`.
+    """A rig in another process: the `Rig` protocol over Zenoh. Made by `connect`.
 
-    The first command asks for the right to command the rig, which is then kept, by a thread, until
-    `release` or `close`; looking on needs none. A rig that is restarted is followed if its ledger
-    tells what it ran before, or if it is simulated.
+    The first command acquires the lease, which a thread renews until `release` or `close`; status
+    and description need none. A rig that is restarted is followed if its ledger is the same, or if
+    it is simulated.
 
-    Ctrl-C gets through at any time; a trial then under way goes on at the rig until `abort`.
+    Ctrl-C interrupts any call; the active trial then continues at the rig until `abort`.
     """
 
     def __init__(
         self,
-        talk: RigConnection,
+        connection: RigConnection,
         reopen: Callable[[float], zenoh.Session],
         holder: str,
     ) -> None:
-        self.name = talk.name
-        self._talk = talk
-        self._lease = LeaseRenewer(talk, holder)
+        self.name = connection.name
+        self._connection = connection
+        self._lease = LeaseRenewer(connection, holder)
         self._stop_session = _StopSession(reopen)
-        # Lets go of all of it when this object is let go of or the interpreter ends, too.
-        self._finish = weakref.finalize(self, _let_go, self._lease, self._stop_session, talk)
+        # Closes all of it, too, when this object is deleted or the interpreter ends.
+        self._finish = weakref.finalize(self, _close, self._lease, self._stop_session, connection)
         self._changed = threading.Event()
         wake = zenoh.handlers.Callback(_setter(self._changed), indirect=False)
-        talk.session.declare_subscriber(talk.keys.status, wake)
+        connection.session.declare_subscriber(connection.keys.status, wake)
         self._unanswered: tuple[str, str] | None = None
         self.describe()
 
     def describe(self) -> RigDescription:
-        """What the rig is, and which gains are live now.
+        """Properties of the rig, with its live gains.
 
         Raises:
             RigError: it cannot be reached.
         """
-        return self._talk.describe().rig
+        return self._connection.describe().rig
 
     def status(self) -> Status:
-        """What the rig does now, and who commands it.
+        """Current state of the rig, and its lease holder.
 
         Raises:
             RigError: it cannot be reached.
         """
-        data = self._talk.query_until_answered(lambda: self._talk.keys.status, b"", "")
-        return messages.decode(Status, data)
+        key = self._connection.keys.status
+        return messages.decode(Status, self._connection.query_until_answered(lambda: key, b""))
 
     def run(self, request: TrialRequest) -> TrialRecord:
         """Runs one trial, or returns the record of it if that trial id has run before.
 
-        A trial that was cut off or never begun has a record too, of outcome `interrupted` or
-        `cancelled` and without samples.
+        A trial that was interrupted or never started has a record too, of outcome `interrupted`
+        or `cancelled` and without samples.
 
         Raises:
             InvalidInput: the request is outside the rig's limits; nothing moved.
-            RigError: another client holds the rig, it is held in its safe state, knows another
-                trial by that id, cannot be reached, or is gone; where the trial may have run, the
-                message says so.
+            RigError: another client holds the rig, it is held in its safe state, has run another
+                trial under that id, cannot be reached, or is gone; where the trial may have run,
+                the message contains it.
         """
         trial_id = check_name("trial id", request.trial_id)
-        asking = TrialExchange(self._talk, self._lease, request, self._changed)
-        self._unanswered = trial_id, asking.digest
-        found = asking.run()
+        exchange = TrialExchange(self._connection, self._lease, request, self._changed)
+        self._unanswered = trial_id, exchange.digest
+        result = exchange.run()
         self._unanswered = None
-        if isinstance(found, TrialRecord):
-            return found
-        outcome = Outcome.INTERRUPTED if found.action is Action.INTERRUPTED else Outcome.CANCELLED
-        about = self._talk.about or self._talk.describe()
+        if isinstance(result, TrialRecord):
+            return result
+        interrupted = result.action is Action.INTERRUPTED
+        outcome = Outcome.INTERRUPTED if interrupted else Outcome.CANCELLED
+        about = self._connection.about or self._connection.describe()
         at = datetime.now(UTC).isoformat(timespec="milliseconds")
-        return empty_record(request, about.rig, outcome, found.sentence, at)
+        return empty_record(request, about.rig, outcome, result.sentence, at)
 
     def has_failed(self, request: TrialRequest) -> bool:
-        """Whether a trial can never be had under its id: the rig's own program failed in it.
+        """Whether no record can ever be had under a trial's id.
 
-        Or its record is gone, or another trial had the id.
+        True if the rig's program failed in it, its record is gone, or another trial had the id.
 
         Raises:
             RigError: it cannot be reached.
         """
         inquiry = messages.encode(Inquire(messages.digest(request)))
-        data = self._talk.query_until_answered(
-            lambda: self._talk.keys.result(request.trial_id), inquiry, ""
-        )
-        found = messages.decode_trial(data)
-        return isinstance(found, Answer) and found.verdict is ReplyCode.REFUSED
+        key = self._connection.keys.result(request.trial_id)
+        reply = messages.decode_trial(self._connection.query_until_answered(lambda: key, inquiry))
+        return isinstance(reply, Answer) and reply.verdict is ReplyCode.REFUSED
 
     def apply(self, gains: Gains) -> None:
-        """Makes gains the live ones.
+        """Sets the live gains.
 
         Raises:
             InvalidInput: the rig refuses them.
-            RigError: the rig is held by another, busy with a trial, in its safe state, cannot be
-                reached, or is gone.
+            RigError: another client holds the rig, it is busy with a trial, in its safe state,
+                cannot be reached, or is gone.
         """
-        about = f"; whether it took the gains {gains} is not known"
-        self._command("gains", lambda lease: SetGains(lease, gains), about).check()
+        unknown = f"; whether it has applied the gains {gains} is unknown"
+        self._command_with_lease(SetGains("", gains), unknown).check()
 
     def abort(self) -> RigDescription:
-        """Stops the trial under way, and returns once the live gains are back.
+        """Stops the active trial, and returns once the live gains are restored.
 
         Raises:
             RigError: another client holds the rig, the trial cannot be stopped, or the rig cannot
                 be reached.
         """
-        about = "; see to the rig: whether it has stopped is not known"
-        self._void(about)
+        unknown = "; whether it has stopped is unknown: inspect the rig"
+        self._void_unanswered(unknown)
         trial_id = ""
         while True:
-            message = messages.encode(Cancel(self._lease.token, trial_id))
-            data = self._talk.query_until_answered(partial(self._key, "cancel"), message, about)
-            answer = messages.decode(Answer, data)
+            answer = self._connection.command(Cancel(self._lease.token, trial_id), unknown)
             if answer.verdict is ReplyCode.NO_LEASE:
-                self._lease.lost(self._lease.token)
+                self._lease.drop(self._lease.token)
                 self._lease.hold()
                 continue
             answer.check()
             if not answer.trial_id:
                 return self.describe()
-            trial_id = answer.trial_id  # from now on this one, and not the next that is begun
+            trial_id = answer.trial_id  # from now on this one, and not the next that starts
             time.sleep(AGAIN_S)
 
     def estop(self, reason: str) -> None:
-        """Brings the rig to its safe state, whoever commands it. It stays there until cleared.
+        """Brings the rig to its safe state, whoever holds the lease. It stays there until cleared.
 
         Raises:
-            RigError: it did not answer: see to the rig by other means.
+            RigError: it did not reply: stop it by other means.
         """
-        message = messages.encode(Estop(reason[: messages.HOLDER_MAX]))
+        command = Estop(reason[: messages.HOLDER_MAX])
+        payload = messages.encode(command)
         asked_s = time.monotonic()
         while True:
-            data = self._talk.ask(
-                *(self._key("estop"), message),
+            data = self._connection.ask(
+                *(self._connection.command_key(command), payload),
                 timeout_s=_STOPPED_WITHIN_S,
-                session=self._stop_session.get(self._talk.timeout_s),
+                session=self._stop_session.get(self._connection.timeout_s),
                 priority=zenoh.Priority.REAL_TIME,
             )
             if data is not None:
                 return messages.decode(Answer, data).check()
-            if time.monotonic() - asked_s > self._talk.timeout_s:
+            if time.monotonic() - asked_s > self._connection.timeout_s:
                 raise RigError(
                     f"rig {self.name!r} has not answered the emergency stop: it must be taken as "
                     "not stopped; cut its power"
                 )
-            self._talk.check_liveliness(asked_s)
+            self._connection.check_liveliness(asked_s)
 
     def clear(self) -> None:
-        """Ends an emergency stop. For whoever has seen to the rig.
+        """Resets the emergency stop, after the operator has removed its cause.
 
         Raises:
             RigError: a trial is still being stopped, or the rig cannot be reached.
         """
-        message = messages.encode(Clear())
-        about = "; whether the stop is cleared is not known"
-        data = self._talk.query_until_answered(partial(self._key, "clear"), message, about)
-        messages.decode(Answer, data).check()
+        self._connection.command(Clear(), "; whether the stop is cleared is unknown").check()
 
     @contextmanager
     def watch(self) -> Iterator[Iterator[Telemetry]]:
-        """Samples of trials as they run, so long as the block lasts; missed by who is too slow."""
+        """Live samples of trials while the block lasts; a slow consumer misses some."""
         ring: zenoh.handlers.RingChannel[zenoh.Sample] = zenoh.handlers.RingChannel(
             _SAMPLES_WAITING_MAX
         )
-        with self._talk.session.declare_subscriber(
-            self._talk.keys.telemetry("*"), ring
-        ) as subscriber:
+        key = self._connection.keys.telemetry("*")
+        with self._connection.session.declare_subscriber(key, ring) as subscriber:
             yield map(_live, subscriber)
 
     def acquire(self) -> None:
-        """Asks for the right to command now, rather than with the first command.
+        """Acquires the lease now, rather than with the first command.
 
         Raises:
             RigError: another client holds the rig, or it cannot be reached.
@@ -219,11 +305,11 @@ class RemoteRig:
         self._lease.hold()
 
     def release(self) -> None:
-        """Gives the right to command back before `close`. A trial under way is stopped by it."""
+        """Returns the lease before `close`. The active trial is stopped by it."""
         self._lease.release()
 
     def close(self) -> None:
-        """Lets go of the rig; further calls are refused. A trial under way is stopped by it."""
+        """Disconnects; further calls are refused. The active trial is stopped by it."""
         self._finish()
 
     def __enter__(self) -> Self:
@@ -232,37 +318,27 @@ class RemoteRig:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _void(self, about: str) -> None:
-        """Sees to it that a trial whose submit was left unanswered does not run after all."""
+    def _void_unanswered(self, unknown: str) -> None:
+        """Voids a trial whose submit was left unanswered: it must not start any more."""
         if self._unanswered is None or not self._lease.token:
             return
-        trial_id, digest = self._unanswered
-        while (
-            self._command("void", lambda lease: Void(lease, trial_id, digest), about).verdict
-            is ReplyCode.BUSY
-        ):
-            time.sleep(AGAIN_S)  # it is being written into the ledger
+        void = Void("", *self._unanswered)
+        while self._command_with_lease(void, unknown).verdict is ReplyCode.BUSY:
+            time.sleep(AGAIN_S)  # it is being written to the ledger
         self._unanswered = None
 
-    def _command(
-        self, verb: Literal["gains", "void"], message: Callable[[str], object], about: str
-    ) -> Answer:
-        """Gives a command that needs the lease, under a new one if the old was lost."""
+    def _command_with_lease(self, command: Any, unknown: str) -> Answer:
+        """Reply to a command under the current lease, under a new one if that was lost."""
         while True:
             lease = self._lease.hold()
-            payload = messages.encode(message(lease))
-            data = self._talk.query_until_answered(partial(self._key, verb), payload, about)
-            answer = messages.decode(Answer, data)
+            answer = self._connection.command(replace(command, lease=lease), unknown)
             if answer.verdict not in (ReplyCode.NO_LEASE, ReplyCode.HELD):
                 return answer
-            self._lease.lost(lease)
-
-    def _key(self, verb: Verb) -> str:
-        return self._talk.keys.command(self._talk.instance, verb)
+            self._lease.drop(lease)
 
 
 class _StopSession:
-    """A session for emergency stops alone, opened when first needed: nothing queues before it."""
+    """A session for emergency stops alone, opened at the first: nothing queues ahead of them."""
 
     def __init__(self, reopen: Callable[[float], zenoh.Session]) -> None:
         self._reopen = reopen
@@ -278,10 +354,10 @@ class _StopSession:
             close_session(self._session)
 
 
-def _let_go(lease: LeaseRenewer, stops: _StopSession, talk: RigConnection) -> None:
+def _close(lease: LeaseRenewer, stops: _StopSession, connection: RigConnection) -> None:
     lease.close()
     stops.close()
-    talk.close()
+    connection.close()
 
 
 def _live(sample: zenoh.Sample) -> Telemetry:
@@ -290,7 +366,7 @@ def _live(sample: zenoh.Sample) -> Telemetry:
 
 
 def _setter(event: threading.Event) -> Callable[[zenoh.Sample], None]:
-    """A callback that sets an event, and holds nothing else: least of all the rig."""
+    """A callback that refers to the event only: not to the rig, which it would keep alive."""
 
     def set_event(_: zenoh.Sample) -> None:
         event.set()

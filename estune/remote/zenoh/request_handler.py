@@ -1,95 +1,154 @@
-"""Stands between the link and a rig: carries out what the table of `estune.remote.state_machine.rig` orders.
+"""Server side of one rig: decodes commands and queries, executes them, and encodes the replies.
 
-The thread that brings a trial in runs it; for as long as it does, another must be there to bring
-the next command. Every command is answered within milliseconds, with one exception that saves a
-quick rig half of its overhead: if the last trial took less than `PROMPT_S`, as a simulated one
-does, this one's record is awaited and is itself the answer to the submit. Should it take longer
-after all, the client asks again, is told by another thread, and nothing is lost.
-
-What is in hand is guarded by a lock (`estune.remote.zenoh.shared_rig_state`) that is never held while anything is
-written or anything moves, so that a slow disk or a slow rig keeps neither a renewal nor an
-emergency stop waiting.
+The thread that brings a submit runs the trial; another thread must then be free for the next
+command. Every command is answered within milliseconds, with one exception that saves a quick rig
+half of its overhead: if the last trial took less than `PROMPT_S`, as a simulated one does, the
+submit is answered with the record itself. Should this trial take longer, the client asks again,
+another thread answers, and nothing is lost.
 """
 
 import logging
-import threading
 import time
 from collections.abc import Callable
-from dataclasses import replace
+from functools import partial
+from typing import NamedTuple
 
-from estune.errors import EstuneError, InvalidInput, ProtocolError, RigError
+from estune.errors import EstuneError, ProtocolError, RigError
 from estune.remote import messages
 from estune.remote.ledger import Ledger, LedgerEntry
 from estune.remote.messages import (
     HOLDER_MAX,
+    VERBS,
     Answer,
-    Cancel,
-    Estop,
+    Description,
     Inquire,
-    Lease,
-    SetGains,
     Status,
-    Submit,
-    Void,
     check_name,
     refusal,
 )
-from estune.remote.state_machine import events
+from estune.remote.messages.codec import Message
+from estune.remote.messages.commands import (
+    Cancel,
+    Clear,
+    Estop,
+    Lease,
+    SetGains,
+    Submit,
+    Void,
+)
+from estune.remote.state_machine import state as events
 from estune.remote.state_machine.reply_codes import OF_TRIAL, ReplyCode
 from estune.remote.state_machine.state import RigAction, Transition
 from estune.remote.state_machine.trials import TrialEvent, TrialState
-from estune.remote.zenoh.replies import (
-    digest_conflict_reply,
-    has_digest_conflict,
-    never_begun,
-    reply_from_ledger,
+from estune.remote.zenoh.trial_execution import (
+    ActiveTrial,
+    SharedRigState,
+    TrialExecutor,
     to_estune_error,
 )
-from estune.remote.zenoh.shared_rig_state import ActiveTrial, SharedRigState
-from estune.trial import (
-    Outcome,
-    Rig,
-    RigDescription,
-    Telemetry,
-    TelemetrySource,
-    TrialRequest,
-    record_frame,
-)
+from estune.trial import Rig, Telemetry, TelemetrySource
 
 PROMPT_S = 0.01
 CLOSE_WITHIN_S = 10.0
-_ABORT_AGAIN_S = 0.05
-_RIG_WITHIN_S = 0.2
 
 _log = logging.getLogger(__name__)
 
 
-class RequestHandler:
-    """Answers for one rig. Knows nothing of the transport; may be called from any thread."""
+class Handled(NamedTuple):
+    """Reply to a command.
 
-    def __init__(self, rig: Rig, ledger: Ledger, changed: Callable[[], None]) -> None:
-        """Begins to attend.
+    Attributes:
+        answer: The reply; bytes are a record's frame.
+        afterwards: Work to be done once the reply was sent.
+    """
+
+    answer: Answer | bytes
+    afterwards: Callable[[], object] | None = None
+
+
+class RequestHandler:
+    """Executes the commands to one rig. Independent of the transport; any thread may call.
+
+    Each verb of the protocol is executed by the method of the same name.
+    """
+
+    def __init__(
+        self,
+        rig: Rig,
+        ledger: Ledger,
+        changed: Callable[[], None],
+        *,
+        instance: str,
+        part_bytes: int = 0,
+    ) -> None:
+        """Takes charge of a rig.
 
         Args:
             rig: The rig. It is called by one thread at a time, not always the same; `abort`,
                 `estop`, `clear` and `telemetry` by others.
-            ledger: What it remembers of trials.
+            ledger: Ledger of its trials.
             changed: Called when the status has changed.
+            instance: Identity of this start of the rig.
+            part_bytes: Size of the parts of records; 0 sends them whole.
         """
         self._rig = rig
         self._ledger = ledger
+        self._instance = instance
+        self._part_bytes = part_bytes
         self._prompt = False
-        self._description = rig.describe()
-        self._rig_free = threading.Lock()
+        description = rig.describe()
         if ledger.latched:  # a stop outlives the power supply
             rig.estop(ledger.latched)
-        self._duty = SharedRigState(rig, ledger.latched, changed)
+        self._shared = SharedRigState(rig, ledger.latched, changed)
+        self._executor = TrialExecutor(rig, ledger, self._shared, description)
+
+    # --- bytes in, bytes out ---
+
+    def command(self, verb: str, payload: bytes, reply: Callable[[bytes], None]) -> None:
+        """Executes a command, however malformed; `reply` is called once and must not raise."""
+        handled = Handled(b"")
+
+        def execute() -> Answer | bytes:
+            nonlocal handled
+            returned = getattr(self, verb)(self._decode(verb, payload))
+            handled = returned if isinstance(returned, Handled) else Handled(returned)
+            return handled.answer
+
+        self.query(execute, reply, verb)
+        try:
+            if handled.afterwards is not None:
+                handled.afterwards()
+        except BaseException:  # noqa: BLE001  the thread must serve further commands
+            _log.exception("after %s", verb)
+
+    def query(
+        self,
+        answer: Callable[[], Message | bytes],
+        reply: Callable[[bytes], None],
+        activity: str = "a query",
+    ) -> None:
+        """Replies with a message or a frame, or with the error that prevents it."""
+        try:
+            made = answer()
+            data = made if isinstance(made, bytes) else messages.encode(made)
+        except BaseException as error:  # noqa: BLE001  even SystemExit: a client waits for it
+            data = messages.encode(refusal(to_estune_error(error, activity)))
+        reply(data)
+
+    @staticmethod
+    def _decode(verb: str, payload: bytes) -> Message:
+        try:
+            return messages.decode(VERBS[verb].message, payload)
+        except ProtocolError as error:
+            if VERBS[verb].message is not Estop:
+                raise
+            # An emergency stop is obeyed even if its reason cannot be read.
+            return Estop(f"(its reason could not be read: {error})")
 
     # --- commands ---
 
     def lease(self, command: Lease) -> Answer:
-        """Grants the right to command, keeps it alive, or takes it back."""
-        now_s = time.monotonic()
+        """Grants, renews or ends the lease."""
         event: events.Event
         match command.action:
             case "acquire":
@@ -98,168 +157,127 @@ class RequestHandler:
                 event = events.Renew(command.lease)
             case "release":
                 event = events.Release(command.lease)
-        with self._duty.lock:
-            move = self._duty.step(event, now_s)
-        return Answer(move.verdict, sentence=move.sentence)
+        return _answer(self._shared.apply_event(event))
 
-    def submit(self, command: Submit, answer: Callable[[Answer | bytes], None]) -> None:
-        """Takes a trial in, unless it has been before, and runs it.
-
-        Args:
-            command: The trial.
-            answer: Called once, with the record in a frame if it is at hand, else with why there
-                is none (yet). Must not raise.
-
-        Raises:
-            ProtocolError: the digest is not that of the request; nothing was answered.
-        """
+    def submit(self, command: Submit) -> Handled:
+        """Accepts a trial, unless the ledger has an entry of it, and runs it."""
         now_s = time.monotonic()
-        trial_id = command.request.trial_id
-        if messages.digest(command.request) != command.digest:
+        request, trial_id = command.request, command.request.trial_id
+        if messages.digest(request) != command.digest:
             raise ProtocolError(
-                f"the digest of trial {trial_id} is not that of its request: something on the way "
-                "has changed it; it was not taken in"
+                f"the digest of trial {trial_id} is not that of its request, which was changed in "
+                "transit; it was not accepted; submit it again"
             )
-        objection = self._limit_violation(command.request)
-        with self._duty.lock:
+        violation = self._executor.limit_violation(request)
+        with self._shared.lock:
             entry = self._find(trial_id)
-            if has_digest_conflict(entry, command.digest):
-                said: Answer | bytes = digest_conflict_reply(trial_id)
-                trial = None
-            else:
-                event = events.SubmitEvent(
-                    *(command.lease, trial_id, entry.state),
-                    objection="" if objection is None else str(objection),
-                )
-                move = self._duty.step(event, now_s)
-                trial = None
-                if RigAction.TAKE_IN in move.orders:
-                    trial = self._duty.trial = ActiveTrial(command.request, command.digest)
-                else:
-                    said = self._say(move, trial_id, entry, objection)
+            if conflict := _digest_conflict(trial_id, entry, command.digest):
+                return Handled(conflict)
+            objection = "" if violation is None else str(violation)
+            event = events.SubmitEvent(command.lease, trial_id, entry.state, objection)
+            move = self._shared.step(event, now_s)
+            if RigAction.TAKE_IN not in move.orders:
+                refused = self._not_accepted(move, trial_id, entry, violation)
+                return Handled(self._in_parts(refused))
+            trial = self._shared.trial = ActiveTrial(request, command.digest)
             prompt = self._prompt
-        if trial is None:
-            answer(said)
-        else:
-            self._run_accepted_trial(trial, answer, prompt=prompt)
-
-    def result(self, trial_id: str, inquiry: Inquire, part_bytes: int = 0) -> Answer | bytes:
-        """The state of a trial: its record in a frame, or a part of it, once it has ended.
-
-        Args:
-            trial_id: The trial.
-            inquiry: What is asked.
-            part_bytes: The longest part to answer with; 0 for any length.
-
-        Raises:
-            ProtocolError: the part asked for is none.
-        """
-        with self._duty.lock:
-            entry = self._find(trial_id)
-            trial = self._duty.trial
-        unknown = entry.state is TrialState.UNKNOWN
-        if unknown and trial is not None and trial.request.trial_id == trial_id:
-            return Answer(ReplyCode.BUSY, trial_id)  # it is being written down
-        if has_digest_conflict(entry, inquiry.digest):
-            return digest_conflict_reply(trial_id)
-        found = reply_from_ledger(trial_id, entry)
-        most = min(inquiry.length or part_bytes, part_bytes or inquiry.length)
-        if isinstance(found, Answer) or not (inquiry.offset or most):
-            return found
-        return messages.encode_part(found, inquiry.offset, most or len(found))
+        return self._start(trial, prompt=prompt)
 
     def cancel(self, command: Cancel) -> Answer:
-        """Has the trial under way stopped. The answer names it until the live gains are back."""
+        """Stops the active trial. The reply names it until the live gains are restored."""
         now_s = time.monotonic()
-        with self._duty.lock:
-            move = self._duty.step(events.CancelEvent(command.lease, command.trial_id), now_s)
-            trial = self._duty.trial
+        with self._shared.lock:
+            event = events.CancelEvent(command.lease, command.trial_id)
+            move = self._shared.step(event, now_s)
+            trial = self._shared.trial
             if move.verdict is not ReplyCode.ACCEPTED:
-                return Answer(move.verdict, sentence=move.sentence)
+                return _answer(move)
             if trial is None or command.trial_id not in ("", trial.request.trial_id):
                 return Answer(ReplyCode.ACCEPTED)
-            failed, trial.stop_failed = trial.stop_failed, None
-            if failed is not None:
-                return refusal(failed, trial.request.trial_id)
-        return Answer(ReplyCode.ACCEPTED, trial.request.trial_id)
+            error, trial.stop_error = trial.stop_error, None
+        trial_id = trial.request.trial_id
+        return Answer(ReplyCode.ACCEPTED, trial_id) if error is None else refusal(error, trial_id)
 
     def void(self, command: Void) -> Answer:
-        """Sees to it that a trial never runs, unless it was taken in already."""
+        """Notes that a trial must never run, unless it was accepted already."""
         now_s = time.monotonic()
         trial_id = check_name("trial id", command.trial_id)
-        with self._duty.lock:
+        with self._shared.lock:
             entry = self._ledger.find(trial_id)
-            if has_digest_conflict(entry, command.digest):
-                return digest_conflict_reply(trial_id)
-            move = self._duty.step(events.VoidEvent(command.lease, trial_id, entry.state), now_s)
+            if conflict := _digest_conflict(trial_id, entry, command.digest):
+                return conflict
+            event = events.VoidEvent(command.lease, trial_id, entry.state)
+            move = self._shared.step(event, now_s)
         if RigAction.TOMBSTONE not in move.orders:
-            return Answer(move.verdict, trial_id, sentence=move.sentence)
-        # Its submit may have come in meanwhile: then the ledger says what it says of that trial.
+            return _answer(move, trial_id)
+        # If its submit has arrived meanwhile, the ledger returns the state of that trial.
         state = self._ledger.note(trial_id, command.digest, TrialEvent.VOID)
         return Answer(OF_TRIAL[state], trial_id)
 
-    def set_gains(self, command: SetGains) -> Answer:
-        """Makes gains the live ones, unless a trial is under way."""
-        now_s = time.monotonic()
-        with self._duty.lock:
-            move = self._duty.step(events.SetGainsEvent(command.lease), now_s)
+    def gains(self, command: SetGains) -> Answer:
+        """Sets the live gains, unless a trial is active."""
+        move = self._shared.apply_event(events.SetGainsEvent(command.lease))
         if RigAction.APPLY not in move.orders:
-            return Answer(move.verdict, self.status("").trial_id, sentence=move.sentence)
-        if not self._rig_free.acquire(timeout=_RIG_WITHIN_S):
-            return refusal(RigError("the rig is occupied; try again"))
+            return _answer(move, self.status().trial_id)
         try:
-            self._rig.apply(command.gains)
-            self._description = self._rig.describe()
+            self._executor.apply(command.gains)
         except EstuneError as error:
             return refusal(error)
-        finally:
-            self._rig_free.release()
         return Answer(ReplyCode.ACCEPTED)
 
-    def estop(self, command: Estop, answer: Callable[[Answer], None]) -> None:
-        """Brings the rig to its safe state. The rig is told before anything else is done.
-
-        Args:
-            command: Why.
-            answer: Called once the rig was told, before the stop is written down. Must not raise.
-        """
+    def estop(self, command: Estop) -> Handled:
+        """Brings the rig to its safe state, before anything else is done."""
         reason = command.reason[:HOLDER_MAX] or "no reason given"
-        failed = None
+        answer = Answer(ReplyCode.ACCEPTED)
         try:
             self._rig.estop(reason)
         except BaseException as error:  # noqa: BLE001  the stop must hold whatever the rig does
-            failed = to_estune_error(error, "the emergency stop")
-        self._duty.apply_event(events.EstopEvent(reason))
-        answer(Answer(ReplyCode.ACCEPTED) if failed is None else refusal(failed))
-        _log.warning("emergency stop: %s", reason)
-        self._ledger.latch(reason)
+            answer = refusal(to_estune_error(error, "the emergency stop"))
+        self._shared.apply_event(events.EstopEvent(reason))
+        return Handled(answer, partial(self._latch, reason))
 
-    def clear(self) -> Answer:
-        """Ends an emergency stop."""
-        move = self._duty.apply_event(events.ClearEvent())
+    def clear(self, _: Clear) -> Answer:
+        """Resets the emergency stop."""
+        move = self._shared.apply_event(events.ClearEvent())
         if RigAction.CLEAR not in move.orders:
-            return Answer(move.verdict, sentence=move.sentence)
+            return _answer(move)
         self._ledger.latch("")
         try:
             self._rig.clear()
         except EstuneError as error:
             return refusal(error)
         finally:
-            with self._duty.lock:
-                latched = self._duty.state.latched
-            if latched:  # called again meanwhile: the later word is the stop's
+            with self._shared.lock:
+                latched = self._shared.state.latched
+            if latched:  # stopped again meanwhile: the later command is the stop
                 self._rig.estop(latched)
                 self._ledger.latch(latched)
         return Answer(ReplyCode.ACCEPTED)
 
-    # --- questions ---
+    # --- queries ---
 
-    def status(self, instance: str) -> Status:
-        """What the rig does now."""
-        with self._duty.lock:
-            state = self._duty.state
+    def result(self, trial_id: str, inquiry: Inquire) -> Answer | bytes:
+        """State of a trial; once it has ended, its record in a frame, or a part of the frame."""
+        with self._shared.lock:
+            entry = self._find(trial_id)
+            trial = self._shared.trial
+        unknown = entry.state is TrialState.UNKNOWN
+        if unknown and trial is not None and trial.request.trial_id == trial_id:
+            return Answer(ReplyCode.BUSY, trial_id)  # it is being written to the ledger
+        if conflict := _digest_conflict(trial_id, entry, inquiry.digest):
+            return conflict
+        found = _from_ledger(trial_id, entry)
+        most = min(inquiry.length or self._part_bytes, self._part_bytes or inquiry.length)
+        if isinstance(found, Answer) or not (inquiry.offset or most):
+            return found
+        return messages.encode_part(found, inquiry.offset, most or len(found))
+
+    def status(self) -> Status:
+        """Current state of the rig."""
+        with self._shared.lock:
+            state = self._shared.state
         return Status(
-            instance=instance,
+            instance=self._instance,
             mode=state.mode,
             trial_id="" if state.trial is None else state.trial.trial_id,
             ended=state.ended,
@@ -267,126 +285,112 @@ class RequestHandler:
             latched=state.latched,
         )
 
-    def describe(self) -> RigDescription:
-        """What the rig is; while a trial is under way, as it was before."""
-        if self._rig_free.acquire(blocking=False):
-            try:
-                self._description = self._rig.describe()
-            finally:
-                self._rig_free.release()
-        return self._description
+    def describe(self) -> Description:
+        """Properties of the rig; during a trial those before it."""
+        return Description(self._executor.describe(), self._instance, self._ledger.identity)
 
     def telemetry(self, after: int) -> Telemetry | None:
-        """Samples of the trial under way from index `after` on, if the rig shows any."""
-        if self._duty.trial is None or not isinstance(self._rig, TelemetrySource):
+        """Samples of the active trial from index `after` on, if the rig provides them."""
+        if self._shared.trial is None or not isinstance(self._rig, TelemetrySource):
             return None
         return self._rig.telemetry(after)
 
     def close(self) -> None:
-        """Stops the trial under way, and returns once the live gains are back."""
-        if not self._duty.close(CLOSE_WITHIN_S):
-            _log.error("the trial under way has not stopped within %g s", CLOSE_WITHIN_S)
+        """Stops the active trial, and returns once the live gains are restored."""
+        if not self._shared.close(CLOSE_WITHIN_S):
+            _log.error("the active trial has not stopped within %g s", CLOSE_WITHIN_S)
 
-    # --- within ---
+    # --- trials ---
 
     def _find(self, trial_id: str) -> LedgerEntry:
-        """What the ledger knows of a trial. The lock is held.
-
-        One that is still in hand has not ended, even if the ledger says so already: its client
-        would ask for the next, and be told that the rig is busy with this one.
-        """
-        entry, trial = self._ledger.find(trial_id), self._duty.trial
+        """Ledger entry of a trial. The lock is held."""
+        # The active trial has not ended, even if the ledger already says so: its client would
+        # submit the next trial, and find the rig busy with this one.
+        entry, trial = self._ledger.find(trial_id), self._shared.trial
         if trial is not None and trial.request.trial_id == trial_id and entry.state.is_final:
             return entry._replace(state=TrialState.RUNNING, frame=None)
         return entry
 
-    def _say(
-        self, move: Transition, trial_id: str, entry: LedgerEntry, objection: EstuneError | None
+    def _not_accepted(
+        self, move: Transition, trial_id: str, entry: LedgerEntry, violation: EstuneError | None
     ) -> Answer | bytes:
-        """The answer to a submit that was not taken in. The lock is held."""
-        trial = self._duty.trial
+        """Reply to a submit that was not accepted. The lock is held."""
+        trial = self._shared.trial
         if move.verdict is ReplyCode.BUSY and trial is not None:
-            return Answer(ReplyCode.BUSY, trial.request.trial_id, sentence=move.sentence)
+            return _answer(move, trial.request.trial_id)
         if entry.state is not TrialState.UNKNOWN:
-            return reply_from_ledger(trial_id, entry)
+            return _from_ledger(trial_id, entry)
         if move.verdict is ReplyCode.REFUSED:
-            return refusal(objection or RigError(move.sentence), trial_id)
-        return Answer(move.verdict, trial_id, sentence=move.sentence)
+            return refusal(violation or RigError(move.sentence), trial_id)
+        return _answer(move, trial_id)
 
-    def _limit_violation(self, request: TrialRequest) -> EstuneError | None:
-        """Why the rig must not run a trial."""
-        try:
-            check_name("trial id", request.trial_id)
-            self._description.limits.check(request.profile)
-            samples = request.profile.samples(self._description.controller.sampling_Hz)
-        except InvalidInput as error:
-            return error
-        if record_frame.size(samples, reference=True) <= record_frame.MAX_BYTES:
-            return None
-        return InvalidInput(
-            f"a trial of {samples} samples does not fit into a record of {record_frame.MAX_BYTES} bytes; "
-            "ask for a shorter one"
-        )
-
-    def _run_accepted_trial(
-        self, trial: ActiveTrial, answer: Callable[[Answer | bytes], None], *, prompt: bool
-    ) -> None:
-        """Notes a trial that was taken in, runs it, and notes what came of it."""
+    def _start(self, trial: ActiveTrial, *, prompt: bool) -> Handled:
+        """Notes an accepted trial and runs it: before the reply if prompt, else after it."""
         trial_id = trial.request.trial_id
-        begun = prompt and self._duty.may_begin()
-        refused = self._note(trial, begun=begun)
-        if refused is not None:
-            self._duty.finish_trial()
-            answer(refused)
-            return
-        if not prompt:
-            self._duty.apply_event(events.Noted())
-            answer(Answer(ReplyCode.ACCEPTED, trial_id))
-        began_s = time.monotonic()
-        result = self._run(trial, begun=begun)
-        quick = isinstance(result, bytes) and time.monotonic() - began_s < PROMPT_S
-        self._ledger.end(trial_id, result)
-        self._prompt = quick and not trial.told_to_stop
-        self._duty.finish_trial()
+        begun = prompt and self._shared.may_begin()
+        noted = self._executor.note(trial, begun=begun)
+        if noted not in (TrialState.ACCEPTED, TrialState.RUNNING):
+            self._shared.finish_trial()
+            if isinstance(noted, EstuneError):
+                return Handled(refusal(noted, trial_id))
+            return Handled(self._in_parts(_from_ledger(trial_id, self._ledger.find(trial_id))))
         if prompt:
-            answer(result if isinstance(result, bytes) else refusal(result, trial_id))
+            result = self._run(trial, begun=begun)
+            answer = result if isinstance(result, bytes) else refusal(result, trial_id)
+            return Handled(self._in_parts(answer))
+        self._shared.apply_event(events.Noted())
+        return Handled(Answer(ReplyCode.ACCEPTED, trial_id), partial(self._run, trial))
 
-    def _note(self, trial: ActiveTrial, *, begun: bool) -> Answer | bytes | None:
-        """Writes a trial into the ledger. The answer if it is not taken in after all."""
-        trial_id = trial.request.trial_id
-        events = (TrialEvent.SUBMIT, TrialEvent.START) if begun else (TrialEvent.SUBMIT,)
-        try:
-            state = self._ledger.note(trial_id, trial.digest, *events)
-        except ProtocolError:
-            state = TrialState.VOID
-        except EstuneError as error:
-            return refusal(error, trial_id)
-        if state in (TrialState.ACCEPTED, TrialState.RUNNING):
-            return None
-        # It was voided while it was on its way into the ledger.
-        return reply_from_ledger(trial_id, self._ledger.find(trial_id))
+    def _run(self, trial: ActiveTrial, *, begun: bool = False) -> bytes | EstuneError:
+        """Runs a noted trial to its end."""
+        began_s = time.monotonic()
+        result = self._executor.run(trial, begun=begun)
+        quick = isinstance(result, bytes) and time.monotonic() - began_s < PROMPT_S
+        self._prompt = quick and not trial.is_stopping
+        self._shared.finish_trial()
+        return result
 
-    def _run(self, trial: ActiveTrial, *, begun: bool) -> bytes | EstuneError:
-        request = trial.request
-        try:
-            with self._rig_free:
-                if not begun:
-                    begun = self._duty.may_begin()
-                    if begun:
-                        self._ledger.note(request.trial_id, trial.digest, TrialEvent.START)
-                if begun:
-                    record = self._rig.run(request)
-                else:
-                    record = never_begun(request, self._description)
-            if record.outcome is Outcome.CANCELLED:
-                record = replace(record, reason=self._duty.why_stopped() or record.reason)
-            return record_frame.encode(record)
-        except RigError as error:
-            why = self._duty.why_stopped()
-            if not why:
-                return error
-            # It was stopped as it was about to begin, so that the rig would not take it.
-            record = never_begun(request, self._description)
-            return record_frame.encode(replace(record, reason=f"{why} ({error})"))
-        except BaseException as error:  # noqa: BLE001  even SystemExit: somebody waits for the trial
-            return to_estune_error(error, f"trial {request.trial_id}")
+    def _in_parts(self, answer: Answer | bytes) -> Answer | bytes:
+        """Reply to a submit: where records are sent in parts, not the frame."""
+        whole = self._part_bytes and isinstance(answer, bytes)
+        return Answer(ReplyCode.ENDED) if whole else answer
+
+    def _latch(self, reason: str) -> None:
+        _log.warning("emergency stop: %s", reason)
+        self._ledger.latch(reason)
+
+
+def _answer(move: Transition, trial_id: str = "") -> Answer:
+    return Answer(move.verdict, trial_id, sentence=move.sentence)
+
+
+def _from_ledger(trial_id: str, entry: LedgerEntry) -> Answer | bytes:
+    """State of a trial in the ledger; its record, if the ledger holds it."""
+    match entry.state:
+        case TrialState.ENDED if entry.frame is not None:
+            return entry.frame
+        case TrialState.ENDED:
+            return refusal(
+                RigError(
+                    f"trial {trial_id} has run, but the rig no longer holds its record; "
+                    "submit the trial again under another number or attempt"
+                ),
+                trial_id,
+            )
+        case TrialState.FAILED:
+            return Answer(ReplyCode.REFUSED, trial_id, entry.error, entry.sentence)
+        case state:
+            return Answer(OF_TRIAL[state], trial_id)
+
+
+def _digest_conflict(trial_id: str, entry: LedgerEntry, digest: str) -> Answer | None:
+    """Refusal of a request, if the ledger holds another request under its id."""
+    if entry.state is TrialState.UNKNOWN or entry.digest == digest:
+        return None
+    return refusal(
+        RigError(
+            f"the rig has run another trial under the id {trial_id}, with other gains or another "
+            "profile; give the run a new name"
+        ),
+        trial_id,
+    )

@@ -1,6 +1,8 @@
-"""Asking one rig questions, through silence and restarts."""
+"""Client connection to one rig: queries through silence and restarts, and the lease."""
 
 import logging
+import secrets
+import threading
 import time
 from collections.abc import Callable
 from typing import NamedTuple
@@ -9,70 +11,90 @@ import zenoh
 
 from estune.errors import RigError
 from estune.remote import messages
-from estune.remote.messages import Description, Keys, Presence
+from estune.remote.messages import HOLDER_MAX, Answer, Description, Keys, Presence
+from estune.remote.messages.codec import Message
+from estune.remote.messages.commands import VERB_OF, Lease
 from estune.remote.state_machine.client import ClientInput
-from estune.remote.zenoh.zenoh_session import close_session
+from estune.remote.state_machine.reply_codes import ReplyCode
+from estune.remote.state_machine.state import LEASE_S, RENEW_S
+from estune.remote.zenoh.zenoh_session import AGAIN_S, close_session
 
 HUNG_AFTER_S = 30.0
-"""How long a rig may be alive and yet not answer: a simulation can hold its interpreter."""
+"""Time for which a rig may be alive without replying: a simulation can hold its interpreter."""
 
 ASK_S = 1.0
-AGAIN_S = 0.05
+_RENEWED_WITHIN_S = 0.3
+_HELD_WITHIN_S = 1.5 * LEASE_S
+_END_WITHIN_S = 2.0
 
 _log = logging.getLogger(__name__)
 
 
 class LinkStatus(NamedTuple):
-    """What has become of a rig that does not answer, and how to say it."""
+    """State of a rig that does not reply, and its explanation."""
 
     heard: ClientInput
     sentence: str = ""
-    remedy: str = "start it again and connect again"
+    remedy: str = "restart it and connect again"
 
 
 _SILENT = LinkStatus(ClientInput.SILENCE)
 
 
 class RigConnection:
-    """Asks one instance of a rig; follows to the next if the rig is restarted.
+    """Queries one instance of a rig; follows to the next if the rig is restarted.
 
-    Every question is repeated until it is answered, which is safe: none does a thing twice.
+    Every query is repeated until it is answered, which is safe: none is executed twice.
 
     Attributes:
-        instance: The instance asked.
-        about: What it says of itself, as last heard.
+        instance: The instance queried.
+        about: Its last description.
     """
 
     def __init__(
         self, session: zenoh.Session, endpoint: str, presence: Presence, timeout_s: float
     ) -> None:
         self.keys = Keys(presence.rig)
+        self.name = presence.rig
         self.instance = presence.instance
         self.timeout_s = timeout_s
         self.session = session
-        self._called = f"rig {presence.rig!r} at {endpoint}"
         self.closed = False
         self.about: Description | None = None
+        self._label = f"rig {presence.rig!r} at {endpoint}"
 
     def describe(self) -> Description:
-        """What the rig is, and which gains are live now.
+        """Properties of the rig, with its live gains.
 
         Raises:
             RigError: it cannot be reached.
         """
-        data = self.query_until_answered(lambda: self.keys.describe, b"", "")
+        data = self.query_until_answered(lambda: self.keys.describe, b"")
         self.about = messages.decode_description(data)
         return self.about
 
-    @property
-    def name(self) -> str:
-        """Name of the rig."""
-        return self.keys.rig
-
     def close(self) -> None:
-        """Ends it; further questions are refused."""
+        """Closes the connection; further queries are refused."""
         self.closed = True
         close_session(self.session)
+
+    def command_key(self, command: Message) -> str:
+        """Key of a command to the current instance."""
+        return self.keys.command(self.instance, VERB_OF[type(command)])
+
+    def command(self, command: Message, unknown: str = "") -> Answer:
+        """Reply to a command, repeated until it is answered.
+
+        Args:
+            command: The command.
+            unknown: What is unknown if no reply arrives, for the message.
+
+        Raises:
+            RigError: no reply, as in `query_until_answered`.
+        """
+        payload = messages.encode(command)
+        data = self.query_until_answered(lambda: self.command_key(command), payload, unknown)
+        return messages.decode(Answer, data)
 
     def ask(
         self,
@@ -83,10 +105,10 @@ class RigConnection:
         session: zenoh.Session | None = None,
         priority: zenoh.Priority | None = None,
     ) -> bytes | None:
-        """What this instance answers; None means nothing at all, least of all "no".
+        """Reply of this instance; None on timeout, which is not a refusal.
 
         Raises:
-            RigError: it was closed, or the link has failed.
+            RigError: the connection was closed, or the link has failed.
         """
         if self.closed:
             raise RigError(f"rig {self.name!r} was closed; connect again")
@@ -97,7 +119,7 @@ class RigConnection:
                 timeout=timeout_s,
                 priority=priority,
                 express=priority is not None,
-                # Hears all who answer to the name, and picks its own.
+                # Receives the replies of all rigs of the name, and selects its own.
                 target=zenoh.QueryTarget.ALL,
                 consolidation=zenoh.ConsolidationMode.NONE,
             )
@@ -111,30 +133,33 @@ class RigConnection:
             raise RigError(f"rig {self.name!r}: the link has failed ({error})") from error
         return None
 
-    def query_until_answered(self, where: Callable[[], str], payload: bytes, about: str) -> bytes:
-        """Asks until the rig answers, whichever instance of it.
+    def query_until_answered(
+        self, key: Callable[[], str], payload: bytes, unknown: str = ""
+    ) -> bytes:
+        """Reply of the rig, of any of its instances.
 
         Args:
-            where: Gives the key to ask at; anew for each try, as it may name the instance.
-            payload: What to ask.
-            about: What is to be said if it never answers, after what is known of the rig.
+            key: Returns the key; called at each attempt, as the key may contain the instance.
+            payload: The payload.
+            unknown: What is unknown if no reply arrives, for the message.
 
         Raises:
-            RigError: the rig was closed, is gone, does not answer, or is another now.
+            RigError: the connection was closed, or the rig is gone, does not reply, or was
+                replaced by another.
         """
         asked_s = time.monotonic()
-        while (answer := self.ask(where(), payload)) is None:
-            sign = self.check_liveliness(asked_s)
-            if sign.heard in (ClientInput.GONE, ClientInput.REPLACED):
-                raise RigError(f"{sign.sentence}{about or f'; {sign.remedy}'}")
+        while (reply := self.ask(key(), payload)) is None:
+            status = self.check_liveliness(asked_s)
+            if status.heard in (ClientInput.GONE, ClientInput.REPLACED):
+                raise RigError(f"{status.sentence}{unknown or f'; {status.remedy}'}")
             time.sleep(AGAIN_S)
-        return answer
+        return reply
 
     def check_liveliness(self, silent_since_s: float) -> LinkStatus:
-        """Looks what has become of a rig that does not answer, and follows it if it was restarted.
+        """State of a rig that does not reply; follows it if it was restarted.
 
         Args:
-            silent_since_s: When it was first asked what it has not answered, monotonic time.
+            silent_since_s: Monotonic time of the first unanswered query.
         """
         silent_s = time.monotonic() - silent_since_s
         present = present_at(self.session, self.keys.alive("*"))
@@ -143,27 +168,27 @@ class RigConnection:
             if silent_s > self.timeout_s and self.ask(self.keys.status, b"") is not None:
                 return LinkStatus(
                     ClientInput.GONE,
-                    f"{self._called} answers questions but not this command, as if this client "
-                    "were not let command it",
-                    "ask who keeps the rig for access",
+                    f"{self._label} answers queries but not this command, as if this client "
+                    "had no right to command it",
+                    "ask its administrator for access",
                 )
             if silent_s > max(HUNG_AFTER_S, self.timeout_s):
                 return LinkStatus(
                     ClientInput.GONE,
-                    f"{self._called} is there but has not answered for {silent_s:.0f} s",
-                    "see what it is doing, or restart it",
+                    f"{self._label} is alive but has not replied for {silent_s:.0f} s",
+                    "check its program, or restart it",
                 )
         elif len(instances) == 1:
             return self._follow(instances[0])
         elif silent_s > self.timeout_s:
             return LinkStatus(
                 ClientInput.GONE,
-                f"{self._called} is gone: its process has ended or the network is cut",
+                f"{self._label} is gone: its process has ended or the network is cut",
             )
         return _SILENT
 
     def _follow(self, instance: str) -> LinkStatus:
-        """Turns to another instance, if it is the same rig as far as its ledger goes."""
+        """Changes to another instance, if its ledger shows it to be the same rig."""
         before, self.instance = self.instance, instance
         data = self.ask(self.keys.describe, b"")
         if data is None:
@@ -178,14 +203,114 @@ class RigConnection:
             self.instance = before
             return LinkStatus(
                 ClientInput.REPLACED,
-                f"{self._called} was restarted, and remembers nothing of what it ran before",
+                f"{self._label} was restarted with another ledger, without its earlier trials",
             )
-        _log.warning("%s was restarted", self._called)
+        _log.warning("%s was restarted", self._label)
         self.about = now
         return LinkStatus(heard)
 
 
 def present_at(session: zenoh.Session, key: str) -> set[Presence]:
-    """The rigs that show that they live."""
+    """The rigs whose liveliness tokens match a key."""
     replies = session.liveliness().get(key, timeout=ASK_S)
     return {Presence.parse(str(reply.ok.key_expr)) for reply in replies if reply.ok is not None}
+
+
+class LeaseRenewer:
+    """Acquires the lease when it is first needed, and renews it from a thread of its own.
+
+    The thread waits only on the network and the clock, so that it continues while the main thread
+    computes. It refers to the connection, not to the rig: a rig no longer referred to is closed.
+    """
+
+    def __init__(self, connection: RigConnection, holder: str) -> None:
+        self._connection = connection
+        self._holder = holder[:HOLDER_MAX]
+        self._lock = threading.Lock()
+        self._token = ""
+        self._ended = threading.Event()
+        self._needed = threading.Event()
+        self._thread: threading.Thread | None = None
+
+    @property
+    def token(self) -> str:
+        """The lease held, as far as is known; empty without one."""
+        return self._token
+
+    def hold(self) -> str:
+        """The lease; acquires one if none is held.
+
+        Raises:
+            RigError: another client holds the rig, or it cannot be reached.
+        """
+        if self._token:
+            return self._token
+        with self._lock:
+            asked_s = time.monotonic()
+            while not self._token:
+                token = secrets.token_hex(8)
+                answer = self._connection.command(Lease("acquire", token, self._holder))
+                if answer.verdict is ReplyCode.REFUSED:
+                    answer.check()
+                if answer.verdict is ReplyCode.ACCEPTED:
+                    self._token = token
+                # The lease of a client that was killed expires by itself.
+                elif time.monotonic() - asked_s > _HELD_WITHIN_S:
+                    raise RigError(f"rig {self._connection.name!r}: {answer.sentence}")
+                else:
+                    time.sleep(AGAIN_S)
+            if self._thread is None:
+                self._thread = threading.Thread(target=self._renew, name="lease", daemon=True)
+                self._thread.start()
+            self._needed.set()
+        return self._token
+
+    def drop(self, token: str) -> None:
+        """Forgets a lease that the rig has refused."""
+        if token and token == self._token:
+            self._token = ""
+
+    def release(self) -> None:
+        """Returns the lease, if one is held; if the message is lost, the lease expires."""
+        token, self._token = self._token, ""
+        if not token:
+            return
+        try:
+            self._send(Lease("release", token))
+        except RigError as error:
+            _log.debug("the lease was not returned: %s", error)
+
+    def close(self) -> None:
+        """Returns the lease, and ends the thread."""
+        self._ended.set()
+        thread, until_s = self._thread, time.monotonic() + _END_WITHIN_S
+        while thread is not None and thread.is_alive() and time.monotonic() < until_s:
+            self._needed.set()
+            thread.join(AGAIN_S)
+        self.release()
+
+    def _send(self, command: Lease, priority: zenoh.Priority | None = None) -> Answer | None:
+        """Reply to one attempt, if it arrives within the renewal time."""
+        data = self._connection.ask(
+            *(self._connection.command_key(command), messages.encode(command)),
+            timeout_s=_RENEWED_WITHIN_S,
+            priority=priority,
+        )
+        return None if data is None else messages.decode(Answer, data)
+
+    def _renew(self) -> None:
+        while not self._ended.wait(RENEW_S):
+            self._needed.clear()
+            token = self._token
+            if not token:
+                self._needed.wait()
+                continue
+            try:
+                answer = self._send(Lease("renew", token), zenoh.Priority.INTERACTIVE_HIGH)
+            except RigError as error:
+                _log.debug("lease not renewed: %s", error)
+                continue
+            if answer is not None and answer.verdict is not ReplyCode.ACCEPTED:
+                name = self._connection.name
+                _log.warning("lease of rig %r lost: no renewal arrived for %g s", name, LEASE_S)
+                self.drop(token)

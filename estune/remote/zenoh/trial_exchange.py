@@ -1,4 +1,7 @@
-"""Carries out what the state machine of `estune.remote.state_machine.client` says, for one trial."""
+"""Submission of one trial at most once, and retrieval of its record.
+
+Executes the state machine `estune.remote.state_machine.client`.
+"""
 
 import threading
 import time
@@ -6,12 +9,13 @@ from typing import NamedTuple
 
 from estune.errors import ProtocolError, RigError
 from estune.remote import messages
-from estune.remote.messages import Answer, Inquire, Part, Submit
+from estune.remote.messages import Answer, Inquire, Part
+from estune.remote.messages.commands import Submit
 from estune.remote.state_machine import client as machine
 from estune.remote.state_machine.client import Action, ClientInput
 from estune.remote.state_machine.reply_codes import ReplyCode
-from estune.remote.zenoh.lease_renewal import LeaseRenewer
-from estune.remote.zenoh.rig_connection import AGAIN_S, RigConnection
+from estune.remote.zenoh.rig_connection import LeaseRenewer, RigConnection
+from estune.remote.zenoh.zenoh_session import AGAIN_S
 from estune.trial import TrialRecord, TrialRequest
 from estune.trial.record_frame import decode
 
@@ -19,25 +23,25 @@ _POLL_FIRST_S, _POLL_MAX_S, _POLL_GROWTH = 0.002, 0.05, 1.5
 
 
 class NoRecord(NamedTuple):
-    """A trial that came to nothing, and why."""
+    """A trial that ended without a record, and why."""
 
     action: Action
     sentence: str
 
 
 class TrialExchange:
-    """Wants one trial run, once, and its record."""
+    """One trial on the client's side."""
 
     def __init__(
         self,
-        talk: RigConnection,
+        connection: RigConnection,
         lease: LeaseRenewer,
         request: TrialRequest,
         changed: threading.Event,
     ) -> None:
-        """`changed` is set whenever the rig says that its status has changed."""
+        """`changed` is set whenever the rig publishes its status."""
         self.digest = messages.digest(request)
-        self._talk = talk
+        self._connection = connection
         self._lease = lease
         self._request = request
         self._changed = changed
@@ -45,126 +49,123 @@ class TrialExchange:
         self._answer = Answer(ReplyCode.UNKNOWN)
         self._record: TrialRecord | None = None
         self._silent_since_s: float | None = None
-        self._lost = ""
+        self._explanation = ""
         self._pause_s = _POLL_FIRST_S
 
     def run(self) -> TrialRecord | NoRecord:
-        """Sees the trial through.
+        """Follows the trial to its end.
 
         Raises:
-            EstuneError: what the rig said, or why nothing is known.
+            EstuneError: the error of the rig, or the reason why nothing is known.
         """
         while True:
             match self._step.action:
                 case Action.SUBMIT:
-                    self._ask(submit=True)
+                    self._submit()
                 case Action.INQUIRE:
-                    self._ask(submit=False)
+                    self._inquire()
                 case Action.WAIT:
-                    self._wait()
+                    # The rig publishes its status when a trial ends; else it is queried again.
+                    self._changed.wait(self._pause_s)
+                    self._changed.clear()
+                    self._pause_s = min(self._pause_s * _POLL_GROWTH, _POLL_MAX_S)
+                    self._inquire()
                 case Action.LEASE:
                     self._lease.hold()
                     self._advance(ClientInput.LEASED)
                 case _:
                     return self._result()
 
-    def _ask(self, *, submit: bool) -> None:
-        """Asks once, and hears what comes of it."""
-        if submit:
-            lease = self._lease.hold()
-            key = self._talk.keys.command(self._talk.instance, "submit")
-            payload = messages.encode(Submit(lease, self._request, self.digest))
-            self._changed.clear()
-        else:
-            key = self._talk.keys.result(self._request.trial_id)
-            payload = messages.encode(Inquire(self.digest))
+    def _submit(self) -> None:
+        lease = self._lease.hold()
+        command = Submit(lease, self._request, self.digest)
+        self._changed.clear()
         self._step = machine.sent(self._step)
-        data = self._talk.ask(key, payload)
+        key = self._connection.command_key(command)
+        self._receive(self._connection.ask(key, messages.encode(command)), lease)
+
+    def _inquire(self) -> None:
+        self._receive(self._ask_result())
+
+    def _ask_result(self, offset: int = 0) -> bytes | None:
+        key = self._connection.keys.result(self._request.trial_id)
+        return self._connection.ask(key, messages.encode(Inquire(self.digest, offset)))
+
+    def _receive(self, data: bytes | None, lease: str = "") -> None:
+        """Processes a reply, or its absence, to a query that carried a lease or none."""
         if data is None:
-            self._silence()
+            self._process_silence()
             return
         self._silent_since_s = None
-        found = messages.decode_trial(data)
-        if isinstance(found, Part):
-            self._gather(found)
-        elif isinstance(found, Answer):
-            self._answer = found
-            if submit and found.verdict in (ReplyCode.NO_LEASE, ReplyCode.HELD):
-                self._lease.lost(lease)
-            own = found.trial_id in ("", self._request.trial_id)
-            self._advance(found.verdict, own=own)
+        reply = messages.decode_trial(data)
+        if isinstance(reply, Part):
+            self._gather(reply)
+        elif isinstance(reply, Answer):
+            self._answer = reply
+            if reply.verdict in (ReplyCode.NO_LEASE, ReplyCode.HELD):
+                self._lease.drop(lease)
+            own = reply.trial_id in ("", self._request.trial_id)
+            self._advance(reply.verdict, own=own)
         else:
-            self._keep(found)
+            self._keep(reply)
 
     def _keep(self, record: TrialRecord) -> None:
         if record.trial_id != self._request.trial_id:
             raise ProtocolError(
-                f"rig {self._talk.name!r} answers trial {self._request.trial_id} with a record of "
-                f"{record.trial_id}"
+                f"rig {self._connection.name!r} answers trial {self._request.trial_id} with a "
+                f"record of {record.trial_id}"
             )
         self._record = record
         self._advance(ClientInput.RECORD)
 
     def _gather(self, part: Part) -> None:
-        """Asks for the rest of a record that comes in parts."""
-        total, frame = part.total, bytearray()
-        key = self._talk.keys.result(self._request.trial_id)
+        """Queries the rest of a record that is sent in parts."""
+        total, frame, rig = part.total, bytearray(), f"rig {self._connection.name!r}"
         while True:
             if part.offset != len(frame) or part.total != total:
                 raise ProtocolError(
-                    f"rig {self._talk.name!r} was asked for byte {len(frame)} of a record of "
-                    f"{total} bytes, and answers with byte {part.offset} of {part.total}"
+                    f"{rig} was asked for byte {len(frame)} of a record of {total} bytes, and "
+                    f"answers with byte {part.offset} of {part.total}"
                 )
             frame += part.data
             if len(frame) == total:
                 self._keep(decode(bytes(frame)))
                 return
-            inquiry = messages.encode(Inquire(self.digest, len(frame)))
-            data = self._talk.ask(key, inquiry)
+            data = self._ask_result(len(frame))
             if data is None:
-                self._silence()
+                self._process_silence()
                 return
-            found = messages.decode_trial(data)
-            if not isinstance(found, Part):
-                raise ProtocolError(
-                    f"rig {self._talk.name!r} answers byte {len(frame)} of a record with no part"
-                )
-            part = found
+            reply = messages.decode_trial(data)
+            if not isinstance(reply, Part):
+                raise ProtocolError(f"{rig} answers byte {len(frame)} of a record with no part")
+            part = reply
 
-    def _silence(self) -> None:
-        now_s = time.monotonic()
+    def _process_silence(self) -> None:
         if self._silent_since_s is None:
-            self._silent_since_s = now_s
-        sign = self._talk.check_liveliness(self._silent_since_s)
-        self._lost = sign.sentence
-        self._advance(sign.heard)
+            self._silent_since_s = time.monotonic()
+        status = self._connection.check_liveliness(self._silent_since_s)
+        self._explanation = status.sentence
+        self._advance(status.heard)
         time.sleep(AGAIN_S)
-
-    def _wait(self) -> None:
-        """The rig tells when a trial has ended; else ask again."""
-        self._changed.wait(self._pause_s)
-        self._changed.clear()
-        self._pause_s = min(self._pause_s * _POLL_GROWTH, _POLL_MAX_S)
-        self._ask(submit=False)
 
     def _advance(self, heard: ReplyCode | ClientInput, *, own: bool = True) -> None:
         self._step = machine.next_transition(self._step.stage, heard, own=own)
 
     def _result(self) -> TrialRecord | NoRecord:
-        action, trial_id = self._step.action, self._request.trial_id
+        action, rig = self._step.action, f"rig {self._connection.name!r}"
+        trial = f"trial {self._request.trial_id}"
         if action is Action.RECORD and self._record is not None:
             return self._record
         if action in (Action.INTERRUPTED, Action.NOTHING_RAN):
             return NoRecord(action, self._answer.verdict.sentence)
-        # Whatever of it is still on its way must find a lease that is not the rig's any more.
+        # A submit still in transit must find a lease that is no longer the rig's.
         self._lease.release()
         if action is Action.FAIL:
             self._answer.check()
-            raise ProtocolError(f"rig {self._talk.name!r} says {self._answer.verdict} to a trial")
-        about = (
-            f"trial {trial_id} may have run: see to the rig, then resume the run"
+            raise ProtocolError(f"{rig} replies {self._answer.verdict} to a trial")
+        outcome = (
+            f"{trial} may have run: inspect the rig, then resume the run"
             if action is Action.AMBIGUOUS
-            else f"trial {trial_id} did not run"
+            else f"{trial} did not run"
         )
-        lost = self._lost or f"rig {self._talk.name!r} has forgotten trial {trial_id}"
-        raise RigError(f"{lost}; {about}")
+        raise RigError(f"{self._explanation or f'{rig} has no entry of {trial}'}; {outcome}")

@@ -1,8 +1,8 @@
 """Zenoh sessions with everything closed that is not needed.
 
-No multicast and no gossip: nobody is found who was not named. No shared memory: it leaves files
-behind a killed process and gains nothing at this size. A listener only where one is asked for,
-and on this machine only unless the caller insists: who is asked for no password could be anybody.
+No multicast and no gossip: only named endpoints are reached. No shared memory: it leaves files
+behind a killed process and gains nothing at this size. A listener only on request, and on the
+loopback address unless remote access is allowed, as there is no authentication by default.
 """
 
 import ipaddress
@@ -11,6 +11,10 @@ import logging
 import re
 import socket
 import threading
+import time
+from collections.abc import Callable, Iterable
+from contextlib import suppress
+from functools import partial
 from typing import Any, Literal
 
 import zenoh
@@ -19,14 +23,22 @@ from estune.errors import InvalidInput, RigError
 from estune.remote.security import OPEN, Security
 
 LEASE_MS = 2000
-"""A process that stops dead, without closing its connections, is missed after this time."""
+"""Time after which a frozen process, whose connections are still open, counts as gone, ms."""
 
 COMMANDS_MAX_BYTES = 64 * 2**10
-"""Largest message a rig takes in; longer ones are dropped by the transport, before any of ours."""
+"""Largest message that a listener accepts; the transport drops longer ones."""
+
+AGAIN_S = 0.05
+"""Pause before something is tried again, s."""
 
 _CLOSE_WITHIN_S = 5.0
+_END_WITHIN_S = 1.0
 _PORT_TRIES = 5
+_WAITING_MAX = 256
 _log = logging.getLogger(__name__)
+
+Reply = Callable[[bytes], None]
+"""Sends the reply to a query; must be called at most once."""
 
 
 def open_session(
@@ -40,17 +52,17 @@ def open_session(
     """Opens a session.
 
     Args:
-        role: `client` reaches the endpoints named in `connect` and is reached by nobody; `peer`
-            is reached at the endpoints named in `listen`.
+        role: `client` connects to the endpoints in `connect` and listens nowhere; `peer` listens
+            at the endpoints in `listen`.
         listen: Where to listen.
-        connect: Whom to connect to. A client fails at once if nobody is there; once connected,
-            it connects again by itself after a cut.
-        message_max_bytes: Larger messages are not taken in.
-        security: How it shows who it is, and whom it lets do what.
+        connect: Where to connect. A client fails at once if nothing listens there; once
+            connected, it reconnects by itself after a cut.
+        message_max_bytes: Largest message accepted.
+        security: Identity of this process, and the rights of others.
 
     Raises:
-        InvalidInput: an endpoint does not go with the security.
-        zenoh.ZError: it cannot listen, or reach anybody.
+        InvalidInput: an endpoint does not match the security settings.
+        zenoh.ZError: it cannot listen, or connect.
     """
     for endpoint in (*listen, *connect):
         security.check_endpoint(endpoint)
@@ -59,7 +71,7 @@ def open_session(
         "listen": {"endpoints": listen},
         "connect": {
             "endpoints": connect,
-            # A peer goes on without the others and keeps trying.
+            # A peer works without the others and keeps trying.
             "timeout_ms": 0 if role == "client" else -1,
             "exit_on_failure": role == "client",
             "retry": {"period_init_ms": 100, "period_max_ms": 1000},
@@ -72,7 +84,7 @@ def open_session(
                 "tx": {
                     "lease": LEASE_MS,
                     "keep_alive": 4,
-                    # Batching waits a millisecond for more to send, which here never comes.
+                    # Batching waits a millisecond for further messages, which never come here.
                     "queue": {"batching": {"enabled": False}},
                 },
                 "rx": {"max_message_size": message_max_bytes},
@@ -85,35 +97,41 @@ def open_session(
     return zenoh.open(config)
 
 
-def open_listening(
-    endpoint: str, routers: tuple[str, ...], security: Security
-) -> tuple[zenoh.Session, str]:
-    """A session that takes commands, and where it listens: port 0 is a free one.
+def open_client(
+    endpoint: str, message_max_bytes: int, security: Security, deadline_s: float, remedy: str
+) -> zenoh.Session:
+    """A client session with an endpoint where something may just be starting to listen.
+
+    Args:
+        endpoint: The endpoint.
+        message_max_bytes: Largest message accepted.
+        security: Identity of this process.
+        deadline_s: Monotonic time of the last attempt.
+        remedy: What to start there, and how, for the message.
 
     Raises:
-        RigError: nothing can listen there.
+        RigError: nothing listens there.
     """
-    for tries_left in reversed(range(_PORT_TRIES)):
-        actual = with_port(endpoint)
+    while True:
         try:
-            session = open_session(
-                "peer",
-                listen=(actual,),
-                connect=routers,
-                message_max_bytes=COMMANDS_MAX_BYTES,
+            return open_session(
+                "client",
+                connect=(endpoint,),
+                message_max_bytes=message_max_bytes,
                 security=security,
             )
         except zenoh.ZError as error:
-            # Another process may have taken the free port in between.
-            if actual == endpoint or not tries_left:
-                raise listen_error(actual, error) from error
-        else:
-            return session, actual
-    raise AssertionError  # the last try has returned or raised
+            if time.monotonic() > deadline_s:
+                cause = "requires authentication" if security == OPEN else "rejects this client"
+                raise RigError(
+                    f"nothing that speaks Zenoh listens at {endpoint}; start {remedy}; or the "
+                    f"listener {cause}: see --security"
+                ) from error
+        time.sleep(AGAIN_S)
 
 
 def close_session(session: zenoh.Session) -> None:
-    """Closes a session, but waits no longer than a few seconds for a peer that hangs."""
+    """Closes a session, without waiting longer than a few seconds for a peer that hangs."""
     closing = threading.Thread(target=_close, args=(session,), daemon=True)
     try:
         closing.start()
@@ -127,11 +145,159 @@ def _close(session: zenoh.Session) -> None:
     try:
         session.close()  # type: ignore[no-untyped-call]
     except zenoh.ZError as error:
-        _log.warning("session not closed in good order: %s", error)
+        _log.warning("session not closed properly: %s", error)
+
+
+class ListeningSession:
+    """A session that listens, serves queries from threads of its own, and publishes.
+
+    Attributes:
+        endpoint: Where it listens.
+        instance: Identity of this start, attached to every reply and publication.
+    """
+
+    def __init__(
+        self,
+        endpoint: str,
+        *,
+        instance: str,
+        routers: Iterable[str] = (),
+        allow_remote: bool = False,
+        security: Security = OPEN,
+    ) -> None:
+        """Listens; port 0 selects a free port.
+
+        Raises:
+            InvalidInput: an endpoint cannot be used, or is not on the loopback address although
+                `allow_remote` is false.
+            RigError: the endpoint is in use.
+        """
+        routers = tuple(routers)
+        for each in (endpoint, *routers):
+            check_endpoint(each)
+        if not allow_remote:
+            check_loopback(endpoint)
+        self.instance = instance
+        self._session, self.endpoint = _listen(endpoint, routers, security)
+        self._threads: list[threading.Thread] = []
+        self._tokens: list[zenoh.LivelinessToken] = []
+
+    def serve(self, key: str, answer: Callable[[bytes, Reply], None], *, threads: int = 1) -> None:
+        """Answers the queries on a key, by threads of its own.
+
+        Args:
+            key: The key. Below `@cmd` only a query on exactly this key is answered: a wildcard
+                may reach many rigs, and a command is meant for one. A wildcard query of any other
+                key is answered on this key.
+            answer: Called with the payload and the function that sends the reply.
+            threads: Number of threads.
+        """
+
+        def answer_exact(query: zenoh.Query, payload: bytes) -> None:
+            asked = str(query.key_expr)
+            if asked == key or "/@cmd/" not in key:
+                answer(payload, partial(self._reply, query, key))
+
+        self._start_serving(key, answer_exact, threads)
+
+    def serve_below(self, key: str, answer: Callable[[str, bytes, Reply], None]) -> None:
+        """Answers the queries of one chunk below a key, unless that chunk is a wildcard.
+
+        `answer` is called with the chunk, the payload, and the function that sends the reply.
+        """
+
+        def answer_chunk(query: zenoh.Query, payload: bytes) -> None:
+            chunk = str(query.key_expr).rpartition("/")[2]
+            if "*" not in chunk:
+                answer(chunk, payload, partial(self._reply, query, f"{key}/{chunk}"))
+
+        self._start_serving(f"{key}/*", answer_chunk, 1)
+
+    def announce(self, key: str) -> None:
+        """Declares a liveliness token; last, when all queries are answered."""
+        self._tokens.append(self._session.liveliness().declare_token(key))  # dropped, it vanishes
+
+    def publish(self, key: str, data: bytes) -> None:
+        """Publishes; a subscriber that is too slow misses it."""
+        with suppress(zenoh.ZError):
+            self._session.put(
+                key,
+                data,
+                congestion_control=zenoh.CongestionControl.DROP,
+                attachment=self.instance,
+            )
+
+    def start(self, work: Callable[[], None]) -> None:
+        """Starts a thread that ends by itself when the session is being closed."""
+        thread = threading.Thread(target=work, daemon=True)
+        self._threads.append(thread)
+        thread.start()
+
+    def close(self) -> None:
+        """Closes the session and waits for its threads."""
+        close_session(self._session)
+        # The interpreter must not shut down while a thread is inside Zenoh: it would abort.
+        for thread in self._threads:
+            thread.join(_END_WITHIN_S)
+
+    def _start_serving(
+        self, key: str, answer: Callable[[zenoh.Query, bytes], None], threads: int
+    ) -> None:
+        # Rings: when clients flood the session, the oldest queries are dropped (their senders
+        # repeat them), and Zenoh's own threads never wait for ours.
+        ring: zenoh.handlers.RingChannel[zenoh.Query] = zenoh.handlers.RingChannel(_WAITING_MAX)
+        queryable = self._session.declare_queryable(key, ring, complete=True)
+
+        def serve_all() -> None:
+            while True:
+                try:
+                    query = queryable.recv()
+                except zenoh.ZError:
+                    return  # the session is closed
+                with query:  # left undropped, it would keep its sender waiting
+                    answer(query, b"" if query.payload is None else query.payload.to_bytes())
+                del query
+
+        for _ in range(threads):
+            self.start(serve_all)
+
+    def _reply(self, query: zenoh.Query, key: str, data: bytes) -> None:
+        try:
+            with query:  # the sender must not wait for what follows the reply
+                query.reply(key, data, attachment=self.instance)
+        except zenoh.ZError as error:
+            _log.debug("no reply to %s: %s", key, error)
+
+
+def _listen(
+    endpoint: str, routers: tuple[str, ...], security: Security
+) -> tuple[zenoh.Session, str]:
+    """A listening session, and its endpoint with the port that was selected."""
+    for tries_left in reversed(range(_PORT_TRIES)):
+        actual = with_port(endpoint)
+        try:
+            session = open_session(
+                "peer",
+                listen=(actual,),
+                connect=routers,
+                message_max_bytes=COMMANDS_MAX_BYTES,
+                security=security,
+            )
+        except zenoh.ZError as error:
+            # Another process may have taken the free port in between.
+            if actual == endpoint or not tries_left:
+                cause = re.search(r"([A-Z][a-z ]+) \(os error \d+\)", str(error))
+                raise RigError(
+                    f"cannot listen at {actual}: {cause[1].lower() if cause else error}; "
+                    "choose another port, or port 0 for any free one"
+                ) from error
+        else:
+            return session, actual
+    raise AssertionError  # the last try has returned or raised
 
 
 def check_endpoint(endpoint: str) -> None:
-    """Refuses what is no endpoint.
+    """Refuses a malformed endpoint.
 
     Raises:
         InvalidInput: it is not of the form tcp/host:port (or tls, quic, unixsock-stream).
@@ -140,13 +306,13 @@ def check_endpoint(endpoint: str) -> None:
     match = re.fullmatch(form, endpoint)
     if match is None or int(match[3] or 0) > 65535:
         raise InvalidInput(
-            f"endpoint {endpoint!r} is not one; write it as tcp/host:port, "
+            f"endpoint {endpoint!r} is malformed; write it as tcp/host:port, "
             "for example tcp/127.0.0.1:7447"
         )
 
 
 def check_loopback(endpoint: str) -> None:
-    """Refuses to listen where other machines could reach it.
+    """Refuses to listen where other machines could connect.
 
     Raises:
         InvalidInput: they could.
@@ -155,18 +321,20 @@ def check_loopback(endpoint: str) -> None:
         return
     host, _ = _host_and_port(endpoint)
     try:
-        found = {info[4][0] for info in socket.getaddrinfo(host, None)}
+        addresses = {info[4][0] for info in socket.getaddrinfo(host, None)}
     except OSError as error:
-        raise InvalidInput(f"endpoint {endpoint!r}: host {host!r} is not known") from error
-    if not all(ipaddress.ip_address(str(address)).is_loopback for address in found):
+        raise InvalidInput(
+            f"endpoint {endpoint!r}: host {host!r} is unknown; check its name"
+        ) from error
+    if not all(ipaddress.ip_address(str(address)).is_loopback for address in addresses):
         raise InvalidInput(
             f"listening at {endpoint} would let any machine on the network move the rig; listen "
-            "at tcp/127.0.0.1, or allow it expressly (allow_remote) on a network you trust"
+            "at tcp/127.0.0.1, or allow it explicitly (allow_remote) on a network you trust"
         )
 
 
 def with_port(endpoint: str) -> str:
-    """The endpoint, with a free port in place of port 0: Zenoh does not tell which it took."""
+    """The endpoint with a free port in place of port 0: Zenoh does not report its choice."""
     if endpoint.startswith("unixsock-stream/"):
         return endpoint
     host, port = _host_and_port(endpoint)
@@ -176,15 +344,6 @@ def with_port(endpoint: str) -> str:
     with socket.socket(family) as probe:
         probe.bind((host, 0))
         return f"{endpoint.rpartition(':')[0]}:{probe.getsockname()[1]}"
-
-
-def listen_error(endpoint: str, error: zenoh.ZError) -> RigError:
-    """Why a listener could not be opened, without the library's internals."""
-    cause = re.search(r"([A-Z][a-z ]+) \(os error \d+\)", str(error))
-    return RigError(
-        f"cannot listen at {endpoint}: {cause[1].lower() if cause else error}; "
-        "choose another port, or port 0 for any free one"
-    )
 
 
 def _host_and_port(endpoint: str) -> tuple[str, int]:

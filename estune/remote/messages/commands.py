@@ -1,0 +1,207 @@
+"""Commands to a rig: their payloads, and the table of all verbs."""
+
+import hashlib
+import struct
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from types import MappingProxyType
+from typing import Any, Literal, NamedTuple
+
+from estune.core.gains import Gains
+from estune.remote.messages.codec import Message
+from estune.remote.state_machine.state import (
+    Acquire,
+    CancelEvent,
+    ClearEvent,
+    EstopEvent,
+    Event,
+    Release,
+    Renew,
+    SetGainsEvent,
+    SubmitEvent,
+    VoidEvent,
+)
+from estune.trial import TrialRequest
+
+
+def digest(request: TrialRequest) -> str:
+    """Checksum of a request: distinguishes requests of one id, and detects a damaged request.
+
+    BLAKE2b of 16 bytes, in hexadecimal digits, over the run, the number, the attempt, and the
+    profile's strings (in the order of its fields), in UTF-8, each with a zero byte after it; then
+    P, I, D, setpoint_filter_s and the profile's numbers in the order of its fields, each as a
+    little-endian float64.
+    """
+    profile: Any = request.profile
+    values = [getattr(profile, field.name) for field in fields(profile)]
+    words = [request.run, str(request.number), str(request.attempt)]
+    words += [value for value in values if isinstance(value, str)]
+    numbers = [*request.gains.as_tuple(), *(v for v in values if not isinstance(v, str))]
+    text = "\0".join([*words, ""]).encode()
+    packed = struct.pack(f"<{len(numbers)}d", *numbers)
+    return hashlib.blake2b(text + packed, digest_size=16).hexdigest()
+
+
+@dataclass(frozen=True, slots=True)
+class Lease(Message):
+    """Requests, renews or returns the right to command the rig.
+
+    Attributes:
+        action: What is requested.
+        lease: The lease: 16 hexadecimal digits drawn at random by the client, new for each.
+        holder: The client, in words for people, at most 128 characters.
+    """
+
+    action: Literal["acquire", "renew", "release"]
+    lease: str
+    holder: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Submit(Message):
+    """Submits a trial, to be run once.
+
+    Attributes:
+        lease: The client's lease.
+        request: The trial.
+        digest: Distinguishes the request from another of the same id. A rig must compare it with
+            the digest in its ledger; it may compute it, to refuse a request that was damaged in
+            transit.
+    """
+
+    lease: str
+    request: TrialRequest
+    digest: str
+
+
+@dataclass(frozen=True, slots=True)
+class Cancel(Message):
+    """Stops a trial.
+
+    Attributes:
+        lease: The client's lease.
+        trial_id: The trial; empty for the active one.
+    """
+
+    lease: str
+    trial_id: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Void(Message):
+    """Forbids a trial to run, should its submit still arrive.
+
+    Attributes:
+        lease: The client's lease.
+        trial_id: The trial.
+        digest: Digest of its request.
+    """
+
+    lease: str
+    trial_id: str
+    digest: str
+
+
+@dataclass(frozen=True, slots=True)
+class SetGains(Message):
+    """Sets the live gains.
+
+    Attributes:
+        lease: The client's lease.
+        gains: The gains.
+    """
+
+    lease: str
+    gains: Gains
+
+
+@dataclass(frozen=True, slots=True)
+class Estop(Message):
+    """Brings the rig to its safe state at once. Needs no lease.
+
+    Attributes:
+        reason: Reason and sender, in words for people.
+    """
+
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class Clear(Message):
+    """Resets the emergency stop, after the operator has removed its cause. Needs no lease."""
+
+
+@dataclass(frozen=True, slots=True)
+class Inquire(Message):
+    """Queries the state of a trial.
+
+    Attributes:
+        digest: Digest of its request.
+        offset: First byte of the record's frame to return.
+        length: Largest number of bytes to return; 0 leaves it to the rig.
+    """
+
+    digest: str
+    offset: int = 0
+    length: int = 0
+
+
+class Verb(NamedTuple):
+    """One command of the protocol, sent to `@cmd/<instance>/<verb>`.
+
+    The server executes it in the method of `RequestHandler` that bears the verb's name.
+
+    Attributes:
+        message: Class of its payload.
+        events: Events of the state machine that it causes.
+        needs_lease: Whether only the lease holder may send it.
+        reply: The reply, in words of the protocol page.
+        threads: Number of threads that serve it.
+    """
+
+    message: type[Message]
+    events: tuple[type[Event], ...]
+    needs_lease: bool
+    reply: str = "[Answer](#answer)"
+    threads: int = 1
+
+
+VERBS: Mapping[str, Verb] = MappingProxyType(
+    {
+        "lease": Verb(Lease, (Acquire, Renew, Release), needs_lease=False),
+        "submit": Verb(
+            Submit,
+            (SubmitEvent,),
+            needs_lease=True,
+            reply="[Answer](#answer), or the record's frame (section 5) if it is at hand",
+            threads=2,  # one of them may be running a trial
+        ),
+        "cancel": Verb(
+            Cancel,
+            (CancelEvent,),
+            needs_lease=True,
+            reply="[Answer](#answer); its `trial_id` names the trial that has not ended yet, and "
+            "is empty once none is active",
+        ),
+        "void": Verb(
+            Void,
+            (VoidEvent,),
+            needs_lease=True,
+            reply="[Answer](#answer): `void`, or the trial's state in the ledger",
+        ),
+        "gains": Verb(SetGains, (SetGainsEvent,), needs_lease=True),
+        "estop": Verb(
+            Estop,
+            (EstopEvent,),
+            needs_lease=False,
+            reply="[Answer](#answer), once the rig is on its way to its safe state",
+        ),
+        "clear": Verb(Clear, (ClearEvent,), needs_lease=False),
+    }
+)
+"""All commands, by verb: the table from which server, client and protocol page are made."""
+
+VERB_OF: Mapping[type[Message], str] = MappingProxyType(
+    {verb.message: name for name, verb in VERBS.items()}
+)
+"""The verb of each class of payload."""
