@@ -8,7 +8,6 @@ import pytest
 
 from estune.core.gains import Gains
 from estune.errors import InvalidInput
-from estune.studies.joint.schedule_space import ScheduleSpace
 from estune.tuners.acquisition import TrustRegion
 from estune.tuners.gaussian_process import cost_prior, fit_gaussian_process, prior_covariance
 from estune.tuners.local_cubic import curvature_matrix, fit_local_cubic, newton_step
@@ -17,6 +16,7 @@ from estune.tuners.observation import Observation
 from estune.tuners.remaining_improvement import sample_quadratics
 from estune.tuners.safe_bayesian import SafeBayesianTuner
 from estune.tuners.search_space import SearchSpace
+from experiments.joint_schedule import ScheduleSpace
 
 SPACE = SearchSpace.around(Gains(0.5, 10.0, 0.005, 0.02))
 TUNER = SafeBayesianTuner(SPACE)
