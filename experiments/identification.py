@@ -18,7 +18,7 @@ import numpy as np
 
 from estune.core.initial import proposals
 from estune.core.metrics import step_metrics
-from experiments.judged import Target, at_most, command_line, tables, tell
+from experiments.results import Target, at_most, command_line, print_tables, print_results
 from plants.effects import CoulombFriction
 from plants.identify import (
     Band,
@@ -230,8 +230,8 @@ def friction(signal: Excitation) -> dict[str, dict[str, float]]:
         name = f"Coulomb friction {torque:g} N m"
         found[name] = {"odd": answer.odd.share, "even": answer.even.share, "misfit": misfit}
         print(
-            f"  {name:30s} {answer.odd.share:9.4f} {answer.odd.chance:8.1g} "
-            f"{answer.even.share:9.4f} {answer.even.chance:8.1g} {misfit:8.2f}"
+            f"  {name:30s} {answer.odd.share:9.4f} {answer.odd.p_value:8.1g} "
+            f"{answer.even.share:9.4f} {answer.even.p_value:8.1g} {misfit:8.2f}"
         )
     return found
 
@@ -334,7 +334,7 @@ def main() -> int:
     options = parser.parse_args()
     signal, reels = excitation(), conditions()
     image = Path(__file__).parent / "out" / "identification.png"
-    with tables(hidden=options.json):
+    with print_tables(hidden=options.json):
         print(
             f"multisine of {signal.duration_s:g} s, {len(signal.segments[0].excited)} lines from "
             f"{BAND.low_Hz:g} to {BAND.high_Hz:g} Hz, crest factor {signal.crest_factor:.2f}, "
@@ -355,7 +355,7 @@ def main() -> int:
         save_figure(signal, image)
         print(f"figure: {image}")
     reached = targets(worst, rates, sum(map(len, trials)))
-    return tell(figures, reached, as_json=options.json)
+    return print_results(figures, reached, as_json=options.json)
 
 
 if __name__ == "__main__":

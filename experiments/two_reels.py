@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from estune.errors import RigError
-from experiments.judged import Target, at_most, command_line, tables, tell
+from experiments.results import Target, at_most, command_line, print_tables, print_results
 from plants.two_reel_bench import (
     Eyelet,
     Gauge,
@@ -31,7 +31,7 @@ from plants.two_reel_bench import (
     TwoReelResult,
     evaluate,
     eyelet_angle_rad,
-    likeness,
+    compare_reels,
 )
 
 SETPOINTS_N = (8.0, 16.0, 24.0, 32.0, 40.0)
@@ -66,8 +66,8 @@ class Case(NamedTuple):
 
 def make_bench(case: Case, seed: int) -> SimulatedBench:
     """Two reels of one kind; Y's gauge has a zero, a sensitivity and a curvature of its own."""
-    x = Gauge(noise_N=case.noise_N, wander_N=case.wander_N)
-    y = replace(GAUGE_Y, noise_N=case.noise_N, wander_N=case.wander_N)
+    x = Gauge(noise_N=case.noise_N, drift_N=case.wander_N)
+    y = replace(GAUGE_Y, noise_N=case.noise_N, drift_N=case.wander_N)
     return SimulatedBench(
         ReelModel(case.eyelet, x), ReelModel(case.other or case.eyelet, y), seed=seed
     )
@@ -171,7 +171,7 @@ def limits_of_the_bench() -> dict[str, dict[str, Any]]:
         ("gauge noise 0.011 N", Case(REFERENCE)),
         ("gauge noise 0.1 N", Case(REFERENCE, noise_N=0.1)),
         ("gauge wanders by 0.3 N", Case(REFERENCE, wander_N=0.3)),
-        ("friction scatters by 5 %", Case(replace(REFERENCE, scatter=0.05))),
+        ("friction scatters by 5 %", Case(replace(REFERENCE, variation=0.05))),
         ("almost straight, 5 degrees", Case(Eyelet(0.02, (math.radians(175.0),)))),
         ("folded, C_R 0.25", Case(Eyelet(0.25, (math.radians(90.0),)))),
     ):
@@ -179,7 +179,7 @@ def limits_of_the_bench() -> dict[str, dict[str, Any]]:
             result = measure(case, seed=7)
             C = result.friction_coefficient
             off = abs(C.value / case.eyelet.coefficient - 1.0)
-            row = {"resolved": result.resolved, "error": off, "said": "; ".join(result.remarks)}
+            row = {"resolved": result.resolved, "error": off, "said": "; ".join(result.warnings)}
         except RigError as error:
             row = {"resolved": False, "error": None, "said": str(error)}
         found[name] = row
@@ -214,16 +214,16 @@ def unlike(thin: int) -> dict[str, dict[str, Any]]:
             measure(Case(Eyelet(0.1, (x,)), Eyelet(coefficient, (y,))), seed)
             for seed, (x, y) in enumerate([(a, b), (b, a)], start=20)
         ]
-        told = likeness(*runs)
+        told = compare_reels(*runs)
         found[f"0.1 and {coefficient:g}"] = {
             "x": told.coefficient_x.value,
             "y": told.coefficient_y.value,
-            "chance": told.chance,
+            "chance": told.p_value,
             "alike": told.alike,
         }
         print(
             f"  X 0.1, Y {coefficient:4g}: X {told.coefficient_x}, Y {told.coefficient_y}, "
-            f"{'alike' if told.alike else 'not alike'} ({told.chance:.1g} by chance)"
+            f"{'alike' if told.alike else 'not alike'} ({told.p_value:.1g} by chance)"
         )
     return found
 
@@ -244,7 +244,7 @@ def attenuation_figure() -> tuple[TwoReelResult, Eyelet, dict[str, Any]]:
             {"setpoint_N": setpoint, "B": B.value, "low": B.low, "high": B.high, "true": true}
         )
         print(f"  {setpoint:10.1f} {B.value:8.5f} {B.low:8.5f} to {B.high:7.5f} {true:8.5f}")
-    for remark in result.remarks:
+    for remark in result.warnings:
         print(f"  {remark}")
     return result, eyelet, {"rows": rows, "follows_coulomb": result.curve.follows_coulomb}
 
@@ -366,7 +366,7 @@ def main() -> int:
     options = parser.parse_args()
     seeds, thin = (20, THIN) if options.quick else (options.seeds, 1)
     image = Path(__file__).parent / "out" / "two_reels.png"
-    with tables(hidden=options.json):
+    with print_tables(hidden=options.json):
         table, rates, cannot = geometries(thin), coverage(seeds, thin), limits_of_the_bench()
         figures: dict[str, Any] = {
             "geometries": table,
@@ -380,7 +380,7 @@ def main() -> int:
         loops, figures["hysteresis"] = hysteresis(thin)
         save_figure(result, eyelet, loops, image)
         print(f"figure: {image}")
-    return tell(figures, targets(table, rates, cannot, seeds), as_json=options.json)
+    return print_results(figures, targets(table, rates, cannot, seeds), as_json=options.json)
 
 
 if __name__ == "__main__":

@@ -280,7 +280,7 @@ def _refused(case):  # noqa: C901  one branch for each way a record can be bad
         ("noise", "coherence is 0.* below 0.8; raise the excitation's peak"),
         ("band above", "response is largest at its lower end; widen the band there"),
         ("band below", "response is largest at its upper end; widen the band there"),
-        ("no gauge", "no gauge mode is seen .* give the known mode, or none"),
+        ("no gauge", "no gauge mode is visible .* give the known mode, or none"),
         ("few lines", "lines are too few for 6 unknowns; excite 9 or more"),
     ],
 )
@@ -376,7 +376,7 @@ def test_the_dependence_passes_through_its_conditions_and_foretells_the_rest():
         w = reel.natural_frequency_rad_s
         assert model.natural_frequency_rad_s == pytest.approx(w, rel=0.005)
         assert model.damping == pytest.approx((0.010 + 0.015 * L) / (4.0e-3 * w), rel=0.03)
-    assert 0.0 < dependence.left_out()["natural_frequency"] < 0.05
+    assert 0.0 < dependence.cross_validation_errors()["natural_frequency"] < 0.05
 
 
 def test_the_dependence_refuses_to_guess():

@@ -1,4 +1,4 @@
-"""Identification of a reel: excitation, frequency response, second-order model, dependence.
+"""Identification of a reel: excitation, frequency response, second-order model.
 
 excitation = multisine(632.0, Band(0.5, 310.0), peak_N=40.0, slope=1.5, corner_Hz=20.0)
 record = open_loop_record(reference_reel(0.8, 15.0), excitation)
@@ -7,15 +7,16 @@ print(fit.resonance_Hz, fit.damping, fit.dead_time_s)
 """
 
 from plants.identify.dependence import Condition, Dependence
+from plants.identify.distortion import Distortion
+from plants.identify.estimate import Estimate
 from plants.identify.excitation import Band, Excitation, Segment, chirp, multisine, stepped_sine
 from plants.identify.frequency_response import (
-    Distortion,
     FrequencyResponse,
     frequency_response,
     response_of_record,
 )
 from plants.identify.open_loop import open_loop_record
-from plants.identify.second_order import Estimate, SecondOrderFit, fit_second_order
+from plants.identify.second_order import SecondOrderFit, fit_second_order
 
 __all__ = [
     "Band",

@@ -1,10 +1,9 @@
-"""How resonance, damping, gain and dead time depend on cable length and tension.
+"""Dependence of resonance, damping, gain and dead time on cable length and tension.
 
-Between the conditions at which a reel has been identified the model is interpolated by a cubic
-spline in scattered points (Duchon 1977; scipy's `RBFInterpolator`), that passes through every
-point. It works on 1/w^2 and 2 zeta w, which are the flexibility and the friction, each over the
-inertia: a cable makes both nearly straight lines in its length. Over the tension it works in 1/T,
-in which the sag's share of the flexibility is smooth.
+The model is interpolated between the identified conditions by a cubic spline in scattered points
+(Duchon 1977; scipy's `RBFInterpolator`). The interpolated quantities are 1/w^2 and 2 zeta w, the
+flexibility and the friction over the inertia, which are nearly linear in the cable length. The
+second coordinate is 1/T, in which the sag's share of the flexibility is smooth.
 """
 
 import math
@@ -19,20 +18,15 @@ from numpy.typing import NDArray
 from estune.core.quantities import FloatArray
 from estune.core.second_order import GaugeMode, SecondOrder
 from estune.errors import InvalidInput
-from plants.identify.second_order import Estimate, SecondOrderFit
+from plants.identify.estimate import Estimate
+from plants.identify.second_order import SecondOrderFit
 
-BEYOND = 1e-6
-"""Share of the range by which a condition may lie outside it: rounding, not extrapolation."""
+RANGE_RTOL = 1e-6
+"""Tolerance of the identified range, for rounding."""
 
 
 class Condition(NamedTuple):
-    """A fit and where it was made.
-
-    Attributes:
-        cable_length_m: Deployed cable length, m.
-        tension_N: Preload, N.
-        fit: What was identified there.
-    """
+    """A fit, with the cable length and the preload at which it was made."""
 
     cable_length_m: float
     tension_N: float
@@ -41,17 +35,17 @@ class Condition(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Dependence:
-    """The identified model at any length and tension between those measured.
+    """The identified model at any length and tension between the conditions.
 
-    A quantity that was the same in all conditions is held: identified at one tension, the model
-    answers at that tension alone.
+    A coordinate that is the same in all conditions is fixed: identified at one tension, the model
+    is defined at that tension only.
 
     Attributes:
-        conditions: What it interpolates.
+        conditions: The fits to interpolate.
 
     Raises:
-        InvalidInput: there are too few conditions, two at one place, all on one line although both
-            length and tension vary, or of fits with and without a gauge mode.
+        InvalidInput: there are too few conditions, two coincide, length and tension vary together,
+            or only some fits have a gauge mode.
     """
 
     conditions: Sequence[Condition]
@@ -77,7 +71,7 @@ class Dependence:
         if spread[-1] < 1e-3 * spread[0]:
             raise InvalidInput(
                 "length and tension vary together in all conditions, so their effects cannot be "
-                "told apart; vary one while the other stays"
+                "separated; vary one while the other is constant"
             )
         if len({c.fit.model.gauge is None for c in self.conditions}) > 1:
             raise InvalidInput(
@@ -87,7 +81,7 @@ class Dependence:
     @property
     def _varying(self) -> NDArray[np.bool_]:
         places = np.array([(c.cable_length_m, c.tension_N) for c in self.conditions])
-        return np.asarray(np.ptp(places, axis=0) > BEYOND * places.max(axis=0))
+        return np.asarray(np.ptp(places, axis=0) > RANGE_RTOL * places.max(axis=0))
 
     def at(self, cable_length_m: float, tension_N: float) -> SecondOrder:
         """The model at a length and a tension.
@@ -102,8 +96,8 @@ class Dependence:
     def estimates(self, cable_length_m: float, tension_N: float) -> dict[str, Estimate]:
         """`natural_frequency_Hz`, `damping`, `gain` and `dead_time_s` there.
 
-        The intervals are those of the fits, carried through the interpolation; what the true curve
-        does between the conditions is not in them: see `left_out`.
+        The intervals propagate those of the fits; for the interpolation error see
+        `cross_validation_errors`.
 
         Raises:
             InvalidInput: the place lies outside the conditions.
@@ -117,42 +111,37 @@ class Dependence:
             "gain": (2, 1.0, "N/unit"),
             "dead_time_s": (3, 1.0, "s"),
         }
-        found = {}
-        for name, (n, factor, unit) in names.items():
-            value, error = float(values[n] * factor), float(errors[n] * factor)
-            half = quantile * error
-            found[name] = Estimate(value, error, value - half, value + half, unit)
-        return found
+        return {
+            name: Estimate.normal(float(values[n] * f), float(errors[n] * f), quantile, unit)
+            for name, (n, f, unit) in names.items()
+        }
 
-    def left_out(self) -> dict[str, float]:
-        """How well each condition is foretold by the others, at worst, relative to its own value.
+    def cross_validation_errors(self) -> dict[str, float]:
+        """Worst relative error of leave-one-out predictions, by quantity.
 
-        Only conditions inside the range of the others are asked for. A corner of the grid is
-        foretold from one side, so that inside it the interpolation does better than this.
+        Only conditions inside the range of the others are predicted. The error between the
+        conditions is smaller than that of the grid's corners, which are predicted from one side.
 
         Raises:
             InvalidInput: no condition lies inside the range of the others.
         """
         worst = {"natural_frequency": 0.0, "damping": 0.0}
-        foretold = 0
+        predicted = 0
         for n, condition in enumerate(self.conditions):
             others = [*self.conditions[:n], *self.conditions[n + 1 :]]
             try:
                 model = Dependence(others).at(condition.cable_length_m, condition.tension_N)
             except InvalidInput:
                 continue
-            foretold += 1
+            predicted += 1
             own = condition.fit.model
-            for name, found, true in (
-                (
-                    "natural_frequency",
-                    model.natural_frequency_rad_s,
-                    own.natural_frequency_rad_s,
-                ),
-                ("damping", model.damping, own.damping),
-            ):
-                worst[name] = max(worst[name], float(abs(found / true - 1.0)))
-        if foretold == 0:
+            ratios = {
+                "natural_frequency": model.natural_frequency_rad_s / own.natural_frequency_rad_s,
+                "damping": model.damping / own.damping,
+            }
+            for name, ratio in ratios.items():
+                worst[name] = max(worst[name], float(abs(ratio - 1.0)))
+        if predicted == 0:
             raise InvalidInput(
                 "no condition lies between the others, so none can be checked; identify at "
                 "further lengths or tensions"
@@ -160,14 +149,14 @@ class Dependence:
         return worst
 
     def _values(self, cable_length_m: float, tension_N: float) -> tuple[FloatArray, FloatArray]:
-        """(w, zeta, gain, dead time, ...) there, and their covariance from that of the fits."""
+        """(w, zeta, gain, dead time, ...) at a length and tension, and their covariance."""
         weights = self._weights(cable_length_m, tension_N)
-        straight, covariances = self._straight
-        t = weights @ straight
-        spread = np.einsum("i,ijk->jk", weights**2, covariances)
+        rows, covariances = self._linearised
+        t = weights @ rows
+        covariance = np.einsum("i,ijk->jk", weights**2, covariances)
         if not (t[0] > 0.0 and 0.0 < t[1] * math.sqrt(t[0]) < 2.0):
             raise InvalidInput(
-                f"the interpolation breaks down at {cable_length_m:g} m, {tension_N:g} N: the "
+                f"the interpolation fails at {cable_length_m:g} m, {tension_N:g} N: the "
                 "conditions are too far apart; identify nearer to it"
             )
         w = 1.0 / math.sqrt(t[0])
@@ -175,11 +164,11 @@ class Dependence:
         back = np.eye(t.size)
         back[0, 0] = -0.5 * w**3
         back[1, :2] = t[1] / (4.0 * w * t[0]), 1.0 / (2.0 * w)
-        return values, back @ spread @ back.T
+        return values, back @ covariance @ back.T
 
     @cached_property
-    def _straight(self) -> tuple[FloatArray, FloatArray]:
-        """(1/w^2, 2 zeta w, gain, dead time, ...) per condition, and their covariances."""
+    def _linearised(self) -> tuple[FloatArray, FloatArray]:
+        """(1/w^2, 2 zeta w, gain, dead time, ...) of each condition, and their covariances."""
         values, covariances = [], []
         for condition in self.conditions:
             model, covariance = condition.fit.model, condition.fit.covariance
@@ -194,7 +183,7 @@ class Dependence:
         return np.array(values), np.array(covariances)
 
     def _weights(self, cable_length_m: float, tension_N: float) -> FloatArray:
-        """Each condition's share in the interpolated value, shape (conditions,).
+        """Weight of each condition in the interpolated value, shape (conditions,).
 
         Raises:
             InvalidInput: the place lies outside the conditions.
@@ -202,18 +191,18 @@ class Dependence:
         from scipy.interpolate import RBFInterpolator  # noqa: PLC0415  slow to import
 
         places = np.array([(c.cable_length_m, c.tension_N) for c in self.conditions])
-        asked = np.array([[cable_length_m, tension_N]], dtype=np.float64)
+        target = np.array([[cable_length_m, tension_N]], dtype=np.float64)
         for n, (what, unit) in enumerate((("cable length", "m"), ("tension", "N"))):
             low, high = places[:, n].min(), places[:, n].max()
-            room = BEYOND * high
-            if not low - room <= asked[0, n] <= high + room:
+            room = RANGE_RTOL * high
+            if not low - room <= target[0, n] <= high + room:
                 raise InvalidInput(
-                    f"{what} {asked[0, n]:g} {unit} lies outside the identified range of {low:g} "
+                    f"{what} {target[0, n]:g} {unit} lies outside the identified range of {low:g} "
                     f"to {high:g} {unit}; identify there too"
                 )
         points = _scaled(places, places)[:, self._varying]
         spline = RBFInterpolator(points, np.eye(len(points)), kernel="cubic", degree=1)
-        return np.asarray(spline(_scaled(asked, places)[:, self._varying])[0], dtype=np.float64)
+        return np.asarray(spline(_scaled(target, places)[:, self._varying])[0], dtype=np.float64)
 
 
 def _scaled(asked: FloatArray, places: FloatArray) -> FloatArray:

@@ -1,11 +1,9 @@
-"""Signals that find a frequency response: multisine, chirp and stepped sine.
+"""Excitation signals for a frequency response: multisine, chirp and stepped sine.
 
-All are periodic, and a period is a whole number of samples: a period's Fourier transform then has
-no leakage, the scatter between periods is the noise, and what a nonlinear reel adds falls on
-harmonics of its own. Lines are multiples of the period's frequency. An excitation without even
-lines leaves those to the even distortion (a square law, slack); left-out odd lines show the odd
-distortion (a cubic law, friction, saturation) (Pintelon & Schoukens, System Identification, 2nd
-ed., chapter 4).
+All are periodic with a whole number of samples per period: the Fourier transform of a period has
+no leakage, and differences between periods are noise. Lines are multiples of the frequency of the
+period. Unexcited even lines show even distortion (a square law, slack), unexcited odd lines odd distortion
+(a cubic law, friction, saturation) (Pintelon & Schoukens, System Identification, 2nd ed., ch. 4).
 """
 
 import math
@@ -21,22 +19,22 @@ from estune.errors import InvalidInput
 
 Lines = NDArray[np.int64]
 
-FEWEST_PERIODS = 2
-"""Scatter needs two periods; with two it is known badly, four or more are better."""
+PERIODS_MIN = 2
+"""Periods for an estimate of the noise; four or more are better."""
 CREST_ROUNDS = 300
 CLIP = 0.9
-"""Share of the peak at which a round of the crest search clips."""
+"""Clipping level of the crest-factor iteration, relative to the peak."""
 ODD_GROUP = 4
-"""One line out of so many odd ones is left out to show the odd distortion."""
+"""One odd line out of this many is left unexcited, to show odd distortion."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Segment:
-    """A stretch of an excitation in which one period repeats.
+    """A part of an excitation in which one period repeats.
 
     Attributes:
         period_N: One period of the signal, shape (period samples,), N.
-        settling_periods: Periods run first and not evaluated, while the plant settles.
+        settling_periods: Periods before the evaluation, in which the plant settles.
         periods: Periods evaluated.
         excited: Lines that carry the signal.
         even: Unexcited lines that show even distortion.
@@ -52,21 +50,20 @@ class Segment:
 
     @property
     def samples(self) -> int:
-        """Samples in all, settling included."""
+        """Number of samples, settling included."""
         return self.period_N.size * (self.settling_periods + self.periods)
 
 
 @dataclass(frozen=True, eq=False)
 class Excitation:
-    """A signal to be added to the preload, and what to look for where in the answer.
+    """A signal to be added to the preload, with its excited and unexcited lines.
 
     Made by `multisine`, `chirp` and `stepped_sine`.
 
     Attributes:
         profile: Its kind, as a trial record names it; a stepped sine is `custom`.
         sampling_Hz: Sampling rate.
-        segments: One after the other: one for multisine and chirp, one per frequency for the
-            stepped sine.
+        segments: One for multisine and chirp, one per frequency for the stepped sine.
     """
 
     profile: Literal["multisine", "chirp", "custom"]
@@ -75,32 +72,32 @@ class Excitation:
 
     @cached_property
     def waveform_N(self) -> FloatArray:
-        """The whole signal without the preload, shape (samples,), N."""
+        """The signal without the preload, shape (samples,), N."""
         repeats = [(s.period_N, s.settling_periods + s.periods) for s in self.segments]
         return np.concatenate([np.tile(period, count) for period, count in repeats])
 
     @property
     def duration_s(self) -> float:
-        """Length of the whole signal, s."""
+        """Duration of the signal, s."""
         return sum(segment.samples for segment in self.segments) / self.sampling_Hz
 
     @property
     def crest_factor(self) -> float:
-        """Peak over root mean square; the input is held, so the peak lies on a sample."""
+        """Peak over root mean square."""
         return float(np.abs(self.waveform_N).max() / self.waveform_N.std())
 
 
 @dataclass(frozen=True, slots=True)
 class Band:
-    """The frequencies to be excited, and for how long.
+    """Excited frequencies, and the number of periods.
 
     Attributes:
         low_Hz: Lowest frequency.
         high_Hz: Highest frequency, below half the sampling rate.
         period_s: Length of a period; its inverse is the spacing of the lines.
         periods: Periods evaluated.
-        settling_periods: Periods run before them. The plant's slowest mode should have died away
-            to below the noise in them: `frequency_response` checks.
+        settling_periods: Periods before the evaluation, enough for the slowest mode to decay to
+            below the noise; `frequency_response` checks.
 
     Raises:
         InvalidInput: a value is out of its range.
@@ -125,16 +122,16 @@ class Band:
                 f"period of {self.period_s:g} s is shorter than one cycle of {self.low_Hz:g} Hz; "
                 f"use {1.0 / self.low_Hz:.3g} s or longer, or a higher low end"
             )
-        if self.periods < FEWEST_PERIODS:
+        if self.periods < PERIODS_MIN:
             raise InvalidInput(
-                f"{self.periods} periods: {FEWEST_PERIODS} or more are needed to tell the signal "
+                f"{self.periods} periods: {PERIODS_MIN} or more are needed to tell the signal "
                 "from the noise"
             )
         if self.settling_periods < 0:
             raise InvalidInput(f"settling periods are {self.settling_periods}; give 0 or more")
 
     def lines(self, sampling_Hz: float) -> tuple[int, Lines]:
-        """Samples in a period, and the numbers of the lines inside the band.
+        """Samples per period, and the line numbers inside the band.
 
         Raises:
             InvalidInput: the band passes half the sampling rate, or a period is not a whole number
@@ -169,20 +166,18 @@ def multisine(
 ) -> Excitation:
     """A sum of sines on odd lines, its phases chosen for a low crest factor.
 
-    Out of every four odd lines one, drawn by lot, is left out to show odd distortion; the lowest
-    and the highest are kept. Phases start from Schroeder's and are then improved by clipping
-    in time and keeping the phases of the clipped signal (van der Ouderaa, Schoukens & Renneboog
-    1988).
+    One random line out of every four odd ones is left unexcited, but neither the lowest nor the
+    highest. Phases start from Schroeder's and are improved by clipping in the time domain (van der
+    Ouderaa, Schoukens & Renneboog 1988).
 
     Args:
         sampling_Hz: Sampling rate.
         band: Frequencies and periods.
-        peak_N: Largest size of the signal, N.
-        slope: Amplitudes go with `(f/corner)^slope` above the corner and are equal below it. A
-            reel falls off with f^2 above its resonance: a slope of 1 or 1.5 spends the current
-            limit where the gauge sees little, and spares the resonance.
-        corner_Hz: Where the slope begins; zero is at the lowest line.
-        seed: Chooses the lines left out.
+        peak_N: Peak of the signal, N.
+        slope: Amplitudes are proportional to `(f/corner)^slope` above the corner and equal below
+            it. A slope of 1 or 1.5 compensates the roll-off of a reel above its resonance.
+        corner_Hz: Corner frequency; zero is the lowest line.
+        seed: Seed of the choice of unexcited lines.
 
     Raises:
         InvalidInput: a value is out of its range, or the band holds fewer than eight odd lines.
@@ -208,10 +203,10 @@ def multisine(
 
 
 def chirp(sampling_Hz: float, band: Band, peak_N: float) -> Excitation:
-    """A linear sweep through the band, repeated with changed sign, so that it has odd lines only.
+    """A linear sweep through the band, repeated with opposite sign for odd lines only.
 
-    Its crest factor is near sqrt(2), better than a multisine's, but its spectrum cannot be shaped
-    and no odd line is free: it shows even distortion only.
+    Its crest factor is near sqrt(2), below a multisine's, but its spectrum cannot be shaped, and
+    it shows even distortion only.
 
     Args:
         sampling_Hz: Sampling rate.
@@ -230,7 +225,7 @@ def chirp(sampling_Hz: float, band: Band, peak_N: float) -> Excitation:
             f"{(samples + 1) / sampling_Hz:.9g} s, an even number of samples"
         )
     half = samples // 2
-    # Whole half-cycles in each sweep let the next, inverted or not, begin where this one ends.
+    # Whole half-cycles make the sweeps join without a jump.
     cycles = (band.low_Hz + band.high_Hz) / 2.0 * half / sampling_Hz
     whole = round(cycles)
     odd = lines[lines % 2 == 1]
@@ -254,16 +249,15 @@ def chirp(sampling_Hz: float, band: Band, peak_N: float) -> Excitation:
 
 
 def stepped_sine(sampling_Hz: float, band: Band, peak_N: float, points: int = 20) -> Excitation:
-    """One sine after the other, spaced evenly in log frequency; the harmonics show distortion.
+    """Successive sines, evenly spaced in log frequency; their harmonics show distortion.
 
-    All the amplitude goes into one line at a time: the least noise per line and the longest
-    record.
+    One line at a time has the full amplitude: the lowest noise per line, and the longest record.
 
     Args:
         sampling_Hz: Sampling rate.
-        band: Frequencies, and the periods spent at each of them.
+        band: Frequencies, and the periods at each of them.
         peak_N: Amplitude, N.
-        points: Number of frequencies; those that fall on the same line are measured once.
+        points: Number of frequencies; those on the same line are measured once.
 
     Raises:
         InvalidInput: a value is out of its range.
@@ -296,9 +290,9 @@ def _check_peak(peak_N: float) -> None:
 
 
 def _low_crest(samples: int, lines: Lines, amplitude: FloatArray) -> FloatArray:
-    """One period of peak one with these amplitudes on these lines, shape (samples,)."""
+    """One period with these amplitudes and a peak of one, shape (samples,)."""
     power = amplitude**2 / (amplitude**2).sum()
-    # Schroeder 1970: phases of a sweep that dwells on each line as long as its power asks for.
+    # Schroeder 1970: a sweep whose time at each line is proportional to the line's power.
     spent = np.concatenate([[0.0], np.cumsum(power)[:-1]])
     phase = -2.0 * np.pi * np.cumsum(spent)
     best, least = np.empty(0), math.inf

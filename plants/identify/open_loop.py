@@ -1,4 +1,4 @@
-"""An excitation run on a simulated reel in open loop."""
+"""Open-loop record of an excitation on a simulated reel."""
 
 import sys
 from datetime import UTC, datetime
@@ -15,18 +15,18 @@ from plants.simulation.plant import SOFTWARE, Drive
 
 
 def open_loop_record(reel: Reel, excitation: Excitation, seed: int | None = 0) -> TrialRecord:
-    """The record a reel gives of an excitation on top of its preload, from rest.
+    """Open-loop record of an excitation added to a reel's preload, starting at rest.
 
-    The command goes straight to the current loop: current = setpoint x drum radius / torque
-    constant. The controller plays no part; the record's gains are the reel's safe ones.
+    The command is the current: setpoint x drum radius / torque constant. The record names the
+    reel's safe gains, but no controller acts.
 
     Args:
         reel: The reel, with its effects.
-        excitation: Made at the reel's sampling rate.
+        excitation: An excitation at the reel's sampling rate.
         seed: Seed of the gauge noise; None is no noise.
 
     Raises:
-        InvalidInput: the excitation is made for another rate.
+        InvalidInput: the excitation has another rate.
         PlantError: the response is not finite.
     """
     if abs(excitation.sampling_Hz / reel.sampling_Hz - 1.0) > 1e-9:

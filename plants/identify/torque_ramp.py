@@ -1,4 +1,4 @@
-"""The record of a torque ramp on an unloaded reel, checked for what a friction fit needs."""
+"""Record of a torque ramp on an unloaded reel, checked for a friction fit."""
 
 import math
 from dataclasses import dataclass
@@ -8,12 +8,12 @@ import numpy as np
 from estune.core.quantities import FloatArray
 from estune.errors import InvalidInput
 
-LEAST_SAMPLES = 20
-"""Samples wanted at rest, below and above the Stribeck velocity: four for each parameter."""
-LEAST_COUNTS = 100
-"""Turn of the drum, in encoder counts, below which its motion has no shape."""
-MAY_FALL = 1e-3
-"""Share of its range by which a ramp may fall: a measured torque has some noise."""
+SAMPLES_MIN = 20
+"""Minimum samples at rest, below and above the Stribeck velocity: four per parameter."""
+COUNTS_MIN = 100
+"""Minimum turn of the drum, in encoder counts."""
+FALL_MAX = 1e-3
+"""Allowed fall of a ramp as a share of its range, for noise of a measured torque."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,15 +22,14 @@ class RampRecord:
 
     Attributes:
         time_s: Time, at a constant rate.
-        torque_Nm: Motor torque commanded, at the drum; it rises, or falls, from zero past
-            break-away.
-        angle_rad: Angle read, still at first.
-        encoder_counts: Counts of the encoder per turn of the drum.
-        dead_time_s: Time from the command to the torque; a current that is held from sample to
-            sample adds half a sample to it.
+        torque_Nm: Commanded motor torque at the drum, from zero beyond break-away, up or down.
+        angle_rad: Measured angle, constant at first.
+        encoder_counts: Encoder counts per turn of the drum.
+        dead_time_s: Dead time from command to torque; a sampled and held current adds half a
+            sample.
 
     Raises:
-        InvalidInput: the record cannot show friction, or is not one; the message says why.
+        InvalidInput: the record is invalid or cannot show friction.
     """
 
     time_s: FloatArray
@@ -48,9 +47,9 @@ class RampRecord:
                 f"ramp columns have shapes {[column.shape for column in columns]}; "
                 "they must be one-dimensional and equally long"
             )
-        if self.time_s.size < 4 * LEAST_SAMPLES:
+        if self.time_s.size < 4 * SAMPLES_MIN:
             raise InvalidInput(
-                f"the ramp has {self.time_s.size} samples; record {4 * LEAST_SAMPLES} or more"
+                f"the ramp has {self.time_s.size} samples; record {4 * SAMPLES_MIN} or more"
             )
         if not all(np.isfinite(column).all() for column in columns):
             raise InvalidInput("the ramp record holds a value that is not finite; leave it out")
@@ -87,7 +86,7 @@ class RampRecord:
 
     @property
     def acting_torque_Nm(self) -> FloatArray:
-        """Torque on the drum at each sample in the direction of the ramp, dead time taken in."""
+        """Delayed torque on the drum at each sample, in the direction of the ramp."""
         acting = np.interp(self.time_s - self.dead_time_s, self.time_s, self.torque_Nm)
         return np.asarray(self.direction * acting)
 
@@ -98,7 +97,7 @@ class RampRecord:
 
     @property
     def breakaway_index(self) -> int:
-        """The first sample at which the drum has turned two counts for good."""
+        """First sample from which the drum stays beyond one and a half counts."""
         return int(np.flatnonzero(self.turned_rad < 1.5 * self.count_rad)[-1]) + 1
 
     def _check_ramp(self) -> None:
@@ -107,7 +106,7 @@ class RampRecord:
         torque = self.direction * self.torque_Nm
         fall = np.maximum.accumulate(torque) - torque
         worst = int(np.argmax(fall))
-        if fall[worst] > MAY_FALL * np.ptp(torque):
+        if fall[worst] > FALL_MAX * np.ptp(torque):
             raise InvalidInput(
                 f"the torque ramp is not monotone: it falls by {fall[worst]:.3g} N m until "
                 f"{self.time_s[worst]:.4g} s; command one that only rises, or cut the record there"
@@ -115,13 +114,13 @@ class RampRecord:
 
     def _check_motion(self) -> None:
         turned = self.turned_rad[-1]
-        if turned < LEAST_COUNTS * self.count_rad:
+        if turned < COUNTS_MIN * self.count_rad:
             raise InvalidInput(
-                f"no break-away: the drum turned {turned:.3g} rad, less than {LEAST_COUNTS} "
+                f"no break-away: the drum turned {turned:.3g} rad, less than {COUNTS_MIN} "
                 f"counts, at up to {abs(self.torque_Nm[-1]):.3g} N m; end the ramp higher"
             )
-        if self.breakaway_index < LEAST_SAMPLES:
+        if self.breakaway_index < SAMPLES_MIN:
             raise InvalidInput(
                 f"the drum moves from sample {self.breakaway_index} on; begin the ramp at zero "
-                f"torque and {LEAST_SAMPLES} samples or more before break-away"
+                f"torque and {SAMPLES_MIN} samples or more before break-away"
             )

@@ -18,11 +18,10 @@ from plants.simulation.noise import NoiseSource
 from plants.simulation.plant import Plant, drive_of
 
 CHUNK = 128
-"""Trials a thread takes at once: enough that the interpreter's lock, which only one thread can
-hold between chunks, is seldom waited for; few enough that memory stays small."""
+"""Trials per task of a thread: few waits for the interpreter's lock, and little memory."""
 
 DIVERGED_AT = 100.0
-"""A response has diverged where it passes the largest setpoint this many times over."""
+"""Measurement at which a response has diverged, relative to the largest setpoint."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,12 +32,12 @@ class Response:
         time_s: Time from the start.
         setpoint_N: The setpoint before its filter.
         tension_N: The measurement.
-        effort_N: The controller's effort within its limits.
-        angle_rad: The drum angle measured; zero where the plant has no drum.
+        effort_N: The controller's effort, limited.
+        angle_rad: Measured drum angle; zero where the plant has no drum.
         flags: `SATURATED` where the limits acted.
-        diverged_at: The first sample that left the bound or was not finite; it and those after it
-            are not in the columns. None if the trial ran to its end.
-        reference_N: Tension outside the reel; None where that is the same.
+        diverged_at: First sample outside the bound or not finite, at which the columns end; None
+            for a complete trial.
+        reference_N: Tension outside the reel; None where it is the same.
     """
 
     time_s: FloatArray
@@ -62,16 +61,16 @@ def simulate(
     """Runs one trial that starts settled at the preload.
 
     Args:
-        plant: The plant; it brings the fixed part of the controller.
+        plant: The plant, with the fixed part of the controller.
         gains: The controller's gains.
         profile: The setpoint; None is the plant's own step.
-        noise_N: What the measurement noise adds, N, shape (samples,); None is no noise.
-        bound_N: The trial ends where the measurement's size passes it; None is 100 times the
+        noise_N: Measurement noise, N, shape (samples,); None is no noise.
+        bound_N: Magnitude of the measurement at which the trial ends; None is 100 times the
             largest setpoint.
 
     Raises:
         InvalidInput: the noise is of another length, or the profile does not suit the rate.
-        PlantError: the plant cannot be simulated. One that merely diverges is no error.
+        PlantError: the plant cannot be simulated; divergence is no error.
     """
     profile = profile or plant.profile
     drive = drive_of(profile, plant.controller.sampling_Hz)
@@ -85,23 +84,23 @@ def simulate(
         row,
         drive,
         None if noise_N is None else noise_N[np.newaxis],
-        # A response that is not finite has diverged whatever the bound.
-        bound(profile) if bound_N is None else min(bound_N, sys.float_info.max),
+        # A response that is not finite has diverged, even with an infinite bound.
+        divergence_limit_N(profile) if bound_N is None else min(bound_N, sys.float_info.max),
     )
     ended = int(columns.ended[0])
     tension, effort, angle, flags, _, reference = columns.trial(0)
     if ended == len(time):
         return Response(time, setpoint, tension, effort, angle, flags, None, reference)
-    kept = slice(ended)
+    used = slice(ended)
     return Response(
-        time[kept],
-        setpoint[kept],
-        tension[kept],
-        effort[kept],
-        angle[kept],
-        flags[kept],
+        time[used],
+        setpoint[used],
+        tension[used],
+        effort[used],
+        angle[used],
+        flags[used],
         ended,
-        None if reference is None else reference[kept],
+        None if reference is None else reference[used],
     )
 
 
@@ -114,15 +113,15 @@ def batch_costs(
     seed: int | None = None,
     workers: int | None = None,
 ) -> FloatArray:
-    """The cost of many sets of gains, on all cores; memory does not grow with their number.
+    """Costs of many sets of gains, computed on all cores in bounded memory.
 
     Args:
         plant: The plant.
-        gains: P, I, D and setpoint filter, one row a trial, shape (trials, 4).
-        step: The setpoint; None is the plant's own.
+        gains: P, I, D and setpoint filter, one row per trial, shape (trials, 4).
+        step: The setpoint; None is the plant's own step.
         cost: The cost (35).
-        seed: Seed of the measurement noise, row n being trial n; None is no noise.
-        workers: Threads; None is one for each core this process may use.
+        seed: Seed of the measurement noise; row n is trial n. None is no noise.
+        workers: Threads; None is one per core available to this process.
 
     Returns:
         Shape (trials,); NaN where the trial diverged.
@@ -140,9 +139,9 @@ def batch_costs(
     def chunk(start: int) -> None:
         part = slice(start, min(start + CHUNK, len(rows)))
         noise = None if seed is None else _noise(plant, profile, seed, part)
-        columns = plant.respond(rows[part], drive, noise, bound(profile))
+        columns = plant.respond(rows[part], drive, noise, divergence_limit_N(profile))
         done = columns.ended == len(drive.setpoint_N)
-        # What a diverged trial did not fill could be anything.
+        # A diverged trial leaves the rest of its columns undefined.
         columns.tension_N[~done], columns.effort_N[~done] = np.nan, np.nan
         costs[part] = cost.evaluate(
             rate,
@@ -160,34 +159,34 @@ def batch_costs(
             chunk(start)
     else:
         with ThreadPoolExecutor(threads) as pool:
-            list(pool.map(chunk, starts))  # the list is there to raise what a thread raised
+            list(pool.map(chunk, starts))  # the list re-raises an exception of a thread
     return costs
 
 
-def bound(profile: AnyProfile) -> float:
-    """Size of the measurement, N, past which a response to this profile has diverged."""
+def divergence_limit_N(profile: AnyProfile) -> float:
+    """Magnitude of the measurement beyond which a response has diverged, N."""
     low, high = profile.extremes_N
     return DIVERGED_AT * max(abs(low), abs(high), high - low)
 
 
 def _cores() -> int:
-    """Cores this process may use, where the system says; else all."""
+    """Cores available to this process, if the system reports them; otherwise all."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 def _coefficients(plant: Plant, gains: ArrayLike) -> FloatArray:
-    """The controllers' difference equations, shape (trials, 9)."""
+    """Coefficients of the controllers' difference equations, shape (trials, 9)."""
     table = np.asarray(gains, dtype=np.float64)
     if table.ndim != 2 or table.shape[1] != 4:
         raise InvalidInput(
-            f"the gains have shape {table.shape}; give one row a trial of P, I, D, "
+            f"the gains have shape {table.shape}; give one row per trial of P, I, D, "
             "setpoint_filter_s"
         )
     wrong = ~(np.isfinite(table).all(axis=1) & (table[:, 0] > 0.0) & (table >= 0.0).all(axis=1))
     if wrong.any():
-        # The first wrong row, so that the one place that knows the limits can say what is wrong.
+        # `Gains` owns the limits and their messages.
         Gains(*table[np.argmax(wrong)].tolist())
     c = pidf.symbolic_coefficients(plant.controller, *table.T)
     return np.stack([np.broadcast_to(value, len(table)) for value in c], axis=1)

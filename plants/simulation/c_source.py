@@ -1,4 +1,4 @@
-"""A C file made of functions that CasADi generates and a loop written by hand around them."""
+"""C source from CasADi functions and a hand-written loop around them."""
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -7,7 +7,7 @@ import casadi as ca
 
 
 def c_source(functions: Iterable[ca.Function], sizes: Mapping[str, int], loop: Path) -> str:
-    """The whole file: sizes as macros, generated functions, loop.
+    """The C file: sizes as macros, generated functions, loop.
 
     Raises:
         OSError: the loop's file cannot be read.
@@ -17,11 +17,11 @@ def c_source(functions: Iterable[ca.Function], sizes: Mapping[str, int], loop: P
         generator.add(function)
     return "\n".join(
         [
-            # A branch that is foretold costs nothing, where a minimum waits for its arguments.
+            # A predicted branch is free; a conditional move waits for its arguments.
             "#if defined(__GNUC__) && !defined(__clang__)",
             '#pragma GCC optimize ("no-if-conversion", "no-if-conversion2")',
             "#endif",
-            # Nothing but the loop is seen from outside, and the compiler may inline the rest.
+            # Only the loop is exported, so that the compiler may inline the rest.
             "#define CASADI_SYMBOL_EXPORT static",
             *(f"#define {name} {value}" for name, value in sizes.items()),
             generator.dump(),

@@ -1,17 +1,16 @@
-"""What a compiled plant is made of: CasADi expressions of one sample, and how to carry constants.
+"""Equations of one sample of a plant, as CasADi functions.
 
-A plant is written once, as four CasADi functions; they are simulated (`plants.simulation.trial_loop`),
-differentiated and exported from the same text. Everything that depends on the plant's parameters
-alone, above all the matrix exponential, is worked out once per trial by `prepare` and handed to
-the others as one vector of constants.
+The same functions are simulated (`plants.simulation.trial_loop`), differentiated and exported.
+`prepare` computes everything that depends on the parameters alone, such as the matrix exponential,
+once per trial; the other functions take the results as one vector of constants.
 """
 
 from typing import Any, NamedTuple, TypeVar
 
 import casadi as ca
 
-# Lets numpy's functions act on CasADi expressions, so that `estune.core.pidf.step` is the text of
-# the simulated controller too. Without it CasADi warns that this will become the default.
+# Numpy's functions then accept CasADi expressions, and `estune.core.pidf.step` serves for the
+# simulated controller too.
 ca.GlobalOptions.setNumpyMode(1)
 
 Expression = Any
@@ -19,25 +18,24 @@ Expression = Any
 
 
 class Equations(NamedTuple):
-    """One plant structure; all functions take and return dense SX columns.
+    """Equations of one plant structure; all functions take and return dense SX columns.
 
-    `drive` is what travels through the dead time, the motor current of a reel. Within a sample the
-    drive changes once, when the dead time's fraction of a sample has passed.
+    The drive is the delayed signal, such as the motor current of a reel. Within a sample the drive
+    changes once, after the dead time's fraction of a sample. The diagnosis needs
+    `dead_time_samples`, `settle`, `locate` and `place`.
 
     Attributes:
         prepare: (parameters, preload) -> (constants, state at rest, effort at rest).
-        observe: (constants, state, drive in force, noise) -> (state, measurement, angle).
+        observe: (constants, state, present drive, noise) -> (state, measurement, angle).
         drive: (constants, state, effort) -> (state, drive).
         substep: (constants, state, drive before, drive after, n) -> state after the nth substep.
         substeps: Number of substeps in a sample.
-        outside: (constants, state) -> what a gauge outside the reel reads; None where there is
-            no such gauge.
-        late: (parameters) -> the dead time with what effects add to it, in samples.
-        settle: (constants, measurement) -> (state, effort) of the plant at rest where it reads so.
-        locate: (constants, state) -> what of the state a record can show, in measured units: the
-            angle and the velocity of a drum, the output and its derivatives of a linear plant.
-        place: (constants, state, the same) -> the state put there. This and the three before are
-            for plants that are held against records.
+        outside: (constants, state) -> reading of a gauge outside the reel; None without one.
+        late: (parameters) -> dead time in samples, with that of the effects.
+        settle: (constants, measurement) -> (state, effort) at rest at that measurement.
+        locate: (constants, state) -> observable part of the state in measured units: angle and
+            velocity of a drum, output and its derivatives of a linear plant.
+        place: (constants, state, observable part) -> state with that observable part.
     """
 
     prepare: Expression
@@ -46,7 +44,7 @@ class Equations(NamedTuple):
     substep: Expression
     substeps: int
     outside: Expression | None = None
-    late: Expression = None
+    dead_time_samples: Expression = None
     settle: Expression = None
     locate: Expression = None
     place: Expression = None
@@ -54,7 +52,7 @@ class Equations(NamedTuple):
     def move(
         self, constants: Expression, state: Expression, before: Expression, after: Expression
     ) -> Expression:
-        """The state one sample later."""
+        """State one sample later."""
         for n in range(self.substeps):
             state = self.substep(constants, state, before, after, n)
         return state
@@ -63,17 +61,13 @@ class Equations(NamedTuple):
 Constants = TypeVar("Constants", bound=tuple[Any, ...])
 
 
-def pack(constants: Constants) -> tuple[Expression, Constants]:
-    """The constants as one dense column, and symbols of the same form to write equations with.
+def pack_constants(constants: Constants) -> tuple[Expression, Constants]:
+    """A named tuple of SX expressions as one dense column, and matching symbols.
 
-    Only structural nonzeros are carried, so that a product with a sparse matrix stays sparse.
-
-    Args:
-        constants: A named tuple of SX expressions, any shapes.
+    Only structural nonzeros are included, so that products with sparse matrices stay sparse.
 
     Returns:
-        The column of values, and a named tuple of symbols; `column_of` the latter is the matching
-        column of symbols.
+        The column of values, and a named tuple of symbols whose `column_of` matches it.
     """
     symbols = type(constants)(
         *(
@@ -85,7 +79,7 @@ def pack(constants: Constants) -> tuple[Expression, Constants]:
 
 
 def column_of(constants: tuple[Any, ...]) -> Expression:
-    """The structural nonzeros of all the constants, as one dense column."""
+    """Structural nonzeros of all constants as one dense column."""
     return ca.densify(ca.vertcat(*(ca.vec(value.nz[:]) for value in constants)))
 
 

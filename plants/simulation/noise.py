@@ -1,4 +1,4 @@
-"""Measurement noise that depends on the rig's seed and the trial's number alone."""
+"""Measurement noise as a function of the rig's seed and the trial's number."""
 
 import numpy as np
 
@@ -9,8 +9,8 @@ from estune.errors import InvalidInput
 class NoiseSource:
     """White Gaussian noise from a counter-based generator (Philox, Salmon et al. 2011).
 
-    The seed and the trial's number are the generator's key, so that any trial's noise can be had
-    without drawing that of the trials before it. Not for two threads at once.
+    The seed and the trial's number are the generator's key: the noise of any trial is available
+    without that of the earlier ones. Not thread-safe.
 
     Raises:
         InvalidInput: the seed is not a whole number from 0 to 2^64 - 1.
@@ -22,17 +22,11 @@ class NoiseSource:
         self._seed = int(seed)
         self._bits = np.random.Philox(key=0)
         self._generator = np.random.Generator(self._bits)
-        # Setting the state of one generator costs half of what making one does.
+        # Setting the state of a generator takes half the time of making one.
         self._state = self._bits.state
 
     def draw(self, number: int, samples: int, rms: float) -> FloatArray:
-        """The noise of one trial, shape (samples,).
-
-        Args:
-            number: The trial's place in its run, zero or above.
-            samples: How many.
-            rms: Their root mean square.
-        """
+        """Noise of the trial with this number in its run, shape (samples,)."""
         self._state["state"]["key"][:] = self._seed, number
         self._state["state"]["counter"][:] = 0
         self._bits.state = self._state

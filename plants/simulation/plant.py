@@ -1,4 +1,4 @@
-"""What a plant is to the rest of the project, and what a simulated trial gives back."""
+"""Protocol of a simulated plant, and the columns of its trials."""
 
 import math
 from functools import lru_cache
@@ -19,13 +19,13 @@ SOFTWARE = f"estune {version('estune')}"
 
 
 class Drive(NamedTuple):
-    """What drives a trial.
+    """Setpoint and mode of a trial.
 
     Attributes:
         time_s: Time at each sample, shape (samples,).
         setpoint_N: The setpoint, same shape.
         preload_N: The tension at which the trial starts settled.
-        open_loop: Whether the setpoint is the effort, within the controller's limits.
+        open_loop: Whether the setpoint is the effort, limited by the controller's limits.
     """
 
     time_s: FloatArray
@@ -36,11 +36,11 @@ class Drive(NamedTuple):
 
 @lru_cache(maxsize=16)
 def drive_of(profile: AnyProfile, sampling_Hz: float) -> Drive:
-    """What a profile comes to at a sampling rate; shared and read-only.
+    """The drive of a profile at a sampling rate; shared and read-only.
 
     Raises:
-        InvalidInput: at this rate no sample lies before the end, or none after the step; or the
-            profile goes beyond half the rate.
+        InvalidInput: the trial has no sample after its start or its step, or the profile exceeds
+            half the rate.
     """
     samples = profile.samples(sampling_Hz)
     first = profile.step_index(sampling_Hz) if isinstance(profile, StepProfile) else 0
@@ -55,16 +55,16 @@ def drive_of(profile: AnyProfile, sampling_Hz: float) -> Drive:
 
 
 class Columns(NamedTuple):
-    """What a batch of trials measured; samples from `ended` on are not filled.
+    """Columns of a batch of trials; samples from `ended` on are undefined.
 
     Attributes:
         tension_N: Measured tension, shape (trials, samples).
         effort_N: Effort of the controller, same shape.
         angle_rad: Measured drum angle, same shape; zero where the plant has no drum.
         flags: `SATURATED` where the controller's limits acted, same shape.
-        ended: For each trial the first sample that left the bound or is not finite, or the number
-            of samples, shape (trials,).
-        reference_N: Tension outside the reel, same shape; None where that is the same.
+        ended: First sample of each trial outside the bound or not finite, or the number of
+            samples, shape (trials,).
+        reference_N: Tension outside the reel, same shape; None where it is the same.
     """
 
     tension_N: FloatArray
@@ -76,30 +76,30 @@ class Columns(NamedTuple):
 
     @classmethod
     def empty(cls, trials: int, samples: int, *, reference: bool = False) -> "Columns":
-        """Room for a batch of trials, with or without the tension outside."""
+        """Empty columns for a batch of trials, with or without the tension outside."""
         signals = np.empty((3, trials, samples))
         flags, ended = np.zeros((trials, samples), np.uint8), np.empty(trials, np.int64)
         outside = np.empty((trials, samples)) if reference else None
         return cls(signals[0], signals[1], signals[2], flags, ended, outside)
 
     def trial(self, n: int) -> "Columns":
-        """The columns of one trial; writing to them writes to the batch."""
+        """Views of the columns of one trial."""
         signals = self.tension_N[n], self.effort_N[n], self.angle_rad[n]
         outside = None if self.reference_N is None else self.reference_N[n]
         return Columns(*signals, self.flags[n], self.ended[n : n + 1], outside)
 
 
 class Plant(Protocol):
-    """Anything whose trials can be simulated."""
+    """A plant whose trials can be simulated."""
 
     @property
     def controller(self) -> ControllerSettings:
-        """The fixed part of the controller it is run with."""
+        """The fixed part of the controller."""
         ...
 
     @property
     def profile(self) -> StepProfile:
-        """A step trial that suits it."""
+        """A step trial that suits the plant."""
         ...
 
     @property
@@ -124,9 +124,9 @@ class Plant(Protocol):
         Args:
             coefficients: The controllers' difference equations, one row each in the order of
                 `estune.core.pidf.Coefficients`, shape (trials, 9).
-            drive: The setpoint, and what it acts on.
-            noise_N: What the measurement noise adds, shape (trials, samples), or None.
-            bound_N: A trial ends where the measurement's size passes it.
+            drive: Setpoint and mode.
+            noise_N: Measurement noise, shape (trials, samples), or None.
+            bound_N: Magnitude of the measurement at which a trial ends.
 
         Raises:
             PlantError: the plant cannot be simulated.
@@ -134,7 +134,7 @@ class Plant(Protocol):
         ...
 
     def describe(self, name: str, gains: Gains | None) -> RigDescription:
-        """What a rig that runs this plant says of itself; without gains, with safe ones.
+        """Description of a rig that runs this plant, with given or safe gains.
 
         Raises:
             UnsafeStart: no gains were given and no safe ones are known.
@@ -143,30 +143,19 @@ class Plant(Protocol):
 
 
 def check_above_zero(what: str, value: float, unit: str) -> None:
-    """Refuses what is not finite and above zero.
-
-    Raises:
-        InvalidInput: it is not.
-    """
+    """Raises InvalidInput unless a value is finite and above zero."""
     if not (math.isfinite(value) and value > 0.0):
         raise InvalidInput(f"{what} is {value} {unit}; it must be finite and above zero")
 
 
 def check_not_negative(what: str, value: float, unit: str) -> None:
-    """Refuses what is not finite and zero or above.
-
-    Raises:
-        InvalidInput: it is not.
-    """
+    """Raises InvalidInput unless a value is finite, and zero or above."""
     if not (math.isfinite(value) and value >= 0.0):
         raise InvalidInput(f"{what} is {value} {unit}; it must be finite, and zero or above")
 
 
-def whole_and_fraction(dead_time_s: float, sampling_Hz: float) -> tuple[int, float]:
-    """A dead time as whole samples and the remaining fraction of one.
-
-    A remainder within rounding of a whole sample is none, so that 1/632 s is one sample at 632 Hz.
-    """
+def split_dead_time(dead_time_s: float, sampling_Hz: float) -> tuple[int, float]:
+    """A dead time as whole samples and the remaining fraction of one, to within rounding."""
     samples = dead_time_s * sampling_Hz
     whole = round(samples)
     if abs(samples - whole) <= 1e-9 * max(1.0, samples):

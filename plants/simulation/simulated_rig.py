@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from estune.core.gains import Gains
 from estune.errors import RigError
 from estune.trial import Outcome, RigDescription, Telemetry, TrialRecord, TrialRequest
-from estune.trial.executed_trials import ExecutedTrials, stopped
+from estune.trial.executed_trials import ExecutedTrials, stopped_trial
 from plants.simulation.batch import Response, simulate
 from plants.simulation.noise import NoiseSource
 from plants.simulation.plant import SOFTWARE, Plant, check_not_negative, drive_of
@@ -20,11 +20,11 @@ from plants.simulation.plant import SOFTWARE, Plant, check_not_negative, drive_o
 Scalar = TypeVar("Scalar", bound=np.generic)
 
 
-class _End(NamedTuple):
-    """How a trial ended: when it began, how many samples of it there are, and why no more."""
+class _TrialEnd(NamedTuple):
+    """Start time of a trial, its number of samples, and how it ended."""
 
     started_at: str
-    kept: int
+    samples: int
     outcome: Outcome
     reason: str
 
@@ -32,8 +32,7 @@ class _End(NamedTuple):
 class SimulatedRig:
     """Runs the trials of one plant; implements `estune.trial.Rig`.
 
-    Safe to be called from several threads: one trial runs at a time, and `abort` may come from
-    anywhere.
+    Thread-safe: one trial runs at a time, and any thread may call `abort`.
     """
 
     def __init__(
@@ -45,7 +44,7 @@ class SimulatedRig:
         gains: Gains | None = None,
         pace: float = 0.0,
     ) -> None:
-        """See `plants.models.mounting.ServesAsRig.rig`.
+        """See `plants.models.plant_model.PlantModel.rig`.
 
         Raises:
             InvalidInput: the seed or the pace is out of its range.
@@ -56,9 +55,8 @@ class SimulatedRig:
         self._description = replace(plant.describe(name, gains), simulated=True)
         self._noise = NoiseSource(seed)
         self._pace = pace
-        self._records = ExecutedTrials(
-            same_anew=True
-        )  # its noise depends on seed and number alone
+        # A repeated trial gives the same record: its noise depends on seed and number alone.
+        self._records = ExecutedTrials(same_anew=True)
         self._trial = threading.Lock()  # held while a trial runs
         self._running = False
         self._stop = threading.Event()
@@ -68,17 +66,17 @@ class SimulatedRig:
         self._closed = False
 
     def describe(self) -> RigDescription:
-        """What the rig is, and which gains are live now."""
+        """Description of the rig, with its live gains."""
         with self._state:
             self._check_open()
             return self._description
 
     def run(self, request: TrialRequest) -> TrialRecord:
-        """Runs one trial, or returns the record of it if that trial id has run before.
+        """Runs one trial, or returns its record if the trial id has run before.
 
         Raises:
             InvalidInput: the request is outside the rig's limits; nothing moved.
-            RigError: the rig is closed, or knows another trial by that id.
+            RigError: the rig is closed, or has run another trial with that id.
             PlantError: the plant cannot be simulated.
         """
         with self._trial:
@@ -106,23 +104,23 @@ class SimulatedRig:
             self._description = replace(self._description, gains=gains)
 
     def abort(self) -> RigDescription:
-        """Stops the trial under way, if any, and returns once the live gains are back."""
-        with stopped(self._trial, self._stop_running):
+        """Stops a running trial, and returns once the live gains are restored."""
+        with stopped_trial(self._trial, self._stop_running):
             return self.describe()
 
     def estop(self, reason: str) -> None:
-        """Ends the trial under way, and refuses others until cleared."""
+        """Emergency stop: ends a running trial, and rejects others until cleared."""
         with self._state:
             self._latched = self._latched or reason
             self._stop.set()
 
     def clear(self) -> None:
-        """Ends an emergency stop."""
+        """Resets the emergency stop."""
         with self._state:
             self._latched = ""
 
     def telemetry(self, after: int) -> Telemetry | None:
-        """The samples of a trial under way at its pace; None where it takes no time."""
+        """New samples of a paced trial; None while none is running."""
         with self._state:
             shown = self._shown
         if shown is None:
@@ -132,7 +130,7 @@ class SimulatedRig:
         passed = slice(after, max(after, int((time.monotonic() - began) / self._pace * rate)))
         return Telemetry(
             trial_id=trial_id,
-            first=after,
+            first_sample=after,
             sampling_Hz=rate,
             setpoint_N=response.setpoint_N[passed],
             tension_N=response.tension_N[passed],
@@ -141,36 +139,36 @@ class SimulatedRig:
         )
 
     def close(self) -> None:
-        """Stops the trial under way; further calls are refused. May be called again."""
+        """Stops a running trial and rejects further calls; idempotent."""
         with self._state:
             self._closed = True
             self._stop.set()
 
     def _perform(self, request: TrialRequest) -> TrialRecord:
-        """Simulates the trial, then lets the time pass that it would have taken."""
+        """Simulates the trial, then waits for its duration at the rig's pace."""
         started_at, began = datetime.now(UTC).isoformat(), time.monotonic()
         rate = self._plant.controller.sampling_Hz
-        samples = drive_of(request.profile, rate).time_s.size
+        size = drive_of(request.profile, rate).time_s.size
         rms = self._plant.noise_rms_N
-        noise = self._noise.draw(request.number, samples, rms) if rms else None
+        noise = self._noise.draw(request.number, size, rms) if rms else None
         response = simulate(self._plant, request.gains, request.profile, noise_N=noise)
-        kept = len(response.time_s)
-        end = _End(started_at, kept, Outcome.DONE, "")
+        samples = len(response.time_s)
+        end = _TrialEnd(started_at, samples, Outcome.DONE, "")
         if response.diverged_at is not None:
-            reason = f"{Outcome.DIVERGED.sentence} at sample {kept}, {kept / rate:.3f} s"
-            end = _End(started_at, kept, Outcome.DIVERGED, reason)
+            reason = f"{Outcome.DIVERGED.sentence} at sample {samples}, {samples / rate:.3f} s"
+            end = _TrialEnd(started_at, samples, Outcome.DIVERGED, reason)
         if self._pace > 0.0:
             with self._state:
                 self._shown = request.trial_id, response, began
-            left = began + self._pace * kept / rate - time.monotonic()
-            if self._stop.wait(max(0.0, left)):
+            wait = began + self._pace * samples / rate - time.monotonic()
+            if self._stop.wait(max(0.0, wait)):
                 passed = int((time.monotonic() - began) / self._pace * rate)
                 reason = Outcome.CANCELLED.sentence
-                end = _End(started_at, min(kept, passed), Outcome.CANCELLED, reason)
+                end = _TrialEnd(started_at, min(samples, passed), Outcome.CANCELLED, reason)
         return self._record(request, response, end)
 
-    def _record(self, request: TrialRequest, response: Response, end: "_End") -> TrialRecord:
-        """The record of the samples kept; read-only, for it may be handed out again."""
+    def _record(self, request: TrialRequest, response: Response, end: _TrialEnd) -> TrialRecord:
+        """Record of the trial; read-only, because it may be returned again."""
         current = response.effort_N / self._plant.newtons_per_ampere
         return TrialRecord(
             trial_id=request.trial_id,
@@ -183,15 +181,15 @@ class SimulatedRig:
             reason=end.reason,
             started_at=end.started_at,
             software=SOFTWARE,
-            time_s=_read_only(response.time_s, end.kept),
-            setpoint_N=_read_only(response.setpoint_N, end.kept),
-            tension_N=_read_only(response.tension_N, end.kept),
-            current_A=_read_only(current, end.kept),
-            angle_rad=_read_only(response.angle_rad, end.kept),
-            flags=_read_only(response.flags, end.kept),
+            time_s=_read_only(response.time_s, end.samples),
+            setpoint_N=_read_only(response.setpoint_N, end.samples),
+            tension_N=_read_only(response.tension_N, end.samples),
+            current_A=_read_only(current, end.samples),
+            angle_rad=_read_only(response.angle_rad, end.samples),
+            flags=_read_only(response.flags, end.samples),
             reference_N=None
             if response.reference_N is None
-            else _read_only(response.reference_N, end.kept),
+            else _read_only(response.reference_N, end.samples),
             loop=request.profile.loop,
             profile=request.profile.kind,
         )
@@ -203,12 +201,12 @@ class SimulatedRig:
                 self._stop.set()
 
     def _check_free(self) -> None:
-        """The state is locked."""
+        """Raises RigError if the rig cannot run; call with the state locked."""
         self._check_open()
         if self._latched:
             raise RigError(
                 f"rig {self._description.name} is held in its safe state after an emergency stop "
-                f"({self._latched}); see to it, then clear the stop"
+                f"({self._latched}); remove the cause, then clear the stop"
             )
 
     def _check_open(self) -> None:
@@ -216,7 +214,7 @@ class SimulatedRig:
             raise RigError(f"rig {self._description.name} is closed; make a new one")
 
 
-def _read_only(column: NDArray[Scalar], kept: int) -> NDArray[Scalar]:
-    part = column if kept == len(column) else column[:kept]
+def _read_only(column: NDArray[Scalar], samples: int) -> NDArray[Scalar]:
+    part = column if samples == len(column) else column[:samples]
     part.flags.writeable = False
     return part

@@ -1,16 +1,15 @@
-/* The trial: a fixed loop around the generated functions
- * estune_prepare, estune_sense and estune_substep, which precede this text in the compiled file
- * together with the sizes CONSTANTS, STATES, SUBSTEPS, PIDF_STATES and COEFFICIENTS.
+/* The closed-loop trial: a loop around the generated functions estune_prepare, estune_sense and
+ * estune_substep. The compiled file has them before this text, with the sizes CONSTANTS, STATES,
+ * SUBSTEPS, PIDF_STATES and COEFFICIENTS.
  *
- * The dead time is a ring of past drives, so that a long one costs no more than a short one.
- * During sample k the plant is driven by drive[k - delay - 1] until the dead time's fraction of
- * a sample has passed, then by drive[k - delay].
+ * The dead time is a ring buffer of past drives. During sample k the plant is driven by
+ * drive[k - delay - 1] for the dead time's fraction of a sample, then by drive[k - delay].
  *
- * Where `open` is one the setpoint is the effort, within the controller's limits.
+ * With `open` equal to one the setpoint is the effort, limited by the controller's limits.
  */
 #include <stdlib.h>
 
-/* A copy that is written out costs nothing: the numbers stay where they are, in registers. */
+/* An unrolled copy is free: the values stay in registers. */
 #define UNROLLED _Pragma("GCC unroll 128")
 
 static long one_trial(long samples, long delay, double bound, double preload, double open,
@@ -18,7 +17,7 @@ static long one_trial(long samples, long delay, double bound, double preload, do
                       const double *setpoint, const double *noise, double *ring,
                       double *tension, double *effort, double *angle, double *reference,
                       unsigned char *flags) {
-  /* CasADi writes outputs before it has read all inputs, so that in and out must not be one. */
+  /* CasADi may write outputs before it has read all inputs: they must not share memory. */
   double constants[CONSTANTS], state[STATES], moved[STATES], pidf[PIDF_STATES];
   double following[PIDF_STATES], drive, excess;
   long i, k, n, now = delay + 1, before = 0, after = 1;
@@ -35,14 +34,14 @@ static long one_trial(long samples, long delay, double bound, double preload, do
       const double *arg[8];
       double *res[8];
       arg[0] = constants; arg[1] = state; arg[2] = ring + before;
-      arg[3] = noise ? noise + k : 0;  /* no address reads as zero */
+      arg[3] = noise ? noise + k : 0;  /* CasADi reads a null pointer as zero */
       arg[4] = coefficients; arg[5] = pidf; arg[6] = setpoint + k; arg[7] = &open;
       res[0] = moved; res[1] = tension + k; res[2] = angle + k;
       res[3] = following; res[4] = effort + k; res[5] = ring + now; res[6] = &excess;
-      res[7] = reference ? reference + k : 0;  /* to no address nothing is written */
+      res[7] = reference ? reference + k : 0;  /* a null pointer: not written */
       estune_sense(arg, res, 0, 0, 0);
     }
-    /* Written so that a NaN ends the trial too. */
+    /* This form also ends the trial on NaN. */
     if (!(tension[k] <= bound && tension[k] >= -bound)) return k;
     flags[k] = excess != 0.0;
     UNROLLED

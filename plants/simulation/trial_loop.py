@@ -1,4 +1,4 @@
-"""The trial: controller and plant as one sample, run as C or in a virtual machine."""
+"""The closed-loop trial, run as compiled C or in CasADi's virtual machine."""
 
 import ctypes
 from functools import lru_cache
@@ -22,7 +22,7 @@ PIDF_STATES = len(pidf.PidfState._fields)
 
 
 class Structure(Protocol):
-    """What a plant's equations depend on besides numbers; hashable."""
+    """Structure of a plant's equations: all but the numbers; hashable."""
 
     def equations(self) -> Equations:
         """The plant's equations of one sample."""
@@ -30,17 +30,17 @@ class Structure(Protocol):
 
 
 class Batch(NamedTuple):
-    """Trials to be run.
+    """Trials to run.
 
     Attributes:
-        parameters: The plant's, shape (parameters,) for all trials alike, or one row each.
+        parameters: The plant's, shape (parameters,) for all trials, or one row each.
         coefficients: The controllers', shape (trials, 9).
         preload_N: Setpoint at which each trial starts settled, N.
         setpoint_N: Shape (samples,).
         noise_N: Shape (trials, samples), or None.
         delay: Whole samples of dead time.
-        bound_N: A trial ends where the measurement's size passes it.
-        open_loop: Whether the setpoint is the effort, within the controllers' limits.
+        bound_N: Magnitude of the measurement at which a trial ends.
+        open_loop: Whether the setpoint is the effort, limited by the controllers' limits.
     """
 
     parameters: FloatArray
@@ -63,7 +63,7 @@ class TrialLoop(Protocol):
 
 @lru_cache(maxsize=64)
 def trial_loop(structure: Structure) -> TrialLoop:
-    """The trial of a structure: compiled where there is a compiler, else in a virtual machine."""
+    """Trial loop of a structure, compiled if there is a compiler."""
     functions = loop_functions(structure.equations())
     try:
         return CompiledLoop(functions)
@@ -77,9 +77,9 @@ class Functions(NamedTuple):
 
     Attributes:
         prepare: (parameters, preload) -> (constants, state, controller state, drive at rest).
-        sense: (constants, state, drive in force, noise, coefficients, controller state, setpoint,
+        sense: (constants, state, present drive, noise, coefficients, controller state, setpoint,
             1 in open loop else 0) -> (state, measurement, angle, controller state, effort, drive,
-            excess, tension outside: no number where the plant has no gauge there).
+            excess, tension outside: empty where the plant has no gauge there).
         substep: (constants, state, drive before, drive after, n) -> state.
         move: (constants, state, drive before, drive after) -> state one sample later.
         substeps: Number of substeps in a sample.
@@ -102,7 +102,7 @@ def loop_functions(plant: Equations) -> Functions:
     parameters, preload = plant.prepare.sx_in()
     constants, rest, rest_effort = plant.prepare(parameters, preload)
     _, rest_drive = plant.drive(constants, rest, rest_effort)
-    start = ca.vertcat(*pidf.at_rest(preload, rest_effort))
+    start = ca.vertcat(*pidf.state_at_rest(preload, rest_effort))
     prepare = ca.Function(
         "estune_prepare", [parameters, preload], [constants, rest, start, rest_drive]
     )
@@ -118,7 +118,7 @@ def loop_functions(plant: Equations) -> Functions:
     )
     effort, excess = (
         ca.if_else(is_open, one, other)
-        for one, other in zip(pidf.limited(controller, setpoint), closed, strict=True)
+        for one, other in zip(pidf.limit_effort(controller, setpoint), closed, strict=True)
     )
     driven, drive = plant.drive(c, observed, effort)
     outside = ca.SX(0, 1) if plant.outside is None else plant.outside(c, observed)
@@ -156,7 +156,7 @@ class CompiledLoop:
 
     def run(self, batch: Batch) -> Columns:
         """Runs the trials, one after the other."""
-        # Kept by name, so that they outlive the call that has their addresses.
+        # Named references keep the arrays alive while C uses their addresses.
         parameters = np.ascontiguousarray(batch.parameters, np.float64)
         coefficients = np.ascontiguousarray(batch.coefficients, np.float64)
         setpoint = np.ascontiguousarray(batch.setpoint_N, np.float64)
@@ -185,14 +185,14 @@ class CompiledLoop:
 
 
 def _address(array: Any) -> int:
-    """Where an array's numbers are; a fifth of the time `array.ctypes.data` takes."""
+    """Address of an array's data; takes a fifth of the time of `array.ctypes.data`."""
     if array.flags.writeable and array.size:
         return ctypes.addressof(ctypes.c_char.from_buffer(array))
     return int(array.__array_interface__["data"][0])
 
 
 def _source(functions: Functions) -> str:
-    """The whole C file: sizes, generated functions, loop."""
+    """The C file: sizes, generated functions, loop."""
     sizes = {
         "CONSTANTS": functions.prepare.numel_out(0),
         "STATES": functions.substep.numel_out(0),
@@ -205,7 +205,7 @@ def _source(functions: Functions) -> str:
 
 
 class VirtualLoop:
-    """The same trial in CasADi's virtual machine, sample by sample through its buffers."""
+    """The trial in CasADi's virtual machine, sample by sample through its buffers."""
 
     def __init__(self, functions: Functions) -> None:
         self._functions = functions
@@ -226,11 +226,11 @@ class VirtualLoop:
 
 
 class VirtualMachine:
-    """One trial at a time through CasADi's buffers: memory that the functions read and write.
+    """One trial at a time through CasADi's buffers.
 
     Attributes:
-        memory: The buffers by name.
-        prepare: Works out constants and the state at rest from parameters and preload.
+        memory: Buffers by name, read and written by the functions.
+        prepare: Computes the constants and the state at rest from parameters and preload.
         sense: One sample of gauge, encoder and controller; see `Functions`.
         move: The plant to the next sample.
     """
@@ -258,7 +258,7 @@ class VirtualMachine:
         self.move = self._bind(move, "constants driven before after", "state")
 
     def _bind(self, function: Any, inputs: str, outputs: str) -> Any:
-        """The function as a call without arguments on this memory."""
+        """A call of the function on this memory, without arguments."""
         buffer, call = function.buffer()
         for n, name in enumerate(inputs.split()):
             buffer.set_arg(n, self.memory[name])
@@ -268,22 +268,22 @@ class VirtualMachine:
         return call
 
     def start(self, parameters: FloatArray, preload_N: float, coefficients: FloatArray) -> None:
-        """Puts controller and plant at rest."""
+        """Starts a trial with controller and plant at rest."""
         self.memory["parameters"][:] = np.ascontiguousarray(parameters).data
         self.memory["coefficients"][:] = np.ascontiguousarray(coefficients).data
         self.memory["preload"][0] = preload_N
         self.prepare()
 
-    def amend(self, parameters: FloatArray) -> None:
-        """Goes on with other parameters: only the constants change."""
-        kept = {name: np.array(self.memory[name]) for name in ("state", "pidf", "drive")}
+    def set_parameters(self, parameters: FloatArray) -> None:
+        """Continues the trial with other parameters: only the constants change."""
+        saved = {name: np.array(self.memory[name]) for name in ("state", "pidf", "drive")}
         self.memory["parameters"][:] = np.ascontiguousarray(parameters).data
         self.prepare()
-        for name, values in kept.items():
+        for name, values in saved.items():
             self.memory[name][:] = values.data
 
     def trial(self, batch: Batch, noise_N: FloatArray, columns: Columns) -> int:
-        """Runs the loop of `trial_loop.c`; returns where it ended."""
+        """Runs the loop of `trial_loop.c`; returns its end index."""
         m, size = self.memory, batch.delay + 2
         ring = [m["drive"][0]] * size
         m["is_open"][0] = batch.open_loop

@@ -47,8 +47,8 @@ from plants.two_reel_bench.index import (
     log_spread,
     static_transparency,
 )
-from plants.two_reel_bench.procedure import Measurement, TwoReelProcedure
-from plants.two_reel_bench.reel_comparison import ReelComparison, likeness
+from plants.two_reel_bench.procedure import SetpointReadings, TwoReelProcedure
+from plants.two_reel_bench.reel_comparison import ReelComparison, compare_reels
 from plants.two_reel_bench.rig import Bench, BenchReading, BenchRecord, BenchReel
 
 __all__ = [
@@ -64,9 +64,9 @@ __all__ = [
     "Gauge",
     "HysteresisLoop",
     "HysteresisTest",
-    "Measurement",
     "ReelComparison",
     "ReelModel",
+    "SetpointReadings",
     "SimulatedBench",
     "StaticTransparency",
     "TwoReelProcedure",
@@ -75,6 +75,7 @@ __all__ = [
     "attenuated_tension_N",
     "attenuation",
     "capital_gamma",
+    "compare_reels",
     "contact_force_N",
     "contact_line",
     "direction_inside",
@@ -85,7 +86,6 @@ __all__ = [
     "friction_N",
     "friction_coefficient",
     "friction_share",
-    "likeness",
     "log_mean",
     "log_spread",
     "plane_tensions_N",

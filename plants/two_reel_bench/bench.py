@@ -93,7 +93,7 @@ class SimulatedReel:
 
     def advance(self, period_s: float) -> None:
         """Moves the drum by what its controller does in one period."""
-        gave = self.model.drive.give_m_N * (self.tension_N - self._seen_N)
+        gave = self.model.drive.compliance_m_N * (self.tension_N - self._seen_N)
         self._seen_N = self.tension_N
         self._law(period_s, gave)
 
@@ -206,7 +206,7 @@ class SimulatedBench:
         self._outer_N_m = outer_stiffness_N_m
         self._period_s = 1.0 / sampling_Hz
         self._random = np.random.default_rng(seed)
-        self._wander = [g.wander_N * self._random.standard_normal() for g in (x.gauge, y.gauge)]
+        self._wander = [g.drift_N * self._random.standard_normal() for g in (x.gauge, y.gauge)]
 
     def record(self, duration_s: float) -> BenchRecord:
         """Runs both reels for a time; see `ModelFitter`.
@@ -238,7 +238,7 @@ class SimulatedBench:
             if reel.scatter_due:
                 # Any approach meets other spots of cable and eyelets, at both.
                 for met in self._contacts:
-                    met.scatter = math.exp(met.eyelet.scatter * self._random.standard_normal())
+                    met.scatter = math.exp(met.eyelet.variation * self._random.standard_normal())
                 reel.scatter_due = False
             reel.advance(self._period_s)
         before = self.x.slid_m, self.y.slid_m
@@ -304,9 +304,9 @@ class SimulatedBench:
         for n, reel in enumerate((self.x, self.y)):
             gauge = reel.model.gauge
             drawn[:, n] = gauge.noise_N * self._random.standard_normal(samples)
-            if gauge.wander_N > 0.0:
-                kept = math.exp(-self._period_s / gauge.wander_s)
-                push = gauge.wander_N * math.sqrt(1.0 - kept**2)
+            if gauge.drift_N > 0.0:
+                kept = math.exp(-self._period_s / gauge.drift_time_s)
+                push = gauge.drift_N * math.sqrt(1.0 - kept**2)
                 for k, kick in enumerate(self._random.standard_normal(samples).tolist()):
                     self._wander[n] = kept * self._wander[n] + push * kick
                     drawn[k, n] += self._wander[n]

@@ -21,7 +21,7 @@ class Eyelet:
         stribeck_m_s: Velocity by which it has fallen, m/s.
         viscous_s_m: Growth of the coefficient with velocity, s/m.
         growth_per_N: Growth of the coefficient with tension, 1/N.
-        scatter: How much the coefficient differs from one approach to the next, relative, rms.
+        variation: How much the coefficient differs from one approach to the next, relative, rms.
     """
 
     coefficient: float = 0.1
@@ -30,14 +30,14 @@ class Eyelet:
     stribeck_m_s: float = 0.02
     viscous_s_m: float = 0.0
     growth_per_N: float = 0.0
-    scatter: float = 0.005
+    variation: float = 0.005
 
     def __post_init__(self) -> None:
         attenuation(self.coefficient, *self.angles_rad)
         shares = {
             "dynamic_share": self.dynamic_share,
             "viscous_s_m": self.viscous_s_m,
-            "scatter": self.scatter,
+            "scatter": self.variation,
         }
         for name, value in shares.items():
             if not (math.isfinite(value) and value >= 0.0):
@@ -68,16 +68,16 @@ class Gauge:
         curvature_per_N: Departure from a straight line, 1/N.
         noise_N: Noise of one sample, N rms; 0.011 N is the reference reel's 0.04 N at 632 Hz,
             averaged over the period of 50 Hz.
-        wander_N: Slow wander of the zero, N rms.
-        wander_s: Its correlation time, s.
+        drift_N: Slow wander of the zero, N rms.
+        drift_time_s: Its correlation time, s.
     """
 
     zero: float = 0.0
     sensitivity: float = 1.0
     curvature_per_N: float = 0.0
     noise_N: float = 0.011
-    wander_N: float = 0.0
-    wander_s: float = 30.0
+    drift_N: float = 0.0
+    drift_time_s: float = 30.0
 
     def reading(self, tension_N: float) -> float:
         """Reading without noise, in its own unit."""
@@ -93,7 +93,7 @@ class Drive:
         force_integral_s: Integral time of the tension controller, with which it follows a cable
             that moves.
         position_lag_s: Time in which a drum that gave way returns to its position.
-        give_m_N: How far it gives way per change of tension, m/N.
+        compliance_m_N: How far it gives way per change of tension, m/N.
         speed_damping_Ns_m: Force per velocity error at the cable, N s/m, under a force ramp.
         return_m_s: How fast it returns to a position, m/s.
         acceleration_m_s2: How fast it comes to a velocity, m/s2.
@@ -102,7 +102,7 @@ class Drive:
     force_lag_s: float = 0.1
     force_integral_s: float = 0.6
     position_lag_s: float = 0.05
-    give_m_N: float = 1e-5
+    compliance_m_N: float = 1e-5
     speed_damping_Ns_m: float = 200.0
     return_m_s: float = 0.005
     acceleration_m_s2: float = 0.02

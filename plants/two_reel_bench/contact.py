@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from estune.core.quantities import FloatArray, Numbers, at, checked, first, plain
+from estune.core.quantities import FloatArray, Numbers, index_text, checked_array, first_index, scalar_or_array
 from estune.errors import InvalidInput
 from plants.two_reel_bench.geometry import unit_vector
 
@@ -52,15 +52,15 @@ def split_contact_force(force_N: ArrayLike, line: ArrayLike) -> ContactForce:
         InvalidInput: a value is not finite, a line has no length, or not three components.
     """
     along = unit_vector("line", line)
-    force = checked("force", force_N, "N")
+    force = checked_array("force", force_N, "N")
     if force.ndim == 0 or force.shape[-1] != 3:
         raise InvalidInput(f"force has shape {force.shape}; its last axis must hold 3 components")
     lateral = np.abs(np.sum(force * along, axis=-1))
     normal = np.linalg.norm(np.cross(force, along), axis=-1)
     return ContactForce(
-        plain(np.asarray(normal)),
-        plain(np.asarray(lateral)),
-        plain(np.asarray(np.arctan2(lateral, normal))),
+        scalar_or_array(np.asarray(normal)),
+        scalar_or_array(np.asarray(lateral)),
+        scalar_or_array(np.asarray(np.arctan2(lateral, normal))),
     )
 
 
@@ -78,16 +78,16 @@ def tension_outside_N(tension_2_N: ArrayLike, friction_N: ArrayLike) -> Numbers:
     Raises:
         InvalidInput: a value is not finite or negative, or the friction exceeds the tension.
     """
-    T_2 = checked("tension_2", tension_2_N, "N", least=0.0)
-    F_R = checked("friction", friction_N, "N", least=0.0)
+    T_2 = checked_array("tension_2", tension_2_N, "N", least=0.0)
+    F_R = checked_array("friction", friction_N, "N", least=0.0)
     T_1 = np.asarray(T_2 - F_R)
     if (T_1 < 0.0).any():
-        place = first(T_1 < 0.0)
+        place = first_index(T_1 < 0.0)
         raise InvalidInput(
-            f"friction exceeds the tension inside by {-T_1[place]:g} N{at(place)}; the cable "
+            f"friction exceeds the tension inside by {-T_1[place]:g} N{index_text(place)}; the cable "
             "would be slack outside, check the friction coefficient"
         )
-    return plain(T_1)
+    return scalar_or_array(T_1)
 
 
 def sticks(
@@ -115,9 +115,9 @@ def sticks(
     Raises:
         InvalidInput: a value is not finite or out of its range.
     """
-    F_R = checked("friction", friction_N, "N", least=0.0)
-    C_R = checked("coefficient_R", coefficient_R, "", above=0.0)
-    C_L = checked("coefficient_L", coefficient_L, "", above=0.0)
+    F_R = checked_array("friction", friction_N, "N", least=0.0)
+    C_R = checked_array("coefficient_R", coefficient_R, "", above=0.0)
+    C_L = checked_array("coefficient_L", coefficient_L, "", above=0.0)
     holds = np.asarray(contact.normal_N >= np.hypot(F_R / C_R, contact.lateral_N / C_L))
     return holds.item() if holds.ndim == 0 else holds
 
@@ -169,7 +169,7 @@ def contact_force_N(
     """
     T_1, T_2, gamma = _tensions(tension_1_N, tension_2_N, angle_rad)
     half = 0.5 * gamma
-    return plain(np.asarray(np.hypot((T_1 + T_2) * np.cos(half), (T_1 - T_2) * np.sin(half))))
+    return scalar_or_array(np.asarray(np.hypot((T_1 + T_2) * np.cos(half), (T_1 - T_2) * np.sin(half))))
 
 
 def friction_N(
@@ -195,23 +195,23 @@ def friction_N(
         InvalidInput: a value is not finite or out of its range, or the angle lies outside the
             friction cone, where the cable slides along the line whatever F_R is.
     """
-    T = checked("contact force", contact_N, "N", least=0.0)
-    C_R = checked("coefficient_R", coefficient_R, "", least=0.0)
-    Psi = np.abs(checked("lateral angle", lateral_angle_rad, "rad"))
+    T = checked_array("contact force", contact_N, "N", least=0.0)
+    C_R = checked_array("coefficient_R", coefficient_R, "", least=0.0)
+    Psi = np.abs(checked_array("lateral angle", lateral_angle_rad, "rad"))
     if not Psi.any():
-        return plain(np.asarray(C_R * T))
-    C_L = checked("coefficient_L", coefficient_L, "", above=0.0)
+        return scalar_or_array(np.asarray(C_R * T))
+    C_L = checked_array("coefficient_L", coefficient_L, "", above=0.0)
     outside = np.asarray(Psi > np.arctan(C_L))
     if outside.any():
-        place = first(outside)
+        place = first_index(outside)
         limit = np.broadcast_to(np.arctan(C_L), outside.shape)[place]
         raise InvalidInput(
-            f"lateral angle is {np.broadcast_to(Psi, outside.shape)[place]:g} rad{at(place)}, "
+            f"lateral angle is {np.broadcast_to(Psi, outside.shape)[place]:g} rad{index_text(place)}, "
             f"outside the friction cone of {limit:g} rad: the cable slides along the line; turn "
             "the lever across the cable or raise coefficient_L"
         )
     left = np.maximum(np.cos(Psi) ** 2 - (np.sin(Psi) / C_L) ** 2, 0.0)
-    return plain(np.asarray(C_R * T * np.sqrt(left)))
+    return scalar_or_array(np.asarray(C_R * T * np.sqrt(left)))
 
 
 def checked_angle(angle_rad: ArrayLike) -> FloatArray:
@@ -220,11 +220,11 @@ def checked_angle(angle_rad: ArrayLike) -> FloatArray:
     Raises:
         InvalidInput: a value is not finite or out of its range.
     """
-    gamma = checked("angle gamma", angle_rad, "rad", least=0.0)
+    gamma = checked_array("angle gamma", angle_rad, "rad", least=0.0)
     if (gamma > np.pi).any():
-        place = first(gamma > np.pi)
+        place = first_index(gamma > np.pi)
         raise InvalidInput(
-            f"angle gamma is {gamma[place]:g} rad{at(place)}; it lies between 0 (folded back) and "
+            f"angle gamma is {gamma[place]:g} rad{index_text(place)}; it lies between 0 (folded back) and "
             "pi (straight), in radians"
         )
     return gamma
@@ -234,7 +234,7 @@ def _tensions(
     tension_1_N: ArrayLike, tension_2_N: ArrayLike, angle_rad: ArrayLike
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     return (
-        checked("tension_1", tension_1_N, "N", least=0.0),
-        checked("tension_2", tension_2_N, "N", least=0.0),
+        checked_array("tension_1", tension_1_N, "N", least=0.0),
+        checked_array("tension_2", tension_2_N, "N", least=0.0),
         checked_angle(angle_rad),
     )

@@ -19,13 +19,18 @@ import numpy as np
 from estune.core.quantities import FloatArray
 from estune.errors import InvalidInput
 from estune.reel.calibration import GaugeCalibration
-from plants.identify.second_order import Estimate
+from plants.identify.estimate import Estimate
 from plants.two_reel_bench.friction_ratio import friction_coefficient
 from plants.two_reel_bench.index import WEBER_LIMIT, StaticTransparency, static_transparency
-from plants.two_reel_bench.mean_estimate import SUSPICIOUS, chance, mean_estimate, student
-from plants.two_reel_bench.procedure import LEAST_SETPOINTS, LEAST_SWEEPS, Measurement
+from plants.two_reel_bench.mean_estimate import (
+    SIGNIFICANCE_LEVEL,
+    mean_estimate,
+    student_quantile,
+    two_sided_p_value,
+)
+from plants.two_reel_bench.procedure import LEAST_SETPOINTS, LEAST_SWEEPS, SetpointReadings
 
-PROMISE = 0.999
+RESOLVED_PROBABILITY = 0.999
 """How sure a result must be to lie within the tolerance for it to be called resolved."""
 
 _LEAST_B = 1e-6
@@ -42,20 +47,20 @@ class FrictionCurve(NamedTuple):
         constant_N: c, N.
         linear: a.
         quadratic: b, 1/N.
-        constant_chance: How likely chance alone would make c differ so much from zero.
-        quadratic_chance: How likely chance alone would make b differ so much from zero.
+        constant_p_value: How likely chance alone would make c differ so much from zero.
+        quadratic_p_value: How likely chance alone would make b differ so much from zero.
     """
 
     constant_N: Estimate
     linear: Estimate
     quadratic: Estimate
-    constant_chance: float
-    quadratic_chance: float
+    constant_p_value: float
+    quadratic_p_value: float
 
     @property
     def follows_coulomb(self) -> bool:
         """Whether the measurement does not contradict Coulomb's law."""
-        return self.quadratic_chance >= SUSPICIOUS
+        return self.quadratic_p_value >= SIGNIFICANCE_LEVEL
 
     def ratio(self, tension_N: FloatArray) -> FloatArray:
         """B at tensions inside the reel, N."""
@@ -73,7 +78,7 @@ class TwoReelResult:
         resolved: Whether C_R is known to within the tolerance.
         sweeps_needed: Sweeps after which it should be, by their present scatter; None where no
             number of sweeps would do.
-        remarks: What stands in the way, or should be known; with what to do about it.
+        warnings: What stands in the way, or should be known; with what to do about it.
         curve: Loss of tension against tension.
         setpoint_N: Tensions commanded, N, shape (setpoints,).
         tension_N: Mean tension at which friction acted at each setpoint, N, shape (setpoints,).
@@ -90,7 +95,7 @@ class TwoReelResult:
     mean_tension_N: float
     resolved: bool
     sweeps_needed: int | None
-    remarks: tuple[str, ...]
+    warnings: tuple[str, ...]
     curve: FrictionCurve
     setpoint_N: FloatArray
     tension_N: FloatArray
@@ -142,7 +147,7 @@ class TwoReelResult:
 
 
 def evaluate(
-    measurements: Sequence[Measurement],
+    measurements: Sequence[SetpointReadings],
     angles_x_rad: Sequence[float],
     angles_y_rad: Sequence[float] | None = None,
     *,
@@ -192,7 +197,7 @@ def evaluate(
         mean_tension_N=middle,
         resolved=not remarks,
         sweeps_needed=error.sweeps_needed(tolerance * C.value),
-        remarks=(*remarks, *_notes(curve, middle)),
+        warnings=(*remarks, *_notes(curve, middle)),
         curve=curve,
         setpoint_N=setpoint,
         tension_N=tension.mean(axis=0),
@@ -205,7 +210,7 @@ def evaluate(
     )
 
 
-def _table(measurements: Sequence[Measurement]) -> FloatArray:
+def _table(measurements: Sequence[SetpointReadings]) -> FloatArray:
     """The measurements, shape (sweeps, setpoints, 6), setpoints rising."""
     rows = sorted(measurements, key=lambda m: (m.sweep, m.setpoint_N))
     sweeps, setpoints = len({m.sweep for m in rows}), len({m.setpoint_N for m in rows})
@@ -220,7 +225,7 @@ def _table(measurements: Sequence[Measurement]) -> FloatArray:
             f"{len(rows)} measurements are not {sweeps} whole sweeps of {setpoints} setpoints; "
             "leave out the broken ones"
         )
-    table = np.array(rows, dtype=np.float64).reshape(sweeps, setpoints, len(Measurement._fields))
+    table = np.array(rows, dtype=np.float64).reshape(sweeps, setpoints, len(SetpointReadings._fields))
     if not np.isfinite(table).all():
         raise InvalidInput("a measurement is not finite; leave out its sweep")
     if np.ptp(table[..., 0], axis=0).any() or np.ptp(table[..., 1], axis=1).any():
@@ -268,7 +273,7 @@ def _friction_curve(fits: FloatArray, probability: float) -> FrictionCurve:
         mean_estimate(column, probability, unit)
         for column, unit in zip(fits.T, ("N", "", "1/N"), strict=True)
     )
-    by_chance = (chance(e.value, e.standard_error, len(fits) - 1) for e in (c, b))
+    by_chance = (two_sided_p_value(e.value, e.standard_error, len(fits) - 1) for e in (c, b))
     return FrictionCurve(c, a, b, *by_chance)
 
 
@@ -281,7 +286,7 @@ def _notes(curve: FrictionCurve, middle_N: float) -> list[str]:
             f"per N, and B and C_R hold at {middle_N:.3g} N; set the setpoints about the tension "
             "that matters"
         )
-    if curve.constant_chance < SUSPICIOUS:
+    if curve.constant_p_value < SIGNIFICANCE_LEVEL:
         said.append(
             f"the loss of tension has a part of {curve.constant_N.value:.2g} N that does not grow "
             "with tension and was left out: check the zero of X's gauge, and hold by breakout"
@@ -302,17 +307,17 @@ class _Uncertainty(NamedTuple):
 
         normal = float(ndtri(0.5 + 0.5 * probability))
         return float(
-            np.hypot(student(probability, self.sweeps - 1) * self.scatter, normal * self.angle)
+            np.hypot(student_quantile(probability, self.sweeps - 1) * self.scatter, normal * self.angle)
         )
 
     def sweeps_needed(self, half_width: float) -> int | None:
         """Sweeps that would make the promised interval as narrow as this, None if none would."""
-        left = half_width**2 - _Uncertainty(0.0, self.angle, self.sweeps).half_width(PROMISE) ** 2
+        left = half_width**2 - _Uncertainty(0.0, self.angle, self.sweeps).half_width(RESOLVED_PROBABILITY) ** 2
         if left <= 0.0:
             return None
         one_sweep = self.scatter * float(np.sqrt(self.sweeps / left))
-        count = max(LEAST_SWEEPS, int((student(PROMISE, 10**9) * one_sweep) ** 2))
-        while student(PROMISE, count - 1) * one_sweep > np.sqrt(count):
+        count = max(LEAST_SWEEPS, int((student_quantile(RESOLVED_PROBABILITY, 10**9) * one_sweep) ** 2))
+        while student_quantile(RESOLVED_PROBABILITY, count - 1) * one_sweep > np.sqrt(count):
             count += 1
         return count
 
@@ -352,8 +357,8 @@ def _remarks(
 ) -> list[str]:
     """Why C_R is not resolved, and what to do."""
     said = []
-    half = error.half_width(PROMISE)
-    if B.value + student(PROMISE, error.sweeps - 1) * B.standard_error >= 1.0:
+    half = error.half_width(RESOLVED_PROBABILITY)
+    if B.value + student_quantile(RESOLVED_PROBABILITY, error.sweeps - 1) * B.standard_error >= 1.0:
         said.append(
             f"the loss 1 - B of {1.0 - B.value:.2g} does not stand out from its scatter of "
             f"{B.standard_error:.2g}: no friction can be told; bend the cable more, raise the "
@@ -372,7 +377,7 @@ def _remarks(
     slope = float(order @ per_sweep / (order @ order))
     rest = per_sweep - per_sweep.mean() - slope * order
     spread = float(np.sqrt(rest @ rest / (per_sweep.size - 2) / (order @ order)))
-    if chance(slope, spread, per_sweep.size - 2) < SUSPICIOUS:
+    if two_sided_p_value(slope, spread, per_sweep.size - 2) < SIGNIFICANCE_LEVEL:
         said.append(
             f"B drifts by {slope:.2g} per sweep, so that the intervals do not hold; let gauges "
             "and eyelets settle, and measure again"

@@ -8,7 +8,7 @@ form neither cancels for a cable that is almost straight nor for little friction
 import numpy as np
 from numpy.typing import ArrayLike
 
-from estune.core.quantities import FloatArray, Numbers, at, checked, first, plain
+from estune.core.quantities import FloatArray, Numbers, index_text, checked_array, first_index, scalar_or_array
 from estune.errors import InvalidInput
 from plants.cable.roots import newton
 from plants.two_reel_bench.contact import checked_angle, contact_force_N, friction_N
@@ -41,7 +41,7 @@ def sliding_excess_N(
     """
     contact = contact_force_N(tension_1_N, tension_2_N, angle_rad)
     held = friction_N(contact, coefficient_R)
-    return plain(np.asarray(np.asarray(tension_2_N) - np.asarray(tension_1_N) - held))
+    return scalar_or_array(np.asarray(np.asarray(tension_2_N) - np.asarray(tension_1_N) - held))
 
 
 def capital_gamma(coefficient_R: ArrayLike, angle_rad: ArrayLike) -> Numbers:
@@ -61,7 +61,7 @@ def capital_gamma(coefficient_R: ArrayLike, angle_rad: ArrayLike) -> Numbers:
     """
     C, gamma = checked_coefficient(coefficient_R), checked_angle(angle_rad)
     # 1 + 2 sinh^2(u/2): the printed quotient, without losing Gamma - 1.
-    return plain(np.asarray(1.0 + 2.0 * (_tangent(C) * np.cos(0.5 * gamma)) ** 2))
+    return scalar_or_array(np.asarray(1.0 + 2.0 * (_tangent(C) * np.cos(0.5 * gamma)) ** 2))
 
 
 def attenuation(coefficient_R: ArrayLike, *angles_rad: ArrayLike) -> Numbers:
@@ -114,8 +114,8 @@ def attenuated_tension_N(tension_2_N: ArrayLike, attenuation_ratio: ArrayLike) -
     Raises:
         InvalidInput: a value is not finite or out of its range.
     """
-    T_2 = checked("tension_2", tension_2_N, "N", least=0.0)
-    return plain(np.asarray(checked_attenuation(attenuation_ratio) * T_2))
+    T_2 = checked_array("tension_2", tension_2_N, "N", least=0.0)
+    return scalar_or_array(np.asarray(checked_attenuation(attenuation_ratio) * T_2))
 
 
 def equivalent_attenuation(*attenuations: ArrayLike) -> Numbers:
@@ -137,7 +137,7 @@ def equivalent_attenuation(*attenuations: ArrayLike) -> Numbers:
     product = np.ones(())
     for ratio in attenuations:
         product = product * checked_attenuation(ratio)
-    return plain(np.asarray(product))
+    return scalar_or_array(np.asarray(product))
 
 
 def friction_coefficient(attenuation_ratio: ArrayLike, *angles_rad: ArrayLike) -> Numbers:
@@ -162,7 +162,7 @@ def friction_coefficient(attenuation_ratio: ArrayLike, *angles_rad: ArrayLike) -
     straight = np.pi - np.min(angles, axis=0) < LEAST_BEND_rad
     if straight.any():
         raise InvalidInput(
-            f"angle gamma is pi{at(first(straight))} at every contact: a straight cable does not "
+            f"angle gamma is pi{index_text(first_index(straight))} at every contact: a straight cable does not "
             "tell its friction coefficient, bend it by moving one reel sideways"
         )
     shape = B.shape
@@ -172,7 +172,7 @@ def friction_coefficient(attenuation_ratio: ArrayLike, *angles_rad: ArrayLike) -
     least = np.sinh(0.5 * wanted / len(bends)) / np.mean(bends, axis=0)
     most = np.sinh(0.5 * wanted) / np.max(bends, axis=0)
     t = newton(_missing_loss, least * (1.0 - slack), most * (1.0 + slack), wanted, *bends)
-    return plain(np.asarray(t / np.hypot(1.0, t)).reshape(shape))
+    return scalar_or_array(np.asarray(t / np.hypot(1.0, t)).reshape(shape))
 
 
 def _missing_loss(
@@ -192,11 +192,11 @@ def checked_coefficient(coefficient_R: ArrayLike) -> FloatArray:
     Raises:
         InvalidInput: a value is not finite or out of its range.
     """
-    C = checked("friction coefficient", coefficient_R, "", least=0.0)
+    C = checked_array("friction coefficient", coefficient_R, "", least=0.0)
     if (C >= 1.0).any():
-        place = first(C >= 1.0)
+        place = first_index(C >= 1.0)
         raise InvalidInput(
-            f"friction coefficient is {C[place]:g}{at(place)}; from 1 on the cable jams at the "
+            f"friction coefficient is {C[place]:g}{index_text(place)}; from 1 on the cable jams at the "
             "contact, give one below 1"
         )
     return C
@@ -208,11 +208,11 @@ def checked_attenuation(ratio: ArrayLike) -> FloatArray:
     Raises:
         InvalidInput: a value is not finite or out of its range.
     """
-    B = checked("attenuation ratio", ratio, "", above=0.0)
+    B = checked_array("attenuation ratio", ratio, "", above=0.0)
     if (B > 1.0).any():
-        place = first(B > 1.0)
+        place = first_index(B > 1.0)
         raise InvalidInput(
-            f"attenuation ratio is {B[place]:.6g}{at(place)}; it is at most 1, as friction only "
+            f"attenuation ratio is {B[place]:.6g}{index_text(place)}; it is at most 1, as friction only "
             "takes tension away: check the gauges' zeros, or which reel was driven"
         )
     return B

@@ -13,7 +13,7 @@ The functions follow (11) and (12) as printed.
 import numpy as np
 from numpy.typing import ArrayLike
 
-from estune.core.quantities import FloatArray, Numbers, at, checked, first, plain
+from estune.core.quantities import FloatArray, Numbers, index_text, checked_array, first_index, scalar_or_array
 from estune.errors import InvalidInput
 
 _STRAIGHT_rad = 1e-7
@@ -63,13 +63,13 @@ def direction_inside(theta_2_rad: ArrayLike, phi_2_rad: ArrayLike) -> FloatArray
 def _direction(
     theta_name: str, theta_rad: ArrayLike, phi_name: str, phi_rad: ArrayLike, axial: float
 ) -> FloatArray:
-    theta = checked(theta_name, theta_rad, "rad", least=0.0)
-    phi = checked(phi_name, phi_rad, "rad")
+    theta = checked_array(theta_name, theta_rad, "rad", least=0.0)
+    phi = checked_array(phi_name, phi_rad, "rad")
     behind = theta >= 0.5 * np.pi
     if behind.any():
-        place = first(behind)
+        place = first_index(behind)
         raise InvalidInput(
-            f"{theta_name} is {theta[place]:g} rad{at(place)}; a cable through the eyelet has "
+            f"{theta_name} is {theta[place]:g} rad{index_text(place)}; a cable through the eyelet has "
             "less than pi/2 on either side, turn the eyelet towards it"
         )
     theta, phi = np.broadcast_arrays(theta, phi)
@@ -95,7 +95,7 @@ def angle_between_rad(P_1: ArrayLike, P_2: ArrayLike) -> Numbers:
     """
     P_1, P_2 = unit_vector("P_1", P_1), unit_vector("P_2", P_2)
     apart, along = np.linalg.norm(P_1 - P_2, axis=-1), np.linalg.norm(P_1 + P_2, axis=-1)
-    return plain(np.asarray(2.0 * np.arctan2(apart, along)))
+    return scalar_or_array(np.asarray(2.0 * np.arctan2(apart, along)))
 
 
 def eyelet_angle_rad(
@@ -126,7 +126,7 @@ def contact_line(P_1: ArrayLike, P_2: ArrayLike) -> FloatArray:
     collinear = size < _STRAIGHT_rad
     if collinear.any():
         raise InvalidInput(
-            f"the cable outside and inside are collinear{at(first(collinear))}; without a bend "
+            f"the cable outside and inside are collinear{index_text(first_index(collinear))}; without a bend "
             "there is neither a contact line nor friction, move one end sideways"
         )
     return np.asarray(across / size[..., None])
@@ -138,10 +138,10 @@ def unit_vector(name: str, vector: ArrayLike) -> FloatArray:
     Raises:
         InvalidInput: a value is not finite, a vector has no length or not three components.
     """
-    v = checked(name, vector, "")
+    v = checked_array(name, vector, "")
     if v.ndim == 0 or v.shape[-1] != 3:
         raise InvalidInput(f"{name} has shape {v.shape}; its last axis must hold 3 components")
     size = np.linalg.norm(v, axis=-1)
     if (size == 0.0).any():
-        raise InvalidInput(f"{name} has no length{at(first(size == 0.0))}; give a direction")
+        raise InvalidInput(f"{name} has no length{index_text(first_index(size == 0.0))}; give a direction")
     return np.asarray(v / size[..., None])

@@ -6,7 +6,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from estune.core.quantities import Numbers, checked, plain
+from estune.core.quantities import Numbers, checked_array, scalar_or_array
 from estune.errors import InvalidInput
 from plants.two_reel_bench.contact import checked_angle
 from plants.two_reel_bench.friction_ratio import checked_attenuation, checked_coefficient
@@ -30,7 +30,7 @@ def log_mean(attenuation_ratios: ArrayLike) -> Numbers:
     Raises:
         InvalidInput: a value is not finite or out of its range, or there is none.
     """
-    return plain(np.asarray(np.mean(np.log(_setpoints(attenuation_ratios)), axis=-1)))
+    return scalar_or_array(np.asarray(np.mean(np.log(_setpoints(attenuation_ratios)), axis=-1)))
 
 
 def log_spread(attenuation_ratios: ArrayLike) -> Numbers:
@@ -47,7 +47,7 @@ def log_spread(attenuation_ratios: ArrayLike) -> Numbers:
     Raises:
         InvalidInput: a value is not finite or out of its range, or there is none.
     """
-    return plain(np.asarray(np.std(np.log(_setpoints(attenuation_ratios)), axis=-1)))
+    return scalar_or_array(np.asarray(np.std(np.log(_setpoints(attenuation_ratios)), axis=-1)))
 
 
 def friction_share(
@@ -73,7 +73,7 @@ def friction_share(
     C, B = checked_coefficient(coefficient_R), checked_attenuation(attenuation_ratio)
     half = 0.5 * checked_angle(angle_rad)
     # 1 + B^2 + 2 B cos(gamma), without cancelling near gamma = pi.
-    return plain(np.asarray(C * np.hypot((1.0 + B) * np.cos(half), (1.0 - B) * np.sin(half))))
+    return scalar_or_array(np.asarray(C * np.hypot((1.0 + B) * np.cos(half), (1.0 - B) * np.sin(half))))
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,7 +119,7 @@ def static_transparency(
         InvalidInput: a value is not finite or out of its range, or the shapes differ.
     """
     B = _setpoints(attenuation_ratios)
-    low, high = checked("low", low, "", above=0.0), checked("high", high, "", above=0.0)
+    low, high = checked_array("low", low, "", above=0.0), checked_array("high", high, "", above=0.0)
     if not B.shape == low.shape == high.shape == (B.size,):
         raise InvalidInput(
             f"ratios, low and high have shapes {B.shape}, {low.shape}, {high.shape}; give one "

@@ -40,7 +40,7 @@ _NOTICE_s = 1.0
 """Time in which a drum on its way back has come nearer by more than its encoder's counts."""
 
 
-class Measurement(NamedTuple):
+class SetpointReadings(NamedTuple):
     """What one setpoint gave in one sweep.
 
     Attributes:
@@ -140,8 +140,8 @@ class TwoReelProcedure:
             )
 
     def run(
-        self, bench: Bench, progress: Callable[[Measurement], None] | None = None
-    ) -> tuple[Measurement, ...]:
+        self, bench: Bench, progress: Callable[[SetpointReadings], None] | None = None
+    ) -> tuple[SetpointReadings, ...]:
         """Measures all sweeps; both reels hold their position at the end, also after an error.
 
         Args:
@@ -174,7 +174,7 @@ class TwoReelProcedure:
 
     def _measure(
         self, bench: Bench, setpoint: float, sweep: int, homes: tuple[float, float]
-    ) -> Measurement:
+    ) -> SetpointReadings:
         """X pulls to x_1 and Y holds; then Y pulls to what it read and X holds."""
         first = self._pull(bench, "x", setpoint, self.preload_N, homes[1])
         if abs(first.puller - setpoint) > 0.2 * setpoint:
@@ -189,7 +189,7 @@ class TwoReelProcedure:
                 f"{second.holder_before:.4g} N before: the cable did not slide through to it; "
                 f"lower the preload of {self.preload_N:g} N or raise setpoint {setpoint:g} N"
             )
-        return Measurement(
+        return SetpointReadings(
             setpoint, sweep, first.puller, first.holder, second.holder, second.puller
         )
 

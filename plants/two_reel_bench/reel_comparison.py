@@ -6,10 +6,14 @@ import numpy as np
 
 from estune.core.quantities import FloatArray
 from estune.errors import InvalidInput
-from plants.identify.second_order import Estimate
+from plants.identify.estimate import Estimate
 from plants.two_reel_bench.evaluation import TwoReelResult
 from plants.two_reel_bench.friction_ratio import attenuation
-from plants.two_reel_bench.mean_estimate import SUSPICIOUS, chance, student
+from plants.two_reel_bench.mean_estimate import (
+    SIGNIFICANCE_LEVEL,
+    student_quantile,
+    two_sided_p_value,
+)
 
 _WORST_CONDITION = 1e3
 """How much measurements that bend the cable nearly alike may blow up their errors."""
@@ -21,20 +25,20 @@ class ReelComparison(NamedTuple):
     Attributes:
         coefficient_x: Friction coefficient C_R of X alone.
         coefficient_y: Friction coefficient C_R of Y alone.
-        chance: How likely two reels that are alike are to seem so different.
+        p_value: How likely two reels that are alike are to seem so different.
     """
 
     coefficient_x: Estimate
     coefficient_y: Estimate
-    chance: float
+    p_value: float
 
     @property
     def alike(self) -> bool:
         """Whether the measurements do not contradict that the reels are alike."""
-        return self.chance >= SUSPICIOUS
+        return self.p_value >= SIGNIFICANCE_LEVEL
 
 
-def likeness(first: TwoReelResult, second: TwoReelResult) -> ReelComparison:
+def compare_reels(first: TwoReelResult, second: TwoReelResult) -> ReelComparison:
     """Tells the friction of the two reels apart, from two measurements with different angles.
 
     One measurement shows `B_X B_Y` alone, as the cable passes both eyelets in series. With Y bent
@@ -93,10 +97,10 @@ def _likeness(
 ) -> ReelComparison:
     error = np.array([2.0 * r.attenuation.standard_error / r.attenuation.value for r in runs])
     freedom = sum(run.ratios.shape[0] - 1 for run in runs)
-    width = student(runs[0].probability, freedom)
+    width = student_quantile(runs[0].probability, freedom)
     x, y = (
         Estimate(float(c), float(e), float(c - width * e), float(c + width * e), "")
         for c, e in zip(C, np.hypot(*(inverse * error).T), strict=True)
     )
     apart = float(np.hypot(*((inverse[0] - inverse[1]) * error)))
-    return ReelComparison(x, y, chance(x.value - y.value, apart, freedom))
+    return ReelComparison(x, y, two_sided_p_value(x.value - y.value, apart, freedom))
