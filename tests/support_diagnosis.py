@@ -178,8 +178,8 @@ def diagnosis(**changes) -> Diagnosis:
         ruled_out=("Coulomb friction leaves 9.8 times the noise floor.",),
         next_experiment=None,
         findings=(
-            DataIssue("refused", "runs/bad.csv", "tension_N", 17, "this is nan; remove the row"),
-            DataIssue("warning", "runs/short.csv", "", None, "0.4 s is short; record 2 s or more"),
+            DataIssue("refused", "this is nan; remove the row", "tension_N", 17, "runs/bad.csv"),
+            DataIssue("warning", "0.4 s is short; record 2 s or more", source="runs/short.csv"),
         ),
         steps=(
             SearchStep(None, 0.58, 0.043, 13.9),

@@ -1,4 +1,4 @@
-"""Column names and their units: which are known, which are a near miss, what to do about it."""
+"""Column names and their units: known names, and advice on near misses."""
 
 import difflib
 import math
@@ -23,7 +23,7 @@ METADATA = (
     "gains",
     "profile",
 )
-"""The metadata a measurement makes use of."""
+"""The metadata that a measurement uses."""
 
 _IN_SI = {
     "ns": 1e-9,
@@ -48,10 +48,10 @@ _IN_SI = {
 }
 """Other units a writer may have used, in the unit of the known name."""
 
-NEAR = 0.75
-"""Similarity of two names (difflib's ratio) from which one is taken for a slip of the other."""
-NEARER = 0.85
-"""The same for the columns that most records do not have."""
+SIMILAR = 0.75
+"""Similarity of two names (difflib's ratio) from which one is taken for a misspelling."""
+SIMILAR_RARE = 0.85
+"""That of the columns that most records do not have."""
 _RARE = ("reference_N", "flags")
 
 
@@ -79,7 +79,7 @@ def suggest_name(name: str, present: frozenset[str], known: tuple[str, ...]) -> 
             return f"{name} is in another unit; give it {scale} under the name {meant}"
         if name.lower() in (meant_stem, meant.lower()):
             return f"did you mean {meant}? rename it if it is in {meant_unit}"
-    for rare, least in ((False, NEAR), (True, NEARER)):
+    for rare, least in ((False, SIMILAR), (True, SIMILAR_RARE)):
         missing = {m.lower(): m for m in known if m not in present and (m in _RARE) == rare}
         near = difflib.get_close_matches(name.lower(), missing, 1, least)
         if near:

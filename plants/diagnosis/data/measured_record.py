@@ -1,4 +1,4 @@
-"""A measured record as the discrepancy workflow takes it, and what was found wrong with one."""
+"""A measured record as the diagnosis takes it, and issues found in one."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -18,29 +18,28 @@ OUTPUTS = ("tension_N", "angle_rad", "reference_N")
 """Those of them that a model predicts."""
 
 ROUNDING = 1e-3
-"""What current and command may differ by, as a share of the greatest command, and still be the
-same column written with few digits."""
+"""Difference of two columns, as a share of the greatest value, that rounding explains."""
 
 Level = Literal["refused", "warning"]
 
 
 @dataclass(frozen=True, slots=True)
 class DataIssue:
-    """Something that is wrong with a file, or looks wrong.
+    """Something that is wrong with a record, or looks wrong.
 
     Attributes:
         level: `refused` where the record is left out because of it, else `warning`.
-        source: The file, or the record's name.
+        sentence: What is wrong and what to do, one sentence without full stop.
         column: The column, or empty where it is about the whole record.
         row: The first data row it is about, counted from 1, or None.
-        sentence: What is wrong and what to do, one sentence without full stop.
+        source: The file, or the record's name; empty as long as it is not known.
     """
 
     level: Level
-    source: str
-    column: str
-    row: int | None
     sentence: str
+    column: str = ""
+    row: int | None = None
+    source: str = ""
 
     def __str__(self) -> str:
         """File, row and column in front of the sentence."""
@@ -50,21 +49,11 @@ class DataIssue:
 
 
 class Unusable(InvalidInput):
-    """A record cannot be used; becomes a `DataIssue` where its file is known.
-
-    Attributes:
-        column: The column it is about, or empty.
-        row: The first data row it is about, from 1, or None.
-        sentence: What is wrong and what to do.
-    """
+    """A record cannot be used because of an issue."""
 
     def __init__(self, sentence: str, column: str = "", row: int | None = None) -> None:
         super().__init__(sentence)
-        self.sentence, self.column, self.row = sentence, column, row
-
-    def finding(self, source: str) -> DataIssue:
-        """The same as a finding about a file."""
-        return DataIssue("refused", source, self.column, self.row, self.sentence)
+        self.issue = DataIssue("refused", sentence, column, row)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

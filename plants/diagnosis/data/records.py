@@ -28,20 +28,10 @@ FEWEST_SAMPLES = 3
 
 
 class FolderContents(NamedTuple):
-    """What a folder held.
-
-    Attributes:
-        measurements: The records that could be read, by name.
-        findings: What was refused or looked odd, file by file.
-    """
+    """The usable records of a folder by name, and the issues file by file."""
 
     measurements: tuple[MeasuredRecord, ...]
     findings: tuple[DataIssue, ...]
-
-    @property
-    def refused(self) -> tuple[DataIssue, ...]:
-        """The findings that cost a record."""
-        return tuple(f for f in self.findings if f.level == "refused")
 
 
 def read_measurements(folder: Path | str) -> FolderContents:
@@ -67,7 +57,7 @@ def read_measurements(folder: Path | str) -> FolderContents:
         elif _same(result, found[result.name]):
             first = found[result.name].source
             sentence = f"trial {result.name} was read from {first} already; this copy is left out"
-            findings.append(DataIssue("warning", result.source, "", None, sentence))
+            findings.append(DataIssue("warning", sentence, source=result.source))
         else:
             name = f"{result.name} ({result.source})"
             found[name] = replace(result, name=name)
@@ -87,7 +77,7 @@ def _same(one: MeasuredRecord, other: MeasuredRecord) -> bool:
 
 
 def _read_all(folder: Path) -> Iterator[MeasuredRecord | DataIssue]:
-    """Every record below the folder, or what was found wrong."""
+    """Every record below the folder, or the issue that cost it."""
     for path in [folder] if folder.is_file() else sorted(folder.rglob("*")):
         inside = path.relative_to(folder)
         if any(part.startswith(".") for part in inside.parts):
@@ -102,12 +92,12 @@ def _read_all(folder: Path) -> Iterator[MeasuredRecord | DataIssue]:
 def _read_file(path: Path, source: str) -> Iterator[MeasuredRecord | DataIssue]:
     try:
         table = read_table(path)
-        measurement, warnings = _measurement(table, path.stem, source)
+        measurement, issues = _measurement(table, path.stem, source)
     except Unusable as error:
-        yield error.finding(source)
+        yield replace(error.issue, source=source)
         return
-    for column, sentence in (*table.warnings, *warnings):
-        yield DataIssue("warning", source, column, None, sentence)
+    for issue in (*table.issues, *issues):
+        yield replace(issue, source=source)
     yield measurement
 
 
@@ -118,52 +108,41 @@ def _read_run(folder: Path, source: str) -> Iterator[MeasuredRecord | DataIssue]
                 if entry.outcome is not None:
                     yield _read_trial(journal, entry.trial_id, source)
     except JournalError as error:
-        yield DataIssue("refused", source, "", None, str(error))
+        yield DataIssue("refused", str(error), source=source)
 
 
 def _read_trial(journal: Journal, trial_id: str, source: str) -> MeasuredRecord | DataIssue:
     try:
         record = journal.record(trial_id)
     except JournalError as error:
-        return DataIssue("refused", source, "", None, str(error))
+        return DataIssue("refused", str(error), source=source)
     if record.time_s.size < FEWEST_SAMPLES:
         sentence = f"trial {trial_id} has {record.time_s.size} samples; nothing can be read off it"
-        return DataIssue("refused", source, "", None, sentence)
+        return DataIssue("refused", sentence, source=source)
     return replace(MeasuredRecord.of(record), source=f"{source} {trial_id}")
 
 
-def _measurement(
-    table: Table, stem: str, source: str
-) -> tuple[MeasuredRecord, list[tuple[str, str]]]:
-    """The measurement of a table, and column and sentence of what looked odd."""
+def _measurement(table: Table, stem: str, source: str) -> tuple[MeasuredRecord, list[DataIssue]]:
+    """The measurement of a table, and warnings."""
     # A rig without a gauge or an encoder fills the column with zeros.
     columns = {k: v for k, v in table.columns.items() if k not in OUTPUTS or v.any()}
-    about = _About(table.metadata)
-    warnings: list[tuple[str, str]] = []
+    about = _Metadata(table.metadata)
+    issues: list[DataIssue] = []
     if not table.metadata:
-        warnings.append(
-            ("", "there is no metadata; rate, loop and preload are read off the columns")
-        )
+        sentence = "there is no metadata; rate, loop and preload are read off the columns"
+        issues.append(DataIssue("warning", sentence))
     if not any(name in columns for name in OUTPUTS):
         raise Unusable(
             f"there is none of the columns {', '.join(OUTPUTS)}; name what was measured"
         )
     if not {"setpoint_N", "current_A"} & set(columns):
         raise Unusable("there is neither setpoint_N nor current_A; name what was commanded")
-    stated_Hz = about.number("sampling_Hz", above=0.0)
-    time_s = columns.get("time_s")
     samples = next(iter(columns.values())).size
     if samples < FEWEST_SAMPLES:
         raise Unusable(f"the file has {samples} rows; {FEWEST_SAMPLES} or more are needed")
-    if time_s is None:
-        if stated_Hz is None:
-            raise Unusable("there is neither time_s nor sampling_Hz; give one of them")
-        sampling_Hz, time_s = stated_Hz, np.arange(samples) / stated_Hz
-        warnings.append(("time_s", "there is no time column; it is made from sampling_Hz"))
-    else:
-        sampling_Hz, warning = sampling_rate(time_s, stated_Hz)
-        if warning:
-            warnings.append(("time_s", warning))
+    sampling_Hz, time_s, sentence = _time(columns, samples, about)
+    if sentence:
+        issues.append(DataIssue("warning", sentence, "time_s"))
     flags = columns.get("flags")
     measurement = MeasuredRecord(
         name=about.text("trial_id") or stem,
@@ -184,11 +163,25 @@ def _measurement(
             "a closed-loop record needs current_A, for the setpoint does not tell what the motor "
             "was commanded; record the current"
         )
-    return measurement, warnings
+    return measurement, issues
 
 
-def _preload(about: "_About", columns: dict[str, FloatArray]) -> float:
-    """As stated, or where the setpoint or the tension begin."""
+def _time(
+    columns: dict[str, FloatArray], samples: int, about: "_Metadata"
+) -> tuple[float, FloatArray, str | None]:
+    """Sampling rate, time, and a warning."""
+    stated_Hz, time_s = about.number("sampling_Hz", above=0.0), columns.get("time_s")
+    if time_s is not None:
+        sampling_Hz, warning = sampling_rate(time_s, stated_Hz)
+        return sampling_Hz, time_s, warning
+    if stated_Hz is None:
+        raise Unusable("there is neither time_s nor sampling_Hz; give one of them")
+    warning = "there is no time column; it is made from sampling_Hz"
+    return stated_Hz, np.arange(samples) / stated_Hz, warning
+
+
+def _preload(about: "_Metadata", columns: dict[str, FloatArray]) -> float:
+    """As stated, or the first setpoint or tension."""
     stated = about.number("preload_N")
     if stated is not None:
         return stated
@@ -196,7 +189,7 @@ def _preload(about: "_About", columns: dict[str, FloatArray]) -> float:
     return 0.0 if first is None else float(first[0])
 
 
-def _loop(about: "_About", columns: dict[str, FloatArray]) -> Literal["open", "closed"]:
+def _loop(about: "_Metadata", columns: dict[str, FloatArray]) -> Literal["open", "closed"]:
     """As stated, or open where the current is the setpoint times a constant."""
     stated = about.text("loop")
     if stated == "open":
@@ -214,8 +207,8 @@ def _loop(about: "_About", columns: dict[str, FloatArray]) -> Literal["open", "c
     return "open" if apart <= ROUNDING * float(np.abs(current).max()) else "closed"
 
 
-class _About(NamedTuple):
-    """The metadata, looked up with care for what other programs write."""
+class _Metadata(NamedTuple):
+    """The metadata, as other programs may write them."""
 
     values: dict[str, Any]
 

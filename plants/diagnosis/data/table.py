@@ -10,7 +10,7 @@ import numpy as np
 
 from estune.core.quantities import FloatArray
 from plants.diagnosis.data.column_names import METADATA, TABLE_COLUMNS, suggest_name
-from plants.diagnosis.data.measured_record import Unusable
+from plants.diagnosis.data.measured_record import DataIssue, Unusable
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -25,12 +25,12 @@ class Table(NamedTuple):
     Attributes:
         columns: Known columns by name, finite, shape (samples,).
         metadata: As written; empty where there is none.
-        warnings: Column and sentence of what was passed over.
+        issues: Columns that were ignored.
     """
 
     columns: dict[str, FloatArray]
     metadata: dict[str, Any]
-    warnings: tuple[tuple[str, str], ...]
+    issues: tuple[DataIssue, ...]
 
 
 def read_table(path: Path) -> Table:
@@ -52,16 +52,17 @@ def read_table(path: Path) -> Table:
         raise Unusable("the file is no UTF-8 text; save it as UTF-8") from error
     if frame.shape[0] == 0:
         raise Unusable("the file has no rows; record the trial again or remove the file")
-    passed = _check_names(names, TABLE_COLUMNS)
+    issues = _check_names(names, TABLE_COLUMNS)
     _check_names(frozenset(metadata), METADATA)
     columns = {}
     for name in (known for known in TABLE_COLUMNS if known in names):
         values = _numbers(name, frame[name])
         if values is None:
-            passed.append((name, "the column is empty; it is taken as missing"))
+            sentence = "the column is empty; it is taken as missing"
+            issues.append(DataIssue("warning", sentence, name))
         else:
             columns[name] = values
-    return Table(columns, metadata, tuple(passed))
+    return Table(columns, metadata, tuple(issues))
 
 
 def _read_csv(path: Path) -> tuple[frozenset[str], "pd.DataFrame", dict[str, Any]]:
@@ -89,7 +90,7 @@ def _read_csv(path: Path) -> tuple[frozenset[str], "pd.DataFrame", dict[str, Any
     except (pd.errors.ParserError, pd.errors.EmptyDataError) as error:
         line = re.search(r"line (\d+)", str(error))
         raise Unusable(
-            "the row has more cells than the heading, or a quote is not closed; mend it",
+            "the row has more cells than the heading, or a quote is not closed; correct it",
             row=int(line[1]) - 1 if line else None,
         ) from error
     frame.columns = [str(name).strip() for name in frame.columns]
@@ -126,21 +127,22 @@ def _as_object(content: bytes, source: str) -> dict[str, Any]:
     try:
         found = json.loads(content.decode("utf-8-sig"))
     except ValueError as error:
-        raise Unusable(f"{source} is no JSON ({error}); mend it or remove it") from error
+        raise Unusable(f"{source} is no JSON ({error}); correct it or remove it") from error
     if not isinstance(found, dict):
         raise Unusable(f"{source} holds no JSON object; give the metadata as one")
     return found
 
 
-def _check_names(present: frozenset[str], known: tuple[str, ...]) -> list[tuple[str, str]]:
-    """Refuses what seems to be a known name misspelt; what else is not known is passed over."""
-    passed = []
+def _check_names(present: frozenset[str], known: tuple[str, ...]) -> list[DataIssue]:
+    """Refuses what seems to be a known name misspelt; other unknown names are ignored."""
+    issues = []
     for name in sorted(present - set(known)):
         sentence = suggest_name(name, present, known)
         if sentence is not None:
             raise Unusable(sentence, name)
-        passed.append((name, "not a column of a record; it is passed over"))
-    return passed
+        sentence = "not a column of a record; it is ignored"
+        issues.append(DataIssue("warning", sentence, name))
+    return issues
 
 
 def _numbers(name: str, column: "pd.Series[Any]") -> FloatArray | None:
@@ -158,5 +160,5 @@ def _numbers(name: str, column: "pd.Series[Any]") -> FloatArray | None:
         row, cell = int(bad[0]) + 1, column.iloc[int(bad[0])]
         what = "the cell is empty or NaN" if pd.isna(cell) else f"{cell!r} is not a finite number"
         more = f" (and {bad.size - 1} more)" if bad.size > 1 else ""
-        raise Unusable(f"{what}{more}; remove or mend the row", name, row)
+        raise Unusable(f"{what}{more}; remove or correct the row", name, row)
     return values

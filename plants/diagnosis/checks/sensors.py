@@ -1,0 +1,124 @@
+"""Faults that a sensor's column shows by itself: a rail, a frozen reading, a dropout, a shift."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from estune.core.quantities import FloatArray
+from plants.diagnosis.data.measured_record import DataIssue
+from plants.diagnosis.data.noise import step_of, upper_rms
+
+FROZEN_samples = 20
+"""Equal readings in a row from which a noisy sensor is frozen."""
+TENSION_RANGE = 12.0
+"""Range of the tension, in its noise and what a step of the encoder stands for, in which the angle
+cannot stand still."""
+JUMP = 8.0
+"""A jump so many times as large as the largest of the usual ones, there and back, is a dropout."""
+USUAL_QUANTILE = 0.99
+DROPOUT_samples = 5
+"""Samples within which a dropout is over."""
+LOST_MAX = 0.3
+"""Share of a record that may be lost before it is refused."""
+RAIL = 0.005
+"""Share of samples at the extreme from which a rail is reported."""
+SHIFT_MAX_samples = 20
+"""Samples by which two channels are tried against each other."""
+SHIFT_MIN_samples = 2
+SHIFT_GAIN = 0.3
+"""What a shift must leave of the residual to be believed."""
+
+
+def faults(column: str, readings: FloatArray) -> Iterator[DataIssue]:
+    """The faults of a sensor's readings, shape (samples,)."""
+    if upper_rms(readings) > step_of(readings):  # else readings rest on a step of the converter
+        yield from _at_rail(column, readings)
+        ends = (readings.min(), readings.max())
+        runs = [run for run in _constant_runs(readings) if readings[run.start] not in ends]
+        yield from _frozen(column, readings.size, runs, "")
+    yield from _dropouts(column, readings)
+
+
+def frozen_angle(angle: FloatArray, tension: FloatArray, rad_per_N: float) -> Iterator[DataIssue]:
+    """An angle that stands still while the tension moves as only a turning drum can move it.
+
+    Args:
+        angle: As read, shape (samples,).
+        tension: Same shape.
+        rad_per_N: How far the drum turns for a change of the tension, at the least.
+    """
+    # So far that neither noise nor a step of the encoder can be meant.
+    least = TENSION_RANGE * (step_of(angle) / rad_per_N + upper_rms(tension))
+    runs = [run for run in _constant_runs(angle) if float(np.ptp(tension[run])) > least]
+    yield from _frozen("angle_rad", angle.size, runs, " while the tension moves")
+
+
+def _fault(lost: float, column: str, row: int, sentence: str) -> DataIssue:
+    """A fault that loses a share of the record."""
+    return DataIssue("refused" if lost > LOST_MAX else "warning", sentence, column, row)
+
+
+def _at_rail(column: str, readings: FloatArray) -> Iterator[DataIssue]:
+    """The greatest or the least reading comes again and again, in spite of the noise."""
+    for end in (readings.min(), readings.max()):
+        at = readings == end
+        share = float(at.mean())
+        if share >= RAIL and at.sum() > 2:
+            sentence = (
+                f"{share:.1%} of the readings are {end:g}, the end of the range; record it with "
+                "more range or less signal"
+            )
+            yield _fault(share, column, int(at.argmax()) + 1, sentence)
+
+
+def _constant_runs(readings: FloatArray) -> list[slice]:
+    """The long runs of equal readings."""
+    same = np.diff(readings) == 0.0
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]]).astype(np.int8)))
+    runs = zip(edges[::2].tolist(), (edges[1::2] + 1).tolist(), strict=True)
+    return [slice(begin, end) for begin, end in runs if end - begin >= FROZEN_samples]
+
+
+def _frozen(column: str, samples: int, runs: list[slice], when: str) -> Iterator[DataIssue]:
+    if runs:
+        lengths = [run.stop - run.start for run in runs]
+        sentence = (
+            f"the readings stand still for {max(lengths)} samples{when}; check the sensor and "
+            "its cable"
+        )
+        yield _fault(sum(lengths) / samples, column, runs[0].start + 1, sentence)
+
+
+def _dropouts(column: str, readings: FloatArray) -> Iterator[DataIssue]:
+    """Jumps to somewhere else and back again within a few samples."""
+    change = np.diff(readings)
+    usual = max(float(np.quantile(np.abs(change), USUAL_QUANTILE)), step_of(readings))
+    if not usual > 0.0:
+        return
+    jumps = np.flatnonzero(np.abs(change) > JUMP * usual)
+    back = np.diff(jumps) <= DROPOUT_samples
+    back &= np.sign(change[jumps[1:]]) != np.sign(change[jumps[:-1]])
+    if back.any():
+        row, count = int(jumps[:-1][back][0]) + 2, int(back.sum())
+        sentence = f"the readings jump away and back {count} times; check the sensor and its cable"
+        yield _fault(count * DROPOUT_samples / readings.size, column, row, sentence)
+
+
+def shift_between(leader: FloatArray, follower: FloatArray) -> int:
+    """Samples by which a channel lags another that it should be proportional to; 0 if it does not.
+
+    Args:
+        leader: Shape (samples,).
+        follower: Same shape; where it comes earlier, the answer is negative.
+    """
+    n = leader.size
+    if n < 8 * SHIFT_MAX_samples or not (np.ptp(leader) > 0.0 and np.ptp(follower) > 0.0):
+        return 0
+    x = leader[SHIFT_MAX_samples : n - SHIFT_MAX_samples]
+    left = np.empty(2 * SHIFT_MAX_samples + 1)
+    for shift in range(-SHIFT_MAX_samples, SHIFT_MAX_samples + 1):
+        y = follower[SHIFT_MAX_samples + shift : n - SHIFT_MAX_samples + shift]
+        left[shift + SHIFT_MAX_samples] = 1.0 - np.corrcoef(x, y)[0, 1] ** 2
+    best = int(left.argmin()) - SHIFT_MAX_samples
+    inside = SHIFT_MIN_samples <= abs(best) < SHIFT_MAX_samples
+    return best if inside and left.min() < SHIFT_GAIN**2 * left[SHIFT_MAX_samples] else 0
