@@ -17,7 +17,7 @@ TIMES = ("_restored_max_s", "stop_p99_ms")
 SAMPLED = {"confirmation", "hidden_effects", "sample_efficiency"}
 """Experiments with targets that are shares of hundreds of cases, which a few cannot judge."""
 
-OTHERS = {"equations", "hidden_scores", "judged", "rig_protocol_page"}
+OTHERS = {"equations", "hidden_scores", "joint_schedule", "results", "rig_protocol_page"}
 """Modules that measure nothing by themselves, and have no --json."""
 
 

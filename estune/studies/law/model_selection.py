@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from estune.core.quantities import FloatArray
-from estune.core.schedule import FORMS, Form, of_length
+from estune.core.schedule import FORMS, Form, length_term
 from estune.errors import InvalidInput
 from estune.studies.law.robust_regression import WeightedFit, fit_weighted
 
@@ -37,7 +37,7 @@ class CurveForm(NamedTuple):
         """The design matrix, shape (n, p): columns 1, f(L), T."""
         columns = [np.ones_like(length_m)]
         if self.over_length != "constant":
-            columns.append(np.asarray(of_length(self.over_length, length_m)))
+            columns.append(np.asarray(length_term(self.over_length, length_m)))
         if self.with_tension:
             columns.append(tension_N)
         return np.stack(columns, axis=-1)
