@@ -21,11 +21,6 @@ RATE = 632.0
 
 
 @pytest.fixture(scope="module")
-def refused(contents):
-    """The issues that cost a record."""
-    return tuple(f for f in contents.findings if f.level == "refused")
-
-
 def record():
     return open_loop_record(reference_reel(), multisine(RATE, Band(1.0, 60.0, periods=2), 4.0))
 
