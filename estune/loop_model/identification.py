@@ -37,6 +37,11 @@ class LoopRecord(NamedTuple):
     step_N: float
     step_index: int
 
+    @property
+    def rest_effort_N(self) -> float:
+        """Mean effort before the step, N."""
+        return float(self.effort_N[: max(self.step_index, 1)].mean())
+
 
 class LoopFit(NamedTuple):
     """An identified loop.
@@ -93,7 +98,7 @@ def fit_loop(
     start = (
         _cold_start(records, sampling_Hz, settling_time_s)
         if last is None
-        else _fit_poles(records, _pole_coordinates(last), last.dead_samples)
+        else _Try(math.inf, _pole_coordinates(last), last.dead_samples)
     )
     _, coordinates, dead = _searched_dead_time(records, start)
     a = _denominator(coordinates)
@@ -171,9 +176,9 @@ def _fit_poles(records: Sequence[LoopRecord], start: FloatArray, dead: int) -> _
         lambda x: _solve(records, _denominator(x), dead)[0],
         start,
         method="lm",
-        xtol=1e-8,
-        ftol=1e-10,
-        max_nfev=60,
+        xtol=1e-6,
+        ftol=1e-8,
+        max_nfev=40,
     )
     return _Try(float(found.cost), found.x, dead)
 
@@ -204,7 +209,7 @@ def _projected(record: LoopRecord, a: FloatArray, dead: int) -> tuple[FloatArray
     Returns:
         Arrays of shape (samples, 3) and (samples,).
     """
-    u = record.effort_N - record.effort_N[: max(record.step_index, 1)].mean()
+    u = record.effort_N - record.rest_effort_N
     y = record.measurement_N - record.measurement_N[: max(record.step_index, 1)].mean()
     n = y.size
     filtered = lfilter([1.0], a, u)

@@ -116,7 +116,6 @@ class RegionSearch:
         low: Least coordinates, shape (n,).
         high: Greatest coordinates.
         noise_N: Standard deviation of the measurement noise.
-        correction: Added to the logarithm of the predicted cost.
     """
 
     model: LoopModel
@@ -126,7 +125,6 @@ class RegionSearch:
     low: FloatArray
     high: FloatArray
     noise_N: float = 0.0
-    correction: Callable[[FloatArray], float] | None = None
     _known: dict[bytes, Prediction] = field(default_factory=dict, repr=False, compare=False)
 
     def minimise(
@@ -169,8 +167,7 @@ class RegionSearch:
 
     def _objective(self, x: FloatArray) -> float:
         cost = self.predicted(x).cost
-        value = math.log(cost) if math.isfinite(cost) else INFEASIBLE
-        return value + (self.correction(x) if self.correction else 0.0)
+        return math.log(cost) if math.isfinite(cost) else INFEASIBLE
 
     def _excess(self, x: FloatArray) -> FloatArray:
         excess = self.limits.excess(self.predicted(x))

@@ -1,6 +1,7 @@
 """Cost, overshoot and stability margins that an identified loop predicts at any gains."""
 
 import math
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -18,8 +19,9 @@ INFLATION = 1.5
 true value in 1.00 of 42 fits on seven families, without it in 0.83 to 0.95."""
 
 
-class StepTrial(NamedTuple):
-    """What decides a step trial besides the plant and the gains.
+@dataclass(frozen=True, slots=True)
+class StepTrial:
+    """A step trial without its gains.
 
     Attributes:
         controller: The fixed part of the controller.
@@ -28,7 +30,7 @@ class StepTrial(NamedTuple):
         step_N: Size of the step.
         step_index: First sample of the step.
         samples: Samples of the trial.
-        effort_N: Effort at rest before the step.
+        effort_N: Effort at rest before the step, by which the controller's limits are judged.
     """
 
     controller: ControllerSettings
@@ -37,7 +39,7 @@ class StepTrial(NamedTuple):
     step_N: float
     step_index: int
     samples: int
-    effort_N: float
+    effort_N: float = 0.0
 
     @property
     def setpoint_N(self) -> FloatArray:
@@ -107,7 +109,7 @@ def _limited_response(
 ) -> tuple[FloatArray, FloatArray]:
     """The same by the controller's own steps, with its limits and anti-windup."""
     c = pidf.coefficients(trial.controller, gains)
-    state = pidf.at_rest(0.0, trial.effort_N)
+    state = pidf.state_at_rest(0.0, trial.effort_N)
     a1, a2 = model.poles
     b = model.numerator.tolist()
     past_u = [0.0] * len(b)
@@ -195,8 +197,8 @@ def predict_with_intervals(fit: LoopFit, trial: StepTrial, gains: Gains) -> Pred
     )
 
 
-def standard_errors(fit: LoopFit) -> FloatArray:
-    """Factor F of the inflated covariance F F' of the model's parameters, shape (5, 5)."""
+def parameter_deviations(fit: LoopFit) -> FloatArray:
+    """A factor F of the inflated covariance F F' of the model's parameters, shape (5, 5)."""
     return np.asarray(INFLATION * np.linalg.cholesky(_positive(fit.covariance)))
 
 

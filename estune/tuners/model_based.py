@@ -1,16 +1,14 @@
 """Model-based search: the loop identified from the records predicts the cost of any gains.
 
-After each trial a linear model of the loop is fitted to the last records (`estune.loop_model`). With
-m the logarithm of the cost it predicts and r a Gaussian process of what measured costs differ from
-that, the next trial is
+After each trial a linear model of the loop is fitted to the last records (`estune.loop_model`).
+The next trial is the optimum of the cost it predicts,
 
-    x(k) = argmin  m(x) + mean r(x) - kappa sd r(x)
+    x(k) = argmin m(x),     m the logarithm of the predicted cost,
 
 within limits of sensitivity and overshoot, a box about the best trial, and what is safe by all
-likely models. The prior standard deviation of r grows with the misfit rho of the model and is zero
-below `MISFIT_EXACT`: then the model alone decides. Where its predictions fail, the fallback tuner,
-which is told every trial, proposes. The improvement that remains is estimated by draws from the
-posterior of the model. Measured costs decide what is kept.
+likely models. Where the misfit of the model exceeds `MISFIT_MAX`, or its predictions fail, the
+fallback tuner proposes, which is told every trial. The improvement that remains is estimated by
+draws from the posterior of the model. Measured costs decide what is kept.
 """
 
 import math
@@ -20,6 +18,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from estune.core.quantities import FloatArray
+from estune.loop_model.claim import MISFIT_MAX
 from estune.loop_model.identification import LoopFit, LoopRecord, fit_loop
 from estune.loop_model.model import LoopModel
 from estune.loop_model.optimum import Optimum, RegionSearch, RobustnessLimits
@@ -29,21 +28,6 @@ from estune.tuners.observation import Observation, log_cost
 from estune.tuners.safe_bayesian import SafeBayesianTuner
 from estune.tuners.search_space import Coordinates, Point, SearchSpace
 from estune.tuners.settings import check_above_zero, check_logarithmic
-
-MISFIT_EXACT = 0.002
-"""Misfit up to which the model alone decides: on plants in its class a surface on top left the
-search 0.5 to 2 % above the optimum after 24 trials, none left it at 0.0 %."""
-
-SURFACE_SLOPE = 30.0
-SURFACE_MAX = 1.0
-"""Prior standard deviation of r per misfit beyond `MISFIT_EXACT`, and at most."""
-
-SURFACE_LENGTH = 1.0
-"""Distance in logarithms over which r changes."""
-
-SURFACE_NOISE = 0.03
-EXPLORATION = 2.0
-"""kappa."""
 
 PREDICTION_FAILED = 0.5
 """Median error of the last three predictions of the log cost from which the fallback proposes."""
@@ -56,6 +40,12 @@ the cost of the first trial."""
 DRAWS = 10
 DRAW_ITERATIONS = 8
 """Posterior draws of the remaining improvement, and iterations of the optimum of each."""
+
+SCATTERED = 32
+"""Low-discrepancy points of which the best is one more start of the search for the optimum."""
+
+NOISE_EXPECTED = 0.03
+"""Relative standard deviation of the cost before enough predictions were compared."""
 
 WORTH_DRAWING = 0.1
 """Improvement of the model's optimum over the best trial, in the log cost, below which the
@@ -165,6 +155,8 @@ class IdentifiedLoopTuner:
         failed = len(recent) == 3 and float(np.median(recent)) > PREDICTION_FAILED  # not with NaN
         if state.fit is None or state.best_cost is None or failed:
             return self._fall_back(state)
+        if state.fit.misfit > MISFIT_MAX:
+            return self._fall_back(state)
         return self._propose(state, state.fit)
 
     def recommend(self, state: ModelBasedState) -> Point:
@@ -215,34 +207,19 @@ class IdentifiedLoopTuner:
 
     def _propose(self, state: ModelBasedState, fit: LoopFit) -> ModelBasedState:
         """The next trial and the centre by the model."""
-        left = [
-            c - _log_cost(self._at(state, fit, x)) for x, c in zip(*_tried(state), strict=True)
-        ]
-        surface = fit_residual_surface(fit.misfit, np.array(state.points), np.array(left))
         best = np.array(self.space.coordinates(state.best_point))
-        optimum = self._search(state, fit.model, surface, 0.0).minimise(
-            [np.array(state.centre), best], scattered=32
-        )
+        search = self._search(state, fit.model)
+        optimum = search.minimise([np.array(state.centre), best], scattered=SCATTERED)
         if not math.isfinite(optimum.prediction.cost):
             return self._fall_back(state)
-        wanted = optimum
-        if surface is not None:
-            search = self._search(state, fit.model, surface, EXPLORATION)
-            wanted = search.minimise([optimum.coordinates, best])
-        proposal = self._made_safe(state, fit, best, wanted.coordinates)
+        proposal = self._made_safe(state, fit, best, optimum.coordinates)
         return state._replace(
             centre=tuple(optimum.coordinates.tolist()),
             proposal=self.space.point(tuple(proposal.tolist())),
-            estimate=self._convergence(state, fit, surface, optimum),
+            estimate=self._convergence(state, fit, optimum),
         )
 
-    def _search(
-        self,
-        state: ModelBasedState,
-        model: LoopModel,
-        surface: "ResidualSurface | None",
-        exploration: float,
-    ) -> RegionSearch:
+    def _search(self, state: ModelBasedState, model: LoopModel) -> RegionSearch:
         """The search for the optimum of a model within reach of the best trial."""
         best = np.array(self.space.coordinates(state.best_point))
         radius = self.reach * state.step_scale
@@ -254,7 +231,6 @@ class IdentifiedLoopTuner:
             low=np.maximum(self.space.coordinates_low, best - radius),
             high=np.minimum(self.space.coordinates_high, best + radius),
             noise_N=state.fit.noise_N if state.fit else 0.0,
-            correction=None if surface is None else lambda x: surface.bound(x, exploration),
         )
 
     def _made_safe(
@@ -279,7 +255,6 @@ class IdentifiedLoopTuner:
         self,
         state: ModelBasedState,
         fit: LoopFit,
-        surface: "ResidualSurface | None",
         optimum: Optimum,
     ) -> ConvergenceEstimate | None:
         """Remaining improvement within the limits, by draws from the posterior of the model."""
@@ -292,7 +267,7 @@ class IdentifiedLoopTuner:
         gains, optima = [], []
         for _ in range(DRAWS):
             model = fit.model.with_parameters(theta + factor @ rng.standard_normal(theta.size))
-            search = self._search(state, model, surface, 0.0)
+            search = self._search(state, model)
             here = search.predicted(optimum.coordinates)
             if not math.isfinite(here.cost):
                 gains.append(1.0)
@@ -304,11 +279,10 @@ class IdentifiedLoopTuner:
             optima.append(drawn.coordinates)
         points = np.array(optima) if optima else optimum.coordinates[np.newaxis]
         low, high = points.min(axis=0), points.max(axis=0)
-        doubt = 0.0 if surface is None else surface.deviation(optimum.coordinates)
         recent = [error for error in state.errors[-8:] if not math.isnan(error)]
         return ConvergenceEstimate(
-            noise=float(np.std(recent)) if len(recent) > 3 else SURFACE_NOISE,
-            remaining_improvement=-math.expm1(-float(np.quantile(gains, 0.95)) - doubt),
+            noise=float(np.std(recent)) if len(recent) > 3 else NOISE_EXPECTED,
+            remaining_improvement=-math.expm1(-float(np.quantile(gains, 0.95))),
             expected_improvement=-math.expm1(-float(np.mean(gains))),
             intervals=tuple(
                 zip(
@@ -329,59 +303,5 @@ class IdentifiedLoopTuner:
         return predict(fit.model, self._trial(state), gains, fit.noise_N)
 
 
-class ResidualSurface(NamedTuple):
-    """Gaussian process of the measured log costs less those of the model, with prior mean zero.
-
-    Attributes:
-        size: Prior standard deviation.
-        points: Coordinates of the trials, shape (trials, n).
-        precision: Inverse of their covariance, shape (trials, trials).
-        weights: Precision times the residuals, shape (trials,).
-    """
-
-    size: float
-    points: FloatArray
-    precision: FloatArray
-    weights: FloatArray
-
-    def bound(self, x: FloatArray, exploration: float) -> float:
-        """Mean less `exploration` standard deviations, at coordinates of shape (n,)."""
-        k = _kernel(x[np.newaxis], self.points, self.size)[0]
-        variance = self.size**2 - float(k @ self.precision @ k)
-        return float(k @ self.weights) - exploration * math.sqrt(max(variance, 0.0))
-
-    def deviation(self, x: FloatArray) -> float:
-        """Standard deviation."""
-        return self.bound(x, 0.0) - self.bound(x, 1.0)
-
-
-def fit_residual_surface(
-    misfit: float, points: FloatArray, residuals: FloatArray
-) -> ResidualSurface | None:
-    """The surface after some trials; None where the model is exact.
-
-    Args:
-        misfit: rho of the model.
-        points: Shape (trials, n).
-        residuals: Measured log cost less the model's, shape (trials,); infinite counts as -1.
-    """
-    size = min(SURFACE_SLOPE * (misfit - MISFIT_EXACT), SURFACE_MAX)
-    if size <= 0.0:
-        return None
-    residuals = np.clip(residuals, -1.0, 1.0)
-    covariance = _kernel(points, points, size) + SURFACE_NOISE**2 * np.eye(len(points))
-    precision = np.asarray(np.linalg.inv(covariance), dtype=np.float64)
-    return ResidualSurface(size, points, precision, precision @ residuals)
-
-
-def _kernel(left: FloatArray, right: FloatArray, size: float) -> FloatArray:
-    squares = np.sum((left[:, np.newaxis] - right) ** 2, axis=2)
-    return np.asarray(size**2 * np.exp(-0.5 * squares / SURFACE_LENGTH**2))
-
-
 def _log_cost(prediction: Prediction) -> float:
     return math.log(prediction.cost)
-
-
-def _tried(state: ModelBasedState) -> tuple[tuple[Coordinates, ...], tuple[float, ...]]:
-    return state.points, state.costs
