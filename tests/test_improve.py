@@ -163,16 +163,16 @@ def test_what_is_hidden_in_a_rig_is_found_added_and_makes_its_costs_foretellable
     assert found.added == ("coulomb_friction",)
     assert found.rounds[0].diagnosis.verdict == "named"
     assert found.diagnosis.verdict == "none"  # with records that had no part in finding it
-    assert set(found.rounds[1].asked).isdisjoint(found.rounds[0].asked)
+    assert set(found.rounds[1].experiments).isdisjoint(found.rounds[0].experiments)
     assert rig.describe().gains == live
     own, tuned = found.costs[0], found.costs[-1]
     assert own.gains == live
     assert tuned.measured < own.measured
     for costs in (own, tuned):
-        assert costs.off_improved < 0.05
-    assert max(c.error_given for c in found.costs) > 3.0 * max(c.off_improved for c in found.costs)
+        assert costs.error_improved < 0.05
+    assert max(c.error_given for c in found.costs) > 3.0 * max(c.error_improved for c in found.costs)
     kept = read_measurements(tmp_path / "x" / "data")
-    assert len(kept.measurements) == sum(len(one.asked) for one in found.rounds)
+    assert len(kept.measurements) == sum(len(one.experiments) for one in found.rounds)
     told = json.loads((tmp_path / "x" / "improvement.json").read_text())
     assert told["effects"] == ["coulomb_friction"]
     assert [c["label"] for c in told["costs"]] == [c.label for c in found.costs]

@@ -1,7 +1,7 @@
-"""The loop closed on a live rig: measure, explain, add, measure again; then tune on the model.
+"""Improvement of a rig's model by experiment: measure, explain, add, measure again; then tune.
 
-The rig keeps its live gains throughout; what was found is in the result. A trial that is
-interrupted is aborted, and the live gains are back before the call ends.
+The rig keeps its live gains throughout. A trial that is interrupted is aborted, and the live gains
+are restored before the call ends.
 """
 
 import json
@@ -40,12 +40,12 @@ from plants.effects import Effect
 from plants.models.reel import reference_reel
 from plants.simulation.batch import batch_costs
 
-ROUNDS = 6
+ROUNDS_MAX = 6
 """Most diagnoses."""
-FRESH = 2
-"""Experiments added after an effect was, which had no part in finding it."""
-FORETOLD = 16
-"""Noisy trials that a foretold cost is the mean of."""
+NEW_EXPERIMENTS = 2
+"""Experiments run after an effect was added; they had no part in finding it."""
+COST_TRIALS = 16
+"""Noisy simulated trials whose mean is a predicted cost."""
 RESULT = "improvement.json"
 
 Say = Callable[[str], None]
@@ -57,9 +57,9 @@ class TuneOptions(NamedTuple):
     Attributes:
         tuner: Name of a tuner, or one ready-made.
         model_trials: Greatest number of search trials on the model.
-        rig_trials: The same on the rig, from where the model's ended.
+        rig_trials: Greatest number on the rig, from the gains tuned on the model.
         repeats: Trials of the start before a search, and of each candidate after it.
-        watch: Told of each trial on the rig; "auto" shows progress, None nothing.
+        watch: Callback after each trial on the rig; "auto" shows progress, None nothing.
     """
 
     tuner: str | Tuner[Any] = DEFAULT_TUNER
@@ -75,30 +75,30 @@ def improve(
     *,
     folder: str | Path | None = None,
     effects: Sequence[type[Effect] | str] | None = None,
-    rounds: int = ROUNDS,
+    rounds: int = ROUNDS_MAX,
     tuning: TuneOptions | None = None,
     rig: str | None = None,
     say: Say = lambda _: None,
 ) -> Improvement:
-    """Finds what a rig's model lacks, adds it, and tunes the rig with what was learnt.
+    """Identifies the effects that a rig's model lacks, adds them, and tunes the rig.
 
-    A battery of experiments is run and explained. Effects that are named are added; while the
-    records cannot tell or explain, the experiment that would is run. After effects were added,
-    experiments that had no part in it are run and explained, until nothing is left or nothing
-    more can be said; effects that do not bear out are taken back and all records explained anew.
-    Then gains are tuned on the improved model, the rig's own tuning begins from
-    those, and costs foretold and measured are compared.
+    The initial experiments are run and explained. Effects that are named are added; an ambiguous
+    or unexplained verdict is followed by the experiment that would decide. New experiments then
+    validate the model, until nothing is left to explain or the answer does not change. Effects
+    that a validation does not confirm are removed, and all records explained anew. Then gains are
+    tuned on the improved model, the rig is tuned from those, and predicted costs are compared with
+    measured ones.
 
     Args:
         target: An endpoint, a model file, "module:attribute", a plant or a rig.
         model: The model to begin from; None is the reference reel at the rig's cable length, or
-            the linear model that the rig tells of itself.
+            the linear model in the rig's description.
         folder: Where records, trial files and the tuning's run go; must be new or empty.
         effects: Effects to choose from; None is all that are declared.
         rounds: Most diagnoses.
         tuning: How gains are tuned.
         rig: Name of the rig, where several answer at the endpoint.
-        say: Told in words what is being done.
+        say: Callback for progress in words.
 
     Raises:
         InvalidInput: a value is not usable, or the folder holds something.
@@ -135,30 +135,30 @@ def improve(
 
 
 def default_model(about: RigDescription) -> Any:
-    """A model for a rig that brings none: the reference reel, or its own linear model.
+    """The reference reel, or the linear model in the rig's description.
 
     Raises:
-        InvalidInput: the rig has no cable and tells no model.
+        InvalidInput: the rig has no cable, and its description no model.
     """
     if about.cable_length_m is not None:
         return reference_reel(about.cable_length_m)
-    told = about.linear_model
-    if told is None:
+    own = about.linear_model
+    if own is None:
         raise InvalidInput(
-            f"rig {about.name} has no cable and tells no model of itself; give one with --model"
+            f"rig {about.name} has no cable and describes no model; give one with --model"
         )
     import control  # noqa: PLC0415  slow to import
 
     from plants.models.linear_plant import linear_plant  # noqa: PLC0415  not needed for a reel
 
-    n = len(told.B)
+    n = len(own.B)
     system = control.ss(
-        np.reshape(told.A, (n, n)), np.reshape(told.B, (n, 1)), np.reshape(told.C, (1, n)), told.E
+        np.reshape(own.A, (n, n)), np.reshape(own.B, (n, 1)), np.reshape(own.C, (1, n)), own.E
     )
     settings = about.controller
     return linear_plant(
         system,
-        told.dead_time_s,
+        own.dead_time_s,
         settings.sampling_Hz,
         output_min_N=settings.output_min_N,
         output_max_N=settings.output_max_N,
@@ -193,7 +193,7 @@ class ExperimentRunner:
         self.records: list[MeasuredRecord] = []
         self.remarks: list[str] = []
         self.done: set[AnyProfile] = set()
-        # A rig remembers the ids of its trials: those of another day must not be taken for these.
+        # A rig's ledger holds the trial ids of other days: they must differ from these.
         self.stamp = f"{datetime.now().astimezone():%Y%m%d-%H%M%S-%f}"
         self._number = 0
 
@@ -213,8 +213,8 @@ class ExperimentRunner:
                 self.remarks.append(f"{one.name} was left out: {why}")
         return tuple(one.name for one in experiments)
 
-    def fresh(self, count: int) -> list[Experiment]:
-        """Experiments of the catalogue that have not been run yet, spread over it."""
+    def new_experiments(self, count: int) -> list[Experiment]:
+        """Candidate experiments that have not been run yet, spread over the list."""
         left = [one for one in candidate_experiments(self.about) if one.profile not in self.done]
         return left[:: max(1, len(left) // count)][:count] if left else []
 
@@ -239,8 +239,8 @@ class ExperimentRunner:
 def _diagnose_rounds(
     lab: ExperimentRunner, given: Any, effects: Sequence[type[Effect] | str] | None, rounds: int
 ) -> list[ImprovementRound]:
-    """Rounds of measuring and explaining, until nothing is left or nothing more can be said."""
-    asked = lab.run(initial_experiments(lab.about))
+    """Rounds of measuring and explaining, until nothing is left or the answer is final."""
+    names = lab.run(initial_experiments(lab.about))
     if not lab.records:
         raise RigError(f"no trial ended well on {lab.about.name}: {'; '.join(lab.remarks)}")
     model, done = given, list[ImprovementRound]()
@@ -248,27 +248,27 @@ def _diagnose_rounds(
     while True:
         lab.say(f"explaining {len(lab.records)} records")
         found = explain(model, lab.records, effects=effects, rig=lab.about)
-        done.append(ImprovementRound(asked, found))
+        done.append(ImprovementRound(names, found))
         lab.say(found.heading())
         if found.verdict == "none" or len(done) == rounds:
             return done
         if found.verdict in ("named", "incomplete"):
             effects_now = tuple(one.name for one in found.effects)
             if model is given and effects_now in named:
-                return done  # more records have not changed what is said
+                return done  # more records have not changed the answer
             named.add(effects_now)
             model = found.augmented
-            asked = lab.run(lab.fresh(FRESH))
+            names = lab.run(lab.new_experiments(NEW_EXPERIMENTS))
             continue
         proposed = found.next_experiment
         new = proposed is not None and proposed.trial.profile not in lab.done
         if model is given and not new:
             return done
-        asked = ()
+        names = ()
         if proposed is not None and new:
             trial = proposed.trial
-            asked = lab.run([Experiment(trial.name, proposed.sentence, trial.profile)])
-        # What was added has not borne out: all is explained anew with the records there are now.
+            names = lab.run([Experiment(trial.name, proposed.sentence, trial.profile)])
+        # What was added has not been confirmed: all records are explained anew.
         model = given
 
 
@@ -323,7 +323,9 @@ def _tuned(lab: ExperimentRunner, given: Any, improved: Any, how: TuneOptions) -
         last = on_rig.tuned
         rows.append(compared("tuned on the rig", last.gains, last.cost, last.cost_error))
     else:
-        remarks.append(f"the rig's tuning found nothing better than its start: {on_rig.message}")
+        remarks.append(
+            f"no gains better than the initial ones were found on the rig: {on_rig.message}"
+        )
     return _Compared(tuple(rows), on_rig, tuple(remarks))
 
 
@@ -351,8 +353,8 @@ def _on_rig(
 
 
 def _predicted_cost(plant: Any, gains: Gains, about: RigDescription, cost: StepCost) -> float:
-    """Mean cost that a model foretells, with its own measurement noise; nan where it diverges."""
-    rows = np.tile(gains.as_tuple(), (FORETOLD, 1))
+    """Mean cost predicted by a model, with its own measurement noise; nan where it diverges."""
+    rows = np.tile(gains.as_tuple(), (COST_TRIALS, 1))
     return float(batch_costs(plant, rows, about.step, cost, seed=0, workers=1).mean())
 
 

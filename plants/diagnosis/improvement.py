@@ -1,4 +1,4 @@
-"""What improving a rig's model came to: the rounds, the model, the costs foretold and measured."""
+"""Result of improving a rig's model: the rounds, the model, predicted and measured costs."""
 
 import math
 from dataclasses import dataclass
@@ -9,6 +9,7 @@ from estune.core.gains import GAIN_NAMES, Gains
 from estune.run.result import TuneResult
 from estune.trial import RigDescription
 from plants.diagnosis.report.diagnosis import Diagnosis
+from plants.diagnosis.report.json_form import finite_json
 
 COLUMNS = ("gains", "model as given", "improved model", "measured")
 
@@ -17,25 +18,25 @@ class ImprovementRound(NamedTuple):
     """One diagnosis of the loop.
 
     Attributes:
-        asked: Names of the experiments run since the round before; none where all records were
-            explained anew.
-        diagnosis: What was found with all records so far.
+        experiments: Names of the experiments run since the round before; none where all records
+            were explained anew.
+        diagnosis: The diagnosis of all records so far.
     """
 
-    asked: tuple[str, ...]
+    experiments: tuple[str, ...]
     diagnosis: Diagnosis
 
 
 @dataclass(frozen=True, slots=True)
 class Costs:
-    """The cost (35) of one set of gains, foretold and measured.
+    """Predicted and measured cost (35) of one set of gains.
 
     Attributes:
         label: Which gains they are.
         gains: The gains.
-        given: Foretold by the model as given; nan where it foretells that the trial diverges.
-        improved: Foretold by the improved model.
-        measured: Mean over repeats on the rig; nan where a trial did not end well.
+        given: Prediction of the model as given; nan where the predicted trial diverges.
+        improved: Prediction of the improved model.
+        measured: Mean over repeats on the rig; nan where a trial failed.
         error: Standard error of that mean.
     """
 
@@ -48,28 +49,28 @@ class Costs:
 
     @property
     def error_given(self) -> float:
-        """How far the model as given is off, relative to what was measured."""
+        """Relative error of the cost predicted by the model as given."""
         return abs(self.given / self.measured - 1.0)
 
     @property
-    def off_improved(self) -> float:
-        """The same of the improved model."""
+    def error_improved(self) -> float:
+        """Relative error of the cost predicted by the improved model."""
         return abs(self.improved / self.measured - 1.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Improvement:
-    """A rig's model before and after, and what it was good for.
+    """A rig's model before and after, and the tuning done with it.
 
     Attributes:
-        rig: The rig as it was; its live gains have not been changed.
+        rig: The rig; its live gains have not been changed.
         given: The model as given, at the rig's cable length and preload.
         model: The improved model.
-        rounds: Each diagnosis, the first of the battery alone.
+        rounds: Each diagnosis, the first of the initial experiments alone.
         costs: At the rig's own gains, at those tuned on the model, and at those tuned on the rig
             from there; empty where there is nothing to be controlled.
-        tuning: The rig's own tuning, or None.
-        remarks: What is to be known beside it.
+        tuning: The tuning on the rig, or None.
+        remarks: Warnings.
         folder: Records, trial files, the run of the tuning.
     """
 
@@ -95,7 +96,7 @@ class Improvement:
         return tuple(name for name in now if name not in (*had, "calibration"))
 
     def heading(self) -> str:
-        """What came of it in one line."""
+        """The effects added and the last verdict in one line."""
         found = ", ".join(self.added) or "no effect"
         return f"{self.rig.name}: {found} added; then {self.diagnosis.heading()}"
 
@@ -105,7 +106,7 @@ class Improvement:
             (
                 costs.label,
                 _cell(costs.given, costs.error_given),
-                _cell(costs.improved, costs.off_improved),
+                _cell(costs.improved, costs.error_improved),
                 f"{costs.measured:.4g} ± {costs.error:.2g}",
             )
             for costs in self.costs
@@ -115,8 +116,8 @@ class Improvement:
         """Heading, rounds, table and remarks as plain text."""
         lines = [self.heading()]
         for n, one in enumerate(self.rounds, 1):
-            asked = ", ".join(one.asked) or "all records anew"
-            lines.append(f"round {n} ({asked}): {one.diagnosis.heading()}")
+            names = ", ".join(one.experiments) or "all records anew"
+            lines.append(f"round {n} ({names}): {one.diagnosis.heading()}")
         if self.costs:
             table = [COLUMNS, *self.rows()]
             widths = [max(len(row[n]) for row in table) for n in range(len(COLUMNS))]
@@ -127,23 +128,23 @@ class Improvement:
         return "\n".join([*lines, *self.remarks])
 
     def to_json(self) -> dict[str, Any]:
-        """The same as JSON values; numbers that are not finite become None."""
+        """JSON values; numbers that are not finite are null."""
         return {
             "rig": self.rig.name,
             "effects": list(self.added),
             "verdict": self.diagnosis.verdict,
             "rounds": [
-                {"experiments": list(one.asked), "diagnosis": one.diagnosis.to_json()}
+                {"experiments": list(one.experiments), "diagnosis": one.diagnosis.to_json()}
                 for one in self.rounds
             ],
             "costs": [
                 {
                     "label": c.label,
                     "gains": {name: getattr(c.gains, name) for name in GAIN_NAMES},
-                    "given": _number(c.given),
-                    "improved": _number(c.improved),
-                    "measured": _number(c.measured),
-                    "measured_error": _number(c.error),
+                    "given": finite_json(c.given),
+                    "improved": finite_json(c.improved),
+                    "measured": finite_json(c.measured),
+                    "measured_error": finite_json(c.error),
                 }
                 for c in self.costs
             ],
@@ -153,11 +154,7 @@ class Improvement:
         }
 
 
-def _cell(foretold: float, off: float) -> str:
-    if not math.isfinite(foretold):
+def _cell(predicted: float, error: float) -> str:
+    if not math.isfinite(predicted):
         return "diverges"
-    return f"{foretold:.4g} ({off:.0%} off)" if math.isfinite(off) else f"{foretold:.4g}"
-
-
-def _number(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
+    return f"{predicted:.4g} ({error:.0%} off)" if math.isfinite(error) else f"{predicted:.4g}"

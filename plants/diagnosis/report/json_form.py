@@ -53,7 +53,7 @@ def to_json(d: DiagnosisResult) -> dict[str, Any]:
         "findings": [asdict(finding) for finding in d.findings],
         "splits": [asdict(part) for part in d.splits],
     }
-    return {name: _finite(value) for name, value in values.items()}
+    return {name: finite_json(value) for name, value in values.items()}
 
 
 def _shift(c: BaseParameter) -> dict[str, Any]:
@@ -66,12 +66,12 @@ def _step(step: SearchStep, unit: str) -> dict[str, Any]:
     return {"effect": step.effect, **errors, "gap_floors": step.ratio}
 
 
-def _finite(value: Any) -> Any:
-    """The value with null for every number that is not finite."""
+def finite_json(value: Any) -> Any:
+    """JSON values with null for every number that is not finite."""
     if isinstance(value, Mapping):
-        return {str(key): _finite(item) for key, item in value.items()}
+        return {str(key): finite_json(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_finite(item) for item in value]
+        return [finite_json(item) for item in value]
     if isinstance(value, bool | int | str) or value is None:
         return value
     return float(value) if math.isfinite(value) else None
