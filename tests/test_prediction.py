@@ -132,11 +132,11 @@ def test_another_start_of_the_windows_leaves_nothing():
     _, predictor = noisy()
     row = truth(predictor)[None]
     before = predictor.residuals(row)
-    place = predictor._scene.window_place
+    place = predictor._data.window_place
     moved = Predictor.__new__(Predictor)
     vars(moved).update(vars(predictor))
     shift = np.random.default_rng(1).normal(size=place.shape) * (1e-3, 0.1)
-    moved._scene = replace(predictor._scene, window_place=place + shift)
+    moved._data = replace(predictor._data, window_place=place + shift)
     change = predictor.predict(row)[0].angle_rad - moved.predict(row)[0].angle_rad
     change = np.abs(change).max() / predictor.index.sigma[predictor.index.channel == 1][0]
     assert change > 10.0

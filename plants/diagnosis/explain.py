@@ -58,7 +58,7 @@ def explain(
     Nothing is drawn: the same records give the same answer.
 
     Args:
-        model: A `ReelProgress`, an `UnloadedReel`, a linear or a Python plant, or a system of
+        model: A `Reel`, an `UnloadedReel`, a linear or a Python plant, or a system of
             python-control.
         records: A folder of records, or the records themselves.
         effects: The effects to choose from, classes or names for `plants.effects.find`; None is

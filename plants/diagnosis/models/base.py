@@ -58,7 +58,7 @@ class BaseNumbers:
         """The numbers of a model at a record's cable length and preload.
 
         Args:
-            model: A `ReelProgress`, a reel without cable, or a plant with a `LinearModel`.
+            model: A `Reel`, a reel without cable, or a plant with a `LinearModel`.
             measurement: The record.
 
         Returns:

@@ -61,7 +61,7 @@ class Slot(NamedTuple):
 
     Attributes:
         free: The number.
-        column: Name of the structure's parameter, `calibration.name` for one of `BaseParameter`, or
+        column: Name of the structure's parameter, `calibration.name` for one of `Calibration`, or
             one of `SENSORS`.
         factor: What it is multiplied by on the way.
         record: The only record it goes to, or None for all.
@@ -322,7 +322,7 @@ def diagnosed(model: Any, measurements: Sequence[MeasuredRecord]) -> DiagnosedMo
     """The model as the discrepancy workflow takes it.
 
     Args:
-        model: `ReelProgress`, `UnloadedReel`, `LinearPlant`, `PythonPlant`, a continuous system of
+        model: `Reel`, `UnloadedReel`, `LinearPlant`, `PythonPlant`, a continuous system of
             python-control, or a `DiagnosedModel` for the same measurements as it is.
         measurements: What it is to be held against; they decide what can be told apart.
 

@@ -1,9 +1,8 @@
-"""Where the plant is at some instants of a record, from what is measured around them.
+"""State of the plant at some instants of a record, by least squares over the samples around them.
 
-A window of a prediction begins there. Around each instant the plant is taken to move as
-`models.Local` says, with an input that is off by a constant: a least-squares fit over a few
-samples on either side. So few that what the model does not know hardly shows, so many that noise
-and the encoder's steps are smoothed: the span grows as long as its residual stays that of noise.
+A window of a prediction begins there. The plant moves as its `Local` model with a constant input
+error. The span is short enough that model errors hardly show and long enough to smooth noise and
+the encoder's steps: it grows as long as its residual is that of noise.
 """
 
 import math
@@ -16,20 +15,20 @@ from scipy.linalg import expm
 from estune.core.quantities import FloatArray
 from plants.diagnosis.models.diagnosed_model import Local
 
-TOLERATED = 1.05
+RESIDUAL_MAX = 1.05
 """Residual of a span, relative to the noise, up to which it may grow."""
 SPANS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48)
 """Samples on either side that are tried, beyond what the unknowns need."""
-FURTHEST = 5.0
-"""Span times the fastest rate, beyond which nothing is left of a mode, or too much backward."""
+RATE_MAX = 5.0
+"""Greatest product of span and fastest rate: the backward propagation of a mode grows with it."""
 
 
 class InitialStates(NamedTuple):
-    """States at some instants.
+    """Estimated states at some instants.
 
     Attributes:
-        placed: What `Equations.place` takes, shape (instants, n).
-        deviation: Their standard deviations by the noise, shape (n,).
+        placed: Argument of `Equations.place`, shape (instants, n).
+        deviation: Their standard deviations due to noise, shape (n,).
     """
 
     placed: FloatArray
@@ -42,17 +41,17 @@ class _Spanned(NamedTuple):
     spread: FloatArray
 
 
-def anchors(
+def estimate_states(
     local: Local, output: FloatArray, sampling_Hz: float, noise: float, at: NDArray[np.int64]
 ) -> InitialStates:
     """The state at some samples of a record.
 
     Args:
-        local: How the plant moves.
-        output: What was measured of it, shape (samples,).
+        local: Linear model.
+        output: Measured output, shape (samples,).
         sampling_Hz: Sampling rate.
         noise: Noise of the output, rms; zero is none.
-        at: The samples, shape (instants,).
+        at: Indices of the instants, shape (instants,).
     """
     needed = (local.B.size + 2) // 2
     rate = float(np.abs(np.linalg.eigvals(local.A)).max(initial=0.0)) / sampling_Hz
@@ -60,17 +59,17 @@ def anchors(
     best = sampled.states(at, needed)
     for extra in SPANS:
         either = needed + extra
-        if 4 * either > output.size or either * rate > FURTHEST:
+        if 4 * either > output.size or either * rate > RATE_MAX:
             break
         wider = sampled.states(at, either)
-        if wider.residual > max(TOLERATED * noise, best.residual):
+        if wider.residual > max(RESIDUAL_MAX * noise, best.residual):
             break
         best = wider
     return InitialStates(best.states @ local.to_placed.T, noise * best.spread)
 
 
 class _Sampled:
-    """The local plant under zero-order hold, its state made longer by the constant."""
+    """The local model under zero-order hold, the constant input error appended to its state."""
 
     def __init__(self, local: Local, output: FloatArray, sampling_Hz: float) -> None:
         n = local.B.size
@@ -86,7 +85,7 @@ class _Sampled:
         self._output = output
 
     def states(self, at: NDArray[np.int64], either: int) -> _Spanned:
-        """The states by so many samples on either side; at a record's ends by more on one."""
+        """The states from so many samples on either side; at a record's ends from more on one."""
         n, size = self._held.shape[0] - 1, self._output.size
         span = min(2 * either + 1, size)
         first = np.clip(at - either, 0, size - span)
@@ -108,7 +107,7 @@ class _Sampled:
         return _Spanned(states, math.sqrt(left / freedom), spread)
 
     def _rows(self, first: int, last: int) -> FloatArray:
-        """The output so many samples after an instant, by the state there, (samples, n + 1)."""
+        """Output at samples after an instant by the state there, (samples, n + 1)."""
         rows = np.empty((last - first, self._C.size))
         rows[-first] = self._C
         for k in range(1 - first, last - first):
@@ -118,20 +117,20 @@ class _Sampled:
         return rows
 
     def _forced(self, place: int, span: int) -> FloatArray:
-        """The output by the input at each sample of a span, from rest at the place."""
+        """Output by the input at each sample of a span, from rest at the instant."""
         # A constant held over one sample moves the state by the last column of exp(A h).
         pushed = np.append(self._held[:-1, -1], 0.0)
-        answer = self._rows(-span, span) @ pushed  # so many samples after the push has ended
+        answer = self._rows(-span, span) @ pushed  # by samples since the end of the input pulse
         j, i = np.arange(span)[:, None], np.arange(span)
         forced: FloatArray = answer[j - i - 1 + span]
-        # What is pushed after the place shows later, what is pushed before it is undone earlier.
+        # Inputs after the instant act on later samples, those before it on earlier ones.
         return np.where((i >= place) & (j > i), forced, 0.0) - np.where(
             (i < place) & (j <= i), forced, 0.0
         )
 
 
 def shifted(signal: FloatArray, samples: float) -> FloatArray:
-    """A held signal that comes late, or early: its mean over each sample."""
+    """A held signal delayed or advanced: its mean over each sample."""
     whole = math.floor(samples)
     now = np.clip(np.arange(signal.size) - whole, 0, signal.size - 1)
     before = np.maximum(now - 1, 0)

@@ -213,7 +213,7 @@ class DiagnosedLinear(DiagnosedModel):
     def calibrated(
         self, values: Mapping[str, float], effects: Sequence[type[Effect]] = ()
     ) -> LinearPlant:
-        """The plant with these values; a `BaseParameter` holds the offset."""
+        """The plant with these values; a `Calibration` holds the offset."""
         known = {**self.values, **self._starts, **values}
         plant = self.model
         rate = plant.controller.sampling_Hz

@@ -85,7 +85,7 @@ class DiagnosedFunction(DiagnosedModel):
     def calibrated(
         self, values: Mapping[str, float], effects: Sequence[type[Effect]] = ()
     ) -> PythonPlant:
-        """The function with these values; a `BaseParameter` holds gain and offset."""
+        """The function with these values; a `Calibration` holds gain and offset."""
         known = {**self._starts, **values}
         own, read = self.calibration, self.reading_unit
         calibration = replace(

@@ -47,7 +47,7 @@ MOST_RATE = 2.0
 
 
 class DiagnosedReel(DiagnosedModel):
-    """A `ReelProgress`; its length and preload are those of each record."""
+    """A `Reel`; its length and preload are those of each record."""
 
     model: Reel
 
@@ -316,7 +316,7 @@ class DiagnosedReel(DiagnosedModel):
     def calibrated(
         self, values: Mapping[str, float], effects: Sequence[type[Effect]] = ()
     ) -> Reel:
-        """The reel with these values; a `BaseParameter` holds gain and offset."""
+        """The reel with these values; a `Calibration` holds gain and offset."""
         known = {**self._starts, **values}
         own = {k: v for k, v in known.items() if k in ReelStructure.OWN}
         calibration = replace(

@@ -148,7 +148,7 @@ class DiagnosedDrum(DiagnosedModel):
     def calibrated(
         self, values: Mapping[str, float], effects: Sequence[type[Effect]] = ()
     ) -> UnloadedReel:
-        """The drum with these values; a `BaseParameter` holds the torque's offset."""
+        """The drum with these values; a `Calibration` holds the torque's offset."""
         known = {**self._starts, **values}
         own = {k: v for k, v in known.items() if k in self.model.own_numbers}
         calibration = replace(

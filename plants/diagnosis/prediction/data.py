@@ -1,4 +1,4 @@
-"""Some records as a prediction sees them: command, windows, starts, and what is held against."""
+"""Prediction data: command, windows, initial states and measured entries of some records."""
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -12,36 +12,36 @@ from estune.trial import GUARD, LATE
 from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.data.noise_floor import NoiseFloor, noise_floor, unrepeated
 from plants.diagnosis.models.diagnosed_model import DiagnosedModel
-from plants.diagnosis.models.initial_states import anchors
+from plants.diagnosis.models.initial_states import estimate_states
 from plants.diagnosis.prediction.library import CHANNELS
 from plants.diagnosis.prediction.window_projection import WindowProjection
 
 FIRST_samples = 8
-"""Samples at a record's start whose mean tells what it reads there."""
-STANDS = 0.05
+"""Samples at a record's start whose mean is its first reading."""
+REST_RATE = 0.05
 """Share of a rate's rms below which a record that begins at its preload begins at rest."""
-SURE = 4.0
-"""Standard deviations within which a reading is what it was expected to be."""
-MOST_LAG_s = 0.05
-"""How far a measured current may lie behind the command."""
-AS_LATE = 1.05
+DEVIATIONS = 4.0
+"""Standard deviations within which a reading agrees with the expected one."""
+LAG_MAX_s = 0.05
+"""Greatest lag of a measured current behind the command."""
+LAG_TOLERANCE = 1.05
 """Sum of squares, relative to the least of all lags, up to which a lag fits as well."""
-KNOCK = 5.0
-"""Mean square of a window, relative to the median of all, up to which it counts whole."""
-LEAST_SIGMA = 1e-9
-"""Of a channel that has no noise, relative to its size."""
+OUTLIER = 5.0
+"""Mean square of a window, relative to the median of all, at which it is clipped."""
+SIGMA_MIN = 1e-9
+"""Sigma of a channel without noise, relative to its size."""
 
 
 class Index(NamedTuple):
-    """What each entry of the residuals stands for; all of shape (entries,).
+    """Description of each entry of the residuals; all of shape (entries,).
 
     Attributes:
-        measurement: Number of the measurement.
-        channel: Number of the channel in `CHANNELS`.
-        sample: Number of the sample.
+        measurement: Index of the measurement.
+        channel: Index of the channel in `CHANNELS`.
+        sample: Index of the sample.
         time_s: Its time.
-        sigma: What the entry was divided by, sigma_eff in the channel's unit.
-        window: Number of the window, counted through all measurements.
+        sigma: Divisor of the entry, sigma_eff in the channel's unit.
+        window: Index of the window, counted through all measurements.
     """
 
     measurement: NDArray[np.int64]
@@ -54,7 +54,7 @@ class Index(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PredictionData:
-    """What does not depend on the effects; samples of all records follow each other.
+    """Concatenated records, independent of the candidate effects.
 
     Attributes:
         measurements: The records.
@@ -63,14 +63,14 @@ class PredictionData:
         preload: Tension at which a record's constants are taken.
         reading: Reading at rest with which each record begins.
         command: Effort, N.
-        windows: Number of windows of each record that begin where the plant is put.
-        window_at: The sample of its record that each begins with.
-        window_place: Where the plant is put, shape (windows, placed).
-        measured: What each residual entry was measured to be.
-        source: Place of its prediction among the channels of all samples.
+        windows: Number of windows of each record at whose start the state is reset.
+        window_at: First sample of each, in its record.
+        window_place: State there, shape (windows, placed).
+        measured: Measured value of each residual entry.
+        source: Index of its prediction among the channels of all samples.
         block_end: Entry after the last of each window.
         record_blocks: Number of windows of each record.
-        index: What the entries stand for.
+        index: Description of the entries.
     """
 
     measurements: tuple[MeasuredRecord, ...]
@@ -102,14 +102,14 @@ def prepare_data(
     floor: NoiseFloor | None,
     placed: int,
 ) -> PredictionData:
-    """Prepares some records.
+    """The prediction data of some records.
 
     Args:
-        model: What predicts them.
+        model: The model that predicts them.
         measurements: The records.
         horizon_s: Length of a window, or None for a free run.
-        floor: The noise; None finds it.
-        placed: How many numbers place the plant.
+        floor: The noise; None estimates it.
+        placed: Number of states that are reset.
     """
     noise = noise_floor(measurements) if floor is None else floor
     starts = [_start(model, m, horizon_s, noise, placed) for m in measurements]
@@ -135,18 +135,20 @@ def prepare_data(
     )
 
 
-def allowed(of: PredictionData, floor: NoiseFloor | None, basis: FloatArray) -> PredictionData:
-    """The same held against what its windows can be expected to predict.
+def with_window_sigma(
+    of: PredictionData, floor: NoiseFloor | None, basis: FloatArray
+) -> PredictionData:
+    """The data with sigma for predictions over windows.
 
-    The allowance is a share of what there is to explain in them: a plant that integrates travels
-    far, and another start of each window explains most of its travel. And a force that nobody
-    ordered moves it further in a window than its encoder's steps; how far shows where a command
-    came again. (In a gauge, what does not come again may be hum, which can be explained.)
+    The allowance is a share of the signal that initial states do not explain: a plant that
+    integrates travels far. Disturbance forces move it further in a window than its encoder's
+    steps; repeated commands show how far. (In a gauge, what does not repeat may be mains
+    interference, which can be explained.)
 
     Args:
-        of: A scene whose allowance is a share of each whole signal.
-        floor: The noise; None finds it.
-        basis: What another start of each window explains, orthonormal, shape (placed, entries).
+        of: Data whose allowance is a share of each whole signal.
+        floor: The noise; None estimates it.
+        basis: Responses to initial states, orthonormal, shape (placed, entries).
     """
     noise = noise_floor(of.measurements) if floor is None else floor
     index, blocks = of.index, WindowProjection(of.block_end)
@@ -171,7 +173,7 @@ def allowed(of: PredictionData, floor: NoiseFloor | None, basis: FloatArray) -> 
 def _unrepeated_rms(
     of: PredictionData, blocks: WindowProjection, basis: FloatArray, channel: int
 ) -> float:
-    """What does not repeat itself of a channel's windows, rms; 0 where no command came again."""
+    """Rms of a channel that repeated commands do not reproduce in windows; 0 without repeats."""
     index, again = of.index, unrepeated(of.measurements)
     deviation = np.full(index.sigma.size, np.nan)
     for n, columns in enumerate(again):
@@ -187,12 +189,12 @@ def _unrepeated_rms(
     windows = np.unique(index.window[chosen])
     square = np.bincount(index.window[chosen], left[chosen] ** 2)[windows]
     square /= np.bincount(index.window[chosen])[windows]
-    # A few knocks are no floor.
-    return float(np.sqrt(np.minimum(square, KNOCK * np.median(square)).mean()))
+    # A few impacts are no noise floor.
+    return float(np.sqrt(np.minimum(square, OUTLIER * np.median(square)).mean()))
 
 
 class _Start(NamedTuple):
-    """How one record is begun: reading at rest, first samples of windows, and the places there."""
+    """Initial state of one record: reading at rest, first samples of windows, states there."""
 
     reading: float
     edges: NDArray[np.int64]
@@ -208,12 +210,12 @@ def _start(
 ) -> _Start:
     edges = np.zeros(1, np.int64)
     output = None if model.placed_by is None else m.channel(model.placed_by)
-    if output is None:  # nothing tells where the plant is
+    if output is None:  # the state is not observable
         return _Start(_reading(model, m, noise), edges, np.empty((0, placed)))
     if horizon_s is not None:
         window = max(round(horizon_s * m.sampling_Hz), 2)
         edges = np.arange(max(m.samples // window, 1), dtype=np.int64) * window
-    found = anchors(
+    found = estimate_states(
         *(model.local(m), np.nan_to_num(output), m.sampling_Hz),
         *(_rms(noise, model.placed_by), edges),
     )
@@ -237,27 +239,27 @@ def _rests(
     if output is None:
         return True
     rates = np.abs(placed[1:])
-    typical, strict = np.std(np.diff(output)) * m.sampling_Hz, SURE * deviation[1:]
-    if rates.size and rates[0] > strict[0] + STANDS * typical:
+    typical, strict = np.std(np.diff(output)) * m.sampling_Hz, DEVIATIONS * deviation[1:]
+    if rates.size and rates[0] > strict[0] + REST_RATE * typical:
         return False
     tension = m.tension_N
     if tension is None:
         return True
     off = abs(float(tension[0]) - m.preload_N)
-    begins = off <= SURE * _rms(noise, "tension_N") + 1e-6 * float(np.ptp(tension))
+    begins = off <= DEVIATIONS * _rms(noise, "tension_N") + 1e-6 * float(np.ptp(tension))
     return begins or bool(rates.size and rates[0] <= strict[0])
 
 
 def _reading(model: DiagnosedModel, m: MeasuredRecord, noise: NoiseFloor) -> float:
-    """What a gauge reads at a record's start: the preload, where nothing speaks against it."""
+    """Reading of the gauge at a record's start: the preload, unless the readings contradict it."""
     tension = m.tension_N
     if tension is None:
         # A drum without a cable stands where it is.
         return model.preload(m) if "tension_N" in model.outputs else 0.0
     first = tension[:FIRST_samples]
     mean = float(first[np.isfinite(first)].mean()) if np.isfinite(first).any() else m.preload_N
-    close = SURE * _rms(noise, "tension_N") / np.sqrt(first.size)
-    # An excitation may begin with the record, and hum may be on it.
+    close = DEVIATIONS * _rms(noise, "tension_N") / np.sqrt(first.size)
+    # An excitation may begin with the record, and mains interference may be on it.
     close += float(np.ptp(first[np.isfinite(first)])) if np.isfinite(first).any() else 0.0
     return m.preload_N if abs(mean - m.preload_N) <= close else mean
 
@@ -268,7 +270,7 @@ def _rms(noise: NoiseFloor, channel: str | None) -> float:
 
 
 class _Entries:
-    """Residual entries, window by window and in each channel by channel."""
+    """Residual entries, by window, then by channel."""
 
     def __init__(self, model: DiagnosedModel, noise: NoiseFloor, samples: int) -> None:
         self._model, self._noise, self._samples = model, noise, samples
@@ -304,7 +306,7 @@ class _Entries:
         self._first += m.samples
 
     def arrays(self) -> tuple[FloatArray, NDArray[np.int64], NDArray[np.int64], Index]:
-        """Measured, place of the prediction, ends of the windows, and what each stands for."""
+        """Measured values, indices of the predictions, ends of the windows, description."""
         joined = [np.concatenate(parts) for parts in zip(*self._parts, strict=True)]
         whole = [np.asarray(joined[n], np.int64) for n in (1, 2, 3, 4, 7)]
         source, measurement, channel, sample, window = whole
@@ -329,48 +331,48 @@ class _Entries:
 def _sigma(
     noise: NoiseFloor, channel: str, spread: float, largest: float, known: float = 0.0
 ) -> float:
-    """Noise and allowance of a channel with a signal of this rms and greatest size.
+    """Sigma_eff of a channel.
 
     Args:
         noise: The noise.
         channel: Name of the channel.
-        spread: Root mean square of what is to be explained.
-        largest: Greatest size of what is read.
-        known: What is known not to repeat itself, rms.
+        spread: Root mean square of the signal to be explained.
+        largest: Greatest magnitude of the readings.
+        known: Rms that repeats do not reproduce.
     """
     sigma, least = (
         noise.effective(channel, spread, known),
-        LEAST_SIGMA * max(spread, largest, 1e-3),
+        SIGMA_MIN * max(spread, largest, 1e-3),
     )
     return max(sigma, least) if np.isfinite(sigma) else least
 
 
 def _without_lag(m: MeasuredRecord, newtons_per_ampere: float) -> FloatArray | None:
-    """A measured current, put back to where the command was.
+    """A measured current, aligned with the command.
 
-    Where between command and motor the current is measured, and by which filter, is not known: a
-    lag of it says nothing about the dead time.
+    Its filter and place between command and motor are not known: its lag says nothing about the
+    dead time.
     """
     current = m.measured_current_A(newtons_per_ampere)
     if current is None:
         return None
     command = m.command_A(newtons_per_ampere)
-    most = min(round(MOST_LAG_s * m.sampling_Hz), m.samples // 4)
+    most = min(round(LAG_MAX_s * m.sampling_Hz), m.samples // 4)
     kept = m.samples - most
     before = np.concatenate([command[:1], command[:-1]])
     given = np.stack([command, before - command, np.ones(m.samples)], axis=1)
     fits = [_shares(given[:kept], current[lag : lag + kept]) for lag in range(most + 1)]
-    # A slow command leaves the lag open: then the least that will do. A lag too short by a whole
-    # sample fits as well, by the command before; but that is no measured current any more.
+    # A slow command leaves the lag open: then the least that fits as well. A lag too short by a
+    # sample fits as well through the previous command, which is then the larger share.
     left = np.array([rest for _, rest in fits])
-    well = left <= AS_LATE * left.min()
+    well = left <= LAG_TOLERANCE * left.min()
     near = np.array([2.0 * abs(part) <= abs(gain) for (gain, part, *_), _ in fits])
     lag = int(np.argmax(well & near)) if (well & near).any() else int(np.argmax(well))
     moved = np.full(current.size, np.nan)
     moved[: current.size - lag] = current[lag:]
-    # A part of a sample by which it is later still shows as a share of the command before.
+    # The fraction of a sample in the lag shows as a share of the previous command.
     _, whole = _shares(given[:kept, [0, 2]], current[lag : lag + kept])
-    if whole > AS_LATE * left[lag]:
+    if whole > LAG_TOLERANCE * left[lag]:
         moved -= fits[lag][0][1] * given[:, 1]
     return moved
 

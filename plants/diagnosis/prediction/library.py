@@ -1,4 +1,4 @@
-"""A structure's predictions as a compiled library."""
+"""Compiled library that predicts records with one model structure."""
 
 import ctypes
 from functools import lru_cache
@@ -14,11 +14,11 @@ from plants.simulation.c_source import c_source
 from plants.simulation.equations import Equations
 
 CHANNELS = ("tension_N", "angle_rad", "reference_N", "current_A")
-"""What is predicted, in the order of the C."""
+"""Predicted channels, in the order of the C code."""
 
 
 class Task(ctypes.Structure):
-    """What `estune_predict` is asked for; see `prediction.c`."""
+    """Argument of `estune_predict`; see `prediction.c`."""
 
     _fields_ = (
         *((name, ctypes.c_long) for name in ("rows", "records", "samples", "entries", "kept")),
@@ -38,12 +38,12 @@ class Library:
     """The compiled loop of one structure. Calls release the interpreter's lock.
 
     Attributes:
-        columns: Place of each parameter and sensor in a row of the table.
-        placed: How many numbers place the plant.
+        columns: Column of each parameter and sensor in the table.
+        placed: Number of states that are reset.
     """
 
     def __init__(self, structure: Structure) -> None:
-        """Compiles the structure, or finds it compiled.
+        """Compiles the structure, unless it is cached.
 
         Raises:
             PlantError: no compiler, or it failed.
@@ -79,7 +79,7 @@ def library(structure: Structure) -> Library:
 
 
 def _source(plant: Equations, delay: int) -> str:
-    """The whole C file: sizes, generated functions, loop."""
+    """The C file: sizes, generated functions, loop."""
     functions = _functions(plant)
     late, prepare, settle, _, place, *_ = functions
     sizes = {
@@ -94,7 +94,7 @@ def _source(plant: Equations, delay: int) -> str:
 
 
 def _functions(plant: Equations) -> tuple[Any, ...]:
-    """What the loop calls, with dense outputs, for C writes structural nonzeros only."""
+    """Functions the loop calls; outputs dense, for generated C writes structural nonzeros only."""
     parameters, preload = plant.prepare.sx_in()
     constants, _, _ = plant.prepare(parameters, preload)
     c, reading = plant.settle.sx_in()

@@ -1,10 +1,10 @@
 """Predictions of many records at once, for many sets of parameters, compiled.
 
-Each record is run through once. At the start of each window the plant is put back to where it was
-measured, while the dead time's command, the gauge and what the effects remember go on: so friction
-that sticks and slips at slightly other instants does not add up, and a prediction over a horizon
-is compared rather than one over the whole record. What another angle and velocity at a window's
-start would explain is projected out of its residual, for all channels together.
+Each record is simulated once. At the start of each window the plant's state is reset to the
+measured one, while the delayed commands, the gauge and the states of the effects go on: errors of
+the instants at which friction sticks do not add up, and predictions over a horizon are compared
+rather than a free run. The initial state of each window is projected out of its residual, for all
+channels together.
 """
 
 import os
@@ -29,7 +29,7 @@ from plants.diagnosis.models.diagnosed_model import (
     Free,
     Slot,
 )
-from plants.diagnosis.prediction.data import Index, PredictionData, allowed, prepare_data
+from plants.diagnosis.prediction.data import Index, PredictionData, prepare_data, with_window_sigma
 from plants.diagnosis.prediction.library import CHANNELS, Library, Task, library
 from plants.diagnosis.prediction.window_projection import WindowProjection
 from plants.effects import Effect
@@ -37,19 +37,19 @@ from plants.effects import Effect
 __all__ = ["CHANNELS", "Index", "Prediction", "Predictor", "warm"]
 
 STEP = 1e-6
-"""Of a value, for a difference; relative to the value, or to its range where it is zero."""
-KICK = 1e-3
-"""Of a window's start, relative to its spread, for what another start would explain."""
+"""Step of a finite difference, relative to the value, or to its range where it is zero."""
+STATE_STEP = 1e-3
+"""Step of a window's initial state, relative to its spread."""
 
 
 class Prediction(NamedTuple):
-    """What one record's channels are predicted to be, shape (rows, samples); None where not.
+    """Predicted channels of one record, shape (rows, samples); None where not predicted.
 
     Attributes:
         tension_N: Gauge reading; the output of a linear or a Python plant.
         angle_rad: Encoder reading, not rounded to its steps.
         reference_N: Tension outside the reel.
-        current_A: The drive's current, where one was measured.
+        current_A: Current of the drive, where one was measured.
     """
 
     tension_N: FloatArray | None
@@ -59,15 +59,15 @@ class Prediction(NamedTuple):
 
 
 class Predictor:
-    """One compiled structure, a model and effects, held against measurements.
+    """One compiled structure, a model with effects, compared with measurements.
 
     May be used from several threads at once; calls of the compiled code release the interpreter's
     lock.
 
     Attributes:
-        free: What a fit may move: first the base's and the records', then the effects'.
-        start: Their starts, shape (free,).
-        index: What the residuals' entries stand for.
+        free: Free parameters: first the base model's and the records', then the effects'.
+        start: Their initial values, shape (free,).
+        index: Description of the entries of the residuals.
         horizon_s: Length of a window, or None for a free run.
     """
 
@@ -83,11 +83,11 @@ class Predictor:
 
         Args:
             model: Made by `diagnosed`, for these measurements or more.
-            effects: What is added to the model.
-            measurements: What to predict.
-            horizon_s: Length of the windows at whose starts the drum is put back to where it was
-                measured; "model" is what suits the model and the data, None a free run.
-            floor: The noise; None finds it.
+            effects: Effects added to the model.
+            measurements: The records to predict.
+            horizon_s: Length of the windows at whose starts the state is reset to the measured
+                one; "model" suits the model and the data, None is a free run.
+            floor: The noise; None estimates it.
 
         Raises:
             PlantError: an effect is not available on the model, or nothing can be compiled.
@@ -99,25 +99,25 @@ class Predictor:
         self._model = model
         self._library = library(model.structure(model.combined(effects)))
         self.horizon_s = model.suggested_horizon_s if horizon_s == "model" else horizon_s
-        self._scene, self._basis = _windowed(
+        self._data, self._basis = _windowed(
             model, tuple(measurements), self.horizon_s, floor, self._library.placed
         )
-        self._slots = _of(model.slots(effects), model, self._scene)
+        self._slots = _present_slots(model.slots(effects), model, self._data)
         sensors = _sensors(model)
-        known = [model.parameters(effects, m) | sensors for m in self._scene.measurements]
+        known = [model.parameters(effects, m) | sensors for m in self._data.measurements]
         self._table = _Table(self._library, known, self._slots)
-        self.index: Index = self._scene.index
+        self.index: Index = self._data.index
         self.free: tuple[Free, ...] = tuple(slot.free for slot in self._slots)
         self.start: FloatArray = np.array([free.start for free in self.free])
 
     def predict(self, rows: FloatArray) -> list[Prediction]:
         """The channels of each measurement, for each row of values, shape (rows, free)."""
-        outputs = np.empty((len(rows), len(CHANNELS), self._scene.samples))
-        _run(self._library, self._scene, self._table.of(rows), outputs=outputs)
+        outputs = np.empty((len(rows), len(CHANNELS), self._data.samples))
+        _run(self._library, self._data, self._table.of(rows), outputs=outputs)
         shown = []
-        last = np.cumsum(self._scene.record_samples)
+        last = np.cumsum(self._data.record_samples)
         for m, end, size in zip(
-            self._scene.measurements, last, self._scene.record_samples, strict=True
+            self._data.measurements, last, self._data.record_samples, strict=True
         ):
             part = outputs[:, :, end - size : end]
             measured = m.measured_current_A(self._model.newtons_per_ampere) is not None
@@ -127,14 +127,14 @@ class Predictor:
         return shown
 
     def residuals(self, rows: FloatArray, entries: NDArray[np.int64] | None = None) -> FloatArray:
-        """(measured - predicted)/sigma_eff without what a window's start explains.
+        """(measured - predicted)/sigma_eff, the initial states of the windows projected out.
 
-        A prediction that runs away, or is no number, counts as a million sigmas. Only the records
-        that the entries belong to are run.
+        A prediction that diverges, or is no number, counts as a million sigmas. Only the records
+        that the entries belong to are simulated.
 
         Args:
             rows: Values, shape (rows, free).
-            entries: Numbers of the entries that are wanted; None is all.
+            entries: Indices of the entries wanted; None is all.
 
         Returns:
             Shape (rows, entries).
@@ -143,7 +143,7 @@ class Predictor:
         chosen = every if entries is None else np.ascontiguousarray(entries, np.int64)
         found = np.empty((len(rows), chosen.size))
         table = self._table.of(rows)
-        _run(self._library, self._scene, table, basis=self._basis, residuals=found, chosen=chosen)
+        _run(self._library, self._data, table, basis=self._basis, residuals=found, chosen=chosen)
         return found
 
     def linearise(
@@ -155,14 +155,14 @@ class Predictor:
     ) -> tuple[FloatArray, FloatArray]:
         """Residuals, shape (entries,), and their derivative by the values, (entries, free).
 
-        The derivative is the quotient of differences, all in one batch of predictions; numbers of
+        The derivative is a forward difference, all in one batch of predictions; parameters of
         single records that are of one kind are stepped together.
 
         Args:
             values: Shape (free,).
-            only: Numbers of the free values to derive by, whose columns are then the only ones.
-            entries: Numbers of the entries that are wanted; None is all.
-            known: The residuals there, where they are at hand.
+            only: Indices of the free parameters to differentiate by; None is all.
+            entries: Indices of the entries wanted; None is all.
+            known: The residuals there, if already computed.
         """
         chosen = np.arange(len(self.free)) if only is None else np.asarray(only, np.int64)
         groups: dict[tuple[str, int | None], list[int]] = defaultdict(list)
@@ -198,10 +198,10 @@ class Predictor:
         return np.array([values.get(free.name, free.start) for free in self.free])
 
     def _own_entries(self, entries: NDArray[np.int64] | None) -> list[slice]:
-        """Where in some entries, in ascending order, those of each record are."""
+        """Slice of each record in some entries, which are in ascending order."""
         measurement = self.index.measurement
         measurement = measurement if entries is None else measurement[entries]
-        edges = np.searchsorted(measurement, np.arange(len(self._scene.measurements) + 1))
+        edges = np.searchsorted(measurement, np.arange(len(self._data.measurements) + 1))
         return [slice(a, b) for a, b in pairwise(edges.tolist())]
 
     def _step(self, n: int, value: float) -> float:
@@ -216,7 +216,7 @@ def warm(
     structures: Iterable[Sequence[type[Effect]]],
     measurements: Sequence[MeasuredRecord] = (),  # noqa: ARG001  a structure is that of the model
 ) -> None:
-    """Compiles several structures at once, each with these effects added to the model.
+    """Compiles several structures in parallel, each with these effects added to the model.
 
     Raises:
         PlantError: one cannot be compiled.
@@ -224,22 +224,16 @@ def warm(
     wanted = {model.structure((type(model.calibration),))}
     wanted |= {model.structure(model.combined(effects)) for effects in structures}
     with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
-        list(pool.map(library, wanted))  # the list is there to raise what a thread raised
+        list(pool.map(library, wanted))  # the list raises what a thread raised
 
 
 class _Table:
-    """Rows of values as rows of parameters and sensors, one for each record."""
+    """Parameter table: rows of values as rows of parameters and sensors, one for each record."""
 
     def __init__(
         self, compiled: Library, records: Sequence[Mapping[str, float]], slots: Sequence[Slot]
     ) -> None:
-        """Lays out the table.
-
-        Args:
-            compiled: Says the order of the columns.
-            records: Parameters and sensors of each record by name.
-            slots: Where the values of a row go.
-        """
+        """Lays out the table: columns of the library, parameters of each record by name."""
         columns = compiled.columns
         self._template = np.array([[known[name] for name in columns] for known in records])
         self._slots = [
@@ -265,8 +259,8 @@ class _Table:
         return table
 
 
-def _of(slots: list[Slot], model: DiagnosedModel, of: PredictionData) -> list[Slot]:
-    """The slots for a scene: those of records that are not in it are left out."""
+def _present_slots(slots: list[Slot], model: DiagnosedModel, of: PredictionData) -> list[Slot]:
+    """The slots of the records that are in the data, renumbered."""
     place = {id(m): n for n, m in enumerate(of.measurements)}
     kept = []
     for slot in slots:
@@ -284,13 +278,13 @@ def _run(
     of: PredictionData,
     table: FloatArray,
     *,
-    kicks: FloatArray | None = None,
+    state_steps: FloatArray | None = None,
     basis: FloatArray | None = None,
     outputs: FloatArray | None = None,
     residuals: FloatArray | None = None,
     chosen: NDArray[np.int64] | None = None,
 ) -> None:
-    """Fills outputs, or residuals of the chosen entries; the arrays outlive the call."""
+    """Fills the outputs, or the residuals of the chosen entries."""
     weight = 1.0 / of.index.sigma
     wanted = None
     if chosen is not None:
@@ -314,7 +308,7 @@ def _run(
         window_at=at(of.window_at),
         window_place=at(of.window_place),
         table=at(table),
-        kick=at(kicks),
+        kick=at(state_steps),
         measured=at(of.measured),
         weight=at(weight),
         source=at(of.source),
@@ -337,42 +331,42 @@ def _windowed(
     floor: NoiseFloor | None,
     placed: int,
 ) -> tuple[PredictionData, FloatArray]:
-    """The scene, and what another start of each of its windows would explain."""
+    """The prediction data, and the basis of the initial states of their windows."""
     whole = prepare_data(model, measurements, horizon_s, floor, placed)
     if horizon_s is None:
         return whole, _basis(model, whole)
-    found = allowed(whole, floor, _basis(model, whole))
+    found = with_window_sigma(whole, floor, _basis(model, whole))
     return found, _basis(model, found)
 
 
 def _basis(model: DiagnosedModel, of: PredictionData) -> FloatArray:
-    """What another start of each window would explain, orthonormal, (placed, entries).
+    """Basis of the responses to initial states, window by window, orthonormal, (placed, entries).
 
     By the model without any effect: a drum that friction holds has no free response.
     """
     bare = library(model.structure((type(model.calibration),)))
-    slots = _of(model.base, model, of)
+    slots = _present_slots(model.base, model, of)
     slots = [s._replace(column=s.column.replace(CALIBRATION, "0")) for s in slots]
     own = {"delay_samples": 0.0, **{f"0.{n}": v for n, v in vars(model.calibration).items()}}
     known = [{**model.numbers(m), **own, **_sensors(model)} for m in of.measurements]
     table = _Table(bare, known, slots)
     row = np.array([[slot.free.start for slot in slots]])
-    kicks = np.zeros((1 + bare.placed, bare.placed))
-    kicks[1:] = np.diag(_kick_sizes(of, bare.placed))
-    found = np.empty((len(kicks), of.index.sigma.size))
-    rows, every = np.repeat(row, len(kicks), axis=0), np.arange(of.index.sigma.size)
-    _run(bare, of, table.of(rows), kicks=kicks, residuals=found, chosen=every)
+    state_steps = np.zeros((1 + bare.placed, bare.placed))
+    state_steps[1:] = np.diag(_state_steps(of, bare.placed))
+    found = np.empty((len(state_steps), of.index.sigma.size))
+    rows, every = np.repeat(row, len(state_steps), axis=0), np.arange(of.index.sigma.size)
+    _run(bare, of, table.of(rows), state_steps=state_steps, residuals=found, chosen=every)
     return WindowProjection(of.block_end).orthonormal(found[1:] - found[0])
 
 
 def _sensors(model: DiagnosedModel) -> dict[str, float]:
-    """The sensors where nothing is known of them."""
+    """Sensors without errors."""
     return dict.fromkeys(SENSORS, 0.0) | {"current_gain": model.drive_unit}
 
 
-def _kick_sizes(of: PredictionData, placed: int) -> FloatArray:
-    """A small part of what the windows' starts spread over."""
+def _state_steps(of: PredictionData, placed: int) -> FloatArray:
+    """Steps of the initial states, relative to their spread over the windows."""
     spread = of.window_place.std(axis=0) if len(of.window_place) > 1 else np.zeros(placed)
     size = np.abs(of.window_place).max(axis=0, initial=0.0)
     wide = np.where(spread > 0.0, spread, size)
-    return KICK * np.where(wide > 0.0, wide, 1.0)
+    return STATE_STEP * np.where(wide > 0.0, wide, 1.0)

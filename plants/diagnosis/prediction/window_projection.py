@@ -1,39 +1,32 @@
-"""What another start of each window explains, and what that leaves of a signal.
-
-Everything is done block by block, a block being the entries of one window.
-"""
+"""Projection that removes the initial state of each window from a signal."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 from estune.core.quantities import FloatArray
 
-NOTHING = 1e-6
-"""A direction of which less than this share is left beside the others is none."""
+DEPENDENT = 1e-6
+"""A direction of which less than this share is independent of the others is left out."""
 
 
 class WindowProjection:
-    """Sums over the entries of each window."""
+    """Inner products and projections, window by window."""
 
     def __init__(self, block_end: NDArray[np.int64]) -> None:
-        """Notes where windows end.
-
-        Args:
-            block_end: Entry after the last of each window, shape (windows,).
-        """
+        """The windows end before the entries `block_end`, shape (windows,)."""
         self._first = np.concatenate([[0], block_end[:-1]])
         self._sizes = np.diff(np.concatenate([[0], block_end]))
         self._filled = self._sizes > 0
 
     def dot(self, a: FloatArray, b: FloatArray) -> FloatArray:
-        """The product of two signals over each window, at each of its entries."""
+        """Inner product of two signals over each window, at each of its entries."""
         sums = np.zeros(self._sizes.size)
         if self._filled.any():
             sums[self._filled] = np.add.reduceat(a * b, self._first[self._filled])
         return np.repeat(sums, self._sizes)
 
     def orthonormal(self, directions: FloatArray) -> FloatArray:
-        """Gram and Schmidt's method, twice, in each window by itself; same shape."""
+        """Gram-Schmidt orthonormalisation, twice for accuracy, in each window; same shape."""
         basis = np.zeros_like(directions)
         for n, direction in enumerate(directions):
             size = np.sqrt(self.dot(direction, direction))
@@ -41,11 +34,11 @@ class WindowProjection:
             for _ in range(2):
                 left = self.residual_after(left, basis[:n])
             rest = np.sqrt(self.dot(left, left))
-            np.divide(left, rest, out=basis[n], where=rest > NOTHING)
+            np.divide(left, rest, out=basis[n], where=rest > DEPENDENT)
         return basis
 
     def residual_after(self, signal: FloatArray, basis: FloatArray) -> FloatArray:
-        """What directions leave of a signal, shape (entries,).
+        """Signal without its components along the basis, shape (entries,).
 
         Args:
             signal: Shape (entries,).
