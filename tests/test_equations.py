@@ -6,10 +6,10 @@ from experiments.equations import NUMBERS, TABLE, checks, implementations, table
 
 
 @pytest.mark.parametrize("number", NUMBERS)
-def test_each_equation_has_one_docstring_and_a_check(number):
+def test_equation_has_one_docstring_and_a_check(number):
     assert len(implementations().get(number, [])) == 1
     assert checks().get(number)
 
 
-def test_the_table_is_up_to_date():
+def test_equation_table_is_up_to_date():
     assert TABLE.read_text("utf-8") == table(), "run: python -m experiments.equations"

@@ -9,16 +9,16 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 TIMED = {"benchmark_link", "benchmark_trials", "catenary", "effects", "jitter", "sweep_speed"}
-"""Experiments with targets that are times or ratios of them, which a busy machine may miss."""
+"""Experiments whose targets are times or ratios of times, which a busy machine may miss."""
 
 TIMES = ("_restored_max_s", "stop_p99_ms")
-"""The same of single targets: how their names end."""
+"""Endings of the names of single targets that are times."""
 
 SAMPLED = {"confirmation", "hidden_effects", "sample_efficiency"}
-"""Experiments with targets that are shares of hundreds of cases, which a few cannot judge."""
+"""Experiments whose targets are shares of hundreds of cases; a few cases do not decide them."""
 
 OTHERS = {"equations", "hidden_scores", "joint_schedule", "results", "rig_protocol_page"}
-"""Modules that measure nothing by themselves, and have no --json."""
+"""Modules that are not experiments."""
 
 
 def experiments() -> list[str]:
@@ -29,7 +29,7 @@ def experiments() -> list[str]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", experiments())
-def test_an_experiment_prints_its_figures_and_meets_its_targets(name):
+def test_experiment_prints_its_figures_and_meets_its_targets(name):
     command = [sys.executable, "-m", f"experiments.{name}", "--quick", "--json"]
     done = subprocess.run(
         command, cwd=ROOT, capture_output=True, text=True, timeout=300, check=False

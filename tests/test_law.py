@@ -61,7 +61,7 @@ def tunings(
 
 @pytest.mark.parametrize("told", [True, False], ids=["errors told", "errors unknown"])
 @pytest.mark.parametrize("repeats", [1, 4])
-def test_the_interval_of_the_slope_covers_the_truth_as_often_as_it_says(told, repeats):
+def test_slope_interval_has_its_nominal_coverage(told, repeats):
     rng, n, hits = np.random.default_rng(repeats), 300, 0
     length = np.repeat(LENGTHS, repeats)
     design = np.column_stack([np.ones_like(length), length])
@@ -75,7 +75,7 @@ def test_the_interval_of_the_slope_covers_the_truth_as_often_as_it_says(told, re
     assert hits >= stats.binom.ppf(0.001, n, 0.95)
 
 
-def test_without_outliers_it_is_all_but_weighted_least_squares():
+def test_law_without_outliers_is_close_to_weighted_least_squares():
     law = fit_law(tunings(seeds=3, scatter=0.0))
     points = law.fits["I"].points
     fit = law.fits["I"].straight
@@ -84,7 +84,7 @@ def test_without_outliers_it_is_all_but_weighted_least_squares():
     assert fit.coefficients[1] == pytest.approx(by_numpy[0], abs=0.5 * error)
 
 
-def test_on_points_with_the_same_error_the_interval_is_that_of_textbooks():
+def test_slope_interval_for_equal_errors_is_the_textbook_one():
     x = np.repeat(LENGTHS, 3)
     y = falling(x, 0.0) + np.random.default_rng(2).normal(0.0, 1.0, x.size)
     fit = fit_weighted(np.column_stack([np.ones_like(x), x]), y, np.zeros_like(x))
@@ -94,7 +94,7 @@ def test_on_points_with_the_same_error_the_interval_is_that_of_textbooks():
     assert interval_factor(0.95, fit.degrees) == pytest.approx(stats.t.ppf(0.975, 19))
 
 
-def test_a_tuning_that_knows_little_counts_little():
+def test_tuning_with_large_errors_has_small_weight():
     made = tunings(seeds=2, scatter=0.0)
     far = replace(
         made[0], gains=replace(made[0].gains, I=70.0), log_errors=(0.01, 0.6, 0.01, 0.01)
@@ -104,7 +104,7 @@ def test_a_tuning_that_knows_little_counts_little():
     assert slopes[1].value == pytest.approx(slopes[0].value, abs=0.3 * slopes[0].half_width)
 
 
-def test_a_wild_tuning_is_named_and_does_not_move_the_law():
+def test_outlier_is_reported_and_does_not_change_the_law():
     made = tunings(seeds=3)
     wild = replace(made[5], gains=replace(made[5].gains, I=200.0))
     law = fit_law([*made[:5], wild, *made[6:]])
@@ -123,7 +123,7 @@ def test_a_wild_tuning_is_named_and_does_not_move_the_law():
     [(falling, "linear"), (inverse, "inverse"), (with_tension, "linear + tension")],
     ids=lambda value: getattr(value, "__name__", value),
 )
-def test_the_form_that_made_the_tunings_is_chosen(law, form):
+def test_cross_validation_selects_the_true_form(law, form):
     chosen = [
         str(fit_law(tunings(law, seed=s, seeds=3, tensions=(5.0, 20.0, 35.0))).fits["I"].form)
         for s in range(12)
@@ -131,19 +131,19 @@ def test_the_form_that_made_the_tunings_is_chosen(law, form):
     assert chosen.count(form) >= 10
 
 
-def test_a_gain_that_does_not_change_is_constant():
+def test_gain_without_dependence_is_constant():
     laws = [fit_law(tunings(seed=s, seeds=2)) for s in range(12)]
     assert sum(law.fits["P"].form.over_length == "constant" for law in laws) >= 10
 
 
-def test_a_form_that_misses_the_repeats_is_told():
+def test_lack_of_fit_is_reported():
     law = fit_law(tunings(inverse, seeds=6, scatter=0.0), forms={"I": "linear"})
     assert law.fits["I"].lack_of_fit.p_value < 1e-6
     assert "I: the linear form does not fit the repeated tunings" in law.remarks[0]
     assert fit_law(tunings()).fits["I"].lack_of_fit is None  # nothing was repeated
 
 
-def test_a_form_that_falls_below_zero_within_the_range_is_not_chosen():
+def test_form_that_falls_below_zero_is_not_selected():
     def steep(L, _):
         return 0.02 + 3e3 * max(0.0, 0.9 - L) ** 3
 
@@ -156,7 +156,7 @@ def test_a_form_that_falls_below_zero_within_the_range_is_not_chosen():
 # --- bands -----------------------------------------------------------------------------------
 
 
-def test_a_further_tuning_lies_in_the_prediction_band_as_often_as_it_says():
+def test_prediction_band_has_its_nominal_coverage():
     hits = []
     for seed in range(40):
         law = fit_law(tunings(seed=seed, seeds=2), forms={"I": "linear"})
@@ -169,7 +169,7 @@ def test_a_further_tuning_lies_in_the_prediction_band_as_often_as_it_says():
     assert 0.9 < np.mean(hits) < 0.99
 
 
-def test_it_does_not_extrapolate_silently():
+def test_band_refuses_extrapolation_unless_requested():
     law = fit_law(tunings(tensions=(10.0, 20.0)))
     for length, tension in ((1.5, 15.0), (0.4, 15.0), (1.0, 25.0)):
         with pytest.raises(InvalidInput, match=r"holds from 0\.5 to 1\.4 m and 10 to 20 N"):
@@ -184,7 +184,7 @@ def test_it_does_not_extrapolate_silently():
 # --- what goes in and comes out --------------------------------------------------------------
 
 
-def test_unsafe_and_unconverged_tunings_are_left_out_and_named():
+def test_law_excludes_and_lists_unsafe_and_unconverged_tunings():
     made = tunings(seeds=2)
     bad = [
         replace(made[0], safe=False, gains=replace(made[0].gains, I=500.0)),
@@ -207,40 +207,40 @@ def test_unsafe_and_unconverged_tunings_are_left_out_and_named():
         ),
     ],
 )
-def test_too_few_tunings_are_refused(some, sentence):
+def test_fit_law_refuses_too_few_tunings(some, sentence):
     with pytest.raises(InvalidInput, match=sentence):
         fit_law(some)
 
 
-def test_length_and_tension_that_only_changed_together_are_refused():
+def test_fit_law_refuses_confounded_length_and_tension():
     made = [t for t in tunings(tensions=(10.0, 20.0)) if (t.length_m > 0.9) == (t.tension_N > 15)]
     together = [replace(t, tension_N=10.0 + 10.0 * t.length_m) for t in made]
     with pytest.raises(InvalidInput, match="vary length and tension separately"):
         fit_law(together)
 
 
-def test_an_unknown_gain_or_form_is_refused():
+def test_fit_law_refuses_unknown_gains_and_forms():
     with pytest.raises(InvalidInput, match="there is no form 'cubic'; the forms are constant"):
         fit_law(tunings(), forms={"I": "cubic"})
     with pytest.raises(InvalidInput, match="there is no gain 'Q'"):
         fit_law(tunings(), forms={"Q": "linear"})
 
 
-def test_the_order_of_the_tunings_does_not_matter():
+def test_law_does_not_depend_on_the_order_of_tunings():
     made = tunings(seeds=2)
     one, other = fit_law(made), fit_law(made[::-1])
     assert one.fits["I"].slope.value == pytest.approx(other.fits["I"].slope.value, rel=1e-9)
     assert one.sentence == other.sentence
 
 
-def test_a_gain_that_was_held_stays_as_it_is():
+def test_gain_held_constant_is_exact():
     held = [replace(t, gains=replace(t.gains, D=0.0)) for t in tunings()]
     law = fit_law(held)
     assert law.schedule().gains(0.7, 15.0).D == 0.0
     assert "D is 0 s throughout" in law.sentence
 
 
-def test_a_direction_that_is_flat_in_one_tuning_has_no_say_there():
+def test_gain_undetermined_in_a_tuning_ignores_that_tuning():
     made = tunings(seeds=2)
     flat = replace(
         made[3], gains=replace(made[3].gains, I=9.0), log_errors=(0.02, math.inf, 0.02, 0.02)
@@ -250,7 +250,7 @@ def test_a_direction_that_is_flat_in_one_tuning_has_no_say_there():
     assert flat.label in law.fits["P"].labels
 
 
-def test_the_sentence_says_what_falls_what_stays_and_what_tension_does():
+def test_sentence_states_length_and_tension_dependence():
     law = fit_law(tunings(seeds=3))
     slope = law.fits["I"].slope
     start = f"I falls by {-slope.value:.3g} ±{slope.half_width:.2g} 1/s per metre"
@@ -263,7 +263,7 @@ def test_the_sentence_says_what_falls_what_stays_and_what_tension_does():
     assert "each N of tension changes I by +0.39 ±" in pulled.sentence
 
 
-def test_the_law_goes_to_json_and_to_a_schedule_that_says_the_same():
+def test_law_json_and_schedule_agree():
     law = fit_law(tunings(seeds=2, tensions=(5.0, 20.0)))
     shown = json.loads(json.dumps(law.to_json(), allow_nan=False))
     assert list(shown["fits"]) == list(GAIN_NAMES)

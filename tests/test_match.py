@@ -50,31 +50,31 @@ def sought(target: float, noise: float, seed: int, trials: int = 16, unsafe_from
 
 
 @pytest.mark.parametrize("target", [1.02, 1.2, 1.8])
-def test_the_level_is_found_to_a_fraction_of_the_noise_of_one_trial(target):
+def test_target_cost_tuner_is_more_accurate_than_one_trial(target):
     costs = [cost_along(sought(target, 0.01, seed)[0]) for seed in range(40)]
     errors = np.log(costs) - math.log(target)
     assert abs(errors.mean()) < 0.002
     assert errors.std() < 0.006
 
 
-def test_a_level_below_the_start_leaves_the_start_as_it_is():
+def test_target_cost_tuner_keeps_the_start_if_the_target_is_below_it():
     assert sought(0.8, 0.01, seed=1)[0] < 0.02
 
 
-def test_a_level_that_lies_beyond_unsafe_gains_is_neared_but_no_unsafe_trial_repeated():
+def test_target_cost_tuner_repeats_no_unsafe_trial():
     found, trespassed = sought(2.0, 0.0, seed=1, unsafe_from=0.7)
     assert 0.5 < found < 0.7
     assert not trespassed
 
 
-def test_only_the_loop_gain_changes_on_the_path():
+def test_detuning_path_changes_only_the_loop_gain():
     path = detuning_path(TUNED)
     half = path.gains((TUNED.P / 2.0,))
     assert np.allclose(half.as_tuple(), (0.6, 18.0, 0.01, 0.002), rtol=1e-12)
     assert path.high == (TUNED.P,)
 
 
-def test_the_interval_of_a_level_holds_its_mean_in_95_of_100_cases():
+def test_cost_interval_covers_its_mean_in_95_of_100_cases():
     random = np.random.default_rng(3)
     rows = 1.4 * np.exp(0.02 * random.standard_normal((2000, 6)))
     held = [level.low <= 1.4 <= level.high for level in map(estimate_cost, rows.tolist())]
@@ -91,11 +91,11 @@ def test_the_interval_of_a_level_holds_its_mean_in_95_of_100_cases():
         ((1.4,), MatchOutcome.NOT_SHOWN),
     ],
 )
-def test_a_reel_passes_only_where_its_whole_interval_is_within_the_tolerance(costs, standing):
+def test_classify_passes_only_intervals_within_the_tolerance(costs, standing):
     assert classify(estimate_cost(costs), 1.4, 0.02)[0] is standing
 
 
-def test_reels_of_different_mechanics_come_to_the_cost_of_the_worst_of_them():
+def test_match_brings_different_reels_to_the_cost_of_the_worst():
     reels = {
         "stiff": plants.reference_reel(),
         "soft": plants.reference_reel(cable_EA_N=8e3),
@@ -120,7 +120,7 @@ def test_reels_of_different_mechanics_come_to_the_cost_of_the_worst_of_them():
     )
 
 
-def test_a_reel_that_cannot_reach_the_target_and_one_that_is_away_do_not_keep_the_others():
+def test_match_goes_on_without_unreachable_reels():
     class Away(ArithmeticRig):
         def describe(self):
             raise RigError("nobody there")
@@ -134,7 +134,7 @@ def test_a_reel_that_cannot_reach_the_target_and_one_that_is_away_do_not_keep_th
     assert not found.passed
 
 
-def test_gains_become_live_only_where_asked_for_and_only_of_reels_that_pass():
+def test_match_applies_gains_only_on_request_and_to_passing_reels():
     rigs = {"fast": ArithmeticRig(name="fast"), "slow": ArithmeticRig(name="slow")}
     rigs["slow"].best = replace(ArithmeticRig.best, I=60.0)
     start, settings = rigs["fast"].description.gains, replace(BRIEF, tolerance=0.05)
@@ -147,7 +147,7 @@ def test_gains_become_live_only_where_asked_for_and_only_of_reels_that_pass():
     assert [rig.description.gains for rig in rigs.values()] == [r.gains for r in live.reels]
 
 
-def test_a_matching_that_was_cut_off_goes_on_and_runs_no_trial_twice(tmp_path):
+def test_interrupted_matching_continues_and_repeats_no_trial(tmp_path):
     class CutOff(ArithmeticRig):
         left = 50
 
@@ -174,7 +174,7 @@ def test_a_matching_that_was_cut_off_goes_on_and_runs_no_trial_twice(tmp_path):
         estune.match(cut, settings=replace(BRIEF, trials=50), folder=tmp_path / "cut" / "m")
 
 
-def test_two_rigs_over_zenoh_are_matched_by_one_command(tmp_path, monkeypatch, capsys):
+def test_match_command_matches_two_rigs_over_zenoh(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     reels = plants.reference_reel(), plants.reference_reel(cable_EA_N=8e3)
     with (
@@ -202,7 +202,7 @@ def test_two_rigs_over_zenoh_are_matched_by_one_command(tmp_path, monkeypatch, c
     assert all(Journal.open(p).fact("status") == "finished" for p in (tmp_path / "m").glob("m-*"))
 
 
-def test_the_page_of_the_docs_does_what_it_shows():
+def test_matching_documentation_example_runs():
     page = Path(__file__).parents[1] / "docs" / "matching.md"
     failed, tried = doctest.testfile(str(page), module_relative=False)
     assert tried
@@ -223,7 +223,9 @@ def test_the_page_of_the_docs_does_what_it_shows():
         (["one.toml", "two.toml", "--duration-s", "-1"], "duration_s"),
     ],
 )
-def test_what_cannot_be_is_refused_in_a_line(arguments, said, tmp_path, monkeypatch, capsys):
+def test_match_command_refuses_invalid_arguments_in_one_line(
+    arguments, said, tmp_path, monkeypatch, capsys
+):
     monkeypatch.chdir(tmp_path)
     for name in ("one.toml", "two.toml"):
         (tmp_path / name).write_text("[reel]\ncable_length_m = 0.8\n")

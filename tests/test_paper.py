@@ -56,7 +56,7 @@ class Page(HTMLParser):
 
 
 @pytest.mark.slow
-def test_the_page_has_every_figure_with_its_claim_and_its_verdict(made):
+def test_page_has_every_figure_with_claim_and_verdict(made):
     figures, out = made
     assert set(figures) == set(paper.NUMBERS)
     shown = Page(out.read_text())
@@ -73,7 +73,7 @@ def test_the_page_has_every_figure_with_its_claim_and_its_verdict(made):
 
 
 @pytest.mark.slow
-def test_the_page_asks_nothing_of_the_network_or_of_another_file(made):
+def test_page_refers_to_nothing_outside_itself(made):
     _, out = made
     text = out.read_text()
     shown = Page(text)
@@ -95,7 +95,7 @@ def test_the_page_asks_nothing_of_the_network_or_of_another_file(made):
 
 
 @pytest.mark.slow
-def test_what_a_figure_says_follows_from_its_numbers(made):
+def test_figure_sentence_agrees_with_its_numbers(made):
     figures, _ = made
     for figure in figures.values():
         number = r"-?\d+(?:\.\d+)?(?:e[+-]?\d+)?"
@@ -106,7 +106,7 @@ def test_what_a_figure_says_follows_from_its_numbers(made):
 
 
 @pytest.mark.slow
-def test_what_is_measured_of_the_bandwidth_is_what_the_reels_were_built_with(made):
+def test_bandwidth_figures_recover_the_reels_parameters(made):
     figures, _ = made
     for number, length in ((10, 0.5), (11, 1.4)):
         low, high = (Reel(length, T).natural_frequency_rad_s for T in (5.0, 40.0))
@@ -121,7 +121,7 @@ def test_what_is_measured_of_the_bandwidth_is_what_the_reels_were_built_with(mad
 
 
 @pytest.mark.slow
-def test_what_is_measured_of_the_eyelets_is_what_the_benches_were_built_with(made):
+def test_eyelet_figures_recover_the_benches_parameters(made):
     figures, _ = made
 
     def lost(coefficient, turn_rad):  # (22) as a quadratic equation
@@ -136,7 +136,7 @@ def test_what_is_measured_of_the_eyelets_is_what_the_benches_were_built_with(mad
         assert found == pytest.approx(lost(0.1, math.radians(turn)), rel=0.05)
 
 
-def test_a_claim_that_fails_is_shown_as_such():
+def test_failed_claim_is_shown_as_failed():
     held = paper.make(18, quick=True)
     failed = replace(held, holds=False, caveat="Because <a> & <b>.")
     text = page([held, failed])
@@ -146,12 +146,12 @@ def test_a_claim_that_fails_is_shown_as_such():
     assert "Because &lt;a&gt; &amp; &lt;b&gt;." in text
 
 
-def test_the_same_figure_gives_the_same_page():
+def test_page_is_reproducible():
     first, second = (page([paper.make(18, quick=True)]) for _ in range(2))
     assert first == second
 
 
-def test_a_page_that_cannot_be_written_is_refused_before_the_work(tmp_path, monkeypatch, capsys):
+def test_unwritable_page_is_refused_before_the_figures_are_made(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(paper, "make", lambda *_, **__: pytest.fail("worked in vain"))
     assert (
         run(["reproduce-paper", "--out", str(tmp_path / "nowhere" / "p.html")])

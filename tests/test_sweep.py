@@ -48,7 +48,7 @@ def alike(one: CellOutcome, other: CellOutcome) -> bool:
     return repr(rest[0]) == repr(rest[1]) and np.array_equal(one.trace, other.trace)
 
 
-def test_all_that_is_wrong_with_a_design_is_told_at_once_with_its_place():
+def test_design_reports_all_faults_with_their_keys():
     wrong = {
         "lengths_m": [0.5, 0.5, 1.0],
         "tensions_N": [25.0, 15.0],
@@ -95,12 +95,12 @@ def test_all_that_is_wrong_with_a_design_is_told_at_once_with_its_place():
         ({"bounds": {"P": [1.0, 2.0]}}, "P"),
     ],
 )
-def test_what_does_not_fit_is_refused_before_anything_is_run(changed, words):
+def test_expand_cells_refuses_designs_that_do_not_fit(changed, words):
     with pytest.raises(InvalidInput, match=words):
         expand_cells(read_design({**SMALL, **changed}))
 
 
-def test_a_dry_run_shows_what_would_be_commanded_and_keeps_nothing(tmp_path, capsys, monkeypatch):
+def test_dry_run_shows_the_trials_and_writes_nothing(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("sweep.toml").write_text(
         'lengths_m = [0.5, 1.4]\nrigs = ["plants:reference_reel"]\nseeds = 2\ntrials = 30\n'
@@ -113,7 +113,7 @@ def test_a_dry_run_shows_what_would_be_commanded_and_keeps_nothing(tmp_path, cap
     assert [path.name for path in tmp_path.iterdir()] == ["sweep.toml"]
 
 
-def test_processes_give_what_one_gives_and_a_second_call_runs_nothing(tmp_path):
+def test_processes_give_equal_outcomes_and_a_second_call_runs_nothing(tmp_path):
     one = swept(tmp_path / "one")
     many = swept(tmp_path / "many", jobs=2)
     assert len(one.outcomes) == 6
@@ -128,14 +128,14 @@ def test_processes_give_what_one_gives_and_a_second_call_runs_nothing(tmp_path):
     assert sorted(o.cell.seed for o in seen) == [1] * 6
 
 
-def test_noise_differs_from_place_to_place_and_is_the_same_for_each_tuner():
+def test_noise_seed_depends_on_the_place_and_not_on_the_tuner():
     both = {**SMALL, "tuners": ["least_squares_gradient", "otis"], "seeds": 2}
     cells = expand_cells(read_design(both))
     seeds = [cell.noise_seed for cell in cells]
     assert len(cells) == 2 * len(set(seeds)) == len({cell.key for cell in cells})
 
 
-def test_a_cell_changes_with_its_model_and_not_with_where_the_model_lies(tmp_path):
+def test_cell_key_depends_on_the_model_and_not_on_its_folder(tmp_path):
     def keys(folder: Path, model: str) -> list[str]:
         folder.mkdir(exist_ok=True)
         (folder / "reel.toml").write_text(model)
@@ -147,9 +147,7 @@ def test_a_cell_changes_with_its_model_and_not_with_where_the_model_lies(tmp_pat
     assert not set(here) & set(keys(tmp_path / "here", "[reel]\ngauge_noise_N = 0.1\n"))
 
 
-def test_a_sweep_stored_by_an_earlier_version_is_continued_without_rerunning_cells(
-    tmp_path, monkeypatch
-):
+def test_stored_sweep_of_an_earlier_version_continues_without_reruns(tmp_path, monkeypatch):
     monkeypatch.setattr("estune.studies.sweep.cells.version", lambda _: "0.1.0")
     shutil.copy(Path(__file__).parent / "assets" / "sweep_v1.sqlite", tmp_path / "sweep.sqlite")
     design = {
@@ -165,7 +163,7 @@ def test_a_sweep_stored_by_an_earlier_version_is_continued_without_rerunning_cel
     assert [o.trace.shape for o in outcomes] == [(16, 7), (16, 7)]
 
 
-def test_the_frame_is_tidy_and_the_dataset_has_a_dimension_for_each_choice(tmp_path):
+def test_frame_is_tidy_and_dataset_has_the_design_dimensions(tmp_path):
     result = swept(tmp_path)
     frame = result.to_frame()
     assert frame.shape[0] == 6
@@ -180,7 +178,7 @@ def test_the_frame_is_tidy_and_the_dataset_has_a_dimension_for_each_choice(tmp_p
     pd.testing.assert_frame_equal(pd.read_parquet(tmp_path / "cells.parquet"), frame)
 
 
-def test_a_failing_cell_is_a_record_and_is_tried_again(tmp_path):
+def test_failed_cell_is_stored_and_tried_again(tmp_path):
     design = {**SMALL, "rigs": ["tests.support_sweep:fragile"], "tensions_N": []}
     support_sweep.broken_at_m.add(0.9)
     try:
@@ -197,7 +195,7 @@ def test_a_failing_cell_is_a_record_and_is_tried_again(tmp_path):
     assert not second.failed
 
 
-def test_unsafe_and_unfinished_tunings_are_named_and_have_no_part_in_the_law(tmp_path):
+def test_law_excludes_and_lists_unsafe_and_unconverged_tunings(tmp_path):
     unfinished = swept(tmp_path / "unfinished")
     assert all("the search had not converged" in o.excluded for o in unfinished.excluded)
     assert len(unfinished.excluded) == 6
@@ -208,7 +206,7 @@ def test_unsafe_and_unfinished_tunings_are_named_and_have_no_part_in_the_law(tmp
     assert not any(o.safe for o in unsafe.outcomes)
 
 
-def test_a_sweep_ends_in_laws_a_page_and_files(tmp_path, capsys, monkeypatch):
+def test_sweep_command_writes_laws_report_and_cells(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("sweep.toml").write_text(
         'lengths_m = [0.5, 0.8, 1.1, 1.4]\nrigs = ["plants:reference_reel"]\ntrials = 100\n'
@@ -228,7 +226,7 @@ def test_a_sweep_ends_in_laws_a_page_and_files(tmp_path, capsys, monkeypatch):
     assert '"schedule"' in (folder / "law.json").read_text()
 
 
-def test_rigs_are_tuned_side_by_side_and_an_interrupted_one_goes_on_where_it_was(tmp_path):
+def test_rigs_are_tuned_in_parallel_and_resume_after_an_interrupt(tmp_path):
     rigs = [ScriptedRig(name=f"r{n}", cable_length_m=0.5 + 0.4 * n) for n in range(2)]
     with ExitStack() as stack:
         servers = [
@@ -267,7 +265,7 @@ def test_rigs_are_tuned_side_by_side_and_an_interrupted_one_goes_on_where_it_was
         (0.8, {}, [], "one length only, which gives no law over length"),
     ],
 )
-def test_a_rig_at_the_wrong_length_is_refused(tmp_path, length, given, lengths, words):
+def test_rig_with_wrong_or_unknown_length_is_refused(tmp_path, length, given, lengths, words):
     rig = ScriptedRig(cable_length_m=length)
     with zenoh.serve(rig, "tcp/127.0.0.1:0", ledger=tmp_path / "ledger") as server:
         design = {"rigs": [{"target": server.endpoint, **given}], "lengths_m": lengths}
@@ -276,7 +274,7 @@ def test_a_rig_at_the_wrong_length_is_refused(tmp_path, length, given, lengths, 
     assert not rig.asked
 
 
-def test_the_page_on_sweeps_has_every_key_and_its_files_are_right():
+def test_sweep_documentation_lists_every_key_and_valid_examples():
     text = (Path(__file__).parents[1] / "docs" / "sweep.md").read_text()
     rows = dict(re.findall(r"^\| `([\w.]+)` \|([^|]*)\|", text, re.MULTILINE))
     tables = {"": SweepDesign, "rigs.": SweptRig, "step.": StepTable, "cost.": CostTable}
@@ -294,7 +292,7 @@ def test_the_page_on_sweeps_has_every_key_and_its_files_are_right():
     assert rows["tuners"].strip() == f'`["{DEFAULT_TUNER}"]`'
 
 
-def test_plain_progress_counts_what_is_done_and_what_failed(tmp_path):
+def test_plain_progress_counts_finished_and_failed_cells(tmp_path):
     stream = io.StringIO()
     outcome = swept(tmp_path, {**SMALL, "lengths_m": [0.5, 1.4], "tensions_N": []}).outcomes[0]
     with show_outcomes(cells=5, missing=3, stream=stream) as saw:

@@ -11,7 +11,7 @@ import pytest
 import estune
 from estune.errors import EstuneError
 from estune.studies.sweep.outcome import CellOutcome
-from experiments.sweep_kills import kept
+from experiments.sweep_kills import finish_times
 from experiments.sweep_speed.cluster import cluster
 from tests.test_sweep import alike, swept
 
@@ -43,7 +43,7 @@ def all_end(processes: list[Path], within_s: float = 30.0) -> bool:
 
 
 @pytest.mark.slow
-def test_a_killed_sweep_loses_no_finished_cell_and_repeats_none(tmp_path):
+def test_killed_sweep_loses_and_repeats_no_finished_cell(tmp_path):
     design, folder = tmp_path / "sweep.toml", tmp_path / "killed"
     design.write_text(DESIGN)
     command = [sys.executable, "-m", "estune.cli", "sweep", str(design), "--quiet",
@@ -51,26 +51,26 @@ def test_a_killed_sweep_loses_no_finished_cell_and_repeats_none(tmp_path):
     before: dict[str, str] = {}
     for _ in range(2):
         process = subprocess.Popen(command, cwd=Path(__file__).parent.parent)
-        while len(kept(folder)) < len(before) + 2 and process.poll() is None:
+        while len(finish_times(folder)) < len(before) + 2 and process.poll() is None:
             time.sleep(0.01)
         workers = children(process.pid)
         process.kill()
         process.wait()
-        after = kept(folder)
+        after = finish_times(folder)
         assert before.items() <= after.items()
         before = after
         assert len(workers) >= 2
         assert all_end(workers)  # no worker outlives it
     assert len(before) >= 4
     result = swept(folder, design)
-    assert before.items() <= kept(folder).items()
-    assert len(kept(folder)) == 24
+    assert before.items() <= finish_times(folder).items()
+    assert len(finish_times(folder)) == 24
     whole = swept(tmp_path / "whole", design)
     assert all(map(alike, result.outcomes, whole.outcomes))
 
 
 @pytest.mark.slow
-def test_a_cluster_gives_what_one_process_gives_and_its_end_keeps_what_is_done(tmp_path):
+def test_cluster_gives_equal_outcomes_and_its_loss_keeps_finished_cells(tmp_path):
     design = tmp_path / "sweep.toml"
     design.write_text(DESIGN)
     seen: list[CellOutcome] = []
@@ -82,10 +82,10 @@ def test_a_cluster_gives_what_one_process_gives_and_its_end_keeps_what_is_done(t
                 dask.scheduler.kill()
                 dask.scheduler.wait()
 
-        with pytest.raises(EstuneError, match="the cluster's scheduler has ended; the cells done"):
+        with pytest.raises(EstuneError, match="the cluster's scheduler has ended; finished cells"):
             swept(tmp_path / "cluster", design, dask=dask.address, watch=end_it)
     done = {outcome.cell.key: outcome for outcome in seen}
-    assert set(done) == set(kept(tmp_path / "cluster"))
+    assert set(done) == set(finish_times(tmp_path / "cluster"))
     assert len(done) >= 3
     result = swept(tmp_path / "cluster", design)
     whole = swept(tmp_path / "whole", design)
@@ -93,7 +93,7 @@ def test_a_cluster_gives_what_one_process_gives_and_its_end_keeps_what_is_done(t
     assert all(alike(done[o.cell.key], o) for o in whole.outcomes if o.cell.key in done)
 
 
-def test_a_cluster_that_is_not_there_is_said_to_be_so(tmp_path, monkeypatch):
+def test_sweep_without_a_dask_scheduler_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr("estune.studies.sweep.executors.CLUSTER_TIMEOUT_s", 0.5)
     with pytest.raises(EstuneError, match=r"no Dask scheduler answers at tcp://127\.0\.0\.1:9"):
         estune.sweep(

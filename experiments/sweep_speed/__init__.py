@@ -1,11 +1,10 @@
-"""How fast is a sweep: on one core, on two, on a Dask cluster, and beside python-control?
+"""How fast is a sweep: on one core, on two, on a Dask cluster, and compared with python-control?
 
-80 000 search trials are run, of 400 tunings at 10 lengths, 4 tensions and 10 seeds that each use
-all of their 200 trials, once on two cores and once on one, from the call to the last cell on disk.
-The same loop of tuner, session and cost around a trial simulated by python-control's
-`input_output_response` runs for some trials of one tuning; its time, which is what its process
-computed whoever else had the core, is scaled to as many. What starting a cell costs is a runner's
-time, times its processes, less the time the cells themselves took, per cell: for processes here,
-and for a Dask scheduler with separate worker processes on loopback, both warm. The memory of a
-worker is the most it ever held, told by the system.
+80 000 search trials of 400 tunings, at 10 lengths, 4 tensions and 10 seeds, run once on two cores
+and once on one. Every tuning uses all of its 200 trials. The time is from the call to the last
+cell on disk. For comparison, the same loop of tuner, session and cost runs some trials of one
+tuning simulated by python-control's `input_output_response`; its process time is scaled to the
+same number. The overhead of an executor is its time, times its processes, less the time of the
+cells, per cell; for processes and for a Dask scheduler with workers on loopback, both warm. The
+memory of a worker is its peak, as reported by the system.
 """

@@ -13,15 +13,13 @@ from joblib import Parallel, delayed
 
 import estune
 import plants
-from estune.run.plan import DEFAULT_TUNER
-from estune.studies.sweep import local_executors
-from estune.studies.sweep.cell import Cell
-from estune.studies.sweep.dask_executor import on_cluster
+from estune.studies.sweep import executors
+from estune.studies.sweep.cells import Cell, expand_cells
 from estune.studies.sweep.design import read_design
-from estune.studies.sweep.expand import expand_cells
 from estune.studies.sweep.outcome import CellOutcome
 from estune.trial import Rig, TrialRequest
-from experiments.judged import Target, at_least, at_most, command_line, tell
+from estune.tuners import DEFAULT_TUNER
+from experiments.results import Target, at_least, at_most, command_line, print_results
 from experiments.sweep_speed import __doc__ as about
 from experiments.sweep_speed.cluster import cluster
 from experiments.sweep_speed.peer import PeerRig
@@ -33,26 +31,17 @@ _MB = 1024.0  # ru_maxrss is in kB
 
 
 class Extent(NamedTuple):
-    """How much is run.
-
-    Attributes:
-        lengths: Cable lengths.
-        tensions: Tensions.
-        seeds: Tunings at each.
-        trials: Search trials of each.
-        peer_trials: Search trials of python-control.
-        beside: Cells for what starting one costs.
-    """
+    """Size of the measurement."""
 
     lengths: int
     tensions: int
-    seeds: int
-    trials: int
-    peer_trials: int
-    beside: int
+    seeds: int  # tunings at each length and tension
+    trials: int  # search trials of each
+    peer_trials: int  # search trials of python-control
+    overhead_cells: int  # cells that measure the cost of starting one
 
     def design(self) -> dict[str, Any]:
-        """As a sweep's design; every search uses all its trials."""
+        """The design of the sweep; every search uses all its trials."""
         return {
             "lengths_m": np.linspace(0.5, 1.4, self.lengths).round(3).tolist(),
             "tensions_N": np.linspace(10.0, 25.0, self.tensions).tolist(),
@@ -63,74 +52,69 @@ class Extent(NamedTuple):
         }
 
 
-WHOLE = Extent(lengths=10, tensions=4, seeds=10, trials=200, peer_trials=60, beside=80)
-QUICK = Extent(lengths=2, tensions=1, seeds=2, trials=60, peer_trials=8, beside=8)
+WHOLE = Extent(lengths=10, tensions=4, seeds=10, trials=200, peer_trials=60, overhead_cells=80)
+QUICK = Extent(lengths=2, tensions=1, seeds=2, trials=60, peer_trials=8, overhead_cells=8)
 
 
-class Swept(NamedTuple):
-    """A whole sweep.
+class TimedSweep(NamedTuple):
+    """A whole sweep, from the call to the last cell on disk."""
 
-    Attributes:
-        passed_s: From the call to the last cell on disk, s.
-        computed_s: What this process itself computed meanwhile, s.
-        outcomes: What the cells came to.
-    """
-
-    passed_s: float
-    computed_s: float
+    wall_s: float
+    process_s: float  # time computed by this process
     outcomes: tuple[CellOutcome, ...]
 
 
-def whole_sweep(design: dict[str, Any], jobs: int) -> Swept:
-    """Runs the sweep into a folder that is thrown away."""
+def time_sweep(design: dict[str, Any], jobs: int) -> TimedSweep:
+    """Runs the sweep in a temporary folder."""
     with tempfile.TemporaryDirectory() as folder:
         began, computed = time.perf_counter(), time.process_time()
         result = estune.sweep(design, folder=folder, jobs=jobs, watch=None)
-        return Swept(time.perf_counter() - began, time.process_time() - computed, result.outcomes)
+        wall_s, process_s = time.perf_counter() - began, time.process_time() - computed
+        return TimedSweep(wall_s, process_s, result.outcomes)
 
 
-def starting_s(
+def overhead_s(
     run: Callable[[Sequence[Cell]], Iterator[CellOutcome]], cells: Sequence[Cell]
 ) -> float:
-    """What a runner adds to each cell, s: its time on all its processes less the cells' own."""
-    list(run(cells))  # until its processes have loaded what they need
+    """Overhead of an executor for each cell, s: its processes' time less that of the cells."""
+    list(run(cells))  # warms up its processes
     began = time.perf_counter()
     outcomes = list(run(cells))
-    passed = time.perf_counter() - began
-    return (CORES * passed - sum(outcome.duration_s for outcome in outcomes)) / len(cells)
+    wall_s = time.perf_counter() - began
+    return (CORES * wall_s - sum(outcome.duration_s for outcome in outcomes)) / len(cells)
 
 
 def worker_memory_MB() -> float:
-    """The most any of the worker processes of this process's runs ever held."""
-    ask = delayed(_most_held_MB)
-    return float(max(Parallel(CORES, backend="loky")(ask(0.2) for _ in range(4 * CORES))))
+    """Peak memory of a worker process."""
+    peak = delayed(_peak_memory_MB)
+    return float(max(Parallel(CORES, backend="loky")(peak(0.2) for _ in range(4 * CORES))))
 
 
-def _most_held_MB(pause_s: float) -> float:
-    time.sleep(pause_s)  # so that every process gets its turn
+def _peak_memory_MB(pause_s: float) -> float:
+    time.sleep(pause_s)  # so that every process gets one
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / _MB
 
 
 def peer(trials: int) -> dict[str, float]:
-    """One search on python-control and the same here: seconds computed a trial, and the records.
+    """Process time of a trial of the same search on python-control and here.
 
-    Beside the usual tuner, the leanest, to tell what of the time is the tuner's own.
+    The leanest tuner is timed too: it separates the default tuner's own time.
     """
     reel = plants.reference_reel(0.8, 15.0)
-    about_it = reel.describe("reel", None)
-    request = TrialRequest("compared", 0, about_it.gains, about_it.step)
+    description = reel.describe("reel", None)
+    request = TrialRequest("compared", 0, description.gains, description.step)
     ours, theirs = reel.rig(seed=1).run(request), PeerRig(reel, 1).run(request)
-    _computed_s(reel.rig(seed=0), 2, DEFAULT_TUNER)  # compiles the trial
+    _process_s(reel.rig(seed=0), 2, DEFAULT_TUNER)  # compiles the trial
     return {
         "difference_N": float(np.abs(ours.tension_N - theirs.tension_N).max()),
-        "python_control_s_per_trial": _computed_s(PeerRig(reel, 1), trials, DEFAULT_TUNER),
-        "s_per_trial": _computed_s(reel.rig(seed=1), trials, DEFAULT_TUNER),
-        "lean_tuner_s_per_trial": _computed_s(reel.rig(seed=1), trials, LEAN_TUNER),
+        "python_control_s_per_trial": _process_s(PeerRig(reel, 1), trials, DEFAULT_TUNER),
+        "s_per_trial": _process_s(reel.rig(seed=1), trials, DEFAULT_TUNER),
+        "lean_tuner_s_per_trial": _process_s(reel.rig(seed=1), trials, LEAN_TUNER),
     }
 
 
-def _computed_s(rig: Rig, trials: int, tuner: str) -> float:
-    """Seconds this process computes for a trial of a search, whoever else has the core."""
+def _process_s(rig: Rig, trials: int, tuner: str) -> float:
+    """Process time of a trial of a search, s; independent of other load."""
     began = time.process_time()
     result = estune.tune(rig, tuner=tuner, trials=trials, tolerance=0.0, journal=False, watch=None)
     return (time.process_time() - began) / len(result.entries)
@@ -140,31 +124,31 @@ def measure(extent: Extent) -> dict[str, float]:
     """All figures by name."""
     design = extent.design()
     figures = {"load_before": os.getloadavg()[0], **peer(extent.peer_trials)}
-    both = whole_sweep(design, CORES)
+    both = time_sweep(design, CORES)
     memory = worker_memory_MB()
-    one = whole_sweep(design, 1)
-    seconds, outcomes = both.passed_s, both.outcomes
+    one = time_sweep(design, 1)
+    seconds, outcomes = both.wall_s, both.outcomes
     search = sum(int(outcome.trace[:, 0].sum()) for outcome in outcomes)
     trials = sum(len(outcome.trace) for outcome in outcomes)
-    cells = expand_cells(read_design(design))[: extent.beside]
+    cells = expand_cells(read_design(design))[: extent.overhead_cells]
     with cluster(workers=CORES) as dask:
-        on_dask = starting_s(lambda some: on_cluster(some, dask.address), cells)
+        dask_s = overhead_s(lambda some: executors.on_cluster(some, dask.address), cells)
+    process_s = overhead_s(lambda some: executors.on_cores(some, CORES), cells)
     return figures | {
         "cells": float(len(outcomes)),
         "search_trials": float(search),
         "trials": float(trials),
         "two_cores_s": seconds,
-        "one_core_s": one.passed_s,
-        "one_core_computed_s": one.computed_s,
-        "speedup": one.passed_s / seconds,
+        "one_core_s": one.wall_s,
+        "one_core_computed_s": one.process_s,
+        "speedup": one.wall_s / seconds,
         "differing_cells": float(sum(map(_differ, outcomes, one.outcomes))),
         "cell_s": statistics.fmean(outcome.duration_s for outcome in one.outcomes),
         "faster_than_python_control": figures["python_control_s_per_trial"] * trials / seconds,
         "faster_core_for_core": figures["python_control_s_per_trial"] / figures["s_per_trial"],
         "worker_MB": memory,
-        "process_per_cell_ms": 1e3
-        * starting_s(lambda c: local_executors.on_cores(c, CORES), cells),
-        "dask_per_cell_ms": 1e3 * on_dask,
+        "process_per_cell_ms": 1e3 * process_s,
+        "dask_per_cell_ms": 1e3 * dask_s,
         "load_after": os.getloadavg()[0],
     }
 
@@ -174,51 +158,51 @@ def _differ(one: CellOutcome, other: CellOutcome) -> bool:
 
 
 def targets(figures: dict[str, float], *, whole: bool) -> dict[str, Target]:
-    """What is to be reached; the time only by as many trials as it is set for."""
-    found = {
+    """The targets; the time only for the number of trials it is set for."""
+    limits = {
         "speedup": at_least(figures["speedup"], SPEEDUP_MIN),
         "faster_than_python_control": at_least(figures["faster_than_python_control"], FASTER_MIN),
         "worker_MB": at_most(figures["worker_MB"], MEMORY_MAX_MB),
         "differing_cells": at_most(figures["differing_cells"], 0.0),
     }
     if whole:
-        found["two_cores_s"] = at_most(figures["two_cores_s"], SECONDS_MAX)
-    return found
+        limits["two_cores_s"] = at_most(figures["two_cores_s"], SECONDS_MAX)
+    return limits
 
 
 WORDS = {
     "cells": "tunings",
     "search_trials": "search trials",
-    "trials": "trials in all, with those of start and confirmation",
+    "trials": "trials in all, including baseline and confirmation",
     "two_cores_s": f"seconds on {CORES} cores",
     "one_core_s": "seconds on one",
-    "one_core_computed_s": "  of which it computed; the rest others had the core",
+    "one_core_computed_s": "  of which process time",
     "speedup": "times faster",
     "differing_cells": "tunings that differ between the two",
-    "cell_s": "seconds a tuning, on one core",
-    "python_control_s_per_trial": "seconds computed a trial of the same loop on python-control",
-    "s_per_trial": "seconds computed a trial of the same search here",
-    "lean_tuner_s_per_trial": f"  and with {LEAN_TUNER}: the rest is the usual tuner's own",
+    "cell_s": "seconds for a tuning, on one core",
+    "python_control_s_per_trial": "process time of a trial of the same loop on python-control, s",
+    "s_per_trial": "process time of a trial of the same search here, s",
+    "lean_tuner_s_per_trial": f"  and with {LEAN_TUNER}: the rest is the default tuner's",
     "difference_N": "largest difference between their records, N",
     "faster_than_python_control": f"times faster than that loop, {CORES} cores to its one",
     "faster_core_for_core": "times faster, core for core",
-    "worker_MB": "most memory a worker held, MB",
-    "process_per_cell_ms": "what a process adds to a tuning, ms",
-    "dask_per_cell_ms": "what Dask adds to a tuning, ms",
+    "worker_MB": "peak memory of a worker, MB",
+    "process_per_cell_ms": "overhead of a process for a tuning, ms",
+    "dask_per_cell_ms": "overhead of Dask for a tuning, ms",
     "load_before": "load of the machine before",
     "load_after": "load of the machine after",
 }
 
 
 def main() -> int:
-    """Measures, prints, and says by its exit code whether every target was met."""
+    """Measures and prints; exit code 1 if a target is missed."""
     options = command_line(about, quick="fewer and shorter tunings").parse_args()
     figures = measure(QUICK if options.quick else WHOLE)
     if not options.json:
         for name, words in WORDS.items():
             print(f"{figures[name]:12.5g}  {words}")
-    reached = targets(figures, whole=not options.quick)
-    return tell(figures, reached, as_json=options.json)
+    limits = targets(figures, whole=not options.quick)
+    return print_results(figures, limits, as_json=options.json)
 
 
 if __name__ == "__main__":

@@ -11,11 +11,11 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
-_STARTS_WITHIN_s = 60.0
+_START_TIMEOUT_s = 60.0
 
 
 class Cluster(NamedTuple):
-    """Where the scheduler listens, and the processes."""
+    """Address of the scheduler, and the processes."""
 
     address: str
     scheduler: subprocess.Popen[bytes]
@@ -24,17 +24,17 @@ class Cluster(NamedTuple):
 
 @contextmanager
 def cluster(workers: int) -> Iterator[Cluster]:
-    """A scheduler and workers of one thread each, ended with the block."""
+    """A scheduler and workers of one thread each, for the duration of the block."""
     with TemporaryDirectory() as folder:
         file = Path(folder, "scheduler.json")
-        scheduler = _started("scheduler", "--host", "127.0.0.1", "--port", "0",
+        scheduler = _start("scheduler", "--host", "127.0.0.1", "--port", "0",
                              "--no-dashboard", "--scheduler-file", str(file))  # fmt: skip
         started = [scheduler]
         try:
             address = json.loads(_content(file, scheduler))["address"]
             options = ("--nthreads", "1", "--no-nanny", "--no-dashboard")
             started += [
-                _started("worker", address, *options, "--local-directory", folder)
+                _start("worker", address, *options, "--local-directory", folder)
                 for _ in range(workers)
             ]
             yield Cluster(address, scheduler, tuple(started[1:]))
@@ -45,17 +45,16 @@ def cluster(workers: int) -> Iterator[Cluster]:
                 process.wait()
 
 
-def _started(kind: str, *arguments: str) -> subprocess.Popen[bytes]:
+def _start(kind: str, *arguments: str) -> subprocess.Popen[bytes]:
     return subprocess.Popen(  # noqa: S603  Dask's own commands
         [sys.executable, "-m", f"distributed.cli.dask_{kind}", *arguments],
-        cwd=Path(__file__).parents[2],
         stderr=subprocess.DEVNULL,
         env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
     )
 
 
 def _content(file: Path, writer: subprocess.Popen[bytes]) -> str:
-    end = time.monotonic() + _STARTS_WITHIN_s
+    end = time.monotonic() + _START_TIMEOUT_s
     while time.monotonic() < end and writer.poll() is None:
         text = file.read_text(encoding="utf-8") if file.exists() else ""
         if text.strip().endswith("}"):

@@ -1,4 +1,4 @@
-"""The same reel as a rig whose trials python-control simulates, for the same loop around it."""
+"""A reel as a rig whose trials python-control simulates."""
 
 from datetime import UTC, datetime
 
@@ -21,7 +21,7 @@ class PeerRig:
         self._description = reel.describe("python-control", None)
 
     def describe(self) -> RigDescription:
-        """What the rig is."""
+        """Description of the rig."""
         return self._description
 
     def run(self, request: TrialRequest) -> TrialRecord:
@@ -30,14 +30,14 @@ class PeerRig:
         setpoint = profile.setpoint(reel.sampling_Hz)
         noise = self._noise.draw(request.number, setpoint.size, reel.noise_rms_N)
         time = np.arange(setpoint.size) / reel.sampling_Hz
-        found = control.input_output_response(
+        response = control.input_output_response(
             nonlinear_system(reel, request.gains, 0.0),
             time,
             np.vstack([setpoint, noise]),
             nonlinear_start(reel),
         )
         # The last state is the current commanded one sample ago.
-        current = np.append(found.states[7][1:], found.states[7][-1])
+        current = np.append(response.states[7][1:], response.states[7][-1])
         return TrialRecord(
             trial_id=request.trial_id,
             rig=self._description.name,
@@ -51,24 +51,24 @@ class PeerRig:
             software=f"python-control {control.__version__}",
             time_s=time,
             setpoint_N=setpoint,
-            tension_N=np.ravel(found.outputs),
+            tension_N=np.ravel(response.outputs),
             current_A=current,
-            angle_rad=found.states[0],
+            angle_rad=response.states[0],
             flags=np.zeros(setpoint.size, np.uint8),
         )
 
     def apply(self, gains: Gains) -> None:
-        """No gains are live here."""
+        """Does nothing: there are no live gains."""
 
     def abort(self) -> RigDescription:
-        """Nothing goes on between calls."""
+        """No trial runs between calls."""
         return self._description
 
     def estop(self, reason: str) -> None:
-        """Nothing moves here."""
+        """Does nothing: nothing moves."""
 
     def clear(self) -> None:
-        """There is no stop to end."""
+        """Does nothing: there is no emergency stop."""
 
     def close(self) -> None:
-        """There is nothing to let go of."""
+        """Does nothing: there is no resource to release."""
