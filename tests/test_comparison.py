@@ -7,15 +7,14 @@ import numpy as np
 import pytest
 from scipy.stats import t, ttest_ind
 
-from estune.core.comparison import compare_costs, repeatability, repeats_needed
+from estune.core.comparison import InterleavedRepeats, compare_costs, repeatability, repeats_needed
 from estune.core.gains import Gains
-from estune.core.repeats import InterleavedRepeats
 from estune.errors import InvalidInput
 
 A, B = Gains(1.0, 10.0, 0.01, 0.01), Gains(2.0, 20.0, 0.02, 0.02)
 
 
-def test_the_interval_of_a_change_is_that_of_welchs_test():
+def test_interval_of_a_change_is_that_of_welchs_test():
     before, after = [1.0, 1.1, 0.95, 1.02], [0.8, 0.7, 0.9]
     expected = ttest_ind(np.log(after), np.log(before), equal_var=False).confidence_interval(0.9)
     found = compare_costs(before, after, 0.9)
@@ -25,7 +24,7 @@ def test_the_interval_of_a_change_is_that_of_welchs_test():
     )
 
 
-def test_intervals_cover_as_often_as_said():
+def test_intervals_have_their_nominal_coverage():
     rng = np.random.default_rng(3)
     trials = 1000
     covered = 0
@@ -40,19 +39,19 @@ def test_intervals_cover_as_often_as_said():
 @pytest.mark.parametrize(
     "bad", [([1.0], [1.0, 2.0]), ([1.0, 0.0], [1.0, 2.0]), ([1.0, 1.0], [1.0, math.inf])]
 )
-def test_too_few_or_impossible_costs_are_refused(bad):
+def test_too_few_or_invalid_costs_are_refused(bad):
     with pytest.raises(InvalidInput):
         compare_costs(*bad)
 
 
-def test_the_scatter_is_pooled_over_gains_and_leaves_their_difference_out():
+def test_repeatability_is_pooled_within_gains():
     groups = [np.exp([1.0, 3.0]), np.exp([11.0, 13.0]), (5.0,), (7.0, math.inf)]
     assert repeatability(groups) == pytest.approx(math.sqrt(2.0))
     assert math.isnan(repeatability([(1.0,)]))
 
 
 @pytest.mark.parametrize("noise", [0.01, 0.03, 0.1, 0.3])
-def test_there_are_the_fewest_rounds_that_tell_a_difference_to_a_quarter(noise):
+def test_repeats_needed_is_the_fewest_that_resolve_a_quarter(noise):
     def reach(n):
         return t.ppf(0.975, 2 * n - 2) * noise * math.sqrt(2.0 / n)
 
@@ -61,7 +60,7 @@ def test_there_are_the_fewest_rounds_that_tell_a_difference_to_a_quarter(noise):
     assert found == 3 or reach(found - 1) > 0.125
 
 
-def test_rounds_stay_within_their_ends_when_nothing_is_known_or_nothing_differs():
+def test_repeats_needed_stays_within_its_bounds():
     assert repeats_needed(0.0, 0.03, least=3, most=10) == 10
     assert repeats_needed(-1.0, math.nan, least=3, most=10) == 10
     assert repeats_needed(math.nan, 0.03, least=3, most=10) == 10
@@ -69,8 +68,8 @@ def test_rounds_stay_within_their_ends_when_nothing_is_known_or_nothing_differs(
     assert repeats_needed(-1.0, 0.0, least=15, most=10) == 15
 
 
-def test_an_even_drift_of_the_rig_leaves_the_comparison_of_two_equal_gains_alone():
-    repeats, cost, order = InterleavedRepeats.of((A, B), 6), 1.0, []
+def test_interleaved_repeats_cancel_an_even_drift():
+    repeats, cost, order = InterleavedRepeats.new((A, B), 6), 1.0, []
     while (turn := repeats.next_index) is not None:
         order.append(turn)
         repeats, cost = repeats.with_cost(cost), cost * 1.05
@@ -79,18 +78,18 @@ def test_an_even_drift_of_the_rig_leaves_the_comparison_of_two_equal_gains_alone
     assert compare_costs(*repeats.costs).estimate == pytest.approx(0.0, abs=1e-12)
 
 
-def test_gains_that_were_unsafe_are_not_run_again():
-    repeats = InterleavedRepeats.of((A, B), 3).with_cost(1.0).with_cost(math.inf)
+def test_unsafe_gains_are_not_repeated():
+    repeats = InterleavedRepeats.new((A, B), 3).with_cost(1.0).with_cost(math.inf)
     assert repeats.next_index is None
     assert repeats.best == 0
     assert repeats.safe == (0,)
-    assert InterleavedRepeats.of((A, B), 3).with_cost(math.inf).best == 1
-    both = InterleavedRepeats.of((A, B), 3)._replace(costs=((math.inf,), (math.inf,)))
+    assert InterleavedRepeats.new((A, B), 3).with_cost(math.inf).best == 1
+    both = InterleavedRepeats.new((A, B), 3)._replace(costs=((math.inf,), (math.inf,)))
     assert both.best is None
 
 
-def test_missing_repeats_count_down_to_none():
-    repeats, missing = InterleavedRepeats.of((A, B), 2), []
+def test_missing_repeats_count_down_to_zero():
+    repeats, missing = InterleavedRepeats.new((A, B), 2), []
     while repeats.next_index is not None:
         missing.append(repeats.missing)
         repeats = repeats.with_cost(1.0)

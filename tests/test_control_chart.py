@@ -22,7 +22,7 @@ CHART = ControlChart(smoothing=0.2, false_alarm_checks=200.0)
     ("smoothing", "width"),
     [(1.0, 3.090), (0.75, 3.087), (0.5, 3.071), (0.25, 2.998), (0.1, 2.814), (0.05, 2.615)],
 )
-def test_limits_are_those_of_the_published_table_for_a_run_length_of_500(smoothing, width):
+def test_limits_match_the_published_table_for_run_length_500(smoothing, width):
     # Lucas & Saccucci, Technometrics 32 (1990), in standard deviations of z, to three decimals.
     sigma = math.sqrt(smoothing / (2.0 - smoothing))
     assert limit_for(smoothing, 500.0) == pytest.approx(width * sigma, abs=1.5e-3 * sigma)
@@ -30,7 +30,7 @@ def test_limits_are_those_of_the_published_table_for_a_run_length_of_500(smoothi
 
 @pytest.mark.parametrize("shift", [0.0, 0.5, 1.0, 3.0])
 @pytest.mark.parametrize("smoothing", [0.1, 0.2, 0.5])
-def test_run_lengths_are_those_of_a_markov_chain(smoothing, shift):
+def test_average_run_length_matches_a_markov_chain(smoothing, shift):
     # Brook & Evans, Biometrika 59 (1972): z in cells, an absorbing chain; a second-order rule.
     limit = limit_for(smoothing, 300.0)
 
@@ -59,7 +59,7 @@ def run_lengths(chart: ControlChart, runs: int, known: int, drift: float = 0.0) 
 
 
 @pytest.mark.parametrize("known", [3, 15])
-def test_false_alarms_are_as_rare_as_said_however_few_repeats_it_begins_with(known):
+def test_false_alarm_rate_is_independent_of_the_baseline_length(known):
     chart = ControlChart(smoothing=0.2, false_alarm_checks=60.0, scatter_min=1e-6)
     lengths = run_lengths(chart, 400, known)
     error = lengths.std() / math.sqrt(lengths.size)
@@ -67,7 +67,7 @@ def test_false_alarms_are_as_rare_as_said_however_few_repeats_it_begins_with(kno
     assert 60.0 - 3.0 * error < lengths.mean() < 1.25 * 60.0 + 3.0 * error
 
 
-def test_a_drift_of_three_deviations_is_found_within_a_few_trials():
+def test_drift_of_three_deviations_is_detected_within_a_few_trials():
     chart = ControlChart(smoothing=0.2, false_alarm_checks=1000.0, scatter_min=1e-6)
     lengths = run_lengths(chart, 200, known=15, drift=0.09)
     assert np.median(lengths) <= 6
@@ -78,7 +78,7 @@ def begun() -> ChartState:
     return CHART.begin([1.0, 1.02, 0.98], [2.0, 2.05, 1.96])
 
 
-def test_a_single_bad_trial_is_repeated_and_forgotten():
+def test_single_outlier_is_repeated_and_ignored():
     state, sign = CHART.update(begun(), 3.0)
     assert sign is ChartSignal.SUSPECT
     after, sign = CHART.update(state, 1.01)
@@ -90,17 +90,17 @@ def test_a_single_bad_trial_is_repeated_and_forgotten():
     ("cost", "sign"),
     [(3.0, ChartSignal.WORSE), (math.inf, ChartSignal.WORSE), (0.3, ChartSignal.BETTER)],
 )
-def test_two_bad_trials_in_a_row_are_no_accident(cost, sign):
+def test_two_outliers_in_a_row_are_a_change(cost, sign):
     state, _ = CHART.update(begun(), cost)
     assert CHART.update(state, cost)[1] is sign
 
 
-def test_one_bad_trial_above_and_one_below_are_repeated_again():
+def test_outliers_of_opposite_sign_are_repeated_again():
     state, _ = CHART.update(begun(), 3.0)
     assert CHART.update(state, 0.3)[1] is ChartSignal.SUSPECT
 
 
-def test_a_drift_that_is_small_beside_the_scatter_always_allowed_for_is_none():
+def test_drift_below_the_minimum_deviation_is_ignored():
     quiet = ControlChart(scatter_min=0.05)
     state = quiet.begin([1.0, 1.0, 1.0])
     for _ in range(200):
@@ -108,7 +108,7 @@ def test_a_drift_that_is_small_beside_the_scatter_always_allowed_for_is_none():
         assert sign is ChartSignal.STEADY
 
 
-def test_states_are_values_that_survive_being_written_as_lists():
+def test_state_survives_storage_as_a_list():
     state, _ = CHART.update(begun(), 1.03)
     assert ChartState(*list(state)) == state
 
@@ -126,6 +126,6 @@ def test_states_are_values_that_survive_being_written_as_lists():
         lambda: CHART.update(begun(), math.nan),
     ],
 )
-def test_what_cannot_be_charted_is_refused(bad):
+def test_invalid_chart_inputs_are_refused(bad):
     with pytest.raises(InvalidInput):
         bad()

@@ -45,13 +45,13 @@ def ringing(t):
 
 
 @given(costs, st.sampled_from([5.0, -5.0, 1e-3]))
-def test_a_first_order_response_that_settles_in_time_costs_one(cost, step_N):
+def test_cost_of_the_first_order_reference_is_one(cost, step_N):
     eta = evaluate(cost, lambda t: np.exp(-4.0 * t / cost.settling_time_s), step_N=step_N)
     assert eta == pytest.approx(1.0, rel=1e-9)
 
 
 @given(costs, st.floats(1e-3, 1e3) | st.floats(-1e3, -1e-3), st.floats(0.0, 2.0))
-def test_the_size_and_the_sign_of_the_step_do_not_matter(cost, step_N, move_weight):
+def test_cost_is_independent_of_step_size_and_sign(cost, step_N, move_weight):
     cost = StepCost(cost.settling_time_s, cost.weight, cost.time_unit, move_weight)
     assert evaluate(cost, ringing, step_N=step_N, preload_N=0.0) == pytest.approx(
         evaluate(cost, ringing, step_N=1.0, preload_N=0.0), rel=1e-9
@@ -59,7 +59,7 @@ def test_the_size_and_the_sign_of_the_step_do_not_matter(cost, step_N, move_weig
 
 
 @given(costs, st.floats(1e-2, 1e2))
-def test_with_time_in_settling_times_the_speed_of_the_loop_does_not_matter(cost, faster):
+def test_cost_in_settling_times_is_independent_of_loop_speed(cost, faster):
     t_s = cost.settling_time_s
     plain = StepCost(t_s, cost.weight, "settling_time")
     quick = StepCost(t_s / faster, cost.weight, "settling_time")
@@ -68,7 +68,7 @@ def test_with_time_in_settling_times_the_speed_of_the_loop_does_not_matter(cost,
     ) == pytest.approx(evaluate(plain, ringing), rel=1e-9)
 
 
-def test_with_time_in_seconds_as_printed_it_does():
+def test_cost_in_seconds_depends_on_loop_speed():
     quick = evaluate(StepCost(0.4), lambda t: np.exp(-4.0 * t))
     slow = evaluate(StepCost(40.0), lambda t: np.exp(-0.04 * t), sampling_Hz=SAMPLING_Hz / 100.0)
     assert slow > 1.2 * quick  # the slower loop is charged more for the same slow tail
@@ -79,7 +79,7 @@ def test_with_time_in_seconds_as_printed_it_does():
 @pytest.mark.parametrize("time_unit", ["second", "settling_time"])
 @pytest.mark.parametrize("t_s", [0.1, 0.2503])  # on a sample or between two
 @pytest.mark.parametrize("decay", [6.0, 25.0])
-def test_an_exponential_error_costs_what_the_integrals_say(weight, time_unit, t_s, decay):
+def test_cost_of_an_exponential_error_is_the_closed_form(weight, time_unit, t_s, decay):
     sampling_Hz = 20_000.0
     samples = STEP_INDEX + 24_000
     end = (samples - 1 - STEP_INDEX) / sampling_Hz
@@ -107,12 +107,12 @@ def test_an_exponential_error_costs_what_the_integrals_say(weight, time_unit, t_
 
 
 @given(costs, st.floats(1.01, 100.0))
-def test_a_larger_error_costs_its_square_more(cost, scale):
+def test_cost_is_quadratic_in_the_error(cost, scale):
     small, large = evaluate(cost, ringing), evaluate(cost, lambda t: scale * ringing(t))
     assert large == pytest.approx(scale**2 * small, rel=1e-9)
 
 
-def test_the_printed_weight_looks_at_the_transient_more_than_the_rising_one():
+def test_printed_weight_exceeds_rising_weight_in_the_transient():
     def early(t):
         return np.where(t < 0.05, 1.0, 0.0)
 
@@ -126,7 +126,7 @@ def test_the_printed_weight_looks_at_the_transient_more_than_the_rising_one():
     assert ratios[0] > ratios[1]
 
 
-def test_the_move_penalty_adds_the_squared_moves_from_the_step_on():
+def test_move_penalty_adds_the_squared_moves_from_the_step_on():
     setpoint, measurement, _ = columns(ringing)
     effort = np.random.default_rng(3).normal(size=SAMPLES)
     moves = [(effort[k] - effort[k - 1]) / 5.0 for k in range(STEP_INDEX, SAMPLES)]
@@ -140,7 +140,7 @@ def test_the_move_penalty_adds_the_squared_moves_from_the_step_on():
 
 
 @pytest.mark.parametrize("move_weight", [0.0, 0.4])
-def test_a_batch_costs_what_its_members_cost(move_weight):
+def test_cost_of_a_batch_is_that_of_its_members(move_weight):
     rng = np.random.default_rng(5)
     setpoint, measurement, _ = columns(ringing)
     measurements = measurement + rng.normal(size=(2, 7, SAMPLES))
@@ -160,21 +160,21 @@ def test_a_batch_costs_what_its_members_cost(move_weight):
 
 
 @pytest.mark.parametrize("where", [STEP_INDEX, SAMPLES // 2, SAMPLES - 1])
-def test_not_a_number_in_the_response_gives_not_a_number(where):
+def test_nan_in_the_response_gives_nan(where):
     setpoint, measurement, effort = columns(ringing)
     measurement[where] = math.nan
     cost = StepCost(0.3)
     assert math.isnan(cost.evaluate(SAMPLING_Hz, STEP_INDEX, 5.0, setpoint, measurement, effort))
 
 
-def test_a_response_too_large_to_square_costs_infinity_without_a_warning():
+def test_response_too_large_to_square_costs_infinity():
     setpoint, measurement, effort = columns(ringing)
     measurement[-1] = 1e200
     cost = StepCost(0.3)
     assert cost.evaluate(SAMPLING_Hz, STEP_INDEX, 5.0, setpoint, measurement, effort) == math.inf
 
 
-def test_a_settling_time_longer_than_the_record_is_refused_with_both_numbers_and_a_remedy():
+def test_settling_time_longer_than_the_record_is_refused():
     with pytest.raises(
         InvalidInput, match=r"0\.9 s is longer than the 0\.841772 s .*make the trial longer"
     ):
@@ -183,19 +183,19 @@ def test_a_settling_time_longer_than_the_record_is_refused_with_both_numbers_and
 
 
 @pytest.mark.parametrize("bad", [-0.1, 0.0, math.nan, math.inf])
-def test_a_settling_time_that_cannot_be_is_refused(bad):
+def test_invalid_settling_time_is_refused(bad):
     with pytest.raises(InvalidInput, match=f"settling time is {bad} s"):
         StepCost(bad)
 
 
 @pytest.mark.parametrize("bad", [-0.1, math.nan, math.inf])
-def test_a_move_weight_that_cannot_be_is_refused(bad):
+def test_invalid_move_weight_is_refused(bad):
     with pytest.raises(InvalidInput, match=f"move weight is {bad}"):
         StepCost(0.3, move_weight=bad)
 
 
 @pytest.mark.parametrize("option", [{"weight": "falling"}, {"time_unit": "ms"}])
-def test_an_option_that_does_not_exist_is_refused_with_those_that_do(option):
+def test_unknown_option_is_refused_with_the_choices(option):
     with pytest.raises(InvalidInput, match=r"it must be '\w+' or '\w+'"):
         StepCost(0.3, **option)
 
@@ -214,7 +214,7 @@ def test_an_option_that_does_not_exist_is_refused_with_those_that_do(option):
         ({"effort_N": np.zeros(7)}, "632, 632 and 7 samples"),
     ],
 )
-def test_a_response_that_cannot_be_scored_is_refused(changed, message):
+def test_response_that_cannot_be_scored_is_refused(changed, message):
     names = ("setpoint_N", "measurement_N", "effort_N")
     asked = {
         "sampling_Hz": SAMPLING_Hz,
@@ -248,7 +248,7 @@ def record(outcome=Outcome.DONE, samples=SAMPLES, **changed):
     )
 
 
-def test_a_record_is_scored_by_its_tension_and_its_effort():
+def test_record_is_scored_by_tension_and_effort():
     cost = StepCost(0.3, move_weight=0.2)
     setpoint, measurement, effort = columns(ringing)
     assert cost_of(record(), STEP, cost, newtons_per_ampere=20.0) == pytest.approx(
@@ -283,16 +283,16 @@ def spoiled(value, index):
     ],
     ids=lambda r: f"{r.outcome} {r.time_s.size}",
 )
-def test_a_trial_that_was_cut_short_or_is_not_finite_has_no_numbers(unscorable):
+def test_aborted_or_non_finite_record_has_no_metrics(unscorable):
     assert math.isnan(cost_of(unscorable, STEP, StepCost(0.3), 20.0))
     assert list(map(math.isnan, metrics_of(unscorable, STEP))) == [True] * len(NO_METRICS)
 
 
-def test_a_response_too_large_to_be_squared_has_no_cost():
+def test_record_too_large_to_square_has_no_cost():
     huge = record(tension_N=spoiled(1e200, 300))
     assert math.isnan(cost_of(huge, STEP, StepCost(0.3), 20.0))
 
 
-def test_a_record_of_another_length_than_asked_for_is_refused():
+def test_record_of_unexpected_length_is_refused():
     with pytest.raises(RigError, match="600 samples of time_s where 632 were asked for"):
         cost_of(record(samples=600), STEP, StepCost(0.3), 20.0)

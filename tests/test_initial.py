@@ -13,7 +13,6 @@ from estune.core.initial import (
     RULES,
     SensitivityLimits,
     imc,
-    initial_gains,
     pole_placement,
     propose,
     sensitivity_limited,
@@ -47,6 +46,11 @@ def reel_model(length):
     return SecondOrder(1.0, w, zeta, reel.dead_time_s, GAUGE)
 
 
+def checked(model, rule="sensitivity_limited"):
+    """The gains of a rule, if they are safe."""
+    return propose(model, SETTINGS, rule).checked().gains
+
+
 def peaks(model, gains):
     """Greatest sensitivity and setpoint response on a grid of its own, and C_y at its end."""
     f = np.unique(np.concatenate([np.geomspace(0.01, 315.999, 4000), np.linspace(280, 300, 400)]))
@@ -67,7 +71,7 @@ def simulated_loop(model, gains, samples, sampling=SETTINGS):
         (A, B[:, None], C[None], np.zeros((1, 1))), 1.0 / (sampling.sampling_Hz * fine), "zoh"
     )
     late = [0.0] * round(model.dead_time_s * sampling.sampling_Hz * fine)
-    c, state = pidf.coefficients(sampling, gains), pidf.at_rest(0.0, 0.0)
+    c, state = pidf.coefficients(sampling, gains), pidf.state_at_rest(0.0, 0.0)
     x, outputs = np.zeros(len(A)), []
     for k in range(samples):
         y = float(C @ x)
@@ -94,7 +98,7 @@ def test_sensitivity_limited_keeps_its_limits_for_any_plant(model):
 
 
 @pytest.mark.parametrize("length", [0.5, 1.4])
-def test_no_gains_nearby_integrate_more_within_the_limits(length):
+def test_sensitivity_limited_has_the_largest_integral_gain_nearby(length):
     model, limits = reel_model(length), SensitivityLimits()
     best = sensitivity_limited(model, SETTINGS, limits)
     draw = np.random.default_rng(0)
@@ -109,15 +113,15 @@ def test_no_gains_nearby_integrate_more_within_the_limits(length):
         )
 
 
-def test_the_reel_gets_a_proportional_gain_near_one_and_an_integral_that_falls_with_length():
-    found = [initial_gains(reel_model(length), SETTINGS) for length in (0.5, 0.8, 1.1, 1.4)]
+def test_sensitivity_limited_integral_gain_falls_with_length():
+    found = [checked(reel_model(length)) for length in (0.5, 0.8, 1.1, 1.4)]
     assert all(0.7 < gains.P < 1.3 for gains in found)
     assert all(long.I < short.I for short, long in pairwise(found))
 
 
 @settings(max_examples=30, deadline=None)
 @given(damping=st.floats(0.05, 0.6), natural=st.floats(20.0, 60.0), pair=st.floats(0.3, 0.95))
-def test_pole_placement_puts_the_poles_where_asked(damping, natural, pair):
+def test_pole_placement_puts_the_poles_at_the_given_places(damping, natural, pair):
     model = SecondOrder(2.0, natural, damping, 0.002)
     wanted = 1.6 * natural
     gains = pole_placement(model, SETTINGS, wanted, pair)
@@ -142,7 +146,7 @@ def test_pole_placement_without_dead_time_is_the_textbook_polynomial():
     assert np.sort_complex(poles) == pytest.approx(np.sort_complex(expected), rel=2e-3)
 
 
-def test_imc_leaves_an_integrator_for_a_loop():
+def test_imc_makes_the_loop_an_integrator():
     model = SecondOrder(0.8, 45.0, 0.2, 0.003)
     gains = imc(model, QUICK, closed_loop_s=0.02)
     s = 1j * np.geomspace(1.0, 300.0, 40)
@@ -151,7 +155,7 @@ def test_imc_leaves_an_integrator_for_a_loop():
     assert loop == pytest.approx(1.0 / (s * (0.02 + 0.003)), rel=1e-3)
 
 
-def test_ziegler_nichols_finds_the_gain_and_period_at_which_the_loop_oscillates():
+def test_ziegler_nichols_uses_the_ultimate_gain_and_period():
     model = SecondOrder(1.2, 48.0, 0.3, 5.0 / (4 * 632.0))
     gains = ziegler_nichols(model, SETTINGS)
     ultimate, period_s = gains.P / 0.6, 2.0 * gains.P / gains.I
@@ -165,20 +169,20 @@ def test_ziegler_nichols_finds_the_gain_and_period_at_which_the_loop_oscillates(
     assert spectrum.argmax() * 632.0 / 1500 == pytest.approx(1.0 / period_s, rel=0.02)
 
 
-def test_every_rule_tells_the_truth_about_its_loop():
+def test_proposal_margins_agree_with_the_simulated_loop():
     for rule in RULES:
         proposal = propose(reel_model(0.8), SETTINGS, rule)
         y = simulated_loop(reel_model(0.8), proposal.gains, 3000)
         assert proposal.margins.stable == bool(np.abs(y[-500:]).max() < 0.1 * np.abs(y).max())
 
 
-def test_an_unsafe_start_or_a_senseless_model_is_refused():
+def test_unsafe_gains_and_invalid_models_are_refused():
     with pytest.raises(UnsafeStart, match=r"phase margin \d+ degrees.*use sensitivity_limited"):
-        initial_gains(reel_model(0.8), SETTINGS, "ziegler_nichols")
+        checked(reel_model(0.8), "ziegler_nichols")
     with pytest.raises(InvalidInput, match="more effort lowers the output"):
-        initial_gains(SecondOrder(-1.0, 50.0, 0.1), SETTINGS)
+        checked(SecondOrder(-1.0, 50.0, 0.1))
     with pytest.raises(InvalidInput, match="there is no rule"):
-        initial_gains(reel_model(0.8), SETTINGS, "shen_chiang")
+        checked(reel_model(0.8), "shen_chiang")
     with pytest.raises(InvalidInput, match="not all positive"):
         pole_placement(reel_model(0.8), SETTINGS, 5.0)
     with pytest.raises(InvalidInput, match="damping ratio is nan"):

@@ -30,7 +30,7 @@ def measure(response, initial=0.0, final=1.0, **rest):
 
 
 @pytest.mark.parametrize("lag_s", [0.02, 0.1, 0.3])
-def test_a_first_order_response_has_the_numbers_of_the_closed_form(lag_s):
+def test_first_order_response_has_closed_form_metrics(lag_s):
     metrics = measure(1.0 - np.exp(-AFTER_s / lag_s), band=0.02)
     assert metrics.rise_time_s == pytest.approx(lag_s * math.log(9.0), rel=1e-4)
     assert metrics.settling_time_s == pytest.approx(lag_s * math.log(50.0), rel=1e-4)
@@ -38,7 +38,7 @@ def test_a_first_order_response_has_the_numbers_of_the_closed_form(lag_s):
 
 
 @pytest.mark.parametrize("damping", [0.1, 0.4, 0.7])
-def test_a_second_order_response_overshoots_as_the_closed_form_says(damping):
+def test_second_order_response_has_closed_form_overshoot(damping):
     metrics = measure(second_order(damping))
     expected = math.exp(-math.pi * damping / math.sqrt(1.0 - damping**2))
     assert metrics.overshoot == pytest.approx(expected, rel=1e-3)
@@ -55,7 +55,7 @@ def test_a_second_order_response_overshoots_as_the_closed_form_says(damping):
     ],
     ids=["first order", "ringing", "overdamped", "non-minimum phase"],
 )
-def test_on_ideal_steps_from_zero_python_control_agrees_to_a_sample(system):
+def test_metrics_agree_with_python_control_on_ideal_steps(system):
     t = np.arange(0.0, 3.0, 1.0 / SAMPLING_Hz)
     response = control.step_response(system, t).outputs
     metrics = step_metrics(t, response, step_time_s=0.0, initial=0.0, final=1.0)
@@ -70,21 +70,21 @@ def test_on_ideal_steps_from_zero_python_control_agrees_to_a_sample(system):
     initial=st.floats(-100.0, 100.0),
     span=st.floats(0.1, 100.0) | st.floats(-100.0, -0.1),
 )
-def test_offset_and_direction_of_the_step_do_not_matter(damping, initial, span):
+def test_metrics_are_independent_of_offset_and_direction(damping, initial, span):
     response = second_order(damping)
     metrics, plain = measure(response, initial, initial + span), measure(response)
     assert metrics[:3] == pytest.approx(plain[:3], abs=1e-6, nan_ok=True)
     assert metrics.steady_state_error == pytest.approx(span * plain.steady_state_error, abs=1e-9)
 
 
-def test_a_step_from_10_to_11_has_its_rise_time_where_step_info_says_zero():
+def test_step_from_10_to_11_has_a_rise_time():
     response = 10.0 + (1.0 - np.exp(-AFTER_s / 0.1))
     assert control.step_info(response, TIME_s, final_output=11.0)["RiseTime"] == 0.0
     metrics = step_metrics(TIME_s, response, step_time_s=STEP_s, initial=10.0, final=11.0)
     assert metrics.rise_time_s == pytest.approx(0.1 * math.log(9.0), rel=1e-4)
 
 
-def test_a_step_to_zero_has_its_overshoot_where_step_info_takes_the_last_sample_for_the_goal():
+def test_step_to_zero_has_an_overshoot():
     response = 5.0 * (1.0 - second_order(0.4))
     metrics = step_metrics(TIME_s, response, step_time_s=STEP_s, initial=5.0, final=0.0)
     expected = math.exp(-math.pi * 0.4 / math.sqrt(1.0 - 0.4**2))
@@ -94,7 +94,7 @@ def test_a_step_to_zero_has_its_overshoot_where_step_info_takes_the_last_sample_
     assert info["Overshoot"] > 1e5
 
 
-def test_a_response_that_never_arrives_has_no_rise_time_where_step_info_fails():
+def test_response_below_90_percent_has_no_rise_time():
     response = 0.8 * (1.0 - np.exp(-AFTER_s / 0.1))
     with pytest.raises(IndexError):
         control.step_info(response, TIME_s, final_output=1.0)
@@ -106,13 +106,13 @@ def test_a_response_that_never_arrives_has_no_rise_time_where_step_info_fails():
 
 
 @pytest.mark.parametrize("omega", np.linspace(35.0, 45.0, 7))  # wherever the last swing stands
-def test_a_response_that_still_rings_at_the_end_is_not_settled(omega):
+def test_response_oscillating_at_the_end_is_not_settled(omega):
     metrics = measure(second_order(0.005, omega))
     assert math.isnan(metrics.settling_time_s)
     assert math.isfinite(metrics.rise_time_s)
 
 
-def test_the_band_is_a_fraction_of_the_step():
+def test_settling_band_is_a_fraction_of_the_step():
     lag_s = 0.1
     wide = measure(1.0 - np.exp(-AFTER_s / lag_s), initial=10.0, final=11.0, band=0.1)
     assert wide.settling_time_s == pytest.approx(lag_s * math.log(10.0), rel=1e-4)
@@ -123,7 +123,7 @@ def noisy(response, share, seed=11):
     return response + share * np.random.default_rng(seed).standard_normal(response.size)
 
 
-def test_noise_moves_the_numbers_by_no_more_than_four_of_its_deviations():
+def test_noise_changes_metrics_by_at_most_four_deviations():
     response = 1.0 - np.exp(-np.maximum(AFTER_s - 0.3, 0.0) / 0.1)  # long flat, then the rise
     share = 0.004  # 0.04 N of gauge noise on a step of 10 N
     metrics, clean = measure(noisy(response, share)), measure(response)
@@ -135,7 +135,7 @@ def test_noise_moves_the_numbers_by_no_more_than_four_of_its_deviations():
     assert metrics.steady_state_error == pytest.approx(0.0, abs=share)
 
 
-def test_noise_that_leaves_the_band_by_itself_widens_it():
+def test_noise_beyond_the_settling_band_widens_it():
     response = 1.0 - np.exp(-AFTER_s / 0.1)
     share = 0.01  # two deviations are the whole band of 2 %: one sample in twenty is outside
     metrics = measure(noisy(response, share))
@@ -143,13 +143,13 @@ def test_noise_that_leaves_the_band_by_itself_widens_it():
     assert metrics.settling_time_s < measure(response, band=share / 2.0).settling_time_s
 
 
-def test_an_oscillation_before_the_step_does_not_pass_for_noise():
+def test_oscillation_before_the_step_is_not_noise():
     oscillating = 0.1 * np.sin(300.0 * TIME_s)
     metrics = measure(1.0 - np.exp(-AFTER_s / 0.02) + oscillating)
     assert math.isnan(metrics.settling_time_s)
 
 
-def test_the_steady_state_error_is_the_mean_over_the_last_tenth_after_the_step():
+def test_steady_state_error_is_the_mean_over_the_last_tenth():
     response = np.linspace(0.0, 3.0, TIME_s.size)
     after = int((TIME_s >= STEP_s).sum())
     metrics = measure(response, initial=2.0, final=7.0)
@@ -157,7 +157,7 @@ def test_the_steady_state_error_is_the_mean_over_the_last_tenth_after_the_step()
     assert metrics.steady_state_error == pytest.approx(7.0 - tail.mean())
 
 
-def test_a_response_that_is_there_at_once_rises_and_settles_in_no_time():
+def test_immediate_response_has_zero_times():
     metrics = measure(np.where(TIME_s < STEP_s, 0.0, 1.0))
     assert metrics == (0.0, 0.0, 0.0, 0.0)
 
@@ -190,13 +190,13 @@ def with_value(value, index=700):
         "empty",
     ],
 )
-def test_bad_data_give_not_a_number_and_never_an_error(time, values, initial, final):
+def test_bad_data_give_nan_metrics(time, values, initial, final):
     metrics = step_metrics(time, values, step_time_s=STEP_s, initial=initial, final=final)
     assert list(map(math.isnan, metrics)) == [True] * len(NO_METRICS)
 
 
 @given(st.lists(st.floats(), max_size=12), st.floats(), st.floats(), st.floats(), st.floats(0, 2))
-def test_no_record_whatever_raises(values, step_time, initial, final, band):
+def test_metrics_never_raise(values, step_time, initial, final, band):
     metrics = step_metrics(
         np.arange(len(values)),
         values,

@@ -13,7 +13,7 @@ from estune.core.gains import Gains
 from estune.core.pidf import (
     ControllerSettings,
     PidfState,
-    at_rest,
+    state_at_rest,
     bumpless,
     coefficients,
     step,
@@ -35,7 +35,7 @@ states = st.builds(PidfState, signal, signal, signal)
 
 def efforts(gains, settings, setpoint, measurement):
     """Effort at each sample, from rest at zero."""
-    c, state = coefficients(settings, gains), at_rest(0.0, 0.0)
+    c, state = coefficients(settings, gains), state_at_rest(0.0, 0.0)
     effort = np.empty_like(setpoint)
     for k, (r, y) in enumerate(zip(setpoint, measurement, strict=True)):
         state, effort[k], _ = step(c, state, r, y)
@@ -55,7 +55,7 @@ def efforts(gains, settings, setpoint, measurement):
     ],
     ids=["PIDF", "PI", "PD", "no setpoint filter"],
 )
-def test_the_sampled_controller_converges_on_the_continuous_one(gains):
+def test_sampled_controller_converges_to_the_continuous_one(gains):
     def greatest_difference(sampling_Hz):
         settings = ControllerSettings(sampling_Hz, 0.004, *UNLIMITED)
         t = np.arange(0.0, 0.5, 1.0 / sampling_Hz)
@@ -81,7 +81,7 @@ def test_the_sampled_controller_converges_on_the_continuous_one(gains):
     jump=st.floats(-10.0, 10.0),
     more_D=st.floats(0.0, 1e3),
 )
-def test_the_derivative_acts_on_the_measurement_alone(gains, state, signals, jump, more_D):
+def test_derivative_acts_on_the_measurement_alone(gains, state, signals, jump, more_D):
     r, y = signals
 
     def change(gains, r_after, y_after):
@@ -98,7 +98,7 @@ def test_the_derivative_acts_on_the_measurement_alone(gains, state, signals, jum
 
 
 @given(gain_values, states, signal, signal)
-def test_the_effort_is_within_its_limits_and_the_excess_is_what_they_cut_off(gains, state, r, y):
+def test_effort_is_limited_and_the_excess_returned(gains, state, r, y):
     free = ControllerSettings(LIMITED.sampling_Hz, LIMITED.derivative_filter_s, *UNLIMITED)
     _, wanted, none = step(coefficients(free, gains), state, r, y)
     _, effort, excess = step(coefficients(LIMITED, gains), state, r, y)
@@ -108,8 +108,8 @@ def test_the_effort_is_within_its_limits_and_the_excess_is_what_they_cut_off(gai
 
 
 @pytest.mark.parametrize("gains", [Gains(1.0, 40.0, 0.0, 0.0), Gains(0.02, 900.0, 0.001, 0.0)])
-def test_after_long_saturation_the_effort_comes_back_as_soon_as_the_error_turns(gains):
-    c, state = coefficients(LIMITED, gains), at_rest(0.0, 0.0)
+def test_effort_leaves_saturation_as_soon_as_the_error_turns(gains):
+    c, state = coefficients(LIMITED, gains), state_at_rest(0.0, 0.0)
     for _ in range(5000):
         state, effort, excess = step(c, state, 50.0, 0.0)
     assert effort == 30.0
@@ -122,9 +122,7 @@ def test_after_long_saturation_the_effort_comes_back_as_soon_as_the_error_turns(
 
 
 @given(gain_values, gain_values, states, st.tuples(signal, signal), st.floats(-20.0, 30.0))
-def test_bumpless_transfer_holds_the_effort_whatever_the_gains(
-    before, after, state, signals, held
-):
+def test_bumpless_transfer_holds_the_effort(before, after, state, signals, held):
     r, y = signals
     state, _, _ = step(coefficients(LIMITED, before), state, r, y)
     c = coefficients(LIMITED, after)
@@ -135,8 +133,8 @@ def test_bumpless_transfer_holds_the_effort_whatever_the_gains(
 
 
 @given(gain_values, signal, st.floats(-20.0, 30.0))
-def test_a_loop_at_rest_stays_at_rest(gains, tension, effort):
-    state = at_rest(tension, effort)
+def test_settled_loop_stays_settled(gains, tension, effort):
+    state = state_at_rest(tension, effort)
     following, given_effort, excess = step(coefficients(LIMITED, gains), state, tension, tension)
     rounding = 1e-15 * abs(tension) * (1.0 + gains.P + gains.I)
     assert given_effort == pytest.approx(effort, abs=rounding)
@@ -144,7 +142,7 @@ def test_a_loop_at_rest_stays_at_rest(gains, tension, effort):
     assert following == pytest.approx(state, abs=2.0 * rounding)
 
 
-def test_floats_arrays_and_casadi_symbols_give_the_same_numbers():
+def test_floats_arrays_and_symbols_give_the_same_numbers():
     ca.GlobalOptions.setNumpyMode(1)
     rng = np.random.default_rng(7)
     n = 40
@@ -172,7 +170,7 @@ def test_floats_arrays_and_casadi_symbols_give_the_same_numbers():
 
 
 @given(magnitude, st.just(0.0) | magnitude, st.just(0.0) | magnitude, st.just(0.0) | magnitude)
-def test_the_parallel_and_the_standard_form_are_one(P, I, D, setpoint_filter_s):
+def test_parallel_and_standard_form_are_equivalent(P, I, D, setpoint_filter_s):
     gains = Gains(P, I, D, setpoint_filter_s)
     K, Ti, Td = gains.to_standard()
     assert K == P
@@ -184,19 +182,19 @@ def test_the_parallel_and_the_standard_form_are_one(P, I, D, setpoint_filter_s):
 
 @pytest.mark.parametrize("bad", [-1.0, math.nan, math.inf, -math.inf])
 @pytest.mark.parametrize("name", ["P", "I", "D", "setpoint_filter_s"])
-def test_a_gain_that_cannot_be_is_refused_by_name_and_value(name, bad):
+def test_invalid_gain_is_refused_by_name_and_value(name, bad):
     good = {"P": 1.0, "I": 2.0, "D": 0.1, "setpoint_filter_s": 0.01}
     with pytest.raises(InvalidInput, match=f"{name} is {bad}"):
         Gains(**{**good, name: bad})
 
 
-def test_a_controller_without_proportional_gain_is_refused():
+def test_controller_without_proportional_gain_is_refused():
     with pytest.raises(InvalidInput, match=r"P is 0\.0; it must be finite and above zero"):
         Gains(0.0, 1.0, 0.0, 0.0)
 
 
 @pytest.mark.parametrize("Ti", [0.0, -1.0, math.nan])
-def test_an_integral_time_that_cannot_be_is_refused(Ti):
+def test_invalid_integral_time_is_refused(Ti):
     with pytest.raises(InvalidInput, match=f"Ti is {Ti} s"):
         Gains.from_standard(1.0, Ti, 0.1)
 
@@ -214,6 +212,6 @@ def test_an_integral_time_that_cannot_be_is_refused(Ti):
         (632.0, 1e-3, math.nan, 1.0),
     ],
 )
-def test_controller_settings_that_cannot_be_are_refused(settings):
+def test_invalid_controller_settings_are_refused(settings):
     with pytest.raises(InvalidInput):
         ControllerSettings(*settings)

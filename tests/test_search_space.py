@@ -20,7 +20,7 @@ def space(**changes):
 
 
 @given(st.lists(st.floats(allow_nan=False), min_size=4, max_size=4))
-def test_a_point_is_within_the_bounds_whatever_the_coordinates(coordinates):
+def test_point_is_within_the_bounds_for_any_coordinates(coordinates):
     for scale in ("log", "linear"):
         bounded = SearchSpace(SPACE.names, SPACE.start, SPACE.low, SPACE.high, scale=scale)
         point = bounded.point(tuple(coordinates))
@@ -29,26 +29,26 @@ def test_a_point_is_within_the_bounds_whatever_the_coordinates(coordinates):
 
 
 @given(st.tuples(*[st.floats(-4.6, 4.6)] * 4))
-def test_coordinates_of_a_point_are_those_it_was_made_from(offsets):
+def test_coordinates_invert_point(offsets):
     origin = SPACE.coordinates(SPACE.start)
     wanted = tuple(o + d for o, d in zip(origin, offsets, strict=True))
     assert SPACE.coordinates(SPACE.point(wanted)) == pytest.approx(wanted, abs=1e-12)
 
 
-def test_a_space_around_gains_starts_at_them_and_reaches_as_far_as_the_factor():
+def test_space_around_gains_extends_by_the_factor():
     assert SPACE.gains(SPACE.start) == GAINS
     assert SPACE.low == pytest.approx([v / 100 for v in GAINS.as_tuple()])
     assert SPACE.high == pytest.approx([v * 100 for v in GAINS.as_tuple()])
     assert SearchSpace.around(GAINS, bounds={"I": (40, 60)}).low[1] == 40.0
 
 
-def test_a_gain_of_zero_is_held_at_zero_because_it_has_no_logarithm():
+def test_zero_gain_is_held_at_zero():
     found = SearchSpace.around(Gains(1.0, 10.0, 0.0, 0.0))
     assert found.names == ("P", "I")
     assert found.gains((2.0, 20.0)) == Gains(2.0, 20.0, 0.0, 0.0)
 
 
-def test_the_standard_form_holds_the_same_gains_as_the_parallel_one():
+def test_standard_form_gives_the_gains_of_the_parallel_form():
     standard = SearchSpace.around(GAINS, form="standard")
     assert standard.names == ("K", "Ti", "Td", "setpoint_filter_s")
     assert standard.gains(standard.start).as_tuple() == pytest.approx(GAINS.as_tuple())
@@ -56,12 +56,12 @@ def test_the_standard_form_holds_the_same_gains_as_the_parallel_one():
     assert standard.gains((K, Ti, Td, tau)) == Gains(K, K / Ti, K * Td, tau)
 
 
-def test_parameters_that_are_not_tuned_keep_their_fixed_value():
+def test_untuned_parameters_keep_their_fixed_value():
     found = space(fixed=(("D", 0.02),)).gains((2.0, 20.0))
     assert found == Gains(2.0, 20.0, 0.02, 0.0)
 
 
-def test_parameters_at_a_bound_are_named_with_the_side():
+def test_at_bound_names_parameters_and_sides():
     low, high = SPACE.low, SPACE.high
     inside = tuple(math.sqrt(a * b) for a, b in zip(low, high, strict=True))
     assert SPACE.at_bound(inside) == {}
@@ -90,7 +90,7 @@ def test_parameters_at_a_bound_are_named_with_the_side():
         ({"form": "series"}, ["series", "'parallel' or 'standard'"]),
     ],
 )
-def test_a_space_that_cannot_be_searched_is_refused_in_one_line_with_the_remedy(changes, named):
+def test_invalid_space_is_refused_with_a_remedy(changes, named):
     with pytest.raises(InvalidInput) as caught:
         space(**changes)
     message = str(caught.value)
@@ -99,7 +99,7 @@ def test_a_space_that_cannot_be_searched_is_refused_in_one_line_with_the_remedy(
 
 
 @pytest.mark.parametrize("factor", [1.0, 0.5, math.nan, math.inf])
-def test_a_factor_that_leaves_no_room_is_refused(factor):
+def test_factor_of_one_or_less_is_refused(factor):
     with pytest.raises(InvalidInput, match="factor"):
         SearchSpace.around(GAINS, factor)
 

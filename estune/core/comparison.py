@@ -1,21 +1,27 @@
-"""How much better gains are than others, the scatter of repeats counted."""
+"""Statistical comparison of gains by repeated trials.
+
+Repeats are interleaved, A B, B A, A B, so that a drift of the rig falls on all gains alike: over
+every two rounds an even drift adds the same to each mean.
+"""
 
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from statistics import fmean, variance
+from typing import NamedTuple, Self
 
+from estune.core.gains import Gains
 from estune.errors import InvalidInput
 
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """How much the cost changed, as a share of what it was; below zero is a fall.
+    """Relative change of the cost; negative is a decrease.
 
     Attributes:
         estimate: Most likely value.
         low: Lower end of its confidence interval.
-        high: Upper end; below zero where the cost fell beyond doubt.
+        high: Upper end; below zero if the cost decreased significantly.
         confidence: Of the interval.
     """
 
@@ -46,10 +52,10 @@ def compare_costs(
     ((v1/n1)^2/(n1 - 1) + (v2/n2)^2/(n2 - 1)) degrees of freedom.
 
     Args:
-        before: Costs of repeats, all of them safe.
-        after: The same of other gains.
-        confidence: Of the interval, 0 to 1. It holds for gains that were chosen by other trials
-            than these: the best of several by their own repeats looks better than it is.
+        before: Costs of safe repeats.
+        after: Costs of safe repeats of other gains.
+        confidence: Of the interval, 0 to 1. It holds for gains chosen by other trials than these
+            repeats: the best of several by the same repeats is biased.
 
     Raises:
         InvalidInput: there are fewer than two repeats of either, a cost is not above zero and
@@ -69,22 +75,21 @@ def compare_costs(
     shares = [variance(logs) / len(logs) for logs in (old, new)]
     difference, error = fmean(new) - fmean(old), math.sqrt(sum(shares))
     if error == 0.0:
-        found = math.expm1(difference)
-        return Change(found, found, found, confidence)
+        change = math.expm1(difference)
+        return Change(change, change, change, confidence)
     per_share = zip(shares, (old, new), strict=True)
     freedom = sum(shares) ** 2 / sum(share**2 / (len(logs) - 1) for share, logs in per_share)
-    reach = float(stdtrit(freedom, 0.5 * (1.0 + confidence))) * error
-    ends = (difference, difference - reach, difference + reach)
+    half_width = float(stdtrit(freedom, 0.5 * (1.0 + confidence))) * error
+    ends = (difference, difference - half_width, difference + half_width)
     estimate, low, high = map(math.expm1, ends)
     return Change(estimate, low, high, confidence)
 
 
 def repeatability(groups: Iterable[Sequence[float]]) -> float:
-    """Standard deviation of the logarithm of the cost between repeats, pooled; nan without any.
+    """Pooled standard deviation of the log cost between repeats; nan without any.
 
     Args:
-        groups: Costs of repeated trials, one sequence per set of gains; infinite ones do not
-            count.
+        groups: Costs of repeats, one sequence per set of gains; infinite costs are left out.
     """
     squares, freedom = 0.0, 0
     for group in groups:
@@ -99,25 +104,83 @@ def repeatability(groups: Iterable[Sequence[float]]) -> float:
 def repeats_needed(
     expected: float, noise: float, *, least: int, most: int, confidence: float = 0.95
 ) -> int:
-    """How many repeats of each of two gains tell their difference to a quarter of itself.
+    """Repeats of each of two gains needed to resolve their difference to a quarter of itself.
 
     The fewest n with t(2n - 2) noise sqrt(2/n) <= |expected|/4, t the quantile of the confidence.
-    It must be asked before the repeats are made: were they gone on with until they look sharp
-    enough, their interval would promise more than it holds.
+    To be computed before the repeats: repeating until an interval looks narrow enough makes it
+    too narrow.
 
     Args:
-        expected: Difference of the logarithms of the costs that is likely.
-        noise: Standard deviation of the logarithm of the cost between repeats; nan if unknown.
+        expected: Likely difference of the log costs.
+        noise: Standard deviation of the log cost between repeats; nan if unknown.
         least: No fewer than this, and no fewer than two.
         most: No more than this, unless `least` is more.
-        confidence: Of the interval to be made, 0 to 1.
+        confidence: Of the interval, 0 to 1.
     """
     from scipy.special import stdtrit  # noqa: PLC0415  slow to import
 
     n = max(2, least)
     while n < most:
-        reach = float(stdtrit(2 * n - 2, 0.5 * (1.0 + confidence))) * noise * math.sqrt(2.0 / n)
-        if reach <= 0.25 * abs(expected):  # not so for nan
+        t = float(stdtrit(2 * n - 2, 0.5 * (1.0 + confidence)))
+        if t * noise * math.sqrt(2.0 / n) <= 0.25 * abs(expected):  # not so for nan
             break
         n += 1
     return n
+
+
+class InterleavedRepeats(NamedTuple):
+    """Gains repeated in alternating order, and their costs so far.
+
+    Gains with an unsafe repeat are not repeated again. With fewer than two left the comparison is
+    over.
+
+    Attributes:
+        gains: The gains, two or more.
+        rounds: Number of repeats of each.
+        costs: Costs of each, in the order of the gains; infinite where a repeat was unsafe.
+    """
+
+    gains: tuple[Gains, ...]
+    rounds: int
+    costs: tuple[tuple[float, ...], ...]
+
+    @classmethod
+    def new(cls, gains: tuple[Gains, ...], rounds: int) -> Self:
+        """The comparison before its first repeat."""
+        return cls(gains, rounds, ((),) * len(gains))
+
+    @property
+    def safe(self) -> tuple[int, ...]:
+        """Indices of the gains without an unsafe repeat."""
+        return tuple(i for i, costs in enumerate(self.costs) if math.inf not in costs)
+
+    @property
+    def next_index(self) -> int | None:
+        """Index of the gains to run next; None when the repeats are over."""
+        safe = self.safe
+        if len(safe) < 2:
+            return None
+        done = min(len(self.costs[i]) for i in safe)
+        if done >= self.rounds:
+            return None
+        order = safe if done % 2 == 0 else safe[::-1]
+        return next(i for i in order if len(self.costs[i]) == done)
+
+    @property
+    def missing(self) -> int:
+        """Number of repeats to come if all of them are safe."""
+        if self.next_index is None:
+            return 0
+        return sum(self.rounds - len(self.costs[i]) for i in self.safe)
+
+    @property
+    def best(self) -> int | None:
+        """Index of the gains with the least mean cost; None if all were unsafe."""
+        means = {i: fmean(self.costs[i]) if self.costs[i] else math.inf for i in self.safe}
+        return min(means, key=means.__getitem__, default=None)
+
+    def with_cost(self, cost: float) -> Self:
+        """The comparison with the cost of the gains run last; infinite if unsafe."""
+        here = self.next_index
+        costs = tuple((*c, cost) if i == here else c for i, c in enumerate(self.costs))
+        return self._replace(costs=costs)

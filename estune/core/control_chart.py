@@ -1,24 +1,24 @@
-"""A control chart on the cost of check trials: tells drift from noise and from one bad trial.
+"""Control chart of the cost of check trials: separates drift from noise and from outliers.
 
-The logarithm of the cost is charted, for its scatter is in proportion to it. Each new value x_n is
-first turned into a standard normal one by what is known so far (Quesenberry 1991),
+The chart is of the log cost, because the standard deviation of the cost is proportional to it.
+Each new value x_n is first transformed to a standard normal one (Quesenberry 1991),
 
     q_n = Phi^-1( F_t( (x_n - mean) / (s sqrt(1 + 1/n)) ; nu ) ),
 
-with mean and s of the values before it, s having nu degrees of freedom. While nothing changes the
-q_n are independent and exactly normal however few values came before, so that the rate of false
-alarms does not depend on a baseline of a few repeats having been lucky. They are smoothed,
+with mean and s of the values before it and nu degrees of freedom of s. Without a change the q_n
+are independent and exactly normal however few values came before, so that the rate of false alarms
+does not depend on a short baseline. They are smoothed,
 
     z_n = (1 - lambda) z_(n-1) + lambda q_n,    z_0 = 0,    alarm where |z_n| > h,
 
 an exponentially weighted moving average (Roberts 1959). The limit h follows from the mean number
-of trials between false alarms, the average run length L(0), where (Crowder 1987)
+of trials between false alarms, the average run length L(0), with (Crowder 1987)
 
     L(u) = 1 + 1/lambda int_-h^h L(y) phi((y - (1 - lambda) u) / lambda) dy.
 
-The baseline goes on learning, but only while z is near zero, so that it does not follow a drift;
-false alarms become a little rarer by it. A drift that sets in while the baseline is of few values
-can be taken into it all the same: let there be a dozen or two before there is time for a drift.
+The baseline continues to learn only while z is near zero, so that it does not follow a drift;
+false alarms become slightly rarer by this. A drift can still enter a baseline of few values: run a
+dozen or two check trials before there is time for one.
 """
 
 import math
@@ -32,18 +32,18 @@ import numpy as np
 
 from estune.errors import InvalidInput
 
-LEARNT = 100
-"""After so many values the baseline is known well enough, and no longer follows."""
+BASELINE_MAX = 100
+"""Number of values after which the baseline is fixed."""
 
-CALM = 0.3
-"""Only while |z| is within this share of its limit does the baseline learn: no drift is learnt."""
+LEARN_BELOW = 0.3
+"""The baseline learns only while |z| is within this share of its limit."""
 
 NODES = 64
-"""Points of the Gauss-Legendre rule: the run length is then exact to more than six digits."""
+"""Points of the Gauss-Legendre rule; they give the run length to more than six digits."""
 
 
 class ChartSignal(StrEnum):
-    """What the newest trial says, together with those before it."""
+    """Conclusion from the newest trial and those before it."""
 
     STEADY = "steady"
     SUSPECT = "suspect"
@@ -53,29 +53,29 @@ class ChartSignal(StrEnum):
 
     @property
     def sentence(self) -> str:
-        """The same in words."""
+        """The conclusion as a sentence."""
         return _SENTENCES[self]
 
 
 _SENTENCES = {
-    ChartSignal.STEADY: "the cost is what it was",
-    ChartSignal.SUSPECT: "the cost is far from what it was; the trial is repeated before it counts",
-    ChartSignal.OUTLIER: "the trial before was a single bad one and does not count",
-    ChartSignal.WORSE: "the cost has risen beyond its scatter",
-    ChartSignal.BETTER: "the cost has fallen beyond its scatter",
+    ChartSignal.STEADY: "the cost is unchanged",
+    ChartSignal.SUSPECT: "the cost is an outlier; the trial is repeated",
+    ChartSignal.OUTLIER: "the trial before was a single outlier and does not count",
+    ChartSignal.WORSE: "the cost has increased significantly",
+    ChartSignal.BETTER: "the cost has decreased significantly",
 }
 
 
 class ChartState(NamedTuple):
-    """Where a chart stands.
+    """The state of a chart; stored by field name and position.
 
     Attributes:
-        known: Values that the mean is of.
-        mean: Mean of the log cost while nothing had changed.
-        squares: Sum of squares about the means that the scatter is taken from.
+        known: Number of values in the mean.
+        mean: Mean of the log cost.
+        squares: Sum of squared deviations from the means.
         freedom: Its degrees of freedom.
         smoothed: z.
-        suspect: -1 or 1 where the trial before was far off, below or above; else 0.
+        suspect: -1 or 1 if the trial before was an outlier, below or above; else 0.
     """
 
     known: int
@@ -88,13 +88,13 @@ class ChartState(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class ControlChart:
-    """The settings of a chart; `begin` and `tell` make and move its state.
+    """The settings of a chart; `begin` and `update` give its state.
 
     Attributes:
-        smoothing: lambda, the weight of the newest value; small finds small drifts, slowly.
-        false_alarm_checks: Mean number of trials between false alarms, where nothing changes.
-        scatter_min: Standard deviation of the log cost that is always allowed for: a drift that is
-            small beside it is of no interest, however quiet the rig.
+        smoothing: lambda, the weight of the newest value; small values find small drifts, slowly.
+        false_alarm_checks: Mean number of trials between false alarms.
+        scatter_min: Lower bound of the standard deviation of the log cost; a smaller drift does
+            not matter, however quiet the rig.
 
     Raises:
         InvalidInput: a setting is out of its range.
@@ -120,8 +120,8 @@ class ControlChart:
         return limit_for(self.smoothing, self.false_alarm_checks)
 
     @property
-    def far(self) -> float:
-        """|q| of a trial so far off that it is repeated: as rare as a false alarm."""
+    def outlier_limit(self) -> float:
+        """|q| beyond which a trial is repeated; as rare as a false alarm."""
         from scipy.special import ndtri  # noqa: PLC0415  slow to import
 
         return -float(ndtri(0.5 / self.false_alarm_checks))
@@ -130,12 +130,12 @@ class ControlChart:
         """The chart before its first trial.
 
         Args:
-            costs: Costs of repeats of the gains that are watched.
-            others: Costs of repeats of other gains under the same noise, which tell of the
-                scatter alone.
+            costs: Costs of repeats of the monitored gains.
+            others: Costs of repeats of other gains under the same noise; they only add to the
+                standard deviation.
 
         Raises:
-            InvalidInput: there are not two costs of the same gains, or one is not above zero.
+            InvalidInput: no gains have two costs, or a cost is not above zero.
         """
         groups = [_logarithms(group) for group in (costs, *others) if len(group) > 0]
         if not len(costs) or sum(len(group) - 1 for group in groups) < 1:
@@ -145,32 +145,32 @@ class ControlChart:
         return ChartState(len(costs), float(np.mean(groups[0])), float(squares), freedom)
 
     def update(self, state: ChartState, cost: float) -> tuple[ChartState, ChartSignal]:
-        """The chart after one more check trial, and what that says.
+        """The chart after one more check trial, and its signal.
 
         Args:
-            state: Where it stood.
-            cost: The trial's cost; infinite where it was unsafe.
+            state: Before the trial.
+            cost: The trial's cost; infinite if unsafe.
 
         Raises:
             InvalidInput: the cost is not above zero.
         """
         q = self.deviation(state, cost)
-        if abs(q) > self.far:
+        if abs(q) > self.outlier_limit:
             side = 1 if q > 0.0 else -1
-            if state.suspect == side:  # two in a row are no accident
+            if state.suspect == side:  # the second in a row
                 return state, ChartSignal.WORSE if side > 0 else ChartSignal.BETTER
             return state._replace(suspect=side), ChartSignal.SUSPECT
         z = (1.0 - self.smoothing) * state.smoothed + self.smoothing * q
-        # Whether to learn is decided by what came before: the value itself has no say in it.
-        calm = abs(state.smoothed) <= CALM * self.limit
-        learnt = _learn(state, math.log(cost)) if calm else state
-        told = learnt._replace(smoothed=z, suspect=0)
+        # Learning depends on earlier values alone, or the baseline would be biased.
+        is_steady = abs(state.smoothed) <= LEARN_BELOW * self.limit
+        baseline = _learn(state, math.log(cost)) if is_steady else state
+        following = baseline._replace(smoothed=z, suspect=0)
         if abs(z) > self.limit:
-            return told, ChartSignal.WORSE if z > 0.0 else ChartSignal.BETTER
-        return told, ChartSignal.OUTLIER if state.suspect else ChartSignal.STEADY
+            return following, ChartSignal.WORSE if z > 0.0 else ChartSignal.BETTER
+        return following, ChartSignal.OUTLIER if state.suspect else ChartSignal.STEADY
 
     def deviation(self, state: ChartState, cost: float) -> float:
-        """The q of a cost: how far off it is, in standard deviations.
+        """The deviation q of a cost, in standard deviations.
 
         Raises:
             InvalidInput: the cost is not above zero.
@@ -178,27 +178,27 @@ class ControlChart:
         if cost == math.inf:
             return math.inf
         (x,) = _logarithms([cost])
-        t = (x - state.mean) / (self.scatter(state) * math.sqrt(1.0 + 1.0 / state.known))
+        t = (x - state.mean) / (self.repeatability(state) * math.sqrt(1.0 + 1.0 / state.known))
         from scipy.special import ndtri, stdtr  # noqa: PLC0415  slow to import
 
         # The lower tail, where the distributions keep their digits.
         return math.copysign(float(ndtri(stdtr(state.freedom, -abs(t)))), t)
 
-    def scatter(self, state: ChartState) -> float:
-        """Standard deviation of the log cost that is reckoned with."""
+    def repeatability(self, state: ChartState) -> float:
+        """Standard deviation of the log cost, at least `scatter_min`."""
         return max(math.sqrt(state.squares / state.freedom), self.scatter_min)
 
 
 @lru_cache(maxsize=64)
 def limit_for(smoothing: float, run_length: float) -> float:
-    """The limit h that gives an average run length while nothing changes."""
+    """The limit h that gives an average run length without a change."""
     from scipy.optimize import brentq  # noqa: PLC0415  slow to import
 
-    def off(h: float) -> float:
+    def log_error(h: float) -> float:
         return math.log(average_run_length(smoothing, h) / run_length)
 
     sigma = math.sqrt(smoothing / (2.0 - smoothing))  # of z, after a long time
-    return float(brentq(off, 0.5 * sigma, 6.0 * sigma, xtol=1e-9))
+    return float(brentq(log_error, 0.5 * sigma, 6.0 * sigma, xtol=1e-9))
 
 
 def average_run_length(smoothing: float, limit: float, shift: float = 0.0) -> float:
@@ -207,7 +207,7 @@ def average_run_length(smoothing: float, limit: float, shift: float = 0.0) -> fl
     Args:
         smoothing: lambda.
         limit: h.
-        shift: Mean of the q, their standard deviation being 1; 0 while nothing has changed.
+        shift: Mean of the q, whose standard deviation is 1; 0 without a change.
     """
     nodes, weights = np.polynomial.legendre.leggauss(NODES)
     y, w = limit * nodes, limit * weights
@@ -219,8 +219,8 @@ def average_run_length(smoothing: float, limit: float, shift: float = 0.0) -> fl
 
 
 def _learn(state: ChartState, x: float) -> ChartState:
-    """Takes a value into the baseline, so long as it is not known well enough."""
-    if state.known >= LEARNT:
+    """The state with a value added to its baseline."""
+    if state.known >= BASELINE_MAX:
         return state
     known = state.known + 1
     mean = state.mean + (x - state.mean) / known

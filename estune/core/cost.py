@@ -6,22 +6,22 @@ With the error eps = r - y, the step dT and the time t measured from the step,
     N(eps) = int t eps^2 dt + 1/t_s int_0^{t_s} eps^2 / (1 + exp(pi (t - t_s)/(2 t_s))) dt
 
 Implements (35), where eps_1 = dT exp(-4 t/t_s) is the error of a first-order system that settles
-within 2 % in the desired time t_s. Divided by it, eta depends on neither the size nor the sign of
-the step, and eta = 1 reads "as good as first order". The paper advises t_s <= 2 pi / omega_n, with
-omega_n the plant's natural frequency in rad/s.
+within 2 % in the desired time t_s. So eta depends on neither the size nor the sign of the step,
+and eta = 1 means "as good as first order". The paper advises t_s <= 2 pi / omega_n, with omega_n
+the plant's natural frequency in rad/s.
 
-Two things in the paper do not agree, and are options here:
+The paper contradicts itself in two places, both options here:
 
-* The printed sigmoid falls with time, from 0.83 at the step to 0.5 at t_s, so it weights the
-  transient most; the prose says that the transient is de-emphasised. `weight="rising"` is the
-  prose: the mirrored sigmoid, from 0.17 to 0.5.
-* The printed terms have different units, s^2 N^2 and N^2, so that their balance changes with the
-  unit of time. `time_unit="settling_time"` puts t in units of t_s, which makes eta the same for a
+* The printed sigmoid falls with time, from 0.83 at the step to 0.5 at t_s, and so weights the
+  transient most; the prose de-emphasises the transient. `weight="rising"` is the prose: the
+  mirrored sigmoid, from 0.17 to 0.5.
+* The printed terms have different units, s^2 N^2 and N^2, so that their balance depends on the
+  unit of time. `time_unit="settling_time"` puts t in units of t_s, so that eta is the same for a
   fast and a slow loop of the same shape; "second" is as printed, with t in s.
 
-The printed cost has no price on effort, and its optimum often lies at infinite gain. An optional
-move penalty, `+ w sum((du_k/dT)^2)` over the samples from the step on, makes it interior. It is a
-sum, not an integral, so w belongs to one sampling rate.
+The printed cost does not penalise control effort, and its optimum often lies at infinite gain. An
+optional control-move penalty, `+ w sum((du_k/dT)^2)` over the samples from the step on, makes it
+interior. It is a sum, not an integral, so w belongs to one sampling rate.
 """
 
 import math
@@ -32,7 +32,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from estune.core.quantities import FloatArray
+from estune.core.quantities import FloatArray, check_not_negative, check_positive
 from estune.errors import InvalidInput
 
 
@@ -41,13 +41,13 @@ class StepCost:
     """The settings of (35).
 
     Attributes:
-        settling_time_s: Desired settling time t_s, s; at most what is recorded after the step.
-        weight: "printed", the sigmoid that falls with time, or "rising", the one of the prose.
+        settling_time_s: Desired settling time t_s, s; at most the time recorded after the step.
+        weight: "printed", the sigmoid that falls with time, or "rising", that of the prose.
         time_unit: "second" as printed, or "settling_time" for t in units of t_s.
-        move_weight: Weight w of the move penalty, no unit; zero, the printed cost, has none.
+        move_weight: Weight w of the control-move penalty, no unit; zero as printed.
 
     Raises:
-        InvalidInput: a value is not finite, or not one of those it may be.
+        InvalidInput: a value is out of its range or not among the choices.
     """
 
     settling_time_s: float
@@ -56,14 +56,8 @@ class StepCost:
     move_weight: float = 0.0
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.settling_time_s) and self.settling_time_s > 0.0):
-            raise InvalidInput(
-                f"settling time is {self.settling_time_s} s; it must be finite and above zero"
-            )
-        if not (math.isfinite(self.move_weight) and self.move_weight >= 0.0):
-            raise InvalidInput(
-                f"move weight is {self.move_weight}; it must be finite, and zero or above"
-            )
+        check_positive("settling time", self.settling_time_s, "s")
+        check_not_negative("move weight", self.move_weight)
         if self.weight not in ("printed", "rising"):
             raise InvalidInput(f"weight is {self.weight!r}; it must be 'printed' or 'rising'")
         if self.time_unit not in ("second", "settling_time"):
@@ -71,7 +65,7 @@ class StepCost:
                 f"time unit is {self.time_unit!r}; it must be 'second' or 'settling_time'"
             )
 
-    def evaluate(  # noqa: PLR0917  the loop's own order: where the step is, then r, y, u
+    def evaluate(  # noqa: PLR0917  the order of the loop: the step, then r, y, u
         self,
         sampling_Hz: float,
         step_index: int,
@@ -84,20 +78,20 @@ class StepCost:
 
         Args:
             sampling_Hz: Sampling rate.
-            step_index: Index of the first sample whose setpoint is the stepped one.
+            step_index: Index of the first sample of the stepped setpoint.
             step_N: Size of the step dT, N; not zero.
             setpoint_N: Setpoint r before its filter, N, shape (samples,) or (..., samples).
             measurement_N: Measurement y, N, shape (..., samples).
-            effort_N: Effort u, N, shape (..., samples); only the move penalty looks at it.
+            effort_N: Control effort u, N, shape (..., samples); for the move penalty only.
 
         Returns:
             A float, or an array of shape (...). NaN in the response gives NaN; a response too
             large to be squared gives infinity.
 
         Raises:
-            InvalidInput: the settling time is longer than what was recorded after the step, the
-                step is zero or outside the record, the columns differ in length, or there is no
-                sample before the step to count the first move from.
+            InvalidInput: the settling time is longer than the record after the step, the step is
+                zero or outside the record, the columns differ in length, or there is no sample
+                before the step from which to count the first move.
         """
         if not (math.isfinite(step_N) and step_N != 0.0):
             raise InvalidInput(f"step size is {step_N} N; it must be finite and not zero")
@@ -115,7 +109,7 @@ class StepCost:
             )
         weights = _normalised_weights(self, sampling_Hz, samples - step_index)
         after = (..., slice(step_index, None))
-        # A diverged response overflows to infinity, which says all there is to say.
+        # A diverged response overflows to infinity, which is its cost.
         with np.errstate(over="ignore", invalid="ignore"):
             error = (setpoint[after] - measurement[after]) / step_N
             eta = (error * error) @ weights
@@ -126,15 +120,8 @@ class StepCost:
     def weights(self, sampling_Hz: float, samples: int) -> FloatArray:
         """Weights w_k with eta = sum(w_k eps_k^2)/dT^2 over the samples from the step on.
 
-        None is below zero: what a trial has run up by a sample only grows. The move penalty is
-        not in them.
-
-        Args:
-            sampling_Hz: Sampling rate.
-            samples: How many there are from the step on.
-
-        Returns:
-            Read-only, shape (samples,).
+        Read-only, shape (samples,). None is negative, so the cost of a running trial only grows.
+        They do not contain the move penalty.
 
         Raises:
             InvalidInput: the settling time is longer than so many samples.
@@ -155,9 +142,8 @@ def _moves(step_index: int, step_N: float, effort: FloatArray) -> FloatArray:
 
 @lru_cache(maxsize=256)
 def _normalised_weights(cost: StepCost, sampling_Hz: float, samples: int) -> FloatArray:
-    """The quadrature of N in (35) as weights of eps_k^2/dT^2, over that of the reference."""
-    if not (math.isfinite(sampling_Hz) and sampling_Hz > 0.0):
-        raise InvalidInput(f"sampling rate is {sampling_Hz} Hz; it must be finite and above zero")
+    """Weights of eps_k^2/dT^2 in N of (35) by quadrature, over N of the reference."""
+    check_positive("sampling rate", sampling_Hz, "Hz")
     if samples < 2:
         raise InvalidInput("the step is at the last sample; there is no response to score")
     t_s, h = cost.settling_time_s, 1.0 / sampling_Hz
@@ -169,7 +155,7 @@ def _normalised_weights(cost: StepCost, sampling_Hz: float, samples: int) -> Flo
     t = np.arange(samples, dtype=np.float64) * h
     sign = 1.0 if cost.weight == "printed" else -1.0
     exponent = sign * np.pi * (t - t_s) / (2.0 * t_s)
-    # Past t_s the sigmoid is not used; only its overflow would be noticed.
+    # Past t_s the sigmoid is unused; the minimum prevents its overflow.
     sigmoid = 1.0 / (1.0 + np.exp(np.minimum(exponent, 700.0)))
     unit = 1.0 if cost.time_unit == "second" else t_s
     weights: FloatArray = t / unit**2 * _trapezoid(t, h, t[-1]) + sigmoid / t_s * _trapezoid(
@@ -183,9 +169,9 @@ def _normalised_weights(cost: StepCost, sampling_Hz: float, samples: int) -> Flo
 def _trapezoid(t: FloatArray, h: float, end: float) -> FloatArray:
     """Weights w_k such that w @ f integrates the straight lines through f from 0 to `end`, s.
 
-    The end may lie between two samples; past the last sample nothing is added.
+    The end may lie between two samples, or beyond the last one.
     """
-    left = np.clip((end - t[:-1]) / h, 0.0, 1.0)  # the share of each interval that is inside
+    left = np.clip((end - t[:-1]) / h, 0.0, 1.0)  # share of each interval inside
     weights = np.zeros_like(t)
     weights[:-1] += h * (left - left**2 / 2.0)
     weights[1:] += h * left**2 / 2.0

@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass
 from typing import Self
 
+from estune.core.quantities import check_not_negative, check_positive
 from estune.errors import InvalidInput
 
 
@@ -15,10 +16,10 @@ class Gains:
         P: Proportional gain, output unit per input unit (N/N on a reel); above zero.
         I: Integral gain, 1/s times the unit of P; zero or above.
         D: Derivative gain, s times the unit of P; zero or above.
-        setpoint_filter_s: Time constant of the setpoint filter F, first order, s; zero is none.
+        setpoint_filter_s: Time constant of the first-order setpoint filter F, s; zero is none.
 
     Raises:
-        InvalidInput: a value is not finite, or below what it may be.
+        InvalidInput: a value is not finite, or below its least value.
     """
 
     P: float
@@ -27,13 +28,9 @@ class Gains:
     setpoint_filter_s: float
 
     def __post_init__(self) -> None:
-        # isfinite first: a NaN passes every comparison with a bound.
-        if not (math.isfinite(self.P) and self.P > 0.0):
-            raise InvalidInput(f"gain P is {self.P}; it must be finite and above zero")
+        check_positive("gain P", self.P)
         for name in ("I", "D", "setpoint_filter_s"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value >= 0.0):
-                raise InvalidInput(f"gain {name} is {value}; it must be finite, and zero or above")
+            check_not_negative(f"gain {name}", getattr(self, name))
 
     @classmethod
     def from_standard(cls, K: float, Ti: float, Td: float, setpoint_filter_s: float = 0.0) -> Self:

@@ -1,16 +1,16 @@
-"""Gains to begin a tuning from, by rule from the second-order model of the plant.
+"""Initial gains by rules from the second-order model of the plant.
 
 The paper takes its initial gains from the identified second-order model by the rules of Shen &
-Chiang ("PID tuning rules for second order systems", 5th Asian Control Conference, 2004). The
-formulas of those rules are not given in the paper nor reproduced here; `sensitivity_limited`
-answers the same question, the PID gains of a second-order plant with dead time, from first
-principles (it is not their rule), and the common rules stand beside it. Every proposal carries the
-margins of the loop as it will run: sampled, held, with the derivative filter.
+Chiang ("PID tuning rules for second order systems", 5th Asian Control Conference, 2004), without
+printing them. `sensitivity_limited` gives the PID gains of a second-order plant with dead time
+from first principles; it is not their rule. The common rules stand beside it. Every proposal
+carries the margins of the sampled loop with hold and derivative filter.
 
-All rules take the setpoint filter's time constant as P/I, which cancels the zero that the setpoint
-path `C_r = P + I/s`, (33), would add.
+All rules set the setpoint filter's time constant to P/I, which cancels the zero of the setpoint
+path `C_r = P + I/s`, (33).
 """
 
+import contextlib
 import math
 from collections.abc import Callable
 from typing import Literal, NamedTuple, Self, get_args
@@ -20,6 +20,7 @@ import numpy as np
 from estune.core.gains import Gains
 from estune.core.margins import Margins, SampledPlant, loop_margins, sample_plant
 from estune.core.pidf import ControllerSettings
+from estune.core.quantities import check_positive
 from estune.core.second_order import SecondOrder
 from estune.core.sensitivity import SensitivityLimits, largest_integral_gain
 from estune.errors import InvalidInput, UnsafeStart
@@ -29,17 +30,11 @@ RULES: tuple[Rule, ...] = get_args(Rule)
 
 LEAST_GAIN_MARGIN = 1.5
 LEAST_PHASE_MARGIN_deg = 25.0
-"""A start with less is refused: the first dithered trials would be on the edge."""
+"""Initial gains with smaller margins are refused: dithered trials would reach instability."""
 
 
 class Proposal(NamedTuple):
-    """Gains by a rule, and what the loop makes of them.
-
-    Attributes:
-        rule: The rule.
-        gains: What it says.
-        margins: Margins of the sampled loop with the model; `stable` says whether it is.
-    """
+    """Gains by a rule, and the margins of the sampled loop with the model."""
 
     rule: Rule
     gains: Gains
@@ -47,7 +42,7 @@ class Proposal(NamedTuple):
 
     @property
     def safe(self) -> bool:
-        """Whether the loop is stable with room to spare."""
+        """Whether the loop is stable with sufficient margins."""
         return (
             self.margins.stable
             and self.margins.phase_margin_deg >= LEAST_PHASE_MARGIN_deg
@@ -55,11 +50,7 @@ class Proposal(NamedTuple):
         )
 
     def checked(self) -> Self:
-        """The proposal itself, if it is safe.
-
-        Raises:
-            UnsafeStart: it is not.
-        """
+        """The proposal itself; raises UnsafeStart unless it is safe."""
         if self.safe:
             return self
         m = self.margins
@@ -75,42 +66,28 @@ class Proposal(NamedTuple):
         )
 
 
-def initial_gains(
-    model: SecondOrder, settings: ControllerSettings, rule: Rule = "sensitivity_limited"
-) -> Gains:
-    """The gains of one rule, refused where they would not be safe to begin from.
+def proposals(model: SecondOrder, settings: ControllerSettings) -> tuple[Proposal, ...]:
+    """The proposal of each rule that applies, in the order of `RULES`."""
+    made = []
+    for rule in RULES:
+        with contextlib.suppress(InvalidInput):
+            made.append(propose(model, settings, rule))
+    return tuple(made)
+
+
+def propose(model: SecondOrder, settings: ControllerSettings, rule: Rule) -> Proposal:
+    """The proposal of one rule, safe or not.
 
     Args:
         model: The plant with the effort as its input: gain in N/N.
         settings: Sampling rate and derivative filter of the controller.
-        rule: Which rule.
+        rule: The rule.
 
     Raises:
         InvalidInput: there is no such rule, or it does not apply to the model.
-        UnsafeStart: the loop would be unstable, or near it.
     """
     if rule not in RULES:
         raise InvalidInput(f"there is no rule {rule!r}; choose one of {', '.join(RULES)}")
-    return propose(model, settings, rule).checked().gains
-
-
-def proposals(model: SecondOrder, settings: ControllerSettings) -> tuple[Proposal, ...]:
-    """What each rule says, in the order of `RULES`; those that do not apply are left out."""
-    found = []
-    for rule in RULES:
-        try:
-            found.append(propose(model, settings, rule))
-        except InvalidInput:
-            continue
-    return tuple(found)
-
-
-def propose(model: SecondOrder, settings: ControllerSettings, rule: Rule) -> Proposal:
-    """What one rule says, safe or not.
-
-    Raises:
-        InvalidInput: the rule does not apply to the model.
-    """
     rules: dict[Rule, Callable[[SecondOrder, ControllerSettings], Gains]] = {
         "sensitivity_limited": sensitivity_limited,
         "imc": imc,
@@ -124,12 +101,12 @@ def propose(model: SecondOrder, settings: ControllerSettings, rule: Rule) -> Pro
 def ziegler_nichols(model: SecondOrder, settings: ControllerSettings) -> Gains:
     """`K = 0.6 K_u, Ti = T_u/2, Td = T_u/8` (Ziegler & Nichols 1942), K_u of the sampled loop.
 
-    Made for overdamped plants; on a resonant reel it says little, and is often unstable.
+    Made for overdamped plants; on a resonant reel it is often unstable.
 
     Raises:
         InvalidInput: no proportional gain makes the loop oscillate.
     """
-    # Low enough to be stable whatever the resonance adds.
+    # Low enough to be stable at the peak of the resonance.
     small = Gains(0.02 * model.damping / model.gain, 0.0, 0.0, 0.0)
     edge = loop_margins(_sampled(model, settings), small, settings)
     if not math.isfinite(edge.gain_margin) or not edge.phase_crossover_Hz > 0.0:
@@ -148,12 +125,12 @@ def imc(
 
     `K = 2 zeta/(w k (lambda + theta)), Ti = 2 zeta/w, Td = 1/(2 zeta w)`, so that the loop is
     `1/((lambda + theta) s)` with the dead time theta. Disturbances and, as the derivative acts on
-    the measurement alone, setpoints still ring at the plant's own damping: of little use to a
-    reel.
+    the measurement alone, setpoints still oscillate at the plant's own damping, so that the rule
+    suits a reel little.
 
     Args:
         model: The plant.
-        settings: The dead time counts half a sample for the hold and the derivative filter.
+        settings: Half a sample and the derivative filter count as dead time.
         closed_loop_s: Time constant lambda of the closed loop, s; None is a quarter of
             `2 pi/w`, the longest settling time the paper allows in (35), or theta if longer.
 
@@ -162,10 +139,9 @@ def imc(
     """
     w, zeta = model.natural_frequency_rad_s, model.damping
     theta = _effective_dead_time_s(model, settings)
-    wanted = max(math.pi / (2.0 * w), theta) if closed_loop_s is None else closed_loop_s
-    if not (math.isfinite(wanted) and wanted > 0.0):
-        raise InvalidInput(f"closed-loop time constant is {wanted} s; it must be above zero")
-    K = 2.0 * zeta / (w * model.gain * (wanted + theta))
+    time_s = max(math.pi / (2.0 * w), theta) if closed_loop_s is None else closed_loop_s
+    check_positive("closed-loop time constant", time_s, "s")
+    K = 2.0 * zeta / (w * model.gain * (time_s + theta))
     return _with_filter(K, 2.0 * zeta / w, 1.0 / (2.0 * zeta * w))
 
 
@@ -183,25 +159,25 @@ def pole_placement(
 
     Args:
         model: The plant.
-        settings: The dead time counts half a sample for the hold and the derivative filter.
+        settings: Half a sample and the derivative filter count as dead time.
         frequency_rad_s: Distance of the poles from the origin, rad/s; None is 1.5 times the
-            plant's natural frequency, or what half a radian of dead time leaves, if less.
+            plant's natural frequency, at most half a radian per dead time.
         damping: Damping ratio of the pair.
 
     Raises:
-        InvalidInput: the poles ask for a gain that is not above zero.
+        InvalidInput: the poles need a gain that is not above zero.
     """
     theta = _effective_dead_time_s(model, settings)
     w = model.natural_frequency_rad_s
-    wanted = min(1.5 * w, 0.5 / theta) if frequency_rad_s is None else frequency_rad_s
-    if not (math.isfinite(wanted) and wanted > 0.0 and 0.0 < damping < 1.0):
+    radius = min(1.5 * w, 0.5 / theta) if frequency_rad_s is None else frequency_rad_s
+    if not (math.isfinite(radius) and radius > 0.0 and 0.0 < damping < 1.0):
         raise InvalidInput(
-            f"poles of {wanted} rad/s with damping {damping}: give a frequency above zero and a "
+            f"poles of {radius} rad/s with damping {damping}: give a frequency above zero and a "
             "damping between 0 and 1"
         )
-    pair = wanted * complex(-damping, math.sqrt(1.0 - damping**2))
+    pair = radius * complex(-damping, math.sqrt(1.0 - damping**2))
     rows, right = [], []
-    for s in (complex(-wanted), pair):
+    for s in (complex(-radius), pair):
         inverse = -(s**2 + 2.0 * model.damping * w * s + w**2) / (model.gain * w**2)
         target = inverse * np.exp(s * theta)
         rows += [[1.0, (1.0 / s).real, s.real], [0.0, (1.0 / s).imag, s.imag]]
@@ -210,7 +186,7 @@ def pole_placement(
     P, I, D = np.linalg.solve(np.array(rows)[kept], np.array(right)[kept])
     if not (P > 0.0 and I > 0.0 and D >= 0.0):
         raise InvalidInput(
-            f"poles at {wanted:.4g} rad/s ask for P {P:.3g}, I {I:.3g}, D {D:.3g}, which are not "
+            f"poles at {radius:.4g} rad/s need P {P:.3g}, I {I:.3g}, D {D:.3g}, which are not "
             "all positive; place them elsewhere, or use another rule"
         )
     return Gains(float(P), float(I), float(D), float(P / I))
@@ -223,10 +199,10 @@ def sensitivity_limited(
 ) -> Gains:
     """The largest integral gain within limits of sensitivity, setpoint response and noise.
 
-    See `estune.core.sensitivity`, which does the same for any linear plant.
+    See `estune.core.sensitivity`, which is for any linear plant.
 
     Raises:
-        InvalidInput: the model is so near instability that no gains keep the limits.
+        InvalidInput: no gains keep the limits, as for a model near instability.
     """
     return largest_integral_gain(_sampled(model, settings), settings, limits)
 
@@ -236,7 +212,7 @@ def _with_filter(K: float, Ti: float, Td: float) -> Gains:
 
 
 def _effective_dead_time_s(model: SecondOrder, settings: ControllerSettings) -> float:
-    """Dead time, hold, and lags that a continuous rule does not see, s."""
+    """Dead time, hold and lags that a continuous rule ignores, s."""
     _check_sign(model)
     lag = settings.derivative_filter_s + 0.5 / settings.sampling_Hz
     if model.gauge is not None:
@@ -247,8 +223,8 @@ def _effective_dead_time_s(model: SecondOrder, settings: ControllerSettings) -> 
 def _check_sign(model: SecondOrder) -> None:
     if model.gain < 0.0:
         raise InvalidInput(
-            f"model gain is {model.gain:.4g}: more effort lowers the output; turn the sign of the "
-            "input, for the controller's gains are positive"
+            f"model gain is {model.gain:.4g}: more effort lowers the output; the controller's "
+            "gains are positive, so turn the sign of the input"
         )
 
 

@@ -1,11 +1,10 @@
 """Stability and margins of the sampled loop: the plant with its dead time, and the PIDF.
 
-The loop is taken as it runs. The plant is exact under zero-order hold, with the dead time split
-into whole samples and a fraction of one (Astrom & Wittenmark, Computer-Controlled Systems, section
-on sampling a system with time delay); the controller is its own difference equation. Nothing is
-expanded into polynomials, which lose all their digits for a fast-sampled plant or a long dead
-time: the loop's frequency response is evaluated, the crossings are found on it, and stability is
-the winding number of its return difference (Nyquist).
+The plant is exact under zero-order hold, with the dead time split into whole samples and a
+fraction of one (Astrom & Wittenmark, Computer-Controlled Systems, section on sampling a system
+with time delay); the controller is its own difference equation. Polynomials would lose all their
+digits for a fast-sampled plant or a long dead time. So the crossings are taken from the frequency
+response of the loop, and stability from the winding number of its return difference (Nyquist).
 """
 
 import math
@@ -14,13 +13,11 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
-from estune.core.quantities import FloatArray
+from estune.core.quantities import ComplexArray, FloatArray
 
-ComplexArray = NDArray[np.complex128]
 Response = Callable[[FloatArray], ComplexArray]
 """A function of the angle theta = omega h on the unit circle, rad/sample."""
 
@@ -28,22 +25,21 @@ POINTS_PER_DECADE = 100
 POINTS_PER_TURN = 20
 """Grid per turn of z^-d, with d the dead time in samples."""
 FINEST_TURN_rad = math.pi / 8.0
-"""The grid is halved wherever a response turns by more from one point to the next."""
+"""The grid is halved where a response turns by more from one point to the next."""
 FINEST_STEP = 1e-8
-"""No interval of the grid is made smaller than this share of its angle."""
+"""Least interval of the grid, as a share of its angle."""
 LEAST_GAIN = 1e-6
-"""Below this loop gain, a gain margin of a million, crossings are noise and are not looked for."""
+"""Below this loop gain, a gain margin of a million, crossings are noise and are ignored."""
 
 
 class Margins(NamedTuple):
-    """How far a loop is from instability. Of an unstable loop all but `stable` is NaN.
+    """Stability margins of a loop; all but `stable` are NaN if it is unstable.
 
     Attributes:
-        gain_margin: Factor on the loop gain at which stability is lost: above one the gain may
-            grow by it, below one (a conditionally stable loop) it may shrink to it, whichever is
-            nearer. Infinite if no factor does it.
-        phase_margin_deg: Angle by which the loop's phase may turn before stability is lost, in
-            degrees: the smallest over all gain crossovers, infinite if there are none.
+        gain_margin: Factor on the loop gain at which stability is lost, the nearest to one;
+            below one for a conditionally stable loop, infinite if there is none.
+        phase_margin_deg: Change of the loop's phase at which stability is lost, the smallest over
+            all gain crossovers, degrees; infinite if there are none.
         gain_crossover_Hz: Frequency of the phase margin, where the loop gain is one; NaN if none.
         phase_crossover_Hz: Frequency of the gain margin, where the phase is -180 degrees; NaN if
             none.
@@ -65,8 +61,8 @@ class SampledPlant:
 
     Attributes:
         Phi: exp(A h), shape (n, n).
-        now: Share of the command in force at the end of the interval, shape (n,).
-        before: Share of the one in force at its beginning, shape (n,).
+        now: Input vector of the command at the end of the interval, shape (n,).
+        before: Input vector of the command at its beginning, shape (n,).
         C: Output vector, shape (n,).
         E: Direct feed-through.
         delay: Whole samples d of dead time.
@@ -118,7 +114,7 @@ def sample_plant(
 
 def _hold(A: FloatArray, B: FloatArray, span_s: float) -> tuple[FloatArray, FloatArray]:
     """exp(A t) and the integral of exp(A s) B over 0..t."""
-    from scipy.linalg import expm  # noqa: PLC0415  slow to import, and wanted by few
+    from scipy.linalg import expm  # noqa: PLC0415  slow to import
 
     n = B.size
     both = np.zeros((n + 1, n + 1))
@@ -201,8 +197,8 @@ def _grid(plant: SampledPlant, gains: Gains, settings: ControllerSettings) -> Fl
         low = float(np.clip(1e-3 * slow, 1e-12, low))
     decades = math.ceil(math.log10(math.pi / low))
     turns = POINTS_PER_TURN * (plant.delay + 2) // 2
-    # Beside each mode, so that one nearly cancelled by a zero is not stepped over; never on it, as
-    # at an undamped pole the loop is infinite. No halving of these offsets ends at zero.
+    # Beside each mode, so that one nearly cancelled by a zero is resolved; never on it, where the
+    # loop of an undamped pole is infinite. No halving of these offsets ends at zero.
     modes = np.abs(np.angle(np.exp(1j * plant.modes.imag)))
     width = np.maximum(np.abs(plant.modes.real), 1e-4 * np.abs(plant.modes))
     beside = (modes + width * np.array([[-2.0], [-0.5], [0.6], [2.3]])).ravel()
@@ -232,7 +228,7 @@ def _resolved(theta: FloatArray, loop: Response, without_poles: Response) -> Flo
 
 
 def _turns(response: ComplexArray) -> FloatArray:
-    """How far a response turns from each point to the next, rad, without sign; NaN about zero."""
+    """Angle between successive points of a response, rad, without sign; NaN about zero."""
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.abs(np.angle(response[1:] / response[:-1]))
 
@@ -250,7 +246,7 @@ def _is_stable(return_difference: ComplexArray) -> bool:
 def _roots(
     function: Callable[[FloatArray], FloatArray], theta: FloatArray, values: FloatArray
 ) -> FloatArray:
-    """Where the function changes sign between neighbours of the grid, by bisection."""
+    """Sign changes of the function between neighbours of the grid, by bisection."""
     change = np.flatnonzero(values[:-1] * values[1:] < 0.0)
     low, high, sign = theta[change], theta[change + 1], np.sign(values[change])
     for _ in range(60):

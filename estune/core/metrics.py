@@ -1,9 +1,8 @@
-"""What a step response looks like in numbers: rise, settling, overshoot, steady-state error.
+"""Step-response metrics: rise time, settling time, overshoot, steady-state error.
 
-The definitions are the usual ones of a step response, taken between two given values, so that
-they hold for a step from 10 N to 11 N, downwards, or to zero; and for a record, which has noise,
-an end, and perhaps no steady state. python-control's `step_info` is meant for ideal responses
-from zero.
+The usual definitions, between two given values, so that they hold for any step, up or down, and
+for a noisy record that may end before the steady state. python-control's `step_info` is for ideal
+responses from zero.
 """
 
 import math
@@ -15,26 +14,26 @@ from numpy.typing import ArrayLike
 from estune.core.quantities import FloatArray
 
 STEADY_SHARE = 10
-"""The last tenth of the samples after the step shows the steady state: the error there is its
-mean, and a response is settled only if it stays in the band throughout."""
+"""The last tenth of the samples after the step counts as steady state: its mean gives the error,
+and a settled response stays in the band throughout."""
 
 NOISE_SIGMAS = 4.0
 WIDEST_NOISE_BAND = 0.05
 """Noise widens the settling band to four standard deviations of the measurement before the step,
-for otherwise one sample in a hundred would decide; but only to 5 % of the step, the widest band in
-common use, so that a loop that oscillates before the step is not called settled after it."""
+or one sample in a hundred would decide. The limit is 5 % of the step, the widest band in common
+use, so that a loop that oscillates before the step does not count as settled."""
 
 
 class StepMetrics(NamedTuple):
-    """Metrics of one step response; NaN where the response does not have them.
+    """Metrics of one step response; NaN where undefined.
 
     Attributes:
         rise_time_s: From 10 % to 90 % of the step, s; NaN if 90 % is not reached.
         settling_time_s: From the step until the response stays in the band, s; NaN if it leaves
             it in the last tenth of the samples. Noise before the step widens the band, to 5 % at
             most.
-        overshoot: Furthest past the final value, as a fraction of the step; zero if it never is.
-            Noise counts: it is the largest sample.
+        overshoot: Largest sample past the final value, noise included, as a fraction of the step;
+            zero if none is.
         steady_state_error: Final value less the mean over the last tenth of the samples after the
             step, in the unit of the measurement.
     """
@@ -57,22 +56,19 @@ def step_metrics(
     final: float,
     band: float = 0.02,
 ) -> StepMetrics:
-    """Measures a step response between the values it was to go from and to.
+    """Metrics of a step response between its initial and its final setpoint.
 
     Bad data are not an error: with a value that is not finite, fewer than two samples after the
     step, times that do not increase, columns of different length, or no step at all, every metric
-    is NaN.
+    is NaN. Times between samples are interpolated linearly.
 
     Args:
         time_s: Time of each sample, s, shape (samples,).
         measurement: Measured response, shape (samples,), any unit.
         step_time_s: Time of the step, s.
-        initial: Value the step starts from, in the unit of the measurement.
-        final: Value the response should settle at.
-        band: Half-width of the settling band, as a fraction of the step, where noise lets it be.
-
-    Returns:
-        The metrics. Times between samples are interpolated along straight lines.
+        initial: Setpoint before the step, in the unit of the measurement.
+        final: Setpoint after the step.
+        band: Half-width of the settling band without noise, as a fraction of the step.
     """
     time = np.asarray(time_s, dtype=np.float64)
     values = np.asarray(measurement, dtype=np.float64)
@@ -83,7 +79,7 @@ def step_metrics(
         return NO_METRICS
     first = int(time.searchsorted(step_time_s))
     t, tail = time[first:], values[-_steady_samples(len(values) - first) :]
-    with np.errstate(over="ignore", invalid="ignore"):  # of a response that has run away
+    with np.errstate(over="ignore", invalid="ignore"):  # of a diverged response
         shares = (values - initial) / span
         before, z = shares[:first], shares[first:]
         if len(z) < 2 or not np.isfinite(shares).all():
@@ -98,7 +94,7 @@ def step_metrics(
 
 
 def _deviation(values: FloatArray) -> float:
-    """Standard deviation, at a third of the time of `std`; zero of nothing."""
+    """Standard deviation, in a third of the time of `std`; zero if empty."""
     if not len(values):
         return 0.0
     centred = values - values.sum() / len(values)
@@ -106,10 +102,7 @@ def _deviation(values: FloatArray) -> float:
 
 
 def _rise_time(t: FloatArray, z: FloatArray) -> float:
-    """From the last sample below 10 % ahead of the first crossing of 90 %, to that crossing.
-
-    Taking the last such sample keeps noise about the initial value out of the rise.
-    """
+    """Time from the last sample below 10 % before the first crossing of 90 %, to that crossing."""
     above = z >= 0.9
     high = int(above.argmax())
     if not above[high]:
@@ -120,7 +113,7 @@ def _rise_time(t: FloatArray, z: FloatArray) -> float:
 
 
 def _settling_time(t: FloatArray, z: FloatArray, band: float) -> float:
-    """The time from which the response stays within the band; NaN if that is not shown."""
+    """Time from which the response stays within the band; NaN if it does not."""
     outside = np.abs(z - 1.0) > band
     if not outside.any():
         return float(t[0])
@@ -135,7 +128,7 @@ def _steady_samples(after_step: int) -> int:
 
 
 def _crossing(t: FloatArray, z: FloatArray, before: int, level: float) -> float:
-    """When the line from sample `before` to the next meets the level; the first sample for -1."""
+    """Time at which the line from a sample to the next meets the level; the first time for -1."""
     if before < 0:
         return float(t[0])
     z0, z1 = float(z[before]), float(z[before + 1])

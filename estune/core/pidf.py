@@ -1,17 +1,17 @@
 """The PIDF controller, (32) to (34), discrete at the rig's sampling rate.
 
-In continuous time, with setpoint r, measurement y and effort u,
+In continuous time, with setpoint r, measurement y and control effort u,
 
     C_y(s) = K (1 + 1/(Ti s) + Td s)                                    (32)
     C_r(s) = K (1 + 1/(Ti s))                                           (33)
     u = C_r F r - C_y y,  so that  T = F G C_r / (1 + G C_y)            (34)
 
-Implements (32) to (34), with P = K, I = K/Ti, D = K Td and F = 1/(tau_F s + 1): the derivative
-acts on the measurement alone. As the paper says after (34), the two terms are not run as two
-integrators whose difference would lose digits; the error is formed first and integrated once.
+Implements (32) to (34), with P = K, I = K/Ti, D = K Td and F = 1/(tau_F s + 1). The derivative
+acts on the measurement alone. As stated after (34), the two terms do not run as two integrators,
+whose difference would lose digits; the error is formed first and integrated once.
 
-The functions use arithmetic and numpy's `exp`, `minimum` and `maximum` only, so that the one text
-serves floats on the rig, arrays in a batch, and CasADi symbols in simulation, fit and export.
+The functions use arithmetic and numpy's `exp`, `minimum` and `maximum` only, so that they serve
+floats on the rig, arrays in a batch, and CasADi symbols in simulation, fit and export.
 """
 
 from dataclasses import dataclass
@@ -20,6 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from estune.core.gains import Gains
+from estune.core.quantities import check_not_negative, check_positive
 from estune.errors import InvalidInput
 
 Signal = Any
@@ -33,8 +34,8 @@ class ControllerSettings:
     Attributes:
         sampling_Hz: Sampling rate.
         derivative_filter_s: Time constant of the first-order filter on the derivative, s.
-        output_min_N: Least effort, N; the anti-windup knows it.
-        output_max_N: Greatest effort, N.
+        output_min_N: Least control effort, N; known to the anti-windup.
+        output_max_N: Greatest control effort, N.
 
     Raises:
         InvalidInput: a value is out of its range, or the limits are the wrong way round.
@@ -46,12 +47,8 @@ class ControllerSettings:
     output_max_N: float
 
     def __post_init__(self) -> None:
-        if not (np.isfinite(self.sampling_Hz) and self.sampling_Hz > 0.0):
-            raise InvalidInput(f"sampling rate is {self.sampling_Hz} Hz; it must be above zero")
-        if not (np.isfinite(self.derivative_filter_s) and self.derivative_filter_s >= 0.0):
-            raise InvalidInput(
-                f"derivative filter is {self.derivative_filter_s} s; it must be zero or above"
-            )
+        check_positive("sampling rate", self.sampling_Hz, "Hz")
+        check_not_negative("derivative filter", self.derivative_filter_s, "s")
         if not self.output_min_N < self.output_max_N:
             raise InvalidInput(
                 f"output limits {self.output_min_N} to {self.output_max_N} N: not in order"
@@ -73,7 +70,7 @@ class Coefficients(NamedTuple):
 
 
 class PidfState(NamedTuple):
-    """What the controller remembers between samples."""
+    """The state of the controller between samples."""
 
     integral_N: Signal
     filtered_setpoint_N: Signal
@@ -92,7 +89,7 @@ def symbolic_coefficients(
     D: Signal,
     setpoint_filter_s: Signal,
 ) -> Coefficients:
-    """The same, for gains that may be arrays or CasADi symbols, which `Gains` cannot check."""
+    """The difference equation of gains that may be arrays or CasADi symbols."""
     h = 1.0 / settings.sampling_Hz
     return Coefficients(
         P=P,
@@ -115,16 +112,15 @@ def step(
 
     Args:
         c: The difference equation.
-        state: What the last sample left.
+        state: After the last sample.
         setpoint_N: Setpoint r before its filter, N.
         measurement_N: Measurement y, N.
 
     Returns:
-        The next state, the effort within its limits in N, and how much the limits cut off in N
-        (zero where they did not act).
+        The next state, the effort within its limits, N, and the excess beyond them, N.
     """
     r, error, derivative = _terms(c, state, setpoint_N, measurement_N)
-    effort, excess = limited(c, c.P * error + state.integral_N - c.D * derivative)
+    effort, excess = limit_effort(c, c.P * error + state.integral_N - c.D * derivative)
     following = PidfState(
         integral_N=state.integral_N + c.I_per_sample * error - c.tracking * excess,
         filtered_setpoint_N=r,
@@ -133,43 +129,43 @@ def step(
     return following, effort, excess
 
 
-def limited(c: Coefficients, wanted_N: Signal) -> tuple[Signal, Signal]:
-    """An effort within the controller's limits, N, and how much they cut off, N."""
+def limit_effort(c: Coefficients, wanted_N: Signal) -> tuple[Signal, Signal]:
+    """An effort within the controller's limits, N, and the excess beyond them, N."""
     effort = np.minimum(np.maximum(wanted_N, c.output_min_N), c.output_max_N)
     return effort, wanted_N - effort
 
 
-def at_rest(tension_N: Signal, effort_N: Signal) -> PidfState:
-    """The state of a loop that has settled at a tension with a constant effort."""
+def state_at_rest(tension_N: Signal, effort_N: Signal) -> PidfState:
+    """The state of a loop settled at a tension with a constant effort."""
     return PidfState(effort_N, tension_N, tension_N)
 
 
 def bumpless(
     c: Coefficients, state: PidfState, setpoint_N: Signal, measurement_N: Signal, effort_N: Signal
 ) -> PidfState:
-    """The state from which the next `step` gives exactly `effort_N`, whatever the gains were.
+    """The state from which the next `step` gives exactly `effort_N`.
 
-    Only the integral moves: the filters have seen the same signals under any gains.
+    Only the integral moves, because the filters do not depend on the gains.
     """
     _, error, derivative = _terms(c, state, setpoint_N, measurement_N)
     return state._replace(integral_N=effort_N - c.P * error + c.D * derivative)
 
 
-def exchanged(
+def bumpless_exchange(
     before: Coefficients,
     after: Coefficients,
     state: PidfState,
     setpoint_N: Signal,
     measurement_N: Signal,
 ) -> PidfState:
-    """The state from which the next `step` with other gains gives what it would with these.
+    """The state from which the next `step` with new gains gives the effort of the old ones.
 
-    For gains that follow a schedule: `bumpless` to the last effort at every sample would hold the
-    effort where it is.
+    For gains that follow a schedule: `bumpless` to the last effort at every sample would freeze
+    the effort.
     """
     _, error, derivative = _terms(before, state, setpoint_N, measurement_N)
-    wanted = before.P * error + state.integral_N - before.D * derivative
-    return bumpless(after, state, setpoint_N, measurement_N, wanted)
+    effort = before.P * error + state.integral_N - before.D * derivative
+    return bumpless(after, state, setpoint_N, measurement_N, effort)
 
 
 def _terms(

@@ -1,5 +1,6 @@
-"""Numbers given by the user: one float or an array of any shape, checked once."""
+"""Checks of numbers given by the user: one float, or an array of any shape."""
 
+import math
 from typing import Any
 
 import numpy as np
@@ -9,11 +10,28 @@ from estune.errors import InvalidInput
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
+ComplexArray = NDArray[np.complex128]
 Numbers = Any
 """A float, or an array of float64: scalars in, scalars out."""
 
 
-def checked(
+def check_positive(name: str, value: float, unit: str = "") -> None:
+    """Raises InvalidInput unless the value is finite and above zero."""
+    if not (math.isfinite(value) and value > 0.0):  # a NaN passes every comparison with a bound
+        raise InvalidInput(
+            f"{name} is {value}{unit and ' ' + unit}; it must be finite and above zero"
+        )
+
+
+def check_not_negative(name: str, value: float, unit: str = "") -> None:
+    """Raises InvalidInput unless the value is finite, and zero or above."""
+    if not (math.isfinite(value) and value >= 0.0):
+        raise InvalidInput(
+            f"{name} is {value}{unit and ' ' + unit}; it must be finite, and zero or above"
+        )
+
+
+def checked_array(
     name: str,
     values: ArrayLike,
     unit: str,
@@ -24,11 +42,11 @@ def checked(
     """The values as an array of float64.
 
     Args:
-        name: What they are, for the error.
+        name: Name of the quantity, for the error.
         values: The values, any shape.
         unit: Their unit, for the error.
-        above: They must be greater than this.
-        least: They must not be less than this.
+        above: Bound that every value must exceed.
+        least: Least value allowed.
 
     Raises:
         InvalidInput: a value is not a number, not finite or out of range.
@@ -39,23 +57,25 @@ def checked(
         raise InvalidInput(f"{name} must be a number or an array of numbers: {error}") from None
     good = np.isfinite(array) & (array > above) & (array >= least)
     if not good.all():
-        place = first(~good)
+        place = first_index(~good)
         limit = f"above {above:g}" if np.isfinite(above) else f"{least:g} or more"
         ranged = f"finite and {limit} {unit}" if np.isfinite(max(above, least)) else "finite"
-        raise InvalidInput(f"{name} is {array[place]:g} {unit}{at(place)}; it must be {ranged}")
+        raise InvalidInput(
+            f"{name} is {array[place]:g} {unit}{index_text(place)}; it must be {ranged}"
+        )
     return array
 
 
-def first(mask: BoolArray) -> tuple[int, ...]:
-    """Index of the first place where the mask holds."""
+def first_index(mask: BoolArray) -> tuple[int, ...]:
+    """Index of the first true element."""
     return tuple(int(i) for i in np.argwhere(mask)[0])
 
 
-def at(place: tuple[int, ...]) -> str:
-    """The place in words, empty for a scalar."""
+def index_text(place: tuple[int, ...]) -> str:
+    """The index as text, empty for a scalar."""
     return f" at index {', '.join(map(str, place))}" if place else ""
 
 
-def plain(array: FloatArray) -> Numbers:
+def scalar_or_array(array: FloatArray) -> Numbers:
     """A float where the array has no dimensions, else the array."""
     return array.item() if array.ndim == 0 else array

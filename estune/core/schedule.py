@@ -1,8 +1,8 @@
-"""A gain schedule: each gain as a curve of cable length and tension, within a range of validity.
+"""Gain schedule: each gain as a curve of cable length and tension, within a range of validity.
 
-The paper's adaptive law is one such curve, I = a + b L (Fig. 14); the other forms are those that
-stand beside it in a regression. The curves use arithmetic and numpy's `log` only, so that one text
-serves floats on the rig, arrays in a figure, and CasADi symbols.
+The paper's adaptive law is one such curve, I = a + b L (Fig. 14); the other forms compete with it
+in a regression. The curves use arithmetic and numpy's `log` only, so that they serve floats on the
+rig, arrays in a figure, and CasADi symbols.
 """
 
 import math
@@ -22,8 +22,8 @@ Form = Literal["constant", "linear", "log", "inverse"]
 FORMS: tuple[Form, ...] = get_args(Form)
 
 
-def of_length(form: Form, length_m: Signal) -> Signal:
-    """What a form's slope multiplies: L, ln L or 1/L; nothing for a constant."""
+def length_term(form: Form, length_m: Signal) -> Signal:
+    """The term of a form's slope: L, ln L or 1/L; zero for a constant."""
     match form:
         case "constant":
             return 0.0 * length_m
@@ -43,7 +43,7 @@ class GainCurve:
         form: Which f.
         offset: a, in the gain's unit.
         slope: b, in the gain's unit per unit of f; zero for a constant.
-        per_newton: c, in the gain's unit per N; zero where tension has no part.
+        per_newton: c, in the gain's unit per N; zero without influence of the tension.
 
     Raises:
         InvalidInput: there is no such form, a number is not finite, or a constant has a slope.
@@ -66,8 +66,8 @@ class GainCurve:
             raise InvalidInput(f"a constant gain has slope {self.slope}; it must be 0")
 
     def at(self, length_m: Signal, tension_N: Signal) -> Signal:
-        """The gain at a length in m and a tension in N, wherever they lie."""
-        along = self.slope * of_length(self.form, length_m)
+        """The gain at a length in m and a tension in N, without limits."""
+        along = self.slope * length_term(self.form, length_m)
         return self.offset + along + self.per_newton * tension_N
 
     def __str__(self) -> str:
@@ -89,12 +89,12 @@ class GainSchedule:
         I: Integral gain, 1/s.
         D: Derivative gain, s.
         setpoint_filter_s: Time constant of the setpoint filter, s.
-        length_m: Least and greatest cable length it is valid for, m.
-        tension_N: Least and greatest tension it is valid for, N; equal where only one was tuned.
+        length_m: Least and greatest valid cable length, m.
+        tension_N: Least and greatest valid tension, N; equal if only one was tuned.
 
     Raises:
-        InvalidInput: the range is not finite, not above zero or not in order, or a gain falls
-            below what it may be somewhere in it.
+        InvalidInput: the range is not finite, not above zero or not in order, or a gain is
+            invalid somewhere in it.
     """
 
     P: GainCurve
@@ -114,7 +114,7 @@ class GainSchedule:
                     f"the schedule's {what} is {low} to {high} {unit}; it must be above zero, "
                     "finite and in order"
                 )
-        # Every form is monotone in length and straight in tension: the corners are the extremes.
+        # Every form is monotone in length and linear in tension: the extremes are at the corners.
         for length, tension in product(self.length_m, self.tension_N):
             try:
                 self.gains(length, tension)
@@ -130,12 +130,9 @@ class GainSchedule:
         return self.P, self.I, self.D, self.setpoint_filter_s
 
     def gains(self, length_m: float, tension_N: float) -> Gains:
-        """The gains at a cable length and a tension; at the nearest end where beyond the range.
+        """The gains at a cable length in m and a tension in N, both clipped to the range.
 
-        Args:
-            length_m: Cable length, m; not a number is taken as the least length, so that a length
-                that cannot be read leaves gains that are valid.
-            tension_N: Tension, N; the same.
+        NaN counts as the least value, so that a failed reading leaves valid gains.
         """
         length, tension = _clipped(length_m, self.length_m), _clipped(tension_N, self.tension_N)
         return Gains(*[float(curve.at(length, tension)) for curve in self.curves])
@@ -165,10 +162,10 @@ class GainSchedule:
 
     @classmethod
     def from_dict(cls, stored: Any) -> Self:
-        """The schedule that `as_dict` and JSON made of one.
+        """The schedule of the values that `as_dict` gave.
 
         Raises:
-            InvalidInput: something is missing or not of its kind, or as for the class.
+            InvalidInput: a value is missing or has the wrong type, or as for the class.
         """
         try:
             curves = {name: GainCurve(**stored["gains"][name]) for name in GAIN_NAMES}
@@ -178,7 +175,7 @@ class GainSchedule:
             if isinstance(error, InvalidInput):
                 raise
             raise InvalidInput(
-                f"stored gain schedule is damaged: {error!r}; write it anew"
+                f"stored gain schedule is damaged: {error!r}; write it again"
             ) from error
         return cls(**curves, length_m=(low, high), tension_N=(least, most))
 

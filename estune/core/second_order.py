@@ -2,15 +2,21 @@
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from estune.core.quantities import FloatArray
+from estune.core.quantities import (
+    ComplexArray,
+    FloatArray,
+    Numbers,
+    check_not_negative,
+    check_positive,
+    checked_array,
+    scalar_or_array,
+)
 from estune.errors import InvalidInput
-
-ComplexArray = NDArray[np.complex128]
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +52,7 @@ class SecondOrder:
         natural_frequency_rad_s: w, undamped, rad/s.
         damping: Damping ratio zeta, between 0 and 1.
         dead_time_s: Delay of the input, s.
-        gauge: The gauge's own mode in series, or None where it plays no part.
+        gauge: The gauge's own mode in series, or None.
 
     Raises:
         InvalidInput: a value is out of its range.
@@ -62,10 +68,7 @@ class SecondOrder:
         if not (math.isfinite(self.gain) and self.gain != 0.0):
             raise InvalidInput(f"model gain is {self.gain}; it must be finite and not zero")
         _check_mode("model", self.natural_frequency_rad_s, self.damping)
-        if not (math.isfinite(self.dead_time_s) and self.dead_time_s >= 0.0):
-            raise InvalidInput(
-                f"model dead time is {self.dead_time_s} s; it must be finite, and zero or above"
-            )
+        check_not_negative("model dead time", self.dead_time_s, "s")
 
     @property
     def resonance_rad_s(self) -> float:
@@ -88,10 +91,7 @@ class SecondOrder:
         Raises:
             InvalidInput: the tension per ampere is not above zero.
         """
-        if not (math.isfinite(newtons_per_ampere) and newtons_per_ampere > 0.0):
-            raise InvalidInput(
-                f"tension per ampere is {newtons_per_ampere} N/A; it must be finite and above zero"
-            )
+        check_positive("tension per ampere", newtons_per_ampere, "N/A")
         return replace(self, gain=self.gain / newtons_per_ampere)
 
     def state_space(self) -> tuple[FloatArray, FloatArray, FloatArray, float]:
@@ -163,17 +163,17 @@ def held_response(
 
 def hooke_constant(
     resonance_rad_s: ArrayLike, inertia_kg_m2: ArrayLike, viscous_friction_Nms: ArrayLike
-) -> Any:
+) -> Numbers:
     """The reel's effective Hooke constant from the resonance of its frequency response.
 
     Implements (30). `k_m = b_m^2/(2 J_m) + J_m w_R^2`
 
-    It is the stiffness of the torsion spring on which J_m resonates at w_R: the response of
+    The stiffness of the torsion spring on which J_m resonates at w_R: the response of
     `J s^2 + b s + k` has its peak at `w_R^2 = k/J - b^2/(2 J^2)`.
 
     Args:
         resonance_rad_s: Frequency w_R of the peak, rad/s.
-        inertia_kg_m2: Inertia J_m of all that turns, at the motor axle, kg m2.
+        inertia_kg_m2: Rotating inertia J_m at the motor axle, kg m2.
         viscous_friction_Nms: Viscous friction b_m at the motor axle, N m s/rad.
 
     Returns:
@@ -183,20 +183,10 @@ def hooke_constant(
         InvalidInput: a value is not finite, the inertia or the resonance not above zero, or the
             friction below zero.
     """
-    w, J, b = (
-        np.asarray(value, dtype=np.float64)
-        for value in (resonance_rad_s, inertia_kg_m2, viscous_friction_Nms)
-    )
-    for what, values, least in (
-        ("resonance (rad/s)", w, "above zero"),
-        ("inertia (kg m2)", J, "above zero"),
-        ("viscous friction (N m s/rad)", b, "zero or above"),
-    ):
-        fine = np.isfinite(values) & (values > 0.0 if least == "above zero" else values >= 0.0)
-        if not fine.all():
-            raise InvalidInput(f"{what} is {values[~fine].flat[0]}; it must be finite and {least}")
-    k = b**2 / (2.0 * J) + J * w**2
-    return float(k) if k.ndim == 0 else k
+    w = checked_array("resonance", resonance_rad_s, "rad/s", above=0.0)
+    J = checked_array("inertia", inertia_kg_m2, "kg m2", above=0.0)
+    b = checked_array("viscous friction", viscous_friction_Nms, "N m s/rad", least=0.0)
+    return scalar_or_array(np.asarray(b**2 / (2.0 * J) + J * w**2))
 
 
 def _pole(natural_frequency_rad_s: float, damping: float) -> complex:
@@ -204,11 +194,7 @@ def _pole(natural_frequency_rad_s: float, damping: float) -> complex:
 
 
 def _check_mode(what: str, natural_frequency_rad_s: float, damping: float) -> None:
-    if not (math.isfinite(natural_frequency_rad_s) and natural_frequency_rad_s > 0.0):
-        raise InvalidInput(
-            f"{what}: natural frequency is {natural_frequency_rad_s} rad/s; "
-            "it must be finite and above zero"
-        )
+    check_positive(f"{what}: natural frequency", natural_frequency_rad_s, "rad/s")
     if not (math.isfinite(damping) and 0.0 < damping < 1.0):
         raise InvalidInput(
             f"{what}: damping ratio is {damping}; a resonance has one between 0 and 1"

@@ -1,13 +1,12 @@
-"""The largest integral gain that keeps sensitivity, setpoint response and noise within limits.
+"""Largest integral gain within limits of sensitivity, setpoint response and noise.
 
-1/I is the integral of the error after a load step, so that the largest I resists loads best.
-`|1 + L| >= 1/M_s` and `|1 + L| >= I |G/s|/M_t` over frequency are not convex in the gains, but L
-is linear in them: each round replaces |1 + L| by its tangent at the last gains, which lies below
-it, and solves the linear programme (convex-concave procedure: Hast, Astrom, Bernhardsson & Boyd,
-PID design by convex-concave optimization, European Control Conference 2013). The rounds begin at
-nearly no gain and never let 1 + L pass zero, so that the loop of a stable plant stays stable.
-
-On a reel it gives P near one and I that falls with the length of the cable.
+1/I is the integral of the error after a load step, so that the largest I rejects loads best. The
+constraints `|1 + L| >= 1/M_s` and `|1 + L| >= I |G/s|/M_t` over frequency are not convex in the
+gains, but L is linear in them. Each round replaces |1 + L| by its tangent at the last gains, which
+lies below it, and solves the linear programme (convex-concave procedure: Hast, Astrom,
+Bernhardsson & Boyd, PID design by convex-concave optimization, European Control Conference 2013).
+The rounds begin at nearly no gain, and 1 + L never passes zero, so that the loop of a stable plant
+stays stable. On a reel P is near one and I falls with the length of the cable.
 """
 
 import math
@@ -15,27 +14,24 @@ from dataclasses import dataclass
 from typing import NamedTuple, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estune.core.gains import Gains
 from estune.core.margins import SampledPlant, controller_response
 from estune.core.pidf import ControllerSettings
-from estune.core.quantities import FloatArray
+from estune.core.quantities import ComplexArray, FloatArray, check_positive
 from estune.errors import InvalidInput
 
-ComplexArray = NDArray[np.complex128]
-
 GRID_POINTS = 600
-"""Frequencies at which the sensitivity is held down."""
+"""Frequencies at which the sensitivity is constrained."""
 ROUNDS = 60
 
 
 @dataclass(frozen=True, slots=True)
 class SensitivityLimits:
-    """How far `sensitivity_limited` may go.
+    """Limits of `largest_integral_gain`.
 
     Attributes:
-        sensitivity: Greatest |1/(1 + L)|: 1.4 is cautious, 2 bold.
+        sensitivity: Greatest |1/(1 + L)|: 1.4 is robust, 2 aggressive.
         setpoint_peak: Greatest |T|, from setpoint to output through the filter: 1 is no resonance.
         noise_gain: Greatest C_y at half the sampling rate, N of effort per N of noise.
 
@@ -54,14 +50,11 @@ class SensitivityLimits:
         ):
             if not (math.isfinite(value) and value > 1.0):
                 raise InvalidInput(f"{what} is {value}; it must be finite and above 1")
-        if not (math.isfinite(self.noise_gain) and self.noise_gain > 0.0):
-            raise InvalidInput(
-                f"noise gain limit is {self.noise_gain}; it must be finite and above zero"
-            )
+        check_positive("noise gain limit", self.noise_gain)
 
 
-class _Slowest(NamedTuple):
-    """What sets the scale of the gains: the plant's gain at rest and its slowest mode."""
+class _SlowestMode(NamedTuple):
+    """Static gain and slowest mode of the plant, which scale the gains."""
 
     gain: float
     frequency_rad_s: float
@@ -72,20 +65,19 @@ class _Slowest(NamedTuple):
         if (plant.modes.real > 0.0).any():
             raise InvalidInput(
                 "the model is unstable by itself, and the rule begins at nearly no gain; give "
-                "gains to start from that hold it"
+                "initial gains that stabilise it"
             )
         mode = complex(min(plant.modes, key=abs))
         if mode == 0.0:
             raise InvalidInput(
-                "the model integrates, so that it has no gain at rest to go by; give gains to "
-                "start from"
+                "the model integrates, so that it has no static gain; give initial gains"
             )
         drive = np.linalg.solve(np.eye(plant.C.size) - plant.Phi, plant.now + plant.before)
         gain = float(plant.C @ drive + plant.E)
         if not gain > 0.0:
             raise InvalidInput(
-                f"the model's gain at rest is {gain:.4g}; it must be above zero, for the "
-                "controller's gains are: turn the sign of the input"
+                f"the model's static gain is {gain:.4g}; it must be above zero, as the "
+                "controller's gains are, so turn the sign of the input"
             )
         return cls(gain, abs(mode) / sample_s, max(-mode.real / abs(mode), 0.0))
 
@@ -96,36 +88,36 @@ def largest_integral_gain(
     """The gains with the largest I within the limits; the setpoint filter is P/I.
 
     Args:
-        plant: Any linear plant, sampled as the controller is; effort in, output out.
+        plant: Any linear plant from effort to output, sampled as the controller is.
         settings: Sampling rate and derivative filter.
         limits: Of sensitivity, setpoint response and noise.
 
     Raises:
-        InvalidInput: no gains keep the limits, or the plant is unstable by itself or has no gain
-            at rest above zero.
+        InvalidInput: no gains keep the limits, or the plant is unstable by itself or has no
+            positive static gain.
     """
     from scipy.optimize import linprog  # noqa: PLC0415  slow to import
 
     limits = limits or SensitivityLimits()
-    slowest = _Slowest.of(plant, 1.0 / settings.sampling_Hz)
+    slowest = _SlowestMode.of(plant, 1.0 / settings.sampling_Hz)
     constraints = _Constraints.of(plant, slowest, settings, limits)
-    # P has a floor: a plant that would rather have none still gets gains with a logarithm.
+    # P stays above zero, so that it has a logarithm even where the best is none.
     least = 0.01 * slowest.damping
     x = np.array([least, 0.01 * least, 0.0])
     for _ in range(ROUNDS):
         rows, room = constraints.tangent(x)
-        found = linprog(
+        solution = linprog(
             [0.0, -1.0, 0.0],
             A_ub=rows,
             b_ub=room,
             bounds=[(least, None), (0.0, None), (0.0, None)],
         )
-        if not found.success:
+        if not solution.success:
             raise InvalidInput(
-                f"no gains hold the sensitivity to {limits.sensitivity:g} for a damping ratio of "
+                f"no gains keep the sensitivity at {limits.sensitivity:g} for a damping ratio of "
                 f"{slowest.damping:.3g}; raise the limit, or use another rule"
             )
-        x, last = found.x, x
+        x, last = solution.x, x
         if x[1] - last[1] < 1e-4 * x[1]:
             break
     P, I, D = (float(value) for value in x * constraints.scale)
@@ -134,11 +126,11 @@ def largest_integral_gain(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Constraints:
-    """What bounds (P, I, D), each over its scale, in `largest_integral_gain`.
+    """Constraints on the scaled gains (P, I, D).
 
     Attributes:
         scale: Of the gains, shape (3,).
-        loop: The loop's response to one unit of each gain, shape (frequencies, 3).
+        loop: L per unit of each gain, shape (frequencies, 3).
         setpoint: |G/s| per unit of the integral gain, over M_t, shape (frequencies,).
         noise: C_y at half the sampling rate per unit of each gain, shape (3,).
         limits: The limits.
@@ -154,7 +146,7 @@ class _Constraints:
     def of(
         cls,
         plant: SampledPlant,
-        slowest: _Slowest,
+        slowest: _SlowestMode,
         settings: ControllerSettings,
         limits: SensitivityLimits,
     ) -> Self:
@@ -168,7 +160,7 @@ class _Constraints:
         return cls(scale, loop, setpoint, controller[-1].real * scale, limits)
 
     def tangent(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """The half planes `rows x <= room` that touch the constraints at these gains."""
+        """The half spaces `rows x <= room` tangent to the constraints at these gains."""
         back = 1.0 + self.loop @ x
         toward = back.conj() / np.abs(back)
         # |1 + L| >= Re(toward (1 + L)), and equal at x.
@@ -192,7 +184,7 @@ def _grid(plant: SampledPlant) -> FloatArray:
 def _unit_response(n: int, settings: ControllerSettings, theta: FloatArray) -> ComplexArray:
     """Response of the controller to one of P, I, D at one and the others at zero.
 
-    `Gains` keeps P above zero, so that I and D are had as a difference.
+    `Gains` keeps P above zero, so that I and D follow from a difference.
     """
     only_P = controller_response(Gains(1.0, 0.0, 0.0, 0.0), settings, theta)
     if n == 0:
