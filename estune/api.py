@@ -1,4 +1,4 @@
-"""The library call: tune a target, resume a run, load one."""
+"""Library interface: tune a target, resume a run, load a run."""
 
 import contextlib
 from collections.abc import Iterator, Mapping
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from estune.remote.security import Security
 
 RUNS = "runs"
-"""Folder that runs are kept in, below the one estune is called from."""
+"""Default folder of runs, in the working directory."""
 
 
 def tune(
@@ -55,40 +55,40 @@ def tune(
 ) -> TuneResult:
     """Tunes the PIDF gains of a rig by step trials.
 
-    The rig keeps the gains it has: each trial swaps its own in and puts the live ones back. What
-    was found is in the result, and is made live only by `estune apply` or `Rig.apply`.
+    Trials use temporary gains: the rig restores its live gains after each. The tuned gains are in
+    the result; only `estune apply` or `Rig.apply` makes them live.
 
     Args:
         target: An endpoint ("tcp/127.0.0.1:7447"), a plant ("reel.toml", "plants:reference_reel"
             or an object), or a rig.
-        tuner: Name of a tuner, or one ready-made.
-        trials: Greatest number of search trials.
-        tolerance: The search ends once no more than this share of the cost is left to gain, by a
-            tuner that can tell; zero makes it use all its trials.
-        repeats: Trials of the start before the search, of each gains there are to choose from
-            after it, and at the least of the start and the gains found to confirm them.
-        start: Gains to begin from; the rig's live ones by default. "model" is those that the rig's
-            own linear model suggests.
-        bounds: Least and greatest value of gains, by name (P, I, D, setpoint_filter_s); by default
-            a hundredth and a hundred times the start.
-        step: The step trial; the one the rig suggests by default.
-        cost: How a trial is scored; by default (35) with a move penalty and the settling time the
-            rig suggests.
-        eta_max: Cost above which a trial is unsafe; three times the start's by default.
+        tuner: Name of a tuner, or a tuner.
+        trials: Maximum number of search trials.
+        tolerance: Remaining improvement, relative to the cost, at which the search ends, if the
+            tuner estimates it; zero makes it use all its trials.
+        repeats: Trials of the initial gains before the search and of each candidate in the
+            choice; also the minimum of each in the confirmation.
+        start: Initial gains; the rig's live ones by default, or "model" for a warm start from the
+            rig's own linear model.
+        bounds: Lowest and highest value of gains, by name (P, I, D, setpoint_filter_s); by default
+            a hundredth and a hundred times the initial value.
+        step: The step trial; suggested by the rig by default.
+        cost: The cost of a trial; by default (35) with a control-move penalty and the settling
+            time that the rig suggests.
+        eta_max: Cost above which a trial is unsafe; three times the initial cost by default.
         run: Name of the run; the time of day by default.
-        folder: Where runs are kept.
-        journal: Whether to keep the run on disk, so that it survives and can be resumed.
-        rig: Name of the rig, where several answer at the endpoint.
-        security: Who this is, where the rig at the endpoint asks; see `estune.remote.security`.
-        watch: Told of each trial; "auto" shows progress, None nothing.
-        ask: Asked before gains are tried that lie beyond what safe trials have shown to be safe;
-            answers "yes", "no" or "always".
+        folder: Folder of runs.
+        journal: Whether to store the run on disk, so that it can be resumed.
+        rig: Name of the rig, if several answer at the endpoint.
+        security: Credentials, if the rig requires authentication; see `estune.remote.security`.
+        watch: Callback after each trial; "auto" shows progress, None nothing.
+        ask: Approval callback for gains outside the region shown to be safe; returns "yes", "no"
+            or "always".
 
     Raises:
-        InvalidInput: a value is not usable, or the rig gives no model to start from.
+        InvalidInput: a value is not usable, or the rig gives no model for a warm start.
         RigError: the rig cannot be reached or refuses.
         JournalError: the run cannot be written.
-        UnsafeStart: the start gains are unsafe, or those the model suggests would be.
+        UnsafeStart: the initial gains are unsafe.
         Stopped: interrupted (a KeyboardInterrupt); the rig is back at its live gains.
 
     Example:
@@ -138,18 +138,18 @@ def resume(
     watch: ProgressListener | Literal["auto"] | None = "auto",
     ask: ApprovalCallback | None = None,
 ) -> TuneResult:
-    """Goes on with a run that was stopped, with the proposals it would have made undisturbed.
+    """Continues a run that was stopped, with the same proposals as an uninterrupted run.
 
     Args:
         run_folder: The run's folder.
-        target: Where its rig is now; by default where it was.
+        target: Present address of its rig; the earlier one by default.
         security: As in `tune`.
         watch: As in `tune`.
-        ask: As in `tune`; a run that was begun with it cannot do without.
+        ask: As in `tune`; required if the run was begun with it.
 
     Raises:
-        InvalidInput: the run was made on an object of this or another program; pass it as target.
-            Or it asks, and there is nobody to ask.
+        InvalidInput: the run was made on an object, to be given as target, or needs an approval
+            callback.
         JournalError: the run cannot be read, or another process is writing it.
         RigError: the rig cannot be reached, or is not the one the run was made on.
     """
@@ -171,7 +171,7 @@ def resume(
 def load(run_folder: str | Path) -> TuneResult:
     """The result of a run on disk, finished or not; no rig is needed.
 
-    A finished run can be looked at whatever has become of its tuner since.
+    A finished run can be loaded even if its tuner is of another version.
 
     Raises:
         JournalError: the run cannot be read.
@@ -190,16 +190,16 @@ def _run(
     ask: ApprovalCallback | None,
 ) -> TuneResult:
     with (
-        _noted(tuning_),
-        progress.watching(watch, tuning_, asking=ask is not None) as watchers,
+        _journal_ending(tuning_),
+        progress.watching(watch, tuning_, asking=ask is not None) as listeners,
     ):
-        loop.run(tuning_, rig, watchers, ask)
+        loop.run(tuning_, rig, listeners, ask)
     return result.from_tuning(tuning_)
 
 
 @contextlib.contextmanager
-def _noted(tuning_: TuningRun) -> Iterator[None]:
-    """Notes in the journal how a run ended, and closes it."""
+def _journal_ending(tuning_: TuningRun) -> Iterator[None]:
+    """Writes the ending of a run to its journal, and closes it."""
     journal = tuning_.journal
     facts: dict[str, Any] = {}
     try:
@@ -216,7 +216,7 @@ def _noted(tuning_: TuningRun) -> Iterator[None]:
         raise
     finally:
         if journal is not None:
-            with contextlib.suppress(EstuneError):  # what went wrong is being raised already
+            with contextlib.suppress(EstuneError):  # an exception is being raised already
                 journal.note(**facts)
             journal.close()
 
@@ -226,15 +226,15 @@ def _stored(journal: Journal) -> tuple[Any, RigDescription]:
 
 
 def check_same_rig(then: RigDescription, now: RigDescription) -> None:
-    """Sees to it that a run goes on only on the rig it began on.
+    """Refuses to resume a run on another rig than its own.
 
     Raises:
-        RigError: the rig is another one now.
+        RigError: the rig differs.
     """
     for what in ("name", "controller", "newtons_per_ampere", "cable_length_m"):
         if getattr(then, what) != getattr(now, what):
             raise RigError(
-                f"the run was made on a rig whose {what} is {getattr(then, what)}, this one's is "
+                f"{what} of the run's rig is {getattr(then, what)}, of this rig "
                 f"{getattr(now, what)}; connect the rig of the run, or begin a new run"
             )
 

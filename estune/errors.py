@@ -2,54 +2,53 @@
 
 ::
 
-    EstuneError            1  anything estune can name
-    ├── InvalidInput       2  a value given by the user lies outside what it may be
+    EstuneError            1  any error with a message for the user
+    ├── InvalidInput       2  a value given by the user is not usable
     ├── PlantError         3  a model cannot be simulated
-    ├── RigError           4  a rig cannot be reached, is not the one meant, or refuses
-    │   ├── ProtocolError     what came over the link cannot be understood
-    │   └── Interrupted       a trial was cut off on a rig that moves: somebody must see to it
+    ├── RigError           4  a rig cannot be reached, is another one, or refuses
+    │   ├── ProtocolError     a message on the link is invalid
+    │   └── Interrupted       a trial was interrupted on a rig that moves: operator required
     ├── JournalError       5  a run cannot be read or written
-    └── UnsafeStart        6  no safe gains to begin from or to fall back on
+    └── UnsafeStart        6  there are no safe initial gains
 
 Each message is one line: what is wrong, where, and what to do about it. The number is the exit
-code of the command line. A trial that fails is not an exception but data: `estune.trial.CellOutcome`.
-A tuning that ends with no significant improvement is none either: it is a result, and its exit
-code is 7.
+code of the command line. A failed trial is not an exception but data: `estune.trial.Outcome`. A
+tuning without a significant improvement is a result as well, with exit code 7.
 """
 
 from typing import ClassVar
 
 
 class EstuneError(Exception):
-    """Anything estune can name. `exit_code` is what the command line returns for it."""
+    """An error with a message for the user. `exit_code` is that of the command line."""
 
     exit_code: ClassVar[int] = 1
 
 
 class InvalidInput(EstuneError, ValueError):
-    """A value given by the user lies outside what it may be."""
+    """A value given by the user is not usable."""
 
     exit_code = 2
 
 
 class PlantError(EstuneError):
-    """A model cannot be simulated: it is unstable, diverges or answers in the wrong shape."""
+    """A model cannot be simulated: it is unstable, diverges or returns the wrong shape."""
 
     exit_code = 3
 
 
 class RigError(EstuneError):
-    """A rig cannot be reached, is not the one meant, or refuses."""
+    """A rig cannot be reached, is another one, or refuses."""
 
     exit_code = 4
 
 
 class ProtocolError(RigError):
-    """What came over the link cannot be understood: another version, a corrupt frame."""
+    """A message on the link is invalid: of another version, or corrupt."""
 
 
 class Interrupted(RigError):
-    """A trial was cut off on a rig that moves: somebody must see to it before it is run again."""
+    """A trial was interrupted on a rig that moves: an operator must check it before the next."""
 
 
 class JournalError(EstuneError):
@@ -59,6 +58,6 @@ class JournalError(EstuneError):
 
 
 class UnsafeStart(EstuneError):
-    """There are no safe gains to begin from or to fall back on."""
+    """There are no safe initial gains."""
 
     exit_code = 6

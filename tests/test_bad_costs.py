@@ -1,4 +1,4 @@
-"""Whole runs on costs that tell a tuner little or nothing: a clean end, and safe gains."""
+"""Whole runs on uninformative costs: a clean end, and safe gains."""
 
 import math
 
@@ -7,10 +7,11 @@ import pytest
 
 from estune.core.cost import StepCost
 from estune.core.gains import Gains
-from estune.run.plan import DEFAULT_TUNER, make_plan
+from estune.run.plan import make_plan
 from estune.run.session import Session, after_trial, new_session, next_request
 from estune.run.summary import summarise
 from estune.trial import Outcome
+from estune.tuners import DEFAULT_TUNER
 from tests.support_runs import START, description
 
 
@@ -31,7 +32,7 @@ TUNERS = (DEFAULT_TUNER, "least_squares_gradient", "otis")
 
 @pytest.mark.parametrize("tuner", TUNERS)
 @pytest.mark.parametrize("noise", [0.0, 0.03])
-def test_a_cost_that_does_not_depend_on_the_gains_leaves_the_start(tuner, noise):
+def test_constant_cost_keeps_initial_gains(tuner, noise):
     session = ended(lambda _: 2.0, tuner=tuner, noise=noise)
     found = summarise(session)
     assert found.complete
@@ -42,11 +43,11 @@ def test_a_cost_that_does_not_depend_on_the_gains_leaves_the_start(tuner, noise)
 
 @pytest.mark.parametrize("tuner", TUNERS)
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -1.0, 1e9])
-def test_where_nothing_but_the_start_is_safe_the_search_ends_soon_and_keeps_it(tuner, bad):
+def test_search_ends_soon_where_only_the_start_is_safe(tuner, bad):
     session = ended(lambda gains: 2.0 if gains == START else bad, tuner=tuner)
     found = summarise(session)
     assert found.complete
-    assert "in a row" in found.message
+    assert "consecutive" in found.message
     assert found.gains == START
     assert found.unsafe < 20
 
@@ -57,7 +58,7 @@ def bowl(gains: Gains, *which: str) -> float:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_gains_without_effect_are_left_more_open_than_those_that_are_found(seed):
+def test_gains_without_effect_get_wider_intervals(seed):
     session = ended(lambda g: bowl(g, "P", "I"), noise=0.02, seed=seed)
     found = summarise(session)
     assert found.improved
@@ -67,7 +68,7 @@ def test_gains_without_effect_are_left_more_open_than_those_that_are_found(seed)
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_gains_of_which_only_the_product_matters_are_brought_to_it(seed):
+def test_gains_with_an_effective_product_reach_it(seed):
     def cost(gains):
         return math.exp(math.log(gains.P * gains.I / (START.P * START.I) / 4.0) ** 2)
 
@@ -76,7 +77,7 @@ def test_gains_of_which_only_the_product_matters_are_brought_to_it(seed):
     assert cost(found.gains) < 1.05
 
 
-def test_costs_as_small_as_they_may_be_are_compared_like_others():
+def test_smallest_costs_are_compared_like_others():
     found = summarise(ended(lambda g: 1e-12 * bowl(g, "P", "I"), noise=0.02))
     assert found.improved
     assert found.cost == pytest.approx(1e-12, rel=0.1)

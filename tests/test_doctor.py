@@ -1,4 +1,4 @@
-"""The doctor names what is wrong with a rig, says what to do, and moves nothing unasked."""
+"""Checks of a rig: faults, remedies, and no motion without permission."""
 
 import json
 import math
@@ -77,7 +77,7 @@ def changed(**columns):
     return answer
 
 
-def test_a_rig_in_good_order_has_nothing_to_be_mended():
+def test_sound_rig_passes_all_checks():
     states = found(Patient(dated))
     assert set(states.values()) <= {State.FINE, State.UNKNOWN}
     for check in ("state", "link", "limits", "live gains", "trials", "clock", "sampling"):
@@ -86,13 +86,13 @@ def test_a_rig_in_good_order_has_nothing_to_be_mended():
         assert states[check] is State.FINE
 
 
-def test_nothing_moves_unless_it_is_allowed():
+def test_checks_move_nothing_unless_allowed():
     rig = Patient(dated)
     assert found(rig, move=False)["trials"] is State.UNKNOWN
     assert rig.asked == []
 
 
-def test_what_moves_is_gentler_than_what_the_rig_suggests_and_has_the_live_gains():
+def test_check_trial_is_gentle_and_uses_live_gains():
     rig = Patient(dated)
     found(rig)
     about = description()
@@ -101,7 +101,7 @@ def test_what_moves_is_gentler_than_what_the_rig_suggests_and_has_the_live_gains
     assert abs(gentle_trial(about).step_N) < abs(about.step.step_N)
 
 
-def test_a_rig_after_an_emergency_stop_is_not_moved():
+def test_rig_in_emergency_stop_is_not_moved():
     rig = Patient(dated)
     rig.latched = "smoke"
     assert to_fix(rig) == {"state"}
@@ -122,17 +122,17 @@ TOO_WEAK = ControllerSettings(200.0, 0.002, -100.0, 12.0)
         {"settling_time_s": 0.45},
     ],
 )
-def test_limits_that_are_none_or_do_not_fit_are_named_and_nothing_moves(changes):
+def test_unusable_limits_fail_and_nothing_moves(changes):
     rig = Patient(dated, **changes)
     assert "limits" in to_fix(rig)
     assert rig.asked == []
 
 
-def test_gains_without_margins_are_named():
+def test_gains_without_margins_fail():
     assert to_fix(Patient(dated, gains=Gains(50.0, 5000.0, 0.0, 0.02))) == {"live gains"}
 
 
-def test_margins_of_a_rig_without_a_model_are_not_guessed():
+def test_margins_without_a_model_are_unknown():
     assert found(Patient(dated, linear_model=None))["live gains"] is State.UNKNOWN
 
 
@@ -189,22 +189,22 @@ def sluggish(record):
         ("clock", changed(started_at=lambda _: "2009-05-04T12:00:00+02:00")),
     ],
 )
-def test_what_is_wrong_with_the_records_is_named(check, answer):
+def test_record_faults_fail_their_check(check, answer):
     assert check in to_fix(Patient(answer))
 
 
-def test_a_gauge_that_is_too_noisy_is_named():
+def test_noisy_gauge_fails():
     assert "gauge" in to_fix(Patient(changed(tension_N=noisy)))
 
 
-def test_a_gauge_that_never_changes_is_dead_unless_it_is_simulated():
+def test_constant_gauge_fails_unless_simulated():
     flat = changed(tension_N=lambda record: record.setpoint_N)
     real = {"simulated": False, "controller": ControllerSettings(200.0, 0.002, -100.0, 100.0)}
     assert found(Patient(flat, **real))["gauge"] is State.FIX
     assert found(Patient(flat))["gauge"] is State.FINE
 
 
-def test_a_rig_that_does_not_put_its_gains_back_is_named():
+def test_rig_that_does_not_restore_its_gains_fails():
     class Forgetful(Patient):
         def run(self, request):
             record = super().run(request)
@@ -214,7 +214,7 @@ def test_a_rig_that_does_not_put_its_gains_back_is_named():
     assert "restored" in to_fix(Forgetful(dated))
 
 
-def test_a_link_too_slow_to_keep_the_lease_is_named():
+def test_link_too_slow_for_the_lease_fails():
     assert check_link([0.001] * 200).state is State.FINE
     assert check_link([0.001] * 190 + [0.4] * 10).state is State.FIX
 
@@ -229,7 +229,7 @@ def at(offset_s: float, after_s: float, before_s: float = 0.0, within_s: float =
     return Dated(asked_s, asked_s + 1.0 + within_s, after_s + 1.0, start.isoformat())
 
 
-def test_a_clock_that_is_off_or_jumps_is_named():
+def test_clock_that_is_off_or_jumps_fails():
     steady = [at(0.2, 2.0 * n) for n in range(5)]
     assert check_clock(steady).state is State.FINE
     ahead = check_clock([at(30.0, 2.0 * n) for n in range(5)])
@@ -256,7 +256,7 @@ HOST = Host(1, ("127.0.0.1:7447",), real_time=True, locked=True, ledger=Path("ri
         (replace(HOST, real_time=False), True, State.FINE),
     ],
 )
-def test_permissions_the_loop_lacks_are_named(host, simulated, state):
+def test_missing_permissions_of_the_loop_fail(host, simulated, state):
     assert check_permissions(host, simulated=simulated).state is state
 
 
@@ -272,11 +272,11 @@ def test_permissions_the_loop_lacks_are_named(host, simulated, state):
         (None, "tcp/localhost:7447", False, State.FINE),
     ],
 )
-def test_a_port_that_others_reach_unasked_is_named(host, endpoint, asked_who, state):
+def test_open_port_without_authentication_fails(host, endpoint, asked_who, state):
     assert check_ports(host, endpoint, asked_who=asked_who).state is state
 
 
-def test_where_the_ledger_is_is_said_and_not_guessed():
+def test_ledger_location_is_reported_or_unknown():
     assert "rig.ledger" in check_ledger(HOST, simulated=False).sentence
     forgetful = replace(HOST, ledger=None)
     assert check_ledger(forgetful, simulated=True).state is State.FINE
@@ -285,7 +285,7 @@ def test_where_the_ledger_is_is_said_and_not_guessed():
 
 
 @pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="only Linux tells")
-def test_the_process_that_listens_is_found_with_all_it_listens_at():
+def test_listening_process_is_found_with_its_addresses():
     with socket.create_server(("127.0.0.1", 0)) as one:
         with socket.create_server(("0.0.0.0", 0)) as other:  # noqa: S104  what is looked for
             ports = one.getsockname()[1], other.getsockname()[1]
@@ -301,7 +301,7 @@ def call(*arguments: str) -> subprocess.CompletedProcess:
     return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
 
 
-def test_on_the_command_line_a_rig_to_be_mended_is_an_error_and_says_so_in_json():
+def test_doctor_command_fails_with_failed_checks_in_json():
     with served("simulated") as server:
         done = call(server.endpoint, "--move", "--json")
         assert done.returncode == 0, done.stderr

@@ -1,4 +1,4 @@
-"""Exported records: the same numbers to the last bit, in the columns others expect."""
+"""Exported records: equal bit for bit, in the documented columns."""
 
 import json
 from dataclasses import replace
@@ -51,7 +51,7 @@ def read(path):
 
 
 @pytest.mark.parametrize("form", ["csv", "parquet"])
-def test_every_record_comes_back_bit_for_bit(run, form, tmp_path):
+def test_export_returns_every_record_bit_for_bit(run, form, tmp_path):
     written = export_run(run.folder, tmp_path / "out", form)
     assert [path.name for path in written] == [f"{e.trial_id}.{form}" for e in run.entries]
     for path, entry in zip(written, run.entries, strict=True):
@@ -66,7 +66,7 @@ def test_every_record_comes_back_bit_for_bit(run, form, tmp_path):
         assert about["outcome"] == "done"
 
 
-def test_a_second_export_replaces_the_first_and_leaves_no_other_file(run, tmp_path):
+def test_export_again_replaces_files_and_leaves_no_other(run, tmp_path):
     out = tmp_path / "out"
     first = export_run(run.folder, out, "csv")
     content = first[0].read_bytes()
@@ -77,7 +77,7 @@ def test_a_second_export_replaces_the_first_and_leaves_no_other_file(run, tmp_pa
     assert len(list(out.iterdir())) == 2 * len(first)
 
 
-def test_a_trial_that_was_asked_for_but_never_told_is_left_out(tmp_path):
+def test_export_omits_trial_without_record(tmp_path):
     class Stopping(ArithmeticRig):
         def run(self, request):
             if request.number == 2:
@@ -91,7 +91,7 @@ def test_a_trial_that_was_asked_for_but_never_told_is_left_out(tmp_path):
     assert len(export_run(tmp_path / "cut", tmp_path / "out", "csv")) == 2
 
 
-def test_a_folder_that_cannot_be_written_is_named(run, tmp_path):
+def test_export_names_a_folder_that_cannot_be_written(run, tmp_path):
     (tmp_path / "file").write_text("in the way")
     with pytest.raises(JournalError, match="file"):
         export_run(run.folder, tmp_path / "file" / "out", "csv")

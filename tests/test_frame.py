@@ -1,4 +1,4 @@
-"""The record frame: what goes in comes out bit for bit, and nothing else is taken for a record."""
+"""The record frame: bit for bit, and any other bytes are refused."""
 
 import json
 import struct
@@ -60,7 +60,7 @@ def framed(record) -> bytes:
 
 
 @given(records())
-def test_a_record_comes_out_as_it_went_in(record):
+def test_frame_returns_the_encoded_record(record):
     data = record_frame.encode(record)
     decoded = record_frame.decode(data)
     assert same(record, decoded)
@@ -71,7 +71,7 @@ def test_a_record_comes_out_as_it_went_in(record):
     )
 
 
-def test_a_record_changed_after_it_was_read_is_not_taken_for_the_frame_it_came_in(framed):
+def test_changed_record_is_encoded_anew(framed):
     decoded = record_frame.decode(framed)
     assert not decoded.tension_N.flags.writeable
     changed = replace(decoded, reason="looked at")
@@ -79,7 +79,7 @@ def test_a_record_changed_after_it_was_read_is_not_taken_for_the_frame_it_came_i
 
 
 @given(st.data())
-def test_any_corruption_of_a_few_bits_is_refused(framed, data):
+def test_frame_with_corrupt_bits_is_refused(framed, data):
     """Single bits anywhere, and bursts up to the length the checksum is certain to notice."""
     start = data.draw(st.integers(0, 8 * len(framed) - 32))
     burst = data.draw(st.integers(1, 2**32 - 1))
@@ -89,7 +89,7 @@ def test_any_corruption_of_a_few_bits_is_refused(framed, data):
 
 
 @given(st.data())
-def test_a_frame_cut_short_or_continued_is_refused(framed, data):
+def test_frame_of_wrong_length_is_refused(framed, data):
     end = data.draw(st.integers(0, len(framed) - 1))
     more = data.draw(st.binary(min_size=1, max_size=20))
     with pytest.raises(ProtocolError, match=r"cut short|missing"):
@@ -99,7 +99,7 @@ def test_a_frame_cut_short_or_continued_is_refused(framed, data):
 
 
 @given(st.binary(max_size=200), st.booleans())
-def test_what_is_no_frame_is_refused(data, sealed):
+def test_bytes_that_are_no_frame_are_refused(data, sealed):
     with pytest.raises(ProtocolError):
         record_frame.decode(seal(data) if sealed else data)
 
@@ -111,7 +111,7 @@ def seal(header: bytes, body: bytes = b"", magic: bytes = b"RTR1") -> bytes:
     return lengths + struct.pack("<I", checksum) + header + body
 
 
-def test_the_layout_is_as_described(framed, record):
+def test_frame_has_the_documented_layout(framed, record):
     header_length = struct.unpack_from("<I", framed, 4)[0]
     header = framed[16 : 16 + header_length]
     body = framed[16 + header_length :]
@@ -122,7 +122,7 @@ def test_the_layout_is_as_described(framed, record):
     assert body.endswith(record.flags.tobytes())
 
 
-def test_a_frame_of_another_version_is_named(framed):
+def test_frame_of_another_version_is_refused_by_name(framed):
     with pytest.raises(ProtocolError, match=r"version b'2' at byte 3; this estune reads b'1'"):
         record_frame.decode(b"RTR2" + framed[4:])
 
@@ -140,7 +140,7 @@ def test_a_frame_of_another_version_is_named(framed):
         ({"colour": "red"}, "colour"),
     ],
 )
-def test_a_header_that_is_wrong_is_refused_though_the_checksum_is_right(framed, change, complaint):
+def test_frame_with_wrong_header_is_refused_despite_checksum(framed, change, complaint):
     length = struct.unpack_from("<I", framed, 4)[0]
     header = json.dumps(json.loads(framed[16 : 16 + length]) | change).encode()
     header += b" " * (-len(header) % 8)
@@ -148,7 +148,7 @@ def test_a_header_that_is_wrong_is_refused_though_the_checksum_is_right(framed, 
         record_frame.decode(seal(header, framed[16 + length :]))
 
 
-def test_a_frame_over_the_limit_is_refused_on_both_sides(record):
+def test_frame_over_the_limit_is_refused_on_both_sides(record):
     samples = record_frame.MAX_BYTES // 40
     column = np.zeros(samples)
     large = replace(
@@ -172,6 +172,6 @@ def test_a_frame_over_the_limit_is_refused_on_both_sides(record):
         ({"reason": "\ud800"}, "surrogates"),
     ],
 )
-def test_what_could_not_be_read_is_not_written(record, change, complaint):
+def test_encode_refuses_what_decode_would_refuse(record, change, complaint):
     with pytest.raises(ProtocolError, match=complaint):
         record_frame.encode(replace(record, **change))

@@ -1,11 +1,11 @@
-"""A run can be looked at after its tuner has changed."""
+"""Results of finished runs whose tuner has changed."""
 
 import pytest
 
 from estune import api
 from estune.errors import JournalError
 from estune.run.journal import Journal
-from estune.tuners import PhaseCompensated, SafeBayesianTuner
+from estune.tuners import TUNERS
 from tests.support_runs import ArithmeticRig
 
 TUNE = {"tuner": "phase_compensated", "trials": 40, "repeats": 2, "run": "old", "watch": None}
@@ -13,10 +13,10 @@ TUNE = {"tuner": "phase_compensated", "trials": 40, "repeats": 2, "run": "old", 
 
 @pytest.fixture(params=["other gains", "no such tuner"])
 def another_version(monkeypatch, request):
-    """Lets the tuners propose other gains from here on, or the run's own be there no more."""
+    """Makes the tuners propose other gains, or the stored tuner unknown."""
 
     def proposes(_):
-        for kind in (PhaseCompensated, SafeBayesianTuner):
+        for kind in (TUNERS[name].kind for name in ("phase_compensated", "safe_bayesian")):
 
             def ask(self, state, asked=kind.ask):
                 return tuple(1.01 * value for value in asked(self, state))
@@ -33,9 +33,7 @@ def another_version(monkeypatch, request):
 
 
 @pytest.mark.parametrize("tuner", ["phase_compensated", "safe_bayesian"])
-def test_what_a_finished_run_came_to_is_recalled_though_its_tuner_has_changed(
-    tmp_path, another_version, tuner
-):
+def test_finished_run_loads_although_its_tuner_has_changed(tmp_path, another_version, tuner):
     then = api.tune(ArithmeticRig(), folder=tmp_path, **TUNE | {"tuner": tuner})
     another_version(tmp_path / "old")
     now = api.load(tmp_path / "old")
@@ -47,9 +45,7 @@ def test_what_a_finished_run_came_to_is_recalled_though_its_tuner_has_changed(
     assert now.to_frame().equals(then.to_frame())
 
 
-def test_a_run_that_was_not_finished_is_refused_after_its_tuner_has_changed(
-    tmp_path, another_version
-):
+def test_unfinished_run_is_refused_after_its_tuner_has_changed(tmp_path, another_version):
     class Failing(ArithmeticRig):
         def run(self, request):
             if request.number == 20:

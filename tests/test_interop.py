@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from estune.core.gains import Gains
 from estune.core.margins import controller_response, sample_plant
-from estune.core.pidf import ControllerSettings, PidfState, at_rest, coefficients, step
+from estune.core.pidf import ControllerSettings, PidfState, state_at_rest, coefficients, step
 from estune.errors import InvalidInput
 from estune.interop import from_control, linear_model, margins, to_control
 
@@ -32,7 +32,7 @@ def settings(sampling_Hz, derivative_filter_s):
 
 
 @given(gain_values, st.just(0.0) | st.floats(1e-4, 1e-1))
-def test_the_controller_goes_to_python_control_and_back(gains, derivative_filter_s):
+def test_controller_to_python_control_and_back(gains, derivative_filter_s):
     F, _, C_y = to_control(gains, settings(632.0, derivative_filter_s))
     setpoint_filter_s = F.den[0][0][0] if F.den[0][0].size > 1 else 0.0
     back = from_control(C_y, setpoint_filter_s)
@@ -48,7 +48,7 @@ def test_the_controller_goes_to_python_control_and_back(gains, derivative_filter
 
 
 @given(gain_values)
-def test_with_an_ideal_derivative_the_way_there_and_back_is_exact_to_the_bit(gains):
+def test_controller_with_ideal_derivative_returns_bit_for_bit(gains):
     F, C_r, C_y = to_control(gains, settings(632.0, 0.0))
     assert from_control(C_y, gains.setpoint_filter_s) == gains
     assert from_control(C_r) == Gains(gains.P, gains.I, 0.0, 0.0)
@@ -56,7 +56,7 @@ def test_with_an_ideal_derivative_the_way_there_and_back_is_exact_to_the_bit(gai
 
 
 @given(gain_values, st.floats(0.1, 1e3))
-def test_the_transfer_functions_are_those_of_the_equations(gains, omega):
+def test_transfer_functions_match_the_equations(gains, omega):
     tau_d, jw = 0.004, 1j * omega
     F, C_r, C_y = to_control(gains, settings(632.0, tau_d))
     P, I, D, tau_F = gains.as_tuple()
@@ -65,7 +65,7 @@ def test_the_transfer_functions_are_those_of_the_equations(gains, omega):
     assert C_y(jw) == pytest.approx(P + I / jw + D * jw / (tau_d * jw + 1.0), rel=1e-9)
 
 
-def test_a_controller_written_in_s_is_recognised():
+def test_from_control_recognises_a_controller_in_s():
     K, Ti, Td, tau = 2.0, 0.5, 0.1, 0.01
     ideal = K * (1 + 1 / (Ti * s) + Td * s)
     filtered = K * (1 + 1 / (Ti * s) + Td * s / (tau * s + 1))
@@ -98,7 +98,7 @@ def test_a_controller_written_in_s_is_recognised():
         (3.0, "is a float"),
     ],
 )
-def test_a_controller_that_is_no_pid_is_refused_and_told_why(controller, why):
+def test_from_control_refuses_other_controllers_with_reason(controller, why):
     with pytest.raises(InvalidInput, match=why):
         from_control(controller)
 
@@ -118,7 +118,7 @@ def test_a_controller_that_is_no_pid_is_refused_and_told_why(controller, why):
     ],
     ids=["eight lags", "non-minimum phase", "fast modes", "feed-through", "gain", "state space"],
 )
-def test_a_linear_model_has_the_frequency_response_of_the_system(system):
+def test_linear_model_has_the_systems_frequency_response(system):
     model = linear_model(system, 0.25)
     A, B, C = (np.array(part) for part in (model.A, model.B, model.C))
     for omega in np.geomspace(1e-3, 1e4, 15):
@@ -143,7 +143,7 @@ def test_a_linear_model_has_the_frequency_response_of_the_system(system):
         (1 / (s + 1), math.inf, "dead time is inf s"),
     ],
 )
-def test_a_plant_of_another_kind_is_refused_with_what_to_do(system, dead_time_s, why):
+def test_linear_model_refuses_other_systems_with_remedy(system, dead_time_s, why):
     with pytest.raises(InvalidInput, match=why):
         linear_model(system, dead_time_s)
 
@@ -161,7 +161,7 @@ def sampled(model, sampling_Hz):
 
 
 @pytest.mark.parametrize("dead_time_samples", [0.0, 0.3, 1.0, 2.75])
-def test_the_sampled_plant_is_the_plant_held_between_samples(dead_time_samples):
+def test_sampled_plant_is_the_plant_with_zero_order_hold(dead_time_samples):
     """Against the step response written down in closed form, delayed by hand."""
     sampling_Hz, dead_time_s = 50.0, dead_time_samples / 50.0
     plant = sampled(linear_model(1 / (0.1 * s + 1), dead_time_s), sampling_Hz)
@@ -241,12 +241,12 @@ def scaled(gains, factor):
     return Gains(factor * P, factor * I, factor * D, setpoint_filter_s)
 
 
-def test_the_controllers_frequency_response_is_that_of_its_difference_equation():
+def test_controller_response_matches_its_difference_equation():
     gains, controller = Gains(1.3, 60.0, 0.01, 0.0), settings(632.0, 0.004)
     theta = np.array([0.03, 0.4, 2.5])
     c = coefficients(controller, gains)
     for angle, response in zip(theta, controller_response(gains, controller, theta), strict=True):
-        state, effort = at_rest(0.0, 0.0), []
+        state, effort = state_at_rest(0.0, 0.0), []
         k = np.arange(40_000)
         for y in np.cos(angle * k).tolist():
             state, u, _ = step(c, state, 0.0, y)
@@ -258,7 +258,7 @@ def test_the_controllers_frequency_response_is_that_of_its_difference_equation()
 
 
 @pytest.mark.parametrize("name", LOOPS)
-def test_the_margins_are_those_of_a_brute_force_scan(name):
+def test_margins_match_a_brute_force_scan(name):
     system, dead_time_s, gains, controller = LOOPS[name]
     model = linear_model(system, dead_time_s)
     found = margins(model, gains, controller)
@@ -282,7 +282,7 @@ def test_the_margins_are_those_of_a_brute_force_scan(name):
         assert found.gain_crossover_Hz == pytest.approx(crossover_Hz, rel=1e-3)
 
 
-def test_where_polynomials_keep_their_digits_python_control_finds_the_same_margins():
+def test_margins_match_python_control_where_well_conditioned():
     system, dead_time_s, gains, controller = REEL
     h, lag = 1.0 / controller.sampling_Hz, controller.derivative_filter_s
     z = control.tf([1.0, 0.0], [1.0], h)
@@ -297,7 +297,7 @@ def test_where_polynomials_keep_their_digits_python_control_finds_the_same_margi
 
 
 @pytest.mark.parametrize("name", [name for name in LOOPS if "2000" not in name])
-def test_at_the_gain_margin_the_closed_loop_is_on_the_verge(name):
+def test_closed_loop_at_gain_margin_is_marginally_stable(name):
     system, dead_time_s, gains, controller = LOOPS[name]
     model = linear_model(system, dead_time_s)
     factor = margins(model, gains, controller).gain_margin
@@ -307,7 +307,7 @@ def test_at_the_gain_margin_the_closed_loop_is_on_the_verge(name):
         assert (closed_loop_radius(model, there, controller) < 1.0) is stable
 
 
-def test_stability_is_that_of_the_eigenvalues_for_loops_of_all_kinds():
+def test_stability_matches_the_eigenvalues():
     rng = np.random.default_rng(1)
     stable = 0
     for _ in range(120):
@@ -343,13 +343,13 @@ def test_stability_is_that_of_the_eigenvalues_for_loops_of_all_kinds():
     ],
     ids=["too much gain", "unstable plant", "no gain at rest"],
 )
-def test_an_unstable_loop_is_called_unstable_and_has_no_margins(system, gains):
+def test_unstable_loop_has_no_margins(system, gains):
     found = margins(linear_model(system), gains, settings(632.0, 5e-4))
     assert found.stable is False
     assert list(map(math.isnan, found[:4])) == [True] * 4
 
 
-def test_an_unstable_plant_that_the_controller_holds_has_margins():
+def test_stabilised_unstable_plant_has_margins():
     found = margins(linear_model(1 / (s - 2)), Gains(6.0, 1.0, 0.0, 0.0), settings(632.0, 0.0))
     assert found.stable
     assert found.gain_margin == pytest.approx(1.0 / 3.0, rel=1e-3)  # s^2 + (6 k - 2) s + k
@@ -357,14 +357,14 @@ def test_an_unstable_plant_that_the_controller_holds_has_margins():
 
 
 @pytest.mark.parametrize("system", [0.2 / (s + 1), control.tf([0.0], [1.0, 1.0])])
-def test_a_loop_below_one_at_every_frequency_has_no_crossover(system):
+def test_loop_below_one_has_no_crossover(system):
     found = margins(linear_model(system), Gains(0.5, 0.0, 0.0, 0.0), settings(100.0, 0.0))
     assert found.phase_margin_deg == math.inf
     assert math.isnan(found.gain_crossover_Hz)
     assert found.gain_margin > 100.0
 
 
-def test_margins_of_a_model_need_no_import_of_python_control():
+def test_margins_do_not_import_python_control():
     program = (
         "import sys\n"
         "from estune.interop import margins\n"

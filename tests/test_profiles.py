@@ -1,4 +1,4 @@
-"""The setpoints a trial may ask for."""
+"""Setpoint profiles of trials."""
 
 import math
 from dataclasses import replace
@@ -27,7 +27,7 @@ ALL = [StepProfile(15.0, -3.0, 0.2, 1.0), TRIANGLE, MULTISINE, CHIRP, STAIRS]
 
 @pytest.mark.parametrize("profile", ALL, ids=lambda profile: profile.kind)
 @given(rate=st.floats(130.0, 5000.0))
-def test_a_setpoint_starts_at_the_preload_and_stays_within_its_extremes(profile, rate):
+def test_setpoint_starts_at_preload_and_stays_within_extremes(profile, rate):
     setpoint = profile.setpoint(rate)
     low, high = profile.extremes_N
     assert setpoint.shape == (profile.samples(rate),)
@@ -35,7 +35,7 @@ def test_a_setpoint_starts_at_the_preload_and_stays_within_its_extremes(profile,
     assert low - 1e-12 <= setpoint.min() <= setpoint.max() <= high + 1e-12
 
 
-def test_a_triangle_has_constant_rates_and_cycles_that_shrink():
+def test_triangle_has_constant_rates_and_shrinking_cycles():
     setpoint = TRIANGLE.setpoint(RATE_HZ)
     rate = np.abs(np.diff(setpoint[100:])) * RATE_HZ  # from the start at 0.2 s
     for cycle, expected in enumerate((16.0, 8.0, 4.0)):
@@ -44,7 +44,7 @@ def test_a_triangle_has_constant_rates_and_cycles_that_shrink():
         assert setpoint[100 + 500 * cycle + 125] == pytest.approx(15.0 + 4.0 * 0.5**cycle)
 
 
-def test_a_multisine_has_the_power_asked_for_on_its_lines_and_none_beside_them():
+def test_multisine_has_its_power_on_its_lines_alone():
     profile = replace(MULTISINE, slope=1.5, corner_Hz=20.0)
     period = profile.setpoint(RATE_HZ)[250:1250]
     spectrum = np.abs(np.fft.rfft(period - 15.0)) / 500.0
@@ -59,7 +59,7 @@ def test_a_multisine_has_the_power_asked_for_on_its_lines_and_none_beside_them()
     assert len(set(left_out % 8)) == 4
 
 
-def test_schroeders_phases_keep_the_peak_low():
+def test_multisine_with_schroeder_phases_has_a_low_peak():
     profile = replace(MULTISINE, lines="all", last_line=200)
     low, high = profile.extremes_N
     assert (high - 15.0) / profile.rms_N < 2.0  # equal phases would reach sqrt(2 x 200) = 20
@@ -67,7 +67,7 @@ def test_schroeders_phases_keep_the_peak_low():
     assert fine.max() - 15.0 > 0.97 * (high - 15.0) or 15.0 - fine.min() > 0.97 * (15.0 - low)
 
 
-def test_a_chirp_passes_its_frequencies_evenly():
+def test_chirp_sweeps_its_frequencies_evenly():
     setpoint = CHIRP.setpoint(10_000.0)[5000:] - 15.0
     # Half-cycles up to time s: (first s + (last - first) s^2/10) 2
     crossings = np.flatnonzero(np.diff(np.sign(setpoint)) != 0).size
@@ -76,7 +76,7 @@ def test_a_chirp_passes_its_frequencies_evenly():
     assert half == pytest.approx(2 * (2.0 * 2.5 + 38.0 * 2.5**2 / 10.0), abs=1)
 
 
-def test_a_staircase_goes_up_and_down_again():
+def test_staircase_rises_and_falls():
     levels = STAIRS.setpoint(RATE_HZ)[125::250]
     np.testing.assert_array_equal(levels, [15, 17, 19, 21, 19, 17, 15, 17])
     pulses = replace(STAIRS, stairs=1, step_N=-2.0).setpoint(RATE_HZ)[125::250]
@@ -84,7 +84,7 @@ def test_a_staircase_goes_up_and_down_again():
 
 
 @given(st.integers(1, 400), st.integers(100, 4000))
-def test_a_level_begins_on_the_sample_nearest_to_its_time(hold_samples, rate):
+def test_staircase_level_begins_at_nearest_sample(hold_samples, rate):
     profile = StaircaseProfile(
         0.0, 1.0, 2, hold_samples / rate, 0.1 + 8.5 * hold_samples / rate, 0.1
     )
@@ -112,6 +112,6 @@ def test_a_level_begins_on_the_sample_nearest_to_its_time(hold_samples, rate):
         (lambda: replace(STAIRS, hold_s=math.inf), "hold_s is inf"),
     ],
 )
-def test_a_profile_that_cannot_be_run_is_refused(make, said):
+def test_profile_refuses_unusable_values(make, said):
     with pytest.raises(InvalidInput, match=said):
         make()

@@ -1,4 +1,4 @@
-"""What a run came to: an OptimizeResult, a frame, a table, figures; plain about how it ended."""
+"""Results of runs: OptimizeResult, frame, table, figures and ending."""
 
 import math
 import pickle
@@ -60,7 +60,7 @@ def unimproved():
     return estune.tune(rig, trials=6, journal=False, watch=None)
 
 
-def test_it_is_an_optimize_result(tuned):
+def test_result_is_an_optimize_result(tuned):
     assert isinstance(tuned, OptimizeResult)
     assert tuned.success
     assert tuned["status"] == tuned.status == 0
@@ -69,13 +69,13 @@ def test_it_is_an_optimize_result(tuned):
     assert (tuned.nit, tuned.nfev) == (40, len(tuned.entries))
 
 
-def test_it_survives_pickling(tuned):
+def test_result_survives_pickling(tuned):
     again = pickle.loads(pickle.dumps(tuned))  # noqa: S301  our own
     assert repr(again) == repr(tuned)
     assert again.to_frame().equals(tuned.to_frame())
 
 
-def test_the_frame_has_a_row_per_trial_and_the_best_never_rises(tuned):
+def test_frame_has_a_row_per_trial_and_best_cost_never_rises(tuned):
     frame = tuned.to_frame()
     assert list(frame["number"]) == list(range(tuned.nfev))
     assert list(frame["trial_id"]) == [e.trial_id for e in tuned.entries]
@@ -88,7 +88,7 @@ def test_the_frame_has_a_row_per_trial_and_the_best_never_rises(tuned):
     assert Gains(row.P, row.I, row.D, row.setpoint_filter_s) == tuned.entries[5].gains
 
 
-def test_a_record_is_read_back_by_its_number(tuned):
+def test_record_is_read_by_trial_number(tuned):
     record = tuned.record(5)
     assert record.gains == tuned.entries[5].gains
     cost = cost_of(record, tuned.plan.step, tuned.plan.cost, tuned.rig.newtons_per_ampere)
@@ -97,13 +97,13 @@ def test_a_record_is_read_back_by_its_number(tuned):
         tuned.record(999)
 
 
-def test_a_run_without_a_journal_keeps_the_records_it_shows(unimproved):
+def test_run_without_journal_keeps_the_records_it_plots(unimproved):
     assert unimproved.record(0).trial_id == unimproved.entries[0].trial_id
     with pytest.raises(JournalError, match="journal=True"):
         unimproved.record(4)
 
 
-def test_the_table_shows_the_records_of_the_first_and_the_last_trial_of_the_gains(tuned):
+def test_table_shows_first_and_last_record_of_the_gains(tuned):
     start, found = tuned.start.record, tuned.tuned.record
     assert start.trial_id == tuned.entries[0].trial_id
     same = [
@@ -126,7 +126,7 @@ def test_the_table_shows_the_records_of_the_first_and_the_last_trial_of_the_gain
     ],
     ids=["no model", "stable", "unstable"],
 )
-def test_margins_are_those_of_the_rigs_model_or_said_to_be_missing(model, start):
+def test_margins_are_of_the_rigs_model_or_missing(model, start):
     rig = ArithmeticRig(linear_model=model)
     result = estune.tune(rig, trials=1, repeats=1, journal=False, watch=None)
     shown = {row.label: row.start for row in result.rows()}
@@ -139,7 +139,7 @@ def test_margins_are_those_of_the_rigs_model_or_said_to_be_missing(model, start)
 
 
 @pytest.mark.parametrize("kind", ["stopped", "unimproved"])
-def test_a_run_that_found_nothing_does_not_look_like_one_that_did(kind, request, tuned):
+def test_result_without_improvement_shows_no_tuned_column(kind, request, tuned):
     result = request.getfixturevalue(kind)
     assert not result.success
     assert result.status != 0
@@ -154,7 +154,7 @@ def test_a_run_that_found_nothing_does_not_look_like_one_that_did(kind, request,
     assert repr(tuned).startswith("TUNED")
 
 
-def test_unsafe_start_gains_are_an_ending_of_their_own(tmp_path):
+def test_unsafe_start_is_an_ending_of_its_own(tmp_path):
     with pytest.raises(estune.EstuneError, match="unsafe"):
         estune.tune(Unlucky(diverging=(0,)), folder=tmp_path, run="unsafe", watch=None)
     result = estune.load(tmp_path / "unsafe")
@@ -163,7 +163,7 @@ def test_unsafe_start_gains_are_an_ending_of_their_own(tmp_path):
     assert result.figure()
 
 
-def test_the_html_is_well_formed_and_escapes_what_others_wrote(tuned):
+def test_html_is_well_formed_and_escaped(tuned):
     rig = ArithmeticRig(name="<script>&")
     strange = estune.tune(rig, trials=1, repeats=1, journal=False, watch=None)
     html = strange._repr_html_()
@@ -173,7 +173,7 @@ def test_the_html_is_well_formed_and_escapes_what_others_wrote(tuned):
     assert tuned._repr_html_().count("<svg") == 1
 
 
-def test_plots_take_an_ax_and_give_it_back_with_units_and_leave_pyplot_alone(tuned):
+def test_plots_return_given_axes_with_units_without_pyplot(tuned):
     ax = plot_style.new_axes()
     assert tuned.plot_cost(ax) is ax
     labels = [tuned.plot_response().get_xlabel(), tuned.plot_response().get_ylabel()]
@@ -184,14 +184,14 @@ def test_plots_take_an_ax_and_give_it_back_with_units_and_leave_pyplot_alone(tun
     assert plot_style.to_png(tuned.figure()).startswith(b"\x89PNG")
 
 
-def test_unsafe_trials_are_marked_and_do_not_set_the_scale(tuned):
+def test_plot_marks_unsafe_trials_without_scaling_to_them(tuned):
     ax = tuned.plot_cost()
     crosses = next(line for line in ax.lines if line.get_label() == "unsafe")
     assert list(crosses.get_xdata()) == [9, 12]
     assert ax.get_ylim()[1] < 2.0 * tuned.to_frame().loc[~tuned.to_frame()["unsafe"], "cost"].max()
 
 
-def test_the_cost_axis_is_logarithmic_only_over_more_than_a_decade(tuned):
+def test_cost_axis_is_logarithmic_only_over_a_decade(tuned):
     frame = tuned.to_frame()
     narrow = figures.draw_cost(plot_style.new_axes(), frame, 1.0, math.inf)
     frame.loc[frame["number"] == 4, "cost"] = 1000.0
@@ -199,7 +199,7 @@ def test_the_cost_axis_is_logarithmic_only_over_more_than_a_decade(tuned):
     assert (narrow.get_yscale(), wide.get_yscale()) == ("linear", "log")
 
 
-def test_a_run_of_one_trial_or_none_can_be_drawn(tmp_path):
+def test_run_of_one_trial_or_none_can_be_drawn(tmp_path):
     for stop_before in (0, 1):
         rig = Unlucky(stop_before=stop_before)
         with pytest.raises(Stopped):
@@ -210,5 +210,5 @@ def test_a_run_of_one_trial_or_none_can_be_drawn(tmp_path):
         assert "STOPPED" in repr(result)
 
 
-def test_a_result_is_the_same_from_memory_and_from_disk(tuned):
+def test_result_is_equal_from_memory_and_disk(tuned):
     assert repr(estune.load(tuned.folder)) == repr(tuned)

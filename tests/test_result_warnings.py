@@ -1,4 +1,4 @@
-"""Remarks, on costs and margins for which it is known what is to be said."""
+"""Result warnings, on costs and margins with known warnings."""
 
 import math
 
@@ -32,14 +32,14 @@ def flat(found):
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_a_parameter_the_cost_does_not_know_is_named_with_how_far_it_may_move(seed):
+def test_flat_parameter_is_named_with_its_range(seed):
     found = findings(lambda z: 1.0 + z[0] ** 2 + 2.0 * z[1] ** 2 + z[3] ** 2, seed=seed)
     assert flat(found) == {("D",)}
     assert "D may move by a factor" in found[0].sentence
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_two_parameters_of_which_only_the_product_counts_are_named_together(seed):
+def test_parameters_with_an_effective_product_are_named_together(seed):
     found = findings(lambda z: 1.0 + 2.0 * (z[0] + z[1]) ** 2 + z[2] ** 2 + z[3] ** 2, seed=seed)
     assert flat(found) == {("P", "I")}
     ways = next(f.sentence for f in found if f.kind == "flat")
@@ -56,18 +56,18 @@ def test_two_parameters_of_which_only_the_product_counts_are_named_together(seed
     ],
     ids=["a bowl", "not a quadratic", "a turned bowl"],
 )
-def test_a_cost_that_depends_on_everything_has_no_flat_direction(cost, seed):
+def test_cost_of_all_parameters_has_no_flat_direction(cost, seed):
     assert not flat(findings(cost, seed=seed))
 
 
 @given(trials=st.integers(0, 20), seed=st.integers(0, 99))
-def test_too_few_trials_claim_nothing(trials, seed):
+def test_too_few_trials_are_inconclusive(trials, seed):
     found = findings(lambda z: 1.0 + z[0] ** 2, trials=trials, seed=seed)
     assert [f.kind for f in found] == ["unknown"]
     assert found[0].parameters == SPACE.names
 
 
-def test_what_the_trials_did_not_explore_is_not_called_flat():
+def test_unexplored_direction_is_not_flat():
     random = np.random.default_rng(1)
     z = random.normal(0.0, 0.5, (120, 4)) * (1.0, 1.0, 0.05, 1.0)
     costs = 1.0 + z[:, 0] ** 2 + z[:, 1] ** 2 + z[:, 3] ** 2 + NOISE * random.normal(size=120)
@@ -76,7 +76,7 @@ def test_what_the_trials_did_not_explore_is_not_called_flat():
     assert any(f.kind == "unknown" and "D" in f.parameters for f in found)
 
 
-def test_without_repeats_nothing_is_said_of_flatness():
+def test_flatness_is_unknown_without_repeats():
     found = findings(lambda z: 1.0 + z[0] ** 2, noise=float("nan"))
     assert [f.kind for f in found] == ["unknown"]
 
@@ -90,7 +90,7 @@ def test_without_repeats_nothing_is_said_of_flatness():
         ((50.0, 0.02, 1.0, 1.0), {}),
     ],
 )
-def test_only_parameters_at_a_bound_are_named_with_the_side(factors, named):
+def test_at_bounds_names_parameter_and_side(factors, named):
     found = at_bounds(SPACE, tuple(np.multiply(BEST, factors)))
     sides = {f.parameters[0]: f.sentence for f in found}
     assert sides.keys() == named.keys()
@@ -101,7 +101,7 @@ def test_only_parameters_at_a_bound_are_named_with_the_side(factors, named):
     ("share", "words"),
     [(math.inf, None), (0.3, None), (0.11, "leaves 11% of the room"), (-0.2, "leaves 0%")],
 )
-def test_a_response_near_a_limit_of_the_rig_is_said(share, words):
+def test_near_limits_warns_below_the_share(share, words):
     said = [finding.sentence for finding in near_limits(share)]
     assert len(said) == (words is not None)
     assert all(words in sentence for sentence in said)
@@ -117,7 +117,7 @@ def test_a_response_near_a_limit_of_the_rig_is_said(share, words):
         (None, None),
     ],
 )
-def test_margins_thinner_than_usual_are_said(found, words):
+def test_low_margins_warns_below_usual_values(found, words):
     said = [finding.sentence for finding in low_margins(found)]
     assert len(said) == (words is not None)
     assert all(words in sentence for sentence in said)

@@ -52,7 +52,7 @@ def file(tmp_path):
     return path
 
 
-def test_a_rig_on_hardware_is_served_and_remembers_its_trials_over_a_restart(file):
+def test_serve_hardware_remembers_trials_over_a_restart(file):
     with served(file) as (process, endpoint), zenoh.connect(endpoint) as rig:
         description = rig.describe()
         assert not description.simulated
@@ -66,7 +66,7 @@ def test_a_rig_on_hardware_is_served_and_remembers_its_trials_over_a_restart(fil
         assert rig.describe() == description
 
 
-def test_a_loop_that_has_died_ends_the_command_and_is_named(file):
+def test_serve_hardware_ends_with_its_dead_loop(file):
     with served(file) as (process, _):
         children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
         (loop,) = (int(child) for child in children)
@@ -75,7 +75,7 @@ def test_a_loop_that_has_died_ends_the_command_and_is_named(file):
         assert "its loop has ended, exit code -9" in process.stderr.read()
 
 
-def test_a_file_that_is_wrong_is_told_in_full(file):
+def test_serve_hardware_lists_all_faults_of_a_file(file):
     file.write_text(file.read_text().replace("taut_N = 2.0", "taut_kN = 2.0"))
     told = call("serve-hardware", file, code=2).stderr
     assert "motion.taut_N: Field required" in told
@@ -83,7 +83,7 @@ def test_a_file_that_is_wrong_is_told_in_full(file):
     assert "Traceback" not in told
 
 
-def test_a_schedule_is_written_as_a_header_beside_the_controller(file, tmp_path):
+def test_export_controller_writes_schedule_header(file, tmp_path):
     constant = {"form": "constant", "offset": 0.02}
     gains = dict.fromkeys(("P", "D", "setpoint_filter_s"), constant)
     gains["I"] = {"form": "linear", "offset": 50.0, "slope": -18.5}
@@ -97,7 +97,7 @@ def test_a_schedule_is_written_as_a_header_beside_the_controller(file, tmp_path)
     assert "cannot be used at 5 m and 15 N: gain I is -42.5" in told
 
 
-def test_the_controller_of_a_rigs_file_is_written_as_c(file, tmp_path):
+def test_export_controller_writes_c_of_a_rig_file(file, tmp_path):
     out = tmp_path / "controller.c"
     call("export-controller", file, "--c", "--out", out)
     assert "estune_pidf_gains(pidf, 0.4, 12.0, 0.01, 0.03);" in out.read_text()

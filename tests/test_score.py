@@ -1,4 +1,4 @@
-"""How near a trial came to the rig's limits."""
+"""Constraint margin of a trial."""
 
 import math
 from dataclasses import replace
@@ -35,11 +35,11 @@ def record(**columns):
         ({"tension_N": 35.0, "current_A": 92.0 / 20.0}, 0.1),
     ],
 )
-def test_the_margin_is_the_smallest_share_left_of_the_room_beyond_the_setpoint(columns, share):
+def test_constraint_margin_is_the_smallest_remaining_share(columns, share):
     assert constraint_margin(record(**columns), RIG) == pytest.approx(share)
 
 
-def test_a_side_without_room_or_without_a_limit_does_not_count():
+def test_constraint_margin_ignores_unlimited_sides():
     tight = replace(RIG, limits=RigLimits(10.0, 20.0, 5.0))
     assert constraint_margin(record(tension_N=25.0), tight) == pytest.approx(1.0)
     free = replace(
@@ -50,7 +50,7 @@ def test_a_side_without_room_or_without_a_limit_does_not_count():
     assert constraint_margin(record(tension_N=1e9), free) == math.inf
 
 
-def test_a_trial_without_samples_came_near_nothing():
+def test_constraint_margin_without_samples_is_infinite():
     request = TrialRequest("run", 0, START, RIG.step)
     nothing = empty_record(request, RIG, Outcome.CANCELLED, "stopped", "2009-05-04T12:00:00+00:00")
     assert constraint_margin(nothing, RIG) == math.inf

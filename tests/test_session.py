@@ -1,4 +1,4 @@
-"""The run as a pure fold, without any rig."""
+"""The state machine of a run, without any rig."""
 
 import math
 from dataclasses import replace
@@ -12,13 +12,13 @@ from estune.core.gains import GAIN_NAMES
 from estune.errors import InvalidInput
 from estune.run.plan import make_plan, plan_from_json, plan_to_json
 from estune.run.session import (
-    CENSORED_IN_A_ROW,
-    ROUNDS_MOST,
+    CONSECUTIVE_CENSORED_MAX,
+    CONFIRMATION_REPEATS_MAX,
     UNSAFE_RATIO,
     Phase,
     Plan,
     after_trial,
-    forecast,
+    predict_next,
     new_session,
     next_request,
 )
@@ -54,7 +54,7 @@ def advance(session, costs):
     return session, asked
 
 
-def test_the_phases_follow_one_another_and_number_every_trial():
+def test_phases_follow_one_another_and_number_every_trial():
     session, asked = advance(new_session(plan()), [1.0] * 3 + [0.9] * 10)
     assert [phase for phase, _ in asked] == [Phase.BASELINE] * 3 + [Phase.SEARCH] * 10
     assert [request.number for _, request in asked] == list(range(13))
@@ -67,7 +67,7 @@ def test_the_phases_follow_one_another_and_number_every_trial():
     assert {len(costs) for costs in session.confirmation.costs} == {session.plan.repeats}
 
 
-def test_a_void_trial_is_asked_again_under_a_new_id_and_changes_nothing_else():
+def test_void_trial_is_repeated_under_a_new_id_without_other_effect():
     session, _ = advance(new_session(plan()), [1.0] * 3)
     before = next_request(session)
     again = next_request(after_trial(session, Outcome.CANCELLED, math.nan))
@@ -87,9 +87,9 @@ def test_a_void_trial_is_asked_again_under_a_new_id_and_changes_nothing_else():
         (Outcome.DONE, UNSAFE_RATIO * 1.01),
     ],
 )
-def test_unsafe_trials_end_the_search_and_the_start_is_kept(outcome, cost):
+def test_consecutive_unsafe_trials_end_search_and_keep_initial_gains(outcome, cost):
     session, _ = advance(new_session(plan(trials=100)), [1.0] * 3)
-    for _ in range(CENSORED_IN_A_ROW):
+    for _ in range(CONSECUTIVE_CENSORED_MAX):
         assert session.phase is Phase.SEARCH
         session = after_trial(session, outcome, cost)
     assert "unsafe" in session.search_end
@@ -99,14 +99,14 @@ def test_unsafe_trials_end_the_search_and_the_start_is_kept(outcome, cost):
     assert not summarise(session).improved
 
 
-def test_an_unsafe_start_fails_the_run_with_a_sentence():
+def test_unsafe_start_fails_the_run_with_a_sentence():
     session = after_trial(new_session(plan(eta_max=0.5)), Outcome.DONE, 1.0)
     assert next_request(session) is None
     assert "eta_max = 0.5" in session.failure
     assert summarise(session).message == session.failure
 
 
-def test_an_improvement_within_the_scatter_is_not_called_one():
+def test_insignificant_improvement_is_not_reported_as_one():
     session, _ = advance(new_session(plan()), [1.0, 1.1, 0.9] + [1.0] * 10)
     while next_request(session) is not None:
         session = after_trial(session, Outcome.DONE, 0.98)
@@ -132,7 +132,7 @@ def searched(**changes):
     return session
 
 
-def test_the_better_of_two_is_chosen_by_other_trials_than_those_that_confirm_it():
+def test_choice_and_confirmation_use_different_trials():
     session = searched()
     first, second = session.choice.gains
     costs = {START: 1.0, first: 0.6, second: 0.4}
@@ -149,7 +149,7 @@ def test_the_better_of_two_is_chosen_by_other_trials_than_those_that_confirm_it(
     assert found.change.estimate == pytest.approx(-0.6)
 
 
-def test_the_start_is_held_to_its_own_repeats_so_that_a_drift_is_no_improvement():
+def test_drift_of_the_cost_is_no_improvement():
     # The plant gets better by itself during the search: everything costs half of what it did.
     session, _ = to_the_end(searched(), lambda gains: 0.5 if gains == START else 0.51)
     found = summarise(session)
@@ -158,7 +158,7 @@ def test_the_start_is_held_to_its_own_repeats_so_that_a_drift_is_no_improvement(
     assert found.change.estimate == pytest.approx(0.02)
 
 
-def test_the_closer_the_gains_found_are_to_the_start_the_more_repeats_confirm_them():
+def test_smaller_improvement_is_confirmed_by_more_repeats():
     def rounds(better):
         noise = iter([1.0, 1.03, 0.97, 1.02, 0.98] * 10)
         session = searched()
@@ -166,10 +166,10 @@ def test_the_closer_the_gains_found_are_to_the_start_the_more_repeats_confirm_th
         return session.confirmation.rounds
 
     assert rounds(0.3) == 3
-    assert 3 < rounds(0.9) < rounds(0.97) == ROUNDS_MOST
+    assert 3 < rounds(0.9) < rounds(0.97) == CONFIRMATION_REPEATS_MAX
 
 
-def test_gains_that_turn_out_unsafe_leave_the_others_or_the_start():
+def test_candidate_that_turns_out_unsafe_is_dropped():
     session = searched()
     first, second = session.choice.gains
     one, _ = to_the_end(session, {START: 1.0, first: math.nan, second: 0.4}.get)
@@ -181,13 +181,13 @@ def test_gains_that_turn_out_unsafe_leave_the_others_or_the_start():
 
 
 @pytest.mark.parametrize("cost", [0.0, -1.0, math.nan, math.inf])
-def test_a_cost_that_is_none_ends_the_run_at_the_start_and_is_unsafe_later(cost):
+def test_invalid_cost_fails_the_start_and_is_unsafe_later(cost):
     assert "cost" in after_trial(new_session(plan()), Outcome.DONE, cost).failure
     session, _ = advance(new_session(plan()), [1.0] * 3)
     assert after_trial(session, Outcome.DONE, cost).unsafe == 1
 
 
-def test_a_cost_that_never_changes_is_no_improvement():
+def test_constant_cost_is_no_improvement():
     session, _ = advance(new_session(plan()), [1.0] * 13)
     found = summarise(to_the_end(session, lambda _: 1.0)[0])
     assert found.complete
@@ -199,25 +199,27 @@ def seer(**changes):
     return plan(tuner=Seer(SearchSpace.around(START)), **changes)
 
 
-def test_the_search_ends_once_little_is_left_to_gain_for_some_trials_in_a_row():
+def test_search_ends_after_consecutive_trials_below_tolerance():
     session, _ = advance(new_session(seer()), [1.0] * 3 + [0.9] * 9)
     assert session.phase is not Phase.SEARCH
     assert "9 of 10 trials" in session.search_end
-    assert "1.0% is left" in session.search_end
+    assert "is at most 1.0%, below" in session.search_end
     assert summarise(session).intervals == tuple((n, 0.1, 1.0) for n in GAIN_NAMES)
 
 
-@pytest.mark.parametrize("made", [seer(tolerance=0.0), plan()], ids=["told not to", "cannot tell"])
-def test_the_search_uses_all_its_trials_unless_it_is_told_what_is_left(made):
+@pytest.mark.parametrize("made", [seer(tolerance=0.0), plan()], ids=["no tolerance", "no estimate"])
+def test_search_without_convergence_estimate_uses_all_trials(made):
     session, _ = advance(new_session(made), [1.0] * 3 + [0.9] * 10)
     assert session.search_end == "the search used its 10 trials"
 
 
-def test_a_forecast_is_had_for_new_gains_alone():
+def test_predict_next_is_for_new_gains_only():
     session = new_session(seer(repeats=1))
     asked = []
     while next_request(session) is not None:
-        asked.append((session.phase, next_request(session).gains, forecast(session) is not None))
+        asked.append(
+            (session.phase, next_request(session).gains, predict_next(session) is not None)
+        )
         session = after_trial(session, Outcome.DONE, 0.9 + 0.001 * session.number)
     new = [gains for _, gains, foretold in asked if foretold]
     assert len(new) == len(set(new))
@@ -225,15 +227,15 @@ def test_a_forecast_is_had_for_new_gains_alone():
     assert {gains for phase, gains, _ in asked if phase is Phase.SEARCH} <= {START, *new}
 
 
-def test_declined_trials_are_kept_away_from_and_are_not_unsafe():
+def test_declined_trials_are_avoided_and_not_unsafe():
     session, _ = advance(new_session(plan()), [1.0] * 3)
     session = after_trial(session, Outcome.DECLINED, math.nan)
-    assert (session.declined, session.unsafe, session.searched) == (1, 0, 1)
-    assert session.tuner_state.caution < 1.0
+    assert (session.declined, session.unsafe, session.search_trials) == (1, 0, 1)
+    assert session.tuner_state.step_scale < 1.0
 
 
 @given(st.lists(st.floats(0.8, 2.0), min_size=0, max_size=12), st.integers(0, 11))
-def test_the_session_is_a_function_of_what_it_was_told(costs, cut):
+def test_session_is_a_function_of_its_trials(costs, cut):
     straight, asked = advance(new_session(plan()), costs)
     first, _ = advance(new_session(plan()), costs[:cut])
     second, again = advance(first, costs[cut:])
@@ -241,7 +243,7 @@ def test_the_session_is_a_function_of_what_it_was_told(costs, cut):
     assert asked[cut:] == again
 
 
-def test_a_plan_survives_json_exactly():
+def test_plan_survives_json_exactly():
     made = plan(eta_max=1.7)
     assert plan_from_json(plan_to_json(made)) == made
 
@@ -258,13 +260,13 @@ def test_a_plan_survives_json_exactly():
         {"ask_first": True},
     ],
 )
-def test_a_plan_that_makes_no_sense_is_refused(wrong):
-    with pytest.raises(InvalidInput, match=r"at least 1|eta_max|tolerance|cannot tell"):
+def test_plan_refuses_unusable_values(wrong):
+    with pytest.raises(InvalidInput, match=r"at least 1|eta_max|tolerance|does not predict"):
         plan(**wrong)
 
 
-def test_no_run_takes_more_trials_than_its_plan_says():
+def test_max_trials_is_never_exceeded():
     for better in (0.3, 1.0):
         session, _ = to_the_end(searched(), lambda g, b=better: 1.0 if g == START else b)
-        assert session.number <= session.plan.most_trials
+        assert session.number <= session.plan.max_trials
         assert session.trials_left == 0

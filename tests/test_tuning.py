@@ -1,4 +1,4 @@
-"""Tuning over the link: it goes on where it can, and asks somebody where it must."""
+"""The loop of a run: void trials, interruptions, approval by the operator."""
 
 from dataclasses import replace
 
@@ -11,11 +11,11 @@ from estune.trial import Outcome, empty_record
 from estune.tuners.search_space import SearchSpace
 from tests.serve_rig import served
 from tests.support_runs import START, ArithmeticRig, Seer
-from tests.test_journal import begin, go_on, trace
+from tests.test_journal import begin, resume, trace
 
 
 class FailingRig(ArithmeticRig):
-    """Some of its trials come to nothing."""
+    """Rig with void trials."""
 
     def __init__(self, outcomes: dict[int, Outcome], **changes) -> None:
         super().__init__(**changes)
@@ -31,14 +31,14 @@ class FailingRig(ArithmeticRig):
         return empty_record(request, self.description, outcome, "the rig was restarted", at)
 
 
-def test_a_trial_cut_off_on_a_rig_that_moves_ends_the_run_until_somebody_resumes_it(tmp_path):
+def test_interrupted_trial_on_moving_rig_ends_run_until_resumed(tmp_path):
     rig = FailingRig({5: Outcome.INTERRUPTED})
     run = begin(tmp_path / "run", "otis", rig)
-    with pytest.raises(Interrupted, match=rf"see to the rig, then .* resume {tmp_path / 'run'}"):
+    with pytest.raises(Interrupted, match=rf"check the rig, then .* resume {tmp_path / 'run'}"):
         loop.run(run, rig)
     assert rig.turn == 5
     run.journal.close()
-    resumed = go_on(tmp_path / "run", rig)
+    resumed = resume(tmp_path / "run", rig)
     whole = begin(tmp_path / "whole", "otis", ArithmeticRig())
     loop.run(whole, ArithmeticRig())
     whole.journal.close()
@@ -47,7 +47,7 @@ def test_a_trial_cut_off_on_a_rig_that_moves_ends_the_run_until_somebody_resumes
 
 
 @pytest.mark.parametrize("outcome", [Outcome.INTERRUPTED, Outcome.CANCELLED])
-def test_a_trial_cut_off_on_a_simulated_rig_is_asked_for_again(outcome, tmp_path):
+def test_void_trial_on_simulated_rig_is_repeated(outcome, tmp_path):
     rig = FailingRig({5: outcome, 6: outcome, 9: outcome}, simulated=True)
     run = begin(tmp_path / "run", "otis", rig)
     loop.run(run, rig)
@@ -58,16 +58,16 @@ def test_a_trial_cut_off_on_a_simulated_rig_is_asked_for_again(outcome, tmp_path
     assert trace(e for e in run.entries if not e.outcome.is_void) == trace(whole.entries)
 
 
-def test_a_run_whose_trials_all_come_to_nothing_ends(tmp_path):
+def test_run_ends_after_consecutive_void_trials(tmp_path):
     rig = FailingRig(dict.fromkeys(range(100), Outcome.CANCELLED))
     run = begin(tmp_path / "run", "otis", rig)
-    with pytest.raises(RigError, match="came to nothing, as did 9 before it"):
+    with pytest.raises(RigError, match="10 consecutive void trials"):
         loop.run(run, rig)
-    assert rig.turn == loop.VOID_IN_A_ROW - 1
+    assert rig.turn == loop.CONSECUTIVE_VOID_MAX - 1
     run.journal.close()
 
 
-def test_a_run_goes_on_when_its_rig_is_killed_and_started_again(tmp_path):
+def test_run_continues_when_its_rig_is_killed_and_restarted(tmp_path):
     kills, servers = {3, 11}, []
 
     def start(endpoint: str = "tcp/127.0.0.1:0") -> str:
@@ -94,23 +94,23 @@ def answers(number: int) -> str:
     return "no" if number % 3 else "yes"
 
 
-def asked_run(folder, rig, ask):
-    """A run in which all is asked that has a larger P than the start."""
+def run_with_approval(folder, rig, ask):
+    """A run in which all gains with a larger P than the initial one need approval."""
     tuner = Seer(SearchSpace.around(START))
     options = {"tolerance": 0.0, "run": "run", "watch": None}
     tuned = estune.tune(rig, tuner=tuner, trials=15, folder=folder, ask=ask, **options)
     return tuned, [request.number for request in rig.asked]
 
 
-def test_gains_beyond_what_is_known_to_be_safe_are_run_only_where_somebody_agrees(tmp_path):
+def test_gains_outside_safe_region_run_only_when_approved(tmp_path):
     questions = []
 
     def ask(question):
-        assert not question.expected.explored
+        assert not question.prediction.explored
         questions.append(question.request.number)
         return answers(question.request.number)
 
-    found, ran = asked_run(tmp_path, ArithmeticRig(), ask)
+    found, ran = run_with_approval(tmp_path, ArithmeticRig(), ask)
     assert {answers(number) for number in questions} == {"yes", "no"}
     refused = {number for number in questions if answers(number) == "no"}
     assert not refused & set(ran)
@@ -120,7 +120,7 @@ def test_gains_beyond_what_is_known_to_be_safe_are_run_only_where_somebody_agree
     assert "declined" in repr(found)
 
 
-def test_a_run_that_was_cut_off_keeps_what_was_declined(tmp_path):
+def test_resumed_run_keeps_declined_trials(tmp_path):
     class Gone(ArithmeticRig):
         def run(self, request):
             if request.number >= 10:
@@ -130,23 +130,23 @@ def test_a_run_that_was_cut_off_keeps_what_was_declined(tmp_path):
     def ask(question):
         return answers(question.request.number)
 
-    whole, _ = asked_run(tmp_path / "whole", ArithmeticRig(), ask)
+    whole, _ = run_with_approval(tmp_path / "whole", ArithmeticRig(), ask)
     with pytest.raises(loop.Stopped):
-        asked_run(tmp_path, Gone(), ask)
-    with pytest.raises(InvalidInput, match="nobody to ask"):
+        run_with_approval(tmp_path, Gone(), ask)
+    with pytest.raises(InvalidInput, match="approval callback"):
         estune.resume(tmp_path / "run", ArithmeticRig(), watch=None)
     again = estune.resume(tmp_path / "run", ArithmeticRig(), watch=None, ask=ask)
     assert str(trace(again.entries)) == str(trace(whole.entries))  # nan is not itself
     assert again.verdict.declined > 1
 
 
-def test_always_is_asked_once(tmp_path):
+def test_approval_always_prompts_once(tmp_path):
     questions = []
 
     def ask(question):
         questions.append(question)
         return "always"
 
-    found, ran = asked_run(tmp_path, ArithmeticRig(), ask)
+    found, ran = run_with_approval(tmp_path, ArithmeticRig(), ask)
     assert len(questions) == 1
     assert len(ran) == len(found.entries)

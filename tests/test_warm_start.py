@@ -1,4 +1,4 @@
-"""A start from the rig's own linear model: safe on the rig it is of, refused where it is not."""
+"""Warm starts from a rig's own linear model."""
 
 from dataclasses import replace
 
@@ -32,7 +32,7 @@ def loop(model) -> Margins:
     ],
     ids=["reel", "first order with dead time", "three lags", "non-minimum phase"],
 )
-def test_any_stable_model_gets_a_start_with_room_to_spare(model):
+def test_warm_start_of_stable_model_has_stability_margins(model):
     found = loop(model)
     assert found.stable
     # |1 + L| >= 1/1.6 everywhere means margins of at least 2.67 and 36 degrees.
@@ -49,18 +49,18 @@ def test_any_stable_model_gets_a_start_with_room_to_spare(model):
         (-1.0 / (s + 1.0), "turn the sign"),
     ],
 )
-def test_a_model_that_promises_no_safe_start_is_refused(system, words):
+def test_warm_start_refuses_unsuitable_model(system, words):
     with pytest.raises(InvalidInput, match=words):
         model_gains(linear_model(system), SETTINGS)
 
 
-def test_a_rig_without_a_model_says_what_to_do_instead():
-    with pytest.raises(InvalidInput, match=r"arithmetic gives no linear model.*give the gains"):
+def test_warm_start_of_rig_without_model_names_a_remedy():
+    with pytest.raises(InvalidInput, match=r"arithmetic gives no linear model.*give the initial gains"):
         model_start(replace(description(), linear_model=None))
 
 
 @pytest.mark.parametrize("length_m", [0.5, 1.4])
-def test_a_tuning_from_the_model_starts_safely_and_much_nearer_than_from_the_rigs_gains(length_m):
+def test_warm_start_is_safe_and_closer_to_the_optimum(length_m):
     reel = plants.reference_reel(cable_length_m=length_m)
     warm = estune.tune(reel, start="model", trials=1, journal=False, watch=None)
     cold = estune.tune(reel, trials=1, journal=False, watch=None)

@@ -75,13 +75,15 @@ app = App(
 
 def _add_commands() -> Iterator[str]:
     """Registers all commands; messages on packages whose commands cannot be added."""
-    found = [(name, f"estune.cli.{where}", *rest) for name, where, *rest in COMMANDS]
+    commands: list[tuple[str, str, str, int]] = [
+        (name, f"estune.cli.{where}", text, place) for name, where, text, place in COMMANDS
+    ]
     for point in plugins("estune.commands").values():
         try:
-            found.extend(load_plugin(point))
+            commands.extend(load_plugin(point))
         except EstuneError as error:
             yield f"no commands of {point.name}: {error}"
-    for name, where, text, place in found:
+    for name, where, text, place in commands:
         app.command(where, name=name, help=text, sort_key=place)
 
 

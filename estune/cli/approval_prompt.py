@@ -20,7 +20,7 @@ def terminal_approval() -> ApprovalCallback:
 
 
 def _prompt(question: ApprovalRequest) -> Answer:
-    expected = question.expected
+    expected = question.prediction
     print(
         f"trial {question.request.number} tests gains outside the region shown to be safe: "
         f"{question.request.gains}\n"

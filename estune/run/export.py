@@ -1,7 +1,7 @@
-"""Trial records as files that other programs read: CSV with JSON beside it, or Parquet.
+"""Trial records as files for other programs: CSV with JSON beside it, or Parquet.
 
-The journal is the record; these are copies of it. Each file is written under a temporary name and
-renamed, so that a reader never sees half of one.
+The files are copies of the journal. Each is written under a temporary name and renamed, so that a
+reader never sees a partial file.
 """
 
 import csv
@@ -14,6 +14,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from estune.core.gains import GAIN_NAMES
 from estune.errors import InvalidInput, JournalError
 from estune.run.journal import Journal
 from estune.trial import TrialRecord
@@ -32,7 +33,7 @@ def columns(record: TrialRecord) -> dict[str, Any]:
 
 
 def metadata(record: TrialRecord) -> dict[str, Any]:
-    """Everything else of a record, as JSON values."""
+    """All fields of a record but its columns, as JSON values."""
     return {
         "rig": record.rig,
         "trial_id": record.trial_id,
@@ -40,9 +41,7 @@ def metadata(record: TrialRecord) -> dict[str, Any]:
         "cable_length_m": record.cable_length_m,
         "preload_N": record.preload_N,
         "loop": record.loop,
-        "gains": dict(
-            zip(("P", "I", "D", "setpoint_filter_s"), record.gains.as_tuple(), strict=True)
-        ),
+        "gains": dict(zip(GAIN_NAMES, record.gains.as_tuple(), strict=True)),
         "profile": record.profile,
         "outcome": record.outcome.value,
         "reason": record.reason,
@@ -64,7 +63,7 @@ def export_run(run_folder: Path, out: Path, form: Format) -> list[Path]:
         The files with the columns, in the order of the trials.
 
     Raises:
-        InvalidInput: Parquet was asked for and pyarrow is not installed.
+        InvalidInput: Parquet is requested and pyarrow is not installed.
         JournalError: the run cannot be read, or a file cannot be written.
     """
     write = _to_csv if form == "csv" else _parquet_writer()
@@ -83,7 +82,7 @@ def write_record(record: TrialRecord, folder: Path) -> Path:
 
     Args:
         record: The record.
-        folder: Where to; made if it is missing. Files of the same trial are replaced.
+        folder: Folder; made if it is missing. Files of the same trial are replaced.
 
     Returns:
         The file with the columns.
@@ -97,7 +96,7 @@ def write_record(record: TrialRecord, folder: Path) -> Path:
 
 
 def replace_file(path: Path, content: bytes) -> None:
-    """Writes a file so that it is there whole or not at all."""
+    """Writes a file completely or not at all."""
     with _whole(path) as temporary:
         temporary.write_bytes(content)
 
@@ -139,7 +138,7 @@ def _parquet_writer() -> Callable[[TrialRecord, Path], Path]:
 
 @contextmanager
 def _whole(path: Path) -> Iterator[Path]:
-    """A temporary name beside the path, which takes the path's name at the end of the block."""
+    """A temporary file beside the path, renamed to it at the end of the block."""
     temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         yield temporary

@@ -1,7 +1,7 @@
-"""The figures of a run: cost per trial, step response before and after, gains over the trials.
+"""Figures of a run: cost per trial, step response before and after, gains over the trials.
 
-They are drawn on axes that are handed in, from the columns of `TuneResult.to_frame` and from trial
-records.
+Each is drawn on the given axes or on new ones, from the columns of `TuneResult.to_frame` and from
+trial records.
 """
 
 import math
@@ -24,6 +24,7 @@ from estune.support.plot_style import (
     VERMILION,
     finish,
     legend,
+    new_axes,
 )
 from estune.trial import TrialRecord
 from estune.trial.profiles import StepProfile
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 PHASES = {
-    "baseline": (ORANGE, "s", "start gains"),
+    "baseline": (ORANGE, "s", "initial gains"),
     "search": (BLUE, "o", "search"),
     "choose": (PURPLE, "^", "choice"),
     "confirm": (GREEN, "D", "confirmation"),
@@ -47,15 +48,16 @@ GAIN_LOOKS = {
 _DECADE = 10.0
 
 
-def draw_cost(ax: Axes, frame: "pd.DataFrame", start_cost: float, eta_max: float) -> Axes:
-    """Cost per trial by phase, the best so far, and the trials that were unsafe.
+def draw_cost(ax: Axes | None, frame: "pd.DataFrame", start_cost: float, eta_max: float) -> Axes:
+    """Cost per trial by phase, the lowest so far, and the unsafe trials.
 
     Args:
-        ax: Where to draw.
-        frame: The run's trials, as of `TuneResult.to_frame`.
-        start_cost: Mean cost of the start gains; nan if there is none.
+        ax: Axes.
+        frame: The trials, as of `TuneResult.to_frame`.
+        start_cost: Mean cost of the initial gains; nan if there is none.
         eta_max: The cost above which a trial is unsafe; may be infinite.
     """
+    ax = ax or new_axes()
     shown = frame[frame["cost"].notna() & ~frame["unsafe"]]
     for phase, (colour, marker, label) in PHASES.items():
         part = shown[shown["phase"] == phase]
@@ -63,7 +65,7 @@ def draw_cost(ax: Axes, frame: "pd.DataFrame", start_cost: float, eta_max: float
             part["number"], part["cost"], marker, color=colour, label=label, zorder=3,
             markersize=3.2 if phase == "search" else 4.0, markeredgewidth=0, alpha=0.85,
         )  # fmt: skip
-    # After the search gains are repeated: a lucky repeat of theirs is no news of a better place.
+    # Repeats after the search are left out: a lucky one does not mean better gains.
     searched = _searched(frame)
     ax.plot(
         searched["number"], searched["best_cost"], color=BLACK, linewidth=1.3,
@@ -82,24 +84,18 @@ def draw_cost(ax: Axes, frame: "pd.DataFrame", start_cost: float, eta_max: float
 
 
 def draw_response(
-    ax: Axes, step: StepProfile, before: TrialRecord | None, after: TrialRecord | None
+    ax: Axes | None, step: StepProfile, before: TrialRecord | None, after: TrialRecord | None
 ) -> Axes:
-    """The step response before and after tuning, with the setpoint and the 2 % band about it.
-
-    Args:
-        ax: Where to draw.
-        step: The step asked for.
-        before: Response with the start gains.
-        after: Response with the recommended gains; None if there are none.
-    """
+    """The step response before and after tuning, with the setpoint and its 2 % band."""
+    ax = ax or new_axes()
     final = step.preload_N + step.step_N
     band = 0.02 * abs(step.step_N)
     ax.axhspan(final - band, final + band, color=LIGHT, linewidth=0, label="±2 % of the step")
-    looks = (
-        (before, ORANGE, 1.1, "start gains"),
+    curves = (
+        (before, ORANGE, 1.1, "initial gains"),
         (after, BLUE, 1.3, "tuned gains"),
     )
-    first = next((record for record, *_ in looks if record is not None), None)
+    first = next((record for record, *_ in curves if record is not None), None)
     if first is not None:
         ax.plot(
             first.time_s - step.step_at_s,
@@ -110,7 +106,7 @@ def draw_response(
             drawstyle="steps-post",
             label="setpoint",
         )
-    for record, colour, width, label in looks:
+    for record, colour, width, label in curves:
         if record is not None:
             ax.plot(
                 record.time_s - step.step_at_s, record.tension_N, color=colour, linewidth=width,
@@ -123,28 +119,29 @@ def draw_response(
 
 
 def draw_gains(
-    ax: Axes,
+    ax: Axes | None,
     frame: "pd.DataFrame",
     start: Gains,
     recommended: Gains,
     intervals: Mapping[str, tuple[float, float]],
 ) -> Axes:
-    """Each gain over the search as a multiple of its start, on a logarithmic axis.
+    """Each gain over the search, relative to its initial value, on a logarithmic axis.
 
     Args:
-        ax: Where to draw.
-        frame: The run's trials, as of `TuneResult.to_frame`.
-        start: The gains at the beginning.
-        recommended: The gains the run came to, drawn behind the search.
-        intervals: Where each optimum lies, by name, drawn as bars on them.
+        ax: Axes.
+        frame: The trials, as of `TuneResult.to_frame`.
+        start: Initial gains.
+        recommended: The gains of the result, drawn behind the search.
+        intervals: Confidence interval of each optimum, by name, drawn as bars.
     """
+    ax = ax or new_axes()
     frame = _searched(frame)
     ax.set_yscale("log")
     ax.axhline(1.0, color=LIGHT, linewidth=0.9, zorder=0)
     for place, name in enumerate(GAIN_NAMES, start=2):
         colour, dash, label = GAIN_LOOKS[name]
         values = frame[name].to_numpy(dtype=float)
-        # A gain that starts at zero has no multiple: it is shown against its first other value.
+        # A gain with initial value zero is shown relative to its first other value.
         above = values[values > 0.0]
         unit = getattr(start, name) or (above[0] if above.size else math.nan)
         if not math.isfinite(unit):
@@ -154,14 +151,14 @@ def draw_gains(
         label = f"{label}  {getattr(start, name):.3g} → {end:.3g} {GAIN_UNITS[name]}"
         ax.plot(frame["number"], shown, linestyle=dash, color=colour, linewidth=1.1, label=label)
         if end > 0.0 and len(frame):
-            # Beside each other, so that bars do not hide one another.
+            # Side by side, so that the bars do not overlap.
             behind = float(frame["number"].iloc[-1]) * (1.0 + 0.015 * place) + 0.3 * place
             ax.plot(behind, end / unit, "o", color=colour, markersize=4.5, clip_on=False)
             if name in intervals:
                 low, high = intervals[name]
                 ax.vlines(behind, low / unit, high / unit, color=colour, linewidth=1.6)
     ax.xaxis.set_major_locator(MaxNLocator(integer=True, steps=[1, 2, 5, 10]))
-    finish(ax, "gain / start gain", "trial")
+    finish(ax, "gain / initial gain", "trial")
     legend(ax, columns=2, left=-0.12)
     return ax
 
@@ -171,7 +168,7 @@ def _searched(frame: "pd.DataFrame") -> "pd.DataFrame":
 
 
 def _draw_unsafe(ax: Axes, unsafe: "pd.DataFrame", safe: Any, eta_max: float) -> None:
-    """Unsafe trials as crosses along the top edge: their cost, if any, is not on the scale."""
+    """Unsafe trials as crosses along the top edge: their cost, if any, is off the scale."""
     if safe.size:
         low, high = float(safe.min()), float(safe.max())
         log = ax.get_yscale() == "log"

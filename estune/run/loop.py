@@ -1,4 +1,4 @@
-"""The loop that joins a session to a rig: ask, run, score, commit, tell."""
+"""The loop of a tuning run: request, trial, cost, commit, next state."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -13,27 +13,27 @@ from estune.run.session import (
     Plan,
     Session,
     after_trial,
-    forecast,
     is_unsafe,
     new_session,
     next_request,
+    predict_next,
 )
 from estune.trial import Outcome, Rig, RigDescription, TrialRecord, TrialRequest, empty_record
 from estune.trial.scoring import constraint_margin, cost_of
 from estune.tuners.interface import CostPrediction
 
-VOID_IN_A_ROW = 10
-"""So many trials in a row that came to nothing end a run: something keeps stopping them."""
+CONSECUTIVE_VOID_MAX = 10
+"""Consecutive void trials that end a run."""
 
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """What a run shows after each trial.
+    """Progress of a run after a trial.
 
     Attributes:
-        session: Where the run stands now.
-        entry: The trial just told.
-        unsafe: Whether that trial was unsafe.
+        session: The session after the trial.
+        entry: The trial.
+        unsafe: Whether it was unsafe.
         record: Its record.
     """
 
@@ -44,36 +44,36 @@ class Progress:
 
 
 ProgressListener = Callable[[Progress], None]
-"""Told of each trial after it was committed; must return quickly."""
+"""Callback after each committed trial; must not block."""
 
 
 class ApprovalRequest(NamedTuple):
-    """What somebody is asked before gains are tried beyond what is known to be safe.
+    """Request to the operator to approve gains outside the region shown to be safe.
 
     Attributes:
         request: The trial that would be run.
-        expected: What the tuner expects of it.
-        eta_max: The cost above which it would count as unsafe.
+        prediction: The tuner's prediction of its cost.
+        eta_max: The cost above which it is unsafe.
     """
 
     request: TrialRequest
-    expected: CostPrediction
+    prediction: CostPrediction
     eta_max: float
 
 
 Answer = Literal["yes", "no", "always"]
-"""`always` is yes, and to whatever else would be asked until the run ends or is stopped."""
+"""`always` approves this and all later requests of the run."""
 
 ApprovalCallback = Callable[[ApprovalRequest], Answer]
-"""Asked before the trial of a question; may take its time."""
+"""Callback for the operator's approval; may block."""
 
 
 class Stopped(KeyboardInterrupt):
     """The user interrupted a run.
 
     Attributes:
-        description: The rig as it said it is after the stop, with the gains that are live.
-        folder: The run on disk, to be resumed; None if it was not journalled.
+        description: Description of the rig after the stop, with its live gains.
+        folder: The run on disk, to be resumed; None without a journal.
     """
 
     def __init__(self, description: RigDescription, folder: Path | None) -> None:
@@ -84,18 +84,18 @@ class Stopped(KeyboardInterrupt):
 
 @dataclass(slots=True)
 class TuningRun:
-    """A run under way.
+    """A run in progress.
 
     Attributes:
-        plan: What decides the run.
-        description: The rig as it was when the run began.
-        session: Where the run stands.
-        entries: Every trial told so far; void ones too.
-        journal: Where it is committed, or None.
-        first: Record of the first baseline trial, the response before tuning.
-        found: Record of the last trial that confirmed the gains found, the response after it.
-        intervals: What the tuner knew of the gains at the end of a run that is only looked at, as
-            in `estune.run.summary.RunSummary`; None where the tuner itself is there to be asked.
+        plan: Plan of the run.
+        description: Description of the rig at the start of the run.
+        session: Present session.
+        entries: Every completed trial, void ones too.
+        journal: Its journal, or None.
+        first_record: Record of the first baseline trial, the response before tuning.
+        tuned_record: Record of the last confirmation trial with the tuned gains.
+        intervals: Stored confidence intervals of an archived run, as in
+            `estune.run.summary.RunSummary`; None where the tuner computes them.
     """
 
     plan: Plan
@@ -103,8 +103,8 @@ class TuningRun:
     session: Session
     entries: list[JournalEntry]
     journal: Journal | None
-    first: TrialRecord | None
-    found: TrialRecord | None
+    first_record: TrialRecord | None
+    tuned_record: TrialRecord | None
     intervals: tuple[tuple[str, float, float], ...] | None = None
 
 
@@ -119,24 +119,24 @@ def start(plan: Plan, description: RigDescription, journal: Journal | None) -> T
 
 
 def replay(plan: Plan, description: RigDescription, journal: Journal) -> TuningRun:
-    """A run as its journal left it: every trial told is told again, none is run.
+    """A run restored from its journal: all records are replayed, no trial is run.
 
     Raises:
-        JournalError: the journal's trials are not the ones this plan asks for.
+        JournalError: the journal's trials differ from the ones this plan requests.
     """
     tuning = start(plan, description, journal)
     for entry in journal.entries():
         request = next_request(tuning.session)
-        asked = request and (request.trial_id, request.gains)
-        if asked != (entry.trial_id, entry.gains):
+        requested = request and (request.trial_id, request.gains)
+        if requested != (entry.trial_id, entry.gains):
             raise JournalError(
                 f"{journal.folder}: trial {entry.trial_id} with {entry.gains} is not what the "
-                f"plan asks for ({asked}); the journal is of another version or was changed"
+                f"plan asks for ({requested}); the journal is of another version or was changed"
             )
         if entry.outcome is not None:
             record = journal.record(entry.trial_id)
             tuning.entries.append(entry)
-            keep(tuning, entry, record)
+            keep_record(tuning, entry, record)
             margin = constraint_margin(record, description)
             tuning.session = after_trial(tuning.session, entry.outcome, entry.cost, margin)
     return tuning
@@ -145,49 +145,49 @@ def replay(plan: Plan, description: RigDescription, journal: Journal) -> TuningR
 def run(
     tuning: TuningRun,
     rig: Rig,
-    watchers: Iterable[ProgressListener] = (),
+    listeners: Iterable[ProgressListener] = (),
     ask: ApprovalCallback | None = None,
 ) -> None:
-    """Runs the trials that are still missing, committing each before the next is asked for.
+    """Runs the missing trials and commits each before the next one is requested.
 
-    `tuning` is kept up to date throughout, so that a run that is interrupted can be looked at.
+    `tuning` is up to date throughout, also after an exception.
 
     Args:
         tuning: The run.
-        rig: Where its trials are run.
-        watchers: Told of each trial.
-        ask: Asked where the plan wants somebody to agree. A trial that is declined is not run, and
-            is committed as such, so that the run goes on from it like from any other.
+        rig: The rig.
+        listeners: Called after each trial.
+        ask: Approval callback, where the plan requires one. A declined trial is not run but
+            committed as declined, and the run continues.
 
     Raises:
-        InvalidInput: the plan wants somebody to agree, and there is nobody to be asked.
-        UnsafeStart: the start gains are unsafe.
-        RigError: the rig cannot be reached, or a trial was void too often; the run can be resumed.
-        Interrupted: a trial was cut off on a rig that moves: to resume the run is to say that
-            somebody has seen to it.
+        InvalidInput: the plan requires approval, and there is no callback.
+        UnsafeStart: the initial gains are unsafe.
+        RigError: the rig cannot be reached, or too many trials were void; the run can be resumed.
+        Interrupted: a trial was interrupted on a rig that moves; to resume the run is to confirm
+            that an operator has checked the rig.
         JournalError: a trial could not be committed; the run can be resumed.
         Stopped: the user interrupted it; the rig is back at its live gains.
     """
     if tuning.plan.ask_first and ask is None:
         raise InvalidInput(
-            f"run {tuning.plan.run} asks before it leaves what is known to be safe, and there is "
-            "nobody to ask: give it somebody (ask=, or --ask at a terminal)"
+            f"run {tuning.plan.run} needs approval of gains outside the region shown to be safe; "
+            "give it an approval callback (ask=, or --ask at a terminal)"
         )
-    watchers = tuple(watchers)
-    void_in_a_row = 0
+    listeners = tuple(listeners)
+    consecutive_void = 0
     try:
         request = next_request(tuning.session)
         _commit(tuning, None, request)
         while request is not None:
-            question = _question(tuning, request) if ask else None
+            question = _approval_request(tuning, request) if ask else None
             answer = ask(question) if ask and question else "yes"
             if answer == "always":
                 ask = None
             record = rig.run(request) if answer != "no" else _declined(tuning, request)
-            request = _record_trial(tuning, request, record, watchers)
-            void_in_a_row = void_in_a_row + 1 if record.outcome.is_void else 0
+            request = _record_trial(tuning, request, record, listeners)
+            consecutive_void = consecutive_void + 1 if record.outcome.is_void else 0
             if record.outcome.is_void:
-                _check_void(tuning, record, void_in_a_row)
+                _check_void(tuning, record, consecutive_void)
     except KeyboardInterrupt:
         folder = tuning.journal.folder if tuning.journal else None
         raise Stopped(rig.abort(), folder) from None
@@ -195,12 +195,12 @@ def run(
         raise UnsafeStart(tuning.session.failure)
 
 
-def _question(tuning: TuningRun, request: TrialRequest) -> ApprovalRequest | None:
-    """What is to be asked before the next trial; None where nothing is."""
-    expected = forecast(tuning.session) if tuning.plan.ask_first else None
-    if expected is None or expected.explored:
+def _approval_request(tuning: TuningRun, request: TrialRequest) -> ApprovalRequest | None:
+    """Approval that the next trial needs; None if it needs none."""
+    prediction = predict_next(tuning.session) if tuning.plan.ask_first else None
+    if prediction is None or prediction.explored:
         return None
-    return ApprovalRequest(request, expected, tuning.session.eta_max)
+    return ApprovalRequest(request, prediction, tuning.session.eta_max)
 
 
 def _declined(tuning: TuningRun, request: TrialRequest) -> TrialRecord:
@@ -209,17 +209,19 @@ def _declined(tuning: TuningRun, request: TrialRequest) -> TrialRecord:
     return empty_record(request, tuning.description, outcome, outcome.sentence, at)
 
 
-def _check_void(tuning: TuningRun, record: TrialRecord, in_a_row: int) -> None:
-    """Stops a run whose next trial must not be asked for unasked."""
+def _check_void(tuning: TuningRun, record: TrialRecord, consecutive: int) -> None:
+    """Ends a run that must not repeat its void trial by itself."""
     folder = tuning.journal.folder if tuning.journal else None
-    go_on = f"go on with: estune resume {folder}" if folder else "tune again"
+    resume = f"continue with: estune resume {folder}" if folder else "tune again"
     what = f"trial {record.trial_id} on rig {record.rig}"
     if record.outcome is Outcome.INTERRUPTED and not tuning.description.simulated:
-        raise Interrupted(f"{what} was cut off ({record.reason}); see to the rig, then {go_on}")
-    if in_a_row >= VOID_IN_A_ROW:
+        raise Interrupted(
+            f"{what} was interrupted ({record.reason}); check the rig, then {resume}"
+        )
+    if consecutive >= CONSECUTIVE_VOID_MAX:
         raise RigError(
-            f"{what} came to nothing, as did {in_a_row - 1} before it ({record.reason}); "
-            f"see what stops them, then {go_on}"
+            f"{what}: {consecutive} consecutive void trials ({record.reason}); "
+            f"fix the cause, then {resume}"
         )
 
 
@@ -227,9 +229,13 @@ def _record_trial(
     tuning: TuningRun,
     request: TrialRequest,
     record: TrialRecord,
-    watchers: tuple[ProgressListener, ...],
+    listeners: tuple[ProgressListener, ...],
 ) -> TrialRequest | None:
-    """Scores and commits one trial, moves the session on, and gives the next request."""
+    """Computes the cost of a trial, commits it, and advances the session.
+
+    Returns:
+        The next request.
+    """
     plan, before = tuning.plan, tuning.session
     cost = cost_of(record, plan.step, plan.cost, tuning.description.newtons_per_ampere)
     phase = before.phase or Phase.CONFIRM
@@ -244,28 +250,29 @@ def _record_trial(
     following = next_request(tuning.session)
     _commit(tuning, (request, record, cost), following)
     tuning.entries.append(entry)
-    keep(tuning, entry, record)
+    keep_record(tuning, entry, record)
     unsafe = is_unsafe(before, record.outcome, cost)
-    for watcher in watchers:
-        watcher(Progress(tuning.session, entry, unsafe, record))
+    for listener in listeners:
+        listener(Progress(tuning.session, entry, unsafe, record))
     return following
 
 
 def _commit(
     tuning: TuningRun,
     done: tuple[TrialRequest, TrialRecord, float] | None,
-    asked: TrialRequest | None,
+    following: TrialRequest | None,
 ) -> None:
     phase = tuning.session.phase
-    if tuning.journal is not None and (done is not None or asked is not None):
-        tuning.journal.commit(done, None if asked is None or phase is None else (asked, phase))
+    if tuning.journal is not None and (done is not None or following is not None):
+        next_trial = None if following is None or phase is None else (following, phase)
+        tuning.journal.commit(done, next_trial)
 
 
-def keep(tuning: TuningRun, entry: JournalEntry, record: TrialRecord) -> None:
-    """Keeps the first trial with the start, and the last that confirmed the gains found."""
+def keep_record(tuning: TuningRun, entry: JournalEntry, record: TrialRecord) -> None:
+    """Keeps the record of the first trial, and of the last that confirmed the tuned gains."""
     if record.outcome.is_void:
         return
-    if tuning.first is None:
-        tuning.first = record
+    if tuning.first_record is None:
+        tuning.first_record = record
     elif entry.phase is Phase.CONFIRM and entry.gains != tuning.plan.start:
-        tuning.found = record
+        tuning.tuned_record = record

@@ -1,4 +1,4 @@
-"""How a set of gains does on a rig, as numbers and as the cells of a table."""
+"""Performance of gains on a rig: cost, step metrics and margins."""
 
 import math
 from collections.abc import Iterator
@@ -15,17 +15,17 @@ from estune.trial.scoring import metrics_of
 
 @dataclass(frozen=True, slots=True)
 class Performance:
-    """How a set of gains does on the rig.
+    """Performance of gains on a rig.
 
     Attributes:
         gains: The gains.
         cost: Mean cost of their repeats; nan or infinite where there is none.
         cost_error: Standard error of that mean.
         metrics: Step metrics of `record`.
-        margins: Margins on the rig's linear model, or None where it gives none.
+        margins: Gain and phase margins on the rig's linear model, or None without a model.
         record: A trial with these gains, or None.
-        intervals: 95 % interval of the optimum of each gain that was tuned, by its name; empty
-            where the tuner tells none.
+        intervals: 95 % confidence interval of the optimum of each tuned gain, by name; may be
+            empty.
     """
 
     gains: Gains
@@ -47,16 +47,7 @@ class Performance:
         record: TrialRecord | None,
         intervals: tuple[tuple[str, float, float], ...] = (),
     ) -> Self:
-        """The performance of gains on a rig.
-
-        Args:
-            rig: The rig.
-            step: The step of the trials.
-            gains: The gains.
-            cost: Mean cost of their repeats, and its standard error.
-            record: A trial with them, if there is one.
-            intervals: Name, lower and upper end of the interval of each gain.
-        """
+        """The performance from the cost and its standard error, a record, and intervals."""
         model = rig.linear_model
         return cls(
             gains,
@@ -68,7 +59,7 @@ class Performance:
         )
 
     def cells(self) -> dict[str, str]:
-        """Everything as text, by its label."""
+        """All values as text, by label."""
         cells = {
             _GAIN_LABELS[name]: (
                 f"{getattr(self.gains, name):.4g} {GAIN_UNITS[name]}{self._interval(name)}"
@@ -80,7 +71,7 @@ class Performance:
         return {**cells, **dict(_metric_cells(self.metrics)), **dict(_margin_cells(self.margins))}
 
     def _interval(self, name: str) -> str:
-        """The interval of a gain, to be read behind its value."""
+        """The interval of a gain, appended to its value."""
         if name not in self.intervals:
             return ""
         low, high = self.intervals[name]

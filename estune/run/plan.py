@@ -1,4 +1,4 @@
-"""A plan from what a user says and a rig suggests, and its way to JSON and back."""
+"""Plan of a run, from the user's choices and the rig's suggestions, and its JSON form."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -22,13 +22,13 @@ from estune.tuners import (
 )
 
 MOVE_WEIGHT = 0.2
-"""Default price on effort: without one the cost (35) has no interior optimum on a good plant."""
+"""Default control-move penalty: without it, (35) has no interior optimum on a good plant."""
 
 
 def make_tuner(
     tuner: str | Tuner[Any], start: Gains, bounds: Mapping[str, tuple[float, float]] | None
 ) -> Tuner[Any]:
-    """The tuner named, searching around the start; a tuner given ready-made is taken as it is.
+    """A tuner by name, with a search space around the start; a tuner object is returned as is.
 
     Raises:
         InvalidInput: there is no tuner of that name, or the bounds are not usable.
@@ -36,7 +36,7 @@ def make_tuner(
     if not isinstance(tuner, str):
         if bounds is not None:
             raise InvalidInput(
-                "a ready-made tuner has its own search space; give bounds to that one"
+                "a tuner object has its own search space; give the bounds to that one"
             )
         return tuner
     return create_tuner(tuner, SearchSpace.around(start, bounds=bounds))
@@ -53,11 +53,11 @@ def make_plan(
     cost: StepCost | None,
     **rest: Any,
 ) -> Plan:
-    """The plan of a run: what the user left open is filled in by what the rig suggests.
+    """The plan of a run; omitted values are those that the rig suggests.
 
     Raises:
         InvalidInput: a value is not usable, or the rig gives no model to start from.
-        UnsafeStart: the gains its model suggests would be no safe start.
+        UnsafeStart: the warm start would be unsafe.
     """
     if start == "model":
         start = model_start(description)
@@ -73,16 +73,16 @@ def make_plan(
 
 
 def model_start(description: RigDescription) -> Gains:
-    """The gains that a rig's own linear model suggests to begin from.
+    """Warm start: initial gains from the rig's own linear model.
 
     Raises:
         InvalidInput: the rig gives no model, or one the rule does not apply to.
-        UnsafeStart: they would be no safe start.
+        UnsafeStart: they would be unsafe.
     """
     if description.linear_model is None:
         raise InvalidInput(
-            f"rig {description.name} gives no linear model of itself to start from; "
-            "give the gains to start from, or tune a model of it first (estune improve-model)"
+            f"rig {description.name} gives no linear model of itself; "
+            "give the initial gains, or tune a model of it first (estune improve-model)"
         )
     return model_gains(description.linear_model, description.controller)
 
@@ -103,14 +103,14 @@ def plan_to_json(plan: Plan) -> dict[str, Any]:
 
 
 def plan_from_json(values: dict[str, Any], tuner: Tuner[Any] | None = None) -> Plan:
-    """The plan that was stored.
+    """The plan in JSON values.
 
     Args:
-        values: What was stored.
-        tuner: To stand in for the stored one.
+        values: The values.
+        tuner: Tuner to use instead of the stored one.
 
     Raises:
-        JournalError: what was stored is not a plan of this version.
+        JournalError: the values are not a plan of this version.
     """
     try:
         if tuner is None:
@@ -135,10 +135,10 @@ def description_to_json(description: RigDescription) -> dict[str, Any]:
 
 
 def description_from_json(values: dict[str, Any]) -> RigDescription:
-    """The description that was stored.
+    """The description in JSON values.
 
     Raises:
-        JournalError: what was stored is not a description of this version.
+        JournalError: the values are not a description of this version.
     """
     try:
         return TypeAdapter(RigDescription).validate_python(values)

@@ -56,7 +56,7 @@ class ProgressStatus(NamedTuple):
     remaining_s: float
 
     @property
-    def count(self) -> str:
+    def steps(self) -> str:
         """Completed steps and failures."""
         width = len(str(self.total))
         alerts = f", {self.alerts}" if self.alerts else ""
@@ -71,7 +71,7 @@ class ProgressStatus(NamedTuple):
     def line(self) -> str:
         """The status in one line."""
         stage = f"{self.stage:<8}" if self.stage else ""
-        return "  ".join(filter(None, (stage, self.count, self.remaining, self.summary)))
+        return "  ".join(filter(None, (stage, self.steps, self.remaining, self.summary)))
 
 
 @contextmanager
@@ -184,7 +184,7 @@ def _render(status: ProgressStatus) -> RenderableType:
     bar = Table.grid(padding=(0, 2))
     bar.add_row(
         ProgressBar(total=status.total, completed=status.done, width=32),
-        Text(status.count.lstrip()),
+        Text(status.steps.lstrip()),
         Text(status.remaining, style="dim"),
     )
     grid = Table.grid(padding=(0, 2))

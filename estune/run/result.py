@@ -1,14 +1,12 @@
-"""What a run came to, as a value to look at, compute with and draw.
+"""Result of a run: numbers, tables, figures and warnings.
 
-A result is an `OptimizeResult`, so that what knows scipy knows it. How the run ended is told first
-and everywhere: only a run whose gains were confirmed to beat the start shows a column "tuned", and
-one that was compared with the start and found no better says so under a name of its own.
+A result is an `OptimizeResult` of scipy. Its ending is shown first everywhere, and only a run with
+a significant improvement has a column "tuned".
 """
 
 import html
 import itertools
 import math
-from collections.abc import Iterator
 from dataclasses import replace
 from enum import StrEnum
 from functools import cached_property
@@ -37,7 +35,7 @@ if TYPE_CHECKING:
 
 
 class RunEnding(StrEnum):
-    """How a run ended; the value is what it is called."""
+    """How a run ended."""
 
     TUNED = "tuned"
     NO_IMPROVEMENT = "no significant improvement"
@@ -46,21 +44,21 @@ class RunEnding(StrEnum):
 
     @property
     def status(self) -> int:
-        """The status number of the `OptimizeResult`: zero is success."""
+        """Status of the `OptimizeResult`; zero is success."""
         return list(RunEnding).index(self)
 
     @property
     def exit_code(self) -> int:
-        """The exit code of the command line; the other endings are exceptions with one."""
+        """Exit code of the command line."""
         return NO_IMPROVEMENT_CODE if self is RunEnding.NO_IMPROVEMENT else 0
 
 
 NO_IMPROVEMENT_CODE = 7
-"""A result and not an error, but one that a script must be able to tell from success."""
+"""Exit code of a run without a significant improvement: a result, not an error."""
 
 
 class Row(NamedTuple):
-    """A line of the before/after table, as text; `tuned` is empty where nothing was tuned."""
+    """Row of the before/after table; `tuned` is empty without an improvement."""
 
     label: str
     start: str
@@ -73,27 +71,25 @@ class TuneResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type i
     Attributes:
         x: The gains to use, shape (4,): P, I, D, setpoint_filter_s.
         fun: Their mean cost.
-        nit: Search trials run.
-        nfev: Trials run, with baseline, confirmation and void ones.
-        success: Whether gains were confirmed to beat the start.
-        status: 0 tuned, 1 no significant improvement, 2 stopped, 3 the start is unsafe.
+        nit: Number of search trials.
+        nfev: Number of all trials, void ones too.
+        success: Whether the improvement is statistically significant.
+        status: 0 tuned, 1 no significant improvement, 2 stopped, 3 unsafe start.
         message: How the run ended, in a sentence.
-        ending: The same as an `RunEnding`.
-        gains: The gains to use; the start where nothing was confirmed to beat it.
-        start_gains: The gains the run began from.
-        verdict: What the repeats came to.
-        entries: Every trial told, void ones too.
+        ending: How the run ended.
+        gains: The gains to use; the initial ones without a significant improvement.
+        start_gains: Initial gains.
+        verdict: Summary of the run.
+        entries: Every completed trial, void ones too.
         folder: The run on disk, or None.
-        plan: What decided the run.
-        rig: The rig as it was when the run began.
-        first_record: What the rig measured first, with the start gains; None before that.
-        found_record: What it measured last with the gains found; None without such a trial.
-        improvement: The change of the cost from the start's, with its 95 % interval; None where
-            the two were not compared.
+        plan: Plan of the run.
+        rig: Description of the rig at the start of the run.
+        first_record: Record of the first trial with the initial gains, or None.
+        tuned_record: Record of the last confirmation trial with the tuned gains, or None.
+        improvement: Relative change of the cost from the initial gains, with its 95 % confidence
+            interval; None if they were not compared.
         unsafe: Unsafe trials of the run.
-        session: Where the run stands.
-
-    What takes a moment to work out is worked out when it is asked for first.
+        session: Session at the end of the run.
     """
 
     x: "np.ndarray[tuple[int], np.dtype[np.float64]]"
@@ -112,7 +108,7 @@ class TuneResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type i
     plan: Plan
     rig: RigDescription
     first_record: TrialRecord | None
-    found_record: TrialRecord | None
+    tuned_record: TrialRecord | None
     improvement: Change | None
     unsafe: int
     session: Session
@@ -134,15 +130,16 @@ class TuneResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type i
         found = self.verdict
         return Performance.on(
             *(self.rig, self.plan.step, self.gains, (found.cost, found.cost_error)),
-            record=self.found_record,
+            record=self.tuned_record,
             intervals=found.intervals,
         )
 
     @cached_property
     def findings(self) -> tuple[result_warnings.ResultWarning, ...]:
-        """Remarks: thin margins, a response near a limit of the rig, gains at a bound, flat cost.
+        """Warnings: low margins, a response near a limit, gains at a bound, a flat cost.
 
-        Of a start that was kept only what the trials do say: they need not have looked around it.
+        Without an improvement the search need not have covered the initial gains, so that only
+        the flat directions that it did find are reported.
         """
         if not self.verdict.complete:
             return ()
@@ -184,10 +181,10 @@ class TuneResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type i
         return frame
 
     def record(self, number: int) -> TrialRecord:
-        """What the rig measured in one trial.
+        """The record of one trial.
 
         Raises:
-            JournalError: there was no such trial, or the run was not kept on disk.
+            JournalError: there is no such trial, or the run has no journal.
         """
         entry = next((e for e in reversed(self.entries) if e.number == number), None)
         if entry is None:
@@ -197,44 +194,33 @@ class TuneResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type i
         if self.folder is not None:
             with Journal.open(self.folder) as journal:
                 return journal.record(entry.trial_id)
-        for kept in (self.first_record, self.found_record):
+        for kept in (self.first_record, self.tuned_record):
             if kept and kept.trial_id == entry.trial_id:
                 return kept
         raise JournalError(
-            f"the record of trial {number} was not kept; tune with journal=True to keep every one"
+            f"the record of trial {number} is not stored; tune with journal=True to store them all"
         )
 
     def plot_cost(self, ax: "Axes | None" = None) -> "Axes":
         """Draws the cost per trial with the best so far, on `ax` or a figure of its own."""
         from estune.run import figures  # noqa: PLC0415  slow to import
-        from estune.support import plot_style  # noqa: PLC0415  slow to import
 
-        return figures.draw_cost(
-            ax or plot_style.new_axes(),
-            self.to_frame(),
-            self.verdict.start_cost,
-            self.session.eta_max,
-        )
+        costs = self.verdict.start_cost, self.session.eta_max
+        return figures.draw_cost(ax, self.to_frame(), *costs)
 
     def plot_response(self, ax: "Axes | None" = None) -> "Axes":
         """Draws the step response before and after, on `ax` or a figure of its own."""
         from estune.run import figures  # noqa: PLC0415  slow to import
-        from estune.support import plot_style  # noqa: PLC0415  slow to import
 
-        return figures.draw_response(
-            *(ax or plot_style.new_axes(), self.plan.step, self.first_record),
-            self.found_record if self.success else None,
-        )
+        after = self.tuned_record if self.success else None
+        return figures.draw_response(ax, self.plan.step, self.first_record, after)
 
     def plot_gains(self, ax: "Axes | None" = None) -> "Axes":
         """Draws the gains over the trials, on `ax` or a figure of its own."""
         from estune.run import figures  # noqa: PLC0415  slow to import
-        from estune.support import plot_style  # noqa: PLC0415  slow to import
 
-        return figures.draw_gains(
-            *(ax or plot_style.new_axes(), self.to_frame(), self.start_gains, self.gains),
-            self.tuned.intervals if self.tuned else {},
-        )
+        intervals = self.tuned.intervals if self.tuned else {}
+        return figures.draw_gains(ax, self.to_frame(), self.start_gains, self.gains, intervals)
 
     def figure(self) -> "Figure":
         """All three figures on one page; pyplot is not touched."""
@@ -252,27 +238,28 @@ class TuneResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type i
         """The run in one line, its ending first."""
         if self.ending is RunEnding.TUNED:
             start, cost = self.verdict.start_cost, self.verdict.cost
-            came = f"cost {start:.3g} → {cost:.3g}, {self.improvement}"
+            change = f"cost {start:.3g} → {cost:.3g}, {self.improvement}"
         elif self.improvement is not None:
-            came = f"cost {self.improvement}, the start gains stand"
+            change = f"cost {self.improvement}, keep the initial gains"
         else:
-            came = "the start gains stand"
-        return f"{self.ending.upper()}: {self.rig.name}, {len(self.entries)} trials, {came}"
+            change = "keep the initial gains"
+        return f"{self.ending.upper()}: {self.rig.name}, {len(self.entries)} trials, {change}"
 
     def rows(self) -> tuple[Row, ...]:
-        """The before/after table as text; the last column is empty unless the run tuned."""
+        """The before/after table as text; the last column is empty without an improvement."""
         start = self.start.cells()
         tuned = self.tuned.cells() if self.tuned else dict.fromkeys(start, "")
         return tuple(Row(label, start[label], tuned[label]) for label in start)
 
     def remarks(self) -> tuple[str, ...]:
-        """What is to be known beside the table, a sentence each."""
-        said = (
+        """The conclusion and the warnings, a sentence each."""
+        counts = ((self.unsafe, "unsafe"), (self.verdict.declined, "declined and not run"))
+        sentences = (
             self.message,
-            *_unsafe_said(self.verdict),
+            *(f"{n} trial{'s were' if n > 1 else ' was'} {what}" for n, what in counts if n),
             *(finding.sentence for finding in self.findings),
         )
-        return tuple(f"{sentence[:1].upper()}{sentence[1:]}." for sentence in said)
+        return tuple(f"{sentence[:1].upper()}{sentence[1:]}." for sentence in sentences)
 
     def __repr__(self) -> str:
         rows = self.rows()
@@ -287,6 +274,9 @@ class TuneResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type i
 
     def __str__(self) -> str:
         return repr(self)
+
+    def __dir__(self) -> list[str]:  # scipy lists the fields alone, without methods
+        return sorted({*object.__dir__(self), *self})
 
     def _repr_html_(self) -> str:
         from estune.support import plot_style  # noqa: PLC0415  slow to import
@@ -308,7 +298,7 @@ class TuneResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type i
 
 
 def from_tuning(tuning: TuningRun) -> TuneResult:
-    """The result of a run so far as it went."""
+    """The result of a run, complete or not."""
     session, plan = tuning.session, tuning.plan
     found = summarise(session)
     if tuning.intervals is not None:
@@ -322,7 +312,7 @@ def from_tuning(tuning: TuningRun) -> TuneResult:
     return TuneResult(
         x=np.array(found.gains.as_tuple()),
         fun=found.cost,
-        nit=session.searched,
+        nit=session.search_trials,
         nfev=len(tuning.entries),
         success=found.improved,
         status=ending.status,
@@ -335,8 +325,8 @@ def from_tuning(tuning: TuningRun) -> TuneResult:
         folder=tuning.journal.folder if tuning.journal else None,
         plan=plan,
         rig=tuning.description,
-        first_record=tuning.first,
-        found_record=tuning.found,
+        first_record=tuning.first_record,
+        tuned_record=tuning.tuned_record,
         improvement=found.change,
         unsafe=found.unsafe,
         session=session,
@@ -345,10 +335,3 @@ def from_tuning(tuning: TuningRun) -> TuneResult:
 
 def _is_unsafe(session: Session, entry: JournalEntry) -> bool:
     return entry.outcome is not None and is_unsafe(session, entry.outcome, entry.cost)
-
-
-def _unsafe_said(found: RunSummary) -> Iterator[str]:
-    """How many trials were unsafe, and how many were declined, where there are any."""
-    for count, what in ((found.unsafe, "unsafe"), (found.declined, "declined and not run")):
-        if count:
-            yield f"{count} trial{'s were' if count > 1 else ' was'} {what}"

@@ -1,11 +1,10 @@
-"""One tuning run as a pure fold: what has been told decides what is asked next.
+"""State machine of one tuning run: the trial history determines the next request.
 
-A run has four phases. `baseline` repeats the gains the rig came with, `search` lets the tuner
-propose, `choose` repeats what the tuner recommends and the best trial it saw, in turn, and
-`confirm` repeats the better of the two and the start, in turn. The choice is made by other trials
-than the confirmation, so that the gains chosen do not look better than they are for having been
-lucky. Nothing here reads a clock or a file, so replaying a journal's trials gives back the
-session, and with it every later proposal, bit for bit.
+A run has four phases. `baseline` repeats the initial gains, and in `search` the tuner proposes.
+`choose` repeats the tuner's recommendation and its best trial, interleaved; `confirm` repeats the
+better of the two and the initial gains, interleaved. Choice and confirmation use different trials,
+so that lucky costs in the choice do not bias the confirmed improvement. Nothing here reads a clock
+or a file: replaying a journal's trials restores the session and all later proposals bit for bit.
 """
 
 import math
@@ -14,10 +13,9 @@ from enum import StrEnum
 from statistics import fmean
 from typing import Any
 
-from estune.core.comparison import repeatability, repeats_needed
+from estune.core.comparison import InterleavedRepeats, repeatability, repeats_needed
 from estune.core.cost import StepCost
 from estune.core.gains import Gains
-from estune.core.repeats import InterleavedRepeats
 from estune.errors import InvalidInput
 from estune.trial import Outcome, TrialRequest
 from estune.trial.profiles import StepProfile
@@ -27,7 +25,7 @@ from estune.tuners.observation import Observation
 
 
 class Phase(StrEnum):
-    """Where a trial belongs in a run."""
+    """Phase of a run."""
 
     BASELINE = "baseline"
     SEARCH = "search"
@@ -36,32 +34,31 @@ class Phase(StrEnum):
 
 
 TOLERANCE = 0.02
-"""What is left to gain when a search ends, unless the user says otherwise."""
+"""Default of the remaining improvement at which a search ends, relative to the cost."""
 
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """Everything that decides which trials a run asks for.
+    """Everything that determines the trials of a run.
 
     Attributes:
-        run: Name of the run; its trials' ids begin with it.
-        tuner: The tuner and its settings; its search space is centred on `start`.
-        start: The gains the run begins from: the rig's live ones, unless others were given.
+        run: Name of the run; its trial ids begin with it.
+        tuner: The tuner with its settings; its search space is centred on `start`.
+        start: Initial gains.
         step: The step trial.
-        cost: How a trial is scored.
-        trials: Greatest number of search trials.
-        repeats: Trials of the start before the search, of each gains there are to choose from,
-            and at the least of each in the confirmation.
-        eta_max: A trial that costs more is unsafe (the paper's guard under (35)); None is
-            `UNSAFE_RATIO` times the start's own cost.
-        tolerance: The search ends once no more than this share of the cost is left to gain, by a
-            tuner that can tell; zero makes it use all its trials.
-        ask_first: Whether somebody has to agree before gains are tried that lie beyond what safe
-            trials have shown to be safe.
+        cost: The cost of a trial.
+        trials: Maximum number of search trials.
+        repeats: Trials of the initial gains before the search and of each candidate in the
+            choice; also the minimum of each in the confirmation.
+        eta_max: Cost above which a trial is unsafe (the paper's guard under (35)); None means
+            `UNSAFE_RATIO` times the initial cost.
+        tolerance: Remaining improvement, relative to the cost, at which the search ends, if the
+            tuner estimates it; zero makes it use all its trials.
+        ask_first: Whether the operator must approve gains outside the region shown to be safe.
 
     Raises:
         InvalidInput: a count is too small, the limit is not above zero, the tolerance is not a
-            share, the tuner can't tell what is known to be safe, or the settling time is longer
+            share, the tuner does not predict which gains are safe, or the settling time is longer
             than the trial.
     """
 
@@ -85,13 +82,13 @@ class Plan:
             raise InvalidInput(f"eta_max is {self.eta_max}; it must be finite and above zero")
         if not 0.0 <= self.tolerance < 1.0:
             raise InvalidInput(
-                f"tolerance is {self.tolerance}; it is a share of the cost, from 0 (use all "
+                f"tolerance is {self.tolerance}; it is a share of the cost: give 0 (use all "
                 "trials) to below 1, such as 0.02"
             )
         if self.ask_first and not isinstance(self.tuner, ModelBasedTuner):
             raise InvalidInput(
-                f"tuner {self.tuner.name} cannot tell what is known to be safe, so that there is "
-                "nothing to ask by; use safe_bayesian"
+                f"tuner {self.tuner.name} does not predict which gains are safe, as approval "
+                "requires; use safe_bayesian"
             )
         if self.step.loop != "closed":
             raise InvalidInput("an open-loop step cannot tune a controller; make it a closed one")
@@ -103,60 +100,60 @@ class Plan:
             )
 
     @property
-    def most_trials(self) -> int:
-        """The greatest number of trials the run may take, void ones aside."""
-        return self.trials + 3 * self.repeats + 2 * max(ROUNDS_MOST, self.repeats)
+    def max_trials(self) -> int:
+        """Maximum number of trials, void ones excluded."""
+        return self.trials + 3 * self.repeats + 2 * max(CONFIRMATION_REPEATS_MAX, self.repeats)
 
-    def outlook(self, tuner_state: Any) -> ConvergenceEstimate | None:
-        """Where the search stands, by a tuner that can tell and knows enough."""
+    def convergence(self, tuner_state: Any) -> ConvergenceEstimate | None:
+        """Convergence of the search; None if the tuner has no estimate (yet)."""
         tuner = self.tuner
         return tuner.convergence(tuner_state) if isinstance(tuner, ModelBasedTuner) else None
 
 
 UNSAFE_RATIO = 3.0
-"""A trial that costs this many times the start is unsafe, unless the user says otherwise."""
+"""Default of the unsafe cost, as a multiple of the initial cost."""
 
-CENSORED_IN_A_ROW = 12
-"""So many trials in a row unsafe or declined end the search: it is not finding its way back."""
+CONSECUTIVE_CENSORED_MAX = 12
+"""Consecutive unsafe or declined trials that end the search."""
 
-SETTLED_IN_A_ROW = 4
-"""So many trials in a row after which too little is left to gain end the search."""
+CONSECUTIVE_SETTLED = 4
+"""Consecutive trials with a remaining improvement below the tolerance that end the search."""
 
-ROUNDS_MOST = 10
-"""Most repeats of each gains in a confirmation, unless the plan asks for more."""
+CONFIRMATION_REPEATS_MAX = 10
+"""Maximum repeats of each gains in a confirmation, unless the plan asks for more."""
 
 
 @dataclass(frozen=True, slots=True)
 class Session:
-    """Where a run stands: a value that `told` turns into the next one.
+    """Immutable state of a run; `after_trial` returns its successor.
 
     Attributes:
-        plan: What decides the run.
+        plan: Plan of the run.
         tuner_state: The tuner's own state.
-        number: Number of the trial to be asked next.
-        attempt: How often that trial was void.
-        searched: Search trials told.
-        unsafe: Unsafe trials told, in any phase.
-        declined: Trials that were declined.
-        censored_in_a_row: Search trials since the last safe one, unsafe or declined.
-        settled_in_a_row: Search trials after each of which too little was left to gain.
-        baseline: Costs of the start gains.
-        search_end: Why the search ended; empty while it goes on.
-        choice: Repeats of the gains to choose from; None before there are two.
-        confirmation: Repeats of the start and of the gains found, in this order; None before
+        number: Number of the next trial.
+        attempt: Void attempts of the next trial.
+        search_trials: Completed search trials.
+        unsafe: Unsafe trials, in any phase.
+        declined: Declined trials.
+        consecutive_censored: Search trials since the last safe one, unsafe or declined.
+        consecutive_settled: Last search trials with a remaining improvement below the tolerance.
+        baseline: Costs of the initial gains.
+        search_end: Why the search ended; empty while it continues.
+        choice: Repeats of the candidates; None before there are two.
+        confirmation: Repeats of the initial and of the tuned gains, in this order; None before
             there are any.
-        failure: Why the run can't go on at all; empty while it can.
+        failure: Why the run cannot continue; empty while it can.
     """
 
     plan: Plan
     tuner_state: Any
     number: int = 0
     attempt: int = 0
-    searched: int = 0
+    search_trials: int = 0
     unsafe: int = 0
     declined: int = 0
-    censored_in_a_row: int = 0
-    settled_in_a_row: int = 0
+    consecutive_censored: int = 0
+    consecutive_settled: int = 0
     baseline: tuple[float, ...] = ()
     search_end: str = ""
     choice: InterleavedRepeats | None = None
@@ -165,7 +162,7 @@ class Session:
 
     @property
     def phase(self) -> Phase | None:
-        """The phase of the trial to be asked next; None when there is none."""
+        """The phase of the next trial; None if there is none."""
         if self.failure:
             return None
         if len(self.baseline) < self.plan.repeats:
@@ -185,7 +182,7 @@ class Session:
 
     @property
     def trials_left(self) -> int:
-        """The trials still to come if nothing ends a phase early or draws it out."""
+        """Expected number of trials to come."""
         repeats = self.plan.repeats
         if self.phase is None:
             return 0
@@ -193,11 +190,11 @@ class Session:
             return self.confirmation.missing
         if self.choice is not None:
             return self.choice.missing + 2 * repeats
-        return self.plan.trials - self.searched + 5 * repeats - len(self.baseline)
+        return self.plan.trials - self.search_trials + 5 * repeats - len(self.baseline)
 
     @property
     def candidate(self) -> Gains | None:
-        """The gains that are being, or were, confirmed; None if there are none."""
+        """The gains in confirmation, or confirmed; None if there are none."""
         return None if self.confirmation is None else self.confirmation.gains[1]
 
 
@@ -207,7 +204,7 @@ def new_session(plan: Plan) -> Session:
 
 
 def next_request(session: Session) -> TrialRequest | None:
-    """The trial to be run next, or None when the run is complete or has failed."""
+    """The next trial; None when the run is complete or has failed."""
     gains = _next_gains(session)
     if gains is None:
         return None
@@ -215,35 +212,37 @@ def next_request(session: Session) -> TrialRequest | None:
     return TrialRequest(plan.run, session.number, gains, plan.step, session.attempt)
 
 
-def forecast(session: Session) -> CostPrediction | None:
-    """What the tuner expects of the trial to be run next.
+def predict_next(session: Session) -> CostPrediction | None:
+    """The tuner's prediction of the next trial.
 
-    None for gains that have been run before, and with a tuner that cannot tell.
+    None for gains that have been run before, and if the tuner has no predictions.
     """
     gains, tuner = _next_gains(session), session.plan.tuner
     if gains is None or not isinstance(tuner, ModelBasedTuner):
         return None
-    known = [session.plan.start]
+    run_before = [session.plan.start]
     if session.tuner_state.best_cost is not None:
-        known.append(tuner.space.gains(session.tuner_state.best_point))
+        run_before.append(tuner.space.gains(session.tuner_state.best_point))
     for repeats in (session.choice, session.confirmation):
         if repeats is not None:
-            known += [g for g, costs in zip(repeats.gains, repeats.costs, strict=True) if costs]
-    if gains in known:
+            run_before += [
+                g for g, costs in zip(repeats.gains, repeats.costs, strict=True) if costs
+            ]
+    if gains in run_before:
         return None
     return tuner.predict(session.tuner_state, tuner.space.point_of(gains))
 
 
 def is_censored(session: Session, outcome: Outcome, cost: float) -> bool:
-    """Whether the trial told nothing but to keep away from its gains: the guard `eta < eta_max`.
+    """Whether the trial only marks its gains as unsafe or declined: the guard `eta < eta_max`.
 
-    A cost that is not above zero is none: (35) has none such.
+    A cost that is not above zero is invalid: (35) is positive.
     """
     return outcome is not Outcome.DONE or not 0.0 < cost <= session.eta_max or math.isinf(cost)
 
 
 def is_unsafe(session: Session, outcome: Outcome, cost: float) -> bool:
-    """Whether the trial was unsafe: censored for what it did, and not for not having been run."""
+    """Whether the trial was unsafe: censored although it was run."""
     return (
         is_censored(session, outcome, cost)
         and outcome is not Outcome.DECLINED
@@ -254,13 +253,13 @@ def is_unsafe(session: Session, outcome: Outcome, cost: float) -> bool:
 def after_trial(
     session: Session, outcome: Outcome, cost: float, margin: float = math.inf
 ) -> Session:
-    """The session after the trial it asked for.
+    """The session after the trial that `next_request` returned.
 
     Args:
-        session: Where the run stood.
+        session: The session before the trial.
         outcome: How the trial ended.
         cost: Its cost eta; ignored unless the trial is done.
-        margin: The smallest share it left of any of the rig's limits.
+        margin: Smallest constraint margin of the trial, as a share of the rig's limits.
     """
     if outcome.is_void:
         return replace(session, attempt=session.attempt + 1)
@@ -271,8 +270,8 @@ def after_trial(
     elif phase is Phase.BASELINE:
         changed = {"baseline": (*session.baseline, cost)}
     elif phase is Phase.SEARCH:
-        seen = Observation(math.nan if censored else cost, censored, margin)
-        changed = _after_search(session, seen)
+        observation = Observation(math.nan if censored else cost, censored, margin)
+        changed = _after_search(session, observation)
     elif phase is Phase.CHOOSE and session.choice is not None:
         choice = session.choice.with_cost(math.inf if censored else cost)
         changed = {"choice": choice}
@@ -307,36 +306,37 @@ def _next_gains(session: Session) -> Gains | None:
 
 
 def _after_search(session: Session, observation: Observation) -> dict[str, Any]:
-    """What a search trial changes."""
+    """Fields of the session that a search trial changes."""
     plan = session.plan
     tuner = plan.tuner
     state = tuner.tell(session.tuner_state, observation)
-    outlook = plan.outlook(state) if plan.tolerance else None
-    settled = outlook is not None and outlook.remaining_improvement < plan.tolerance
+    convergence = plan.convergence(state) if plan.tolerance else None
+    settled = convergence is not None and convergence.remaining_improvement < plan.tolerance
     changed = {
         "tuner_state": state,
-        "searched": session.searched + 1,
-        "censored_in_a_row": session.censored_in_a_row + 1 if observation.censored else 0,
-        "settled_in_a_row": session.settled_in_a_row + 1 if settled else 0,
+        "search_trials": session.search_trials + 1,
+        "consecutive_censored": session.consecutive_censored + 1 if observation.censored else 0,
+        "consecutive_settled": session.consecutive_settled + 1 if settled else 0,
     }
-    if changed["censored_in_a_row"] >= CENSORED_IN_A_ROW:
-        end = f"the search ended after {CENSORED_IN_A_ROW} unsafe or declined trials in a row"
-    elif outlook is not None and changed["settled_in_a_row"] >= SETTLED_IN_A_ROW:
+    if changed["consecutive_censored"] >= CONSECUTIVE_CENSORED_MAX:
+        censored = CONSECUTIVE_CENSORED_MAX
+        end = f"the search ended after {censored} consecutive unsafe or declined trials"
+    elif convergence is not None and changed["consecutive_settled"] >= CONSECUTIVE_SETTLED:
         end = (
-            f"the search ended after {changed['searched']} of {plan.trials} trials: "
-            f"at most {outlook.remaining_improvement:.1%} is left to gain, under the tolerance of "
-            f"{100.0 * plan.tolerance:.3g}%"
+            f"the search ended after {changed['search_trials']} of {plan.trials} trials: the "
+            f"remaining improvement is at most {convergence.remaining_improvement:.1%}, below the "
+            f"tolerance of {100.0 * plan.tolerance:.3g}%"
         )
-    elif changed["searched"] >= plan.trials:
+    elif changed["search_trials"] >= plan.trials:
         end = f"the search used its {plan.trials} trial{'s' if plan.trials > 1 else ''}"
     else:
         return changed
     changed["search_end"] = end
-    # The tuner's answer is a considered one; the best single trial may be luck, or may not.
+    # The recommendation rests on all trials; the best single trial may be luck, or may not.
     points = (tuner.recommend(state), state.best_point)
     gains = tuple(dict.fromkeys(map(tuner.space.gains, points)))
     if len(gains) > 1:
-        changed["choice"] = InterleavedRepeats.of(gains, plan.repeats)
+        changed["choice"] = InterleavedRepeats.new(gains, plan.repeats)
     else:
         ended = replace(session, tuner_state=state)
         expected = math.nan if state.best_cost is None else state.best_cost
@@ -350,26 +350,26 @@ def _confirmation(
     expected: float,
     costs: tuple[tuple[float, ...], ...] = (),
 ) -> InterleavedRepeats | None:
-    """The repeats that tell what the gains found gain; None where they are the start.
+    """The repeats that confirm candidate gains; None if those are the initial ones.
 
     Args:
-        session: The run, its search over.
-        gains: The gains found.
-        expected: What they are likely to cost; nan if that is not known.
-        costs: Repeats there have been beside the baseline.
+        session: The session at the end of the search.
+        gains: The candidate.
+        expected: Its expected cost; nan if that is not known.
+        costs: Costs of repeats beside the baseline.
     """
     plan = session.plan
     if gains == plan.start:
         return None
-    outlook = plan.outlook(session.tuner_state)
-    noise = repeatability((session.baseline, *costs)) if outlook is None else outlook.noise
+    convergence = plan.convergence(session.tuner_state)
+    noise = repeatability((session.baseline, *costs)) if convergence is None else convergence.noise
     rounds = repeats_needed(
         math.log(expected / fmean(session.baseline)),
         noise,
         least=plan.repeats,
-        most=ROUNDS_MOST,
+        most=CONFIRMATION_REPEATS_MAX,
     )
-    return InterleavedRepeats.of((plan.start, gains), rounds)
+    return InterleavedRepeats.new((plan.start, gains), rounds)
 
 
 def _unsafe_start(session: Session, outcome: Outcome, cost: float) -> str:
@@ -378,7 +378,7 @@ def _unsafe_start(session: Session, outcome: Outcome, cost: float) -> str:
     elif cost > session.eta_max:
         what = f"cost {cost:.3g} is over eta_max = {session.eta_max:.3g}"
     else:
-        what = f"the trial has no cost above zero ({cost:.3g}): look at its record"
+        what = f"the trial has no cost above zero ({cost:.3g}); check its record"
     return (
         f"the start gains {session.plan.start} are unsafe on this rig: {what}; "
         "start from gentler gains (apply them to the rig first) or raise eta_max"

@@ -1,4 +1,4 @@
-"""What files say of a tuning: the step trial, its cost, and how far gains are looked for."""
+"""Tables of settings files on a tuning: the step trial, its cost and the search."""
 
 import math
 from typing import Annotated, Literal, Self
@@ -29,12 +29,12 @@ TunerName = Annotated[str, AfterValidator(_check_tuner)]
 
 
 class StepTable(TomlTable):
-    """The step trial; what is left out is what the rig suggests.
+    """The step trial; by default as the rig suggests.
 
     Attributes:
         preload_N: Tension before the step.
         step_N: Size of the step.
-        step_at_s: When it comes.
+        step_at_s: Time of the step.
         duration_s: Length of the trial.
     """
 
@@ -53,20 +53,20 @@ class StepTable(TomlTable):
         return self
 
     def of(self, rig: RigDescription) -> StepProfile:
-        """The step to be run on a rig."""
+        """The step for a rig."""
         given = {name: value for name, value in self.model_dump().items() if value is not None}
         named = ("preload_N", "step_N", "step_at_s", "duration_s")
         return StepProfile(**{**{name: getattr(rig.step, name) for name in named}, **given})
 
 
 class CostTable(TomlTable):
-    """How a trial is scored, by (35).
+    """The cost of a trial, (35).
 
     Attributes:
-        settling_time_s: Settling time asked for; the rig's own suggestion if left out.
-        weight: Over the transient: as printed, or rising as the paper's prose has it.
+        settling_time_s: Desired settling time; the rig's suggestion by default.
+        weight: Weight over the transient: as printed, or rising as in the paper's text.
         time_unit: Unit of the time weight.
-        move_weight: Price on jumps of the effort.
+        move_weight: Control-move penalty.
     """
 
     settling_time_s: Positive | None = None
@@ -75,7 +75,7 @@ class CostTable(TomlTable):
     move_weight: NotNegative = MOVE_WEIGHT
 
     def too_long(self, step: StepTable) -> list[str]:
-        """What is wrong with the settling time in such a trial; nothing, or one sentence."""
+        """The fault of the settling time for such a trial, if any, as a list."""
         after_s = (step.duration_s or math.inf) - (step.step_at_s or 0.0)
         if self.settling_time_s is None or self.settling_time_s <= after_s:
             return []
@@ -93,16 +93,16 @@ class CostTable(TomlTable):
 
 
 class SearchTable(TomlTable):
-    """How far gains are looked for.
+    """The search.
 
     Attributes:
-        trials: Greatest number of search trials.
-        repeats: Trials of the start before the search, and at the least of the start and of the
-            gains found after it.
-        tolerance: The search ends once no more than this share of the cost is left to gain; zero
+        trials: Maximum number of search trials.
+        repeats: Trials of the initial gains before the search; also the minimum of confirmation
+            trials of the initial and of the tuned gains.
+        tolerance: Remaining improvement, relative to the cost, at which the search ends; zero
             makes it use all its trials.
-        eta_max: Cost above which a trial is unsafe; three times the start's if left out.
-        bounds: Least and greatest value of gains, by name, in their own units.
+        eta_max: Cost above which a trial is unsafe; three times the initial cost by default.
+        bounds: Lowest and highest value of gains, by name, in their own units.
     """
 
     trials: Count = 120

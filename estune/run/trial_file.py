@@ -1,4 +1,4 @@
-"""A single trial as a file: what to ask of a rig, and why.
+"""A single trial as a file: its profile, its gains and its purpose.
 
 ```json
 {
@@ -10,8 +10,8 @@
 }
 ```
 
-Without gains the trial runs with those that are live. The file is checked as strictly as what
-comes over the link: unknown or missing fields, wrong types, NaN and infinities are refused.
+Without gains the trial runs with the live ones. The file is checked as strictly as messages on the
+link: unknown or missing fields, wrong types, NaN and infinities are refused.
 """
 
 import re
@@ -38,17 +38,17 @@ VERSION: Literal[1] = 1
 
 @dataclass(frozen=True, slots=True)
 class TrialFile:
-    """What a trial file holds.
+    """Contents of a trial file.
 
     Attributes:
-        name: What the trial is called; its id begins with it. Letters, digits, - and _ only.
-        profile: What is asked for.
-        gains: Gains for the trial; None is those that are live.
-        why: What the trial is for, in words.
+        name: Name of the trial; its id begins with it. Letters, digits, - and _ only.
+        profile: The setpoint.
+        gains: Gains of the trial; None means the live ones.
+        why: Purpose of the trial.
         estune_trial: Version of the file.
 
     Raises:
-        InvalidInput: the name holds something else.
+        InvalidInput: the name contains other characters.
     """
 
     __pydantic_config__: ClassVar = {"extra": "forbid", "strict": True, "allow_inf_nan": False}
@@ -82,7 +82,7 @@ def read_trial(path: Path) -> TrialFile:
     """The trial of a file.
 
     Raises:
-        InvalidInput: there is no such file, or it holds something else.
+        InvalidInput: there is no such file, or it is not a trial.
     """
     try:
         return _adapter().validate_json(path.read_bytes())
@@ -95,12 +95,12 @@ def read_trial(path: Path) -> TrialFile:
 def run_trial(
     rig: Rig, trial: TrialFile, *, now: Callable[[], datetime] = datetime.now
 ) -> TrialRecord:
-    """Sends one trial to a rig, under an id that has not been used before.
+    """Runs one trial on a rig, under an id with the time of day.
 
     Args:
         rig: The rig.
-        trial: What is asked of it.
-        now: Tells the time, which is part of the id.
+        trial: The trial.
+        now: Clock for the id.
 
     Raises:
         InvalidInput: the rig refuses the trial; nothing moved.

@@ -151,7 +151,8 @@ class SqliteFile:
     def transaction(self) -> Iterator[None]:
         """Commits all that is written in the block at its end, or nothing; blocks nest."""
         with self._lock, _explained(self.path, self._kind):
-            if self._connection.in_transaction:  # part of a larger block
+            is_nested = self._connection.in_transaction
+            if is_nested:
                 yield
                 return
             self._connection.execute("BEGIN IMMEDIATE")
