@@ -56,7 +56,7 @@ def sweep(
         ...     {"lengths_m": [0.5, 0.8, 1.1, 1.4], "rigs": ["plants:reference_reel"]},
         ...     folder="sweeps/reference",
         ... )
-        >>> result.law().schedule().gains(0.65, 15.0)
+        >>> gains = result.law().schedule().gains(0.65, 15.0)
     """
     if jobs is not None and jobs < 1:
         raise InvalidInput(f"jobs is {jobs}; it must be at least 1")
