@@ -1,10 +1,9 @@
 """How well does the real-time loop keep its time, and how soon is a reel safe?
 
-The loop runs at 632 Hz on the emulated reel, which it holds in closed loop: first on an otherwise
-idle machine, then with every other core kept busy. Of each sample two times are counted: how long
-after its instant it began, and how long after its instant the current was commanded, which is
-within what the guard acts. Then the rig is stopped by hand, and the program that supervises it is
-killed and frozen; timed is until the hardware itself is seen to lose its current.
+The loop holds the emulated reel at 632 Hz, first on an otherwise idle machine, then with every
+other core busy. Two times of each sample are counted from its instant: to its beginning, and to
+the current command, within which the guard acts. Then the rig is stopped by hand, and the program
+that supervises it is killed and frozen; the time until the hardware loses its current is measured.
 """
 
 import argparse
@@ -25,13 +24,12 @@ from numpy.typing import NDArray
 
 from estune.hardware import HardwareRig, RigConfig
 from estune.hardware.config import config_from
-from estune.hardware.shared_memory import BIN_s
-from estune.hardware.state import Timing
+from estune.hardware.shared_memory import BIN_s, Timing
 from estune.support import plot_style
 from estune.trial import TrialRequest
-from experiments.judged import Target, at_most, command_line, tell
+from experiments.results import Target, at_most, command_line, print_results
 from plants.emulator import RIG_FILE, EmulatedDriver
-from plants.emulator.driver import started
+from plants.emulator.driver import emulated_hardware
 
 FIGURE = Path(__file__).parent / "out" / "jitter.png"
 SHARES = (0.5, 0.99, 0.999, 0.9999)
@@ -41,24 +39,24 @@ _GIVE_UP_s = 20.0
 
 
 def configuration(address: str) -> RigConfig:
-    """The emulated rig at an address; late samples are counted, and no reason to stop."""
+    """The emulated rig at an address; late samples are counted, but do not stop it."""
     tables = tomllib.loads(RIG_FILE.read_text(encoding="utf-8"))
     tables["driver"]["settings"] = {"address": address}
     tables["guard"] |= {"late_in_a_row": 1_000_000, "gap_s": 10.0}
     tables["safe"] |= {"state": "ramp", "ramp_s": 0.0}
-    tables["step"] |= {"duration_s": 0.35}  # a trial is only asked for so that the reel is held
+    tables["step"] |= {"duration_s": 0.35}  # a trial only serves to hold the reel
     tables["motion"] |= {"rate_N_s": 400.0, "settle_s": 0.0, "settle_N": 5.0}
     return config_from(tables, str(RIG_FILE))
 
 
 class Condition(NamedTuple):
-    """The loop's times under one load."""
+    """Timing of the loop under one load."""
 
     name: str
     timing: Timing
 
     def figures(self) -> dict[str, float]:
-        """Its figures by name."""
+        """Figures by name."""
         period_us = 1e6 / 632.0
         made: dict[str, float] = {
             "samples": self.timing.samples,
@@ -71,20 +69,20 @@ class Condition(NamedTuple):
                 made[f"{what}_{100 * share:g}_us"] = quantile_us(counts, share)
             made[f"{what}_max_us"] = quantile_us(counts, 1.0)
         counts = self.timing.turnaround
-        within = counts[: int(period_us / (1e6 * self.timing.bin_s))].sum()
+        within = counts[: int(period_us / (1e6 * BIN_s))].sum()
         made["commanded_within_period"] = float(within / counts.sum())
         return {f"{self.name}_{key}": value for key, value in made.items()}
 
 
 def quantile_us(counts: NDArray[np.int64], share: float) -> float:
-    """Upper edge of the bin in which a share of the samples is reached, us; at most 100 ms."""
-    reached = np.searchsorted(np.cumsum(counts), share * counts.sum())
-    return 1e6 * BIN_s * float(reached + 1)
+    """Quantile of the time to its bin's upper edge, us; at most 100 ms."""
+    index = np.searchsorted(np.cumsum(counts), share * counts.sum())
+    return 1e6 * BIN_s * float(index + 1)
 
 
 @contextlib.contextmanager
 def others_busy() -> Iterator[int]:
-    """Keeps every core but one busy; yields how many."""
+    """Keeps every core but one busy; the number of busy ones."""
     cores = len(os.sched_getaffinity(0))
     command = [sys.executable, "-c", "while True: pass"]
     with contextlib.ExitStack() as stack:
@@ -95,20 +93,20 @@ def others_busy() -> Iterator[int]:
 
 
 def observe(rig: HardwareRig, seconds: float) -> Timing:
-    """How the loop has kept its time for so long."""
+    """Timing of the loop over so many seconds."""
     before = rig.timing()
     time.sleep(seconds)
     return rig.timing().since(before)
 
 
 def hold(rig: HardwareRig, number: int = 0) -> None:
-    """Has the reel held, by way of a trial."""
+    """Brings the reel under control, by a trial."""
     description = rig.describe()
     rig.run(TrialRequest("jitter", number, description.gains, description.step))
 
 
 def until_dead_ms(driver: EmulatedDriver, began_s: float) -> float:
-    """How long from then until the hardware has no current, ms."""
+    """Time from then until the hardware has no current, ms."""
     while driver.truth().current_A != 0.0:
         if time.monotonic() - began_s > _GIVE_UP_s:
             sys.exit("the reel has not lost its current")
@@ -117,19 +115,19 @@ def until_dead_ms(driver: EmulatedDriver, began_s: float) -> float:
 
 
 def stopped_by_hand_ms(rig: HardwareRig, driver: EmulatedDriver, times: int) -> list[float]:
-    """How long an emergency stop takes to reach the hardware."""
-    taken = []
+    """Times from an emergency stop to the loss of the hardware's current, ms."""
+    times_ms = []
     for number in range(1, times + 1):
         hold(rig, number)
         began = time.monotonic()
-        rig.estop("to see how long it takes")
-        taken.append(until_dead_ms(driver, began))
+        rig.estop("measurement of its delay")
+        times_ms.append(until_dead_ms(driver, began))
         rig.clear()
-    return taken
+    return times_ms
 
 
 def supervisor_lost_ms(address: str, driver: EmulatedDriver, number: int) -> float:
-    """How long it takes once the program that supervises the loop gets a signal."""
+    """Time from a signal to the supervising program to the loss of the current, ms."""
     command = [sys.executable, "-m", "experiments.jitter", "--supervise", address]
     with subprocess.Popen(  # noqa: S603  starts this file
         command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
@@ -144,7 +142,7 @@ def supervisor_lost_ms(address: str, driver: EmulatedDriver, number: int) -> flo
 
 
 def supervise(address: str) -> None:
-    """Holds the reel until standard input is closed, which nobody waits for."""
+    """Holds the reel until standard input is closed."""
     with HardwareRig(configuration(address)) as rig:
         hold(rig)
         print("held", flush=True)
@@ -152,9 +150,9 @@ def supervise(address: str) -> None:
 
 
 def measure(seconds: float, times: int) -> tuple[list[Condition], dict[str, Any]]:
-    """Runs everything; returns the loop's times by load, and the other figures."""
+    """Measures everything; the timing of the loop by load, and the other figures."""
     with (
-        started({"electronics": {"watchdog_s": 1.0}}) as address,
+        emulated_hardware({"electronics": {"watchdog_s": 1.0}}) as address,
         EmulatedDriver(address) as driver,
     ):
         with HardwareRig(configuration(address)) as rig:
@@ -181,7 +179,7 @@ def measure(seconds: float, times: int) -> tuple[list[Condition], dict[str, Any]
 
 
 def targets(figures: dict[str, Any]) -> dict[str, Target]:
-    """What has to be reached."""
+    """Targets of the experiment."""
     return {
         name: at_most(figures[name], SAFE_WITHIN_ms)
         for name in ("supervisor_killed_max_ms", "supervisor_frozen_max_ms")
@@ -193,12 +191,12 @@ def draw(conditions: list[Condition], path: Path) -> None:
     figure = plot_style.new_figure(plot_style.WIDTH_in, 4.5)
     axes = figure.subplots(2, 1, sharex=True)
     for ax, what, title in (
-        (axes[0], "lateness", "a sample began so long after its instant"),
-        (axes[1], "turnaround", "the current was commanded so long after its instant"),
+        (axes[0], "lateness", "time from the instant to the beginning of the sample"),
+        (axes[1], "turnaround", "time from the instant to the current command"),
     ):
         for look, condition in zip(plot_style.FOUR, conditions, strict=False):
             counts = getattr(condition.timing, what)
-            edges_us = 1e6 * condition.timing.bin_s * np.arange(counts.size + 1)
+            edges_us = 1e6 * BIN_s * np.arange(counts.size + 1)
             edges_us[0] = 1.0  # a logarithmic axis has no zero
             ax.stairs(counts, edges_us, label=condition.name, **look)
         ax.set(xscale="log", yscale="log", ylabel="samples", title=title, ylim=(0.5, None))
@@ -240,11 +238,7 @@ def show(conditions: list[Condition], figures: dict[str, Any]) -> None:
 
 
 def main() -> int:
-    """Measures, prints the tables or, with --json, the figures.
-
-    Returns:
-        The exit code: 1 where a target is missed.
-    """
+    """Measures, and prints the tables or, with --json, the figures; the exit code."""
     parser = command_line(__doc__, quick="2 s for each load")
     parser.add_argument("--seconds", type=float, default=600.0, help="for each load")
     parser.add_argument("--supervise", help=argparse.SUPPRESS)
@@ -260,7 +254,7 @@ def main() -> int:
     if not arguments.json:
         show(conditions, figures)
         print(f"figure: {FIGURE}")
-    return tell(figures, targets(figures), as_json=arguments.json)
+    return print_results(figures, targets(figures), as_json=arguments.json)
 
 
 if __name__ == "__main__":

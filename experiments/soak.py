@@ -1,9 +1,8 @@
 """Does anything grow in 24 hours of trials?
 
-A trial of the reference reel takes a second; here it takes as long as it takes to simulate it. A
-client process has one tuning after another run by a rig process (`estune serve`), over the link,
-with the rig's ledger and each run's journal on disk. After every tuning the memory and the open
-files of both processes are noted, and what the tuning left on disk.
+A client process runs one tuning after another on a simulated rig in a process of its own
+(`estune serve`), over the link, with the rig's ledger and each run's journal on disk. After every
+tuning the memory and the open files of both processes, and the size of the files, are recorded.
 """
 
 import argparse
@@ -23,37 +22,24 @@ from estune import api
 from estune.remote.ledger import FRAMES_MAX_BYTES
 from estune.run.journal import FILE_NAME
 from estune.support import plot_style
-from experiments.judged import at_most, command_line, tell
+from experiments.results import at_most, command_line, print_results
 
 FIGURE = Path(__file__).parent / "out" / "soak.png"
 DAY = 100_000
 BESIDE_SEARCH = 9
 ONE_ARENA = {"MALLOC_ARENA_MAX": "1"}
-"""One store for all threads: what one of them frees, another can use, so that memory does not
-depend on which of them happens to serve."""
+"""One arena for all threads: memory then does not depend on which thread serves a request."""
 
 STRINGS_KEPT = 16_384
-"""Pydantic keeps so many short strings of the JSON it has read, to find them again. Each trial
-brings new ones, so that either process grows by 1.5 MB, ever slower, over some twice as many
-trials, and then by nothing."""
+"""Short strings that Pydantic caches. Each trial brings new ones: either process grows by 1.5 MB
+over some twice as many trials, and then no further."""
 
 GROWTH_LIMIT = 0.05
-"""What the later of two times may have more than the earlier, as a share."""
+"""Greatest relative growth between the first and the last third of the run."""
 
 
 class Sample(NamedTuple):
-    """How both processes stood after so many trials.
-
-    Attributes:
-        trials: Trials since the start.
-        at_s: Time since the start, s.
-        client_bytes: Memory that the client held.
-        client_files: Files and sockets it had open.
-        rig_bytes: The same of the rig.
-        rig_files: As above.
-        journal_bytes: What the last tuning left on disk.
-        ledger_bytes: What the rig's ledger takes on disk.
-    """
+    """Memory and open files of both processes, and file sizes, after so many trials."""
 
     trials: int
     at_s: float
@@ -66,7 +52,7 @@ class Sample(NamedTuple):
 
 
 def work(endpoint: str, folder: Path, trials: int, per_run: int) -> None:
-    """Tunes again and again; says after each tuning what it left on disk, and throws it away."""
+    """Tunes repeatedly; prints the number of trials and the file size of each, and deletes it."""
     for number in range(trials // per_run):
         run = folder / f"run{number}"
         api.tune(
@@ -77,8 +63,7 @@ def work(endpoint: str, folder: Path, trials: int, per_run: int) -> None:
             folder=folder,
             watch=None,
         )
-        told = len(api.load(run).entries)
-        print(told, (run / FILE_NAME).stat().st_size, flush=True)
+        print(len(api.load(run).entries), (run / FILE_NAME).stat().st_size, flush=True)
         sampled = sys.stdin.readline()
         shutil.rmtree(run)
         if not sampled:
@@ -86,15 +71,15 @@ def work(endpoint: str, folder: Path, trials: int, per_run: int) -> None:
 
 
 def memory_bytes(pid: int) -> int:
-    """The memory a process has written to and shares with no other."""
-    # What it only reads, such as a library, is its own or shared as other processes come and go.
+    """Private memory of a process that it has written to."""
+    # Memory that it only reads, such as a library, may be shared or not as others come and go.
     text = Path(f"/proc/{pid}/smaps_rollup").read_text(encoding="ascii")
     rows = [line.split() for line in text.splitlines()]
     return next(1024 * int(row[1]) for row in rows if row[0] == "Private_Dirty:")
 
 
 def files(pid: int) -> int:
-    """Files and sockets a process has open."""
+    """Open files and sockets of a process."""
     return len(list(Path(f"/proc/{pid}/fd").iterdir()))
 
 
@@ -120,7 +105,7 @@ def process(*arguments: str) -> Iterator[subprocess.Popen[str]]:
 
 
 def soak(trials: int, per_run: int, folder: Path) -> Iterator[Sample]:
-    """Runs so many trials; a sample after each tuning."""
+    """Runs so many trials; yields a sample after each tuning."""
     ledger = folder / "rig.ledger"
     serving = ("estune.cli", "serve", "--ledger", str(ledger), "--stop-on-eof")
     with process(*serving) as rig:
@@ -128,12 +113,12 @@ def soak(trials: int, per_run: int, folder: Path) -> Iterator[Sample]:
         tuning = ("experiments.soak", "--client", endpoint, "--folder", str(folder))
         counts = ("--trials", str(trials), "--per-run", str(per_run))
         with process(*tuning, *counts) as client:
-            began_s, told = time.monotonic(), 0
+            began_s, total = time.monotonic(), 0
             for _ in range(trials // per_run):
                 count, size = map(int, line(client).split())
-                told += count
+                total += count
                 yield Sample(
-                    told,
+                    total,
                     time.monotonic() - began_s,
                     *(memory_bytes(client.pid), files(client.pid)),
                     *(memory_bytes(rig.pid), files(rig.pid)),
@@ -154,17 +139,17 @@ def line(process: subprocess.Popen[str]) -> str:
 
 
 def growth(values: list[int], settled: int) -> float:
-    """By what share the last third has more than the first third, from `settled` on."""
-    kept = values[settled:]
-    third = max(len(kept) // 3, 1)
-    return statistics.median(kept[-third:]) / statistics.median(kept[:third]) - 1.0
+    """Relative growth from the first to the last third, from `settled` on."""
+    values = values[settled:]
+    third = max(len(values) // 3, 1)
+    return statistics.median(values[-third:]) / statistics.median(values[:third]) - 1.0
 
 
 def figures_of(samples: list[Sample], per_run: int) -> dict[str, Any]:
-    """What it came to."""
+    """Figures of the experiment."""
     last = samples[-1]
-    # The ledger holds the youngest records, and pydantic the youngest strings; until both are
-    # full, the processes are not in their routine.
+    # The ledger holds the newest records, and Pydantic the newest strings; memory is steady only
+    # once both are full.
     per_record = last.ledger_bytes / min(last.trials, FRAMES_MAX_BYTES / 25_000)
     filled = max(FRAMES_MAX_BYTES / per_record, 2.0 * STRINGS_KEPT)
     settled = min(int(filled / per_run) + 1, len(samples) // 3)
@@ -225,7 +210,7 @@ def show(figures: dict[str, Any]) -> None:
 
 
 def main() -> int:
-    """Soaks, prints the table or, with --json, the figures; returns 1 where a target is missed."""
+    """Runs the experiment, and prints the table or, with --json, the figures; the exit code."""
     parser = command_line(__doc__, quick="a few tunings only")
     parser.add_argument("--trials", type=int, default=DAY)
     parser.add_argument("--per-run", type=int, default=1000, help="trials of each tuning")
@@ -248,7 +233,7 @@ def main() -> int:
     if not arguments.json:
         show(figures)
         print(f"figure: {FIGURE}")
-    return tell(figures, targets, as_json=arguments.json)
+    return print_results(figures, targets, as_json=arguments.json)
 
 
 if __name__ == "__main__":

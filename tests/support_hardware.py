@@ -4,8 +4,6 @@ import copy
 import os
 import tomllib
 
-import numpy as np
-
 import plants
 from estune.core import pidf
 from estune.hardware.config import RigConfig, config_from
@@ -13,7 +11,7 @@ from estune.hardware.controller import PlainController
 from estune.hardware.driver import Reading
 from estune.hardware.loop_messages import Begin
 from estune.hardware.reel_state_machine import ReelStateMachine
-from estune.hardware.shared_memory import Memory, Word, column, flag_column, make_file
+from estune.hardware.shared_memory import Memory, Word, make_file
 from plants.emulator import RIG_FILE
 from plants.emulator.board import Board, Electronics
 
@@ -71,6 +69,7 @@ class VirtualLoop:
         reel = plants.reference_reel(gauge_noise_N=noise_N or 1e-4)
         self.board = Board(reel, Electronics(watchdog_s=10.0), 0, 0.0)
         self.rig = rig
+        self.columns = self.memory.columns
         self.time_s = 0.0
         self.current_A: list[float] = []
         self.tension_N: list[float] = []
@@ -115,11 +114,6 @@ class VirtualLoop:
         self.until(lambda: self.machine.answer is not None)
         answer, self.machine.answer = self.machine.answer, None
         return answer
-
-    def columns(self, kept: int) -> dict[str, np.ndarray]:
-        names = ("time_s", "setpoint_N", "tension_N", "current_A", "angle_rad")
-        made = {name: column(getattr(self.memory, name), kept) for name in names}
-        return made | {"flags": flag_column(self.memory.flags, kept)}
 
     def estop(self, *, on: bool) -> None:
         self.memory.words[Word.ESTOP] = on

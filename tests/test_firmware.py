@@ -1,4 +1,4 @@
-"""The exported C controller, compiled by itself and inside the loop, against its one text."""
+"""The C controller, compiled by itself and inside the loop, against `estune.core.pidf`."""
 
 import ctypes
 import math
@@ -47,7 +47,7 @@ def play(controller, gains, other, signals) -> list[tuple[float, bool]]:
 
 
 @given(some_gains, some_gains, st.lists(st.tuples(signal, signal), min_size=2, max_size=30))
-def test_the_compiled_controller_is_the_plain_one(gains, other, signals):
+def test_compiled_controller_equals_the_plain_one(gains, other, signals):
     one = play(compiled(), gains, other, signals)
     two = play(PlainController(), gains, other, signals)
     np.testing.assert_allclose([e for e, _ in one], [e for e, _ in two], rtol=1e-12, atol=1e-9)
@@ -82,7 +82,7 @@ int main(void) {
     [(["-std=c90"], 1e-9), (["-std=c17", "-O2"], 1e-9), (["-Dcasadi_real=float"], 1e-3)],
     ids=["C90", "C17", "single precision"],
 )
-def test_the_file_for_firmware_stands_alone_and_computes_the_same(tmp_path, flags, tolerance):
+def test_firmware_file_compiles_alone_and_computes_the_same(tmp_path, flags, tolerance):
     (tmp_path / "controller.c").write_text(controller_source(SETTINGS, GAINS))
     program = PROGRAM
     if "-Dcasadi_real=float" in flags:
@@ -101,7 +101,7 @@ def test_the_file_for_firmware_stands_alone_and_computes_the_same(tmp_path, flag
     )
     done = subprocess.run(made[0], input=text, capture_output=True, text=True, check=True)
     *lines, rate = done.stdout.splitlines()
-    state, c, effort = pidf.at_rest(15.0, 14.0), pidf.coefficients(SETTINGS, GAINS), 0.0
+    state, c, effort = pidf.state_at_rest(15.0, 14.0), pidf.coefficients(SETTINGS, GAINS), 0.0
     for k, (r, y) in enumerate(zip(setpoint, measured, strict=True)):
         if k == swap_at:
             c = pidf.coefficients(SETTINGS, Gains(1.0, 40.0, 0.015, 0.0))
@@ -112,7 +112,7 @@ def test_the_file_for_firmware_stands_alone_and_computes_the_same(tmp_path, flag
     assert float(rate) == 632.0
 
 
-def test_infinite_limits_are_none():
+def test_infinite_limits_do_not_limit():
     unlimited = ControllerSettings(632.0, 0.002, -math.inf, math.inf)
     controller = CompiledController(controller_source(unlimited, GAINS))
     controller.use(pidf.coefficients(unlimited, Gains(1e3, 0.0, 0.0, 0.0)))
@@ -121,14 +121,14 @@ def test_infinite_limits_are_none():
     assert not controller.limited
 
 
-def test_the_c_text_names_its_state_as_the_controller_does():
+def test_c_text_names_state_and_coefficients():
     source = controller_source(SETTINGS, GAINS)
     assert ", ".join(PidfState._fields) in source
     assert ", ".join(pidf.Coefficients._fields) in source
     assert ctypes.sizeof(type(compiled()._struct)) == 8 * (9 + 3)
 
 
-def test_without_a_compiler_the_plain_controller_serves_and_says_so(monkeypatch):
+def test_plain_controller_with_a_note_replaces_a_missing_compiler(monkeypatch):
     def none(_source):
         raise PlantError("no C compiler found")
 

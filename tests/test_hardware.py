@@ -1,4 +1,4 @@
-"""Hardware in wall-clock time: rig, loop and emulated reel in processes of their own."""
+"""Rig on hardware in wall-clock time: rig, loop and emulated reel in their own processes."""
 
 import os
 import signal
@@ -17,7 +17,7 @@ from estune.errors import InvalidInput, RigError
 from estune.hardware import HardwareRig
 from estune.trial import Outcome, TrialRequest
 from plants.emulator import EmulatedDriver
-from plants.emulator.driver import started
+from plants.emulator.driver import emulated_hardware
 from tests.support_hardware import quick
 
 ROOT = Path(__file__).parents[1]
@@ -27,14 +27,14 @@ GIVE_UP_S = 30.0
 
 @pytest.fixture(scope="module")
 def address():
-    """Where the emulated hardware is, which outlives whoever drives it."""
-    with started({"electronics": {"watchdog_s": 0.2}, "seed": 1}) as address:
+    """Address of emulated hardware, which outlives its drivers."""
+    with emulated_hardware({"electronics": {"watchdog_s": 0.2}, "seed": 1}) as address:
         yield address
 
 
 @pytest.fixture
 def hardware(address):
-    """Its address, and a look at the truth."""
+    """Address of the hardware, and a function that reads its true state."""
     with EmulatedDriver(address) as watcher:
         before = watcher.truth().tripped
 
@@ -111,7 +111,7 @@ def agent(address: str):
             process.kill()
 
 
-def test_nothing_has_power_before_the_first_trial_and_after_the_last(hardware):
+def test_rig_has_no_power_before_the_first_trial_and_after_close(hardware):
     address, truth = hardware
     with HardwareRig(configuration(address)) as rig:
         eventually(lambda: rig.timing().samples > 50)
@@ -123,7 +123,7 @@ def test_nothing_has_power_before_the_first_trial_and_after_the_last(hardware):
     assert truth().current_A == 0.0
 
 
-def test_a_record_holds_what_the_hardware_did(rig, hardware):
+def test_record_holds_what_the_hardware_did(rig, hardware):
     record = rig.run(ask(rig))
     assert record.outcome is Outcome.DONE
     spacing = np.diff(record.time_s)
@@ -133,7 +133,7 @@ def test_a_record_holds_what_the_hardware_did(rig, hardware):
     eventually(lambda: abs(rig.state().tension_N - hardware[1]().tension_N) < 0.5)
 
 
-def test_a_trial_can_be_watched_while_it_runs(rig):
+def test_telemetry_shows_a_trial_while_it_runs(rig):
     assert rig.telemetry(0) is None
     seen = []
     with in_background(lambda: rig.run(ask(rig, duration_s=1.0))) as results:
@@ -147,7 +147,7 @@ def test_a_trial_can_be_watched_while_it_runs(rig):
     np.testing.assert_array_equal(tension, record.tension_N[: tension.size])
 
 
-def test_gains_can_be_changed_while_the_reel_is_held(rig, hardware):
+def test_apply_changes_gains_while_the_reel_is_held(rig, hardware):
     rig.run(ask(rig))
     for P in (0.2, 0.8, 0.4):
         rig.apply(Gains(P, 12.0, 0.01, 0.03))
@@ -156,7 +156,7 @@ def test_gains_can_be_changed_while_the_reel_is_held(rig, hardware):
     assert hardware[1]().tripped == 0
 
 
-def test_a_loop_that_is_killed_leaves_the_reel_to_the_hardwares_watchdog(hardware):
+def test_killed_loop_leaves_the_reel_to_the_hardwares_watchdog(hardware):
     address, truth = hardware
     with HardwareRig(configuration(address)) as rig:
         rig.run(ask(rig))
@@ -169,7 +169,7 @@ def test_a_loop_that_is_killed_leaves_the_reel_to_the_hardwares_watchdog(hardwar
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
-def test_a_loop_that_dies_or_hangs_in_a_trial_is_an_error_and_never_comes_back(hardware, number):
+def test_loop_killed_or_hung_in_a_trial_is_an_error_for_good(hardware, number):
     address, truth = hardware
     with HardwareRig(configuration(address)) as rig:
         with in_background(lambda: rig.run(ask(rig, duration_s=8.0))) as results:
@@ -182,7 +182,7 @@ def test_a_loop_that_dies_or_hangs_in_a_trial_is_an_error_and_never_comes_back(h
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
-def test_an_agent_that_dies_or_hangs_leaves_the_reel_in_its_safe_state(hardware, number):
+def test_killed_or_hung_rig_program_leaves_the_reel_in_its_safe_state(hardware, number):
     address, truth = hardware
     with agent(address) as process:
         assert truth().powered
@@ -197,7 +197,7 @@ def test_an_agent_that_dies_or_hangs_leaves_the_reel_in_its_safe_state(hardware,
             assert truth().tension_N == pytest.approx(15.0, abs=3.0)
 
 
-def test_a_time_of_day_that_jumps_between_trials_is_said(rig, monkeypatch, caplog):
+def test_jump_of_the_time_of_day_is_logged_once(rig, monkeypatch, caplog):
     rig.run(ask(rig))
     assert "time of day" not in caplog.text
     day = time.time
@@ -207,8 +207,8 @@ def test_a_time_of_day_that_jumps_between_trials_is_said(rig, monkeypatch, caplo
     assert caplog.text.count("the time of day jumped by -3.6e+03 s") == 1
 
 
-class Told:
-    """A lock that sets an event when somebody has waited for it in vain."""
+class ObservedLock:
+    """A lock that sets an event when a call has waited for it in vain."""
 
     def __init__(self, lock, in_vain):
         self._lock, self._in_vain = lock, in_vain
@@ -229,7 +229,7 @@ class Told:
         self.release()
 
 
-def test_an_abort_that_comes_while_a_trial_is_being_prepared_stops_it(hardware):
+def test_abort_during_preparation_stops_the_trial(hardware):
     with HardwareRig(configuration(hardware[0])) as rig:
         prepare, begun, said = rig._prepare, threading.Event(), threading.Event()
 
@@ -239,7 +239,7 @@ def test_an_abort_that_comes_while_a_trial_is_being_prepared_stops_it(hardware):
             return prepare(request)
 
         # The abort is said once before the trial has a number, and so to none.
-        rig._prepare, rig._trial = until_said, Told(rig._trial, said)
+        rig._prepare, rig._trial = until_said, ObservedLock(rig._trial, said)
         with in_background(lambda: rig.run(ask(rig, duration_s=8.0))) as results:
             assert begun.wait(GIVE_UP_S)
             assert rig.abort().gains == rig.describe().gains
@@ -247,9 +247,9 @@ def test_an_abort_that_comes_while_a_trial_is_being_prepared_stops_it(hardware):
         assert record.outcome is Outcome.CANCELLED
 
 
-def test_a_driver_that_fails_ends_motion_and_is_named(hardware):
+def test_failing_driver_ends_motion_and_is_reported(hardware):
     address, _ = hardware
-    with started({"electronics": {"watchdog_s": 0.2}}) as other:
+    with emulated_hardware({"electronics": {"watchdog_s": 0.2}}) as other:
         rig = HardwareRig(configuration(other))
         rig.run(ask(rig))
     with pytest.raises(RigError, match=r"the loop has failed|loop has ended"):
@@ -259,7 +259,7 @@ def test_a_driver_that_fails_ends_motion_and_is_named(hardware):
         assert rig.run(ask(rig)).outcome is Outcome.DONE
 
 
-def test_the_emergency_stop_waits_for_nobody_and_stays_until_cleared(rig, hardware):
+def test_estop_acts_at_once_and_stays_until_cleared(rig, hardware):
     with in_background(lambda: rig.run(ask(rig, duration_s=8.0))) as results:
         eventually(lambda: rig.state().phase == "trial")
         rig.estop("a hand in the cable")
@@ -277,7 +277,7 @@ def test_the_emergency_stop_waits_for_nobody_and_stays_until_cleared(rig, hardwa
     assert rig.run(ask(rig, 2)).outcome is Outcome.DONE
 
 
-def test_closing_ends_a_trial_under_way(hardware):
+def test_close_ends_a_trial_under_way(hardware):
     rig = HardwareRig(configuration(hardware[0]))
     with in_background(lambda: rig.run(ask(rig, duration_s=8.0))) as results:
         eventually(lambda: rig.state().phase == "trial")
@@ -286,7 +286,7 @@ def test_closing_ends_a_trial_under_way(hardware):
     assert not hardware[1]().powered
 
 
-def test_gains_that_do_not_hold_the_reel_are_a_record_and_the_live_ones_are_back(rig):
+def test_unstable_gains_give_a_record_and_live_gains_are_restored(rig):
     wild = Gains(12.0, 600.0, 0.015, 0.005)
     record = rig.run(ask(rig, gains=wild, duration_s=3.0))
     assert record.outcome is Outcome.GUARD
@@ -295,7 +295,7 @@ def test_gains_that_do_not_hold_the_reel_are_a_record_and_the_live_ones_are_back
 
 
 @pytest.mark.parametrize(
-    ("changes", "told"),
+    ("changes", "words"),
     [
         ({"driver__use": "nobody"}, "no installed package offers a driver 'nobody'"),
         ({"driver__use": "plants.emulator:Nothing"}, "has no 'Nothing'"),
@@ -304,17 +304,17 @@ def test_gains_that_do_not_hold_the_reel_are_a_record_and_the_live_ones_are_back
         ({"driver__settings": {"reel": {"tension_N": 1e3}}}, "tension is 1000 N"),
     ],
 )
-def test_a_driver_that_cannot_be_used_is_named(changes, told):
-    with pytest.raises((InvalidInput, RigError), match=told):
+def test_unusable_driver_is_refused_with_the_reason(changes, words):
+    with pytest.raises((InvalidInput, RigError), match=words):
         HardwareRig(quick(**changes))
 
 
-def test_hardware_that_is_not_there_is_named(tmp_path):
+def test_missing_hardware_is_reported(tmp_path):
     with pytest.raises(RigError, match="no emulated hardware at"):
         HardwareRig(configuration(str(tmp_path / "nothing")))
 
 
-def test_a_driver_is_found_by_the_name_an_installed_package_gives_it(tmp_path, monkeypatch):
+def test_driver_is_found_by_its_entry_point_name(tmp_path, monkeypatch):
     package = tmp_path / "acme-1.0.dist-info"
     package.mkdir()
     (package / "METADATA").write_text("Metadata-Version: 2.1\nName: acme\nVersion: 1.0\n")

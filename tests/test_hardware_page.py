@@ -1,4 +1,4 @@
-"""The driver in docs/hardware.md, run as it is printed against a board at the end of a line."""
+"""docs/hardware.md: its driver, run against an emulated serial board, its keys and its TOML."""
 
 import os
 import re
@@ -76,7 +76,7 @@ def port():
     os.close(ours)
 
 
-def test_the_driver_on_the_page_runs_a_trial(serial_board, port):
+def test_driver_on_the_page_runs_a_trial(serial_board, port):
     settings = {"port": port, "answer_within_s": BUSY_S}
     patient = {f"guard__{limit}": BUSY_S for limit in ("gap_s", "heartbeat_s", "frozen_s")}
     driver = {"driver__use": serial_board, "driver__settings": settings}
@@ -87,13 +87,13 @@ def test_the_driver_on_the_page_runs_a_trial(serial_board, port):
         assert record.tension_N[-1] > record.tension_N[0]
 
 
-def test_the_driver_on_the_page_says_that_its_board_is_missing(serial_board, tmp_path):
+def test_driver_on_the_page_reports_a_missing_board(serial_board, tmp_path):
     settings = {"port": str(tmp_path / "none")}
     with pytest.raises(RigError, match=r"no board at .*none"):
         HardwareRig(quick(driver__use=serial_board, driver__settings=settings))
 
 
-def test_the_page_names_what_there_is():
+def test_page_names_existing_keys_and_all_guard_reasons():
     tables = {
         "guard": GuardTable,
         "limits": LimitsTable,
@@ -110,6 +110,6 @@ def test_the_page_names_what_there_is():
         assert str(reason) in rows
 
 
-def test_the_page_tells_toml():
+def test_page_has_valid_toml():
     for text in re.findall(r"```toml\n(.*?)```", PAGE, re.DOTALL):
         assert tomllib.loads(text)

@@ -1,4 +1,4 @@
-"""The loop in virtual time: an emulated reel in raw counts, without clock or processes."""
+"""State machine of the reel in virtual time: emulated hardware without clock or processes."""
 
 import math
 from dataclasses import replace
@@ -14,8 +14,7 @@ from estune.core.cost import StepCost
 from estune.core.gains import Gains
 from estune.hardware.driver import Reading
 from estune.hardware.loop_messages import Ended, Refused
-from estune.hardware.reel_state_machine import MotionPhase
-from estune.hardware.shared_memory import Word
+from estune.hardware.shared_memory import MotionPhase, Word
 from estune.trial import GUARD, LATE, SATURATED, Outcome
 from estune.trial.profiles import StepProfile, TriangleProfile
 from tests.support_hardware import VirtualLoop, config
@@ -40,11 +39,11 @@ def settled(loop: VirtualLoop) -> None:
     loop.answer()
 
 
-def test_a_trial_is_what_the_simulated_reel_does():
+def test_trial_on_the_emulated_reel_equals_the_simulation():
     loop = VirtualLoop(config(motion__settle_s=1.0))
     loop.ask(GOOD, STEP)
     ended = loop.answer()
-    record = loop.columns(ended.kept)
+    record = loop.columns(ended.samples)
     simulated = plants.simulate(plants.reference_reel(), GOOD, STEP)
     assert ended.outcome is Outcome.DONE
     assert np.abs(record["tension_N"] - simulated.tension_N).max() < 0.02
@@ -55,7 +54,7 @@ def test_a_trial_is_what_the_simulated_reel_does():
     assert not record["flags"].any()
 
 
-def test_the_reel_is_taken_up_from_slack_before_the_loop_is_closed():
+def test_slack_is_taken_up_before_the_loop_is_closed():
     loop = VirtualLoop(config())
     assert not loop.machine.powered
     loop.ask(GOOD, STEP)
@@ -64,7 +63,7 @@ def test_the_reel_is_taken_up_from_slack_before_the_loop_is_closed():
     assert loop.tension_N[-1] >= 2.0
 
 
-def test_gains_go_in_and_out_without_a_jump_of_the_current():
+def test_gains_change_without_a_jump_of_the_current():
     loop = VirtualLoop(config(), noise_N=0.04)
     in_trial(loop, 0)
     before = len(loop.current_A)
@@ -75,12 +74,12 @@ def test_gains_go_in_and_out_without_a_jump_of_the_current():
     assert jumps[before - 1] <= 1.01 * one_count  # the trial's first sample
     assert jumps[before + STEP.samples(632.0) - 1] <= 1.01 * one_count  # the first one after it
     live = pidf.coefficients(loop.rig.settings(), replace(GOOD, P=0.5))
-    loop.machine.swap(live)
+    loop.machine.set_live_gains(live)
     loop.step()
     assert abs(loop.current_A[-1] - loop.current_A[-2]) <= 1.01 * one_count
 
 
-def test_after_a_trial_the_live_gains_hold_the_reel():
+def test_live_gains_hold_the_reel_after_a_trial():
     loop = VirtualLoop(config())
     loop.ask(GOOD, STEP)
     loop.answer()
@@ -90,12 +89,12 @@ def test_after_a_trial_the_live_gains_hold_the_reel():
     assert loop.tension_N[-1] == pytest.approx(15.0, abs=0.05)
 
 
-def test_an_open_loop_trial_commands_its_setpoint():
+def test_open_loop_trial_commands_its_setpoint():
     profile = TriangleProfile(15.0, amplitude_N=5.0, period_s=0.5, duration_s=1.0, loop="open")
     loop = VirtualLoop(config())
     loop.ask(GOOD, profile)
     ended = loop.answer()
-    record = loop.columns(ended.kept)
+    record = loop.columns(ended.samples)
     assert np.allclose(record["current_A"], record["setpoint_N"] * RADIUS_PER_TORQUE)
     before = len(loop.current_A)
     loop.step()
@@ -158,15 +157,15 @@ FAULTS = {
 
 @pytest.mark.parametrize("state", ["hold", "ramp"])
 @pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: fault.__name__)
-def test_a_fault_ends_the_trial_in_its_own_sample_and_brings_the_safe_state(fault, state):
+def test_fault_ends_the_trial_at_once_in_the_safe_state(fault, state):
     outcome, holds, latched = FAULTS[fault]
     loop = VirtualLoop(config(safe__state=state))
     fault(loop)
     ended = loop.machine.answer
     assert isinstance(ended, Ended)
     assert ended.outcome is outcome
-    assert ended.sentence == loop.memory.reason != ""
-    record = loop.columns(ended.kept)
+    assert ended.reason == loop.memory.reason != ""
+    record = loop.columns(ended.samples)
     assert record["flags"][-1] & GUARD
     assert not (record["flags"][:-1] & GUARD).any()
     expected = MotionPhase.HOLD if holds and state == "hold" else MotionPhase.RAMP
@@ -175,14 +174,14 @@ def test_a_fault_ends_the_trial_in_its_own_sample_and_brings_the_safe_state(faul
     assert bool(loop.memory.words[Word.LATCHED]) is latched
 
 
-def test_the_safe_current_is_commanded_in_the_sample_that_crossed_the_limit():
+def test_safe_current_is_commanded_in_the_sample_that_crossed_the_limit():
     loop = VirtualLoop(config(safe__state="ramp", safe__ramp_s=0.0))
     violent(loop)
     assert loop.tension_N[-1] > 60.0 > loop.tension_N[-2]
     assert loop.current_A[-1] == 0.0
 
 
-def test_the_ramp_takes_its_time_and_ends_where_it_should():
+def test_ramp_has_its_duration_and_final_current():
     loop = VirtualLoop(config(safe__state="ramp", safe__current_A=0.3, safe__ramp_s=0.1))
     in_trial(loop)
     start = loop.current_A[-1]
@@ -197,7 +196,7 @@ def test_the_ramp_takes_its_time_and_ends_where_it_should():
     assert loop.machine.powered  # there is a current to be held
 
 
-def test_live_gains_bring_the_reel_back_and_the_next_trial_runs():
+def test_live_gains_recover_the_reel_for_the_next_trial():
     loop = VirtualLoop(config())
     violent(loop)
     loop.answer()
@@ -205,7 +204,7 @@ def test_live_gains_bring_the_reel_back_and_the_next_trial_runs():
     assert loop.answer().outcome is Outcome.DONE
 
 
-def test_where_the_live_gains_do_not_bring_it_back_the_rig_stops_for_good():
+def test_failed_recovery_latches_the_stop():
     loop = VirtualLoop(config())
     in_trial(loop)
     gauge = loop.rig.plan().gauge
@@ -216,13 +215,13 @@ def test_where_the_live_gains_do_not_bring_it_back_the_rig_stops_for_good():
     assert held >= round(0.3 * 632)  # the time the live gains were given
     loop.machine.answer = None
     loop.ask(GOOD, STEP, number=2)
-    assert "look at it, then clear it" in loop.answer().sentence
-    loop.machine.clear()
+    assert "check it, then clear it" in loop.answer().reason
+    loop.machine.reset()
     loop.ask(GOOD, STEP, number=3)
     assert loop.answer().outcome is Outcome.DONE
 
 
-def test_a_limit_crossed_under_the_live_gains_is_latched():
+def test_limit_crossed_under_the_live_gains_latches_the_stop():
     loop = VirtualLoop(config())
     settled(loop)
     gauge, encoder = loop.board.read(loop.time_s)
@@ -232,7 +231,7 @@ def test_a_limit_crossed_under_the_live_gains_is_latched():
     assert isinstance(loop.answer(), Refused)
 
 
-def test_a_supervisor_that_comes_back_finds_the_rig_willing():
+def test_rig_takes_trials_after_a_lost_heartbeat():
     for state, phase in (("hold", MotionPhase.HOLD), ("ramp", MotionPhase.STOPPED)):
         loop = VirtualLoop(config(safe__state=state))
         settled(loop)
@@ -243,23 +242,23 @@ def test_a_supervisor_that_comes_back_finds_the_rig_willing():
         assert loop.answer().outcome is Outcome.DONE
 
 
-def test_a_cable_that_is_not_attached_is_told():
+def test_missing_cable_is_reported():
     loop = VirtualLoop(config(motion__take_up_s=0.5))
     loop.ask(GOOD, STEP)
     for k in range(500):
         loop.step(Reading(loop.time_s + 1 / 632, 1_000_000 + k % 5, 0))
-    assert "no tension above 2 N within 0.5 s" in loop.machine.answer.sentence
+    assert "no tension above 2 N within 0.5 s" in loop.machine.answer.reason
     assert loop.machine.phase is MotionPhase.STOPPED
 
 
-def test_a_preload_that_is_not_reached_is_told():
+def test_unsettled_preload_is_reported():
     loop = VirtualLoop(config(motion__settle_N=1e-6, motion__settle_within_s=0.5), noise_N=0.04)
     loop.ask(GOOD, STEP)
-    assert "have not kept the tension within 1e-06 N" in loop.answer().sentence
+    assert "have not kept the tension within 1e-06 N" in loop.answer().reason
     assert loop.machine.phase is MotionPhase.HOLD
 
 
-def test_the_emergency_stop_acts_at_the_next_sample_and_stays():
+def test_estop_acts_at_the_next_sample_and_stays():
     loop = VirtualLoop(config())
     in_trial(loop)
     loop.estop(on=True)
@@ -267,20 +266,20 @@ def test_the_emergency_stop_acts_at_the_next_sample_and_stays():
     assert loop.machine.phase is MotionPhase.RAMP
     assert loop.machine.answer.outcome is Outcome.CANCELLED
     loop.machine.answer = None
-    loop.machine.clear()  # while it is still pressed
+    loop.machine.reset()  # while it is still pressed
     loop.ask(GOOD, STEP, number=2)
-    assert "emergency stop" in loop.answer().sentence
+    assert "emergency stop" in loop.answer().reason
     loop.until(lambda: loop.machine.phase is MotionPhase.STOPPED)
     assert not loop.machine.powered
     assert loop.current_A[-1] == 0.0
     loop.estop(on=False)
-    loop.machine.clear()
+    loop.machine.reset()
     loop.ask(GOOD, STEP, number=3)
     assert loop.answer().outcome is Outcome.DONE
 
 
 @pytest.mark.parametrize("begun", [True, False])
-def test_a_trial_can_be_stopped_before_and_after_it_begins(begun):
+def test_abort_ends_a_trial_before_and_after_it_begins(begun):
     loop = VirtualLoop(config())
     if begun:
         in_trial(loop)
@@ -289,12 +288,12 @@ def test_a_trial_can_be_stopped_before_and_after_it_begins(begun):
     loop.memory.words[Word.ABORT] = 1
     ended = loop.answer()
     assert ended.outcome is Outcome.CANCELLED
-    assert (ended.kept > 0) is begun
+    assert (ended.samples > 0) is begun
     loop.ask(GOOD, STEP, number=2)
     assert loop.answer().outcome is Outcome.DONE
 
 
-def test_shutting_down_leaves_the_reel_without_current():
+def test_shut_down_leaves_the_reel_without_current():
     loop = VirtualLoop(config())
     in_trial(loop)
     loop.machine.shut_down("over")
@@ -304,7 +303,7 @@ def test_shutting_down_leaves_the_reel_without_current():
     assert not loop.machine.powered
 
 
-def test_late_and_limited_samples_are_flagged():
+def test_late_and_saturated_samples_are_flagged():
     loop = VirtualLoop(config())
     in_trial(loop, 10)
     loop.step(late=True)
@@ -312,13 +311,13 @@ def test_late_and_limited_samples_are_flagged():
     assert record["flags"].tolist() == [0] * 10 + [LATE]
     low = VirtualLoop(config(limits__current_max_A=2.0, guard__current_max_A=3.0))
     low.ask(replace(GOOD, P=4.0, setpoint_filter_s=0.0), STEP)
-    record = low.columns(low.answer().kept)
+    record = low.columns(low.answer().samples)
     limited = (record["current_A"] >= 2.0) | (record["current_A"] <= 0.0)
     assert 0 < limited.sum() < len(limited)
     assert np.array_equal(record["flags"] == SATURATED, limited)
 
 
-def test_the_running_cost_is_that_of_the_score_and_stops_the_trial_beyond_its_limit():
+def test_running_cost_equals_the_score_and_stops_the_trial():
     loop = VirtualLoop(config())
     cost = StepCost(0.13)
     index = STEP.step_index(632.0)
@@ -326,7 +325,7 @@ def test_the_running_cost_is_that_of_the_score_and_stops_the_trial_beyond_its_li
     weights[index:] = cost.weights(632.0, len(weights) - index) / STEP.step_N**2
     loop.memory.weights[: len(weights)] = weights.data
     loop.ask(GOOD, STEP)
-    whole = loop.columns(loop.answer().kept)
+    whole = loop.columns(loop.answer().samples)
     error = whole["setpoint_N"] - whole["tension_N"]
     eta = cost.evaluate(
         632.0, index, 10.0, whole["setpoint_N"], whole["tension_N"], whole["current_A"]
@@ -337,8 +336,8 @@ def test_the_running_cost_is_that_of_the_score_and_stops_the_trial_beyond_its_li
     loop.ask(GOOD, STEP, number=2, cost_max=limit)
     ended = loop.answer()
     assert ended.outcome is Outcome.GUARD
-    assert "cost so far" in ended.sentence
-    assert ended.kept == pytest.approx(int(np.argmax(running > limit)) + 1, abs=1)
+    assert "cost so far" in ended.reason
+    assert ended.samples == pytest.approx(int(np.argmax(running > limit)) + 1, abs=1)
 
 
 counts = st.floats(0.0, 2.0**24) | st.sampled_from([math.nan, math.inf, -1.0])
@@ -353,9 +352,7 @@ events = st.sampled_from(["", "", "", "", "ask", "ask", "estop", "release", "cle
     ),
     st.sampled_from(["hold", "ramp"]),
 )
-def test_whatever_is_read_and_asked_the_current_keeps_its_limits_and_a_stop_comes_to_rest(
-    history, state
-):
+def test_any_history_keeps_current_limits_and_an_estop_comes_to_rest(history, state):
     loop = VirtualLoop(config(safe__state=state, motion__settle_s=0.0, motion__settle_N=50.0))
     number, trials = 0, 0
     for event, gauge, encoder, gap, is_late in history:
@@ -365,7 +362,7 @@ def test_whatever_is_read_and_asked_the_current_keeps_its_limits_and_a_stop_come
         elif event in ("estop", "release"):
             loop.estop(on=event == "estop")
         elif event == "clear":
-            loop.machine.clear()
+            loop.machine.reset()
         elif event == "abort":
             loop.memory.words[Word.ABORT] = number
         loop.step(Reading(loop.time_s + gap, gauge, encoder), late=is_late)

@@ -1,4 +1,4 @@
-"""A rig's file: what is wrong with it is told at once, and what is right reaches the loop."""
+"""A rig's file: its mistakes are reported at once, its values reach the loop."""
 
 import json
 import tomllib
@@ -23,7 +23,7 @@ def faults(**changes) -> str:
     return str(refused.value)
 
 
-def test_the_file_in_the_documentation_is_whole():
+def test_example_rig_file_is_valid():
     rig = read_config(RIG_FILE)
     assert rig == config_from(tomllib.loads(RIG_FILE.read_text()), "")
     description = rig.describe()
@@ -32,7 +32,7 @@ def test_the_file_in_the_documentation_is_whole():
     assert description.controller.output_max_N == 120.0
 
 
-def test_everything_that_is_wrong_is_told_at_once_with_its_path():
+def test_read_config_reports_all_mistakes_with_their_paths():
     table = tables(
         sampling_Hz=-632.0,
         guard__tension_max_kN=0.06,
@@ -53,7 +53,7 @@ def test_everything_that_is_wrong_is_told_at_once_with_its_path():
 
 
 @pytest.mark.parametrize(
-    ("changes", "told"),
+    ("changes", "words"),
     [
         ({"step__preload_N": 2.0}, "step.preload_N 2 N is outside limits.tension_N 5 to 40 N"),
         ({"step__step_N": 30.0}, "step.preload_N + step.step_N 45 N is outside"),
@@ -77,11 +77,11 @@ def test_everything_that_is_wrong_is_told_at_once_with_its_path():
         ({"current__amperes_of_command": [0.0, 1e-4, 1e-8]}, "not surely monotone"),
     ],
 )
-def test_values_that_do_not_fit_each_other_are_named(changes, told):
-    assert told in faults(**changes)
+def test_inconsistent_values_are_reported(changes, words):
+    assert words in faults(**changes)
 
 
-def test_calibrations_can_be_files_beside_the_rigs_own(tmp_path):
+def test_calibrations_are_read_from_files_beside_the_rig_file(tmp_path):
     force = np.linspace(0.0, 90.0, 30)
     noise = np.random.default_rng(0).normal(size=(2, 30))
     gauge = GaugeCalibration.fit(force, 1e6 + 1.5e5 * force + 60.0 * force**2 + noise[0])
@@ -102,7 +102,7 @@ def test_calibrations_can_be_files_beside_the_rigs_own(tmp_path):
         read_config(tmp_path / "rig.toml")
 
 
-def test_a_file_that_is_none_is_named(tmp_path):
+def test_missing_and_torn_rig_files_are_reported(tmp_path):
     with pytest.raises(InvalidInput, match=r"nowhere.toml: No such file"):
         read_config(tmp_path / "nowhere.toml")
     (tmp_path / "torn.toml").write_text("name = ")
@@ -122,14 +122,14 @@ CURRENTS = [
 
 
 @given(st.sampled_from(GAUGES), st.floats(0.0, 1.0))
-def test_the_loop_reads_the_force_that_the_calibration_reads(gauge, place):
+def test_gauge_scale_equals_the_calibration(gauge, place):
     force = gauge.force.low + place * (gauge.force.high - gauge.force.low)
     counts = gauge.reading(force)
     assert GaugeScale.of(gauge).force_N(counts) == pytest.approx(gauge.force_N(counts), abs=1e-9)
 
 
 @given(st.sampled_from(GAUGES), st.floats(allow_nan=True, allow_infinity=True))
-def test_counts_that_no_calibrated_force_gives_are_no_number(gauge, counts):
+def test_gauge_scale_is_nan_beyond_the_calibration(gauge, counts):
     force = GaugeScale.of(gauge).force_N(counts)
     try:
         assert force == pytest.approx(gauge.force_N(counts), abs=1e-6)
@@ -138,16 +138,16 @@ def test_counts_that_no_calibrated_force_gives_are_no_number(gauge, counts):
 
 
 @given(st.sampled_from(CURRENTS), st.floats(0.0, 1.0))
-def test_the_loop_commands_the_current_that_the_calibration_gives(current, place):
+def test_current_scale_equals_the_calibration(current, place):
     scale = CurrentScale.of(current)
-    low, high = scale.range_A()
+    low, high = sorted(scale._curve(u)[0] for u in (-scale.scaled_max, scale.scaled_max))
     wanted = low + place * (high - low)
     assert abs(scale.counts(wanted) - current.counts(wanted)) <= 0.5 + 1e-6
 
 
 @given(st.sampled_from(CURRENTS), st.floats(-1e6, 1e6))
-def test_a_current_beyond_the_calibration_is_the_end_of_its_range(current, wanted):
+def test_current_scale_ends_at_the_calibrated_range(current, wanted):
     scale = CurrentScale.of(current)
-    low, high = scale.range_A()
+    low, high = sorted(scale._curve(u)[0] for u in (-scale.scaled_max, scale.scaled_max))
     given_A = current.current_A(scale.counts(min(max(wanted, low), high)))
     assert current.current_A(scale.counts(wanted)) == pytest.approx(given_A, abs=1e-9)

@@ -22,8 +22,8 @@ from estune.hardware import HardwareRig, controller_source
 from estune.hardware.controller import CompiledController, PlainController
 from estune.hardware.driver import Reading
 from estune.hardware.live_gains import LengthSource, LiveGains
-from estune.hardware.reel_state_machine import MotionPhase
 from estune.hardware.schedule_file import read_schedule, schedule_header
+from estune.hardware.shared_memory import MotionPhase
 from estune.interop import schedule_to_control, to_control
 from estune.support import c_compiler
 from estune.trial import Outcome, TrialRequest
@@ -200,11 +200,11 @@ def test_at_one_length_the_python_control_system_is_that_controller(L):
 # --- on a rig --------------------------------------------------------------------------------
 
 
-def scheduled(tmp_path, make, schedule=SCHEDULE, length="angle", **changes):
+def scheduled(tmp_path, make, schedule=SCHEDULE, **changes):
     """The emulated rig with live gains by a schedule."""
     path = tmp_path / "schedule.json"
     path.write_text(json.dumps(schedule.as_dict()))
-    return make(schedule={"file": str(path), "length": length}, gains=None, **changes)
+    return make(schedule={"file": str(path), "length": "angle"}, gains=None, **changes)
 
 
 def test_live_gains_follow_the_drum_without_a_jump_and_a_trial_keeps_its_own(tmp_path):
@@ -240,21 +240,20 @@ def test_live_gains_follow_the_drum_without_a_jump_and_a_trial_keeps_its_own(tmp
     assert pytest.approx(expected.I / 632.0, rel=2e-3) == now.I_per_sample
 
 
-def test_a_rig_whose_length_is_told_follows_it_until_other_gains_are_applied(tmp_path):
+def test_rig_reports_scheduled_gains_until_others_are_applied(tmp_path):
     schedule = replace(SCHEDULE, I=GainCurve("linear", 48.0, slope=-14.0))  # at any tension
-    with HardwareRig(scheduled(tmp_path, quick, schedule, "told")) as rig:
-        about = rig.describe()
-        assert about.gains == schedule.gains(0.8, 15.0)
-        rig.tell_length(1.1)
-        record = rig.run(TrialRequest("told", 0, Gains(0.7, 12.0, 0.004, 0.01), about.step))
+    with HardwareRig(scheduled(tmp_path, quick, schedule)) as rig:
+        before = rig.describe()
+        assert before.gains == schedule.gains(0.8, 15.0)
+        gains = Gains(0.7, 12.0, 0.004, 0.01)
+        record = rig.run(TrialRequest("scheduled", 0, gains, before.step))
         assert record.outcome is Outcome.DONE
-        assert record.cable_length_m == 1.1
-        assert rig.describe().gains == schedule.gains(1.1, 15.0)
-        with pytest.raises(InvalidInput, match="cable length is nan m"):
-            rig.tell_length(math.nan)
-        rig.apply(about.gains)
-        rig.tell_length(1.3)
-        assert rig.describe().gains == about.gains
+        after = rig.describe()
+        assert after.cable_length_m == pytest.approx(0.8, abs=0.02)
+        assert after.cable_length_m == pytest.approx(record.cable_length_m, abs=0.002)
+        assert after.gains == schedule.gains(after.cable_length_m, 15.0)
+        rig.apply(before.gains)
+        assert rig.describe().gains == before.gains
 
 
 def test_a_rigs_file_with_an_unusable_schedule_says_what_is_wrong(tmp_path):
@@ -331,7 +330,7 @@ def test_scheduled_gains_follow_the_moving_cable_without_a_jump():
     steep = replace(SCHEDULE, P=GainCurve("linear", 0.2, slope=1.0))
     L = way(LONG.samples(632.0))
     found = plants.simulate_moving(reel, steep, L, LONG)
-    state, changes = pidf.at_rest(15.0, 15.0), 0
+    state, changes = pidf.state_at_rest(15.0, 15.0), 0
     before = pidf.coefficients(reel.controller, steep.gains(0.5, 15.0))
     live = LiveGains(before, LengthSource(steep, reel.controller, 0.5, 0.025))
     for r, y, effort, angle in zip(
@@ -341,7 +340,7 @@ def test_scheduled_gains_follow_the_moving_cable_without_a_jump():
         assert effort == pytest.approx(would, rel=0.0, abs=1e-12)
         if live.update(angle, 15.0):
             changes += 1
-            state = pidf.exchanged(before, live.coefficients, state, r, y)
+            state = pidf.bumpless_exchange(before, live.coefficients, state, r, y)
             before = live.coefficients
         state, _, _ = pidf.step(before, state, r, y)
     assert changes > 500

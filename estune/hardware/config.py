@@ -1,6 +1,6 @@
-"""A rig's file, `rig.toml`: everything the rig knows about its hardware, checked before it moves.
+"""A rig's file, `rig.toml`: description of the hardware, checked before anything moves.
 
-Every key carries its unit. What is wrong is told at once, a line for each, with its path.
+Every key carries its unit. All mistakes are reported at once, a line for each, with its path.
 """
 
 import json
@@ -71,7 +71,7 @@ class RigConfig(TomlTable):
 
     @property
     def hold_N(self) -> float:
-        """Tension held between trials, N; the step's preload where nothing else is said."""
+        """Tension held between trials, N; by default the step's preload."""
         return self.step.preload_N if self.motion.hold_N is None else self.motion.hold_N
 
     @property
@@ -80,7 +80,7 @@ class RigConfig(TomlTable):
         return math.ceil(self.limits.duration_max_s * self.sampling_Hz) + 1
 
     def settings(self) -> ControllerSettings:
-        """The fixed part of the controller; its limits are those of the current."""
+        """Fixed part of the controller; its limits are those of the current."""
         effort = self.newtons_per_ampere
         return ControllerSettings(
             self.sampling_Hz,
@@ -90,7 +90,7 @@ class RigConfig(TomlTable):
         )
 
     def describe(self) -> RigDescription:
-        """What the rig says of itself when it starts.
+        """Description of the rig at its start.
 
         Raises:
             InvalidInput: gains or step are out of their range.
@@ -130,12 +130,11 @@ class RigConfig(TomlTable):
             )
         return GaugeScale.of(c2), CurrentScale.of(c1)
 
-    def following(self) -> LengthSource | None:
-        """How the live gains follow the cable's length; None where they are fixed.
+    def length_source(self) -> LengthSource | None:
+        """Schedule of the live gains; None where they are fixed.
 
         Raises:
-            InvalidInput: the schedule cannot be read or used, or does not hold at the length the
-                reel begins with.
+            InvalidInput: the schedule cannot be read or used, or not at the reel's first length.
         """
         if self.schedule is None:
             return None
@@ -150,28 +149,27 @@ class RigConfig(TomlTable):
                 f"reel.cable_length_m {length:g} m is beyond the schedule's {low:g} to {high:g} "
                 "m; tune at that length too, or begin within"
             )
-        radius = self.reel.drum_radius_m if self.schedule.length == "angle" else 0.0
-        return LengthSource(schedule, self.settings(), length, radius)
+        return LengthSource(schedule, self.settings(), length, self.reel.drum_radius_m)
 
     def _gains(self) -> Gains:
-        """The live gains at the start."""
-        following = self.following()
-        if following is not None:
-            return following.schedule.gains(following.length_m, self.hold_N)
+        source = self.length_source()
+        if source is not None:
+            return source.schedule.gains(source.length_m, self.hold_N)
         if self.gains is None:
             raise InvalidInput("give live gains as [gains], or a [schedule] of them")
         return Gains(**self.gains.model_dump())
 
     def plan(self) -> LoopPlan:
-        """What the loop is told.
+        """Plan of the loop.
 
         Raises:
             InvalidInput: a calibration cannot be used.
         """
         gauge, current = self.calibrations()
         description = self.describe()
-        settings, timing = description.controller, self.real_time
-        late_s = 0.1 / self.sampling_Hz if timing.late_s is None else timing.late_s
+        settings, late_s = description.controller, self.real_time.late_s
+        if late_s is None:
+            late_s = 0.1 / self.sampling_Hz
         return LoopPlan(
             driver=self.driver.use,
             driver_settings=self.driver.settings,
@@ -187,17 +185,12 @@ class RigConfig(TomlTable):
             effort_max_N=settings.output_max_N,
             controller=controller_source(settings, description.gains),
             live=pidf.coefficients(settings, description.gains),
-            following=self.following(),
+            length_source=self.length_source(),
             guard=self._guard(),
             motion=Motion(
                 hold_N=self.hold_N,
-                rate_N_s=self.motion.rate_N_s,
-                settle_s=self.motion.settle_s,
-                settle_N=self.motion.settle_N,
-                settle_within_s=self.motion.settle_within_s,
                 take_up_N=self.motion.take_up_A * self.newtons_per_ampere,
-                take_up_s=self.motion.take_up_s,
-                taut_N=self.motion.taut_N,
+                **self.motion.model_dump(exclude={"hold_N", "take_up_A"}),
             ),
             safe=SafeState(
                 hold=self.safe.state == "hold",
@@ -205,9 +198,7 @@ class RigConfig(TomlTable):
                 ramp_s=self.safe.ramp_s,
                 recover_s=self.safe.recover_s,
             ),
-            timing=RealTime(
-                timing.priority, timing.lock_memory, timing.cpu, timing.spin_s, late_s
-            ),
+            timing=RealTime(**(self.real_time.model_dump() | {"late_s": late_s})),
         )
 
     def _guard(self) -> Limits:
@@ -216,13 +207,13 @@ class RigConfig(TomlTable):
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
-        """What one table says about another; all that does not fit at once."""
+        """Checks each table against the others."""
         wrong = [*_tensions(self), *_currents(self), *_times(self)]
         if self.gains is not None and self.schedule is not None:
             wrong.append("give either [gains] or a [schedule] of them, not both")
-        for made in (self.describe, self.calibrations):
+        for make in (self.describe, self.calibrations):
             try:
-                made()
+                make()
             except InvalidInput as error:
                 wrong.append(str(error))
         if wrong:
@@ -232,14 +223,14 @@ class RigConfig(TomlTable):
 
 def _tensions(rig: RigConfig) -> Iterator[str]:
     low, high = rig.limits.tension_min_N, rig.limits.tension_max_N
-    asked = {
+    values = {
         "step.preload_N": rig.step.preload_N,
         "step.preload_N + step.step_N": rig.step.preload_N + rig.step.step_N,
         "motion.hold_N": rig.hold_N,
     }
-    for what, tension in asked.items():
+    for name, tension in values.items():
         if not low <= tension <= high:
-            yield f"{what} {tension:g} N is outside limits.tension_N {low:g} to {high:g} N"
+            yield f"{name} {tension:g} N is outside limits.tension_N {low:g} to {high:g} N"
     guard, motion = rig.guard, rig.motion
     if not guard.tension_max_N > high:
         yield (
@@ -255,20 +246,20 @@ def _tensions(rig: RigConfig) -> Iterator[str]:
 
 def _currents(rig: RigConfig) -> Iterator[str]:
     low, high = rig.limits.current_min_A, rig.limits.current_max_A
-    asked = {"motion.take_up_A": rig.motion.take_up_A, "safe.current_A": rig.safe.current_A}
-    for what, current in asked.items():
+    values = {"motion.take_up_A": rig.motion.take_up_A, "safe.current_A": rig.safe.current_A}
+    for name, current in values.items():
         if not low <= current <= high:
-            yield f"{what} {current:g} A is outside limits.current_A {low:g} to {high:g} A"
-    pulled = rig.motion.take_up_A * rig.newtons_per_ampere
-    if not rig.motion.taut_N < pulled:
+            yield f"{name} {current:g} A is outside limits.current_A {low:g} to {high:g} A"
+    pull_N = rig.motion.take_up_A * rig.newtons_per_ampere
+    if not rig.motion.taut_N < pull_N:
         yield (
             f"motion.taut_N {rig.motion.taut_N:g} N must be below what motion.take_up_A "
-            f"{rig.motion.take_up_A:g} A pulls at rest, {pulled:g} N"
+            f"{rig.motion.take_up_A:g} A pulls at rest, {pull_N:g} N"
         )
-    held = high * rig.newtons_per_ampere
-    if not rig.limits.tension_max_N <= held:
+    held_N = high * rig.newtons_per_ampere
+    if not rig.limits.tension_max_N <= held_N:
         yield (
-            f"limits.current_max_A {high:g} A holds {held:g} N, less than limits.tension_max_N "
+            f"limits.current_max_A {high:g} A holds {held_N:g} N, less than limits.tension_max_N "
             f"{rig.limits.tension_max_N:g} N"
         )
 
@@ -280,11 +271,11 @@ def _times(rig: RigConfig) -> Iterator[str]:
             f"step.duration_s {step.duration_s:g} s is longer than limits.duration_max_s "
             f"{limits.duration_max_s:g} s"
         )
-    recorded = step.duration_s - step.step_at_s
-    if not rig.settling_time_s <= recorded:
+    recorded_s = step.duration_s - step.step_at_s
+    if not rig.settling_time_s <= recorded_s:
         yield (
             f"settling_time_s {rig.settling_time_s:g} s is longer than what the step records "
-            f"after it, {recorded:g} s"
+            f"after it, {recorded_s:g} s"
         )
     if not rig.guard.gap_s > 1.0 / rig.sampling_Hz:
         yield (
@@ -294,11 +285,10 @@ def _times(rig: RigConfig) -> Iterator[str]:
 
 
 def read_config(path: str | Path) -> RigConfig:
-    """Reads a rig's file. Files it names are looked for beside it.
+    """Reads a rig's file. Files that it names are relative to its own folder.
 
     Raises:
-        InvalidInput: it cannot be read, or something in it is wrong; all of it is in the message,
-            a line each.
+        InvalidInput: it cannot be read, or has mistakes; the message has a line for each.
     """
     path = Path(path)
     data = read_toml(path)
@@ -310,10 +300,10 @@ def read_config(path: str | Path) -> RigConfig:
 
 
 def config_from(data: dict[str, Any], source: str) -> RigConfig:
-    """The configuration in data read from somewhere.
+    """The configuration in data from a source.
 
     Raises:
-        InvalidInput: something in it is wrong; all of it is in the message, a line each.
+        InvalidInput: it has mistakes; the message has a line for each.
     """
     return validate(RigConfig, data, source)
 

@@ -1,7 +1,6 @@
-"""The PIDF as the loop runs it: compiled from the firmware's own text, or plain Python."""
+"""The PIDF as the loop runs it: compiled from the text for firmware, or plain Python."""
 
 import ctypes
-from typing import Protocol
 
 from estune.core import pidf
 from estune.core.pidf import Coefficients, PidfState
@@ -10,48 +9,6 @@ from estune.hardware.firmware import COEFFICIENTS, STATES
 from estune.support import c_compiler
 
 _EXPORT = '#define ESTUNE_PIDF_EXPORT __attribute__((visibility("default")))\n'
-
-
-class Controller(Protocol):
-    """One controller with its state.
-
-    Attributes:
-        limited: Whether its limits cut the last effort.
-    """
-
-    limited: bool
-
-    def use(self, coefficients: Coefficients) -> None:
-        """Changes the gains; the state stays."""
-        ...
-
-    def rest(self, tension_N: float, effort_N: float) -> None:
-        """Takes the state of a loop that has settled."""
-        ...
-
-    def take_over(self, setpoint_N: float, tension_N: float, effort_N: float) -> None:
-        """Takes the state from which the next step gives this effort."""
-        ...
-
-    def exchange(self, coefficients: Coefficients, setpoint_N: float, tension_N: float) -> None:
-        """Changes the gains so that the next step gives what it would have given."""
-        ...
-
-    def step(self, setpoint_N: float, tension_N: float) -> float:
-        """One sample; the effort within its limits, N."""
-        ...
-
-
-def make_controller(source: str) -> tuple[Controller, str]:
-    """The controller compiled from its C text, where there is a compiler.
-
-    Returns:
-        The controller, and why it is the plain one; empty where it is not.
-    """
-    try:
-        return CompiledController(source), ""
-    except PlantError as error:
-        return PlainController(), f"the controller runs as plain Python: {error}"
 
 
 class _Struct(ctypes.Structure):
@@ -67,7 +24,7 @@ class CompiledController:
     """The C text, compiled."""
 
     def __init__(self, source: str) -> None:
-        """Compiles, or takes from the cache.
+        """Compiles the text, or takes it from the cache.
 
         Raises:
             PlantError: no compiler, or it failed.
@@ -87,11 +44,11 @@ class CompiledController:
         self.limited = False
 
     def use(self, coefficients: Coefficients) -> None:
-        """Changes the gains; the state stays."""
+        """Changes the gains and keeps the state."""
         self._struct.coefficients[:] = coefficients
 
     def rest(self, tension_N: float, effort_N: float) -> None:
-        """Takes the state of a loop that has settled."""
+        """Takes the state of a settled loop."""
         self._rest(self._at, tension_N, effort_N)
 
     def take_over(self, setpoint_N: float, tension_N: float, effort_N: float) -> None:
@@ -99,12 +56,12 @@ class CompiledController:
         self._take_over(self._at, setpoint_N, tension_N, effort_N)
 
     def exchange(self, coefficients: Coefficients, setpoint_N: float, tension_N: float) -> None:
-        """Changes the gains so that the next step gives what it would have given."""
-        remembered = self._struct.state[:]
-        wanted = self._step(self._at, setpoint_N, tension_N, self._excess_at) + self._excess.value
-        self._struct.state[:] = remembered
+        """Changes the gains so that the next step gives the effort it would have given."""
+        state = self._struct.state[:]
+        effort = self._step(self._at, setpoint_N, tension_N, self._excess_at) + self._excess.value
+        self._struct.state[:] = state
         self.use(coefficients)
-        self.take_over(setpoint_N, tension_N, wanted)
+        self.take_over(setpoint_N, tension_N, effort)
 
     def step(self, setpoint_N: float, tension_N: float) -> float:
         """One sample; the effort within its limits, N."""
@@ -123,12 +80,12 @@ class PlainController:
         self.limited = False
 
     def use(self, coefficients: Coefficients) -> None:
-        """Changes the gains; the state stays."""
+        """Changes the gains and keeps the state."""
         self._coefficients = coefficients
 
     def rest(self, tension_N: float, effort_N: float) -> None:
-        """Takes the state of a loop that has settled."""
-        self._state = pidf.at_rest(tension_N, effort_N)
+        """Takes the state of a settled loop."""
+        self._state = pidf.state_at_rest(tension_N, effort_N)
 
     def take_over(self, setpoint_N: float, tension_N: float, effort_N: float) -> None:
         """Takes the state from which the next step gives this effort."""
@@ -137,8 +94,8 @@ class PlainController:
         )
 
     def exchange(self, coefficients: Coefficients, setpoint_N: float, tension_N: float) -> None:
-        """Changes the gains so that the next step gives what it would have given."""
-        self._state = pidf.exchanged(
+        """Changes the gains so that the next step gives the effort it would have given."""
+        self._state = pidf.bumpless_exchange(
             self._coefficients, coefficients, self._state, setpoint_N, tension_N
         )
         self._coefficients = coefficients
@@ -150,3 +107,19 @@ class PlainController:
         )
         self.limited = bool(excess != 0.0)
         return float(effort)
+
+
+Controller = CompiledController | PlainController
+"""One controller with its state. `limited` says whether its limits cut the last effort."""
+
+
+def make_controller(source: str) -> tuple[Controller, str]:
+    """The controller compiled from its C text, or the plain one where there is no compiler.
+
+    Returns:
+        The controller, and why it is the plain one; empty where it is not.
+    """
+    try:
+        return CompiledController(source), ""
+    except PlantError as error:
+        return PlainController(), f"the controller runs as plain Python: {error}"

@@ -1,29 +1,34 @@
-"""What hardware has to offer, in its own raw counts, and how it is found.
+"""Interface of a reel's hardware in raw counts, and how a driver is found.
 
 A driver is loaded in the process of the real-time loop, from the settings in the rig's file, and
-is called by one thread. It knows nothing of newtons, gains or limits: calibrations C1 and C2, the
+is called by one thread. It knows no newtons, gains or limits: calibrations C1 and C2, the
 controller and the guard stand between it and a trial.
 """
 
-from importlib.metadata import entry_points
 from typing import Any, NamedTuple, Protocol, Self
 
 from estune.errors import InvalidInput
 from estune.run.targets import load
+from estune.support.plugins import plugins
 
 ENTRY_POINTS = "estune.drivers"
-"""The entry point group by which an installed package offers drivers by name."""
+"""Entry point group by which an installed package offers drivers by name."""
+
+_METHODS = (
+    *("enable", "read", "write", "disable", "safe_state", "close"),
+    *("__enter__", "__exit__"),
+)
 
 
 class Reading(NamedTuple):
-    """What was read of the sensors at one instant.
+    """Sensor values at one instant.
 
     Attributes:
-        time_s: When, on the system's monotonic clock (`time.monotonic`), s. Best the moment the
+        time_s: Time on the system's monotonic clock (`time.monotonic`), s; best the moment the
             converter latched the gauge.
-        gauge_counts: The strain gauge's converter, counts. NaN where the converter itself tells
-            that it is overloaded or not ready.
-        encoder_counts: The drum's encoder, counts, unwrapped: it goes on past a turn.
+        gauge_counts: Counts of the strain gauge's converter; NaN where the converter reports
+            overload or is not ready.
+        encoder_counts: Counts of the drum's encoder, unwrapped: they go on past a turn.
     """
 
     time_s: float
@@ -32,10 +37,10 @@ class Reading(NamedTuple):
 
 
 class Driver(Protocol):
-    """The hardware of one reel. A context manager: leaving it closes it.
+    """Hardware of one reel. A context manager: leaving it closes it.
 
-    `read` and `write` return within a small part of the sampling period, or raise. Whatever any
-    of them raises ends motion: the loop calls `safe_state` and gives the hardware up.
+    `read` and `write` return within a small part of the sampling period, or raise. Any exception
+    ends motion: the loop calls `safe_state` and gives the hardware up.
     """
 
     def enable(self) -> None:
@@ -47,19 +52,19 @@ class Driver(Protocol):
         ...
 
     def write(self, current_counts: int) -> None:
-        """Commands a motor current, and tells the hardware's watchdog that the loop lives."""
+        """Commands a motor current, and feeds the hardware's watchdog."""
         ...
 
     def disable(self) -> None:
-        """Takes the amplifier's power away, in order: the current is at its safe value."""
+        """Removes the amplifier's power in order: the current is at its safe value."""
         ...
 
     def safe_state(self) -> None:
-        """Brings the hardware to the safest state it has by itself, from any state, at once."""
+        """Brings the hardware to its own safest state, from any state, at once."""
         ...
 
     def close(self) -> None:
-        """Lets go of the hardware, without power. May be called again."""
+        """Closes the hardware, without power. May be called again."""
         ...
 
     def __enter__(self) -> Self:
@@ -72,11 +77,11 @@ class Driver(Protocol):
 
 
 def load_driver(use: str, settings: dict[str, Any]) -> Driver:
-    """Makes the driver that a rig's file names.
+    """The driver that a rig's file names, called with its settings.
 
     Args:
         use: Its name in the entry point group `estune.drivers`, or `module:attribute`.
-        settings: What it is called with.
+        settings: Keyword arguments.
 
     Raises:
         InvalidInput: there is no such driver, or it does not take the settings.
@@ -85,20 +90,16 @@ def load_driver(use: str, settings: dict[str, Any]) -> Driver:
     if ":" in use:
         reference = use
     else:
-        offered = {point.name: point.value for point in entry_points(group=ENTRY_POINTS)}
+        offered = plugins(ENTRY_POINTS)
         if use not in offered:
             raise InvalidInput(
                 f"no installed package offers a driver {use!r} "
                 f"(there {'is: ' + ', '.join(sorted(offered)) if offered else 'is none'}); "
                 "name an installed one, or give module:attribute"
             )
-        reference = offered[use]
+        reference = offered[use].value
     driver: Driver = load(reference, settings)
-    missing = [name for name in vars(Driver) if _is_verb(name) and not hasattr(driver, name)]
+    missing = [name for name in _METHODS if not hasattr(driver, name)]
     if missing:
         raise InvalidInput(f"{reference} is no driver: it has no {', '.join(missing)}")
     return driver
-
-
-def _is_verb(name: str) -> bool:
-    return not name.startswith("_") or name in ("__enter__", "__exit__")

@@ -1,7 +1,7 @@
-"""The controller as C: the text of `estune.core.pidf`, through CasADi, in one self-contained file.
+"""C text of the controller, generated from `estune.core.pidf`; one self-contained file.
 
-The same file is compiled for the real-time loop of a rig (`estune.hardware.controller`) and given
-to firmware (`estune export-controller`). It is C90, allocates nothing, keeps no state of its own
+The file is compiled for the real-time loop of a rig (`estune.hardware.controller`) and exported
+for firmware (`estune export-controller`). It is C90, allocates nothing, keeps no state of its own
 and needs no library but `exp`. Firmware without double precision defines `casadi_real` as `float`.
 """
 
@@ -138,11 +138,11 @@ ESTUNE_PIDF_EXPORT void estune_pidf_exchange(estune_pidf *pidf, casadi_real P, c
 
 
 def controller_source(settings: ControllerSettings, gains: Gains) -> str:
-    """The C file of a controller.
+    """C file of a controller with these settings compiled in.
 
     Args:
-        settings: The part that is fixed; its numbers are compiled in.
-        gains: What `estune_pidf_init` sets.
+        settings: Fixed part of the controller.
+        gains: Gains that `estune_pidf_init` sets.
     """
     return _TEXT.format(
         software=version("estune"),
@@ -161,7 +161,7 @@ def controller_source(settings: ControllerSettings, gains: Gains) -> str:
 
 
 def _generated(settings: ControllerSettings) -> str:
-    """The functions of `estune.core.pidf` as C, under names of their own."""
+    """Functions of `estune.core.pidf` as C, under names of their own."""
     import casadi as ca  # noqa: PLC0415  slow to import, and only needed to make the text
 
     # Lets numpy's functions, in which the controller is written, act on CasADi expressions.
@@ -177,7 +177,7 @@ def _generated(settings: ControllerSettings) -> str:
     coefficients = pidf.symbolic_coefficients(settings, *ca.vertsplit(gains))
     functions: dict[str, tuple[list[Any], list[Any]]] = {
         "coefficients_of": ([gains], [ca.vertcat(*coefficients)]),
-        "rest_state": ([y, u], [ca.vertcat(*pidf.at_rest(y, u))]),
+        "rest_state": ([y, u], [ca.vertcat(*pidf.state_at_rest(y, u))]),
         "bumpless": ([column, memory, r, y, u], [ca.vertcat(*taken_over)]),
         "sample": ([column, memory, r, y], [ca.vertcat(*following), effort, excess]),
     }

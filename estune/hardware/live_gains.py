@@ -1,4 +1,4 @@
-"""The live gains: those that hold the reel between trials, fixed or by a schedule over length."""
+"""Live gains, which hold the reel between trials: fixed, or scheduled over the cable length."""
 
 import math
 from dataclasses import dataclass
@@ -9,19 +9,19 @@ from estune.core.schedule import GainSchedule
 
 LENGTH_STEP_m = 1e-3
 TENSION_STEP_N = 0.1
-"""By how much length or tension has changed before the gains are computed anew: 10 us of Python
-that would otherwise be spent at every sample."""
+"""Change of length or tension after which the gains are computed anew: 10 us of Python that would
+otherwise be spent at every sample."""
 
 
 @dataclass(frozen=True, slots=True)
 class LengthSource:
-    """How the live gains follow the cable's length.
+    """Gain schedule with the cable length that the drum angle gives.
 
     Attributes:
-        schedule: The gains over length and tension.
-        settings: The fixed part of the controller.
-        length_m: Cable length at an angle of zero, or until another is told, m.
-        drum_radius_m: What a radian of winding in takes from it, m; zero where the length is told.
+        schedule: Gains over length and tension.
+        settings: Fixed part of the controller.
+        length_m: Cable length at an angle of zero, m.
+        drum_radius_m: Length that a radian of winding in takes from it, m.
     """
 
     schedule: GainSchedule
@@ -35,43 +35,36 @@ class LengthSource:
 
 
 class LiveGains:
-    """The gains that hold the reel between trials.
+    """Gains that hold the reel between trials.
 
     Attributes:
-        coefficients: Their difference equation as it is now.
-        used: Cable length in m and tension in N that they are for; not numbers where they are
-            fixed.
+        coefficients: Their difference equation.
+        operating_point: Cable length in m and tension in N that they are for; NaN if fixed.
     """
 
-    def __init__(self, fixed: Coefficients, following: LengthSource | None) -> None:
+    def __init__(self, fixed: Coefficients, length_source: LengthSource | None) -> None:
         self.coefficients = fixed
-        self.used = (math.nan, math.nan)
-        self._following = following
-        self._told_m = math.nan if following is None else following.length_m
+        self.operating_point = (math.nan, math.nan)
+        self._source = length_source
 
     def fix(self, coefficients: Coefficients) -> None:
-        """Makes these the live gains, at any length: a schedule is no longer followed."""
-        self.coefficients, self._following = coefficients, None
-        self.used = (math.nan, math.nan)
-
-    def set_length(self, length_m: float) -> None:
-        """Says how long the cable is, m."""
-        self._told_m = length_m
+        """Makes these the live gains at any length; ends a schedule."""
+        self.coefficients, self._source = coefficients, None
+        self.operating_point = (math.nan, math.nan)
 
     def update(self, angle_rad: float, tension_N: float) -> bool:
-        """Whether the gains are others now, at this drum angle and setpoint."""
-        following = self._following
-        if following is None:
+        """Whether a schedule gives other gains now, at this drum angle and setpoint."""
+        source = self._source
+        if source is None:
             return False
-        told = following.drum_radius_m == 0.0
-        length = self._told_m if told else following.length_at(angle_rad)
-        length_used, tension_used = self.used
+        length = source.length_at(angle_rad)
+        last_length, last_tension = self.operating_point
         if (
-            abs(length - length_used) < LENGTH_STEP_m
-            and abs(tension_N - tension_used) < TENSION_STEP_N
+            abs(length - last_length) < LENGTH_STEP_m
+            and abs(tension_N - last_tension) < TENSION_STEP_N
         ):
             return False
-        self.used = length, tension_N
-        gains = following.schedule.gains(length, tension_N)
-        self.coefficients = pidf.coefficients(following.settings, gains)
+        self.operating_point = length, tension_N
+        gains = source.schedule.gains(length, tension_N)
+        self.coefficients = pidf.coefficients(source.settings, gains)
         return True

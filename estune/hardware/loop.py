@@ -1,11 +1,19 @@
-"""The real-time loop: a process of its own, started by `estune.hardware.rig`.
+"""The real-time loop: a process of its own, started by `estune.hardware.process`.
 
-Its arguments are two descriptors it has inherited: of the pipe to the rig and of the shared
-memory. It never waits for the rig. When the rig is gone, or the system asks the process to end, it
-brings the reel to rest by itself.
+Its arguments are two inherited descriptors: of the pipe to the rig and of the shared memory. It
+never waits for the rig. When the rig is gone, or the system asks the process to end, it brings the
+reel to rest by itself.
+
+Lateness measured at 632 Hz (median, 99 %, worst of 2000 samples) in us: plain sleep 78, 140, 3500;
+timer slack of 1 ns 33, 89, 2400; with real-time priority 30, 80, 1160; with watching the clock for
+the last 100 us 0, 16, 38. `time.sleep` itself waits for an absolute time on the monotonic clock
+(clock_nanosleep); calling that directly was no better.
 """
 
 import contextlib
+import ctypes
+import gc
+import os
 import select
 import signal
 import sys
@@ -14,7 +22,6 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 from estune.errors import EstuneError, RigError
-from estune.hardware import realtime
 from estune.hardware.controller import make_controller
 from estune.hardware.driver import Driver, load_driver
 from estune.hardware.loop_messages import (
@@ -24,18 +31,20 @@ from estune.hardware.loop_messages import (
     Failed,
     LoopPlan,
     Ready,
+    RealTime,
     ResetEstop,
-    SetLength,
     SetLiveGains,
 )
 from estune.hardware.reel_state_machine import ReelStateMachine
 from estune.hardware.shared_memory import BINS, BIN_s, Memory, Word
 
 _BIN_ns = BIN_s * 1e9
+_PR_SET_TIMERSLACK = 29
+_MCL_CURRENT, _MCL_FUTURE = 1, 2
 
 
 class Loop:
-    """The loop around one machine and one driver."""
+    """The loop around one state machine and one driver."""
 
     def __init__(
         self,
@@ -49,8 +58,8 @@ class Loop:
         self._machine = machine
         self._memory = memory
         self._rig = rig
-        self._waiting = select.poll()
-        self._waiting.register(rig.fileno(), select.POLLIN)
+        self._commands = select.poll()
+        self._commands.register(rig.fileno(), select.POLLIN)
         self._period_ns = round(1e9 / plan.sampling_Hz)
         self._spin_ns = round(1e9 * plan.timing.spin_s)
         self._late_ns = round(1e9 * plan.timing.late_s)
@@ -60,7 +69,7 @@ class Loop:
         self._beat_at_ns = time.monotonic_ns()
 
     def end(self, *_: object) -> None:
-        """Asks the loop to end, from a signal."""
+        """Asks the loop to end; a signal handler."""
         self._ending = True
 
     def run(self) -> None:
@@ -74,29 +83,29 @@ class Loop:
                 (self._driver.enable if powered else self._driver.disable)()
                 self._powered = powered
                 instant = time.monotonic_ns()  # an amplifier may take its time
-            self._converse()
+            self._exchange_messages()
             if self._ending and not shut_down:
                 shut_down = True
                 self._machine.shut_down("the rig's program has ended")
-            instant = self._following(instant)
+            instant = self._next_instant(instant)
 
     def _sample(self, instant: int) -> None:
         words = self._memory.words
-        now = realtime.wait_until(instant, self._spin_ns)
+        now = _wait_until(instant, self._spin_ns)
         lateness = now - instant
         late = lateness > self._late_ns
         if words[Word.BEAT] != self._beat:
             self._beat, self._beat_at_ns = words[Word.BEAT], now
         reading = self._driver.read()
-        silence = (now - self._beat_at_ns) * 1e-9
-        self._driver.write(self._machine.sample(reading, silence, late=late))
+        silence_s = (now - self._beat_at_ns) * 1e-9
+        self._driver.write(self._machine.sample(reading, silence_s, late=late))
         words[Word.LATE] += late
         self._memory.lateness[min(int(lateness / _BIN_ns), BINS - 1)] += 1
-        took = time.monotonic_ns() - instant
-        self._memory.turnaround[min(int(took / _BIN_ns), BINS - 1)] += 1
+        turnaround = time.monotonic_ns() - instant
+        self._memory.turnaround[min(int(turnaround / _BIN_ns), BINS - 1)] += 1
 
-    def _following(self, instant: int) -> int:
-        """The next sampling instant; one that has passed already is missed, not made up for."""
+    def _next_instant(self, instant: int) -> int:
+        """The next sampling instant; one that has passed already is skipped, not made up for."""
         instant += self._period_ns
         behind = time.monotonic_ns() - instant
         if behind < 0:
@@ -105,13 +114,13 @@ class Loop:
         self._memory.words[Word.MISSED] += missed
         return instant + missed * self._period_ns
 
-    def _converse(self) -> None:
-        """Sends what has become of a trial, and takes one command."""
+    def _exchange_messages(self) -> None:
+        """Sends the result of a trial, and takes one command."""
         machine = self._machine
         if machine.answer is not None:
             answer, machine.answer = machine.answer, None
             self._send(answer)
-        if self._ending or not self._waiting.poll(0):
+        if self._ending or not self._commands.poll(0):
             return
         try:
             command = self._rig.recv()
@@ -123,11 +132,9 @@ class Loop:
                 machine.begin(command)
                 return
             case SetLiveGains(live):
-                machine.swap(live)
-            case SetLength(length_m):
-                machine.tell(length_m)
+                machine.set_live_gains(live)
             case ResetEstop():
-                machine.clear()
+                machine.reset()
             case End():
                 self._ending = True
         self._send(Done())
@@ -139,13 +146,53 @@ class Loop:
             self._ending = True
 
     def failed(self, error: Exception) -> None:
-        """The driver, or we, have failed: the hardware is left to itself."""
+        """Leaves the hardware in its own safe state after an exception."""
         sentence = f"{type(error).__name__}: {error}"
         self._memory.reason = sentence
         for last_resort in (self._driver.safe_state, self._driver.disable):
             with contextlib.suppress(Exception):
                 last_resort()
         self._send(Failed(RigError.__name__, f"the loop has failed: {sentence}"))
+
+
+def _wait_until(instant_ns: int, spin_ns: int) -> int:
+    """Waits for an instant of the monotonic clock; the time then, ns."""
+    now = time.monotonic_ns()
+    sleep_ns = instant_ns - now - spin_ns
+    if sleep_ns > 0:
+        time.sleep(sleep_ns * 1e-9)
+        now = time.monotonic_ns()
+    while now < instant_ns:
+        now = time.monotonic_ns()
+    return now
+
+
+def _request_real_time(timing: RealTime) -> tuple[str, ...]:
+    """Requests real time for this process; what was not granted, with its remedy."""
+    notes = []
+    libc = ctypes.CDLL(None, use_errno=True)
+    libc.prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)  # 50 us by default, to save energy
+    if timing.cpu is not None:
+        try:
+            os.sched_setaffinity(0, {timing.cpu})
+        except OSError as error:
+            notes.append(f"not bound to core {timing.cpu}: {error.strerror}")
+    if timing.priority:
+        policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
+        try:
+            os.sched_setscheduler(0, policy, os.sched_param(timing.priority))
+        except OSError as error:
+            notes.append(
+                f"no real-time priority {timing.priority}: {error.strerror}; give the user an "
+                "rtprio limit (limits.conf), or the service LimitRTPRIO="
+            )
+    if timing.lock_memory and libc.mlockall(_MCL_CURRENT | _MCL_FUTURE):
+        reason = os.strerror(ctypes.get_errno())
+        notes.append(
+            f"memory not locked: {reason}; give the user a memlock limit, or the service "
+            "LimitMEMLOCK="
+        )
+    return tuple(notes)
 
 
 def main(pipe: int, block: int) -> int:
@@ -163,9 +210,11 @@ def main(pipe: int, block: int) -> int:
             controller, note = make_controller(plan.controller)
             loop = Loop(plan, driver, ReelStateMachine(plan, memory, controller), memory, rig)
             signal.signal(signal.SIGTERM, loop.end)
-            notes = realtime.prepare(plan.timing)
+            notes = _request_real_time(plan.timing)
             rig.send(Ready((note, *notes) if note else notes))
-            realtime.stop_collecting()
+            gc.collect()
+            gc.freeze()
+            gc.disable()  # for good: a collection takes longer than a sample
             try:
                 loop.run()
             except Exception as error:  # noqa: BLE001  whatever a driver raises ends motion
@@ -174,12 +223,12 @@ def main(pipe: int, block: int) -> int:
     except EstuneError as error:
         rig.send(Failed(type(error).__name__, str(error)))
         return error.exit_code
-    except Exception as error:  # noqa: BLE001  a driver is anybody's code
+    except Exception as error:  # noqa: BLE001  a driver is user code
         rig.send(Failed(RigError.__name__, f"{plan.driver}: {type(error).__name__}: {error}"))
         return RigError.exit_code
     return 0
 
 
 if __name__ == "__main__":
-    sys.path.append("")  # where a user's own module:attribute is looked for, at last
+    sys.path.append("")  # last: the current folder, for a user's own module:attribute
     sys.exit(main(int(sys.argv[1]), int(sys.argv[2])))

@@ -1,6 +1,6 @@
-"""What a rig tells its real-time loop: the plan it starts with, commands, and the answers.
+"""Messages between a rig and its real-time loop: the plan at the start, commands, and answers.
 
-Plain values, so that the loop's process needs neither the rig's file nor what reads it.
+Plain values, so that the loop's process loads neither the rig's file nor what reads it.
 """
 
 from dataclasses import dataclass
@@ -15,16 +15,13 @@ from estune.trial import Outcome
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """How the reel is moved outside trials.
+    """Motion of the reel outside trials; see `[motion]` of the rig's file.
 
     Attributes:
-        hold_N: Tension held between trials, N.
-        rate_N_s: How fast the setpoint moves to it and to a trial's preload, N/s.
-        settle_s: How long the preload is held before a trial begins, s.
-        settle_N: How near the tension must stay to it meanwhile, N.
-        settle_within_s: How long that may take before the trial is refused, s.
+        rate_N_s: Rate of the setpoint towards `hold_N` and towards a trial's preload, N/s.
+        settle_N: Greatest distance from the preload during `settle_s`, N.
+        settle_within_s: Time after which a trial is refused, s.
         take_up_N: Effort, open loop, with which a slack cable is taken up, N.
-        take_up_s: How long that may take, s.
         taut_N: Tension at which the cable is taut and the loop is closed, N.
     """
 
@@ -40,14 +37,14 @@ class Motion:
 
 @dataclass(frozen=True, slots=True)
 class SafeState:
-    """Where the guard brings the reel.
+    """State to which the guard brings the reel.
 
     Attributes:
-        hold: Whether the reel is held by the live gains where a trial's own gains were stopped
-            and sensors and clock are sound. Else, and from everywhere else, the current is ramped.
+        hold: Whether the live gains hold the reel after a trial's own gains failed, with sensors
+            and clock in order. Otherwise the current is ramped.
         effort_N: Effort at the end of the ramp, N; at zero the amplifier is disabled.
         ramp_s: Length of the ramp, s.
-        recover_s: How long the live gains have to bring the reel back within its limits, s.
+        recover_s: Time in which the live gains must bring the reel back within its limits, s.
     """
 
     hold: bool
@@ -58,14 +55,14 @@ class SafeState:
 
 @dataclass(frozen=True, slots=True)
 class RealTime:
-    """How the loop keeps its time.
+    """Timing of the loop.
 
     Attributes:
-        priority: Real-time priority of its process, 1 to 99; zero asks for none.
-        lock_memory: Whether its memory is to stay in main memory.
-        cpu: The core it is bound to; None for any.
-        spin_s: How long before each instant it stops sleeping and watches the clock, s.
-        late_s: How long after its instant a sample counts as late, s.
+        priority: Real-time priority of its process, 1 to 99; zero requests none.
+        lock_memory: Whether its memory is locked in main memory.
+        cpu: Core to which it is bound; None for any.
+        spin_s: Time before each instant at which it stops sleeping and watches the clock, s.
+        late_s: Time after its instant from which a sample counts as late, s.
     """
 
     priority: int
@@ -81,24 +78,15 @@ class LoopPlan:
 
     Attributes:
         driver: Name or module:attribute of the driver.
-        driver_settings: What it is called with.
-        sampling_Hz: Sampling rate.
         capacity: Samples of the longest trial.
         gauge: C2.
         current: C1.
         radians_per_count: Turn of the drum per encoder count; its sign is the direction.
         newtons_per_ampere: Tension at rest per motor current, N/A.
-        tension_min_N: Least setpoint, N.
-        tension_max_N: Greatest setpoint, N.
-        effort_min_N: Least effort, N.
-        effort_max_N: Greatest effort, N.
         controller: C text of the controller.
-        live: The live gains' difference equation, at the start.
-        following: How they follow the cable's length; None where they are fixed.
-        guard: What the reel may do; cost and duration are set by each trial.
-        motion: How the reel is moved outside trials.
-        safe: Where the guard brings it.
-        timing: How the loop keeps its time.
+        live: Difference equation of the live gains at the start.
+        length_source: Schedule of the live gains; None where they are fixed.
+        guard: Limits of the reel; each trial sets cost and duration.
     """
 
     driver: str
@@ -115,7 +103,7 @@ class LoopPlan:
     effort_max_N: float
     controller: str
     live: Coefficients
-    following: LengthSource | None
+    length_source: LengthSource | None
     guard: Limits
     motion: Motion
     safe: SafeState
@@ -123,15 +111,13 @@ class LoopPlan:
 
 
 class Begin(NamedTuple):
-    """Asks for a trial; setpoint and weights are in the shared memory.
+    """Command: run a trial; setpoint and weights are in the shared memory.
 
     Attributes:
-        number: Tells this trial from others; above zero, never used twice.
-        coefficients: The trial's gains.
-        samples: Its length.
+        number: Number of the trial, above zero and never used twice.
         open_loop: Whether the setpoint is the effort itself.
-        cost_max: What it may run up.
-        duration_s: How long it may take from its first sample, s.
+        cost_max: Running cost at which the guard stops it.
+        duration_s: Longest time from its first sample, s.
     """
 
     number: int
@@ -143,61 +129,55 @@ class Begin(NamedTuple):
 
 
 class SetLiveGains(NamedTuple):
-    """Asks for other live gains, fixed ones."""
+    """Command: replace the live gains by fixed ones."""
 
     live: Coefficients
 
 
-class SetLength(NamedTuple):
-    """Says how long the cable is now, m."""
-
-    length_m: float
-
-
 class ResetEstop(NamedTuple):
-    """Asks that a rig which has stopped itself takes trials again."""
+    """Command: let a rig that has stopped itself take trials again."""
 
 
 class End(NamedTuple):
-    """Asks the loop to bring the reel to rest and end."""
+    """Command: bring the reel to rest and end."""
 
 
 class Ready(NamedTuple):
-    """The loop runs. `notes` say what it asked for and did not get."""
+    """Answer: the loop runs. `notes` are its requests to the system that were not granted."""
 
     notes: tuple[str, ...]
 
 
 class Failed(NamedTuple):
-    """The loop cannot run, or no longer: the kind of error by name, and its message."""
+    """Answer: the loop cannot run, or no longer: name of the error's class, and its message."""
 
     error: str
     sentence: str
 
 
 class Refused(NamedTuple):
-    """A trial has not begun, and will not."""
+    """Answer: the trial has not begun, and will not."""
 
-    sentence: str
+    reason: str
 
 
 class Ended(NamedTuple):
-    """A trial has ended, and the live gains are back.
+    """Answer: a trial has ended, and the live gains are back.
 
     Attributes:
-        number: Which.
-        kept: How many samples of it there are.
-        outcome: How.
-        sentence: Why, where it is not `done`.
-        first_s: When its first sample was read, on the monotonic clock, s; NaN without any.
+        number: Number of the trial.
+        samples: Samples measured.
+        outcome: Its outcome.
+        reason: Why, where the outcome is not `done`.
+        first_s: Time of its first sample on the monotonic clock, s; NaN without any.
     """
 
     number: int
-    kept: int
+    samples: int
     outcome: Outcome
-    sentence: str
+    reason: str
     first_s: float
 
 
 class Done(NamedTuple):
-    """Any other command has been carried out."""
+    """Answer: any other command has been executed."""

@@ -1,4 +1,4 @@
-"""The process of the real-time loop, as its rig sees it: started, asked, watched and given up."""
+"""Process of the real-time loop, seen from its rig: start, requests, supervision and end."""
 
 import contextlib
 import logging
@@ -17,10 +17,10 @@ from estune.hardware.loop_messages import End, Failed, LoopPlan, Ready, Refused
 from estune.hardware.shared_memory import Memory, Word, make_file
 
 BEAT_s = 0.02
-"""How often the rig gives its loop a sign of life."""
+"""Period of the heartbeat from the rig to its loop."""
 
 ANSWER_WITHIN_s = 2.0
-"""How long the loop may take to answer what moves nothing."""
+"""Timeout of the answers to commands that move nothing."""
 
 _START_WITHIN_s = 30.0
 _STALLED_s = 1.0
@@ -31,16 +31,15 @@ _Answer = TypeVar("_Answer")
 
 
 class LoopProcess:
-    """A loop that runs. One thread at a time asks it; any may look whether it is alive.
+    """A running loop. One thread at a time may send requests; any may check it.
 
     Attributes:
-        memory: What it shares with its rig.
-        process: The process.
-        notes: What it asked the system for and did not get, a line each.
+        memory: Memory shared with the loop.
+        notes: Requests of the loop to the system that were not granted, a line each.
     """
 
     def __init__(self, name: str, plan: LoopPlan) -> None:
-        """Starts a loop, tells it its plan and waits until it runs.
+        """Starts a loop with its plan and waits until it runs.
 
         Raises:
             InvalidInput: a setting of the driver cannot be used.
@@ -54,10 +53,10 @@ class LoopProcess:
             self._pipe, self.process = _start(file)
         finally:
             os.close(file)
-        self._beating = threading.Event()
+        self._stopped = threading.Event()
         threading.Thread(target=self._beat, name="heartbeat", daemon=True).start()
         try:
-            with contextlib.suppress(OSError):  # it has ended at once; it says why below
+            with contextlib.suppress(OSError):  # it has ended at once; its answer below says why
                 self._pipe.send(plan)
             self.notes = self._await(Ready, _START_WITHIN_s).notes
         except BaseException:
@@ -65,32 +64,32 @@ class LoopProcess:
             raise
 
     def check(self) -> None:
-        """Makes sure that it runs.
+        """Checks that the loop runs.
 
         Raises:
             RigError: it has ended.
         """
         if not self._failure and self.process.poll() is not None:
-            code, why = self.process.returncode, self.memory.reason or "it has not said why"
+            code, why = self.process.returncode, self.memory.reason or "it gave no reason"
             self._failure = f"its loop has ended, exit code {code}: {why}"
         if self._failure:
             raise self._error()
 
-    def ask(self, command: object, kind: type[_Answer], within_s: float) -> _Answer:
-        """Has it do something.
+    def request(self, command: object, kind: type[_Answer], within_s: float) -> _Answer:
+        """Sends a command and waits for its answer.
 
         Raises:
             RigError: it does not answer, or refuses.
-            EstuneError: it failed, by its own account.
+            EstuneError: the loop reports a failure of this kind.
         """
         try:
             self._pipe.send(command)
         except OSError as error:
-            raise self._given_up(f"its loop has ended: {error}") from error
+            raise self._give_up(f"its loop has ended: {error}") from error
         return self._await(kind, within_s)
 
     def end(self, within_s: float) -> None:
-        """Has it bring the reel to rest and end; killed where it does not."""
+        """Brings the reel to rest and ends the loop; kills it where it does not end."""
         try:
             self._pipe.send(End())
             self.process.wait(within_s)
@@ -100,14 +99,13 @@ class LoopProcess:
         self.kill()
 
     def kill(self) -> None:
-        """Ends it at once: what is left to the hardware is its own watchdog."""
-        self._beating.set()
+        """Ends the loop at once; the hardware's own watchdog then cuts the current."""
+        self._stopped.set()
         self.process.kill()
         self.process.wait()
         self._pipe.close()
 
     def _await(self, kind: type[_Answer], within_s: float) -> _Answer:
-        """What it answers."""
         deadline = time.monotonic() + within_s
         samples, seen_at = -1, time.monotonic()
         try:
@@ -117,42 +115,39 @@ class LoopProcess:
                     samples, seen_at = self.memory.words[Word.SAMPLES], now
                 stalled = samples > 0 and now - seen_at > _STALLED_s
                 if stalled or now > deadline:
-                    doing = "has stood still" if stalled else "has not answered"
+                    fault = "has stood still" if stalled else "has not answered"
                     waited = now - seen_at if stalled else within_s
-                    raise self._given_up(f"its loop {doing} for {waited:.1f} s")
+                    raise self._give_up(f"its loop {fault} for {waited:.1f} s")
             answer = self._pipe.recv()
         except (EOFError, OSError) as error:
             code = self.process.wait()
-            raise self._given_up(f"its loop has ended by itself, exit code {code}") from error
+            raise self._give_up(f"its loop has ended by itself, exit code {code}") from error
         if isinstance(answer, Failed):
-            self._given_up(answer.sentence)
-            raise _named(answer)
+            self._give_up(answer.sentence)
+            raise _error_of(answer)
         if isinstance(answer, Refused):
-            raise RigError(f"rig {self._name} takes no trial: {answer.sentence}")
+            raise RigError(f"rig {self._name} takes no trial: {answer.reason}")
         if not isinstance(answer, kind):
-            raise self._given_up(f"its loop has answered out of turn: {answer}")
+            raise self._give_up(f"unexpected reply from the control loop: {answer}")
         return answer
 
-    def _given_up(self, sentence: str) -> RigError:
-        """Gives it up for good.
-
-        A loop that has merely stood still must not come to life again with an old command.
-        """
+    def _give_up(self, sentence: str) -> RigError:
+        """Kills the loop: one that stood still must not continue with an old command."""
         self._failure = sentence
         self.kill()
         return self._error()
 
     def _error(self) -> RigError:
-        return RigError(f"rig {self._name}: {self._failure}; look at it, then start it anew")
+        return RigError(f"rig {self._name}: {self._failure}; check the rig, then start it anew")
 
     def _beat(self) -> None:
         words = self.memory.words
-        while not self._beating.wait(BEAT_s):
+        while not self._stopped.wait(BEAT_s):
             words[Word.BEAT] += 1
 
 
 def _start(file: int) -> tuple["Connection[Any, Any]", "subprocess.Popen[bytes]"]:
-    """Starts the loop's process: never by a fork, for Zenoh does not survive one."""
+    """Starts the loop's process; never by a fork, which Zenoh does not survive."""
     ours, theirs = Pipe()
     with theirs:
         process = subprocess.Popen(  # noqa: S603  our own interpreter and module
@@ -165,7 +160,7 @@ def _start(file: int) -> tuple["Connection[Any, Any]", "subprocess.Popen[bytes]"
     return ours, process
 
 
-def _named(failed: Failed) -> EstuneError:
+def _error_of(failed: Failed) -> EstuneError:
     kind = getattr(errors, failed.error, RigError)
     made: EstuneError = kind(failed.sentence)
     return made

@@ -1,4 +1,4 @@
-"""What the reel does at each sample: guard, phase, controller. No clock and no hardware in here.
+"""State machine of the reel at each sample: guard, phase, controller; no clock, no hardware.
 
 ::
 
@@ -7,49 +7,39 @@
                       └──── guard ─────┴──────────────► RAMP ◄──── guard ───┘
                                                           └──► STOPPED ──begin──► TAKE_UP
 
-Whatever the guard finds at a sample decides the current commanded at that same sample. A stop that
-a trial's own gains have earned, or a stalled computer, is over with the next trial. Any other is
-latched: the rig takes no trial until somebody has looked and cleared it.
+What the guard finds at a sample decides the current commanded at that same sample. A stop caused
+by a trial's gains, or by a stalled computer, ends with the next trial. Any other is latched: the
+rig takes no trial until an operator has cleared it.
 """
 
 import math
 from dataclasses import replace
-from enum import IntEnum
 
 from estune.core.pidf import Coefficients
 from estune.hardware.controller import Controller
 from estune.hardware.driver import Reading
 from estune.hardware.live_gains import LiveGains
 from estune.hardware.loop_messages import Begin, Ended, LoopPlan, Refused
-from estune.hardware.shared_memory import Memory, SensorLevels, Word
+from estune.hardware.shared_memory import Memory, MotionPhase, SensorLevels, Word
 from estune.reel import guard
 from estune.reel.guard import GuardState, GuardTrip, Limits, Reason
 from estune.trial import GUARD, LATE, SATURATED, Outcome
 
-_PASSING = frozenset((Reason.HEARTBEAT, Reason.LATE))
-"""Faults that are over when the computer keeps its time again."""
+_TRANSIENT = frozenset((Reason.HEARTBEAT, Reason.LATE))
+"""Faults that end when the computer keeps its time again."""
 
-_SENSES = frozenset((Reason.READING, Reason.FROZEN, Reason.CLOCK))
-"""Faults that nobody but a person can judge."""
+_SENSOR_FAULTS = frozenset((Reason.READING, Reason.FROZEN, Reason.CLOCK))
+"""Faults that only a person can judge."""
 
-
-class MotionPhase(IntEnum):
-    """What the loop is doing with the reel."""
-
-    OFF = 0
-    TAKE_UP = 1
-    HOLD = 2
-    TRIAL = 3
-    RAMP = 4
-    STOPPED = 5
+_UNGUARDED = frozenset((MotionPhase.OFF, MotionPhase.RAMP, MotionPhase.STOPPED))
 
 
 class ReelStateMachine:
     """The reel's behaviour, one sample at a time.
 
     Attributes:
-        phase: What it is doing.
-        answer: What has become of the trial asked for; taken by the loop, which resets it.
+        phase: Current phase.
+        answer: Result of the requested trial; the loop takes and resets it.
     """
 
     def __init__(self, plan: LoopPlan, memory: Memory, controller: Controller) -> None:
@@ -58,17 +48,17 @@ class ReelStateMachine:
         self._plan = plan
         self._memory = memory
         self._controller = controller
-        self._live = LiveGains(plan.live, plan.following)
+        self._live = LiveGains(plan.live, plan.length_source)
         self._angle_rad = 0.0
         self._limits_take_up, self._limits_recovering = _relaxed(plan)
         self._limits = plan.guard
-        self._watch: GuardState | None = None
+        self._guard: GuardState | None = None
         self._recover_until_s = -math.inf
         self._latched = False
         self._effort_N = 0.0
         self._setpoint_N = plan.motion.hold_N
-        self._bump = False
-        self._still = self._at_preload = 0
+        self._is_gain_change_pending = False
+        self._settled = self._at_preload = 0
         self._trial: Begin | None = None
         self._k = 0
         self._first_s = math.nan
@@ -79,64 +69,57 @@ class ReelStateMachine:
 
     @property
     def powered(self) -> bool:
-        """Whether the amplifier is to have power."""
+        """Whether the amplifier must have power."""
         if self.phase is MotionPhase.STOPPED:
             return self._plan.safe.effort_N != 0.0
         return self.phase is not MotionPhase.OFF
 
     @property
     def at_rest(self) -> bool:
-        """Whether the reel may be let go of."""
+        """Whether the loop may end."""
         return self.phase in (MotionPhase.OFF, MotionPhase.STOPPED)
 
     def begin(self, trial: Begin) -> None:
-        """Takes a trial in hand, or refuses it."""
+        """Accepts a trial, or refuses it."""
         if self._latched or self._memory.words[Word.ESTOP]:
             why = self._memory.reason or "emergency stop"
-            self.answer = Refused(f"it has stopped ({why}); look at it, then clear it")
+            self.answer = Refused(f"it has stopped ({why}); check it, then clear it")
             return
         self._trial = trial
         self._memory.words[Word.PROGRESS] = 0
         if self.phase is not MotionPhase.HOLD:
-            self.phase, self._watch = MotionPhase.TAKE_UP, None
-        self._still = self._at_preload = 0
+            self.phase, self._guard = MotionPhase.TAKE_UP, None
+        self._settled = self._at_preload = 0
 
-    def swap(self, live: Coefficients) -> None:
+    def set_live_gains(self, live: Coefficients) -> None:
         """Makes gains the live ones, fixed, without a jump of the effort."""
         self._live.fix(live)
         if self.phase is not MotionPhase.TRIAL:
             self._controller.use(live)
-            self._bump = True
+            self._is_gain_change_pending = True
 
-    def tell(self, length_m: float) -> None:
-        """Takes the cable to be so long; live gains of a schedule follow."""
-        self._live.set_length(length_m)
-
-    def clear(self) -> None:
-        """Forgets why it stopped."""
+    def reset(self) -> None:
+        """Clears a latched stop."""
         if not self._memory.words[Word.ESTOP]:
             self._latched = False
             self._memory.words[Word.LATCHED] = False
             self._memory.reason = ""
 
     def shut_down(self, sentence: str) -> None:
-        """Brings the reel to rest for good."""
-        self._give_up(Outcome.INTERRUPTED, sentence)
+        """Brings the reel to rest, latched."""
+        self._end_early(Outcome.INTERRUPTED, sentence)
         self._memory.reason = sentence
         self._latched = True
         if not self.at_rest:
             self._ramp()
 
     def sample(self, reading: Reading, silence_s: float, *, late: bool) -> int:
-        """One sample.
+        """One sample; the current command, counts.
 
         Args:
             reading: What the driver read.
-            silence_s: How long the rig has given no sign of life, s.
-            late: Whether the loop was late.
-
-        Returns:
-            The command to be written, counts.
+            silence_s: Time since the rig's last heartbeat, s.
+            late: Whether the sample began late.
         """
         plan, memory = self._plan, self._memory
         tension = plan.gauge.force_N(reading.gauge_counts)
@@ -144,16 +127,16 @@ class ReelStateMachine:
         recorded, k = self.phase is MotionPhase.TRIAL, self._k
         flags = LATE if late else 0
         if memory.words[Word.ESTOP] and not self._latched:
-            self._stop_by_hand()
+            self._emergency_stop()
         elif self._trial is not None and memory.words[Word.ABORT] == self._trial.number:
-            self._give_up(Outcome.CANCELLED, Outcome.CANCELLED.sentence)
-        if self.phase not in _UNWATCHED:
-            stop = self._look(reading, tension, angle, silence_s, late=late)
+            self._end_early(Outcome.CANCELLED, Outcome.CANCELLED.sentence)
+        if self.phase not in _UNGUARDED:
+            stop = self._check_guard(reading, tension, angle, silence_s, late=late)
             if stop is not None:
                 flags |= GUARD
-                self._stop(stop, reading.time_s, tension)
+                self._trip(stop, reading.time_s, tension)
         self._angle_rad = angle
-        self._effort_N = self._act(reading.time_s, tension)
+        self._effort_N = self._next_effort(reading.time_s, tension)
         current = self._effort_N / plan.newtons_per_ampere
         if recorded:
             memory.time_s[k] = reading.time_s - self._first_s
@@ -161,13 +144,13 @@ class ReelStateMachine:
             memory.angle_rad[k] = angle
             memory.flags[k] = flags | (SATURATED if self._limited else 0)
             memory.words[Word.PROGRESS] = k + 1
-        self._show(reading.time_s, tension, current, angle)
+        self._publish(reading.time_s, tension, current, angle)
         return plan.current.counts(current)
 
-    def _look(
+    def _check_guard(
         self, reading: Reading, tension: float, angle: float, silence_s: float, *, late: bool
     ) -> GuardTrip | None:
-        """The guard's word on this sample."""
+        """Reason to stop at this sample, if any."""
         if self.phase is MotionPhase.TRIAL:
             self._cost += self._memory.weights[self._k] * (
                 (self._memory.setpoint_N[self._k] - tension) ** 2
@@ -182,7 +165,7 @@ class ReelStateMachine:
             silence_s,
             self._cost if self.phase is MotionPhase.TRIAL else 0.0,
         )
-        watch = self._watch or guard.begin(sample)
+        watch = self._guard or guard.begin(sample)
         if self.phase is MotionPhase.TRIAL and self._k == 0:
             watch = watch._replace(start_s=reading.time_s, start_rad=angle)
         limits = self._limits
@@ -190,7 +173,7 @@ class ReelStateMachine:
             limits = self._limits_take_up
         elif reading.time_s < self._recover_until_s:
             limits = self._limits_recovering
-        self._watch, stop = guard.check_sample(limits, watch, sample)
+        self._guard, stop = guard.check_sample(limits, watch, sample)
         if (
             stop is not None
             and self.phase is MotionPhase.TAKE_UP
@@ -204,36 +187,36 @@ class ReelStateMachine:
             return GuardTrip(Reason.DEADLINE, sentence)
         return stop
 
-    def _stop(self, stop: GuardTrip, time_s: float, tension_N: float) -> None:
-        """Goes to the safe state for a reason of the guard."""
+    def _trip(self, stop: GuardTrip, time_s: float, tension_N: float) -> None:
+        """Goes to the safe state."""
         was, safe = self.phase, self._plan.safe
         holds = safe.hold and stop.reason.leaves_control
         self._memory.reason = stop.sentence
-        blamed = stop.reason.is_caused_by_gains
-        self._give_up(Outcome.GUARD if blamed else Outcome.INTERRUPTED, stop.sentence)
+        caused_by_gains = stop.reason.is_caused_by_gains
+        self._end_early(Outcome.GUARD if caused_by_gains else Outcome.INTERRUPTED, stop.sentence)
         if was is MotionPhase.TRIAL and holds:
             self._recover_until_s = time_s + safe.recover_s
             self._recover(tension_N)
             return
-        if was is MotionPhase.HOLD and holds and stop.reason in _PASSING:
+        if was is MotionPhase.HOLD and holds and stop.reason in _TRANSIENT:
             return  # this is the safe state
-        self._latched = stop.reason in _SENSES or (
-            was is not MotionPhase.TRIAL and stop.reason not in _PASSING
+        self._latched = stop.reason in _SENSOR_FAULTS or (
+            was is not MotionPhase.TRIAL and stop.reason not in _TRANSIENT
         )
         self._ramp()
 
     def _recover(self, tension_N: float) -> None:
-        """Lets the live gains begin as if the reel had settled here.
+        """Starts the live gains as if the reel had settled here.
 
         Not bumpless: the last effort is that of gains which have just failed.
         """
-        self._set_out_from(tension_N)
+        self._start_setpoint_at(tension_N)
         self._controller.rest(tension_N, self._setpoint_N)
-        self._bump = False
+        self._is_gain_change_pending = False
 
-    def _stop_by_hand(self) -> None:
-        sentence = f"emergency stop: {self._memory.order}"
-        self._give_up(Outcome.CANCELLED, sentence)
+    def _emergency_stop(self) -> None:
+        sentence = f"emergency stop: {self._memory.estop_reason}"
+        self._end_early(Outcome.CANCELLED, sentence)
         self._memory.reason = sentence
         self._latched = True
         if not self.at_rest:
@@ -246,8 +229,8 @@ class ReelStateMachine:
         self._ramp_step_N = (self._plan.safe.effort_N - self._effort_N) / samples
         self.phase = MotionPhase.RAMP
 
-    def _give_up(self, outcome: Outcome, sentence: str) -> None:
-        """Ends the trial under way, or the one that has not begun, if there is one."""
+    def _end_early(self, outcome: Outcome, sentence: str) -> None:
+        """Ends the trial, under way or not begun, if there is one."""
         if self.phase is MotionPhase.TRIAL:
             self._end(outcome, sentence, self._k + 1)
         elif self._trial is not None:
@@ -258,23 +241,23 @@ class ReelStateMachine:
             self._trial = None
 
     def _end(self, outcome: Outcome, sentence: str, kept: int) -> None:
-        """Ends the trial under way and puts the live gains back."""
+        """Ends the trial under way and restores the live gains."""
         assert self._trial is not None  # noqa: S101  a trial is under way
         self.answer = Ended(self._trial.number, kept, outcome, sentence, self._first_s)
         last = self._memory.setpoint_N[kept - 1]
         open_loop, self._trial = self._trial.open_loop, None
         self.phase, self._limits = MotionPhase.HOLD, self._plan.guard
         self._controller.use(self._live.coefficients)
-        self._set_out_from(self._memory.levels[SensorLevels.TENSION_N] if open_loop else last)
+        self._start_setpoint_at(self._memory.levels[SensorLevels.TENSION_N] if open_loop else last)
 
-    def _set_out_from(self, tension_N: float) -> None:
-        """Lets the setpoint begin here, within its limits, without a jump of the effort."""
+    def _start_setpoint_at(self, tension_N: float) -> None:
+        """Starts the setpoint here, within its limits, without a jump of the effort."""
         plan = self._plan
         self._setpoint_N = min(max(tension_N, plan.tension_min_N), plan.tension_max_N)
-        self._bump = True
+        self._is_gain_change_pending = True
 
-    def _act(self, time_s: float, tension_N: float) -> float:
-        """The effort of the phase, N, and the way from one phase to the next."""
+    def _next_effort(self, time_s: float, tension_N: float) -> float:
+        """Effort of the phase, N, and the transitions between phases."""
         self._limited = False
         match self.phase:
             case MotionPhase.TAKE_UP:
@@ -284,7 +267,7 @@ class ReelStateMachine:
             case MotionPhase.TRIAL:
                 return self._run(time_s, tension_N)
             case MotionPhase.RAMP:
-                return self._ramp_on()
+                return self._follow_ramp()
             case MotionPhase.STOPPED:
                 return self._plan.safe.effort_N
         return 0.0
@@ -296,22 +279,20 @@ class ReelStateMachine:
         self.phase = MotionPhase.HOLD
         self._controller.use(self._live.coefficients)
         self._controller.rest(tension_N, self._effort_N)
-        self._set_out_from(tension_N)
+        self._start_setpoint_at(tension_N)
         return self._hold(tension_N)
 
     def _hold(self, tension_N: float) -> float:
-        """Moves the setpoint to where it should be; there, lets the trial begin."""
+        """Moves the setpoint to its target; starts the trial there."""
         motion, trial = self._plan.motion, self._trial
-        target = motion.hold_N
-        if trial is not None:
-            target = self._memory.setpoint_N[0]
-        way = motion.rate_N_s / self._plan.sampling_Hz
-        self._setpoint_N += min(max(target - self._setpoint_N, -way), way)
+        target = motion.hold_N if trial is None else self._memory.setpoint_N[0]
+        step = motion.rate_N_s / self._plan.sampling_Hz
+        self._setpoint_N += min(max(target - self._setpoint_N, -step), step)
         changed = self._live.update(self._angle_rad, self._setpoint_N)
-        if self._bump:
+        if self._is_gain_change_pending:
             self._controller.use(self._live.coefficients)
             self._controller.take_over(self._setpoint_N, tension_N, self._effort_N)
-            self._bump = False
+            self._is_gain_change_pending = False
         elif changed:
             self._controller.exchange(self._live.coefficients, self._setpoint_N, tension_N)
         effort = self._controller.step(self._setpoint_N, tension_N)
@@ -321,15 +302,15 @@ class ReelStateMachine:
         return effort
 
     def _settle(self, trial: Begin, tension_N: float) -> None:
-        """Lets the trial begin once the tension has stayed at the preload for long enough."""
+        """Starts the trial once the tension has stayed at the preload for long enough."""
         motion, rate = self._plan.motion, self._plan.sampling_Hz
         preload = self._memory.setpoint_N[0]
         if self._setpoint_N != preload:
             return
         self._at_preload += 1
         near = abs(tension_N - preload) <= motion.settle_N
-        self._still = self._still + 1 if near else 0
-        if self._still > motion.settle_s * rate:
+        self._settled = self._settled + 1 if near else 0
+        if self._settled > motion.settle_s * rate:
             self._start(trial)
         elif self._at_preload > motion.settle_within_s * rate:
             self._trial = None
@@ -347,7 +328,7 @@ class ReelStateMachine:
         )
         if not trial.open_loop:
             self._controller.use(trial.coefficients)
-            self._bump = True
+            self._is_gain_change_pending = True
 
     def _run(self, time_s: float, tension_N: float) -> float:
         """One sample of the trial."""
@@ -356,12 +337,12 @@ class ReelStateMachine:
         setpoint = self._memory.setpoint_N[k]
         if k == 0:
             self._first_s = time_s
-        if self._bump:
+        if self._is_gain_change_pending:
             self._controller.take_over(setpoint, tension_N, self._effort_N)
-            self._bump = False
+            self._is_gain_change_pending = False
         effort = self._controller.step(setpoint, tension_N)
         self._limited = self._controller.limited
-        if trial.open_loop:  # the controller has run along for its filters' sake only
+        if trial.open_loop:  # the controller runs along for its filters only
             effort = min(max(setpoint, self._plan.effort_min_N), self._plan.effort_max_N)
             self._limited = effort != setpoint
         self._k = k + 1
@@ -369,7 +350,7 @@ class ReelStateMachine:
             self._end(Outcome.DONE, "", trial.samples)
         return effort
 
-    def _ramp_on(self) -> float:
+    def _follow_ramp(self) -> float:
         target = self._plan.safe.effort_N
         effort = self._effort_N + self._ramp_step_N
         if self._ramp_step_N == 0.0 or (target - effort) * self._ramp_step_N <= 0.0:
@@ -377,34 +358,35 @@ class ReelStateMachine:
             return target
         return effort
 
-    def _show(self, time_s: float, tension_N: float, current_A: float, angle_rad: float) -> None:
-        """Tells the rig how it stands."""
+    def _publish(
+        self, time_s: float, tension_N: float, current_A: float, angle_rad: float
+    ) -> None:
+        """Publishes the status to the rig."""
         words, levels = self._memory.words, self._memory.levels
         levels[SensorLevels.TIME_s], levels[SensorLevels.SETPOINT_N] = time_s, self._setpoint_N
         levels[SensorLevels.TENSION_N], levels[SensorLevels.CURRENT_A] = tension_N, current_A
         levels[SensorLevels.ANGLE_rad] = angle_rad
-        levels[SensorLevels.LENGTH_m], levels[SensorLevels.SCHEDULED_N] = self._live.used
+        levels[SensorLevels.LENGTH_m], levels[SensorLevels.SCHEDULED_N] = (
+            self._live.operating_point
+        )
         words[Word.LATCHED], words[Word.PHASE] = self._latched, self.phase
         words[Word.SAMPLES] += 1
 
 
-_UNWATCHED = frozenset((MotionPhase.OFF, MotionPhase.RAMP, MotionPhase.STOPPED))
-
-
 def _relaxed(plan: LoopPlan) -> tuple[Limits, Limits]:
-    """The limits while a slack cable is taken up, and while the live gains recover the reel."""
-    nothing = Limits()
+    """Limits while a slack cable is taken up, and while the live gains recover the reel."""
+    unlimited = Limits()
     take_up = replace(
         plan.guard,
-        slack_N=nothing.slack_N,
-        rate_max_N_s=nothing.rate_max_N_s,
+        slack_N=unlimited.slack_N,
+        rate_max_N_s=unlimited.rate_max_N_s,
         duration_s=plan.motion.take_up_s,
     )
     recovering = replace(
         plan.guard,
-        tension_max_N=nothing.tension_max_N,
-        slack_N=nothing.slack_N,
-        rate_max_N_s=nothing.rate_max_N_s,
-        current_max_A=nothing.current_max_A,
+        tension_max_N=unlimited.tension_max_N,
+        slack_N=unlimited.slack_N,
+        rate_max_N_s=unlimited.rate_max_N_s,
+        current_max_A=unlimited.current_max_A,
     )
     return take_up, recovering

@@ -1,4 +1,4 @@
-"""A reel on hardware as a rig."""
+"""Rig of a reel on real hardware."""
 
 import logging
 import math
@@ -14,19 +14,23 @@ from estune.core import pidf
 from estune.core.cost import StepCost
 from estune.core.gains import Gains
 from estune.core.quantities import FloatArray
-from estune.errors import InvalidInput, RigError
+from estune.errors import RigError
 from estune.hardware.config import RigConfig
-from estune.hardware.loop_messages import Begin, Done, Ended, ResetEstop, SetLength, SetLiveGains
+from estune.hardware.loop_messages import Begin, Done, Ended, ResetEstop, SetLiveGains
 from estune.hardware.process import ANSWER_WITHIN_s, LoopProcess
-from estune.hardware.reel_state_machine import MotionPhase
-from estune.hardware.shared_memory import SensorLevels, Word, column, flag_column
-from estune.hardware.state import HardwareStatus, Timing
+from estune.hardware.shared_memory import (
+    HardwareStatus,
+    MotionPhase,
+    SensorLevels,
+    Timing,
+    Word,
+)
 from estune.trial import Outcome, RigDescription, Telemetry, TrialRecord, TrialRequest
-from estune.trial.executed_trials import ExecutedTrials, stopped
+from estune.trial.executed_trials import ExecutedTrials, stopped_trial
 from estune.trial.profiles import Profile, StepProfile
 
 JUMP_s = 1.0
-"""A jump of the time of day between two trials that is worth a word."""
+"""Jump of the time of day between two trials that is logged."""
 
 _log = logging.getLogger(__name__)
 
@@ -35,11 +39,11 @@ class HardwareRig:
     """Runs trials on hardware; implements `estune.trial.Rig`. A context manager.
 
     The loop is a process of its own. The hardware has no power before the first trial; from then
-    on the live gains hold it between trials. Safe to be called from several threads: one trial
-    runs at a time; `abort` and `estop` may come from anywhere and wait for no other call.
+    on the live gains hold it between trials. Any thread may call: one trial runs at a time;
+    `abort` and `estop` wait for no other call.
 
     Attributes:
-        notes: What the loop asked the system for and did not get, a line each.
+        notes: Requests of the loop to the system that were not granted, a line each.
     """
 
     def __init__(self, config: RigConfig) -> None:
@@ -52,15 +56,15 @@ class HardwareRig:
         plan = config.plan()
         self._config = config
         self._description = config.describe()
-        self._following = plan.following
+        self._length_source = plan.length_source
         self._cost = StepCost(config.settling_time_s)
         self._live_cost: tuple[Profile, float] | None = None
         self._records = ExecutedTrials()
         self._numbers = 0
         self._day_s = _day_s()
-        self._trial = threading.Lock()  # held while anything is said to the loop
-        self._under_way = 0  # number of the trial the loop was asked for, or zero
-        self._shown = ""  # its id
+        self._trial = threading.Lock()  # held while a message to the loop awaits its answer
+        self._number = 0  # of the requested trial, or zero
+        self._trial_id = ""
         self._closed = False
         self._loop = LoopProcess(config.name, plan)
         self._memory, self.notes = self._loop.memory, self._loop.notes
@@ -74,34 +78,34 @@ class HardwareRig:
         self.close()
 
     def describe(self) -> RigDescription:
-        """What the rig is, and which gains are live now.
+        """Description of the rig, with its live gains.
 
         Raises:
             RigError: it is closed, or its loop has ended.
         """
         self._check_alive()
-        return self._now()
+        return self._current_description()
 
     def run(self, request: TrialRequest) -> TrialRecord:
         """Runs one trial, or returns the record of it if that trial id has run before.
 
         Raises:
             InvalidInput: the request is outside the rig's limits; nothing moved.
-            RigError: the rig is closed, has stopped itself and not been cleared, its loop has
-                failed, or it knows another trial by that id, or no longer its record.
+            RigError: the rig is closed or latched, its loop has failed, another trial had the id,
+                or the record is kept no longer.
         """
         with self._trial:
             self._check_alive()
-            known = self._records.find_record(request)
-            if known is not None:
-                return known
+            stored = self._records.find_record(request)
+            if stored is not None:
+                return stored
             self._description.limits.check(request.profile)
             begin = self._prepare(request)
-            self._under_way, self._shown = begin.number, request.trial_id
+            self._number, self._trial_id = begin.number, request.trial_id
             try:
-                answer = self._loop.ask(begin, Ended, self._patience_s(request))
+                answer = self._loop.request(begin, Ended, self._timeout_s(request))
             finally:
-                self._under_way, self._shown = 0, ""
+                self._number, self._trial_id = 0, ""
             record = self._record(request, answer)
             self._records.add(request, record)
             self._learn_cost(request, record)
@@ -118,52 +122,32 @@ class HardwareRig:
             if self._memory.words[Word.ESTOP]:
                 raise RigError(
                     f"rig {self._description.name} takes no gains: emergency stop "
-                    f"({self._memory.order}); look at it, then clear it"
+                    f"({self._memory.estop_reason}); check it, then clear it"
                 )
             live = pidf.coefficients(self._description.controller, gains)
-            self._loop.ask(SetLiveGains(live), Done, ANSWER_WITHIN_s)
+            self._loop.request(SetLiveGains(live), Done, ANSWER_WITHIN_s)
             self._description = replace(self._description, gains=gains)
-            self._following = None
+            self._length_source = None
             self._live_cost = None
-
-    def tell_length(self, length_m: float) -> None:
-        """Says how long the cable is, where no drum angle does; scheduled live gains follow.
-
-        Raises:
-            InvalidInput: the length is not finite and above zero, or the rig's file does not say
-                that its length is told.
-            RigError: the rig is closed, or its loop has failed.
-        """
-        if not (math.isfinite(length_m) and length_m > 0.0):
-            raise InvalidInput(f"cable length is {length_m} m; it must be finite and above zero")
-        schedule = self._config.schedule
-        if schedule is None or schedule.length != "told":
-            raise InvalidInput(
-                f'rig {self._description.name} is not told its length; say length = "told" in '
-                "the [schedule] of its file"
-            )
-        with self._trial:
-            self._check_alive()
-            self._loop.ask(SetLength(length_m), Done, ANSWER_WITHIN_s)
 
     def abort(self) -> RigDescription:
         """Stops the trial under way, if any, and returns once the live gains are back."""
         self._check_alive()
-        with stopped(self._trial, self._stop):
+        with stopped_trial(self._trial, self._stop):
             return self.describe()
 
     def estop(self, reason: str) -> None:
-        """Emergency stop: brings the reel to rest from the next sample on, whatever it does.
+        """Emergency stop: brings the reel to rest from the next sample on; returns at once.
 
-        Returns at once. The rig takes neither trials nor gains until it is cleared. It is
-        software: a reel that can hurt anybody needs a stop that cuts the amplifier's power too.
+        The rig takes neither trials nor gains until it is cleared. This is software: a reel that
+        can hurt people needs a switch that cuts the amplifier's power, too.
         """
         self._check_alive()
-        self._memory.order = reason or "no reason given"
+        self._memory.estop_reason = reason or "no reason given"
         self._memory.words[Word.ESTOP] = 1
 
     def clear(self) -> None:
-        """Lets a rig that was stopped, by itself or by hand, take trials again.
+        """Lets a rig that was stopped, by its guard or by hand, take trials again.
 
         Raises:
             RigError: the rig is closed, or its loop has failed.
@@ -171,32 +155,28 @@ class HardwareRig:
         with self._trial:
             self._check_alive()
             self._memory.words[Word.ESTOP] = 0
-            self._loop.ask(ResetEstop(), Done, ANSWER_WITHIN_s)
+            self._loop.request(ResetEstop(), Done, ANSWER_WITHIN_s)
 
     def telemetry(self, after: int) -> Telemetry | None:
-        """The samples of the trial under way from index `after` on; None if none is."""
-        trial_id, words = self._shown, self._memory.words
+        """Samples of the trial under way from index `after` on; None if there is none."""
+        trial_id, words = self._trial_id, self._memory.words
         measured = words[Word.PROGRESS]
         if not trial_id or words[Word.PHASE] != MotionPhase.TRIAL:
             return None
         memory, first = self._memory, min(after, measured)
-        columns = (
-            np.array(source[first:measured], np.float64)
-            for source in (
-                *(memory.setpoint_N, memory.tension_N, memory.current_A, memory.angle_rad),
-            )
-        )
+        sources = (memory.setpoint_N, memory.tension_N, memory.current_A, memory.angle_rad)
+        columns = (np.array(source[first:measured], np.float64) for source in sources)
         return Telemetry(trial_id, first, self._config.sampling_Hz, *columns)
 
     def state(self) -> HardwareStatus:
-        """How the rig stands now."""
+        """Status of the rig now."""
         self._check_alive()
-        return HardwareStatus.of(self._memory)
+        return self._memory.status()
 
     def timing(self) -> Timing:
-        """How the loop has kept its time."""
+        """Timing of the loop since it started."""
         self._check_alive()
-        return Timing.of(self._memory)
+        return self._memory.timing()
 
     def wait(self) -> None:
         """Returns when the loop has ended, by itself or because the rig was closed."""
@@ -207,14 +187,14 @@ class HardwareRig:
         if self._closed:
             return
         self._closed = True
-        with stopped(self._trial, self._stop):
+        with stopped_trial(self._trial, self._stop):
             self._loop.end(self._config.safe.ramp_s + ANSWER_WITHIN_s)
 
     def _stop(self) -> None:
-        self._memory.words[Word.ABORT] = self._under_way
+        self._memory.words[Word.ABORT] = self._number
 
     def _prepare(self, request: TrialRequest) -> Begin:
-        """Puts what is to be followed where the loop finds it."""
+        """Writes setpoint and weights to the shared memory."""
         rate = self._config.sampling_Hz
         setpoint = request.profile.setpoint(rate)
         samples = len(setpoint)
@@ -231,7 +211,7 @@ class HardwareRig:
         )
 
     def _weights(self, request: TrialRequest, setpoint_N: FloatArray) -> FloatArray:
-        """Weights of the squared error in (35), the cost that a step runs up sample by sample."""
+        """Weights of the squared error in (35), the running cost of a step."""
         weights = np.zeros(len(setpoint_N))
         step = request.profile
         rate = self._config.sampling_Hz
@@ -246,19 +226,19 @@ class HardwareRig:
         return weights
 
     def _cost_max(self, request: TrialRequest) -> float:
-        """The cost at which the guard stops the trial: eta_max times that of the live gains."""
-        eta_max, known = self._config.guard.eta_max, self._live_cost
-        if eta_max is None or known is None or request.profile != known[0]:
+        """Cost at which the guard stops the trial: eta_max times that of the live gains."""
+        eta_max, live = self._config.guard.eta_max, self._live_cost
+        if eta_max is None or live is None or request.profile != live[0]:
             return math.inf
-        return eta_max * known[1]
+        return eta_max * live[1]
 
-    def _patience_s(self, request: TrialRequest) -> float:
-        """How long a trial may take from being asked for to its answer, s."""
+    def _timeout_s(self, request: TrialRequest) -> float:
+        """Longest time from the request of a trial to its answer, s."""
         motion, limits = self._config.motion, self._config.limits
-        way = limits.tension_max_N - limits.tension_min_N
+        longest_move_N = limits.tension_max_N - limits.tension_min_N
         return (
             motion.take_up_s
-            + abs(way) / motion.rate_N_s
+            + abs(longest_move_N) / motion.rate_N_s
             + motion.settle_within_s
             + request.profile.duration_s
             + self._config.guard.deadline_margin_s
@@ -266,67 +246,48 @@ class HardwareRig:
         )
 
     def _record(self, request: TrialRequest, ended: Ended) -> TrialRecord:
-        """The record of what is in the shared memory."""
-        memory, kept = self._memory, ended.kept
+        """Record of the trial in the shared memory."""
         age = 0.0 if math.isnan(ended.first_s) else time.monotonic() - ended.first_s
-        self._look_at_clock()
+        self._check_clock()
         started = datetime.fromtimestamp(time.time() - age, UTC)
-        columns = [
-            column(source, kept)
-            for source in (
-                *(memory.time_s, memory.setpoint_N, memory.tension_N),
-                *(memory.current_A, memory.angle_rad),
-            )
-        ]
-        flags = flag_column(memory.flags, kept)
-        for array in columns:
-            array.flags.writeable = False  # it may be handed out again
-        flags.flags.writeable = False
-        time_s, setpoint, tension, current, angle = columns
         return TrialRecord(
             trial_id=request.trial_id,
             rig=self._description.name,
             sampling_Hz=self._config.sampling_Hz,
-            cable_length_m=self._now().cable_length_m,
+            cable_length_m=self._current_description().cable_length_m,
             preload_N=request.profile.preload_N,
             gains=request.gains,
             outcome=ended.outcome,
-            reason=ended.sentence,
+            reason=ended.reason,
             started_at=started.isoformat(timespec="milliseconds"),
             software=self._description.software,
-            time_s=time_s,
-            setpoint_N=setpoint,
-            tension_N=tension,
-            current_A=current,
-            angle_rad=angle,
-            flags=flags,
             loop=request.profile.loop,
             profile=request.profile.kind,
+            **self._memory.columns(ended.samples),
         )
 
-    def _look_at_clock(self) -> None:
-        """Says so where the time of day, which dates the records, has jumped between trials."""
+    def _check_clock(self) -> None:
+        """Logs a jump of the time of day, which dates the records, between trials."""
         day_s, self._day_s = self._day_s, _day_s()
         if abs(self._day_s - day_s) > JUMP_s:
             _log.warning(
-                "rig %s: the time of day jumped by %+.3g s since the last trial; its records are "
-                "dated by the new one, and the loop, which keeps another clock, has not noticed: "
-                "have the clock kept by NTP, which slews it",
+                "rig %s: the time of day jumped by %+.3g s since the last trial; the dates of its "
+                "records jump with it, the loop has a clock of its own; have NTP slew the clock",
                 *(self._description.name, self._day_s - day_s),
             )
 
-    def _now(self) -> RigDescription:
-        """The description, with the gains and the length that a schedule has come to."""
+    def _current_description(self) -> RigDescription:
+        """Description with the present gains and length of a schedule."""
         levels = self._memory.levels
         length, tension = levels[SensorLevels.LENGTH_m], levels[SensorLevels.SCHEDULED_N]
-        if self._following is None or not length > 0.0:  # it has not begun to follow
+        if self._length_source is None or not length > 0.0:  # a schedule not used yet
             return self._description
-        gains = self._following.schedule.gains(length, tension)
+        gains = self._length_source.schedule.gains(length, tension)
         return replace(self._description, gains=gains, cable_length_m=length)
 
     def _learn_cost(self, request: TrialRequest, record: TrialRecord) -> None:
-        """Takes note of the cost of the live gains, which the guard holds others to."""
-        live = request.gains == self._now().gains
+        """Stores the cost of the live gains, the reference of the guard."""
+        live = request.gains == self._current_description().gains
         if live and record.outcome is Outcome.DONE:
             error = record.setpoint_N - record.tension_N
             cost = float(self._weights(request, record.setpoint_N) @ (error * error))
@@ -334,10 +295,10 @@ class HardwareRig:
 
     def _check_alive(self) -> None:
         if self._closed:
-            raise RigError(f"rig {self._description.name} is closed; make a new one")
+            raise RigError(f"rig {self._description.name} is closed; start a new one")
         self._loop.check()
 
 
 def _day_s() -> float:
-    """The time of day by the clock that never steps; changes only where it was set."""
+    """Offset of the time of day to the monotonic clock; changes where the day was set."""
     return time.time() - time.monotonic()

@@ -1,8 +1,8 @@
-"""Calibrations C1 and C2 as the loop uses them: single floats, a few microseconds, no exceptions.
+"""Calibrations C1 and C2 for the loop: single floats, a few microseconds, no exceptions.
 
-The same curves as `estune.reel.calibration`, whose arrays and checks cost 25 and 110 us a call of
-the 1580 us a sample has at 632 Hz. A value outside its calibration is no error here but a NaN for
-the guard to act on (gauge), or the end of the range (current).
+The curves are those of `estune.reel.calibration`, whose arrays and checks take 25 and 110 us of
+the 1580 us of a sample at 632 Hz. A value outside its calibration is a NaN, on which the guard
+acts (gauge), or the end of the range (current).
 """
 
 import math
@@ -22,19 +22,19 @@ def _middle(axis: Axis) -> tuple[float, float]:
 
 @dataclass(frozen=True, slots=True)
 class GaugeScale:
-    """C2: counts to newtons, the root of the quadratic that lies in the calibrated range.
+    """C2: counts to newtons, the root of the quadratic in the calibrated range.
 
     Attributes:
-        coefficients: Of the scaled force, counts.
+        coefficients: Coefficients of the scaled force, counts.
         middle_N: Force in the middle of the range, N.
         half_N: Half the range, N.
-        reach: Greatest scaled force accepted.
+        scaled_max: Greatest scaled force.
     """
 
     coefficients: tuple[float, float, float]
     middle_N: float
     half_N: float
-    reach: float
+    scaled_max: float
 
     @classmethod
     def of(cls, calibration: GaugeCalibration) -> Self:
@@ -52,33 +52,33 @@ class GaugeScale:
         return cls((c0, c1, c2), *_middle(calibration.force), calibration.force.reach)
 
     def force_N(self, counts: float) -> float:
-        """The force that gives these counts, N; NaN where no calibrated force does."""
+        """Force that gives these counts, N; NaN where no calibrated force does."""
         c0, c1, c2 = self.coefficients
         discriminant = c1 * c1 + 4.0 * c2 * (counts - c0)
         if not discriminant >= 0.0:
             return math.nan
         # This form of the root neither cancels nor fails for a straight line.
         u = 2.0 * (counts - c0) / (c1 + math.copysign(math.sqrt(discriminant), c1))
-        if not abs(u) <= self.reach * (1.0 + _ROUNDING):
+        if not abs(u) <= self.scaled_max * (1.0 + _ROUNDING):
             return math.nan
         return self.middle_N + self.half_N * u
 
 
 @dataclass(frozen=True, slots=True)
 class CurrentScale:
-    """C1: amperes to counts, by Newton's method on the curve that is known to be monotone.
+    """C1: amperes to counts, by Newton's method on the monotone curve.
 
     Attributes:
-        coefficients: Of the scaled command, A.
+        coefficients: Coefficients of the scaled command, A.
         middle: Command in the middle of the range, counts.
         half: Half the range, counts.
-        reach: Greatest scaled command accepted.
+        scaled_max: Greatest scaled command.
     """
 
     coefficients: tuple[float, ...]
     middle: float
     half: float
-    reach: float
+    scaled_max: float
 
     @classmethod
     def of(cls, calibration: CurrentCalibration) -> Self:
@@ -86,14 +86,9 @@ class CurrentScale:
         axis = calibration.command
         return cls(calibration.regression.coefficients, *_middle(axis), axis.reach)
 
-    def range_A(self) -> tuple[float, float]:
-        """Least and greatest current that a calibrated command gives, A."""
-        ends = self._curve(-self.reach)[0], self._curve(self.reach)[0]
-        return min(ends), max(ends)
-
     def counts(self, current_A: float) -> int:
-        """The command that gives a current most nearly, within its calibrated range, counts."""
-        low, high = -self.reach, self.reach
+        """Calibrated command whose current is nearest, counts."""
+        low, high = -self.scaled_max, self.scaled_max
         rising = self.coefficients[1] > 0.0
         u = 0.0
         for _ in range(_NEWTON_STEPS):
@@ -102,11 +97,11 @@ class CurrentScale:
                 high = u
             else:
                 low = u
-            following = u - (value - current_A) / slope if slope else u
-            if not low <= following <= high:
-                following = 0.5 * (low + high)
-            settled = abs(following - u) <= 1e-12 * self.reach
-            u = following
+            candidate = u - (value - current_A) / slope if slope else u
+            if not low <= candidate <= high:
+                candidate = 0.5 * (low + high)
+            settled = abs(candidate - u) <= 1e-12 * self.scaled_max
+            u = candidate
             if settled:
                 break
         return round(self.middle + self.half * u)

@@ -1,4 +1,4 @@
-"""A gain schedule as files: JSON that a sweep has written, and a C header for firmware."""
+"""Files of a gain schedule: the JSON of a sweep, and a C header for firmware."""
 
 import json
 from importlib.metadata import version
@@ -48,7 +48,7 @@ static void estune_schedule(casadi_real length_m, casadi_real tension_N, casadi_
 
 
 def read_schedule(path: Path) -> GainSchedule:
-    """The schedule of a JSON file: one by itself, or that of a sweep with one law.
+    """Gain schedule of a JSON file: one by itself, or that of a sweep with one law.
 
     Raises:
         InvalidInput: the file cannot be read, holds no usable schedule, or several laws.
@@ -63,16 +63,15 @@ def read_schedule(path: Path) -> GainSchedule:
 
 
 def _schedule_in(stored: Any) -> Any:
-    """What is to be a schedule, in what a sweep wrote."""
     if not isinstance(stored, dict) or "laws" not in stored:
         return stored
-    found = {name: law.get("schedule") for name, law in stored["laws"].items()}
-    if len(found) != 1:
+    schedules = {name: law.get("schedule") for name, law in stored["laws"].items()}
+    if len(schedules) != 1:
         raise InvalidInput(
-            f"it holds {len(found)} laws ({'; '.join(found)}); write the schedule of one of them "
-            "to a file of its own"
+            f"it holds {len(schedules)} laws ({'; '.join(schedules)}); write the schedule of one "
+            "of them to a file of its own"
         )
-    return next(iter(found.values()))
+    return next(iter(schedules.values()))
 
 
 def schedule_header(schedule: GainSchedule) -> str:

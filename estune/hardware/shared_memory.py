@@ -1,56 +1,115 @@
-"""The memory that a rig and its real-time loop share.
+"""Memory shared by a rig and its real-time loop.
 
 One block without a name, which vanishes with the last of the two processes: counters and flags,
 the latest readings, two histograms of times, the reason of a stop, and the columns of one trial.
-Each number has one writer. Flags are looked at every sample, so that an emergency stop waits for
-no message; whatever needs an answer goes through the pipe beside it.
+Each number has one writer. The loop reads the flags at every sample, so that an emergency stop
+waits for no message; whatever needs an answer goes through the pipe beside it.
 """
 
 import mmap
 import os
 from enum import IntEnum
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from estune.core.quantities import FloatArray
-
 BIN_s = 2e-6
 BINS = 50_000
-"""Times from 0 to 100 ms; the last bin holds what is longer."""
+"""Bins of a histogram, 0 to 100 ms; the last one holds all longer times."""
 
 REASON_BYTES = 512
 _COLUMNS = 6
 _BYTES_PER_SAMPLE = 8 * _COLUMNS + 1
 
 
-class Word(IntEnum):
-    """Whole numbers, and who writes them."""
+class MotionPhase(IntEnum):
+    """What the loop does with the reel."""
 
-    BEAT = 0  # rig: goes on as long as the rig lives
+    OFF = 0
+    TAKE_UP = 1
+    HOLD = 2
+    TRIAL = 3
+    RAMP = 4
+    STOPPED = 5
+
+
+class Word(IntEnum):
+    """Integers, and who writes them."""
+
+    BEAT = 0  # rig: counts up as long as the rig lives
     ESTOP = 1  # rig: one while the emergency stop is latched
     ABORT = 2  # rig: number of the trial that is to be stopped
-    PHASE = 3  # loop: see `estune.hardware.reel_state_machine.MotionPhase`
+    PHASE = 3  # loop: a `MotionPhase`
     LATCHED = 4  # loop: one while the rig takes no trial until it is cleared
-    SAMPLES = 5  # loop: how many it has run
-    LATE = 6  # loop: how many of them were late
-    MISSED = 7  # loop: sampling instants it has passed over altogether
+    SAMPLES = 5  # loop: samples run
+    LATE = 6  # loop: late ones of them
+    MISSED = 7  # loop: sampling instants skipped altogether
     REASON = 8  # loop: bytes of the reason
     ORDER = 9  # rig: bytes of the reason for the emergency stop
     PROGRESS = 10  # loop: samples measured of the trial under way
 
 
 class SensorLevels(IntEnum):
-    """The latest readings, written by the loop."""
+    """Latest readings, written by the loop."""
 
     TIME_s = 0
     SETPOINT_N = 1
     TENSION_N = 2
     CURRENT_A = 3
     ANGLE_rad = 4
-    LENGTH_m = 5  # that the live gains are for; not a number where they are fixed
-    SCHEDULED_N = 6  # tension that they are for; the same
+    LENGTH_m = 5  # operating point of scheduled live gains; NaN where they are fixed
+    SCHEDULED_N = 6  # tension of that operating point
+
+
+class HardwareStatus(NamedTuple):
+    """Status of a rig on hardware.
+
+    Attributes:
+        phase: Name of the `MotionPhase`, in lower case.
+        reason: Why it last stopped; empty where it did not, or was cleared.
+        latched: Whether it takes no trial until it is cleared.
+        tension_N: Latest tension.
+        setpoint_N: Setpoint between trials.
+        current_A: Latest current command.
+        angle_rad: Latest angle.
+    """
+
+    phase: str
+    reason: str
+    latched: bool
+    tension_N: float
+    setpoint_N: float
+    current_A: float
+    angle_rad: float
+
+
+class Timing(NamedTuple):
+    """Timing of the loop since it started.
+
+    Attributes:
+        samples: Samples run.
+        late: Samples that began late.
+        missed: Sampling instants skipped altogether.
+        lateness: Histogram of the time from the instant to the beginning of the sample.
+        turnaround: Histogram of the time from the instant to the current command.
+    """
+
+    samples: int
+    late: int
+    missed: int
+    lateness: NDArray[np.int64]
+    turnaround: NDArray[np.int64]
+
+    def since(self, earlier: "Timing") -> "Timing":
+        """Timing from an earlier one on."""
+        return Timing(
+            self.samples - earlier.samples,
+            self.late - earlier.late,
+            self.missed - earlier.missed,
+            self.lateness - earlier.lateness,
+            self.turnaround - earlier.turnaround,
+        )
 
 
 class Memory:
@@ -59,35 +118,31 @@ class Memory:
     Attributes:
         words: See `Word`.
         levels: See `SensorLevels`.
-        lateness: How long after its instant a sample began, histogram.
-        turnaround: How long after its instant the current was commanded, histogram.
-        time_s: Columns of the trial under way: when each sample was read.
-        setpoint_N: What is to be followed; written by the rig before the trial.
-        tension_N: As in a record.
-        current_A: As in a record.
-        angle_rad: As in a record.
+        lateness: See `Timing`.
+        turnaround: See `Timing`.
+        setpoint_N: Setpoint of the trial; written by the rig before it.
         weights: Weight of the squared error in the running cost; written by the rig.
-        flags: As in a record.
+        time_s: Further columns of the trial, as in a record; written by the loop.
     """
 
     def __init__(self, file: int, capacity: int) -> None:
         """Maps the block.
 
         Args:
-            file: Descriptor of a file of `size(capacity)` bytes.
+            file: Descriptor of a file that `make_file` made for this capacity.
             capacity: Samples of the longest trial.
         """
-        self._map = mmap.mmap(file, size(capacity))
+        self._map = mmap.mmap(file, _size(capacity))
         # Views of plain memory: a number is read or written in 40 ns, and nothing is allocated.
-        self._views: list[memoryview] = []
-        self.words = self._next("q", len(Word))
-        self.levels = self._next("d", len(SensorLevels))
-        self.lateness, self.turnaround = self._next("q", BINS), self._next("q", BINS)
-        self._reason, self._order = self._next("B", REASON_BYTES), self._next("B", REASON_BYTES)
-        columns = [self._next("d", capacity) for _ in range(_COLUMNS)]
+        self._next_byte = 0
+        self.words = self._take("q", len(Word))
+        self.levels = self._take("d", len(SensorLevels))
+        self.lateness, self.turnaround = self._take("q", BINS), self._take("q", BINS)
+        self._reason, self._order = self._take("B", REASON_BYTES), self._take("B", REASON_BYTES)
+        columns = [self._take("d", capacity) for _ in range(_COLUMNS)]
         self.time_s, self.setpoint_N, self.tension_N = columns[:3]
         self.current_A, self.angle_rad, self.weights = columns[3:]
-        self.flags = self._next("B", capacity)
+        self.flags = self._take("B", capacity)
 
     @property
     def reason(self) -> str:
@@ -99,54 +154,61 @@ class Memory:
         self._write(self._reason, Word.REASON, text)
 
     @property
-    def order(self) -> str:
-        """Why the emergency stop was called; written by the rig."""
+    def estop_reason(self) -> str:
+        """Reason of the emergency stop; written by the rig."""
         return bytes(self._order[: self.words[Word.ORDER]]).decode(errors="replace")
 
-    @order.setter
-    def order(self, text: str) -> None:
+    @estop_reason.setter
+    def estop_reason(self, text: str) -> None:
         self._write(self._order, Word.ORDER, text)
 
-    def _write(self, room: memoryview, length: Word, text: str) -> None:
+    def columns(self, count: int) -> dict[str, Any]:
+        """The first samples of the trial as columns of a record; copied, and read-only."""
+        names = ("time_s", "setpoint_N", "tension_N", "current_A", "angle_rad")
+        made: dict[str, Any] = {n: np.array(getattr(self, n)[:count], np.float64) for n in names}
+        made["flags"] = np.array(self.flags[:count], np.uint8)
+        for array in made.values():
+            array.flags.writeable = False
+        return made
+
+    def status(self) -> HardwareStatus:
+        """Status of the rig."""
+        words, levels = self.words, self.levels
+        return HardwareStatus(
+            phase=MotionPhase(words[Word.PHASE]).name.lower(),
+            reason=self.reason,
+            latched=bool(words[Word.LATCHED] or words[Word.ESTOP]),
+            tension_N=levels[SensorLevels.TENSION_N],
+            setpoint_N=levels[SensorLevels.SETPOINT_N],
+            current_A=levels[SensorLevels.CURRENT_A],
+            angle_rad=levels[SensorLevels.ANGLE_rad],
+        )
+
+    def timing(self) -> Timing:
+        """Timing of the loop."""
+        words = self.words
+        counts = words[Word.SAMPLES], words[Word.LATE], words[Word.MISSED]
+        return Timing(*counts, np.array(self.lateness), np.array(self.turnaround))
+
+    def _write(self, view: memoryview, length: Word, text: str) -> None:
         data = text.encode()[:REASON_BYTES]
-        room[: len(data)] = data
+        view[: len(data)] = data
         self.words[length] = len(data)
 
-    def close(self) -> None:
-        """Unmaps the block."""
-        for view in reversed(self._views):
-            view.release()
-        self._map.close()
-
-    def _next(self, kind: str, count: int) -> Any:
+    def _take(self, kind: str, count: int) -> Any:
         """The next numbers of the block."""
-        item = 8 if kind in "qd" else 1
-        start = sum(view.nbytes for view in self._views[::3])
-        whole = memoryview(self._map)
-        part = whole[start : start + item * count]
-        view = part.cast(kind)  # type: ignore[call-overload]
-        self._views += [view, part, whole]
-        return view
+        start, size = self._next_byte, count * (8 if kind in "qd" else 1)
+        self._next_byte += size
+        return memoryview(self._map)[start : start + size].cast(kind)  # type: ignore[call-overload]
 
 
-def size(capacity: int) -> int:
-    """Bytes of a block for trials of so many samples."""
+def _size(capacity: int) -> int:
     head = 8 * (len(Word) + len(SensorLevels) + 2 * BINS) + 2 * REASON_BYTES
     return head + _BYTES_PER_SAMPLE * capacity
 
 
 def make_file(capacity: int) -> int:
-    """The descriptor of a new block, all zero."""
+    """Descriptor of a new block, all zero, for trials of so many samples."""
     file = os.memfd_create("estune-rig")
-    os.ftruncate(file, size(capacity))
+    os.ftruncate(file, _size(capacity))
     return file
-
-
-def column(view: memoryview, count: int) -> FloatArray:
-    """The first numbers of a column, copied."""
-    return np.array(view[:count], np.float64)
-
-
-def flag_column(view: memoryview, count: int) -> NDArray[np.uint8]:
-    """The first flags, copied."""
-    return np.array(view[:count], np.uint8)

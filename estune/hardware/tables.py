@@ -15,14 +15,14 @@ _Calibration = TypeVar("_Calibration", bound="GaugeTable | CurrentTable")
 
 
 class DriverTable(TomlTable):
-    """Which driver: its name among the installed ones, or module:attribute, and its settings."""
+    """Driver: its name among the installed ones, or module:attribute, and its settings."""
 
     use: str
     settings: dict[str, Any] = Field(default={})
 
 
 class GaugeTable(TomlTable):
-    """C2: a file that `GaugeCalibration.as_dict` was saved to as JSON, or known numbers."""
+    """C2: a JSON file of `GaugeCalibration.as_dict`, or known numbers."""
 
     file: Path | None = Field(default=None, strict=False)
     counts_of_force: list[float] | None = None
@@ -34,7 +34,7 @@ class GaugeTable(TomlTable):
 
 
 class CurrentTable(TomlTable):
-    """C1: a file that `CurrentCalibration.as_dict` was saved to as JSON, or known numbers."""
+    """C1: a JSON file of `CurrentCalibration.as_dict`, or known numbers."""
 
     file: Path | None = Field(default=None, strict=False)
     amperes_of_command: list[float] | None = None
@@ -47,7 +47,7 @@ class CurrentTable(TomlTable):
 
 
 class ReelTable(TomlTable):
-    """The reel's geometry. Counts that fall while the cable is wound in have a negative turn."""
+    """Geometry of the reel. Counts that fall while the cable is wound in have a negative turn."""
 
     drum_radius_m: Positive
     torque_constant_Nm_A: Positive
@@ -62,7 +62,7 @@ class ReelTable(TomlTable):
 
 
 class LimitsTable(TomlTable):
-    """What a trial may ask for, and the amplifier may be told."""
+    """Limits of trials and of current commands."""
 
     tension_min_N: float
     tension_max_N: float
@@ -77,10 +77,7 @@ class LimitsTable(TomlTable):
 
 
 class GuardTable(TomlTable):
-    """What the reel may do before the guard stops it; see `estune.reel.guard.Limits`.
-
-    Left out, a limit that only some reels need is none.
-    """
+    """Limits at which the guard stops the reel; see `estune.reel.guard.Limits`."""
 
     tension_max_N: float
     slack_N: float
@@ -107,7 +104,7 @@ class GuardTable(TomlTable):
 
 
 class SafeTable(TomlTable):
-    """The safe state: `hold` by the live gains where that is possible, else `ramp` the current."""
+    """Safe state: `hold` by the live gains where that is possible, else `ramp` the current."""
 
     state: Literal["hold", "ramp"] = "hold"
     current_A: float = 0.0
@@ -116,7 +113,7 @@ class SafeTable(TomlTable):
 
 
 class MotionTable(TomlTable):
-    """How the reel is moved outside trials."""
+    """Motion of the reel outside trials."""
 
     hold_N: float | None = None
     rate_N_s: Positive = 20.0
@@ -135,7 +132,7 @@ class ControllerTable(TomlTable):
 
 
 class GainsTable(TomlTable):
-    """The live gains the rig starts with: ones that are known to hold it stable."""
+    """Live gains at the start, which are known to be stable."""
 
     P: Positive
     I: NotNegative
@@ -144,18 +141,17 @@ class GainsTable(TomlTable):
 
 
 class ScheduleTable(TomlTable):
-    """Live gains that follow the cable's length, in place of fixed ones.
+    """Live gains scheduled over the cable length, in place of fixed ones.
 
-    The length is reel.cable_length_m where the encoder stands at zero, and from there on what the
-    drum has wound in less (`angle`), or what `HardwareRig.tell_length` says (`told`).
+    The length is reel.cable_length_m at an encoder count of zero, less what the drum has wound in.
     """
 
     file: Path = Field(strict=False)
-    length: Literal["angle", "told"] = "angle"
+    length: Literal["angle"] = "angle"
 
 
 class StepTable(TomlTable):
-    """A step trial that suits the reel."""
+    """Suggested step trial."""
 
     preload_N: float
     step_N: float
@@ -164,7 +160,7 @@ class StepTable(TomlTable):
 
 
 class RealTimeTable(TomlTable):
-    """How the loop keeps its time; late_s is a tenth of the sampling period by default."""
+    """Timing of the loop; late_s is a tenth of the sampling period by default."""
 
     priority: Annotated[int, Field(ge=0, le=99)] = 50
     lock_memory: bool = True
@@ -176,7 +172,6 @@ class RealTimeTable(TomlTable):
 def _check_one_way(
     table: _Calibration, known: list[float] | None, range_: Range | None, names: str
 ) -> _Calibration:
-    """Refuses both or neither of a file and numbers."""
     numbers = known is not None and range_ is not None
     if numbers == (table.file is not None) or (known is None) != (range_ is None):
         raise ValueError(f"give either file, or {names}")

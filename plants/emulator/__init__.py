@@ -1,7 +1,7 @@
-"""A reel in raw counts, in another process and in wall-clock time: hardware that cannot break.
+"""Emulated hardware: a reel in raw counts, in another process and in wall-clock time.
 
 `EmulatedDriver` is a driver for `estune.hardware`; `python -m plants.emulator` is the hardware by
-itself, which goes on when the program that drives it is killed. `RIG_FILE` is a rig's file for it.
+itself, which continues when the program that drives it is killed. `RIG_FILE` is its rig file.
 """
 
 from pathlib import Path

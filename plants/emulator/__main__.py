@@ -16,14 +16,14 @@ import time
 from pathlib import Path
 from typing import Any
 
-import plants
 from estune.errors import EstuneError, InvalidInput
 from plants.emulator import wire
 from plants.emulator.board import Board, Electronics
+from plants.models.reel import reference_reel
 
 _PRIORITY = 60
 _IDLE_ms = 5
-"""Without anybody asking, the reel is brought up to the present at least so often."""
+"""Longest time between two updates of the reel's state without a request."""
 
 
 def make_board(settings: dict[str, Any]) -> Board:
@@ -43,7 +43,7 @@ def make_board(settings: dict[str, Any]) -> Board:
         electronics = Electronics(**given)
     except TypeError as error:
         raise InvalidInput(f"electronics: {error}") from error
-    reel = plants.reference_reel(**settings.get("reel", {}))
+    reel = reference_reel(**settings.get("reel", {}))
     return Board(reel, electronics, settings.get("seed", 0), time.monotonic())
 
 
@@ -70,7 +70,7 @@ def serve(board: Board, listener: socket.socket) -> None:
 
 
 def _answer(board: Board, client: socket.socket) -> bool:
-    """Does what one packet asks for; false where the client has gone."""
+    """Executes one packet; false where the client has gone."""
     try:
         packet = client.recv(wire.COMMAND.size)
         if not packet:
@@ -91,11 +91,7 @@ def _answer(board: Board, client: socket.socket) -> bool:
 
 
 def main(address: str, settings: str = "{}") -> int:
-    """Makes the hardware and serves it.
-
-    Returns:
-        The exit code.
-    """
+    """Makes the hardware and serves it; returns the exit code."""
     try:
         board = make_board(json.loads(settings))
     except EstuneError as error:
@@ -105,7 +101,7 @@ def main(address: str, settings: str = "{}") -> int:
         listener.bind(address)
         listener.listen()
         print(address, flush=True)
-        with contextlib.suppress(OSError):  # hardware waits for nobody; better with than without
+        with contextlib.suppress(OSError):  # optional: hardware in real time
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_PRIORITY))
         gc.freeze()
         serve(board, listener)

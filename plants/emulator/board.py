@@ -1,7 +1,7 @@
 """The emulated hardware: a reel behind converters, an encoder, an amplifier and a watchdog.
 
-It moves in wall-clock time, whoever asks: brought up to the present whenever it is spoken to, in
-steps an eighth of a sampling period long, with the equations of `plants.models.reel_equations`.
+It moves in wall-clock time: each request advances it to the present, in steps an eighth of a
+sampling period long, with the equations of `plants.models.reel_equations`.
 """
 
 from dataclasses import dataclass, replace
@@ -24,14 +24,14 @@ _NOISE_AT_ONCE = 4096
 
 @dataclass(frozen=True, slots=True)
 class Electronics:
-    """What stands between the reel and the computer.
+    """Electronics between the reel and the computer.
 
     Attributes:
-        counts_of_force: The gauge's converter: counts at no force, per N, per N^2.
-        gauge_bits: Its width.
-        amperes_of_command: The current controller: A at no command, A per count, and so on.
-        current_bits: Width of its converter; commands are signed.
-        watchdog_s: The amplifier is cut off where nothing was written for so long, s.
+        counts_of_force: Polynomial of the gauge's converter: counts at 0 N, per N, per N^2.
+        gauge_bits: Width of the gauge's converter.
+        amperes_of_command: Polynomial of the current controller: A at 0 counts, per count, ...
+        current_bits: Width of the current's converter; commands are signed.
+        watchdog_s: Time without a command after which the amplifier is cut off, s.
 
     Raises:
         InvalidInput: a value is out of its range.
@@ -54,18 +54,18 @@ class Electronics:
                 raise InvalidInput(f"{name} is {getattr(self, name)}; it must be from 1 to 32")
 
     def gauge_counts(self, force_N: float) -> int:
-        """What the converter reads, within its width."""
-        wanted = round(_polynomial(self.counts_of_force, force_N))
-        return int(min(max(wanted, 0), 2**self.gauge_bits - 1))
+        """Counts of the converter, within its width."""
+        counts = round(_polynomial(self.counts_of_force, force_N))
+        return int(min(max(counts, 0), 2**self.gauge_bits - 1))
 
     def current_A(self, command: int) -> float:
-        """What the amplifier makes of a command."""
+        """Current of the amplifier for a command."""
         end = 2 ** (self.current_bits - 1)
         return _polynomial(self.amperes_of_command, min(max(command, -end), end - 1))
 
 
 class Board:
-    """A reel and its electronics at the present; begins slack, without power."""
+    """A reel and its electronics; begins slack, without power."""
 
     def __init__(self, reel: Reel, electronics: Electronics, seed: int, now_s: float) -> None:
         """See `plants.emulator.EmulatedDriver`.
@@ -91,7 +91,7 @@ class Board:
         self._written_s = now_s
 
     def advance(self, now_s: float) -> None:
-        """Moves the reel on to the present, or nearly: by whole steps."""
+        """Advances the reel to the present by whole steps."""
         while self._time_s + self._period_s <= now_s:
             self._time_s += self._period_s
             if self._powered and self._time_s - self._written_s > self._electronics.watchdog_s:
@@ -117,12 +117,12 @@ class Board:
         self._written += 1
 
     def power(self, now_s: float, *, on: bool) -> None:
-        """Gives or takes the amplifier's power. The watchdog counts from here."""
+        """Switches the amplifier's power, and restarts the watchdog."""
         self.advance(now_s)
         self._powered, self._written_s = on, now_s
 
     def truth(self, now_s: float) -> Truth:
-        """How it really stands."""
+        """True state."""
         self.advance(now_s)
         tension, _ = self._motion.observe(0.0)
         return Truth(
@@ -191,7 +191,7 @@ class _Motion:
         return angle
 
     def step(self, current_A: float) -> None:
-        """Moves on by one step, during which the current is commanded."""
+        """Advances by one step with this current."""
         m = self._memory
         m["effort"][0] = current_A * self._effort_per_A
         self._drive()
@@ -201,7 +201,7 @@ class _Motion:
         self._move()
 
     def observe(self, noise_N: float) -> tuple[float, float]:
-        """What gauge and encoder show: tension in N and angle in rad."""
+        """Tension at the gauge in N, and angle in rad."""
         self._memory["noise"][0] = noise_N
         self._observe()
         return self._memory["y"][0], self._memory["angle"][0]

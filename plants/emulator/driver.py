@@ -1,4 +1,4 @@
-"""The driver of the emulated hardware: a model for one of your own."""
+"""Driver of the emulated hardware, and an example for a driver of your own."""
 
 import contextlib
 import json
@@ -23,11 +23,11 @@ class EmulatedDriver:
     """Drives an emulated reel; implements `estune.hardware.Driver`.
 
     Args:
-        address: The socket of hardware that runs already (`python -m plants.emulator ADDRESS`).
-            Without one, the driver starts hardware of its own, which ends with it.
-        reel: Settings of the reference reel, such as cable_length_m; for hardware of its own.
-        electronics: See `plants.emulator.board.Electronics`; for hardware of its own.
-        seed: Seed of the gauge's noise; for hardware of its own.
+        address: Socket of running hardware (`python -m plants.emulator ADDRESS`). Without one, the
+            driver starts hardware of its own, with the settings below, which ends with it.
+        reel: Settings of the reference reel, such as cable_length_m.
+        electronics: See `plants.emulator.board.Electronics`.
+        seed: Seed of the gauge's noise.
 
     Raises:
         RigError: nothing answers at the address, or the hardware does not start.
@@ -44,7 +44,7 @@ class EmulatedDriver:
         self._own: contextlib.ExitStack = contextlib.ExitStack()
         if address is None:
             settings = {"reel": reel or {}, "electronics": electronics or {}, "seed": seed}
-            address = self._own.enter_context(started(settings))
+            address = self._own.enter_context(emulated_hardware(settings))
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._socket.settimeout(_ANSWER_WITHIN_s)
         try:
@@ -70,21 +70,21 @@ class EmulatedDriver:
         self._say(wire.WRITE, current_counts)
 
     def disable(self) -> None:
-        """Takes the amplifier's power away."""
+        """Removes the amplifier's power."""
         self._say(wire.DISABLE)
 
     def safe_state(self) -> None:
-        """The same: this reel has no brake."""
+        """Removes the amplifier's power: this reel has no brake."""
         self._say(wire.DISABLE)
 
     def truth(self) -> Truth:
-        """How the emulated hardware really stands; no real one can tell."""
+        """True state of the emulated hardware."""
         self._say(wire.TRUTH)
         answer = self._socket.recv(wire.TRUTH_ANSWER.size)
         return Truth(*wire.TRUTH_ANSWER.unpack(answer))
 
     def close(self) -> None:
-        """Lets go of the hardware; ends it where it is the driver's own."""
+        """Closes the connection; ends hardware that the driver has started."""
         with contextlib.suppress(OSError):
             self._say(wire.DISABLE)
         self._socket.close()
@@ -101,14 +101,11 @@ class EmulatedDriver:
 
 
 @contextlib.contextmanager
-def started(settings: Mapping[str, Any]) -> Iterator[str]:
-    """Emulated hardware in a process of its own, for as long as the block lasts.
+def emulated_hardware(settings: Mapping[str, Any]) -> Iterator[str]:
+    """Emulated hardware in a process of its own, for the duration of the block; its address.
 
     Args:
         settings: `reel`, `electronics` and `seed`, as of `EmulatedDriver`.
-
-    Yields:
-        Its address.
 
     Raises:
         RigError: it does not start.
@@ -117,7 +114,7 @@ def started(settings: Mapping[str, Any]) -> Iterator[str]:
         address = str(Path(folder) / "reel")
         process = subprocess.Popen(  # noqa: S603  our own interpreter and module
             [sys.executable, "-m", "plants.emulator", address, json.dumps(dict(settings))],
-            stdin=subprocess.PIPE,  # closes however this process ends, and the hardware with it
+            stdin=subprocess.PIPE,  # closes with this process, and ends the hardware
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
@@ -126,8 +123,8 @@ def started(settings: Mapping[str, Any]) -> Iterator[str]:
         try:
             assert process.stdout and process.stderr  # noqa: S101, PT018  asked for above
             if not process.stdout.readline():
-                said = process.stderr.read().strip().splitlines() or ["no message"]
-                raise RigError(f"the emulated hardware does not start: {said[-1]}")
+                errors = process.stderr.read().strip().splitlines() or ["no message"]
+                raise RigError(f"the emulated hardware does not start: {errors[-1]}")
             yield address
         finally:
             for stream in (process.stdin, process.stdout, process.stderr):

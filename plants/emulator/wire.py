@@ -1,10 +1,10 @@
-"""What the driver and the emulated hardware say to each other: packets of a fixed size."""
+"""Packets of a fixed size between the driver and the emulated hardware."""
 
 import struct
 from typing import NamedTuple
 
 COMMAND = struct.Struct("<cq")
-"""A verb and a number; the number is the command of a current, else zero."""
+"""A verb and a number: the current command in counts, else zero."""
 
 READ, WRITE, ENABLE, DISABLE, TRUTH = b"r", b"w", b"e", b"d", b"t"
 
@@ -16,17 +16,16 @@ TRUTH_ANSWER = struct.Struct("<dddd?qqd")
 
 
 class Truth(NamedTuple):
-    """How the emulated hardware really stands, which no driver can see.
+    """True state of the emulated hardware, which no real driver can read.
 
     Attributes:
-        time_s: When, on the monotonic clock, s.
+        time_s: Time on the monotonic clock, s.
         tension_N: Tension at the gauge, without noise, N.
-        current_A: Current that the amplifier gives, A.
-        angle_rad: Angle of the drum, rad.
+        current_A: Current of the amplifier, A.
         powered: Whether the amplifier has power.
-        tripped: How often the watchdog has cut it off.
-        written: How many commands have come.
-        last_write_s: When the last came, s.
+        tripped: Number of cut-offs by the watchdog.
+        written: Number of current commands.
+        last_write_s: Time of the last command, s.
     """
 
     time_s: float
