@@ -140,9 +140,9 @@ def _measurement(table: Table, stem: str, source: str) -> tuple[MeasuredRecord, 
     samples = next(iter(columns.values())).size
     if samples < FEWEST_SAMPLES:
         raise Unusable(f"the file has {samples} rows; {FEWEST_SAMPLES} or more are needed")
-    sampling_Hz, time_s, sentence = _time(columns, samples, about)
-    if sentence:
-        issues.append(DataIssue("warning", sentence, "time_s"))
+    sampling_Hz, time_s, warning = _time(columns, samples, about)
+    if warning:
+        issues.append(DataIssue("warning", warning, "time_s"))
     flags = columns.get("flags")
     measurement = MeasuredRecord(
         name=about.text("trial_id") or stem,

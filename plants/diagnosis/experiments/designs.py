@@ -1,8 +1,8 @@
-"""Experiments that show what a model lacks, sized for a rig.
+"""Experiments that excite missing effects, sized for a rig.
 
-Levels and amplitudes follow the rig's limits and the step it suggests, times follow its settling
-time, frequencies its sampling rate. Where the rig says how it behaves in the small, an excitation
-is made so small that the predicted tension, too, stays within the limits.
+Levels and amplitudes follow the rig's limits and its suggested step, times its settling time,
+frequencies its sampling rate. Where the rig's description has a linear model, an excitation is
+scaled so that the predicted tension, too, stays within the limits.
 """
 
 import math
@@ -26,35 +26,29 @@ from estune.trial.profiles import (
 from plants.simulation.plant import drive_of
 
 MARGIN = 0.1
-"""Share of the range between the limits that is left free at either end."""
+"""Share of the range between the limits that is kept free at either end."""
 WIDEST = 4.0
-"""A range is no wider than so many suggested steps: limits may be there for form's sake."""
+"""Greatest range in suggested steps: limits may be far wider than the operating range."""
 QUIET_s = 0.2
-"""Time for which each trial holds its preload first, in time units: it shows the noise."""
+"""Hold at the preload before each excitation, in time units: it shows the noise."""
 LOW_Hz = 0.5
 """Lowest frequency, per time unit."""
 HIGHEST = 0.45
 """Highest line of a multisine, relative to the sampling rate."""
 PER_SETTLING = 8.0
 """Time unit of a fast plant, in settling times."""
-KNEE = 6.0
-"""Where the low band of a multisine ends, in natural frequencies 1/settling time."""
+BAND_END = 6.0
+"""Upper end of a multisine's low band, in 1/settling time."""
 OWN_SHARE = 0.25
-"""First try of a multisine's rms, relative to half the range; a crest factor is near 2."""
+"""First rms of a multisine, relative to half the range; a crest factor is near 2."""
 SMALLEST = 0.02
-"""An excitation that must be made smaller than this share of its first try is left out."""
+"""Least share of its first size to which an excitation may be scaled down."""
 
 Sized = TypeVar("Sized", TriangleProfile, MultisineProfile, ChirpProfile, StaircaseProfile)
 
 
 class Experiment(NamedTuple):
-    """A trial to be asked for.
-
-    Attributes:
-        name: What it is, as part of a file's name.
-        title: The same in words.
-        profile: The setpoint.
-    """
+    """A trial to be run: name as part of a file name, title in words, setpoint."""
 
     name: str
     title: str
@@ -62,18 +56,14 @@ class Experiment(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Room:
-    """What a rig leaves room for.
-
-    Attributes:
-        rig: What the rig says of itself.
-    """
+class ExperimentLimits:
+    """Levels, amplitudes and times that a rig allows."""
 
     rig: RigDescription
 
     @property
     def open_only(self) -> bool:
-        """Whether nothing is there to be controlled: a reel without a cable."""
+        """Whether there is no tension to be controlled: a reel without a cable."""
         return self.rig.step.loop == "open"
 
     @property
@@ -100,13 +90,13 @@ class Room:
         return 0.0 if self.open_only else low + share * (high - low)
 
     def reach(self, level_N: float) -> float:
-        """How far the setpoint may go to either side of a level, N."""
+        """Amplitude allowed about a level, N."""
         low, high = self.range_N
         return min(high - level_N, level_N - low)
 
     @property
     def small(self) -> float:
-        """Share of the reach of a small triangle: near zero force friction rules a free drum."""
+        """Relative amplitude of a small triangle: a free drum near zero force shows friction."""
         return 0.2 if self.open_only else 1.0
 
     def seconds(self, units: float) -> float:
@@ -127,15 +117,15 @@ class Room:
     def fitted(
         self, make: Callable[[float], Sized], size_N: float, centre_N: float
     ) -> Sized | None:
-        """A profile as large as asked for, or as the limits and the predicted tension allow.
+        """A profile scaled from `size_N` to the limits of setpoint and predicted tension.
 
         Args:
             make: The profile of a size.
-            size_N: The size asked for.
-            centre_N: What the size is taken about.
+            size_N: Its greatest size.
+            centre_N: Level about which it is scaled.
 
         Returns:
-            None where next to nothing would be left of it.
+            None where it would be scaled below `SMALLEST`.
         """
         low, high = self.range_N
         size = size_N
@@ -156,7 +146,7 @@ class Room:
         return profile if self.allows(profile) else None
 
     def _answer(self, profile: AnyProfile) -> tuple[float, float]:
-        """Extremes of the tension that an open loop is predicted to give, N."""
+        """Extremes of the predicted tension, N."""
         model = self.rig.linear_model
         if profile.loop == "closed" or model is None or self.open_only:
             return profile.extremes_N
@@ -170,7 +160,7 @@ class Room:
 def answer(model: LinearModel, effort_N: FloatArray, sampling_Hz: float) -> FloatArray:
     """Response of a linear model to an effort held between samples, from rest, shape (samples,).
 
-    Whole samples of the dead time are left out: they shift the answer, and change no extreme.
+    Whole samples of the dead time are left out: they shift the response, and change no extreme.
     """
     from scipy.linalg import expm  # noqa: PLC0415  slow to import
     from scipy.signal import lfilter, ss2tf  # noqa: PLC0415  slow to import
@@ -184,24 +174,24 @@ def answer(model: LinearModel, effort_N: FloatArray, sampling_Hz: float) -> Floa
 
 
 def initial_experiments(rig: RigDescription) -> tuple[Experiment, ...]:
-    """Experiments that between them excite most of what a model may lack.
+    """Experiments that together excite most effects that a model may lack.
 
     About 28 s for a rig that settles within a second, longer in proportion for a slower one: two
     multisines, slow and faster triangles over the range, stairs, shrinking loops, a sweep and,
     where there is a tension to be controlled, two closed-loop steps.
     """
-    room = Room(rig)
+    limits = ExperimentLimits(rig)
     most = [
-        _multisine(room, 0.45, periods=3, lines="odd_sparse"),
-        _triangle(room, 0.5, "wide", share=1.0, period=4.0, cycles=1.0),
-        _triangle(room, 0.25, "low", share=room.small, period=1.0, cycles=2.5),
-        _stairs(room, "stairs", stairs=4, hold=0.4, cycles=1),
-        _minor_loops(room, 0.55, period=0.6, cycles=6),
-        _multisine(room, 0.55, periods=2, lines="all"),
-        _chirp(room, 0.4, length=2.8),
+        _multisine(limits, 0.45, periods=3, lines="odd_sparse"),
+        _triangle(limits, 0.5, "wide", share=1.0, period=4.0, cycles=1.0),
+        _triangle(limits, 0.25, "low", share=limits.small, period=1.0, cycles=2.5),
+        _stairs(limits, "stairs", stairs=4, hold=0.4, cycles=1),
+        _minor_loops(limits, 0.55, period=0.6, cycles=6),
+        _multisine(limits, 0.55, periods=2, lines="all"),
+        _chirp(limits, 0.4, length=2.8),
     ]
     found = [one for one in most if one is not None]
-    if not room.open_only and room.allows(rig.step):
+    if not limits.open_only and limits.allows(rig.step):
         step = rig.step
         again = replace(step, preload_N=step.preload_N + step.step_N, step_N=-step.step_N)
         found += [
@@ -209,39 +199,39 @@ def initial_experiments(rig: RigDescription) -> tuple[Experiment, ...]:
             Experiment("step-back", "the rig's own step back", again),
         ]
     else:
-        turning = _turning(room, "turn", share=0.5, period=1.6, cycles=1.5)
+        turning = _turning(limits, "turn", share=0.5, period=1.6, cycles=1.5)
         found += [turning] if turning else []
     return tuple(found)
 
 
 def candidate_experiments(rig: RigDescription) -> tuple[Experiment, ...]:
     """Experiments to choose the deciding one from, open loop, of 10 time units at most."""
-    room = Room(rig)
+    limits = ExperimentLimits(rig)
     found: list[Experiment | None] = []
     for share, name in ((0.2, "low"), (0.5, "middle"), (0.8, "high")):
-        found.append(_triangle(room, share, f"slow-{name}", share=1.0, period=4.0, cycles=2.0))
-        if room.open_only:
+        found.append(_triangle(limits, share, f"slow-{name}", share=1.0, period=4.0, cycles=2.0))
+        if limits.open_only:
             break  # without a cable there is one level
     found += [
-        _triangle(room, 0.5, "ramp", share=0.5, period=9.0, cycles=1.0),
-        _minor_loops(room, 0.5, period=1.0, cycles=9),
-        _high_multisine(room, 0.5, periods=4),
-        _multisine(room, 0.5, periods=4, lines="odd_sparse"),
-        _chirp(room, 0.5, length=8.0),
-        _stairs(room, "staircase", stairs=5, hold=0.5, cycles=2),
-        _stairs(room, "long-hold", stairs=1, hold=4.0, cycles=1),
+        _triangle(limits, 0.5, "ramp", share=0.5, period=9.0, cycles=1.0),
+        _minor_loops(limits, 0.5, period=1.0, cycles=9),
+        _high_multisine(limits, 0.5, periods=4),
+        _multisine(limits, 0.5, periods=4, lines="odd_sparse"),
+        _chirp(limits, 0.5, length=8.0),
+        _stairs(limits, "staircase", stairs=5, hold=0.5, cycles=2),
+        _stairs(limits, "long-hold", stairs=1, hold=4.0, cycles=1),
     ]
-    if room.open_only:
+    if limits.open_only:
         found += [
-            _turning(room, "turn-slowly", share=0.25, period=2.0, cycles=4.0),
-            _turning(room, "turn-fast", share=1.0, period=2.0, cycles=4.0),
-            _triangle(room, 0.5, "small", share=room.small, period=1.0, cycles=8.0),
+            _turning(limits, "turn-slowly", share=0.25, period=2.0, cycles=4.0),
+            _turning(limits, "turn-fast", share=1.0, period=2.0, cycles=4.0),
+            _triangle(limits, 0.5, "small", share=limits.small, period=1.0, cycles=8.0),
         ]
     return tuple(one for one in found if one is not None)
 
 
 def _named(
-    room: Room,
+    limits: ExperimentLimits,
     name: str,
     title: str,
     make: Callable[[float], Any],
@@ -249,55 +239,65 @@ def _named(
     size_N: float,
     centre_N: float,
 ) -> Experiment | None:
-    profile = room.fitted(make, size_N, centre_N) if size_N > 0.0 else None
+    profile = limits.fitted(make, size_N, centre_N) if size_N > 0.0 else None
     return None if profile is None else Experiment(name, title, profile)
 
 
 def _triangle(
-    room: Room, level: float, name: str, *, share: float, period: float, cycles: float
+    limits: ExperimentLimits,
+    level: float,
+    name: str,
+    *,
+    share: float,
+    period: float,
+    cycles: float,
 ) -> Experiment | None:
-    at, start = room.level(level), room.seconds(QUIET_s)
-    span = room.seconds(period)
+    at, start = limits.level(level), limits.seconds(QUIET_s)
+    span = limits.seconds(period)
     return _named(
-        room,
+        limits,
         f"triangle-{name}",
         f"a triangle of {span:g} s about {at:.3g} N",
         lambda size: TriangleProfile(at, size, span, start + cycles * span, start, loop="open"),
-        size_N=share * room.reach(at),
+        size_N=share * limits.reach(at),
         centre_N=at,
     )
 
 
 def _turning(
-    room: Room, name: str, *, share: float, period: float, cycles: float
+    limits: ExperimentLimits, name: str, *, share: float, period: float, cycles: float
 ) -> Experiment | None:
-    """Pushes that turn the drum onward: the mean force of a cycle is zero, the mean speed not."""
-    made = _triangle(room, 0.0, name, share=share, period=period, cycles=cycles)
-    return made and made._replace(title=f"pushes that turn the drum onward, {period:g} s each")
+    """Pulses that turn the drum onward: the mean force of a cycle is zero, the mean speed not."""
+    made = _triangle(limits, 0.0, name, share=share, period=period, cycles=cycles)
+    return made and made._replace(title=f"pulses that turn the drum onward, {period:g} s each")
 
 
-def _minor_loops(room: Room, level: float, *, period: float, cycles: int) -> Experiment | None:
-    at, start, span = room.level(level), room.seconds(QUIET_s), room.seconds(period)
+def _minor_loops(
+    limits: ExperimentLimits, level: float, *, period: float, cycles: int
+) -> Experiment | None:
+    at, start, span = limits.level(level), limits.seconds(QUIET_s), limits.seconds(period)
     return _named(
-        room,
+        limits,
         "minor-loops",
         f"loops about {at:.3g} N that shrink from one to the next",
         lambda size: TriangleProfile(
             at, size, span, start + cycles * span, start, shrink=0.7, loop="open"
         ),
-        size_N=room.reach(at),
+        size_N=limits.reach(at),
         centre_N=at,
     )
 
 
-def _stairs(room: Room, name: str, *, stairs: int, hold: float, cycles: int) -> Experiment | None:
-    if room.open_only:
-        return None  # a push that stays on one side would turn a free drum ever faster
-    low, high = room.range_N
+def _stairs(
+    limits: ExperimentLimits, name: str, *, stairs: int, hold: float, cycles: int
+) -> Experiment | None:
+    if limits.open_only:
+        return None  # a constant force would accelerate a free drum without end
+    low, high = limits.range_N
     centre = 0.5 * (low + high)
-    start, span = room.seconds(QUIET_s), room.seconds(hold)
+    start, span = limits.seconds(QUIET_s), limits.seconds(hold)
     return _named(
-        room,
+        limits,
         name,
         f"{stairs} stairs up and down, {span:g} s each",
         lambda size: StaircaseProfile(
@@ -310,33 +310,41 @@ def _stairs(room: Room, name: str, *, stairs: int, hold: float, cycles: int) -> 
     )
 
 
-def _multisine(room: Room, level: float, *, periods: int, lines: Any) -> Experiment | None:
-    at, rate = room.level(level), room.rig.controller.sampling_Hz
-    period, start = room.seconds(2.0), room.seconds(QUIET_s)
-    last = min(KNEE / room.rig.settling_time_s, HIGHEST * rate)
-    if room.open_only:
-        last = min(0.1 * rate, 60.0 / room.unit_s)
+def _multisine(
+    limits: ExperimentLimits, level: float, *, periods: int, lines: Any
+) -> Experiment | None:
+    at, rate = limits.level(level), limits.rig.controller.sampling_Hz
+    period, start = limits.seconds(2.0), limits.seconds(QUIET_s)
+    last = min(BAND_END / limits.rig.settling_time_s, HIGHEST * rate)
+    if limits.open_only:
+        last = min(0.1 * rate, 60.0 / limits.unit_s)
     return _named(
-        room,
+        limits,
         f"multisine-{lines.replace('_', '-')}",
         f"a multisine about {at:.3g} N up to {last:.3g} Hz",
         lambda size: MultisineProfile(
-            *(at, size, period, max(1, round(LOW_Hz / room.unit_s * period)), _line(last, period)),
+            *(
+                at,
+                size,
+                period,
+                max(1, round(LOW_Hz / limits.unit_s * period)),
+                _line(last, period),
+            ),
             *(start + periods * period, start),
             lines=lines,
             loop="open",
         ),
-        size_N=OWN_SHARE * room.reach(at),
+        size_N=OWN_SHARE * limits.reach(at),
         centre_N=at,
     )
 
 
-def _high_multisine(room: Room, level: float, *, periods: int) -> Experiment | None:
-    at, rate = room.level(level), room.rig.controller.sampling_Hz
-    period, start = room.seconds(1.0), room.seconds(QUIET_s)
+def _high_multisine(limits: ExperimentLimits, level: float, *, periods: int) -> Experiment | None:
+    at, rate = limits.level(level), limits.rig.controller.sampling_Hz
+    period, start = limits.seconds(1.0), limits.seconds(QUIET_s)
     first, last = 0.1 * rate, HIGHEST * rate
     return _named(
-        room,
+        limits,
         "multisine-high",
         f"a multisine about {at:.3g} N from {first:.3g} to {last:.3g} Hz",
         lambda size: MultisineProfile(
@@ -346,24 +354,24 @@ def _high_multisine(room: Room, level: float, *, periods: int) -> Experiment | N
             corner_Hz=first,
             loop="open",
         ),
-        size_N=2.0 * OWN_SHARE * room.reach(at),
+        size_N=2.0 * OWN_SHARE * limits.reach(at),
         centre_N=at,
     )
 
 
-def _chirp(room: Room, level: float, *, length: float) -> Experiment | None:
-    at, rate = room.level(level), room.rig.controller.sampling_Hz
-    start = room.seconds(QUIET_s)
+def _chirp(limits: ExperimentLimits, level: float, *, length: float) -> Experiment | None:
+    at, rate = limits.level(level), limits.rig.controller.sampling_Hz
+    start = limits.seconds(QUIET_s)
     last = 0.15 * rate
     return _named(
-        room,
+        limits,
         "chirp",
         f"a sweep about {at:.3g} N up to {last:.3g} Hz",
         lambda size: ChirpProfile(
-            *(at, size, LOW_Hz / room.unit_s, last, start + room.seconds(length), start),
+            *(at, size, LOW_Hz / limits.unit_s, last, start + limits.seconds(length), start),
             loop="open",
         ),
-        size_N=0.5 * room.reach(at),
+        size_N=0.5 * limits.reach(at),
         centre_N=at,
     )
 
@@ -373,5 +381,5 @@ def _line(frequency_Hz: float, period_s: float) -> int:
 
 
 def _over(level: float, low: float, least: float) -> float:
-    """How many times too far down something goes from a level."""
+    """Ratio of a level's distance to its lowest value to that of its lower limit."""
     return (level - low) / max(level - least, 1e-12)

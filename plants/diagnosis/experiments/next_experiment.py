@@ -1,18 +1,17 @@
-"""The experiment that would decide: which of two effects it is, or what a gap is about.
+"""The experiment that decides between effects, or that shows more of an unexplained residual.
 
-Every experiment of a catalogue is predicted with the models that the records cannot tell apart.
-What one predicts is held against the others as if it had been measured, with all their numbers
-free to first order: what they cannot take up, and the one that predicted it can, is what the
-experiment would show. The separation is
+Every candidate experiment is simulated with each model that the records do not distinguish. Each
+simulation is fitted by the other models, with all their parameters free to first order. The
+separation of an experiment is
 
     min over pairs of mean(((y_i - y_j)/sigma)^2),
     sigma^2 = sigma_n^2 + (0.4 % of the signal's rms)^2 + (c x the signal's rms)^2
 
-where c is the share of the signal that the models do not explain even now. Without it the largest
-amplitude would always win.
+where c is the share of the signal that the models do not explain in the records. Without it the
+largest amplitude would always win.
 
-A gap that no effect explains has no models to be told apart. Then the experiment is chosen that
-drives the base model furthest in what the residual follows, within the band in which it lives.
+An unexplained residual has no models to distinguish: then the experiment is chosen that drives the
+base model furthest in the variable that the residual follows, within its frequency band.
 """
 
 import itertools
@@ -37,20 +36,20 @@ from plants.diagnosis.prediction.prediction import CHANNELS, Predictor
 from plants.diagnosis.residual.localisation import Block, ResidualLocation
 from plants.diagnosis.result import NextExperiment, Verdict
 
-SEPARATE = 0.1
-"""A separation below this leaves the wrong model a gap of 1.05 floors: it decides nothing."""
+SEPARATION_MIN = 0.1
+"""Least separation that decides; at it the wrong model's error is 1.05 times the noise floor."""
 ANY_GAINS = Gains(1.0, 0.0, 0.0, 0.0)
-"""In an open loop the gains play no part."""
+"""Gains of an open-loop trial have no effect."""
 
 
 class Evidence(NamedTuple):
-    """What a diagnosis rests on.
+    """Evidence of a diagnosis.
 
     Attributes:
         measurements: The records.
         noise: Their noise.
-        where: Where the base model's residual lives.
-        ratio_after: What the best model leaves, in floors.
+        where: Localisation of the base model's residual.
+        ratio_after: Prediction error of the best model, in times the noise floor.
     """
 
     measurements: Sequence[MeasuredRecord]
@@ -69,11 +68,11 @@ def next_experiment(
     """The experiment to be run next, or None where none would help.
 
     Args:
-        verdict: What was said; only `ambiguous` and `unknown` leave a question.
-        base: The base model with its calibrations fitted.
-        rivals: The models that the records cannot tell apart, by effect.
-        evidence: What is known.
-        rig: What the rig allows; None is what the records and the model itself tell of it.
+        verdict: The verdict; only `ambiguous` and `unknown` leave a question.
+        base: The base model with its parameters fitted.
+        rivals: The models that the records do not distinguish, by effect.
+        evidence: The evidence.
+        rig: Description of the rig; None derives one from the records and the model.
     """
     if verdict not in ("ambiguous", "unknown"):
         return None
@@ -87,36 +86,31 @@ def next_experiment(
 
 
 def rig_of(model: Any, measurements: Sequence[MeasuredRecord]) -> RigDescription | None:
-    """What is known of a rig from its model and its records: no setpoint goes beyond theirs.
+    """Description of a rig from its model and its records, limited to their setpoints.
 
-    Args:
-        model: A plant.
-        measurements: The rig's records.
-
-    Returns:
-        None where the model is no plant, or the records do not tell the setpoint.
+    None where the model is no plant, or the records have no setpoint.
     """
     if not hasattr(model, "describe"):
         return None
     try:
-        told: RigDescription = model.describe("rig", ANY_GAINS)
+        described: RigDescription = model.describe("rig", ANY_GAINS)
     except EstuneError:
         return None
     seen = [m.setpoint_N for m in measurements if m.setpoint_N is not None]
     if not seen:
         return None
-    low = max(told.limits.tension_min_N, min(float(s.min()) for s in seen))
-    high = min(told.limits.tension_max_N, max(float(s.max()) for s in seen))
+    low = max(described.limits.tension_min_N, min(float(s.min()) for s in seen))
+    high = min(described.limits.tension_max_N, max(float(s.max()) for s in seen))
     if not low < high:
         return None
     middle = 0.5 * (low + high)
     half_step = (high - low) / WIDEST / 2.0
     first = measurements[0]
     return replace(
-        told,
-        limits=RigLimits(low, high, told.limits.duration_max_s),
-        step=StepProfile(middle - half_step, 2.0 * half_step, 0.2, 1.0, told.step.loop),
-        controller=replace(told.controller, sampling_Hz=first.sampling_Hz),
+        described,
+        limits=RigLimits(low, high, described.limits.duration_max_s),
+        step=StepProfile(middle - half_step, 2.0 * half_step, 0.2, 1.0, described.step.loop),
+        controller=replace(described.controller, sampling_Hz=first.sampling_Hz),
         cable_length_m=first.cable_length_m,
     )
 
@@ -127,25 +121,27 @@ def _deciding(
     evidence: Evidence,
     rig: RigDescription,
 ) -> NextExperiment | None:
-    """The experiment in which the least different pair of models differs most."""
-    asked = [_placeholder(one, evidence.measurements, rig) for one in experiments]
-    foretold = {slug: _predicted(model, asked, evidence.noise) for slug, model in rivals.items()}
-    # Not even the model that foretold a record leaves nothing: the windows begin where a smoothed
-    # reading says. That much is no difference between models.
-    own = {slug: _left(model, foretold[slug], evidence) for slug, model in rivals.items()}
-    separation = np.full(len(asked), math.inf)
+    """The experiment in which the least distinct pair of models differs most."""
+    planned = [_placeholder(one, evidence.measurements, rig) for one in experiments]
+    simulated = {
+        slug: _predicted(model, planned, evidence.noise) for slug, model in rivals.items()
+    }
+    # Even the model that simulated a record has a residual: windows begin at a smoothed reading.
+    # That much is no difference between models.
+    own = {slug: _unfitted(model, simulated[slug], evidence) for slug, model in rivals.items()}
+    separation = np.full(len(planned), math.inf)
     for one, other in itertools.permutations(rivals, 2):
-        left = _left(rivals[one], foretold[other], evidence) - own[other]
-        separation = np.minimum(separation, np.maximum(left, 0.0))
+        unfitted = _unfitted(rivals[one], simulated[other], evidence) - own[other]
+        separation = np.minimum(separation, np.maximum(unfitted, 0.0))
     tried = dict(zip((one.name for one in experiments), separation.tolist(), strict=True))
     best = int(np.argmax(separation))
-    if not separation[best] > SEPARATE:
+    if not separation[best] > SEPARATION_MIN:
         return None
     names = " and ".join(rivals)
     return _chosen(
         experiments[best],
-        f"{experiments[best].title} tells {names} apart: by {math.sqrt(separation[best]):.2g} "
-        "sigmas, rms, whatever their other numbers are",
+        f"{experiments[best].title} distinguishes {names}: they differ by "
+        f"{math.sqrt(separation[best]):.2g} sigmas, rms, with all other parameters free",
         float(separation[best]),
         tried,
     )
@@ -154,10 +150,10 @@ def _deciding(
 def _exploring(
     experiments: Sequence[Experiment], base: Any, evidence: Evidence, rig: RigDescription
 ) -> NextExperiment | None:
-    """The experiment that drives the base model furthest where its residual lives."""
+    """The experiment that drives the base model furthest where its residual is."""
     block = evidence.where.blocks[0] if evidence.where.blocks else None
-    asked = [_placeholder(one, evidence.measurements, rig) for one in experiments]
-    predicted = _predicted(base, asked, evidence.noise)
+    planned = [_placeholder(one, evidence.measurements, rig) for one in experiments]
+    predicted = _predicted(base, planned, evidence.noise)
     regime = block.regime.name if block is not None and block.regime is not None else ""
     furthest = np.array([_excited(regime, m) for m in predicted])
     within = np.array([_within(block, m) for m in predicted])
@@ -166,7 +162,7 @@ def _exploring(
     best = int(np.argmax(score))
     if not score[best] > 0.0:
         return None
-    follows = f"in the {regime}, which the gap follows" if regime else "where the gap lies"
+    follows = f"in the {regime}, which the error follows" if regime else "where the error is"
     band = f", {block.band}" if block is not None and block.band else ""
     return _chosen(
         experiments[best],
@@ -186,7 +182,7 @@ def _chosen(
 def _placeholder(
     experiment: Experiment, like: Sequence[MeasuredRecord], rig: RigDescription
 ) -> MeasuredRecord:
-    """The record of an experiment before it has been run: no output but in name."""
+    """The record of an experiment before it is run: outputs are zero."""
     profile, rate = experiment.profile, rig.controller.sampling_Hz
     setpoint = profile.setpoint(rate)
     unknown = {name: np.zeros(setpoint.size) for name in OUTPUTS if _all_have(name, like)}
@@ -214,13 +210,13 @@ def _all_have(name: str, measurements: Sequence[MeasuredRecord]) -> bool:
 
 
 def _predicted(
-    model: Any, asked: Sequence[MeasuredRecord], noise: NoiseFloor
+    model: Any, planned: Sequence[MeasuredRecord], noise: NoiseFloor
 ) -> list[MeasuredRecord]:
-    """The records a model foretells of experiments, without noise, in free run."""
-    plant = diagnosed(model, asked)
-    predictor = Predictor(plant, (), asked, horizon_s=None, floor=_floor(noise, len(asked)))
+    """Simulated records of experiments, without noise, in free run."""
+    plant = diagnosed(model, planned)
+    predictor = Predictor(plant, (), planned, horizon_s=None, floor=_floor(noise, len(planned)))
     records = []
-    for m, found in zip(asked, predictor.predict(predictor.start[None]), strict=True):
+    for m, found in zip(planned, predictor.predict(predictor.start[None]), strict=True):
         columns = {
             name: column[0]
             for name in OUTPUTS
@@ -230,13 +226,13 @@ def _predicted(
     return records
 
 
-def _left(model: Any, records: Sequence[MeasuredRecord], evidence: Evidence) -> FloatArray:
-    """What a model cannot take up of each record, mean square in sigmas, shape (records,)."""
+def _unfitted(model: Any, records: Sequence[MeasuredRecord], evidence: Evidence) -> FloatArray:
+    """Mean square residual of each record after a linearised fit, in variances, (records,)."""
     plant: DiagnosedModel = diagnosed(model, records)
     predictor = Predictor(plant, (), records, floor=_floor(evidence.noise, len(records)))
     residuals, slopes = predictor.linearise(predictor.start)
     index = predictor.index
-    left = np.zeros(len(records))
+    unfitted = np.zeros(len(records))
     for n, record in enumerate(records):
         mine = index.measurement == n
         sigma = index.sigma[mine]
@@ -246,8 +242,8 @@ def _left(model: Any, records: Sequence[MeasuredRecord], evidence: Evidence) -> 
         scale = np.sqrt((own**2).sum(axis=0))
         own = own[:, scale > 0.0] / scale[scale > 0.0]
         r = r - own @ (np.linalg.pinv(own.T @ own, rcond=1e-9, hermitian=True) @ (own.T @ r))
-        left[n] = float(r @ r) / max(r.size, 1)
-    return left
+        unfitted[n] = float(r @ r) / max(r.size, 1)
+    return unfitted
 
 
 def _form(record: MeasuredRecord, channel: Any, evidence: Evidence) -> FloatArray:
@@ -262,7 +258,7 @@ def _form(record: MeasuredRecord, channel: Any, evidence: Evidence) -> FloatArra
 
 
 def _form_share(name: str, evidence: Evidence) -> float:
-    """Share of a channel's signal that the models do not explain in the records there are."""
+    """Share of a channel's signal that the models do not explain in the records."""
     seen = [c for m in evidence.measurements if (c := m.channel(name)) is not None]
     rms = math.sqrt(sum(float(c.var()) * c.size for c in seen) / sum(c.size for c in seen))
     unexplained = math.sqrt(max(evidence.ratio_after**2 - 1.0, 0.0))
@@ -274,7 +270,7 @@ def _floor(noise: NoiseFloor, records: int) -> NoiseFloor:
 
 
 def _excited(regime: str, m: MeasuredRecord) -> float:
-    """How far an experiment drives the variable that a residual follows."""
+    """How far an experiment excites the variable that a residual follows."""
     return _MEASURES.get(regime, _spread_of_rate)(m)
 
 
@@ -289,7 +285,7 @@ def _moving(m: MeasuredRecord) -> FloatArray:
 
 
 def _reversals(m: MeasuredRecord) -> float:
-    """Time spent moving slowly either way: friction rules there, not inertia."""
+    """Time at low speed in both directions, where friction outweighs inertia."""
     velocity = _moving(m)
     slow = np.abs(velocity) < np.median(np.abs(velocity))
     turns = np.count_nonzero(np.diff(np.sign(velocity[slow])))
@@ -315,7 +311,7 @@ def _spread_of_command_rate(m: MeasuredRecord) -> float:
 
 
 def _longest_hold(m: MeasuredRecord) -> float:
-    """Longest time without a change of the setpoint, times how far away it is held."""
+    """Longest time without a change of the setpoint, times its distance from the preload."""
     assert m.setpoint_N is not None  # noqa: S101  an experiment has a setpoint
     edges = np.flatnonzero(np.diff(m.setpoint_N, prepend=np.nan, append=np.nan))
     lengths = np.diff(edges)

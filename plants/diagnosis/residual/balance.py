@@ -1,7 +1,7 @@
 """The base model's equations as balances of measured signals, one per block of the plant.
 
-Each is linear in its calibrations (input gain, inertia, friction, stiffness, offsets), which are
-fitted by least squares: what remains is what no calibration explains. The force block is
+Each is linear in the base-model parameters (input gain, inertia, friction, stiffness, offsets),
+which are fitted by least squares. The force block is
 
     r_F = K_t u + u_0 - J a - b v - R T,
 
@@ -23,24 +23,24 @@ from estune.trial import LinearModel
 from plants.diagnosis.data.smoothing import Smoother, least_width
 from plants.diagnosis.models.base import BaseNumbers
 
-QUIET = 0.02
-"""Noise of the smoothed balance, as a share of what is balanced, that the smoothing aims at."""
-HIGHEST_ORDER = 6
-"""Derivatives beyond it are noise on any record."""
+NOISE_MAX = 0.02
+"""Noise of the smoothed balance, as a share of its terms, that the smoothing aims at."""
+ORDER_MAX = 6
+"""Higher derivatives are noise on any record."""
 
 
 Signals = Mapping[str, FloatArray]
-"""The signals of one record, or noises in their place, shape (samples,) each: `effort_N` (command
-times newtons per ampere) and what there is of `angle_rad`, `tension_N` (for a plant that is no
-reel, its output), `reference_N`, and `current_A` where it was measured."""
+"""Signals of one record, or simulated noise of them, shape (samples,) each: `effort_N` (command
+times newtons per ampere) and, where measured, `angle_rad`, `tension_N` (the output of a plant that
+is no reel), `reference_N`, `current_A`."""
 
 
 class Terms(NamedTuple):
-    """A balance before its calibrations are fitted: `known = columns @ calibrations + residual`.
+    """A balance before its fit: `known = columns @ parameters + residual`.
 
     Attributes:
-        known: Shape (samples,), in the block's unit; nan where it is not known.
-        columns: Shape (samples, calibrations).
+        known: Shape (samples,), in the block's unit; nan where undefined.
+        columns: Shape (samples, parameters).
     """
 
     known: FloatArray
@@ -60,7 +60,7 @@ class Equation:
         unit: Unit of the residual.
         balance: The terms.
         own_offset: Whether each record has an offset of its own, such as an encoder's zero.
-        smooth: Whether it needs smoothing to stay above the noise.
+        smooth: Whether it has derivatives, which need smoothing.
     """
 
     name: str
@@ -86,7 +86,7 @@ def _force(b: BaseNumbers, s: Signals, smoother: Smoother) -> Terms:
 
 
 def _force_by_angle(b: BaseNumbers, s: Signals, smoother: Smoother) -> Terms:
-    """K_t u = J a + b v + k R^2 theta - u_0, where no gauge tells the tension."""
+    """K_t u = J a + b v + k R^2 theta - u_0, without a gauge."""
     known = b.drum_radius_m * smoother.held(s["effort_N"], b.dead_time_s, 1.0)
     columns = [
         b.drum_inertia_kg_m2 * smoother.sampled(s["angle_rad"], 0.0, 0.0, 1.0),
@@ -99,7 +99,7 @@ def _force_by_angle(b: BaseNumbers, s: Signals, smoother: Smoother) -> Terms:
 
 
 def _force_by_tension(b: BaseNumbers, s: Signals, smoother: Smoother) -> Terms:
-    """The same with theta = T/(k R), where no encoder tells the angle."""
+    """K_t u = J a + b v + k R^2 theta - u_0 with theta = T/(k R), without an encoder."""
     known = b.drum_radius_m * smoother.held(s["effort_N"], b.dead_time_s, 1.0)
     radian_per_N = 1.0 / b.tension_per_angle_N_rad
     columns = [
@@ -136,14 +136,14 @@ def _actuator(b: BaseNumbers, s: Signals, _smoother: Smoother) -> Terms:
 
 
 def _plant(b: BaseNumbers, s: Signals, smoother: Smoother) -> Terms:
-    """b(d/dt) u = a(d/dt) y, both over the first coefficient of b: as an effort."""
+    """b(d/dt) u = a(d/dt) y, both divided by the first coefficient of b: an effort."""
     numerator, denominator = transfer(_linear(b))
     known = smoother.held(s["effort_N"], b.dead_time_s, *numerator)
     return Terms(known, _derivatives(denominator, s, smoother))
 
 
 def _plant_of_smooth_input(b: BaseNumbers, s: Signals, smoother: Smoother) -> Terms:
-    """The same where the input was sampled too, not held: half a sample earlier."""
+    """b(d/dt) u = a(d/dt) y of an input that was sampled, not held: half a sample earlier."""
     numerator, denominator = transfer(_linear(b))
     known = smoother.sampled(s["effort_N"], *numerator)
     late = b.dead_time_s * b.sampling_Hz
@@ -175,19 +175,15 @@ PLANT_OF_SMOOTH_INPUT = replace(PLANT, balance=_plant_of_smooth_input)
 
 
 def equations(b: BaseNumbers, channels: frozenset[str]) -> tuple[Equation, ...]:
-    """The balances that a base model and the channels all records have allow.
+    """The balances that the base model and the channels of all records allow.
 
-    Of two of one name the one that leaves less is meant.
-
-    Args:
-        b: Numbers of the base model.
-        channels: Names of the signals.
+    Of two with one name, the one with the smaller residual applies.
     """
     found: list[Equation] = [ACTUATOR] if "current_A" in channels else []
     gauge, encoder = "tension_N" in channels, "angle_rad" in channels
     if b.linear is not None:
         _, denominator = transfer(b.linear)
-        if denominator.size - 1 > HIGHEST_ORDER:
+        if denominator.size - 1 > ORDER_MAX:
             return tuple(found)
         return (*found, PLANT, PLANT_OF_SMOOTH_INPUT)
     cable = b.stiffness_N_m is not None
@@ -223,7 +219,7 @@ def smoother_for(
     sampling_Hz: float,
     longest_s: float,
 ) -> Smoother:
-    """The least smoothing that keeps a balance's noise small against what is balanced.
+    """The least smoothing that keeps a balance's noise small relative to its terms.
 
     Args:
         equation: The balance.
@@ -239,8 +235,8 @@ def smoother_for(
     def quiet(width_s: float) -> bool:
         smoother = Smoother(width_s, sampling_Hz)
         terms, by_noise = (equation.balance(b, each, smoother) for each in (s, noise))
-        spoilt = np.nanstd(by_noise.known) + np.nanstd(by_noise.columns.sum(axis=1))
-        return bool(spoilt <= QUIET * np.nanstd(terms.known))
+        noise_rms = np.nanstd(by_noise.known) + np.nanstd(by_noise.columns.sum(axis=1))
+        return bool(noise_rms <= NOISE_MAX * np.nanstd(terms.known))
 
     return Smoother(least_width(quiet, shortest_s, longest_s), sampling_Hz)
 

@@ -1,8 +1,8 @@
-"""What share of a residual follows a variable, against what noise would give.
+"""Share of a residual that depends on a variable, less the share expected from noise.
 
 The share is the partial eta squared: of the residual's variance, what a mean for each bin of the
-variable explains when the calibrations may move too. (A friction that the base fit has hidden in
-its viscous coefficient is thus counted whole.)
+variable explains when the base-model parameters are free too. (Friction that the base fit absorbed
+in its viscous coefficient is thus counted in full.)
 """
 
 import math
@@ -17,15 +17,15 @@ from estune.core.quantities import FloatArray
 
 BINS = 8
 LEVELS = 3
-"""Bins of a variable, and of one that is crossed with the sign."""
-STILL = 3.0
+"""Bins of a variable, and of one that is crossed with the sign of the velocity."""
+SIGN_NOISE = 3.0
 """A velocity within so many times its noise has no sign."""
 CELLS = 512
-"""Cells of the angle that a residual is averaged in before its period is looked for."""
+"""Cells of the angle in which a residual is averaged before the search for its period."""
 ORDERS = 400
-"""Most periods that are tried."""
+"""Number of periods that are tried."""
 NESTED = 0.9
-"""A simpler view that explains so much of what the best one does is named in its place."""
+"""Share of the best view's that a simpler view must explain to be named in its place."""
 SIMPLER: Mapping[str, tuple[str, ...]] = {
     "velocity sign and tension": ("velocity sign", "tension"),
     "velocity": ("velocity sign",),
@@ -37,17 +37,17 @@ SIMPLER: Mapping[str, tuple[str, ...]] = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ResidualDependence:
-    """One way of looking at a block's residual: what share of it follows this variable.
+    """Dependence of a block's residual on one variable.
 
     Attributes:
         name: The variable: time, velocity sign, velocity, tension, velocity sign and tension,
             angle, position period, length, command rate.
         unit: Unit of `at`.
-        share: Share of the residual's variance that goes with the variable (eta squared, less
-            what pure noise would give), 0 to 1.
+        share: Share of the residual's variance explained by the variable (eta squared, less that
+            expected from noise), 0 to 1.
         at: Values of the variable, shape (bins,).
         mean: Mean residual there, shape (bins,), in the block's unit.
-        detail: What else is known of it: the period in the position.
+        detail: The period in the position, if any.
     """
 
     name: str
@@ -59,17 +59,17 @@ class ResidualDependence:
 
 
 class Regime(NamedTuple):
-    """The state a plant was in, over all records, shape (samples,) each; None if not known.
+    """Regime of a plant over all records, shape (samples,) each; None if not known.
 
     Attributes:
         part: Time since the start of the record, as a share of it.
         velocity: Rate of angle or output.
         velocity_noise: Its noise rms.
-        tension: What pulls, or the output of a plant that is no reel.
+        tension: Tension, or the output of a plant that is no reel.
         angle: Drum angle.
         command_rate: Rate of the command.
         length: Cable length.
-        slope: What a length's own slope of the residual would go with.
+        slope: Regressor of a slope per cable length.
         units: Of velocity, tension, angle and command rate.
     """
 
@@ -86,13 +86,13 @@ class Regime(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fit:
-    """A residual after its calibrations were fitted, to be looked at from all sides.
+    """A fitted residual whose dependence on variables is computed.
 
     Attributes:
-        residual: At the samples looked at, shape (chosen,).
-        noise: What noise alone would have left, same shape.
-        basis: Orthonormal basis of what the calibrations explain, shape (chosen, calibrations).
-        chosen: Indices of the samples looked at among all.
+        residual: At the chosen samples, shape (chosen,).
+        noise: Residual of noise alone, same shape.
+        basis: Orthonormal basis of the base-model parameters, shape (chosen, parameters).
+        chosen: Indices of the chosen samples.
         spread: Smooths columns over all samples, shape (samples, columns), as the block's terms
             were smoothed.
         independent: Number of independent samples in the residual.
@@ -106,7 +106,7 @@ class Fit:
     independent: float
 
     def explained(self, by: FloatArray) -> tuple[float, float, FloatArray]:
-        """Shares of residual and noise that columns explain when the calibrations move too.
+        """Shares of residual and noise that columns explain beside the base-model parameters.
 
         Args:
             by: Shape (chosen, columns).
@@ -125,26 +125,19 @@ class Fit:
         return shares[0], shares[1], inverse @ (own.T @ self.residual)
 
     def binned(self, name: str, unit: str, of: FloatArray, bins: int) -> ResidualDependence:
-        """Share explained by a law of a variable, as steps over its quantiles."""
+        """Share explained by a function of a variable, constant between its quantiles."""
         return self.by_label(name, unit, of, quantiles(of, bins))
 
     def by_label(
         self, name: str, unit: str, of: FloatArray, label: NDArray[np.int64]
     ) -> ResidualDependence:
-        """Share explained by a level for each label, less that of noise.
-
-        Args:
-            name: Of the view.
-            unit: Of the variable.
-            of: The variable, shape (samples,).
-            label: Same shape; below zero where the variable is not known.
-        """
+        """Share explained by a mean for each label (below zero: not known), less that of noise."""
         known = label >= 0
         _, within, count = np.unique(label[known], return_inverse=True, return_counts=True)
         member = np.zeros((label.size, count.size))
         member[np.flatnonzero(known), within] = 1.0
         share, by_chance, mean = self.explained(self.spread(member)[self.chosen])
-        share = self._beyond(share, by_chance, count.size - 1.0)
+        share = self._above_chance(share, by_chance, count.size - 1.0)
         at = np.bincount(within, of[known]) / count
         return ResidualDependence(name, unit, share, at, mean - float(mean @ count) / count.sum())
 
@@ -153,10 +146,10 @@ class Fit:
         line = self.binned(name, unit, of, BINS)
         x = of[self.chosen]
         share, by_chance, _ = self.explained((x - x.mean())[:, None])
-        return replace(line, share=self._beyond(share, by_chance, 1.0))
+        return replace(line, share=self._above_chance(share, by_chance, 1.0))
 
     def periodic(self, angle: FloatArray, unit: str) -> ResidualDependence:
-        """Share explained by the best sine of the angle, as ripple or a bent drum would give."""
+        """Share explained by the best sine of the angle, as of ripple or an eccentric drum."""
         span = max(float(np.nanmax(angle) - np.nanmin(angle)), 1e-300)
         from_start = angle - np.nanmin(angle)
         # A period must fit twice into the angles seen, and hold four cells.
@@ -169,8 +162,8 @@ class Fit:
         phase = np.nan_to_num(2.0 * np.pi * from_start / period)
         wave = self.spread(np.column_stack([np.cos(phase), np.sin(phase)]))
         share, by_chance, _ = self.explained(wave[self.chosen])
-        # The mean greatest of so many exponential draws, two degrees of freedom each.
-        share = self._beyond(share, by_chance, 2.0 * (math.log(ORDERS) + 0.577))
+        # Mean of the maximum of so many exponential draws, two degrees of freedom each.
+        share = self._above_chance(share, by_chance, 2.0 * (math.log(ORDERS) + 0.577))
         sine = self.binned("position period", unit, from_start % period, 2 * BINS)
         return replace(sine, share=share, detail=f"{period:.3g} {unit}")
 
@@ -180,12 +173,12 @@ class Fit:
         member = (label[:, None] == np.arange(lengths.size)).astype(np.float64)
         own_slope = member * slope[self.chosen][:, None]
         share, by_chance, _ = self.explained(np.hstack([member, own_slope]))
-        share = self._beyond(share, by_chance, 2.0 * lengths.size - 2.0)
+        share = self._above_chance(share, by_chance, 2.0 * lengths.size - 2.0)
         mean = np.bincount(label, self.residual) / np.bincount(label)
         return ResidualDependence("length", "m", share, lengths, mean)
 
-    def _beyond(self, share: float, of_noise: float, freedom: float) -> float:
-        """What is left of a share when chance has had its part (epsilon squared, Kelley 1935)."""
+    def _above_chance(self, share: float, of_noise: float, freedom: float) -> float:
+        """The share less that expected by chance (epsilon squared, Kelley 1935)."""
         chance = min(max(of_noise, freedom / max(self.independent - 1.0, 1.0)), 1.0 - 1e-9)
         return max(0.0, (share - chance) / (1.0 - chance))
 
@@ -196,7 +189,7 @@ def views(fitted: Fit, regime: Regime) -> list[ResidualDependence]:
     sign = None
     if regime.velocity is not None:
         unit, velocity = regime.units["velocity"], regime.velocity
-        moves = np.abs(velocity) > STILL * regime.velocity_noise
+        moves = np.abs(velocity) > SIGN_NOISE * regime.velocity_noise
         sign = np.where(np.isfinite(velocity), np.where(moves, np.sign(velocity), 0.0), np.nan)
         found.append(fitted.by_label("velocity sign", "", sign, _whole(sign + 1.0)))
         found.append(fitted.binned("velocity", unit, velocity, BINS))
@@ -219,7 +212,7 @@ def views(fitted: Fit, regime: Regime) -> list[ResidualDependence]:
 
 
 def strongest(found: Sequence[ResidualDependence]) -> ResidualDependence:
-    """The view to name: the best, or a simpler one contained in it that is nearly as good."""
+    """The view to report: the best, or a simpler one nested in it that is nearly as good."""
     best = max(found, key=lambda view: view.share)
     by_name = {view.name: view for view in found}
     nearly = [
@@ -246,7 +239,7 @@ def independent_share(residual: FloatArray) -> float:
 
 
 def quantiles(of: FloatArray, bins: int) -> NDArray[np.int64]:
-    """The number of the quantile bin each value lies in; -1 where it is not known."""
+    """Index of each value's quantile bin; -1 where it is not known."""
     known = np.isfinite(of)
     edges = np.unique(np.quantile(of[known], np.linspace(0.0, 1.0, bins + 1)[1:-1]))
     return np.where(known, np.searchsorted(edges, of, side="right"), -1).astype(np.int64)

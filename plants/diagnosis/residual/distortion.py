@@ -1,4 +1,4 @@
-"""Even and odd distortion on the lines that a periodic excitation leaves free.
+"""Even and odd distortion on the lines that a periodic excitation does not excite.
 
 A linear plant answers on the excited lines alone. With odd lines excited, an even law (a square,
 slack) answers on the even ones and an odd law (friction, saturation, a cube) on the odd ones
@@ -21,13 +21,13 @@ EXCITED = 3e-3
 ODD = 0.98
 """Share of the power that must lie on odd lines for even ones to show distortion."""
 FEWEST_LINES = 2
-"""Fewer free lines say too little."""
+"""Fewest free lines for a figure."""
 CHANNELS = ("tension_N", "angle_rad")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Distortion:
-    """What a periodic record shows on lines it does not excite.
+    """Power of a periodic record on the lines it does not excite.
 
     Attributes:
         source: The record.
@@ -37,7 +37,7 @@ class Distortion:
         frequency_Hz: Of the lines, shape (lines,).
         amplitude: On each line, in the channel's unit, same shape.
         kind: 0 excited, 1 odd, 2 even, for each line.
-        noise: Amplitude that the noise alone has on each line, same shape.
+        noise: Amplitude of noise alone on each line, same shape.
     """
 
     source: str
@@ -102,10 +102,10 @@ def _distortion(
     count, samples = folded.shape
     spectra = 2.0 * np.fft.rfft(folded, axis=1)[:, 1 : kind.size + 1] / samples
     mean = spectra.mean(axis=0)
-    scatter = np.abs(spectra - mean) ** 2
-    # Of the mean over the periods; rounding is the same in each and no mean lessens it.
+    deviation = np.abs(spectra - mean) ** 2
+    # Of the mean over the periods; rounding repeats in each and does not average out.
     rounding = 4.0 * step_of(column) ** 2 / 12.0 / samples
-    noise = np.maximum(scatter.sum(axis=0) / ((count - 1) * count), rounding)
+    noise = np.maximum(deviation.sum(axis=0) / ((count - 1) * count), rounding)
 
     def over_noise(which: int) -> float:
         chosen = kind == which

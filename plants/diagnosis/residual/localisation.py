@@ -1,6 +1,6 @@
-"""Where the residual of the base model lives: which block, which regime, which band.
+"""Localisation of the base model's residual: block, variable it follows, frequency band.
 
-Nothing is fitted here but the calibrations in which the balances are linear; no effect is.
+Only the base-model parameters in which the balances are linear are fitted, no effect.
 """
 
 import math
@@ -39,19 +39,19 @@ from plants.diagnosis.residual.residuals import (
 
 __all__ = ["Block", "Distortion", "ResidualDependence", "ResidualLocation", "localise"]
 
-MIDDLE = 0.9
-"""Share of the residual's power that its band holds."""
-ABOVE = 1.2
-"""A block is worth naming from so many times its noise, which is known to some ten per cent."""
-WORTH = 0.1
-"""A variable is worth naming that explains so much of the residual."""
-ALIKE = 0.4
-"""Share of a block that another must explain for it to be the one in doubt."""
+BAND_POWER = 0.9
+"""Share of the residual's power in its band."""
+RATIO_MIN = 1.2
+"""Least ratio to its noise, known to about 10 %, of a block that is reported."""
+SHARE_MIN = 0.1
+"""Least share of the residual of a variable that is reported."""
+R2_MIN = 0.4
+"""Least share of one block explained by another for both to have one cause."""
 READING = "gauge's reading"
-MOST = 12_000
-"""Samples that the views look at; of longer records every so manieth is taken."""
-FREE_LINES_dB = 6.0
-"""Distortion is worth naming that is so far above the noise."""
+SAMPLES_MAX = 12_000
+"""Samples used for the dependence on variables; longer residuals are subsampled."""
+DISTORTION_MIN_dB = 6.0
+"""Least distortion over the noise that is reported."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,18 +61,18 @@ class Block:
     Attributes:
         name: `force` (torque balance at the drum), `gauge` (cable and gauge), `eyelet`,
             `actuator`, or `plant` where there is one balance only.
-        title: The same in plain words.
+        title: Its name in plain words.
         unit: Unit of the residual.
-        rms: Its root mean square.
-        noise_rms: What noise and allowance alone would give.
-        smoothing_s: Width of the Gaussian that all terms were smoothed with.
-        low_Hz: Lower end of the band that holds the middle 90 % of the residual above the noise.
+        rms: Root mean square of the residual.
+        noise_rms: That of noise and allowance alone.
+        smoothing_s: Width of the Gaussian that smoothed all terms.
+        low_Hz: Lower end of the band with the middle 90 % of the residual above the noise.
         high_Hz: Upper end of it.
-        views: Strongest first.
-        frequency_Hz: Of the spectrum, shape (lines,).
+        views: Dependence on variables, strongest first.
+        frequency_Hz: Frequencies of the spectrum, shape (lines,).
         power: Power spectral density of the residual, unit^2/Hz, same shape.
-        noise_power: What noise alone would give, same shape.
-        residual: Per measurement, shape (samples,); nan where it is not known.
+        noise_power: That of noise alone, same shape.
+        residual: Per measurement, shape (samples,); nan where undefined.
     """
 
     name: str
@@ -91,14 +91,14 @@ class Block:
 
     @property
     def ratio(self) -> float:
-        """Residual over what noise and allowance alone would give."""
+        """Residual relative to that of noise and allowance alone."""
         return self.rms / self.noise_rms
 
     @property
     def regime(self) -> ResidualDependence | None:
         """The variable the residual follows, or None where it follows none."""
         found = strongest(self.views)
-        return found if found.share >= WORTH else None
+        return found if found.share >= SHARE_MIN else None
 
     @property
     def band(self) -> str:
@@ -112,7 +112,7 @@ class Block:
         return f"between {self.low_Hz:.2g} and {self.high_Hz:.2g} Hz"
 
     def to_json(self) -> dict[str, Any]:
-        """Its figures as JSON values, without the arrays."""
+        """JSON values, without the arrays."""
         return {
             "block": self.name,
             "unit": self.unit,
@@ -128,12 +128,12 @@ class Block:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ResidualLocation:
-    """Where the residual of the base model lives.
+    """Localisation of the base model's residual.
 
     Attributes:
         blocks: The blocks that the channels allow, the one furthest above its noise first.
         distortion: One entry per periodic record and channel.
-        sentence: The strongest of it in words.
+        sentence: The main findings in words.
     """
 
     blocks: tuple[Block, ...]
@@ -141,7 +141,7 @@ class ResidualLocation:
     sentence: str
 
     def to_json(self) -> dict[str, Any]:
-        """Block, regime and band as JSON values, the arrays left out."""
+        """JSON values, without the arrays."""
         first = self.blocks[0].to_json() if self.blocks else {}
         return {
             **{key: first.get(key) for key in ("block", "regime", "band")},
@@ -164,7 +164,7 @@ def localise(
     numbers: Sequence[BaseNumbers | None],
     floor: NoiseFloor,
 ) -> ResidualLocation:
-    """Says where the base model's residual lives, before any effect is fitted.
+    """Localises the base model's residual, before any effect is fitted.
 
     Args:
         measurements: The records.
@@ -236,8 +236,8 @@ def _seen(
     spread: Callable[[FloatArray], FloatArray],
     loose: float,
 ) -> Fit:
-    """The residual as the views look at it; of a long one, every so manieth sample."""
-    stride = max(1, int(inside.sum()) // MOST)
+    """The residual for the dependence on variables, subsampled to at most SAMPLES_MAX."""
+    stride = max(1, int(inside.sum()) // SAMPLES_MAX)
     chosen = np.flatnonzero(inside)[::stride]
     return Fit(
         residual=fitted.residual[chosen],
@@ -250,31 +250,31 @@ def _seen(
 
 
 def _responsible(blocks: Sequence[Block], sampling_Hz: float) -> list[Block]:
-    """The blocks in order, first the one that explains what others show too.
+    """The blocks in order, first the one whose cause also shows in others.
 
-    The gauge's reading stands in the force and the gauge balance: what is wrong with the reading
-    shows in both, with opposite signs, and what is wrong with the cable in the gauge block alone.
-    What an eyelet adds shows against the gauge outside it and against the cable.
+    The gauge's reading is in the force and the gauge balance: an error of the reading shows in
+    both with opposite signs, an error of the cable in the gauge block alone. Eyelet friction shows
+    against the gauge outside and against the cable.
     """
     ordered = sorted(blocks, key=lambda block: -block.ratio)
     by_name = {block.name: block for block in blocks}
     force, gauge, eyelet = (by_name.get(name) for name in ("force", "gauge", "eyelet"))
-    if gauge is None or not max(block.ratio for block in blocks) > ABOVE:
+    if gauge is None or not max(block.ratio for block in blocks) > RATIO_MIN:
         return ordered
     if (
         eyelet is not None
-        and eyelet.ratio > ABOVE
-        and _signed_R2(gauge, eyelet, sampling_Hz) > ALIKE
+        and eyelet.ratio > RATIO_MIN
+        and _signed_R2(gauge, eyelet, sampling_Hz) > R2_MIN
     ):
         return [eyelet, *(block for block in ordered if block is not eyelet)]
     if (
         force is not None
-        and force.ratio > ABOVE
-        and _signed_R2(force, gauge, sampling_Hz) < -ALIKE
+        and force.ratio > RATIO_MIN
+        and _signed_R2(force, gauge, sampling_Hz) < -R2_MIN
     ):
         rest = [block for block in ordered if block not in (force, gauge)]
         return [replace(gauge, title=READING), *rest, force]
-    if force is not None and force.ratio < ABOVE:
+    if force is not None and force.ratio < RATIO_MIN:
         return [replace(b, title="cable") if b is gauge else b for b in ordered]
     return ordered
 
@@ -290,17 +290,17 @@ def _signed_R2(one: Block, other: Block, sampling_Hz: float) -> float:
 
 
 def _band(frequency: FloatArray, power: FloatArray) -> tuple[float, float]:
-    """The band that holds the middle of a power, Hz; zeros where there is none."""
+    """The band with the middle of a power, Hz; zeros without power."""
     total = np.cumsum(power)
     if not total[-1] > 0.0:
         return 0.0, 0.0
-    edges = [(1.0 - MIDDLE) / 2.0, (1.0 + MIDDLE) / 2.0]
+    edges = [(1.0 - BAND_POWER) / 2.0, (1.0 + BAND_POWER) / 2.0]
     low, high = np.searchsorted(total / total[-1], edges)
     return float(frequency[low]), float(frequency[min(high, frequency.size - 1)])
 
 
 def _sentence(blocks: Sequence[Block], found: Sequence[Distortion]) -> str:
-    """The strongest of it in words."""
+    """The main findings in words."""
     return " ".join([_of_blocks(blocks), *_of_distortion(found)])
 
 
@@ -308,7 +308,7 @@ def _of_blocks(blocks: Sequence[Block]) -> str:
     if not blocks:
         return "The model's equations cannot be balanced against these channels."
     first = blocks[0]
-    if first.ratio < ABOVE:
+    if first.ratio < RATIO_MIN:
         return (
             f"No block stands out of its noise: the {first.title} most, {first.ratio:.2g} times."
         )
@@ -319,10 +319,10 @@ def _of_blocks(blocks: Sequence[Block]) -> str:
         follows = f"{regime.share:.0%} of the residual follows the {regime.name}{detail}"
     sentence = f"The {first.title}, {first.ratio:.2g} times its noise: {follows}"
     sentence += f"; 90 % of it lies {band}." if band else "."
-    # What this block explains in another is not told twice.
+    # The other block with the same cause is not reported again.
     shown = {READING: "force", "eyelet": "gauge"}.get(first.title)
     own = [b for b in blocks[1:] if b.name != shown]
-    others = [f"the {b.title} {b.ratio:.2g} times" for b in own if b.ratio >= ABOVE]
+    others = [f"the {b.title} {b.ratio:.2g} times" for b in own if b.ratio >= RATIO_MIN]
     return sentence + (f" Above its noise too: {', '.join(others)}." if others else "")
 
 
@@ -335,7 +335,7 @@ def _of_distortion(found: Sequence[Distortion]) -> list[str]:
         shown = [
             f"{name} distortion of {dB:.0f} dB"
             for name, dB in (("odd", odd), ("even", even))
-            if dB >= FREE_LINES_dB
+            if dB >= DISTORTION_MIN_dB
         ]
         what = " and ".join(shown) if shown else "no distortion"
         sentences.append(f"Lines left free in {channel} show {what} over the noise.")

@@ -1,4 +1,4 @@
-"""The residuals of the balances over all records, and the state the plant was in."""
+"""Residuals of the balances over all records, and the regime of the plant."""
 
 import math
 from collections import Counter
@@ -15,18 +15,18 @@ from plants.diagnosis.models.base import BaseNumbers
 from plants.diagnosis.residual.balance import Equation, Signals
 from plants.diagnosis.residual.dependence import Regime
 
-WIDEST = 0.02
+WIDTH_MAX = 0.02
 """Greatest smoothing width of a plant without a natural frequency, as a share of the record."""
-CALM = 0.1
-"""Noise of the velocity, as a share of it, from which its sign means something."""
+VELOCITY_NOISE_MAX = 0.1
+"""Noise of the velocity, as a share of it, at which its sign is reliable."""
 SEGMENT = 512
 """Samples in a segment of the spectrum."""
 FEWEST = 64
-"""A balance of fewer samples says nothing."""
+"""Fewest samples of a balance."""
 
 
 class Record(NamedTuple):
-    """One measurement made ready: numbers, signals, and noises in their place."""
+    """One measurement with the model's numbers, its signals, and simulated noise of each."""
 
     measurement: MeasuredRecord
     numbers: BaseNumbers
@@ -39,7 +39,7 @@ def prepared(
     numbers: Sequence[BaseNumbers | None],
     floor: NoiseFloor,
 ) -> list[Record]:
-    """The measurements of the most common sampling rate, for spectra to be of one grid."""
+    """The measurements of the most common sampling rate, so that spectra share a grid."""
     rates = Counter(m.sampling_Hz for m in measurements)
     rng = np.random.default_rng(0)
     records = []
@@ -63,7 +63,7 @@ def prepared(
 
 
 class BalanceFit(NamedTuple):
-    """A balance after its calibrations were fitted, over all records one after the other."""
+    """A fitted balance over the concatenated records."""
 
     residual: FloatArray
     noise: FloatArray
@@ -73,14 +73,14 @@ class BalanceFit(NamedTuple):
 
 
 def widest_s(records: Sequence[Record]) -> float:
-    """Greatest smoothing width: the plant's own motion must be seen, s."""
+    """Greatest smoothing width that keeps the plant's own motion, s."""
     natural = max(r.numbers.natural_rad_s for r in records)
     shortest = min(r.measurement.duration_s for r in records)
-    return min(WIDEST * shortest, 1.0 / natural if natural > 0.0 else math.inf)
+    return min(WIDTH_MAX * shortest, 1.0 / natural if natural > 0.0 else math.inf)
 
 
 def fit_balance(equation: Equation, records: Sequence[Record], smoother: Smoother) -> BalanceFit:
-    """Residual of the balance, and of noise alone, with the calibrations free."""
+    """Residual of the balance, and of noise alone, with the base-model parameters free."""
     terms = [equation.balance(r.numbers, r.signals, smoother) for r in records]
     noises = [equation.balance(r.numbers, r.noise, smoother) for r in records]
     lengths = np.array([r.measurement.cable_length_m or 0.0 for r in records])
@@ -109,11 +109,11 @@ def fit_balance(equation: Equation, records: Sequence[Record], smoother: Smoothe
 
 
 def regime_of(records: Sequence[Record], slope: FloatArray) -> Regime:
-    """What state the plant was in at each sample of all the records.
+    """Regime of the plant at each sample of all the records.
 
     Args:
         records: The records.
-        slope: What a length's own slope of the residual would go with, shape (samples,).
+        slope: Regressor of a slope per cable length, shape (samples,).
     """
     first = records[0]
     has_angle, has_tension = "angle_rad" in first.signals, "tension_N" in first.signals
@@ -124,12 +124,12 @@ def regime_of(records: Sequence[Record], slope: FloatArray) -> Regime:
         signals = [r.noise if noise else r.signals for r in records]
         return np.concatenate([smoother.sampled(s[name], *c) for s in signals])
 
-    def calm(width_s: float) -> bool:
+    def quiet(width_s: float) -> bool:
         smoother = Smoother(width_s, rate)
         noise = np.nanstd(over(smoother, moving, 0.0, 1.0, noise=True))
-        return bool(noise <= CALM * np.nanstd(over(smoother, moving, 0.0, 1.0)))
+        return bool(noise <= VELOCITY_NOISE_MAX * np.nanstd(over(smoother, moving, 0.0, 1.0)))
 
-    smoother = Smoother(least_width(calm, 1.0 / rate, widest_s(records)), rate)
+    smoother = Smoother(least_width(quiet, 1.0 / rate, widest_s(records)), rate)
     angle = None
     if has_angle and (first.numbers.linear is None or not has_tension):
         angle = np.concatenate([_angle_from_slack(r, smoother) for r in records])
@@ -160,7 +160,7 @@ def regime_of(records: Sequence[Record], slope: FloatArray) -> Regime:
 
 
 def _angle_from_slack(record: Record, smoother: Smoother) -> FloatArray:
-    """The drum angle from where the cable is just taut, whatever the encoder's zero; rad."""
+    """The drum angle from where the cable is just taut, independent of the encoder's zero; rad."""
     angle = smoother.sampled(record.signals["angle_rad"], 1.0)
     if record.numbers.stiffness_N_m is None or "tension_N" not in record.signals:
         return angle
@@ -169,19 +169,19 @@ def _angle_from_slack(record: Record, smoother: Smoother) -> FloatArray:
 
 
 def spectrum(parts: Sequence[FloatArray], sampling_Hz: float) -> tuple[FloatArray, FloatArray]:
-    """Frequencies and power spectral density of a residual, over the records it is known in."""
+    """Frequencies and power spectral density of a residual over the records."""
     from scipy.signal import welch  # noqa: PLC0415  slow to import
 
-    known = [part for part in map(inner, parts) if part.size >= FEWEST]
-    segment = min(SEGMENT, *(part.size for part in known)) // 2 * 2 if known else FEWEST
+    finite = [part for part in map(inner, parts) if part.size >= FEWEST]
+    segment = min(SEGMENT, *(part.size for part in finite)) // 2 * 2 if finite else FEWEST
     total, weight = np.zeros(segment // 2 + 1), 0.0
     frequency: FloatArray = np.linspace(0.0, sampling_Hz / 2.0, segment // 2 + 1)
-    for part in known:
+    for part in finite:
         _, power = welch(part, sampling_Hz, nperseg=segment, detrend=False)
         total, weight = total + part.size * power, weight + part.size
     return frequency, total / max(weight, 1.0)
 
 
 def inner(part: FloatArray) -> FloatArray:
-    """A residual without the ends at which it is not known."""
+    """A residual without the ends at which it is undefined."""
     return part[np.isfinite(part)]
