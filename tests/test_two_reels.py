@@ -19,10 +19,10 @@ GAUGE_Y = tr.Gauge(zero=3.0, sensitivity=0.8, curvature_per_N=1e-3)
 # The bench
 
 
-def bench(eyelet=None, *, seed=0, noise_N=0.011, wander_N=0.0, other=None, drive=None):
+def bench(eyelet=None, *, seed=0, noise_N=0.011, drift_N=0.0, other=None, drive=None):
     """Two reels with the same eyelet, and an unknown gauge at Y."""
     eyelet, drive = eyelet or tr.Eyelet(), drive or tr.Drive()
-    quiet = {"noise_N": noise_N, "wander_N": wander_N}
+    quiet = {"noise_N": noise_N, "drift_N": drift_N}
     x = tr.ReelModel(eyelet, tr.Gauge(**quiet), drive)
     y = tr.ReelModel(other or eyelet, replace(GAUGE_Y, **quiet), drive)
     return tr.SimulatedBench(x, y, seed=seed)
@@ -58,7 +58,7 @@ def test_simulated_reels_do_what_the_protocol_says():
 @settings(max_examples=30)
 @given(st.lists(st.tuples(st.booleans(), st.floats(6.0, 40.0)), min_size=1, max_size=6))
 def test_no_eyelet_of_the_bench_ever_holds_more_than_its_friction(commands):
-    eyelet = tr.Eyelet(0.15, (2.0,), scatter=0.0)
+    eyelet = tr.Eyelet(0.15, (2.0,), variation=0.0)
     two = bench(eyelet, noise_N=0.0)
     B = slides_at(0.15, 2.0)
     for on_x, tension in commands:
@@ -72,7 +72,7 @@ def test_no_eyelet_of_the_bench_ever_holds_more_than_its_friction(commands):
 
 
 def test_bench_of_the_same_seed_reads_the_same():
-    first, second = (bench(seed=7, wander_N=0.1).record(1.0) for _ in range(2))
+    first, second = (bench(seed=7, drift_N=0.1).record(1.0) for _ in range(2))
     assert np.array_equal(first.y.gauge, second.y.gauge)
 
 
@@ -89,8 +89,8 @@ benches = st.fixed_dictionaries(
         "coefficient": st.floats(0.03, 0.25),
         "gamma": st.floats(1.6, 2.9),
         "noise_N": st.floats(0.002, 0.05),
-        "wander_N": st.floats(0.0, 0.05),
-        "scatter": st.floats(0.0, 0.02),
+        "drift_N": st.floats(0.0, 0.05),
+        "variation": st.floats(0.0, 0.02),
         "seed": st.integers(0, 2**16),
     }
 )
@@ -100,8 +100,8 @@ benches = st.fixed_dictionaries(
 @settings(max_examples=40)
 @given(benches)
 def test_procedure_finds_the_coefficient_within_two_percent_or_says_that_it_cannot(drawn):
-    eyelet = tr.Eyelet(drawn["coefficient"], (drawn["gamma"],), scatter=drawn["scatter"])
-    quiet = {name: drawn[name] for name in ("seed", "noise_N", "wander_N")}
+    eyelet = tr.Eyelet(drawn["coefficient"], (drawn["gamma"],), variation=drawn["variation"])
+    quiet = {name: drawn[name] for name in ("seed", "noise_N", "drift_N")}
     stuck = ""
     try:
         result = measure(bench(eyelet, **quiet), eyelet.angles_rad, sweeps=6)
@@ -117,7 +117,7 @@ def test_procedure_finds_the_coefficient_within_two_percent_or_says_that_it_cann
         assert result.friction_coefficient.value == pytest.approx(eyelet.coefficient, rel=0.02)
     else:
         event("not resolved")
-        assert result.remarks
+        assert result.warnings
 
 
 @pytest.mark.parametrize(
@@ -144,7 +144,7 @@ def test_friction_that_grows_with_tension_is_seen_and_measured_at_the_mean_tensi
     eyelet = tr.Eyelet(growth_per_N=5e-4)
     result = measure(bench(eyelet, seed=3), eyelet.angles_rad)
     assert not result.curve.follows_coulomb
-    assert any("Coulomb's law" in remark for remark in result.remarks)
+    assert any("Coulomb's law" in remark for remark in result.warnings)
     truth = eyelet.coefficient_at(result.mean_tension_N)
     assert result.friction_coefficient.value == pytest.approx(truth, rel=0.01)
     ratios = [B.value for B in result.ratio_at_setpoints()]
@@ -167,10 +167,10 @@ def test_dynamic_ratio_is_measured_at_the_velocity_of_the_cable():
 
 
 def test_a_tension_controller_that_leads_moves_the_cable_off_the_verge_and_breakout_finds_it():
-    eager = tr.Drive(position_lag_s=3.0, give_m_N=3e-5)
+    eager = tr.Drive(position_lag_s=3.0, compliance_m_N=3e-5)
     excess = {}
     for holding in ("position", "breakout"):
-        two = bench(tr.Eyelet(scatter=0.0), noise_N=0.0, drive=eager)
+        two = bench(tr.Eyelet(variation=0.0), noise_N=0.0, drive=eager)
         result = measure(two, (2.1,), holding=holding, sweeps=3, settle_s=1.0)
         excess[holding] = result.ratios - slides_at(0.1, 2.1)
     assert excess["position"].min() > 50.0 * np.abs(excess["breakout"]).max()
@@ -178,18 +178,18 @@ def test_a_tension_controller_that_leads_moves_the_cable_off_the_verge_and_break
 
 def test_noise_that_hides_friction_is_said():
     eyelet = tr.Eyelet(0.01, (2.9,))
-    result = measure(bench(eyelet, noise_N=0.3, wander_N=0.3), eyelet.angles_rad, preload_N=3.5)
+    result = measure(bench(eyelet, noise_N=0.3, drift_N=0.3), eyelet.angles_rad, preload_N=3.5)
     assert not result.resolved
-    assert "no friction can be told" in result.remarks[0]
+    assert "no friction can be determined" in result.warnings[0]
     assert result.friction_coefficient.low <= 0.01 <= result.friction_coefficient.high
 
 
 def test_scatter_asks_for_the_sweeps_it_needs():
-    eyelet = tr.Eyelet(scatter=0.05)
+    eyelet = tr.Eyelet(variation=0.05)
     result = measure(bench(eyelet, seed=1), eyelet.angles_rad, sweeps=5)
     assert not result.resolved
     assert result.sweeps_needed > 5
-    assert f"take about {result.sweeps_needed} sweeps" in result.remarks[0]
+    assert f"take about {result.sweeps_needed} sweeps" in result.warnings[0]
     # By then, the promised interval is as wide as the tolerance: 3.29 standard errors for many.
     error = result.friction_coefficient.standard_error * math.sqrt(5.0 / result.sweeps_needed)
     assert 3.29 * error == pytest.approx(0.02 * result.friction_coefficient.value, rel=0.1)
@@ -208,7 +208,7 @@ def test_an_uncertain_angle_widens_the_interval_and_is_said():
     )
     assert added == pytest.approx(expected, rel=0.05)
     assert unsure.sweeps_needed is None
-    assert any("angles" in remark for remark in unsure.remarks)
+    assert any("angles" in remark for remark in unsure.warnings)
 
 
 def test_ratios_above_one_are_no_friction_that_can_be_told():
@@ -222,13 +222,13 @@ def test_ratios_above_one_are_no_friction_that_can_be_told():
 
 
 def drifting(per_sweep):
-    """Readings whose friction grows from sweep to sweep, with a little scatter."""
-    scatter = np.random.default_rng(0).normal(0.0, 1e-4, (6, 5))
+    """Readings whose friction grows from sweep to sweep, with a little noise."""
+    noise = np.random.default_rng(0).normal(0.0, 1e-4, (6, 5))
     rows = []
     for sweep in range(6):
         for k, x in enumerate(SETPOINTS):
-            B = 0.9 - per_sweep * sweep + scatter[sweep, k]
-            rows.append(tr.Measurement(x, sweep, x, 3.0 + B**2 * x, B**4 * x, 3.0 + B**2 * x))
+            B = 0.9 - per_sweep * sweep + noise[sweep, k]
+            rows.append(tr.SetpointReadings(x, sweep, x, 3.0 + B**2 * x, B**4 * x, 3.0 + B**2 * x))
     return rows
 
 
@@ -236,7 +236,7 @@ def test_drift_between_sweeps_is_said():
     assert tr.evaluate(drifting(0.0), [2.1]).resolved
     result = tr.evaluate(drifting(0.0005), [2.1])
     assert not result.resolved
-    assert any("drifts" in remark for remark in result.remarks)
+    assert any("drifts" in remark for remark in result.warnings)
 
 
 def test_exchanged_angles_tell_unlike_reels_apart_and_alike_ones_not():
@@ -247,16 +247,16 @@ def test_exchanged_angles_tell_unlike_reels_apart_and_alike_ones_not():
             )
             for seed, (a, b) in enumerate([(1.9, 2.5), (2.5, 1.9)])
         ]
-        found = tr.likeness(*runs)
+        found = tr.compare_reels(*runs)
         assert found.alike is alike
         assert found.coefficient_x.value == pytest.approx(0.1, rel=0.03)
         assert found.coefficient_y.value == pytest.approx(other, rel=0.03)
     with pytest.raises(InvalidInput, match="exchange the angles"):
-        tr.likeness(runs[0], runs[0])
+        tr.compare_reels(runs[0], runs[0])
 
 
 def test_hysteresis_loop_has_the_edges_of_the_ratio():
-    two = bench(tr.Eyelet(scatter=0.0), noise_N=0.0)
+    two = bench(tr.Eyelet(variation=0.0), noise_N=0.0)
     loop = tr.HysteresisTest(6.0, 36.0).run(two)
     B = slides_at(0.1, 2.1)
     y = np.array([brentq(lambda T, r=r: GAUGE_Y.reading(T) - r, 0.0, 100.0) for r in loop.y])
@@ -278,27 +278,27 @@ def test_loop_and_procedure_agree_on_the_ratio():
 
 
 class FaultyBench:
-    """Obeys the protocol and keeps what it was told; its gauges fail after some records."""
+    """Obeys the protocol and records its commands; its gauges fail after some records."""
 
     def __init__(self, good_records):
-        self.told = []
-        self.x, self.y = self._Reel("x", self.told), self._Reel("y", self.told)
+        self.commands = []
+        self.x, self.y = self._Reel("x", self.commands), self._Reel("y", self.commands)
         self._good, self._time = good_records, 0.0
 
     class _Reel:
         drum_radius_m = 0.025
 
-        def __init__(self, name, told):
-            self._name, self._told = name, told
+        def __init__(self, name, commands):
+            self._name, self._commands = name, commands
 
         def hold_tension(self, setpoint, within_s):  # noqa: ARG002  the protocol's
-            self._told.append((self._name, "tension"))
+            self._commands.append((self._name, "tension"))
 
         def hold_position(self, angle_rad=None):  # noqa: ARG002  the protocol's
-            self._told.append((self._name, "position"))
+            self._commands.append((self._name, "position"))
 
         def hold_velocity(self, velocity_rad_s, force_ramp_N_s=0.0):  # noqa: ARG002  likewise
-            self._told.append((self._name, "velocity"))
+            self._commands.append((self._name, "velocity"))
 
     def record(self, duration_s):
         time = self._time + np.arange(1, 11) * duration_s / 10.0
@@ -315,7 +315,7 @@ def test_both_reels_hold_their_position_after_a_gauge_failed(good_records):
     procedure = tr.TwoReelProcedure((16.0, 17.0, 18.0, 19.0, 20.0), holding="position")
     with pytest.raises(RigError):
         procedure.run(faulty)
-    assert faulty.told[-2:] == [("x", "position"), ("y", "position")]
+    assert faulty.commands[-2:] == [("x", "position"), ("y", "position")]
 
 
 def test_cable_that_never_breaks_out_is_said():

@@ -49,7 +49,7 @@ def make(*, quick: bool = False) -> PaperFigure:
         holds=falls(coulomb),
         measured=f"B is {ratios[0]:.4f} at {low:g} N and {ratios[-1]:.4f} at {high:g} N; its "
         f"slope of {1e6 * slope:.0f} millionths per N is one that scatter alone gives with a "
-        f"chance of {coulomb.curve.quadratic_chance:.2f}. Friction takes "
+        f"chance of {coulomb.curve.quadratic_p_value:.2f}. Friction takes "
         f"{100.0 * share.friction_share:.1f} % of the tension, where (29) allows "
         f"{100.0 * WEBER_LIMIT:g} %, and B spreads over the setpoints (27) by "
         f"{1e6 * share.log_spread:.0f} millionths. On a second bench, whose friction coefficient "
@@ -65,7 +65,7 @@ def make(*, quick: bool = False) -> PaperFigure:
         numbers={
             "B_low": ratios[0],
             "B_high": ratios[-1],
-            "chance": coulomb.curve.quadratic_chance,
+            "chance": coulomb.curve.quadratic_p_value,
             "friction_share": share.friction_share,
             "B_growing_low": grown[0],
             "B_growing_high": grown[-1],

@@ -1,8 +1,7 @@
-"""The cable between a reel and what it pulls: slack, sag, stretch and its notes.
+"""Statics of the cable between a reel and its load: slack, sag, stretch and string frequency.
 
-End 1 is the attachment at the reel, end 3 the far end; z points up, x away from the reel. Along
-the cable from 1 to 3 the horizontal tension is constant and the vertical one grows by the weight
-passed, so the far end's tension is (T_x, T_3z) and the pull on it the opposite vector.
+End 1 is the attachment at the reel, end 3 the far end; z points up, x away from the reel. From 1
+to 3 the horizontal tension is constant and the vertical tension grows by the weight in between.
 """
 
 from plants.cable.elastic import (

@@ -1,8 +1,12 @@
-"""The elastic catenary: a heavy cable that stretches by Hooke's law, in terms of its rest length.
+"""Elastic catenary: a heavy cable that stretches by Hooke's law.
 
-A point of the cable is told by the rest length p between it and end 1. There the vertical tension
-is `V(p) = V_1 + w p` with the weight per rest length w = mu_0 g, and a piece dp is stretched to
-`(1 + T/EA) dp`, which is (2) for an infinitesimal piece: its mass stays, its density falls.
+The coordinate along the cable is the rest length p from end 1. The vertical tension is
+`V(p) = V_1 + w p` with the weight per rest length w = mu_0 g, and an element dp is stretched to
+`(1 + T/EA) dp`, which is (2) for an element.
+
+Arguments are arrays of shapes that broadcast, in the units of their names: rest density mu_0,
+stiffness EA, tensions |T_1| and |T_3| at the ends or their components. All functions raise
+InvalidInput for values that are not finite or out of their range.
 """
 
 from dataclasses import dataclass
@@ -10,17 +14,24 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from estune.core.quantities import FloatArray, Numbers, at, checked, first, plain
+from estune.core.quantities import (
+    FloatArray,
+    Numbers,
+    checked_array,
+    first_index,
+    index_text,
+    scalar_or_array,
+)
 from estune.errors import InvalidInput
 from plants.cable.roots import newton
 from plants.cable.taut import GRAVITY_M_S2
 
-_RESIDUAL = 1e-9  # of the far point, per distance of the ends
+_RESIDUAL = 1e-9  # error of the far point, relative to the distance of the ends
 
 
 @dataclass(frozen=True, slots=True)
 class ElasticCatenary:
-    """Stretched cables in equilibrium; each quantity is a float, or an array of a common shape.
+    """Elastic cables in equilibrium; each quantity is a float, or an array of a common shape.
 
     Attributes:
         rest_length_m: Length of the unloaded cable, m.
@@ -59,22 +70,12 @@ def elastic_rise_m(
     `dz = (|T_3| - |T_1| + (|T_3|^2 - |T_1|^2)/(2 EA)) / (mu_0 g)`: exact for a cable that obeys
     Hooke's law, since `dz/dp = V/T (1 + T/EA)` and `dT/dp = mu_0 g V/T`; it is the vertical
     relation of the elastic catenary of Irvine (Cable Structures, 1981).
-
-    Args:
-        rest_density_kg_m: Mass per length of the unloaded cable mu_0, kg/m; any shape.
-        stiffness_EA_N: Young's modulus times section EA, N.
-        tension_1_N: Tension at the attachment |T_1|, N.
-        tension_3_N: Tension at the far end |T_3|, N.
-        gravity_m_s2: Gravitational acceleration, m/s2.
-
-    Raises:
-        InvalidInput: a value is not finite or out of its range.
     """
     w = _weight(rest_density_kg_m, gravity_m_s2)
-    EA = checked("stiffness EA", stiffness_EA_N, "N", above=0.0)
-    T_1 = checked("tension_1", tension_1_N, "N", least=0.0)
-    T_3 = checked("tension_3", tension_3_N, "N", least=0.0)
-    return plain(np.asarray((T_3 - T_1) * (1.0 + 0.5 * (T_1 + T_3) / EA) / w))
+    EA = checked_array("stiffness EA", stiffness_EA_N, "N", above=0.0)
+    T_1 = checked_array("tension_1", tension_1_N, "N", least=0.0)
+    T_3 = checked_array("tension_3", tension_3_N, "N", least=0.0)
+    return scalar_or_array(np.asarray((T_3 - T_1) * (1.0 + 0.5 * (T_1 + T_3) / EA) / w))
 
 
 def elastic_catenary(
@@ -86,25 +87,13 @@ def elastic_catenary(
     tension_1z_N: ArrayLike,
     gravity_m_s2: float = GRAVITY_M_S2,
 ) -> ElasticCatenary:
-    """Where a cable ends, given the tension vector at its attachment.
-
-    Args:
-        rest_density_kg_m: Mass per length of the unloaded cable mu_0, kg/m; shapes broadcast.
-        stiffness_EA_N: Young's modulus times section EA, N.
-        rest_length_m: Length of the unloaded cable, m.
-        tension_x_N: Horizontal tension T_x, N, above zero.
-        tension_1z_N: Vertical tension at the attachment T_1z, N.
-        gravity_m_s2: Gravitational acceleration, m/s2.
-
-    Raises:
-        InvalidInput: a value is not finite or out of its range.
-    """
+    """Equilibrium of a cable with a given tension vector at its attachment."""
     w = _weight(rest_density_kg_m, gravity_m_s2)
-    EA = checked("stiffness EA", stiffness_EA_N, "N", above=0.0)
-    s_0 = checked("rest_length_m", rest_length_m, "m", above=0.0)
-    H = checked("tension_x_N", tension_x_N, "N", above=0.0)
-    V_1 = checked("tension_1z_N", tension_1z_N, "N")
-    return _described(*np.broadcast_arrays(w, EA, s_0, H, V_1))
+    EA = checked_array("stiffness EA", stiffness_EA_N, "N", above=0.0)
+    s_0 = checked_array("rest_length_m", rest_length_m, "m", above=0.0)
+    H = checked_array("tension_x_N", tension_x_N, "N", above=0.0)
+    V_1 = checked_array("tension_1z_N", tension_1z_N, "N")
+    return _from_tensions(*np.broadcast_arrays(w, EA, s_0, H, V_1))
 
 
 def elastic_between(
@@ -116,33 +105,24 @@ def elastic_between(
     rise_m: ArrayLike,
     gravity_m_s2: float = GRAVITY_M_S2,
 ) -> ElasticCatenary:
-    """The tensions of a cable of known rest length between two points.
+    """Equilibrium of a cable of known rest length between two points.
 
-    There is always exactly one answer, also where the points are farther apart than the cable is
-    long. With a = asinh(T_1z/T_x), b the same at end 3, m and d half their sum and difference,
+    The solution is unique, also for points farther apart than the rest length. With
+    a = asinh(T_1z/T_x), b = asinh(T_3z/T_x), m and d half their sum and difference,
     `c = w s_0/(2 EA)` and lengths per rest length s_0, the elastic catenary reads
 
         z = tanh(m) A,  A = 1 + c/tanh(d);    x = B/cosh(m),  B = (d + c)/sinh(d)
 
-    so that `(z/A)^2 + (x/B)^2 = 1` is left for d, whose left side rises with d.
-
-    Args:
-        rest_density_kg_m: Mass per length of the unloaded cable mu_0, kg/m; shapes broadcast.
-        stiffness_EA_N: Young's modulus times section EA, N.
-        rest_length_m: Length of the unloaded cable, m.
-        span_m: Horizontal distance between the ends dx, m, above zero.
-        rise_m: Height of end 3 above end 1 dz, m.
-        gravity_m_s2: Gravitational acceleration, m/s2.
+    so that d solves `(z/A)^2 + (x/B)^2 = 1`, whose left side rises with d.
 
     Raises:
-        InvalidInput: a value is not finite or out of its range, or the answer cannot be told from
-            rounding.
+        InvalidInput: a value is not finite or out of its range, or rounding dominates the result.
     """
     w = _weight(rest_density_kg_m, gravity_m_s2)
-    EA = checked("stiffness EA", stiffness_EA_N, "N", above=0.0)
-    s_0 = checked("rest_length_m", rest_length_m, "m", above=0.0)
-    X = checked("span_m", span_m, "m", above=0.0)
-    Z = checked("rise_m", rise_m, "m")
+    EA = checked_array("stiffness EA", stiffness_EA_N, "N", above=0.0)
+    s_0 = checked_array("rest_length_m", rest_length_m, "m", above=0.0)
+    X = checked_array("span_m", span_m, "m", above=0.0)
+    Z = checked_array("rise_m", rise_m, "m")
     w, EA, s_0, X, Z = np.broadcast_arrays(w, EA, s_0, X, Z)
     with np.errstate(all="ignore"):
         W = w * s_0
@@ -151,13 +131,14 @@ def elastic_between(
         tanh_m, sech_m = z / (1.0 + c / np.tanh(d)), x * np.sinh(d) / (d + c)
         m = np.arcsinh(tanh_m / sech_m)
         H = 0.5 * W / (np.cosh(m) * np.sinh(d))
-        cable = _described(w, EA, s_0, H, H * np.sinh(m - d))
+        cable = _from_tensions(w, EA, s_0, H, H * np.sinh(m - d))
         miss = np.hypot(cable.span_m - X, cable.rise_m - Z) / np.hypot(X, Z)
-    lost = ~np.asarray(miss < _RESIDUAL)
-    if lost.any():
-        place = first(lost)
+    inexact = ~np.asarray(miss < _RESIDUAL)
+    if inexact.any():
+        place = first_index(inexact)
         raise InvalidInput(
-            f"the tension is lost in rounding{at(place)}: rest length {s_0[place]:g} m, span "
+            f"the tension is lost in rounding{index_text(place)}: rest length {s_0[place]:g} m, "
+            "span "
             f"{X[place]:g} m, rise {Z[place]:g} m, EA {EA[place]:g} N and {w[place]:g} N/m are "
             "too many orders of magnitude apart; check the units"
         )
@@ -165,39 +146,39 @@ def elastic_between(
 
 
 def _weight(rest_density_kg_m: ArrayLike, gravity_m_s2: float) -> FloatArray:
-    mu_0 = checked("rest density", rest_density_kg_m, "kg/m", above=0.0)
-    return np.asarray(mu_0 * checked("gravity", gravity_m_s2, "m/s2", above=0.0))
+    mu_0 = checked_array("rest density", rest_density_kg_m, "kg/m", above=0.0)
+    return np.asarray(mu_0 * checked_array("gravity", gravity_m_s2, "m/s2", above=0.0))
 
 
-def _described(
+def _from_tensions(
     w: FloatArray, EA: FloatArray, s_0: FloatArray, H: FloatArray, V_1: FloatArray
 ) -> ElasticCatenary:
-    W = w * s_0  # from here on forces per weight of the cable, lengths per its rest length
+    W = w * s_0  # below, forces are per weight W and lengths per rest length s_0
     h, v_1, stretch = H / W, V_1 / W, W / EA
     v_3, middle = v_1 + 1.0, v_1 + 0.5
     t_1, t_3 = np.hypot(h, v_1), np.hypot(h, v_3)
     q = 1.0 / (t_1 + t_3)  # tanh of the sweep, which is half of asinh(V_3/H) - asinh(V_1/H)
     by_ends = 0.5 * (np.arcsinh(v_3 / h) - np.arcsinh(v_1 / h))
     sweep = np.where(q < 0.9, np.arctanh(np.minimum(q, 0.9)), by_ends)
-    # int T dp is half of V T + H^2 asinh(V/H) between the ends, written without cancellation.
+    # int T dp is half of V T + H^2 asinh(V/H) between the ends, in a form without cancellation.
     pull = 0.25 * (t_1 + t_3) + middle**2 * q + h * h * sweep
     return ElasticCatenary(
-        rest_length_m=plain(np.array(s_0)),
-        length_m=plain(np.asarray(s_0 * (1.0 + stretch * pull))),
-        rise_m=plain(np.asarray(s_0 * middle * (2.0 * q + stretch))),
-        span_m=plain(np.asarray(s_0 * h * (2.0 * sweep + stretch))),
-        tension_x_N=plain(np.array(H)),
-        tension_1z_N=plain(np.array(V_1)),
-        tension_3z_N=plain(np.asarray(V_1 + W)),
-        tension_1_N=plain(np.asarray(t_1 * W)),
-        tension_3_N=plain(np.asarray(t_3 * W)),
+        rest_length_m=scalar_or_array(np.array(s_0)),
+        length_m=scalar_or_array(np.asarray(s_0 * (1.0 + stretch * pull))),
+        rise_m=scalar_or_array(np.asarray(s_0 * middle * (2.0 * q + stretch))),
+        span_m=scalar_or_array(np.asarray(s_0 * h * (2.0 * sweep + stretch))),
+        tension_x_N=scalar_or_array(np.array(H)),
+        tension_1z_N=scalar_or_array(np.array(V_1)),
+        tension_3z_N=scalar_or_array(np.asarray(V_1 + W)),
+        tension_1_N=scalar_or_array(np.asarray(t_1 * W)),
+        tension_3_N=scalar_or_array(np.asarray(t_3 * W)),
     )
 
 
 def _sweep(x: FloatArray, z: FloatArray, c: FloatArray) -> FloatArray:
-    """The d of `_far_point`; lengths per rest length, c is half the weight over EA."""
+    """Root d of `_far_point`; lengths per rest length, c is half the weight over EA."""
     chord = np.hypot(x, z)
-    # Up to d = 1, sinh(d) <= 1.18 d: with d/(d + c) below k the far point is too near.
+    # Up to d = 1, sinh(d) <= 1.18 d: with d/(d + c) below k the far point is too close.
     k = 0.84 / chord
     low = np.where(k < 1.0, np.minimum(1.0, c * k / (1.0 - k)), 1.0)
     L = np.log(2.0 * (1.0 + c) / x + 2.0)
@@ -208,7 +189,7 @@ def _sweep(x: FloatArray, z: FloatArray, c: FloatArray) -> FloatArray:
 def _far_point(
     y: FloatArray, x: FloatArray, z: FloatArray, c: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Minus ln of `(z/A)^2 + (x/B)^2` and its slope, against the logarithm of the sweep d."""
+    """-ln of `(z/A)^2 + (x/B)^2` and its slope, over the logarithm of the sweep d."""
     d = np.exp(y)
     sinh, cosh, tanh = np.sinh(d), np.cosh(d), np.tanh(d)
     z_A = (z * tanh / (tanh + c)) ** 2

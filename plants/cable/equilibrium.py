@@ -1,4 +1,4 @@
-"""From three known quantities of a hanging cable to its shape.
+"""Shape of a hanging cable from three known quantities.
 
 With `a = asinh(T_1z/T_x)` and b the same at end 3, every quantity is T_x times a function of
 `m = (a + b)/2` and `d = (b - a)/2`:
@@ -6,8 +6,8 @@ With `a = asinh(T_1z/T_x)` and b the same at end 3, every quantity is T_x times 
     S = 2 H cosh(m) sinh(d)    Z = 2 H sinh(m) sinh(d)    X = 2 H d
     V_1 = H sinh(m - d)        T_1 = H cosh(m - d)        V_3, T_3 with m + d
 
-(S, Z, X are ds, dz, dx times the weight per length, H is T_x, V the vertical tension), so that
-(H, m, d) keeps its digits for a cable that is all but straight, vertical or slack.
+(S, Z, X are ds, dz, dx times the weight per length, H is T_x, V the vertical tension). (H, m, d)
+is well conditioned for cables that are nearly straight, vertical or slack.
 """
 
 from typing import NamedTuple
@@ -19,7 +19,7 @@ from plants.cable import roots
 
 
 class CatenaryShape(NamedTuple):
-    """H, m and d as above; NaN, or a value that is not above zero, where no cable fits."""
+    """H, m and d as above; NaN, or values that are not positive, where no cable fits."""
 
     H: FloatArray
     m: FloatArray
@@ -32,25 +32,25 @@ Known = dict[str, FloatArray]
 _MIRRORED = {"V1": "V3", "V3": "V1", "T1": "T3", "T3": "T1"}
 
 
-def shapes(known: Known) -> list[CatenaryShape]:
-    """The shapes that fit, shorter before longer, or lower before higher."""
+def solve_shapes(known: Known) -> list[CatenaryShape]:
+    """All solutions, shorter before longer, or lower before higher."""
     if "X" not in known:
         return _without_span(known)
-    # Equations with the span are written for knowns at end 1; seen from the other end, heights and
-    # vertical tensions change sign. One known at each end: H, V_1 and T_3 is the form to reach.
+    # The equations with the span are for quantities known at end 1. Seen from the other end, rise
+    # and vertical tensions change sign. With one quantity at each end the form is H, V_1 and T_3.
     ends = {"V1", "V3", "T1", "T3"} & known.keys()
     if ends in ({"V3"}, {"T3"}, {"V3", "T3"}, {"V3", "T1"}):
         flipped = {
             _MIRRORED.get(n, n): -v if n in ("Z", "V1", "V3") else v for n, v in known.items()
         }
-        found = [CatenaryShape(H, -m, d) for H, m, d in _with_span(flipped)]
+        mirrored = [CatenaryShape(H, -m, d) for H, m, d in _with_span(flipped)]
         by_height = known.keys() == {"S", "X", "T3"}
-        return found[::-1] if by_height else found
+        return mirrored[::-1] if by_height else mirrored
     return _with_span(known)
 
 
 def _completed(known: Known) -> Known:
-    """Adds what (6) says: V_3 = V_1 + S, and its integral T_3 = T_1 + Z."""
+    """Adds the relations of (6): V_3 = V_1 + S, and its integral T_3 = T_1 + Z."""
     q = dict(known)
     for start, end, difference in (("V1", "V3", "S"), ("T1", "T3", "Z")):
         if start in q and end in q:
@@ -83,7 +83,7 @@ def _without_span(known: Known) -> list[CatenaryShape]:
 
 
 def _with_either_sign(q: Known) -> list[CatenaryShape]:
-    """H and the size, but not the sign, of a vertical tension are known."""
+    """Solutions for a known H and a vertical tension of unknown sign."""
     if "H" not in q:
         q["H"] = _leg(q["T1"], q["V1"]) if "V1" in q else _leg(q["T3"], q["V3"])
     H = q["H"]
@@ -136,7 +136,7 @@ def _with_span(known: Known) -> list[CatenaryShape]:
 
 
 def _with_span_and_pull(q: Known) -> list[CatenaryShape]:
-    """X and H are known, and with them d."""
+    """Solutions for known X and H, which determine d."""
     H = q["H"]
     d = q["X"] / (2.0 * H)
     if "S" in q:
@@ -152,7 +152,7 @@ def _with_span_and_pull(q: Known) -> list[CatenaryShape]:
 
 
 def _with_span_and_length(q: Known) -> list[CatenaryShape]:
-    """X and S are known, with Z or T_1."""
+    """Solutions for known X and S, with Z or T_1."""
     X, S = q["X"], q["S"]
     if "Z" in q:
         Z, chord = q["Z"], np.hypot(X, q["Z"])
@@ -181,7 +181,7 @@ def _from_direction(
 
 
 def _from_ends(H: FloatArray, V_1: FloatArray, V_3: FloatArray, S: FloatArray) -> CatenaryShape:
-    """The cable with known tensions at its ends; the weight S apart, as V_3 - V_1 may cancel."""
+    """The cable with known tensions at its ends; S is separate because V_3 - V_1 may cancel."""
     T_1, T_3 = np.hypot(H, V_1), np.hypot(H, V_3)
     q = S / (T_1 + T_3)
     a, b = np.arcsinh(V_1 / H), np.arcsinh(V_3 / H)

@@ -1,4 +1,4 @@
-"""A heavy cable in static equilibrium between two points, from any three of its quantities."""
+"""Catenary: a heavy inextensible cable in equilibrium, from any three of its quantities."""
 
 from dataclasses import dataclass
 from functools import reduce
@@ -6,10 +6,18 @@ from functools import reduce
 import numpy as np
 from numpy.typing import ArrayLike
 
-from estune.core.quantities import BoolArray, FloatArray, Numbers, at, checked, first, plain
+from estune.core.quantities import (
+    BoolArray,
+    FloatArray,
+    Numbers,
+    checked_array,
+    first_index,
+    index_text,
+    scalar_or_array,
+)
 from estune.errors import InvalidInput
-from plants.cable.equilibrium import CatenaryShape, Known, shapes
-from plants.cable.reasons import reason
+from plants.cable.equilibrium import CatenaryShape, Known, solve_shapes
+from plants.cable.reasons import explain_contradiction
 from plants.cable.triples import NAMES, Solution, check_triple
 
 _SHORT = dict(zip(NAMES, ("S", "Z", "X", "H", "V1", "V3", "T1", "T3"), strict=True))
@@ -29,9 +37,8 @@ class Catenary:
         length_m: Length along the cable [ds], m.
         rise_m: Height of end 3 above end 1 [dz], m.
         span_m: Horizontal distance between the ends [dx], m.
-        tension_x_N: Horizontal tension, the same all along [T_x], N.
-        tension_1z_N: Vertical tension at end 1 [T_1z], N; negative where the cable leaves it
-            downward.
+        tension_x_N: Horizontal tension, constant along the cable [T_x], N.
+        tension_1z_N: Vertical tension at end 1 [T_1z], N; negative where the cable descends.
         tension_3z_N: Vertical tension at end 3 [T_3z], N.
         tension_1_N: Tension at end 1 [|T_1|], N.
         tension_3_N: Tension at end 3 [|T_3|], N.
@@ -49,11 +56,11 @@ class Catenary:
 
     @property
     def chord_m(self) -> Numbers:
-        """Straight distance between the ends, m: what a reel's cable length is corrected to."""
-        return plain(np.hypot(self.span_m, self.rise_m))
+        """Straight distance between the ends, m."""
+        return scalar_or_array(np.hypot(self.span_m, self.rise_m))
 
     def residual(self) -> Numbers:
-        """Largest relative error of (3) to (6) in these quantities, each per its largest term."""
+        """Largest error of (3) to (6), each relative to its largest term."""
         w, s, z, x = self.weight_N_m, self.length_m, self.rise_m, self.span_m
         H, V_1, V_3 = self.tension_x_N, self.tension_1z_N, self.tension_3z_N
         T_1, T_3 = self.tension_1_N, self.tension_3_N
@@ -65,13 +72,13 @@ class Catenary:
             _relative(V_3, -V_1, -W),  # (6), vertical component
             _relative(T_3 * T_3, -H * H, -V_3 * V_3),  # (6), magnitude
         ]
-        return plain(np.asarray(reduce(np.maximum, errors)))
+        return scalar_or_array(np.asarray(reduce(np.maximum, errors)))
 
     def points(self, count: int = 101) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """The cable's course at points evenly spaced along it, end 1 first.
+        """Points evenly spaced along the cable, end 1 first.
 
         Args:
-            count: How many points, two or more.
+            count: Number of points, two or more.
 
         Returns:
             x and z from end 1 in m and the tension there in N, each of shape (..., count).
@@ -80,7 +87,7 @@ class Catenary:
             InvalidInput: fewer than two points.
         """
         if count < 2:
-            raise InvalidInput(f"count is {count}; a course has two points or more")
+            raise InvalidInput(f"count is {count}; it must be two or more")
         ends = (self.tension_x_N, self.tension_1z_N, self.tension_1_N)
         H, V_1, T_1 = (np.asarray(v)[..., None] for v in ends)
         w, s = np.asarray(self.weight_N_m)[..., None], np.asarray(self.length_m)[..., None]
@@ -88,7 +95,7 @@ class Catenary:
         V = V_1 + w * along
         T = np.hypot(H, V)
         half = w * along / (T_1 + T)
-        # tanh of half the change of asinh(V/H); near one in a deep bow, where it is not small.
+        # tanh of half the change of asinh(V/H); atanh is inaccurate near one, in a deep bow.
         swept = np.where(half < 0.9, 2.0 * np.arctanh(np.minimum(half, 0.9)), np.nan)
         swept = np.where(half < 0.9, swept, np.arcsinh(V / H) - np.arcsinh(V_1 / H))
         return H / w * swept, along * (V + V_1) / (T + T_1), T
@@ -104,25 +111,23 @@ def _relative(*terms: Numbers) -> FloatArray:
 def catenary(
     weight_N_m: ArrayLike, *, solution: Solution = "only", **known: ArrayLike
 ) -> Catenary:
-    """Solves a hanging cable for all its quantities, given three of them.
+    """All quantities of a hanging cable from three of them.
 
     Implements (3), (4) and (5).
 
     (3) is `(w/T_x)^2 (ds^2 - dz^2) = 2 (cosh(w dx/T_x) - 1)`, (4) is
     `T_1z = dz/ds (|T_1| + w dz/2) - w ds/2` and (5) is `T_x = sqrt(|T_1|^2 - T_1z^2)`, w = mu g:
-    all three follow from the equilibrium of a piece of cable, which also gives
-    `|T_3| = |T_1| + w dz`. The print has T_z for T_1z in (5). Of the 56 triples, 52 determine
-    the cable (`ADMISSIBLE`) and four do not (`DEPENDENT`). For 27 of the 52 two different
-    cables may fit, a taut and a slack one between two points with a given tension, say: then
-    `solution` tells which is meant. The residual
-    of what is returned is below 1e-9; where rounding does not allow that, an error says so.
+    all three follow from the equilibrium of an element, which also gives `|T_3| = |T_1| + w dz`.
+    The print has T_z for T_1z in (5). Of the 56 triples, 52 determine the cable (`ADMISSIBLE`)
+    and four do not (`DEPENDENT`). For 27 of the 52 two cables may fit, such as a taut and a slack
+    one: `solution` selects one. The residual of a result is below 1e-9, else an error is raised.
 
-    The cable is inextensible; with the density (2) at |T_1| it stands in for a stiff one.
+    With the density (2) at |T_1| the inextensible cable approximates a stiff one.
 
     Args:
         weight_N_m: Weight per length mu g, N/m, above zero.
         solution: "shorter" or "longer", or "lower" or "higher" (far end) where the length is
-            known; "only" demands that one cable alone fits.
+            known; "only" requires a unique solution.
         **known: Three of `length_m`, `rise_m`, `span_m`, `tension_x_N`, `tension_1z_N`,
             `tension_3z_N`, `tension_1_N`, `tension_3_N`, of shapes that broadcast.
 
@@ -130,33 +135,34 @@ def catenary(
         All quantities; floats where everything given is a scalar.
 
     Raises:
-        InvalidInput: a value is out of its range, the three are not an admissible triple, no
-            cable fits, or two do and it is not said which.
+        InvalidInput: a value is out of its range, the triple is not admissible, no cable fits, or
+            two fit and `solution` is "only".
     """
     for name in known:
         if name not in NAMES:
             raise InvalidInput(f"a hanging cable has no {name}; it has {', '.join(NAMES)}")
     solutions = check_triple(frozenset(known), solution)
-    w = checked("weight_N_m", weight_N_m, "N/m", above=0.0)
+    w = checked_array("weight_N_m", weight_N_m, "N/m", above=0.0)
     given = {name: _checked_known(name, values) for name, values in known.items()}
     try:
-        w, *values = np.broadcast_arrays(w, *given.values())
+        w, *arrays = np.broadcast_arrays(w, *given.values())
     except ValueError:
         shapes_given = ", ".join(f"{n} {v.shape}" for n, v in given.items())
         raise InvalidInput(
             f"shapes do not broadcast: weight_N_m {w.shape}, {shapes_given}"
         ) from None
-    given = dict(zip(given, values, strict=True))
-    # Errors of arithmetic mark where no cable fits; the selection below turns them into words.
+    given = dict(zip(given, arrays, strict=True))
+    # Arithmetic errors mark elements without a solution, which `_solve` reports.
     with np.errstate(all="ignore"):
         shape = _solve(w, given, solution, solutions)
         cable = _quantities(w, given, shape)
-        lost = ~np.asarray(cable.residual() < _RESIDUAL)
-    if lost.any():
-        place = first(lost)
-        told = ", ".join(f"{name} {v[place]:.6g}" for name, v in given.items())
+        inexact = ~np.asarray(cable.residual() < _RESIDUAL)
+    if inexact.any():
+        place = first_index(inexact)
+        values = ", ".join(f"{name} {v[place]:.6g}" for name, v in given.items())
         raise InvalidInput(
-            f"the equilibrium is lost in rounding{at(place)}: {told} with {w[place]:.6g} N/m are "
+            f"the equilibrium is lost in rounding{index_text(place)}: {values} with "
+            f"{w[place]:.6g} N/m are "
             "too many orders of magnitude apart, or too close to a straight line; check the "
             "units, or give another triple"
         )
@@ -181,17 +187,17 @@ def far_tension_N(
     Raises:
         InvalidInput: a value is not finite or out of its range, or the vectors are not pairs.
     """
-    T_1 = checked("tension_1", tension_1_N, "N")
+    T_1 = checked_array("tension_1", tension_1_N, "N")
     if T_1.ndim == 0 or T_1.shape[-1] != 2:
         raise InvalidInput(f"tension_1 has shape {T_1.shape}; it must be (..., 2), x and z")
-    w = checked("weight_N_m", weight_N_m, "N/m", above=0.0)
-    weight = np.asarray(w * checked("length_m", length_m, "m", above=0.0))
+    w = checked_array("weight_N_m", weight_N_m, "N/m", above=0.0)
+    weight = np.asarray(w * checked_array("length_m", length_m, "m", above=0.0))
     return T_1 + np.stack([np.zeros_like(weight), weight], axis=-1)
 
 
 def _checked_known(name: str, values: ArrayLike) -> FloatArray:
     unit = "m" if name in _LENGTHS else "N"
-    return checked(name, values, unit, above=-np.inf if name in _SIGNED else 0.0)
+    return checked_array(name, values, unit, above=-np.inf if name in _SIGNED else 0.0)
 
 
 def _solve(
@@ -203,7 +209,7 @@ def _solve(
     known: Known = {
         _SHORT[name]: (v * w if name in _LENGTHS else v).ravel() for name, v in given.items()
     }
-    found = [_kept(shape) for shape in shapes(known)]
+    found = [_valid(shape) for shape in solve_shapes(known)]
     if len(found) == 1:
         chosen = found[0]
     else:
@@ -216,14 +222,17 @@ def _solve(
         chosen = CatenaryShape(*(np.where(take, b, a) for a, b in zip(*found, strict=True)))
     missing = np.isnan(chosen.H)
     if missing.any():
-        place = first(missing.reshape(w.shape))
+        place = first_index(missing.reshape(w.shape))
         values = {name: float(v[place]) for name, v in given.items()}
-        raise InvalidInput(f"no cable hangs so{at(place)}: {reason(float(w[place]), values)}")
+        raise InvalidInput(
+            f"no cable hangs so{index_text(place)}: "
+            f"{explain_contradiction(float(w[place]), values)}"
+        )
     return CatenaryShape(*(v.reshape(w.shape) for v in chosen))
 
 
-def _kept(shape: CatenaryShape) -> CatenaryShape:
-    """NaN in all three where the shape is not one of a cable."""
+def _valid(shape: CatenaryShape) -> CatenaryShape:
+    """The shape with NaN where it is not that of a cable."""
     largest = np.cosh(np.abs(shape.m) + shape.d)
     good = (shape.H > 0.0) & (shape.d > 0.0) & np.isfinite(shape.H) & np.isfinite(largest)
     return CatenaryShape(*(np.where(good, v, np.nan) for v in shape))
@@ -232,26 +241,28 @@ def _kept(shape: CatenaryShape) -> CatenaryShape:
 def _refuse_two(
     w: FloatArray, found: list[CatenaryShape], both: BoolArray, solutions: tuple[Solution, ...]
 ) -> None:
-    """Raises where two cables fit that are not one and the same to rounding."""
+    """Raises InvalidInput where two cables fit that differ by more than rounding."""
     apart = both & ~np.isclose(found[0].m, found[1].m, rtol=1e-6, atol=1e-6)
     apart |= both & ~np.isclose(found[0].d, found[1].d, rtol=1e-6, atol=0.0)
     if not apart.any():
         return
-    place = first(apart.reshape(w.shape))
+    place = first_index(apart.reshape(w.shape))
     flat = int(np.flatnonzero(apart)[0])
-    told = []
+    choices = []
     for name, shape in zip(solutions, found, strict=True):
         H, m, d = (float(v[flat]) for v in shape)
         size = 2.0 * H * np.sinh(d) / float(w[place])
-        told.append(
+        choices.append(
             f"'{name}' (length {size * np.cosh(m):.6g} m, rise {size * np.sinh(m):.6g} m, "
             f"tension_x {H:.6g} N)"
         )
-    raise InvalidInput(f"two cables fit{at(place)}; choose a solution: {' or '.join(told)}")
+    raise InvalidInput(
+        f"two cables fit{index_text(place)}; choose a solution: {' or '.join(choices)}"
+    )
 
 
 def _quantities(w: FloatArray, given: dict[str, FloatArray], shape: CatenaryShape) -> Catenary:
-    """All quantities of the shape; those that were given are kept as they were."""
+    """All quantities of the shape, with the given ones unchanged."""
     H, m, d = shape
     a, b = m - d, m + d
     swept = 2.0 * H * np.sinh(d) / w
@@ -265,4 +276,7 @@ def _quantities(w: FloatArray, given: dict[str, FloatArray], shape: CatenaryShap
         "tension_1_N": H * np.cosh(a),
         "tension_3_N": H * np.cosh(b),
     } | given
-    return Catenary(plain(w.copy()), **{name: plain(np.array(v)) for name, v in values.items()})
+    return Catenary(
+        scalar_or_array(w.copy()),
+        **{name: scalar_or_array(np.array(v)) for name, v in values.items()},
+    )

@@ -1,25 +1,25 @@
-"""Why no cable fits three quantities: the bound that is broken, in one sentence."""
+"""Explanation why no cable fits three quantities: the violated bound."""
 
 import numpy as np
 
 
-def reason(w: float, given: dict[str, float]) -> str:
-    """The bound that these values break, with the value it would have to have.
+def explain_contradiction(w: float, given: dict[str, float]) -> str:
+    """The bound violated by these values, in one sentence.
 
     Args:
         w: Weight per length, N/m.
-        given: The three known quantities by name.
+        given: The three quantities by name.
     """
-    for check in (_components, _lengths, _weight_bound, _reach):
-        said = check(w, given)
-        if said:
-            return said
+    for check in (_components, _lengths, _weight_bound, _span_bound):
+        message = check(w, given)
+        if message:
+            return message
     values = ", ".join(f"{name} {value:.6g}" for name, value in given.items())
-    return f"{values} with {w:.6g} N/m contradict one another; check them, or give another triple"
+    return f"{values} with {w:.6g} N/m contradict each other; check them, or give another triple"
 
 
 def _components(w: float, given: dict[str, float]) -> str:
-    """A tension and its components, and the two tensions with the rise between them."""
+    """Bounds between a tension and its components, and between both tensions and the rise."""
     for end in ("1", "3"):
         total, vertical = given.get(f"tension_{end}_N"), given.get(f"tension_{end}z_N")
         if total is not None:
@@ -29,12 +29,12 @@ def _components(w: float, given: dict[str, float]) -> str:
                         f"tension_{end}_N of {total:.6g} N must exceed its component "
                         f"tension_{name}_N of {part:.6g} N"
                     )
-            beyond = total + (w if end == "1" else -w) * given.get("rise_m", 0.0)
-            if beyond <= 0.0:
+            other_N = total + (w if end == "1" else -w) * given.get("rise_m", 0.0)
+            if other_N <= 0.0:
                 other = "31"[int(end) // 2]
                 return (
                     f"with tension_{end}_N of {total:.6g} N and rise_m of {given['rise_m']:.6g} m "
-                    f"the tension at end {other} would be {beyond:.6g} N; raise the tension"
+                    f"the tension at end {other} would be {other_N:.6g} N; raise the tension"
                 )
     V_1, V_3 = given.get("tension_1z_N"), given.get("tension_3z_N")
     if V_1 is not None and V_3 is not None and V_3 <= V_1:
@@ -43,11 +43,11 @@ def _components(w: float, given: dict[str, float]) -> str:
 
 
 def _lengths(w: float, given: dict[str, float]) -> str:
-    """The length against its projections."""
+    """Bounds between the length and its projections."""
     V_1, V_3 = given.get("tension_1z_N"), given.get("tension_3z_N")
-    s, said = given.get("length_m"), "length_m"
+    s, name = given.get("length_m"), "length_m"
     if s is None and V_1 is not None and V_3 is not None:
-        s, said = (V_3 - V_1) / w, "the length (tension_3z_N - tension_1z_N)/weight"
+        s, name = (V_3 - V_1) / w, "the length (tension_3z_N - tension_1z_N)/weight"
     z = given.get("rise_m")
     if s is None:
         return ""
@@ -55,7 +55,7 @@ def _lengths(w: float, given: dict[str, float]) -> str:
         chord = float(np.hypot(given.get("span_m", 0.0), z or 0.0))
         if s <= chord:
             return (
-                f"{said} of {s:.6g} m must exceed the distance of {chord:.6g} m that it spans; a "
+                f"{name} of {s:.6g} m must exceed the distance of {chord:.6g} m that it spans; a "
                 "straight cable would need infinite tension, see elastic_between"
             )
     if z == 0.0 and (V_1 is not None or V_3 is not None):
@@ -67,7 +67,7 @@ def _lengths(w: float, given: dict[str, float]) -> str:
 
 
 def _weight_bound(w: float, given: dict[str, float]) -> str:
-    """Length, rise and one tension: |T_1| must exceed w (ds - dz)/2, |T_3| w (ds + dz)/2."""
+    """Lower bounds of the tension: |T_1| > w (ds - dz)/2, |T_3| > w (ds + dz)/2."""
     s, z = given.get("length_m"), given.get("rise_m")
     if s is None or z is None:
         return ""
@@ -82,8 +82,8 @@ def _weight_bound(w: float, given: dict[str, float]) -> str:
     return ""
 
 
-def _reach(w: float, given: dict[str, float]) -> str:
-    """Span and a tension: the shortest length, the least tension, or the longest reach."""
+def _span_bound(w: float, given: dict[str, float]) -> str:
+    """Bounds of the length, the tension or the span."""
     from scipy.optimize import minimize_scalar  # noqa: PLC0415  slow to load, needed for errors
 
     X = w * given.get("span_m", np.nan)

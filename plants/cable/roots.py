@@ -1,14 +1,13 @@
-"""The scalar equations behind the hanging cable, each solved for whole arrays by Newton's method.
+"""Scalar equations of the hanging cable, solved for arrays by Newton's method.
 
-Forces are in any unit, lengths as the weight of that much cable in the same unit, and half the
-difference of asinh(V/H) between the ends is the *sweep* d: `X = 2 H d`. Every equation but one is
-brought to a form that is convex in its unknown and starts on the side from which Newton's method
-cannot overshoot, so that it converges from there to the nearest root, or its slope changes sign
-and there is none; the remaining one starts between two bounds. The names of the quantities are
-S length, Z rise, X span, H horizontal tension, V and T vertical tension and tension at ends 1, 3.
+Lengths are in units of force, as the weight of that length of cable. The *sweep* d is half the
+difference of asinh(V/H) between the ends: `X = 2 H d`. All equations but one are convex in their
+unknown and start on the side from which Newton's method cannot overshoot; the other is bracketed.
+S is the length, Z the rise, X the span, H the horizontal tension, V and T are the vertical tension
+and the tension at ends 1 and 3.
 
-Beside them, `scipy.optimize.elementwise.find_root` takes at least six times as long on a million
-elements, and needs a bracket of each root, hence the extremum between two of them.
+`scipy.optimize.elementwise.find_root` takes at least six times as long on a million elements, and
+needs a bracket of each root.
 """
 
 from collections.abc import Callable
@@ -17,23 +16,23 @@ import numpy as np
 
 from estune.core.quantities import FloatArray
 
-_BLOCK = 1 << 14  # elements; what the processor's cache holds of a dozen arrays
+_BLOCK = 1 << 14  # elements; a dozen arrays of this size fit into the processor's cache
 _ITERATIONS = 100
-_RESIDUAL = 1e-14  # of equations in logarithmic or normalised form
+_RESIDUAL = 1e-14  # residual of equations in logarithmic or normalised form
 
 Equation = Callable[..., tuple[FloatArray, FloatArray]]
-"""Function of the unknown and the known arrays: its value, zero wanted, and its slope."""
+"""Function of the unknown and the known arrays: value and slope."""
 
 
 def newton(
     equation: Equation, start: FloatArray, far: FloatArray | float, *known: FloatArray
 ) -> FloatArray:
-    """The root next to `start` on the side of `far`, NaN where there is none.
+    """Root next to `start` on the side of `far`; NaN where there is none.
 
     Args:
-        equation: Zero or above at `start`; convex towards `far`, or of the other sign there.
-        start: Where to begin, shape (n,).
-        far: A finite bound beyond the root, or an infinity that tells the direction.
+        equation: Not negative at `start`; convex towards `far`, or negative there.
+        start: Initial values, shape (n,).
+        far: A finite bound beyond the root, or an infinity for the direction.
         *known: Further arguments of the equation, each of shape (n,).
     """
     far = np.broadcast_to(np.asarray(far, dtype=np.float64), start.shape)
@@ -59,10 +58,10 @@ def _newton_block(
         outside = ~((following - near) * (far - near) >= 0.0) | (
             np.isfinite(far) & (np.abs(following - near) > np.abs(far - near))
         )
-        # Halve a finite bracket; without one, a step away from `far` means there is no root.
+        # Bisect a finite bracket; without one, a step away from `far` means there is no root.
         halved = np.where(np.isfinite(far), 0.5 * (near + far), np.nan)
         following = np.where(outside, halved, following)
-        # What is left after a step of Newton's method is of the order of its square.
+        # The error after a Newton step is of the order of its square.
         close = ~outside & (np.abs(following - u) <= 1e-8 * np.abs(u))
         done = (np.abs(F) <= _RESIDUAL) | close
         root[place[done]] = np.where(outside, u, following)[done]
@@ -75,7 +74,7 @@ def _newton_block(
 
 
 def sinhc_excess(d: FloatArray) -> FloatArray:
-    """`sinh(d)/d - 1` without cancellation, by its series below one."""
+    """`sinh(d)/d - 1` without cancellation, by its series for d below one."""
     y = d * d
     series = np.ones_like(y)
     for n in (272.0, 210.0, 156.0, 110.0, 72.0, 42.0, 20.0):  # 16*17, 14*15, down to 4*5
@@ -84,7 +83,7 @@ def sinhc_excess(d: FloatArray) -> FloatArray:
 
 
 def sweep_of_length(ratio_squared_excess: FloatArray) -> FloatArray:
-    """The sweep d of `sinh(d)/d = r`, given `r^2 - 1`, to rounding: (3) solved for T_x."""
+    """Sweep d of `sinh(d)/d = r` from `r^2 - 1`: (3) solved for T_x."""
     y = 0.5 * np.log1p(ratio_squared_excess)  # ln r
     # From sqrt(6 y) for a taut cable to y + ln(2 y) for a slack one, within 2 % between them.
     d = np.where(
@@ -103,12 +102,12 @@ def sweep_of_length(ratio_squared_excess: FloatArray) -> FloatArray:
 
 
 def tension_between(X: FloatArray, V_1: FloatArray, S: FloatArray) -> FloatArray:
-    """H of a cable of known span, length and vertical tensions.
+    """H of a cable of known span, length and vertical tension.
 
-    With `x = X/S`, `x^-2` is the power mean of exponent -1/2, over the cable, of `1 + V^2/H^2`: so
-    it is concave in `1/H^2`, and the tangent at zero gives the start.
+    With `x = X/S`, `x^-2` is the power mean of exponent -1/2 of `1 + V^2/H^2` over the cable. It
+    is concave in `1/H^2`, and the tangent at zero gives the start.
     """
-    # Everything per S; end 1 is the one with the smaller |V|, so that k below is not negative.
+    # All forces per S; end 1 is the one with the smaller |V|, so that k below is not negative.
     v_1 = np.where(2.0 * V_1 + S >= 0.0, V_1, -V_1 - S) / S
     wanted = (S - X) * (S + X) / X**2
     mean_square = v_1**2 + v_1 + 1.0 / 3.0
@@ -122,7 +121,7 @@ def _steepness(
     h, k = 1.0 / np.sqrt(inverse_square), 2.0 * v_1 + 1.0
     t_1, t_3 = np.sqrt(h**2 + v_1**2), np.sqrt(h**2 + (v_1 + 1.0) ** 2)
     q = 1.0 / (t_1 + t_3)
-    # 1 - q without cancellation where the cable hangs in a deep bow: t_1 + v_1 = h^2/(t_1 - v_1).
+    # 1 - q without cancellation for a deep bow: t_1 + v_1 = h^2/(t_1 - v_1).
     gap = np.where(v_1 < 0.0, h**2 / (t_1 - v_1), t_1 + v_1) + h**2 / (t_3 + v_1 + 1.0)
     d = np.where(q < 0.5, np.arctanh(np.minimum(q, 0.5)), 0.5 * np.log1p(2.0 / gap))
     x = 2.0 * h * d
@@ -143,18 +142,18 @@ def span_per_tension(d: FloatArray, sinh_m: FloatArray) -> FloatArray:
 def directions(
     X: FloatArray, S: FloatArray, T_1: FloatArray
 ) -> list[tuple[FloatArray, FloatArray]]:
-    """Directions of T_1, lower and higher, with which a cable of length S spans X.
+    """Directions of T_1, lower and higher, at which a cable of length S spans X.
 
-    ln X is concave in `u = sin(angle)`, in `ln(1 - u)` and in `ln(1 + u)`; the unknown is the
-    second for the higher cable and the third for the lower one, which may be all but vertical.
+    ln X is concave in `u = sin(angle)`, in `ln(1 - u)` and in `ln(1 + u)`. The unknown is
+    `ln(1 - u)` for the higher cable and `ln(1 + u)` for the lower one, which may be near vertical.
 
     Returns:
-        For each of the two cables (1 + u, 1 - u).
+        (1 + u, 1 - u) of each of the two cables.
     """
     t, x = T_1 / S, X / S
-    # Start where an upper bound of the span is the wanted one: cos(angle) <= sqrt(2 w), times the
-    # span's other factor at w = 0; that is infinite for the lower cable with t <= 1, where a w
-    # that is certainly too small gives one that is larger and still too small.
+    # Start where an upper bound of the span equals X: cos(angle) <= sqrt(2 w), times the other
+    # factor of the span at w = 0. That factor is infinite for the lower cable with t <= 1; there a
+    # lower bound of w gives a better lower bound.
     high = newton(
         _reach_higher, 2.0 * np.log(x / (np.sqrt(2.0) * t * np.log1p(1.0 / t))), np.inf, x, t
     )

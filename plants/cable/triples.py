@@ -1,4 +1,4 @@
-"""Which three quantities of a hanging cable determine it, and how many cables they leave."""
+"""Triples of quantities that determine a hanging cable, and their numbers of solutions."""
 
 from itertools import combinations
 from typing import Literal
@@ -18,7 +18,7 @@ NAMES = (
 """The eight quantities: ds, dz, dx, T_x, T_1z, T_3z, |T_1| and |T_3|."""
 
 Solution = Literal["only", "shorter", "longer", "lower", "higher"]
-"""Which cable is meant where two fit: by length, or by the far end's height if length is known."""
+"""Choice between two solutions: by length, or by the far end's height for a known length."""
 
 Triple = frozenset[str]
 
@@ -34,7 +34,7 @@ DEPENDENT: dict[Triple, str] = {
     _triple("H V1 T1"): "tension_1_N^2 = tension_x_N^2 + tension_1z_N^2",
     _triple("H V3 T3"): "tension_3_N^2 = tension_x_N^2 + tension_3z_N^2",
 }
-"""The four triples that say only two things, with the relation that ties them."""
+"""The four dependent triples, with their relation."""
 
 _BY_HEIGHT = {_triple(text) for text in ("s H T1", "s H T3", "s x H", "s x T1", "s x T3")}
 _BY_LENGTH = {
@@ -63,7 +63,7 @@ ADMISSIBLE: dict[Triple, tuple[Solution, ...]] = {
 
 
 def check_triple(given: Triple, solution: str) -> tuple[Solution, ...]:
-    """The solutions of a triple.
+    """Names of a triple's solutions.
 
     Raises:
         InvalidInput: not three quantities, not independent, or no such solution.

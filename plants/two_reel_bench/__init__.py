@@ -1,14 +1,14 @@
-"""Static transparency: what friction at the eyelets does to a tension, and how to measure it.
+"""Static transparency: effect of eyelet friction on a tension, and its measurement.
 
-The two-reel procedure finds the attenuation ratio B and the friction coefficient C_R of two reels
-that are alike, with one calibrated gauge between them:
+The two-reel procedure estimates the attenuation ratio B and the friction coefficient C_R of two
+equal reels of which one has a calibrated gauge:
 
 bench = SimulatedBench(ReelModel(), ReelModel(gauge=Gauge(zero=3.0, sensitivity=0.8)))
 procedure = TwoReelProcedure(setpoints_N=(8.0, 16.0, 24.0, 32.0, 40.0))
 result = evaluate(procedure.run(bench), angles_x_rad=[2.1])
 print(result.friction_coefficient, result.resolved, result.transparency().verdict)
 
-`procedure.run` takes any `ModelFitter`, also one of real reels.
+`procedure.run` takes any `Bench`, also one of real reels.
 """
 
 from plants.two_reel_bench.bench import SimulatedBench
@@ -22,7 +22,8 @@ from plants.two_reel_bench.contact import (
     sticks,
     tension_outside_N,
 )
-from plants.two_reel_bench.evaluation import FrictionCurve, TwoReelResult, evaluate
+from plants.two_reel_bench.evaluation import TwoReelResult, evaluate
+from plants.two_reel_bench.friction_curve import FrictionCurve
 from plants.two_reel_bench.friction_ratio import (
     attenuated_tension_N,
     attenuation,

@@ -1,14 +1,13 @@
-"""A simulated two-reel bench: drums, an elastic cable, and eyelets where it sticks or slides.
+"""A simulated two-reel bench: drums, an elastic cable, and eyelets with stick and slip.
 
-Quasi-static: the cable has no mass, and in each period the tensions are those at which no eyelet
-holds more than its friction can. From X to Y there are three pieces of cable. With w the length
-each drum has wound in and s the length that has slid in at each eyelet,
+Quasi-static: the cable has no mass, and in each period no eyelet holds more than its friction
+limit. There are three lengths of cable between X and Y. With w the length wound in by each drum
+and s the length that has slid in at each eyelet,
 
     T_x = k_x (w_x - s_x),    T_o = k_o (s_x + s_y),    T_y = k_y (w_y - s_y)
 
-and each eyelet keeps `B T <= T_o <= T/B`. This makes the play and the memory that the two-reel
-procedure has to live with: after any reversal the cable sticks, and the reel that was moved last
-says nothing of the tension at the other.
+and each eyelet keeps `B T <= T_o <= T/B`. The result is hysteresis: after a reversal the cable
+sticks, and the tension at one reel does not determine that at the other.
 """
 
 import math
@@ -23,16 +22,16 @@ from plants.two_reel_bench.friction_ratio import log_loss
 from plants.two_reel_bench.rig import BenchReading, BenchRecord
 
 _ROUNDS = 200
-"""Sliding at one eyelet after the other; each round leaves less than half of what was missing."""
+"""Iterations of alternate sliding; each at least halves the error."""
 
 _ROUNDING_N = 1e-10
 
 _SLIDING_MEMORY_s = 0.1
-"""Friction follows the sliding velocity with this lag, as contacts of a state and a rate do."""
+"""Lag of friction behind the sliding velocity, as in rate-and-state friction."""
 
 
 class SimulatedReel:
-    """A `BenchReel` of a simulated bench: its controllers and readings. Made by the bench."""
+    """A `BenchReel` of a simulated bench, made by the bench."""
 
     def __init__(self, model: ReelModel, tension_N: float, slid_m: float, path_N_m: float) -> None:
         self.model = model
@@ -41,12 +40,12 @@ class SimulatedReel:
         self.tension_N = tension_N
         self.reading = model.gauge.reading(tension_N)
         self.angle_rad = 0.0
-        self.scatter_due = True
+        self.friction_due = True
         self._path_N_m = path_N_m
-        self._law: Callable[[float, float], None] = self._servo
+        self._law: Callable[[float, float], None] = self._control_position
         self._target = self._goal = self.wound_m
         self._slope = self._effort = 0.0
-        self._seen_N = tension_N
+        self._last_tension_N = tension_N
 
     @property
     def drum_radius_m(self) -> float:
@@ -64,45 +63,45 @@ class SimulatedReel:
                 f"setpoint {setpoint} within {within_s} s cannot be held; both must be finite and "
                 "the time above zero"
             )
-        if self._law != self._force:
-            # Bumpless: the integral starts where the controller asks for no motion.
+        if self._law != self._control_tension:
+            # Bumpless: the integral starts at zero commanded motion.
             self._effort = self._motion_m_s(self.reading)
             self._target = self.reading
         self._goal = setpoint
         self._slope = abs(setpoint - self._target) / within_s
-        self._law = self._force
-        self.scatter_due = True
+        self._law = self._control_tension
+        self.friction_due = True
 
     def hold_position(self, angle_rad: float | None = None) -> None:
         """Controls the angle; see `BenchReel`."""
-        here = self.wound_m if self._law != self._servo else self._target
+        here = self.wound_m if self._law != self._control_position else self._target
         self._target = here
         self._goal = here if angle_rad is None else angle_rad * self.drum_radius_m
         self._slope = self.model.drive.return_m_s
-        self._law = self._servo
+        self._law = self._control_position
 
     def hold_velocity(self, velocity_rad_s: float, force_ramp_N_s: float = 0.0) -> None:
         """Controls the velocity; see `BenchReel`."""
         self._goal = velocity_rad_s * self.drum_radius_m
         if force_ramp_N_s:
-            self._law, self._target = self._yield, self._goal
+            self._law, self._target = self._yield_to_cable, self._goal
             self._slope, self._effort = force_ramp_N_s, self.tension_N
         else:
-            self._target = self._target if self._law == self._turn else 0.0
-            self._law, self._slope = self._turn, self.model.drive.acceleration_m_s2
+            self._target = self._target if self._law == self._control_velocity else 0.0
+            self._law, self._slope = self._control_velocity, self.model.drive.acceleration_m_s2
 
     def advance(self, period_s: float) -> None:
-        """Moves the drum by what its controller does in one period."""
-        gave = self.model.drive.compliance_m_N * (self.tension_N - self._seen_N)
-        self._seen_N = self.tension_N
-        self._law(period_s, gave)
+        """Moves the drum by its controller for one period."""
+        yield_m = self.model.drive.compliance_m_N * (self.tension_N - self._last_tension_N)
+        self._last_tension_N = self.tension_N
+        self._law(period_s, yield_m)
 
     def _approach(self, period_s: float) -> None:
-        """The setpoint on its way to the goal."""
+        """Moves the setpoint towards the goal."""
         step = self._slope * period_s
         self._target += min(max(self._goal - self._target, -step), step)
 
-    def _force(self, period_s: float, _gave: float) -> None:
+    def _control_tension(self, period_s: float, _yield_m: float) -> None:
         """Integral action on the error, proportional action on the reading: no overshoot."""
         self._approach(period_s)
         error = self._motion_m_s(self._target - self.reading)
@@ -110,25 +109,25 @@ class SimulatedReel:
         self.wound_m += (self._effort - self._motion_m_s(self.reading)) * period_s
 
     def _motion_m_s(self, reading: float) -> float:
-        """Velocity that the tension controller gives to a reading."""
+        """Velocity commanded by the tension controller for a reading."""
         drive = self.model.drive
         return reading / (self.model.gauge.sensitivity * self._path_N_m * drive.force_lag_s)
 
-    def _servo(self, period_s: float, gave: float) -> None:
-        """The drum returns to its position, and gives way when the tension changes."""
+    def _control_position(self, period_s: float, yield_m: float) -> None:
+        """Returns the drum to its position; it yields when the tension changes."""
         self._approach(period_s)
         share = 1.0 - math.exp(-period_s / self.model.drive.position_lag_s)
-        self.wound_m += share * (self._target - self.wound_m) - gave
+        self.wound_m += share * (self._target - self.wound_m) - yield_m
 
-    def _turn(self, period_s: float, gave: float) -> None:
-        """The drum comes to its velocity, and gives way when the tension changes."""
+    def _control_velocity(self, period_s: float, yield_m: float) -> None:
+        """Brings the drum to its velocity; it yields when the tension changes."""
         self._approach(period_s)
-        self.wound_m += self._target * period_s - gave
+        self.wound_m += self._target * period_s - yield_m
 
-    def _yield(self, period_s: float, _gave: float) -> None:
-        """The effort falls below the tension, and the cable pulls the drum along."""
+    def _yield_to_cable(self, period_s: float, _yield_m: float) -> None:
+        """Lowers the effort below the tension, so that the cable pulls the drum along."""
         self._effort += self._slope * period_s
-        # Implicit in the tension while the cable sticks, which is stiffest.
+        # Implicit in the tension of a sticking cable, the stiffest case.
         drag = self.model.drive.speed_damping_Ns_m / period_s + self.model.stiffness_N_m
         self.wound_m += (self._effort - self.tension_N) / drag + self._target * period_s
 
@@ -141,19 +140,19 @@ class SimulatedReel:
 
 
 class _Contact:
-    """One eyelet at work: how much it takes now."""
+    """State of one eyelet: sliding velocity and present attenuation ratio."""
 
     def __init__(self, eyelet: Eyelet) -> None:
         self.eyelet = eyelet
         self.velocity_m_s = 0.0
-        self.scatter = 1.0
+        self.factor = 1.0
         self._bends = [math.cos(0.5 * gamma) for gamma in eyelet.angles_rad]
         self._coefficient = -1.0
         self._ratio = 1.0
 
     def ratio(self, tension_N: float) -> float:
         """Attenuation ratio B."""
-        coefficient = self.scatter * self.eyelet.coefficient_at(tension_N, self.velocity_m_s)
+        coefficient = self.factor * self.eyelet.coefficient_at(tension_N, self.velocity_m_s)
         if coefficient != self._coefficient:
             if not 0.0 <= coefficient < 1.0:
                 raise PlantError(
@@ -167,7 +166,7 @@ class _Contact:
 
 
 class SimulatedBench:
-    """Two simulated reels on one cable; a `ModelFitter`.
+    """Two simulated reels on one cable; a `Bench`.
 
     Both start at rest with the same tension everywhere.
 
@@ -206,10 +205,10 @@ class SimulatedBench:
         self._outer_N_m = outer_stiffness_N_m
         self._period_s = 1.0 / sampling_Hz
         self._random = np.random.default_rng(seed)
-        self._wander = [g.drift_N * self._random.standard_normal() for g in (x.gauge, y.gauge)]
+        self._drift = [g.drift_N * self._random.standard_normal() for g in (x.gauge, y.gauge)]
 
     def record(self, duration_s: float) -> BenchRecord:
-        """Runs both reels for a time; see `ModelFitter`.
+        """Runs both reels for a time; see `Bench`.
 
         Raises:
             InvalidInput: the time is not finite or holds no sample.
@@ -232,14 +231,16 @@ class SimulatedBench:
         return BenchRecord(columns[0], BenchReading(*columns[1:3]), BenchReading(*columns[3:5]))
 
     def _step(self) -> None:
-        """One period: the drums move, and the cable slides as far as friction lets it."""
+        """One period: the drums move, and the cable slides until friction holds it."""
         self.time_s += self._period_s
         for reel in (self.x, self.y):
-            if reel.scatter_due:
-                # Any approach meets other spots of cable and eyelets, at both.
-                for met in self._contacts:
-                    met.scatter = math.exp(met.eyelet.variation * self._random.standard_normal())
-                reel.scatter_due = False
+            if reel.friction_due:
+                # Each approach has other contact spots of the cable, at both eyelets.
+                for contact in self._contacts:
+                    contact.factor = math.exp(
+                        contact.eyelet.variation * self._random.standard_normal()
+                    )
+                reel.friction_due = False
             reel.advance(self._period_s)
         before = self.x.slid_m, self.y.slid_m
         self._slide()
@@ -249,7 +250,7 @@ class SimulatedBench:
             contact.velocity_m_s += share * (velocity - contact.velocity_m_s)
 
     def _slide(self) -> None:
-        """Lets the eyelets slide until neither holds more than its friction can."""
+        """Slides the cable at both eyelets until friction holds it at each."""
         x, y = self.x, self.y
         B_x, B_y = (
             contact.ratio(reel.tension_N)
@@ -272,7 +273,7 @@ class SimulatedBench:
             )
 
     def _slide_one(self, reel: SimulatedReel, other: SimulatedReel, B: float) -> float:
-        """Slides the cable at one eyelet, and returns `dT_o/dw` of its drum; 0 where it sticks."""
+        """Slides the cable at one eyelet; returns `dT_o/dw` of its drum, 0 where it sticks."""
         k, k_o = reel.model.stiffness_N_m, self._outer_N_m
         inside = k * (reel.wound_m - reel.slid_m)
         outside = k_o * (reel.slid_m + other.slid_m)
@@ -286,10 +287,7 @@ class SimulatedBench:
         return share
 
     def _slide_both(self, share_x: float, share_y: float, first_x: float, first_y: float) -> None:
-        """Where both slide, slides them on to where they come to rest together.
-
-        Not where one of them would have to slide back for that: it sticks.
-        """
+        """Slides both eyelets to their common equilibrium, unless one would have to slide back."""
         x, y = self.x, self.y
         outer = (x.wound_m + y.wound_m) / (1.0 / self._outer_N_m + 1.0 / share_x + 1.0 / share_y)
         on_x = x.wound_m - outer / share_x - x.slid_m
@@ -299,15 +297,15 @@ class SimulatedBench:
             y.slid_m += on_y
 
     def _disturbances(self, samples: int) -> FloatArray:
-        """Noise and wander of both gauges, N, shape (samples, 2)."""
+        """Noise and drift of both gauges, N, shape (samples, 2)."""
         drawn = np.empty((samples, 2))
         for n, reel in enumerate((self.x, self.y)):
             gauge = reel.model.gauge
             drawn[:, n] = gauge.noise_N * self._random.standard_normal(samples)
             if gauge.drift_N > 0.0:
-                kept = math.exp(-self._period_s / gauge.drift_time_s)
-                push = gauge.drift_N * math.sqrt(1.0 - kept**2)
-                for k, kick in enumerate(self._random.standard_normal(samples).tolist()):
-                    self._wander[n] = kept * self._wander[n] + push * kick
-                    drawn[k, n] += self._wander[n]
+                decay = math.exp(-self._period_s / gauge.drift_time_s)
+                innovation = gauge.drift_N * math.sqrt(1.0 - decay**2)
+                for k, normal in enumerate(self._random.standard_normal(samples).tolist()):
+                    self._drift[n] = decay * self._drift[n] + innovation * normal
+                    drawn[k, n] += self._drift[n]
         return drawn

@@ -1,4 +1,4 @@
-"""What a simulated two-reel bench is made of: eyelets, gauges, controllers."""
+"""Parts of a simulated two-reel bench: eyelets, gauges, controllers."""
 
 import math
 from dataclasses import dataclass, field
@@ -9,19 +9,19 @@ from plants.two_reel_bench.friction_ratio import attenuation
 
 @dataclass(frozen=True, slots=True)
 class Eyelet:
-    """Friction where the cable enters a reel.
+    """Friction at the cable's entry to a reel.
 
-    The coefficient at rest falls to a dynamic one with the velocity, (10), may grow with it, and
-    with the tension inside where friction does not follow Coulomb's law.
+    The static coefficient falls to a dynamic one with the velocity, (10). It may grow with the
+    velocity, and with the tension inside, in deviation from Coulomb's law.
 
     Attributes:
         coefficient: Static friction coefficient C_R at no tension.
         angles_rad: Angle gamma at each contact between gauge and free cable, rad.
         dynamic_share: Dynamic over static coefficient.
-        stribeck_m_s: Velocity by which it has fallen, m/s.
+        stribeck_m_s: Velocity of the transition, m/s.
         viscous_s_m: Growth of the coefficient with velocity, s/m.
         growth_per_N: Growth of the coefficient with tension, 1/N.
-        variation: How much the coefficient differs from one approach to the next, relative, rms.
+        variation: Relative variation of the coefficient between approaches, rms.
     """
 
     coefficient: float = 0.1
@@ -37,7 +37,7 @@ class Eyelet:
         shares = {
             "dynamic_share": self.dynamic_share,
             "viscous_s_m": self.viscous_s_m,
-            "scatter": self.variation,
+            "variation": self.variation,
         }
         for name, value in shares.items():
             if not (math.isfinite(value) and value >= 0.0):
@@ -68,8 +68,8 @@ class Gauge:
         curvature_per_N: Departure from a straight line, 1/N.
         noise_N: Noise of one sample, N rms; 0.011 N is the reference reel's 0.04 N at 632 Hz,
             averaged over the period of 50 Hz.
-        drift_N: Slow wander of the zero, N rms.
-        drift_time_s: Its correlation time, s.
+        drift_N: Drift of the zero, N rms.
+        drift_time_s: Correlation time of the drift, s.
     """
 
     zero: float = 0.0
@@ -86,17 +86,16 @@ class Gauge:
 
 @dataclass(frozen=True, slots=True)
 class Drive:
-    """How a reel's controllers follow.
+    """Dynamics of a reel's controllers.
 
     Attributes:
-        force_lag_s: Time constant of the tension controller; small ones lead the other reel.
-        force_integral_s: Integral time of the tension controller, with which it follows a cable
-            that moves.
-        position_lag_s: Time in which a drum that gave way returns to its position.
-        compliance_m_N: How far it gives way per change of tension, m/N.
+        force_lag_s: Time constant of the tension controller.
+        force_integral_s: Integral time of the tension controller.
+        position_lag_s: Time constant of the position controller.
+        compliance_m_N: Displacement per change of tension, m/N.
         speed_damping_Ns_m: Force per velocity error at the cable, N s/m, under a force ramp.
-        return_m_s: How fast it returns to a position, m/s.
-        acceleration_m_s2: How fast it comes to a velocity, m/s2.
+        return_m_s: Velocity of the return to a position, m/s.
+        acceleration_m_s2: Acceleration to a velocity, m/s2.
     """
 
     force_lag_s: float = 0.1

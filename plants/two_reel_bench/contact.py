@@ -1,16 +1,20 @@
 """Forces where a cable bends over a contact: a point (the eyelet) or a line (the loading lever).
 
-The piece of cable at the contact is pulled by T_2 towards the reel and by T_1 away from it, and
-presses on the contact with their sum. Friction is F_R along the cable and F_L along the line. A
-point is a line constraint along `P_1 x P_2`, where the sum has no part along the line.
+The tension T_2 pulls the cable at the contact towards the reel, T_1 away from it; their sum acts
+on the contact. Friction is F_R along the cable and F_L along the line. A point is a line
+constraint along `P_1 x P_2`, along which the sum has no component.
 
-By (20) friction is in proportion to the whole force on the contact, of which it is a part, and not
-to the normal part as in Coulomb's law: C_R is the sine of the friction angle, and Coulomb's mu its
-tangent, `C_R / sqrt(1 - C_R^2)`, 2 % more at 0.2. With `T_1 = exp(-u) T_2`, and the cable turned
-by `w = pi - gamma`, a single contact has `sinh(u/2) = mu sin(w/2)` here, `u/2 = mu w/2` on a drum
-that it lies around (the capstan), and `tanh(u/2) = mu tan(w/2)` at a sharp point whose normal is
-the bisector. For mu = 0.2 and a turn of 30 degrees the losses are 9.8, 9.9 and 10.2 %, for one of
-90 degrees 25, 27 and 33 %: a coefficient found with one model belongs to it.
+In (20) friction is proportional to the total force on the contact, not to its normal part as in
+Coulomb's law: C_R is the sine of the friction angle, and Coulomb's mu its tangent, `C_R / sqrt(1 -
+C_R^2)`, 2 % more at 0.2. With `T_1 = exp(-u) T_2` and a turn of `w = pi - gamma`, a contact has
+`sinh(u/2) = mu sin(w/2)` here, `u/2 = mu w/2` on a drum (the capstan), and `tanh(u/2) = mu
+tan(w/2)` at a sharp point whose normal is the bisector. For mu = 0.2 the losses at 30 degrees are
+9.8, 9.9 and 10.2 %, at 90 degrees 25, 27 and 33 %: coefficients of different models are not
+interchangeable.
+
+Arguments broadcast: tensions outside |T_1| and inside |T_2|, N; angle gamma between them from 0
+(folded back) to pi (straight); friction coefficients C_R along the cable and C_L along the line.
+All functions raise InvalidInput for values that are not finite or out of their range.
 """
 
 from typing import NamedTuple
@@ -18,13 +22,20 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from estune.core.quantities import FloatArray, Numbers, index_text, checked_array, first_index, scalar_or_array
+from estune.core.quantities import (
+    FloatArray,
+    Numbers,
+    checked_array,
+    first_index,
+    index_text,
+    scalar_or_array,
+)
 from estune.errors import InvalidInput
 from plants.two_reel_bench.geometry import unit_vector
 
 
 class ContactForce(NamedTuple):
-    """The force on a contact, seen from its line.
+    """Force on a contact, relative to its line.
 
     Attributes:
         normal_N: Size across the line |T_N|.
@@ -38,15 +49,11 @@ class ContactForce(NamedTuple):
 
 
 def split_contact_force(force_N: ArrayLike, line: ArrayLike) -> ContactForce:
-    """Parts of the force on a contact along its line and across.
+    """Components of the force on a contact along and across its line.
 
     Implements (14).
 
     `|T_L| = |T_perp| sin(Psi) = |F_L|`, and `|T_N| = |T_perp| cos(Psi)` as in (16).
-
-    Args:
-        force_N: Sum of the two tensions as vectors T_perp, N, shape (..., 3).
-        line: Vectors along the line of contact, shape (..., 3); their lengths do not matter.
 
     Raises:
         InvalidInput: a value is not finite, a line has no length, or not three components.
@@ -71,10 +78,6 @@ def tension_outside_N(tension_2_N: ArrayLike, friction_N: ArrayLike) -> Numbers:
 
     `|T_1| = |T_2| - |F_R|`. When the cable is paid out the two tensions change places.
 
-    Args:
-        tension_2_N: Tension inside the reel |T_2|, N; any shape.
-        friction_N: Friction along the cable |F_R|, N; broadcasts.
-
     Raises:
         InvalidInput: a value is not finite or negative, or the friction exceeds the tension.
     """
@@ -84,7 +87,8 @@ def tension_outside_N(tension_2_N: ArrayLike, friction_N: ArrayLike) -> Numbers:
     if (T_1 < 0.0).any():
         place = first_index(T_1 < 0.0)
         raise InvalidInput(
-            f"friction exceeds the tension inside by {-T_1[place]:g} N{index_text(place)}; the cable "
+            f"friction exceeds the tension inside by {-T_1[place]:g} N{index_text(place)}; the "
+            "cable "
             "would be slack outside, check the friction coefficient"
         )
     return scalar_or_array(T_1)
@@ -96,24 +100,15 @@ def sticks(
     coefficient_R: ArrayLike,
     coefficient_L: ArrayLike,
 ) -> Numbers:
-    """Whether friction can hold the cable on the contact without sliding.
+    """Whether friction holds the cable on the contact without sliding.
 
     Implements (16).
 
     `|T_N| >= sqrt((|F_R|/C_R)^2 + (|F_L|/C_L)^2)` with `|F_L| = |T_L|`: the friction lies within
     an ellipse whose axes the two coefficients make.
 
-    Args:
-        contact: The force on the contact, from `split_contact_force`.
-        friction_N: Friction needed along the cable |F_R|, N; broadcasts.
-        coefficient_R: Friction coefficient along the cable C_R, above zero.
-        coefficient_L: Friction coefficient along the line C_L, above zero.
-
     Returns:
         True or False, or an array of them.
-
-    Raises:
-        InvalidInput: a value is not finite or out of its range.
     """
     F_R = checked_array("friction", friction_N, "N", least=0.0)
     C_R = checked_array("coefficient_R", coefficient_R, "", above=0.0)
@@ -131,16 +126,8 @@ def plane_tensions_N(
 
     `T_2 = |T_2| [1, 0]` and `T_1 = |T_1| [cos gamma, sin gamma]`.
 
-    Args:
-        tension_1_N: Tension outside |T_1|, N; any shape.
-        tension_2_N: Tension inside |T_2|, N; broadcasts.
-        angle_rad: Angle gamma between them, 0 to pi; broadcasts.
-
     Returns:
         T_1 and T_2, N, each of shape (..., 2).
-
-    Raises:
-        InvalidInput: a value is not finite or out of its range.
     """
     T_1, T_2, gamma = np.broadcast_arrays(*_tensions(tension_1_N, tension_2_N, angle_rad))
     outside = T_1[..., None] * np.stack([np.cos(gamma), np.sin(gamma)], axis=-1)
@@ -151,25 +138,18 @@ def plane_tensions_N(
 def contact_force_N(
     tension_1_N: ArrayLike, tension_2_N: ArrayLike, angle_rad: ArrayLike
 ) -> Numbers:
-    """Size of the force with which the cable presses on the contact |T_perp|.
+    """Magnitude of the force on the contact |T_perp|.
 
     Implements (18) and (19).
 
     `|T_1 + T_2| = sqrt(|T_1|^2 + |T_2|^2 + 2 |T_1||T_2| cos gamma)`, taken as
     `hypot((T_1 + T_2) cos(gamma/2), (T_1 - T_2) sin(gamma/2))`, which does not cancel for a cable
     that is almost straight.
-
-    Args:
-        tension_1_N: Tension outside |T_1|, N; any shape.
-        tension_2_N: Tension inside |T_2|, N; broadcasts.
-        angle_rad: Angle gamma between them, 0 to pi; broadcasts.
-
-    Raises:
-        InvalidInput: a value is not finite or out of its range.
     """
     T_1, T_2, gamma = _tensions(tension_1_N, tension_2_N, angle_rad)
     half = 0.5 * gamma
-    return scalar_or_array(np.asarray(np.hypot((T_1 + T_2) * np.cos(half), (T_1 - T_2) * np.sin(half))))
+    force = np.hypot((T_1 + T_2) * np.cos(half), (T_1 - T_2) * np.sin(half))
+    return scalar_or_array(np.asarray(force))
 
 
 def friction_N(
@@ -178,18 +158,12 @@ def friction_N(
     lateral_angle_rad: ArrayLike = 0.0,
     coefficient_L: ArrayLike = np.inf,
 ) -> Numbers:
-    """Greatest friction along the cable |F_R| before it slides.
+    """Maximum friction along the cable |F_R| before sliding.
 
     Implements (20).
 
     `|F_R| = C_R |T_perp|` where nothing pushes the cable along the line. With a lateral angle,
     (16) with its equality: `C_R |T_perp| sqrt(cos^2(Psi) - (sin(Psi)/C_L)^2)`.
-
-    Args:
-        contact_N: Force on the contact |T_perp|, N; any shape.
-        coefficient_R: Friction coefficient along the cable C_R, zero or above; broadcasts.
-        lateral_angle_rad: Angle Psi of the force to the plane across the line; broadcasts.
-        coefficient_L: Friction coefficient along the line C_L, above zero; needed with an angle.
 
     Raises:
         InvalidInput: a value is not finite or out of its range, or the angle lies outside the
@@ -206,7 +180,8 @@ def friction_N(
         place = first_index(outside)
         limit = np.broadcast_to(np.arctan(C_L), outside.shape)[place]
         raise InvalidInput(
-            f"lateral angle is {np.broadcast_to(Psi, outside.shape)[place]:g} rad{index_text(place)}, "
+            f"lateral angle is {np.broadcast_to(Psi, outside.shape)[place]:g} "
+            f"rad{index_text(place)}, "
             f"outside the friction cone of {limit:g} rad: the cable slides along the line; turn "
             "the lever across the cable or raise coefficient_L"
         )
@@ -215,16 +190,13 @@ def friction_N(
 
 
 def checked_angle(angle_rad: ArrayLike) -> FloatArray:
-    """Angles gamma between the two tensions, 0 to pi.
-
-    Raises:
-        InvalidInput: a value is not finite or out of its range.
-    """
+    """Angles gamma between the two tensions, 0 to pi."""
     gamma = checked_array("angle gamma", angle_rad, "rad", least=0.0)
     if (gamma > np.pi).any():
         place = first_index(gamma > np.pi)
         raise InvalidInput(
-            f"angle gamma is {gamma[place]:g} rad{index_text(place)}; it lies between 0 (folded back) and "
+            f"angle gamma is {gamma[place]:g} rad{index_text(place)}; it lies between 0 (folded "
+            "back) and "
             "pi (straight), in radians"
         )
     return gamma

@@ -1,20 +1,31 @@
-"""The attenuation ratio B of a contact, from the friction coefficient C_R and back.
+"""Attenuation ratio B of a contact from the friction coefficient C_R, and the inverse.
 
 A cable that slides in over an eyelet has `|T_1| = B |T_2|` outside. With `u = -ln B`, (21) is
-`sinh(u/2) = C_R / sqrt(1 - C_R^2) cos(gamma/2)`: u is what adds up over several contacts, and the
-form neither cancels for a cable that is almost straight nor for little friction.
+`sinh(u/2) = C_R / sqrt(1 - C_R^2) cos(gamma/2)`: u adds up over several contacts, and the form has
+no cancellation for a nearly straight cable or little friction.
+
+Arguments broadcast: tensions outside |T_1| and inside |T_2|, N; friction coefficient C_R from 0 to
+below 1; angle gamma from 0 (folded back) to pi (straight); attenuation ratio B above 0, at most 1.
+All functions raise InvalidInput for values that are not finite or out of their range.
 """
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from estune.core.quantities import FloatArray, Numbers, index_text, checked_array, first_index, scalar_or_array
+from estune.core.quantities import (
+    FloatArray,
+    Numbers,
+    checked_array,
+    first_index,
+    index_text,
+    scalar_or_array,
+)
 from estune.errors import InvalidInput
 from plants.cable.roots import newton
 from plants.two_reel_bench.contact import checked_angle, contact_force_N, friction_N
 
 LEAST_BEND_rad = 1e-6
-"""A cable that is straighter than this tells nothing of friction."""
+"""Minimum bend at which friction can be determined."""
 
 
 def sliding_excess_N(
@@ -23,21 +34,12 @@ def sliding_excess_N(
     coefficient_R: ArrayLike,
     angle_rad: ArrayLike,
 ) -> Numbers:
-    """By how much the difference of the tensions exceeds what friction can hold, N.
+    """Difference of the tensions in excess of the maximum friction, N.
 
     Implements (21).
 
     `|T_2| - |T_1| - C_R sqrt(|T_1|^2 + |T_2|^2 + 2 |T_1||T_2| cos gamma)`: zero where the cable
     slides in or is about to, below zero where it sticks.
-
-    Args:
-        tension_1_N: Tension outside |T_1|, N; any shape.
-        tension_2_N: Tension inside |T_2|, N; broadcasts.
-        coefficient_R: Friction coefficient C_R; broadcasts.
-        angle_rad: Angle gamma between the tensions; broadcasts.
-
-    Raises:
-        InvalidInput: a value is not finite or out of its range.
     """
     contact = contact_force_N(tension_1_N, tension_2_N, angle_rad)
     held = friction_N(contact, coefficient_R)
@@ -49,15 +51,8 @@ def capital_gamma(coefficient_R: ArrayLike, angle_rad: ArrayLike) -> Numbers:
 
     Implements (25).
 
-    `Gamma = (1 + C_R^2 cos gamma) / (1 - C_R^2)`, 1 or more for C_R below one. From one on, the
-    friction on a folded cable exceeds any tension, and the contact jams.
-
-    Args:
-        coefficient_R: Friction coefficient C_R, from 0 to below 1; any shape.
-        angle_rad: Angle gamma, 0 to pi; broadcasts.
-
-    Raises:
-        InvalidInput: a value is not finite or out of its range.
+    `Gamma = (1 + C_R^2 cos gamma) / (1 - C_R^2)`, 1 or more for C_R below one. From C_R = 1 on, a
+    folded cable jams at the contact.
     """
     C, gamma = checked_coefficient(coefficient_R), checked_angle(angle_rad)
     # 1 + 2 sinh^2(u/2): the printed quotient, without losing Gamma - 1.
@@ -70,14 +65,9 @@ def attenuation(coefficient_R: ArrayLike, *angles_rad: ArrayLike) -> Numbers:
     Implements (22) and (24).
 
     `|T_1|^2 + |T_2|^2 - 2 |T_1||T_2| Gamma = 0` has the roots `B = Gamma - sqrt(Gamma^2 - 1)` and
-    its inverse. The text dismisses the other one for `B >= 0`, but both are above zero: it is the
-    ratio of a cable that is paid out, `|T_1| > |T_2|`, which (15) rules out. With several
-    contacts, their product (26).
-
-    Args:
-        coefficient_R: Friction coefficient C_R, from 0 to below 1; any shape.
-        *angles_rad: Angle gamma between the tensions of each contact, 0 (folded back) to pi
-            (straight); broadcast.
+    its inverse. The text excludes the inverse by `B >= 0`, but both are positive: the inverse is
+    the ratio of a cable that is paid out, excluded by (15). Several contacts have the product
+    (26).
 
     Returns:
         B, above 0, at most 1.
@@ -91,12 +81,7 @@ def attenuation(coefficient_R: ArrayLike, *angles_rad: ArrayLike) -> Numbers:
 
 
 def log_loss(coefficient_R: Numbers, half_angle_cosine: Numbers) -> Numbers:
-    """`u = -ln B` of one contact, for values known to be good.
-
-    Args:
-        coefficient_R: Friction coefficient C_R, from 0 to below 1.
-        half_angle_cosine: `cos(gamma/2)`.
-    """
+    """`u = -ln B` of one contact, for valid values."""
     return 2.0 * np.arcsinh(_tangent(coefficient_R) * half_angle_cosine)
 
 
@@ -106,13 +91,6 @@ def attenuated_tension_N(tension_2_N: ArrayLike, attenuation_ratio: ArrayLike) -
     Implements (23).
 
     `|T_1| = B |T_2|`.
-
-    Args:
-        tension_2_N: Tension inside |T_2|, N; any shape.
-        attenuation_ratio: Attenuation ratio B, above 0, at most 1; broadcasts.
-
-    Raises:
-        InvalidInput: a value is not finite or out of its range.
     """
     T_2 = checked_array("tension_2", tension_2_N, "N", least=0.0)
     return scalar_or_array(np.asarray(checked_attenuation(attenuation_ratio) * T_2))
@@ -123,11 +101,8 @@ def equivalent_attenuation(*attenuations: ArrayLike) -> Numbers:
 
     Implements (26).
 
-    `B_eq = B_1 B_2 ... B_N`. It holds whatever the coefficients are; that they are the same, as
-    the text has it, is needed to find C_R from B_eq.
-
-    Args:
-        *attenuations: Attenuation ratio of each contact, above 0, at most 1; they broadcast.
+    `B_eq = B_1 B_2 ... B_N` for any coefficients; equal ones, as in the text, are needed only to
+    find C_R from B_eq.
 
     Raises:
         InvalidInput: a value is not finite or out of its range, or none is given.
@@ -144,17 +119,13 @@ def friction_coefficient(attenuation_ratio: ArrayLike, *angles_rad: ArrayLike) -
     """Friction coefficient C_R from the attenuation ratio of a reel, by Newton's method.
 
     With the tangent `t = C_R / sqrt(1 - C_R^2)`, the sum of `2 asinh(t cos(gamma_k/2))` over the
-    contacts has to be `-ln B`. The sum is concave in t, so that Newton's method climbs to the root
-    from below without overshooting, between what contacts that are all of the mean bend would
-    need, and what the sharpest would need alone. For one contact both are the root.
-
-    Args:
-        attenuation_ratio: Attenuation ratio B, above 0, at most 1; any shape.
-        *angles_rad: Angle gamma of each contact, 0 (folded back) to pi (straight); broadcast.
+    contacts equals `-ln B`. The sum is concave in t, so that Newton's method does not overshoot
+    from below. The root is bracketed by those for all contacts of the mean bend, and for the
+    sharpest contact alone.
 
     Raises:
         InvalidInput: a value is not finite or out of its range, no angle is given, or the cable
-            is straight at every contact, where friction leaves no trace.
+            is straight at every contact.
     """
     B, *angles = np.broadcast_arrays(
         checked_attenuation(attenuation_ratio), *_checked_angles(angles_rad)
@@ -162,13 +133,14 @@ def friction_coefficient(attenuation_ratio: ArrayLike, *angles_rad: ArrayLike) -
     straight = np.pi - np.min(angles, axis=0) < LEAST_BEND_rad
     if straight.any():
         raise InvalidInput(
-            f"angle gamma is pi{index_text(first_index(straight))} at every contact: a straight cable does not "
-            "tell its friction coefficient, bend it by moving one reel sideways"
+            f"angle gamma is pi{index_text(first_index(straight))} at every contact: a straight "
+            "cable does not "
+            "show its friction coefficient, bend it by moving one reel sideways"
         )
     shape = B.shape
     wanted = np.abs(np.log(B)).ravel()
     bends = [np.cos(0.5 * gamma).ravel() for gamma in angles]
-    slack = 1e-9  # keeps the root between the bounds when they differ by rounding alone
+    slack = 1e-9  # keeps the root inside bounds that differ by rounding alone
     least = np.sinh(0.5 * wanted / len(bends)) / np.mean(bends, axis=0)
     most = np.sinh(0.5 * wanted) / np.max(bends, axis=0)
     t = newton(_missing_loss, least * (1.0 - slack), most * (1.0 + slack), wanted, *bends)
@@ -178,7 +150,7 @@ def friction_coefficient(attenuation_ratio: ArrayLike, *angles_rad: ArrayLike) -
 def _missing_loss(
     t: FloatArray, wanted: FloatArray, *bends: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """What a tangent of the friction angle leaves missing of the logarithmic loss, and slope."""
+    """Residual of the logarithmic loss for a tangent of the friction angle, and its slope."""
     loss, slope = np.zeros_like(t), np.zeros_like(t)
     for bend in bends:
         loss += 2.0 * np.arcsinh(t * bend)
@@ -187,32 +159,26 @@ def _missing_loss(
 
 
 def checked_coefficient(coefficient_R: ArrayLike) -> FloatArray:
-    """Friction coefficients, from 0 to below 1.
-
-    Raises:
-        InvalidInput: a value is not finite or out of its range.
-    """
+    """Friction coefficients, from 0 to below 1."""
     C = checked_array("friction coefficient", coefficient_R, "", least=0.0)
     if (C >= 1.0).any():
         place = first_index(C >= 1.0)
         raise InvalidInput(
-            f"friction coefficient is {C[place]:g}{index_text(place)}; from 1 on the cable jams at the "
+            f"friction coefficient is {C[place]:g}{index_text(place)}; from 1 on the cable jams "
+            "at the "
             "contact, give one below 1"
         )
     return C
 
 
 def checked_attenuation(ratio: ArrayLike) -> FloatArray:
-    """Attenuation ratios, above 0 and at most 1.
-
-    Raises:
-        InvalidInput: a value is not finite or out of its range.
-    """
+    """Attenuation ratios, above 0 and at most 1."""
     B = checked_array("attenuation ratio", ratio, "", above=0.0)
     if (B > 1.0).any():
         place = first_index(B > 1.0)
         raise InvalidInput(
-            f"attenuation ratio is {B[place]:.6g}{index_text(place)}; it is at most 1, as friction only "
+            f"attenuation ratio is {B[place]:.6g}{index_text(place)}; it is at most 1, as "
+            "friction only "
             "takes tension away: check the gauges' zeros, or which reel was driven"
         )
     return B

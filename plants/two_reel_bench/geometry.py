@@ -1,23 +1,33 @@
-"""Where a cable goes at an eyelet: its direction outside and inside, and the angle between.
+"""Directions of a cable outside and inside an eyelet, and the angle between them.
 
 The axes at the eyelet are a reference vector r in its plane of symmetry, the vector across it, and
-the normal N pointing outward. Directions are those of the two forces that pull the piece of cable
-at the eyelet, so that a straight cable has an angle of pi between them and one that is folded back
-has an angle of zero.
+the normal N pointing outward. Directions are those of the two forces on the cable at the eyelet:
+the angle between them is pi for a straight cable and zero for one folded back.
 
-In the text theta_1 is the angle between T_1 and -N, so that its T_1 points inward and its T_2
-outward: both are opposite to the pulls on the piece of cable. The angle between them is the same.
-The functions follow (11) and (12) as printed.
+In the text theta_1 is the angle between T_1 and -N: its T_1 points inward and its T_2 outward,
+both opposite to the forces on the cable. The angle between them is the same. The functions follow
+(11) and (12) as printed.
+
+Angles theta, from 0 to below pi/2, are to the axis, phi those of the projection on the plane of
+the eyelet, from r, in rad; they broadcast. Vectors have shape (..., 3), and their length is
+irrelevant.
 """
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from estune.core.quantities import FloatArray, Numbers, index_text, checked_array, first_index, scalar_or_array
+from estune.core.quantities import (
+    FloatArray,
+    Numbers,
+    checked_array,
+    first_index,
+    index_text,
+    scalar_or_array,
+)
 from estune.errors import InvalidInput
 
 _STRAIGHT_rad = 1e-7
-"""Vectors nearer to one line than this span no plane that rounding leaves meaningful."""
+"""Minimum angle of two vectors that span a plane, for rounding."""
 
 
 def direction_outside(theta_1_rad: ArrayLike, phi_1_rad: ArrayLike) -> FloatArray:
@@ -26,10 +36,6 @@ def direction_outside(theta_1_rad: ArrayLike, phi_1_rad: ArrayLike) -> FloatArra
     Implements (11).
 
     `P_1 = [cos phi_1 sin theta_1, sin phi_1 sin theta_1, -cos theta_1]`
-
-    Args:
-        theta_1_rad: Angle to the axis -N, from 0 to below pi/2; any shape.
-        phi_1_rad: Angle of the projection on the plane of the eyelet, from r; broadcasts.
 
     Returns:
         Unit vectors, shape (..., 3).
@@ -46,10 +52,6 @@ def direction_inside(theta_2_rad: ArrayLike, phi_2_rad: ArrayLike) -> FloatArray
     Implements (12).
 
     `P_2 = [cos phi_2 sin theta_2, sin phi_2 sin theta_2, cos theta_2]`
-
-    Args:
-        theta_2_rad: Angle to the axis +N, from 0 to below pi/2; any shape.
-        phi_2_rad: Angle of the projection on the plane of the eyelet, from r; broadcasts.
 
     Returns:
         Unit vectors, shape (..., 3).
@@ -69,7 +71,8 @@ def _direction(
     if behind.any():
         place = first_index(behind)
         raise InvalidInput(
-            f"{theta_name} is {theta[place]:g} rad{index_text(place)}; a cable through the eyelet has "
+            f"{theta_name} is {theta[place]:g} rad{index_text(place)}; a cable through the eyelet "
+            "has "
             "less than pi/2 on either side, turn the eyelet towards it"
         )
     theta, phi = np.broadcast_arrays(theta, phi)
@@ -82,13 +85,8 @@ def angle_between_rad(P_1: ArrayLike, P_2: ArrayLike) -> Numbers:
 
     Implements (13).
 
-    `cos gamma = P_1' P_2`, taken as `2 atan(|P_1 - P_2| / |P_1 + P_2|)`: near a straight cable,
-    where most eyelets work and the friction depends on `pi - gamma`, the arc cosine would lose
-    half the digits.
-
-    Args:
-        P_1: Vectors along the cable outside, shape (..., 3); their lengths do not matter.
-        P_2: Vectors along the cable inside, shape (..., 3); broadcasts.
+    `cos gamma = P_1' P_2`, computed as `2 atan(|P_1 - P_2| / |P_1 + P_2|)`: the arc cosine would
+    lose half the digits near a straight cable.
 
     Raises:
         InvalidInput: a value is not finite, a vector has no length or not three components.
@@ -101,39 +99,28 @@ def angle_between_rad(P_1: ArrayLike, P_2: ArrayLike) -> Numbers:
 def eyelet_angle_rad(
     theta_1_rad: ArrayLike, phi_1_rad: ArrayLike, theta_2_rad: ArrayLike, phi_2_rad: ArrayLike
 ) -> Numbers:
-    """Angle gamma from the four angles of the cable at the eyelet: (11) to (13); they broadcast.
-
-    Raises:
-        InvalidInput: as `direction_outside` and `direction_inside`.
-    """
+    """Angle gamma from the four angles of the cable at the eyelet: (11) to (13)."""
     return angle_between_rad(
         direction_outside(theta_1_rad, phi_1_rad), direction_inside(theta_2_rad, phi_2_rad)
     )
 
 
 def contact_line(P_1: ArrayLike, P_2: ArrayLike) -> FloatArray:
-    """The line that stands for the eyelet as a line constraint: unit vector of `P_1 x P_2`.
-
-    Args:
-        P_1: Vectors along the cable outside, shape (..., 3).
-        P_2: Vectors along the cable inside, shape (..., 3); broadcasts.
-
-    Raises:
-        InvalidInput: as `angle_between_rad`, or the two are collinear and span no plane.
-    """
+    """Line of contact at the eyelet: unit vector of `P_1 x P_2`."""
     across = np.cross(unit_vector("P_1", P_1), unit_vector("P_2", P_2))
     size = np.linalg.norm(across, axis=-1)
     collinear = size < _STRAIGHT_rad
     if collinear.any():
         raise InvalidInput(
-            f"the cable outside and inside are collinear{index_text(first_index(collinear))}; without a bend "
+            f"the cable outside and inside are collinear{index_text(first_index(collinear))}; "
+            "without a bend "
             "there is neither a contact line nor friction, move one end sideways"
         )
     return np.asarray(across / size[..., None])
 
 
 def unit_vector(name: str, vector: ArrayLike) -> FloatArray:
-    """The vectors made one long, shape (..., 3).
+    """The vectors with unit length, shape (..., 3).
 
     Raises:
         InvalidInput: a value is not finite, a vector has no length or not three components.
@@ -143,5 +130,6 @@ def unit_vector(name: str, vector: ArrayLike) -> FloatArray:
         raise InvalidInput(f"{name} has shape {v.shape}; its last axis must hold 3 components")
     size = np.linalg.norm(v, axis=-1)
     if (size == 0.0).any():
-        raise InvalidInput(f"{name} has no length{index_text(first_index(size == 0.0))}; give a direction")
+        place = index_text(first_index(size == 0.0))
+        raise InvalidInput(f"{name} has no length{place}; give a direction")
     return np.asarray(v / size[..., None])

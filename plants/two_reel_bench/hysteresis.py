@@ -1,4 +1,4 @@
-"""Tension hysteresis between two reels, as in Fig. 15: one rises and falls, one is read."""
+"""Tension hysteresis between two reels (Fig. 15): one is cycled, the other is read."""
 
 import math
 from dataclasses import dataclass
@@ -9,16 +9,15 @@ import numpy as np
 from estune.core.quantities import FloatArray
 from estune.errors import InvalidInput
 from estune.reel.calibration import GaugeCalibration
-from plants.two_reel_bench.procedure import mean_reading
-from plants.two_reel_bench.rig import Bench
+from plants.two_reel_bench.rig import Bench, mean_reading
 
 
 class HysteresisLoop(NamedTuple):
-    """Readings of both reels while X goes up and down; columns have shape (points,).
+    """Readings of both reels while X is cycled; columns have shape (points,).
 
     Attributes:
         x_N: Tension at X, N.
-        y: Reading of Y, in its own unit, or N where it was given its calibration.
+        y: Reading of Y in its own unit, or in N if calibrated.
         cycle: Number of the cycle.
         rising: Whether X was rising.
     """
@@ -31,12 +30,12 @@ class HysteresisLoop(NamedTuple):
     def attenuation(self) -> float:
         """Attenuation ratio B from the edges of the loop.
 
-        On the rising edge the tension at Y is `B^2 x`, on the falling one `x/B^2`, so that the
-        ratio of the two slopes is `B^4` in whatever unit Y reads, and whatever its zero is. The
-        last quarter of each edge is taken; it must have left the part where the cable sticks.
+        The tension at Y is `B^2 x` on the rising edge and `x/B^2` on the falling edge. The ratio
+        of the slopes is `B^4`, for any unit and zero of Y. The last quarter of each edge is used,
+        where the cable must slide.
 
         Raises:
-            InvalidInput: the loop is too narrow: the cable sticks over most of it.
+            InvalidInput: the loop is so narrow that the cable sticks over most of it.
         """
         low, high = float(self.x_N.min()), float(self.x_N.max())
         quarter = 0.25 * (high - low)
@@ -47,7 +46,7 @@ class HysteresisLoop(NamedTuple):
             for edge in (up, down)
         ]
         fourth = slopes[0] / slopes[1] if slopes[1] else math.nan
-        # The cable slides on the way down below B^4 high, and on the way up above low/B^4.
+        # The cable slides below B^4 high when falling, and above low/B^4 when rising.
         if not max((low + quarter) / high, low / (high - quarter)) < fourth:
             raise InvalidInput(
                 f"the loop from {low:.3g} to {high:.3g} N is too narrow: the cable sticks over "
@@ -58,16 +57,16 @@ class HysteresisLoop(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class HysteresisTest:
-    """A reel's tension goes up and down in steps while the other holds its position.
+    """Test in which one reel cycles its tension in steps and the other holds its position.
 
     Attributes:
-        low_N: Least tension of X, N.
-        high_N: Greatest, N.
-        steps: Steps from one to the other.
-        cycles: How often it goes up and down; the way up to the first loop is left out.
-        step_s: Time for a step, s.
-        settle_s: Time to settle after it, s.
-        read_s: Time over which readings are averaged, s.
+        low_N: Minimum tension of X, N.
+        high_N: Maximum tension, N.
+        steps: Steps between them.
+        cycles: Number of cycles, without the approach to the first.
+        step_s: Duration of a step, s.
+        settle_s: Settling time after it, s.
+        read_s: Averaging time of the readings, s.
 
     Raises:
         InvalidInput: a value is out of its range.
@@ -98,11 +97,11 @@ class HysteresisTest:
                 raise InvalidInput(f"{name} is {value}; it must be above zero")
 
     def run(self, bench: Bench, calibration_y: GaugeCalibration | None = None) -> HysteresisLoop:
-        """Measures the loop; both reels hold their position at the end, also after an error.
+        """Measures the loop; both reels hold their position afterwards, also after an error.
 
         Args:
             bench: The two reels.
-            calibration_y: Turns Y's readings into N, `TwoReelResult.calibration_y`.
+            calibration_y: Calibration of Y's readings, `TwoReelResult.calibration_y`.
 
         Raises:
             RigError: a reading is not finite.
@@ -115,8 +114,8 @@ class HysteresisTest:
             self._read(bench, self.high_N)
             self._read(bench, self.low_N)
             for cycle in range(self.cycles):
-                for rising, way in ((1.0, levels[1:]), (0.0, levels[-2::-1])):
-                    rows += [(*self._read(bench, n), float(cycle), rising) for n in way.tolist()]
+                for rising, edge in ((1.0, levels[1:]), (0.0, levels[-2::-1])):
+                    rows += [(*self._read(bench, n), float(cycle), rising) for n in edge.tolist()]
         finally:
             bench.x.hold_position()
             bench.y.hold_position()

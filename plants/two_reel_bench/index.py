@@ -1,4 +1,4 @@
-"""Static transparency of a reel: how much its friction hides from a hand on the cable."""
+"""Static transparency of a reel: share of a force on the cable that friction hides."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -12,7 +12,7 @@ from plants.two_reel_bench.contact import checked_angle
 from plants.two_reel_bench.friction_ratio import checked_attenuation, checked_coefficient
 
 WEBER_LIMIT = 0.1
-"""Share of a force that a hand just notices, Weber's law (Lanzara 1994)."""
+"""Just noticeable share of a force, Weber's law (Lanzara 1994)."""
 
 Verdict = Literal["transparent", "noticeable", "undecided"]
 
@@ -24,9 +24,6 @@ def log_mean(attenuation_ratios: ArrayLike) -> Numbers:
 
     `chi = mean(ln B_i)`, over the last axis.
 
-    Args:
-        attenuation_ratios: B of each setpoint, shape (..., N).
-
     Raises:
         InvalidInput: a value is not finite or out of its range, or there is none.
     """
@@ -34,15 +31,12 @@ def log_mean(attenuation_ratios: ArrayLike) -> Numbers:
 
 
 def log_spread(attenuation_ratios: ArrayLike) -> Numbers:
-    """The criterion a prototype is to minimise: spread of ln B over the setpoints.
+    """Design criterion of a prototype: standard deviation of ln B over the setpoints.
 
     Implements (27).
 
     `sqrt(sum((ln B_i - chi)^2) / N)`, over the last axis: zero where friction follows Coulomb's
-    law exactly, whatever its size. It is the standard deviation with N, not N - 1.
-
-    Args:
-        attenuation_ratios: B of each setpoint, shape (..., N).
+    law. The divisor is N, not N - 1.
 
     Raises:
         InvalidInput: a value is not finite or out of its range, or there is none.
@@ -53,40 +47,33 @@ def log_spread(attenuation_ratios: ArrayLike) -> Numbers:
 def friction_share(
     coefficient_R: ArrayLike, attenuation_ratio: ArrayLike, angle_rad: ArrayLike
 ) -> Numbers:
-    """Share of the tension that friction takes, to be below 0.1.
+    """Share of the tension lost to friction; below 0.1 for a transparent reel.
 
     Implements (29).
 
-    `|F_R|/|T_2| = C_R sqrt(1 + B (B + 2 cos gamma))`, by (20), (19) and (23), and equal to
-    `1 - B` for the B that belongs to C_R, so that the limit of 0.1 is `B > 0.9` as the text says.
-    The print has `1 + B (1 + 2 cos gamma)`, which contradicts (19): at gamma = pi, without any
-    contact force, it would leave `C_R sqrt(1 - B)`.
-
-    Args:
-        coefficient_R: Friction coefficient C_R, from 0 to below 1; any shape.
-        attenuation_ratio: Attenuation ratio B, above 0, at most 1; broadcasts.
-        angle_rad: Angle gamma, 0 to pi; broadcasts.
-
-    Raises:
-        InvalidInput: a value is not finite or out of its range.
+    `|F_R|/|T_2| = C_R sqrt(1 + B (B + 2 cos gamma))`, by (20), (19) and (23). It equals `1 - B`
+    for the B of C_R, so that the limit of 0.1 is `B > 0.9` as in the text. The print has
+    `1 + B (1 + 2 cos gamma)`, which contradicts (19): it would be `C_R sqrt(1 - B)` at gamma = pi,
+    where there is no contact force.
     """
     C, B = checked_coefficient(coefficient_R), checked_attenuation(attenuation_ratio)
     half = 0.5 * checked_angle(angle_rad)
     # 1 + B^2 + 2 B cos(gamma), without cancelling near gamma = pi.
-    return scalar_or_array(np.asarray(C * np.hypot((1.0 + B) * np.cos(half), (1.0 - B) * np.sin(half))))
+    share = C * np.hypot((1.0 + B) * np.cos(half), (1.0 - B) * np.sin(half))
+    return scalar_or_array(np.asarray(share))
 
 
 @dataclass(frozen=True, slots=True)
 class StaticTransparency:
-    """How transparent a reel is at rest.
+    """Transparency of a reel at rest.
 
     Attributes:
         log_mean: Mean of ln B over the setpoints, (28).
-        log_spread: Its spread over the setpoints, (27).
-        friction_share: Greatest share of the tension lost over the setpoints, (29).
-        friction_share_low: Least that this share may be, at the confidence of the ratios.
-        friction_share_high: Most that it may be.
-        limit: What a hand just notices.
+        log_spread: Standard deviation of ln B over the setpoints, (27).
+        friction_share: Maximum share of the tension lost over the setpoints, (29).
+        friction_share_low: Lower end of its confidence interval.
+        friction_share_high: Upper end.
+        limit: Just noticeable share.
     """
 
     log_mean: float
@@ -98,7 +85,7 @@ class StaticTransparency:
 
     @property
     def verdict(self) -> Verdict:
-        """Whether the share is below Weber's limit, above it, or cannot be told from it."""
+        """Whether the interval of the share is below Weber's limit, above it, or contains it."""
         if self.friction_share_high < self.limit:
             return "transparent"
         return "noticeable" if self.friction_share_low > self.limit else "undecided"
@@ -107,19 +94,14 @@ class StaticTransparency:
 def static_transparency(
     attenuation_ratios: ArrayLike, low: ArrayLike, high: ArrayLike, limit: float = WEBER_LIMIT
 ) -> StaticTransparency:
-    """Judges the attenuation ratios that were measured over the setpoints.
-
-    Args:
-        attenuation_ratios: B of each setpoint, shape (N,).
-        low: Lower ends of their confidence intervals, shape (N,).
-        high: Upper ends, shape (N,).
-        limit: Weber's limit.
+    """Transparency from attenuation ratios over the setpoints, with confidence limits, shape (N,).
 
     Raises:
         InvalidInput: a value is not finite or out of its range, or the shapes differ.
     """
     B = _setpoints(attenuation_ratios)
-    low, high = checked_array("low", low, "", above=0.0), checked_array("high", high, "", above=0.0)
+    low = checked_array("low", low, "", above=0.0)
+    high = checked_array("high", high, "", above=0.0)
     if not B.shape == low.shape == high.shape == (B.size,):
         raise InvalidInput(
             f"ratios, low and high have shapes {B.shape}, {low.shape}, {high.shape}; give one "

@@ -1,4 +1,4 @@
-"""How well the mean of independent estimates is known."""
+"""Mean of independent estimates with Student's interval."""
 
 import numpy as np
 
@@ -6,7 +6,7 @@ from estune.core.quantities import FloatArray
 from plants.identify.estimate import Estimate
 
 SIGNIFICANCE_LEVEL = 0.01
-"""A test whose outcome chance alone makes less often than this counts against its hypothesis."""
+"""Significance level of hypothesis tests."""
 
 
 def student_quantile(probability: float, freedom: int) -> float:
@@ -17,14 +17,13 @@ def student_quantile(probability: float, freedom: int) -> float:
 
 
 def mean_estimate(values: FloatArray, probability: float, unit: str = "") -> Estimate:
-    """Mean of independent estimates, two or more, with Student's interval."""
+    """Mean of two or more independent estimates, with Student's interval."""
     value, error = float(values.mean()), float(values.std(ddof=1)) / float(np.sqrt(values.size))
-    half = student_quantile(probability, values.size - 1) * error
-    return Estimate(value, error, value - half, value + half, unit)
+    return Estimate.normal(value, error, student_quantile(probability, values.size - 1), unit)
 
 
 def two_sided_p_value(value: float, standard_error: float, freedom: int) -> float:
-    """How likely an estimate is to be at least so far from zero by its scatter alone."""
+    """P-value of the hypothesis that the true value is zero."""
     from scipy.special import stdtr  # noqa: PLC0415  slow to import
 
     if standard_error == 0.0:

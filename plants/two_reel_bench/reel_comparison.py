@@ -1,4 +1,4 @@
-"""Whether the two reels of a bench have the same friction, and how much each has."""
+"""Comparison of the friction of the two reels of a bench."""
 
 from typing import NamedTuple
 
@@ -15,17 +15,17 @@ from plants.two_reel_bench.mean_estimate import (
     two_sided_p_value,
 )
 
-_WORST_CONDITION = 1e3
-"""How much measurements that bend the cable nearly alike may blow up their errors."""
+_CONDITION_MAX = 1e3
+"""Maximum condition number; measurements with similar bends amplify their errors."""
 
 
 class ReelComparison(NamedTuple):
-    """Whether two reels have the same friction coefficient.
+    """Friction coefficients of two reels, and a test of their equality.
 
     Attributes:
         coefficient_x: Friction coefficient C_R of X alone.
         coefficient_y: Friction coefficient C_R of Y alone.
-        p_value: How likely two reels that are alike are to seem so different.
+        p_value: P-value of the hypothesis that the reels have the same coefficient.
     """
 
     coefficient_x: Estimate
@@ -34,43 +34,39 @@ class ReelComparison(NamedTuple):
 
     @property
     def alike(self) -> bool:
-        """Whether the measurements do not contradict that the reels are alike."""
+        """Whether the coefficients do not differ significantly."""
         return self.p_value >= SIGNIFICANCE_LEVEL
 
 
 def compare_reels(first: TwoReelResult, second: TwoReelResult) -> ReelComparison:
-    """Tells the friction of the two reels apart, from two measurements with different angles.
+    """Friction coefficient of each reel, from two measurements with different angles.
 
-    One measurement shows `B_X B_Y` alone, as the cable passes both eyelets in series. With Y bent
-    as X was and X as Y was, reels that are alike give the same product again, and unequal ones do
-    not: two losses `-ln B_X - ln B_Y` for two coefficients, solved by Newton's method. Nothing
-    else may have changed in between.
-
-    Args:
-        first: One measurement.
-        second: Another of the same reels and setpoints, with other angles.
+    One measurement determines only `B_X B_Y`, as the cable passes both eyelets in series. With the
+    angles exchanged, equal reels give the same product, unequal ones do not: two losses
+    `-ln B_X - ln B_Y` determine two coefficients, by Newton's method. Nothing else may change
+    between the measurements.
 
     Raises:
-        InvalidInput: the angles do not tell the reels apart, or no two coefficients explain both
+        InvalidInput: the angles do not separate the reels, or no two coefficients explain both
             measurements.
     """
     runs = first, second
-    wanted = np.array([-2.0 * np.log(run.attenuation.value) for run in runs])
+    loss_measured = np.array([-2.0 * np.log(run.attenuation.value) for run in runs])
     C = np.full(2, np.mean([run.friction_coefficient.value for run in runs]))
     for _ in range(50):
         losses, slopes = _losses(C, runs)
-        if np.linalg.cond(slopes) > _WORST_CONDITION:
+        if np.linalg.cond(slopes) > _CONDITION_MAX:
             raise InvalidInput(
-                "the two measurements bend the cable alike at both reels, and do not tell them "
-                "apart; exchange the angles of X and Y, with a sharper bend at one of them"
+                "the two measurements bend the cable alike at both reels and do not separate "
+                "them; exchange the angles of X and Y, with a sharper bend at one of them"
             )
         inverse = np.linalg.inv(slopes)
-        change = inverse @ (wanted - losses)
+        change = inverse @ (loss_measured - losses)
         C = C + change
         if not ((C > 0.0) & (C < 1.0)).all():
             break
         if (np.abs(change) <= 1e-10 * C).all():
-            return _likeness(C, np.asarray(inverse, dtype=np.float64), runs)
+            return _comparison(C, np.asarray(inverse, dtype=np.float64), runs)
     raise InvalidInput(
         "no friction coefficients between 0 and 1 explain both measurements; check the angles, "
         "and that nothing else was changed in between"
@@ -92,14 +88,14 @@ def _losses(C: FloatArray, runs: tuple[TwoReelResult, ...]) -> tuple[FloatArray,
     return parts[0].sum(axis=1), (parts[2] - parts[1]) / (2.0 * h)
 
 
-def _likeness(
+def _comparison(
     C: FloatArray, inverse: FloatArray, runs: tuple[TwoReelResult, ...]
 ) -> ReelComparison:
     error = np.array([2.0 * r.attenuation.standard_error / r.attenuation.value for r in runs])
     freedom = sum(run.ratios.shape[0] - 1 for run in runs)
     width = student_quantile(runs[0].probability, freedom)
     x, y = (
-        Estimate(float(c), float(e), float(c - width * e), float(c + width * e), "")
+        Estimate.normal(float(c), float(e), width)
         for c, e in zip(C, np.hypot(*(inverse * error).T), strict=True)
     )
     apart = float(np.hypot(*((inverse[0] - inverse[1]) * error)))
