@@ -1,20 +1,18 @@
-"""How fast is a simulated trial, beside hand-written C and python-control?
+"""How fast is a simulated trial, compared with hand-written C and python-control?
 
-One run, one core (but for the batch); what is compared is timed turn by turn. Medians, for the
-batch the fastest round. The nonlinear trial is the reference reel with gauge mode, Coulomb
-friction, slack, current limit and dead time, 632 samples; the same equations stand by hand in
-reference_trial.c, and below as a discrete-time NonlinearIOSystem of python-control. The linear
-trial is the reel without what is nonlinear, its dead time in python-control a Pade approximation.
+One run on one core, except for the batch; calls that are compared are timed alternately. Times are
+medians, for the batch those of the fastest round. The nonlinear trial is the reference reel with
+gauge mode, Coulomb friction, slack, current limit and dead time, 632 samples. The same equations
+are hand-written in reference_trial.c, and below as a discrete-time NonlinearIOSystem of
+python-control. The linear trial is the reel without its nonlinear parts; its dead time in
+python-control is a Pade approximation.
 """
 
-import ctypes
 import gc
 import itertools
 import math
 import os
 import statistics
-import subprocess
-import tempfile
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -22,7 +20,6 @@ from typing import Any, NamedTuple
 
 import control
 import numpy as np
-from scipy.linalg import expm
 
 import plants
 from estune import interop
@@ -30,15 +27,19 @@ from estune.core import pidf
 from estune.core.cost import StepCost
 from estune.core.gains import Gains
 from estune.core.quantities import FloatArray
-from estune.support import c_compiler
 from estune.trial import Outcome, TrialRequest
 from estune.trial.scoring import cost_of
 from estune.tuners import TUNERS, create_tuner
 from estune.tuners.observation import Observation
 from estune.tuners.search_space import SearchSpace
-from experiments.judged import Target, at_least, at_most, command_line, tell
+from experiments.reference_trial import (
+    hand_written,
+    nonlinear_start,
+    nonlinear_system,
+    reference_library,
+)
+from experiments.results import Target, at_least, at_most, command_line, print_results
 from plants.models.reel import Reel
-from plants.models.reel_equations import cable_stiffness_N_m, viscous_friction_Nms
 from plants.simulation.batch import divergence_limit_N
 from plants.simulation.noise import NoiseSource
 from plants.simulation.plant import drive_of
@@ -48,30 +49,22 @@ GAINS = Gains(P=1.2, I=50.0, D=0.02, setpoint_filter_s=0.004)
 REEL = plants.reference_reel()
 FRICTION = plants.CoulombFriction(torque_Nm=0.02)
 
-# name: (limit, on which side of it, what it is)
+# name: (limit, kind of limit, meaning)
 TARGETS: dict[str, tuple[float, Callable[[float, float], Target], str]] = {
     "times_hand_written_C": (1.5, at_most, "compiled trial over hand-written C"),
     "difference_from_C_N": (1e-9, at_most, "largest difference from it, N"),
-    "difference_from_C_when_slack_N": (1e-9, at_most, "the same where the cable goes slack, N"),
-    "faster_than_step_response": (
-        100.0,
-        at_least,
-        "linear trial, times faster than step_response",
-    ),
-    "faster_than_input_output_response": (
-        300.0,
-        at_least,
-        "nonlinear trial, times faster than input_output_response",
-    ),
+    "difference_from_C_when_slack_N": (1e-9, at_most, "the same with a slack cable, N"),
+    "faster_than_step_response": (100.0, at_least, "linear trial, times faster"),
+    "faster_than_input_output_response": (300.0, at_least, "nonlinear trial, times faster"),
     "batch_speedup_two_cores": (1.8, at_least, "batch on two cores over one"),
-    "memory_growth_MB": (2.0, at_most, "memory grown over further batches, MB"),
+    "memory_growth_MB": (2.0, at_most, "growth of memory over further batches, MB"),
     "slowest_ask_and_tell_us": (50.0, at_most, "slowest tuner's ask + tell, us"),
-    "loop_trials_per_s": (5000.0, at_least, "ask, simulate, score, tell: trials/s"),
+    "loop_trials_per_s": (5000.0, at_least, "ask, simulate, evaluate, tell: trials/s"),
 }
 
 
 class Timed(NamedTuple):
-    """What is timed: each round times `blocks` blocks of `calls` calls."""
+    """A call to be timed, in `blocks` blocks of `calls` calls in each round."""
 
     call: Callable[[], Any]
     blocks: int = 1
@@ -81,10 +74,10 @@ class Timed(NamedTuple):
 def alternate(
     timed: dict[str, Timed], rounds: int, of: Callable[[list[float]], float] = statistics.median
 ) -> dict[str, float]:
-    """Median time of a call, in us, or what `of` makes of the times.
+    """Median time of each call, us, or another statistic of its times.
 
-    The calls take turns, so that all meet the same machine, and the blocks are short, so that the
-    median block is one that no other program interrupted.
+    The calls alternate, so that load affects all alike, and the blocks are short, so that the
+    median block is not interrupted by other programs.
     """
     times: dict[str, list[float]] = {name: [] for name in timed}
     for one in timed.values():
@@ -99,81 +92,6 @@ def alternate(
                 times[name].append((time.perf_counter() - began) / calls * 1e6)
     gc.enable()
     return {name: of(values) for name, values in times.items()}
-
-
-def reference_library() -> ctypes.CDLL:
-    """reference_trial.c, compiled and loaded."""
-    source = Path(__file__).with_name("reference_trial.c")
-    with tempfile.TemporaryDirectory() as folder:
-        library = str(Path(folder, "reference_trial.so"))
-        command = [*c_compiler.compiler(), "-O3", "-shared", "-fPIC", "-o", library, str(source)]
-        subprocess.run([*command, "-lm"], check=True)  # noqa: S603  the user's own compiler
-        return ctypes.CDLL(library)
-
-
-def hand_written(library: ctypes.CDLL, batch: Batch) -> Callable[[], FloatArray]:
-    """The first trial of a batch by hand-written C, called through ctypes."""
-    trial = library.reference_trial
-    address, real, count = ctypes.c_void_p, ctypes.c_double, ctypes.c_long
-    trial.argtypes = (address, address, real, count, count, real, *[address] * 6)
-    trial.restype = count
-    kept = (batch.parameters, batch.coefficients, batch.setpoint_N, batch.noise_N)
-    parameters, row, setpoint, noise = map(where, kept)
-    samples = len(batch.setpoint_N)
-
-    def call() -> FloatArray:
-        signals, flags = np.empty((3, samples)), np.empty(samples, np.uint8)
-        outputs = where(signals)
-        trial(
-            *(parameters, row, batch.preload_N, batch.delay, samples, batch.bound_N),
-            *(setpoint, noise, outputs, outputs + 8 * samples, outputs + 16 * samples),
-            where(flags),
-        )
-        return signals
-
-    return call
-
-
-def where(array: Any) -> int:
-    """Address of an array's numbers."""
-    return ctypes.addressof(ctypes.c_char.from_buffer(array))
-
-
-def nonlinear_system(reel: Reel, gains: Gains, friction_Nm: float) -> Any:
-    """The same trial as a discrete-time system of python-control."""
-    k = cable_stiffness_N_m(reel, reel.profile.preload_N)
-    R, J, b = reel.drum_radius_m, reel.drum_inertia_kg_m2, viscous_friction_Nms(reel)
-    w, zeta, h = 2 * math.pi * reel.gauge_Hz, reel.gauge_damping, 0.25 / reel.sampling_Hz
-    A = np.zeros((6, 6))  # theta, omega, g, g', and the inputs torque and tension beyond k R theta
-    A[0, 1], A[1, :2] = 1.0, (-k * R * R / J, -b / J)
-    A[2, 3], A[3, :4] = 1.0, (w * w * k * R, 0.0, -w * w, -2.0 * zeta * w)
-    A[1, 4], A[1, 5], A[3, 5] = 1.0 / J, -R / J, w * w
-    both = expm(A * h)
-    Phi, torque, beyond = both[:4, :4], both[:4, 4], both[:4, 5]
-    c = pidf.coefficients(reel.controller, gains)
-    Kt, limit, F = reel.torque_constant_Nm_A, reel.current_limit_A, friction_Nm
-
-    def update(_t: float, x: FloatArray, u: FloatArray, _p: Any) -> FloatArray:
-        body, memory, current = x[:4], pidf.PidfState(*x[4:7].tolist()), x[7]
-        memory, effort, _ = pidf.step(c, memory, u[0], body[2] + u[1])
-        for _ in range(4):
-            linear = k * R * (body[0] + 0.5 * h * body[1])
-            free = Phi @ body + torque * (Kt * current) + beyond * (max(linear, 0.0) - linear)
-            body = free + torque * min(max(-free[1] / torque[1], -F), F)
-        return np.array([*body, *memory, min(max(effort * R / Kt, -limit), limit)])
-
-    def output(_t: float, x: FloatArray, u: FloatArray, _p: Any) -> FloatArray:
-        return np.array([x[2] + u[1]])
-
-    return control.nlsys(update, output, inputs=2, outputs=1, states=8, dt=1.0 / reel.sampling_Hz)
-
-
-def nonlinear_start(reel: Reel) -> FloatArray:
-    """Its state at rest."""
-    preload = reel.profile.preload_N
-    theta = preload / (cable_stiffness_N_m(reel, preload) * reel.drum_radius_m)
-    current = preload / reel.newtons_per_ampere
-    return np.array([theta, 0.0, preload, 0.0, preload, preload, preload, current])
 
 
 def measure_nonlinear(rounds: int) -> dict[str, float]:
@@ -228,12 +146,12 @@ def measure_nonlinear(rounds: int) -> dict[str, float]:
 
 
 def largest(difference: FloatArray) -> float:
-    """Largest size in it."""
+    """Largest absolute value."""
     return float(np.abs(difference).max())
 
 
 def measure_linear(rounds: int) -> dict[str, float]:
-    """The linear trial against python-control's step response, closing the loop counted apart."""
+    """The linear trial against python-control's step response; closing the loop is timed apart."""
     plant = plants.linear_plant(
         control.ss(*linear_matrices(REEL)),
         REEL.dead_time_s,
@@ -274,7 +192,7 @@ def linear_loop() -> Any:
 
 
 def measure_batch(trials: int, rounds: int) -> dict[str, float]:
-    """Batches on one and two cores, and the memory they leave behind."""
+    """Batches on one and two cores, and the growth of memory."""
     reel, cost = REEL + FRICTION, StepCost(0.13, move_weight=0.2)
     spread = np.random.default_rng(0).normal(0.0, 0.2, (trials, 4))
     table = np.exp(spread) * GAINS.as_tuple()
@@ -284,7 +202,7 @@ def measure_batch(trials: int, rounds: int) -> dict[str, float]:
 
     if not np.array_equal(run(1), run(2), equal_nan=True):
         raise SystemExit("the batch gives other costs on two cores than on one")
-    # The fastest of each: another program takes a core from two threads, and none from one.
+    # The minimum: other load slows two threads on two cores more than one thread.
     both = {"one": Timed(lambda: run(1)), "two": Timed(lambda: run(2))}
     times, work = alternate(both, rounds, of=min), {}
     for workers in (1, 2):
@@ -292,7 +210,7 @@ def measure_batch(trials: int, rounds: int) -> dict[str, float]:
         run(workers)
         work[workers] = time.process_time() - began
     gc.collect()
-    for _ in range(20):  # until every thread's memory pool has been made
+    for _ in range(20):  # creates every thread's memory pool
         run(2)
     before = memory_MB()
     for _ in range(10):
@@ -318,7 +236,7 @@ def memory_MB() -> float:
 
 
 def measure_tuners(trials: int) -> dict[str, float]:
-    """Ask and tell alone, and the whole loop in this process."""
+    """Ask and tell alone, and the whole loop."""
     figures: dict[str, float] = {}
     for name in TUNERS:
         tuner = create_tuner(name, SearchSpace.around(Gains(0.4, 12.0, 0.01, 0.03)))
@@ -334,7 +252,7 @@ def measure_tuners(trials: int) -> dict[str, float]:
 
 
 def median_block(trials: Iterator[None], count: int) -> float:
-    """Time of a trial in us, the median over blocks of 5 trials that follow each other."""
+    """Time of a trial, us: the median over blocks of 5 consecutive trials."""
     times = []
     gc.disable()
     for _ in range(count // 5):
@@ -347,7 +265,7 @@ def median_block(trials: Iterator[None], count: int) -> float:
 
 
 def asking(tuner: Any) -> Iterator[None]:
-    """Tell and ask, trial after trial, with a cost made up."""
+    """Tell and ask, trial after trial, with an artificial cost."""
     state = tuner.start()
     for number in itertools.count():
         state = tuner.tell(state, Observation(1.0 + 0.1 * math.sin(number)))
@@ -356,22 +274,22 @@ def asking(tuner: Any) -> Iterator[None]:
 
 
 def tuning(tuner: Any, run: str) -> Iterator[None]:
-    """Ask, simulate, score, tell, trial after trial, without a journal."""
+    """Ask, simulate, evaluate, tell, trial after trial, without a journal."""
     rig = (REEL + FRICTION).rig()
-    told = rig.describe()
-    cost = StepCost(told.settling_time_s, move_weight=0.2)
+    description = rig.describe()
+    cost = StepCost(description.settling_time_s, move_weight=0.2)
     state = tuner.start()
     for number in itertools.count():
         gains = tuner.space.gains(tuner.ask(state))
-        record = rig.run(TrialRequest(run, number, gains, told.step))
-        eta = cost_of(record, told.step, cost, told.newtons_per_ampere)
-        unsafe = record.outcome is not Outcome.DONE or not math.isfinite(eta)
-        state = tuner.tell(state, Observation(eta, censored=unsafe))
+        record = rig.run(TrialRequest(run, number, gains, description.step))
+        eta = cost_of(record, description.step, cost, description.newtons_per_ampere)
+        censored = record.outcome is not Outcome.DONE or not math.isfinite(eta)
+        state = tuner.tell(state, Observation(eta, censored=censored))
         yield
 
 
 def main() -> int:
-    """Measures, prints, and says by its exit code whether every target was met."""
+    """Measures and prints; exit code 1 if a target is missed."""
     options = command_line(__doc__, quick="fewer repeats and smaller batches").parse_args()
     rounds, batch, trials = (3, 2000, 500) if options.quick else (15, 10_000, 5000)
     figures = measure_nonlinear(rounds) | measure_linear(rounds)
@@ -379,10 +297,10 @@ def main() -> int:
     figures |= measure_tuners(trials)
     if not options.json:
         for name, value in figures.items():
-            *_, what = TARGETS.get(name, ("",))
-            print(f"{name:45s} {value:14.6g}  {what}".rstrip())
-    targets = {name: judge(figures[name], limit) for name, (limit, judge, _) in TARGETS.items()}
-    return tell(figures, targets, as_json=options.json)
+            *_, meaning = TARGETS.get(name, ("",))
+            print(f"{name:45s} {value:14.6g}  {meaning}".rstrip())
+    targets = {name: kind(figures[name], limit) for name, (limit, kind, _) in TARGETS.items()}
+    return print_results(figures, targets, as_json=options.json)
 
 
 if __name__ == "__main__":

@@ -1,15 +1,15 @@
-"""Do reels of different mechanics come to one cost, and by which path away from their optimum?
+"""Do reels of different mechanics reach one cost, and along which path from their optimum?
 
-Batches of eight simulated reels whose stiffness, inertia, friction and gauge each differ by a
-random factor of standard deviation 15 % are tuned one by one and then matched, as `estune match`
-does it. The true cost of gains is the mean over hundreds of noise draws that no tuning saw. Told
-are the standard deviation of the true cost over the reels before and after, and its mean after
-over that of the worst tuned reel.
+Batches of eight simulated reels, whose stiffness, inertia, friction and gauge each differ by a
+random factor of standard deviation 15 %, are tuned one by one and then matched, as by `estune
+match`. The true cost of gains is the mean over hundreds of noise draws that no tuning saw. The
+tables have the standard deviation of the true cost over the reels before and after, and its mean
+after relative to that of the worst tuned reel.
 
-Then, on the first batch, three ways to reach the same true cost from the tuned gains are laid side
-by side: less loop gain, a slower setpoint filter, a smaller integrator. What matters is how
-steeply the cost rises there, for trials find the level the better the steeper it is, how much
-noise reaches the motor, and how alike the responses of the eight reels become.
+Then, for the first batch, three paths from the tuned gains to the same true cost are compared:
+lower loop gain, slower setpoint filter, smaller integrator. The criteria are the slope of the
+cost, because trials locate the target better the steeper it is, the noise that reaches the motor,
+and the remaining difference between the responses of the eight reels.
 """
 
 import math
@@ -28,7 +28,7 @@ from estune.core.quantities import FloatArray
 from estune.studies.match.outcome import Matching
 from estune.studies.match.procedure import match
 from estune.support import plot_style
-from experiments.judged import at_least, at_most, command_line, tell
+from experiments.results import at_least, at_most, command_line, print_results, save_figure
 from plants.models.reel import Reel
 from plants.simulation.noise import NoiseSource
 
@@ -46,9 +46,8 @@ DIFFERING = (
     "gauge_damping",
 )
 DRAWS, DRAWS_SEED = 400, 90_001
-LEAST_SHRINKAGE = 5.0
-MOST_ABOVE_WORST = 1.10
-OUT = Path(__file__).parent / "out" / "equal_transparency.png"
+SHRINKAGE_MIN = 5.0
+OVER_WORST_MAX = 1.10
 
 PATHS: Mapping[str, Callable[[Gains, float], Gains]] = {
     "loop gain": lambda g, u: replace(
@@ -62,20 +61,20 @@ PATHS: Mapping[str, Callable[[Gains, float], Gains]] = {
 
 
 class Batch(NamedTuple):
-    """A batch of reels, matched."""
+    """A batch of matched reels."""
 
     reels: dict[str, Reel]
-    found: Matching
+    matching: Matching
     before: FloatArray  # true cost of the tuned gains, shape (reels,)
     after: FloatArray  # of the matched gains
 
 
-class Along(NamedTuple):
-    """The tuned reels of a batch brought to one true cost along a path."""
+class PathFigures(NamedTuple):
+    """The tuned reels of a batch at one true cost along a path."""
 
-    steepness: float  # d ln eta/du, least of the reels
+    steepness: float  # least d ln eta/du of the reels
     noise_A: float  # of the motor current by gauge noise, rms over the reels
-    unlike_N: float  # rms difference of the noise-free responses from their mean
+    unlike_N: float  # rms difference of noise-free responses from their mean
     overshoot: float  # greatest of the reels, relative to the step
 
 
@@ -100,49 +99,50 @@ def true_cost(reel: Reel, gains: Gains, cost: StepCost) -> float:
     return float(plants.batch_costs(reel, table, None, cost, seed=DRAWS_SEED, workers=1).mean())
 
 
-def matched(batch: int) -> Batch:
-    """A batch tuned and matched, every reel with noise of its own."""
+def match_batch(batch: int) -> Batch:
+    """A batch tuned and matched, every reel with its own noise."""
     reels = reels_of(batch)
     rigs = {
         label: reel.rig(name=label, seed=100 * batch + n)
         for n, (label, reel) in enumerate(reels.items())
     }
-    found = match(rigs, journal=False)
+    matching = match(rigs, journal=False)
     before, after = (
         np.array(
             [
-                true_cost(reel, gains, found.cost)
+                true_cost(reel, gains, matching.cost)
                 for reel, gains in zip(reels.values(), of, strict=True)
                 if gains is not None
             ]
         )
-        for of in ([r.tuned for r in found.reels], [r.gains for r in found.reels])
+        for of in ([r.tuned for r in matching.reels], [r.gains for r in matching.reels])
     )
-    return Batch(reels, found, before, after)
+    return Batch(reels, matching, before, after)
 
 
-def along(batch: Batch, path: Callable[[Gains, float], Gains]) -> Along:
-    """What becomes of the tuned reels on a path to the true cost of the target."""
-    found, steepness, noise, responses = batch.found, [], [], []
-    for reel, record in zip(batch.reels.values(), found.reels, strict=True):
+def along(batch: Batch, path: Callable[[Gains, float], Gains]) -> PathFigures:
+    """The tuned reels moved along a path until their true cost is the target."""
+    matching = batch.matching
+    steepness, noise, responses = [], [], []
+    for reel, record in zip(batch.reels.values(), matching.reels, strict=True):
         tuned = record.tuned
         if tuned is None:
             continue
 
-        def gap(u: float, reel: Reel = reel, tuned: Gains = tuned) -> float:
-            return math.log(true_cost(reel, path(tuned, u), found.cost) / found.target)
+        def excess(u: float, reel: Reel = reel, tuned: Gains = tuned) -> float:
+            return math.log(true_cost(reel, path(tuned, u), matching.cost) / matching.target)
 
-        end = next(u for u in np.arange(0.1, 6.0, 0.1) if gap(u) > 0.0)
-        u = brentq(gap, end - 0.1 if gap(end - 0.1) < 0.0 else 0.0, end, xtol=1e-4)
-        steepness.append((gap(u + 0.02) - gap(u - 0.02)) / 0.04)
+        end = next(u for u in np.arange(0.1, 6.0, 0.1) if excess(u) > 0.0)
+        u = brentq(excess, end - 0.1 if excess(end - 0.1) < 0.0 else 0.0, end, xtol=1e-4)
+        steepness.append((excess(u + 0.02) - excess(u - 0.02)) / 0.04)
         gains = path(tuned, u)
         clean = plants.simulate(reel, gains)
         draw = NoiseSource(DRAWS_SEED).draw(0, len(clean.time_s), reel.noise_rms_N)
         noisy = plants.simulate(reel, gains, noise_N=draw)
         noise.append((noisy.effort_N - clean.effort_N) / reel.newtons_per_ampere)
         responses.append(clean.tension_N)
-    step, shown = found.step, np.array(responses)
-    return Along(
+    step, shown = matching.step, np.array(responses)
+    return PathFigures(
         steepness=min(steepness),
         noise_A=float(np.sqrt(np.mean(np.square(noise)))),
         unlike_N=unlike(shown),
@@ -168,16 +168,16 @@ def measure(batches: Sequence[Batch]) -> dict[str, Any]:
     first = batches[0]
     return {
         "batches": len(batches),
-        "passed": sum(r.passed for b in batches for r in b.found.reels),
+        "passed": sum(r.passed for b in batches for r in b.matching.reels),
         "reels": REELS * len(batches),
-        "trials_per_reel": float(np.mean([r.trials for b in batches for r in b.found.reels])),
+        "trials_per_reel": float(np.mean([r.trials for b in batches for r in b.matching.reels])),
         "spread_before": [float(b.before.std(ddof=1)) for b in batches],
         "spread_after": [float(b.after.std(ddof=1)) for b in batches],
         "shrinkage": shrinkage,
         "shrinkage_least": min(shrinkage),
         "mean_over_worst": above,
         "mean_over_worst_greatest": max(above),
-        "unlike_tuned_N": unlike(responses_of(first, [r.tuned for r in first.found.reels])),
+        "unlike_tuned_N": unlike(responses_of(first, [r.tuned for r in first.matching.reels])),
         "paths": {name: along(first, path)._asdict() for name, path in PATHS.items()},
     }
 
@@ -185,10 +185,10 @@ def measure(batches: Sequence[Batch]) -> dict[str, Any]:
 def show(figures: dict[str, Any], first: Batch) -> None:
     """Prints the tables."""
     print("first batch   tuned eta  matched eta   loop gain left")
-    for record, before, after in zip(first.found.reels, first.before, first.after, strict=True):
+    for record, before, after in zip(first.matching.reels, first.before, first.after, strict=True):
         left = record.gains.P / record.tuned.P if record.gains and record.tuned else math.nan
-        print(f"{record.label:12s} {before:10.4f} {after:12.4f} {left:15.2f}  {record.standing}")
-    print(f"target {first.found.target:.4f}\n")
+        print(f"{record.label:12s} {before:10.4f} {after:12.4f} {left:15.2f}  {record.outcome}")
+    print(f"target {first.matching.target:.4f}\n")
     print("batch  spread before  after  shrinkage  mean after / worst tuned")
     rows = zip(
         *(figures[n] for n in ("spread_before", "spread_after", "shrinkage", "mean_over_worst")),
@@ -207,40 +207,39 @@ def show(figures: dict[str, Any], first: Batch) -> None:
     print(f"{'(tuned, not matched)':24s} {figures['unlike_tuned_N']:48.3f}")
 
 
-def draw(first: Batch) -> None:
+def draw(first: Batch, folder: Path) -> None:
     """Saves the first batch's responses before and after."""
-    page = plot_style.new_figure(plot_style.WIDTH_in, 2.9)
-    axes = page.subplots(1, 2, sharey=True)
+    figure = plot_style.new_figure(plot_style.WIDTH_in, 2.9)
+    axes = figure.subplots(1, 2, sharey=True)
     time = plants.simulate(
-        plants.reference_reel(), first.found.reels[0].tuned or Gains(1, 1, 0, 0)
+        plants.reference_reel(), first.matching.reels[0].tuned or Gains(1, 1, 0, 0)
     )
     shown = (time.time_s > 0.18) & (time.time_s < 0.5)
     for ax, gains, label in (
-        (axes[0], [r.tuned for r in first.found.reels], "tuned, each on its own"),
-        (axes[1], [r.gains for r in first.found.reels], "matched to one cost"),
+        (axes[0], [r.tuned for r in first.matching.reels], "tuned, each on its own"),
+        (axes[1], [r.gains for r in first.matching.reels], "matched to one cost"),
     ):
         for response in responses_of(first, gains):
             ax.plot(time.time_s[shown], response[shown], linewidth=0.9, color=plot_style.BLUE)
         ax.set_title(label, fontsize=9)
         plot_style.finish(ax, "tension, N" if ax is axes[0] else "", "time, s")
-    OUT.parent.mkdir(exist_ok=True)
-    OUT.write_bytes(plot_style.to_png(page))
+    save_figure(figure, folder, "equal_transparency")
 
 
 def main() -> int:
-    """Measures, prints, and says by its exit code whether every target was met."""
-    options = command_line(__doc__, quick="one batch").parse_args()
-    batches = [matched(n) for n in range(1 if options.quick else 20)]
+    """Measures and prints; exit code 1 if a target is missed."""
+    options = command_line(__doc__, quick="one batch", out="the figure").parse_args()
+    batches = [match_batch(n) for n in range(1 if options.quick else 20)]
     figures = measure(batches)
     above = figures["mean_over_worst_greatest"]
     targets = {
-        "shrinkage_least": at_least(figures["shrinkage_least"], LEAST_SHRINKAGE),
-        "mean_over_worst_greatest": at_most(above, MOST_ABOVE_WORST),
+        "shrinkage_least": at_least(figures["shrinkage_least"], SHRINKAGE_MIN),
+        "mean_over_worst_greatest": at_most(above, OVER_WORST_MAX),
     }
-    draw(batches[0])
+    draw(batches[0], options.out)
     if not options.json:
         show(figures, batches[0])
-    return tell(figures, targets, as_json=options.json)
+    return print_results(figures, targets, as_json=options.json)
 
 
 if __name__ == "__main__":

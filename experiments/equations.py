@@ -1,7 +1,7 @@
 """Where is each numbered equation of the paper implemented, and which test checks it?
 
-Reads the docstrings that say `Implements (n).` and the tests marked `equation(n)`, and writes
-docs/equations.md. Run it after either has changed: python -m experiments.equations
+Reads the docstrings with `Implements (n).` and the tests marked `equation(n)` of a checkout, and
+writes its docs/equations.md. After a change of either, run: python -m experiments.equations
 """
 
 import argparse
@@ -27,19 +27,14 @@ Written by `python -m experiments.equations` from the docstrings and the tests.
 
 
 class Place(NamedTuple):
-    """A docstring that declares an equation.
+    """A docstring that declares an equation."""
 
-    Attributes:
-        name: Dotted name of the module, class or function.
-        title: First line of the docstring.
-    """
-
-    name: str
-    title: str
+    name: str  # dotted name of the module, class or function
+    title: str  # first line of the docstring
 
 
 def implementations(folders: tuple[str, ...] = ("estune", "plants")) -> dict[int, list[Place]]:
-    """The docstrings that implement each equation; there should be one for each."""
+    """The docstrings that implement each equation; there must be one for each."""
     found = defaultdict(list)
     for path in sorted(p for folder in folders for p in (ROOT / folder).rglob("*.py")):
         module = ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
@@ -75,7 +70,7 @@ def table() -> str:
 
 
 def _docstrings(tree: ast.Module, module: str) -> Iterator[tuple[str, str]]:
-    """Name and docstring of the module and of everything in it that has one."""
+    """Name and docstring of the module and of the classes and functions in it."""
     inside: list[tuple[str, ast.Module | ast.ClassDef | ast.FunctionDef]] = [(module, tree)]
     while inside:
         name, node = inside.pop(0)
@@ -98,8 +93,10 @@ def _marks(node: ast.FunctionDef) -> Iterator[int]:
 
 
 def main() -> None:
-    """Writes the page and says what is missing."""
+    """Writes the page and prints what is missing."""
     argparse.ArgumentParser(description=__doc__).parse_args()
+    if not (ROOT / "tests").is_dir():
+        raise SystemExit("equations: run it in a checkout, whose docs/equations.md it writes")
     TABLE.write_text(table(), "utf-8")
     where, checked = implementations(), checks()
     print(f"{len(where)} equations implemented, {len(checked)} checked: {TABLE}")

@@ -17,7 +17,14 @@ TIMES = ("_restored_max_s", "stop_p99_ms")
 SAMPLED = {"confirmation", "hidden_effects", "sample_efficiency"}
 """Experiments whose targets are shares of hundreds of cases; a few cases do not decide them."""
 
-OTHERS = {"equations", "hidden_scores", "joint_schedule", "results", "rig_protocol_page"}
+OTHERS = {
+    "equations",
+    "hidden_scores",
+    "joint_schedule",
+    "reference_trial",
+    "results",
+    "rig_protocol_page",
+}
 """Modules that are not experiments."""
 
 

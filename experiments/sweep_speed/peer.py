@@ -7,7 +7,7 @@ import numpy as np
 
 from estune.core.gains import Gains
 from estune.trial import Outcome, RigDescription, TrialRecord, TrialRequest
-from experiments.benchmark_trials import nonlinear_start, nonlinear_system
+from experiments.reference_trial import nonlinear_start, nonlinear_system
 from plants.models.reel import Reel
 from plants.simulation.noise import NoiseSource
 
