@@ -161,6 +161,7 @@ def test_daemon_commands_require_the_command_right(users, tmp_path, capsys):
                 tmp_path / "guest.toml",
             )
             assert run([*words, "--security", str(guest)]) == RigError.exit_code
+            assert "has the right to make it" in capsys.readouterr().err
             assert run(words) == RigError.exit_code
             assert "see --security" in capsys.readouterr().err
             with DaemonClient(it.service.endpoint, security=users["guest"]) as looking:

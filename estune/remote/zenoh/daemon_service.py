@@ -248,7 +248,7 @@ class DaemonClient:
                 if reply.ok is not None:
                     return reply.ok.payload.to_bytes()
             if time.monotonic() > deadline_s:
-                raise RigError(self._no_daemon(rig))
+                raise RigError(self._no_answer(rig))
             time.sleep(AGAIN_S)
 
     def _instance(self, rig: str) -> str:
@@ -258,12 +258,17 @@ class DaemonClient:
                 f"{len(instances)} daemons supervise rig {rig!r}; stop all but one of them"
             )
         if not instances:
-            raise RigError(self._no_daemon(rig))
+            raise RigError(self._no_answer(rig))
         return instances[0]
 
-    def _no_daemon(self, rig: str) -> str:
-        others = ", ".join(self.rigs())
-        there = f"; there is: {others}" if others else ""
+    def _no_answer(self, rig: str) -> str:
+        rigs = self.rigs()
+        if rig in rigs:  # its daemon is there, and refuses a client without the right by silence
+            return (
+                f"the daemon at {self.endpoint} supervises rig {rig!r} but does not answer this "
+                "request; check that this client has the right to make it, see --security"
+            )
+        there = f"; there is: {', '.join(rigs)}" if rigs else ""
         return f"no daemon at {self.endpoint} answers for rig {rig!r}{there}"
 
     def _present(self, key: str) -> set[tuple[str, str]]:
