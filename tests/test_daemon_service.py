@@ -54,6 +54,16 @@ def test_repeated_command_is_executed_once(tmp_path):
         assert isinstance(first, CommandAnswer)
 
 
+def test_command_on_a_wildcard_key_is_not_executed(tmp_path):
+    with rig_served() as (_, where), daemon(tmp_path, rig_table("drum", where)) as it:
+        it.until_mode("holding")
+        for key in ("reel/v1/drum/daemon/@cmd/*/pause", "reel/v1/*/daemon/@cmd/*/pause"):
+            payload = encode(Command("cd" * 8, "me"))
+            assert not list(it.client._session.get(key, payload=payload, timeout=1.0))
+        assert it.client.status("drum").paused == ""
+        assert it.client.history("drum").commands == []
+
+
 REQUEST = TrialRequest("run", 0, ORIGINAL, description().step)
 FAULTS = [
     ({}, ""),
