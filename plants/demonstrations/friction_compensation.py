@@ -1,6 +1,6 @@
-"""Friction and inertia compensation at work: the paper's Figs. 16 and 17, and its instability.
+"""Friction and inertia compensation: the paper's Figs. 16 and 17, and its instability.
 
-The reel holds the tension of a platform that a wrench moves to and fro along the cable. Friction
+The reel holds the tension of a platform that a sinusoidal wrench moves along the cable. Friction
 and inertia are fed forward from the encoder alone.
 """
 
@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from estune.core.gains import Gains
-from estune.core.pidf import at_rest, coefficients
+from estune.core.pidf import coefficients, state_at_rest
 from estune.core.pidf import step as pidf_step
 from estune.core.quantities import FloatArray
 from estune.reel.friction import FeedForward, StribeckFriction
@@ -22,7 +22,7 @@ from plants.demonstrations.platform import TENSION_GAINS, Platform
 from plants.models.reel import Reel
 
 Compensation = Callable[[Motion], float]
-"""Torque fed forward at a sample, N m, from the motion estimated at it."""
+"""Feed-forward torque at a sample, N m, from the motion estimated at that sample."""
 
 
 @dataclass(frozen=True)
@@ -30,16 +30,15 @@ class WrenchTrial:
     """A sinusoidal wrench on the platform while the reel holds its tension.
 
     Attributes:
-        platform: The bench.
-        feed_forward: What is compensated.
+        platform: The platform and its reel.
+        feed_forward: The compensation.
         windows: The velocity estimator.
         gains: Gains of the tension PIDF.
         wrench_N: Amplitude of the force along the cable, N.
-        wrench_Hz: Its frequency, Hz.
-        encoder_noise_rad: Noise of the angle before it is counted, rad rms: vibration of the
-            encoder, or samples taken late.
+        wrench_Hz: Frequency of the force, Hz.
+        encoder_noise_rad: Noise of the angle before quantisation, rad rms.
         duration_s: Length of the trial, s.
-        seed: Of the noise of gauge and encoder.
+        seed: Seed of the noise of gauge and encoder.
     """
 
     platform: Platform
@@ -54,15 +53,15 @@ class WrenchTrial:
 
 
 class WrenchTraces(NamedTuple):
-    """One run of the trial; columns have shape (samples,), forces are at the cable, N.
+    """Columns of one run, shape (samples,); forces are at the cable, N.
 
     Attributes:
         time_s: Time.
         position_m: Platform's position, outward.
         velocity_rad_s: The drum's true velocity.
-        velocity_estimate_rad_s: What the encoder lets the controller know of it.
+        velocity_estimate_rad_s: Velocity estimated from the encoder.
         tension_N: Tension of the cable.
-        effort_N: The whole effort, PIDF and feed-forward.
+        effort_N: Effort, PIDF and feed-forward.
         friction_N: Friction component of the feed-forward.
         inertia_N: Inertia component of the feed-forward; zero below its noise floor.
         true_friction_N: Dry friction (10) at the true velocity.
@@ -88,26 +87,26 @@ def run_wrench(
     """Runs the trial.
 
     Args:
-        trial: What is run.
-        friction: Friction torque fed forward, N m, in place of `FeedForward.friction_Nm`.
+        trial: The trial.
+        friction: Friction torque, N m, in place of `FeedForward.friction_Nm`.
     """
     bench, reel = trial.platform, trial.platform.reel
     compensate = friction or trial.feed_forward.friction_Nm
     c = coefficients(reel.controller, trial.gains)
     T, R = reel.tension_N, reel.drum_radius_m
-    x, pidf, motion_state = bench.at_rest(), at_rest(T, T), MotionState()
+    x, pidf, motion_state = bench.at_rest(), state_at_rest(T, T), MotionState()
     times = np.arange(round(trial.duration_s * reel.sampling_Hz)) / reel.sampling_Hz
     noise = np.random.default_rng(trial.seed).normal(size=(times.size, 2))
     noise *= reel.gauge_noise_N, trial.encoder_noise_rad
     count = 2.0 * math.pi / reel.encoder_counts
     rows = []
-    for now, (error, shake) in zip(times.tolist(), noise.tolist(), strict=True):
+    for now, (gauge_noise, encoder_noise) in zip(times.tolist(), noise.tolist(), strict=True):
         tension = bench.tension_N(x)
         motion_state, motion = estimate(
-            trial.windows, motion_state, now, count * round((x.angle_rad + shake) / count)
+            trial.windows, motion_state, now, count * round((x.angle_rad + encoder_noise) / count)
         )
         forward = compensate(motion) / R, trial.feed_forward.inertia_Nm(motion) / R
-        pidf, feedback, _ = pidf_step(c, pidf, T, tension + error)
+        pidf, feedback, _ = pidf_step(c, pidf, T, tension + gauge_noise)
         limit = reel.controller.output_max_N
         effort = min(max(float(feedback) + sum(forward), -limit), limit)
         rows.append(
@@ -132,11 +131,7 @@ def run_wrench(
 
 
 def reference_wrench_trial(encoder_counts: float = 2048.0) -> WrenchTrial:
-    """The trial of Fig. 16 on the reference reel: high amplitude, and the paper's encoder.
-
-    Args:
-        encoder_counts: Counts per turn of the drum; the paper's reel has 2048.
-    """
+    """The trial of Fig. 16 on the reference reel: high amplitude, and the paper's encoder."""
     reel = replace(Reel(cable_length_m=0.8, tension_N=15.0), encoder_counts=encoder_counts)
     dry = StribeckFriction(coulomb_Nm=0.02, static_Nm=0.03, stribeck_rad_s=0.5)
     return WrenchTrial(
@@ -149,19 +144,14 @@ def reference_wrench_trial(encoder_counts: float = 2048.0) -> WrenchTrial:
 def run_high_and_low(
     trial: WrenchTrial, low_share: float = 0.1
 ) -> tuple[WrenchTraces, WrenchTraces]:
-    """The data of Figs. 16 and 17: the trial, and the same with a small wrench.
-
-    Args:
-        trial: The one of Fig. 16.
-        low_share: Wrench of Fig. 17 as a share of it.
-    """
+    """The data of Figs. 16 and 17: the trial, and one with a share of its wrench."""
     return run_wrench(trial), run_wrench(replace(trial, wrench_N=low_share * trial.wrench_N))
 
 
 def run_limits(trial: WrenchTrial) -> tuple[WrenchTraces, WrenchTraces]:
-    """The instability the paper warns of: the trial without and with the limits on friction.
+    """Instability of compensation: the trial without and with the limits on friction.
 
-    Without, the torque fed forward is (10) of the estimated velocity; with, it is
+    Without limits, the feed-forward torque is (10) of the estimated velocity; with them it is
     `FeedForward.friction_Nm`.
     """
     dry = trial.feed_forward.friction
@@ -175,27 +165,26 @@ def run_limits(trial: WrenchTrial) -> tuple[WrenchTraces, WrenchTraces]:
 def unstable_wrench_trial(
     coefficient_share: float = 3.0, noise_counts: float = 0.3
 ) -> WrenchTrial:
-    """A trial that `run_limits` shows to be unstable without them, on a reel of high friction.
+    """A trial that is unstable without limits: a small wrench on a reel of high friction.
 
-    A small wrench, at the least tension. It takes both causes: with a share of one, or with no
-    noise, the platform rests in either case.
+    Both causes are necessary: with a share of one, or without noise, the platform stays at rest.
 
     Args:
-        coefficient_share: Friction coefficients fed forward, as multiples of the drum's.
+        coefficient_share: Assumed friction coefficients as multiples of the drum's.
         noise_counts: Noise of the encoder, counts rms. The band of the velocity windows is one
-            count and three deviations to either side.
+            count and three standard deviations to either side.
     """
     trial = reference_wrench_trial()
     reel = replace(trial.platform.reel, tension_N=trial.platform.reel.tension_min_N)
     coulomb, static, velocity = 0.08, 0.12, 0.5
-    believed = StribeckFriction(coefficient_share * coulomb, coefficient_share * static, velocity)
+    assumed = StribeckFriction(coefficient_share * coulomb, coefficient_share * static, velocity)
     count = 2.0 * math.pi / reel.encoder_counts
     return replace(
         trial,
         platform=replace(
             trial.platform, reel=reel, friction=StribeckFriction(coulomb, static, velocity)
         ),
-        feed_forward=FeedForward(believed, 0.0, trial.feed_forward.fraction),
+        feed_forward=FeedForward(assumed, 0.0, trial.feed_forward.fraction),
         windows=Windows((1.0 + 6.0 * noise_counts) * count),
         wrench_N=0.1,
         encoder_noise_rad=noise_counts * count,

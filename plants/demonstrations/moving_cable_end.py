@@ -1,14 +1,13 @@
-"""A reel whose far cable end moves in the midst of a trial, under scheduled or fixed gains.
+"""A reel whose far cable end moves during a trial, under scheduled or fixed gains.
 
-The end moves outward by s(t) = L(t) - L(0). With the drum's turn phi, counted as it winds in, the
-cable is stretched by theta = phi + s/R turns, and the drum obeys, in terms of theta,
+The end moves outward by s(t) = L(t) - L(0). With the drum's angle phi, positive when winding in,
+the cable is stretched by theta = phi + s/R, and the drum obeys, in terms of theta,
 
     J theta'' + b theta' + R T = Kt i + (J s'' + b s')/R,    b = b_0 + b_L L,    T = k(L) R theta,
 
-the equations of `plants.models.reel_equations` with one more torque, and with k and b of the length at
-each sample. What is paid out is strained as the deployed cable is, so that a change of length by
-itself does not change the tension, T' = k(L) (R phi' + s'): theta is scaled by k before over k
-after.
+the equations of `plants.models.reel_equations` with one more torque, and k and b at the length of
+each sample. Cable that is paid out has the strain of the deployed cable: a change of length alone
+does not change the tension, T' = k(L) (R phi' + s'), and theta is scaled by k before over k after.
 """
 
 import math
@@ -28,7 +27,7 @@ from estune.trial.profiles import AnyProfile
 from plants.models.reel import Reel
 from plants.models.reel_equations import cable_stiffness_N_m, viscous_friction_Nms
 from plants.models.reel_signal_path import THETA
-from plants.simulation.batch import Response, bound
+from plants.simulation.batch import Response, divergence_limit_N
 from plants.simulation.plant import drive_of
 from plants.simulation.trial_loop import VirtualMachine, loop_functions
 
@@ -41,26 +40,25 @@ def simulate_moving(
     *,
     noise_N: FloatArray | None = None,
 ) -> Response:
-    """Runs one closed-loop trial in which the cable's length changes.
+    """Runs one closed-loop trial with a changing cable length.
 
-    Scheduled gains follow the length as those of a rig do (`estune.hardware.live_gains`): by the
-    drum's angle, at the profile's preload, without a jump of the effort.
+    Scheduled gains follow the drum's angle, at the profile's preload, without a jump of the effort
+    (`estune.hardware.live_gains`).
 
     Args:
-        reel: The reel; its own length plays no part.
-        gains: A schedule, or gains that stay.
-        length_m: Deployed length at each sample, m, shape (samples,); smooth, for its second
+        reel: The reel; its own length is ignored.
+        gains: A schedule, or fixed gains.
+        length_m: Deployed length at each sample, m, shape (samples,); smooth, because its second
             derivative is a force.
         profile: The setpoint; None is the reel's own step.
-        noise_N: What the measurement noise adds, N, shape (samples,); None is no noise.
+        noise_N: Measurement noise, N, shape (samples,); None is no noise.
 
     Returns:
-        The trial; its angle is the drum's, phi.
+        The trial, with the drum's angle phi.
 
     Raises:
         InvalidInput: length or noise have another shape than the trial, a length is not above
-            zero, the profile is open-loop, or the reel has effects, which are written for a cable
-            whose end stays.
+            zero, the profile is open-loop, or the reel has effects, which assume a fixed end.
         PlantError: the reel cannot be simulated.
     """
     profile = profile or reel.profile
@@ -70,7 +68,7 @@ def simulate_moving(
     _check(reel, length_m, noise, samples, open_loop=drive.open_loop)
     live = _live(reel, gains, float(length_m[0]), drive.preload_N)
     trial = _Trial(reel, length_m, drive.preload_N, live)
-    limit = bound(profile)
+    limit = divergence_limit_N(profile)
     for k, (setpoint, added) in enumerate(
         zip(drive.setpoint_N.tolist(), noise.tolist(), strict=True)
     ):
@@ -80,13 +78,13 @@ def simulate_moving(
 
 
 class _Trial:
-    """The trial under way."""
+    """State of a running trial."""
 
     def __init__(
         self, reel: Reel, length_m: FloatArray, preload_N: float, live: LiveGains
     ) -> None:
         shortest = replace(reel, cable_length_m=float(length_m.min()))
-        # The encoder is on the drum: what it reads is rounded once phi is known.
+        # The encoder is on the drum: phi is rounded, not theta.
         structure = replace(shortest.structure, rounded=False)
         self._machine = VirtualMachine(loop_functions(structure.equations()))
         self._parameters = shortest.parameter_values.copy()
@@ -97,20 +95,20 @@ class _Trial:
         self._preload_N = preload_N
         self._stretch = _stretch(reel, length_m, preload_N)
         self._current_A = _current_of_motion(reel, length_m)
-        self._scaled_rad = 0.0  # what scaling has added to theta: the drum did not turn by it
+        self._scaled_rad = 0.0  # change of theta by scaling, without a turn of the drum
         self._delay = reel.delay_samples
         self._ring = [self._machine.memory["drive"][0]] * (self._delay + 2)
         self._columns = np.zeros((3, len(length_m)))
         self._flags = np.zeros(len(length_m), np.uint8)
 
     def sample(self, k: int, setpoint_N: float, noise_N: float) -> float:
-        """One sample; the size of the measurement."""
+        """Runs one sample; returns the magnitude of the measurement."""
         m, ring, size = self._machine.memory, self._ring, len(self._ring)
         m["setpoint"][0], m["noise"][0] = setpoint_N, noise_N
         m["before"][0] = ring[k % size] + self._current_A[k]
         self._machine.sense()
         y, angle = m["y"][0], self._angle_rad(k)
-        if self._follow(angle, setpoint_N, y):
+        if self._update_gains(angle, setpoint_N, y):
             self._machine.sense()
         self._columns[:, k] = y, m["effort"][0], angle
         self._flags[k] = SATURATED if m["excess"][0] else 0
@@ -123,37 +121,37 @@ class _Trial:
         return float(abs(y))
 
     def response(self, time_s: FloatArray, setpoint_N: FloatArray, ended: int | None) -> Response:
-        """What was measured, to its end or until it diverged."""
-        kept = slice(ended)
-        tension, effort, angle = self._columns[:, kept]
-        flags = self._flags[kept]
-        return Response(time_s[kept], setpoint_N[kept], tension, effort, angle, flags, ended)
+        """The columns of a complete trial, or until it diverged."""
+        used = slice(ended)
+        tension, effort, angle = self._columns[:, used]
+        flags = self._flags[used]
+        return Response(time_s[used], setpoint_N[used], tension, effort, angle, flags, ended)
 
     def _angle_rad(self, k: int) -> float:
-        """Phi as the encoder reads it."""
+        """Encoder reading of phi."""
         paid_out = (self._length_m[k] - self._length_m[0]) / self._reel.drum_radius_m
         step = 2.0 * math.pi / self._reel.encoder_counts
         turn = self._machine.memory["angle"][0] - self._scaled_rad - paid_out
         return float(step * math.floor(turn / step + 0.5))
 
-    def _follow(self, angle_rad: float, setpoint_N: float, measurement_N: float) -> bool:
-        """Whether the gains have become others; the controller then goes on without a jump."""
+    def _update_gains(self, angle_rad: float, setpoint_N: float, measurement_N: float) -> bool:
+        """Updates the gains without a jump of the effort; returns whether they changed."""
         before, m = self._live.coefficients, self._machine.memory
         if not self._live.update(angle_rad, self._preload_N):
             return False
         after = self._live.coefficients
         state = pidf.PidfState(*m["pidf"])
-        exchanged = pidf.exchanged(before, after, state, setpoint_N, measurement_N)
+        exchanged = pidf.bumpless_exchange(before, after, state, setpoint_N, measurement_N)
         m["pidf"][:] = np.array(exchanged).data
         m["coefficients"][:] = np.array(after).data
         return True
 
     def _lengthen(self, k: int) -> None:
-        """Takes the length of the next sample."""
+        """Sets the length of the next sample."""
         if self._length_m[k + 1] == self._length_m[k]:
             return
         self._parameters[self._place] = self._length_m[k + 1]
-        self._machine.amend(self._parameters)
+        self._machine.set_parameters(self._parameters)
         theta = self._machine.memory["state"][THETA]
         scaled = theta * self._stretch[k + 1] / self._stretch[k]
         self._machine.memory["state"][THETA] = scaled
@@ -164,18 +162,18 @@ def _live(reel: Reel, gains: GainSchedule | Gains, length_m: float, preload_N: f
     settings = reel.controller
     if isinstance(gains, Gains):
         return LiveGains(pidf.coefficients(settings, gains), None)
-    following = LengthSource(gains, settings, length_m, reel.drum_radius_m)
-    return LiveGains(pidf.coefficients(settings, gains.gains(length_m, preload_N)), following)
+    source = LengthSource(gains, settings, length_m, reel.drum_radius_m)
+    return LiveGains(pidf.coefficients(settings, gains.gains(length_m, preload_N)), source)
 
 
 def _stretch(reel: Reel, length_m: FloatArray, preload_N: float) -> FloatArray:
-    """The cable's flexibility 1/k at each length, m/N."""
+    """Flexibility 1/k of the cable at each length, m/N."""
     p = SimpleNamespace(**(vars(reel) | {"cable_length_m": length_m}))
     return np.asarray(1.0 / cable_stiffness_N_m(p, preload_N))
 
 
 def _current_of_motion(reel: Reel, length_m: FloatArray) -> FloatArray:
-    """(J s'' + b s')/R as a motor current, A, its mean from each sample to the next."""
+    """(J s'' + b s')/R as a motor current, A, averaged from each sample to the next."""
     p = SimpleNamespace(**(vars(reel) | {"cable_length_m": length_m}))
     speed = np.diff(length_m, append=length_m[-1]) * reel.sampling_Hz
     at_samples = np.gradient(length_m) * reel.sampling_Hz
@@ -195,10 +193,10 @@ def _check(
     if not (np.isfinite(length_m).all() and (length_m > 0.0).all()):
         raise InvalidInput("the cable length must be finite and above zero at every sample")
     if open_loop:
-        raise InvalidInput("the profile is open-loop; gains only act in a closed one")
+        raise InvalidInput("the profile is open-loop; give a closed-loop one, in which gains act")
     if reel.effects:
         names = ", ".join(type(effect).__name__ for effect in reel.effects)
         raise InvalidInput(
-            f"a reel with {names} cannot be simulated while its cable's end moves: effects see "
-            "the turn of a drum whose cable's end stays; leave them out"
+            f"a reel with {names} cannot be simulated while its cable's end moves: effects assume "
+            "a fixed end; leave them out"
         )

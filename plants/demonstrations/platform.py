@@ -1,14 +1,13 @@
-"""A reel whose cable holds a platform: one degree of freedom along the cable.
+"""A reel with a platform on its cable: one degree of freedom along the cable.
 
     J omega' + b omega + friction = R (u - T)           drum; u is the effort after the dead time
     m x'' + c x' + k_c x = T_o + F - T            platform; x grows away from the reel
     T = max(0, k (R theta + x))                         cable; theta grows as it is wound in
 
-T_o is the pull of the reels on the other side, k_c and c the stiffness and damping with which they
-centre the platform, and F the force of the user along the cable. Dry friction is a proximal step,
-as in the reel's effects: the torque that brings the drum to rest, at most that of (10).
-A reel is tuned against a fixed cable end; here the end moves, which is what compensations and the
-hybrid controller are for.
+T_o is the pull of the opposite reels, k_c and c the stiffness and damping with which they centre
+the platform, and F the force of the user along the cable. Dry friction is a proximal step, as in
+the reel's effects: the torque that stops the drum, at most that of (10). The moving cable end is
+the case for compensation and the hybrid controller.
 """
 
 from dataclasses import dataclass
@@ -25,29 +24,29 @@ SUBSTEPS = 16
 """Symplectic Euler steps per sample: 10 kHz, over 100 per period of the fastest mode."""
 
 TENSION_GAINS = Gains(P=0.6, I=12.0, D=0.01, setpoint_filter_s=0.02)
-"""Tension PIDF that is well damped with the platform free or held, reference reel."""
+"""Tension gains of the reference reel, well damped with the platform free or held."""
 
 
 class PlatformState(NamedTuple):
-    """Where drum and platform are, and the effort on its way through the dead time."""
+    """State of drum and platform, and the delayed effort."""
 
     angle_rad: float
     velocity_rad_s: float
     position_m: float
     speed_m_s: float
-    coming_N: float
+    delayed_N: float
 
 
 @dataclass(frozen=True)
 class Platform:
-    """The bench; the reel gives the numbers of drum, cable, gauge and encoder.
+    """A platform and its reel, which gives the parameters of drum, cable, gauge and encoder.
 
     Attributes:
-        reel: The reel, its effects not used; its dead time is taken as one sample.
+        reel: The reel, without effects; its dead time is taken as one sample.
         friction: Dry friction of the drum.
         mass_kg: Mass m of the platform, kg.
         damping_Ns_m: Damping c, N s/m.
-        centring_N_m: Stiffness k_c, N/m; zero where it is free.
+        centring_N_m: Stiffness k_c, N/m; zero for a free platform.
 
     Raises:
         InvalidInput: a value is out of its range.
@@ -64,10 +63,12 @@ class Platform:
         check_not_negative("platform: damping_Ns_m", self.damping_Ns_m, "N s/m")
         check_not_negative("platform: centring_N_m", self.centring_N_m, "N/m")
         if self.reel.effects:
-            raise InvalidInput("platform: the reel has effects, which it does not simulate")
+            raise InvalidInput(
+                "platform: the reel has effects, which are not simulated; remove them"
+            )
 
     def at_rest(self, position_m: float = 0.0) -> PlatformState:
-        """At rest at a position, with the cable at the reel's tension."""
+        """State at rest at a position, with the cable at the reel's tension."""
         k = cable_stiffness_N_m(self.reel, self.reel.tension_N)
         stretch = self.reel.tension_N / k
         angle = (stretch - position_m) / self.reel.drum_radius_m
@@ -80,15 +81,12 @@ class Platform:
         return float(max(0.0, k * stretch))
 
     def step(self, state: PlatformState, effort_N: float, outward_N: float) -> PlatformState:
-        """One sample on.
+        """State at the next sample.
 
         Args:
-            state: At this sample.
-            effort_N: What the controller gives now, N; it acts a sample later.
+            state: State at this sample.
+            effort_N: Effort of the controller, N; it acts one sample later.
             outward_N: T_o + F, N, held over the sample.
-
-        Returns:
-            The state at the next sample.
         """
         reel = self.reel
         R, J, b = reel.drum_radius_m, reel.drum_inertia_kg_m2, viscous_friction_Nms(reel)

@@ -1,8 +1,7 @@
 """The platform at the boundary of its workspace: the paper's Fig. 18, with and without hand-over.
 
-The user pushes the platform out until the tension distribution has no solution, which is so while
-the platform is beyond the boundary, and keeps pushing. The hybrid controller then holds the
-cable's length at the boundary and gives way to tension control whenever the platform comes back
+The user pushes the platform beyond the boundary, where the tension distribution has no solution.
+The hybrid controller holds the cable's length at the boundary there, and controls the tension
 inside.
 """
 
@@ -14,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estune.core.gains import Gains
-from estune.core.pidf import PidfState, at_rest, coefficients
+from estune.core.pidf import PidfState, coefficients, state_at_rest
 from estune.core.quantities import FloatArray
 from estune.reel import hybrid
 from estune.reel.friction import StribeckFriction
@@ -30,16 +29,16 @@ class BoundaryTrial:
     """The trial and the controller of Fig. 18.
 
     Attributes:
-        platform: The bench.
+        platform: The platform and its reel.
         position: Gains of the position PIDF, N/m, N/(m s), N s/m.
         tension: Gains of the tension PIDF.
-        rules: When to switch.
-        boundary_m: Where the workspace ends, m from the platform's start; above zero.
-        push_N: The user's force outward, from the start on, N.
-        push_swing_N: How much it swings, N; the user is no constant force.
-        push_Hz: How fast it swings, Hz.
+        rules: Switching rules.
+        boundary_m: Boundary of the workspace, m from the platform's start; above zero.
+        push_N: Outward force of the user, N.
+        push_swing_N: Amplitude of its variation, N.
+        push_Hz: Frequency of its variation, Hz.
         duration_s: Length of the trial, s.
-        seed: Of the gauge's noise.
+        seed: Seed of the gauge's noise.
     """
 
     platform: Platform
@@ -55,16 +54,16 @@ class BoundaryTrial:
 
 
 class BoundaryTraces(NamedTuple):
-    """One run of the trial; columns have shape (samples,).
+    """Columns of one run, shape (samples,).
 
     Attributes:
         time_s: Time.
         position_m: Platform's position, outward.
         tension_N: Tension of the cable.
-        effort_N: Effort commanded.
-        in_tension: The selection S: whether the tension is controlled.
-        jump_N: At a switch, the effort commanded less the one the outgoing controller would have
-            commanded at that sample; zero elsewhere.
+        effort_N: Commanded effort.
+        in_tension: Selection S: whether the tension is controlled.
+        jump_N: Difference of the effort to that of the previous controller at a switch; zero
+            elsewhere.
     """
 
     time_s: FloatArray
@@ -76,7 +75,7 @@ class BoundaryTraces(NamedTuple):
 
 
 def run_boundary(trial: BoundaryTrial) -> tuple[BoundaryTraces, BoundaryTraces]:
-    """The data of Fig. 18: the trial with the hand-over (36)-(37) and without it."""
+    """The data of Fig. 18: the trial with and without the hand-over (36)-(37)."""
     return _run(trial, hand_over=True), _run(trial, hand_over=False)
 
 
@@ -89,7 +88,7 @@ def _run(trial: BoundaryTrial, *, hand_over: bool) -> BoundaryTraces:
     T = reel.tension_N
     wound = reel.drum_radius_m * x.angle_rad
     hold = wound - trial.boundary_m
-    state = hybrid.HybridState(PidfState(T, hold, wound), at_rest(T, T), in_tension=True)
+    state = hybrid.HybridState(PidfState(T, hold, wound), state_at_rest(T, T), in_tension=True)
     advance = hybrid.step if hand_over else hybrid.parallel_step
     times = np.arange(round(trial.duration_s * reel.sampling_Hz)) / reel.sampling_Hz
     noise = np.random.default_rng(trial.seed).normal(0.0, reel.gauge_noise_N, times.size)
