@@ -294,5 +294,5 @@ def test_record_too_large_to_square_has_no_cost():
 
 
 def test_record_of_unexpected_length_is_refused():
-    with pytest.raises(RigError, match="600 samples of time_s where 632 were asked for"):
+    with pytest.raises(RigError, match="600 samples of time_s instead of 632"):
         cost_of(record(samples=600), STEP, StepCost(0.3), 20.0)

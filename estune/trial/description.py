@@ -38,15 +38,15 @@ class LinearModel:
 
 @dataclass(frozen=True, slots=True)
 class RigLimits:
-    """What a rig will accept in a request.
+    """Limits of a rig for requests.
 
     Attributes:
-        tension_min_N: Least setpoint, N; of an open loop too.
-        tension_max_N: Greatest setpoint, N; of an open loop too.
+        tension_min_N: Lowest setpoint, N; of an open loop too.
+        tension_max_N: Highest setpoint, N; of an open loop too.
         duration_max_s: Longest trial, s.
 
     Raises:
-        InvalidInput: the limits are the wrong way round, or none at all.
+        InvalidInput: the limits are in the wrong order, or NaN.
     """
 
     tension_min_N: float
@@ -54,7 +54,7 @@ class RigLimits:
     duration_max_s: float
 
     def __post_init__(self) -> None:
-        # Both hold for infinite limits, and neither for NaN.
+        # Infinite limits satisfy both conditions, NaN neither.
         if not (self.tension_min_N <= self.tension_max_N and self.duration_max_s > 0.0):
             raise InvalidInput(
                 f"limits {self.tension_min_N:g} to {self.tension_max_N:g} N and "
@@ -62,7 +62,7 @@ class RigLimits:
             )
 
     def check(self, profile: AnyProfile) -> None:
-        """Refuses a profile the rig must not run.
+        """Refuses a profile outside the limits.
 
         Raises:
             InvalidInput: a tension or the duration is outside the limits.
@@ -83,21 +83,21 @@ class RigLimits:
 
 @dataclass(frozen=True, slots=True)
 class RigDescription:
-    """What a rig says of itself.
+    """Description of a rig.
 
     Attributes:
         name: Its name, unique on the link.
-        gains: The gains that are live now; a trial puts them back when it ends.
+        gains: Its live gains.
         controller: The fixed part of its controller.
-        newtons_per_ampere: Tension at rest per motor current, N/A: turns current into effort.
-        limits: What it will accept.
-        step: A step trial that suits it.
-        settling_time_s: The settling time a good tuning of it can reach, s; t_s in (35).
+        newtons_per_ampere: Tension at rest per motor current, N/A; converts current to effort.
+        limits: Limits for requests.
+        step: Suggested step trial.
+        settling_time_s: Suggested settling time, s; t_s in (35).
         cable_length_m: Deployed cable length, m, or None.
-        linear_model: The plant linearised about the suggested step, where it is known.
-        software: What serves it, name and version.
-        simulated: Whether nothing physical moves, so that an interrupted trial may be asked for
-            again without anybody having seen to the rig.
+        linear_model: The plant linearised about the suggested step, or None.
+        software: Name and version of the rig's program.
+        simulated: Whether nothing physical moves, so that an interrupted trial may be repeated
+            without a check by the operator.
 
     Raises:
         InvalidInput: a number is not finite, or not above zero.

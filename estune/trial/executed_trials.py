@@ -1,4 +1,4 @@
-"""A trial is a guest on its rig: what rigs that run trials in their own process share."""
+"""Executed trial ids and recent records of a rig that runs trials in its own process."""
 
 import contextlib
 import threading
@@ -8,19 +8,19 @@ from collections.abc import Callable, Iterator
 from estune.errors import RigError
 from estune.trial.records import TrialRecord, TrialRequest
 
-REMEMBERED = 64
-"""Records kept for a trial that is asked for again; of older ones only the ids are."""
+RECORDS_MAX = 64
+"""Number of stored records; of older trials only the ids are stored."""
 
-STOP_AGAIN_S = 0.02
-"""How often a trial that is to stop is told so."""
+STOP_INTERVAL_S = 0.02
+"""Interval at which the stop of a trial is repeated, s."""
 
 
 class ExecutedTrials:
-    """The youngest records, and the ids of all trials, so that none runs twice.
+    """The latest records and the ids of all trials, so that none runs twice.
 
     Args:
-        same_anew: Whether a trial that runs again gives the same record, as a simulated one does;
-            it then may, once its record is kept no longer.
+        same_anew: Whether a repeated trial gives the same record, as on a simulated rig; it may
+            then run again once its record is dropped.
     """
 
     def __init__(self, *, same_anew: bool = False) -> None:
@@ -29,48 +29,47 @@ class ExecutedTrials:
         self._ids: set[str] = set()
 
     def add(self, request: TrialRequest, record: TrialRecord) -> None:
-        """Keeps a record."""
+        """Stores a record."""
         if not self._same_anew:
             self._ids.add(request.trial_id)
         self._records[request.trial_id] = request, record
-        if len(self._records) > REMEMBERED:
+        if len(self._records) > RECORDS_MAX:
             self._records.popitem(last=False)
 
     def find_record(self, request: TrialRequest) -> TrialRecord | None:
-        """The record of a trial that has run before; None if it is to run.
+        """The record of a trial that has run before; None if it may run.
 
         Raises:
-            RigError: another trial had the id, or its record is kept no longer.
+            RigError: another trial had the id, or its record is dropped.
         """
         if request.trial_id in self._records:
-            asked, record = self._records[request.trial_id]
-            if request != asked:
+            earlier, record = self._records[request.trial_id]
+            if request != earlier:
                 raise RigError(
                     f"trial {request.trial_id} has run with other gains or another profile; "
-                    "a trial id is used once: ask under a new run name or attempt"
+                    "a trial id is used once: use a new run name or attempt"
                 )
             return record
         if request.trial_id in self._ids:
             raise RigError(
                 f"trial {request.trial_id} has run, but the rig no longer holds its record; "
-                "ask under another number or attempt"
+                "use another number or attempt"
             )
         return None
 
 
 @contextlib.contextmanager
-def stopped(trial: threading.Lock, stop: Callable[[], None]) -> Iterator[None]:
-    """Holds the lock of a trial under way, having stopped it.
+def stopped_trial(trial: threading.Lock, stop: Callable[[], None]) -> Iterator[None]:
+    """Stops the running trial and holds its lock for the duration of the block.
 
     Args:
-        trial: Held while a trial runs.
-        stop: Tells a trial to stop. Said again and again: one that is just beginning may not have
-            heard it.
+        trial: Lock that is held while a trial runs.
+        stop: Stops a trial; repeated, because a trial that is just beginning may miss it.
     """
-    had = False
-    while not had:
+    acquired = False
+    while not acquired:
         stop()
-        had = trial.acquire(timeout=STOP_AGAIN_S)
+        acquired = trial.acquire(timeout=STOP_INTERVAL_S)
     try:
         yield
     finally:

@@ -11,7 +11,7 @@
                          and the flags, `samples` bytes
 
 All numbers are little-endian. A microcontroller writes the body with one copy per column; here it
-is read without copying. One flipped bit anywhere, or any burst of up to 32, is always noticed.
+is read without copying. The checksum detects any single flipped bit and any burst of up to 32.
 """
 
 import json
@@ -33,10 +33,10 @@ if TYPE_CHECKING:
     from pydantic import TypeAdapter
 
 MAX_BYTES = 16 * 2**20
-"""The largest frame, about 340 000 samples: long for a trial, short for a machine's memory."""
+"""Size of the largest frame, about 340 000 samples."""
 
 HEADER_MAX_BYTES = 64 * 2**10
-"""The largest header; all but the reason of a failed trial has a fixed, small size."""
+"""Size of the largest header; only the reason of a failed trial has no fixed size."""
 
 _FAMILY, _VERSION = b"RTR", b"1"
 _PREFIX = struct.Struct("<4sIII")
@@ -48,7 +48,7 @@ _to_json = json.JSONEncoder(ensure_ascii=False, separators=(",", ":")).encode
 
 @dataclass(frozen=True, slots=True)
 class Header:
-    """The part of a record that is not a column, and which columns follow in which order."""
+    """Header of a frame: the fields of a record but its columns, and the order of those."""
 
     __pydantic_config__: ClassVar = {"extra": "forbid", "strict": True, "allow_inf_nan": False}
 
@@ -74,7 +74,7 @@ _latest: tuple[TrialRecord | None, bytes] = None, b""
 
 
 def size(samples: int, *, reference: bool = False) -> int:
-    """Bytes of the frame of a record of so many samples, at most."""
+    """Upper bound of the size of a frame, bytes."""
     return _PREFIX.size + HEADER_MAX_BYTES + _body_size(samples, reference)
 
 
@@ -106,7 +106,7 @@ def encode(record: TrialRecord) -> bytes:
             f"header; a frame holds {MAX_BYTES} and {HEADER_MAX_BYTES}: run a shorter trial"
         )
     prefix = (_FAMILY + _VERSION, len(header), body_length)
-    # Joined from views, so that the columns are copied once: memory of this size is slow to get.
+    # Joined from views, so that the columns are copied only once.
     parts: list[bytes | memoryview] = [header, *(array.data for array in arrays)]
     checksum = _checksum(_PREFIX.pack(*prefix, 0), *parts)
     return b"".join((_PREFIX.pack(*prefix, checksum), *parts))
@@ -115,7 +115,7 @@ def encode(record: TrialRecord) -> bytes:
 def decode(data: bytes) -> TrialRecord:
     """The record in a frame. Its columns are read-only views of the frame.
 
-    Encoded next, it is that very frame again: what a rig sends is what the journal keeps.
+    Encoded next, the record gives the same frame: the journal stores what the rig sent.
 
     Raises:
         ProtocolError: the frame is of another version, corrupt, truncated, too long or too large.
@@ -138,13 +138,13 @@ def decode(data: bytes) -> TrialRecord:
     record = TrialRecord(
         **{name: getattr(header, name) for name in _FACTS}, **columns, flags=flags
     )
-    global _latest  # noqa: PLW0603  a memory of one; a record and its frame never change
+    global _latest  # noqa: PLW0603  cache of one; a record and its frame never change
     _latest = record, data
     return record
 
 
 def _check_envelope(data: bytes) -> tuple[int, int]:
-    """Lengths of header and body, once magic, lengths and checksum are found right."""
+    """Lengths of header and body, after a check of magic, lengths and checksum."""
     if len(data) > MAX_BYTES:
         raise ProtocolError(f"record frame of {len(data)} bytes; the limit is {MAX_BYTES}")
     if len(data) < _PREFIX.size:
@@ -177,7 +177,7 @@ def _check_envelope(data: bytes) -> tuple[int, int]:
 
 
 def _checksum(*parts: bytes | memoryview) -> int:
-    """CRC-32 over the whole frame, its own field taken as zero."""
+    """CRC-32 of the whole frame, with zero in its own field."""
     checksum = 0
     for part in parts:
         checksum = zlib.crc32(part, checksum)
@@ -215,12 +215,12 @@ def _header_json(record: TrialRecord, columns: tuple[str, ...], samples: int) ->
 def _parse_header(text: bytes) -> Header:
     try:
         return _adapter().validate_json(text)
-    except (ValueError, OverflowError) as error:  # a whole number may have hundreds of digits
+    except (ValueError, OverflowError) as error:  # an integer may have hundreds of digits
         raise ProtocolError(f"record frame: header: {one_line(error)}") from error
 
 
 def one_line(error: ValueError | OverflowError) -> str:
-    """The first thing pydantic found wrong, and where, in one line."""
+    """The first error of a pydantic validation, with its place, in one line."""
     from pydantic import ValidationError  # noqa: PLC0415  as above
 
     if not isinstance(error, ValidationError):

@@ -13,11 +13,11 @@ from estune.trial.description import RigDescription
 from estune.trial.profiles import Kind, Loop, Profile
 
 SATURATED, GUARD, LATE = 1, 2, 4
-"""Bits of the `flags` column: command limited, guard stepped in, sample late."""
+"""Bits of the `flags` column: command saturated, guard tripped, sample late."""
 
 
 class Outcome(StrEnum):
-    """How a trial ended. Only `done` has a cost; the void ones say nothing about the gains."""
+    """How a trial ended. Only `done` has a cost; void trials carry no information on the gains."""
 
     DONE = "done"
     DIVERGED = "diverged"
@@ -33,7 +33,7 @@ class Outcome(StrEnum):
 
     @property
     def is_void(self) -> bool:
-        """Whether the trial says nothing about its gains, so that it may be asked for again."""
+        """Whether the trial carries no information on its gains and may be repeated."""
         return self in (Outcome.CANCELLED, Outcome.INTERRUPTED)
 
 
@@ -43,7 +43,7 @@ _SENTENCES = {
     Outcome.GUARD: "the rig's guard ended the trial at one of its limits",
     Outcome.CANCELLED: "the trial was stopped by the operator",
     Outcome.INTERRUPTED: "the rig stopped in the middle of the trial",
-    Outcome.DECLINED: "whoever was asked did not let the trial run",
+    Outcome.DECLINED: "the operator declined the trial",
 }
 
 
@@ -53,12 +53,11 @@ class TrialRequest:
 
     Attributes:
         run: Name of the run the trial belongs to.
-        number: The trial's place in the run, from 0. A simulated rig's noise depends on it and
-            on the rig's seed alone, so that a run can be repeated.
-        gains: Controller gains for the duration of the trial.
-        profile: The setpoint: a step for tuning, other profiles to find out about the rig. In an
-            open loop the gains play no part.
-        attempt: Counts repeats of a trial that was void, from 0. A trial id never runs twice.
+        number: Number of the trial in the run, from 0. A simulated rig's noise depends only on it
+            and the rig's seed, so that a run is reproducible.
+        gains: Controller gains for the duration of the trial; without effect in an open loop.
+        profile: The setpoint.
+        attempt: Number of void attempts before, from 0. A trial id never runs twice.
     """
 
     run: str
@@ -69,34 +68,34 @@ class TrialRequest:
 
     @property
     def trial_id(self) -> str:
-        """Identifies the trial: on the rig, in the journal and in file names."""
+        """Id of the trial on the rig, in the journal and in file names."""
         retry = f".{self.attempt}" if self.attempt else ""
         return f"{self.run}-{self.number:05d}{retry}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrialRecord:
-    """What a rig measured in one trial. Columns have shape (samples,), fewer if it was cut short.
+    """Record of one trial. Columns have shape (samples,), fewer if it ended early.
 
     Attributes:
-        trial_id: The trial this is the record of.
+        trial_id: Id of the trial.
         rig: Name of the rig.
         sampling_Hz: Sampling rate.
         cable_length_m: Deployed cable length, or None where there is no cable.
         preload_N: Tension held before the profile begins, N.
-        gains: The gains that were really applied.
+        gains: The applied gains.
         outcome: How the trial ended.
-        reason: What happened, in words, where the outcome is not `done`.
+        reason: The outcome in words, unless it is `done`.
         started_at: Wall-clock time of the start, ISO 8601 with offset.
-        software: What ran the trial, name and version.
+        software: Name and version of the rig's program.
         time_s: Time from the start of the trial.
         setpoint_N: The setpoint before its filter.
         tension_N: The measured tension.
         current_A: The motor current commanded.
         angle_rad: The drum angle measured.
         flags: Bit field: see `SATURATED`, `GUARD`, `LATE`.
-        reference_N: Tension measured outside the reel, where there is such a gauge.
-        loop: `closed`, or `open` where the setpoint went straight to the current loop.
+        reference_N: Tension measured outside the reel, or None.
+        loop: `closed`, or `open` if the setpoint went directly to the current loop.
         profile: The kind of setpoint.
     """
 
@@ -124,14 +123,14 @@ class TrialRecord:
 def empty_record(
     request: TrialRequest, rig: RigDescription, outcome: Outcome, reason: str, at: str
 ) -> TrialRecord:
-    """The record of a trial that nothing was measured of: no samples, the live gains.
+    """The record of a trial without samples, with the live gains.
 
     Args:
         request: The trial.
-        rig: The rig it was meant for.
-        outcome: What came of it.
-        reason: Why, in words.
-        at: When, ISO 8601 with offset.
+        rig: Its rig.
+        outcome: How it ended.
+        reason: The outcome in words.
+        at: Time of day, ISO 8601 with offset.
     """
     nothing = np.empty(0)
     return TrialRecord(
@@ -158,11 +157,11 @@ def empty_record(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Telemetry:
-    """Samples of a trial under way, for whoever looks on. Columns have shape (samples,).
+    """Samples of a running trial. Columns have shape (samples,).
 
     Attributes:
         trial_id: The trial.
-        first: Index in the trial of the first sample here.
+        first_sample: Index in the trial of the first sample here.
         sampling_Hz: Sampling rate.
         setpoint_N: The setpoint before its filter.
         tension_N: The measured tension.
@@ -171,7 +170,7 @@ class Telemetry:
     """
 
     trial_id: str
-    first: int
+    first_sample: int
     sampling_Hz: float
     setpoint_N: FloatArray
     tension_N: FloatArray

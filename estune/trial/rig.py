@@ -10,13 +10,12 @@ from estune.trial.records import Telemetry, TrialRecord, TrialRequest
 class Rig(Protocol):
     """Anything that answers a trial request with a trial record.
 
-    A trial is a guest: its gains are swapped in, and the live gains are back when `run` returns or
-    raises. Failure of a trial is data, an outcome in the record; an exception means that the rig
-    could not be asked.
+    A trial uses temporary gains: the live gains are restored when `run` returns or raises. A
+    failed trial is an outcome in its record; an exception means that the rig did not accept it.
     """
 
     def describe(self) -> RigDescription:
-        """What the rig is, and which gains are live now."""
+        """Its description, with its live gains."""
         ...
 
     def run(self, request: TrialRequest) -> TrialRecord:
@@ -29,37 +28,37 @@ class Rig(Protocol):
         ...
 
     def apply(self, gains: Gains) -> None:
-        """Makes gains the live ones. The only way the live gains ever change."""
+        """Changes the live gains; nothing else does."""
         ...
 
     def abort(self) -> RigDescription:
-        """Stops the trial under way, if any, and returns once the live gains are back."""
+        """Stops the running trial, if any, and returns once the live gains are restored."""
         ...
 
     def estop(self, reason: str) -> None:
-        """Begins to bring the rig to its safe state, whatever it does, and returns at once.
+        """Begins to bring the rig to its safe state, and returns at once.
 
-        The trial under way, if any, ends. The rig stays there, and refuses trials and gains with a
-        `RigError`, until it is cleared. May be called by any thread, any number of times.
+        A running trial ends. The rig stays in its safe state, and refuses trials and gains with a
+        `RigError`, until `clear`. Any thread may call, any number of times.
         """
         ...
 
     def clear(self) -> None:
-        """Ends an emergency stop: the rig may be used again. Nothing moves by it."""
+        """Resets the emergency stop; nothing moves."""
         ...
 
     def close(self) -> None:
-        """Lets go of the rig; further calls are refused."""
+        """Closes the rig; further calls are refused."""
         ...
 
 
 @runtime_checkable
 class TelemetrySource(Protocol):
-    """A rig that shows a trial while it runs."""
+    """A rig with telemetry of the running trial."""
 
     def telemetry(self, after: int) -> Telemetry | None:
-        """The samples of the trial under way from index `after` on; None if none is.
+        """A copy of the running trial's samples from index `after` on; None without a trial.
 
-        They are a copy. May be called by any thread, often, and must not slow the trial.
+        Any thread may call, often; the trial must not be delayed.
         """
         ...

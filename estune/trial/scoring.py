@@ -1,4 +1,4 @@
-"""From a trial record to its cost and to the numbers beside it."""
+"""Cost, constraint margin and step metrics of a trial record."""
 
 import math
 
@@ -18,20 +18,19 @@ def cost_of(
     """The cost of one step trial: eta of (35), with its options.
 
     Args:
-        record: What the rig measured.
-        step: The step that was asked for.
+        record: The record.
+        step: The requested step.
         cost: The settings of (35).
-        newtons_per_ampere: Tension at rest per motor current, N/A: turns current into effort.
+        newtons_per_ampere: Tension at rest per motor current, N/A; converts current to effort.
 
     Returns:
-        The cost; NaN if the trial did not end well or holds values that are not finite.
+        The cost; NaN unless the trial is done and its values are finite.
 
     Raises:
-        InvalidInput: the settling time is longer than what was recorded after the step.
-        RigError: the rig says the trial ran to its end, but sent another number of samples than
-            were asked for.
+        InvalidInput: the settling time is longer than the record after the step.
+        RigError: the trial is reported done with another number of samples than requested.
     """
-    if not _is_whole(record, step):
+    if not _is_complete(record, step):
         return math.nan
     eta = cost.evaluate(
         record.sampling_Hz,
@@ -45,22 +44,17 @@ def cost_of(
 
 
 def constraint_margin(record: TrialRecord, rig: RigDescription) -> float:
-    """How near a trial came to a limit of the rig: the smallest share left of any of its room.
+    """Smallest constraint margin of a trial, relative to the distance of setpoint and limit.
 
-    The room is what lies between the setpoint, at its highest or lowest, and a limit on the
-    tension, or on the effort that holds the setpoint,
+    For the upper limits of tension and control effort the margin is
 
-        (limit - greatest value) / (limit - greatest setpoint)
+        (limit - greatest value) / (limit - greatest setpoint),
 
-    and so on downwards: 1 where the response stays within its setpoints, 0 at a limit. A setpoint
-    at a limit leaves no room to have a share of, and that side is left out.
-
-    Args:
-        record: What the rig measured.
-        rig: Its limits, and those of its controller.
+    likewise for the lower ones: 1 where the response stays within its setpoints, 0 at a limit. A
+    limit at a setpoint is left out.
 
     Returns:
-        The share, below zero past a limit; infinite without a limit or a sample.
+        The margin, below zero past a limit; infinite without a limit or a sample.
     """
     if not len(record.time_s):
         return math.inf
@@ -73,24 +67,20 @@ def constraint_margin(record: TrialRecord, rig: RigDescription) -> float:
         (controller.output_max_N - high, controller.output_max_N - np.max(effort_N)),
         (low - controller.output_min_N, np.min(effort_N) - controller.output_min_N),
     )
-    shares = [float(left / room) for room, left in sides if 0.0 < room < math.inf]
-    return min((share for share in shares if not math.isnan(share)), default=math.inf)
+    margins = [float(left / room) for room, left in sides if 0.0 < room < math.inf]
+    return min((margin for margin in margins if not math.isnan(margin)), default=math.inf)
 
 
 def metrics_of(record: TrialRecord, step: StepProfile) -> StepMetrics:
-    """Rise, settling, overshoot and steady-state error between the two levels of the setpoint.
-
-    Args:
-        record: What the rig measured.
-        step: The step that was asked for.
+    """Rise time, settling time, overshoot and steady-state error of a step trial.
 
     Returns:
-        The metrics, all NaN if the trial did not end well or holds values that are not finite.
+        The metrics; all NaN unless the trial is done and its values are finite.
 
     Raises:
         RigError: as in `cost_of`.
     """
-    if not _is_whole(record, step):
+    if not _is_complete(record, step):
         return NO_METRICS
     return step_metrics(
         record.time_s,
@@ -101,21 +91,17 @@ def metrics_of(record: TrialRecord, step: StepProfile) -> StepMetrics:
     )
 
 
-def _is_whole(record: TrialRecord, step: StepProfile) -> bool:
-    """Whether the trial ran to its end and every value that is looked at is finite."""
+def _is_complete(record: TrialRecord, step: StepProfile) -> bool:
+    """Whether the trial is done and its values are finite; raises if its length is wrong."""
     if record.outcome is not Outcome.DONE:
         return False
-    _check_length(record, step)
-    columns = (record.setpoint_N, record.tension_N, record.current_A)
-    return all(np.isfinite(column).all() for column in columns)
-
-
-def _check_length(record: TrialRecord, step: StepProfile) -> None:
-    asked = step.samples(record.sampling_Hz)
+    expected = step.samples(record.sampling_Hz)
     for name in ("time_s", "setpoint_N", "tension_N", "current_A"):
         sent = len(getattr(record, name))
-        if sent != asked:
+        if sent != expected:
             raise RigError(
                 f"trial {record.trial_id} of rig {record.rig} is reported done with {sent} "
-                f"samples of {name} where {asked} were asked for; check the rig's sampling rate"
+                f"samples of {name} instead of {expected}; check the rig's sampling rate"
             )
+    columns = (record.setpoint_N, record.tension_N, record.current_A)
+    return all(np.isfinite(column).all() for column in columns)

@@ -1,7 +1,7 @@
-"""Whether a rig is fit to be tuned: what is fine, what must be mended, and how.
+"""Checks of a rig before it is tuned, each with a remedy.
 
-Each check is a function from evidence to a finding; `examine` gathers the evidence. Nothing moves
-unless the caller has said that it may.
+Each check is a function from evidence to a result; `run_checks` gathers the evidence. Nothing
+moves unless the caller allows it.
 """
 
 from estune.cli.checks.check_result import CheckResult, State

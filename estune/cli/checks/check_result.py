@@ -1,4 +1,4 @@
-"""What a check came to."""
+"""Result of a check."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -6,7 +6,7 @@ from enum import StrEnum
 
 
 class State(StrEnum):
-    """Whether something is to be done."""
+    """State of what was checked; `fix` needs the remedy."""
 
     FINE = "fine"
     FIX = "fix"
@@ -15,14 +15,14 @@ class State(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class CheckResult:
-    """What one check came to.
+    """Result of one check.
 
     Attributes:
-        check: What was looked at, in a word or two.
-        state: Whether something is to be done.
-        sentence: What was found.
-        remedy: What to do about it; empty where nothing is.
-        figures: What was measured, by name with its unit.
+        check: What was checked, in a word or two.
+        state: Its state.
+        sentence: The observation.
+        remedy: What to do about it; may be empty.
+        figures: Measured values, by name with unit.
     """
 
     check: str
@@ -33,15 +33,15 @@ class CheckResult:
 
 
 def fine(check: str, sentence: str, **figures: float) -> CheckResult:
-    """Nothing is to be done."""
+    """A passed check."""
     return CheckResult(check, State.FINE, sentence, figures=figures)
 
 
 def fix(check: str, sentence: str, remedy: str, **figures: float) -> CheckResult:
-    """Something must be mended."""
+    """A failed check."""
     return CheckResult(check, State.FIX, sentence, remedy, figures)
 
 
 def unknown(check: str, sentence: str, remedy: str = "", **figures: float) -> CheckResult:
-    """It cannot be told; the remedy says how it could."""
+    """A check without a conclusion; the remedy is the way to one."""
     return CheckResult(check, State.UNKNOWN, sentence, remedy, figures)

@@ -1,4 +1,4 @@
-"""Checks on what a rig says of itself: limits, live gains, and how it stands."""
+"""Checks of a rig's description and status: limits, live gains, emergency stop."""
 
 import math
 from collections.abc import Iterator
@@ -12,22 +12,22 @@ from estune.trial import RigDescription
 
 
 def check_status(status: Status) -> CheckResult:
-    """Whether the rig can be used at all."""
+    """Whether the rig is out of its emergency stop."""
     if status.latched:
         return fix(
             "state",
             f"held in its safe state after an emergency stop ({status.latched})",
-            "see to the rig, then: estune clear ENDPOINT",
+            "check the rig, then: estune clear ENDPOINT",
         )
     held = f", held by {status.holder}" if status.holder else ""
     return fine("state", f"{status.mode.sentence}{held}")
 
 
 def check_limits(rig: RigDescription) -> CheckResult:
-    """Whether the limits are limits, in order, and let the rig's own step pass."""
-    wrong = list(_faults(rig))
-    if wrong:
-        return fix("limits", "; ".join(wrong), "set the limits in the rig's file, and restart it")
+    """Whether the limits are finite, in order, and allow the rig's suggested step."""
+    faults = list(_faults(rig))
+    if faults:
+        return fix("limits", "; ".join(faults), "set the limits in the rig's file, and restart it")
     low, high = rig.limits.tension_min_N, rig.limits.tension_max_N
     return fine(
         "limits",
@@ -41,11 +41,11 @@ def check_limits(rig: RigDescription) -> CheckResult:
 def _faults(rig: RigDescription) -> Iterator[str]:
     limits, controller, step = rig.limits, rig.controller, rig.step
     ends = {
-        "least tension": limits.tension_min_N,
-        "greatest tension": limits.tension_max_N,
+        "lowest tension": limits.tension_min_N,
+        "highest tension": limits.tension_max_N,
         "longest trial": limits.duration_max_s,
-        "least effort": controller.output_min_N,
-        "greatest effort": controller.output_max_N,
+        "lowest control effort": controller.output_min_N,
+        "highest control effort": controller.output_max_N,
     }
     open_ends = [name for name, value in ends.items() if not math.isfinite(value)]
     if open_ends and not rig.simulated:
@@ -56,7 +56,7 @@ def _faults(rig: RigDescription) -> Iterator[str]:
         yield f"the rig refuses the step it suggests itself ({error})"
     if not controller.output_max_N >= min(limits.tension_max_N, max(step.extremes_N)):
         yield (
-            f"the greatest effort, {controller.output_max_N:g} N, holds less than the "
+            f"the highest control effort, {controller.output_max_N:g} N, is less than the "
             f"{max(step.extremes_N):g} N of the step it suggests"
         )
     after_s = step.duration_s - step.step_at_s
@@ -68,26 +68,26 @@ def _faults(rig: RigDescription) -> Iterator[str]:
 
 
 def check_gains(rig: RigDescription) -> CheckResult:
-    """Whether the live gains hold the rig's own model with margins to spare."""
+    """Whether the live gains have sufficient margins on the rig's own model."""
     if rig.linear_model is None:
         return unknown(
             "live gains",
             f"{rig.gains}; the rig gives no linear model, so their margins are not known",
         )
-    found = margins(rig.linear_model, rig.gains, rig.controller)
-    thin = result_warnings.low_margins(found)
-    if thin:
+    measured = margins(rig.linear_model, rig.gains, rig.controller)
+    low = result_warnings.low_margins(measured)
+    if low:
         return fix(
             "live gains",
-            f"{rig.gains}: {thin[0].sentence.partition(';')[0]}",
+            f"{rig.gains}: {low[0].sentence.partition(';')[0]}",
             "give the rig gentler gains before it is tuned",
-            gain_margin=found.gain_margin,
-            phase_margin_deg=found.phase_margin_deg,
+            gain_margin=measured.gain_margin,
+            phase_margin_deg=measured.phase_margin_deg,
         )
     return fine(
         "live gains",
-        f"{rig.gains}; gain margin {found.gain_margin:.2g}, "
-        f"phase margin {found.phase_margin_deg:.0f}°",
-        gain_margin=found.gain_margin,
-        phase_margin_deg=found.phase_margin_deg,
+        f"{rig.gains}; gain margin {measured.gain_margin:.2g}, "
+        f"phase margin {measured.phase_margin_deg:.0f}°",
+        gain_margin=measured.gain_margin,
+        phase_margin_deg=measured.phase_margin_deg,
     )

@@ -12,8 +12,8 @@ from estune.cli.checks.check_result import CheckResult, fine, fix, unknown
 
 _LISTENS = "0A"
 _PROC = Path("/proc")
-_NOT_SEEN = "the rig's process is not one of this user on this machine"
-_GO_THERE = "run estune doctor on the rig's machine, as its user, at the rig's own endpoint"
+_NOT_VISIBLE = "the rig's process is not one of this user on this machine"
+_RUN_THERE = "run estune doctor on the rig's machine, as its user, at the rig's own endpoint"
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,11 +21,11 @@ class Host:
     """The process that listens at a rig's endpoint.
 
     Attributes:
-        pid: Its number.
+        pid: Its process id.
         listens: The addresses it listens at.
         real_time: Whether it or one of its children runs with real-time priority.
-        locked: Whether the same has its memory locked.
-        ledger: The ledger it keeps, or None.
+        locked: Whether it or one of its children has locked memory.
+        ledger: Its ledger, or None.
     """
 
     pid: int
@@ -36,7 +36,7 @@ class Host:
 
 
 def find_host(endpoint: str) -> Host | None:
-    """The process that listens there; None if it cannot be seen from here."""
+    """The process that listens at the endpoint; None if it is not visible to this user."""
     match = re.fullmatch(r"(?:tcp|tls)/(127\.\d+\.\d+\.\d+|localhost|\[::1\]):(\d+)", endpoint)
     if match is None or not _PROC.joinpath("net/tcp").exists():
         return None
@@ -58,37 +58,37 @@ def find_host(endpoint: str) -> Host | None:
 
 
 def check_permissions(host: Host | None, *, simulated: bool) -> CheckResult:
-    """Whether the real-time loop got what it asks the system for."""
+    """Whether the real-time loop has its priority and locked memory."""
     if simulated:
-        return fine("permissions", "a simulated rig asks for none")
+        return fine("permissions", "a simulated rig needs none")
     if host is None:
-        return unknown("permissions", _NOT_SEEN, _GO_THERE)
+        return unknown("permissions", _NOT_VISIBLE, _RUN_THERE)
     granted = {"real-time priority": host.real_time, "locked memory": host.locked}
     missing = [name for name in granted if not granted[name]]
     if missing:
         return fix(
             "permissions",
             f"the rig runs without {' and without '.join(missing)}",
-            "grant it by /etc/security/limits.d or in its service (docs/hardware.md, Permissions)",
+            "grant rtprio and memlock in /etc/security/limits.d or in its service",
         )
     return fine("permissions", "real-time priority and locked memory are granted")
 
 
 def check_ports(host: Host | None, endpoint: str, *, asked_who: bool) -> CheckResult:
-    """Whether anybody on the network could command the rig.
+    """Whether the rig is reachable from the network without authentication.
 
     Args:
-        host: The process, if it can be seen.
-        endpoint: Where it was reached.
-        asked_who: Whether it was reached under a name, with a password or certificate.
+        host: The process, if it is visible.
+        endpoint: Address of the rig.
+        asked_who: Whether the connection is authenticated.
     """
     at = host.listens if host is not None else (endpoint,)
     beyond = [address for address in at if not _is_loopback(address)]
     if beyond and not asked_who:
         return fix(
             "ports",
-            f"whoever reaches {', '.join(beyond)} can command the rig",
-            "listen at 127.0.0.1, or say who may (docs/security.md)",
+            f"every client that reaches {', '.join(beyond)} can command the rig",
+            "listen at 127.0.0.1, or require authentication (--security)",
         )
     if host is None:
         return fine("ports", f"reached at {endpoint}")
@@ -96,17 +96,17 @@ def check_ports(host: Host | None, endpoint: str, *, asked_who: bool) -> CheckRe
 
 
 def check_ledger(host: Host | None, *, simulated: bool) -> CheckResult:
-    """Whether the rig remembers over a restart what it ran."""
+    """Whether the rig's ledger survives a restart."""
     if host is not None and host.ledger is not None:
         return fine("ledger", f"on disk, {host.ledger}")
     if simulated and host is not None:
-        return fine("ledger", "in memory; a simulated rig can afford to forget")
+        return fine("ledger", "in memory, which is sufficient for a simulated rig")
     return unknown(
         "ledger",
-        f"{_NOT_SEEN}, so whether its ledger is on disk is not known"
+        f"{_NOT_VISIBLE}, so whether its ledger is on disk is not known"
         if host is None
-        else f"the process that listens there, {host.pid}, has none open that could be seen",
-        _GO_THERE,
+        else f"the process that listens there, {host.pid}, has no visible open ledger",
+        _RUN_THERE,
     )
 
 
@@ -129,7 +129,7 @@ def _listening() -> Iterator[tuple[int, tuple[str, int]]]:
                 words = line.split()
                 if words[3] == _LISTENS:
                     host, port = words[1].split(":")
-                    # Four bytes at a time in the machine's own order.
+                    # Groups of four bytes in native byte order.
                     raw = bytes.fromhex(host)
                     packed = b"".join(raw[i : i + 4][::-1] for i in range(0, len(raw), 4))
                     number = int(port, 16)
@@ -139,13 +139,13 @@ def _listening() -> Iterator[tuple[int, tuple[str, int]]]:
 
 
 def _links(folder: Path) -> list[str]:
-    """What a process has open; nothing of another user's."""
-    found = []
+    """Open files of a process; empty for another user's."""
+    links = []
     with suppress(OSError):
         for link in (folder / "fd").iterdir():
             with suppress(OSError):
-                found.append(str(link.readlink()))
-    return found
+                links.append(str(link.readlink()))
+    return links
 
 
 def _children(folder: Path) -> list[Path]:
@@ -175,6 +175,6 @@ def _is_locked(folder: Path) -> bool:
 
 
 def _ledger(links: list[str]) -> Path | None:
-    """The file among those that are open beside which the lock of a ledger is open, too."""
+    """The open file whose ledger lock is open, too."""
     ledgers = (link for link in links if f"{link}.lock" in links)
     return next(map(Path, ledgers), None)

@@ -1,4 +1,4 @@
-"""Checks on the link: how long a question takes, and whose clock says what."""
+"""Checks of the link: round-trip time and clocks."""
 
 import statistics
 import time
@@ -11,20 +11,19 @@ from estune.remote.state_machine.state import LEASE_S, RENEW_S
 
 QUESTIONS = 200
 OFFSET_MAX_S = 1.0
-"""Records of a rig whose clock is off by more cannot be told from others' by their time."""
+"""Maximum clock offset: beyond it, records cannot be assigned by their time."""
 
 _NTP = "be kept by NTP (chrony, systemd-timesyncd)"
 
 
 class Dated(NamedTuple):
-    """When a trial was asked for and answered, by this machine, and when it began, by the rig.
+    """Times of a trial, by this machine's clock and the rig's.
 
     Attributes:
-        asked_s: Time of day when it was asked for, s.
-        answered_s: The same when its record had come.
-        elapsed_s: Time from the first trial's asking to this one's answer, on a clock that never
-            steps, s.
-        started_at: The start of the trial as the record has it.
+        asked_s: Time of day of the request, s.
+        answered_s: Time of day of the record's arrival, s.
+        elapsed_s: Time from the first request to this record, on a monotonic clock, s.
+        started_at: Start of the trial in the record.
     """
 
     asked_s: float
@@ -34,7 +33,7 @@ class Dated(NamedTuple):
 
 
 def round_trips_s(ask: Callable[[], object], questions: int = QUESTIONS) -> list[float]:
-    """How long each of so many questions takes."""
+    """Round-trip time of each of several queries, s."""
     taken = []
     for _ in range(questions):
         began_s = time.perf_counter()
@@ -44,7 +43,7 @@ def round_trips_s(ask: Callable[[], object], questions: int = QUESTIONS) -> list
 
 
 def check_link(taken_s: Sequence[float]) -> CheckResult:
-    """Whether the lease can be kept: a renewal that takes too long is one that is lost."""
+    """Whether renewals of the lease arrive in time."""
     median_ms = 1e3 * statistics.median(taken_s)
     slow_ms = 1e3 * statistics.quantiles(taken_s, n=100)[-1]
     figures = {"round_trip_median_ms": median_ms, "round_trip_p99_ms": slow_ms}
@@ -54,7 +53,7 @@ def check_link(taken_s: Sequence[float]) -> CheckResult:
             "link",
             f"{sentence}: the lease, {LEASE_S:g} s renewed every {RENEW_S:g} s, may be lost in "
             "the middle of a trial",
-            "a wired network, or run estune on the rig's own machine",
+            "use a wired network, or run estune on the rig's own machine",
             **figures,
         )
     return fine("link", sentence, **figures)
@@ -79,9 +78,9 @@ def check_clock(dated: Sequence[Dated]) -> CheckResult:
             return fix(
                 "clock",
                 f"the rig dates a trial {trial.started_at!r}",
-                "it has to be ISO 8601 with offset, as 2009-05-04T12:00:00+02:00",
+                "use ISO 8601 with offset, as 2009-05-04T12:00:00+02:00",
             )
-        # The trial began between the question and the answer.
+        # The trial began between the request and the record.
         low_s = max(low_s, started.timestamp() - trial.answered_s)
         high_s = min(high_s, started.timestamp() - trial.asked_s)
     figures = {"clock_offset_low_s": low_s, "clock_offset_high_s": high_s}

@@ -1,4 +1,4 @@
-"""The examination: gathers the evidence, check by check."""
+"""All checks of a rig, in order, with their evidence."""
 
 import secrets
 import time
@@ -15,18 +15,18 @@ from estune.trial.profiles import StepProfile
 
 REPEATS = 5
 GENTLER = 0.5
-"""The trial steps by this share of the step that the rig suggests."""
+"""Step of the check trials, relative to the step that the rig suggests."""
 
 
 class RigUnderTest(Protocol):
-    """What is examined: a rig on the link."""
+    """A rig on the link."""
 
     def describe(self) -> RigDescription:
-        """What it is."""
+        """Its description."""
         ...
 
     def status(self) -> Status:
-        """What it does now."""
+        """Its status."""
         ...
 
     def run(self, request: TrialRequest) -> TrialRecord:
@@ -35,7 +35,7 @@ class RigUnderTest(Protocol):
 
 
 def gentle_trial(rig: RigDescription) -> StepProfile:
-    """The step that is repeated: half of what the rig suggests itself."""
+    """The step of the check trials: half of the suggested one."""
     return replace(rig.step, step_N=GENTLER * rig.step.step_N)
 
 
@@ -47,33 +47,39 @@ def run_checks(
     repeats: int = REPEATS,
     asked_who: bool = False,
 ) -> Iterator[CheckResult]:
-    """Examines a rig; each finding comes as soon as it is made.
+    """Checks a rig; yields each result as soon as it is known.
 
     Args:
         rig: The rig.
-        endpoint: Where it was reached.
-        move: Whether it may be moved: by a gentle step with its live gains, so many times.
-        repeats: How many times; at least two.
-        asked_who: Whether the rig was reached under a name.
+        endpoint: Its address.
+        move: Whether it may move: repeats of a gentle step with its live gains.
+        repeats: Number of repeats, at least two.
+        asked_who: Whether the connection is authenticated.
 
     Raises:
         RigError: it cannot be reached, or refuses the trials.
     """
     about = rig.describe()
-    standing = description_checks.check_status(rig.status())
-    yield standing
+    status = description_checks.check_status(rig.status())
+    yield status
     yield link_checks.check_link(link_checks.round_trips_s(rig.status))
     limits = description_checks.check_limits(about)
     yield limits
     yield description_checks.check_gains(about)
-    seen = host_checks.find_host(endpoint)
-    yield host_checks.check_permissions(seen, simulated=about.simulated)
-    yield host_checks.check_ports(seen, endpoint, asked_who=asked_who)
-    yield host_checks.check_ledger(seen, simulated=about.simulated)
+    host = host_checks.find_host(endpoint)
+    yield host_checks.check_permissions(host, simulated=about.simulated)
+    yield host_checks.check_ports(host, endpoint, asked_who=asked_who)
+    yield host_checks.check_ledger(host, simulated=about.simulated)
     if not move:
-        yield unknown("trials", "not looked at, for nothing was moved", "estune doctor --move")
-    elif State.FIX in (standing.state, limits.state):
-        yield unknown("trials", "not looked at: mend the above first", "estune doctor --move")
+        yield unknown(
+            "trials", "not checked, because nothing may move", "use estune doctor --move"
+        )
+    elif State.FIX in (status.state, limits.state):
+        yield unknown(
+            "trials",
+            "not checked because of the failed checks above",
+            "fix those, then use estune doctor --move",
+        )
     else:
         yield from _in_motion(rig, about, repeats)
 
@@ -81,27 +87,27 @@ def run_checks(
 def _in_motion(rig: RigUnderTest, about: RigDescription, repeats: int) -> Iterator[CheckResult]:
     step = gentle_trial(about)
     run = f"doctor-{secrets.token_hex(4)}"
-    found, dated = [], []
+    records, dated = [], []
     began_s = time.monotonic()
     for number in range(repeats):
         asked_s = time.time()
         record = rig.run(TrialRequest(run, number, about.gains, step))
         elapsed_s = time.monotonic() - began_s
-        found.append(record)
+        records.append(record)
         dated.append(Dated(asked_s, time.time(), elapsed_s, record.started_at))
-    outcomes = trial_checks.check_outcomes(found, step)
+    outcomes = trial_checks.check_outcomes(records, step)
     yield outcomes
     yield link_checks.check_clock(dated)
     if outcomes.state is State.FINE:
-        yield trial_checks.check_sampling(found)
-        yield trial_checks.check_gauge(found, step, simulated=about.simulated)
-        yield trial_checks.check_cost(found, step, about)
+        yield trial_checks.check_sampling(records)
+        yield trial_checks.check_gauge(records, step, simulated=about.simulated)
+        yield trial_checks.check_cost(records, step, about)
     after = rig.describe().gains
     if after == about.gains:
-        yield fine("restored", "the live gains are what they were before")
+        yield fine("restored", "the live gains are restored")
     else:
         yield fix(
             "restored",
             f"the rig runs {after} after the trials, not {about.gains} as before",
-            "its program must put the live gains back after every trial",
+            "correct the rig's software: it must restore the live gains after every trial",
         )

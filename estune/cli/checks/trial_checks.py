@@ -1,4 +1,4 @@
-"""Checks on records of a few repeats of one step with the live gains."""
+"""Checks of the records of repeated steps with the live gains."""
 
 import math
 import statistics
@@ -15,32 +15,32 @@ from estune.trial.profiles import StepProfile
 from estune.trial.scoring import cost_of
 
 LATE_MAX = 0.01
-"""Share of samples that may be late."""
+"""Maximum share of late samples."""
 
 UNEVEN_MAX = 0.5
-"""How far from its instant a sample may be, in sampling periods."""
+"""Maximum deviation of a sampling interval, in sampling periods."""
 
 NOISE_MAX = 0.05
-"""Noise of the gauge as a share of the step."""
+"""Maximum noise of the gauge (rms), relative to the step."""
 
 DRIFT_MAX = 0.05
-"""How far levels may lie apart from repeat to repeat, as a share of the step."""
+"""Maximum difference of levels between repeats, relative to the step."""
 
-SCATTER_MAX = 0.1
-"""Scatter of the cost as a share of it: a tuner sees no smaller difference in one trial."""
+DEVIATION_MAX = 0.1
+"""Maximum relative standard deviation of the cost between repeats."""
 
 SATURATED_MAX = 0.2
-"""Share of samples in which the effort may be at its limit."""
+"""Maximum share of samples with the control effort at its limit."""
 
 
 def check_outcomes(records: Sequence[TrialRecord], step: StepProfile) -> CheckResult:
-    """Whether the trials ran to their end and every value is one."""
+    """Whether the trials ran to their end, with finite values."""
     for record in records:
         if record.outcome is not Outcome.DONE:
             return fix(
                 "trials",
                 f"{record.outcome.sentence} ({record.reason})",
-                "see to the rig: these were its own gains and a gentle step",
+                "check the rig: these were its own gains and a gentle step",
             )
         asked = step.samples(record.sampling_Hz)
         names = ("time_s", "setpoint_N", "tension_N", "current_A", "angle_rad", "flags")
@@ -49,21 +49,21 @@ def check_outcomes(records: Sequence[TrialRecord], step: StepProfile) -> CheckRe
         if wrong:
             return fix(
                 "trials",
-                f"{', '.join(wrong)} with another length than the {asked} samples asked for",
-                "mend the rig's program, or the sampling rate that it says it has",
+                f"{', '.join(wrong)} with another length than the {asked} samples requested",
+                "correct the rig's software or its declared sampling rate",
             )
         wrong = [name for name, column in columns.items() if not np.isfinite(column).all()]
         if wrong:
             return fix(
                 "trials",
                 f"values in {', '.join(wrong)} that are not finite",
-                "see to the wiring and the calibration",
+                "check the wiring and the calibration",
             )
     return fine("trials", f"{len(records)} repeats with the live gains ran to their end")
 
 
 def check_sampling(records: Sequence[TrialRecord]) -> CheckResult:
-    """Whether samples were taken when they should have been."""
+    """Whether the sampling instants are regular."""
     late = sum(int(np.count_nonzero(record.flags & LATE)) for record in records)
     samples = sum(len(record.flags) for record in records)
     uneven = max(
@@ -85,8 +85,7 @@ def check_sampling(records: Sequence[TrialRecord]) -> CheckResult:
         return fix(
             "sampling",
             sentence,
-            "give the loop real-time priority and a core of its own (docs/hardware.md), "
-            "or a lower sampling rate",
+            "give the loop real-time priority and a core of its own, or a lower sampling rate",
             **figures,
         )
     return fine("sampling", sentence, **figures)
@@ -95,12 +94,12 @@ def check_sampling(records: Sequence[TrialRecord]) -> CheckResult:
 def check_gauge(
     records: Sequence[TrialRecord], step: StepProfile, *, simulated: bool
 ) -> CheckResult:
-    """Whether the gauge is quiet, alive, and says the same from repeat to repeat."""
+    """Noise, drift and calibration of the gauge."""
     height_N = abs(step.step_N)
     quiet = [r.tension_N[: step.step_index(r.sampling_Hz)] for r in records]
     if min(map(len, quiet)) < 3:
-        return unknown("gauge", "the step leaves no time before it to look at the noise")
-    # Differences of neighbours: what moves slowly is no noise.
+        return unknown("gauge", "there are too few samples before the step to estimate the noise")
+    # Differences of neighbouring samples exclude slow changes.
     noise_N = math.sqrt(statistics.fmean(float(np.mean(np.diff(q) ** 2)) / 2.0 for q in quiet))
     levels = [float(np.mean(q)) for q in quiet]
     spread_N = max(levels) - min(levels)
@@ -111,14 +110,14 @@ def check_gauge(
         "the setpoint"
     )
     if noise_N == 0.0 and not simulated:
-        return fix(
-            "gauge", "it reads exactly the same all the time", "see to its wiring", **figures
-        )
+        return fix("gauge", "its reading never changes", "check its wiring", **figures)
     if noise_N > NOISE_MAX * height_N:
         remedy = "shield the gauge's cable and filter it, or ask for a larger step"
         return fix("gauge", sentence, remedy, **figures)
     if spread_N > DRIFT_MAX * height_N:
-        remedy = "let the gauge and its amplifier warm up, and see to creep and play at its mount"
+        remedy = (
+            "let the gauge and its amplifier warm up, and check creep and backlash of its mount"
+        )
         return fix("gauge", sentence, remedy, **figures)
     if off_N > DRIFT_MAX * height_N:
         remedy = "calibrate the gauge, or leave more time before the step for the reel to settle"
@@ -129,31 +128,32 @@ def check_gauge(
 def check_cost(
     records: Sequence[TrialRecord], step: StepProfile, rig: RigDescription
 ) -> CheckResult:
-    """Whether the cost of the same gains is the same from repeat to repeat."""
+    """Repeatability of the cost with the same gains."""
     cost = StepCost(rig.settling_time_s, move_weight=MOVE_WEIGHT)
     try:
         costs = [cost_of(record, step, cost, rig.newtons_per_ampere) for record in records]
     except RigError as error:
-        return fix("cost", str(error), "mend what the rig says of itself")
+        return fix("cost", str(error), "correct the rig's description")
     mean = statistics.fmean(costs)
-    scatter = statistics.stdev(costs) / mean if len(costs) > 1 and mean > 0.0 else math.nan
+    deviation = statistics.stdev(costs) / mean if len(costs) > 1 and mean > 0.0 else math.nan
     saturated = max(float(np.mean((record.flags & SATURATED) > 0)) for record in records)
-    figures = {"cost_mean": mean, "cost_scatter": scatter, "saturated_share": saturated}
-    sentence = f"{mean:.3g}, scatter {100 * scatter:.2g} % over {len(costs)} repeats"
-    if not math.isfinite(scatter):
-        return unknown("cost", "there is no telling its scatter from these trials")
-    if scatter > SCATTER_MAX:
+    figures = {"cost_mean": mean, "cost_scatter": deviation, "saturated_share": saturated}
+    spread = f"standard deviation {100 * deviation:.2g} %"
+    sentence = f"{mean:.3g}, {spread} over {len(costs)} repeats"
+    if not math.isfinite(deviation):
+        return unknown("cost", "its standard deviation cannot be computed from these trials")
+    if deviation > DEVIATION_MAX:
         return fix(
             "cost",
-            f"{sentence}: a tuner cannot tell smaller differences",
-            "a larger or longer step (--step-N, --duration-s of estune tune), or more repeats",
+            f"{sentence}: smaller differences are not significant",
+            "use a larger or longer step (--step-N, --duration-s of estune tune), or more repeats",
             **figures,
         )
     if saturated > SATURATED_MAX:
         return fix(
             "cost",
-            f"{sentence}, but the effort was at its limit for {100 * saturated:.0f} % of a trial",
-            "a smaller step (--step-N of estune tune)",
+            f"{sentence}, but {100 * saturated:.0f} % of a trial with saturated control effort",
+            "use a smaller step (--step-N of estune tune)",
             **figures,
         )
     return fine("cost", sentence, **figures)

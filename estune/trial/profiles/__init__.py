@@ -1,4 +1,4 @@
-"""What a trial does to the setpoint: a step, or an excitation that shows what a model lacks.
+"""Setpoint profiles of trials: a step for tuning, excitations for identification.
 
 A profile is a few numbers and a formula, so that a request stays small and a small board can
 compute the setpoint itself. In all formulas k is the sample from 0, f_s the sampling rate,
@@ -10,12 +10,10 @@ the current loop: current = setpoint / newtons per ampere, within the rig's limi
 
 from typing import Annotated, Any, Literal, TypeAlias, get_args
 
-from estune.trial.profiles.chirp import ChirpProfile
+from estune.trial.profiles.excitations import ChirpProfile, StaircaseProfile, TriangleProfile
 from estune.trial.profiles.multisine import MOST_LINES, Lines, MultisineProfile
 from estune.trial.profiles.sampled import Loop
-from estune.trial.profiles.staircase import StaircaseProfile
 from estune.trial.profiles.step import StepProfile
-from estune.trial.profiles.triangle import TriangleProfile
 
 __all__ = [
     "MOST_LINES",
@@ -36,7 +34,7 @@ Kind = Literal["step", "triangle", "multisine", "chirp", "staircase"]
 
 
 class _ByKind:
-    """Lets pydantic tell the profiles apart by `kind`; it is slow to import, so not done here."""
+    """Makes pydantic discriminate profiles by `kind`, without an import of pydantic here."""
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
         from pydantic import Field  # noqa: PLC0415  slow to import, not needed by every command
@@ -48,6 +46,6 @@ AnyProfile: TypeAlias = (
     StepProfile | TriangleProfile | MultisineProfile | ChirpProfile | StaircaseProfile
 )
 Profile: TypeAlias = Annotated[AnyProfile, _ByKind()]
-"""Whatever a trial may ask for."""
+"""Any profile."""
 
 PROFILES: tuple[type[AnyProfile], ...] = get_args(AnyProfile)

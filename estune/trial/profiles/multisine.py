@@ -1,4 +1,4 @@
-"""A sum of sines."""
+"""A multisine."""
 
 import math
 from dataclasses import dataclass
@@ -15,10 +15,10 @@ from estune.trial.profiles.sampled import Excitation, Loop, check
 Lines = Literal["all", "odd", "odd_sparse"]
 
 ODD_GROUP = 4
-"""Of so many odd lines `odd_sparse` leaves one out."""
+"""Size of the groups of odd lines of which `odd_sparse` omits one."""
 GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
 PEAK_SAMPLES = 16
-"""Samples in a period of the highest line, where the peak of a multisine is looked for."""
+"""Samples per period of the highest line on which the peak is computed."""
 MOST_LINES = 2000
 STEEPEST = 4.0
 
@@ -43,16 +43,16 @@ class MultisineProfile(Excitation):
 
     Attributes:
         preload_N: Mean setpoint, N.
-        rms_N: Root mean square of the signal about it, N; above zero.
+        rms_N: Root mean square of the signal about the mean, N; above zero.
         period_s: Length of a period, s; above zero.
         first_line: Lowest line, from 1.
         last_line: Highest line; below half the sampling rate.
         duration_s: Length of the whole trial, s; after the start.
         start_s: Time for which the preload is held first, s; zero or above.
         lines: Which of the lines are excited.
-        slope: How the amplitudes go with frequency above the corner; 1 to 1.5 suits a reel, whose
-            response falls off with f^2.
-        corner_Hz: Where the slope begins; above zero.
+        slope: Exponent of the amplitudes over frequency above the corner; 1 to 1.5 suits a reel,
+            whose response falls off with f^2.
+        corner_Hz: Corner frequency of the slope; above zero.
         loop: As in `StepProfile`.
         kind: As in `StepProfile`.
 

@@ -1,4 +1,4 @@
-"""What all profiles are: so many samples, a time before which nothing moves, checked values."""
+"""Common parts of profiles: length in samples, time from the start, range checks."""
 
 import math
 from dataclasses import fields
@@ -12,11 +12,11 @@ from estune.errors import InvalidInput
 Loop = Literal["closed", "open"]
 
 ROUNDING = 1e-9
-"""Share of a sample or a stair by which a time may miss its start and still count as its start."""
+"""Tolerance of times, relative to a sample or a stair, for rounding errors."""
 
 
 class Sampled:
-    """What a profile's length in samples follows from."""
+    """A profile with a length in samples."""
 
     __slots__ = ()
     duration_s: float
@@ -33,22 +33,36 @@ class Excitation(Sampled):
     start_s: float
 
     def _since_start(self, sampling_Hz: float) -> FloatArray:
-        """The time s at each sample; a rounding error before the start is at it."""
+        """The time s at each sample; a rounding error before the start counts as the start."""
         s = np.arange(self.samples(sampling_Hz)) / sampling_Hz - self.start_s
         s[np.abs(s) * sampling_Hz < ROUNDING * max(1.0, self.start_s * sampling_Hz)] = 0.0
         return s
 
 
+class SymmetricExcitation(Excitation):
+    """An excitation between preload_N - |amplitude_N| and preload_N + |amplitude_N|."""
+
+    __slots__ = ()
+    preload_N: float
+    amplitude_N: float
+
+    @property
+    def extremes_N(self) -> tuple[float, float]:
+        """Lowest and highest setpoint, N."""
+        size = abs(self.amplitude_N)
+        return self.preload_N - size, self.preload_N + size
+
+
 def ordered(one: float, other: float) -> tuple[float, float]:
-    """The smaller first."""
+    """Both numbers, the smaller first."""
     return (one, other) if one <= other else (other, one)
 
 
 def check(profile: Any, not_zero: tuple[str, ...], above_zero: tuple[str, ...]) -> None:
-    """Refuses values that are not finite, zero or below where they must not be, or out of time.
+    """Refuses values that are not finite, zero, below zero, or times outside the trial.
 
     Raises:
-        InvalidInput: one is.
+        InvalidInput: a value is out of its range.
     """
     for field in fields(profile):
         value = getattr(profile, field.name)

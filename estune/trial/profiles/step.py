@@ -23,7 +23,7 @@ class StepProfile(Sampled):
         step_at_s: Time of the step from the start of the trial, s; zero or above.
         duration_s: Length of the whole trial, s; after the step.
         loop: Whether the controller follows the setpoint (`closed`), or it is the effort (`open`).
-        kind: Tells it from other profiles on the link.
+        kind: Kind of profile in messages.
 
     Raises:
         InvalidInput: a value is out of its range.
@@ -49,7 +49,7 @@ class StepProfile(Sampled):
 
     @property
     def extremes_N(self) -> tuple[float, float]:
-        """Least and greatest setpoint, N."""
+        """Lowest and highest setpoint, N."""
         return ordered(self.preload_N, self.preload_N + self.step_N)
 
     def step_index(self, sampling_Hz: float) -> int:
