@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 from scipy.stats import chi2
 
 from estune.errors import InvalidInput
-from estune.reel.friction import FeedForward, LuGreFriction, StribeckFriction
+from estune.reel.friction import FeedForward, StribeckFriction
 from estune.reel.velocity import Motion
 from plants.demonstrations.friction_compensation import (
     reference_wrench_trial,
@@ -24,44 +24,28 @@ DRY = StribeckFriction(coulomb_Nm=0.02, static_Nm=0.03, stribeck_rad_s=0.8)
 COUNTS = 8192.0
 
 
-def bristles(lugre, velocity, duration):
-    """Friction over time at constant velocity, from the differential equation of the bristles."""
-    dry = lugre.dry
+def lugre_steady_friction(velocity, stiffness=50.0):
+    """Friction at constant velocity by the LuGre model, integrated until it is steady."""
+    fade = math.exp(-((velocity / DRY.stribeck_rad_s) ** 2))
+    g = DRY.coulomb_Nm + (DRY.static_Nm - DRY.coulomb_Nm) * fade
 
     def rate(_, z):
-        g = dry.coulomb_Nm + (dry.static_Nm - dry.coulomb_Nm) * math.exp(
-            -((velocity / dry.stribeck_rad_s) ** 2)
-        )
-        return velocity - lugre.stiffness_Nm_rad * abs(velocity) * z / g
+        return velocity - stiffness * abs(velocity) * z / g
 
-    solved = solve_ivp(rate, (0.0, duration), [0.0], "Radau", rtol=1e-10, atol=1e-16)
-    z = solved.y[0, -1]
-    torque = lugre.stiffness_Nm_rad * z + lugre.damping_Nms_rad * rate(0.0, z)
-    return z, torque + lugre.viscous_Nms_rad * velocity
+    solved = solve_ivp(rate, (0.0, 0.1 / abs(velocity)), [0.0], "Radau", rtol=1e-10, atol=1e-16)
+    return stiffness * solved.y[0, -1]
 
 
 @pytest.mark.equation(10)
 @pytest.mark.parametrize("velocity", [-5.0, -0.7, -0.01, 0.02, 0.4, 0.8, 3.0])
-def test_stribeck_friction_is_where_the_bristles_settle(velocity):
-    lugre = LuGreFriction(DRY, 50.0, 0.1, 0.01)
-    _, settled = bristles(lugre, velocity, duration=0.1 / abs(velocity))
-    assert DRY.torque_Nm(velocity) == pytest.approx(settled - 0.01 * velocity, rel=1e-6)
-    assert lugre.steady_Nm(velocity) == pytest.approx(settled, rel=1e-6)
+def test_stribeck_friction_is_the_steady_state_of_the_lugre_model(velocity):
+    assert DRY.torque_Nm(velocity) == pytest.approx(lugre_steady_friction(velocity), rel=1e-6)
 
 
 @pytest.mark.equation(10)
-def test_stribeck_friction_has_the_limits_its_coefficients_name():
+def test_stribeck_friction_has_its_static_and_dynamic_limits():
     v = np.array([-1e-9, 0.0, 1e-9, 100.0])
     assert DRY.torque_Nm(v) == pytest.approx([-0.03, 0.0, 0.03, 0.02])
-
-
-def test_bristles_before_they_settle_follow_their_differential_equation():
-    lugre = LuGreFriction(DRY, 50.0, 0.1, 0.01)
-    for velocity in (-0.5, 0.0, 1e-4, 0.3):
-        span = 4e-4
-        assert lugre.step(0.0, velocity, span) == pytest.approx(
-            bristles(lugre, velocity, span), rel=1e-7, abs=1e-12
-        )
 
 
 torques = st.floats(0.001, 1.0)
@@ -80,7 +64,7 @@ def identified_friction(draw):
     bound=st.one_of(st.just(0.0), st.floats(1e-6, 10.0), st.just(math.inf)),
     truth=st.floats(1.0, 3.0),
 )
-def test_compensation_never_drives_a_drum_whose_friction_is_a_fraction_of_the_identified_one(
+def test_compensation_never_drives_a_drum_of_less_friction(
     identified, fraction, velocity, bound, truth
 ):
     forward = FeedForward(identified, 2e-3, fraction)
@@ -100,13 +84,13 @@ def test_compensation_never_drives_a_drum_whose_friction_is_a_fraction_of_the_id
         assert abs(given_at(1e-9)) <= steepest * 1e-9
 
 
-def test_compensation_beyond_the_noise_is_the_fraction_of_the_identified_curve():
+def test_compensation_beyond_the_noise_is_a_fraction_of_the_friction():
     v = np.array([-3.0, -0.5, 0.2, 0.8, 5.0])
     seen = Motion(v, np.full(5, 0.1), 0.01, np.zeros(5), 1.0)
     assert FeedForward(DRY, 0.0, 0.7).friction_Nm(seen) == pytest.approx(0.7 * DRY.torque_Nm(v))
 
 
-def test_high_coefficients_on_a_noisy_velocity_shake_the_cable_and_the_limits_prevent_it():
+def test_limits_prevent_instability_at_high_friction_coefficients():
     shaking = {}
     for share in (1.0, 3.0):
         for noise in (0.0, 0.3):
@@ -120,7 +104,7 @@ def test_high_coefficients_on_a_noisy_velocity_shake_the_cable_and_the_limits_pr
     assert free.tension_N.min() < 0.5
 
 
-def test_inertia_is_compensated_at_high_speed_and_not_at_all_at_low_speed():
+def test_inertia_is_compensated_at_high_speed_only():
     high, low = run_high_and_low(reference_wrench_trial())
     assert np.mean(high.inertia_N != 0.0) > 0.5
     left = np.std(high.true_inertia_N - high.inertia_N)
@@ -190,7 +174,7 @@ def estimates(fit):
     }
 
 
-def test_ramps_in_both_directions_give_friction_and_inertia_back_with_the_commands_held():
+def test_ramps_in_both_directions_recover_friction_and_inertia():
     fit = fit_friction([ramp(held=True), ramp(held=True, sign=-1.0, slope=0.05)], 0.999)
     for name, found in estimates(fit).items():
         assert found.low <= TRUTH[name] <= found.high, name
@@ -199,7 +183,7 @@ def test_ramps_in_both_directions_give_friction_and_inertia_back_with_the_comman
     assert fit.feed_forward().friction == fit.friction
 
 
-def test_what_bristles_do_to_the_fit_fades_as_they_stiffen():
+def test_bias_by_presliding_falls_with_its_stiffness():
     off = {}
     for stiffness in (60.0, 300.0):  # the drum creeps half a count before it slips, and a tenth
         found = estimates(fit_friction([ramp(stiffness=stiffness)]))
@@ -218,7 +202,7 @@ def drawn_ramp(rng):
 
 
 @pytest.mark.slow
-def test_the_confidence_intervals_are_as_wide_as_the_estimates_scatter():
+def test_confidence_intervals_match_the_spread_of_estimates():
     rng = np.random.default_rng(0)
     fits, scores = 16, []
     for _ in range(fits):
@@ -249,7 +233,7 @@ def test_the_confidence_intervals_are_as_wide_as_the_estimates_scatter():
         (lambda: ramp(duration=0.1), "80 or more"),
     ],
 )
-def test_a_record_that_cannot_show_friction_is_refused(record, says):
+def test_record_without_friction_information_is_refused(record, says):
     with pytest.raises(InvalidInput, match=says):
         record()
 
@@ -262,7 +246,7 @@ def test_a_record_that_cannot_show_friction_is_refused(record, says):
         (lambda: ramp(static=0.02), "Coulomb friction alone|slower ramp"),
     ],
 )
-def test_a_ramp_that_does_not_resolve_the_stribeck_velocity_is_refused(record, says):
+def test_ramp_too_fast_for_the_stribeck_velocity_is_refused(record, says):
     with pytest.raises(InvalidInput, match=says):
         fit_friction([record()])
 
@@ -274,8 +258,6 @@ def test_a_ramp_that_does_not_resolve_the_stribeck_velocity_is_refused(record, s
         (lambda: StribeckFriction(-0.1, 0.02, 1.0), "zero or above"),
         (lambda: StribeckFriction(0.02, 0.03, 0.0), "Stribeck velocity"),
         (lambda: StribeckFriction(0.02, math.nan, 1.0), "not finite"),
-        (lambda: LuGreFriction(DRY, 0.0), "bristle stiffness"),
-        (lambda: LuGreFriction(StribeckFriction(0.0, 0.03, 1.0), 50.0), "bristles need"),
         (lambda: FeedForward(DRY, -1.0), "inertia"),
         (lambda: FeedForward(DRY, 1e-3, 1.0), "below 1"),
         (lambda: fit_friction([]), "one or more"),

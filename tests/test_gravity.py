@@ -28,7 +28,7 @@ def course(T_1, angle, length):
 
 @pytest.mark.equation(8)
 @given(hanging)
-def test_the_compensation_is_the_weight_along_the_direction_at_the_reel(cable):
+def test_compensation_is_the_weight_along_the_cable_at_the_reel(cable):
     T_1, angle, length = cable
     pieces = np.full(500, W * length / 500.0)  # each pulls down; what of it lies along the cable
     direction, down = np.array([np.cos(angle), np.sin(angle)]), np.array([0.0, -1.0])
@@ -39,7 +39,7 @@ def test_the_compensation_is_the_weight_along_the_direction_at_the_reel(cable):
 
 @pytest.mark.equation(9)
 @given(hanging)
-def test_position_and_tension_give_the_compensation_of_the_integrated_cable(cable):
+def test_compensation_by_position_agrees_with_the_integrated_cable(cable):
     T_1, angle, length = cable
     _, rise, V_3 = course(T_1, angle, length)
     force = gravity_force_by_position_N(W, length, rise_m=rise, tension_1_N=T_1)
@@ -51,7 +51,7 @@ def test_position_and_tension_give_the_compensation_of_the_integrated_cable(cabl
 
 
 @given(st.floats(0.0, 10.0), st.floats(-10.0, 10.0), st.floats(-1.0, 1e3), st.floats(-1e3, 1e3))
-def test_the_compensation_never_exceeds_the_weight(length, rise, tension, vertical):
+def test_compensation_never_exceeds_the_weight(length, rise, tension, vertical):
     limit = W * length * (1.0 + 1e-12)
     assert abs(gravity_force_by_position_N(W, length, rise_m=rise, tension_1_N=tension)) <= limit
     force = gravity_force_N(W, length, tension_1z_N=vertical, tension_1_N=tension)
@@ -59,7 +59,7 @@ def test_the_compensation_never_exceeds_the_weight(length, rise, tension, vertic
 
 
 @pytest.mark.equation(9)
-def test_a_cable_that_goes_slack_is_pulled_by_its_whole_weight():
+def test_compensation_of_a_slack_cable_is_its_weight():
     tensions = np.array([50.0, 5.0, 0.5, 0.05, 1e-9, 0.0, -0.1])
     force = gravity_force_by_position_N(W, 2.0, rise_m=1.0, tension_1_N=tensions)
     assert np.all(np.diff(force) >= 0.0)
@@ -71,7 +71,7 @@ def test_a_cable_that_goes_slack_is_pulled_by_its_whole_weight():
     assert gravity_force_by_position_N(W, 2.0, rise_m=1.0, tension_1_N=0.999 * edge) == W * 2.0
 
 
-def test_an_upright_cable_takes_off_or_adds_its_weight():
+def test_compensation_of_a_vertical_cable_is_plus_or_minus_its_weight():
     force = gravity_force_by_position_N(W, 2.0, rise_m=np.array([2.0, -2.0]), tension_1_N=9.0)
     assert force == pytest.approx([-2.0 * W, 2.0 * W])
     assert type(gravity_force_N(W, 2.0, tension_1z_N=1.0, tension_1_N=9.0)) is float
@@ -82,7 +82,7 @@ def test_an_upright_cable_takes_off_or_adds_its_weight():
     "wrong",
     [{"length_m": np.nan}, {"length_m": -1.0}, {"rise_m": np.inf}, {"tension_1_N": np.nan}],
 )
-def test_values_that_are_no_numbers_are_refused(wrong):
+def test_invalid_values_are_refused(wrong):
     given_ = {"length_m": 1.0, "rise_m": 0.5, "tension_1_N": 10.0} | wrong
     with pytest.raises(InvalidInput, match=next(iter(wrong))):
         gravity_force_by_position_N(W, **given_)

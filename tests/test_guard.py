@@ -83,7 +83,7 @@ CASES = {
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_each_limit_acts_at_the_first_sample_beyond_it(case):
+def test_each_limit_trips_at_the_first_sample_beyond_it(case):
     limits, changes, expected, reason = CASES[case]
     at, stop = stopped_at(limits, faulty(50, **changes))
     assert at == expected
@@ -102,11 +102,11 @@ def test_each_limit_acts_at_the_first_sample_beyond_it(case):
     ],
     ids=["tension", "slack", "current", "frozen", "late", "never taut"],
 )
-def test_what_stays_within_its_limit_is_left_alone(limits, changes):
+def test_samples_within_the_limits_do_not_trip(limits, changes):
     assert stopped_at(limits, faulty(50, **changes)) is None
 
 
-def test_a_stop_says_value_and_limit():
+def test_trip_sentence_has_value_and_limit():
     _, stop = stopped_at(Limits(tension_max_N=20.0), faulty(5, tension_N=23.456))
     assert stop.sentence == "tension 23.46 N; limit 20 N"
     _, stop = stopped_at(Limits(slack_N=1.0, slack_s=0.02), faulty(5, tension_N=0.25))
@@ -114,14 +114,14 @@ def test_a_stop_says_value_and_limit():
     assert "limit 20 ms" in stop.sentence
 
 
-def test_what_makes_the_other_readings_worthless_is_named_first():
+def test_most_severe_reason_is_named_first():
     everything = Limits(tension_max_N=20.0, angle_max_rad=1.0, heartbeat_s=0.1)
     sample = {"tension_N": 99.0, "angle_rad": 9.0, "silence_s": 9.0}
     assert stopped_at(everything, faulty(5, **sample))[1].reason is Reason.HEARTBEAT
     assert stopped_at(everything, faulty(5, **sample, time_s=0.0))[1].reason is Reason.CLOCK
 
 
-def test_only_what_the_reel_does_condemns_the_gains():
+def test_only_limits_of_the_reel_are_caused_by_gains():
     blamed = {reason for reason in Reason if reason.is_caused_by_gains}
     assert blamed == {
         *(Reason.TENSION, Reason.SLACK, Reason.RATE, Reason.CURRENT),
@@ -140,7 +140,7 @@ anything = st.floats(allow_nan=True, allow_infinity=True)
         max_size=20,
     )
 )
-def test_no_reading_makes_the_guard_fail_and_none_that_is_no_number_gets_past_it(samples):
+def test_guard_trips_on_any_reading_that_is_not_a_number(samples):
     limits = Limits(tension_max_N=60.0, slack_N=1.0, rate_max_N_s=1e4, current_max_A=3.0)
     watch = None
     for sample in samples:
@@ -159,6 +159,6 @@ def test_no_reading_makes_the_guard_fail_and_none_that_is_no_number_gets_past_it
         ({"late_in_a_row": -1}, "late_in_a_row"),
     ],
 )
-def test_limits_that_make_no_sense_are_refused(limits, told):
+def test_invalid_limits_are_refused(limits, told):
     with pytest.raises(InvalidInput, match=told):
         Limits(**limits)

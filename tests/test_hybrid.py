@@ -43,14 +43,14 @@ def signals_at(t, seed):
     )
 
 
-START = HybridState(PidfState(15.0, 0.0, 0.0), pidf.at_rest(15.0, 15.0), in_tension=True)
+START = HybridState(PidfState(15.0, 0.0, 0.0), pidf.state_at_rest(15.0, 15.0), in_tension=True)
 
 
 @pytest.mark.equation(36)
 @pytest.mark.equation(37)
 @settings(max_examples=40)
 @given(which=gains(1.0), effort=st.floats(-50.0, 50.0), seed=st.integers(0, 99))
-def test_the_integral_handed_over_is_the_one_that_gives_the_other_effort(which, effort, seed):
+def test_handed_over_integral_gives_the_effort_of_the_other(which, effort, seed):
     for scale in (1.0, 2000.0):  # (36), the tension controller; (37), the position controller
         c = coefficients(which, which)[1]
         r, y = (v / scale for v in signals_at(0.5, seed)[2:])
@@ -70,7 +70,7 @@ def test_the_integral_handed_over_is_the_one_that_gives_the_other_effort(which, 
 
 @pytest.mark.equation(36)
 @pytest.mark.equation(37)
-def test_at_rest_without_error_the_integral_is_the_other_effort_over_the_integral_gain():
+def test_handed_over_integral_at_rest_is_effort_over_gain():
     c = coefficients(Gains(2000.0, 6000.0, 120.0, 0.0), Gains(0.6, 12.0, 0.01, 0.02))
     for controller, integral_gain, level in ((c.tension, 12.0, 15.0), (c.position, 6000.0, 0.3)):
         state = PidfState(99.0, level, level)
@@ -86,9 +86,7 @@ def test_at_rest_without_error_the_integral_is_the_other_effort_over_the_integra
     switches=st.lists(st.integers(1, 630), min_size=1, max_size=8, unique=True),
     seed=st.integers(0, 999),
 )
-def test_at_every_switch_the_effort_is_the_one_without_it(
-    position, tension, limit, switches, seed
-):
+def test_effort_at_a_switch_is_that_without_it(position, tension, limit, switches, seed):
     c = coefficients(position, tension, limit=limit)
     state, mode = START, True
     for k in range(632):
@@ -127,7 +125,7 @@ def greatest_step_at_switches(advance, rate):
     return greatest
 
 
-def test_the_effort_is_continuous_in_time_across_switches_only_with_hand_over():
+def test_effort_is_continuous_only_with_hand_over():
     coarse, fine = (greatest_step_at_switches(hybrid.step, rate) for rate in (632.0, 6320.0))
     assert fine < 0.2 * coarse
     coarse, fine = (
@@ -136,7 +134,7 @@ def test_the_effort_is_continuous_in_time_across_switches_only_with_hand_over():
     assert fine > 0.8 * coarse > 5.0
 
 
-def test_several_reels_at_once_are_each_reel_alone():
+def test_several_reels_at_once_equal_each_reel_alone():
     c = coefficients(Gains(2000.0, 6000.0, 120.0, 0.0), Gains(0.6, 12.0, 0.01, 0.02))
     selections = np.random.default_rng(0).random((200, 3)) < 0.5
     together = HybridState(
@@ -153,7 +151,7 @@ def test_several_reels_at_once_are_each_reel_alone():
             assert efforts[n] == effort
 
 
-def test_the_selection_follows_the_rules_of_the_paper():
+def test_selection_follows_the_rules_of_the_paper():
     rules = SwitchingRules(tension_min_N=2.0, margin_N=1.0)
     for was in (True, False):
         for solved in (True, False):
@@ -173,14 +171,7 @@ def test_the_selection_follows_the_rules_of_the_paper():
     assert not rules.select(previous=True, tension_N=held, solved=False)
 
 
-def test_the_wrench_sensor_leads_the_position_at_the_mobility():
-    setpoint = 0.0
-    for _ in range(632):
-        setpoint = hybrid.led_position(setpoint, 4.0, 0.05, 1.0 / 632.0)
-    assert setpoint == pytest.approx(4.0 * 0.05)
-
-
-def test_at_the_boundary_the_hand_over_keeps_the_platform_and_without_it_the_cable_goes_slack():
+def test_hand_over_at_the_boundary_keeps_the_cable_taut():
     trial = reference_boundary_trial()
     handed, parallel = run_boundary(trial)
     for traces in (handed, parallel):

@@ -34,9 +34,7 @@ def counted(angle, phase=0.0):
     longest=st.integers(1, 30),
     seed=st.integers(0, 1000),
 )
-def test_at_constant_velocity_the_error_is_one_count_per_window_and_there_is_no_acceleration(
-    velocity, phase, longest, seed
-):
+def test_constant_velocity_error_is_one_count_per_window(velocity, phase, longest, seed):
     t = times(120, seed)
     seen = motion(Windows(COUNT, longest, longest), t, counted(velocity * t, phase))
     span = t - t[np.maximum(np.arange(120) - longest, 0)]
@@ -51,9 +49,7 @@ def test_at_constant_velocity_the_error_is_one_count_per_window_and_there_is_no_
 @given(
     acceleration=st.floats(10.0, 500.0), phase=st.floats(0.0, 1.0), sign=st.sampled_from([-1, 1])
 )
-def test_under_constant_acceleration_the_window_shrinks_and_the_estimates_keep_their_bounds(
-    acceleration, phase, sign
-):
+def test_constant_acceleration_shrinks_the_window_within_bounds(acceleration, phase, sign):
     t = times(200)
     seen = motion(WINDOWS, t, counted(sign * 0.5 * acceleration * t**2, phase))
     # A chord over tau departs from the parabola by a (tau^2 - T^2)/8 at least; two counts go by.
@@ -79,7 +75,7 @@ def noisy_record():
     return t, slow_then_fast + rng.uniform(0.0, COUNT, t.size)
 
 
-def test_the_window_is_the_one_the_definition_gives():
+def test_window_is_that_of_the_definition():
     t, angle = noisy_record()
     seen = motion(WINDOWS, t, angle)
     for k in range(1, t.size):
@@ -93,7 +89,7 @@ def test_the_window_is_the_one_the_definition_gives():
         assert seen.velocity_rad_s[k] == expected
 
 
-def test_sample_by_sample_gives_the_numbers_of_the_whole_record():
+def test_step_gives_the_numbers_of_the_whole_record():
     t, angle = noisy_record()
     batch = np.stack([angle, counted(-2.0 * angle), np.zeros_like(angle)])
     whole = motion(WINDOWS, t, batch)
@@ -107,7 +103,7 @@ def test_sample_by_sample_gives_the_numbers_of_the_whole_record():
             assert np.array_equal(getattr(whole, name)[row], column), name
 
 
-def test_acceleration_is_one_connected_stretch_and_zero_on_either_side():
+def test_acceleration_is_one_connected_interval():
     t = times(700)
     # At 2 rad/s, then 40 rad/s2 for 0.3 s, then at constant velocity again.
     gained = np.clip(t - 0.4, 0.0, 0.3)
@@ -121,7 +117,7 @@ def test_acceleration_is_one_connected_stretch_and_zero_on_either_side():
     assert 0.7 - 1 / RATE <= t[counts[-1]] <= 0.7 + windows_s
 
 
-def test_slow_motion_shows_no_acceleration_and_its_floor_is_the_stated_one():
+def test_slow_motion_shows_no_acceleration():
     t = times(2000)
     floor = WINDOWS.acceleration_floor_rad_s2(RATE)
     for share, shows in ((0.3, False), (3.0, True)):

@@ -1,14 +1,14 @@
 """Feed-forward of the cable's weight, added to the tension setpoint of the reel.
 
-The force F_g is what the compensator pulls more: below zero where the cable goes up from the reel
-and hangs on its far end, above zero where the reel carries the far end's side. z points up, end 1
-is the attachment at the reel, end 3 the far end.
+The force F_g adds to the setpoint: below zero where the cable rises from the reel and hangs on its
+far end, above zero where the reel carries the weight. z points up, end 1 is the attachment at the
+reel, end 3 the far end.
 """
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from estune.core.quantities import FloatArray, Numbers, checked, plain
+from estune.core.quantities import FloatArray, Numbers, checked_array, scalar_or_array
 
 
 def gravity_force_N(
@@ -19,26 +19,23 @@ def gravity_force_N(
     Implements (8).
 
     The share of the cable's weight along its direction at the reel, so `|F_g| <= mu g ds`. A cable
-    with no tension, or with less than none read by a noisy gauge, hangs down from the reel: the
-    limit `F_g = mu g ds`.
+    without tension, or with a negative one by gauge noise, hangs down from the reel:
+    `F_g = mu g ds`.
 
     Args:
         weight_N_m: Weight per length mu g, N/m, zero or above; any shape.
         length_m: Deployed length ds, m, zero or above.
         tension_1z_N: Vertical tension at the reel T_1z, N.
-        tension_1_N: Tension at the reel |T_1|, N; any sign, see above.
-
-    Returns:
-        F_g in N.
+        tension_1_N: Tension at the reel |T_1|, N; any sign.
 
     Raises:
         InvalidInput: a value is not finite, or a weight or length below zero.
     """
-    weight = checked("weight_N_m", weight_N_m, "N/m", least=0.0) * checked(
+    weight = checked_array("weight_N_m", weight_N_m, "N/m", least=0.0) * checked_array(
         "length_m", length_m, "m", least=0.0
     )
-    V_1 = checked("tension_1z_N", tension_1z_N, "N")
-    return _limited(weight, V_1, checked("tension_1_N", tension_1_N, "N"))
+    V_1 = checked_array("tension_1z_N", tension_1z_N, "N")
+    return _limited(weight, V_1, checked_array("tension_1_N", tension_1_N, "N"))
 
 
 def gravity_force_by_position_N(
@@ -49,36 +46,33 @@ def gravity_force_by_position_N(
     Implements (9).
 
     `-F_g = mu g dz (1 + mu g dz/(2 |T_1|)) - (mu g ds)^2/(2 |T_1|)`, that is (8) with T_1z from
-    (4) (the paper says from (5), which it cannot be). At low tension the last term grows without
-    bound: the tension is then below what the cable's weight alone asks for, and no T_1z within
-    `|T_1|` belongs to it. So F_g is kept within `mu g ds`, the bound that (8) has by itself.
+    (4) (the paper states (5), which is impossible). At low tension the last term grows without
+    bound: the tension is then below that of the cable's weight alone, and no T_1z within `|T_1|`
+    corresponds to it. So F_g is limited to `mu g ds`, the bound of (8).
 
-    What the weight really adds between the ends is `|T_3| - |T_1| = mu g dz`; (9) is less by
-    `(mu g)^2 (ds^2 - dz^2)/(2 |T_1|)`, the second order in weight over tension.
+    The weight adds `|T_3| - |T_1| = mu g dz` between the ends; (9) is less by
+    `(mu g)^2 (ds^2 - dz^2)/(2 |T_1|)`, of second order in weight over tension.
 
     Args:
         weight_N_m: Weight per length mu g, N/m, zero or above; any shape.
         length_m: Deployed length ds, m, zero or above.
         rise_m: Height of the far end above the reel dz, m.
-        tension_1_N: Tension at the reel |T_1|, N; zero or below counts as a slack cable.
-
-    Returns:
-        F_g in N.
+        tension_1_N: Tension at the reel |T_1|, N; zero or below means a slack cable.
 
     Raises:
         InvalidInput: a value is not finite, or a weight or length below zero.
     """
-    w = checked("weight_N_m", weight_N_m, "N/m", least=0.0)
-    s = checked("length_m", length_m, "m", least=0.0)
-    z = checked("rise_m", rise_m, "m")
-    T_1 = checked("tension_1_N", tension_1_N, "N")
-    # Multiplied by |T_1|/(mu g ds), so that nothing is divided by a tension that may be zero.
+    w = checked_array("weight_N_m", weight_N_m, "N/m", least=0.0)
+    s = checked_array("length_m", length_m, "m", least=0.0)
+    z = checked_array("rise_m", rise_m, "m")
+    T_1 = checked_array("tension_1_N", tension_1_N, "N")
+    # Multiplied by |T_1|/(mu g ds), to avoid dividing by a tension of zero.
     share = np.divide(z, s, out=np.zeros(np.broadcast(z, s).shape), where=s > 0.0)
     V_1 = share * (T_1 + 0.5 * w * z) - 0.5 * w * s
     return _limited(w * s, V_1, T_1)
 
 
 def _limited(weight: FloatArray, V_1: FloatArray, T_1: FloatArray) -> Numbers:
-    """`-weight V_1/T_1` within the weight either way; the weight where there is no tension."""
+    """`-weight V_1/T_1` within plus and minus the weight; the weight without tension."""
     cosine = np.clip(V_1, -np.abs(T_1), np.abs(T_1)) / np.where(T_1 > 0.0, T_1, 1.0)
-    return plain(np.asarray(np.where(T_1 > 0.0, -cosine, 1.0) * weight))
+    return scalar_or_array(np.asarray(np.where(T_1 > 0.0, -cosine, 1.0) * weight))

@@ -1,12 +1,12 @@
-"""The guard inside the control loop: the paper's process for run-time errors (section IV).
+"""Guard of the control loop: the paper's process for run-time errors (section IV).
 
-It sees every sample before the controller does and says, in the same sample, whether the reel has
-to go to its safe state, and why. It is pure: what it remembers between samples is a value, time is
-what the samples carry.
+It checks every sample before the controller runs and decides, in the same sample, whether the reel
+must go to its safe state, and why. It is pure: its state is a value, and time comes with the
+samples.
 
-Two kinds of reasons are told apart. A limit crossed by the reel itself (tension, slack, rate,
-current, angle, cost) condemns the gains that were live. A fault of what is around them (a sensor,
-the clock, whoever supervises the loop) says nothing about the gains.
+There are two kinds of reasons. A limit violated by the reel itself (tension, slack, rate, current,
+angle, cost) is caused by the live gains. A fault around it (sensor, clock, supervisor of the loop)
+is no information on the gains.
 """
 
 import math
@@ -18,7 +18,7 @@ from estune.errors import InvalidInput
 
 
 class Reason(StrEnum):
-    """Why the guard stops a reel."""
+    """Reason for which the guard stops a reel."""
 
     TENSION = "tension"
     SLACK = "slack"
@@ -36,12 +36,12 @@ class Reason(StrEnum):
 
     @property
     def is_caused_by_gains(self) -> bool:
-        """Whether the gains that were live are to blame."""
+        """Whether the live gains are the cause."""
         return self in _BY_GAINS
 
     @property
     def leaves_control(self) -> bool:
-        """Whether the reel can still be held in closed loop: its sensors and clock are sound."""
+        """Whether closed-loop control is still possible: sensors and clock work."""
         return self in _BY_GAINS or self in (Reason.HEARTBEAT, Reason.DEADLINE)
 
 
@@ -55,24 +55,24 @@ _BY_GAINS = frozenset(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Limits:
-    """What a reel may do; a limit that is infinite is none.
+    """Limits of a reel; an infinite one does not apply.
 
     Attributes:
         tension_max_N: Greatest tension, N.
         slack_N: Tension below which the cable counts as slack, N.
-        slack_s: How long it may, s; it must have been taut before.
-        rate_max_N_s: Greatest rate of the tension from one sample to the next, either way, N/s.
-        current_max_A: Greatest size of the current in the long run, A.
-        current_s: How long it may be above that, s.
+        slack_s: Longest time slack, s, once the cable has been taut.
+        rate_max_N_s: Greatest rate of the tension between two samples, either way, N/s.
+        current_max_A: Greatest magnitude of the continuous current, A.
+        current_s: Longest time above it, s.
         angle_min_rad: Least drum angle, rad.
         angle_max_rad: Greatest drum angle, rad.
-        travel_max_rad: Greatest turn of the drum from where the watch began, either way, rad.
-        frozen_s: How long the gauge's counts may stay exactly the same, s.
+        travel_max_rad: Greatest rotation of the drum since the first sample, either way, rad.
+        frozen_s: Longest time of constant gauge counts, s.
         gap_s: Longest time from one sample to the next, s.
-        late_in_a_row: How many samples in a row may be late.
-        heartbeat_s: How long whoever supervises the loop may be silent, s.
-        cost_max: Greatest cost the trial may run up.
-        duration_s: Longest time from where the watch began, s.
+        late_in_a_row: Greatest number of late samples in a row.
+        heartbeat_s: Longest silence of the supervisor of the loop, s.
+        cost_max: Greatest cost of the trial so far.
+        duration_s: Longest time since the first sample, s.
 
     Raises:
         InvalidInput: a value is out of its range, or two are the wrong way round.
@@ -112,17 +112,17 @@ class Limits:
 
 
 class Sample(NamedTuple):
-    """What the guard sees of one sample.
+    """Input of the guard at one sample.
 
     Attributes:
-        time_s: When it was read, s.
-        tension_N: The tension, N; NaN where the reading lies outside the calibration.
-        gauge_counts: What the tension was read from, counts.
-        current_A: The current in force, commanded at the last sample, A.
-        angle_rad: The drum's angle, rad.
-        late: Whether the loop was late for it.
-        silence_s: How long the supervisor has been silent, s.
-        cost: What the trial has run up, this sample included.
+        time_s: Time of the reading, s.
+        tension_N: Tension, N; NaN if the reading is outside the calibration.
+        gauge_counts: Reading of the gauge, counts.
+        current_A: Current commanded at the last sample, A.
+        angle_rad: Angle of the drum, rad.
+        late: Whether the sample was late.
+        silence_s: Time since the last heartbeat of the supervisor, s.
+        cost: Cost of the trial so far, this sample included.
     """
 
     time_s: float
@@ -136,25 +136,25 @@ class Sample(NamedTuple):
 
 
 class GuardState(NamedTuple):
-    """What the guard remembers between samples; `began` at the first."""
+    """The state of the guard between samples."""
 
     start_s: float
     start_rad: float
     time_s: float
     tension_N: float
     gauge_counts: float
-    changed_s: float  # when the counts last were others
-    taut_s: float  # when the cable last was taut; infinite before it ever was
-    within_s: float  # when the current last was within its limit
+    changed_s: float  # time of the last change of the counts
+    taut_s: float  # last time the cable was taut; infinite before
+    within_s: float  # last time the current was within its limit
     late_in_a_row: int
 
 
 class GuardTrip(NamedTuple):
-    """The guard's word that the reel has to go to its safe state.
+    """Decision of the guard that the reel must go to its safe state.
 
     Attributes:
-        reason: Why.
-        sentence: The same with value and limit.
+        reason: The reason.
+        sentence: The reason with value and limit.
     """
 
     reason: Reason
@@ -162,7 +162,7 @@ class GuardTrip(NamedTuple):
 
 
 def begin(sample: Sample) -> GuardState:
-    """The state of a watch that begins with this sample, itself still to be looked at."""
+    """The state before the first sample is checked."""
     return GuardState(
         start_s=sample.time_s,
         start_rad=sample.angle_rad,
@@ -182,13 +182,13 @@ def check_sample(
     """One sample of the guard.
 
     Args:
-        limits: What the reel may do.
-        watch: What the last sample left; `begin` at the first.
-        sample: What was read.
+        limits: Limits of the reel.
+        watch: State after the last sample; `begin` at the first.
+        sample: The sample.
 
     Returns:
-        What to remember, and why to stop; None where all is well. Where several limits are
-        crossed at once the graver is named: first what makes the others worthless.
+        The next state, and the trip, if any. Of several violations at once the most severe is
+        named: first those that make the others meaningless.
     """
     now, tension = sample.time_s, sample.tension_N
     following = GuardState(
@@ -198,7 +198,7 @@ def check_sample(
         tension_N=tension,
         gauge_counts=sample.gauge_counts,
         changed_s=watch.changed_s if sample.gauge_counts == watch.gauge_counts else now,
-        # Before the cable was first taut nobody waits for it.
+        # A cable that was never taut does not count as slack.
         taut_s=now if tension >= limits.slack_N else watch.taut_s,
         within_s=now if abs(sample.current_A) <= limits.current_max_A else watch.within_s,
         late_in_a_row=watch.late_in_a_row + 1 if sample.late else 0,
@@ -207,10 +207,10 @@ def check_sample(
     return following, stop
 
 
-def _fault(  # noqa: PLR0911  a return for each fault, the gravest first
+def _fault(  # noqa: PLR0911  a return for each fault, the most severe first
     limits: Limits, watch: GuardState, following: GuardState, sample: Sample
 ) -> GuardTrip | None:
-    """What is wrong around the reel. Comparisons are written so that a NaN fails them."""
+    """A fault around the reel. Comparisons are written so that a NaN fails them."""
     now, gap = sample.time_s, sample.time_s - watch.time_s
     if not math.isfinite(sample.tension_N):
         return GuardTrip(
@@ -240,7 +240,7 @@ def _fault(  # noqa: PLR0911  a return for each fault, the gravest first
     if not sample.silence_s <= limits.heartbeat_s:
         return GuardTrip(
             Reason.HEARTBEAT,
-            f"no sign of life from the supervisor for {_ms(sample.silence_s)}; "
+            f"no heartbeat from the supervisor for {_ms(sample.silence_s)}; "
             f"limit {_ms(limits.heartbeat_s)}",
         )
     if not now - watch.start_s <= limits.duration_s:
@@ -251,10 +251,10 @@ def _fault(  # noqa: PLR0911  a return for each fault, the gravest first
     return None
 
 
-def _crossed(  # noqa: PLR0911  a return for each limit, the gravest first
+def _crossed(  # noqa: PLR0911  a return for each limit, the most severe first
     limits: Limits, watch: GuardState, following: GuardState, sample: Sample
 ) -> GuardTrip | None:
-    """Which limit the reel itself has crossed; the readings are known to be finite."""
+    """A limit violated by the reel itself; the readings are finite."""
     now, tension, angle = sample.time_s, sample.tension_N, sample.angle_rad
     if tension > limits.tension_max_N:
         return _over(Reason.TENSION, "tension", tension, limits.tension_max_N, " N")
@@ -284,7 +284,7 @@ def _crossed(  # noqa: PLR0911  a return for each limit, the gravest first
     if abs(travel) > limits.travel_max_rad:
         return _over(
             Reason.TRAVEL,
-            "turn of the drum so far",
+            "rotation of the drum so far",
             travel,
             limits.travel_max_rad,
             " rad",

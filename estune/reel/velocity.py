@@ -1,31 +1,30 @@
-"""Velocity and acceleration of the drum from its encoder, by adaptive windows.
+"""Velocity and acceleration of the drum from its encoder, by adaptive windowing.
 
 First-order adaptive windowing (Janabi-Sharifi, Hayward & Chen 2000, end-fit form): the velocity is
 the slope of the chord from the newest sample back over the longest window in which every sample
-between lies as near to the chord as the encoder's error allows. A slow drum gets a long window and
-a quiet estimate, one that accelerates a short window and a small lag.
+lies within the encoder's error of the chord. A slow drum gets a long window and a quiet estimate,
+an accelerating one a short window and a small lag.
 
-The acceleration is the same estimate made of the velocities, each with the error its own window
-allows and at the middle of its window, where the slope of a chord is the velocity exactly as long
-as the acceleration is constant. Two thresholds on it, as in Canny's edge detector (1986), decide
-whether it is more than encoder error: it is given out from a sample that passes the strong one for
-as long as it stays above the weak one with the same sign, and is exactly zero otherwise. Canny
-also joins weak samples that come before a strong one; a rig does not know them in time.
+The acceleration is the same estimate of the velocities. Each velocity has the error bound of its
+own window and the time of its middle, where it is exact at constant acceleration. Two thresholds,
+as in Canny's edge detector (1986), separate it from encoder error: it is reported from a sample
+above the strong threshold for as long as it stays above the weak one with the same sign, and is
+zero otherwise. Canny also joins weak samples before a strong one, impossible in real time.
 
-Error bounds. With angles read within a band e from peak to peak (one count of an encoder, at any
-rounding), a drum at constant velocity gives
+Error bounds. With angles within a peak-to-peak band e (one encoder count, at any rounding), a drum
+at constant velocity gives
 
     |velocity - estimate| <= e / window,
     |acceleration estimate| <= (bound now + bound at the window's far end) / window:
 
-the first because the errors of two angles differ by e at most, the second because the velocities
-err by their bounds at most. Both are given out with the estimates. Thresholds are multiples of the
-second bound, so a drum at constant velocity never shows any acceleration.
+the first because the errors of two angles differ by at most e, the second because the velocities
+are within their bounds. Both are reported with the estimates. Thresholds are multiples of the
+second bound, so that a drum at constant velocity never shows an acceleration.
 
-The published test allows a sample between the peak of the noise to either side of the chord. It
-may be off by its own error and by that of the ends, so here it is allowed both: the window of a
-drum at constant velocity then always grows to its full length. Times are those of the samples, so
-that late samples do no harm.
+The published test allows a sample the peak noise to either side of the chord. Its deviation may be
+its own error plus that of the ends, so both are allowed here: the window of a drum at constant
+velocity then always grows to its full length. Times are those of the samples, so that late samples
+do not matter.
 """
 
 import math
@@ -39,7 +38,7 @@ from estune.core.quantities import FloatArray
 from estune.errors import InvalidInput
 
 ROUNDING = 1.0 + 1e-9
-"""A count is a round number of bits only by luck: the band is widened by this factor."""
+"""Widens the band by the rounding of a count."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,12 +46,12 @@ class Windows:
     """The settings of the estimator.
 
     Attributes:
-        angle_error_rad: Width from peak to peak of the angle's error, rad; one encoder count, or
-            more where the encoder or its wiring is noisy.
+        angle_error_rad: Peak-to-peak error of the angle, rad: one encoder count, or more with a
+            noisy encoder.
         velocity_intervals: Longest window of the velocity, in sampling intervals.
         acceleration_intervals: Longest window of the acceleration, in sampling intervals.
-        weak: Acceleration that goes on counting, in units of its error bound; one or above.
-        strong: Acceleration that begins to count, in units of its error bound; weak or above.
+        weak: Threshold at which the acceleration ends, in error bounds; one or above.
+        strong: Threshold at which it begins, in error bounds; weak or above.
 
     Raises:
         InvalidInput: a value is out of its range.
@@ -79,24 +78,20 @@ class Windows:
             )
 
     def acceleration_floor_rad_s2(self, sampling_Hz: float) -> float:
-        """Least acceleration that begins to count once both windows are full, rad/s2.
-
-        Args:
-            sampling_Hz: Sampling rate.
-        """
+        """Least detectable acceleration with full windows, rad/s2."""
         spans_s2 = self.velocity_intervals * self.acceleration_intervals / sampling_Hz**2
         return self.strong * 2.0 * self.angle_error_rad / spans_s2
 
 
 class Motion(NamedTuple):
-    """The drum's motion at a sample, or at each of a record's (then arrays of its shape).
+    """The drum's motion at a sample, or at each sample of a record (then arrays).
 
     Attributes:
-        velocity_rad_s: Velocity; zero before two samples are known.
-        velocity_bound_rad_s: Its error at constant velocity, at most; infinite before two samples.
+        velocity_rad_s: Velocity; zero before two samples.
+        velocity_bound_rad_s: Bound of its error at constant velocity; infinite before two samples.
         velocity_window_s: Length of its window; zero before two samples.
         acceleration_rad_s2: Acceleration; zero below its noise floor.
-        acceleration_bound_rad_s2: What encoder error alone can make of it, at most.
+        acceleration_bound_rad_s2: Bound of the acceleration by encoder error alone.
     """
 
     velocity_rad_s: Any
@@ -107,14 +102,14 @@ class Motion(NamedTuple):
 
 
 class MotionState(NamedTuple):
-    """What the estimator remembers between samples, newest first."""
+    """The state of the estimator between samples, newest first."""
 
     times_s: tuple[float, ...] = ()
     angles_rad: tuple[float, ...] = ()
     middles_s: tuple[float, ...] = ()
     velocities_rad_s: tuple[float, ...] = ()
     bounds_rad_s: tuple[float, ...] = ()
-    direction: int = 0  # sign of the acceleration while it counts, zero while it does not
+    direction: int = 0  # sign of the reported acceleration
 
 
 def step(
@@ -124,15 +119,12 @@ def step(
 
     Args:
         windows: The settings.
-        state: What the last sample left; `MotionState()` at the start.
-        time_s: When the angle was read, s.
-        angle_rad: The angle read, rad.
-
-    Returns:
-        The next state, and the motion at this sample.
+        state: After the last sample; `MotionState()` at the start.
+        time_s: Time of the reading, s.
+        angle_rad: The angle, rad.
 
     Raises:
-        InvalidInput: the time or the angle is not finite, or time did not go on.
+        InvalidInput: the time or the angle is not finite, or time does not increase.
     """
     if not (math.isfinite(time_s) and math.isfinite(angle_rad)):
         raise InvalidInput(f"angle {angle_rad} rad at {time_s} s is not finite; leave it out")
@@ -165,11 +157,10 @@ def _longest_chord(
 ) -> tuple[float, float, float]:
     """Slope of the longest chord from the newest sample, its error bound, and its length in s.
 
-    A chord back to sample n passes within the errors of every sample i between where
-    |values_i - values_0 - slope (t_i - t_0)| <= errors_0 + errors_i: a range of slopes each, so
-    one pass keeps their intersection. Where a longer chord would end on a sample of so large an
-    error that its bound is worse, the shorter one is kept. Middles of windows need not follow
-    each other as the samples do; a pair out of order is passed over.
+    A chord back to sample n is within the errors of every sample i between if
+    |values_i - values_0 - slope (t_i - t_0)| <= errors_0 + errors_i. Each gives a range of slopes,
+    so one pass computes their intersection. A longer chord with a worse bound, because of a large
+    error at its end, is not used. Middles of windows may be out of order; such pairs are skipped.
     """
     slope, bound, length = 0.0, math.inf, 0.0
     least, greatest = -math.inf, math.inf
@@ -189,18 +180,18 @@ def _longest_chord(
 
 
 def motion(windows: Windows, time_s: ArrayLike, angle_rad: ArrayLike) -> Motion:
-    """The motion at each sample of a record: the very numbers `step` gives sample by sample.
+    """The motion at each sample of a record, exactly as `step` gives it sample by sample.
 
     Args:
         windows: The settings.
-        time_s: When the angles were read, s, shape (samples,).
-        angle_rad: The angles read, rad, shape (..., samples).
+        time_s: Times of the readings, s, shape (samples,).
+        angle_rad: The angles, rad, shape (..., samples).
 
     Returns:
         Arrays of shape (..., samples).
 
     Raises:
-        InvalidInput: a value is not finite, times do not rise, or the shapes do not match.
+        InvalidInput: a value is not finite, times do not increase, or the shapes do not match.
     """
     times = np.asarray(time_s, dtype=np.float64)
     angles = np.asarray(angle_rad, dtype=np.float64)
@@ -212,7 +203,7 @@ def motion(windows: Windows, time_s: ArrayLike, angle_rad: ArrayLike) -> Motion:
     if not (np.isfinite(times).all() and np.isfinite(angles).all()):
         raise InvalidInput("times or angles hold a value that is not finite; leave it out")
     if not (np.diff(times) > 0.0).all():
-        raise InvalidInput("times do not rise from sample to sample; give them in time order")
+        raise InvalidInput("times do not increase from sample to sample; give them in time order")
     half_band = np.full(angles.shape, 0.5 * windows.angle_error_rad * ROUNDING)
     velocity, bound, span = _longest_chords(times, angles, half_band, windows.velocity_intervals)
     middles = times - 0.5 * span
@@ -236,7 +227,7 @@ def _longest_chords(
         here = np.s_[..., n:]
         span = times[here] - times[..., :-n]
         ordered = span > 0.0
-        span = np.where(ordered, span, 1.0)  # never used, but divided by
+        span = np.where(ordered, span, 1.0)  # unused, but divided by
         candidate = (values[here] - values[..., :-n]) / span
         allowed = (errors[here] + errors[..., :-n]) / span
         fits = (least[here] <= candidate) & (candidate <= greatest[here])
@@ -255,7 +246,7 @@ def _longest_chords(
 def _connected(
     sign: FloatArray, weak: NDArray[np.bool_], strong: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:
-    """Weak samples joined to an earlier strong one by an unbroken run of weak ones of one sign."""
+    """Weak samples connected to an earlier strong one by weak ones of one sign."""
     index = np.arange(sign.shape[-1])
     breaks = ~weak
     breaks[..., 1:] |= sign[..., 1:] != sign[..., :-1]

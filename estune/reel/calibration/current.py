@@ -7,7 +7,7 @@ import numpy as np
 from numpy.polynomial import polynomial
 from numpy.typing import ArrayLike
 
-from estune.core.quantities import FloatArray, Numbers, checked, plain
+from estune.core.quantities import FloatArray, Numbers, checked_array, scalar_or_array
 from estune.errors import InvalidInput
 from estune.reel.calibration.monotone import (
     Axis,
@@ -46,7 +46,7 @@ class CurrentCalibration:
             check_slope(
                 c[:, None],
                 float(polynomial.polyval(u, slope)),
-                float(self.regression.half_width(row)),
+                self.regression.half_width(row),
                 f"command {self.command.natural(np.asarray(u)):g}",
             )
 
@@ -57,20 +57,19 @@ class CurrentCalibration:
         """Calibrates the current controller from commanded counts and measured currents.
 
         Args:
-            command: Counts commanded, shape (n,); repeats make a test of the curve's form
-                possible.
+            command: Counts commanded, shape (n,); repeat some for the lack-of-fit test.
             current_A: Motor current measured, A, shape (n,).
             order: Order of the polynomial, one or more.
-            margin: Share of the range by which the rig may go beyond either end.
+            margin: Accepted excess beyond either end, as a share of the range.
 
         Raises:
             InvalidInput: values not finite or not of one shape, too few or too few different
-                points, points that do not tell the coefficients apart, or currents that do not
+                points, points that do not determine the coefficients, or currents that do not
                 rise, or fall, with the command throughout.
         """
         counts, current = (
-            checked("command", command, "counts"),
-            checked("current_A", current_A, "A"),
+            checked_array("command", command, "counts"),
+            checked_array("current_A", current_A, "A"),
         )
         check_columns({"command": counts, "current_A": current})
         if order < 1:
@@ -86,26 +85,26 @@ class CurrentCalibration:
     def from_polynomial(
         cls, amperes_of_command: ArrayLike, low: float, high: float, *, margin: float = 0.0
     ) -> Self:
-        """C1 from known numbers, as those of a data sheet: they are taken as exact.
+        """C1 from the exact numbers of a data sheet.
 
         Args:
             amperes_of_command: Offset in A, A per count, and further powers; two or more numbers.
-            low: Least command of the range they hold for, counts.
+            low: Least command of the valid range, counts.
             high: Greatest.
-            margin: Share of the range by which the rig may go beyond either end.
+            margin: Accepted excess beyond either end, as a share of the range.
 
         Raises:
             InvalidInput: fewer than two finite numbers, no range, or a curve that is not monotone
                 on it.
         """
-        known = checked("amperes_of_command", amperes_of_command, "A")
-        if known.ndim != 1 or known.size < 2:
+        given = checked_array("amperes_of_command", amperes_of_command, "A")
+        if given.ndim != 1 or given.size < 2:
             raise InvalidInput(
-                f"amperes_of_command has shape {known.shape}; give offset, slope and, where there "
-                "are any, further powers"
+                f"amperes_of_command has shape {given.shape}; give offset, slope and "
+                "optionally further powers"
             )
         axis = Axis("command", "counts", low, high, margin)
-        return cls(axis, Regression.exact(on_scale(axis, known).tolist()))
+        return cls(axis, Regression.exact(on_scale(axis, given).tolist()))
 
     def current_A(self, command: ArrayLike) -> Numbers:
         """Current that a command gives, A.
@@ -113,7 +112,7 @@ class CurrentCalibration:
         Raises:
             InvalidInput: a value is not finite or outside the calibrated range.
         """
-        return plain(self._curve(self.command.scaled(command)))
+        return scalar_or_array(self._curve(self.command.scaled(command)))
 
     def counts(self, current_A: ArrayLike) -> Numbers:
         """Command that gives a current, counts, not rounded: C1 as the rig uses it.
@@ -121,30 +120,13 @@ class CurrentCalibration:
         Raises:
             InvalidInput: a value is not finite, or a current that no calibrated command gives.
         """
-        current = checked("current_A", current_A, "A")
+        current = checked_array("current_A", current_A, "A")
         reach = self.command.reach
         ends = self._curve(np.asarray(-reach)), self._curve(np.asarray(reach))
         check_between("current_A", current, *ends, self.command)
         slope = polynomial.polyder(np.asarray(self.regression.coefficients))
         u = invert(self._curve, lambda u: np.asarray(polynomial.polyval(u, slope)), current, reach)
-        return plain(self.command.natural(u))
-
-    def confidence_A(
-        self, command: ArrayLike, *, level: float = 0.95, repeats: int | None = None
-    ) -> Numbers:
-        """Half the width of the confidence band, in A, at a command.
-
-        Args:
-            command: Counts.
-            level: Confidence.
-            repeats: None for the curve alone; else for the mean of so many new measurements.
-
-        Raises:
-            InvalidInput: a value is not finite or outside its range.
-        """
-        order = len(self.regression.coefficients) - 1
-        rows = self.command.scaled(command)[..., None] ** np.arange(order + 1)
-        return plain(self.regression.half_width(rows, level, repeats=repeats))
+        return scalar_or_array(self.command.natural(u))
 
     def as_dict(self) -> dict[str, Any]:
         """Plain numbers, lists and dictionaries, for JSON."""
@@ -152,16 +134,16 @@ class CurrentCalibration:
 
     @classmethod
     def from_dict(cls, stored: dict[str, Any]) -> Self:
-        """The calibration that `as_dict` and JSON made of one.
+        """The calibration of the values that `as_dict` gave.
 
         Raises:
-            InvalidInput: something is missing, not of its kind, or not monotone.
+            InvalidInput: a value is missing, of the wrong type, or the curve is not monotone.
         """
         try:
             return cls(Axis(**stored["command"]), Regression.from_dict(stored["regression"]))
         except (KeyError, TypeError) as error:
             raise InvalidInput(
-                f"stored calibration is damaged: {error!r}; calibrate anew"
+                f"stored calibration is damaged: {error!r}; calibrate again"
             ) from None
 
     def _curve(self, u: FloatArray) -> FloatArray:

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.polynomial import polynomial
 from numpy.typing import ArrayLike
 
-from estune.core.quantities import FloatArray, Numbers, checked, plain
+from estune.core.quantities import FloatArray, Numbers, checked_array, scalar_or_array
 from estune.errors import InvalidInput
 from estune.reel.calibration.monotone import (
     Axis,
@@ -27,7 +27,7 @@ class GaugeCalibration:
     """The strain gauge: counts as a polynomial of second order in force, of order N in position.
 
     Without a position it is the quadratic C2. With one, it is the 2 x N polynomial for a cable
-    that bends over the gauge at a contact point that moves.
+    that bends over the gauge at a moving contact point.
 
     Attributes:
         force: Calibrated range of the force.
@@ -48,7 +48,7 @@ class GaugeCalibration:
         if count < 3 or count % 3 or (self.position is None) != (count == 3):
             raise InvalidInput(
                 f"a gauge calibration {'without' if self.position is None else 'with'} position "
-                f"cannot have {count} coefficients; calibrate anew"
+                f"cannot have {count} coefficients; calibrate again"
             )
         c = self._matrix()
         # The slope c1(v) + 2 u c2(v) is linear in u: extreme at both ends of u, and there at the
@@ -64,7 +64,7 @@ class GaugeCalibration:
                 check_slope(
                     c,
                     float(polynomial.polyval(v, slope)),
-                    float(self.regression.half_width(row)),
+                    self.regression.half_width(row),
                     where,
                 )
 
@@ -81,19 +81,22 @@ class GaugeCalibration:
         """Calibrates a gauge from known forces.
 
         Args:
-            force_N: Force applied, N, shape (n,); repeats of a force make a test of the curve's
-                form possible. Load and unload, or hysteresis stays hidden.
+            force_N: Force applied, N, shape (n,). Repeat forces for the lack-of-fit test; load
+                and unload to reveal hysteresis.
             reading: Counts read, shape (n,).
             position_m: Contact position, m, shape (n,); None for C2.
             position_order: N; one or more with a position.
-            margin: Share of the ranges by which the rig may go beyond either end.
+            margin: Accepted excess beyond either end, as a share of the ranges.
 
         Raises:
             InvalidInput: values not finite or not of one shape, too few or too few different
-                points, points that do not tell the coefficients apart, or readings that do not
+                points, points that do not determine the coefficients, or readings that do not
                 rise, or fall, with force throughout.
         """
-        force, counts = checked("force_N", force_N, "N"), checked("reading", reading, "counts")
+        force, counts = (
+            checked_array("force_N", force_N, "N"),
+            checked_array("reading", reading, "counts"),
+        )
         check_columns({"force_N": force, "reading": counts})
         check_distinct("force_N", force, 3)
         if (position_m is None) != (position_order == 0) or position_order < 0:
@@ -106,7 +109,7 @@ class GaugeCalibration:
         u = axis.scaled(force)
         along, v, settings = None, np.zeros_like(u), force[:, None]
         if position_m is not None:
-            position = checked("position_m", position_m, "m")
+            position = checked_array("position_m", position_m, "m")
             check_columns({"force_N": force, "position_m": position})
             check_distinct("position_m", position, position_order + 1)
             along = Axis("position", "m", float(position.min()), float(position.max()), margin)
@@ -119,27 +122,26 @@ class GaugeCalibration:
     def from_polynomial(
         cls, counts_of_force: ArrayLike, low_N: float, high_N: float, *, margin: float = 0.0
     ) -> Self:
-        """C2 from known numbers, as those of a data sheet: they are taken as exact.
+        """C2 from the exact numbers of a data sheet.
 
         Args:
-            counts_of_force: Offset in counts, counts per N, counts per N^2; the last may be left
-                out.
-            low_N: Least force of the range they hold for, N.
+            counts_of_force: Offset in counts, counts per N, and optionally counts per N^2.
+            low_N: Least force of the valid range, N.
             high_N: Greatest.
-            margin: Share of the range by which the rig may go beyond either end.
+            margin: Accepted excess beyond either end, as a share of the range.
 
         Raises:
             InvalidInput: not two or three finite numbers, no range, or a curve that is not
                 monotone on it.
         """
-        known = checked("counts_of_force", counts_of_force, "counts")
-        if known.shape not in ((2,), (3,)):
+        given = checked_array("counts_of_force", counts_of_force, "counts")
+        if given.shape not in ((2,), (3,)):
             raise InvalidInput(
-                f"counts_of_force has shape {known.shape}; give offset, slope and, where there is "
+                f"counts_of_force has shape {given.shape}; give offset, slope and, if there is "
                 "one, curvature"
             )
         axis = Axis("force", "N", low_N, high_N, margin)
-        scaled = on_scale(axis, np.pad(known, (0, 3 - known.size)))
+        scaled = on_scale(axis, np.pad(given, (0, 3 - given.size)))
         return cls(axis, None, Regression.exact(scaled.tolist()))
 
     def reading(self, force_N: ArrayLike, position_m: ArrayLike | None = None) -> Numbers:
@@ -150,7 +152,7 @@ class GaugeCalibration:
         """
         u, v = self.force.scaled(force_N), self._along(position_m)
         zero, one, two = self._in_force(v)
-        return plain(zero + u * (one + u * two))
+        return scalar_or_array(zero + u * (one + u * two))
 
     def force_N(self, reading: ArrayLike, position_m: ArrayLike | None = None) -> Numbers:
         """Force that gives these counts, N; shapes broadcast.
@@ -158,7 +160,7 @@ class GaugeCalibration:
         Raises:
             InvalidInput: a value is not finite, or counts that no calibrated force gives.
         """
-        counts, v = checked("reading", reading, "counts"), self._along(position_m)
+        counts, v = checked_array("reading", reading, "counts"), self._along(position_m)
         zero, one, two = self._in_force(v)
         reach = self.force.reach
         check_between(
@@ -171,7 +173,7 @@ class GaugeCalibration:
         root = np.sqrt(np.maximum(one * one + 4.0 * two * (counts - zero), 0.0))
         # This form of the quadratic's root neither cancels nor fails for a straight line.
         u = 2.0 * (counts - zero) / (one + np.copysign(root, one))
-        return plain(self.force.natural(np.clip(u, -reach, reach)))
+        return scalar_or_array(self.force.natural(np.clip(u, -reach, reach)))
 
     def sensitivity(self, force_N: ArrayLike, position_m: ArrayLike | None = None) -> Numbers:
         """Slope of the curve, counts per N; residuals divided by it are in N.
@@ -181,32 +183,7 @@ class GaugeCalibration:
         """
         u, v = self.force.scaled(force_N), self._along(position_m)
         _, one, two = self._in_force(v)
-        return plain((one + 2.0 * u * two) / (0.5 * (self.force.high - self.force.low)))
-
-    def confidence_N(
-        self,
-        force_N: ArrayLike,
-        position_m: ArrayLike | None = None,
-        *,
-        level: float = 0.95,
-        repeats: int | None = None,
-    ) -> Numbers:
-        """Half the width of the confidence band, in N, at a force.
-
-        Args:
-            force_N: Force, N; shapes broadcast.
-            position_m: Contact position, m.
-            level: Confidence.
-            repeats: None for the curve alone; else for a force told from the mean of so many
-                readings, with their noise.
-
-        Raises:
-            InvalidInput: a value is not finite or outside its range.
-        """
-        u, v = np.broadcast_arrays(self.force.scaled(force_N), self._along(position_m))
-        rows = _rows(u, v, self._matrix().shape[1] - 1)
-        counts = self.regression.half_width(rows, level, repeats=repeats)
-        return plain(counts / np.abs(self.sensitivity(force_N, position_m)))
+        return scalar_or_array((one + 2.0 * u * two) / (0.5 * (self.force.high - self.force.low)))
 
     def as_dict(self) -> dict[str, Any]:
         """Plain numbers, lists and dictionaries, for JSON."""
@@ -214,10 +191,10 @@ class GaugeCalibration:
 
     @classmethod
     def from_dict(cls, stored: dict[str, Any]) -> Self:
-        """The calibration that `as_dict` and JSON made of one.
+        """The calibration of the values that `as_dict` gave.
 
         Raises:
-            InvalidInput: something is missing, not of its kind, or not monotone.
+            InvalidInput: a value is missing, of the wrong type, or the curve is not monotone.
         """
         try:
             along = stored["position"]
@@ -225,7 +202,7 @@ class GaugeCalibration:
             return cls(*axes, Regression.from_dict(stored["regression"]))
         except (KeyError, TypeError) as error:
             raise InvalidInput(
-                f"stored calibration is damaged: {error!r}; calibrate anew"
+                f"stored calibration is damaged: {error!r}; calibrate again"
             ) from None
 
     def _matrix(self) -> FloatArray:
@@ -238,7 +215,7 @@ class GaugeCalibration:
 
     def _along(self, position_m: ArrayLike | None) -> FloatArray:
         if (position_m is None) != (self.position is None):
-            needed = "needs a contact position" if self.position else "knows no contact position"
+            needed = "needs a contact position" if self.position else "has no contact position"
             raise InvalidInput(f"this gauge calibration {needed}")
         if self.position is None or position_m is None:
             return np.asarray(0.0)

@@ -1,4 +1,4 @@
-"""What every calibration curve must be: defined on a range, monotone on it, invertible."""
+"""Monotone calibration curves: range, checks, inverse."""
 
 import math
 from collections.abc import Callable
@@ -8,12 +8,12 @@ import numpy as np
 from numpy.polynomial import polynomial
 from numpy.typing import ArrayLike
 
-from estune.core.quantities import FloatArray, checked
+from estune.core.quantities import FloatArray, check_not_negative, checked_array
 from estune.errors import InvalidInput
 from estune.reel.calibration.regression import pure_error
 
 _REVERSAL_LEVEL = 0.999
-"""One-sided confidence at which means of repeated points count as out of order."""
+"""One-sided confidence at which means of repeats count as out of order."""
 
 _FLAT = 1e-9  # slope per largest coefficient; less is rounding
 
@@ -27,9 +27,9 @@ class Axis:
     Attributes:
         name: The quantity, for errors.
         unit: Its unit.
-        low: Least value calibrated.
-        high: Greatest value calibrated.
-        margin: How far beyond either end values are accepted, as a share of the range.
+        low: Least calibrated value.
+        high: Greatest calibrated value.
+        margin: Accepted excess beyond either end, as a share of the range.
 
     Raises:
         InvalidInput: not finite, empty, or a margin below zero.
@@ -47,21 +47,20 @@ class Axis:
                 f"{self.name} is calibrated from {self.low} to {self.high} {self.unit}; a "
                 "calibration needs different, finite values"
             )
-        if not (math.isfinite(self.margin) and self.margin >= 0.0):
-            raise InvalidInput(f"margin of {self.name} is {self.margin}; it must be zero or above")
+        check_not_negative(f"margin of {self.name}", self.margin)
 
     @property
     def reach(self) -> float:
-        """The greatest scaled value accepted."""
+        """Greatest accepted scaled value."""
         return 1.0 + 2.0 * self.margin
 
     def scaled(self, values: ArrayLike) -> FloatArray:
-        """The values on the scale.
+        """The scaled values.
 
         Raises:
             InvalidInput: a value is not finite, or outside the range and its margin.
         """
-        array = checked(self.name, values, self.unit)
+        array = checked_array(self.name, values, self.unit)
         scale = (array - 0.5 * (self.low + self.high)) / (0.5 * (self.high - self.low))
         # Ends computed by way of the inverse may lie outside by rounding.
         outside = np.abs(scale) > self.reach * (1.0 + 1e-9)
@@ -75,7 +74,7 @@ class Axis:
         return np.clip(scale, -self.reach, self.reach)
 
     def natural(self, scaled: FloatArray) -> FloatArray:
-        """Values from the scale."""
+        """The values of scaled ones."""
         return np.asarray(0.5 * (self.low + self.high) + 0.5 * (self.high - self.low) * scaled)
 
 
@@ -91,8 +90,8 @@ def check_columns(columns: dict[str, FloatArray]) -> None:
     """Refuses data that are not columns of one length."""
     shapes = {name: column.shape for name, column in columns.items()}
     if len(set(shapes.values())) > 1 or any(len(shape) != 1 for shape in shapes.values()):
-        told = ", ".join(f"{name} {shape}" for name, shape in shapes.items())
-        raise InvalidInput(f"calibration data must be columns of one length; shapes are {told}")
+        listed = ", ".join(f"{name} {shape}" for name, shape in shapes.items())
+        raise InvalidInput(f"calibration data must be columns of one length; shapes are {listed}")
 
 
 def check_distinct(name: str, column: FloatArray, least: int) -> None:
@@ -106,10 +105,10 @@ def check_distinct(name: str, column: FloatArray, least: int) -> None:
 
 
 def check_order(settings: FloatArray, response: FloatArray, name: str, unit: str) -> None:
-    """Refuses readings that do not keep the order of what was set.
+    """Refuses readings that are not in the order of the settings.
 
-    Neighbours are compared by their means. Where points were repeated, a reversal counts beyond
-    what their scatter allows; where none was, nothing tells noise from a fault, and any counts.
+    Neighbours are compared by their means. With repeats only a statistically significant reversal
+    counts; without, any does, because noise is unknown.
 
     Args:
         settings: Shape (n, k); the last column is compared among points that agree in the others.
@@ -123,13 +122,13 @@ def check_order(settings: FloatArray, response: FloatArray, name: str, unit: str
     distinct, group = np.unique(settings, axis=0, return_inverse=True)
     count = np.bincount(group.ravel())
     mean = np.bincount(group.ravel(), weights=response) / count
-    scatter, repeats, _ = pure_error(response, settings)
+    error, repeats, _ = pure_error(response, settings)
     allowed = np.zeros(mean.size - 1)
     if repeats:
         from scipy.special import stdtrit  # noqa: PLC0415  slow to load
 
         t = float(stdtrit(repeats, _REVERSAL_LEVEL))
-        allowed = t * np.sqrt(scatter / repeats * (1.0 / count[1:] + 1.0 / count[:-1]))
+        allowed = t * np.sqrt(error / repeats * (1.0 / count[1:] + 1.0 / count[:-1]))
     comparable = (distinct[1:, :-1] == distinct[:-1, :-1]).all(axis=1)
     rise, apart = np.diff(mean), np.diff(distinct[:, -1])
     direction = np.sign(np.sum((rise * apart)[comparable]))
@@ -145,35 +144,35 @@ def check_order(settings: FloatArray, response: FloatArray, name: str, unit: str
 
 
 def check_slope(coefficients: FloatArray, slope: float, half_width: float, where: str) -> None:
-    """Refuses a curve that is not surely monotone.
+    """Refuses a curve that is not significantly monotone.
 
     Args:
         coefficients: Of the powers of the scaled variable, shape (k, ...); [1, 0] is the slope in
             the middle.
         slope: Slope at an extreme, per unit of the scaled variable.
-        half_width: Of its confidence band.
+        half_width: Of its confidence interval.
         where: The extreme, for the error.
 
     Raises:
-        InvalidInput: the slope at an extreme, less its confidence band, has not the sign it has in
-            the middle.
+        InvalidInput: the slope at the extreme has not, with confidence, the sign of that in the
+            middle.
     """
     middle = float(coefficients[1, 0])
     if not abs(middle) > _FLAT * float(np.max(np.abs(coefficients))):
         raise InvalidInput(
             f"the fitted curve is flat: over the calibrated range it changes by {2.0 * middle:g}; "
-            "check that the reading is connected to what was set"
+            "check that the reading depends on the setting"
         )
     if not slope * math.copysign(1.0, middle) > half_width:
         raise InvalidInput(
-            f"the fitted curve is not surely monotone: at {where} its slope is "
+            f"the fitted curve is not significantly monotone: at {where} its slope is "
             f"{slope / middle:.3g} +- {half_width / abs(middle):.2g} of that in the middle; "
             "calibrate a narrower range, take more points, or lower the order or margin"
         )
 
 
 def extremes(slope: FloatArray, reach: float) -> list[float]:
-    """Where a polynomial can be extreme on -reach..reach: its ends and stationary points."""
+    """Possible extremes of a polynomial on -reach..reach: ends and stationary points."""
     stationary = polynomial.polyroots(polynomial.polytrim(polynomial.polyder(slope)))
     inside = [float(r.real) for r in stationary if r.imag == 0.0 and abs(r.real) < reach]
     return [-reach, *inside, reach]
@@ -182,11 +181,7 @@ def extremes(slope: FloatArray, reach: float) -> list[float]:
 def check_between(
     name: str, values: FloatArray, end: FloatArray, other: FloatArray, axis: Axis
 ) -> None:
-    """Refuses values that the curve does not take on its range.
-
-    Raises:
-        InvalidInput: a value outside.
-    """
+    """Raises InvalidInput for values that the curve does not take on its range."""
     low, high = np.minimum(end, other), np.maximum(end, other)
     rounding = 1e-9 * (high - low)
     outside = (values < low - rounding) | (values > high + rounding)
@@ -194,8 +189,9 @@ def check_between(
         values, low, high = np.broadcast_arrays(values, low, high)
         raise InvalidInput(
             f"{name} {values[outside].flat[0]:g} is outside {low[outside].flat[0]:g} to "
-            f"{high[outside].flat[0]:g}, what the calibrated {axis.name} of {axis.low:g} to "
-            f"{axis.high:g} {axis.unit} gives; calibrate over a wider range, or allow a margin"
+            f"{high[outside].flat[0]:g}, the result of the calibrated {axis.name} of "
+            f"{axis.low:g} to {axis.high:g} {axis.unit}; calibrate over a wider range, or allow a "
+            "margin"
         )
 
 
@@ -205,7 +201,7 @@ def invert(
     values: FloatArray,
     reach: float,
 ) -> FloatArray:
-    """Where a monotone curve takes these values on -reach..reach: Newton's method in a bracket."""
+    """Inverse of a monotone curve on -reach..reach, by Newton's method in a bracket."""
     low, high = np.full(values.shape, -reach), np.full(values.shape, reach)
     rising = bool(curve(np.asarray(reach)) > curve(np.asarray(-reach)))
     u = np.zeros(values.shape)

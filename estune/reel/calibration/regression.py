@@ -1,5 +1,6 @@
-"""Linear least squares that says how far it can be trusted."""
+"""Linear least squares with confidence intervals and a lack-of-fit test."""
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, Self
@@ -15,14 +16,14 @@ _CONDITION_MAX = 1e7
 
 @dataclass(frozen=True, slots=True)
 class LackOfFit:
-    """Whether the curve misses the means of repeated points by more than their scatter explains.
+    """Lack-of-fit test: deviation of the curve from the means of repeats, against pure error.
 
     Attributes:
-        F: Mean square of the curve's misses per mean square of the scatter.
-        p_value: Chance of an F so large for a curve of the right form. Below 0.05, say, the form
-            is wrong: take a higher order, or look for hysteresis or drift.
+        F: Mean square of the lack of fit over that of the pure error.
+        p_value: Probability of so large an F for the right form of curve. Below 0.05, say, choose
+            a higher order, or look for hysteresis or drift.
         pure_error: Standard deviation of the repeats about their means, in the response's unit.
-        degrees: Degrees of freedom of the misses and of the scatter.
+        degrees: Degrees of freedom of the lack of fit and of the pure error.
     """
 
     F: float
@@ -36,15 +37,15 @@ class Regression:
     """A least-squares fit of p coefficients to n points, in plain numbers.
 
     Attributes:
-        coefficients: Best estimates, p of them.
+        coefficients: Estimates, p of them.
         covariance: Their covariance, p rows of p.
         residuals: Measured minus fitted response, in the order of the points.
-        leverage: How much each point draws the curve to itself, zero to one; their sum is p.
+        leverage: Weight of each point in its own fitted value, zero to one; their sum is p.
         standard_error: Standard deviation of the residuals, from n - p degrees of freedom.
         degrees_of_freedom: n - p, one or more.
         condition: Condition number of the design with columns of equal length.
-        lack_of_fit: The test, where there are repeated points that differ; None where there are
-            none, where all agree exactly, or where there are no more distinct points than p.
+        lack_of_fit: The test; None without repeats that differ, or with no more than p distinct
+            points.
 
     Raises:
         InvalidInput: numbers that are not finite, or a covariance of another size.
@@ -65,55 +66,28 @@ class Regression:
         if [len(row) for row in self.covariance] != [p] * p or not np.isfinite(numbers).all():
             raise InvalidInput(
                 f"a fit of {p} coefficients needs a {p} x {p} covariance and finite numbers; "
-                "calibrate anew"
+                "calibrate again"
             )
 
-    @property
-    def influential(self) -> tuple[int, ...]:
-        """Indices of points with a leverage above twice the mean: the fit hangs on them."""
-        limit = 2.0 * len(self.coefficients) / len(self.leverage)
-        return tuple(i for i, h in enumerate(self.leverage) if h > limit)
-
-    @property
-    def studentised(self) -> tuple[float, ...]:
-        """Residuals per their own standard deviation; beyond 3 a point deserves a second look."""
-        own = self.standard_error * np.sqrt(np.maximum(1.0 - np.asarray(self.leverage), 0.0))
-        residuals = np.asarray(self.residuals)
-        # A curve drawn through a point by full leverage says nothing of that point.
-        return tuple(np.divide(residuals, own, out=np.zeros_like(own), where=own > 0.0).tolist())
-
-    def half_width(
-        self, rows: FloatArray, level: float = 0.95, *, repeats: int | None = None
-    ) -> FloatArray:
-        """Half the width of the confidence band about a linear function of the coefficients.
+    def half_width(self, row: FloatArray) -> float:
+        """Half width of the 95 % confidence interval of a linear function of the coefficients.
 
         Args:
-            rows: The function's gradient at each point, shape (..., p).
-            level: Confidence, between zero and one.
-            repeats: None for the fitted curve itself; a number for the mean of so many new
-                measurements.
-
-        Raises:
-            InvalidInput: the level or the number of repeats is out of its range.
+            row: Gradient of the function, shape (p,).
         """
-        if not 0.0 < level < 1.0:
-            raise InvalidInput(f"confidence level is {level}; it must lie between 0 and 1")
-        if repeats is not None and repeats < 1:
-            raise InvalidInput(f"repeats is {repeats}; it must be 1 or more")
         from scipy.special import stdtrit  # noqa: PLC0415  slow to load
 
-        variance = np.einsum("...i,ij,...j", rows, np.asarray(self.covariance), rows)
-        new = 0.0 if repeats is None else self.standard_error**2 / repeats
-        t = float(stdtrit(self.degrees_of_freedom, 0.5 + 0.5 * level))
-        return np.asarray(t * np.sqrt(np.maximum(variance, 0.0) + new))
+        variance = float(row @ np.asarray(self.covariance) @ row)
+        t = float(stdtrit(self.degrees_of_freedom, 0.975))
+        return t * math.sqrt(max(variance, 0.0))
 
     @classmethod
     def exact(cls, coefficients: Iterable[float]) -> Self:
-        """Coefficients taken as known, as from a data sheet: no points, no uncertainty."""
-        known = tuple(map(float, coefficients))
+        """Coefficients known exactly, as from a data sheet: no points, no uncertainty."""
+        exact = tuple(map(float, coefficients))
         return cls(
-            coefficients=known,
-            covariance=((0.0,) * len(known),) * len(known),
+            coefficients=exact,
+            covariance=((0.0,) * len(exact),) * len(exact),
             residuals=(),
             leverage=(),
             standard_error=0.0,
@@ -124,10 +98,10 @@ class Regression:
 
     @classmethod
     def from_dict(cls, stored: dict[str, Any]) -> Self:
-        """The fit that `dataclasses.asdict` and JSON made of one.
+        """The fit of the values that `dataclasses.asdict` gave.
 
         Raises:
-            InvalidInput: something is missing or is not of its kind.
+            InvalidInput: a value is missing or has the wrong type.
         """
         try:
             test = stored["lack_of_fit"]
@@ -145,7 +119,7 @@ class Regression:
             )
         except (KeyError, TypeError, ValueError) as error:
             raise InvalidInput(
-                f"stored calibration is damaged: {error!r}; calibrate anew"
+                f"stored calibration is damaged: {error!r}; calibrate again"
             ) from None
 
 
@@ -155,10 +129,10 @@ def regress(design: FloatArray, response: FloatArray, settings: FloatArray) -> R
     Args:
         design: Shape (n, p).
         response: Shape (n,), finite.
-        settings: What was set at each point, shape (n, k): points with equal rows are repeats.
+        settings: Settings of each point, shape (n, k); points with equal rows are repeats.
 
     Raises:
-        InvalidInput: too few points, or points that do not tell the coefficients apart.
+        InvalidInput: too few points, or a design that does not determine the coefficients.
     """
     n, p = design.shape
     if n <= p:
@@ -171,7 +145,7 @@ def regress(design: FloatArray, response: FloatArray, settings: FloatArray) -> R
     condition = float(singular[0] / singular[-1]) if singular[-1] > 0.0 else np.inf
     if not condition < _CONDITION_MAX:
         raise InvalidInput(
-            f"the points do not tell the {p} coefficients apart (condition number {condition:.2g} "
+            f"the points do not determine the {p} coefficients (condition number {condition:.2g} "
             f"over {_CONDITION_MAX:.0g}); vary each setting on its own, or lower the order"
         )
     Q, R = np.linalg.qr(design / scale)
@@ -193,7 +167,7 @@ def regress(design: FloatArray, response: FloatArray, settings: FloatArray) -> R
 
 
 def pure_error(response: FloatArray, settings: FloatArray) -> tuple[float, int, int]:
-    """Square sum of repeats about their means, degrees of freedom, and distinct settings."""
+    """Sum of squares of repeats about their means, degrees of freedom, and distinct settings."""
     _, group = np.unique(settings, axis=0, return_inverse=True)
     group = group.ravel()
     count = np.bincount(group)
@@ -204,21 +178,16 @@ def pure_error(response: FloatArray, settings: FloatArray) -> tuple[float, int, 
 def _lack_of_fit(
     response: FloatArray, settings: FloatArray, square_sum: float, p: int
 ) -> LackOfFit | None:
-    scatter, repeats, distinct = pure_error(response, settings)
-    misses = distinct - p
-    if repeats < 1 or misses < 1 or scatter <= 0.0:
+    error, repeats, distinct = pure_error(response, settings)
+    lack = distinct - p
+    if repeats < 1 or lack < 1 or error <= 0.0:
         return None
     from scipy.special import fdtrc  # noqa: PLC0415  slow to load
 
-    F = max(square_sum - scatter, 0.0) / misses / (scatter / repeats)
+    F = max(square_sum - error, 0.0) / lack / (error / repeats)
     return LackOfFit(
         F=F,
-        p_value=float(fdtrc(misses, repeats, F)),
-        pure_error=float(np.sqrt(scatter / repeats)),
-        degrees=(misses, repeats),
+        p_value=float(fdtrc(lack, repeats, F)),
+        pure_error=float(np.sqrt(error / repeats)),
+        degrees=(lack, repeats),
     )
-
-
-def damaged(error: Exception) -> InvalidInput:
-    """What to say of a stored calibration that cannot be read."""
-    return InvalidInput(f"stored calibration is damaged: {error!r}; calibrate anew")
