@@ -117,7 +117,7 @@ def measure_nonlinear(rounds: int) -> dict[str, float]:
     def peer() -> Any:
         return control.input_output_response(system, t, inputs, start).outputs
 
-    # A setpoint that the cable cannot follow, so that it goes slack and taut again.
+    # A setpoint that makes the cable slack and taut again.
     slack = batch._replace(setpoint_N=np.where(batch.setpoint_N > profile.preload_N, -20.0, 15.0))
     ours = compiled.run(batch).tension_N[0]
     figures = {

@@ -1,8 +1,8 @@
-"""How exactly, and how fast, is a hanging cable found from any three of its quantities?
+"""Accuracy and speed of the solution of a hanging cable from any three of its quantities.
 
-Random cables over six decades of tension and weight, from nearly taut to very slack and either end
-up; each of the 52 admissible triples of knowns, and both cables where two fit, gives the whole
-cable back. Printed are the worst relative residual of (3) to (6) and the time for all of them.
+Random cables over six decades of tension and weight, from nearly taut to very slack, with either
+end higher. Each of the 52 admissible triples is solved, for both cables where two fit. Printed are
+the worst relative residual of (3) to (6) and the time.
 """
 
 import statistics
@@ -12,14 +12,14 @@ from typing import Any
 
 import numpy as np
 
-from experiments.judged import Target, command_line, tell
+from experiments.results import Target, command_line, print_results
 from plants import cable
 
 LIMITS = {"worst_residual": 1e-9, "worst_s_per_million": 1.0}
 
 
 def random_cables(count: int) -> cable.Catenary:
-    """Cables drawn blind: tension, weight, slope at the middle and span over sag."""
+    """Random cables by tension, weight, slope at the middle and span over sag."""
     random = np.random.default_rng(3)
     tension_x_N = np.exp(random.uniform(-3.0, 3.0, count))
     weight_N_m = np.exp(random.uniform(-5.0, 2.0, count))
@@ -36,15 +36,15 @@ def random_cables(count: int) -> cable.Catenary:
 
 
 def measure(count: int) -> list[dict[str, Any]]:
-    """Residual and time of each triple and solution."""
+    """Residual and time for each triple and solution."""
     truth, rows = random_cables(count), []
     for triple, solutions in cable.ADMISSIBLE.items():
         known = {name: getattr(truth, name) for name in cable.NAMES if name in triple}
         for solution in solutions:
             began = time.process_time()
-            found = cable.catenary(truth.weight_N_m, solution=solution, **known)
+            solved = cable.catenary(truth.weight_N_m, solution=solution, **known)
             took = time.process_time() - began
-            residual = float(np.max(found.residual()))
+            residual = float(np.max(solved.residual()))
             rows.append(
                 {"known": ", ".join(known), "solution": solution, "s": took, "residual": residual}
             )
@@ -73,7 +73,7 @@ def main() -> int:
             )
         for name, value in figures.items():
             print(f"{name:45} {value:.3g}")
-    return tell(figures, targets, as_json=options.json)
+    return print_results(figures, targets, as_json=options.json)
 
 
 if __name__ == "__main__":

@@ -1,10 +1,9 @@
-"""How well is a reel identified from ten seconds of noisy data, and are the intervals honest?
+"""Accuracy of a reel's identification from ten seconds of noisy data, and interval coverage.
 
 The reference reel is excited in open loop about its preload by a multisine of ten seconds, two of
-them to settle, at four lengths and four tensions; the record goes from motor current to measured
-tension through the gauge's noise. Every condition is repeated with many seeds. The truth is what
-the reel was built with. Then: the same with other excitations, the model between the conditions,
-what friction does to the lines that were not excited, and the initial gains by each rule.
+them to settle, at four lengths and four tensions, each with many seeds. Estimates are compared
+with the reel's parameters. Further tables: other excitations, interpolation between the
+conditions, distortion by friction, and the initial gains of each rule.
 """
 
 import math
@@ -18,7 +17,7 @@ import numpy as np
 
 from estune.core.initial import proposals
 from estune.core.metrics import step_metrics
-from experiments.results import Target, at_most, command_line, print_tables, print_results
+from experiments.results import Target, at_most, command_line, print_results, print_tables
 from plants.effects import CoulombFriction
 from plants.identify import (
     Band,
@@ -45,17 +44,17 @@ PEAK_N = 40.0
 PROBABILITY = 0.95
 LIMITS = {"resonance": 0.005, "damping": 0.05, "dead_time": 0.1}
 UNITS = {"resonance": ("%", 100.0), "damping": ("%", 100.0), "dead_time": ("samples", 1.0)}
-CHANCE = 3.29
-"""Standard deviations that chance alone passes once in a thousand times."""
+SIGMAS = 3.29
+"""Standard deviations exceeded once in a thousand times."""
 
 
 class Trial(NamedTuple):
-    """One fit beside the truth; each by quantity.
+    """Comparison of one fit with the true parameters, by quantity.
 
     Attributes:
-        error: Of resonance and damping relative, of the dead time in samples.
-        covered: Whether the interval holds the truth.
-        half_width: Of the interval, in the units of `error`.
+        error: Relative error; of the dead time, error in samples.
+        covered: Whether the interval contains the true value.
+        half_width: Half width of the interval, in the units of `error`.
     """
 
     error: dict[str, float]
@@ -64,18 +63,18 @@ class Trial(NamedTuple):
 
 
 def excitation() -> Excitation:
-    """The multisine of the experiment: most of it above the resonance, where the reel is stiff."""
+    """The multisine of the experiment, with most power above the resonance."""
     return multisine(SAMPLING_HZ, BAND, PEAK_N, slope=1.5, corner_Hz=20.0)
 
 
 def conditions() -> list[Reel]:
-    """Four lengths by four tensions, and a reel whose dead time is no whole sample."""
+    """Four lengths by four tensions, and a reel with a fractional dead time."""
     grid = [reference_reel(L, T) for L in LENGTHS_m for T in TENSIONS_N]
     return [*grid, reference_reel(0.8, 15.0, dead_time_s=1.37 / SAMPLING_HZ)]
 
 
 def truth(reel: Reel) -> dict[str, float]:
-    """What the reel was built with, in the units of the estimates."""
+    """True parameters of the reel, in the units of the estimates."""
     w = reel.natural_frequency_rad_s
     zeta = viscous_friction_Nms(reel) / (2.0 * reel.drum_inertia_kg_m2 * w)
     return {
@@ -89,13 +88,13 @@ def truth(reel: Reel) -> dict[str, float]:
 
 
 def identify(reel: Reel, signal: Excitation, seed: int) -> SecondOrderFit:
-    """One record, one fit."""
+    """Fit of one record."""
     record = open_loop_record(reel, signal, seed)
     return fit_second_order(response_of_record(record, signal), probability=PROBABILITY)
 
 
 def compare(reel: Reel, fit: SecondOrderFit) -> Trial:
-    """The fit beside the truth."""
+    """Comparison of a fit with the true parameters."""
     estimates = {
         "resonance": fit.resonance_Hz,
         "damping": fit.damping,
@@ -117,12 +116,12 @@ def compare(reel: Reel, fit: SecondOrderFit) -> Trial:
 
 
 def repeat(reel: Reel, signal: Excitation, seeds: range) -> list[Trial]:
-    """One condition with many seeds."""
+    """Trials of one condition with many seeds."""
     return [compare(reel, identify(reel, signal, seed)) for seed in seeds]
 
 
 def study(reels: list[Reel], signal: Excitation, seeds: int) -> list[list[Trial]]:
-    """All conditions with their own seeds each, on all cores."""
+    """Trials of all conditions, each with its own seeds, on all cores."""
     ranges = [range(seeds * n, seeds * (n + 1)) for n in range(len(reels))]
     spawn = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(mp_context=spawn) as pool:
@@ -134,16 +133,16 @@ def _repeat(signal: Excitation, reel: Reel, seeds: range) -> list[Trial]:
 
 
 def accuracy(reels: list[Reel], trials: list[list[Trial]]) -> dict[str, float]:
-    """Prints the worst error of each condition; returns the worst of all."""
+    """Prints the worst error of each condition; returns the worst overall."""
     print(f"worst error over {len(trials[0])} seeds (half width of the 95 % interval, typical)\n")
     print("  L m  T N  dead time   " + "".join(f"{name:>26s}" for name in LIMITS))
     worst = dict.fromkeys(LIMITS, 0.0)
-    for reel, found in zip(reels, trials, strict=True):
+    for reel, repeats in zip(reels, trials, strict=True):
         cells = []
         for name in LIMITS:
             unit, factor = UNITS[name]
-            error = max(abs(trial.error[name]) for trial in found)
-            half = float(np.median([trial.half_width[name] for trial in found]))
+            error = max(abs(trial.error[name]) for trial in repeats)
+            half = float(np.median([trial.half_width[name] for trial in repeats]))
             worst[name] = max(worst[name], error)
             cells.append(f"{error * factor:9.4f} ({half * factor:7.4f}) {unit:7s}")
         place = f"  {reel.cable_length_m:3.1f} {reel.tension_N:4.0f}"
@@ -152,32 +151,32 @@ def accuracy(reels: list[Reel], trials: list[list[Trial]]) -> dict[str, float]:
 
 
 def coverage(trials: list[list[Trial]]) -> dict[str, float]:
-    """Prints how often the intervals hold the truth; returns the pooled rates."""
+    """Prints the coverage of the intervals; returns the pooled rates."""
     print(f"\ncoverage of the 95 % intervals, {len(trials)} conditions x {len(trials[0])} seeds\n")
     print(f"  {'':16s} {'pooled':>8s} {'least':>8s} {'most':>8s}   of one condition")
     pooled = {}
     for name in trials[0][0].covered:
-        rates = [float(np.mean([t.covered[name] for t in found])) for found in trials]
+        rates = [float(np.mean([t.covered[name] for t in repeats])) for repeats in trials]
         pooled[name] = float(np.mean(rates))
         print(f"  {name:16s} {pooled[name]:8.3f} {min(rates):8.3f} {max(rates):8.3f}")
     return pooled
 
 
 def other_excitations(reel: Reel) -> dict[str, dict[str, float]]:
-    """Prints what chirp and stepped sine find on the same reel, beside the multisine."""
+    """Prints the errors with chirp and stepped sine beside those with the multisine."""
     print(f"\nother excitations, {reel.cable_length_m:g} m, {reel.tension_N:g} N, one record\n")
     columns = ("resonance %", "damping %", "dead time h")
     print(f"  {'':14s} {'record s':>9s} {'crest':>6s} " + "".join(f"{c:>13s}" for c in columns))
     one_by_one = Band(1.0, 310.0, period_s=1.0, periods=2, settling_periods=2)
-    found = {}
+    rows = {}
     for name, signal in (
         ("multisine", excitation()),
-        # These cannot be shaped: the resonance and the preload limit their amplitude.
+        # Resonance and preload limit the amplitude of these, which cannot be shaped.
         ("chirp", chirp(SAMPLING_HZ, BAND, 15.0)),
         ("stepped sine", stepped_sine(SAMPLING_HZ, one_by_one, 2.5, points=30)),
     ):
         error = compare(reel, identify(reel, signal, seed=1)).error
-        found[name] = {
+        rows[name] = {
             "record_s": signal.duration_s,
             "crest_factor": signal.crest_factor,
             **{f"{quantity}_error": error[quantity] for quantity in LIMITS},
@@ -187,11 +186,11 @@ def other_excitations(reel: Reel) -> dict[str, dict[str, float]]:
             f"{100.0 * error['resonance']:13.4f}{100.0 * error['damping']:13.3f}"
             f"{error['dead_time']:13.4f}"
         )
-    return found
+    return rows
 
 
 def between(signal: Excitation) -> dict[str, float]:
-    """Prints how well the model interpolates: worst error at places that were not measured."""
+    """Prints the worst interpolation error between the conditions."""
     grid = [(L, T) for L in LENGTHS_m for T in TENSIONS_N]
     dependence = Dependence(
         [
@@ -203,11 +202,11 @@ def between(signal: Excitation) -> dict[str, float]:
     for L in np.linspace(LENGTHS_m[0], LENGTHS_m[-1], 13):
         for T in np.geomspace(TENSIONS_N[0], TENSIONS_N[-1], 13):
             true, model = truth(reference_reel(float(L), float(T))), dependence.at(L, T)
-            found = {
+            estimates = {
                 "resonance": model.resonance_rad_s / (2.0 * math.pi),
                 "damping": model.damping,
             }
-            for name, value in found.items():
+            for name, value in estimates.items():
                 worst[name] = max(worst[name], abs(value / true[name] - 1.0))
     print("\nthe interpolating model at 13 x 13 lengths and tensions, worst error")
     print(f"  resonance {100 * worst['resonance']:.3f} %, damping {100 * worst['damping']:.3f} %")
@@ -215,10 +214,10 @@ def between(signal: Excitation) -> dict[str, float]:
 
 
 def friction(signal: Excitation) -> dict[str, dict[str, float]]:
-    """Prints what dry friction does to the lines that were not excited."""
+    """Prints the distortion on unexcited lines by dry friction."""
     print("\ndistortion on unexcited lines, relative to the excited ones\n")
     print(f"  {'':30s} {'odd':>9s} {'chance':>8s} {'even':>9s} {'chance':>8s} {'misfit':>8s}")
-    found = {}
+    rows = {}
     for torque in (0.0, 0.01, 0.05):
         reel = reference_reel(0.8, 20.0)
         if torque:
@@ -228,39 +227,39 @@ def friction(signal: Excitation) -> dict[str, dict[str, float]]:
         if answer.odd is None or answer.even is None:
             continue
         name = f"Coulomb friction {torque:g} N m"
-        found[name] = {"odd": answer.odd.share, "even": answer.even.share, "misfit": misfit}
+        rows[name] = {"odd": answer.odd.share, "even": answer.even.share, "misfit": misfit}
         print(
             f"  {name:30s} {answer.odd.share:9.4f} {answer.odd.p_value:8.1g} "
             f"{answer.even.share:9.4f} {answer.even.p_value:8.1g} {misfit:8.2f}"
         )
-    return found
+    return rows
 
 
 def stiffness(signal: Excitation) -> dict[str, dict[str, float]]:
-    """Prints the Hooke constant by (30) at four lengths, beside the one built in."""
+    """Prints the Hooke constant by (30) at four lengths, beside the true one."""
     print("\nHooke constant k_m (30) at 15 N for the known inertia, N m/rad\n")
-    found = {}
+    rows = {}
     for n, length in enumerate(LENGTHS_m):
         reel = reference_reel(length, 15.0)
         k = identify(reel, signal, n).hooke_constant_Nm_rad(reel.drum_inertia_kg_m2)
         true = drum_stiffness_Nm_rad(reel, reel.tension_N)
-        found[f"{length:g} m"] = {"value": k.value, "low": k.low, "high": k.high, "true": true}
-        print(f"  {length:g} m  {k}, built with {true:.5g}")
-    return found
+        rows[f"{length:g} m"] = {"value": k.value, "low": k.low, "high": k.high, "true": true}
+        print(f"  {length:g} m  {k}, true {true:.5g}")
+    return rows
 
 
 def initial(signal: Excitation) -> dict[str, dict[str, dict[str, float | None]]]:
-    """Prints the gains each rule takes from the identified model, and their step response."""
+    """Prints the gains of each rule from the identified model, and their step response."""
     print("\ninitial gains from the identified model at 15 N, and a step of 10 N with them\n")
     print(
         f"  {'L m':>4s} {'rule':20s} {'P':>7s} {'I 1/s':>8s} {'D s':>8s} {'gain m.':>8s} "
         f"{'phase m.':>9s} {'settles s':>10s} {'overshoot':>10s}"
     )
-    found: dict[str, dict[str, dict[str, float | None]]] = {}
+    tables_by_length: dict[str, dict[str, dict[str, float | None]]] = {}
     for n, length in enumerate(LENGTHS_m):
         reel = reference_reel(length, 15.0)
         model = identify(reel, signal, n).model.per_effort(reel.newtons_per_ampere)
-        rows = found[f"{length:g} m"] = {}
+        rows = tables_by_length[f"{length:g} m"] = {}
         for rule, gains, margins in proposals(model, reel.controller):
             response, step = simulate(reel, gains), reel.profile
             metrics = step_metrics(
@@ -283,11 +282,11 @@ def initial(signal: Excitation) -> dict[str, dict[str, dict[str, float | None]]]
                 f"{margins.gain_margin:8.2f} {margins.phase_margin_deg:9.1f} "
                 f"{metrics.settling_time_s:10.3f} {metrics.overshoot:10.3f}"
             )
-    return found
+    return tables_by_length
 
 
 def save_figure(signal: Excitation, path: Path) -> None:
-    """Measured responses with their bands and the fitted models, at four lengths and 15 N."""
+    """Measured responses with confidence bands and fitted models, at four lengths and 15 N."""
     import matplotlib as mpl  # noqa: PLC0415  slow to import
 
     mpl.use("Agg")
@@ -316,8 +315,8 @@ def save_figure(signal: Excitation, path: Path) -> None:
 
 
 def targets(worst: dict[str, float], rates: dict[str, float], trials: int) -> dict[str, Target]:
-    """What has to be reached; a rate, to within what chance moves it over so many trials."""
-    within = CHANCE * math.sqrt(PROBABILITY * (1.0 - PROBABILITY) / trials)
+    """Targets; those of coverage allow for the statistics of this many trials."""
+    within = SIGMAS * math.sqrt(PROBABILITY * (1.0 - PROBABILITY) / trials)
     errors = {f"worst {name} error": at_most(worst[name], most) for name, most in LIMITS.items()}
     return errors | {
         f"{name} coverage, distance from {PROBABILITY}": at_most(

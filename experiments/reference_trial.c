@@ -1,8 +1,8 @@
-/* The reel's closed-loop trial written by hand: the yardstick of benchmark_trials.py.
+/* The reel's closed-loop trial in hand-written C: the reference of benchmark_trials.py.
  *
- * The same equations as plants/models/reel_equations.py and estune/core/pidf.py, with Coulomb friction
- * and a dead time of whole samples, as a C programmer would write them: constants in locals, the
- * zeros of the matrices left out, nothing general. It shares no text with the generated code.
+ * The equations of plants/models/reel_equations.py and estune/core/pidf.py, with Coulomb friction
+ * and a dead time of whole samples, specialised: constants in locals, zeros of the matrices omitted.
+ * It is independent of the generated code.
  */
 #include <math.h>
 
