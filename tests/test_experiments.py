@@ -18,6 +18,7 @@ SAMPLED = {"confirmation", "hidden_effects", "sample_efficiency"}
 """Experiments whose targets are shares of hundreds of cases; a few cases do not decide them."""
 
 OTHERS = {
+    "commands",
     "equations",
     "hidden_scores",
     "joint_schedule",

@@ -1,8 +1,7 @@
-"""The paper's figures, each made again by the project's own models, beside what the paper claims.
+"""The paper's figures, reproduced with the project's models, and a verdict on each claim.
 
-One file per figure, which can also be run by itself: `python -m experiments.paper.fig09`.
-`estune reproduce-paper` puts them all on one page. Every number in a sentence is computed by the figure's
-own run.
+`estune reproduce-paper` puts them on one page; `python -m experiments.paper.bandwidth` prints the
+figures of one module. Every number in a sentence is computed in the same run.
 """
 
 import importlib
@@ -11,25 +10,37 @@ from dataclasses import dataclass
 
 from matplotlib.figure import Figure
 
-NUMBERS = (7, 9, 10, 11, 12, 15, 16, 17, 18)
-"""The figures that have a file here."""
+_MODULES = {
+    7: "attenuation",
+    9: "bandwidth",
+    10: "bandwidth",
+    11: "bandwidth",
+    12: "convergence",
+    15: "hysteresis",
+    16: "compensation",
+    17: "compensation",
+    18: "boundary",
+}
+
+NUMBERS = tuple(_MODULES)
+"""The figures that are reproduced."""
 
 
 @dataclass(frozen=True, eq=False)
 class PaperFigure:
-    """A figure of the paper made again, and what became of its claim.
+    """A reproduced figure with its claim.
 
     Attributes:
-        number: Its number in the paper.
-        title: Its caption.
-        claim: What the paper says of it, in a sentence.
-        holds: Whether that is so here.
+        number: Number in the paper.
+        title: Caption.
+        claim: The paper's claim, as a sentence.
+        holds: Whether it holds here.
         measured: The numbers that decide it, in a sentence or two.
-        rule: When the claim counts as holding.
-        caveat: What this can say and what it cannot: where the numbers come from, and why a claim
-            fails where it does.
+        rule: Condition under which the claim holds.
+        caveat: Limits of the reproduction: origin of the numbers, and the reason where a claim
+            fails.
         numbers: The numbers of `measured`, by name.
-        figure: The drawing.
+        figure: The figure.
     """
 
     number: int
@@ -44,26 +55,27 @@ class PaperFigure:
 
     @property
     def verdict(self) -> str:
-        """Whether the claim holds, in words."""
+        """Whether the claim holds."""
         return "holds here" if self.holds else "does not hold here"
 
 
 def make(number: int, *, quick: bool = False) -> PaperFigure:
-    """Makes one figure.
+    """Reproduces one figure.
 
     Args:
         number: One of `NUMBERS`.
-        quick: Fewer repetitions, for a check that all is well.
+        quick: Fewer repetitions, for a quick check.
     """
-    module = importlib.import_module(f"experiments.paper.fig{number:02d}")
-    maker: Callable[..., PaperFigure] = module.make
+    module = importlib.import_module(f"experiments.paper.{_MODULES[number]}")
+    maker: Callable[..., PaperFigure] = getattr(module, f"figure_{number}")
     return maker(quick=quick)
 
 
-def show(made: PaperFigure) -> None:
-    """Prints a figure's claim and what became of it."""
-    print(f"Fig. {made.number}. {made.title}")
-    print(f"  the paper: {made.claim}")
-    print(f"  {made.verdict}: {made.measured}")
-    print(f"  rule: {made.rule}")
-    print(f"  note: {made.caveat}")
+def show(*numbers: int) -> None:
+    """Prints the claims of figures and the verdicts."""
+    for figure in map(make, numbers):
+        print(f"Fig. {figure.number}. {figure.title}")
+        print(f"  the paper: {figure.claim}")
+        print(f"  {figure.verdict}: {figure.measured}")
+        print(f"  rule: {figure.rule}")
+        print(f"  note: {figure.caveat}")

@@ -20,19 +20,19 @@ GROWING = Eyelet(growth_per_N=1e-3)
 
 
 def measure(eyelet: Eyelet, sweeps: int, seed: int) -> TwoReelResult:
-    """The two-reel procedure of section IV-D on two reels with such an eyelet."""
+    """The two-reel procedure of section IV-D on two reels with this eyelet."""
     reel = ReelModel(eyelet=eyelet)
     procedure = TwoReelProcedure(SETPOINTS_N, sweeps=sweeps)
     return evaluate(procedure.run(SimulatedBench(reel, reel, seed=seed)), eyelet.angles_rad)
 
 
 def falls(result: TwoReelResult) -> bool:
-    """Whether the attenuation ratio falls with the tension by more than chance has it."""
+    """Whether the attenuation ratio falls significantly with the tension."""
     return not result.curve.follows_coulomb and result.curve.quadratic.value > 0.0
 
 
-def make(*, quick: bool = False) -> PaperFigure:
-    """The figure."""
+def figure_7(*, quick: bool = False) -> PaperFigure:
+    """Fig. 7."""
     sweeps = 4 if quick else 8
     coulomb, growing = measure(COULOMB, sweeps, seed=1), measure(GROWING, sweeps, seed=2)
     low, high = SETPOINTS_N[0], SETPOINTS_N[-1]
@@ -48,20 +48,20 @@ def make(*, quick: bool = False) -> PaperFigure:
         claim="The performance of the reel decreases with an increase of the tension setpoint.",
         holds=falls(coulomb),
         measured=f"B is {ratios[0]:.4f} at {low:g} N and {ratios[-1]:.4f} at {high:g} N; its "
-        f"slope of {1e6 * slope:.0f} millionths per N is one that scatter alone gives with a "
-        f"chance of {coulomb.curve.quadratic_p_value:.2f}. Friction takes "
+        f"slope of {1e6 * slope:.0f} millionths per N has a p value of "
+        f"{coulomb.curve.quadratic_p_value:.2f}. Friction takes "
         f"{100.0 * share.friction_share:.1f} % of the tension, where (29) allows "
         f"{100.0 * WEBER_LIMIT:g} %, and B spreads over the setpoints (27) by "
         f"{1e6 * share.log_spread:.0f} millionths. On a second bench, whose friction coefficient "
         f"grows by {1e3 * GROWING.growth_per_N:g} thousandth per N, B falls from {grown[0]:.4f} "
         f"to {grown[-1]:.4f}.",
-        rule="B falls with the tension, by more than its scatter gives with a chance of 1 %, on "
-        "two reels whose eyelets obey Coulomb's law.",
+        rule="B falls significantly with the tension (1 %), on two reels whose eyelets obey "
+        "Coulomb's law.",
         caveat="Coulomb's law, which the paper's own (20) to (25) assume, makes B depend on the "
-        "friction coefficient and the angle alone, whatever the tension. A fall of B, as the "
-        "paper saw, says that its eyelet did not obey that law. Where friction does grow, on the "
+        "friction coefficient and the angle alone, whatever the tension. A fall of B, as in "
+        "the paper, means that its eyelet did not obey that law. Where friction does grow, on the "
         "second bench, the two-reel procedure "
-        + ("sees it." if falls(growing) else "does not see it, with so few sweeps."),
+        + ("detects it." if falls(growing) else "does not detect it, with so few sweeps."),
         numbers={
             "B_low": ratios[0],
             "B_high": ratios[-1],
@@ -80,9 +80,9 @@ def _draw(coulomb: TwoReelResult, growing: TwoReelResult) -> Figure:
         (coulomb, BLUE, "o", "Coulomb's law"),
         (growing, VERMILION, "s", "friction that grows with the tension"),
     ):
-        found = result.ratio_at_setpoints()
-        middle = [estimate.value for estimate in found]
-        half = [estimate.high - estimate.value for estimate in found]
+        estimates = result.ratio_at_setpoints()
+        middle = [estimate.value for estimate in estimates]
+        half = [estimate.high - estimate.value for estimate in estimates]
         ax.errorbar(
             result.setpoint_N, middle, half, fmt=f"{marker}-", color=colour, linewidth=1.0,
             markersize=4.0, capsize=3.0, label=name,
@@ -94,4 +94,4 @@ def _draw(coulomb: TwoReelResult, growing: TwoReelResult) -> Figure:
 
 
 if __name__ == "__main__":
-    show(make())
+    show(7)

@@ -1,4 +1,4 @@
-"""Fig. 18: is the platform held at the boundary of its workspace, with and without hand-over?"""
+"""Fig. 18: is hybrid control stable at the workspace boundary, with and without update?"""
 
 from typing import NamedTuple
 
@@ -16,8 +16,8 @@ from plants.demonstrations.workspace_boundary import (
 )
 
 
-class Standing(NamedTuple):
-    """What a run came to."""
+class Extremes(NamedTuple):
+    """Extreme values of one run."""
 
     jump_N: float
     switches: int
@@ -26,8 +26,8 @@ class Standing(NamedTuple):
     beyond_m: float
 
     @classmethod
-    def of(cls, traces: BoundaryTraces, trial: BoundaryTrial) -> "Standing":
-        """The largest jump of the effort at a switch, and how far tension and platform went."""
+    def of(cls, traces: BoundaryTraces, trial: BoundaryTrial) -> "Extremes":
+        """The extremes of a run's traces."""
         return cls(
             float(np.abs(traces.jump_N).max()),
             int(np.count_nonzero(np.diff(traces.in_tension))),
@@ -37,11 +37,11 @@ class Standing(NamedTuple):
         )
 
 
-def make(*, quick: bool = False) -> PaperFigure:  # noqa: ARG001  one run is quick enough
-    """The figure."""
+def figure_18(*, quick: bool = False) -> PaperFigure:  # noqa: ARG001  one run suffices
+    """Fig. 18."""
     trial = reference_boundary_trial()
     handed, parallel = run_boundary(trial)
-    on, off = Standing.of(handed, trial), Standing.of(parallel, trial)
+    on, off = Extremes.of(handed, trial), Extremes.of(parallel, trial)
     least = trial.rules.tension_min_N
     stable = on.jump_N < 1e-9 and on.least_tension_N > least and on.switches > 0
     unstable = off.least_tension_N == 0.0
@@ -54,16 +54,16 @@ def make(*, quick: bool = False) -> PaperFigure:  # noqa: ARG001  one run is qui
         holds=stable and unstable,
         measured=f"With the update the effort jumps by at most {on.jump_N:.0e} N over "
         f"{on.switches} switches, and the tension stays from {on.least_tension_N:.1f} to "
-        f"{on.greatest_tension_N:.1f} N; the platform gives way by "
+        f"{on.greatest_tension_N:.1f} N; the platform yields by "
         f"{1000.0 * on.beyond_m:.0f} mm. Without, the effort jumps by up to {off.jump_N:.0f} N "
-        f"over {off.switches} switches, the tension swings from {off.least_tension_N:.1f} to "
-        f"{off.greatest_tension_N:.0f} N, and the platform gets {off.beyond_m:.1f} m beyond the "
-        "boundary: nothing holds it any more.",
+        f"over {off.switches} switches, the tension varies from {off.least_tension_N:.1f} to "
+        f"{off.greatest_tension_N:.0f} N, and the platform moves {off.beyond_m:.1f} m beyond the "
+        "boundary.",
         rule=f"With the update no jump beyond rounding and never less than {least:g} N; without "
         "it the cable goes slack.",
-        caveat="One reel, its platform pushed out by a force that swings. The paper's (36) and "
-        "(37) are not printed in full; what runs here is their derivation, in which each "
-        "controller's integral follows so that it would give the effort of the one in control.",
+        caveat="One reel, its platform pushed outward by an oscillating force. The paper's (36) "
+        "and (37) are not printed in full; what runs here is their derivation, in which each "
+        "controller's integral tracks the effort of the active one.",
         numbers={
             "jump_N": on.jump_N,
             "jump_without_N": off.jump_N,
@@ -85,10 +85,10 @@ def _draw(handed: BoundaryTraces, parallel: BoundaryTraces, trial: BoundaryTrial
     position.axhline(
         1000.0 * trial.boundary_m, color=GREY, linestyle="--", linewidth=0.9, label="boundary"
     )
-    # Without the update the platform leaves for good; the page shows where it should have stayed.
+    # Without the update the platform leaves; the axis shows the range where it should stay.
     low, high = 1000.0 * handed.position_m.min(), 1000.0 * handed.position_m.max()
     position.set_ylim(1.2 * low - 0.2 * high, 2.0 * high - low)
-    # From nothing, a slack cable, to hundreds of newtons.
+    # From zero, a slack cable, to hundreds of newtons.
     tension.set_yscale("symlog", linthresh=10.0)
     tension.set_ylim(bottom=0.0)
     tension.set_yticks([0, 5, 10, 20, 50, 100, 200])
@@ -100,4 +100,4 @@ def _draw(handed: BoundaryTraces, parallel: BoundaryTraces, trial: BoundaryTrial
 
 
 if __name__ == "__main__":
-    show(make())
+    show(18)

@@ -16,30 +16,30 @@ from plants.two_reel_bench import (
 )
 
 TURNS_deg = (15.0, 40.0, 60.0, 95.0)
-"""How far the cable is turned at the eyelet, pi - gamma."""
+"""Deflection of the cable at the eyelet, pi - gamma."""
 LOW_N, HIGH_N = 5.0, 30.0
 AGREES = 0.1
 
 
 def measure(turn_deg: float, cycles: int, seed: int) -> HysteresisLoop:
-    """X's tension goes up and down while Y, at the other end of the cable, holds its drum."""
+    """X's tension rises and falls while Y, at the other end of the cable, holds its drum."""
     reel = ReelModel(eyelet=_eyelet(turn_deg))
     return HysteresisTest(LOW_N, HIGH_N, cycles=cycles).run(SimulatedBench(reel, reel, seed=seed))
 
 
-def make(*, quick: bool = False) -> PaperFigure:
-    """The figure."""
+def figure_15(*, quick: bool = False) -> PaperFigure:
+    """Fig. 15."""
     cycles = 1 if quick else 3
     loops = {turn: measure(turn, cycles, seed) for seed, turn in enumerate(TURNS_deg)}
-    found = {turn: 1.0 - loop.attenuation() for turn, loop in loops.items()}
+    measured = {turn: 1.0 - loop.attenuation() for turn, loop in loops.items()}
     expected = {
         turn: 1.0 - float(attenuation(eyelet.coefficient, *eyelet.angles_rad))
         for turn, eyelet in ((turn, _eyelet(turn)) for turn in TURNS_deg)
     }
-    off = max(abs(found[turn] / expected[turn] - 1.0) for turn in TURNS_deg)
-    losses = list(found.values())
+    off = max(abs(measured[turn] / expected[turn] - 1.0) for turn in TURNS_deg)
+    losses = list(measured.values())
     listed = ", ".join(
-        f"{found[turn]:.4f} by the loop and {expected[turn]:.4f} by (25) at {turn:g}°"
+        f"{measured[turn]:.4f} by the loop and {expected[turn]:.4f} by (25) at {turn:g}°"
         for turn in TURNS_deg
     )
     return PaperFigure(
@@ -53,11 +53,11 @@ def make(*, quick: bool = False) -> PaperFigure:
         rule=f"The loss 1 - B from the loop's edges is that of (25) within {100.0 * AGREES:g} %, "
         "and grows with every turn.",
         caveat=f"Two reels alike, friction coefficient {_eyelet(0.0).coefficient:g}; one tension "
-        "goes up and down while the other drum is held, so that both eyelets take their part each "
-        "way. The bench is simulated with the friction of (20): that the edges come out at B² and "
-        "1/B² shows that nothing else is needed, stick between them included, and that B can be "
-        "read off a loop.",
-        numbers={"apart": off} | {f"loss_at_{turn:g}_deg": loss for turn, loss in found.items()},
+        "rises and falls while the other drum is held, so that both eyelets act in both "
+        "directions. The bench is simulated with the friction of (20): that the edges lie at B² "
+        "and 1/B² shows that friction alone explains the loop, and that B can be measured from it.",
+        numbers={"apart": off}
+        | {f"loss_at_{turn:g}_deg": loss for turn, loss in measured.items()},
         figure=_draw(loops),
     )
 
@@ -77,4 +77,4 @@ def _draw(loops: dict[float, HysteresisLoop]) -> Figure:
 
 
 if __name__ == "__main__":
-    show(make())
+    show(15)

@@ -1,4 +1,4 @@
-"""Fig. 12: how does the cost evolve while reels of different cable length are tuned?"""
+"""Fig. 12: does the convergence of the tuning depend on the cable length?"""
 
 import numpy as np
 from scipy.stats import f_oneway
@@ -26,13 +26,13 @@ def costs(length_m: float, seed: int) -> FloatArray:
 
 
 def time_constant(cost: FloatArray) -> float:
-    """Time constant of the fall in trials: area above the end per height above it at the start."""
+    """Time constant in trials: area above the final cost, divided by the initial excess."""
     excess = cost - cost[-LAST:].mean()
     return float(excess.sum() / excess[0])
 
 
-def make(*, quick: bool = False) -> PaperFigure:
-    """The figure."""
+def figure_12(*, quick: bool = False) -> PaperFigure:
+    """Fig. 12."""
     count = 12 if quick else 20
     runs = {
         length: np.array([costs(length, seed) for seed in range(count * n, count * (n + 1))])
@@ -63,16 +63,16 @@ def make(*, quick: bool = False) -> PaperFigure:
         holds=chance < CHANCE,
         measured=f"The cost falls with a time constant of {listed} trials (means of "
         f"{count} runs), the longest {100.0 * excess:.1f} % above the "
-        "shortest; so large a difference would come of the gauge's noise alone with a "
-        f"chance of {chance:.1e}. The cost begins at {begin[0]:.2f} and ends at "
+        "shortest; the p value of "
+        f"the difference is {chance:.1e}. The cost begins at {begin[0]:.2f} and ends at "
         f"{end[0]:.2f} at {first:g} m, {begin[1]:.2f} and {end[1]:.2f} at {last:g} m.",
-        rule="The time constant differs between the lengths by more than chance would have it "
-        f"between runs, at {100.0 * CHANCE:g} % (one-way analysis of variance).",
+        rule="The time constant differs between the lengths significantly, "
+        f"at {100.0 * CHANCE:g} % (one-way analysis of variance).",
         caveat=f"The paper's tuner ({TUNER}) from the same gains at every length; lines are "
         "means, bands the least and greatest cost of a trial over the runs, which differ in the "
-        "gauge's noise alone. The time constant is the area of the cost above its end over its "
-        f"height above it at the start, the end being the last {LAST} trials. The cost is (35) "
-        "with the default price on moves.",
+        "gauge's noise alone. The time constant is the area of the cost above its final value, "
+        f"the mean of the last {LAST} trials, divided by the initial excess. The cost is (35) "
+        "with the default control-move penalty.",
         numbers={"chance": chance, "excess": excess, "runs": float(count)}
         | {f"time_constant_at_{length:g}_m": mean for length, mean in means.items()},
         figure=figure,
@@ -80,4 +80,4 @@ def make(*, quick: bool = False) -> PaperFigure:
 
 
 if __name__ == "__main__":
-    show(make())
+    show(12)
