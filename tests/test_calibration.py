@@ -203,7 +203,10 @@ SWAPPED = gauge_counts(np.where(FORCES == 10.0, 15.0, np.where(FORCES == 15.0, 1
     [
         ({"reading": SWAPPED}, r"not monotone: .* at force 10 N"),
         ({"reading": CLEAN - 0.9 * FORCES**2}, "not monotone"),
-        ({"reading": CLEAN - 0.8 * FORCES**2 + 25.0 * FORCES, "margin": 0.5}, "significantly monotone"),
+        (
+            {"reading": CLEAN - 0.8 * FORCES**2 + 25.0 * FORCES, "margin": 0.5},
+            "significantly monotone",
+        ),
         ({"reading": np.full(36, 812.0)}, "flat"),
         ({"force_N": np.arange(3.0), "reading": CLEAN[:3]}, "3 points are too few"),
         ({"force_N": np.full(36, 5.0)}, "force_N has 1 different values in 36 points"),

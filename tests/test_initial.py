@@ -3,7 +3,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.signal import cont2discrete
 
@@ -86,6 +86,7 @@ def simulated_loop(model, gains, samples, sampling=SETTINGS):
 
 @settings(max_examples=10, deadline=None)
 @given(model=MODELS)
+@example(model=SecondOrder(1.0, 30.8359375, 0.25))  # a grid point of the mode beside zero
 def test_sensitivity_limited_keeps_its_limits_for_any_plant(model):
     limits = SensitivityLimits(sensitivity=1.7, setpoint_peak=1.05, noise_gain=6.0)
     gains = sensitivity_limited(model, SETTINGS, limits)
