@@ -523,7 +523,7 @@ def test_what_cannot_be_held_against_records_is_told():
     record = measured(REEL, LINES)
     with pytest.raises(PlantError, match="a Reel, an UnloadedReel"):
         diagnosed(object(), [record])
-    with pytest.raises(InvalidInput, match="no measurements"):
+    with pytest.raises(InvalidInput, match="no records"):
         diagnosed(REEL, [])
     with pytest.raises(InvalidInput, match="angle_rad"):
         diagnosed(plants.unloaded_reel(), [replace(record, angle_rad=None)])

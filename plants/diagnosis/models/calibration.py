@@ -1,13 +1,13 @@
-"""What every rig has to be calibrated for, as an effect, so that a fitted model can carry it."""
+"""Calibration of torque and gauge as an effect, so that a fitted model can carry it."""
 
 from dataclasses import dataclass
-from types import SimpleNamespace
 from typing import Any, ClassVar
 
 import casadi as ca
 
 from plants.effects import Effect, Port, Signal, Site, parameter
 from plants.effects.cable_slack import TINY_N, straightened, stretched
+from plants.effects.effect import Response, Values
 
 TINY_N3 = 1e-30
 """Keeps the third root differentiable where there is no weight."""
@@ -19,45 +19,41 @@ class Calibration(Effect):
 
         tau = (g Kt) i + tau_0,    y = T + T_0
 
-    The gain acts between current and torque, so that a current that is measured does not show it,
-    and the controller goes on reckoning with the torque constant it was given.
+    The gain acts between current and torque: a measured current does not show it, and the
+    controller keeps the torque constant it was given.
 
     Attributes:
-        torque_gain: Torque given g per torque that the torque constant says.
+        torque_gain: Torque g relative to that of the torque constant.
         torque_offset_Nm: Constant torque tau_0, N m.
-        gauge_offset_N: What the gauge reads at no tension, T_0, N.
+        gauge_offset_N: Reading of the gauge without tension, T_0, N.
     """
 
-    name: ClassVar[str] = "calibration"
-    title: ClassVar[str] = "calibration of torque and gauge"
-    appearance: ClassVar[str] = (
+    name = "calibration"
+    title = "calibration of torque and gauge"
+    appearance = (
         "torque and tension read stand in another ratio, or differ by a constant, at any motion"
     )
-    port: ClassVar[Port] = Port.DRUM
+    port = Port.DRUM
     also: ClassVar[tuple[Port, ...]] = (Port.GAUGE,)
 
-    torque_gain: float = parameter(1.0, low=1e-3, high=1e3, unit="", neutral=1.0)
+    torque_gain: float = parameter(1.0, low=1e-3, high=1e3, neutral=1.0)
     torque_offset_Nm: float = parameter(0.0, low=-1e4, high=1e4, unit="N m", neutral=0.0)
     gauge_offset_N: float = parameter(0.0, low=-1e5, high=1e5, unit="N", neutral=0.0)
 
     @staticmethod
-    def amend(p: SimpleNamespace, reel: SimpleNamespace) -> dict[str, Any]:
-        """The torque constant that acts, beside the one the controller reckons with."""
+    def amend(p: Values, reel: Values) -> dict[str, Any]:
+        """The torque constant that acts; the controller keeps its own."""
         return {"torque_constant_Nm_A": reel.torque_constant_Nm_A * p.torque_gain}
 
     @staticmethod
-    def respond(
-        p: SimpleNamespace, state: Signal, signal: Signal, site: Site
-    ) -> tuple[Signal, Signal]:
+    def respond(p: Values, state: Signal, signal: Signal, site: Site) -> Response:
         """The torque at the drum, then the reading."""
         if site.port is Port.DRUM:
             return state, p.torque_offset_Nm
         return state, signal + p.gauge_offset_N
 
     @staticmethod
-    def rest(
-        p: SimpleNamespace, state: Signal, signal: Signal, site: Site
-    ) -> tuple[Signal, Signal]:
+    def rest(p: Values, state: Signal, signal: Signal, site: Site) -> Response:
         """The same torque; the tension that reads so."""
         if site.port is Port.DRUM:
             return state, p.torque_offset_Nm
@@ -66,7 +62,7 @@ class Calibration(Effect):
 
 @dataclass(frozen=True)
 class SaggingCalibration(Calibration):
-    """The same for a reel at tensions so low that its own cable's sag bends the linear law.
+    """Calibration of a reel at tensions so low that the sag of its own cable bends the linear law.
 
         a T - Q/T^2 = l + a T_0 - Q/T_0^2 - T_0,    Q = k (w + dw)^2 L^3/24
 
@@ -77,17 +73,17 @@ class SaggingCalibration(Calibration):
     slack lengthens the cable, so that a T is of the stretch that the straightened strands have.
     """
 
-    also: ClassVar[tuple[Port, ...]] = (Port.GAUGE, Port.CABLE)
-    states: ClassVar[int] = 2
-    by_tension: ClassVar[bool] = True
+    also = (Port.GAUGE, Port.CABLE)
+    states = 2
+    by_tension = True
 
     @staticmethod
-    def amend(p: SimpleNamespace, reel: SimpleNamespace) -> dict[str, Any]:
-        """The same, and a word to what adds to the weight."""
+    def amend(p: Values, reel: Values) -> dict[str, Any]:
+        """The torque constant, and a flag for effects that add to the weight."""
         return {**Calibration.amend(p, reel), "sags_in_full": 1.0}
 
     @staticmethod
-    def prepare(p: SimpleNamespace, reel: SimpleNamespace) -> dict[str, Signal]:
+    def prepare(p: Values, reel: Values) -> dict[str, Signal]:
         """The constants a, Q in N^3, what is added to l, and the slack in N."""
         del p
         unit = reel.stiffness_N_m * reel.gravity_m_s2**2 * reel.cable_length_m**3 / 24.0
@@ -106,9 +102,7 @@ class SaggingCalibration(Calibration):
         }
 
     @staticmethod
-    def respond(
-        p: SimpleNamespace, state: Signal, signal: Signal, site: Site
-    ) -> tuple[Signal, Signal]:
+    def respond(p: Values, state: Signal, signal: Signal, site: Site) -> Response:
         """The tension at the cable; elsewhere as without sag."""
         if site.port is not Port.CABLE:
             _, changed = Calibration.respond(p, state, signal, site)
@@ -123,9 +117,7 @@ class SaggingCalibration(Calibration):
         return ca.vertcat(found, state[0]), _straightened(p, found)[0]
 
     @staticmethod
-    def rest(
-        p: SimpleNamespace, state: Signal, signal: Signal, site: Site
-    ) -> tuple[Signal, Signal]:
+    def rest(p: Values, state: Signal, signal: Signal, site: Site) -> Response:
         """The linear law's tension at the cable; elsewhere as without sag."""
         if site.port is not Port.CABLE:
             _, changed = Calibration.rest(p, state, signal, site)
@@ -137,11 +129,11 @@ class SaggingCalibration(Calibration):
         return ca.vertcat(stretch, stretch), linear
 
 
-def _straightened(p: SimpleNamespace, stretch: Signal) -> tuple[Signal, Signal]:
+def _straightened(p: Values, stretch: Signal) -> tuple[Signal, Signal]:
     """Tension and slope at a stretch, where there is slack; without, they are the same."""
     return straightened(stretch, p.slack_N) if "slack_N" in vars(p) else (stretch, 1.0)
 
 
-def _stretched(p: SimpleNamespace, tension: Signal) -> Signal:
+def _stretched(p: Values, tension: Signal) -> Signal:
     """The stretch at a tension."""
     return stretched(tension, p.slack_N) if "slack_N" in vars(p) else tension

@@ -1,4 +1,4 @@
-"""What is free in a model that is held against measurements, and what may be added to it."""
+"""Free parameters of a model that is compared with records, and effects that may be added."""
 
 import importlib
 from abc import ABC, abstractmethod
@@ -16,32 +16,30 @@ from plants.effects import Effect, Parameter, RecordScale
 from plants.simulation.equations import Equations
 
 BASE = "base"
-"""Owner of the calibrations all records share."""
+"""Owner of the base-model parameters that all records share."""
 
 RANGE = 20.0
-"""Factor either way within which a fit looks for a calibration that is above zero."""
+"""Factor by which a fit may change a positive parameter either way."""
 
 CALIBRATION = Calibration.name
 
 SENSORS = ("angle_zero", "current_gain", "current_offset", "reference_offset", "input_slope")
-"""What is done to the readings and the command of a record, in the order of the C. The slope is
-how much of the way to the next command is gone within a sample: 0 where the command was held, 1
-where its samples are points of a curve."""
+"""Errors of the readings and the command of a record, in the order of the C code. The input slope
+is the hold between samples: 0 for zero order, 1 for first order."""
 
 
 @dataclass(frozen=True, slots=True)
 class Free:
-    """One number that a fit may move.
+    """One free parameter of a fit.
 
     Attributes:
-        name: Unique in a predictor; that of the nth record's own number ends in `[n]`, that of an
-            effect's parameter is `slug.parameter`.
+        name: Unique in a predictor; ends in `[n]` for a parameter of the nth record, is
+            `slug.parameter` for one of an effect.
         unit: Its unit; empty for a plain number.
-        start: Where a fit begins: what the model as given says, or the data where it says nothing.
-            For an effect that is not in the model, its usual value at the size of the data.
-        low: Least value it may take.
-        high: Greatest value.
-        scale: How it is best searched.
+        start: Initial value: the model's, or else one of the size of the data.
+        low: Lower bound.
+        high: Upper bound.
+        scale: Scale of the search.
         owner: `base`, `record 3`, or the slug of an effect.
         neutral: The value at which the effect does nothing, or None.
     """
@@ -57,14 +55,14 @@ class Free:
 
 
 class Slot(NamedTuple):
-    """A free number and where it goes.
+    """A free parameter and its place in the parameter table.
 
     Attributes:
-        free: The number.
+        free: The parameter.
         column: Name of the structure's parameter, `calibration.name` for one of `Calibration`, or
             one of `SENSORS`.
-        factor: What it is multiplied by on the way.
-        record: The only record it goes to, or None for all.
+        factor: Factor from the free parameter to the column.
+        record: Index of its record, or None for all.
     """
 
     free: Free
@@ -74,7 +72,7 @@ class Slot(NamedTuple):
 
 
 class Structure(Hashable, Protocol):
-    """What a model's equations depend on besides numbers."""
+    """Structure of a model's equations, apart from parameter values."""
 
     @property
     def parameter_names(self) -> tuple[str, ...]:
@@ -87,17 +85,17 @@ class Structure(Hashable, Protocol):
 
 
 class Local(NamedTuple):
-    """How the plant moves for a short while, to tell where it is from what is measured there.
+    """Local linear model that estimates initial states from the samples around them.
 
-    x' = A x + B (u + a constant), y = C x; u is late by the dead time.
+    x' = A x + B (u + a constant), y = C x; u is delayed by the dead time.
 
     Attributes:
         A: Shape (n, n).
         B: Shape (n,).
         C: Shape (n,).
         input: The input u, shape (samples,), or None where it is left to the constant.
-        dead_time_s: Of the input; below zero where it leads.
-        to_placed: From the states to what `Equations.place` takes, shape (n, n).
+        dead_time_s: Of the input; negative where it leads.
+        to_placed: From the states to the argument of `Equations.place`, shape (n, n).
     """
 
     A: FloatArray
@@ -109,19 +107,19 @@ class Local(NamedTuple):
 
 
 class DiagnosedModel(ABC):
-    """A model that can be held against measurements; made by `diagnosed`.
+    """A model that can be compared with records; made by `diagnosed`.
 
     Attributes:
-        model: The model as it was given.
-        measurements: What it is held against.
-        effects: The effects the model already has, without calibration; their parameters are free.
-        output: Unit in which a gap is told: that of the first output.
-        reasons: Calibrations that are held fixed, with the reason in words.
-        sizes: How large the signals are, in the units of the effects.
-        placed_by: Channel that tells where the plant is at a window's start; None: nothing does.
-        newtons_per_ampere: Effort per command, to make the command of an open-loop record.
-        drive_unit: Command, A, that stands for one of the actuator's effects.
-        reading_unit: Output, as recorded, that stands for a newton of the gauge's effects.
+        model: The model as given.
+        measurements: The records.
+        effects: Effects of the given model, without calibration; their parameters are free.
+        output: Unit of prediction errors: that of the first output.
+        reasons: Base-model parameters that are held fixed, with the reason in words.
+        sizes: Scale of the signals, in the units of the effects.
+        placed_by: Channel that the initial states are estimated from, or None.
+        newtons_per_ampere: Effort per command of an open-loop record.
+        drive_unit: Command, A, per unit of the actuator's effects.
+        reading_unit: Output, as recorded, per newton of the gauge's effects.
     """
 
     output: Literal["N", "rad"] = "N"
@@ -143,26 +141,26 @@ class DiagnosedModel(ABC):
         self._starts: dict[str, float] = {}
         self.sizes = self._sizes()
 
-    # What each kind of model says of itself.
+    # Declared by each kind of model.
 
     @abstractmethod
     def _sizes(self) -> RecordScale: ...
 
     @abstractmethod
     def _calibrations(self) -> list[Slot]:
-        """The base's free numbers, and into `reasons` those that are not."""
+        """The free base-model parameters; `reasons` receives the fixed ones."""
 
     @abstractmethod
     def structure(self, effects: tuple[type[Effect], ...]) -> Structure:
         """The model with these effects and its calibration after them."""
 
-    @abstractmethod
     def numbers(self, measurement: MeasuredRecord) -> dict[str, float]:
-        """The structure's own parameters for one record, as the model was given."""
+        """The plant's own parameters at the record's rate."""
+        return {**self.model.own_numbers, "sampling_Hz": measurement.sampling_Hz}
 
     @abstractmethod
     def local(self, measurement: MeasuredRecord) -> Local:
-        """How the plant moves for a short while."""
+        """The local linear model."""
 
     @abstractmethod
     def unavailable(self, effect: type[Effect]) -> str | None:
@@ -173,15 +171,15 @@ class DiagnosedModel(ABC):
         """A model of the same kind as given, with the values of a fit and effects added.
 
         Args:
-            values: By the names of `Predictor.free`; those that are missing stay as they are, and
-                those of single records count for nothing.
+            values: By the names of `Predictor.free`; missing ones keep their values, those of
+                single records are ignored.
             effects: The effects the fit added, in the predictor's order.
         """
 
     @property
     @abstractmethod
     def suggested_horizon_s(self) -> float | None:
-        """Length of a prediction in which the model's dynamics show, s; None is a free run."""
+        """Length of a prediction window that shows the model's dynamics, s; None is a free run."""
 
     @property
     def outputs(self) -> tuple[str, ...]:
@@ -196,25 +194,25 @@ class DiagnosedModel(ABC):
         """Free numbers of the sensors, per record or shared."""
         return []
 
-    # What is the same for all.
+    # The same for all kinds.
 
     @property
     def is_often_slack(self) -> bool:
-        """Whether records show a cable that hangs slack, not now and then only."""
+        """Whether the cable is slack in much of the records."""
         return False
 
     def alternatives(self) -> "tuple[DiagnosedModel, ...]":
-        """Ways in which the model may be meant, of which the records tell the right one."""
+        """Variants of the model, of which the records decide."""
         return (self,)
 
     @property
     def base(self) -> list[Slot]:
-        """The base's free numbers, at the starts this model was given."""
+        """The base-model parameters with their initial values."""
         slots = (*self._calibrations(), *self.sensors(), *self._current_sensor())
         return [self._started(slot) for slot in slots]
 
     def slots(self, added: Sequence[type[Effect]]) -> list[Slot]:
-        """All free numbers: the base's, the records', those of the model's and added effects."""
+        """All free parameters: of the base model, the records and the effects."""
         place, seen = len(self.effects) + len(added), dict[str, int]()
         found = [s._replace(column=s.column.replace(CALIBRATION, str(place))) for s in self.base]
         for n, (cls, effect) in enumerate(self._listed(added)):
@@ -227,7 +225,7 @@ class DiagnosedModel(ABC):
         return found
 
     def at(self, values: Mapping[str, float]) -> Self:
-        """The same model, begun from the values of a base fit."""
+        """The model with the values of a base fit as initial values."""
         later = object.__new__(type(self))
         vars(later).update(vars(self))
         later._starts = {**self._starts, **values}
@@ -267,6 +265,14 @@ class DiagnosedModel(ABC):
             built.append(cls(**{name: by_column[f"{n}.{name}"] for name in cls.parameters()}))
         return tuple(built)
 
+    def all_effects(
+        self, values: Mapping[str, float], added: Sequence[type[Effect]], **calibration: float
+    ) -> tuple[Effect, ...]:
+        """The effects of `built`, and the calibration with new values where it does something."""
+        own = replace(self.calibration, **calibration)
+        built = self.built(values, added)
+        return built if own == Calibration.neutral() else (*built, own)
+
     def _current_sensor(self) -> list[Slot]:
         """Gain and offset of a current that is measured."""
         per_ampere = self.newtons_per_ampere
@@ -280,7 +286,7 @@ class DiagnosedModel(ABC):
         ]
 
     def _listed(self, added: Sequence[type[Effect]]) -> list[tuple[type[Effect], Effect | None]]:
-        """The model's effects and those added, of which there are no values yet."""
+        """The model's effects and the added ones, which have no values yet."""
         return [*((type(e), e) for e in self.effects), *((cls, None) for cls in added)]
 
     def _started(self, slot: Slot) -> Slot:
@@ -292,7 +298,7 @@ class DiagnosedModel(ABC):
     def _of_effect(
         self, cls: type[Effect], slug: str, name: str, p: Parameter, given: float | None
     ) -> Free:
-        """An effect's parameter, begun at what the model has or at a size that suits the data."""
+        """An effect's parameter with the model's value, or one of the size of the data."""
         start, high = cls.start(name, self.sizes)
         low, high = p.low, max(high, given if given is not None else p.low)
         start = given if given is not None else start
@@ -309,22 +315,22 @@ class DiagnosedModel(ABC):
 
 
 def positive(name: str, unit: str, value: float, owner: str = BASE) -> Free:
-    """A free number above zero, within a factor of what is given."""
+    """A positive parameter, within a factor of its given value."""
     return Free(name, unit, value, value / RANGE, value * RANGE, "log", owner)
 
 
 def either_way(name: str, unit: str, value: float, reach: float, owner: str = BASE) -> Free:
-    """A free number that may lie this far on either side of what is given."""
+    """A parameter that may differ by so much from its given value."""
     return Free(name, unit, value, value - reach, value + reach, "linear", owner)
 
 
 def diagnosed(model: Any, measurements: Sequence[MeasuredRecord]) -> DiagnosedModel:
-    """The model as the discrepancy workflow takes it.
+    """The model as the diagnosis uses it.
 
     Args:
         model: `Reel`, `UnloadedReel`, `LinearPlant`, `PythonPlant`, a continuous system of
             python-control, or a `DiagnosedModel` for the same measurements as it is.
-        measurements: What it is to be held against; they decide what can be told apart.
+        measurements: The records; they decide which parameters are identifiable.
 
     Raises:
         PlantError: the model is of another kind, or its function cannot be traced.
@@ -333,7 +339,7 @@ def diagnosed(model: Any, measurements: Sequence[MeasuredRecord]) -> DiagnosedMo
     if isinstance(model, DiagnosedModel):
         return model
     if not measurements:
-        raise InvalidInput("there are no measurements to hold the model against")
+        raise InvalidInput("there are no records to compare the model with")
     kind = _kind(model)
     found = kind(model, measurements)
     wanted = set(found.outputs)
@@ -341,14 +347,14 @@ def diagnosed(model: Any, measurements: Sequence[MeasuredRecord]) -> DiagnosedMo
         raise InvalidInput(
             f"the model predicts {' and '.join(found.outputs)}, and no record has such a column"
         )
-    found.slots(())  # from here on the reasons are known
+    found.slots(())  # fills in the reasons
     return found
 
 
 def _kind(model: Any) -> type[DiagnosedModel]:
-    """The class for a model, each imported only where it is wanted."""
+    """The class for a model, imported when needed."""
     name = type(model).__name__
-    homes = {
+    classes = {
         "Reel": ("plants.diagnosis.models.reel", "DiagnosedReel"),
         "UnloadedReel": ("plants.diagnosis.models.unloaded", "DiagnosedDrum"),
         "LinearPlant": ("plants.diagnosis.models.linear_plant", "DiagnosedLinear"),
@@ -356,11 +362,11 @@ def _kind(model: Any) -> type[DiagnosedModel]:
         "StateSpace": ("plants.diagnosis.models.linear_plant", "DiagnosedLinear"),
         "PythonPlant": ("plants.diagnosis.models.python_plant", "DiagnosedFunction"),
     }
-    if name not in homes:
+    if name not in classes:
         raise PlantError(
             f"the model is a {name}; give a Reel, an UnloadedReel, a linear_plant, a python_plant "
             "or a system of python-control"
         )
-    module, attribute = homes[name]
+    module, attribute = classes[name]
     found: type[DiagnosedModel] = getattr(importlib.import_module(module), attribute)
     return found

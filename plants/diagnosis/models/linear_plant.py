@@ -1,4 +1,4 @@
-"""A linear plant held against measurements: gain, modes, time constants, offset of the output."""
+"""A linear plant compared with records: gain, modes, time constants, offset of the output."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -13,7 +13,6 @@ from estune.core.margins import sample_plant
 from estune.interop import linear_model
 from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.data.noise_floor import noise_floor
-from plants.diagnosis.models.calibration import Calibration
 from plants.diagnosis.models.diagnosed_model import (
     CALIBRATION,
     RANGE,
@@ -25,7 +24,7 @@ from plants.diagnosis.models.diagnosed_model import (
     positive,
 )
 from plants.diagnosis.models.initial_states import shifted
-from plants.diagnosis.models.signal_scales import signal_scale, units
+from plants.diagnosis.models.signal_scales import plant_scale, units
 from plants.effects import Effect, RecordScale
 from plants.models.effect_applicability import unavailable
 from plants.models.linear_plant import LinearPlant, linear_plant
@@ -38,19 +37,17 @@ HORIZON = 5.0
 """A prediction's length times the geometric mean of the poles' rates."""
 SHORTEST_samples, LONGEST_share = 24, 0.2
 MOST_RATE = 4.0
-"""Allowed growth of the fastest pole in a fit; the matrix exponential stays exact up to it."""
-STIFFER = 100.0
-"""What an effect of the cable may make of the plant's stiffness, for the same."""
+"""Greatest growth of the fastest pole in a fit that keeps the matrix exponential exact."""
 SHOWS = 30.0
-"""A tenth of the input moves a plant that integrates by so many times its noise in a window."""
+"""Travel of an integrating plant in a window due to a tenth of the input, in times its noise."""
 TIMES = 60
 LEAST_DAMPING = 1e-5
-ANSWERS = 0.8
-"""Share of the rest of a difference equation below which one more term answers to something."""
-MEAN_LEAD = 0.5
-"""By how many samples an input that is not held leads one that is, in the mean."""
-LEAST_PER_TERM = 20
-"""Samples that a record has for each of a difference equation's terms, to say anything of it."""
+RESIDUAL_RATIO = 0.8
+"""Residual of a difference equation, relative to that without its newest input, that proves it."""
+MEAN_LEAD_samples = 0.5
+"""Mean lead of an input with first-order hold over one with zero-order hold."""
+SAMPLES_PER_TERM = 20
+"""Fewest samples of a record for each term of a difference equation."""
 
 
 class DiagnosedLinear(DiagnosedModel):
@@ -109,16 +106,8 @@ class DiagnosedLinear(DiagnosedModel):
         values = {k: self._starts.get(k, v) for k, v in self.values.items()}
         return linear_model(transfer_function(self.kinds, values), self.values["dead_time_s"])
 
-    def numbers(self, measurement: MeasuredRecord) -> dict[str, float]:
-        """The plant's own numbers at the record's rate."""
-        return {**self.model.own_numbers, "sampling_Hz": measurement.sampling_Hz}
-
     def _sizes(self) -> RecordScale:
-        p = self.model
-        currents = [self.command_N(m) / p.torque_unit for m in self.measurements]
-        outputs = [m.tension_N for m in self.measurements]
-        angles = [np.empty(0) if y is None else y / p.angle_unit for y in outputs]
-        return signal_scale(currents, 1.0, angles, [m.sampling_Hz for m in self.measurements])
+        return plant_scale(self, self.model.torque_unit, self.model.angle_unit)
 
     def _calibrations(self) -> list[Slot]:
         slots = []
@@ -143,26 +132,21 @@ class DiagnosedLinear(DiagnosedModel):
         return slots
 
     def sensors(self) -> list[Slot]:
-        """How the input goes between its samples, which a record does not say."""
+        """Hold of the input between its samples, which records do not state."""
         free = Free("input_slope", "", self._slope, 0.0, 1.0, "linear", "base")
         return [Slot(free, "input_slope")]
 
     @cached_property
     def _slope(self) -> float:
-        """One where the output answers to the input of its own instant: it was not held."""
+        """1 where the output depends on the input of the same instant: no zero-order hold."""
         held, curved = (sum(self._left(m, newest) for m in self.measurements) for newest in (1, 0))
-        return 1.0 if curved < ANSWERS * held else 0.0
+        return 1.0 if curved < RESIDUAL_RATIO * held else 0.0
 
     def _left(self, m: MeasuredRecord, newest: int) -> float:
-        """Sum of squares of the output that its past and the input's leave.
-
-        Args:
-            m: The record.
-            newest: How many samples back the newest input is that counts.
-        """
+        """Residual sum of squares of a difference equation; its newest input is `newest` back."""
         n, y = self.kinds.order, m.tension_N
         u = shifted(self.command_N(m), self.values["dead_time_s"] * m.sampling_Hz)
-        if y is None or y.size < LEAST_PER_TERM * n or not np.isfinite(y).all():
+        if y is None or y.size < SAMPLES_PER_TERM * n or not np.isfinite(y).all():
             return 0.0
         past = [y[n - k : y.size - k] for k in range(1, n + 1)]
         past += [u[n - k : u.size - k] for k in range(newest, n + 1)]
@@ -171,24 +155,28 @@ class DiagnosedLinear(DiagnosedModel):
         return float(np.sum((y[n:] - terms @ answer) ** 2))
 
     def local(self, measurement: MeasuredRecord) -> Local:
-        """The plant itself, under an input that is off by a constant."""
+        """The plant with a constant input error."""
         n = self.kinds.order
         p = {k: self._starts.get(k, v) for k, v in self.numbers(measurement).items()}
         motion = self.kinds.numeric(p)
         A, B, C = motion
-        # What is placed is the reading and its derivatives without input.
+        # The states are the reading and its derivatives without input.
         rows, row = [], C * p["angle_unit"]
         for _ in range(n):
             rows.append(row)
             row = row @ A
         u = self.command_N(measurement) / p["torque_unit"]
         output = C * p["angle_unit"]
-        lead = MEAN_LEAD * self._starts.get("input_slope", self._slope) / measurement.sampling_Hz
+        lead = (
+            MEAN_LEAD_samples
+            * self._starts.get("input_slope", self._slope)
+            / measurement.sampling_Hz
+        )
         return Local(A, B, output, u, p["dead_time_s"] - lead, np.array(rows))
 
     @cached_property
     def suggested_horizon_s(self) -> float:
-        """Most of a period of the plant, but long enough to hold many samples."""
+        """Most of a period of the plant, with enough samples."""
         rate = max(m.sampling_Hz for m in self.measurements)
         longest = LONGEST_share * min(m.duration_s for m in self.measurements)
         wanted = float(HORIZON / self.values["rate_rad_s"])
@@ -199,7 +187,7 @@ class DiagnosedLinear(DiagnosedModel):
     def _travelling_s(self, shortest_s: float, longest_s: float) -> float:
         """Time in which a tenth of the input's rms moves the output well past its noise.
 
-        Of the travel the start explains all but a twelfth, as a parabola's.
+        Of the travel, a parabola, the initial state explains all but 1/12.
         """
         model, n = self._linear, self.kinds.order
         stepped = np.zeros((n + 1, n + 1))
@@ -217,8 +205,8 @@ class DiagnosedLinear(DiagnosedModel):
         known = {**self.values, **self._starts, **values}
         plant = self.model
         rate = plant.controller.sampling_Hz
-        # A controller holds its command: what leads there can only be less dead time.
-        lead_s = MEAN_LEAD * known.get("input_slope", self._slope)
+        # A controller holds its command: a lead is less dead time there.
+        lead_s = MEAN_LEAD_samples * known.get("input_slope", self._slope)
         lead_s /= self.measurements[0].sampling_Hz
         model = linear_model(
             transfer_function(self.kinds, {k: known[k] for k in self.kinds.own}),
@@ -233,19 +221,13 @@ class DiagnosedLinear(DiagnosedModel):
             dead_time_s=model.dead_time_s,
             sample_s=1.0 / rate,
         )
-        read = self.reading_unit
-        calibration = replace(
-            self.calibration,
-            gauge_offset_N=known.get("output_offset", self.calibration.gauge_offset_N * read)
-            / read,
-            torque_offset_Nm=known.get(
-                "input_offset", self.calibration.torque_offset_Nm * plant.torque_unit
-            )
-            / plant.torque_unit,
+        own, read, torque = self.calibration, self.reading_unit, plant.torque_unit
+        built = self.all_effects(
+            values,
+            effects,
+            gauge_offset_N=known.get("output_offset", own.gauge_offset_N * read) / read,
+            torque_offset_Nm=known.get("input_offset", own.torque_offset_Nm * torque) / torque,
         )
-        built = self.built(values, effects)
-        if calibration != Calibration.neutral():
-            built = (*built, calibration)
         return replace(plant, model=model, sampled=sampled, effects=built)
 
 

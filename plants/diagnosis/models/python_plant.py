@@ -1,4 +1,4 @@
-"""A Python function held against measurements: gain of its input and offset of its output."""
+"""A Python function compared with records: gain of its input and offset of its output."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 
 from plants.diagnosis.data.measured_record import MeasuredRecord
-from plants.diagnosis.models.calibration import Calibration
 from plants.diagnosis.models.diagnosed_model import (
     CALIBRATION,
     DiagnosedModel,
@@ -15,7 +14,7 @@ from plants.diagnosis.models.diagnosed_model import (
     either_way,
     positive,
 )
-from plants.diagnosis.models.signal_scales import signal_scale, units
+from plants.diagnosis.models.signal_scales import plant_scale, units
 from plants.effects import Effect, RecordScale
 from plants.models.linear_signal_path import READINGS_PER_ANGLE
 from plants.models.python_plant import PythonPlant
@@ -23,7 +22,7 @@ from plants.models.symbolic_plant import TracedStructure, trace
 
 
 class DiagnosedFunction(DiagnosedModel):
-    """A `PythonPlant`. Nothing tells its state, so that its records are run through freely."""
+    """A `PythonPlant`. Its state is not observable: predictions are free runs."""
 
     model: PythonPlant
     placed_by = None
@@ -41,29 +40,19 @@ class DiagnosedFunction(DiagnosedModel):
         self.reading_unit = model.angle_unit / READINGS_PER_ANGLE
 
     def unavailable(self, effect: type[Effect]) -> str | None:
-        """Only input and output can be reached from outside."""
+        """Only input and output are accessible."""
         return self.model.unavailable(effect)
 
     def structure(self, effects: tuple[type[Effect], ...]) -> TracedStructure:
         """The function with these effects."""
         return self.model.traced(effects)
 
-    def numbers(self, measurement: MeasuredRecord) -> dict[str, float]:
-        """The plant's own numbers at the record's rate."""
-        return {**self.model.own_numbers, "sampling_Hz": measurement.sampling_Hz}
-
     def local(self, measurement: MeasuredRecord) -> Local:
         """Unknown: the state is the function's own."""
         raise NotImplementedError(f"nothing places a function in {measurement.name}")
 
     def _sizes(self) -> RecordScale:
-        p = self.model
-        currents = [self.command_N(m) / p.torque_unit for m in self.measurements]
-        angles = [
-            np.empty(0) if m.tension_N is None else m.tension_N / p.angle_unit
-            for m in self.measurements
-        ]
-        return signal_scale(currents, 1.0, angles, [m.sampling_Hz for m in self.measurements])
+        return plant_scale(self, self.model.torque_unit, self.model.angle_unit)
 
     def _calibrations(self) -> list[Slot]:
         start = self.calibration.gauge_offset_N * self.reading_unit
@@ -88,12 +77,10 @@ class DiagnosedFunction(DiagnosedModel):
         """The function with these values; a `Calibration` holds gain and offset."""
         known = {**self._starts, **values}
         own, read = self.calibration, self.reading_unit
-        calibration = replace(
-            own,
+        built = self.all_effects(
+            values,
+            effects,
             torque_gain=known.get("input_gain", own.torque_gain),
             gauge_offset_N=known.get("output_offset", own.gauge_offset_N * read) / read,
         )
-        built = self.built(values, effects)
-        if calibration != Calibration.neutral():
-            built = (*built, calibration)
         return replace(self.model, effects=built)

@@ -4,7 +4,6 @@ import copy
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -36,14 +35,13 @@ from plants.models.reel_equations import (
 HORIZON = 5.0
 """A prediction's length times the natural frequency of drum and cable: most of a period."""
 LENGTHS_DIFFER = 0.05
-"""Spread of the cable lengths, relative to their mean, from which they tell two things apart."""
+"""Spread of the cable lengths, relative to their mean, that identifies parameters by length."""
 OFTEN = 0.1
-"""Share of the samples with a slack cable from which on the torque's offset is told from the
-gauge's by more than a few windows."""
+"""Share of samples with a slack cable that identifies the torque's offset beside the gauge's."""
 SAGS = 1e-3
-"""Error of the linear law, relative to the preload, from which sag is reckoned with in full."""
+"""Error of the linear law, relative to the preload, above which sag is modelled in full."""
 MOST_RATE = 2.0
-"""Allowed growth of the fastest rate in a fit; the matrix exponential stays exact up to it."""
+"""Greatest growth of the fastest rate in a fit that keeps the matrix exponential exact."""
 
 
 class DiagnosedReel(DiagnosedModel):
@@ -61,7 +59,7 @@ class DiagnosedReel(DiagnosedModel):
         super().__init__(model, measurements)
 
     def alternatives(self) -> tuple["DiagnosedModel", ...]:
-        """The linear law, and the same with sag in full where the records could tell."""
+        """The linear law, and the law with full sag where the records can distinguish them."""
         if isinstance(self.calibration, SaggingCalibration) or not self._may_sag:
             return (self,)
         sagging = copy.copy(self)
@@ -70,7 +68,7 @@ class DiagnosedReel(DiagnosedModel):
 
     @property
     def _may_sag(self) -> bool:
-        """Whether the cable's own weight bends the linear law by what the records show.
+        """Whether the cable's own weight bends the linear law within the range of the records.
 
         The linear law has the sag's slope at the preload; further down it differs by
         Q (1/T^2 - 1/T_0^2) - 2 Q (T_0 - T)/T_0^3 in tension, with Q = k w^2 L^3/24.
@@ -87,7 +85,7 @@ class DiagnosedReel(DiagnosedModel):
 
     @property
     def is_often_slack(self) -> bool:
-        """Whether the cable hangs slack so often that the torque shows without the tension.
+        """Whether the cable is slack so often that the torque shows without the tension.
 
         Slack is where the sag gives more than the stretch: T < (2 Q)^(1/3).
         """
@@ -116,7 +114,7 @@ class DiagnosedReel(DiagnosedModel):
         return measurement.cable_length_m or self.model.cable_length_m
 
     def preload(self, measurement: MeasuredRecord) -> float:
-        """The record's preload, or where it says none the mean tension."""
+        """The record's preload, or else its mean tension."""
         tension = measurement.tension_N
         for found in (measurement.preload_N, None if tension is None else float(tension.mean())):
             if found is not None and math.isfinite(found) and found > 0.0:
@@ -232,11 +230,11 @@ class DiagnosedReel(DiagnosedModel):
         return slots
 
     def slots(self, added: Sequence[type[Effect]]) -> list[Slot]:
-        """As of any model; the torque's offset where something tells it from the gauge's."""
+        """The free parameters; with the torque's offset where it is identifiable."""
         found = super().slots(added)
         laws = (type(self.calibration), *(type(effect) for effect in self.effects), *added)
-        told = self.is_often_slack or any(law.by_tension for law in laws)
-        if not self.has_gauge or not told:
+        identifiable = self.is_often_slack or any(law.by_tension for law in laws)
+        if not self.has_gauge or not identifiable:
             return found
         given = self.calibration.torque_offset_Nm
         free = either_way(
@@ -286,9 +284,9 @@ class DiagnosedReel(DiagnosedModel):
         return stiffness * self.model.drum_radius_m
 
     def local(self, measurement: MeasuredRecord) -> Local:
-        """Angle and velocity under what current and tension leave of the torque.
+        """Angle and velocity under motor torque less cable torque.
 
-        What friction takes besides is the constant. Without gauge or encoder all of the torque is.
+        Friction is the constant; without gauge or encoder, so is all of the torque.
         """
         A, C = np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([1.0, 0.0])
         tension = measurement.tension_N
@@ -297,7 +295,7 @@ class DiagnosedReel(DiagnosedModel):
         r, rate = self._at(measurement), measurement.sampling_Hz
         gain = self._starts.get("torque_gain", self.calibration.torque_gain)
         drive = shifted(self.command_N(measurement), r.dead_time_s * rate)
-        # The tension is a curve through its samples; it reads late by the gauge's own lag.
+        # The tension is a curve through its samples, delayed by the gauge.
         lag_s = r.gauge_damping / (math.pi * r.gauge_Hz)
         pull = shifted(np.nan_to_num(tension), -0.5 - lag_s * rate)
         torque = r.drum_radius_m * (gain * drive - pull)
@@ -319,13 +317,8 @@ class DiagnosedReel(DiagnosedModel):
         """The reel with these values; a `Calibration` holds gain and offset."""
         known = {**self._starts, **values}
         own = {k: v for k, v in known.items() if k in ReelStructure.OWN}
-        calibration = replace(
-            self.calibration,
-            **{k: v for k, v in known.items() if k in Calibration.parameters()},
-        )
-        built: tuple[Any, ...] = self.built(values, effects)
-        if calibration != Calibration.neutral():
-            built = (*built, calibration)
+        calibration = {k: v for k, v in known.items() if k in Calibration.parameters()}
+        built = self.all_effects(values, effects, **calibration)
         return replace(self.model, effects=built, **own)
 
 

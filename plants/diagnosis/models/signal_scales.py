@@ -1,7 +1,8 @@
-"""How large the signals of some records are, so that a search begins at their size."""
+"""Scale of the signals of some records: initial values of a fit have their size."""
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -38,6 +39,15 @@ def signal_scale(
         current_max_A=_max(currents),
         current_rate_A_s=max(steps, default=0.0),
     )
+
+
+def plant_scale(plant: Any, torque_unit: float, angle_unit: float) -> RecordScale:
+    """Scale of the records of a `DiagnosedModel` with input and output alone."""
+    measurements = plant.measurements
+    currents = [plant.command_N(m) / torque_unit for m in measurements]
+    outputs = [m.tension_N for m in measurements]
+    angles = [np.empty(0) if y is None else y / angle_unit for y in outputs]
+    return signal_scale(currents, 1.0, angles, [m.sampling_Hz for m in measurements])
 
 
 def _velocity(angle: FloatArray, rate_Hz: float) -> FloatArray:

@@ -1,4 +1,4 @@
-"""An unloaded reel, or any servo or stage, held against measurements."""
+"""An unloaded reel, or any servo or stage, compared with records."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -29,10 +29,9 @@ from plants.models.unloaded_reel import UnloadedReel
 
 LEAST_SQUARINGS = 4
 MOST_RATE = 100.0
-"""Allowed growth of friction over inertia in a fit; up to it the exponential stays exact."""
+"""Greatest growth of friction over inertia in a fit that keeps the matrix exponential exact."""
 SHOWS = 30.0
-"""A torque of a tenth of the rms moves the drum by so many times the encoder's noise within the
-horizon."""
+"""Travel within the horizon due to a tenth of the torque's rms, in times the encoder's noise."""
 SHORTEST_samples, LONGEST_share = 24, 0.2
 
 
@@ -70,10 +69,6 @@ class DiagnosedDrum(DiagnosedModel):
             Drum(), effects, fractional=True, squarings=max(LEAST_SQUARINGS, needed), rounded=False
         )
 
-    def numbers(self, measurement: MeasuredRecord) -> dict[str, float]:
-        """The drum's own numbers at the record's rate."""
-        return {**self.model.own_numbers, "sampling_Hz": measurement.sampling_Hz}
-
     def _sizes(self) -> RecordScale:
         currents = [m.command_A(self.newtons_per_ampere) for m in self.measurements]
         angles = [np.empty(0) if m.angle_rad is None else m.angle_rad for m in self.measurements]
@@ -82,7 +77,7 @@ class DiagnosedDrum(DiagnosedModel):
 
     def _calibrations(self) -> list[Slot]:
         p, c = self.model, self.calibration
-        # Friction that takes all of the torque at the velocities there are.
+        # Friction that would take all of the torque at the recorded velocities.
         most = self.sizes.torque_max_Nm / max(self.sizes.velocity_rms_rad_s, 1e-300)
         most = max(most if math.isfinite(most) else 0.0, 20.0 * p.viscous_friction_Nms)
         friction = Free(
@@ -107,10 +102,9 @@ class DiagnosedDrum(DiagnosedModel):
         ]
 
     def slots(self, added: Sequence[type[Effect]]) -> list[Slot]:
-        """As of any model; each record's zero of the encoder where there is a wave over the angle.
+        """The free parameters; with a wave over the angle, each record's zero of the encoder.
 
-        An encoder that counts steps begins to count wherever the drum stands when it is switched
-        on, so that the wave has another phase in each record.
+        An incremental encoder starts at any angle: the wave has another phase in each record.
         """
         found = super().slots(added)
         own = (type(effect) for effect in self.effects)
@@ -125,7 +119,7 @@ class DiagnosedDrum(DiagnosedModel):
         return found
 
     def local(self, measurement: MeasuredRecord) -> Local:
-        """Angle and velocity under a torque that is held constant."""
+        """Angle and velocity under a constant torque."""
         del measurement
         A = np.array([[0.0, 1.0], [0.0, 0.0]])
         return Local(A, np.array([0.0, 1.0]), np.array([1.0, 0.0]), None, 0.0, np.eye(2))
@@ -134,7 +128,7 @@ class DiagnosedDrum(DiagnosedModel):
     def suggested_horizon_s(self) -> float:
         """Time in which a tenth of the torque's rms moves the drum well past the encoder's step.
 
-        A torque tau moves it by tau t^2/(2 J), of which the start explains all but a twelfth.
+        A torque tau moves it by tau t^2/(2 J), of which the initial state explains all but 1/12.
         """
         steps = [step_of(m.angle_rad) for m in self.measurements if m.angle_rad is not None]
         step = max(steps) or 2.0 * math.pi / self.model.encoder_counts
@@ -151,10 +145,6 @@ class DiagnosedDrum(DiagnosedModel):
         """The drum with these values; a `Calibration` holds the torque's offset."""
         known = {**self._starts, **values}
         own = {k: v for k, v in known.items() if k in self.model.own_numbers}
-        calibration = replace(
-            self.calibration, **{k: v for k, v in known.items() if k in Calibration.parameters()}
-        )
-        built = self.built(values, effects)
-        if calibration != Calibration.neutral():
-            built = (*built, calibration)
+        calibration = {k: v for k, v in known.items() if k in Calibration.parameters()}
+        built = self.all_effects(values, effects, **calibration)
         return replace(self.model, effects=built, **own)
