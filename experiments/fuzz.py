@@ -19,6 +19,7 @@ from estune.errors import EstuneError
 from estune.remote import messages
 from estune.remote.ledger import MemoryLedger
 from estune.remote.messages import Answer, Description, Inquire, Status, digest
+from estune.remote.messages.codec import Message
 from estune.remote.messages.commands import Cancel, Clear, Lease, Submit, Void
 from estune.remote.zenoh.request_handler import RequestHandler
 from estune.trial import RigDescription, TrialRecord, TrialRequest, empty_record, record_frame
@@ -47,7 +48,7 @@ EXTREMES = (
     *("9223372036854775808", "1" * 400, "true", "null", '"1"', "[]", "{}", "-1", "0.5"),
 )
 
-Message = tuple[str, bytes]
+Sent = tuple[str, bytes]
 """Destination and bytes: a verb, `result/<trial id>`, or `decode/<kind>`."""
 
 
@@ -94,7 +95,7 @@ PROFILES: tuple[AnyProfile, ...] = (
 )
 
 
-def seeds() -> list[Message]:
+def seeds() -> list[Sent]:
     """Valid messages of every kind but `submit`."""
     whole = record_frame.encode(RECORD)
     commands = COMMANDS | {
@@ -114,7 +115,7 @@ def seeds() -> list[Message]:
     ]
 
 
-def mutated(random: Random, data: bytes, others: list[Message]) -> bytes:
+def mutated(random: Random, data: bytes, others: list[Sent]) -> bytes:
     """The bytes with one to four changes."""
     for _ in range(random.randint(1, 4)):
         at, to = sorted((random.randint(0, len(data)), random.randint(0, len(data))))
@@ -221,10 +222,12 @@ class Fuzz:
         self.counts[f"{verb}, {'refused' if refused else 'understood'}"] += 1
 
     def _decode(self, what: str, original: bytes, data: bytes) -> None:
-        kinds = {"Answer": Answer, "Status": Status, "Description": Description}
+        kinds: dict[str, type[Message]] = {
+            kind.__name__: kind for kind in (Answer, Status, Description)
+        }
         try:
             if what in kinds:
-                message: object = messages.decode(kinds[what], data)
+                message = messages.decode(kinds[what], data)
                 if messages.decode(kinds[what], messages.encode(message)) != message:
                     self.faults.append(f"{what} {data!r} changes when it is sent on")
             elif what == "live":

@@ -124,7 +124,7 @@ def test_rig_killed_during_a_trial_raises_that_it_may_have_run():
         threading.Timer(0.2, server.process.kill).start()
         with pytest.raises(RigError, match=r"is gone.* trial run-00000 may have run.* resume"):
             client.run(trial())
-        with pytest.raises(RigError, match=r"is gone.* start it again"):
+        with pytest.raises(RigError, match=r"is gone.* restart it"):
             client.describe()
 
 

@@ -42,7 +42,7 @@ CREATE TABLE trial (
 CREATE TABLE frame (sequence INTEGER PRIMARY KEY, data BLOB NOT NULL);
 """,
 )
-_KIND = FileKind("a ledger", _VERSIONS, "restart the rig")
+LEDGER = FileKind("a ledger", _VERSIONS, "restart the rig")
 
 _log = logging.getLogger(__name__)
 
@@ -207,9 +207,9 @@ class FileLedger:
         self._unwritten: dict[str, LedgerEntry] = {}
         with _as_rig_error(), ExitStack() as opened:
             self._file = opened.enter_context(
-                SqliteFile.open_writer(path, _KIND, prepare=lambda file: _prepare(file, rig))
+                SqliteFile.open_writer(path, LEDGER, prepare=lambda file: _prepare(file, rig))
             )
-            self._reader = opened.enter_context(SqliteFile.open_reader(path, _KIND))
+            self._reader = opened.enter_context(SqliteFile.open_reader(path, LEDGER))
             facts = dict(self._file.rows("SELECT key, value FROM rig"))
             self._frame_bytes = self._count()
             self._opened = opened.pop_all()

@@ -1,12 +1,11 @@
-"""Does the link keep its promises while everything around it fails?
+"""Chaos test of the link, the daemon and the emergency stop.
 
-`python -m experiments.chaos` runs tunings in a client process of their own on a rig process of its
-own, and meanwhile cuts and stalls the wires between them, kills and freezes both, sends commands
-twice, late and out of order, starts second rigs and second clients, floods the rig and fills its
-disk and the client's. What is promised is then counted from the rig's own log of its motions, from
-its ledger and from the client's journal. The same faults meet a plain get that is asked again
-where no answer came. A daemon that tunes again and again is killed, frozen, stopped, cut off and
-denied its disk; which gains were ever live is counted from the rig's log. Then clients are killed
-and frozen in the middle of trials on the emulated hardware, and the time is taken until the reel
-is safe.
+`python -m experiments.chaos` runs tunings in a client process on a rig process. Meanwhile it cuts
+and stalls the connections between them, kills and freezes both, sends commands twice, late and out
+of order, starts second rigs and second clients, floods the rig and fills its disk and the
+client's. Violations are counted from the rig's own log of its motions, from its ledger and from
+the client's journal. For comparison, the same faults meet a client that repeats a plain get until
+a reply arrives. A daemon that tunes repeatedly is killed, frozen, stopped, disconnected and denied
+its disk; the gains that were ever live are counted from the rig's log. Finally clients are killed
+and frozen during trials on the emulated hardware, and the time until the reel is safe is measured.
 """

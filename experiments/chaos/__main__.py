@@ -16,49 +16,38 @@ from experiments.chaos import __doc__ as about
 from experiments.chaos import deadman, faults, supervised, verdict
 from experiments.chaos.campaign import Campaign
 from experiments.chaos.stand import Stand
-from experiments.judged import Target, at_most, command_line, tell
+from experiments.results import Target, at_most, command_line, print_results
 
 PARTS = ("estune", "plain", "daemon", "hardware", "stops")
 SEARCH_TRIALS = 120
 BESIDE_SEARCH = 9
+PAUSES_TRIALS = (0, 1, 1, 2, 4)
 NONE = (
     *("run_twice", "overlapping", "unattended", "wrong_rig", "wrong_records", "lost_records"),
     *("gains_left", "other_proposals", "unfinished", "stuck", "twins_served", "unnamed_errors"),
     "dead_man_not_restored",
 )
-"""What must not happen at all."""
+"""Counts that must be zero."""
 
 WORDS = {
     "faults": "faults",
-    "trials": "trials told to the tuner",
-    "motions": "trials begun on a rig",
-    "run_twice": "trials begun more than once",
-    "most_often": "  the worst of them so many times",
-    "overlapping": "trials begun before the one before had ended",
-    "unattended": "trials begun with no client alive (lease + 100 ms)",
-    "wrong_rig": "trials begun on a rig that only bears the name",
-    "wrong_records": "records that are not what the rig measures",
-    "lost_records": "trials the ledger and the client do not agree on",
-    "gains_left": "times other gains than its own were left on the rig",
-    "interrupted": "trials cut short, and told to be",
-    "other_proposals": "proposals other than those of an undisturbed run",
-    "unfinished": "tunings that came to another end",
-    "stuck": "times nothing went on though nothing was wrong",
-    "twins_served": "second processes let on to the rig's ledger",
-    "unnamed_errors": "clients that ended with an error nobody named",
+    **verdict.WORDS,
+    "stuck": "times no trial ran without a fault",
+    "twins_served": "second processes admitted to the rig's ledger",
+    "unnamed_errors": "clients that ended with an undocumented error",
 }
 
 
 class Extent(NamedTuple):
-    """How much is done.
+    """Extent of the test.
 
     Attributes:
         faults: Faults.
-        trials: Trials, at least.
-        pace: Seconds a second of a trial takes.
-        plain_share: The plain client gets one in so many of both.
-        daemon_faults: Faults that befall a daemon.
-        losses: How often a client is lost in a trial on the emulated hardware, by each signal.
+        trials: Least number of trials.
+        pace: Real time per time of a trial.
+        plain_share: Divisor of both for the plain client.
+        daemon_faults: Faults of the daemon.
+        losses: Clients lost on the emulated hardware, by each signal.
         stops: Emergency stops.
     """
 
@@ -74,20 +63,20 @@ class Extent(NamedTuple):
 QUICK = Extent(faults=9, trials=30, pace=0.05, plain_share=3, daemon_faults=4, losses=1, stops=50)
 
 
-def conduct(
-    extent: Extent, seed: int, folder: Path, *, plain: bool, say: Callable[[str], None]
+def run_campaign(
+    extent: Extent, seed: int, folder: Path, *, plain: bool, report: Callable[[str], None]
 ) -> dict[str, Any]:
-    """One campaign, and all there is to say of it."""
+    """Figures of one campaign."""
     share = extent.plain_share if plain else 1
     trials = extent.trials // share
     search = min(SEARCH_TRIALS, max(trials - BESIDE_SEARCH, 10))
-    schedule = faults.schedule(extent.faults // share, seed)
+    schedule = faults.schedule(list(faults.Kind), PAUSES_TRIALS, extent.faults // share, seed)
     with Stand(folder, plain=plain, pace=extent.pace) as stand:
         campaign = Campaign(stand, schedule, search, seed)
-        campaign.run(-(-trials // (search + BESIDE_SEARCH)), say)
+        campaign.run(-(-trials // (search + BESIDE_SEARCH)), report)
     diary = campaign.diary
     for text in diary.unnamed:
-        say(text)
+        report(text)
     return {
         "faults": sum(diary.faults.values()),
         "faults_by_kind": dict(sorted(diary.faults.items())),
@@ -95,26 +84,25 @@ def conduct(
         "stuck": diary.stuck,
         "twins_served": diary.twins,
         "unnamed_errors": len(diary.unnamed),
-        **verdict.figures(verdict.judge(stand, diary)),
+        **verdict.count_violations(stand, diary),
     }
 
 
-def lost_clients(times: int, folder: Path) -> dict[str, Any]:
-    """How soon the emulated hardware is safe when its client is gone."""
-    found: dict[str, Any] = {"dead_man_not_restored": 0}
+def lose_clients(times: int, folder: Path) -> dict[str, Any]:
+    """Figures of the emulated hardware without its client."""
+    figures: dict[str, Any] = {"dead_man_not_restored": 0}
     for name, number in (("killed", signal.SIGKILL), ("frozen", signal.SIGSTOP)):
         escapes = deadman.escapes(folder, number, times)
-        found[f"client_{name}_restored_max_s"] = max(e.restored_s for e in escapes)
-        found[f"client_{name}_restored_median_s"] = statistics.median(
-            e.restored_s for e in escapes
-        )
-        found[f"client_{name}_left_max_s"] = max(e.left_s for e in escapes)
-        found["dead_man_not_restored"] += sum(not e.restored for e in escapes)
-    return found
+        restored = [escape.restored_s for escape in escapes]
+        figures[f"client_{name}_restored_max_s"] = max(restored)
+        figures[f"client_{name}_restored_median_s"] = statistics.median(restored)
+        figures[f"client_{name}_left_max_s"] = max(e.left_s for e in escapes)
+        figures["dead_man_not_restored"] += sum(not e.restored for e in escapes)
+    return figures
 
 
-def emergency_stops(turns: int, folder: Path) -> dict[str, float]:
-    """How soon an emergency stop is answered while others pull records as fast as they can."""
+def stop_under_load(turns: int, folder: Path) -> dict[str, float]:
+    """Reply time of an emergency stop while other clients query records at full rate."""
     watch = benchmark_link.Stopwatch()
     with (
         benchmark_link.started("--serve", "--folder", str(folder)) as (endpoint, *_),
@@ -126,13 +114,13 @@ def emergency_stops(turns: int, folder: Path) -> dict[str, float]:
 
 
 def targets_of(figures: dict[str, Any]) -> dict[str, Target]:
-    """What has to be reached."""
+    """The targets."""
     limits: dict[str, float] = dict.fromkeys(NONE, 0)
     limits |= {name: deadman.LIMIT_S for name in figures if name.endswith("_restored_max_s")}
     limits["stop_p99_ms"] = benchmark_link.STOP_LIMIT_MS
-    found = {name: at_most(figures[name], limit) for name, limit in limits.items()}
+    targets = {name: at_most(figures[name], limit) for name, limit in limits.items()}
     daemon = {f"daemon_{name}": at_most(figures["daemon"][name], 0) for name in supervised.NONE}
-    return found | daemon
+    return targets | daemon
 
 
 def show(figures: dict[str, Any], seconds: float) -> None:
@@ -141,25 +129,25 @@ def show(figures: dict[str, Any], seconds: float) -> None:
     print(f"{'':56}{'estune':>10}{'plain':>10}")
     for name, words in WORDS.items():
         print(f"{words:56}{ours[name]:10}{theirs[name]:10}")
-    print("\nfaults, each in both columns' share:")
+    print("\nfaults:")
     _show_kinds(ours)
     codes = ", ".join(f"{n} with {code}" for code, n in ours["client_exits"].items())
-    print(f"clients that ended: {codes}; {seconds:.0f} s in all")
-    print("\na daemon that tunes, again and again:")
+    print(f"clients by exit code: {codes}; {seconds:.0f} s in total")
+    print("\ndaemon that tunes repeatedly:")
     for name, words in supervised.WORDS.items():
         print(f"{words:68}{figures['daemon'][name]:10}")
     _show_kinds(figures["daemon"])
-    print("\nclient lost in a trial on the emulated hardware: until its own gains are live again,")
-    print("until the reel has left the level of the trial")
+    print("\nclient lost during a trial on the emulated hardware: time until its own gains are")
+    print("live again, and until the reel has left the level of the trial")
     for name in ("killed", "frozen"):
-        middle, worst, left = (
+        median, worst, left = (
             figures[f"client_{name}_{what}_s"]
             for what in ("restored_median", "restored_max", "left_max")
         )
-        print(f"  {name}: {middle:.3f} s (at most {worst:.3f}), at most {left:.3f} s")
+        print(f"  {name}: median {median:.3f} s (at most {worst:.3f}), at most {left:.3f} s")
+    median, slow = figures["stop_median_ms"], figures["stop_p99_ms"]
     print(
-        f"\nemergency stop under full record load: {figures['stop_median_ms']:.2f} ms, slowest "
-        f"hundredth {figures['stop_p99_ms']:.2f} ms"
+        f"\nemergency stop under record load: median {median:.2f} ms, 99th centile {slow:.2f} ms"
     )
 
 
@@ -174,13 +162,13 @@ def main() -> int:
     parser.add_argument("--faults", type=int, default=500)
     parser.add_argument("--trials", type=int, default=1000)
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--keep", type=Path, help="where to leave logs, ledgers and journals")
+    parser.add_argument("--keep", type=Path, help="folder for logs, ledgers and journals")
     arguments = parser.parse_args()
     extent = QUICK
     if not arguments.quick:
         extent = Extent(arguments.faults, arguments.trials, 0.2, 4, 140, 20, 2000)
 
-    def say(text: str) -> None:
+    def report(text: str) -> None:
         print(text, file=sys.stderr, flush=True)
 
     began_s = time.monotonic()
@@ -192,16 +180,16 @@ def main() -> int:
         for part in parts.values():
             part.mkdir(parents=True)
         seed = arguments.seed
-        figures = conduct(extent, seed, parts["estune"], plain=False, say=say)
-        figures["plain"] = conduct(extent, seed, parts["plain"], plain=True, say=say)
-        figures["daemon"] = supervised.conduct(
+        figures = run_campaign(extent, seed, parts["estune"], plain=False, report=report)
+        figures["plain"] = run_campaign(extent, seed, parts["plain"], plain=True, report=report)
+        figures["daemon"] = supervised.run_campaign(
             extent.daemon_faults, seed, QUICK.pace, parts["daemon"]
         )
-        figures |= lost_clients(extent.losses, parts["hardware"])
-        figures |= emergency_stops(extent.stops, parts["stops"])
+        figures |= lose_clients(extent.losses, parts["hardware"])
+        figures |= stop_under_load(extent.stops, parts["stops"])
     if not arguments.json:
         show(figures, time.monotonic() - began_s)
-    return tell(figures, targets_of(figures), as_json=arguments.json)
+    return print_results(figures, targets_of(figures), as_json=arguments.json)
 
 
 if __name__ == "__main__":

@@ -1,9 +1,9 @@
-"""How soon is a reel safe when the client that moves it is gone?
+"""Time until a reel is safe after the loss of its client.
 
 The emulated hardware runs in its own process and in wall-clock time, its real-time loop in a
-second, the rig's server in a third, and a client in a fourth has one long trial run, with gains
-that are not the reel's own. In the middle of it the client is killed or frozen. Timed is until the
-rig has ended the trial and runs its own gains again, by its log; and, seen from outside, until the
+second, the rig's server in a third. A client in a fourth runs one long trial, with gains other
+than the reel's own. During the trial the client is killed or frozen. Measured is the time until
+the rig has ended the trial and runs its own gains again, by its log; and, from outside, until the
 tension of the reel itself has left the level of the trial.
 
     python -m experiments.chaos.deadman rig|client ...
@@ -29,24 +29,24 @@ from experiments.chaos.faults import LEASE_S
 from experiments.chaos.motions import Log, LoggedRig, Motion
 from experiments.chaos.processes import end, ready, started
 from plants.emulator import RIG_FILE, EmulatedDriver
-from plants.emulator.driver import started as emulated
+from plants.emulator.driver import emulated_hardware
 
 LIMIT_S = LEASE_S + 0.1
 LONG_S = 8.0
 STEP_N = 10.0
 LEFT_N = 1.0
-"""The reel has left the level of the trial once its tension has fallen by so much."""
+"""Fall of the tension by which the reel has left the level of the trial."""
 
 _WITHIN_S = 30.0
 
 
 class Escape(NamedTuple):
-    """How one client was lost.
+    """Loss of one client.
 
     Attributes:
-        restored_s: Until the rig had ended the trial and ran its own gains again.
-        left_s: Until the reel's own tension had left the level of the trial.
-        restored: Whether the gains that were live then are the rig's own.
+        restored_s: Time until the rig had ended the trial and ran its own gains again.
+        left_s: Time until the reel's own tension had left the level of the trial.
+        restored: Whether the live gains were then the rig's own.
     """
 
     restored_s: float
@@ -55,7 +55,7 @@ class Escape(NamedTuple):
 
 
 def configuration(address: str) -> RigConfig:
-    """The emulated rig at an address, with a long trial; lateness on a busy machine is no stop."""
+    """The emulated rig with a long trial; lateness on a busy machine does not stop it."""
     tables = tomllib.loads(RIG_FILE.read_text(encoding="utf-8"))
     tables["driver"]["settings"] = {"address": address}
     tables["guard"] |= {"late_in_a_row": 1_000_000, "gap_s": 10.0}
@@ -65,7 +65,7 @@ def configuration(address: str) -> RigConfig:
 
 
 def serve(endpoint: str, address: str, ledger: str) -> None:
-    """Serves the hardware rig, and logs what it does."""
+    """Serves the hardware rig, and logs its motions."""
     with HardwareRig(configuration(address)) as hardware:
         rig = LoggedRig(hardware)
         with zenoh.serve(rig, endpoint, ledger=Path(ledger)) as server:
@@ -73,8 +73,8 @@ def serve(endpoint: str, address: str, ledger: str) -> None:
             server.wait()
 
 
-def ask(endpoint: str, run: str) -> None:
-    """Has one long trial run, with gains that are not the rig's own."""
+def run_trial(endpoint: str, run: str) -> None:
+    """Runs one long trial, with gains other than the rig's own."""
     with zenoh.connect(endpoint) as rig:
         about = rig.describe()
         gains = replace(about.gains, P=1.2 * about.gains.P)
@@ -93,11 +93,11 @@ def _process(folder: Path, *arguments: str) -> Iterator[subprocess.Popen[bytes]]
 
 
 def escapes(folder: Path, number: int, times: int) -> list[Escape]:
-    """Loses so many clients by a signal, in the middle of a trial each."""
+    """Loses a number of clients by a signal, each during a trial."""
     endpoint, log = with_port("tcp/127.0.0.1:0"), Log()
     found = []
     with (
-        emulated({"electronics": {"watchdog_s": 1.0}}) as address,
+        emulated_hardware({"electronics": {"watchdog_s": 1.0}}) as address,
         EmulatedDriver(address) as driver,
         _process(folder, "rig", endpoint, address, str(folder / f"ledger{number}")) as rig,
     ):
@@ -109,18 +109,18 @@ def escapes(folder: Path, number: int, times: int) -> list[Escape]:
             name = f"signal{number}run{n}"
             with _process(folder, "client", endpoint, name) as client:
                 begun = _await(log, "begin", name)
-                level_N = begun_at_level(driver)
-                time.sleep(0.2 * n / max(times - 1, 1))  # all over the time between two renewals
+                level_N = await_level(driver)
+                time.sleep(0.2 * n / max(times - 1, 1))  # spread over the renewal interval
                 lost_s = time.monotonic()
                 client.send_signal(number)
-                left_s = until_left(driver, level_N - LEFT_N) - lost_s
+                left_s = time_below(driver, level_N - LEFT_N) - lost_s
                 ended = _await(log, "end", name)
                 found.append(Escape(ended.at_s - lost_s, left_s, ended.live == begun.live))
         end(rig, signal.SIGINT)
     return found
 
 
-def begun_at_level(driver: EmulatedDriver) -> float:
+def await_level(driver: EmulatedDriver) -> float:
     """Waits until the reel has followed the step; its tension then, N."""
     reached_N = 15.0 + 0.95 * STEP_N
     until_s = time.monotonic() + _WITHIN_S
@@ -132,10 +132,10 @@ def begun_at_level(driver: EmulatedDriver) -> float:
     return float(driver.truth().tension_N)
 
 
-def until_left(driver: EmulatedDriver, below_N: float) -> float:
-    """When the reel's own tension has fallen below a level, monotonic time."""
+def time_below(driver: EmulatedDriver, level_N: float) -> float:
+    """Monotonic time at which the reel's own tension has fallen below a level, s."""
     until_s = time.monotonic() + _WITHIN_S
-    while driver.truth().tension_N > below_N:
+    while driver.truth().tension_N > level_N:
         if time.monotonic() > until_s:
             return float("inf")
         time.sleep(0.001)
@@ -143,15 +143,15 @@ def until_left(driver: EmulatedDriver, below_N: float) -> float:
 
 
 def _await(log: Log, what: str, trial_id: str) -> Motion:
-    def sought(motions: tuple[Motion, ...]) -> list[Motion]:
+    def matching(motions: tuple[Motion, ...]) -> list[Motion]:
         return [m for m in motions if m.what == what and m.trial_id.startswith(trial_id)]
 
-    if not log.wait(lambda motions: bool(sought(motions)), _WITHIN_S):
-        sys.exit(f"the rig has not said {what!r} of {trial_id!r} within {_WITHIN_S:g} s")
-    return sought(log.motions())[0]
+    if not log.wait(lambda motions: bool(matching(motions)), _WITHIN_S):
+        sys.exit(f"the rig has not logged {what!r} of {trial_id!r} within {_WITHIN_S:g} s")
+    return matching(log.motions())[0]
 
 
 if __name__ == "__main__":
     ready()
     with contextlib.suppress(KeyboardInterrupt):
-        (serve if sys.argv[1] == "rig" else ask)(*sys.argv[2:])
+        (serve if sys.argv[1] == "rig" else run_trial)(*sys.argv[2:])

@@ -1,10 +1,10 @@
-"""The faults: what goes wrong, for how long, and how it is brought about."""
+"""Faults of a chaos test: kinds, durations, schedule, and the ones that last."""
 
 import contextlib
 import resource
 import signal
 import subprocess
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from enum import StrEnum
 from random import Random
 from typing import NamedTuple
@@ -12,20 +12,20 @@ from typing import NamedTuple
 from experiments.chaos.wire import Way, Wire
 
 LEASE_S = 1.0
-"""The lease of the link; a fault that lasts longer costs the client its right to command."""
+"""Lease of the link; a longer fault costs the client its lease."""
 
 DURATIONS_S = (0.3, 1.3, 2.8)
-"""Shorter than the lease, longer, and longer than Zenoh's own patience with a silent peer."""
+"""Shorter than the lease, longer, and longer than Zenoh's own timeout for a silent peer."""
 
 DISK_FULL_BYTES = 8192
-"""A process for whom the disk is full can write so far into a file and no further."""
+"""File size limit of a process whose disk is full."""
 
 
 class Kind(StrEnum):
-    """What can go wrong."""
+    """Kind of a fault of the link."""
 
     CUT = "connections cut"
-    LOSE = "an answer lost with its connection"
+    LOSE = "a reply lost with its connection"
     HANG = "the network hangs"
     HANG_THERE = "nothing reaches the rig"
     HANG_BACK = "nothing comes back"
@@ -34,14 +34,14 @@ class Kind(StrEnum):
     STOP_CLIENT = "client frozen"
     STOP_RIG = "rig frozen"
     CTRL_C = "client stopped by Ctrl-C"
-    RESTART = "rig restarted in good order"
+    RESTART = "rig restarted properly"
     DOUBLE = "a submit delivered twice"
     LATE = "a submit delivered late"
     AGAIN = "old commands delivered again, in any order"
     NAMESAKE = "a second rig of the same name"
     TWIN = "a second process on the rig's ledger"
     RIVAL = "a second client gives commands"
-    SLOW = "a slow consumer floods the rig with questions"
+    SLOW = "a slow consumer floods the rig with queries"
     RIG_DISK = "the rig's disk is full"
     CLIENT_DISK = "the client's disk is full"
 
@@ -50,31 +50,33 @@ class Fault(NamedTuple):
     """One fault.
 
     Attributes:
-        kind: What goes wrong.
-        lasts_s: For how long, where that has a meaning.
-        after_trials: After how many more trials.
-        delay_s: And how long after the last of them.
+        kind: Its kind.
+        lasts_s: Its duration, where applicable.
+        after_trials: Number of trials before it.
+        delay_s: Delay after the last of them.
     """
 
-    kind: Kind
+    kind: StrEnum
     lasts_s: float
     after_trials: int
     delay_s: float
 
 
-def schedule(count: int, seed: int) -> list[Fault]:
-    """So many faults, each kind as often as any other, in an order drawn at random."""
+def schedule(
+    kinds: Sequence[StrEnum], pauses_trials: Sequence[int], count: int, seed: int
+) -> list[Fault]:
+    """A number of faults, each kind equally often, in random order."""
     random = Random(seed)  # noqa: S311  for faults, not for secrets
-    kinds = [kind for n in range(count // len(Kind) + 1) for kind in Kind]
-    random.shuffle(kinds)
+    order = [kind for _ in range(-(-count // len(kinds))) for kind in kinds]
+    random.shuffle(order)
     return [
         Fault(
             kind,
             random.choice(DURATIONS_S),
-            random.choice((0, 1, 1, 2, 4)),
+            random.choice(pauses_trials),
             random.uniform(0.0, 0.1),
         )
-        for kind in kinds[:count]
+        for kind in order[:count]
     ]
 
 
@@ -102,7 +104,7 @@ def frozen(process: subprocess.Popen[bytes]) -> Iterator[None]:
 
 @contextlib.contextmanager
 def disk_full(process: subprocess.Popen[bytes]) -> Iterator[None]:
-    """Whatever a process writes to a file fails, but for the first few bytes of it."""
+    """Writes of a process to a file fail beyond its first bytes."""
     limit = resource.RLIMIT_FSIZE
     with contextlib.suppress(ProcessLookupError):
         _, hard = resource.prlimit(process.pid, limit)

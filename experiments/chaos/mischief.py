@@ -1,4 +1,4 @@
-"""What a network does to messages: delivers them twice, late, and in another order."""
+"""Disturbance of messages: delivered twice, late, and in another order."""
 
 import sys
 import threading
@@ -10,7 +10,7 @@ from typing import NamedTuple
 import zenoh
 
 from estune.remote.zenoh.zenoh_session import close_session, open_session
-from experiments.chaos.processes import heard
+from experiments.chaos.processes import read_command
 
 REMEMBERED = 40
 LATE_S = 0.05, 2.5
@@ -18,18 +18,18 @@ _TIMEOUT_S = 1.0
 
 
 class Message(NamedTuple):
-    """A command on its way."""
+    """A command in transit."""
 
     key: str
     payload: bytes
 
 
 class Mischief:
-    """Meddles with the commands of one client, as it is told line by line on standard input.
+    """Disturbs the commands of one client, as ordered by words on standard input.
 
     `double`: the next submit is delivered twice at once. `late`: it is held back, so that its
-    sender hears nothing, and delivered after all some time later. `again`: some of the last
-    commands are delivered once more, in any order.
+    sender has no reply, and delivered some time later. `again`: some of the last commands are
+    delivered once more, in any order.
     """
 
     def __init__(self, endpoint: str, seed: int) -> None:
@@ -40,25 +40,20 @@ class Mischief:
         self._closed = threading.Event()
         self._threads: list[threading.Thread] = []
         self._past: deque[Message] = deque(maxlen=REMEMBERED)
-        self._wanted: deque[str] = deque()
+        self._orders: deque[str] = deque()
         threading.Thread(target=self._listen, daemon=True).start()
 
     def is_held_back(self, message: Message, *, submit: bool) -> bool:
-        """Whether a message about to be sent does not leave now.
-
-        Args:
-            message: The message.
-            submit: Whether it asks for a trial.
-        """
+        """Whether a message is held back; `submit` is whether it submits a trial."""
         self._past.append(message)
-        if not submit or not self._wanted:
+        if not submit or not self._orders:
             return False
-        late = self._wanted.popleft() == "late"
+        late = self._orders.popleft() == "late"
         self._deliver(message, self._random.uniform(*LATE_S) if late else 0.0)
         return late
 
     def close(self) -> None:
-        """Delivers nothing more.
+        """Ends all deliveries.
 
         Leaves no thread inside Zenoh: the end of the interpreter under it would be an abort.
         """
@@ -70,13 +65,13 @@ class Mischief:
 
     def _listen(self) -> None:
         while True:
-            for what in heard().split():
-                if what == "again":
+            for order in read_command().split():
+                if order == "again":
                     past = list(self._past)
                     for message in self._random.sample(past, min(len(past), 5)):
                         self._deliver(message, self._random.uniform(0.0, 0.5))
                 else:
-                    self._wanted.append(what)
+                    self._orders.append(order)
 
     def _deliver(self, message: Message, after_s: float) -> None:
         def deliver() -> None:
@@ -97,14 +92,13 @@ class Mischief:
         thread.start()
 
 
-def meddle(ask: Callable[..., bytes | None], mischief: Mischief) -> Callable[..., bytes | None]:
-    """`RigConnection.ask`, with the mischief between it and the network."""
+def disturbed(ask: Callable[..., bytes | None], mischief: Mischief) -> Callable[..., bytes | None]:
+    """`RigConnection.ask` with the mischief between it and the network."""
 
-    def meddled(self: object, key: str, payload: bytes, **options: object) -> bytes | None:
-        command = "/@cmd/" in key
+    def disturbed_ask(self: object, key: str, payload: bytes, **options: object) -> bytes | None:
         message, submit = Message(key, payload), key.endswith("/submit")
-        if command and mischief.is_held_back(message, submit=submit):
+        if "/@cmd/" in key and mischief.is_held_back(message, submit=submit):
             return None
         return ask(self, key, payload, **options)
 
-    return meddled
+    return disturbed_ask

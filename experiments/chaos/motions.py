@@ -1,7 +1,7 @@
-"""A rig's own log of what it did: written as it happens, read by who wants to count.
+"""A rig's log of its motions: written as they happen, read by the verdict.
 
-Each line is one JSON object on standard output, a pipe that no full disk reaches and that outlives
-the process that wrote to it.
+Each line is one JSON object on standard output, a pipe that is independent of full disks and
+outlives the process that wrote to it.
 """
 
 import json
@@ -16,129 +16,115 @@ from typing import IO, Any, Literal, NamedTuple
 from estune.core.gains import Gains
 from estune.trial import Rig, RigDescription, Telemetry, TelemetrySource, TrialRecord, TrialRequest
 
-What = Literal["boot", "begin", "end", "apply"]
+Kind = Literal["boot", "begin", "end", "apply"]
 
 
 class Motion(NamedTuple):
     """One line of the log.
 
     Attributes:
-        at_s: When, on the clock all processes share (`time.monotonic`).
-        rig: The process that says so.
-        what: `boot`: ready to be asked; `begin` and `end` of a trial; `apply` of gains.
+        at_s: Time on the clock that all processes share (`time.monotonic`).
+        rig: Process id of the rig.
+        what: `boot`: ready for queries; `begin` and `end` of a trial; `apply` of gains.
         trial_id: The trial, if any.
-        live: The gains that are live after it.
+        live: The live gains after it.
     """
 
     at_s: float
     rig: int
-    what: What
+    what: Kind
     trial_id: str
     live: tuple[float, ...]
 
 
-def say(what: What, trial_id: str, live: Gains) -> None:
+def write(what: Kind, trial_id: str, live: Gains) -> None:
     """Writes a line of the log; returns once it would survive the process."""
     line = json.dumps((time.monotonic(), os.getpid(), what, trial_id, live.as_tuple()))
     os.write(sys.stdout.fileno(), f"{line}\n".encode())
 
 
 class Log:
-    """The lines of all rigs, in the order they were read. Any thread may look."""
+    """The lines of all rigs, in the order of reading. Any thread may call."""
 
     def __init__(self) -> None:
         self._motions: list[Motion] = []
-        self._news = threading.Condition()
+        self._changed = threading.Condition()
 
-    def follow(self, stream: IO[bytes]) -> threading.Thread:
+    def follow(self, stream: IO[bytes]) -> None:
         """Reads a rig's log by a thread, until the rig ends."""
-        thread = threading.Thread(target=self._read, args=(stream,), daemon=True)
-        thread.start()
-        return thread
+        threading.Thread(target=self._read, args=(stream,), daemon=True).start()
 
     def motions(self) -> tuple[Motion, ...]:
-        """All there is so far."""
-        with self._news:
+        """All lines so far."""
+        with self._changed:
             return tuple(self._motions)
 
-    def count(self, what: What) -> int:
-        """How many there are of a kind."""
+    def count(self, what: Kind) -> int:
+        """Number of lines of a kind."""
         return sum(motion.what == what for motion in self.motions())
 
-    def wait(self, enough: Callable[[tuple[Motion, ...]], bool], timeout_s: float) -> bool:
-        """Waits until the log holds enough; whether it came to that."""
-        with self._news:
-            return self._news.wait_for(lambda: enough(tuple(self._motions)), timeout_s)
+    def wait(self, condition: Callable[[tuple[Motion, ...]], bool], timeout_s: float) -> bool:
+        """Waits for a condition on the lines; returns whether it holds."""
+        with self._changed:
+            return self._changed.wait_for(lambda: condition(tuple(self._motions)), timeout_s)
 
     def _read(self, stream: IO[bytes]) -> None:
         with stream:
             for line in stream:
                 at_s, rig, what, trial_id, live = json.loads(line)
-                with self._news:
+                with self._changed:
                     self._motions.append(Motion(at_s, rig, what, trial_id, tuple(live)))
-                    self._news.notify_all()
+                    self._changed.notify_all()
 
 
 class LoggedRig:
     """Any rig, with a log of its motions; implements `estune.trial.Rig`.
 
-    It never tells a trial that it ran from one that it did not: whatever it is asked to run, it
-    runs and logs. A simulated one is passed off as one that moves, and takes the gains of a trial
-    for its live ones while it lasts, as a machine does.
+    It has no memory of trials: it runs and logs every request. A simulated rig appears as one that
+    moves, and shows the gains of a trial as its live ones during it, as a machine does.
     """
 
     def __init__(self, rig: Rig) -> None:
         self._rig = rig
         self._live = rig.describe().gains
         self._runs = 0
+        self.estop, self.clear, self.close = rig.estop, rig.clear, rig.close
 
     def boot(self) -> None:
         """Logs that it is ready."""
-        say("boot", "", self._live)
+        write("boot", "", self._live)
 
     def describe(self) -> RigDescription:
-        """What the rig is, with the gains that are live on it at this moment."""
+        """Properties of the rig, with the gains that are live at this moment."""
         return replace(self._rig.describe(), gains=self._live, simulated=False)
 
     def run(self, request: TrialRequest) -> TrialRecord:
         """Runs a trial, whether or not it has run before."""
         before, self._runs = self._live, self._runs + 1
-        say("begin", request.trial_id, before)
+        write("begin", request.trial_id, before)
         self._live = request.gains
         try:
             record = self._rig.run(replace(request, run=f"motion{self._runs}"))
         finally:
             self._live = before
-            say("end", request.trial_id, self._live)
+            write("end", request.trial_id, self._live)
         return replace(record, trial_id=request.trial_id)
 
     def apply(self, gains: Gains) -> None:
-        """Makes gains the live ones."""
+        """Sets the live gains."""
         self._rig.apply(gains)
         self._live = gains
-        say("apply", "", gains)
+        write("apply", "", gains)
 
     def abort(self) -> RigDescription:
-        """Stops the trial under way."""
+        """Stops the active trial."""
         self._rig.abort()
         return self.describe()
 
-    def estop(self, reason: str) -> None:
-        """Brings the rig to its safe state."""
-        self._rig.estop(reason)
-
-    def clear(self) -> None:
-        """Ends an emergency stop."""
-        self._rig.clear()
-
     def telemetry(self, after: int) -> Telemetry | None:
-        """The samples of the trial under way, if the rig shows any."""
+        """Samples of the active trial, if the rig provides them."""
         rig: Any = self._rig
-        shown: Telemetry | None = (
+        samples: Telemetry | None = (
             rig.telemetry(after) if isinstance(rig, TelemetrySource) else None
         )
-        return shown
-
-    def close(self) -> None:
-        """Lets go of the rig."""
-        self._rig.close()
+        return samples

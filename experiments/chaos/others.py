@@ -1,4 +1,4 @@
-"""Whoever else is on the network: a router, a second client, a slow consumer.
+"""Further processes on the network: a router, a second client, a slow consumer.
 
 python -m experiments.chaos.others router|rival|rival-plainly|slow ENDPOINT [NAME]
 """
@@ -20,11 +20,11 @@ from experiments.chaos.processes import ready
 from experiments.chaos.rig import PLAIN_KEY
 
 GENTLE = Gains(0.2, 6.0, 0.005, 0.05)
-QUESTIONS = 300
+QUERIES = 300
 
 
 def router(endpoint: str) -> None:
-    """Passes everything on, until killed."""
+    """Routes until killed."""
     closed = {"multicast": {"enabled": False}, "gossip": {"enabled": False}}
     config = {
         "mode": "router",
@@ -38,29 +38,29 @@ def router(endpoint: str) -> None:
 
 
 def rival(endpoint: str, name: str) -> None:
-    """Has a trial of its own run, if it is let."""
+    """Submits a trial of its own."""
     with connect(endpoint) as rig:
         print(rig.run(TrialRequest(name, 0, GENTLE, rig.describe().step)).outcome, flush=True)
 
 
 def rival_plainly(endpoint: str, name: str) -> None:
-    """The same by a plain get."""
-    asked = {"run": name, "number": 0, "gains": GENTLE.as_tuple()}
+    """Requests a trial of its own by a plain get."""
+    fields = {"run": name, "number": 0, "gains": GENTLE.as_tuple()}
     with open_session("client", connect=(endpoint,), message_max_bytes=2**24) as session:
-        list(session.get(PLAIN_KEY, payload=json.dumps(asked).encode(), timeout=2.0))
+        list(session.get(PLAIN_KEY, payload=json.dumps(fields).encode(), timeout=2.0))
 
 
 def slow(endpoint: str) -> None:
-    """Asks for more than it takes in, until killed."""
+    """Queries more than it receives, until killed."""
     keys = messages.Keys("reel")
     with open_session("client", connect=(endpoint,), message_max_bytes=2**24) as session:
-        looking = [
+        subscribers = [
             session.declare_subscriber(key, zenoh.handlers.FifoChannel(1))
             for key in (keys.status, keys.telemetry("*"))
         ]
         print("asking", flush=True)
-        while looking:
-            waiting = [session.get(keys.describe, timeout=2.0) for _ in range(QUESTIONS)]
+        while subscribers:
+            waiting = [session.get(keys.describe, timeout=2.0) for _ in range(QUERIES)]
             next(iter(waiting[-1]), None)
 
 

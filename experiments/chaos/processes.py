@@ -1,4 +1,4 @@
-"""The processes of this experiment: how they are started and ended."""
+"""Start and end of the processes of this experiment."""
 
 import contextlib
 import os
@@ -13,9 +13,10 @@ NO_THREADS = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 
 
 def started(module: str, *arguments: str, errors: Path, **options: Any) -> subprocess.Popen[bytes]:
-    """A process of this experiment; what it says of errors is added to a file.
+    """A process of this experiment, its standard error appended to a file.
 
-    By way of this process: what it says must reach the file even where its own disk is full.
+    This process does the writing: the text must reach the file even if the disk of the other is
+    full.
     """
     process = subprocess.Popen(  # noqa: S603  our own interpreter and module
         [sys.executable, "-m", f"experiments.chaos.{module}", *arguments],
@@ -26,11 +27,11 @@ def started(module: str, *arguments: str, errors: Path, **options: Any) -> subpr
         **options,
     )
     if process.stderr is not None:
-        threading.Thread(target=_keep, args=(process.stderr, errors), daemon=True).start()
+        threading.Thread(target=_append, args=(process.stderr, errors), daemon=True).start()
     return process
 
 
-def _keep(stream: IO[bytes], path: Path) -> None:
+def _append(stream: IO[bytes], path: Path) -> None:
     with stream, path.open("ab") as file:
         for line in stream:
             file.write(line)
@@ -38,7 +39,7 @@ def _keep(stream: IO[bytes], path: Path) -> None:
 
 
 def end(process: subprocess.Popen[bytes], number: int = signal.SIGKILL) -> int:
-    """Ends a process by a signal, and waits for it; killed where it does not obey."""
+    """Ends a process by a signal; kills it after 20 s. Returns its exit code."""
     if process.poll() is None:
         process.send_signal(number)
         killer = threading.Timer(20.0, process.kill)
@@ -52,21 +53,21 @@ def end(process: subprocess.Popen[bytes], number: int = signal.SIGKILL) -> int:
 
 
 def ready() -> None:
-    """Called first by a process: Ctrl-C reaches it, and it ends when its parent has ended."""
+    """Lets Ctrl-C reach this process, and ends it when its parent has ended; called first."""
     # Shells let what they start in the background ignore it.
     signal.signal(signal.SIGINT, signal.default_int_handler)
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
 
-def heard() -> str:
-    """What the parent says next; the process ends here when the parent has ended."""
+def read_command() -> str:
+    """Next words of the parent; the process ends here when the parent has ended."""
     # Unbuffered: a thread inside a buffered reader would abort the interpreter at its end.
-    said = os.read(sys.stdin.fileno(), 4096)
-    if not said:
+    text = os.read(sys.stdin.fileno(), 4096)
+    if not text:
         os._exit(1)
-    return said.decode()
+    return text.decode()
 
 
 def _end_with_parent() -> None:
     while True:
-        heard()
+        read_command()

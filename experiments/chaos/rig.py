@@ -2,8 +2,8 @@
 
     python -m experiments.chaos.rig NAME ENDPOINT LEDGER PACE [ROUTER]
 
-It logs its motions on standard output. With `plain` for a ledger it is served by nothing but a
-Zenoh queryable that runs what it is asked to run: what is usually written first.
+It logs its motions on standard output. With `plain` for a ledger, it is served by a plain Zenoh
+queryable that runs every request in its callback.
 """
 
 import json
@@ -27,16 +27,9 @@ PLAIN = "plain"
 PLAIN_KEY = "plain/trial"
 
 
-def simulated(name: str, pace: float) -> LoggedRig:
+def reference_rig(name: str, pace: float = 0.0) -> plants.SimulatedRig:
     """The reel whose noise depends on the number of a trial alone."""
-    return LoggedRig(plants.reference_reel().rig(name=name, seed=SEED, pace=pace))
-
-
-def serve_until_told(rig: LoggedRig, endpoint: str, ledger: Path, routers: list[str]) -> None:
-    """Serves it as `estune serve` and `estune serve-hardware` do, until it is told to end."""
-    with serve(rig, endpoint, ledger=ledger, routers=routers) as server:
-        rig.boot()
-        server.wait()
+    return plants.reference_reel().rig(name=name, seed=SEED, pace=pace)
 
 
 def serve_plainly(rig: LoggedRig, endpoint: str, routers: list[str]) -> None:
@@ -44,9 +37,10 @@ def serve_plainly(rig: LoggedRig, endpoint: str, routers: list[str]) -> None:
 
     def answer(query: zenoh.Query) -> None:
         with query:
-            asked = json.loads(bytes(query.payload or b""))
+            fields = json.loads(bytes(query.payload or b""))
             step = rig.describe().step
-            request = TrialRequest(asked["run"], asked["number"], Gains(*asked["gains"]), step)
+            gains = Gains(*fields["gains"])
+            request = TrialRequest(fields["run"], fields["number"], gains, step)
             query.reply(PLAIN_KEY, record_frame.encode(rig.run(request)))
 
     with open_session(
@@ -60,28 +54,20 @@ def serve_plainly(rig: LoggedRig, endpoint: str, routers: list[str]) -> None:
 def main(name: str, endpoint: str, ledger: str, pace: str, *routers: str) -> int:
     """Serves until stopped; returns the exit code."""
     ready()
-    rig = simulated(name, float(pace))
+    rig = LoggedRig(reference_rig(name, float(pace)))
     try:
         if ledger == PLAIN:
             serve_plainly(rig, endpoint, list(routers))
         else:
-            serve_until_told(rig, endpoint, Path(ledger), list(routers))
+            with serve(rig, endpoint, ledger=Path(ledger), routers=routers) as server:
+                rig.boot()
+                server.wait()
     except KeyboardInterrupt:
         return 0
     except EstuneError as error:
         print(error, file=sys.stderr)
         return error.exit_code
     return 0
-
-
-def truth(name: str) -> plants.SimulatedRig:
-    """The same reel without any log, link or pace: what each record ought to be."""
-    return plants.reference_reel().rig(name=name, seed=SEED)
-
-
-def as_served(rig: plants.SimulatedRig) -> LoggedRig:
-    """Says of itself what the rig that is served says."""
-    return LoggedRig(rig)
 
 
 if __name__ == "__main__":

@@ -1,9 +1,8 @@
-"""The test stand: a rig process, the wires to it, and whoever else is on the network."""
+"""The test stand: a rig process, the wires to it, and further processes on the network."""
 
 import contextlib
 import subprocess
 import sys
-import threading
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Self
@@ -20,33 +19,35 @@ BOOT_WITHIN_S = 60.0
 
 
 class Stand:
-    """Keeps a rig up. A context manager.
+    """Keeps a rig running. A context manager.
 
     Attributes:
-        log: What the rigs did, namesakes and twins included.
-        near: The wire from a client straight to the rig.
-        hub: The wire from a client to a router.
-        back: The wire from the rig to the router.
-        direct: Where the rig listens.
-        namesakes: Processes of rigs that only bear the name.
+        log: Motions of all rigs, namesakes and twins included.
+        near: Wire from a client to the rig.
+        hub: Wire from a client to a router.
+        back: Wire from the rig to the router.
+        direct: Endpoint of the rig.
+        ledger: The rig's ledger file.
+        namesakes: Process ids of further rigs of the same name.
     """
 
     def __init__(self, folder: Path, *, plain: bool, pace: float) -> None:
         self.folder = folder
         self.plain = plain
-        self._pace = pace
+        self.ledger = folder / "rig.ledger"
         self.log = Log()
         self.namesakes: set[int] = set()
         self.direct, self._router_at = (with_port("tcp/127.0.0.1:0") for _ in range(2))
-        self._ledger = PLAIN if plain else str(folder / "rig.ledger")
+        self._pace = pace
         self._opened = contextlib.ExitStack()
-        self.near = self._opened.enter_context(Wire(self.direct))
-        self.hub = self._opened.enter_context(Wire(self._router_at))
-        self.back = self._opened.enter_context(Wire(self._router_at))
+        self.near, self.hub, self.back = (
+            self._opened.enter_context(Wire(target))
+            for target in (self.direct, self._router_at, self._router_at)
+        )
         router = self._opened.enter_context(self.other("router", self._router_at))
         if not router.stdout or not router.stdout.readline():
             sys.exit("the router does not start")
-        self.rig = self.boot(self.direct, self._ledger, self.back.endpoint)
+        self.rig = self._boot(self.direct, self.ledger, self.back.endpoint)
 
     def __enter__(self) -> Self:
         return self
@@ -57,75 +58,48 @@ class Stand:
 
     @property
     def wires(self) -> list[Wire]:
-        """All of them."""
+        """All wires."""
         return [self.near, self.hub, self.back]
 
-    def rival(self, name: str) -> contextlib.AbstractContextManager[object]:
-        """A second client that asks for a trial of that name."""
-        who = "rival-plainly" if self.plain else "rival"
-        return self.other(who, self.direct, name)
-
-    @property
-    def ledger(self) -> Path:
-        """The file in which the rig notes its trials."""
-        return self.folder / "rig.ledger"
-
     def restart(self) -> None:
-        """Starts the rig again, which has ended."""
+        """Ends the rig, if it runs, and starts it again."""
         end(self.rig)
-        self.rig = self.boot(self.direct, self._ledger, self.back.endpoint)
-
-    def boot(self, endpoint: str, ledger: str, router: str) -> subprocess.Popen[bytes]:
-        """A rig process, once it can be asked."""
-        rig = self.begin(endpoint, ledger, router)
-        if not self.wait_for(rig):
-            said = (self.folder / "rig.err").read_text(encoding="utf-8")[-2000:]
-            sys.exit(f"the rig does not start (exit code {rig.poll()}): {said}")
-        return rig
-
-    def begin(self, endpoint: str, ledger: str, router: str) -> subprocess.Popen[bytes]:
-        """A rig process that has just been started."""
-        rig = started(
-            "rig", NAME, endpoint, ledger, str(self._pace), router, errors=self.folder / "rig.err"
-        )
-        if rig.stdout:
-            self.log.follow(rig.stdout)
-        return rig
-
-    def wait_for(self, rig: subprocess.Popen[bytes]) -> bool:
-        """Waits until a rig can be asked; whether it came to that before it ended."""
-        ended = threading.Event()
-
-        def booted(motions: Any) -> bool:
-            ended.set() if rig.poll() is not None else None
-            return ended.is_set() or any(m.rig == rig.pid for m in motions)
-
-        for _ in range(int(BOOT_WITHIN_S / 0.1)):
-            if self.log.wait(booted, 0.1):
-                break
-        return any(motion.rig == rig.pid for motion in self.log.motions())
+        self.rig = self._boot(self.direct, self.ledger, self.back.endpoint)
 
     @contextlib.contextmanager
     def namesake(self) -> Iterator[None]:
-        """A second rig of the same name, known to the router."""
-        ledger = PLAIN if self.plain else str(self.folder / "namesake.ledger")
-        rig = self.boot(with_port("tcp/127.0.0.1:0"), ledger, self._router_at)
+        """A second rig of the same name, connected to the router."""
+        ledger = self.folder / "namesake.ledger"
+        rig = self._boot(with_port("tcp/127.0.0.1:0"), ledger, self._router_at)
         self.namesakes.add(rig.pid)
         try:
             yield
         finally:
             end(rig)
 
-    def twin_is_kept_out(self) -> bool:
-        """Whether a second process on the rig's own ledger is turned away."""
-        twin = self.begin(with_port("tcp/127.0.0.1:0"), self._ledger, self._router_at)
-        served = self.wait_for(twin)
+    def is_twin_refused(self) -> bool:
+        """Whether a second process on the rig's own ledger is refused."""
+        twin = self._start(with_port("tcp/127.0.0.1:0"), self.ledger, self._router_at)
+        served = self._wait_for(twin)
         end(twin)
         return not served
 
+    def rival(self, name: str) -> contextlib.AbstractContextManager[object]:
+        """A second client that submits a trial of that name."""
+        return self.other("rival-plainly" if self.plain else "rival", self.direct, name)
+
+    @contextlib.contextmanager
+    def slow(self) -> Iterator[None]:
+        """A consumer that queries more than it receives, and is then frozen."""
+        with self.other("slow", self.direct) as process:
+            if not process.stdout or not process.stdout.readline():
+                sys.exit("the slow consumer does not start")
+            with frozen(process):
+                yield
+
     @contextlib.contextmanager
     def other(self, what: str, *arguments: str) -> Iterator[subprocess.Popen[bytes]]:
-        """Somebody else on the network."""
+        """A further process on the network."""
         process = started("others", what, *arguments, errors=self.folder / "others.err")
         try:
             yield process
@@ -134,11 +108,29 @@ class Stand:
             if process.stdout:
                 process.stdout.close()
 
-    @contextlib.contextmanager
-    def slow(self) -> Iterator[None]:
-        """Somebody who asks for more than they take in, and who then does not take in anything."""
-        with self.other("slow", self.direct) as process:
-            if not process.stdout or not process.stdout.readline():
-                sys.exit("the slow consumer does not start")
-            with frozen(process):
-                yield
+    def _boot(self, endpoint: str, ledger: Path, router: str) -> subprocess.Popen[bytes]:
+        """A rig process that answers queries."""
+        rig = self._start(endpoint, ledger, router)
+        if not self._wait_for(rig):
+            errors = (self.folder / "rig.err").read_text(encoding="utf-8")[-2000:]
+            sys.exit(f"the rig does not start (exit code {rig.poll()}): {errors}")
+        return rig
+
+    def _start(self, endpoint: str, ledger: Path, router: str) -> subprocess.Popen[bytes]:
+        book = PLAIN if self.plain else str(ledger)
+        errors = self.folder / "rig.err"
+        rig = started("rig", NAME, endpoint, book, str(self._pace), router, errors=errors)
+        if rig.stdout:
+            self.log.follow(rig.stdout)
+        return rig
+
+    def _wait_for(self, rig: subprocess.Popen[bytes]) -> bool:
+        """Waits until a rig answers queries; returns whether it does."""
+
+        def booted(motions: Any) -> bool:
+            return any(motion.rig == rig.pid for motion in motions)
+
+        for _ in range(int(BOOT_WITHIN_S / 0.1)):
+            if self.log.wait(booted, 0.1) or rig.poll() is not None:
+                break
+        return booted(self.log.motions())

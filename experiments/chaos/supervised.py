@@ -1,8 +1,8 @@
-"""The daemon between faults: killed, frozen, stopped, cut off from its rig, its disk full.
+"""The daemon under faults: killed, frozen, stopped, disconnected from its rig, its disk full.
 
-A daemon process (`estune daemon`) tunes the stand's rig over a wire, again and again: what it
-finds is accepted or rejected, checked for a while, and reverted. What is promised is counted from
-the rig's own log, from the daemon's store and from its journals.
+A daemon process (`estune daemon`) tunes the stand's rig over a wire, repeatedly: its candidates
+are accepted or rejected, checked for a while, and reverted. Violations are counted from the rig's
+own log, from the daemon's store and from its journals.
 """
 
 import contextlib
@@ -12,12 +12,12 @@ import subprocess
 import sys
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
 from random import Random
-from typing import Any, NamedTuple
+from typing import Any
 
 from estune.core.gains import GAIN_NAMES, Gains
 from estune.daemon.store import RUNS, DaemonStore
@@ -29,29 +29,30 @@ from estune.remote.zenoh.zenoh_session import with_port
 from estune.run import loop
 from estune.run.journal import Journal
 from estune.run.plan import description_from_json, plan_from_json
-from experiments.chaos.faults import DURATIONS_S, disk_full, frozen, stalled
+from experiments.chaos.faults import Fault, disk_full, frozen, schedule, stalled
 from experiments.chaos.processes import NO_THREADS, end
-from experiments.chaos.rig import truth
+from experiments.chaos.rig import reference_rig
 from experiments.chaos.stand import NAME, Stand
 
 STUCK_S = 60.0
 CHECKS = 4
+PAUSES_TRIALS = (0, 1, 3, 8, 20)
 NONE = (*("run_twice", "other_gains", "other_proposals", "stuck", "died", "not_home"),)
-"""What must not happen at all."""
+"""Counts that must be zero."""
 
 WORDS = {
     "faults": "faults",
-    "trials": "trials told to the daemon",
-    "motions": "trials begun on the rig",
-    "tunings": "tunings begun",
+    "trials": "trials reported to the daemon",
+    "motions": "trials started on the rig",
+    "tunings": "tunings started",
     "accepted": "gains accepted",
-    "interrupted": "trials cut short, and told to be",
-    "run_twice": "trials begun more than once",
+    "interrupted": "trials interrupted, and reported as such",
+    "run_twice": "trials started more than once",
     "other_gains": "times gains were live that were neither the rig's own nor accepted",
-    "other_proposals": "proposals other than those of an undisturbed run",
-    "stuck": "times nothing went on though nothing was wrong",
+    "other_proposals": "proposals that differ from the undisturbed run",
+    "stuck": "times no trial ran without a fault",
     "died": "times the daemon ended by itself",
-    "not_home": "ends in good order without the home gains on the rig",
+    "not_home": "proper ends without the nominal gains on the rig",
 }
 
 CONFIG = """
@@ -71,36 +72,27 @@ watch = {{every_s = 0.05, baseline_checks = 3, rest_s = 0.0}}
 """
 
 
-class Blow(StrEnum):
-    """What can befall a daemon."""
+class Kind(StrEnum):
+    """Kind of a fault of the daemon."""
 
     KILL = "daemon killed"
     FREEZE = "daemon frozen"
-    END = "daemon stopped in good order"
+    END = "daemon stopped properly"
     CUT = "connections cut"
     HANG = "the network hangs"
     DISK = "the daemon's disk is full"
     RIG = "rig killed"
 
 
-class Fault(NamedTuple):
-    """One of them, for how long, after how many more trials, and how long after the last."""
-
-    blow: Blow
-    lasts_s: float
-    after_trials: int
-    delay_s: float
-
-
 @dataclass
-class Told:
-    """What came of it while it lasted.
+class Diary:
+    """Course of a campaign.
 
     Attributes:
-        faults: How many of each kind.
-        stuck: How often nothing went on though nothing was wrong.
-        died: How often the daemon ended by itself.
-        not_home: How often it ended in good order with other gains live than the home ones.
+        faults: Number of faults of each kind.
+        stuck: Number of times no trial ran without a fault.
+        died: Number of times the daemon ended by itself.
+        not_home: Number of proper ends with other live gains than the nominal ones.
     """
 
     faults: Counter[str] = field(default_factory=Counter)
@@ -109,28 +101,14 @@ class Told:
     not_home: int = 0
 
 
-def schedule(count: int, seed: int) -> list[Fault]:
-    """So many faults, each kind as often as any other, in an order drawn at random."""
-    random = Random(seed)  # noqa: S311  for faults, not for secrets
-    blows = [blow for _ in range(-(-count // len(Blow))) for blow in Blow]
-    random.shuffle(blows)
-    return [
-        Fault(
-            *(blow, random.choice(DURATIONS_S)),
-            *(random.choice((0, 1, 3, 8, 20)), random.uniform(0.0, 0.1)),
-        )
-        for blow in blows[:count]
-    ]
-
-
-class Supervised:
-    """A daemon on a stand, started again whenever it has ended."""
+class SupervisedStand:
+    """A daemon on a stand, restarted whenever it has ended."""
 
     def __init__(self, stand: Stand, seed: int) -> None:
-        self.told = Told()
+        self.diary = Diary()
         self.state = stand.folder / "estune-state"
         self._stand = stand
-        self._random = Random(seed)  # noqa: S311  for verdicts, not for secrets
+        self._random = Random(seed)  # noqa: S311  for decisions, not for secrets
         self._endpoint = with_port("tcp/127.0.0.1:0")
         self._file = stand.folder / "daemon.toml"
         target = stand.near.endpoint
@@ -148,34 +126,33 @@ class Supervised:
                 env=os.environ | NO_THREADS,
             )
 
-    def go_on(self, trials: int) -> None:
-        """Lets it do so many more trials, deciding whatever there is to decide."""
+    def await_trials(self, count: int) -> None:
+        """Waits for a number of trials, and answers the daemon's requests meanwhile."""
         log = self._stand.log
         seen, seen_s = log.count("end"), time.monotonic()
-        enough = seen + trials
+        enough = seen + count
         while (now := log.count("end")) < enough or self._process.poll() is not None:
             if self._process.poll() is not None:
-                self.told.died += 1
+                self.diary.died += 1
                 self._process = self._started()
             if now != seen:
                 seen, seen_s = now, time.monotonic()
             elif time.monotonic() - seen_s > STUCK_S:
-                self.told.stuck += 1
+                self.diary.stuck += 1
                 return
-            # Not to be reached just now, or the disk is full: asked again.
+            # Unreachable just now, or the disk is full: tried again.
             with contextlib.suppress(EstuneError):
                 self._decide()
             time.sleep(0.02)
 
     def _decide(self) -> None:
         with DaemonClient(self._endpoint, timeout_s=1.0) as client:
-            status = client.status(NAME)
-            verb = self._verb(status)
+            verb = self._verb(client.status(NAME))
             if verb:
                 client.command(NAME, verb, "chaos")
 
     def _verb(self, status: DaemonStatus) -> Any:
-        """What somebody would say to it now, who wants it to tune again and again."""
+        """Command of an operator who wants the daemon to tune repeatedly."""
         match status.mode:
             case SupervisorMode.PAUSED:
                 return "resume"
@@ -186,56 +163,56 @@ class Supervised:
                 return "revert"
         return ""
 
-    def suffer(self, fault: Fault) -> None:
-        """Has a fault befall it."""
-        self.told.faults[fault.blow] += 1
+    def cause(self, fault: Fault) -> None:
+        """Causes a fault."""
+        self.diary.faults[fault.kind] += 1
         process, wires = self._process, [self._stand.near]
-        match fault.blow:
-            case Blow.KILL:
+        match fault.kind:
+            case Kind.KILL:
                 end(process, signal.SIGKILL)
                 time.sleep(fault.lasts_s)
                 self._process = self._started()
-            case Blow.END:
+            case Kind.END:
                 self.stop()
                 self._process = self._started()
-            case Blow.CUT:
+            case Kind.CUT:
                 wires[0].cut()
-            case Blow.RIG:
+            case Kind.RIG:
                 end(self._stand.rig, signal.SIGKILL)
                 time.sleep(fault.lasts_s)
                 self._stand.restart()
-            case Blow.FREEZE | Blow.HANG | Blow.DISK:
-                lasting = {
-                    Blow.FREEZE: lambda: frozen(process),
-                    Blow.HANG: lambda: stalled(wires, "both"),
-                    Blow.DISK: lambda: disk_full(process),
+            case Kind.FREEZE | Kind.HANG | Kind.DISK:
+                lasting: dict[str, Callable[[], contextlib.AbstractContextManager[None]]] = {
+                    Kind.FREEZE: lambda: frozen(process),
+                    Kind.HANG: lambda: stalled(wires, "both"),
+                    Kind.DISK: lambda: disk_full(process),
                 }
-                with lasting[fault.blow]():
+                with lasting[fault.kind]():
                     time.sleep(fault.lasts_s)
 
     def stop(self) -> None:
-        """Ends it in good order, and looks which gains are live."""
+        """Ends the daemon properly, and checks the live gains."""
         code = end(self._process, signal.SIGTERM)
         with contextlib.closing(DaemonStore.open(self.state / NAME, NAME)) as store:
-            home = store.gains().get(store.life.home)
+            nominal = store.gains().get(store.state.home)
         live = self._stand.log.motions()[-1].live
-        # It may end before it has met the rig.
-        self.told.not_home += code == 0 and home is not None and live != home.as_tuple()
+        # It may end before it has reached the rig.
+        self.diary.not_home += code == 0 and nominal is not None and live != nominal.as_tuple()
 
     def close(self) -> None:
-        """Ends it, whatever it does."""
+        """Kills the daemon."""
         end(self._process)
 
 
 def runs(state: Path) -> Iterator[Journal]:
-    """The journals of its tunings, one after the other."""
+    """The journals of the daemon's tunings."""
     for folder in sorted((state / NAME / RUNS).iterdir()):
         with Journal.open(folder) as journal:
             yield journal
 
 
-def judge(stand: Stand, daemon: Supervised) -> dict[str, Any]:
-    """Counts, once no process runs any more."""
+def count_violations(stand: Stand, daemon: SupervisedStand) -> dict[str, Any]:
+    """The counts of `WORDS`, once no process runs any more."""
     motions = stand.log.motions()
     begun = Counter(motion.trial_id for motion in motions if motion.what == "begin")
     with contextlib.closing(DaemonStore.open(daemon.state / NAME, NAME)) as store:
@@ -245,20 +222,21 @@ def judge(stand: Stand, daemon: Supervised) -> dict[str, Any]:
         for row in history
         if row["name"] in ("original", "accepted")
     }
-    other = told = interrupted = tunings = 0
+    other = finished = interrupted = tunings = 0
     for journal in runs(daemon.state):
         outcomes = [(entry, entry.outcome) for entry in journal.entries()]
         entries = [(entry, outcome) for entry, outcome in outcomes if outcome is not None]
-        found = {e.number: (e.gains, e.cost) for e, outcome in entries if not outcome.is_void}
+        actual = {e.number: (e.gains, e.cost) for e, outcome in entries if not outcome.is_void}
         expected = undisturbed(journal)
         tunings += 1
-        told += len(entries)
-        interrupted += len(entries) - len(found)
-        other += sum(expected.get(number) != result for number, result in found.items())
+        finished += len(entries)
+        interrupted += len(entries) - len(actual)
+        other += sum(expected.get(number) != result for number, result in actual.items())
+    diary = daemon.diary
     return {
-        "faults": sum(daemon.told.faults.values()),
-        "faults_by_kind": dict(sorted(daemon.told.faults.items())),
-        "trials": told + len(checks),
+        "faults": sum(diary.faults.values()),
+        "faults_by_kind": dict(sorted(diary.faults.items())),
+        "trials": finished + len(checks),
         "motions": sum(begun.values()),
         "tunings": tunings,
         "accepted": sum(row["name"] == "accepted" for row in history),
@@ -266,32 +244,32 @@ def judge(stand: Stand, daemon: Supervised) -> dict[str, Any]:
         "run_twice": sum(times > 1 for times in begun.values()),
         "other_gains": sum(motion.live not in agreed for motion in motions),
         "other_proposals": other,
-        "stuck": daemon.told.stuck,
-        "died": daemon.told.died,
-        "not_home": daemon.told.not_home,
+        "stuck": diary.stuck,
+        "died": diary.died,
+        "not_home": diary.not_home,
     }
 
 
 def undisturbed(journal: Journal) -> dict[int, tuple[Gains, float]]:
-    """The same tuning on a rig that nothing happens to."""
+    """The same tuning without faults."""
     plan = plan_from_json(journal.fact("plan"))
     run = loop.start(plan, description_from_json(journal.fact("rig")), None)
-    loop.run(run, truth(NAME))
+    loop.run(run, reference_rig(NAME))
     return {entry.number: (entry.gains, entry.cost) for entry in run.entries}
 
 
-def conduct(count: int, seed: int, pace: float, folder: Path) -> dict[str, Any]:
-    """One campaign, and all there is to say of it."""
+def run_campaign(count: int, seed: int, pace: float, folder: Path) -> dict[str, Any]:
+    """Figures of one campaign."""
     with Stand(folder, plain=False, pace=pace) as stand:
-        daemon = Supervised(stand, seed)
+        daemon = SupervisedStand(stand, seed)
         try:
-            daemon.go_on(1)
-            for fault in schedule(count, seed):
-                daemon.go_on(fault.after_trials)
+            daemon.await_trials(1)
+            for fault in schedule(list(Kind), PAUSES_TRIALS, count, seed):
+                daemon.await_trials(fault.after_trials)
                 time.sleep(fault.delay_s)
-                daemon.suffer(fault)
-            daemon.go_on(1)
+                daemon.cause(fault)
+            daemon.await_trials(1)
             daemon.stop()
         finally:
             daemon.close()
-        return judge(stand, daemon)
+        return count_violations(stand, daemon)

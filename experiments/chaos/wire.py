@@ -1,4 +1,4 @@
-"""A wire between two sockets that can be cut, stalled, and made to lose what is said."""
+"""A TCP proxy that can be cut, stalled, and made to lose a reply."""
 
 import contextlib
 import socket
@@ -13,11 +13,11 @@ class Wire:
     """Passes bytes between its own endpoint and another. A context manager.
 
     Attributes:
-        endpoint: Where it is reached.
+        endpoint: Where it listens.
     """
 
     def __init__(self, target: str) -> None:
-        """`target` need not exist yet: who connects before it does is turned away."""
+        """`target` need not listen yet: earlier connections are refused."""
         host, port = target.removeprefix("tcp/").split(":")
         self._target = host, int(port)
         self._ends: list[socket.socket] = []
@@ -32,7 +32,7 @@ class Wire:
         self._accepting.start()
 
     def cut(self) -> None:
-        """Breaks every connection; new ones are let through."""
+        """Breaks every connection; new ones are accepted."""
         with self._lock:
             ends, self._ends = self._ends, []
         for end in ends:
@@ -40,18 +40,18 @@ class Wire:
                 end.shutdown(socket.SHUT_RDWR)
 
     def stall(self, way: Way = "both") -> None:
-        """Lets nothing through that way; what is said waits, and connections stay."""
+        """Holds all bytes back that way; connections stay."""
         for name, event in self._flowing.items():
             if way in ("both", name):
                 event.clear()
 
     def flow(self) -> None:
-        """Lets everything through again."""
+        """Passes all bytes again."""
         for event in self._flowing.values():
             event.set()
 
     def lose_next_answer(self) -> None:
-        """Breaks every connection the moment the other side says something, and loses that."""
+        """Breaks every connection at the next bytes of the target, and loses these."""
         self._lose.set()
 
     def __enter__(self) -> Self:

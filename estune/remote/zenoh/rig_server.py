@@ -179,4 +179,6 @@ class RigServer:
                 continue
             if samples is not None and samples.tension_N.size:
                 self._session.publish(self._keys.telemetry(shown), messages.encode_live(samples))
-                after = samples.first_sample + min(samples.tension_N.size, messages.LIVE_MAX_SAMPLES)
+                after = samples.first_sample + min(
+                    samples.tension_N.size, messages.LIVE_MAX_SAMPLES
+                )
