@@ -12,10 +12,10 @@ from estune.errors import InvalidInput
 from estune.trial import TrialRecord
 
 CHANNELS = ("setpoint_N", "current_A", "tension_N", "angle_rad", "reference_N")
-"""The columns a measurement may have besides time and flags."""
+"""Columns of a record besides time and flags."""
 
 OUTPUTS = ("tension_N", "angle_rad", "reference_N")
-"""Those of them that a model predicts."""
+"""Columns that a model predicts."""
 
 ROUNDING = 1e-3
 """Difference of two columns, as a share of the greatest value, that rounding explains."""
@@ -99,7 +99,7 @@ class MeasuredRecord:
 
     @classmethod
     def of(cls, record: TrialRecord) -> "MeasuredRecord":
-        """The measurement a trial record holds; a column that never differs from zero is missing.
+        """The record of a trial; a column of zeros is missing.
 
         A rig without an encoder or a gauge fills the column of its record with zeros.
         """
@@ -135,7 +135,7 @@ class MeasuredRecord:
 
     @property
     def outputs(self) -> tuple[str, ...]:
-        """Names of the measured channels a model can be held against."""
+        """Names of the measured channels that a model predicts."""
         return tuple(name for name in OUTPUTS if self.channel(name) is not None)
 
     def channel(self, name: str) -> FloatArray | None:
@@ -153,22 +153,21 @@ class MeasuredRecord:
             newtons_per_ampere: Torque constant over drum radius of the model as given, N/A.
 
         Raises:
-            InvalidInput: neither the setpoint nor the current tells the command.
+            InvalidInput: neither setpoint nor current gives the command.
         """
         if self.loop == "open" and self.setpoint_N is not None:
             return self.setpoint_N / newtons_per_ampere
         if self.current_A is not None:
             return self.current_A
         raise InvalidInput(
-            f"{self.source or self.name}: a {self.loop}-loop record without current_A does not "
-            "tell what the motor was commanded; record the current"
+        A multiple is the command of a rig whose torque constant or radius is not the model's.
+            "command; record the current"
         )
 
     def measured_current_A(self, newtons_per_ampere: float) -> FloatArray | None:
-        """The current where it is a measurement of its own, not the command once more.
+        """The current where it is a measurement, not a multiple of the command.
 
-        A current that is the command times a constant is the rig's own command, in a rig whose
-        torque constant or drum radius are not the model's.
+        A multiple is the command of a rig whose torque constant or radius differ from the model's.
 
         Args:
             newtons_per_ampere: Torque constant over drum radius of the model as given, N/A.

@@ -1,27 +1,27 @@
-"""Noise of a signal and the step it is rounded to, without taking lines or drift for noise."""
+"""Noise of a signal without its lines and drift, and its rounding step."""
 
 import numpy as np
 
 from estune.core.quantities import FloatArray
 
 SEGMENT = 1024
-"""Most samples in a segment of the spectrum: slower than that is drift."""
+"""Most samples in a segment of the spectrum; slower changes are drift."""
 FEWEST = 64
-"""Fewest samples a spectrum is made of."""
+"""Fewest samples of a spectrum."""
 LINE = 5.0
-"""A line so many times as strong as its neighbours is not noise: mains, a rung mode."""
+"""Ratio to its neighbours at which a line is not noise: mains, a mode."""
 UPPER = 0.5
-"""Share of half the sampling rate from which on a moving plant is taken to add nothing."""
+"""Share of half the sampling rate above which the plant's motion is negligible."""
 QUARTER = 0.25
-"""Quantile of the upper spectrum that counts as noise: modes and lines may cover the rest."""
+"""Quantile of the upper spectrum taken as noise; modes and lines may exceed it."""
 FEW_STEPS = 3
-"""Fewer distinct values do not show a step."""
+"""Fewest distinct values that show a step."""
 WHOLE = 0.05
-"""By how much of a step two readings may miss a whole number of steps."""
+"""Deviation from a whole number of steps, as a share of a step."""
 
 
 def spectral_rms(deviation: FloatArray) -> float:
-    """Rms of a noise, shape (samples,), without drift, single lines and short bursts.
+    """Rms of noise, shape (samples,), without drift, single lines and short bursts.
 
     The median over overlapping segments of the periodogram (so that bursts do not count) is
     freed of lines and summed over frequency (Welch 1967; bias of the median as in SciPy).
@@ -40,7 +40,7 @@ def upper_rms(signal: FloatArray) -> float:
     """
     from scipy.stats import chi2  # noqa: PLC0415  slow to import
 
-    # A second difference keeps what leaks from slow and large motion below the noise.
+    # A second difference keeps the leakage of slow, large motion below the noise.
     power, width = _spectrum(np.diff(signal, 2), average="mean")
     frequency = np.arange(1, power.size + 1) * width
     white = power / (2.0 * np.sin(np.pi * frequency)) ** 4
@@ -60,7 +60,7 @@ def step_of(signal: FloatArray) -> float:
     gaps = gaps[gaps > 1e-9 * np.abs(distinct).max()]
     if gaps.size < FEW_STEPS - 1:
         return 0.0
-    for divisor in (1.0, 2.0, 3.0):  # where no two readings are next to each other
+    for divisor in (1.0, 2.0, 3.0):  # no two readings may be adjacent
         step = float(gaps.min()) / divisor
         steps = gaps / step
         if np.abs(steps - np.rint(steps)).max() < WHOLE:
@@ -85,7 +85,7 @@ def _spectrum(signal: FloatArray, average: str) -> tuple[FloatArray, float]:
     power = powers.mean(axis=0)
     if average == "median":
         power = np.median(powers, axis=0) / _median_bias(len(cut))
-    power[:2] = power[2]  # what the trend took away
+    power[:2] = power[2]  # removed with the trend
     return power[1:], 1.0 / segment
 
 

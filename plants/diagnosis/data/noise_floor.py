@@ -1,7 +1,7 @@
-"""The floor under the gap: noise of each channel, steps of encoder and gauge, and an allowance.
+"""Noise floor: noise of each channel, steps of encoder and gauge, and an allowance.
 
-The noise is taken from the best source there is: trials that were repeated, a setpoint that
-repeats itself, stretches in which it stands still, or the upper spectrum of a moving plant.
+The noise is estimated from the best source: repeated trials, a periodic setpoint, stretches of
+constant setpoint, or the upper spectrum of a moving plant.
 """
 
 import math
@@ -18,10 +18,10 @@ from plants.diagnosis.data.noise import FEWEST, spectral_rms, step_of, upper_rms
 from plants.diagnosis.data.periods import SAME, holds, periods_of
 
 ALLOWANCE = 0.004
-"""Numerics and model form: share of a signal's rms that no two simulations agree to."""
+"""Allowance for numerics and model form, as a share of a signal's rms."""
 
 SOURCES = ("repeats", "periods", "quiet stretches", "upper spectrum", "steps")
-"""What a noise may be found from, the best first; `steps` is rounding alone."""
+"""Sources of a noise estimate, the best first; `steps` is rounding alone."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,8 +30,8 @@ class Noise:
 
     Attributes:
         rms: Its root mean square, in the channel's unit; never below lsb / sqrt(12).
-        lsb: Step the readings are rounded to, or 0 where none was found.
-        how: What it was found from, one of `SOURCES`.
+        lsb: Rounding step of the readings, or 0 without one.
+        how: Its source, one of `SOURCES`.
     """
 
     rms: float
@@ -44,8 +44,8 @@ class NoiseFloor:
     """The noise of a set of measurements.
 
     Attributes:
-        channels: Pooled over the measurements, by the name of the channel.
-        records: The same for each measurement, in their order.
+        channels: Pooled over the measurements, by channel.
+        records: Of each measurement, by channel.
     """
 
     channels: dict[str, Noise]
@@ -61,12 +61,6 @@ class NoiseFloor:
         """Noise of the encoder, rad rms; nan without an encoder."""
         return self._rms("angle_rad")
 
-    @property
-    def how(self) -> str:
-        """What it was found from, in words."""
-        found = dict.fromkeys(n.how for n in self.channels.values())
-        return " and ".join(found)
-
     def effective(self, channel: str, signal_rms: float, least_rms: float = 0.0) -> float:
         """Noise and allowance together, sigma_eff, in the channel's unit.
 
@@ -74,8 +68,8 @@ class NoiseFloor:
 
         Args:
             channel: Name of the channel.
-            signal_rms: Root mean square of what is to be explained of the signal.
-            least_rms: What is known not to repeat itself; sigma_n is no less.
+            signal_rms: Root mean square of the signal to be explained.
+            least_rms: Lower bound of sigma_n.
         """
         noise = max(self._rms(channel), least_rms)
         return float((noise**2 + (ALLOWANCE * signal_rms) ** 2) ** 0.5)
@@ -91,11 +85,7 @@ class NoiseFloor:
 
 
 def noise_floor(measurements: Sequence[MeasuredRecord]) -> NoiseFloor:
-    """The noise of each channel, from the best source the measurements offer.
-
-    Args:
-        measurements: Records of one rig.
-    """
+    """The noise of each channel of one rig's records, from their best source."""
     repeated = _repeats(measurements)
     records = tuple(
         {
@@ -137,12 +127,12 @@ def _alone(m: MeasuredRecord, column: FloatArray) -> tuple[float, str]:
 
 
 def _settled(column: FloatArray) -> float:
-    """Noise of a stretch at the end of which the plant has settled."""
+    """Noise of a stretch after the plant has settled."""
     return spectral_rms(column[column.size // 2 :] if column.size >= 2 * FEWEST else column)
 
 
 def _group_rms(same: FloatArray) -> float:
-    """Noise of signals that would be the same without it, shape (repeats, samples)."""
+    """Noise of signals that are equal but for noise, shape (repeats, samples)."""
     repeats = same.shape[0]
     deviation = same - same.mean(axis=0)
     # The mean takes 1/repeats of the noise with it.
@@ -156,7 +146,7 @@ def _differences_rms(column: FloatArray) -> float:
 
 
 def _repeats(measurements: Sequence[MeasuredRecord]) -> dict[tuple[int, str], float]:
-    """Noise by measurement and channel, where the same trial was run twice or more."""
+    """Noise by measurement and channel, of trials run twice or more."""
     found = {}
     for same in _repeated(measurements):
         for name in CHANNELS[1:]:
@@ -169,11 +159,10 @@ def _repeats(measurements: Sequence[MeasuredRecord]) -> dict[tuple[int, str], fl
 
 
 def unrepeated(measurements: Sequence[MeasuredRecord]) -> tuple[dict[str, FloatArray], ...]:
-    """What did not come again although the command did, by channel for each measurement.
+    """Deviation between repeats of an open-loop command, by channel for each measurement.
 
-    Of the size of what a single run has of it; nan where a command was not repeated. Besides
-    noise it holds what forces that nobody ordered do to the plant, slow as it may be. Only
-    commands in open loop are the same again.
+    Scaled to a single run; nan where a command was not repeated. Besides noise it holds the
+    response to disturbance forces, however slow.
     """
     found: tuple[dict[str, FloatArray], ...] = tuple({} for _ in measurements)
     for n, m in enumerate(measurements):
@@ -195,7 +184,7 @@ def unrepeated(measurements: Sequence[MeasuredRecord]) -> tuple[dict[str, FloatA
             known = np.stack([column for column in columns if column is not None])
             if len(known) == len(same):
                 deviation = (known - known.mean(axis=0)) * math.sqrt(len(same) / (len(same) - 1.0))
-                # An encoder may be zeroed anew before each run.
+                # An encoder may be zeroed before each run.
                 deviation -= deviation.mean(axis=1, keepdims=True)
                 for n, one in zip(same, deviation, strict=True):
                     found[n][name] = one
@@ -203,7 +192,7 @@ def unrepeated(measurements: Sequence[MeasuredRecord]) -> tuple[dict[str, FloatA
 
 
 def _repeated(measurements: Sequence[MeasuredRecord]) -> list[list[int]]:
-    """Numbers of the measurements of the same trial, for each that was run twice or more."""
+    """Indices of the measurements of each trial that was run twice or more."""
     groups: dict[tuple[Any, ...], list[int]] = defaultdict(list)
     for n, m in enumerate(measurements):
         if m.setpoint_N is not None and m.samples >= FEWEST:
@@ -228,7 +217,7 @@ def _same_setpoints(measurements: Sequence[MeasuredRecord], group: list[int]) ->
 
 
 def _pooled(name: str, records: Sequence[dict[str, Noise]], samples: Sequence[int]) -> Noise:
-    """One noise for all records: the mean square of those found from the best source."""
+    """One noise for all records: the mean square over those from the best source."""
     known = [(r[name], n) for r, n in zip(records, samples, strict=True) if name in r]
     how = min((noise.how for noise, _ in known), key=SOURCES.index)
     best = [(noise, n) for noise, n in known if noise.how == how]

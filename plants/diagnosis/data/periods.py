@@ -1,4 +1,4 @@
-"""Finds the period of a setpoint, and stretches in which it stands still."""
+"""Period of a setpoint, and stretches in which it is constant."""
 
 import itertools
 from typing import NamedTuple
@@ -9,18 +9,17 @@ from numpy.typing import NDArray
 from estune.core.quantities import FloatArray
 
 SAME = 1e-6
-"""Share of the setpoint's range by which values may differ and be the same; float32 keeps it."""
+"""Relative difference of equal setpoints, in its range; float32 keeps it."""
 SHORTEST = 8
 """Fewest samples in a period."""
 CANDIDATES = 40
-"""So many of the best lags are looked at closely."""
+"""Number of lags that are tried."""
 MOVES = 0.3
-"""Spread that a periodic stretch must have, as a share of the whole setpoint's: a hold repeats
-itself at any lag."""
+"""Least spread of a period, as a share of the setpoint's: a hold has any period."""
 
 
 class Periods(NamedTuple):
-    """A stretch of a record in which the setpoint repeats.
+    """A periodic stretch of a setpoint.
 
     Attributes:
         first: Index of its first sample.
@@ -63,7 +62,7 @@ def periods_of(setpoint: FloatArray) -> Periods | None:
 
 
 def holds(setpoint: FloatArray, fewest: int) -> list[slice]:
-    """The stretches of at least so many samples in which the setpoint stands still."""
+    """Stretches of constant setpoint, `fewest` samples or longer."""
     same = SAME * max(float(np.ptp(setpoint)), float(np.abs(setpoint).max()))
     moves = np.flatnonzero(np.abs(np.diff(setpoint)) > same) + 1
     ends = np.concatenate([[0], moves, [setpoint.size]])
@@ -71,7 +70,7 @@ def holds(setpoint: FloatArray, fewest: int) -> list[slice]:
 
 
 def _likely_lags(x: FloatArray) -> list[int]:
-    """The lags at which a signal is most like itself, by its autocorrelation."""
+    """The lags of the highest peaks of the autocorrelation."""
     n = x.size
     size = 1 << (2 * n - 1).bit_length()
     power = np.abs(np.fft.rfft(x, size)) ** 2

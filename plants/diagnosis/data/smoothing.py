@@ -1,10 +1,8 @@
-"""Derivatives of sampled signals under one common smoothing, so that an equation still holds.
+"""Derivatives of sampled signals under one common smoothing, which preserves linear equations.
 
-If a x'' + b x' + c x = u, then the same holds for the signals convolved with any kernel g, and
-the derivatives may be moved onto the kernel: a (g'' * x) + b (g' * x) + c (g * x) = g * u. With a
-Gaussian g every term is smoothed alike, whatever the order. (The idea of modulating functions,
-Shinbrot 1957; and of local polynomials, Savitzky & Golay 1964, which smooth each order
-differently.)
+If a x'' + b x' + c x = u, then for the signals convolved with any kernel g
+a (g'' * x) + b (g' * x) + c (g * x) = g * u. A Gaussian g smooths terms of all orders alike, as
+modulating functions do (Shinbrot 1957), unlike local polynomials (Savitzky & Golay 1964).
 """
 
 from collections.abc import Callable
@@ -15,13 +13,13 @@ from numpy.polynomial import hermite_e
 
 from estune.core.quantities import FloatArray
 
-REACH = 5.0
-"""Widths of the Gaussian at which it is cut off; exp(-12.5) is 4e-6."""
+CUT_OFF = 5.0
+"""Widths at which the Gaussian is truncated; exp(-12.5) is 4e-6."""
 
 DIRECT = 256
-"""Longest kernel that is convolved directly, not by way of the spectrum."""
-RESOLVED = 1.1
-"""Ratio to which a width is looked for."""
+"""Longest kernel that is convolved directly, not by FFT."""
+WIDTH_RATIO = 1.1
+"""Resolution of the search for a width."""
 
 
 class Smoother(NamedTuple):
@@ -37,13 +35,13 @@ class Smoother(NamedTuple):
 
     @property
     def bandwidth_Hz(self) -> float:
-        """Frequency at which a signal is smoothed to exp(-1/2) of its size."""
+        """Frequency at which the gain is exp(-1/2)."""
         return float(1.0 / (2.0 * np.pi * self.width_s))
 
     @property
     def reach(self) -> int:
         """Samples on either side that a smoothed value depends on."""
-        return int(np.ceil(REACH * self.width_s * self.sampling_Hz))
+        return int(np.ceil(CUT_OFF * self.width_s * self.sampling_Hz))
 
     def sampled(self, signal: FloatArray, *coefficients: float) -> FloatArray:
         """`c0 x + c1 x' + c2 x'' + ...` smoothed, of a signal known at the sampling instants.
@@ -60,11 +58,11 @@ class Smoother(NamedTuple):
         return _convolved(signal, np.asarray(kernel) / self.sampling_Hz, self.reach)
 
     def held(self, signal: FloatArray, delay_s: float, *coefficients: float) -> FloatArray:
-        """The same of a signal that is held from each sampling instant to the next, and delayed.
+        """`c0 x + c1 x' + ...` smoothed, of a delayed signal with zero-order hold.
 
         Args:
             signal: Shape (samples,).
-            delay_s: Time by which it acts late, s.
+            delay_s: Delay, s.
             *coefficients: Of the derivatives, from order zero.
         """
         reach = self.reach + int(np.ceil(delay_s * self.sampling_Hz)) + 1
@@ -106,17 +104,17 @@ def _convolved(signal: FloatArray, kernel: FloatArray, reach: int) -> FloatArray
 
 
 def least_width(wanted: Callable[[float], bool], shortest_s: float, longest_s: float) -> float:
-    """The least width that is enough, by halving the ratio; the longest where none is, s.
+    """The least sufficient width by bisection; the longest where none is, s.
 
     Args:
-        wanted: Whether a width is enough; if one is, so are the wider ones.
+        wanted: Whether a width is sufficient; monotonic.
         shortest_s: Least width to try.
         longest_s: Greatest width.
     """
     low, high = shortest_s, max(shortest_s, longest_s)
     if wanted(low):
         return low
-    while high / low > RESOLVED:
+    while high / low > WIDTH_RATIO:
         middle = float(np.sqrt(low * high))
         low, high = (low, middle) if wanted(middle) else (middle, high)
     return high

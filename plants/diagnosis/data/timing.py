@@ -8,13 +8,13 @@ from plants.diagnosis.data.measured_record import Unusable
 GAP = 1.5
 """An interval longer than this many of the usual one is a gap: a sample is missing."""
 OFF_GRID = 0.5
-"""Samples by which a time stamp may be off the even grid; beyond, the order is in doubt."""
+"""Greatest deviation of a time stamp from the even grid, in samples."""
 JITTER = 0.1
-"""The same from which on a warning is due."""
+"""Deviation that causes a warning, in samples."""
 AGREES = 1e-3
-"""Relative difference of two sampling rates that may pass as rounding."""
+"""Relative difference of two sampling rates that rounding explains."""
 MOST_DECIMALS = 9
-"""Time stamps with more decimals than these are taken as not rounded."""
+"""Most decimals of rounded time stamps."""
 
 COLUMN = "time_s"
 
@@ -36,8 +36,8 @@ def sampling_rate(time_s: FloatArray, stated_Hz: float | None) -> tuple[float, s
     _check_order(time_s, rounding_s)
     k = np.arange(time_s.size) - (time_s.size - 1) / 2.0
     found_Hz = float((k @ k) / (k @ time_s))
-    doubt = AGREES + rounding_s * found_Hz / time_s.size
-    if stated_Hz is not None and abs(stated_Hz / found_Hz - 1.0) > doubt:
+    tolerance = AGREES + rounding_s * found_Hz / time_s.size
+    if stated_Hz is not None and abs(stated_Hz / found_Hz - 1.0) > tolerance:
         raise Unusable(_contradiction(stated_Hz, found_Hz), COLUMN)
     off = np.abs(time_s - time_s.mean() - k / found_Hz) * found_Hz
     if off.max() > OFF_GRID + rounding_s * found_Hz:
@@ -80,7 +80,7 @@ def _check_order(time_s: FloatArray, rounding_s: float) -> None:
 
 
 def _rounding(time_s: FloatArray) -> float:
-    """What rounding the stamps may have moved them by, s; 0 where they look not rounded."""
+    """Greatest rounding error of the stamps, s; 0 where they are not rounded."""
     close = 1e-12 * max(1.0, float(np.abs(time_s).max()))
     for decimals in range(MOST_DECIMALS + 1):
         if np.abs(np.round(time_s, decimals) - time_s).max() < close:
