@@ -1,19 +1,14 @@
-"""What is to be said beside a result: thin margins, gains at a bound, flat directions of the cost.
+"""Result warnings: low margins, gains at a bound, flat directions of the cost.
 
-All are reasons not to take a number at its word. A cost can be least where the loop is close to
-ringing; a gain at its bound was not chosen by the cost but by whoever set the bound; along a flat
-direction any value would have done as well.
-
-Flat directions are read off a quadratic in the search coordinates, fitted to the safe trials near
+Flat directions follow from a quadratic in the search coordinates, fitted to the safe trials near
 the best gains,
 
     J(z) = c + g' z + z' H z / 2,
     z_i = ln(value_i / best_i), or (value_i - best_i) / (high_i - low_i) on a linear scale,
 
-with a wide Gaussian prior on g and H (ridge regression), so that a direction the trials did not
-explore comes out as uncertain and not as flat. A direction is called flat only over the range the
-trials covered, and only where the change of the cost, its uncertainty included, stays in the
-scatter.
+with a wide Gaussian prior on g and H (ridge regression), so that an unexplored direction is
+uncertain and not flat. A direction is flat only over the range of the trials, and only where the
+change of the cost, with its uncertainty, is within the repeatability.
 """
 
 import math
@@ -29,22 +24,22 @@ from estune.core.quantities import FloatArray
 from estune.tuners.search_space import Point, SearchSpace
 
 FLAT_FACTOR = 2.0
-"""A parameter free to move by less than this factor is not worth a sentence."""
+"""Range, as a factor, from which a flat parameter is reported."""
 
 FLAT_SHARE = 0.25
-"""The same for a parameter on a linear scale, as a share of the range between its bounds."""
+"""Range from which a flat parameter on a linear scale is reported, relative to its bounds."""
 
 AT_BOUND = 0.02
-"""Within this share of the range between its bounds, a parameter is at its bound."""
+"""Distance to a bound, relative to the range, within which a parameter is at its bound."""
 
 NEAR_LIMIT = 0.2
-"""With less than this share of the room left, a response is near a limit of the rig."""
+"""Constraint margin below which a response is near a limit of the rig."""
 
 LEAST_CHANGE = 0.01
-"""A change of the cost by less than this share of it matters to nobody, however quiet the rig."""
+"""Relative change of the cost below which a direction is flat, however small the noise."""
 
 PHASE_MARGIN_LEAST_deg, GAIN_MARGIN_LEAST = 30.0, 2.0
-"""What textbooks ask of a loop at the least (Astrom & Hagglund, Advanced PID Control, 2006)."""
+"""Usual minimum margins (Astrom & Hagglund, Advanced PID Control, 2006)."""
 
 _CONFIDENCE = 1.645  # one-sided 95 % of a normal distribution
 
@@ -60,7 +55,7 @@ class _Axis(NamedTuple):
     log: bool
 
     def coordinate(self, value: float, origin: float) -> float:
-        """Where a value lies from the origin: a logarithm, or a share of the range."""
+        """Coordinate of a value from the origin: a logarithm, or a share of the range."""
         return math.log(value / origin) if self.log else (value - origin) / (self.high - self.low)
 
     def value(self, coordinate: float, origin: float) -> float:
@@ -71,17 +66,17 @@ class _Axis(NamedTuple):
 
     @property
     def flat_width(self) -> float:
-        """Width, in its coordinate, from which on the parameter counts as free."""
+        """Minimum width of a flat range, in the coordinate."""
         return math.log(FLAT_FACTOR) if self.log else FLAT_SHARE
 
 
 class ResultWarning(NamedTuple):
-    """One remark on the result.
+    """One warning.
 
     Attributes:
-        kind: `margin`, `limit`, `bound`, `flat`, or `unknown` where the trials cannot tell.
-        parameters: What it is about.
-        sentence: The remark in words.
+        kind: `margin`, `limit`, `bound`, `flat`, or `unknown` if the trials do not decide.
+        parameters: The parameters concerned.
+        sentence: The warning in words.
     """
 
     kind: Literal["margin", "limit", "bound", "flat", "unknown"]
@@ -90,11 +85,7 @@ class ResultWarning(NamedTuple):
 
 
 def low_margins(found: Margins | None) -> tuple[ResultWarning, ...]:
-    """Says where the linear model has less margin than is usual, or is unstable.
-
-    Args:
-        found: Margins of the tuned loop; None where the rig gives no model.
-    """
+    """Warning of margins below the usual, or of instability; `found` is None without a model."""
     if found is None:
         return ()
     remedy = "a larger move weight makes the tuning gentler"
@@ -102,12 +93,12 @@ def low_margins(found: Margins | None) -> tuple[ResultWarning, ...]:
         sentence = f"these gains make the rig's own linear model unstable; {remedy}"
     elif found.phase_margin_deg < PHASE_MARGIN_LEAST_deg:
         sentence = (
-            f"the phase margin of {found.phase_margin_deg:.0f}° is thin "
+            f"the phase margin of {found.phase_margin_deg:.0f}° is low "
             f"(under {PHASE_MARGIN_LEAST_deg:.0f}°); {remedy}"
         )
     elif 1.0 / GAIN_MARGIN_LEAST < found.gain_margin < GAIN_MARGIN_LEAST:
         sentence = (
-            f"the gain margin of {found.gain_margin:.2g} is thin "
+            f"the gain margin of {found.gain_margin:.2g} is low "
             f"(within a factor {GAIN_MARGIN_LEAST:.0f}); {remedy}"
         )
     else:
@@ -116,39 +107,30 @@ def low_margins(found: Margins | None) -> tuple[ResultWarning, ...]:
 
 
 def near_limits(share: float) -> tuple[ResultWarning, ...]:
-    """Says where the response comes near what the rig can bear, so that this decided the gains.
-
-    Args:
-        share: What a trial with the gains left of the room to a limit; see `score.margin_of`.
-    """
+    """Warning of a response near a limit of the rig; `share` is its `constraint_margin`."""
     if share >= NEAR_LIMIT:
         return ()
     sentence = (
-        f"a trial with these gains leaves {max(share, 0.0):.0%} of the room to the rig's limits "
-        "of tension or effort: the limit may have chosen them, not the cost"
+        f"the constraint margin of these gains is {max(share, 0.0):.0%} of the rig's limits of "
+        "tension or effort: the limits, not the cost, may determine these gains"
     )
     return (ResultWarning("limit", (), sentence),)
 
 
 def at_bounds(space: SearchSpace, best: Point) -> tuple[ResultWarning, ...]:
-    """Names the parameters that the bounds decided.
-
-    Args:
-        space: The tuned parameters and their bounds.
-        best: The value of each.
-    """
+    """Warnings of parameters at a bound."""
     sides = space.at_bound(best, AT_BOUND)
-    found = []
+    warnings = []
     for axis in _axes(space):
         if axis.name in sides:
             low = sides[axis.name] == "low"
             side, bound = ("lower", axis.low) if low else ("upper", axis.high)
             sentence = (
                 f"{axis.label} is at its {side} bound of {_shown(axis, bound)}: "
-                "the bound chose it, not the cost"
+                "the bound determines it, not the cost"
             )
-            found.append(ResultWarning("bound", (axis.name,), sentence))
-    return tuple(found)
+            warnings.append(ResultWarning("bound", (axis.name,), sentence))
+    return tuple(warnings)
 
 
 def flat_directions(
@@ -160,22 +142,22 @@ def flat_directions(
     costs: FloatArray,
     noise: float,
 ) -> tuple[ResultWarning, ...]:
-    """Names the parameters, alone or together, that may move without the cost telling.
+    """Warnings of parameters, alone or together, without effect on the cost.
 
     Args:
         space: The tuned parameters.
-        best: The value of each at the best gains.
+        best: Their values at the best gains.
         best_cost: The cost there.
         points: Parameters of the safe trials, shape (trials, parameters).
         costs: Their costs, shape (trials,).
         noise: Standard deviation of the cost between repeats.
 
     Returns:
-        Flat directions, then one finding for the parameters the trials cannot tell of.
+        Flat directions, then one warning of the parameters on which the trials do not decide.
     """
     axes = _axes(space)
     if not math.isfinite(noise):
-        sentence = "without repeats there is no scatter to judge flat directions by"
+        sentence = "without repeats flat directions cannot be determined"
         return (ResultWarning("unknown", space.names, sentence),)
     tolerance = max(2.0 * noise, LEAST_CHANGE * abs(best_cost))
     z = np.array(
@@ -185,24 +167,26 @@ def flat_directions(
     if fit is None:
         return (_unknown(axes),)
     within = (
-        f"its scatter ({tolerance:.2g})" if tolerance == 2.0 * noise else f"{LEAST_CHANGE:.0%}"
+        f"its repeatability ({tolerance:.2g})"
+        if tolerance == 2.0 * noise
+        else f"{LEAST_CHANGE:.0%}"
     )
-    found, flat, unknown = [], [], []
+    warnings, flat, unknown = [], [], []
     for i, axis in enumerate(axes):
         low, high, decided = _flat_interval(fit, np.eye(len(axes))[i], tolerance)
         if high - low >= axis.flat_width:
-            found.append(
+            warnings.append(
                 ResultWarning("flat", (axis.name,), _flat(axis, best[i], low, high, within))
             )
             flat.append(i)
         elif not decided:
             unknown.append(axis)
     joint = list(_joint(axes, fit, tolerance, within, set(flat)))
-    found.extend(joint)
+    warnings.extend(joint)
     unknown = [axis for axis in unknown if not any(axis.name in f.parameters for f in joint)]
     if unknown:
-        found.append(_unknown(unknown))
-    return tuple(found)
+        warnings.append(_unknown(unknown))
+    return tuple(warnings)
 
 
 def _axes(space: SearchSpace) -> list[_Axis]:
@@ -235,50 +219,46 @@ def _terms(z: FloatArray) -> FloatArray:
     return np.column_stack([np.ones(len(z)), z, *squares])
 
 
-def _inverse(matrix: FloatArray) -> FloatArray:
-    return np.asarray(np.linalg.inv(matrix), dtype=np.float64)
-
-
 def _fit_near(
     z: FloatArray, costs: FloatArray, best_cost: float, tolerance: float, noise: float
 ) -> _Fit | None:
-    """Fits the trials whose cost is near the best, the wider neighbourhood the better it holds.
+    """Fits the trials whose cost is near the best; None with too few trials.
 
-    The neighbourhood is a level set of the cost, wide against the scatter, and is halved until the
-    quadratic describes it to within the tolerance. None with too few trials.
+    The neighbourhood is a level set of the cost, wide relative to the noise, and is halved until
+    the quadratic describes it to within the tolerance.
     """
-    fit, reach = None, max(8.0 * tolerance, float(np.ptp(costs)) if len(costs) else 0.0)
-    while reach >= 4.0 * tolerance:
-        near = costs <= best_cost + reach
+    fit, cost_range = None, max(8.0 * tolerance, float(np.ptp(costs)) if len(costs) else 0.0)
+    while cost_range >= 4.0 * tolerance:
+        near = costs <= best_cost + cost_range
         terms = _terms(z[near])
         freedom = len(terms) - terms.shape[1]
         if freedom < terms.shape[1] // 2:
             break
-        # Prior: over one unit of a coordinate the cost may change by several times what it did.
-        prior = (4.0 * reach) ** 2
+        # Prior: per unit of a coordinate, the cost may change by several times its range.
+        prior = (4.0 * cost_range) ** 2
         precision = np.eye(terms.shape[1]) / prior
         precision[0, 0] = 0.0  # the constant is free
         variance = max(noise, 1e-3 * tolerance) ** 2
-        for _ in range(3):  # what the quadratic misses counts as noise
-            covariance = _inverse(precision + terms.T @ terms / variance)
+        for _ in range(3):  # the lack of fit counts as noise
+            covariance = np.linalg.inv(precision + terms.T @ terms / variance)
             beta = covariance @ (terms.T @ costs[near]) / variance
-            missed = float(np.sum((costs[near] - terms @ beta) ** 2)) / freedom
-            variance = max(noise**2, missed, 1e-6 * tolerance**2)
+            lack_of_fit = float(np.sum((costs[near] - terms @ beta) ** 2)) / freedom
+            variance = max(noise**2, lack_of_fit, 1e-6 * tolerance**2)
         fit = _Fit(z[near], beta[1:], covariance[1:, 1:])
-        if missed <= tolerance**2:
+        if lack_of_fit <= tolerance**2:
             break
-        reach /= 2.0
+        cost_range /= 2.0
     return fit
 
 
 def _flat_interval(
     fit: _Fit, direction: FloatArray, tolerance: float
 ) -> tuple[float, float, bool]:
-    """How far the best may move along a unit direction with the cost inside the tolerance.
+    """Range along a unit direction in which the cost changes by less than the tolerance.
 
     Returns:
-        The way down and the way up, within what the trials covered, and whether the trials decide:
-        not where they covered too little, or leave the change of the cost uncertain.
+        Its lower and upper end, within the range of the trials, and whether the trials decide:
+        not if they covered too little, or leave the change of the cost uncertain.
     """
     covered = fit.z @ direction
     ends, decided = [], False
@@ -294,7 +274,7 @@ def _flat_interval(
 def _joint(
     axes: Sequence[_Axis], fit: _Fit, tolerance: float, within: str, flat: set[int]
 ) -> Iterable[ResultWarning]:
-    """Flat directions that lie across parameters none of which is flat by itself."""
+    """Flat directions of several parameters, none of which is flat by itself."""
     rest = [i for i in range(len(axes)) if i not in flat]
     if len(rest) < 2:
         return
@@ -315,8 +295,8 @@ def _joint(
         if len(moved) > 1 and (high - low) * direction[lead] >= axes[lead].flat_width:
             ways = _listed([_way(axes[i], direction[i] * (high - low)) for i in moved])
             sentence = (
-                f"{_listed([axes[i].label for i in moved])} are not determined one by one: "
-                f"{ways} together does not change the cost by more than {within}"
+                f"{_listed([axes[i].label for i in moved])} are not identifiable separately: "
+                f"{ways} together changes the cost by no more than {within}"
             )
             yield ResultWarning("flat", tuple(axes[i].name for i in moved), sentence)
 
@@ -325,8 +305,8 @@ def _flat(axis: _Axis, origin: float, low: float, high: float, within: str) -> s
     bottom, top = axis.value(low, origin), axis.value(high, origin)
     factor = f" by a factor {top / bottom:.2g}" if axis.log else ""
     return (
-        f"{axis.label} may move{factor}, from {bottom:.2g} to {_shown(axis, top)}, "
-        f"without the cost changing by more than {within}"
+        f"{axis.label} may change{factor}, from {bottom:.2g} to {_shown(axis, top)}, "
+        f"while the cost changes by no more than {within}"
     )
 
 
@@ -338,7 +318,9 @@ def _way(axis: _Axis, moved: float) -> str:
 
 def _unknown(axes: Sequence[_Axis]) -> ResultWarning:
     listed = _listed([axis.label for axis in axes])
-    sentence = f"too few trials near the best gains to tell how much the cost depends on {listed}"
+    sentence = (
+        f"too few trials near the best gains to determine the effect of {listed} on the cost"
+    )
     return ResultWarning("unknown", tuple(axis.name for axis in axes), sentence)
 
 
