@@ -233,7 +233,7 @@ def test_trial_cut_off_on_a_real_rig_pauses(tmp_path):
         zenoh.serve(rig, ledger=tmp_path / "ledger") as server,
         daemon(tmp_path, rig_table("drum", server.endpoint)) as it,
     ):
-        assert "cut off (power)" in it.until_mode("paused").paused
+        assert "interrupted (power)" in it.until_mode("paused").paused
         it.command("resume")
         it.until_mode("holding")
 

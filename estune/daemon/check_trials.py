@@ -93,7 +93,7 @@ class CheckTrials:
             self._store.finish_check(request, record, math.nan, None)
             if record.outcome is Outcome.INTERRUPTED and not description.simulated:
                 raise Interrupted(
-                    f"check trial {record.trial_id} was cut off ({record.reason}); "
+                    f"check trial {record.trial_id} was interrupted ({record.reason}); "
                     "check the rig, then resume"
                 )
             return CheckTrialResult(record, math.nan, None)

@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Self
 
 from estune.errors import EstuneError, InvalidInput
 
@@ -55,35 +55,28 @@ class Shutdown(StrEnum):
 class SupervisorMode(StrEnum):
     """What the supervisor does now: the columns of the table, in this order."""
 
-    WAITING = "waiting"
-    RETRYING = "retrying"
-    READYING = "readying"
-    TUNING = "tuning"
-    CONFIRMING = "confirming"
-    HOLDING = "holding"
-    WATCHING = "watching"
-    PAUSED = "paused"
-    STOPPING = "stopping"
-    STOPPED = "stopped"
+    sentence: str
+    """Description of the mode for the operator."""
 
-    @property
-    def sentence(self) -> str:
-        """Description of the mode for the operator."""
-        return _SENTENCES[self]
+    def __new__(cls, value: str, sentence: str) -> Self:
+        """The mode with its description."""
+        mode = str.__new__(cls, value)
+        mode._value_ = value
+        mode.sentence = sentence
+        return mode
+
+    WAITING = "waiting", "waiting for the rig"
+    RETRYING = "retrying", "an operation failed; trying again after a while"
+    READYING = "readying", "checking the rig's gains and applying the nominal ones"
+    TUNING = "tuning", "searching for better gains by trials"
+    CONFIRMING = "confirming", "repeating the initial and the best gains, interleaved"
+    HOLDING = "holding", "better gains were found, and are not live: accept or reject them"
+    WATCHING = "watching", "repeating check trials at intervals"
+    PAUSED = "paused", "nothing is done until resume"
+    STOPPING = "stopping", "restoring the nominal gains, then ending"
+    STOPPED = "stopped", "ended"
 
 
-_SENTENCES = {
-    SupervisorMode.WAITING: "waiting for the rig",
-    SupervisorMode.RETRYING: "an operation failed; trying again after a while",
-    SupervisorMode.READYING: "checking the rig's gains and applying the nominal ones",
-    SupervisorMode.TUNING: "searching for better gains by trials",
-    SupervisorMode.CONFIRMING: "repeating the initial and the best gains, interleaved",
-    SupervisorMode.HOLDING: "better gains were found, and are not live: accept or reject them",
-    SupervisorMode.WATCHING: "repeating check trials at intervals",
-    SupervisorMode.PAUSED: "nothing is done until resume",
-    SupervisorMode.STOPPING: "restoring the nominal gains, then ending",
-    SupervisorMode.STOPPED: "ended",
-}
 _MODE_OF_GOAL = {
     Goal.TUNE: SupervisorMode.TUNING,
     Goal.CONFIRM: SupervisorMode.CONFIRMING,
