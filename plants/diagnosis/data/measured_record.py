@@ -160,8 +160,8 @@ class MeasuredRecord:
         if self.current_A is not None:
             return self.current_A
         raise InvalidInput(
-        A multiple is the command of a rig whose torque constant or radius is not the model's.
-            "command; record the current"
+            f"{self.source or self.name}: a {self.loop}-loop record without current_A has no "
+            "motor command; record the current"
         )
 
     def measured_current_A(self, newtons_per_ampere: float) -> FloatArray | None:
