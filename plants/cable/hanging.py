@@ -82,9 +82,6 @@ class Catenary:
 
         Returns:
             x and z from end 1 in m and the tension there in N, each of shape (..., count).
-
-        Raises:
-            InvalidInput: fewer than two points.
         """
         if count < 2:
             raise InvalidInput(f"count is {count}; it must be two or more")

@@ -47,9 +47,6 @@ class Platform:
         mass_kg: Mass m of the platform, kg.
         damping_Ns_m: Damping c, N s/m.
         centring_N_m: Stiffness k_c, N/m; zero for a free platform.
-
-    Raises:
-        InvalidInput: a value is out of its range.
     """
 
     reel: Reel

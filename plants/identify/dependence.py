@@ -183,11 +183,7 @@ class Dependence:
         return np.array(values), np.array(covariances)
 
     def _weights(self, cable_length_m: float, tension_N: float) -> FloatArray:
-        """Weight of each condition in the interpolated value, shape (conditions,).
-
-        Raises:
-            InvalidInput: the place lies outside the conditions.
-        """
+        """Weight of each condition in the interpolated value, shape (conditions,)."""
         from scipy.interpolate import RBFInterpolator  # noqa: PLC0415  slow to import
 
         places = np.array([(c.cable_length_m, c.tension_N) for c in self.conditions])

@@ -98,9 +98,6 @@ class Band:
         periods: Periods evaluated.
         settling_periods: Periods before the evaluation, enough for the slowest mode to decay to
             below the noise; `frequency_response` checks.
-
-    Raises:
-        InvalidInput: a value is out of its range.
     """
 
     low_Hz: float
@@ -258,9 +255,6 @@ def stepped_sine(sampling_Hz: float, band: Band, peak_N: float, points: int = 20
         band: Frequencies, and the periods at each of them.
         peak_N: Amplitude, N.
         points: Number of frequencies; those on the same line are measured once.
-
-    Raises:
-        InvalidInput: a value is out of its range.
     """
     _check_peak(peak_N)
     if points < 2:

@@ -50,11 +50,7 @@ class FrequencyResponse:
     odd: Distortion | None
 
     def radius(self, probability: float = 0.95) -> FloatArray:
-        """Radius of the confidence circle about each response, shape (lines,).
-
-        Raises:
-            InvalidInput: the probability is not between 0 and 1.
-        """
+        """Radius of the confidence circle about each response, shape (lines,)."""
         from scipy.stats import f  # noqa: PLC0415  slow to import
 
         check_probability(probability)
@@ -169,11 +165,7 @@ def check_probability(probability: float) -> None:
 def _checked(
     excitation: Excitation, input_signal: FloatArray, output_N: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """The signals, cut to the excitation's length, after all checks.
-
-    Raises:
-        InvalidInput: they cannot be evaluated.
-    """
+    """The signals, cut to the excitation's length, after all checks."""
     u, y = (np.asarray(signal, dtype=np.float64) for signal in (input_signal, output_N))
     samples = excitation.waveform_N.size
     for what, signal in (("input", u), ("output", y)):

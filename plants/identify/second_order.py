@@ -180,11 +180,7 @@ def fit_second_order(
 def _check_inside(
     model: SecondOrder, response: FrequencyResponse, covariance: FloatArray, *, fitted: bool
 ) -> None:
-    """Checks that the band shows the resonance and the gauge mode.
-
-    Raises:
-        InvalidInput: one of them lies outside the band, or is undetermined.
-    """
+    """Checks that the band shows the resonance and the gauge mode."""
     first, last = response.frequency_Hz[[0, -1]]
     resonance_Hz = model.natural_frequency_rad_s / (2.0 * math.pi)
     if not first < resonance_Hz < last:

@@ -28,9 +28,6 @@ class Mounting:
         limits: Limits of the rig.
         noise_rms_N: Root mean square of the measurement noise, N.
         gains: Safe live gains, or None where none are known.
-
-    Raises:
-        InvalidInput: the settling time or the noise is out of its range.
     """
 
     controller: ControllerSettings

@@ -144,11 +144,7 @@ def own_fields(kind: type[Any]) -> list[Field[Any]]:
 
 
 def check_fields(plant: PlantModel, what: str, may_be_zero: tuple[str, ...]) -> None:
-    """Checks that every field is a finite number above zero, or zero where that is allowed.
-
-    Raises:
-        InvalidInput: a field is out of its range.
-    """
+    """Checks that every field is a finite number above zero, or zero where that is allowed."""
     for f in own_fields(type(plant)):
         check = check_not_negative if f.name in may_be_zero else check_above_zero
         check(f"{what}: {f.name}", getattr(plant, f.name), "")

@@ -143,13 +143,13 @@ class PythonPlant(MountedModel):
         h = coefficients.sample_s
         delay, fraction = split_dead_time(self.dead_time_s, self.controller.sampling_Hz)
         ring = [self.initial_effort_N] * (delay + 2)
-        memory = pidf.at_rest(self.initial_measurement_N, self.initial_effort_N)
+        memory = pidf.state_at_rest(self.initial_measurement_N, self.initial_effort_N)
         state, y = copy.deepcopy(self.initial_state), self.initial_measurement_N
         for k, r in enumerate(drive.setpoint_N.tolist()):
             measured = y + float(noise[k])
             memory, effort, excess = pidf.step(coefficients, memory, r, measured)
             if drive.open_loop:
-                effort, excess = pidf.limited(coefficients, r)
+                effort, excess = pidf.limit_effort(coefficients, r)
             columns.tension_N[k], columns.effort_N[k], columns.angle_rad[k] = measured, effort, 0.0
             if not -bound_N <= measured <= bound_N:
                 return k

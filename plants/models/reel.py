@@ -60,9 +60,6 @@ class Reel(PlantModel):
         derivative_filter_s: Time constant of the controller's derivative filter, s.
         tension_min_N: Minimum setpoint, N.
         tension_max_N: Maximum setpoint, N.
-
-    Raises:
-        InvalidInput: a value is out of its range.
     """
 
     cable_length_m: float
@@ -198,9 +195,6 @@ def reference_reel(cable_length_m: float = 0.8, tension_N: float = 15.0, **overr
         cable_length_m: Deployed length, 0.5 to 1.4 m in the examples.
         tension_N: Preload, 5 to 40 N.
         **overrides: Any other attribute of `Reel`.
-
-    Raises:
-        InvalidInput: a value is out of its range, or there is no such attribute.
     """
     check_field_names(Reel, "a reel", overrides)
     return Reel(cable_length_m, tension_N, **overrides)

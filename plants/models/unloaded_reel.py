@@ -156,9 +156,6 @@ def unloaded_reel(**overrides: Any) -> UnloadedReel:
 
     Args:
         **overrides: Any attribute of `UnloadedReel`.
-
-    Raises:
-        InvalidInput: a value is out of its range, or there is no such attribute.
     """
     check_field_names(UnloadedReel, "an unloaded reel", overrides)
     return UnloadedReel(**overrides)

@@ -67,9 +67,6 @@ class HysteresisTest:
         step_s: Duration of a step, s.
         settle_s: Settling time after it, s.
         read_s: Averaging time of the readings, s.
-
-    Raises:
-        InvalidInput: a value is out of its range.
     """
 
     low_N: float

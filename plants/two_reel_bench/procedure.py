@@ -86,9 +86,6 @@ class TwoReelProcedure:
             than the stretch of the cable inside the reel.
         travel_m: Further displacement during the readings, m.
         velocity_m_s: Velocity of the cable for `moving`, m/s.
-
-    Raises:
-        InvalidInput: a value is out of its range; too few setpoints or sweeps.
     """
 
     setpoints_N: tuple[float, ...]
