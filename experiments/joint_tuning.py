@@ -7,18 +7,13 @@ the schedule, each proposal tried once at every length. `fitted` tunes at every 
 fits the law to the results, weighted by their standard errors; it takes all tunings, also those
 that have not converged.
 
-One set of budgets has the gauge as it is, where the search limits the result, and one a gauge four
-times as noisy, where sharing data between lengths may be worth more.
-
 The figure of merit is the true cost, the mean over noise that no tuning saw, at four lengths that
 neither way tried, relative to that of a numerical optimum at each.
 """
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
 from functools import cache
-from pathlib import Path
 from statistics import fmean, stdev
 from typing import Any
 
@@ -34,9 +29,8 @@ from estune.core.schedule import GainCurve, GainSchedule
 from estune.run.plan import MOVE_WEIGHT
 from estune.studies.law.law import fit_law
 from estune.studies.law.tuned import TunedGains
-from estune.support import plot_style
 from experiments.joint_schedule import tune_jointly
-from experiments.results import at_most, command_line, print_results, save_figure
+from experiments.results import at_most, command_line, print_results
 from plants.models.reel import SAFE_GAINS, Reel
 
 TUNER = "safe_bayesian"
@@ -47,10 +41,8 @@ FORMS = {"P": "constant", "I": "linear", "D": "constant", "setpoint_filter_s": "
 WAYS = ("joint 2", "joint 3", "joint 5", "fitted 2", "fitted 3", "fitted 5")
 """Way, and number of lengths."""
 
-NOISY, NOISY_MARK = 4.0, " noisy"
-
-FULL = (60, 120, 240, 480), (120, 240)
-"""Budgets in trials with the gauge as it is, and with the noisy one."""
+BUDGETS, QUICK = (60, 120, 240, 480), (60, 120)
+"""Numbers of search trials, all lengths together."""
 
 EXCESS_MAX = 0.03
 """Limit of the excess cost at unseen lengths with 120 trials."""
@@ -60,74 +52,70 @@ NORMAL_95 = 1.96
 
 
 @cache
-def reel(length_m: float, noise: float) -> Reel:
-    """The reference reel at a length, its gauge noise multiplied by a factor."""
-    usual = plants.reference_reel(length_m, TENSION_N)
-    return replace(usual, gauge_noise_N=noise * usual.gauge_noise_N)
+def reel(length_m: float) -> Reel:
+    """The reference reel at a length."""
+    return plants.reference_reel(length_m, TENSION_N)
 
 
 @cache
 def step_cost() -> StepCost:
     """One cost for all lengths, with the settling time of the longest."""
-    times = [reel(length, 1.0).describe("", None).settling_time_s for length in LENGTHS_m[2]]
+    times = [reel(length).describe("", None).settling_time_s for length in LENGTHS_m[2]]
     return StepCost(max(times), move_weight=MOVE_WEIGHT)
 
 
-def true_cost(length_m: float, gains: Gains, noise: float, seed: int = 70_001) -> float:
+def true_cost(length_m: float, gains: Gains, seed: int = 70_001) -> float:
     """Mean cost over noise draws; infinite if one diverged."""
     table = np.tile(gains.as_tuple(), (DRAWS, 1))
-    costs = plants.batch_costs(
-        reel(length_m, noise), table, None, step_cost(), seed=seed, workers=1
-    )
+    costs = plants.batch_costs(reel(length_m), table, None, step_cost(), seed=seed, workers=1)
     mean = float(costs.mean())
     return mean if math.isfinite(mean) else math.inf
 
 
 @cache
-def optimum(length_m: float, noise: float) -> float:
+def optimum(length_m: float) -> float:
     """The least true cost at a length, found with other noise than it is evaluated with."""
 
     def objective(logs: Any) -> float:
-        return min(true_cost(length_m, Gains(*np.exp(logs)), noise, seed=70_002), 1e3)
+        return min(true_cost(length_m, Gains(*np.exp(logs)), seed=70_002), 1e3)
 
     start = np.log((1.2, 35.0, 0.016, 0.002))
     options = {"xatol": 1e-3, "fatol": 1e-5}
     best = minimize(objective, start, method="Nelder-Mead", options=options)
-    return true_cost(length_m, Gains(*np.exp(best.x)), noise)
+    return true_cost(length_m, Gains(*np.exp(best.x)))
 
 
-def excess(schedule: GainSchedule, noise: float) -> float:
+def excess(schedule: GainSchedule) -> float:
     """Mean over the unseen lengths of the true cost relative to the optimum, less one."""
     return fmean(
-        true_cost(length, schedule.gains(length, TENSION_N), noise) / optimum(length, noise) - 1.0
+        true_cost(length, schedule.gains(length, TENSION_N)) / optimum(length) - 1.0
         for length in UNSEEN_m
     )
 
 
-def joint(lengths: tuple[float, ...], trials: int, seed: int, noise: float) -> GainSchedule:
+def joint(lengths: tuple[float, ...], trials: int, seed: int) -> GainSchedule:
     """The schedule tuned as a whole."""
     rigs = {
-        length: reel(length, noise).rig(name=f"reel{n}", seed=100 * seed + n)
+        length: reel(length).rig(name=f"reel{n}", seed=100 * seed + n)
         for n, length in enumerate(lengths)
     }
     return tune_jointly(rigs, TUNER, trials, SAFE_GAINS, step_cost())
 
 
-def fitted(lengths: tuple[float, ...], trials: int, seed: int, noise: float) -> GainSchedule:
+def fitted(lengths: tuple[float, ...], trials: int, seed: int) -> GainSchedule:
     """The law fitted to tunings at each length."""
     tunings = [
-        _tuned(length, trials // len(lengths), 100 * seed + n, noise)
-        for n, length in enumerate(lengths)
+        _tuned(length, trials // len(lengths), 100 * seed + n) for n, length in enumerate(lengths)
     ]
     if len(lengths) == 2:
         return through_two(*(tuning.gains for tuning in tunings))
     return fit_law(tunings, forms=FORMS).schedule()
 
 
-def _tuned(length: float, trials: int, seed: int, noise: float) -> TunedGains:
+def _tuned(length: float, trials: int, seed: int) -> TunedGains:
     """The search's own recommendation: the repeats that confirm it are not in the budget."""
     result = estune.tune(
-        reel(length, noise).rig(name="reel", seed=seed), tuner=TUNER, trials=trials, repeats=2,
+        reel(length).rig(name="reel", seed=seed), tuner=TUNER, trials=trials, repeats=2,
         start=SAFE_GAINS, cost=step_cost(), journal=False, watch=None,
         tolerance=0.0,  # every trial of the budget is used
     )  # fmt: skip
@@ -138,7 +126,7 @@ def _tuned(length: float, trials: int, seed: int, noise: float) -> TunedGains:
         errors = tuple(math.log(hi / lo) / (2.0 * NORMAL_95) for lo, hi in estimate.intervals)
     return TunedGains(
         f"{length:g} m", length, TENSION_N, gains, errors,
-        cost=true_cost(length, gains, noise), cost_error=0.0, safe=True, converged=True,
+        cost=true_cost(length, gains), cost_error=0.0, safe=True, converged=True,
     )  # fmt: skip
 
 
@@ -152,22 +140,16 @@ def through_two(short: Gains, long: Gains) -> GainSchedule:
     return GainSchedule(**curves, length_m=(low, high), tension_N=(TENSION_N, TENSION_N))
 
 
-def measure(
-    budgets: tuple[int, ...], noisy_budgets: tuple[int, ...], seeds: int
-) -> dict[str, Any]:
+def measure(budgets: tuple[int, ...], seeds: int) -> dict[str, Any]:
     """All figures by name."""
     ways: dict[str, Callable[..., GainSchedule]] = {"joint": joint, "fitted": fitted}
     excesses: dict[str, dict[str, list[float]]] = {}
-    for mark, noise, some in (("", 1.0, budgets), (NOISY_MARK, NOISY, noisy_budgets)):
-        for trials in some:
-            of = excesses[f"{trials}{mark}"] = {}
-            for way in WAYS:
-                kind, _, count = way.partition(" ")
-                lengths = LENGTHS_m[int(count)]
-                of[way] = [
-                    excess(ways[kind](lengths, trials, seed, noise), noise)
-                    for seed in range(seeds)
-                ]
+    for trials in budgets:
+        of = excesses[str(trials)] = {}
+        for way in WAYS:
+            kind, _, count = way.partition(" ")
+            lengths = LENGTHS_m[int(count)]
+            of[way] = [excess(ways[kind](lengths, trials, seed)) for seed in range(seeds)]
     return {
         "seeds": seeds,
         "excess": excesses,
@@ -211,30 +193,10 @@ def show(figures: dict[str, Any]) -> None:
         )
 
 
-def draw(figures: dict[str, Any], folder: Path) -> None:
-    """Saves the mean excess over the number of trials."""
-    figure = plot_style.new_figure(plot_style.WIDTH_in, 3.0)
-    ax = figure.subplots()
-    budgets = [n for n in figures["mean_excess"] if not n.endswith(NOISY_MARK)]
-    colours = {"joint": plot_style.BLUE, "fitted": plot_style.VERMILION}
-    markers = {"2": "o", "3": "s", "5": "^"}
-    for way in WAYS:
-        kind, _, count = way.partition(" ")
-        values = [100.0 * figures["mean_excess"][n][way] for n in budgets]
-        label = f"{kind}, {count} lengths"
-        ax.plot(budgets, values, marker=markers[count], color=colours[kind], label=label, lw=1.0)
-    ax.set_yscale("log")
-    plot_style.finish(ax, "above the optimum, %", "search trials, all lengths together")
-    plot_style.legend(ax, columns=3)
-    save_figure(figure, folder, "joint_tuning")
-
-
 def main() -> int:
     """Measures and prints; exit code 1 if a target is missed."""
-    parser = command_line(__doc__, quick="fewer seeds and budgets", out="the figure")
-    options = parser.parse_args()
-    figures = measure((60, 120), (), 2) if options.quick else measure(*FULL, 10)
-    draw(figures, options.out)
+    options = command_line(__doc__, quick="fewer seeds and budgets").parse_args()
+    figures = measure(QUICK, 2) if options.quick else measure(BUDGETS, 10)
     at_120 = figures["mean_excess"]["120"]
     targets = {
         f"excess_{kind}_120_trials": at_most(

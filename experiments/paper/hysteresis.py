@@ -54,8 +54,8 @@ def figure_15(*, quick: bool = False) -> PaperFigure:
         "and grows with every turn.",
         caveat=f"Two reels alike, friction coefficient {_eyelet(0.0).coefficient:g}; one tension "
         "rises and falls while the other drum is held, so that both eyelets act in both "
-        "directions. The bench is simulated with the friction of (20): that the edges lie at B² "
-        "and 1/B² shows that friction alone explains the loop, and that B can be measured from it.",
+        "directions. The bench is simulated with the friction of (20): that the edges lie at "
+        "B² and 1/B² shows that friction alone explains the loop, and that it measures B.",
         numbers={"apart": off}
         | {f"loss_at_{turn:g}_deg": loss for turn, loss in measured.items()},
         figure=_draw(loops),

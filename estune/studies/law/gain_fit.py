@@ -43,11 +43,8 @@ class GainFit:
 
     Attributes:
         name: Name of the gain, of `GAIN_NAMES`.
-        points: The tunings.
-        labels: Their labels.
-        form: The selected form.
-        fit: Its regression.
-        curve: The fitted curve.
+        labels: Labels of the points.
+        fit: Regression of the selected form.
         straight: The straight line a + b L, with + c T where tension was varied.
         scores: Cross-validation scores; empty with fewer than three lengths.
         R2: Share of the gains' weighted variance that the form explains.

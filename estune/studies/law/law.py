@@ -33,11 +33,8 @@ class Band(NamedTuple):
     """A gain by the law at some lengths; arrays of their shape.
 
     Attributes:
-        gain: The fitted curve.
         low: Lower end of the confidence band of the curve.
-        high: Its upper end.
         new_low: Lower end of the prediction band, in which one further tuning would lie.
-        new_high: Its upper end.
         extrapolated: Whether the length or tension lies beyond the tuned range.
     """
 
@@ -55,7 +52,6 @@ class GainLaw:
 
     Attributes:
         fits: By name, in the order of `GAIN_NAMES`.
-        tunings: The tunings.
         excluded: Label and reason of each excluded tuning.
         length_m: Range of tuned lengths, m.
         tension_N: Range of tuned tensions, N.

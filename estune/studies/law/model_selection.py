@@ -63,13 +63,10 @@ def parse_form(name: str) -> CurveForm:
 
 
 class Points(NamedTuple):
-    """The tunings of one gain.
+    """The tunings of one gain, in arrays of shape (n,).
 
     Attributes:
-        length_m: Shape (n,).
-        tension_N: Same shape.
-        gain: The tuned gain, same shape.
-        own_error: Its standard error by its own tuning, zero where unknown, same shape.
+        own_error: Standard error by the tuning itself; zero where unknown.
     """
 
     length_m: FloatArray
@@ -91,7 +88,6 @@ class Score(NamedTuple):
     """Cross-validation score of one form.
 
     Attributes:
-        form: The form.
         mean: Mean over the lengths of the squared prediction error per variance; about one if the
             form is right.
         error: Standard error of that mean, from its differences between lengths.

@@ -13,15 +13,9 @@ class TunedGains:
 
     Attributes:
         label: Name in messages.
-        length_m: Cable length it was tuned at, m.
-        tension_N: Tension it was tuned at, N.
-        gains: The tuned gains.
         log_errors: Standard errors of (ln P, ln I, ln D, ln tau_F), or None where the tuner gives
             none; infinite for a gain that the tuning does not determine, nan where unknown.
-        cost: Cost (35) at those gains.
-        cost_error: Its standard error; zero where unknown.
-        safe: Whether the gains are safe to run.
-        converged: Whether the search had converged.
+        cost_error: Standard error of the cost; zero where unknown.
 
     Raises:
         InvalidInput: length or tension is not finite and above zero, or the errors are not four

@@ -24,8 +24,6 @@ class CostEstimate(NamedTuple):
     Attributes:
         cost: Geometric mean over the repeats; infinite where one was unsafe.
         low: Lower end of the interval, Student's t on the logarithms.
-        high: Upper end.
-        repeats: Number of repeats.
     """
 
     cost: float
@@ -82,11 +80,9 @@ class ReelMatch:
         rig: The rig's own name; empty if it was never reached.
         cable_length_m: Its cable length, m, or None.
         tuned: The gains of its own tuning, or None.
-        tuned_cost: Their cost.
         gains: The matched gains, or None.
         cost: Their cost, from repeats that were not used to find them.
         live: Whether the matched gains are the rig's live ones.
-        trials: Number of trials run on it.
     """
 
     label: str
@@ -132,13 +128,9 @@ class Matching:
     """Several reels tuned to one cost.
 
     Attributes:
-        target: The target cost.
         by_worst: Whether it is that of the worst tuned reel; otherwise the user chose it.
         tolerance: Largest deviation from the target, relative to it.
-        step: The step trial, the same on all reels.
-        cost: Its cost, the same on all reels.
         reels: The records, in the user's order.
-        folder: Folder of the runs, or None.
     """
 
     target: float

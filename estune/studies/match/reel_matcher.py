@@ -73,13 +73,7 @@ class Settings:
 
 @dataclass(frozen=True, slots=True)
 class ReelProgress:
-    """One reel between two stages.
-
-    Attributes:
-        target: Endpoint, plant or rig.
-        record: Its record so far.
-        description: The rig's description; None if it was not reached.
-    """
+    """One reel between two stages; its description is None if it was not reached."""
 
     target: Any
     record: ReelMatch
@@ -101,15 +95,7 @@ class ReelProgress:
 
 @dataclass(frozen=True, slots=True)
 class ReelMatcher:
-    """The stages, with the settings they share.
-
-    Attributes:
-        settings: Settings of the matching.
-        folder: Folder of the runs, or None.
-        security: Credentials, if a rig requires authentication.
-        watch: Called after each trial.
-        log: Called with a line of text at each stage.
-    """
+    """The stages, with the arguments of `match` that they share."""
 
     settings: Settings
     folder: Path | None

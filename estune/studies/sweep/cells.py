@@ -34,15 +34,10 @@ class Cell:
 
     Attributes:
         key: Digest of everything that determines the outcome; the same on every machine.
-        rig: The model or rig.
-        length_m: Cable length, m.
         tension_N: Preload of the step, N.
-        tuner: Name of the tuner.
         seed: Number of the repeat, from 0.
         search: Arguments of `estune.tune`: trials, repeats, eta_max, bounds, tolerance.
         start: Initial gains; None for the rig's own.
-        step: The step trial.
-        cost: Its cost.
         model: Arguments of a model: cable_length_m, and tension_N where the design varies it.
         most_trials: Number of trials if nothing ends the tuning early.
     """
@@ -81,12 +76,7 @@ class Cell:
 
 @contextmanager
 def open_rig(rig: SweptRig, model: Mapping[str, float], seed: int = 0) -> Iterator[Rig]:
-    """A simulated rig made from a model, or the rig at an endpoint.
-
-    Args:
-        rig: The model or endpoint.
-        model: Arguments of the model.
-        seed: Seed of the model's noise.
+    """A simulated rig made from a model and its arguments, or the rig at an endpoint.
 
     Raises:
         InvalidInput: there is no such model, or it does not take these arguments.
@@ -224,7 +214,7 @@ def _key(rig: SweptRig, source: str, fields: tuple[Any, ...]) -> str:
     Args:
         rig: The model or rig.
         source: Digest of the content of a model's file.
-        fields: The fields of `Cell` after `rig`, without `most_trials`, which they determine.
+        fields: The fields of `Cell` between `rig` and `most_trials`.
     """
     length, tension, tuner, seed, search, start, step, cost, model = fields
     parts = [

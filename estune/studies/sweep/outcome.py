@@ -32,18 +32,15 @@ class CellOutcome:
     """Outcome of one cell.
 
     Attributes:
-        cell: The cell.
         ending: How its tuning ended; `failed` where it could not be run.
         message: The ending as a sentence.
         gains: The gains to use; the initial ones where no others were better, None if it failed.
         cost: Their mean cost; nan without trials.
-        cost_error: Its standard error.
         start_cost: Mean cost of the initial gains.
         log_errors: Standard errors of (ln P, ln I, ln D, ln tau_F), or None where the tuner gives
             none; infinite for a gain along which the cost is flat up to its bounds.
         remaining: Remaining improvement when the search ended, relative to the cost; infinite
             where it is unknown.
-        duration_s: Wall-clock time, s.
         trace: Its trials in order, columns as in `TRACE`, shape (trials, 7).
     """
 

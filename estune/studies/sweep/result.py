@@ -30,7 +30,6 @@ class Series(NamedTuple):
 
     Attributes:
         label: Name of the model, or `rigs`, and of the tuner.
-        outcomes: Outcomes of the cells.
     """
 
     label: str
@@ -79,9 +78,7 @@ class SweepResult:
     """The outcomes of all cells of a sweep.
 
     Attributes:
-        design: The design.
         outcomes: The outcome of each cell, in the order of the design.
-        folder: Folder of the sweep.
     """
 
     design: SweepDesign
