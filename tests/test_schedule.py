@@ -260,7 +260,7 @@ def test_a_rigs_file_with_an_unusable_schedule_says_what_is_wrong(tmp_path):
     path = tmp_path / "schedule.json"
     path.write_text(json.dumps(replace(SCHEDULE, length_m=(1.0, 1.4)).as_dict()))
     table = {"file": str(path)}
-    with pytest.raises(InvalidInput, match=r"cable_length_m 0.8 m is beyond .* 1 to 1.4 m"):
+    with pytest.raises(InvalidInput, match=r"cable_length_m 0.8 m is outside .* 1 to 1.4 m"):
         config(schedule=table, gains=None)
     with pytest.raises(InvalidInput, match=r"either \[gains\] or a \[schedule\] of them"):
         config(schedule=table)

@@ -272,20 +272,6 @@ class DaemonStore:
             self._file.write("DELETE FROM check_record WHERE number <= ?", number - RECORDS_KEPT)
             self._file.write("DELETE FROM check_trial WHERE number <= ?", number - ROWS_KEPT)
 
-    def check_record(self, number: int) -> TrialRecord:
-        """Record of a recent check trial.
-
-        Raises:
-            JournalError: there is none, or it was deleted.
-        """
-        rows = self._file.rows("SELECT record FROM check_record WHERE number=?", number)
-        if not rows:
-            raise JournalError(
-                f"{self._file.path} holds no record of check trial {number}; the "
-                f"{RECORDS_KEPT} newest are kept"
-            )
-        return record_frame.decode(rows[0][0])
-
     def checks(self, limit: int) -> list[Check]:
         """The newest check trials, oldest first."""
         rows = self._file.rows(

@@ -6,7 +6,7 @@ nothing; any other event that it does not allow is an error of the program.
 
 Only the nominal gains (field `home`) are ever made live. A candidate is measured in trials, after
 which the rig restores its live gains even if the daemon dies. It becomes the nominal gains when it
-is accepted. So at every instant the rig runs gains that somebody or the file agreed to.
+is accepted. So at every instant the rig runs gains that the operator or the file has approved.
 """
 
 from collections.abc import Callable, Mapping

@@ -146,7 +146,7 @@ class RigConfig(TomlTable):
         low, high = schedule.length_m
         if not low <= length <= high:
             raise InvalidInput(
-                f"reel.cable_length_m {length:g} m is beyond the schedule's {low:g} to {high:g} "
+                f"reel.cable_length_m {length:g} m is outside the schedule's {low:g} to {high:g} "
                 "m; tune at that length too, or begin within"
             )
         return LengthSource(schedule, self.settings(), length, self.reel.drum_radius_m)
@@ -202,8 +202,8 @@ class RigConfig(TomlTable):
         )
 
     def _guard(self) -> Limits:
-        given = self.guard.model_dump(exclude={"eta_max", "deadline_margin_s"})
-        return Limits(**{name: value for name, value in given.items() if value is not None})
+        of_trials = {"eta_max", "deadline_margin_s"}
+        return Limits(**self.guard.model_dump(exclude=of_trials, exclude_none=True))
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
@@ -308,9 +308,8 @@ def config_from(data: dict[str, Any], source: str) -> RigConfig:
     return validate(RigConfig, data, source)
 
 
-def _json(path: Path) -> dict[str, Any]:
+def _json(path: Path) -> Any:
     try:
-        stored: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        return json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise InvalidInput(f"calibration {path}: {error}") from error
-    return stored

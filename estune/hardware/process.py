@@ -124,7 +124,8 @@ class LoopProcess:
             raise self._give_up(f"its loop has ended by itself, exit code {code}") from error
         if isinstance(answer, Failed):
             self._give_up(answer.sentence)
-            raise _error_of(answer)
+            error_class: type[EstuneError] = getattr(errors, answer.error, RigError)
+            raise error_class(answer.sentence)
         if isinstance(answer, Refused):
             raise RigError(f"rig {self._name} takes no trial: {answer.reason}")
         if not isinstance(answer, kind):
@@ -158,9 +159,3 @@ def _start(file: int) -> tuple["Connection[Any, Any]", "subprocess.Popen[bytes]"
             start_new_session=True,  # Ctrl-C is for us; the loop ends when we do
         )
     return ours, process
-
-
-def _error_of(failed: Failed) -> EstuneError:
-    kind = getattr(errors, failed.error, RigError)
-    made: EstuneError = kind(failed.sentence)
-    return made

@@ -11,7 +11,6 @@ Positive = Annotated[float, Field(gt=0.0)]
 NotNegative = Annotated[float, Field(ge=0.0)]
 Range = tuple[float, float]
 _Any = TypeVar("_Any")
-_Calibration = TypeVar("_Calibration", bound="GaugeTable | CurrentTable")
 
 
 class DriverTable(TomlTable):
@@ -21,29 +20,32 @@ class DriverTable(TomlTable):
     settings: dict[str, Any] = Field(default={})
 
 
-class GaugeTable(TomlTable):
-    """C2: a JSON file of `GaugeCalibration.as_dict`, or known numbers."""
+class _CalibrationTable(TomlTable):
+    """A calibration: a JSON file, or numbers with their range."""
 
     file: Path | None = Field(default=None, strict=False)
+
+    @model_validator(mode="after")
+    def _one_way(self) -> Self:
+        names = [name for name in type(self).model_fields if name != "file"]
+        present = [getattr(self, name) is not None for name in names]
+        if any(present) != all(present) or all(present) == (self.file is not None):
+            raise ValueError(f"give either file, or {', '.join(names)}")
+        return self
+
+
+class GaugeTable(_CalibrationTable):
+    """C2: a JSON file of `GaugeCalibration.as_dict`, or a polynomial."""
+
     counts_of_force: list[float] | None = None
     range_N: Annotated[Range | None, Field(strict=False)] = None
 
-    @model_validator(mode="after")
-    def _one_way(self) -> Self:
-        return _check_one_way(self, self.counts_of_force, self.range_N, "counts_of_force, range_N")
 
+class CurrentTable(_CalibrationTable):
+    """C1: a JSON file of `CurrentCalibration.as_dict`, or a polynomial."""
 
-class CurrentTable(TomlTable):
-    """C1: a JSON file of `CurrentCalibration.as_dict`, or known numbers."""
-
-    file: Path | None = Field(default=None, strict=False)
     amperes_of_command: list[float] | None = None
     range_counts: Annotated[Range | None, Field(strict=False)] = None
-
-    @model_validator(mode="after")
-    def _one_way(self) -> Self:
-        known = self.amperes_of_command
-        return _check_one_way(self, known, self.range_counts, "amperes_of_command, range_counts")
 
 
 class ReelTable(TomlTable):
@@ -132,7 +134,7 @@ class ControllerTable(TomlTable):
 
 
 class GainsTable(TomlTable):
-    """Live gains at the start, which are known to be stable."""
+    """Live gains at the start; they must be stable."""
 
     P: Positive
     I: NotNegative
@@ -167,15 +169,6 @@ class RealTimeTable(TomlTable):
     cpu: Annotated[int, Field(ge=0)] | None = None
     spin_s: NotNegative = 100e-6
     late_s: Positive | None = None
-
-
-def _check_one_way(
-    table: _Calibration, known: list[float] | None, range_: Range | None, names: str
-) -> _Calibration:
-    numbers = known is not None and range_ is not None
-    if numbers == (table.file is not None) or (known is None) != (range_ is None):
-        raise ValueError(f"give either file, or {names}")
-    return table
 
 
 def _check_order(table: _Any, low: str, high: str) -> _Any:
