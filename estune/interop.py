@@ -40,7 +40,7 @@ def margins(model: LinearModel, gains: Gains, settings: ControllerSettings) -> M
     Returns:
         The margins, or a note that the closed loop is unstable.
     """
-    return loop_margins(_sampled(model, settings), gains, settings)
+    return loop_margins(sampled_model(model, settings), gains, settings)
 
 
 def model_gains(model: LinearModel, settings: ControllerSettings) -> Gains:
@@ -54,13 +54,13 @@ def model_gains(model: LinearModel, settings: ControllerSettings) -> Gains:
         InvalidInput: the rule does not apply to the model.
         UnsafeStart: the loop would be unstable, or near it.
     """
-    plant = _sampled(model, settings)
+    plant = sampled_model(model, settings)
     gains = largest_integral_gain(plant, settings)
     proposal = Proposal("sensitivity_limited", gains, loop_margins(plant, gains, settings))
     return proposal.checked().gains
 
 
-def _sampled(model: LinearModel, settings: ControllerSettings) -> SampledPlant:
+def sampled_model(model: LinearModel, settings: ControllerSettings) -> SampledPlant:
     n = len(model.B)
     return sample_plant(
         np.reshape(np.asarray(model.A, dtype=np.float64), (n, n)),
