@@ -70,9 +70,9 @@ from plants.effects.torque_ripple import TorqueRipple as TorqueRipple
 from plants.effects.viscous_damping import ViscousDamping as ViscousDamping
 
 EFFECTS: dict[str, type[Effect]] = {
-    found.name: found
-    for found in list(vars().values())
-    if isinstance(found, type) and issubclass(found, Effect) and found is not Effect
+    effect.name: effect
+    for effect in list(vars().values())
+    if isinstance(effect, type) and issubclass(effect, Effect) and effect is not Effect
 }
 """The effects of this package by slug."""
 
@@ -95,19 +95,19 @@ def find(name: str) -> type[Effect]:
     declared = {point.name: point for point in entry_points(group=GROUP)}
     try:
         if colon:
-            found = getattr(importlib.import_module(module), attribute)
+            loaded = getattr(importlib.import_module(module), attribute)
         elif name in declared:
-            found = declared[name].load()
+            loaded = declared[name].load()
         else:
-            known = ", ".join(sorted({*EFFECTS, *declared}))
+            names = ", ".join(sorted({*EFFECTS, *declared}))
             raise InvalidInput(
-                f"there is no effect {name!r}; there are {known}, and your own as module:attribute"
+                f"there is no effect {name!r}; there are {names}, and your own as module:attribute"
             )
     except (ImportError, AttributeError, ValueError) as error:
         raise InvalidInput(f"effect {name!r} cannot be loaded: {error}") from error
-    if not (isinstance(found, type) and issubclass(found, Effect)):
-        raise InvalidInput(f"{name!r} is {found!r}; an effect is a class derived from Effect")
-    return found
+    if not (isinstance(loaded, type) and issubclass(loaded, Effect)):
+        raise InvalidInput(f"{name!r} is {loaded!r}; an effect is a class derived from Effect")
+    return loaded
 
 
 def declared() -> tuple[type[Effect], ...]:

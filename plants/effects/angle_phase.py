@@ -1,7 +1,7 @@
-"""Sine and cosine of an angle that goes with the drum, for effects that repeat with each turn.
+"""Sine and cosine of an angle that turns with the drum, for effects periodic in its angle.
 
-They are turned on from one substep to the next: working out a sine anew in each would cost more
-than the rest of the trial.
+They are advanced from substep to substep: a sine in each would cost more than the rest of the
+trial.
 """
 
 from typing import Any
@@ -10,17 +10,16 @@ import casadi as ca
 
 STATES = 3
 FURTHEST_rad = 1.0
-"""What the angle may move in a substep; beyond it the phase is lost. That is faster than half the
-sampling rate, so that no record shows it."""
+"""Greatest change of the angle in a substep; it exceeds half the sampling rate."""
 
 
 def encode_angle(angle_rad: Any) -> Any:
-    """What is remembered of an angle: its sine, its cosine, itself."""
+    """State of an angle: its sine, its cosine, itself."""
     return ca.vertcat(ca.sin(angle_rad), ca.cos(angle_rad), angle_rad)
 
 
 def advance_angle(state: Any, angle_rad: Any) -> Any:
-    """What is remembered of an angle a substep later.
+    """State of an angle a substep later.
 
     The series are right to 1e-9 for 0.1 rad and to 1e-3 for 1 rad; the sum of the squares is drawn
     to one.

@@ -1,4 +1,4 @@
-"""Play between motor and drum."""
+"""Backlash between motor and drum."""
 
 from dataclasses import dataclass
 
@@ -11,7 +11,7 @@ from plants.effects.plant_scale import PlantScale
 
 @dataclass(frozen=True)
 class Backlash(Effect):
-    """Play in the gear between the motor, which has the encoder, and the drum.
+    """Backlash of the gear between the motor, which has the encoder, and the drum.
 
         m (J theta'' + b theta') = tau - c,    0 <= g = phi - theta <= p
         (1 - m) (J phi'' + b phi') = c - R T - f,    l = k R phi
@@ -23,10 +23,10 @@ class Backlash(Effect):
     part where the motor gives way faster than the cable pulls the drum along, which takes a cable
     next to slack, or none: until they meet again, the torque moves the motor alone. They meet
     without rebound: the gap's rate over a substep is that of free masses, cut at what takes the
-    gap to an end of the play (Moreau 1988).
+    gap to an end of the backlash (Moreau 1988).
 
     Attributes:
-        play_rad: The play p at the drum, rad.
+        play_rad: Backlash p at the drum, rad.
         motor_share: Share m of the inertia, and of the viscous friction, on the motor's side.
     """
 
@@ -49,7 +49,7 @@ class Backlash(Effect):
 
     @classmethod
     def describe(cls, p: Values, plant: PlantScale) -> str:
-        """What was found, in words."""
+        """Sentence with the fitted values."""
         return (
             f"has backlash of {plant.travel(p.play_rad)} between motor and drum; the motor is "
             f"{100.0 * p.motor_share:.0f} % of what turns and moves alone where the teeth part"

@@ -1,4 +1,4 @@
-"""Dahl's bristles, for the effects whose friction is elastic before it slips."""
+"""Dahl's bristle model, for friction that is elastic before it slips."""
 
 from typing import Any, NamedTuple
 
@@ -7,19 +7,15 @@ import casadi as ca
 from plants.effects.effect import Site
 
 FURTHEST = 1.596071637983322
-"""Where 1 - a + a^2/2 - a^3/6 is zero."""
+"""Root of 1 - a + a^2/2 - a^3/6."""
 
 
 def bent(z: Any, travel: Any) -> Any:
-    """How much further the bristles are bent after some travel.
+    """Change of the deflection z, -1 to 1, over a signed travel in lengths of the bristles.
 
     dz/dx = sign(dx) - z has the solution z -> z exp(-a) + s (1 - exp(-a)) for a travel of size a
-    and sign s. Taken is exp(-a) = 1 - a g with g = 1 - a/2 + a^2/6, up to where that is zero: the
-    substeps are short, and an exponential in each would cost more than the rest of the trial.
-
-    Args:
-        z: How far they are bent before, -1 to 1.
-        travel: Signed travel in lengths of the bristles.
+    and sign s. Used is exp(-a) = 1 - a g with g = 1 - a/2 + a^2/6, up to where that is zero: an
+    exponential in each substep would cost more than the rest of the trial.
     """
     x = ca.fmin(ca.fmax(travel, -FURTHEST), FURTHEST)
     a = ca.fabs(x)
@@ -28,31 +24,26 @@ def bent(z: Any, travel: Any) -> Any:
 
 
 class Bent(NamedTuple):
-    """Long and short bristles after a substep.
-
-    Attributes:
-        after: How far they are bent, a column of two.
-        held: Mean of that before and after, of both: the share of the friction that they hold.
-    """
+    """Deflections after a substep, a column of two, and their mean over it, the friction."""
 
     after: Any
     held: Any
 
 
 def both_bent(state: Any, site: Site, slowing: Any, bends: tuple[Any, Any]) -> Bent:
-    """Two kinds of bristles, that hold half of the friction each, over a substep.
+    """Two kinds of bristles, each with half of the friction, over a substep.
 
-    The angle turned in it is that of the mean velocity with friction's own answer in it, solved to
-    first order, so that stiff bristles do not make the drum ring.
+    The angle of the substep is that of the mean velocity including friction, solved to first
+    order, so that stiff bristles do not make the drum oscillate.
 
     Args:
-        state: How far they are bent before, a column of two.
-        site: The moment.
+        state: Deflections before, a column of two.
+        site: The substep.
         slowing: Half the velocity that the friction takes off in a substep where it slips, rad/s.
         bends: Lengths of either kind that the drum turns in a substep, per velocity.
     """
     z_1, z_2 = state[0], state[1]
-    # What the mean velocity would be if the bristles kept their torque.
+    # Mean velocity with the torque of the bristles held.
     share = 0.5 * slowing
     start = 0.5 * site.start_velocity_rad_s - share * (z_1 + z_2)
     unheld = start + 0.5 * site.velocity_rad_s

@@ -1,4 +1,4 @@
-"""A cable that goes on stretching."""
+"""Creep of the cable."""
 
 from dataclasses import dataclass
 
@@ -11,12 +11,12 @@ from plants.effects.plant_scale import PlantScale, share, si
 
 @dataclass(frozen=True)
 class CableCreep(Effect):
-    """A cable that goes on stretching under load: the standard linear solid.
+    """A cable that creeps under load: the standard linear solid.
 
         T = l - e,    tau e' = c T - e
 
-    l is the tension of the linear law, e what the slow stretch takes off it: in the end the cable
-    gives 1 + c times as much as at once. At the start it has settled.
+    l is the tension of the linear law, e its reduction by the slow stretch: in the end the cable
+    stretches 1 + c times as far as at once. At the start it has settled.
 
     Attributes:
         share: Slow stretch c per quick stretch.
@@ -26,7 +26,7 @@ class CableCreep(Effect):
     name = "cable_creep"
     title = "creep of the cable"
     appearance = (
-        "after a step the angle goes on moving for long while the tension is held, "
+        "after a step the angle keeps moving for long while the tension is held, "
         "in the direction of the step"
     )
     excitation = "long holds after large steps"
@@ -38,7 +38,7 @@ class CableCreep(Effect):
 
     @classmethod
     def describe(cls, p: Values, _plant: PlantScale) -> str:
-        """What was found, in words."""
+        """Sentence with the fitted values."""
         return (
             f"has a cable that creeps: after each change it gives another {share(p.share)} of "
             f"what it gave at once, with a time constant of {si(p.time_s, 's')}"

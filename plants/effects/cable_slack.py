@@ -27,8 +27,8 @@ def straightened(stretch: Signal, slack: Signal) -> Response:
     """
     x = ca.fmin(ca.fmax(stretch / slack, 0.0), 2.0)
     late = ca.fmax(x - 1.0, 0.0)
-    toe = (1.0 / 6.0) * (x * x) * x - (1.0 / 3.0) * (late * late) * late
-    return slack * toe + ca.fmax(stretch - 2.0 * slack, 0.0), 0.5 * (x * x) - late * late
+    bend = (1.0 / 6.0) * (x * x) * x - (1.0 / 3.0) * (late * late) * late
+    return slack * bend + ca.fmax(stretch - 2.0 * slack, 0.0), 0.5 * (x * x) - late * late
 
 
 def stretched(tension: Signal, slack: Signal) -> Signal:
@@ -44,8 +44,8 @@ def stretched(tension: Signal, slack: Signal) -> Signal:
         left = 2.0 - bent
         bent -= (bent - 1.0 + left**3 / 6.0 - t) / (1.0 - 0.5 * left**2)
     early = (6.0 * t + TINY_N) ** (1.0 / 3.0)
-    toe = slack * ca.if_else(6.0 * t > 1.0, bent, early)
-    return ca.if_else(tension > slack, tension + slack, toe)
+    bend = slack * ca.if_else(6.0 * t > 1.0, bent, early)
+    return ca.if_else(tension > slack, tension + slack, bend)
 
 
 @dataclass(frozen=True)
@@ -57,9 +57,9 @@ class CableSlack(Effect):
     with powers of positive parts only: `T = k R theta` from R theta = s on, where all of the
     cable holds. Strands come taut one after the other (sequential straightening and loading,
     Kastelic, Palley & Baer 1980), over lengths spread as a triangle between -s and s, most of
-    them about where the reel's own cable, which holds at once, is just taut. So nothing but the
-    toe is another: what is known of the taut cable need not change with the slack. Where the own
-    weight is reckoned with at any tension, the toe is in that law, and nothing is done here.
+    them about where the reel's own cable, which holds at once, is just taut. So only the
+    low-tension region changes, and the parameters of the taut cable do not. Where the reel models
+    its own weight at any tension, this law is part of that one, and nothing is done here.
 
     Attributes:
         slack_m: The slack s that the cable has where the straight law says it is just taut, m.
@@ -82,7 +82,7 @@ class CableSlack(Effect):
 
     @classmethod
     def describe(cls, p: Values, plant: PlantScale) -> str:
-        """What was found, in words."""
+        """Sentence with the fitted values."""
         until = 2.0 * plant.stiffness_N_m * p.slack_m
         firm = "" if math.isnan(until) else f"; from {si(until, 'N')} on it is as stiff as ever"
         return (

@@ -40,7 +40,7 @@ class CableStiffening(Effect):
 
     @classmethod
     def describe(cls, p: Values, plant: PlantScale) -> str:
-        """What was found, in words."""
+        """Sentence with the fitted values."""
         square, cubic = p.stiffening_per_N, p.cubic_per_N2
         if plant.is_plant:
             pulled = f"{digits(square)} u² more where it is pulled" if square else ""

@@ -22,9 +22,9 @@ class CableWeight(Effect):
 
     The last two terms are the length that the parabola's sag takes up (Irvine 1981), beyond that
     of the reel's own weight w at the preload T_0; the law's slope there is Ernst's. The root is
-    found anew in each substep by one step of Newton's method from where the last two lead. Such a
-    cable does not go slack. Where the own weight is reckoned with at any tension, the whole of it
-    is in that law, and nothing is done here.
+    computed in each substep by one step of Newton's method, extrapolated from the last two. Such a
+    cable does not go slack. Where the reel models its own weight at any tension, all of it is in
+    that law, and nothing is done here.
 
     Attributes:
         density_kg_m: Mass dmu added per length, kg/m.
@@ -46,7 +46,7 @@ class CableWeight(Effect):
 
     @classmethod
     def describe(cls, p: Values, plant: PlantScale) -> str:
-        """What was found, in words."""
+        """Sentence with the fitted values."""
         sag = 9.81 * p.density_kg_m * plant.length_m**2 / (8.0 * plant.tension_N)
         place = f"on {si(plant.length_m, 'm')} at {si(plant.tension_N, 'N')}"
         seen = "" if math.isnan(sag) else f": {place} it sags {si(sag, 'm')} more"
@@ -81,10 +81,10 @@ class CableWeight(Effect):
         s = signal - p.shift
         start = ca.fmax(2.0 * state[0] - state[1], 0.125 * state[0])
         square = start * start
-        found = (start / (start * square + p.twice)) * (square * s + p.thrice)
+        tension = (start / (start * square + p.twice)) * (square * s + p.thrice)
         # The root lies above s, and stays above zero in however fast a fall.
-        found = ca.fmax(ca.fmax(found, s), ca.fmin(0.125 * start, p.root))
-        return ca.vertcat(found, state[0]), found + p.done * (signal - found)
+        tension = ca.fmax(ca.fmax(tension, s), ca.fmin(0.125 * start, p.root))
+        return ca.vertcat(tension, state[0]), tension + p.done * (signal - tension)
 
     @staticmethod
     def rest(p: Values, _state: Signal, signal: Signal, _site: Site) -> Response:

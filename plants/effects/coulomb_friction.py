@@ -42,10 +42,10 @@ class CoulombFriction(Effect):
 
     @classmethod
     def describe(cls, p: Values, plant: PlantScale) -> str:
-        """What was found, in words."""
+        """Sentence with the fitted values."""
         return (
             f"has dry friction{plant.at_drum}: {plant.torque(p.torque_Nm)} against the motion, "
-            "whatever the speed. A smaller change of the command moves nothing"
+            "at any speed. A smaller change of the command causes no motion"
         )
 
     @staticmethod

@@ -41,7 +41,7 @@ class CurrentSaturation(Effect):
 
     @classmethod
     def describe(cls, p: Values, plant: PlantScale) -> str:
-        """What was found, in words."""
+        """Sentence with the fitted values."""
         return (
             f"has a drive that gives no more than {plant.current(p.limit_A)}, however much is "
             "commanded; beyond it the controller's integral winds up"

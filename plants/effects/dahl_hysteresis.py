@@ -52,7 +52,7 @@ class DahlHysteresis(Effect):
 
     @classmethod
     def describe(cls, p: Values, plant: PlantScale) -> str:
-        """What was found, in words."""
+        """Sentence with the fitted values."""
         return (
             f"has dry friction that gives before it slips: {plant.torque(p.torque_Nm)}, built up "
             f"over {plant.travel(p.presliding_rad)} after each reversal, so that small motions "

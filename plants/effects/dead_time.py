@@ -23,7 +23,7 @@ class DeadTime(Effect):
     title = "dead time of the drive"
     appearance = (
         "everything comes late by the same time: the phase lags in proportion to the frequency "
-        "while gain and tension level play no part"
+        "independent of gain and tension level"
     )
     excitation = "fast changes of the command, as in a multisine"
     port = Port.ACTUATOR
@@ -34,7 +34,7 @@ class DeadTime(Effect):
 
     @classmethod
     def describe(cls, p: Values, plant: PlantScale) -> str:
-        """What was found, in words."""
+        """Sentence with the fitted values."""
         d, samples = p.delay_s, p.delay_s * plant.sampling_Hz
         counted = "" if math.isnan(samples) else f", {samples:.3g} samples,"
         return (

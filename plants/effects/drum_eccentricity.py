@@ -38,7 +38,7 @@ class DrumEccentricity(Effect):
 
     @classmethod
     def describe(cls, p: Values, plant: PlantScale) -> str:
-        """What was found, in words."""
+        """Sentence with the fitted values."""
         return (
             f"has a drum that is not round: its radius varies by {share(p.eccentricity)}"
             f"{also(p.eccentricity * plant.radius_m, 'm')} either way, once a turn"

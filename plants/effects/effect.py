@@ -52,7 +52,7 @@ class Port(StrEnum):
 
 
 class Site(NamedTuple):
-    """What an effect may know of the moment it acts in.
+    """State of the reel at a visit of an effect.
 
     Attributes:
         port: The port being visited.
@@ -107,16 +107,16 @@ class Effect(ABC):
         extends: The simpler effect whose fit its own begins with, or None.
         inherits: Its parameters that begin with the fit of one of `extends`, to that one's name.
         base_parameter: The base model's own number that does the same; empty where none does.
-        in_noise: Whether it is found in the noise of the records, not by fitting predictions.
+        in_noise: Whether it is part of the noise model, not found by fitting predictions.
         known_apart: Whether its size is known without the machine, by a scale say: of two
             effects that explain as much, the other is likelier.
         port: Where it sits.
-        also: Further ports it is visited at; `respond` tells them apart by `site.port`.
-        states: How many numbers it remembers.
-        resists: At the drum, whether it answers to the motion that all else leaves, as friction
-            does: it is then visited after those that do not.
-        divides: At the drum, whether it separates what acts on the drum from what acts on the
-            motor; it is then visited last.
+        also: Further ports it is visited at; `respond` distinguishes them by `site.port`.
+        states: Number of its states.
+        resists: At the drum, whether its torque depends on the motion under all other torques, as
+            friction does: it is then visited after the others.
+        divides: At the drum, whether it separates torques on the drum from those on the motor; it
+            is then visited last.
         by_tension: Whether it depends on the level of the tension, not on changes of it: beside it
             an offset of the torque can be told from one of the gauge.
         smooth: Whether the trial has a derivative by the parameters that is worth following.
@@ -172,12 +172,7 @@ class Effect(ABC):
 
     @classmethod
     def start(cls, name: str, records: RecordScale) -> tuple[float, float]:
-        """Where a fit of a parameter begins, and its upper bound there.
-
-        Args:
-            name: Name of the parameter.
-            records: What the records show.
-        """
+        """Where a fit of a parameter begins, and its upper bound there."""
         p, usual = cls.parameters()[name], float(getattr(cls(), name))
         if isinstance(p.start, float | int):
             return float(p.start), p.high
@@ -192,12 +187,7 @@ class Effect(ABC):
 
     @classmethod
     def guesses(cls, name: str, records: RecordScale) -> tuple[float, ...]:
-        """Values of a parameter that a search tries; none where those about `start` will do.
-
-        Args:
-            name: Name of the parameter.
-            records: What the records show.
-        """
+        """Values of a parameter that a search tries; none where those about `start` will do."""
         p = cls.parameters()[name]
         tried: Any = p.start
         if callable(tried):
@@ -254,18 +244,13 @@ class Effect(ABC):
 
     @classmethod
     def sentence(cls, values: Mapping[str, float], model: Any) -> str:
-        """One or two sentences that say what the effect is and how large.
-
-        Args:
-            values: The fitted parameters by name, in the plant's own units.
-            model: The model they were fitted with.
-        """
+        """One or two sentences: what the effect is and how large, in the model's own units."""
         plant = PlantScale.of(model)
         return f"Your {plant.subject} {cls.describe(SimpleNamespace(**values), plant)}."
 
     @staticmethod
     def amend(p: Values, reel: Values) -> dict[str, Any]:  # noqa: ARG004  most effects amend nothing
-        """What the effect changes of the reel's own numbers; also called with floats.
+        """New values of the reel's own parameters; also called with floats.
 
         Args:
             p: The parameters by name.
@@ -278,7 +263,7 @@ class Effect(ABC):
 
     @staticmethod
     def prepare(p: Values, reel: Values) -> dict[str, Signal]:  # noqa: ARG004  most effects prepare nothing
-        """What is worked out once per trial, and joins the parameters under the names given.
+        """Values computed once per trial; they join the parameters by name.
 
         Args:
             p: The parameters by name.
@@ -299,7 +284,7 @@ class Effect(ABC):
 
         Args:
             p: The parameters by name, and what `prepare` added to them.
-            state: What the effect remembers, a column of `states` numbers.
+            state: The effect's states, a column.
             signal: The signal at the port; at the drum, the torque other effects have added.
             site: The moment it acts in.
 
@@ -315,22 +300,20 @@ class Effect(ABC):
         signal: Signal,
         site: Site,
     ) -> Response:
-        """The effect in a reel that has settled, traced back from what the gauge then reads.
+        """The effect in a settled reel, traced back from the reading of the gauge.
 
-        An effect that changes a steady signal has to say here what goes in, or trials will begin
-        with a transient.
+        An effect that changes a steady signal has to invert itself here, or trials begin with a
+        transient.
 
         Args:
             p: The parameters by name, and what `prepare` added to them.
-            state: Zeros, a column of `states` numbers; where a moving reel is only put to
-                another reading, what the effect remembers.
-            signal: What steadily comes out at the port; at the encoder, what goes in; at the drum,
-                the torque other effects have added.
+            state: Zeros, a column; where a moving reel is set to another reading, its states.
+            signal: Steady output at the port; at the encoder, the input; at the drum, the torque
+                other effects have added.
             site: The moment; the velocities are zero.
 
         Returns:
-            What the effect remembers then, and what steadily goes in; at the drum, the torque this
-            effect adds.
+            The states then, and the steady input signal; at the drum, the torque it adds.
         """
         return state, (0.0 if site.port is Port.DRUM else signal)
 
@@ -340,11 +323,11 @@ class Effect(ABC):
         state: Signal,
         angle_rad: Signal,  # noqa: ARG004
     ) -> Signal:
-        """What the effect remembers once the drum is put at an angle, from what it did before.
+        """The states after the drum is set to an angle.
 
         Args:
             p: The parameters by name, and what `prepare` added to them.
-            state: What it remembered.
+            state: The states before.
             angle_rad: The drum's angle from now on.
         """
         return state

@@ -16,26 +16,26 @@ FULL = 1.5
 
 
 def saturated(x: Signal) -> Signal:
-    """How full friction is at a velocity: a cubic, at zero as steep as tanh, that ends level.
+    """Share of full friction at a velocity: a cubic, at zero as steep as tanh, that ends level.
 
-    No closer to tanh than 0.1: how a cable creeps is not known better.
+    It differs from tanh by up to 0.1: the creep law of a cable is not known better.
     """
     x = ca.fmin(ca.fmax(x, -FULL), FULL)
     return x * (1.0 - (x * x) * (4.0 / 27.0))
 
 
 def slid(z: Signal, goal: Signal, travel: Signal, knee: Signal) -> Signal:
-    """How far friction is built up after some travel.
+    """Built-up share of friction after some travel.
 
     With what is left, L = s (g - z)/2, s = sign(g - z): dL/dx = -(1 + a) L/(L + a). At a = 0 it
     ends in a kink, far above one it is Dahl's exponential (1968). Taken is an implicit step, which
     is exact in a kink: powers and exponentials in each substep would double the cost of a trial.
 
     Args:
-        z: What is built up before, -1 to 1.
-        goal: What it builds up to, g.
-        travel: Size of the travel in lengths d, after which it would be there at the first rate.
-        knee: The share a.
+        z: Share before, -1 to 1.
+        goal: Final share g.
+        travel: Travel in lengths d, after which it would reach g at the initial rate.
+        knee: Width a.
     """
     gap = goal - z
     left = 0.5 * ca.fabs(gap)
@@ -89,7 +89,7 @@ class EyeletFriction(Effect):
 
     @classmethod
     def describe(cls, p: Values, plant: PlantScale) -> str:
-        """What was found, in words."""
+        """Sentence with the fitted values."""
         B, lost = p.attenuation, (1.0 - p.attenuation) * plant.tension_N
         less = (
             ""

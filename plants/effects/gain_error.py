@@ -9,7 +9,7 @@ from plants.effects.plant_scale import PlantScale, share
 
 @dataclass(frozen=True)
 class GainError(Effect):
-    """A drive that gives more or less current, or torque, than is asked: `i = (1 + e) u`.
+    """A drive that gives more or less current, or torque, than commanded: `i = (1 + e) u`.
 
     Attributes:
         error: The relative error e.
@@ -25,12 +25,12 @@ class GainError(Effect):
     base_parameter = "torque_gain"
     port = Port.ACTUATOR
 
-    # No drive's torque constant is known better.
+    # Uncertainty of any drive's torque constant.
     error: float = parameter(0.05, low=-0.5, high=1.0, neutral=0.0, least=(Share(0.04),))
 
     @classmethod
     def describe(cls, p: Values, _plant: PlantScale) -> str:
-        """What was found, in words."""
+        """Sentence with the fitted values."""
         more = "more" if p.error > 0.0 else "less"
         return (
             f"has a drive that gives {share(abs(p.error))} {more} torque than the model says, at "
@@ -44,5 +44,5 @@ class GainError(Effect):
 
     @staticmethod
     def rest(p: Values, state: Signal, signal: Signal, _site: Site) -> Response:
-        """The current that has to be asked for."""
+        """The current to be commanded."""
         return state, signal / (1.0 + p.error)

@@ -1,4 +1,4 @@
-"""A zero of the gauge that wanders."""
+"""Drift of the gauge's zero."""
 
 from dataclasses import dataclass
 
@@ -18,7 +18,7 @@ class GaugeDrift(Effect):
     name = "gauge_drift"
     title = "drift of the gauge"
     appearance = (
-        "tension read and current move apart in proportion to the time, whatever the reel does; "
+        "tension read and current move apart in proportion to the time, at any motion; "
         "the first and last rest of a record disagree"
     )
     excitation = "a long record that begins and ends at rest"
@@ -29,14 +29,14 @@ class GaugeDrift(Effect):
 
     @classmethod
     def describe(cls, p: Values, plant: PlantScale) -> str:
-        """What was found, in words."""
+        """Sentence with the fitted values."""
         rate = p.rate_N_per_s
         return (
             f"has a gauge whose zero wanders {'up' if rate > 0.0 else 'down'} from the start of a "
-            f"record, whatever happens: {plant.reading(abs(rate))} in a second"
+            f"record: {plant.reading(abs(rate))} in a second"
         )
 
     @staticmethod
     def respond(p: Values, state: Signal, signal: Signal, site: Site) -> Response:
-        """The tension read; what is remembered is the drift."""
+        """The tension read; the state is the drift."""
         return state + p.rate_N_per_s * site.span_s, signal + state

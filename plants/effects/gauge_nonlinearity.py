@@ -30,7 +30,7 @@ class GaugeNonlinearity(Effect):
 
     @classmethod
     def describe(cls, p: Values, plant: PlantScale) -> str:
-        """What was found, in words."""
+        """Sentence with the fitted values."""
         c = p.curvature_per_N
         if plant.is_plant:
             return (

@@ -25,7 +25,7 @@ class GaugeOffset(Effect):
     base_parameter = "gauge_offset_N"
     port = Port.GAUGE
 
-    # No gauge's zero is known better than to a hundredth of what it is there to read.
+    # Uncertainty of any gauge's zero: a hundredth of its readings.
     offset_N: float = parameter(
         0.5,
         low=-20.0,
@@ -37,7 +37,7 @@ class GaugeOffset(Effect):
 
     @classmethod
     def describe(cls, p: Values, plant: PlantScale) -> str:
-        """What was found, in words."""
+        """Sentence with the fitted values."""
         more = "much" if p.offset_N > 0.0 else "little"
         return f"has a gauge that reads {plant.reading(abs(p.offset_N))} too {more} at any tension"
 

@@ -43,7 +43,7 @@ class GaugeResonance(Effect):
 
     @classmethod
     def describe(cls, p: Values, _plant: PlantScale) -> str:
-        """What was found, in words."""
+        """Sentence with the fitted values."""
         return (
             f"has a gauge with a second resonance, at {digits(p.frequency_Hz)} Hz with a damping "
             f"ratio of {p.damping:.2g}: {share(p.share)} of the reading goes through it and "

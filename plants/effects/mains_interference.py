@@ -34,7 +34,7 @@ class MainsInterference(Effect):
 
     @classmethod
     def describe(cls, p: Values, plant: PlantScale) -> str:
-        """What was found, in words."""
+        """Sentence with the fitted values."""
         return (
             f"has mains interference in the gauge's signal: {plant.reading(p.amplitude_N)} at "
             f"{p.frequency_Hz:.4g} Hz, at rest as well as in motion"
@@ -48,7 +48,7 @@ class MainsInterference(Effect):
 
     @staticmethod
     def respond(p: Values, state: Signal, signal: Signal, _site: Site) -> Response:
-        """The reading with the interference; what is remembered is the wave and its quadrature."""
+        """The reading with the interference; the state is the wave and its quadrature."""
         wave, quadrature = state[0], state[1]
         turned = ca.vertcat(
             p.cosine * wave + p.sine * quadrature, p.cosine * quadrature - p.sine * wave

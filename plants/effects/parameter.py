@@ -24,7 +24,7 @@ class Role(StrEnum):
 class RecordScale(NamedTuple):
     """What the records show of a machine, to begin a fit and to judge sizes by.
 
-    Any number is nan, and any list empty, where the records do not tell.
+    Numbers are nan, and lists empty, where the records do not show them.
 
     Attributes:
         sample_s: Sampling interval.

@@ -1,6 +1,6 @@
-"""Amounts in words: numbers with units, and what a reel's torques and angles are at the cable.
+"""Amounts in words: numbers with units, with torques and angles of a reel also at the cable.
 
-Of a plant that is no reel all amounts are in its own units; see `own_units`.
+Amounts of a plant that is no reel are in its own units.
 """
 
 import math
@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 _PREFIXES = {-6: "µ", -3: "m", 0: "", 3: "k"}
 _SCALED = {"N", "m", "s", "A", "N m", "rad"}
-"""Units that are told with a prefix; none else, so that N m/A or kg/m are left as they are."""
+"""Units that are written with a prefix; N m/A or kg/m are not."""
 
 
 def si(value: float, unit: str) -> str:
@@ -34,12 +34,12 @@ def share(value: float) -> str:
 
 
 def written_unit(unit: str, model: Any) -> str:
-    """How the unit of an output is written: a plant's is not, its output may be anything."""
+    """The unit of an output as written: none for a plant, whose output may be anything."""
     return "" if PlantScale.of(model).is_plant else unit
 
 
 class PlantScale(NamedTuple):
-    """What the numbers of an effect are seen against.
+    """Words and sizes of a plant that the sentences of effects refer to.
 
     Attributes:
         subject: What the model is of: a reel, a drive without a cable, or any other plant.
@@ -48,7 +48,7 @@ class PlantScale(NamedTuple):
         tension_N: Usual tension, N; nan where there is none.
         stiffness_N_m: Of the cable, N/m; nan without one.
         newtons_per_ampere: Effort per motor current, N/A.
-        sampling_Hz: Rate of the controller; nan where it is not known.
+        sampling_Hz: Rate of the controller; nan if not known.
     """
 
     subject: str
@@ -61,24 +61,24 @@ class PlantScale(NamedTuple):
 
     @classmethod
     def of(cls, model: Any) -> "PlantScale":
-        """The scene of a model; what it does not know is nan."""
+        """The words and sizes of a model; missing ones are nan."""
 
-        def known(name: str) -> float:
+        def number(name: str) -> float:
             value = getattr(model, name, math.nan)
             return float(value) if isinstance(value, int | float) else math.nan
 
-        softness = 1.0 / known("structure_stiffness_N_m")
-        softness += known("cable_length_m") / known("cable_EA_N")
+        softness = 1.0 / number("structure_stiffness_N_m")
+        softness += number("cable_length_m") / number("cable_EA_N")
         controller = getattr(model, "controller", None)
-        subject = "reel" if math.isfinite(known("cable_length_m")) else "drive"
-        subject = subject if math.isfinite(known("drum_inertia_kg_m2")) else "plant"
+        subject = "reel" if math.isfinite(number("cable_length_m")) else "drive"
+        subject = subject if math.isfinite(number("drum_inertia_kg_m2")) else "plant"
         return cls(
             subject=subject,
-            radius_m=known("drum_radius_m"),
-            length_m=known("cable_length_m"),
-            tension_N=known("tension_N"),
+            radius_m=number("drum_radius_m"),
+            length_m=number("cable_length_m"),
+            tension_N=number("tension_N"),
             stiffness_N_m=1.0 / softness,
-            newtons_per_ampere=known("newtons_per_ampere"),
+            newtons_per_ampere=number("newtons_per_ampere"),
             sampling_Hz=float(getattr(controller, "sampling_Hz", math.nan)),
         )
 
@@ -152,5 +152,5 @@ def _output(value: float) -> str:
 
 
 def also(value: float, unit: str, of: str = "") -> str:
-    """The same in another unit, in brackets; nothing where that is not known."""
+    """The value in another unit, in brackets; nothing where that is not finite."""
     return f" ({si(value, unit)}{of})" if math.isfinite(value) else ""

@@ -1,4 +1,4 @@
-"""A reading in steps."""
+"""Quantisation of the reading."""
 
 from dataclasses import dataclass
 
@@ -31,7 +31,7 @@ class Quantisation(Effect):
 
     @classmethod
     def describe(cls, p: Values, plant: PlantScale) -> str:
-        """What was found, in words."""
+        """Sentence with the fitted values."""
         return f"has a gauge that reads in steps of {plant.reading(p.step_N)}"
 
     @staticmethod

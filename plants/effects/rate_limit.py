@@ -37,7 +37,7 @@ class RateLimit(Effect):
 
     @classmethod
     def describe(cls, p: Values, plant: PlantScale) -> str:
-        """What was found, in words."""
+        """Sentence with the fitted values."""
         return (
             "has a drive whose current changes no faster than "
             f"{plant.current(p.rate_A_per_s, '/s')}: large steps become ramps, small ones pass"

@@ -24,8 +24,8 @@ class StribeckFriction(Effect):
         tau = -(F_c + F_e exp(-(omega/v_s)^2)) (z_1 + z_2)/2
 
     F_e is f_s - f_c. The size is taken at the substep's start; within it the bristles z are those
-    of `DahlHysteresis`, here stiff unless said otherwise: dry friction gives a little before it
-    slips, and what it gives would else be taken for another friction. The exponential is the
+    of `DahlHysteresis`, stiff by default: dry friction is slightly elastic before it slips, and a
+    rigid law would attribute that to another friction. The exponential is the
     sixteenth power of its (2, 2) Pade approximation at a sixteenth, right to 1e-6: four
     multiplications cost a trial less than a call of exp in each substep.
     `estune.reel.friction.StribeckFriction` is the same curve fed forward.
@@ -70,7 +70,7 @@ class StribeckFriction(Effect):
 
     @classmethod
     def describe(cls, p: Values, plant: PlantScale) -> str:
-        """What was found, in words."""
+        """Sentence with the fitted values."""
         return (
             f"has dry friction that is largest at rest: {plant.torque(p.coulomb_Nm)} in motion "
             f"and {plant.torque(p.excess_Nm)} more at rest, which fades over "

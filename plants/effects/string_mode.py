@@ -62,7 +62,7 @@ class StringMode(Effect):
 
     @classmethod
     def describe(cls, p: Values, plant: PlantScale) -> str:
-        """What was found, in words."""
+        """Sentence with the fitted values."""
         frequency = math.sqrt(plant.tension_N / p.density_kg_m) / (2.0 * plant.length_m)  # (31)
         where = (
             "" if math.isnan(frequency) else f" at {frequency:.3g} Hz ({si(plant.tension_N, 'N')})"

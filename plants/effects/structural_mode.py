@@ -1,4 +1,4 @@
-"""A mode of what carries the reel."""
+"""A mode of the structure that carries the reel."""
 
 import math
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ def _stiffening_coefficients(records: RecordScale) -> list[float]:
 
 @dataclass(frozen=True)
 class StructuralMode(Effect):
-    """A frame that gives and rings under the cable's pull, in series with the cable.
+    """An elastic frame in series with the cable, with a mode of its own.
 
         T = (1 + c) l - q,    q'' + 2 zeta w q' + w^2 (1 + s T) q = w^2 c T
 
@@ -54,7 +54,7 @@ class StructuralMode(Effect):
 
     @classmethod
     def describe(cls, p: Values, plant: PlantScale) -> str:
-        """What was found, in words."""
+        """Sentence with the fitted values."""
         T = plant.usual_tension_N
         stiffer = "" if plant.is_plant else (
             f" and is {share(p.stiffening_per_N * T)} stiffer at {plant.reading(T)}"
@@ -91,6 +91,6 @@ class StructuralMode(Effect):
 
     @staticmethod
     def rest(p: Values, _state: Signal, signal: Signal, _site: Site) -> Response:
-        """What the frame gives, and the linear law's tension."""
+        """Deflection of the frame, and the linear law's tension."""
         q = p.share * signal / (1.0 + p.stiffening_per_N * ca.fmax(signal, 0.0))
         return ca.vertcat(q, 0.0), (signal + q) / (1.0 + p.share)

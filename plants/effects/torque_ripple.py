@@ -22,7 +22,7 @@ class TorqueRipple(Effect):
     title = "torque ripple of the motor"
     appearance = (
         "current and tension differ by a wave over the angle, the same at each passage "
-        "whatever the velocity"
+        "at any velocity"
     )
     excitation = "slow motion over many periods"
     port = Port.DRUM
@@ -37,7 +37,7 @@ class TorqueRipple(Effect):
 
     @classmethod
     def describe(cls, p: Values, plant: PlantScale) -> str:
-        """What was found, in words."""
+        """Sentence with the fitted values."""
         return (
             f"has a motor that cogs: its torque varies by {plant.torque(p.amplitude_Nm)} either "
             f"way, {digits(p.per_turn)} times a turn, the same at each passage"

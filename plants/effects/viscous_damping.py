@@ -32,7 +32,7 @@ class ViscousDamping(Effect):
 
     @classmethod
     def describe(cls, p: Values, plant: PlantScale) -> str:
-        """What was found, in words."""
+        """Sentence with the fitted values."""
         b = p.damping_Nms
         if plant.is_plant:
             return (

@@ -148,8 +148,7 @@ def _ranking(d: DiagnosisResult) -> list[Block]:
     if summary.reasons(d):
         blocks += [Heading("Ruled out"), Bullets(summary.reasons(d))]
     if d.not_excited:
-        table = html_page.Table(("effect", "why"), tuple(d.not_excited.items()))
-        blocks += [Heading("What these records cannot show"), table]
+        blocks += [Heading("What these records cannot show"), _table(summary.not_excited(d))]
     return blocks
 
 

@@ -93,6 +93,13 @@ def parameters(d: DiagnosisResult) -> Table:
     return Table(("effect", "parameter", "value", "95 % interval", "unit"), tuple(rows))
 
 
+def not_excited(d: DiagnosisResult) -> Table:
+    """Effects that these records cannot show, the reason, and the experiment that would."""
+    shown_by = {name: effect.excitation for name, effect in EFFECTS.items()}
+    rows = [(name, why, shown_by.get(name) or "-") for name, why in d.not_excited.items()]
+    return Table(("effect", "why", "shown by"), tuple(rows))
+
+
 def calibrations(d: DiagnosisResult) -> Table:
     """The base model's numbers: as given, fitted alone, fitted with the effects."""
     rows = [
