@@ -10,12 +10,11 @@ from scipy.stats import chi2
 
 from estune.errors import InvalidInput
 from estune.reel.friction import FeedForward, StribeckFriction
-from estune.reel.velocity import Motion
+from estune.reel.velocity import Motion, Windows
 from plants.demonstrations.friction_compensation import (
     reference_wrench_trial,
     run_high_and_low,
-    run_limits,
-    unstable_wrench_trial,
+    run_wrench,
 )
 from plants.identify.friction_ramp import fit_friction
 from plants.identify.torque_ramp import RampRecord
@@ -88,6 +87,31 @@ def test_compensation_beyond_the_noise_is_a_fraction_of_the_friction():
     v = np.array([-3.0, -0.5, 0.2, 0.8, 5.0])
     seen = Motion(v, np.full(5, 0.1), 0.01, np.zeros(5), 1.0)
     assert FeedForward(DRY, 0.0, 0.7).friction_Nm(seen) == pytest.approx(0.7 * DRY.torque_Nm(v))
+
+
+def unstable_wrench_trial(coefficient_share, noise_counts):
+    """A small wrench on a reel of high friction, with the given errors of the compensation."""
+    trial = reference_wrench_trial()
+    reel = replace(trial.platform.reel, tension_N=trial.platform.reel.tension_min_N)
+    coulomb, static, velocity = 0.08, 0.12, 0.5
+    assumed = StribeckFriction(coefficient_share * coulomb, coefficient_share * static, velocity)
+    count = 2.0 * math.pi / reel.encoder_counts
+    dry = StribeckFriction(coulomb, static, velocity)
+    return replace(
+        trial,
+        platform=replace(trial.platform, reel=reel, friction=dry),
+        feed_forward=FeedForward(assumed, 0.0, trial.feed_forward.fraction),
+        windows=Windows((1.0 + 6.0 * noise_counts) * count),
+        wrench_N=0.1,
+        encoder_noise_rad=noise_counts * count,
+    )
+
+
+def run_limits(trial):
+    """The trial with (10) of the estimated velocity fed forward, and with its limits."""
+    dry = trial.feed_forward.friction
+    unlimited = run_wrench(trial, lambda motion: float(dry.torque_Nm(motion.velocity_rad_s)))
+    return unlimited, run_wrench(trial)
 
 
 def test_limits_prevent_instability_at_high_friction_coefficients():

@@ -31,29 +31,17 @@ _RESIDUAL = 1e-9  # error of the far point, relative to the distance of the ends
 
 @dataclass(frozen=True, slots=True)
 class ElasticCatenary:
-    """Elastic cables in equilibrium; each quantity is a float, or an array of a common shape.
+    """Elastic cables in equilibrium; each quantity is a float, or an array of a common shape."""
 
-    Attributes:
-        rest_length_m: Length of the unloaded cable, m.
-        length_m: Length under load [ds], m.
-        rise_m: Height of end 3 above end 1 [dz], m.
-        span_m: Horizontal distance between the ends [dx], m.
-        tension_x_N: Horizontal tension [T_x], N.
-        tension_1z_N: Vertical tension at end 1 [T_1z], N.
-        tension_3z_N: Vertical tension at end 3 [T_3z], N.
-        tension_1_N: Tension at end 1 [|T_1|], N.
-        tension_3_N: Tension at end 3 [|T_3|], N.
-    """
-
-    rest_length_m: Numbers
-    length_m: Numbers
-    rise_m: Numbers
-    span_m: Numbers
-    tension_x_N: Numbers
-    tension_1z_N: Numbers
-    tension_3z_N: Numbers
-    tension_1_N: Numbers
-    tension_3_N: Numbers
+    rest_length_m: Numbers  # length of the unloaded cable, m
+    length_m: Numbers  # length under load [ds], m
+    rise_m: Numbers  # height of end 3 above end 1 [dz], m
+    span_m: Numbers  # horizontal distance between the ends [dx], m
+    tension_x_N: Numbers  # horizontal tension [T_x], N
+    tension_1z_N: Numbers  # vertical tension at end 1 [T_1z], N
+    tension_3z_N: Numbers  # vertical tension at end 3 [T_3z], N
+    tension_1_N: Numbers  # tension at end 1 [|T_1|], N
+    tension_3_N: Numbers  # tension at end 3 [|T_3|], N
 
 
 def elastic_rise_m(

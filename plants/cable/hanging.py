@@ -31,28 +31,17 @@ class Catenary:
     """Cables in equilibrium; each quantity is a float, or an array of one common shape.
 
     The paper's variables in brackets; end 1 is the attachment at the reel, end 3 the far end.
-
-    Attributes:
-        weight_N_m: Weight per length [mu g], N/m.
-        length_m: Length along the cable [ds], m.
-        rise_m: Height of end 3 above end 1 [dz], m.
-        span_m: Horizontal distance between the ends [dx], m.
-        tension_x_N: Horizontal tension, constant along the cable [T_x], N.
-        tension_1z_N: Vertical tension at end 1 [T_1z], N; negative where the cable descends.
-        tension_3z_N: Vertical tension at end 3 [T_3z], N.
-        tension_1_N: Tension at end 1 [|T_1|], N.
-        tension_3_N: Tension at end 3 [|T_3|], N.
     """
 
-    weight_N_m: Numbers
-    length_m: Numbers
-    rise_m: Numbers
-    span_m: Numbers
-    tension_x_N: Numbers
-    tension_1z_N: Numbers
-    tension_3z_N: Numbers
-    tension_1_N: Numbers
-    tension_3_N: Numbers
+    weight_N_m: Numbers  # weight per length [mu g], N/m
+    length_m: Numbers  # length along the cable [ds], m
+    rise_m: Numbers  # height of end 3 above end 1 [dz], m
+    span_m: Numbers  # horizontal distance between the ends [dx], m
+    tension_x_N: Numbers  # horizontal tension, constant along the cable [T_x], N
+    tension_1z_N: Numbers  # vertical tension at end 1 [T_1z], N; negative where the cable descends
+    tension_3z_N: Numbers  # vertical tension at end 3 [T_3z], N
+    tension_1_N: Numbers  # tension at end 1 [|T_1|], N
+    tension_3_N: Numbers  # tension at end 3 [|T_3|], N
 
     @property
     def chord_m(self) -> Numbers:

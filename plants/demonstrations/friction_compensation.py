@@ -27,57 +27,32 @@ Compensation = Callable[[Motion], float]
 
 @dataclass(frozen=True)
 class WrenchTrial:
-    """A sinusoidal wrench on the platform while the reel holds its tension.
+    """A sinusoidal wrench on the platform while the reel holds its tension."""
 
-    Attributes:
-        platform: The platform and its reel.
-        feed_forward: The compensation.
-        windows: The velocity estimator.
-        gains: Gains of the tension PIDF.
-        wrench_N: Amplitude of the force along the cable, N.
-        wrench_Hz: Frequency of the force, Hz.
-        encoder_noise_rad: Noise of the angle before quantisation, rad rms.
-        duration_s: Length of the trial, s.
-        seed: Seed of the noise of gauge and encoder.
-    """
-
-    platform: Platform
-    feed_forward: FeedForward
-    windows: Windows
-    gains: Gains = TENSION_GAINS
-    wrench_N: float = 4.0
-    wrench_Hz: float = 1.0
-    encoder_noise_rad: float = 0.0
-    duration_s: float = 3.0
-    seed: int = 0
+    platform: Platform  # the platform and its reel
+    feed_forward: FeedForward  # the compensation
+    windows: Windows  # the velocity estimator
+    gains: Gains = TENSION_GAINS  # gains of the tension PIDF
+    wrench_N: float = 4.0  # amplitude of the force along the cable, N
+    wrench_Hz: float = 1.0  # frequency of the force, Hz
+    encoder_noise_rad: float = 0.0  # noise of the angle before quantisation, rad rms
+    duration_s: float = 3.0  # length of the trial, s
+    seed: int = 0  # seed of the noise of gauge and encoder
 
 
 class WrenchTraces(NamedTuple):
-    """Columns of one run, shape (samples,); forces are at the cable, N.
+    """Columns of one run, shape (samples,); forces are at the cable, N."""
 
-    Attributes:
-        time_s: Time.
-        position_m: Platform's position, outward.
-        velocity_rad_s: The drum's true velocity.
-        velocity_estimate_rad_s: Velocity estimated from the encoder.
-        tension_N: Tension of the cable.
-        effort_N: Effort, PIDF and feed-forward.
-        friction_N: Friction component of the feed-forward.
-        inertia_N: Inertia component of the feed-forward; zero below its noise floor.
-        true_friction_N: Dry friction (10) at the true velocity.
-        true_inertia_N: Inertia times the true acceleration.
-    """
-
-    time_s: FloatArray
-    position_m: FloatArray
-    velocity_rad_s: FloatArray
-    velocity_estimate_rad_s: FloatArray
-    tension_N: FloatArray
-    effort_N: FloatArray
-    friction_N: FloatArray
-    inertia_N: FloatArray
-    true_friction_N: FloatArray
-    true_inertia_N: FloatArray
+    time_s: FloatArray  # time
+    position_m: FloatArray  # platform's position, outward
+    velocity_rad_s: FloatArray  # the drum's true velocity
+    velocity_estimate_rad_s: FloatArray  # velocity estimated from the encoder
+    tension_N: FloatArray  # tension of the cable
+    effort_N: FloatArray  # effort, PIDF and feed-forward
+    friction_N: FloatArray  # friction component of the feed-forward
+    inertia_N: FloatArray  # inertia component of the feed-forward; zero below its noise floor
+    true_friction_N: FloatArray  # dry friction (10) at the true velocity
+    true_inertia_N: FloatArray  # inertia times the true acceleration
 
 
 def run_wrench(
@@ -146,46 +121,3 @@ def run_high_and_low(
 ) -> tuple[WrenchTraces, WrenchTraces]:
     """The data of Figs. 16 and 17: the trial, and one with a share of its wrench."""
     return run_wrench(trial), run_wrench(replace(trial, wrench_N=low_share * trial.wrench_N))
-
-
-def run_limits(trial: WrenchTrial) -> tuple[WrenchTraces, WrenchTraces]:
-    """Instability of compensation: the trial without and with the limits on friction.
-
-    Without limits, the feed-forward torque is (10) of the estimated velocity; with them it is
-    `FeedForward.friction_Nm`.
-    """
-    dry = trial.feed_forward.friction
-
-    def unlimited(motion: Motion) -> float:
-        return float(dry.torque_Nm(motion.velocity_rad_s))
-
-    return run_wrench(trial, unlimited), run_wrench(trial)
-
-
-def unstable_wrench_trial(
-    coefficient_share: float = 3.0, noise_counts: float = 0.3
-) -> WrenchTrial:
-    """A trial that is unstable without limits: a small wrench on a reel of high friction.
-
-    Both causes are necessary: with a share of one, or without noise, the platform stays at rest.
-
-    Args:
-        coefficient_share: Assumed friction coefficients as multiples of the drum's.
-        noise_counts: Noise of the encoder, counts rms. The band of the velocity windows is one
-            count and three standard deviations to either side.
-    """
-    trial = reference_wrench_trial()
-    reel = replace(trial.platform.reel, tension_N=trial.platform.reel.tension_min_N)
-    coulomb, static, velocity = 0.08, 0.12, 0.5
-    assumed = StribeckFriction(coefficient_share * coulomb, coefficient_share * static, velocity)
-    count = 2.0 * math.pi / reel.encoder_counts
-    return replace(
-        trial,
-        platform=replace(
-            trial.platform, reel=reel, friction=StribeckFriction(coulomb, static, velocity)
-        ),
-        feed_forward=FeedForward(assumed, 0.0, trial.feed_forward.fraction),
-        windows=Windows((1.0 + 6.0 * noise_counts) * count),
-        wrench_N=0.1,
-        encoder_noise_rad=noise_counts * count,
-    )

@@ -39,21 +39,13 @@ class PlatformState(NamedTuple):
 
 @dataclass(frozen=True)
 class Platform:
-    """A platform and its reel, which gives the parameters of drum, cable, gauge and encoder.
+    """A platform and its reel, which gives the parameters of drum, cable, gauge and encoder."""
 
-    Attributes:
-        reel: The reel, without effects; its dead time is taken as one sample.
-        friction: Dry friction of the drum.
-        mass_kg: Mass m of the platform, kg.
-        damping_Ns_m: Damping c, N s/m.
-        centring_N_m: Stiffness k_c, N/m; zero for a free platform.
-    """
-
-    reel: Reel
-    friction: StribeckFriction
-    mass_kg: float = 1.0
-    damping_Ns_m: float = 1.0
-    centring_N_m: float = 0.0
+    reel: Reel  # the reel, without effects; its dead time is taken as one sample
+    friction: StribeckFriction  # dry friction of the drum
+    mass_kg: float = 1.0  # mass m of the platform, kg
+    damping_Ns_m: float = 1.0  # damping c, N s/m
+    centring_N_m: float = 0.0  # stiffness k_c, N/m; zero for a free platform
 
     def __post_init__(self) -> None:
         check_above_zero("platform: mass_kg", self.mass_kg, "kg")

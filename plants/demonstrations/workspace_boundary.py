@@ -26,51 +26,29 @@ RULES = hybrid.SwitchingRules(tension_min_N=2.0, margin_N=1.0)
 
 @dataclass(frozen=True)
 class BoundaryTrial:
-    """The trial and the controller of Fig. 18.
+    """The trial and the controller of Fig. 18."""
 
-    Attributes:
-        platform: The platform and its reel.
-        position: Gains of the position PIDF, N/m, N/(m s), N s/m.
-        tension: Gains of the tension PIDF.
-        rules: Switching rules.
-        boundary_m: Boundary of the workspace, m from the platform's start; above zero.
-        push_N: Outward force of the user, N.
-        push_swing_N: Amplitude of its variation, N.
-        push_Hz: Frequency of its variation, Hz.
-        duration_s: Length of the trial, s.
-        seed: Seed of the gauge's noise.
-    """
-
-    platform: Platform
-    position: Gains = POSITION_GAINS
-    tension: Gains = TENSION_GAINS
-    rules: hybrid.SwitchingRules = RULES
-    boundary_m: float = 0.02
-    push_N: float = 5.0
-    push_swing_N: float = 6.0
-    push_Hz: float = 0.7
-    duration_s: float = 6.0
-    seed: int = 0
+    platform: Platform  # the platform and its reel
+    position: Gains = POSITION_GAINS  # gains of the position PIDF, N/m, N/(m s), N s/m
+    tension: Gains = TENSION_GAINS  # gains of the tension PIDF
+    rules: hybrid.SwitchingRules = RULES  # switching rules
+    boundary_m: float = 0.02  # boundary of the workspace, m from the platform's start; above zero
+    push_N: float = 5.0  # outward force of the user, N
+    push_swing_N: float = 6.0  # amplitude of its variation, N
+    push_Hz: float = 0.7  # frequency of its variation, Hz
+    duration_s: float = 6.0  # length of the trial, s
+    seed: int = 0  # seed of the gauge's noise
 
 
 class BoundaryTraces(NamedTuple):
-    """Columns of one run, shape (samples,).
+    """Columns of one run, shape (samples,)."""
 
-    Attributes:
-        time_s: Time.
-        position_m: Platform's position, outward.
-        tension_N: Tension of the cable.
-        effort_N: Commanded effort.
-        in_tension: Selection S: whether the tension is controlled.
-        jump_N: Difference of the effort to that of the previous controller at a switch; zero
-            elsewhere.
-    """
-
-    time_s: FloatArray
-    position_m: FloatArray
-    tension_N: FloatArray
-    effort_N: FloatArray
-    in_tension: NDArray[np.bool_]
+    time_s: FloatArray  # time
+    position_m: FloatArray  # platform's position, outward
+    tension_N: FloatArray  # tension of the cable
+    effort_N: FloatArray  # commanded effort
+    in_tension: NDArray[np.bool_]  # selection S: whether the tension is controlled
+    # Difference of the effort to that of the previous controller at a switch; zero elsewhere.
     jump_N: FloatArray
 
 

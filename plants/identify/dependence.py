@@ -40,15 +40,12 @@ class Dependence:
     A coordinate that is the same in all conditions is fixed: identified at one tension, the model
     is defined at that tension only.
 
-    Attributes:
-        conditions: The fits to interpolate.
-
     Raises:
         InvalidInput: there are too few conditions, two coincide, length and tension vary together,
             or only some fits have a gauge mode.
     """
 
-    conditions: Sequence[Condition]
+    conditions: Sequence[Condition]  # the fits to interpolate
 
     def __post_init__(self) -> None:
         places = np.array([(c.cable_length_m, c.tension_N) for c in self.conditions])

@@ -13,21 +13,13 @@ DISTORTION_P_VALUE = 1e-3
 
 
 class Distortion(NamedTuple):
-    """Output of a nonlinear plant on unexcited lines.
+    """Output of a nonlinear plant on unexcited lines."""
 
-    Attributes:
-        frequency_Hz: Frequencies of the lines, ascending, shape (lines,).
-        output_N: Amplitude of the output on each, N.
-        noise_N: Noise on each, rms of the amplitude, N.
-        share: Rms of the output in excess of the noise, relative to that on the excited lines.
-        p_value: P-value of the hypothesis that the output is noise.
-    """
-
-    frequency_Hz: FloatArray
-    output_N: FloatArray
-    noise_N: FloatArray
-    share: float
-    p_value: float
+    frequency_Hz: FloatArray  # frequencies of the lines, ascending, shape (lines,)
+    output_N: FloatArray  # amplitude of the output on each, N
+    noise_N: FloatArray  # noise on each, rms of the amplitude, N
+    share: float  # rms of the output in excess of the noise, relative to that on the excited lines
+    p_value: float  # p-value of the hypothesis that the output is noise
 
     @property
     def detected(self) -> bool:

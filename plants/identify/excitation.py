@@ -2,8 +2,9 @@
 
 All are periodic with a whole number of samples per period: the Fourier transform of a period has
 no leakage, and differences between periods are noise. Lines are multiples of the frequency of the
-period. Unexcited even lines show even distortion (a square law, slack), unexcited odd lines odd distortion
-(a cubic law, friction, saturation) (Pintelon & Schoukens, System Identification, 2nd ed., ch. 4).
+period. Unexcited even lines show even distortion (a square law, slack), unexcited odd lines odd
+distortion (a cubic law, friction, saturation) (Pintelon & Schoukens, System Identification, 2nd
+ed., chapter 4).
 """
 
 import math
@@ -30,23 +31,14 @@ ODD_GROUP = 4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Segment:
-    """A part of an excitation in which one period repeats.
+    """A part of an excitation in which one period repeats."""
 
-    Attributes:
-        period_N: One period of the signal, shape (period samples,), N.
-        settling_periods: Periods before the evaluation, in which the plant settles.
-        periods: Periods evaluated.
-        excited: Lines that carry the signal.
-        even: Unexcited lines that show even distortion.
-        odd: Unexcited lines that show odd distortion.
-    """
-
-    period_N: FloatArray
-    settling_periods: int
-    periods: int
-    excited: Lines
-    even: Lines
-    odd: Lines
+    period_N: FloatArray  # one period of the signal, shape (period samples,), N
+    settling_periods: int  # periods before the evaluation, in which the plant settles
+    periods: int  # periods evaluated
+    excited: Lines  # lines that carry the signal
+    even: Lines  # unexcited lines that show even distortion
+    odd: Lines  # unexcited lines that show odd distortion
 
     @property
     def samples(self) -> int:
@@ -59,15 +51,12 @@ class Excitation:
     """A signal to be added to the preload, with its excited and unexcited lines.
 
     Made by `multisine`, `chirp` and `stepped_sine`.
-
-    Attributes:
-        profile: Its kind, as a trial record names it; a stepped sine is `custom`.
-        sampling_Hz: Sampling rate.
-        segments: One for multisine and chirp, one per frequency for the stepped sine.
     """
 
+    # Its kind, as a trial record names it; a stepped sine is `custom`.
     profile: Literal["multisine", "chirp", "custom"]
-    sampling_Hz: float
+    sampling_Hz: float  # sampling rate
+    # One for multisine and chirp, one per frequency for the stepped sine.
     segments: tuple[Segment, ...]
 
     @cached_property
@@ -89,21 +78,14 @@ class Excitation:
 
 @dataclass(frozen=True, slots=True)
 class Band:
-    """Excited frequencies, and the number of periods.
+    """Excited frequencies, and the number of periods."""
 
-    Attributes:
-        low_Hz: Lowest frequency.
-        high_Hz: Highest frequency, below half the sampling rate.
-        period_s: Length of a period; its inverse is the spacing of the lines.
-        periods: Periods evaluated.
-        settling_periods: Periods before the evaluation, enough for the slowest mode to decay to
-            below the noise; `frequency_response` checks.
-    """
-
-    low_Hz: float
-    high_Hz: float
-    period_s: float = 2.0
-    periods: int = 4
+    low_Hz: float  # lowest frequency
+    high_Hz: float  # highest frequency, below half the sampling rate
+    period_s: float = 2.0  # length of a period; its inverse is the spacing of the lines
+    periods: int = 4  # periods evaluated
+    # Periods before the evaluation, enough for the slowest mode to decay to below the noise;
+    # `frequency_response` checks.
     settling_periods: int = 1
 
     def __post_init__(self) -> None:

@@ -25,29 +25,19 @@ FLAT_TOP_samples = 4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrequencyResponse:
-    """A measured frequency response; arrays have shape (lines,), ascending in frequency.
+    """A measured frequency response; arrays have shape (lines,), ascending in frequency."""
 
-    Attributes:
-        sampling_Hz: Sampling rate; the input was held between samples.
-        frequency_Hz: Excited lines.
-        response: Output over input, complex.
-        variance: Mean square error of each response: noise, and odd distortion if significant.
-        coherence: Share of the output power on each line that is explained by the input, 0 to 1.
-        periods: Periods evaluated.
-        degrees: Degrees of freedom of the variance, for each line.
-        even: Even distortion, or None without unexcited even lines.
-        odd: Odd distortion, or None.
-    """
-
-    sampling_Hz: float
-    frequency_Hz: FloatArray
-    response: ComplexArray
+    sampling_Hz: float  # sampling rate; the input was held between samples
+    frequency_Hz: FloatArray  # excited lines
+    response: ComplexArray  # output over input, complex
+    # Mean square error of each response: noise, and odd distortion if significant.
     variance: FloatArray
+    # Share of the output power on each line that is explained by the input, 0 to 1.
     coherence: FloatArray
-    periods: int
-    degrees: FloatArray
-    even: Distortion | None
-    odd: Distortion | None
+    periods: int  # periods evaluated
+    degrees: FloatArray  # degrees of freedom of the variance, for each line
+    even: Distortion | None  # even distortion, or None without unexcited even lines
+    odd: Distortion | None  # odd distortion, or None
 
     def radius(self, probability: float = 0.95) -> FloatArray:
         """Radius of the confidence circle about each response, shape (lines,)."""

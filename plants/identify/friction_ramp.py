@@ -38,27 +38,17 @@ UNITS = ("kg m2", "N m s/rad", "N m", "N m", "rad/s")
 
 @dataclass(frozen=True, eq=False)
 class FrictionFit:
-    """Fitted friction and inertia, with confidence intervals.
+    """Fitted friction and inertia, with confidence intervals."""
 
-    Attributes:
-        inertia_kgm2: Inertia J of the drum, kg m2.
-        viscous_Nms_rad: Viscous friction b, N m s/rad.
-        coulomb_Nm: Dynamic Coulomb friction f_c, N m.
-        static_Nm: Static friction f_s, N m.
-        stribeck_rad_s: Stribeck velocity v_s, rad/s.
-        residual_rad: Measured less fitted angle after break-away; one array per record.
-        residual_counts: Their rms in encoder counts; quantisation alone gives 0.29.
-        confidence: Level of the intervals.
-    """
-
-    inertia_kgm2: Estimate
-    viscous_Nms_rad: Estimate
-    coulomb_Nm: Estimate
-    static_Nm: Estimate
-    stribeck_rad_s: Estimate
+    inertia_kgm2: Estimate  # inertia J of the drum, kg m2
+    viscous_Nms_rad: Estimate  # viscous friction b, N m s/rad
+    coulomb_Nm: Estimate  # dynamic Coulomb friction f_c, N m
+    static_Nm: Estimate  # static friction f_s, N m
+    stribeck_rad_s: Estimate  # stribeck velocity v_s, rad/s
+    # Measured less fitted angle after break-away; one array per record.
     residual_rad: tuple[FloatArray, ...]
-    residual_counts: float
-    confidence: float
+    residual_counts: float  # their rms in encoder counts; quantisation alone gives 0.29
+    confidence: float  # level of the intervals
 
     @property
     def friction(self) -> StribeckFriction:

@@ -26,27 +26,18 @@ MISFIT_P_VALUE = 0.01
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SecondOrderFit:
-    """A fitted second-order model with confidence intervals.
+    """A fitted second-order model with confidence intervals."""
 
-    Attributes:
-        model: The fitted model; its gain is in N per unit of the input.
-        covariance: Of (natural frequency, rad/s; damping; gain; dead time, s), then, if fitted,
-            (gauge natural frequency, rad/s; gauge damping), shape (n, n).
-        probability: Confidence level of the intervals.
-        quantile: Half width of an interval in standard errors.
-        misfit: Reduced chi-square; near one where the model explains the data.
-        misfit_p_value: P-value of the misfit. Below 1 % the covariance includes the misfit.
-        frequency_Hz: Fitted lines, shape (lines,).
-        residual: Measured less fitted response, over its standard error, shape (lines,).
-    """
-
-    model: SecondOrder
+    model: SecondOrder  # the fitted model; its gain is in N per unit of the input
+    # Of (natural frequency, rad/s; damping; gain; dead time, s), then, if fitted, (gauge natural
+    # frequency, rad/s; gauge damping), shape (n, n).
     covariance: FloatArray
-    probability: float
-    quantile: float
-    misfit: float
-    misfit_p_value: float
-    frequency_Hz: FloatArray
+    probability: float  # confidence level of the intervals
+    quantile: float  # half width of an interval in standard errors
+    misfit: float  # reduced chi-square; near one where the model explains the data
+    misfit_p_value: float  # p-value of the misfit. Below 1 % the covariance includes the misfit
+    frequency_Hz: FloatArray  # fitted lines, shape (lines,)
+    # Measured less fitted response, over its standard error, shape (lines,).
     residual: ComplexArray
 
     @property

@@ -20,22 +20,16 @@ FALL_MAX = 1e-3
 class RampRecord:
     """A torque ramp on an unloaded reel. Columns have shape (samples,).
 
-    Attributes:
-        time_s: Time, at a constant rate.
-        torque_Nm: Commanded motor torque at the drum, from zero beyond break-away, up or down.
-        angle_rad: Measured angle, constant at first.
-        encoder_counts: Encoder counts per turn of the drum.
-        dead_time_s: Dead time from command to torque; a sampled and held current adds half a
-            sample.
-
     Raises:
         InvalidInput: the record is invalid or cannot show friction.
     """
 
-    time_s: FloatArray
+    time_s: FloatArray  # time, at a constant rate
+    # Commanded motor torque at the drum, from zero beyond break-away, up or down.
     torque_Nm: FloatArray
-    angle_rad: FloatArray
-    encoder_counts: float
+    angle_rad: FloatArray  # measured angle, constant at first
+    encoder_counts: float  # encoder counts per turn of the drum
+    # Dead time from command to torque; a sampled and held current adds half a sample.
     dead_time_s: float = 0.0
 
     def __post_init__(self) -> None:

@@ -10,23 +10,16 @@ from plants.simulation.equations import Expression
 
 
 class Motion(NamedTuple):
-    """State space of a linear plant from torque to angle, in numbers or symbols.
+    """State space of a linear plant from torque to angle, in numbers or symbols."""
 
-    Attributes:
-        A: State matrix, 1/s.
-        B: Input vector.
-        C: Output row.
-        E: Direct feed-through.
-        V: Row of the output's derivative; None where the output jumps with the input.
-        restoring: Torque that holds the output at one: 1/G(0), zero of a plant that integrates,
-            None where the plant has no rest but at zero.
-    """
-
-    A: Expression
-    B: Expression
-    C: Expression
-    E: Expression
+    A: Expression  # state matrix, 1/s
+    B: Expression  # input vector
+    C: Expression  # output row
+    E: Expression  # direct feed-through
+    # Row of the output's derivative; None where the output jumps with the input.
     V: Expression | None
+    # Torque that holds the output at one: 1/G(0), zero of a plant that integrates, None where the
+    # plant has no rest but at zero.
     restoring: Expression | None
 
 

@@ -37,21 +37,13 @@ from plants.simulation.equations import Expression, held_input
 
 @dataclass(frozen=True)
 class LinearEffectStructure(PathStructure):
-    """Structure of the equations of a linear plant with effects.
+    """Structure of the equations of a linear plant with effects."""
 
-    Attributes:
-        base: The linear plant.
-        effects: The effects added, in order.
-        fractional: Whether the dead time is not a whole number of samples.
-        squarings: Doublings in the matrix exponential.
-        rounded: Whether an angle is read in steps of the encoder.
-    """
-
-    base: LinearBase
-    effects: tuple[type[Effect], ...]
-    fractional: bool
-    squarings: int
-    rounded: bool = True
+    base: LinearBase  # the linear plant
+    effects: tuple[type[Effect], ...]  # the effects added, in order
+    fractional: bool  # whether the dead time is not a whole number of samples
+    squarings: int  # doublings in the matrix exponential
+    rounded: bool = True  # whether an angle is read in steps of the encoder
 
     COMMON: ClassVar[tuple[str, ...]] = (
         "current_limit_A",

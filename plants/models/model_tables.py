@@ -22,21 +22,14 @@ Reader = Callable[[Any], Any]
 
 
 class ModelKind(NamedTuple):
-    """A kind of model.
+    """A kind of model."""
 
-    Attributes:
-        table: Name of its table.
-        type: Its class.
-        keys: Reader of each key.
-        make: Makes the model from the values of some keys; the others have defaults.
-        values: Saved values of a model, by key.
-    """
-
-    table: str
-    type: type[PlantModel]
-    keys: Mapping[str, Reader]
+    table: str  # name of its table
+    type: type[PlantModel]  # its class
+    keys: Mapping[str, Reader]  # reader of each key
+    # Makes the model from the values of some keys; the others have defaults.
     make: Callable[..., Any]
-    values: Callable[[Any], dict[str, Any]]
+    values: Callable[[Any], dict[str, Any]]  # saved values of a model, by key
 
 
 def read_number(value: Any) -> float:

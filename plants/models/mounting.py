@@ -19,23 +19,14 @@ TRIAL_MAX_samples = 1_000_000
 
 @dataclass(frozen=True, slots=True)
 class Mounting:
-    """Settings that turn a bare model into a rig.
+    """Settings that turn a bare model into a rig."""
 
-    Attributes:
-        controller: The fixed part of the controller.
-        profile: A step trial that suits the model.
-        settling_time_s: The settling time a good tuning can reach, s.
-        limits: Limits of the rig.
-        noise_rms_N: Root mean square of the measurement noise, N.
-        gains: Safe live gains, or None where none are known.
-    """
-
-    controller: ControllerSettings
-    profile: StepProfile
-    settling_time_s: float
-    limits: RigLimits
-    noise_rms_N: float = 0.0
-    gains: Gains | None = None
+    controller: ControllerSettings  # the fixed part of the controller
+    profile: StepProfile  # A step trial that suits the model
+    settling_time_s: float  # the settling time a good tuning can reach, s
+    limits: RigLimits  # limits of the rig
+    noise_rms_N: float = 0.0  # root mean square of the measurement noise, N
+    gains: Gains | None = None  # safe live gains, or None where none are known
 
     def __post_init__(self) -> None:
         check_above_zero("settling time", self.settling_time_s, "s")
@@ -95,13 +86,9 @@ class Mounting:
 
 @dataclass(frozen=True, repr=False)
 class MountedModel(PlantModel):
-    """A plant model that carries a `Mounting`, in units of its own.
+    """A plant model that carries a `Mounting`, in units of its own."""
 
-    Attributes:
-        mounting: Controller, suggested step, limits and noise.
-    """
-
-    mounting: Mounting
+    mounting: Mounting  # controller, suggested step, limits and noise
 
     @property
     def newtons_per_ampere(self) -> float:

@@ -22,17 +22,11 @@ def amend_parameters(
 
 
 class Parameters(NamedTuple):
-    """Parameters by name.
+    """Parameters by name."""
 
-    Attributes:
-        nominal: The plant's own.
-        delay: Whole samples of dead time.
-        effects: The effects with their parameters.
-    """
-
-    nominal: SimpleNamespace
-    delay: Expression
-    effects: list[tuple[type[Effect], SimpleNamespace]]
+    nominal: SimpleNamespace  # the plant's own
+    delay: Expression  # whole samples of dead time
+    effects: list[tuple[type[Effect], SimpleNamespace]]  # the effects with their parameters
 
     def with_effects(self) -> SimpleNamespace:
         """The plant's own parameters, as amended by the effects."""
@@ -40,13 +34,9 @@ class Parameters(NamedTuple):
 
 
 class ParametricStructure(ABC):
-    """Structure of a plant's equations: all that they depend on besides numbers.
+    """Structure of a plant's equations: all that they depend on besides numbers."""
 
-    Attributes:
-        effects: The effects added, in order.
-    """
-
-    effects: tuple[type[Effect], ...]
+    effects: tuple[type[Effect], ...]  # the effects added, in order
 
     @property
     @abstractmethod

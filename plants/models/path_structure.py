@@ -58,15 +58,10 @@ class SignalPath(Protocol):
 
 
 class PathStructure(ParametricStructure):
-    """Structure of a plant with a signal path; one compilation serves all plants of it.
+    """Structure of a plant with a signal path; one compilation serves all plants of it."""
 
-    Attributes:
-        fractional: Whether the dead time is not a whole number of samples.
-        squarings: Doublings in the matrix exponential; see `simulation.equations.held_input`.
-    """
-
-    fractional: bool
-    squarings: int
+    fractional: bool  # whether the dead time is not a whole number of samples
+    squarings: int  # doublings in the matrix exponential; see `simulation.equations.held_input`
 
     @property
     @abstractmethod

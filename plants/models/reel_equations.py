@@ -67,22 +67,15 @@ def viscous_friction_Nms(p: Any) -> Any:
 
 @dataclass(frozen=True)
 class ReelStructure(PathStructure):
-    """Structure of a reel's equations.
+    """Structure of a reel's equations."""
 
-    Attributes:
-        effects: The effects added, in order.
-        fractional: Whether the dead time is not a whole number of samples.
-        squarings: Doublings in the matrix exponential.
-        rounded: Whether the angle is read in steps of the encoder.
-        watched: Whether an outside gauge is recorded even where it reads the same as inside.
-        by_gauge: Whether the drum is placed by tension and tension rate, for lack of an encoder.
-    """
-
-    effects: tuple[type[Effect], ...]
-    fractional: bool
-    squarings: int
-    rounded: bool = True
+    effects: tuple[type[Effect], ...]  # the effects added, in order
+    fractional: bool  # whether the dead time is not a whole number of samples
+    squarings: int  # doublings in the matrix exponential
+    rounded: bool = True  # whether the angle is read in steps of the encoder
+    # Whether an outside gauge is recorded even where it reads the same as inside.
     watched: bool = False
+    # Whether the drum is placed by tension and tension rate, for lack of an encoder.
     by_gauge: bool = False
 
     OWN: ClassVar[tuple[str, ...]] = (

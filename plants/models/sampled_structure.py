@@ -19,15 +19,10 @@ class _Constants(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class SampledStructure:
-    """Structure of a sampled plant; one compilation serves all linear plants of an order.
+    """Structure of a sampled plant; one compilation serves all linear plants of an order."""
 
-    Attributes:
-        order: Number of states, at least one.
-        fractional: Whether the dead time is not a whole number of samples.
-    """
-
-    order: int
-    fractional: bool
+    order: int  # number of states, at least one
+    fractional: bool  # whether the dead time is not a whole number of samples
 
     def equations(self) -> Equations:
         """The difference equation of `estune.core.margins.SampledPlant`."""

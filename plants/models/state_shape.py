@@ -12,17 +12,11 @@ from estune.errors import PlantError
 
 @dataclass(frozen=True)
 class StateShape:
-    """Structure of a state: a number, an array, or nested lists and tuples of them.
+    """Structure of a state: a number, an array, or nested lists and tuples of them."""
 
-    Attributes:
-        kind: `number`, `array`, `list` or `tuple`.
-        size: Shape of an array.
-        parts: Of a list or a tuple.
-    """
-
-    kind: str
-    size: tuple[int, ...] = ()
-    parts: tuple["StateShape", ...] = ()
+    kind: str  # `number`, `array`, `list` or `tuple`
+    size: tuple[int, ...] = ()  # shape of an array
+    parts: tuple["StateShape", ...] = ()  # of a list or a tuple
 
     @classmethod
     def of(cls, state: Any) -> "StateShape":

@@ -30,17 +30,11 @@ Step = Callable[[Any, Any, Any], tuple[Any, Any]]
 
 @dataclass(frozen=True)
 class TracedStructure(ParametricStructure):
-    """Structure of the equations of a Python function.
+    """Structure of the equations of a Python function."""
 
-    Attributes:
-        step: The plant's function.
-        shape: Shape of its state.
-        effects: The effects added, in order.
-    """
-
-    step: Step
-    shape: StateShape
-    effects: tuple[type[Effect], ...] = ()
+    step: Step  # the plant's function
+    shape: StateShape  # shape of its state
+    effects: tuple[type[Effect], ...] = ()  # the effects added, in order
 
     COMMON: ClassVar[tuple[str, ...]] = (
         "sampling_Hz",

@@ -19,19 +19,12 @@ SOFTWARE = f"estune {version('estune')}"
 
 
 class Drive(NamedTuple):
-    """Setpoint and mode of a trial.
+    """Setpoint and mode of a trial."""
 
-    Attributes:
-        time_s: Time at each sample, shape (samples,).
-        setpoint_N: The setpoint, same shape.
-        preload_N: The tension at which the trial starts settled.
-        open_loop: Whether the setpoint is the effort, limited by the controller's limits.
-    """
-
-    time_s: FloatArray
-    setpoint_N: FloatArray
-    preload_N: float
-    open_loop: bool
+    time_s: FloatArray  # time at each sample, shape (samples,)
+    setpoint_N: FloatArray  # the setpoint, same shape
+    preload_N: float  # the tension at which the trial starts settled
+    open_loop: bool  # whether the setpoint is the effort, limited by the controller's limits
 
 
 @lru_cache(maxsize=16)
@@ -55,23 +48,16 @@ def drive_of(profile: AnyProfile, sampling_Hz: float) -> Drive:
 
 
 class Columns(NamedTuple):
-    """Columns of a batch of trials; samples from `ended` on are undefined.
+    """Columns of a batch of trials; samples from `ended` on are undefined."""
 
-    Attributes:
-        tension_N: Measured tension, shape (trials, samples).
-        effort_N: Effort of the controller, same shape.
-        angle_rad: Measured drum angle, same shape; zero where the plant has no drum.
-        flags: `SATURATED` where the controller's limits acted, same shape.
-        ended: First sample of each trial outside the bound or not finite, or the number of
-            samples, shape (trials,).
-        reference_N: Tension outside the reel, same shape; None where it is the same.
-    """
-
-    tension_N: FloatArray
-    effort_N: FloatArray
-    angle_rad: FloatArray
-    flags: NDArray[np.uint8]
+    tension_N: FloatArray  # measured tension, shape (trials, samples)
+    effort_N: FloatArray  # effort of the controller, same shape
+    angle_rad: FloatArray  # measured drum angle, same shape; zero where the plant has no drum
+    flags: NDArray[np.uint8]  # `SATURATED` where the controller's limits acted, same shape
+    # First sample of each trial outside the bound or not finite, or the number of samples, shape
+    # (trials,).
     ended: NDArray[np.int64]
+    # Tension outside the reel, same shape; None where it is the same.
     reference_N: FloatArray | None = None
 
     @classmethod

@@ -30,26 +30,16 @@ class Structure(Protocol):
 
 
 class Batch(NamedTuple):
-    """Trials to run.
+    """Trials to run."""
 
-    Attributes:
-        parameters: The plant's, shape (parameters,) for all trials, or one row each.
-        coefficients: The controllers', shape (trials, 9).
-        preload_N: Setpoint at which each trial starts settled, N.
-        setpoint_N: Shape (samples,).
-        noise_N: Shape (trials, samples), or None.
-        delay: Whole samples of dead time.
-        bound_N: Magnitude of the measurement at which a trial ends.
-        open_loop: Whether the setpoint is the effort, limited by the controllers' limits.
-    """
-
-    parameters: FloatArray
-    coefficients: FloatArray
-    preload_N: float
-    setpoint_N: FloatArray
-    noise_N: FloatArray | None
-    delay: int
-    bound_N: float
+    parameters: FloatArray  # the plant's, shape (parameters,) for all trials, or one row each
+    coefficients: FloatArray  # the controllers', shape (trials, 9)
+    preload_N: float  # setpoint at which each trial starts settled, N
+    setpoint_N: FloatArray  # shape (samples,)
+    noise_N: FloatArray | None  # shape (trials, samples), or None
+    delay: int  # whole samples of dead time
+    bound_N: float  # magnitude of the measurement at which a trial ends
+    # Whether the setpoint is the effort, limited by the controllers' limits.
     open_loop: bool = False
 
 
@@ -73,23 +63,16 @@ def trial_loop(structure: Structure) -> TrialLoop:
 
 
 class Functions(NamedTuple):
-    """Controller and plant together, as CasADi functions.
+    """Controller and plant together, as CasADi functions."""
 
-    Attributes:
-        prepare: (parameters, preload) -> (constants, state, controller state, drive at rest).
-        sense: (constants, state, present drive, noise, coefficients, controller state, setpoint,
-            1 in open loop else 0) -> (state, measurement, angle, controller state, effort, drive,
-            excess, tension outside: empty where the plant has no gauge there).
-        substep: (constants, state, drive before, drive after, n) -> state.
-        move: (constants, state, drive before, drive after) -> state one sample later.
-        substeps: Number of substeps in a sample.
-    """
-
-    prepare: Any
+    prepare: Any  # (parameters, preload) -> (constants, state, controller state, drive at rest)
+    # (constants, state, present drive, noise, coefficients, controller state, setpoint, 1 in open
+    # loop else 0) -> (state, measurement, angle, controller state, effort, drive, excess, tension
+    # outside: empty where the plant has no gauge there).
     sense: Any
-    substep: Any
-    move: Any
-    substeps: int
+    substep: Any  # (constants, state, drive before, drive after, n) -> state
+    move: Any  # (constants, state, drive before, drive after) -> state one sample later
+    substeps: int  # number of substeps in a sample
 
     @property
     def has_reference(self) -> bool:

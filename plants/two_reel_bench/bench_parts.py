@@ -13,24 +13,16 @@ class Eyelet:
 
     The static coefficient falls to a dynamic one with the velocity, (10). It may grow with the
     velocity, and with the tension inside, in deviation from Coulomb's law.
-
-    Attributes:
-        coefficient: Static friction coefficient C_R at no tension.
-        angles_rad: Angle gamma at each contact between gauge and free cable, rad.
-        dynamic_share: Dynamic over static coefficient.
-        stribeck_m_s: Velocity of the transition, m/s.
-        viscous_s_m: Growth of the coefficient with velocity, s/m.
-        growth_per_N: Growth of the coefficient with tension, 1/N.
-        variation: Relative variation of the coefficient between approaches, rms.
     """
 
-    coefficient: float = 0.1
+    coefficient: float = 0.1  # static friction coefficient C_R at no tension
+    # Angle gamma at each contact between gauge and free cable, rad.
     angles_rad: tuple[float, ...] = (2.1,)
-    dynamic_share: float = 1.0
-    stribeck_m_s: float = 0.02
-    viscous_s_m: float = 0.0
-    growth_per_N: float = 0.0
-    variation: float = 0.005
+    dynamic_share: float = 1.0  # dynamic over static coefficient
+    stribeck_m_s: float = 0.02  # velocity of the transition, m/s
+    viscous_s_m: float = 0.0  # growth of the coefficient with velocity, s/m
+    growth_per_N: float = 0.0  # growth of the coefficient with tension, 1/N
+    variation: float = 0.005  # relative variation of the coefficient between approaches, rms
 
     def __post_init__(self) -> None:
         attenuation(self.coefficient, *self.angles_rad)
@@ -60,24 +52,16 @@ class Eyelet:
 
 @dataclass(frozen=True, slots=True)
 class Gauge:
-    """A strain gauge: `reading = zero + sensitivity (T + curvature T^2)` with its disturbances.
+    """A strain gauge: `reading = zero + sensitivity (T + curvature T^2)` with its disturbances."""
 
-    Attributes:
-        zero: Reading without tension, in its own unit.
-        sensitivity: Units per N.
-        curvature_per_N: Departure from a straight line, 1/N.
-        noise_N: Noise of one sample, N rms; 0.011 N is the reference reel's 0.04 N at 632 Hz,
-            averaged over the period of 50 Hz.
-        drift_N: Drift of the zero, N rms.
-        drift_time_s: Correlation time of the drift, s.
-    """
-
-    zero: float = 0.0
-    sensitivity: float = 1.0
-    curvature_per_N: float = 0.0
+    zero: float = 0.0  # reading without tension, in its own unit
+    sensitivity: float = 1.0  # units per N
+    curvature_per_N: float = 0.0  # departure from a straight line, 1/N
+    # Noise of one sample, N rms; 0.011 N is the reference reel's 0.04 N at 632 Hz, averaged over
+    # the period of 50 Hz.
     noise_N: float = 0.011
-    drift_N: float = 0.0
-    drift_time_s: float = 30.0
+    drift_N: float = 0.0  # drift of the zero, N rms
+    drift_time_s: float = 30.0  # correlation time of the drift, s
 
     def reading(self, tension_N: float) -> float:
         """Reading without noise, in its own unit."""
@@ -86,43 +70,26 @@ class Gauge:
 
 @dataclass(frozen=True, slots=True)
 class Drive:
-    """Dynamics of a reel's controllers.
+    """Dynamics of a reel's controllers."""
 
-    Attributes:
-        force_lag_s: Time constant of the tension controller.
-        force_integral_s: Integral time of the tension controller.
-        position_lag_s: Time constant of the position controller.
-        compliance_m_N: Displacement per change of tension, m/N.
-        speed_damping_Ns_m: Force per velocity error at the cable, N s/m, under a force ramp.
-        return_m_s: Velocity of the return to a position, m/s.
-        acceleration_m_s2: Acceleration to a velocity, m/s2.
-    """
-
-    force_lag_s: float = 0.1
-    force_integral_s: float = 0.6
-    position_lag_s: float = 0.05
-    compliance_m_N: float = 1e-5
+    force_lag_s: float = 0.1  # time constant of the tension controller
+    force_integral_s: float = 0.6  # integral time of the tension controller
+    position_lag_s: float = 0.05  # time constant of the position controller
+    compliance_m_N: float = 1e-5  # displacement per change of tension, m/N
+    # Force per velocity error at the cable, N s/m, under a force ramp.
     speed_damping_Ns_m: float = 200.0
-    return_m_s: float = 0.005
-    acceleration_m_s2: float = 0.02
+    return_m_s: float = 0.005  # velocity of the return to a position, m/s
+    acceleration_m_s2: float = 0.02  # acceleration to a velocity, m/s2
 
 
 @dataclass(frozen=True, slots=True)
 class ReelModel:
-    """One reel of the bench.
+    """One reel of the bench."""
 
-    Attributes:
-        eyelet: Friction at its eyelet.
-        gauge: Its strain gauge.
-        drive: Its controllers.
-        drum_radius_m: Radius of the drum, m.
-        counts: Encoder counts per turn.
-        stiffness_N_m: Stiffness between drum and eyelet, structure, gauge and cable, N/m.
-    """
-
-    eyelet: Eyelet = field(default_factory=Eyelet)
-    gauge: Gauge = field(default_factory=Gauge)
-    drive: Drive = field(default_factory=Drive)
-    drum_radius_m: float = 0.025
-    counts: int = 8192
+    eyelet: Eyelet = field(default_factory=Eyelet)  # friction at its eyelet
+    gauge: Gauge = field(default_factory=Gauge)  # its strain gauge
+    drive: Drive = field(default_factory=Drive)  # its controllers
+    drum_radius_m: float = 0.025  # radius of the drum, m
+    counts: int = 8192  # encoder counts per turn
+    # Stiffness between drum and eyelet, structure, gauge and cable, N/m.
     stiffness_N_m: float = 14e3

@@ -35,17 +35,11 @@ from plants.two_reel_bench.geometry import unit_vector
 
 
 class ContactForce(NamedTuple):
-    """Force on a contact, relative to its line.
+    """Force on a contact, relative to its line."""
 
-    Attributes:
-        normal_N: Size across the line |T_N|.
-        lateral_N: Size along the line |T_L|, which the friction |F_L| must balance.
-        angle_rad: Angle Psi between the force and the plane across the line.
-    """
-
-    normal_N: Numbers
-    lateral_N: Numbers
-    angle_rad: Numbers
+    normal_N: Numbers  # size across the line |T_N|
+    lateral_N: Numbers  # size along the line |T_L|, which the friction |F_L| must balance
+    angle_rad: Numbers  # angle Psi between the force and the plane across the line
 
 
 def split_contact_force(force_N: ArrayLike, line: ArrayLike) -> ContactForce:

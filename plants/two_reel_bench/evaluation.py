@@ -36,41 +36,25 @@ from plants.two_reel_bench.procedure import SETPOINTS_MIN, SWEEPS_MIN, SetpointR
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TwoReelResult:
-    """Result of the two-reel procedure. Arrays have shape (sweeps, setpoints).
+    """Result of the two-reel procedure. Arrays have shape (sweeps, setpoints)."""
 
-    Attributes:
-        attenuation: Attenuation ratio B at the mean tension.
-        friction_coefficient: Friction coefficient C_R there.
-        mean_tension_N: Mean of all tensions at which friction acted, N.
-        resolved: Whether C_R is known to within the tolerance.
-        sweeps_needed: Sweeps for which it would be; None where no number is enough.
-        warnings: Reasons why it is not resolved, and deviations from the model, with remedies.
-        curve: Loss of tension against tension.
-        setpoint_N: Commanded tensions, N, shape (setpoints,).
-        tension_N: Mean tension at which friction acted at each setpoint, N, shape (setpoints,).
-        ratios: Attenuation ratios `(x_2/x_1)^(1/4)`: the data of Fig. 7.
-        reading_y: Readings of Y's gauge, in its own unit.
-        tension_y_N: Tension at Y's gauge at these readings, N.
-        probability: Confidence level of the intervals.
-        angles_x_rad: Angle gamma of each contact at X, rad.
-        angles_y_rad: Angle gamma of each contact at Y, rad.
-    """
-
-    attenuation: Estimate
-    friction_coefficient: Estimate
-    mean_tension_N: float
-    resolved: bool
-    sweeps_needed: int | None
+    attenuation: Estimate  # attenuation ratio B at the mean tension
+    friction_coefficient: Estimate  # friction coefficient C_R there
+    mean_tension_N: float  # mean of all tensions at which friction acted, N
+    resolved: bool  # whether C_R is known to within the tolerance
+    sweeps_needed: int | None  # sweeps for which it would be; None where no number is enough
+    # Reasons why it is not resolved, and deviations from the model, with remedies.
     warnings: tuple[str, ...]
-    curve: FrictionCurve
-    setpoint_N: FloatArray
+    curve: FrictionCurve  # loss of tension against tension
+    setpoint_N: FloatArray  # commanded tensions, N, shape (setpoints,)
+    # Mean tension at which friction acted at each setpoint, N, shape (setpoints,).
     tension_N: FloatArray
-    ratios: FloatArray
-    reading_y: FloatArray
-    tension_y_N: FloatArray
-    probability: float
-    angles_x_rad: tuple[float, ...]
-    angles_y_rad: tuple[float, ...]
+    ratios: FloatArray  # attenuation ratios `(x_2/x_1)^(1/4)`: the data of Fig. 7
+    reading_y: FloatArray  # readings of Y's gauge, in its own unit
+    tension_y_N: FloatArray  # tension at Y's gauge at these readings, N
+    probability: float  # confidence level of the intervals
+    angles_x_rad: tuple[float, ...]  # angle gamma of each contact at X, rad
+    angles_y_rad: tuple[float, ...]  # angle gamma of each contact at Y, rad
 
     def ratio_at_setpoints(self) -> tuple[Estimate, ...]:
         """B at each setpoint, without a model curve: Fig. 7 with its error bars."""

@@ -18,20 +18,13 @@ class FrictionCurve(NamedTuple):
 
     Coulomb's law has b = 0. The constant c is not friction: it absorbs a zero error of X's gauge,
     and a cable that is not quite at the sliding limit.
-
-    Attributes:
-        constant_N: c, N.
-        linear: a.
-        quadratic: b, 1/N.
-        constant_p_value: P-value of the hypothesis c = 0.
-        quadratic_p_value: P-value of the hypothesis b = 0.
     """
 
-    constant_N: Estimate
-    linear: Estimate
-    quadratic: Estimate
-    constant_p_value: float
-    quadratic_p_value: float
+    constant_N: Estimate  # c, N
+    linear: Estimate  # a
+    quadratic: Estimate  # b, 1/N
+    constant_p_value: float  # p-value of the hypothesis c = 0
+    quadratic_p_value: float  # p-value of the hypothesis b = 0
 
     @property
     def follows_coulomb(self) -> bool:

@@ -13,19 +13,12 @@ from plants.two_reel_bench.rig import Bench, mean_reading
 
 
 class HysteresisLoop(NamedTuple):
-    """Readings of both reels while X is cycled; columns have shape (points,).
+    """Readings of both reels while X is cycled; columns have shape (points,)."""
 
-    Attributes:
-        x_N: Tension at X, N.
-        y: Reading of Y in its own unit, or in N if calibrated.
-        cycle: Number of the cycle.
-        rising: Whether X was rising.
-    """
-
-    x_N: FloatArray
-    y: FloatArray
-    cycle: FloatArray
-    rising: FloatArray
+    x_N: FloatArray  # tension at X, N
+    y: FloatArray  # reading of Y in its own unit, or in N if calibrated
+    cycle: FloatArray  # number of the cycle
+    rising: FloatArray  # whether X was rising
 
     def attenuation(self) -> float:
         """Attenuation ratio B from the edges of the loop.
@@ -57,25 +50,15 @@ class HysteresisLoop(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class HysteresisTest:
-    """Test in which one reel cycles its tension in steps and the other holds its position.
+    """Test in which one reel cycles its tension in steps and the other holds its position."""
 
-    Attributes:
-        low_N: Minimum tension of X, N.
-        high_N: Maximum tension, N.
-        steps: Steps between them.
-        cycles: Number of cycles, without the approach to the first.
-        step_s: Duration of a step, s.
-        settle_s: Settling time after it, s.
-        read_s: Averaging time of the readings, s.
-    """
-
-    low_N: float
-    high_N: float
-    steps: int = 16
-    cycles: int = 2
-    step_s: float = 0.5
-    settle_s: float = 2.0
-    read_s: float = 0.5
+    low_N: float  # minimum tension of X, N
+    high_N: float  # maximum tension, N
+    steps: int = 16  # steps between them
+    cycles: int = 2  # number of cycles, without the approach to the first
+    step_s: float = 0.5  # duration of a step, s
+    settle_s: float = 2.0  # settling time after it, s
+    read_s: float = 0.5  # averaging time of the readings, s
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.high_N) and 0.0 < self.low_N < self.high_N):

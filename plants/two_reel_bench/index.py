@@ -65,23 +65,14 @@ def friction_share(
 
 @dataclass(frozen=True, slots=True)
 class StaticTransparency:
-    """Transparency of a reel at rest.
+    """Transparency of a reel at rest."""
 
-    Attributes:
-        log_mean: Mean of ln B over the setpoints, (28).
-        log_spread: Standard deviation of ln B over the setpoints, (27).
-        friction_share: Maximum share of the tension lost over the setpoints, (29).
-        friction_share_low: Lower end of its confidence interval.
-        friction_share_high: Upper end.
-        limit: Just noticeable share.
-    """
-
-    log_mean: float
-    log_spread: float
-    friction_share: float
-    friction_share_low: float
-    friction_share_high: float
-    limit: float = WEBER_LIMIT
+    log_mean: float  # mean of ln B over the setpoints, (28)
+    log_spread: float  # standard deviation of ln B over the setpoints, (27)
+    friction_share: float  # maximum share of the tension lost over the setpoints, (29)
+    friction_share_low: float  # lower end of its confidence interval
+    friction_share_high: float  # upper end
+    limit: float = WEBER_LIMIT  # just noticeable share
 
     @property
     def verdict(self) -> Verdict:

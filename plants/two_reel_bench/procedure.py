@@ -38,23 +38,14 @@ _RETURN_POLL_s = 1.0
 
 
 class SetpointReadings(NamedTuple):
-    """Readings at one setpoint in one sweep.
+    """Readings at one setpoint in one sweep."""
 
-    Attributes:
-        setpoint_N: Commanded tension of X, N.
-        sweep: Number of the sweep.
-        x_1_N: Tension read at X while X pulled, N.
-        y_1: Reading of Y meanwhile, in its own unit.
-        x_2_N: Tension read at X while Y pulled, N.
-        y_2: Reading of Y meanwhile, in its own unit: y_1 and a control error.
-    """
-
-    setpoint_N: float
-    sweep: int
-    x_1_N: float
-    y_1: float
-    x_2_N: float
-    y_2: float
+    setpoint_N: float  # commanded tension of X, N
+    sweep: int  # number of the sweep
+    x_1_N: float  # tension read at X while X pulled, N
+    y_1: float  # reading of Y meanwhile, in its own unit
+    x_2_N: float  # tension read at X while Y pulled, N
+    y_2: float  # reading of Y meanwhile, in its own unit: y_1 and a control error
 
 
 class _SlidingReadings(NamedTuple):
@@ -67,39 +58,27 @@ class _SlidingReadings(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class TwoReelProcedure:
-    """The procedure of the paper's section IV-D.
+    """The procedure of the paper's section IV-D."""
 
-    Attributes:
-        setpoints_N: Tensions of X, N; five or more different ones.
-        sweeps: Number of sweeps, alternately up and down.
-        holding: Control mode of the reel that does not pull.
-        preload_N: Tension of the pulling reel before each approach, N; well below B^4 times the
-            lowest setpoint, or the cable does not slide.
-        relief_s: Settling time at the preload, s.
-        approach_s: Duration of the approach, and of the return to the preload, s.
-        settle_s: Settling time after it, s; several integral times of the tension controller.
-        read_s: Averaging time of the readings, s.
-        breakout_slope_N_s: Slope of the force ramp, N/s. It must be small relative to the tension
-            over the response time of the reels, and keep the sliding velocity low, at which
-            friction is still static.
-        breakout_m: Displacement of the held drum from which the cable counts as sliding, m; more
-            than the stretch of the cable inside the reel.
-        travel_m: Further displacement during the readings, m.
-        velocity_m_s: Velocity of the cable for `moving`, m/s.
-    """
-
-    setpoints_N: tuple[float, ...]
-    sweeps: int = 8
-    holding: Holding = "breakout"
+    setpoints_N: tuple[float, ...]  # tensions of X, N; five or more different ones
+    sweeps: int = 8  # number of sweeps, alternately up and down
+    holding: Holding = "breakout"  # control mode of the reel that does not pull
+    # Tension of the pulling reel before each approach, N; well below B^4 times the lowest
+    # setpoint, or the cable does not slide.
     preload_N: float = 1.0
-    relief_s: float = 3.0
-    approach_s: float = 2.0
+    relief_s: float = 3.0  # settling time at the preload, s
+    approach_s: float = 2.0  # duration of the approach, and of the return to the preload, s
+    # Settling time after it, s; several integral times of the tension controller.
     settle_s: float = 3.0
-    read_s: float = 1.0
+    read_s: float = 1.0  # averaging time of the readings, s
+    # Slope of the force ramp, N/s. It must be small relative to the tension over the response time
+    # of the reels, and keep the sliding velocity low, at which friction is still static.
     breakout_slope_N_s: float = 0.5
+    # Displacement of the held drum from which the cable counts as sliding, m; more than the
+    # stretch of the cable inside the reel.
     breakout_m: float = 1e-4
-    travel_m: float = 3e-4
-    velocity_m_s: float = 0.0
+    travel_m: float = 3e-4  # further displacement during the readings, m
+    velocity_m_s: float = 0.0  # velocity of the cable for `moving`, m/s
 
     def __post_init__(self) -> None:
         setpoints = np.asarray(self.setpoints_N, dtype=np.float64)

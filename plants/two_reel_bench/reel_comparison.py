@@ -20,17 +20,11 @@ _CONDITION_MAX = 1e3
 
 
 class ReelComparison(NamedTuple):
-    """Friction coefficients of two reels, and a test of their equality.
+    """Friction coefficients of two reels, and a test of their equality."""
 
-    Attributes:
-        coefficient_x: Friction coefficient C_R of X alone.
-        coefficient_y: Friction coefficient C_R of Y alone.
-        p_value: P-value of the hypothesis that the reels have the same coefficient.
-    """
-
-    coefficient_x: Estimate
-    coefficient_y: Estimate
-    p_value: float
+    coefficient_x: Estimate  # friction coefficient C_R of X alone
+    coefficient_y: Estimate  # friction coefficient C_R of Y alone
+    p_value: float  # p-value of the hypothesis that the reels have the same coefficient
 
     @property
     def alike(self) -> bool:

@@ -17,29 +17,18 @@ SIDES: tuple[Side, Side] = ("x", "y")
 
 
 class BenchReading(NamedTuple):
-    """Readings of one reel; columns have shape (samples,).
+    """Readings of one reel; columns have shape (samples,)."""
 
-    Attributes:
-        gauge: Tension at the gauge, in the reel's own unit.
-        angle_rad: Angle of the drum by its encoder, rad.
-    """
-
-    gauge: FloatArray
-    angle_rad: FloatArray
+    gauge: FloatArray  # tension at the gauge, in the reel's own unit
+    angle_rad: FloatArray  # angle of the drum by its encoder, rad
 
 
 class BenchRecord(NamedTuple):
-    """Simultaneous readings of both reels.
+    """Simultaneous readings of both reels."""
 
-    Attributes:
-        time_s: Time since the bench was started, s, shape (samples,).
-        x: Reel X.
-        y: Reel Y.
-    """
-
-    time_s: FloatArray
-    x: BenchReading
-    y: BenchReading
+    time_s: FloatArray  # time since the bench was started, s, shape (samples,)
+    x: BenchReading  # reel X
+    y: BenchReading  # reel Y
 
     def of(self, side: Side) -> BenchReading:
         """Readings of one reel."""
