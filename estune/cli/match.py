@@ -4,32 +4,27 @@ import json as json_
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 from rich.text import Text
 
 from estune.cli import output
-from estune.cli.tune import CostOptions, StepOptions, given
+from estune.cli.tune import NO_COST, NO_STEP, CostOptions, StepOptions, trial_of
 from estune.cli.values import Flag, TunerName, security_from
 from estune.errors import EstuneError, InvalidInput, RigError
 from estune.run.export import replace_file
 from estune.run.targets import is_endpoint, open_target
-from estune.run.toml_tables import CostTable, StepTable
 from estune.studies.match import procedure
 from estune.studies.match.outcome import Matching
 from estune.studies.match.reel_matcher import Settings
-from estune.support.toml_file import validate
 from estune.trial import RigDescription
 from estune.tuners import DEFAULT_TUNER
 
 if TYPE_CHECKING:
-    from estune.core.cost import StepCost
     from estune.remote.security import Security
-    from estune.trial.profiles import StepProfile
 
 _DEFAULTS = Settings()
-_NO_STEP, _NO_COST = StepOptions(), CostOptions()
 _LABELLED = re.compile(r"(?:([A-Za-z0-9_-]+)=)?(.+)")
 
 
@@ -48,8 +43,8 @@ def match(
     json: Flag = False,
     security: Path | None = None,
     quiet: Flag = False,
-    step: StepOptions = _NO_STEP,
-    cost: CostOptions = _NO_COST,
+    step: StepOptions = NO_STEP,
+    cost: CostOptions = NO_COST,
 ) -> None:
     """Tune several reels to the same cost. Ends with an error unless every reel passes.
 
@@ -75,13 +70,11 @@ def match(
     models = [label for label, target in named.items() if not is_endpoint(target)]
     if apply and models:
         raise InvalidInput(f"{', '.join(models)}: a model keeps no gains; leave out --apply")
-    profile, score = _common_trial(named, credentials, step, cost)
     matching = procedure.match(
         named,
         eta=_eta(eta),
         settings=Settings(tolerance, tuner, trials, match_trials, repeats),
-        step=profile,
-        cost=score,
+        **_common_trial(named, credentials, step, cost),
         folder=folder,
         apply=apply,
         security=credentials,
@@ -122,10 +115,10 @@ def _eta(text: str) -> "float | procedure.Auto":
 
 def _common_trial(
     named: Mapping[str, str], credentials: "Security", step: StepOptions, cost: CostOptions
-) -> "tuple[StepProfile | None, StepCost | None]":
-    """Step and cost of all reels, where options are given; the rigs' suggestion fills them in."""
-    if step == _NO_STEP and cost == _NO_COST:
-        return None, None
+) -> dict[str, Any]:
+    """Step and cost of all reels, where options are given; the rigs' suggestions complete them."""
+    if step == NO_STEP and cost == NO_COST:
+        return {}
     descriptions: list[RigDescription] = []
     for target in named.values():
         try:
@@ -134,11 +127,8 @@ def _common_trial(
         except EstuneError:
             continue  # the matching itself reports the reel, and continues
     if not descriptions:
-        return None, None
-    common = procedure.common_description(descriptions)
-    step_table = validate(StepTable, given(step), "the step trial")
-    cost_table = validate(CostTable, given(cost), "its cost")
-    return step_table.of(common), cost_table.of(common)
+        return {}
+    return trial_of(procedure.common_description(descriptions), step, cost)
 
 
 def _print_note(text: str) -> None:

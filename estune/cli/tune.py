@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -22,16 +22,16 @@ from estune.cli.values import (
     security_from,
     share_from,
 )
-from estune.core.cost import StepCost
-from estune.core.gains import GAIN_NAMES, Gains
+from estune.core.gains import GAIN_NAMES
 from estune.errors import InvalidInput
 from estune.run.journal import Journal
-from estune.run.plan import MOVE_WEIGHT, model_start
+from estune.run.plan import model_start
 from estune.run.result import RunEnding, TuneResult
 from estune.run.session import TOLERANCE
 from estune.run.targets import is_endpoint, open_target
+from estune.run.toml_tables import CostTable, StepTable
+from estune.support.toml_file import validate
 from estune.trial import Rig, RigDescription
-from estune.trial.profiles import StepProfile
 from estune.tuners import DEFAULT_TUNER
 
 _STEP = Group("The step trial", sort_key=1)
@@ -74,7 +74,7 @@ class CostOptions:
     move_weight: float | None = None
 
 
-_NO_STEP, _NO_COST = StepOptions(), CostOptions()
+NO_STEP, NO_COST = StepOptions(), CostOptions()
 
 
 def tune(
@@ -95,8 +95,8 @@ def tune(
     run: str | None = None,
     folder: Path = Path(api.RUNS),
     quiet: Flag = False,
-    step: StepOptions = _NO_STEP,
-    cost: CostOptions = _NO_COST,
+    step: StepOptions = NO_STEP,
+    cost: CostOptions = NO_COST,
 ) -> int:
     """Tune a rig by step trials.
 
@@ -128,7 +128,7 @@ def tune(
     """
     credentials = security_from(security)
     open_rig = partial(open_target, target, rig, credentials)
-    chosen = _chosen(open_rig, numbers_from(start), step, cost, warm_start=warm_start)
+    choices = _choices(open_rig, numbers_from(start), step, cost, warm_start=warm_start)
     result = api.tune(
         target,
         tuner=tuner,
@@ -136,10 +136,8 @@ def tune(
         tolerance=share_from("tolerance", tolerance),
         repeats=repeats,
         eta_max=eta_max,
-        start=chosen.start,
         bounds=ranges_from(bounds) or None,
-        step=chosen.step,
-        cost=chosen.cost,
+        **choices,
         rig=rig,
         security=credentials,
         run=run,
@@ -196,42 +194,35 @@ def finish(result: TuneResult, target: str | None, more: Mapping[str, str] | Non
     return result.ending.exit_code
 
 
-@dataclass(frozen=True)
-class _Chosen:
-    """Choices of the user; None means the default of the library."""
-
-    start: Gains | None
-    step: StepProfile | None
-    cost: StepCost | None
-
-
-def _chosen(
+def _choices(
     open_rig: Callable[[], AbstractContextManager[Rig]],
     start: Mapping[str, float],
     step: StepOptions,
     cost: CostOptions,
     *,
     warm_start: bool,
-) -> _Chosen:
-    """Completes the user's choices from the rig's suggestions, if there are any choices."""
+) -> dict[str, Any]:
+    """Arguments of `api.tune` that the rig's suggestions complete; none without such options."""
     unknown = set(start) - set(GAIN_NAMES)
     if unknown:
         raise InvalidInput(
             f"there is no gain {', '.join(sorted(unknown))}; the gains are {', '.join(GAIN_NAMES)}"
         )
-    if not start and not warm_start and step == _NO_STEP and cost == _NO_COST:
-        return _Chosen(None, None, None)
+    if not start and not warm_start and step == NO_STEP and cost == NO_COST:
+        return {}
     with open_rig() as the_rig:
-        suggested: RigDescription = the_rig.describe()
-    default = StepCost(suggested.settling_time_s, move_weight=MOVE_WEIGHT)
-    return _Chosen(
-        replace(model_start(suggested) if warm_start else suggested.gains, **start),
-        replace(suggested.step, **given(step)),
-        replace(default, **given(cost)),
-    )
+        rig = the_rig.describe()
+    initial = model_start(rig) if warm_start else rig.gains
+    return {"start": replace(initial, **start), **trial_of(rig, step, cost)}
 
 
-def given(options: StepOptions | CostOptions) -> dict[str, Any]:
-    """The options that are given, by name."""
-    values = {field.name: getattr(options, field.name) for field in fields(options)}
-    return {name: value for name, value in values.items() if value is not None}
+def trial_of(rig: RigDescription, step: StepOptions, cost: CostOptions) -> dict[str, Any]:
+    """Step and cost of the options, completed by the rig's suggestions."""
+    given = [
+        {name: value for name, value in vars(options).items() if value is not None}
+        for options in (step, cost)
+    ]
+    return {
+        "step": validate(StepTable, given[0], "the step trial").of(rig),
+        "cost": validate(CostTable, given[1], "its cost").of(rig),
+    }

@@ -240,7 +240,8 @@ def _fit_near(
         precision[0, 0] = 0.0  # the constant is free
         variance = max(noise, 1e-3 * tolerance) ** 2
         for _ in range(3):  # the lack of fit counts as noise
-            covariance = np.linalg.inv(precision + terms.T @ terms / variance)
+            posterior_precision = precision + terms.T @ terms / variance
+            covariance = np.linalg.inv(posterior_precision).astype(np.float64)
             beta = covariance @ (terms.T @ costs[near]) / variance
             lack_of_fit = float(np.sum((costs[near] - terms @ beta) ** 2)) / freedom
             variance = max(noise**2, lack_of_fit, 1e-6 * tolerance**2)
