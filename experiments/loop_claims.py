@@ -170,9 +170,8 @@ def main() -> int:
     parser = command_line(__doc__, quick="two searches a plant instead of ten")
     options = parser.parse_args()
     if not options.json:
-        print(
-            f"{'plant':20} {'trials':>7} {'unsafe':>7} {'claimed':>9} {'true/claim':>10} {'rho':>9}"
-        )
+        heads = f"{'trials':>7} {'unsafe':>7} {'claimed':>9} {'true/claim':>10} {'rho':>9}"
+        print(f"{'plant':20} {heads}")
     with print_tables(hidden=options.json):
         rows = measure(2 if options.quick else 10)
     inside = [row for row in rows if row["inside"]]
