@@ -1,10 +1,10 @@
-"""Does what a tuning claims hold? Whole runs to their verdict, many times over.
+"""Coverage and false claims of complete tuning runs.
 
-Each run searches, stops by itself, and confirms by repeats; what it says is held against costs
-without noise. It begins from weak gains, from gains that cannot be improved, on a rig that gets
-steadily worse by a fifth while the run goes on, or on one of whose trials one in twenty is spoilt.
-Asked is whether the 95 % interval of the improvement holds the true one, how often an improvement
-is claimed where there is none, and what the gains it ends with still cost above the optimum.
+Each run searches, stops by itself, and confirms by repeats; its summary is compared with
+noise-free costs. It starts from weak gains, from optimal gains, on a rig whose cost drifts up by a
+fifth during the run, or on one with one outlier in twenty trials. The figures are the coverage of
+the 95 % interval of the improvement, the share of false claims, and the excess cost of the final
+gains.
 """
 
 import math
@@ -25,14 +25,14 @@ from estune.run.summary import summarise
 from estune.support import plot_style
 from estune.trial import Outcome
 from estune.tuners import DEFAULT_TUNER
-from experiments.judged import Target, at_most, between, command_line, tell
+from experiments.results import Target, at_most, between, command_line, print_results
 from experiments.sample_efficiency.optimum import OUT, optimum
 from experiments.sample_efficiency.problems import PROBLEMS
 
 PROBLEM = PROBLEMS["8 Hz"]
 NOISE = 0.03
 DRIFT = 0.2
-SPOILT_SHARE, SPOILT = 0.05, 1.5
+OUTLIER_SHARE, OUTLIER = 0.05, 1.5
 FIRST_SEED = 5000
 COVERED_LEAST, COVERED_MOST = 0.93, 0.97
 FALSE_CLAIMS_MOST = 0.05
@@ -42,37 +42,37 @@ FIGURE = OUT / "confirmation.png"
 
 @dataclass(frozen=True, slots=True)
 class Situation:
-    """Where a run begins and what befalls it; nothing of the kind unless said."""
+    """The start of a run and its disturbances."""
 
     name: str
     from_optimum: bool = False
     drift: float = 0.0
-    spoilt_share: float = 0.0
+    outlier_share: float = 0.0
 
 
 SITUATIONS = (
     Situation("weak start"),
     Situation("nothing to gain", from_optimum=True),
     Situation("drift", drift=DRIFT),
-    Situation("spoilt trials", spoilt_share=SPOILT_SHARE),
+    Situation("spoilt trials", outlier_share=OUTLIER_SHARE),
 )
 PLAIN = ("weak start", "nothing to gain")
-"""Where the interval is held to its word: noise alone, as it is made for."""
+"""Situations with noise alone, for which the interval is valid."""
 
 
 @dataclass(frozen=True, slots=True)
 class Claim:
-    """What a run claimed, and what is true.
+    """The claim of a run, and the true values.
 
     Attributes:
         situation: Name of the situation.
-        searched: Search trials.
-        trials: All trials.
-        claimed: Whether it claims an improvement.
-        low: Lower end of its interval of the change; nan where it gives none.
+        searched: Number of search trials.
+        trials: Number of all trials.
+        claimed: Whether the run claims an improvement.
+        low: Lower end of its interval of the change; nan without one.
         high: Upper end.
-        true: The change without noise.
-        excess: Cost of the gains it ended with over the optimum, less one.
+        true: The noise-free change.
+        excess: Noise-free cost of the final gains over that of the optimum, less one.
     """
 
     situation: str
@@ -91,29 +91,29 @@ class Claim:
 
 
 def claim(situation: Situation, seed: int) -> Claim:
-    """Runs one tuning to its verdict."""
+    """Runs one tuning to its summary."""
     best = optimum(PROBLEM)
     start = Gains(*map(math.exp, best.coordinates)) if situation.from_optimum else PROBLEM.start
     tuner = make_tuner(DEFAULT_TUNER, start, None)
     plan = Plan("run", tuner, start, PROBLEM.plant.profile, PROBLEM.cost)
     random = np.random.default_rng(seed)
-    factors = 1.0 + NOISE * random.standard_normal(plan.most_trials)
-    factors *= 1.0 + situation.drift * np.linspace(0.0, 1.0, plan.most_trials)
-    factors[random.random(plan.most_trials) < situation.spoilt_share] *= SPOILT
+    factors = 1.0 + NOISE * random.standard_normal(plan.max_trials)
+    factors *= 1.0 + situation.drift * np.linspace(0.0, 1.0, plan.max_trials)
+    factors[random.random(plan.max_trials) < situation.outlier_share] *= OUTLIER
     session = new_session(plan)
     while (request := next_request(session)) is not None:
         cost = _quiet(request.gains) * float(factors[request.number])
         session = after_trial(session, Outcome.DONE, cost)
-    said, found = summarise(session), session.candidate or start
+    summary, final = summarise(session), session.candidate or start
     return Claim(
         situation=situation.name,
-        searched=session.searched,
+        searched=session.search_trials,
         trials=session.number,
-        claimed=said.improved,
-        low=math.nan if said.change is None else said.change.low,
-        high=math.nan if said.change is None else said.change.high,
-        true=_quiet(found) / _quiet(start) - 1.0,
-        excess=_quiet(said.gains) / best.cost - 1.0,
+        claimed=summary.improved,
+        low=math.nan if summary.change is None else summary.change.low,
+        high=math.nan if summary.change is None else summary.change.high,
+        true=_quiet(final) / _quiet(start) - 1.0,
+        excess=_quiet(summary.gains) / best.cost - 1.0,
     )
 
 
@@ -121,7 +121,7 @@ def _quiet(gains: Gains) -> float:
     return float(PROBLEM.costs(np.log([gains.as_tuple()]))[0])
 
 
-def summary(claims: Sequence[Claim]) -> dict[str, Any]:
+def figures_of(claims: Sequence[Claim]) -> dict[str, Any]:
     """The figures of some runs."""
     compared = [c for c in claims if not math.isnan(c.low)]
     return {
@@ -137,7 +137,7 @@ def summary(claims: Sequence[Claim]) -> dict[str, Any]:
 
 
 def targets(figures: dict[str, Any]) -> dict[str, Target]:
-    """What was aimed at."""
+    """The targets."""
     plain, covered = figures["weak start"], figures["covered_by_noise_alone"]
     false = max(figures[s.name]["claimed_falsely"] for s in SITUATIONS)
     return {
@@ -174,7 +174,7 @@ def show(figures: dict[str, Any]) -> None:
 
 
 def draw(claims: Sequence[Claim]) -> None:
-    """Saves the figure: the intervals of each situation, in order of where they lie."""
+    """Saves the figure of the intervals of each situation, sorted by their lower ends."""
     page = plot_style.new_figure(plot_style.WIDTH_in, 4.6)
     grid = page.subplots(2, 2, squeeze=False).ravel()
     for ax, (name, group) in zip(grid, groupby(claims, attrgetter("situation")), strict=False):
@@ -186,32 +186,32 @@ def draw(claims: Sequence[Claim]) -> None:
             )
         ax.axhline(0.0, color=plot_style.BLACK, linewidth=0.8)
         ax.set_title(name, fontsize=9)
-        plot_style.finish(ax, "interval less the truth, %", "run, by its interval")
+        plot_style.finish(ax, "interval less the true change, %", "run, by its interval")
     OUT.mkdir(exist_ok=True)
     FIGURE.write_bytes(plot_style.to_png(page))
 
 
 def main() -> int:
-    """Measures, prints, and says by its exit code whether every target was met."""
-    parser = command_line(__doc__, quick="a few runs, for a look")
+    """Runs, prints, and returns 1 if a target is missed."""
+    parser = command_line(__doc__, quick="four runs of each situation")
     parser.add_argument("--runs", type=int, default=150, help="runs of each situation")
     parser.add_argument("--jobs", type=int, default=1, help="processes")
     options = parser.parse_args()
-    optimum(PROBLEM)  # before the workers, each of which would look for it
+    optimum(PROBLEM)  # cached before the workers need it
     seeds = range(FIRST_SEED, FIRST_SEED + (4 if options.quick else options.runs))
     claims = Parallel(n_jobs=options.jobs)(
         delayed(claim)(situation, seed) for situation in SITUATIONS for seed in seeds
     )
     figures: dict[str, Any] = {
-        s.name: summary([c for c in claims if c.situation == s.name]) for s in SITUATIONS
+        s.name: figures_of([c for c in claims if c.situation == s.name]) for s in SITUATIONS
     }
     plain = [c for c in claims if c.situation in PLAIN]
-    figures["covered_by_noise_alone"] = summary(plain)["covered"]
+    figures["covered_by_noise_alone"] = figures_of(plain)["covered"]
     draw(claims)
     if not options.json:
         show(figures)
         print(f"figure: {FIGURE}")
-    return tell(figures, targets(figures), as_json=options.json)
+    return print_results(figures, targets(figures), as_json=options.json)
 
 
 if __name__ == "__main__":

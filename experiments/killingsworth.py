@@ -1,26 +1,25 @@
-"""Does our extremum seeking do what was published, and does any of our tuners do better?
+"""Reproduction of the published extremum seeking, and comparison with the other tuners.
 
 The four plants of Killingsworth & Krstic, "PID tuning using extremum seeking", IEEE Control
 Systems Magazine 26(1), 2006, from the Ziegler-Nichols start. The cost is the error after t0 alone,
-J = 1/(T - t0) int_{t0}^T e^2 dt, so that settling counts and rising does not. Everything is
-simulated here, with an ideal derivative and an exact dead time (the paper's was a third-order Pade
-approximation).
+J = 1/(T - t0) int_{t0}^T e^2 dt, so that settling counts and rising does not. The simulation has
+an ideal derivative and an exact dead time (the paper's is a third-order Pade approximation).
 
-The metric is the gap closed, (J_ZN - J)/(J_ZN - J*), by the best trial so far. "Within 5 % of J*"
-would be out of reach of anything that dithers: the masked cost is so steep about its optimum that
-the dither itself costs a multiple of J*.
+The metric is the share of the possible improvement, (J_ZN - J)/(J_ZN - J*), by the best trial so
+far. "Within 5 % of J*" is impossible with dither: the masked cost is so steep about its optimum
+that the dither itself costs a multiple of J*.
 
-G4 is run with an actuator limit. As published it has no usable optimum: the response can settle
-before t0, so that J falls towards zero while the effort grows without end. The limit is the effort
-of the published ES row, the greatest of the published ones, and a trial over it is aborted: if it
-merely saturated, the optimum would run away all the same.
+G4 has an actuator limit. As published it has no usable optimum: the response can settle before t0,
+so that J falls towards zero while the effort grows without bound. The limit is the effort of the
+published ES row, the greatest of the published ones. A trial over it is aborted, because the
+optimum would still diverge with mere saturation.
 
-The PID values of the published rows are marked S where they were found in a source (the plants'
-settings and windows too, but for the window of G2) and R where they are recalled and only checked
-by what they cost here. Two readings of the frequencies w_i = a^p_i pi are run: p = (1, 2, 3), as
-the law is printed, and p = (2, 1, 3), the nearest to the published transient of the first plant
-(J = 0.0195 at first, 5.5e-4 at k = 5, 2.3e-4 to 3.5e-4 from k = 8) of the orders that were tried.
-It is not the same transient: at k = 4 the published cost has fallen to about 1.3e-3, this one not.
+The PID values of the published rows are marked S if they are from a source (as are the plants'
+settings and windows, except the window of G2) and R if they are recalled and only checked by their
+cost here. There are two readings of the frequencies w_i = a^p_i pi: p = (1, 2, 3), as the law is
+printed, and p = (2, 1, 3), of all orders the nearest to the published transient of the first plant
+(J = 0.0195 at first, 5.5e-4 at k = 5, 2.3e-4 to 3.5e-4 from k = 8). The transients differ: at
+k = 4 the published cost has fallen to about 1.3e-3, this one has not.
 """
 
 import math
@@ -35,12 +34,11 @@ from scipy.optimize import minimize
 
 from estune.core.gains import Gains
 from estune.core.metrics import step_metrics
+from estune.support import plot_style
 from estune.trial.profiles import StepProfile
-from estune.tuners import Tuner, create_tuner
+from estune.tuners import Observation, Point, SearchSpace, Tuner, create_tuner
 from estune.tuners.killingsworth import Killingsworth
-from estune.tuners.observation import Observation
-from estune.tuners.search_space import Point, SearchSpace
-from experiments.judged import Target, at_most, command_line, tables, tell
+from experiments.results import Target, at_most, command_line, print_results, print_tables
 from plants.models.linear_plant import LinearPlant, linear_plant
 from plants.simulation.batch import Response, simulate
 
@@ -51,18 +49,18 @@ BOUNDS_FACTOR = 10.0  # bounds of the search, over and under the start
 
 @dataclass(frozen=True)
 class Benchmark:
-    """One of the four plants, with what was published on it.
+    """One of the four plants, with the published values.
 
     Attributes:
-        name: What the paper calls it.
+        name: Its name in the paper.
         numerator: Of the transfer function, falling powers of s.
         poles_s: Time constants of its poles, s.
         dead_time_s: Dead time, s.
         window_s: (t0, T), s.
-        rows: Published (K, Ti, Td) and where they are from: S sourced, R recalled.
+        rows: Published (K, Ti, Td) and their origin: S sourced, R recalled.
         amplitudes: Published dither amplitudes alpha of K, Ti, Td.
         gains: Published adaptation gains gamma of K, Ti, Td.
-        effort_max: Greatest effort the actuator gives; a trial that asks for more is aborted.
+        effort_max: Greatest effort of the actuator; a trial beyond it is aborted.
     """
 
     name: str
@@ -139,7 +137,7 @@ BENCHMARKS = (
 
 
 def cost(benchmark: Benchmark, plant: LinearPlant, point: Point) -> float:
-    """J of a K, Ti, Td; infinite where the response diverges or exceeds the actuator."""
+    """J of (K, Ti, Td); infinite if the response diverges or exceeds the actuator."""
     response = _response(plant, point)
     if response.diverged_at is not None or _peak(response) > benchmark.effort_max:
         return math.inf
@@ -150,7 +148,7 @@ def cost(benchmark: Benchmark, plant: LinearPlant, point: Point) -> float:
 def optimum(
     benchmark: Benchmark, plant: LinearPlant, starts: list[Point], evaluations: int
 ) -> tuple[Point, float]:
-    """The least cost found from any of the starts, by Nelder-Mead in the logarithms."""
+    """The optimum and its cost, by Nelder-Mead in logarithms from several starts."""
 
     def logarithmic(x: Any) -> float:
         return min(cost(benchmark, plant, tuple(np.exp(np.clip(x, -9.0, 9.0)).tolist())), 1e9)
@@ -169,7 +167,7 @@ def optimum(
 
 
 def tuners(benchmark: Benchmark) -> dict[str, Tuner[Any]]:
-    """What is run: the published law and settings in two orders, and our others by default."""
+    """The published law and settings in two orders, and other tuners with default settings."""
     names, start = ("K", "Ti", "Td"), benchmark.start
     space = SearchSpace.around(Gains.from_standard(*start), BOUNDS_FACTOR, form="standard")
     linear = SearchSpace(names, start, space.low, space.high, scale="linear", form="standard")
@@ -185,20 +183,20 @@ def tuners(benchmark: Benchmark) -> dict[str, Tuner[Any]]:
 
 @dataclass(frozen=True)
 class Search:
-    """What a tuner did: the costs of its trials, the best of them, where it would settle."""
+    """The result of a search: costs of the trials, best point, recommended point."""
 
     costs: tuple[float, ...]
     best: Point
     recommended: Point
 
     def trials_to(self, share: float, start_cost: float, least: float) -> int | None:
-        """Number of trials after which the best one has closed this share of the gap."""
-        wanted = start_cost - share * (start_cost - least)
-        return next((k for k, J in enumerate(self.costs, 1) if wanted >= J), None)
+        """Number of trials until the best one has this share of the possible improvement."""
+        target = start_cost - share * (start_cost - least)
+        return next((k for k, J in enumerate(self.costs, 1) if target >= J), None)
 
 
 def search(tuner: Tuner[Any], trial_cost: Callable[[Point], float], trials: int) -> Search:
-    """Runs a tuner from the start; a trial over eta_max is told as censored."""
+    """Runs a tuner from the start; a trial over eta_max is censored."""
     state, costs = tuner.start(), []
     limit = ETA_MAX_RATIO * trial_cost(tuner.space.start)
     for _ in range(trials):
@@ -248,7 +246,7 @@ def study(benchmark: Benchmark, trials: int, evaluations: int) -> dict[str, Any]
 
 
 def targets(figures: dict[str, dict[str, Any]]) -> dict[str, Target]:
-    """What has to be reached, from the figures of G1 and G2."""
+    """Targets on the figures of G1 and G2."""
     g1, g2 = figures["G1"], figures["G2"]
     published = g1["killingsworth (2, 1, 3): costs"]
 
@@ -302,7 +300,7 @@ def _print_heading(benchmark: Benchmark, start_cost: float) -> None:
 def _without_limit(
     benchmark: Benchmark, plant: LinearPlant, start: Point, evaluations: int
 ) -> dict[str, float]:
-    """Why the actuator is limited: what the optimum comes to without."""
+    """The optimum without an actuator limit, which shows why there is one."""
     point, least = optimum(replace(benchmark, effort_max=math.inf), plant, [start], evaluations)
     effort = _peak(_response(plant, point))
     print(
@@ -319,40 +317,33 @@ def _peak(response: Response) -> float:
 
 def save_figure(figures: dict[str, dict[str, Any]], path: Path) -> None:
     """Cost of each trial, one panel for each plant."""
-    import matplotlib as mpl  # noqa: PLC0415  slow to import
-
-    mpl.use("Agg")
-    from matplotlib import pyplot as plt  # noqa: PLC0415  after the backend is chosen
-
-    figure, panels = plt.subplots(
-        1, len(figures), figsize=(4.5 * len(figures), 4.0), layout="constrained"
-    )
-    for panel, (name, found) in zip(np.atleast_1d(panels), figures.items(), strict=True):
-        for key, costs in found.items():
+    figure = plot_style.new_figure(4.5 * len(figures), 4.0)
+    panels = figure.subplots(1, len(figures), squeeze=False)[0]
+    for panel, (name, own) in zip(panels, figures.items(), strict=True):
+        for key, costs in own.items():
             if key.endswith(": costs"):
                 finite = [math.nan if J is None else J for J in costs]
                 panel.semilogy(finite, label=key.removesuffix(": costs"), linewidth=1.0)
-        panel.axhline(found["optimum_cost"], color="k", linestyle=":", label="optimum")
+        panel.axhline(own["optimum_cost"], color="k", linestyle=":", label="optimum")
         panel.set(title=name, xlabel="trial", ylabel="cost J")
-    np.atleast_1d(panels)[0].legend(fontsize="small")
+    panels[0].legend(fontsize="small")
     path.parent.mkdir(exist_ok=True)
-    figure.savefig(path, dpi=120)
-    plt.close(figure)
+    path.write_bytes(plot_style.to_png(figure))
 
 
 def main() -> int:
-    """Prints the tables, or with --json one object; returns 1 where a target is missed."""
+    """Prints the tables, or with --json one object; returns 1 if a target is missed."""
     parser = command_line(__doc__, quick="G1 and G2 alone, 30 trials")
     parser.add_argument("--trials", type=int, default=100, help="trials of each tuner")
     options = parser.parse_args()
     benchmarks = BENCHMARKS[:2] if options.quick else BENCHMARKS
     trials, evaluations = (30, 150) if options.quick else (options.trials, 600)
     image = Path(__file__).parent / "out" / "killingsworth.png"
-    with tables(hidden=options.json):
+    with print_tables(hidden=options.json):
         figures = {b.name: study(b, trials, evaluations) for b in benchmarks}
         save_figure(figures, image)
         print(f"figure: {image}")
-    return tell(figures, targets(figures), as_json=options.json)
+    return print_results(figures, targets(figures), as_json=options.json)
 
 
 if __name__ == "__main__":

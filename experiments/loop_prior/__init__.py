@@ -1,1 +1,1 @@
-"""What the costs of PIDF loops have in common, from loops drawn at random."""
+"""Prior of the cost of PIDF loops, fitted to random loops."""

@@ -1,4 +1,4 @@
-"""Loops drawn at random: a plant, a cost, the optimum of the gains, and a search for it."""
+"""Random loops: a plant, a cost, the optimal gains, and a search for them."""
 
 import math
 from dataclasses import dataclass
@@ -13,19 +13,18 @@ from estune.core.cost import StepCost
 from estune.core.gains import Gains
 from estune.core.quantities import FloatArray
 from estune.trial.profiles import StepProfile
-from estune.tuners.observation import Observation
+from estune.tuners import Observation, SearchSpace
 from estune.tuners.safe_bayesian import SafeBayesianTuner
-from estune.tuners.search_space import SearchSpace
 from plants.models.linear_plant import LinearPlant
 
-SEARCHED = 24  # trials of a search that are kept, those of its wide phase
+SEARCH_TRIALS = 24  # those with the Gaussian process
 NOISE = 0.03
-WIDE = 5.5  # the optimum is looked for within so many logarithms about what suits most loops
-EVALUATIONS = 700  # of each of two searches for it
+RANGE = 5.5  # of the search for the optimum, in logarithms about usual gains
+EVALUATIONS = 700  # of each of two searches for the optimum
 DIVERGED = 1e9
 CENSORED = 3.0  # times the start's cost
-OFF = 0.25  # share of the searches that begin anywhere about the optimum, not at weak gains
-DIFFERENCE = 0.07  # of the logarithms, for the curvature
+ANYWHERE_SHARE = 0.25  # of the searches that start anywhere about the optimum, not at weak gains
+DIFFERENCE = 0.07  # step in logarithms, for the curvature
 
 
 @dataclass(frozen=True)
@@ -33,8 +32,8 @@ class Loop:
     """A loop and a search on it, in logarithms of P, I, D and the setpoint filter's time constant.
 
     Attributes:
-        points: Where the search's trials were, from its start on, shape (trials, 4).
-        costs: Logarithms of what they cost, without noise, shape (trials,).
+        points: Coordinates of the trials relative to the start, shape (trials, 4).
+        costs: Their log costs without noise, shape (trials,).
         curvature: Of the logarithm of the cost at the optimum, shape (4, 4).
     """
 
@@ -49,12 +48,12 @@ def draw(seed: int) -> Loop | None:
     plant, cost, period_s = _plant(random)
 
     def costs(x: FloatArray) -> FloatArray:
-        found = plants.batch_costs(plant, np.exp(x), None, cost, workers=1)
-        return np.log(np.where(np.isfinite(found), found, DIVERGED))
+        values = plants.batch_costs(plant, np.exp(x), None, cost, workers=1)
+        return np.log(np.where(np.isfinite(values), values, DIVERGED))
 
     usual = np.log([0.5, math.pi / (3.0 * period_s), 0.05 * period_s / math.pi, 0.05 * period_s])
     best, least = _optimum(costs, usual, random, seed)
-    if np.max(np.abs(best - usual)) > WIDE - 0.3:
+    if np.max(np.abs(best - usual)) > RANGE - 0.3:
         return None
     start = _start(costs, best, least, random)
     if start is None:
@@ -63,7 +62,7 @@ def draw(seed: int) -> Loop | None:
 
 
 def _plant(random: np.random.Generator) -> tuple[LinearPlant, StepCost, float]:
-    """A plant with its limits and a cost, and the time its step response takes, s."""
+    """A plant with its limits, a cost, and the time of its step response, s."""
 
     def between(low: float, high: float) -> float:
         return math.exp(random.uniform(math.log(low), math.log(high)))
@@ -107,31 +106,31 @@ def _plant(random: np.random.Generator) -> tuple[LinearPlant, StepCost, float]:
 def _optimum(
     costs: Any, usual: FloatArray, random: np.random.Generator, seed: int
 ) -> tuple[FloatArray, float]:
-    """Where the cost is least, and its logarithm there, by CMA-ES begun twice."""
-    bounds = [list(usual - WIDE), list(usual + WIDE)]
-    found = []
-    for turn in (1, 2):
+    """The optimum and its log cost, by CMA-ES from two starts."""
+    bounds = [list(usual - RANGE), list(usual + RANGE)]
+    results = []
+    for attempt in (1, 2):
         options = {"bounds": bounds, "verbose": -9, "maxfevals": EVALUATIONS}
-        begun = usual if turn == 1 else usual + random.normal(0.0, 0.5, 4)
-        strategy = cma.CMAEvolutionStrategy(begun, 1.0, {**options, "seed": 2 * seed + turn})
+        initial = usual if attempt == 1 else usual + random.normal(0.0, 0.5, 4)
+        strategy = cma.CMAEvolutionStrategy(initial, 1.0, {**options, "seed": 2 * seed + attempt})
         while not strategy.stop():
             asked = strategy.ask()
             strategy.tell(asked, list(costs(np.array(asked))))
-        found.append((float(strategy.result.fbest), np.array(strategy.result.xbest)))
-    least, best = min(found, key=lambda pair: pair[0])
+        results.append((float(strategy.result.fbest), np.array(strategy.result.xbest)))
+    least, best = min(results, key=lambda pair: pair[0])
     return best, least
 
 
 def _start(
     costs: Any, best: FloatArray, least: float, random: np.random.Generator
 ) -> FloatArray | None:
-    """Weak gains some three to eight times as costly as the optimum, or any two to three times."""
-    off = random.random() < OFF
+    """Weak gains at three to eight times the optimal cost, or any gains at two to three times."""
+    anywhere = random.random() < ANYWHERE_SHARE
     for _ in range(20):
         away = random.normal(size=4)
-        if not off:
+        if not anywhere:
             away = random.uniform([-3.0, -3.0, -3.0, 0.3], [-0.5, -1.0, -0.5, 3.0])
-        ratio = random.uniform(1.8, 3.0) if off else random.uniform(3.0, 8.0)
+        ratio = random.uniform(1.8, 3.0) if anywhere else random.uniform(3.0, 8.0)
         path = best + np.linspace(0.0, 3.0, 301)[:, np.newaxis] * away
         crossed = int(np.argmax(costs(path) - least >= math.log(ratio)))
         if crossed > 0:
@@ -143,28 +142,28 @@ def _start(
 def _search(
     costs: Any, start: FloatArray, random: np.random.Generator
 ) -> tuple[FloatArray, FloatArray]:
-    """Where the default tuner looks in its first trials, from the start on, and what it costs."""
+    """Coordinates relative to the start, and log costs, of the first trials of a search."""
     space = SearchSpace.around(Gains(*np.exp(start).tolist()), 50.0)
-    dearest = math.log(CENSORED) + float(costs(start[np.newaxis])[0])
+    most = math.log(CENSORED) + float(costs(start[np.newaxis])[0])
     tuner = SafeBayesianTuner(space)
-    state, points, found = tuner.start(), [], []
-    for _ in range(SEARCHED):
+    state, points, log_costs = tuner.start(), [], []
+    for _ in range(SEARCH_TRIALS):
         points.append(space.coordinates(tuner.ask(state)))
-        found.append(min(float(costs(np.array(points[-1:]))[0]), dearest))
-        noisy = found[-1] + math.log1p(NOISE * random.standard_normal())
-        told = Observation(math.exp(min(noisy, dearest)), censored=noisy >= dearest)
-        state = tuner.tell(state, told)
-    return np.array(points) - start, np.array(found)
+        log_costs.append(min(float(costs(np.array(points[-1:]))[0]), most))
+        noisy = log_costs[-1] + math.log1p(NOISE * random.standard_normal())
+        observation = Observation(math.exp(min(noisy, most)), censored=noisy >= most)
+        state = tuner.tell(state, observation)
+    return np.array(points) - start, np.array(log_costs)
 
 
 def _curvature(costs: Any, best: FloatArray) -> FloatArray:
-    """By central differences, shape (4, 4)."""
+    """Curvature of the log cost by central differences, shape (4, 4)."""
     steps = DIFFERENCE * np.eye(4)
     pairs = [(i, j) for i in range(4) for j in range(i, 4)]
     signs = ((1, 1), (1, -1), (-1, 1), (-1, -1))
     points = [best + a * steps[i] + b * steps[j] for i, j in pairs for a, b in signs]
-    found = costs(np.array(points)).reshape(-1, 4) @ (1.0, -1.0, -1.0, 1.0)
+    differences = costs(np.array(points)).reshape(-1, 4) @ (1.0, -1.0, -1.0, 1.0)
     curvature = np.zeros((4, 4))
-    for (i, j), value in zip(pairs, found / (4.0 * DIFFERENCE**2), strict=True):
+    for (i, j), value in zip(pairs, differences / (4.0 * DIFFERENCE**2), strict=True):
         curvature[i, j] = curvature[j, i] = value
     return curvature

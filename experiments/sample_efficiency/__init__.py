@@ -1,1 +1,1 @@
-"""How few trials, and how few dangerous ones, does each tuner need under measurement noise?"""
+"""Trials and unsafe trials that tuners need under measurement noise."""

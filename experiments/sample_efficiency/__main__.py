@@ -1,10 +1,10 @@
-"""How few trials, and how few dangerous ones, does each tuner need under measurement noise?
+"""Trials and unsafe trials that tuners need under measurement noise.
 
-Every algorithm tunes the same problems from the same weak gains, in logarithms of the gains and
-within the same bounds, with the same noise on the trial of a number. What counts is the cost,
-without noise, of the gains it would settle on after each trial: its centre or mean where it has
-one, else its best noisy trial. Settings were chosen on seeds below 100; the tables are of seeds
-from 1000 on. Rows are written as they are finished; `--rows` prints the tables of such a file.
+Every algorithm tunes the same problems from the same weak gains, in logarithms of the gains,
+within the same bounds, and with the same noise on each numbered trial. It is scored by the
+noise-free cost of the gains it recommends after each trial: its centre or mean, or else its best
+noisy trial. Settings were chosen on seeds below 100; the tables are of seeds from 1000 on. Rows
+are written as they are finished; `--rows` prints the tables of such a file.
 """
 
 import json
@@ -17,11 +17,11 @@ from pathlib import Path
 
 from joblib import Parallel, delayed
 
-from experiments.judged import command_line, tell
+from experiments.results import command_line, print_results
 from experiments.sample_efficiency import figures, searches, tables
 from experiments.sample_efficiency.algorithms import ALGORITHMS, OURS
 from experiments.sample_efficiency.drawing import save_figure
-from experiments.sample_efficiency.figures import MORE_NOISE, NEWTON, NOISE
+from experiments.sample_efficiency.figures import DEFAULT, MORE_NOISE, NOISE
 from experiments.sample_efficiency.optimum import OUT, optimum
 from experiments.sample_efficiency.problems import ALL_PROBLEMS, GAUGE, PROBLEMS
 from experiments.sample_efficiency.searches import COLD, WARM, Job, Row
@@ -29,8 +29,8 @@ from experiments.sample_efficiency.stopping import StoppedRun, stopped_run
 
 HELD_OUT = range(1000, 1020)
 SLOW = "skopt GP"
-SLOW_SEEDS, SLOW_BUDGET = 3, 80  # it takes most of a second to think of a trial
-SEEDS_BESIDE = 10  # of the gauge's noise; and of peers at 10 % noise and from a warm start
+SLOW_SEEDS, SLOW_BUDGET = 3, 80  # a proposal takes most of a second
+SEEDS_BESIDE = 10  # with gauge noise; and of peers at 10 % noise and from a warm start
 STOP_NOISES = (0.01, NOISE, MORE_NOISE)
 ROWS = OUT / "sample_efficiency.jsonl"
 STOPS = OUT / "sample_efficiency_stops.jsonl"
@@ -38,7 +38,7 @@ FIGURE = OUT / "sample_efficiency.png"
 
 
 def jobs(only: str | None, seeds: range) -> Iterator[Job]:
-    """Every search of the tables; those of one algorithm if so asked."""
+    """Every search of the tables, or those of one algorithm."""
     for name in ALGORITHMS if only is None else (only,):
         if name == SLOW:
             for seed, problem in product(seeds[:SLOW_SEEDS], PROBLEMS):
@@ -60,9 +60,9 @@ def quick_jobs() -> Iterator[Job]:
 
 
 def run(todo: list[Job], workers: int, file: Path) -> list[Row]:
-    """Makes the searches, writing each row as it is finished."""
+    """Runs the searches, writing each row as it is finished."""
     for problem in ALL_PROBLEMS.values():
-        optimum(problem)  # before the workers, each of which would look for it
+        optimum(problem)  # cached before the workers need it
     file.parent.mkdir(exist_ok=True)
     done = []
     with file.open("a", encoding="utf-8") as rows:
@@ -81,7 +81,7 @@ def run(todo: list[Job], workers: int, file: Path) -> list[Row]:
 def stops(seeds: range, problems: list[str], workers: int, file: Path | None) -> list[StoppedRun]:
     """Whole runs of the default tuner."""
     made = Parallel(n_jobs=workers)(
-        delayed(stopped_run)(problem, NEWTON, noise, seed)
+        delayed(stopped_run)(problem, DEFAULT, noise, seed)
         for noise, problem, seed in product(STOP_NOISES, problems, seeds)
     )
     if file is not None:
@@ -90,7 +90,7 @@ def stops(seeds: range, problems: list[str], workers: int, file: Path | None) ->
 
 
 def read_stops(file: Path) -> list[StoppedRun]:
-    """The runs of a file."""
+    """The runs of a file, if it exists."""
     if not file.exists():
         return []
     rows = [json.loads(line) for line in file.read_text(encoding="utf-8").splitlines()]
@@ -98,11 +98,11 @@ def read_stops(file: Path) -> list[StoppedRun]:
 
 
 def main() -> int:
-    """Runs what is asked for and prints its tables; returns 1 where a target is missed."""
+    """Runs the searches and prints their tables; returns 1 if a target is missed."""
     parser = command_line(__doc__, quick="two problems, 60 trials, two seeds")
     parser.add_argument("--jobs", type=int, default=1, help="searches at a time")
     parser.add_argument(
-        "--only", choices=[*ALGORITHMS, "stops"], help="make these rows anew, keep the others"
+        "--only", choices=[*ALGORITHMS, "stops"], help="run these rows again, keep the others"
     )
     parser.add_argument("--rows", type=Path, help="print the tables of this file, run nothing")
     options = parser.parse_args()
@@ -116,18 +116,18 @@ def main() -> int:
             ROWS.unlink(missing_ok=True)
         if options.only != "stops":
             run(list(jobs(options.only, HELD_OUT)), options.jobs, ROWS)
-        if options.only in (None, NEWTON, "stops"):
+        if options.only in (None, DEFAULT, "stops"):
             stops(HELD_OUT, list(PROBLEMS), options.jobs, STOPS)
         rows, ends = searches.read(ROWS), read_stops(STOPS)
-    found, stopped = figures.of_all(rows), figures.of_stops(ends)
+    compared, stopped = figures.of_all(rows), figures.of_stops(ends)
     image = FIGURE.with_stem(f"{FIGURE.stem}_quick") if options.quick else FIGURE
     save_figure(rows, image)
     if not options.json:
-        for line in (*tables.lines(found), *tables.stop_lines(stopped)):
+        for line in (*tables.lines(compared), *tables.stop_lines(stopped)):
             print(line)
         print(f"figure: {image}")
-    reached = figures.targets(found, stopped)
-    return tell({**found, "stops": stopped}, reached, as_json=options.json)
+    reached = figures.targets(compared, stopped)
+    return print_results({**compared, "stops": stopped}, reached, as_json=options.json)
 
 
 if __name__ == "__main__":

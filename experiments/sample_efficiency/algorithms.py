@@ -1,7 +1,7 @@
-"""What is compared. Every algorithm is a loop of calls to `Trials`, in logarithms of the gains.
+"""The algorithms compared: each calls `Trials` in a loop, in logarithms of the gains.
 
-Whoever does better by the logarithm of the cost is given it: Py-BOBYQA, the Gaussian process, SPSA
-and Xopt's equations. Settings other than a library's own were chosen on seeds below 100.
+Algorithms that do better on the log cost are given it: Py-BOBYQA, Optuna, the Gaussian process,
+SPSA and Xopt's equations. Settings other than the library's own were chosen on seeds below 100.
 """
 
 import math
@@ -16,7 +16,7 @@ from estune.tuners import Observation, create_tuner
 from experiments.sample_efficiency.trials import Trials
 
 Algorithm = Callable[[Trials], None]
-"""Uses up the trials; ends by itself or by `Spent`."""
+"""Runs the trials; ends by itself or by `Spent`."""
 
 
 def by_tuner(name: str, trials: Trials) -> None:
@@ -38,8 +38,8 @@ def bounded_extremum_seeking(trials: Trials) -> None:
         p_2j(n+1)   = p_2j(n)   + dt w_j b cos(dt n w_j + k l(n))
         p_2j+1(n+1) = p_2j+1(n) + dt w_j b sin(dt n w_j + k l(n))
 
-    Here l is the logarithm of the cost and k = 4; with its defaults, the cost itself and k = 2, it
-    runs away on most of the problems. It would settle on the mean over its slowest oscillation.
+    Here l is the log cost and k = 4; with its defaults, the cost itself and k = 2, it
+    diverges on most of the problems. It recommends the mean over its slowest oscillation.
     """
     k, b = 4.0, 0.1
     n_parameters = len(trials.space.names)
@@ -107,17 +107,17 @@ def quadratic_trust_region(trials: Trials) -> None:
         objfun_has_noise=True,
         do_logging=False,
     ).x
-    while True:  # it has given up
+    while True:  # it has converged
         trials(best)
 
 
 def gaussian_process(trials: Trials) -> None:
-    """scikit-optimize's Gaussian process with its own choice of acquisition, on the log cost."""
+    """scikit-optimize's Gaussian process with its own acquisition, on the log cost."""
     from skopt import Optimizer  # noqa: PLC0415  an extra, and slow to import
 
     sides = list(zip(trials.space.coordinates_low, trials.space.coordinates_high, strict=True))
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of its fits, and of a point it has tried before
+        warnings.simplefilter("ignore")  # of its fits, and of repeated points
         optimizer = Optimizer(sides, "GP", n_initial_points=10, random_state=trials.setting.seed)
         x = list(trials.start)
         for _ in range(trials.setting.budget):
@@ -126,7 +126,7 @@ def gaussian_process(trials: Trials) -> None:
 
 
 def evolution_strategy(trials: Trials) -> None:
-    """CMA-ES (cma), step 0.5 at first; it would settle on its mean."""
+    """CMA-ES (cma), initial step 0.5; it recommends its mean."""
     import cma  # noqa: PLC0415  an extra, and slow to import
 
     bounds = [list(trials.space.coordinates_low), list(trials.space.coordinates_high)]
@@ -134,13 +134,13 @@ def evolution_strategy(trials: Trials) -> None:
     strategy = cma.CMAEvolutionStrategy(list(trials.start), 0.5, options)
     trials.settle_on(trials.start)
     while True:
-        asked = strategy.ask()
-        strategy.tell(asked, [trials(x) for x in asked])
+        points = strategy.ask()
+        strategy.tell(points, [trials(x) for x in points])
         trials.settle_on(strategy.result.xfavorite)
 
 
 def nelder_mead(trials: Trials) -> None:
-    """Scipy's Nelder-Mead, its first simplex 0.5 wide, begun anew where it has shrunk away."""
+    """Scipy's Nelder-Mead with a simplex 0.5 wide, restarted when it has collapsed."""
     from scipy.optimize import minimize  # noqa: PLC0415  slow to import
 
     bounds = list(zip(trials.space.coordinates_low, trials.space.coordinates_high, strict=True))
@@ -152,7 +152,7 @@ def nelder_mead(trials: Trials) -> None:
 
 
 def simultaneous_perturbation(trials: Trials) -> None:
-    """SPSA (Spall 1998) on the log cost, steps limited to 0.5, with his exponents of the gains."""
+    """SPSA (Spall 1998) on the log cost, steps limited to 0.5, with the published exponents."""
     a, c, A = SPSA
     random = np.random.default_rng([trials.setting.seed, 1])
     x = np.array(trials.start)
@@ -185,4 +185,4 @@ ALGORITHMS: dict[str, Algorithm] = {
     "Nelder-Mead": nelder_mead,
     "SPSA": simultaneous_perturbation,
 }
-"""All of them, by the name in the tables."""
+"""The algorithms by their names in the tables."""

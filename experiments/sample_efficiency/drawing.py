@@ -1,4 +1,4 @@
-"""The figure: excess of what would be settled on against trials, and unsafe trials beside it."""
+"""Figure of the excess cost against trials, and of unsafe trials."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -6,10 +6,11 @@ from typing import Any
 
 import numpy as np
 
+from estune.support import plot_style
 from experiments.sample_efficiency.algorithms import ALGORITHMS
-from experiments.sample_efficiency.figures import NEWTON, NOISE
+from experiments.sample_efficiency.figures import DEFAULT, NOISE
 from experiments.sample_efficiency.problems import PROBLEMS
-from experiments.sample_efficiency.searches import COLD, NEAR, Row, of
+from experiments.sample_efficiency.searches import COLD, NEAR, Row, select
 
 COLOURS = {
     "safe_bayesian": "#c1272d",
@@ -25,29 +26,24 @@ COLOURS = {
     "Nelder-Mead": "#5c6b73",
     "SPSA": "#d670ad",
 }
-BANDS = ("safe_bayesian", "Optuna TPE", "Py-BOBYQA")  # more quartiles than these hide each other
-LEAST = 3e-4  # what is nearer to the optimum than this is drawn here
+BANDS = ("safe_bayesian", "Optuna TPE", "Py-BOBYQA")  # more quartiles would hide each other
+EXCESS_MIN = 3e-4  # smaller values are drawn here
 
 
 def save_figure(rows: Sequence[Row], path: Path) -> None:
     """Draws the rows at 3 % noise from the weak start, a panel for each problem."""
-    import matplotlib as mpl  # noqa: PLC0415  slow to import
-
-    mpl.use("Agg")
-    from matplotlib import pyplot as plt  # noqa: PLC0415  after the backend is chosen
-
-    usual = of(rows, noise=NOISE, start=COLD)
-    problems = [name for name in PROBLEMS if of(usual, problem=name)]
-    names = [name for name in ALGORITHMS if of(usual, algorithm=name)]
+    usual = select(rows, noise=NOISE, start=COLD)
+    problems = [name for name in PROBLEMS if select(usual, problem=name)]
+    names = [name for name in ALGORITHMS if select(usual, algorithm=name)]
     columns = -(-len(problems) // 2)
-    figure = plt.figure(figsize=(3.3 * columns + 3.4, 6.8), layout="constrained")
+    figure = plot_style.new_figure(3.3 * columns + 3.4, 6.8)
     grid = figure.add_gridspec(2, columns + 1, width_ratios=[1.0] * columns + [1.05])
     first = None
     for n, problem in enumerate(problems):
         cell = grid[n // columns, n % columns]
         panel = figure.add_subplot(cell, sharex=first, sharey=first)
         first = first or panel
-        _draw_problem(panel, of(usual, problem=problem), names)
+        _draw_problem(panel, select(usual, problem=problem), names)
         panel.set_title(problem, fontsize=10)
         panel.tick_params(labelleft=n % columns == 0, labelbottom=n >= len(problems) - columns)
         if n % columns == 0:
@@ -56,26 +52,25 @@ def save_figure(rows: Sequence[Row], path: Path) -> None:
             panel.set_xlabel("trial")
     _draw_unsafe(figure.add_subplot(grid[:, -1]), usual, names)
     figure.suptitle(
-        f"What each would settle on after so many trials, noise {NOISE:.0%}: median of the seeds, "
+        f"Recommended gains after each trial, noise {NOISE:.0%}: median of the seeds, "
         f"quartiles of {', '.join(BANDS)}",
         fontsize=11,
     )
     path.parent.mkdir(exist_ok=True)
-    figure.savefig(path, dpi=110)
-    plt.close(figure)
+    path.write_bytes(plot_style.to_png(figure, dpi=110))
 
 
 def _draw_problem(panel: Any, rows: Sequence[Row], names: Sequence[str]) -> None:
     for name in names:
-        mine = of(rows, algorithm=name)
+        mine = select(rows, algorithm=name)
         if not mine:
             continue
-        excess = np.maximum([row.excess for row in mine], LEAST)
+        excess = np.maximum([row.excess for row in mine], EXCESS_MIN)
         trials = np.arange(1, excess.shape[1] + 1)
         lower, middle, upper = np.quantile(
             excess, (0.25, 0.5, 0.75), axis=0, method="closest_observation"
         )
-        ours = name == NEWTON
+        ours = name == DEFAULT
         width, order = (2.4, 5) if ours else (1.1, 3)
         panel.plot(trials, middle, color=COLOURS[name], linewidth=width, zorder=order)
         if name in BANDS:
@@ -83,7 +78,7 @@ def _draw_problem(panel: Any, rows: Sequence[Row], names: Sequence[str]) -> None
                 trials, lower, upper, color=COLOURS[name], alpha=0.18, linewidth=0.0
             )
     panel.axhline(NEAR, color="k", linewidth=0.7, linestyle=":")
-    panel.set(xscale="log", yscale="log", ylim=(LEAST, 12.0), xlim=(3, 200))
+    panel.set(xscale="log", yscale="log", ylim=(EXCESS_MIN, 12.0), xlim=(3, 200))
     panel.set_xticks([5, 10, 20, 50, 100, 200], ["5", "10", "20", "50", "100", "200"])
     levels = {1e-3: "0.1 %", 1e-2: "1 %", NEAR: "5 %", 0.1: "", 1.0: "100 %", 10.0: "1000 %"}
     panel.set_yticks(list(levels), list(levels.values()))
@@ -91,16 +86,16 @@ def _draw_problem(panel: Any, rows: Sequence[Row], names: Sequence[str]) -> None
 
 
 def _draw_unsafe(panel: Any, rows: Sequence[Row], names: Sequence[str]) -> None:
-    """Unsafe trials of a search: a dot for each, a bar at the median; and the colours' names."""
+    """Unsafe trials: a dot for each search, a bar at the median, and the names of the colours."""
     for place, name in enumerate(names):
-        mine = of(rows, algorithm=name)
+        mine = select(rows, algorithm=name)
         counts = np.array([row.unsafe for row in mine])
-        # Apart by a golden section, so that equal counts and families do not fall on lines.
+        # Spaced by the golden section, so that equal counts do not form lines.
         spread = 0.2 * ((np.arange(len(counts)) * 0.618) % 1.0) + 0.1
         panel.plot(counts, place + spread, ".", color=COLOURS[name], markersize=3.5, alpha=0.45)
         middle = float(np.median(counts))
         panel.plot([middle] * 2, [place + 0.05, place + 0.35], color=COLOURS[name], linewidth=3)
-        weight = "bold" if name == NEWTON else "normal"
+        weight = "bold" if name == DEFAULT else "normal"
         panel.text(-0.2, place - 0.1, name, color=COLOURS[name], fontsize=9, fontweight=weight)
     ticks = [0, 1, 2, 5, 10, 20, 50, 200]
     panel.set_xscale("symlog", linthresh=2.0)

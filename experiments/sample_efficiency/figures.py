@@ -1,4 +1,4 @@
-"""The figures, from the rows: per problem and algorithm, of the stop rule, and the targets."""
+"""Figures of the rows per problem and algorithm, of complete runs, and the targets."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -6,17 +6,17 @@ from typing import Any
 
 import numpy as np
 
-from experiments.judged import Target, at_least, at_most, between
+from experiments.results import Target, at_least, at_most, between
 from experiments.sample_efficiency.algorithms import ALGORITHMS, OURS
 from experiments.sample_efficiency.problems import ALL_PROBLEMS, PROBLEMS
-from experiments.sample_efficiency.searches import COLD, WARM, Row, of
+from experiments.sample_efficiency.searches import COLD, WARM, Row, select
 from experiments.sample_efficiency.stopping import StoppedRun
 
-NEWTON = OURS[0]
+DEFAULT = OURS[0]
 NOISE, MORE_NOISE = 0.03, 0.10
 ALL = "all"
 SHARE_WON = 5.0 / 6.0
-"""On this share of the problems no peer may need as few trials."""
+"""Share of the problems on which every peer must need more trials."""
 
 
 def quartiles(values: Sequence[float]) -> tuple[float, float, float]:
@@ -31,18 +31,18 @@ def quartiles(values: Sequence[float]) -> tuple[float, float, float]:
 
 
 def median(values: Sequence[float]) -> float:
-    """The middle one; of an even number the mean of the two, or infinity if one is."""
+    """The median; infinite if a middle value is."""
     return quartiles(values)[1] if values else math.nan
 
 
 def of_algorithm(rows: Iterable[Row], problem: str, algorithm: str) -> dict[str, Any]:
-    """What an algorithm does on a problem; what was not run is not there."""
-    mine = of(rows, problem=problem, algorithm=algorithm)
+    """Figures of an algorithm on a problem, as far as there are rows."""
+    mine = select(rows, problem=problem, algorithm=algorithm)
     noise = 0.0 if ALL_PROBLEMS[problem].gauge_noise else NOISE
-    usual = of(mine, noise=noise, start=COLD)
-    found: dict[str, Any] = {}
+    usual = select(mine, noise=noise, start=COLD)
+    figures: dict[str, Any] = {}
     if usual:
-        found |= {
+        figures |= {
             "seeds": len(usual),
             "budget": len(usual[0].excess),
             "first": median([row.first_near for row in usual]),
@@ -54,46 +54,45 @@ def of_algorithm(rows: Iterable[Row], problem: str, algorithm: str) -> dict[str,
         }
         for trials in (100, 200):
             if len(usual[0].excess) >= trials:
-                found[f"excess_{trials}"] = median([row.excess_after(trials) for row in usual])
-    if more := of(mine, noise=MORE_NOISE, start=COLD):
-        found["seeds_beside"] = len(more)
-        found["more_noise_first"] = median([row.first_near for row in more])
-        found["more_noise_excess"] = median([row.excess[-1] for row in more])
-        found["more_noise_unsafe_worst"] = max(row.unsafe for row in more)
-    if warm := of(mine, noise=NOISE, start=WARM):
-        found["warm_first"] = median([row.first_near for row in warm])
-    return found
+                figures[f"excess_{trials}"] = median([row.excess_after(trials) for row in usual])
+    if more := select(mine, noise=MORE_NOISE, start=COLD):
+        figures["seeds_beside"] = len(more)
+        figures["more_noise_first"] = median([row.first_near for row in more])
+        figures["more_noise_excess"] = median([row.excess[-1] for row in more])
+        figures["more_noise_unsafe_worst"] = max(row.unsafe for row in more)
+    if warm := select(mine, noise=NOISE, start=WARM):
+        figures["warm_first"] = median([row.first_near for row in warm])
+    return figures
 
 
 def of_all(rows: Sequence[Row]) -> dict[str, dict[str, dict[str, Any]]]:
-    """The same for every problem and algorithm that there are rows of."""
-    found = {
-        problem: {name: of_algorithm(rows, problem, name) for name in ALGORITHMS}
+    """Figures of every problem and algorithm with rows."""
+    figures = {
+        problem: {name: own for name in ALGORITHMS if (own := of_algorithm(rows, problem, name))}
         for problem in ALL_PROBLEMS
     }
-    kept = {p: {name: f for name, f in own.items() if f} for p, own in found.items()}
-    return {problem: own for problem, own in kept.items() if own}
+    return {problem: own for problem, own in figures.items() if own}
 
 
 def peers_ahead(own: dict[str, dict[str, Any]], key: str = "first") -> dict[str, float]:
-    """The peers that need as few trials as newton or fewer on a problem, and how many.
+    """Trials of the peers that need no more than the default tuner on a problem.
 
     Args:
-        own: The figures of a problem's algorithms.
-        key: Which count of trials; nobody is ahead where none arrive.
+        own: Figures of the problem's algorithms.
+        key: The count of trials to compare; peers that never arrive are left out.
     """
-    ours = own[NEWTON].get(key, -math.inf)
+    ours = own[DEFAULT].get(key, -math.inf)
     peers = {name: f[key] for name, f in own.items() if name not in OURS and key in f}
     return {name: n for name, n in peers.items() if n <= ours and math.isfinite(n)}
 
 
 def is_won(own: dict[str, dict[str, Any]]) -> bool:
-    """Whether newton arrives on a problem, and before every peer."""
-    return math.isfinite(own[NEWTON].get("first", math.inf)) and not peers_ahead(own)
+    """Whether the default tuner arrives on a problem, and before every peer."""
+    return math.isfinite(own[DEFAULT].get("first", math.inf)) and not peers_ahead(own)
 
 
 def of_stops(runs: Sequence[StoppedRun]) -> dict[str, dict[str, Any]]:
-    """The stop rule, confirmation and intervals, by noise and over all of them."""
+    """Figures of complete runs, by noise and over all."""
     groups = {
         f"{noise:.0%}": [run for run in runs if run.noise == noise]
         for noise in sorted({run.noise for run in runs})
@@ -118,13 +117,13 @@ def _of_stops(runs: Sequence[StoppedRun]) -> dict[str, Any]:
 
 
 def targets(
-    found: dict[str, dict[str, dict[str, Any]]], stops: dict[str, dict[str, Any]]
+    figures: dict[str, dict[str, dict[str, Any]]], stops: dict[str, dict[str, Any]]
 ) -> dict[str, Target]:
-    """What has to be reached, of newton on the problems whose noise is on the cost."""
-    families = {p: own for p, own in found.items() if p in PROBLEMS and NEWTON in own}
+    """Targets of the default tuner on the problems with noise on the cost."""
+    families = {p: own for p, own in figures.items() if p in PROBLEMS and DEFAULT in own}
     rows: dict[str, Target] = {}
     for key, most, what in WORST_FAMILY:
-        values = [own[NEWTON][key] for own in families.values() if key in own[NEWTON]]
+        values = [own[DEFAULT][key] for own in families.values() if key in own[DEFAULT]]
         if values:
             rows[f"{what}, worst family"] = at_most(max(values), most)
     compared = [own for own in families.values() if set(own) - set(OURS)]
@@ -150,4 +149,4 @@ WORST_FAMILY = (
     ("unsafe_worst", 1.0, "unsafe trials, worst seed"),
     ("warm_first", 15.0, "trials from a warm start, median"),
 )
-"""Figures of newton that hold for the worst family: name, limit, words."""
+"""Figures of the default tuner on the worst family: key, limit, description."""

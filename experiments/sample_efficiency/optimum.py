@@ -1,4 +1,4 @@
-"""The optimum of a problem, by a search strong enough to be trusted, remembered between runs."""
+"""The optimum of a problem by global and local search, cached between runs."""
 
 import json
 import math
@@ -21,12 +21,12 @@ WARM_RATIO = 2.5
 
 
 class Optimum(NamedTuple):
-    """Where a problem's cost is least.
+    """The optimum of a problem.
 
     Attributes:
         coordinates: Logarithms of the gains.
-        cost: The cost there, without noise.
-        start_cost: That of the problem's start.
+        cost: Cost at the optimum, without noise.
+        start_cost: Cost of the problem's start.
     """
 
     coordinates: Coordinates
@@ -36,23 +36,23 @@ class Optimum(NamedTuple):
 
 @lru_cache
 def optimum(problem: Problem) -> Optimum:
-    """The optimum within the bounds, from the file of them where it was found before."""
+    """The optimum within the bounds, from the cache file if it is there."""
     file = OUT / "sample_efficiency_optima.json"
-    known: dict[str, Any] = json.loads(file.read_text()) if file.exists() else {}
+    cached: dict[str, Any] = json.loads(file.read_text()) if file.exists() else {}
     described = f"{problem.plant} {problem.cost} {problem.start} {problem.gauge_noise}"
     key = sha256(described.encode()).hexdigest()[:16]
-    if key not in known:
-        known[key] = search(problem)
+    if key not in cached:
+        cached[key] = search(problem)
         OUT.mkdir(exist_ok=True)
         written = file.with_suffix(f".{os.getpid()}")  # another process may be reading
-        written.write_text(json.dumps(known))
+        written.write_text(json.dumps(cached))
         written.replace(file)
-    coordinates, cost, start_cost = known[key]
+    coordinates, cost, start_cost = cached[key]
     return Optimum(tuple(coordinates), cost, start_cost)
 
 
 def search(problem: Problem) -> Optimum:
-    """Differential evolution over the bounds, then Nelder-Mead until nothing is left to gain."""
+    """Differential evolution over the bounds, then Nelder-Mead until it converges."""
     space = problem.space()
     low, high = np.array(space.coordinates_low), np.array(space.coordinates_high)
     smooth = problem if not problem.gauge_noise else problem.without_noise()
@@ -63,7 +63,7 @@ def search(problem: Problem) -> Optimum:
     def one(x: Any) -> float:
         return math.log(min(float(problem.costs(np.clip(x, low, high)[np.newaxis])[0]), 1e9))
 
-    wide = differential_evolution(
+    x = differential_evolution(
         many,
         list(zip(low, high, strict=True)),
         popsize=20,
@@ -72,14 +72,13 @@ def search(problem: Problem) -> Optimum:
         vectorized=True,
         updating="deferred",
         polish=False,
-    )
-    found = wide.x
-    for _ in range(3):  # begun anew, for a simplex may collapse early
+    ).x
+    for _ in range(3):  # restarted, because a simplex may collapse early
         options = {"maxfev": 600, "xatol": 1e-6, "fatol": 1e-10}
-        found = minimize(one, found, method="Nelder-Mead", options=options).x
-    found = np.clip(found, low, high)
+        x = minimize(one, x, method="Nelder-Mead", options=options).x
+    x = np.clip(x, low, high)
     start = np.array([space.coordinates(space.start)])
-    return Optimum(tuple(found.tolist()), math.exp(one(found)), float(problem.costs(start)[0]))
+    return Optimum(tuple(x.tolist()), math.exp(one(x)), float(problem.costs(start)[0]))
 
 
 def warm_start(problem: Problem, best: Optimum) -> Gains:

@@ -1,4 +1,4 @@
-"""What is tuned: families that differ in kind, each a plant, a cost and weak gains at first."""
+"""The tuning problems: families of plants, each with a cost and weak initial gains."""
 
 import math
 from collections.abc import Callable
@@ -24,25 +24,25 @@ ONE_SAMPLE_S = 1.0 / SAMPLING_HZ
 DERIVATIVE_FILTER_S = 1.0 / (2.0 * math.pi * 80.0)
 EFFORT_LIMIT = 4.0  # of the linear plants, in units of their step
 BOUNDS_FACTOR = 50.0
-"""Bounds of every search, over and under its start: the optima lie up to 22 times away."""
+"""Bounds of every search, over and under its start; the optima are up to 22 times away."""
 
 GAUGE_DRAWS = 64
-"""So many draws of the gauge's noise make the mean cost that stands for the noise-free one."""
+"""Draws of the gauge's noise in the mean cost that serves as the noise-free one."""
 
-GAUGE_SEED = 777_000  # of those draws, beside every seed of a search
+GAUGE_SEED = 777_000  # of those draws; no search has this seed
 
 
 @dataclass(frozen=True)
 class Problem:
-    """What is tuned.
+    """A tuning problem.
 
     Attributes:
         name: Short name.
-        title: What it is, in words.
-        build: Makes the plant.
-        cost: How a trial is scored.
-        start: Weak gains, some five to seven times as costly as the optimum.
-        gauge_noise: Whether trials are scored through the plant's own measurement noise.
+        title: Description.
+        build: Creates the plant.
+        cost: Cost of a trial.
+        start: Weak gains, five to seven times as costly as the optimum.
+        gauge_noise: Whether the plant's own measurement noise acts, instead of noise on the cost.
     """
 
     name: str
@@ -58,19 +58,19 @@ class Problem:
         return self.build()
 
     def space(self, start: Gains | None = None) -> SearchSpace:
-        """The bounds that every algorithm is given, about the start or another one."""
+        """The search space of every algorithm, about the start or other gains."""
         return SearchSpace.around(start or self.start, BOUNDS_FACTOR)
 
     def costs(self, coordinates: FloatArray) -> FloatArray:
         """Costs without noise at logarithms of the gains, shape (points, 4); inf if diverged.
 
-        Under gauge noise it is the mean over many draws, for the noise moves the effort and so
-        has a price of its own.
+        With gauge noise it is the mean over many draws, because the noise moves the effort and so
+        adds to the cost.
         """
         gains = np.exp(coordinates)
         if not self.gauge_noise:
-            found = plants.batch_costs(self.plant, gains, None, self.cost, workers=1)
-            return np.where(np.isfinite(found), found, np.inf)
+            costs = plants.batch_costs(self.plant, gains, None, self.cost, workers=1)
+            return np.where(np.isfinite(costs), costs, np.inf)
         means = [
             np.mean(
                 plants.batch_costs(
@@ -84,7 +84,7 @@ class Problem:
         return np.where(np.isfinite(means), means, np.inf)
 
     def without_noise(self) -> "Problem":
-        """The same, its gauge without noise."""
+        """The problem without gauge noise."""
         return replace(self, gauge_noise=False)
 
     def noisy_cost(self, coordinates: Coordinates, seed: int, number: int) -> float:
@@ -135,13 +135,13 @@ def first_plant_of_2006() -> LinearPlant:
 
 
 def _reel_cost(cable_length_m: float) -> StepCost:
-    """As a tuning of that reel has it unless told otherwise."""
+    """The default cost of a tuning of the reel."""
     w = plants.reference_reel(cable_length_m).natural_frequency_rad_s
     return StepCost(2.0 * math.pi / w, move_weight=MOVE_WEIGHT)
 
 
 def _scaled_cost(frequency_Hz: float, move_weight: float) -> StepCost:
-    """With times in units of the settling time, one period."""
+    """Cost with times in units of the settling time, one period."""
     return StepCost(1.0 / frequency_Hz, time_unit="settling_time", move_weight=move_weight)
 
 
@@ -150,8 +150,8 @@ def _rubbing_reel() -> Plant:
 
 
 WEAK_ON_A_REEL = Gains(0.4, 4.0, 0.003, 0.03)
-"""No more than four times as costly as the optimum, for a trial of a second bounds what a slow
-response can cost; but as far from it, four logarithms and more, as the other starts."""
+"""At most four times as costly as the optimum, because a trial of a second bounds the cost of a
+slow response; but four logarithms and more away from it, as the other starts."""
 
 PROBLEMS = {
     problem.name: problem
@@ -207,14 +207,14 @@ PROBLEMS = {
         ),
         Problem(
             "K-K G1",
-            "exp(-5 s)/(1 + 20 s) of Killingsworth & Krstic, with a price on moves",
+            "exp(-5 s)/(1 + 20 s) of Killingsworth & Krstic, with a move penalty",
             first_plant_of_2006,
             StepCost(20.0, move_weight=MOVE_WEIGHT),
             Gains(1.3, 0.035, 0.8, 1.0),
         ),
     )
 }
-"""The families, by name; noise of 3 % and 10 % is put on their costs."""
+"""The families by name; their costs get noise of 3 % and 10 %."""
 
 GAUGE = Problem(
     "gauge",
@@ -224,6 +224,6 @@ GAUGE = Problem(
     WEAK_ON_A_REEL,
     gauge_noise=True,
 )
-"""Beside them one whose noise is that of the measurement, and all that comes of it."""
+"""A problem with measurement noise in the loop."""
 
 ALL_PROBLEMS = {**PROBLEMS, GAUGE.name: GAUGE}

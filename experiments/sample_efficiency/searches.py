@@ -1,4 +1,4 @@
-"""One search: an algorithm on a problem, and what is kept of it."""
+"""One search, an algorithm on a problem, and its stored row."""
 
 import contextlib
 import json
@@ -17,20 +17,20 @@ from experiments.sample_efficiency.problems import ALL_PROBLEMS
 from experiments.sample_efficiency.trials import Setting, Spent, Trials
 
 NEAR = 0.05
-"""So near to the cost of the optimum counts as there."""
+"""Excess cost at which a search has arrived at the optimum."""
 
 COLD, WARM = "cold", "warm"
 
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """A search to be made.
+    """The settings of a search.
 
     Attributes:
         problem: Name of the problem.
         algorithm: Name of the algorithm.
         noise: Relative standard deviation of a trial's cost.
-        start: COLD, the problem's weak gains, or WARM, gains 2.5 times as costly as the optimum.
+        start: COLD, the problem's weak gains, or WARM, gains at 2.5 times the optimal cost.
         seed: Of the noise, and of the algorithm's own random numbers.
         budget: Number of trials.
     """
@@ -45,14 +45,14 @@ class Job:
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """What came of a search.
+    """The result of a search.
 
     Attributes:
-        job: What was asked for.
-        excess: Cost of what would be settled on after each trial, over that of the optimum, less
-            one; without noise.
+        job: The settings.
+        excess: Noise-free cost of the recommended gains after each trial, over that of the
+            optimum, less one.
         unsafe: Number of unsafe trials.
-        seconds: Time it took, simulated trials included.
+        seconds: Duration, simulated trials included.
     """
 
     job: Job
@@ -62,29 +62,29 @@ class Row:
 
     @property
     def first_near(self) -> float:
-        """Trials until what would be settled on is near the optimum; infinite if never."""
+        """Trials until the recommended gains are near the optimum; infinite if never."""
         return next((k for k, e in enumerate(self.excess, 1) if e <= NEAR), math.inf)
 
     @property
     def stays_near(self) -> float:
-        """Trials from which on it stays near; infinite if it does not."""
+        """Trials from which on they stay near; infinite if they do not."""
         far = [k for k, e in enumerate(self.excess, 1) if not e <= NEAR]
         last = far[-1] if far else 0
         return last + 1 if last < len(self.excess) else math.inf
 
     def excess_after(self, trials: int) -> float:
-        """The excess after so many trials."""
+        """The excess after a number of trials."""
         return self.excess[trials - 1]
 
 
 def search(job: Job) -> Row:
-    """Makes a search."""
+    """Runs a search."""
     problem = ALL_PROBLEMS[job.problem]
     best = optimum(problem)
     start = problem.start if job.start == COLD else warm_start(problem, best)
     trials = Trials(Setting(problem, start, job.noise, job.seed, job.budget))
     began = time.perf_counter()
-    # What a library warns of on its way is its own affair.
+    # Warnings of the libraries do not concern the comparison.
     with contextlib.suppress(Spent), warnings.catch_warnings():
         warnings.simplefilter("ignore")
         ALGORITHMS[job.algorithm](trials)
@@ -99,7 +99,7 @@ def written(row: Row) -> str:
 
 
 def read(file: Path) -> list[Row]:
-    """The rows of a file; of two for the same job the later one."""
+    """The rows of a file; of two for the same settings the later one."""
     rows: dict[Job, Row] = {}
     for line in _lines(file):
         values = json.loads(line)
@@ -114,7 +114,7 @@ def _lines(file: Path) -> Iterator[str]:
             yield from lines
 
 
-def of(rows: Iterable[Row], **wanted: object) -> list[Row]:
+def select(rows: Iterable[Row], **values: object) -> list[Row]:
     """The rows whose jobs have these values, in the order of their seeds."""
-    found = [r for r in rows if all(getattr(r.job, k) == v for k, v in wanted.items())]
-    return sorted(found, key=lambda row: row.job.seed)
+    matching = [r for r in rows if all(getattr(r.job, k) == v for k, v in values.items())]
+    return sorted(matching, key=lambda row: row.job.seed)

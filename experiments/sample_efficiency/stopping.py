@@ -1,6 +1,6 @@
-"""Whole runs by their own stop rule and confirmation: what is left to gain, and what is claimed.
+"""Complete runs with stopping rule and confirmation: remaining excess and claimed improvement.
 
-The session of a tuning is driven here as it is by `estune tune`, with costs for trials.
+The session of a tuning is driven as by `estune tune`, with computed costs in place of trials.
 """
 
 import math
@@ -16,25 +16,24 @@ from experiments.sample_efficiency.optimum import optimum
 from experiments.sample_efficiency.problems import PROBLEMS
 
 TRIALS = 200
-"""Search trials after which a run ends that has not stopped by itself."""
+"""Greatest number of search trials."""
 
 
 @dataclass(frozen=True, slots=True)
 class StoppedRun:
-    """A run that came to its end.
+    """A completed run.
 
     Attributes:
         problem: Name of the problem.
         noise: Relative standard deviation of a trial's cost.
         seed: Of the noise.
-        searched: Search trials made.
-        trials: All trials of the run.
-        by_itself: Whether the search ended before it had used all its trials.
-        excess: Cost of the gains it ended with over that of the optimum, less one; no noise.
-        improved: Whether it claims an improvement.
-        change_inside: Whether the true change of the cost lies in the interval given for it; None
-            where none was given.
-        gains_inside: The same of the optimum of each gain; empty where no intervals were given.
+        searched: Number of search trials.
+        trials: Number of all trials.
+        by_itself: Whether the search converged before it had used all its trials.
+        excess: Noise-free cost of the final gains over that of the optimum, less one.
+        improved: Whether the run claims an improvement.
+        change_inside: Whether the true change of the cost lies in its interval; None without one.
+        gains_inside: Whether the optimum of each gain lies in its interval; empty without any.
     """
 
     problem: str
@@ -50,35 +49,35 @@ class StoppedRun:
 
 
 def stopped_run(name: str, tuner_name: str, noise: float, seed: int) -> StoppedRun:
-    """Runs a tuning on a problem from its weak gains to its verdict."""
+    """Runs a tuning on a problem from its weak gains to its summary."""
     problem = PROBLEMS[name]
     tuner = make_tuner(tuner_name, problem.start, None)
     plan = Plan("run", tuner, problem.start, problem.plant.profile, problem.cost, trials=TRIALS)
-    # Of each problem its own: runs that end after as many trials would else share their repeats.
+    # A key for each problem, or runs of equal length would share the noise of their repeats.
     key = [seed, list(PROBLEMS).index(name)]
     random = np.random.Generator(np.random.Philox(key=key))
-    draws = 1.0 + noise * random.standard_normal(plan.most_trials)
+    draws = 1.0 + noise * random.standard_normal(plan.max_trials)
     session = new_session(plan)
     while (request := next_request(session)) is not None:
         quiet = float(problem.costs(np.log([request.gains.as_tuple()]))[0])
         session = after_trial(session, Outcome.DONE, quiet * float(draws[request.number]))
-    found, best = summarise(session), optimum(problem)
-    ended = np.log([found.gains.as_tuple(), problem.start.as_tuple()])
+    summary, best = summarise(session), optimum(problem)
+    ended = np.log([summary.gains.as_tuple(), problem.start.as_tuple()])
     costs = problem.costs(ended)
     change_inside = None
-    if found.change is not None and session.candidate is not None:
+    if summary.change is not None and session.candidate is not None:
         after = problem.costs(np.log([session.candidate.as_tuple()]))[0]
-        change_inside = found.change.low <= after / costs[1] - 1.0 <= found.change.high
-    inside = zip(best.coordinates, found.intervals, strict=False)
+        change_inside = summary.change.low <= after / costs[1] - 1.0 <= summary.change.high
+    inside = zip(best.coordinates, summary.intervals, strict=False)
     return StoppedRun(
         problem=name,
         noise=noise,
         seed=seed,
-        searched=session.searched,
+        searched=session.search_trials,
         trials=session.number,
-        by_itself=session.searched < TRIALS,
+        by_itself=session.search_trials < TRIALS,
         excess=float(costs[0]) / best.cost - 1.0,
-        improved=found.improved,
+        improved=summary.improved,
         change_inside=None if change_inside is None else bool(change_inside),
         gains_inside=tuple(low <= math.exp(x) <= high for x, (_, low, high) in inside),
     )

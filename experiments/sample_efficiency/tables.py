@@ -1,11 +1,11 @@
-"""The tables, for reading."""
+"""The printed tables."""
 
 import math
 from collections.abc import Iterator
 from typing import Any
 
 from experiments.sample_efficiency.algorithms import OURS
-from experiments.sample_efficiency.figures import NEWTON, is_won, peers_ahead
+from experiments.sample_efficiency.figures import DEFAULT, is_won, peers_ahead
 from experiments.sample_efficiency.optimum import optimum
 from experiments.sample_efficiency.problems import ALL_PROBLEMS, PROBLEMS
 
@@ -24,9 +24,9 @@ COUNTS = {
 }
 
 
-def lines(found: dict[str, dict[str, dict[str, Any]]]) -> Iterator[str]:
-    """One table for each problem, and what is won and lost in words."""
-    for problem, own in found.items():
+def lines(figures: dict[str, dict[str, dict[str, Any]]]) -> Iterator[str]:
+    """One table for each problem, and the wins and losses as sentences."""
+    for problem, own in figures.items():
         best = optimum(ALL_PROBLEMS[problem])
         seeds = max(f.get("seeds", 0) for f in own.values())
         beside = min((f["seeds_beside"] for f in own.values() if "seeds_beside" in f), default=0)
@@ -36,17 +36,17 @@ def lines(found: dict[str, dict[str, dict[str, Any]]]) -> Iterator[str]:
             f"{best.start_cost / best.cost:.1f} times the optimum; {seeds} seeds{fewer}"
         )
         yield HEAD
-        for name, figures in own.items():
-            yield _line(name, figures, seeds)
+        for name, row in own.items():
+            yield _line(name, row, seeds)
     yield ""
-    yield from _words(found)
+    yield from _words(figures)
 
 
 def stop_lines(stops: dict[str, dict[str, Any]]) -> Iterator[str]:
-    """The table of whole runs."""
+    """The table of complete runs."""
     if not stops:
         return
-    yield f"\nwhole runs of {NEWTON}: search, stop by its own rule, confirmation"
+    yield f"\ncomplete runs of {DEFAULT}: search, stopping rule, confirmation"
     yield (
         f"{'noise':>6s} {'runs':>5s} {'stopped':>8s} {'search':>7s} {'all':>6s} "
         f"{'excess: median':>14s} {'worst':>7s} {'improved':>9s} "
@@ -76,24 +76,25 @@ def _line(name: str, f: dict[str, Any], seeds: int) -> str:
     )
 
 
-def _words(found: dict[str, dict[str, dict[str, Any]]]) -> Iterator[str]:
-    """Where a peer needs as few trials as we do, or fewer; or is as safe where we are not."""
-    families = [p for p in found if p in PROBLEMS and NEWTON in found[p]]
-    won = sum(is_won(found[problem]) for problem in families)
+def _words(figures: dict[str, dict[str, dict[str, Any]]]) -> Iterator[str]:
+    """Problems on which a peer needs no more trials, or has fewer unsafe ones."""
+    families = [p for p in figures if p in PROBLEMS and DEFAULT in figures[p]]
+    won = sum(is_won(figures[problem]) for problem in families)
     if families:
-        yield f"{NEWTON} needs fewer trials than every peer on {won} of {len(families)} families"
+        yield f"{DEFAULT} needs fewer trials than every peer on {won} of {len(families)} families"
     for problem in families:
         for key, when in COUNTS.items():
-            ours = found[problem][NEWTON].get(key, math.nan)
-            for name, n in peers_ahead(found[problem], key).items():
+            ours = figures[problem][DEFAULT].get(key, math.nan)
+            for name, n in peers_ahead(figures[problem], key).items():
                 against = "that does not arrive" if math.isinf(ours) else f"with {ours:.0f}"
-                yield f"{problem}, {when}: {name} wins with {n:.0f} trials over {NEWTON} {against}"
+                over = f"over {DEFAULT} {against}"
+                yield f"{problem}, {when}: {name} wins with {n:.0f} trials {over}"
     for problem in families:
-        own = found[problem]
+        own = figures[problem]
         safer = [
             name
             for name, f in own.items()
-            if name not in OURS and f["unsafe_worst"] < own[NEWTON]["unsafe_worst"]
+            if name not in OURS and f["unsafe_worst"] < own[DEFAULT]["unsafe_worst"]
         ]
         if safer:
             yield f"{problem}: fewer unsafe trials in the worst seed: {', '.join(safer)}"

@@ -1,4 +1,4 @@
-"""Trials on a problem for one algorithm: noise, a budget, and what it would settle on."""
+"""Trials on a problem for one algorithm: noise, budget, recommended gains."""
 
 import math
 from typing import NamedTuple
@@ -11,18 +11,18 @@ from estune.tuners.search_space import Coordinates, SearchSpace
 from experiments.sample_efficiency.problems import Problem
 
 ETA_MAX_RATIO = 3.0
-"""A trial this many times as costly as the start is cut short, and its cost counts as this."""
+"""A trial this many times as costly as the start is aborted, and its cost counts as this."""
 
 UNSAFE_RATIO = 1.5
-"""A trial more than this many times as costly as the start, but for the noise, is unsafe."""
+"""A trial with a noise-free cost of more than this times the start's is unsafe."""
 
 
 class Setting(NamedTuple):
-    """The circumstances of one search; what is equal here is equal for every algorithm.
+    """The conditions of one search, the same for every algorithm.
 
     Attributes:
-        problem: What is tuned.
-        start: The gains begun from.
+        problem: The problem.
+        start: The initial gains.
         noise: Relative standard deviation of a trial's cost; zero on a problem with gauge noise.
         seed: Of the noise of every trial by its number, and of an algorithm's own random numbers.
         budget: Number of trials.
@@ -36,14 +36,14 @@ class Setting(NamedTuple):
 
 
 class Spent(Exception):
-    """The budget is."""
+    """The budget of trials is spent."""
 
 
 class Trials:
     """Costs of trials in logarithms of the gains, one after the other.
 
-    An algorithm calls it with coordinates and gets a cost, until it raises `Spent`. What it would
-    settle on is the best noisy trial, unless it says otherwise by `settle_on`.
+    An algorithm calls it with coordinates and gets a cost, until it raises `Spent`. It recommends
+    the best noisy trial, unless it calls `settle_on`.
     """
 
     def __init__(self, setting: Setting) -> None:
@@ -61,11 +61,7 @@ class Trials:
         self._best = (math.inf, self.start)
 
     def __call__(self, coordinates: Coordinates | FloatArray) -> float:
-        """The noisy cost of the next trial, at most `limit`.
-
-        Raises:
-            Spent: there is no next one.
-        """
+        """The noisy cost of the next trial, at most `limit`; raises Spent after the last one."""
         number = len(self.costs)
         if number:
             self._settled.append(self._centre or self._best[1])
@@ -83,21 +79,21 @@ class Trials:
         return noisy
 
     def settle_on(self, coordinates: Coordinates | FloatArray) -> None:
-        """Notes what the algorithm would settle on, once it was told the trial before."""
+        """Sets the point that the algorithm recommends after the last trial."""
         self._centre = self.space.clipped(tuple(map(float, coordinates)))
 
     @property
     def unsafe(self) -> int:
-        """How many trials were unsafe."""
+        """Number of unsafe trials."""
         return sum(cost > UNSAFE_RATIO * self._start_cost for cost in self.costs)
 
     def settled_costs(self) -> FloatArray:
-        """Cost, without noise, of what it would settle on after each trial, shape (budget,)."""
+        """Noise-free cost of the recommended point after each trial, shape (budget,)."""
         while len(self._settled) < len(self.costs):
             self._settled.append(self._centre or self._best[1])
         points = np.array(self._settled)
-        different, back = np.unique(points, axis=0, return_inverse=True)
-        return self.setting.problem.costs(different)[back]
+        distinct, inverse = np.unique(points, axis=0, return_inverse=True)
+        return self.setting.problem.costs(distinct)[inverse]
 
     def _quiet(self, point: Coordinates) -> float:
         return float(self.setting.problem.costs(np.array([point]))[0])
