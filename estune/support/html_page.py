@@ -168,7 +168,7 @@ def render(page: Page) -> str:
 
 def prose(plain: str) -> Markup:
     """Escaped text with true minus signs, numbers tied to their units, code and bold."""
-    text = re.sub(r"(?<!\S)-(?=[\d ])", "&minus;", str(escape(plain)))
+    text = re.sub(r"(?<![^\s(])-(?=[\d ])", "&minus;", str(escape(plain)))
     text = re.sub(r"(?<=\d) (?=[A-Za-z%±])|(?<=±) ", "&nbsp;", text)
     text = re.sub(r"`([^`]+)`", r"<code>\1</code>", text)
     text = re.sub(r"(?<![\w*])\*\*(\w[^*<]*)\*\*(?!\w)", r"<b>\1</b>", text)
