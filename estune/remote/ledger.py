@@ -17,7 +17,7 @@ from contextlib import ExitStack, contextmanager
 from datetime import UTC, datetime
 from functools import reduce
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 from estune.errors import EstuneError, JournalError, RigError
 from estune.remote.state_machine.trials import TrialEvent, TrialState, after
@@ -43,6 +43,7 @@ CREATE TABLE frame (sequence INTEGER PRIMARY KEY, data BLOB NOT NULL);
 """,
 )
 LEDGER = FileKind("a ledger", _VERSIONS, "restart the rig")
+"""Kind of the file."""
 
 _log = logging.getLogger(__name__)
 
@@ -76,50 +77,13 @@ NOTHING = LedgerEntry("", TrialState.UNKNOWN)
 """The entry of a trial that was never submitted."""
 
 
-class Ledger(Protocol):
-    """Interface of a ledger. Any thread may call."""
-
-    @property
-    def identity(self) -> str:
-        """Random identity, as durable as the ledger itself."""
-        ...
-
-    @property
-    def latched(self) -> str:
-        """Reason of the emergency stop; empty if there was none, or it was cleared."""
-        ...
-
-    def find(self, trial_id: str) -> LedgerEntry:
-        """Entry of a trial. Never waits for a write to the disk."""
-        ...
-
-    def note(self, trial_id: str, digest: str, *events: TrialEvent) -> TrialState:
-        """Applies events to a trial; returns its state once it would survive a power cut.
-
-        Raises:
-            RigError: it cannot be written; nothing is noted.
-            ProtocolError: an event is impossible for this trial; nothing is noted.
-        """
-        ...
-
-    def end(self, trial_id: str, outcome: bytes | EstuneError) -> None:
-        """Notes the end of a trial: its frame, or the error of the rig's program. Does not fail.
-
-        What cannot be written now is kept in memory, and written before the next trial.
-        """
-        ...
-
-    def latch(self, reason: str) -> None:
-        """Notes an emergency stop, or with an empty reason its reset. Does not fail."""
-        ...
-
-    def close(self) -> None:
-        """Releases the file, if any."""
-        ...
-
-
 class MemoryLedger:
-    """Ledger that lasts as long as its process: for simulated rigs."""
+    """Ledger that lasts as long as its process: for simulated rigs.
+
+    Attributes:
+        identity: Random identity, as durable as the ledger itself.
+        latched: Reason of the emergency stop; empty if there was none, or it was cleared.
+    """
 
     def __init__(
         self, frames_max_bytes: int = MEMORY_MAX_BYTES, trials_max: int = TRIALS_MAX
@@ -179,7 +143,7 @@ class MemoryLedger:
 
 
 class FileLedger:
-    """Ledger on disk, written by one process."""
+    """Ledger on disk, written by one process; attributes as in `MemoryLedger`."""
 
     def __init__(
         self,
@@ -218,11 +182,7 @@ class FileLedger:
         self._latch_written = True
 
     def find(self, trial_id: str) -> LedgerEntry:
-        """Entry of a trial. Never waits for a write to the disk.
-
-        Raises:
-            RigError: the file cannot be read.
-        """
+        """Entry of a trial. Never waits for a write to the disk."""
         if (unwritten := self._unwritten.get(trial_id)) is not None:
             return unwritten
         with _as_rig_error():
@@ -256,7 +216,10 @@ class FileLedger:
         return state
 
     def end(self, trial_id: str, outcome: bytes | EstuneError) -> None:
-        """Notes the end of a trial; if it cannot be written now, before the next trial."""
+        """Notes the end of a trial: its frame, or the error of the rig's program. Does not fail.
+
+        What cannot be written now is kept in memory, and written before the next trial.
+        """
         with self._writing:
             self._unwritten[trial_id] = self.find(trial_id).ended(outcome)
             self._try_to_write()
@@ -330,6 +293,10 @@ class FileLedger:
     def _count(self) -> int:
         ((total,),) = self._file.rows("SELECT coalesce(sum(length(data)), 0) FROM frame")
         return int(total)
+
+
+Ledger = MemoryLedger | FileLedger
+"""A ledger. Any thread may call."""
 
 
 def _prepare(file: SqliteFile, rig: str) -> None:

@@ -1,23 +1,7 @@
-"""Binary messages: records, whole or in parts, and live samples.
+"""Binary messages: parts of a record's frame, and live samples.
 
-All numbers are little-endian. A record is the frame of `estune.trial.record_frame`, beginning with
-`RTR1`. A rig that cannot send it in a single message replies with a part of it::
-
-    offset 0   4 bytes   the magic, "RTP1"
-           4   u32       length of the whole frame in bytes
-           8   u32       offset in the frame of the first byte of the part
-          12   u32       CRC-32 of everything else in the part
-          16             the bytes of the part, one at least
-
-Live samples of the active trial are for display only::
-
-    offset 0   4 bytes   the magic, "RTL1"
-           4   u32       index in the trial of the first sample
-           8   u32       number of samples
-          12   u32       CRC-32 of everything else
-          16   f64       sampling rate, Hz
-          24             four columns, one after the other, of f32 each: setpoint in N,
-                         tension in N, current in A, angle in rad
+docs/rig-protocol.md, section 5, has their layout byte by byte. The frame of a whole record is that
+of `estune.trial.record_frame`.
 """
 
 import struct

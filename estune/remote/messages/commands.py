@@ -9,18 +9,7 @@ from typing import Any, Literal, NamedTuple
 
 from estune.core.gains import Gains
 from estune.remote.messages.codec import Message
-from estune.remote.state_machine.state import (
-    Acquire,
-    CancelEvent,
-    ClearEvent,
-    EstopEvent,
-    Event,
-    Release,
-    Renew,
-    SetGainsEvent,
-    SubmitEvent,
-    VoidEvent,
-)
+from estune.remote.state_machine import state as events
 from estune.trial import TrialRequest
 
 
@@ -160,7 +149,7 @@ class Verb(NamedTuple):
     """
 
     message: type[Message]
-    events: tuple[type[Event], ...]
+    events: tuple[type[events.Event], ...]
     needs_lease: bool
     reply: str = "[Answer](#answer)"
     threads: int = 1
@@ -168,35 +157,35 @@ class Verb(NamedTuple):
 
 VERBS: Mapping[str, Verb] = MappingProxyType(
     {
-        "lease": Verb(Lease, (Acquire, Renew, Release), needs_lease=False),
+        "lease": Verb(Lease, (events.Acquire, events.Renew, events.Release), needs_lease=False),
         "submit": Verb(
             Submit,
-            (SubmitEvent,),
+            (events.SubmitEvent,),
             needs_lease=True,
             reply="[Answer](#answer), or the record's frame (section 5) if it is at hand",
             threads=2,  # one of them may be running a trial
         ),
         "cancel": Verb(
             Cancel,
-            (CancelEvent,),
+            (events.CancelEvent,),
             needs_lease=True,
             reply="[Answer](#answer); its `trial_id` names the trial that has not ended yet, and "
             "is empty once none is active",
         ),
         "void": Verb(
             Void,
-            (VoidEvent,),
+            (events.VoidEvent,),
             needs_lease=True,
             reply="[Answer](#answer): `void`, or the trial's state in the ledger",
         ),
-        "gains": Verb(SetGains, (SetGainsEvent,), needs_lease=True),
+        "gains": Verb(SetGains, (events.SetGainsEvent,), needs_lease=True),
         "estop": Verb(
             Estop,
-            (EstopEvent,),
+            (events.EstopEvent,),
             needs_lease=False,
             reply="[Answer](#answer), once the rig is on its way to its safe state",
         ),
-        "clear": Verb(Clear, (ClearEvent,), needs_lease=False),
+        "clear": Verb(Clear, (events.ClearEvent,), needs_lease=False),
     }
 )
 """All commands, by verb: the table from which server, client and protocol page are made."""

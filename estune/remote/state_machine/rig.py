@@ -10,49 +10,28 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 
 from estune.errors import ProtocolError
+from estune.remote.state_machine import state as events
 from estune.remote.state_machine.reply_codes import OF_TRIAL, ReplyCode
 from estune.remote.state_machine.state import (
     LEASE_S,
     AcceptedTrial,
-    Acquire,
-    Begin,
-    CancelEvent,
-    ClearEvent,
-    Close,
-    End,
-    EstopEvent,
-    Event,
-    Expire,
     Lease,
     Mode,
-    Noted,
-    Release,
-    Renew,
     RigAction,
     RigState,
-    SetGainsEvent,
-    SubmitEvent,
     Transition,
-    VoidEvent,
 )
 from estune.remote.state_machine.trials import TrialState
 
 
-def step(state: RigState, event: Event, now_s: float) -> Transition:
-    """Transition of a rig on an event, after a lease that has expired by then was ended.
-
-    Args:
-        state: Protocol state.
-        event: The event.
-        now_s: Time of the event on a monotonic clock, s.
+def step(state: RigState, event: events.Event, now_s: float) -> Transition:
+    """Transition of a rig on an event at a monotonic time; an expired lease is ended first.
 
     Raises:
         ProtocolError: the event comes from inside the rig and is impossible; nothing changes.
     """
-    if state.lease is None or now_s < state.lease.expires_at_s:
-        return TABLE[type(event)][state.mode](state, event, now_s)
-    expired = TABLE[Expire][state.mode](state, Expire(), now_s)
-    if isinstance(event, Expire):
+    expired = TABLE[events.Expire][state.mode](state, events.Expire(), now_s)
+    if isinstance(event, events.Expire):
         return expired
     after = expired.state
     move = TABLE[type(event)][after.mode](after, event, now_s)
@@ -62,7 +41,7 @@ def step(state: RigState, event: Event, now_s: float) -> Transition:
 # --- lease ---
 
 
-def lease(state: RigState, event: Acquire, now_s: float) -> Transition:
+def lease(state: RigState, event: events.Acquire, now_s: float) -> Transition:
     """Grant the lease, unless another client holds it."""
     current = state.lease
     if current is not None and current.token != event.token:
@@ -72,7 +51,7 @@ def lease(state: RigState, event: Acquire, now_s: float) -> Transition:
     return Transition(state._replace(lease=Lease(event.token, event.holder, now_s + LEASE_S)))
 
 
-def renew(state: RigState, event: Renew, now_s: float) -> Transition:
+def renew(state: RigState, event: events.Renew, now_s: float) -> Transition:
     """Renew the lease, if it is the rig's."""
     current = state.lease
     if current is None or current.token != event.token:
@@ -80,26 +59,26 @@ def renew(state: RigState, event: Renew, now_s: float) -> Transition:
     return Transition(state._replace(lease=current._replace(expires_at_s=now_s + LEASE_S)))
 
 
-def release(state: RigState, event: Release, _now_s: float) -> Transition:
+def release(state: RigState, event: events.Release, _now_s: float) -> Transition:
     """End the lease, if it is the rig's."""
     if not _owns(state, event.token):
         return _without_lease(state)
     return Transition(state._replace(lease=None))
 
 
-def release_and_stop(state: RigState, event: Release, _now_s: float) -> Transition:
+def release_and_stop(state: RigState, event: events.Release, _now_s: float) -> Transition:
     """End the lease and stop the trial, if it is the rig's lease."""
     if not _owns(state, event.token):
         return _without_lease(state)
     return _stopping(state._replace(lease=None), "its client released the lease")
 
 
-def expire(state: RigState, _event: Expire, now_s: float) -> Transition:
+def expire(state: RigState, _event: events.Expire, now_s: float) -> Transition:
     """End a lease that has expired."""
     return Transition(state if _is_leased(state, now_s) else state._replace(lease=None))
 
 
-def expire_and_stop(state: RigState, _event: Expire, now_s: float) -> Transition:
+def expire_and_stop(state: RigState, _event: events.Expire, now_s: float) -> Transition:
     """End a lease that has expired, and stop the trial: the dead-man's switch."""
     if state.lease is None or _is_leased(state, now_s):
         return Transition(state)
@@ -110,7 +89,7 @@ def expire_and_stop(state: RigState, _event: Expire, now_s: float) -> Transition
 # --- commands ---
 
 
-def accept(state: RigState, event: SubmitEvent, _now_s: float) -> Transition:
+def accept(state: RigState, event: events.SubmitEvent, _now_s: float) -> Transition:
     """Accept the trial, if the ledger has no entry, the lease is right and the limits hold."""
     if event.known is not TrialState.UNKNOWN:
         return Transition(state, OF_TRIAL[event.known])
@@ -122,33 +101,33 @@ def accept(state: RigState, event: SubmitEvent, _now_s: float) -> Transition:
     return Transition(state._replace(trial=trial), orders=(RigAction.TAKE_IN,))
 
 
-def submit_while_busy(state: RigState, event: SubmitEvent, _now_s: float) -> Transition:
+def submit_while_busy(state: RigState, event: events.SubmitEvent, _now_s: float) -> Transition:
     """Reply with the trial's state in the ledger; busy without an entry."""
     if event.known is not TrialState.UNKNOWN:
         return Transition(state, OF_TRIAL[event.known])
     return _busy(state) if _owns(state, event.token) else _without_lease(state)
 
 
-def submit_while_safe(state: RigState, event: SubmitEvent, _now_s: float) -> Transition:
+def submit_while_safe(state: RigState, event: events.SubmitEvent, _now_s: float) -> Transition:
     """Reply with the trial's state in the ledger; refuse until cleared without an entry."""
     if event.known is not TrialState.UNKNOWN:
         return Transition(state, OF_TRIAL[event.known])
     return _safe(state)
 
 
-def submit_while_closed(state: RigState, event: SubmitEvent, now_s: float) -> Transition:
+def submit_while_closed(state: RigState, event: events.SubmitEvent, now_s: float) -> Transition:
     """Reply with the trial's state in the ledger; refuse without an entry."""
     if event.known is not TrialState.UNKNOWN:
         return Transition(state, OF_TRIAL[event.known])
     return refuse_closed(state, event, now_s)
 
 
-def cancel_without_trial(state: RigState, _event: CancelEvent, _now_s: float) -> Transition:
+def cancel_without_trial(state: RigState, _event: events.CancelEvent, _now_s: float) -> Transition:
     """Accept: no trial is active."""
     return Transition(state)
 
 
-def cancel(state: RigState, event: CancelEvent, _now_s: float) -> Transition:
+def cancel(state: RigState, event: events.CancelEvent, _now_s: float) -> Transition:
     """Stop the trial, if the lease is right and the command names this trial or none."""
     if not _owns(state, event.token):
         return _without_lease(state)
@@ -157,12 +136,12 @@ def cancel(state: RigState, event: CancelEvent, _now_s: float) -> Transition:
     return _stopping(state, "stopped by its client")
 
 
-def cancel_again(state: RigState, event: CancelEvent, _now_s: float) -> Transition:
+def cancel_again(state: RigState, event: events.CancelEvent, _now_s: float) -> Transition:
     """Accept, if the lease is right: the trial is being stopped already."""
     return Transition(state) if _owns(state, event.token) else _without_lease(state)
 
 
-def void(state: RigState, event: VoidEvent, _now_s: float) -> Transition:
+def void(state: RigState, event: events.VoidEvent, _now_s: float) -> Transition:
     """Note in the ledger that the trial must never run, if the ledger has no entry of it."""
     if event.known is not TrialState.UNKNOWN:
         return Transition(state, OF_TRIAL[event.known])
@@ -171,54 +150,54 @@ def void(state: RigState, event: VoidEvent, _now_s: float) -> Transition:
     return Transition(state, ReplyCode.VOID, orders=(RigAction.TOMBSTONE,))
 
 
-def void_while_taking(state: RigState, event: VoidEvent, now_s: float) -> Transition:
+def void_while_taking(state: RigState, event: events.VoidEvent, now_s: float) -> Transition:
     """Reply busy, if this very trial is being accepted; else as in the other modes."""
     if state.trial is not None and state.trial.trial_id == event.trial_id:
         return _busy(state)
     return void(state, event, now_s)
 
 
-def apply(state: RigState, event: SetGainsEvent, _now_s: float) -> Transition:
+def apply(state: RigState, event: events.SetGainsEvent, _now_s: float) -> Transition:
     """Apply the gains, if the lease is right."""
     if not _owns(state, event.token):
         return _without_lease(state)
     return Transition(state, orders=(RigAction.APPLY,))
 
 
-def apply_while_busy(state: RigState, event: SetGainsEvent, _now_s: float) -> Transition:
+def apply_while_busy(state: RigState, event: events.SetGainsEvent, _now_s: float) -> Transition:
     """Refuse: a trial is active."""
     return _busy(state) if _owns(state, event.token) else _without_lease(state)
 
 
-def apply_while_safe(state: RigState, _event: SetGainsEvent, _now_s: float) -> Transition:
+def apply_while_safe(state: RigState, _event: events.SetGainsEvent, _now_s: float) -> Transition:
     """Refuse until cleared."""
     return _safe(state)
 
 
-def estop(state: RigState, event: EstopEvent, _now_s: float) -> Transition:
+def estop(state: RigState, event: events.EstopEvent, _now_s: float) -> Transition:
     """Bring the rig to its safe state and hold it there."""
     latched = state._replace(latched=state.latched or event.reason)
     return Transition(latched, orders=(RigAction.ESTOP,))
 
 
-def estop_trial(state: RigState, event: EstopEvent, _now_s: float) -> Transition:
+def estop_trial(state: RigState, event: events.EstopEvent, _now_s: float) -> Transition:
     """Stop the trial, bring the rig to its safe state and hold it there."""
     move = _stopping(state, f"emergency stop: {event.reason}")
     latched = move.state._replace(latched=state.latched or event.reason)
     return move._replace(state=latched, orders=(RigAction.ESTOP, *move.orders))
 
 
-def clear(state: RigState, _event: ClearEvent, _now_s: float) -> Transition:
+def clear(state: RigState, _event: events.ClearEvent, _now_s: float) -> Transition:
     """End the emergency stop: the rig may be used again."""
     return Transition(state._replace(latched=""), orders=(RigAction.CLEAR,))
 
 
-def clear_while_busy(state: RigState, _event: ClearEvent, _now_s: float) -> Transition:
+def clear_while_busy(state: RigState, _event: events.ClearEvent, _now_s: float) -> Transition:
     """Refuse while a trial is active."""
     return _busy(state)
 
 
-def refuse_closed(state: RigState, _event: Event, _now_s: float) -> Transition:
+def refuse_closed(state: RigState, _event: events.Event, _now_s: float) -> Transition:
     """Refuse: the rig is shutting down."""
     return Transition(state, ReplyCode.REFUSED, "the rig is shutting down; restart it")
 
@@ -226,44 +205,44 @@ def refuse_closed(state: RigState, _event: Event, _now_s: float) -> Transition:
 # --- events from inside the rig ---
 
 
-def noted(state: RigState, _event: Noted, _now_s: float) -> Transition:
+def noted(state: RigState, _event: events.Noted, _now_s: float) -> Transition:
     """Note that the trial is in the ledger."""
     return Transition(_noted(state, begun=False))
 
 
-def begin(state: RigState, _event: Begin, _now_s: float) -> Transition:
+def begin(state: RigState, _event: events.Begin, _now_s: float) -> Transition:
     """Start the trial."""
     return Transition(_noted(state, begun=True))
 
 
-def refuse_begin(state: RigState, _event: Begin, _now_s: float) -> Transition:
+def refuse_begin(state: RigState, _event: events.Begin, _now_s: float) -> Transition:
     """Refuse to start the trial: it is being stopped."""
     return Transition(
         state, ReplyCode.REFUSED, "" if state.trial is None else state.trial.stopping
     )
 
 
-def end(state: RigState, _event: End, _now_s: float) -> Transition:
+def end(state: RigState, _event: events.End, _now_s: float) -> Transition:
     """End the trial."""
     return Transition(state._replace(trial=None, ended=state.ended + 1))
 
 
-def close(state: RigState, _event: Close, _now_s: float) -> Transition:
+def close(state: RigState, _event: events.Close, _now_s: float) -> Transition:
     """Accept no more commands."""
     return Transition(state._replace(closed=True, lease=None))
 
 
-def close_trial(state: RigState, _event: Close, _now_s: float) -> Transition:
+def close_trial(state: RigState, _event: events.Close, _now_s: float) -> Transition:
     """Stop the trial, and accept no more commands."""
     return _stopping(state._replace(closed=True, lease=None), "the rig is shutting down")
 
 
-def stay(state: RigState, _event: Event, _now_s: float) -> Transition:
+def stay(state: RigState, _event: events.Event, _now_s: float) -> Transition:
     """Change nothing."""
     return Transition(state)
 
 
-def fail(state: RigState, event: Event, _now_s: float) -> Transition:
+def fail(state: RigState, event: events.Event, _now_s: float) -> Transition:
     """Impossible: an error."""
     name = type(event).__name__.lower()
     raise ProtocolError(f"a rig that is {state.mode} cannot {name}; nothing was done")
@@ -323,7 +302,7 @@ def _safe(state: RigState) -> Transition:
 
 # --- table ---
 
-Handler = Callable[[RigState, Event, float], Transition]
+Handler = Callable[[RigState, events.Event, float], Transition]
 
 _UNSTOPPED = (Mode.TAKING, Mode.ACCEPTED, Mode.RUNNING)
 _ACTIVE = (*_UNSTOPPED, Mode.ABORTING)
@@ -340,31 +319,37 @@ def _row(
     return MappingProxyType(row)
 
 
-TABLE: Mapping[type[Event], Mapping[Mode, Handler]] = MappingProxyType(
+TABLE: Mapping[type[events.Event], Mapping[Mode, Handler]] = MappingProxyType(
     {
-        Acquire: _row(lease, (refuse_closed, _CLOSED)),
-        Renew: _row(renew, (refuse_closed, _CLOSED)),
-        Release: _row(release, (release_and_stop, _UNSTOPPED), (stay, _CLOSED)),
-        Expire: _row(expire, (expire_and_stop, _UNSTOPPED), (stay, (Mode.IDLE, Mode.CLOSED))),
-        SubmitEvent: _row(
+        events.Acquire: _row(lease, (refuse_closed, _CLOSED)),
+        events.Renew: _row(renew, (refuse_closed, _CLOSED)),
+        events.Release: _row(release, (release_and_stop, _UNSTOPPED), (stay, _CLOSED)),
+        events.Expire: _row(
+            expire, (expire_and_stop, _UNSTOPPED), (stay, (Mode.IDLE, Mode.CLOSED))
+        ),
+        events.SubmitEvent: _row(
             accept,
             (submit_while_busy, _ACTIVE),
             (submit_while_safe, _SAFE),
             (submit_while_closed, _CLOSED),
         ),
-        CancelEvent: _row(
+        events.CancelEvent: _row(
             cancel_without_trial, (cancel, _UNSTOPPED), (cancel_again, (Mode.ABORTING,))
         ),
-        VoidEvent: _row(void, (void_while_taking, (Mode.TAKING,)), (refuse_closed, _CLOSED)),
-        SetGainsEvent: _row(
+        events.VoidEvent: _row(
+            void, (void_while_taking, (Mode.TAKING,)), (refuse_closed, _CLOSED)
+        ),
+        events.SetGainsEvent: _row(
             apply, (apply_while_busy, _ACTIVE), (apply_while_safe, _SAFE), (refuse_closed, _CLOSED)
         ),
-        EstopEvent: _row(estop, (estop_trial, _ACTIVE)),
-        ClearEvent: _row(clear, (clear_while_busy, _ACTIVE), (refuse_closed, _CLOSED)),
-        Noted: _row(fail, (noted, (Mode.TAKING, Mode.ABORTING))),
-        Begin: _row(fail, (begin, (Mode.TAKING, Mode.ACCEPTED)), (refuse_begin, (Mode.ABORTING,))),
-        End: _row(fail, (end, _ACTIVE)),
-        Close: _row(close, (close_trial, _ACTIVE), (stay, _CLOSED)),
+        events.EstopEvent: _row(estop, (estop_trial, _ACTIVE)),
+        events.ClearEvent: _row(clear, (clear_while_busy, _ACTIVE), (refuse_closed, _CLOSED)),
+        events.Noted: _row(fail, (noted, (Mode.TAKING, Mode.ABORTING))),
+        events.Begin: _row(
+            fail, (begin, (Mode.TAKING, Mode.ACCEPTED)), (refuse_begin, (Mode.ABORTING,))
+        ),
+        events.End: _row(fail, (end, _ACTIVE)),
+        events.Close: _row(close, (close_trial, _ACTIVE), (stay, _CLOSED)),
     }
 )
 """Handler by event and mode."""

@@ -59,14 +59,7 @@ class Lease(NamedTuple):
 
 
 class AcceptedTrial(NamedTuple):
-    """The active trial.
-
-    Attributes:
-        trial_id: Its id.
-        noted: Whether the ledger holds it.
-        begun: Whether it has begun to move the rig.
-        stopping: Reason why it is being stopped; empty otherwise.
-    """
+    """The active trial; `stopping` is the reason why it is being stopped, or empty."""
 
     trial_id: str
     noted: bool = False

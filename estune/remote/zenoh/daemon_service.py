@@ -153,7 +153,10 @@ def _reply_to(key: str, answer: Callable[[bytes], Message], payload: bytes, repl
 
 
 class DaemonClient:
-    """Queries and commands a daemon. A context manager."""
+    """Queries and commands a daemon. A context manager.
+
+    Every method raises `RigError` if no daemon answers for the rig.
+    """
 
     def __init__(
         self, endpoint: str, timeout_s: float = 3.0, *, security: Security = OPEN
@@ -176,27 +179,15 @@ class DaemonClient:
         return tuple(sorted({rig for rig, _ in self._present(ANY_DAEMON)}))
 
     def status(self, rig: str) -> DaemonStatus:
-        """Current state of the supervision of a rig.
-
-        Raises:
-            RigError: no daemon answers for it.
-        """
+        """Current state of the supervision of a rig."""
         return self._about(DaemonStatus, rig, "status", b"")
 
     def history(self, rig: str, limit: int = 50) -> History:
-        """Past gain sets, commands and check trials of a rig.
-
-        Raises:
-            RigError: no daemon answers for it.
-        """
+        """Past gain sets, commands and check trials of a rig."""
         return self._about(History, rig, "history", encode(Request(limit=limit)))
 
     def events(self, rig: str, after: int = -1, limit: int = 50) -> list[EventMessage]:
-        """Past events of a rig.
-
-        Raises:
-            RigError: no daemon answers for it.
-        """
+        """Past events of a rig."""
         return self._about(Events, rig, "events", encode(Request(after, limit))).events
 
     def command(self, rig: str, verb: DaemonVerb, who: str, why: str = "") -> str:
@@ -204,7 +195,6 @@ class DaemonClient:
 
         Raises:
             InvalidInput: it is refused.
-            RigError: no daemon answers for the rig.
         """
         payload = encode(Command(secrets.token_hex(8), who, why))
         data = self._ask(rig, lambda: DaemonKeys(rig).command(self._instance(rig), verb), payload)

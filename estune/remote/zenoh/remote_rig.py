@@ -144,7 +144,9 @@ class RemoteRig:
     and description need none. A rig that is restarted is followed if its ledger is the same, or if
     it is simulated.
 
-    Ctrl-C interrupts any call; the active trial then continues at the rig until `abort`.
+    Every method raises `RigError` if the rig refuses (another client holds it, it is busy with a
+    trial, or in its safe state), does not reply, or is gone. Ctrl-C interrupts any call; the
+    active trial then continues at the rig until `abort`.
     """
 
     def __init__(
@@ -166,19 +168,11 @@ class RemoteRig:
         self.describe()
 
     def describe(self) -> RigDescription:
-        """Properties of the rig, with its live gains.
-
-        Raises:
-            RigError: it cannot be reached.
-        """
+        """Properties of the rig, with its live gains."""
         return self._connection.describe().rig
 
     def status(self) -> Status:
-        """Current state of the rig, and its lease holder.
-
-        Raises:
-            RigError: it cannot be reached.
-        """
+        """Current state of the rig, and its lease holder."""
         key = self._connection.keys.status
         return messages.decode(Status, self._connection.query_until_answered(lambda: key, b""))
 
@@ -190,9 +184,7 @@ class RemoteRig:
 
         Raises:
             InvalidInput: the request is outside the rig's limits; nothing moved.
-            RigError: another client holds the rig, it is held in its safe state, has run another
-                trial under that id, cannot be reached, or is gone; where the trial may have run,
-                the message contains it.
+            RigError: no record can be had; where the trial may have run, the message contains it.
         """
         trial_id = check_name("trial id", request.trial_id)
         exchange = TrialExchange(self._connection, self._lease, request, self._changed)
@@ -211,9 +203,6 @@ class RemoteRig:
         """Whether no record can ever be had under a trial's id.
 
         True if the rig's program failed in it, its record is gone, or another trial had the id.
-
-        Raises:
-            RigError: it cannot be reached.
         """
         inquiry = messages.encode(Inquire(messages.digest(request)))
         key = self._connection.keys.result(request.trial_id)
@@ -225,19 +214,12 @@ class RemoteRig:
 
         Raises:
             InvalidInput: the rig refuses them.
-            RigError: another client holds the rig, it is busy with a trial, in its safe state,
-                cannot be reached, or is gone.
         """
         unknown = f"; whether it has applied the gains {gains} is unknown"
         self._command_with_lease(SetGains("", gains), unknown).check()
 
     def abort(self) -> RigDescription:
-        """Stops the active trial, and returns once the live gains are restored.
-
-        Raises:
-            RigError: another client holds the rig, the trial cannot be stopped, or the rig cannot
-                be reached.
-        """
+        """Stops the active trial, and returns once the live gains are restored."""
         unknown = "; whether it has stopped is unknown: inspect the rig"
         self._void_unanswered(unknown)
         trial_id = ""
@@ -254,11 +236,7 @@ class RemoteRig:
             time.sleep(AGAIN_S)
 
     def estop(self, reason: str) -> None:
-        """Brings the rig to its safe state, whoever holds the lease. It stays there until cleared.
-
-        Raises:
-            RigError: it did not reply: stop it by other means.
-        """
+        """Brings the rig to its safe state, without a lease. It stays there until cleared."""
         command = Estop(reason[: messages.HOLDER_MAX])
         payload = messages.encode(command)
         asked_s = time.monotonic()
@@ -279,11 +257,7 @@ class RemoteRig:
             self._connection.check_liveliness(asked_s)
 
     def clear(self) -> None:
-        """Resets the emergency stop, after the operator has removed its cause.
-
-        Raises:
-            RigError: a trial is still being stopped, or the rig cannot be reached.
-        """
+        """Resets the emergency stop, after the operator has removed its cause."""
         self._connection.command(Clear(), "; whether the stop is cleared is unknown").check()
 
     @contextmanager
@@ -297,11 +271,7 @@ class RemoteRig:
             yield map(_live, subscriber)
 
     def acquire(self) -> None:
-        """Acquires the lease now, rather than with the first command.
-
-        Raises:
-            RigError: another client holds the rig, or it cannot be reached.
-        """
+        """Acquires the lease now, rather than with the first command."""
         self._lease.hold()
 
     def release(self) -> None:

@@ -24,18 +24,10 @@ from estune.remote.messages import (
     Inquire,
     Status,
     check_name,
+    commands,
     refusal,
 )
 from estune.remote.messages.codec import Message
-from estune.remote.messages.commands import (
-    Cancel,
-    Clear,
-    Estop,
-    Lease,
-    SetGains,
-    Submit,
-    Void,
-)
 from estune.remote.state_machine import state as events
 from estune.remote.state_machine.reply_codes import OF_TRIAL, ReplyCode
 from estune.remote.state_machine.state import RigAction, Transition
@@ -44,6 +36,8 @@ from estune.remote.zenoh.trial_execution import (
     ActiveTrial,
     SharedRigState,
     TrialExecutor,
+    digest_conflict,
+    reply_from_ledger,
     to_estune_error,
 )
 from estune.trial import Rig, Telemetry, TelemetrySource
@@ -140,14 +134,14 @@ class RequestHandler:
         try:
             return messages.decode(VERBS[verb].message, payload)
         except ProtocolError as error:
-            if VERBS[verb].message is not Estop:
+            if VERBS[verb].message is not commands.Estop:
                 raise
             # An emergency stop is obeyed even if its reason cannot be read.
-            return Estop(f"(its reason could not be read: {error})")
+            return commands.Estop(f"(its reason could not be read: {error})")
 
     # --- commands ---
 
-    def lease(self, command: Lease) -> Answer:
+    def lease(self, command: commands.Lease) -> Answer:
         """Grants, renews or ends the lease."""
         event: events.Event
         match command.action:
@@ -159,7 +153,7 @@ class RequestHandler:
                 event = events.Release(command.lease)
         return _answer(self._shared.apply_event(event))
 
-    def submit(self, command: Submit) -> Handled:
+    def submit(self, command: commands.Submit) -> Handled:
         """Accepts a trial, unless the ledger has an entry of it, and runs it."""
         now_s = time.monotonic()
         request, trial_id = command.request, command.request.trial_id
@@ -171,7 +165,7 @@ class RequestHandler:
         violation = self._executor.limit_violation(request)
         with self._shared.lock:
             entry = self._find(trial_id)
-            if conflict := _digest_conflict(trial_id, entry, command.digest):
+            if conflict := digest_conflict(trial_id, entry, command.digest):
                 return Handled(conflict)
             objection = "" if violation is None else str(violation)
             event = events.SubmitEvent(command.lease, trial_id, entry.state, objection)
@@ -183,7 +177,7 @@ class RequestHandler:
             prompt = self._prompt
         return self._start(trial, prompt=prompt)
 
-    def cancel(self, command: Cancel) -> Answer:
+    def cancel(self, command: commands.Cancel) -> Answer:
         """Stops the active trial. The reply names it until the live gains are restored."""
         now_s = time.monotonic()
         with self._shared.lock:
@@ -198,13 +192,13 @@ class RequestHandler:
         trial_id = trial.request.trial_id
         return Answer(ReplyCode.ACCEPTED, trial_id) if error is None else refusal(error, trial_id)
 
-    def void(self, command: Void) -> Answer:
+    def void(self, command: commands.Void) -> Answer:
         """Notes that a trial must never run, unless it was accepted already."""
         now_s = time.monotonic()
         trial_id = check_name("trial id", command.trial_id)
         with self._shared.lock:
             entry = self._ledger.find(trial_id)
-            if conflict := _digest_conflict(trial_id, entry, command.digest):
+            if conflict := digest_conflict(trial_id, entry, command.digest):
                 return conflict
             event = events.VoidEvent(command.lease, trial_id, entry.state)
             move = self._shared.step(event, now_s)
@@ -214,7 +208,7 @@ class RequestHandler:
         state = self._ledger.note(trial_id, command.digest, TrialEvent.VOID)
         return Answer(OF_TRIAL[state], trial_id)
 
-    def gains(self, command: SetGains) -> Answer:
+    def gains(self, command: commands.SetGains) -> Answer:
         """Sets the live gains, unless a trial is active."""
         move = self._shared.apply_event(events.SetGainsEvent(command.lease))
         if RigAction.APPLY not in move.orders:
@@ -225,7 +219,7 @@ class RequestHandler:
             return refusal(error)
         return Answer(ReplyCode.ACCEPTED)
 
-    def estop(self, command: Estop) -> Handled:
+    def estop(self, command: commands.Estop) -> Handled:
         """Brings the rig to its safe state, before anything else is done."""
         reason = command.reason[:HOLDER_MAX] or "no reason given"
         answer = Answer(ReplyCode.ACCEPTED)
@@ -236,7 +230,7 @@ class RequestHandler:
         self._shared.apply_event(events.EstopEvent(reason))
         return Handled(answer, partial(self._latch, reason))
 
-    def clear(self, _: Clear) -> Answer:
+    def clear(self, _: commands.Clear) -> Answer:
         """Resets the emergency stop."""
         move = self._shared.apply_event(events.ClearEvent())
         if RigAction.CLEAR not in move.orders:
@@ -264,9 +258,9 @@ class RequestHandler:
         unknown = entry.state is TrialState.UNKNOWN
         if unknown and trial is not None and trial.request.trial_id == trial_id:
             return Answer(ReplyCode.BUSY, trial_id)  # it is being written to the ledger
-        if conflict := _digest_conflict(trial_id, entry, inquiry.digest):
+        if conflict := digest_conflict(trial_id, entry, inquiry.digest):
             return conflict
-        found = _from_ledger(trial_id, entry)
+        found = reply_from_ledger(trial_id, entry)
         most = min(inquiry.length or self._part_bytes, self._part_bytes or inquiry.length)
         if isinstance(found, Answer) or not (inquiry.offset or most):
             return found
@@ -319,7 +313,7 @@ class RequestHandler:
         if move.verdict is ReplyCode.BUSY and trial is not None:
             return _answer(move, trial.request.trial_id)
         if entry.state is not TrialState.UNKNOWN:
-            return _from_ledger(trial_id, entry)
+            return reply_from_ledger(trial_id, entry)
         if move.verdict is ReplyCode.REFUSED:
             return refusal(violation or RigError(move.sentence), trial_id)
         return _answer(move, trial_id)
@@ -333,7 +327,9 @@ class RequestHandler:
             self._shared.finish_trial()
             if isinstance(noted, EstuneError):
                 return Handled(refusal(noted, trial_id))
-            return Handled(self._in_parts(_from_ledger(trial_id, self._ledger.find(trial_id))))
+            return Handled(
+                self._in_parts(reply_from_ledger(trial_id, self._ledger.find(trial_id)))
+            )
         if prompt:
             result = self._run(trial, begun=begun)
             answer = result if isinstance(result, bytes) else refusal(result, trial_id)
@@ -362,35 +358,3 @@ class RequestHandler:
 
 def _answer(move: Transition, trial_id: str = "") -> Answer:
     return Answer(move.verdict, trial_id, sentence=move.sentence)
-
-
-def _from_ledger(trial_id: str, entry: LedgerEntry) -> Answer | bytes:
-    """State of a trial in the ledger; its record, if the ledger holds it."""
-    match entry.state:
-        case TrialState.ENDED if entry.frame is not None:
-            return entry.frame
-        case TrialState.ENDED:
-            return refusal(
-                RigError(
-                    f"trial {trial_id} has run, but the rig no longer holds its record; "
-                    "submit the trial again under another number or attempt"
-                ),
-                trial_id,
-            )
-        case TrialState.FAILED:
-            return Answer(ReplyCode.REFUSED, trial_id, entry.error, entry.sentence)
-        case state:
-            return Answer(OF_TRIAL[state], trial_id)
-
-
-def _digest_conflict(trial_id: str, entry: LedgerEntry, digest: str) -> Answer | None:
-    """Refusal of a request, if the ledger holds another request under its id."""
-    if entry.state is TrialState.UNKNOWN or entry.digest == digest:
-        return None
-    return refusal(
-        RigError(
-            f"the rig has run another trial under the id {trial_id}, with other gains or another "
-            "profile; give the run a new name"
-        ),
-        trial_id,
-    )

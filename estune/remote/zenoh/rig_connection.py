@@ -64,11 +64,7 @@ class RigConnection:
         self._label = f"rig {presence.rig!r} at {endpoint}"
 
     def describe(self) -> Description:
-        """Properties of the rig, with its live gains.
-
-        Raises:
-            RigError: it cannot be reached.
-        """
+        """Properties of the rig, with its live gains."""
         data = self.query_until_answered(lambda: self.keys.describe, b"")
         self.about = messages.decode_description(data)
         return self.about
@@ -83,15 +79,7 @@ class RigConnection:
         return self.keys.command(self.instance, VERB_OF[type(command)])
 
     def command(self, command: Message, unknown: str = "") -> Answer:
-        """Reply to a command, repeated until it is answered.
-
-        Args:
-            command: The command.
-            unknown: What is unknown if no reply arrives, for the message.
-
-        Raises:
-            RigError: no reply, as in `query_until_answered`.
-        """
+        """Reply to a command; `unknown` as in `query_until_answered`."""
         payload = messages.encode(command)
         data = self.query_until_answered(lambda: self.command_key(command), payload, unknown)
         return messages.decode(Answer, data)
@@ -156,11 +144,7 @@ class RigConnection:
         return reply
 
     def check_liveliness(self, silent_since_s: float) -> LinkStatus:
-        """State of a rig that does not reply; follows it if it was restarted.
-
-        Args:
-            silent_since_s: Monotonic time of the first unanswered query.
-        """
+        """State of a rig silent since that monotonic time; follows it if it was restarted."""
         silent_s = time.monotonic() - silent_since_s
         present = present_at(self.session, self.keys.alive("*"))
         instances = sorted(p.instance for p in present)
@@ -238,11 +222,7 @@ class LeaseRenewer:
         return self._token
 
     def hold(self) -> str:
-        """The lease; acquires one if none is held.
-
-        Raises:
-            RigError: another client holds the rig, or it cannot be reached.
-        """
+        """The lease; acquires one if none is held."""
         if self._token:
             return self._token
         with self._lock:

@@ -16,11 +16,11 @@ from queue import SimpleQueue
 
 from estune.core.gains import Gains
 from estune.errors import EstuneError, InvalidInput, ProtocolError, RigError
-from estune.remote.ledger import Ledger
-from estune.remote.messages import check_name
+from estune.remote.ledger import Ledger, LedgerEntry
+from estune.remote.messages import Answer, check_name, refusal
 from estune.remote.state_machine import rig as machine
 from estune.remote.state_machine import state as events
-from estune.remote.state_machine.reply_codes import ReplyCode
+from estune.remote.state_machine.reply_codes import OF_TRIAL, ReplyCode
 from estune.remote.state_machine.state import RigAction, RigState, Transition
 from estune.remote.state_machine.trials import TrialEvent, TrialState
 from estune.trial import (
@@ -265,4 +265,36 @@ def to_estune_error(error: BaseException, activity: str) -> EstuneError:
     return RigError(
         f"the rig's own program failed in {activity}: {type(error).__name__}: {error}; "
         "the trace is in its log"
+    )
+
+
+def reply_from_ledger(trial_id: str, entry: LedgerEntry) -> Answer | bytes:
+    """State of a trial in the ledger; its record, if the ledger holds it."""
+    match entry.state:
+        case TrialState.ENDED if entry.frame is not None:
+            return entry.frame
+        case TrialState.ENDED:
+            return refusal(
+                RigError(
+                    f"trial {trial_id} has run, but the rig no longer holds its record; "
+                    "submit the trial again under another number or attempt"
+                ),
+                trial_id,
+            )
+        case TrialState.FAILED:
+            return Answer(ReplyCode.REFUSED, trial_id, entry.error, entry.sentence)
+        case state:
+            return Answer(OF_TRIAL[state], trial_id)
+
+
+def digest_conflict(trial_id: str, entry: LedgerEntry, digest: str) -> Answer | None:
+    """Refusal of a request, if the ledger holds another request under its id."""
+    if entry.state is TrialState.UNKNOWN or entry.digest == digest:
+        return None
+    return refusal(
+        RigError(
+            f"the rig has run another trial under the id {trial_id}, with other gains or another "
+            "profile; give the run a new name"
+        ),
+        trial_id,
     )

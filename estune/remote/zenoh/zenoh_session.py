@@ -100,17 +100,10 @@ def open_session(
 def open_client(
     endpoint: str, message_max_bytes: int, security: Security, deadline_s: float, remedy: str
 ) -> zenoh.Session:
-    """A client session with an endpoint where something may just be starting to listen.
-
-    Args:
-        endpoint: The endpoint.
-        message_max_bytes: Largest message accepted.
-        security: Identity of this process.
-        deadline_s: Monotonic time of the last attempt.
-        remedy: What to start there, and how, for the message.
+    """A client session with an endpoint, tried until a deadline on the monotonic clock.
 
     Raises:
-        RigError: nothing listens there.
+        RigError: nothing listens there; the message contains the remedy.
     """
     while True:
         try:
@@ -297,11 +290,7 @@ def _listen(
 
 
 def check_endpoint(endpoint: str) -> None:
-    """Refuses a malformed endpoint.
-
-    Raises:
-        InvalidInput: it is not of the form tcp/host:port (or tls, quic, unixsock-stream).
-    """
+    """Raises `InvalidInput` if an endpoint is malformed."""
     form = r"(tcp|tls|quic)/(\[[0-9a-fA-F:.]+\]|[^\s/:\[\]]+):(\d{1,5})|unixsock-stream/\S+"
     match = re.fullmatch(form, endpoint)
     if match is None or int(match[3] or 0) > 65535:
@@ -312,11 +301,7 @@ def check_endpoint(endpoint: str) -> None:
 
 
 def check_loopback(endpoint: str) -> None:
-    """Refuses to listen where other machines could connect.
-
-    Raises:
-        InvalidInput: they could.
-    """
+    """Raises `InvalidInput` if other machines could connect to a listener."""
     if endpoint.startswith("unixsock-stream/"):
         return
     host, _ = _host_and_port(endpoint)
