@@ -71,7 +71,7 @@ FAULTS = [
     ({"rig": "other"}, "another rig"),
     ({"gains": replace(ORIGINAL, P=9.0)}, "was run with"),
     ({"sampling_Hz": 201.0}, "sampled at 201 Hz"),
-    ({"started_at": "yesterday"}, "is none"),
+    ({"started_at": "yesterday"}, "not in ISO 8601"),
     ({"started_at": "2009-05-04T12:00:00"}, "no offset"),
     ({"angle_rad": np.zeros(3)}, "differ in length"),
     ({"current_A": np.full(100, np.inf)}, "current_A is inf at sample 0"),

@@ -7,7 +7,7 @@ import time
 from contextlib import ExitStack
 from dataclasses import replace
 
-from estune.daemon.config import DaemonConfig
+from estune.daemon.config import DaemonConfig, ServiceTable
 from estune.daemon.events import Event
 from estune.daemon.metrics import MetricsServer, write_metrics
 from estune.daemon.notifications import Hooks, Notifier, log_event
@@ -26,7 +26,13 @@ _log = logging.getLogger(__name__)
 
 
 class DaemonService:
-    """A daemon. `run` returns when every supervisor has ended."""
+    """A daemon. `run` returns when every supervisor has ended.
+
+    Args:
+        config: The daemon's file.
+        notifier: Connection to systemd; by default the one of the environment.
+        security: Credentials, if a rig requires authentication.
+    """
 
     def __init__(
         self,
@@ -37,11 +43,6 @@ class DaemonService:
     ) -> None:
         """Opens the stores and listens; no rig is contacted before `run`.
 
-        Args:
-            config: The daemon's file.
-            notifier: Connection to systemd; by default the one of the environment.
-            security: Credentials, if a rig requires authentication.
-
         Raises:
             InvalidInput: a security file is wrong.
             JournalError: a store cannot be used.
@@ -51,8 +52,7 @@ class DaemonService:
         self._notifier = notifier or Notifier()
         self._stopping = threading.Event()
         self._published: dict[str, DaemonStatus] = {}
-        self._written_at_s = -float("inf")
-        self._watched_at_s = -float("inf")
+        self._written_at_s = self._watched_at_s = -float("inf")
         with ExitStack() as opened:
             stores = {}
             for rig in config.rig:
@@ -60,14 +60,8 @@ class DaemonService:
                 opened.callback(stores[rig.name].close)
             self._hooks = Hooks(config.hook)
             opened.callback(self._hooks.close, _HOOKS_END_WITHIN_S)
-            instance, service = secrets.token_hex(4), config.service
-            self._server = DaemonServer(
-                service.listen,
-                instance=instance,
-                routers=service.routers,
-                allow_remote=service.allow_remote,
-                security=read_security(service.security) if service.security else OPEN,
-            )
+            instance = secrets.token_hex(4)
+            self._server = _listen(config.service, instance)
             opened.callback(self._server.close)
             self.endpoint = self._server.endpoint
             self._supervised = {
@@ -174,3 +168,13 @@ class DaemonService:
             self._server.show(event.as_message())
         except EstuneError as error:
             _log.debug("event not published: %s", error)
+
+
+def _listen(service: ServiceTable, instance: str) -> DaemonServer:
+    return DaemonServer(
+        service.listen,
+        instance=instance,
+        routers=service.routers,
+        allow_remote=service.allow_remote,
+        security=read_security(service.security) if service.security else OPEN,
+    )

@@ -167,9 +167,8 @@ class RigConfig(TomlTable):
         """
         gauge, current = self.calibrations()
         description = self.describe()
-        settings, late_s = description.controller, self.real_time.late_s
-        if late_s is None:
-            late_s = 0.1 / self.sampling_Hz
+        settings = description.controller
+        late_s = self.real_time.late_s or 0.1 / self.sampling_Hz
         return LoopPlan(
             driver=self.driver.use,
             driver_settings=self.driver.settings,
