@@ -1,8 +1,8 @@
-"""C source to a loaded library: compiled once, kept on disk, shared safely between processes.
+"""Libraries compiled from C source and cached on disk, safe for concurrent processes.
 
-The library's file name holds a key (source, compiler and flags) and the digest of its own bytes:
-one that was cut short or spoilt is recognised before it is loaded, and made anew. Files appear by
-an atomic rename, so that two processes may compile the same thing at once.
+The file name of a library holds a key (source, compiler and flags) and the digest of its own
+bytes, so that a truncated or damaged one is detected before it is loaded, and compiled again.
+Files appear by an atomic rename, so that two processes may compile the same source at once.
 """
 
 import ctypes
@@ -23,9 +23,9 @@ from estune.errors import PlantError
 _log = logging.getLogger(__name__)
 _noticed = threading.Event()
 
-# CasADi calls fmin and fmax from C99 on, which stay calls for the sake of NaN; before it, it
-# writes the comparison itself, which is one instruction. It writes a choice as a sum with zero,
-# which is nothing to do where the sign of a zero does not count.
+# With C99, CasADi calls fmin and fmax, which remain calls because of NaN; before C99 it writes a
+# comparison, one instruction. It writes a choice as a sum with zero, which costs nothing without
+# signed zeros.
 FLAGS = (
     *("-std=gnu90", "-O3", "-fno-math-errno", "-fno-signed-zeros"),
     *("-fPIC", "-shared", "-fvisibility=hidden", "-w"),
@@ -34,34 +34,34 @@ COMPILE_LIMIT_s = 120.0
 
 
 def load(source: str) -> ctypes.CDLL:
-    """The library made from a C source, from the cache where it is there.
+    """The library of a C source, compiled or from the cache.
 
-    The cache is the folder `ESTUNE_CACHE`, or `estune` in the user's cache folder. Where it cannot
-    be written, a temporary folder serves this process.
+    The cache is the folder `ESTUNE_CACHE`, or `estune` in the user's cache folder; if it cannot be
+    written, a temporary folder of this process.
 
     Raises:
-        PlantError: no compiler is there, it failed, or what it made cannot be loaded.
+        PlantError: there is no compiler, it failed, or the library cannot be loaded.
     """
     command = compiler()
     key = _key(source, command)
     reason = ""
     for folder in _folders():
         try:
-            return _loaded(folder, key) or _made(folder, key, source, command)
+            return _load_cached(folder, key) or _compile(folder, key, source, command)
         except OSError as error:
             reason = f"{folder}: {error.strerror or error}"
     raise PlantError(reason)
 
 
 def notice(reason: str) -> None:
-    """Says, once per process, that trials run without compiled code."""
+    """Logs, once per process, that trials run without compiled code."""
     if not _noticed.is_set():
         _noticed.set()
         _log.warning("trials run in CasADi's virtual machine, many times slower: %s", reason)
 
 
 def compiler() -> tuple[str, ...]:
-    """The compiler's command: `CC` where it is set, else `cc` or `gcc`.
+    """The compiler's command: `CC` if it is set, else `cc`, `gcc` or `clang`.
 
     Raises:
         PlantError: there is none.
@@ -72,12 +72,12 @@ def compiler() -> tuple[str, ...]:
         if program:
             return (program, *command[1:])
         if name == os.environ.get("CC"):
-            raise PlantError(f"the compiler named by CC, {name!r}, is not there")
+            raise PlantError(f"the compiler named by CC, {name!r}, was not found; correct CC")
     raise PlantError("no C compiler found; install gcc or clang, or name one in CC")
 
 
 def _key(source: str, command: tuple[str, ...]) -> str:
-    """Names a library by everything it depends on; a compiler by its file's size and age."""
+    """Digest of everything the library depends on; of the compiler, size and age of its file."""
     program = Path(command[0]).resolve()
     status = program.stat()
     parts = (source, *command, *FLAGS, str(program), str(status.st_size), str(status.st_mtime_ns))
@@ -85,7 +85,7 @@ def _key(source: str, command: tuple[str, ...]) -> str:
 
 
 def _folders() -> Iterator[Path]:
-    """The cache folder, then one that lives as long as this process."""
+    """The cache folder, then a temporary one of this process."""
     try:
         chosen = os.environ.get("ESTUNE_CACHE")
         shared = os.environ.get("XDG_CACHE_HOME")
@@ -102,8 +102,8 @@ def _temporary() -> tempfile.TemporaryDirectory[str]:
     return tempfile.TemporaryDirectory(prefix="estune-", ignore_cleanup_errors=True)
 
 
-def _loaded(folder: Path, key: str) -> ctypes.CDLL | None:
-    """The library if it is in the folder and whole."""
+def _load_cached(folder: Path, key: str) -> ctypes.CDLL | None:
+    """The library if it is in the folder and intact."""
     for path in folder.glob(f"{key}-*.so"):
         if path.name == _name(key, path.read_bytes()):
             return ctypes.CDLL(str(path))
@@ -111,7 +111,7 @@ def _loaded(folder: Path, key: str) -> ctypes.CDLL | None:
     return None
 
 
-def _made(folder: Path, key: str, source: str, command: tuple[str, ...]) -> ctypes.CDLL:
+def _compile(folder: Path, key: str, source: str, command: tuple[str, ...]) -> ctypes.CDLL:
     """Compiles the source into the folder and loads it."""
     with tempfile.TemporaryDirectory(prefix="making-", dir=folder) as workshop:
         written, product = Path(workshop, "generated.c"), Path(workshop, "generated.so")

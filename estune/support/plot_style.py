@@ -1,8 +1,8 @@
-"""How drawings look: figures without pyplot, colours, axes and legends.
+"""Style of figures: colours, axes and legends, without pyplot.
 
-Figures are drawn without pyplot, so that a service can draw them too, and a notebook shows them by
-themselves. Colours are of the Okabe-Ito set, which stays apart for colour-blind readers; markers
-and dashes tell the same in grey.
+Without pyplot a service can draw figures, too; a notebook displays them by their `_repr_png_`.
+Colours are of the Okabe-Ito set, distinguishable for colour-blind readers; markers and dashes
+distinguish curves in grey.
 """
 
 from io import BytesIO
@@ -22,14 +22,14 @@ FOUR: tuple[dict[str, Any], ...] = (
     {"color": PURPLE, "linestyle": (0, (1.5, 0.9)), "linewidth": 1.2},
     {"color": VERMILION, "linestyle": (0, (6, 1.5, 1.5, 1.5)), "linewidth": 1.2},
 )
-"""Looks of four curves in order; the dashes tell them apart in grey."""
+"""Styles of four curves; the dashes distinguish them in grey."""
 WIDTH_in = 7.2
 
 _DECADE = 10.0
 
 
 class ShownFigure(Figure):
-    """A figure that a notebook displays by itself, without pyplot having been loaded."""
+    """A figure that a notebook displays without pyplot."""
 
     def _repr_png_(self) -> bytes:
         return to_png(self)
@@ -49,7 +49,7 @@ def new_axes() -> Axes:
 
 
 def new_figure(width_in: float, height_in: float) -> Figure:
-    """An empty figure that lays itself out."""
+    """An empty figure with constrained layout."""
     figure = ShownFigure(figsize=(width_in, height_in), layout="constrained")
     FigureCanvasAgg(figure)
     return figure
@@ -63,23 +63,23 @@ def to_png(figure: Figure, dpi: float = 160.0) -> bytes:
 
 
 def to_svg(figure: Figure) -> str:
-    """The figure as an SVG element, ready to stand in a page."""
+    """The figure as an SVG element for a page."""
     buffer = BytesIO()
-    # No date, so that the same run gives the same page.
+    # Without a date the same run gives the same page.
     figure.savefig(buffer, format="svg", metadata={"Date": None})
     text = buffer.getvalue().decode()
     return text[text.index("<svg") :]
 
 
 def stacked(rows: int, height_in: float) -> tuple[Figure, list[Axes]]:
-    """A figure with axes above each other that share their abscissa."""
+    """A figure with stacked axes that share their abscissa."""
     figure = new_figure(WIDTH_in, height_in)
     axes = figure.subplots(rows, 1, sharex=True, squeeze=False)
     return figure, list(axes[:, 0])
 
 
 def finish(ax: Axes, ordinate: str, abscissa: str = "") -> None:
-    """Labels, a light grid, no frame where nothing is read off, and readable decades."""
+    """Labels, a light grid, no frame at top and right, and readable decades."""
     ax.set_ylabel(ordinate, fontsize=9)
     if abscissa:
         ax.set_xlabel(abscissa, fontsize=9)
@@ -90,14 +90,14 @@ def finish(ax: Axes, ordinate: str, abscissa: str = "") -> None:
     if ax.get_yscale() == "log":
         low, high = ax.get_ylim()
         ax.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
-        # Less than two decades would show one labelled tick or none.
+        # Decades alone would label one tick or none on less than two decades.
         subs = (1.0, 2.0, 5.0) if high / low < _DECADE**2 else (1.0,)
         ax.yaxis.set_major_locator(LogLocator(subs=subs))
         ax.yaxis.set_minor_formatter(NullFormatter())
 
 
 def legend(ax: Axes, columns: int = 4, left: float = 0.0) -> None:
-    """A legend above the axes, beginning at a share of their width from their left edge."""
+    """A legend above the axes, from a share of their width on."""
     ax.legend(
         loc="lower left", bbox_to_anchor=(left, 1.0), ncols=columns, fontsize=8, frameon=False,
         handlelength=2.4, columnspacing=1.4, borderaxespad=0.2,

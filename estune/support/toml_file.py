@@ -1,4 +1,4 @@
-"""Files of settings: TOML, units in the keys, all that is wrong told at once with its path."""
+"""Settings files: TOML with units in the keys; all errors are reported at once with their path."""
 
 import copy
 import difflib
@@ -16,7 +16,7 @@ from estune.errors import InvalidInput
 
 
 class TomlTable(BaseModel):
-    """A table of a file: no unknown keys, no silent conversions, no NaN or infinity."""
+    """A table of a file, without unknown keys, implicit conversions, NaN or infinity."""
 
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, frozen=True)
 
@@ -28,7 +28,7 @@ def read_toml(path: Path) -> dict[str, Any]:
     """The tables of a TOML file.
 
     Raises:
-        InvalidInput: it cannot be read, or is no TOML.
+        InvalidInput: the file cannot be read, or is not TOML.
     """
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
@@ -39,27 +39,27 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def validate(kind: type[_Table], data: dict[str, Any], source: str) -> _Table:
-    """What was read, as the table it should be.
+    """The validated table.
 
     Args:
-        kind: The table.
-        data: What was read.
-        source: Where from, for the message.
+        kind: Class of the table.
+        data: The values read.
+        source: Name of the file, for messages.
 
     Raises:
-        InvalidInput: something in it is wrong; all of it is in the message, a line each.
+        InvalidInput: the values are not valid; the message has a line for each error.
     """
     lines: dict[str, None] = {}
     removed: set[tuple[int | str, ...]] = set()
     while True:
         try:
-            found = kind.model_validate(data)
+            table = kind.model_validate(data)
         except ValidationError as error:
             faults = error.errors(include_url=False, include_context=False)
             new = [fault for fault in faults if fault["loc"] not in removed]
             lines |= dict.fromkeys(line for fault in new for line in _lines(fault, kind))
-            # What one key says about another is looked at only where each is right by itself: the
-            # rest is looked at again without those that are not.
+            # Checks of one key against another run only on keys that are valid by themselves: the
+            # rest is validated again without the invalid ones.
             wrong = {fault["loc"] for fault in new if _has(data, fault["loc"])}
             if not wrong:
                 break
@@ -69,7 +69,7 @@ def validate(kind: type[_Table], data: dict[str, Any], source: str) -> _Table:
             break
     if lines:
         raise InvalidInput("\n".join(f"{source}: {line}" for line in lines))
-    return found
+    return table
 
 
 def _lines(fault: ErrorDetails, kind: type[TomlTable]) -> Iterator[str]:
@@ -82,14 +82,14 @@ def _lines(fault: ErrorDetails, kind: type[TomlTable]) -> Iterator[str]:
         return
     own = _keys(kind, fault["loc"])
     for sentence in fault["msg"].removeprefix("Value error, ").split("\n"):
-        # What a table says of one of its keys begins with the key.
+        # An error that a table reports of one of its keys begins with the key.
         key, colon, _ = sentence.partition(": ")
         deeper = colon and key.partition(".")[0] in own
         yield f"{where}{'.' if deeper and where else ': ' if where else ''}{sentence}"
 
 
 def _has(table: Any, place: tuple[int | str, ...]) -> bool:
-    """Whether a key is there to be taken out; items of lists and whole tables stay."""
+    """Whether a key can be removed; items of lists and whole tables stay."""
     if not place or not isinstance(place[-1], str):
         return False
     for step in place[:-1]:
@@ -116,16 +116,16 @@ def _without(data: dict[str, Any], places: Iterable[tuple[int | str, ...]]) -> d
 
 
 def _keys(kind: type[TomlTable], place: tuple[int | str, ...]) -> list[str]:
-    """The keys of the table at a place."""
-    found: type[TomlTable] = kind
+    """The keys of the table at a path."""
+    table: type[TomlTable] = kind
     for step in place:
-        if isinstance(step, str) and step in found.model_fields:
-            found = _table_in(found.model_fields[step].annotation) or found
-    return list(found.model_fields)
+        if isinstance(step, str) and step in table.model_fields:
+            table = _table_in(table.model_fields[step].annotation) or table
+    return list(table.model_fields)
 
 
 def _table_in(annotation: Any) -> type[TomlTable] | None:
-    """The table that a field holds, itself or as an item."""
+    """The table class of a field, or of its items."""
     if inspect.isclass(annotation) and issubclass(annotation, TomlTable):
         return annotation
     inner = (_table_in(argument) for argument in typing.get_args(annotation))
