@@ -46,7 +46,7 @@ def integrated(w, H, slope, span):
 @pytest.mark.equation(4)
 @pytest.mark.equation(5)
 @given(st.floats(0.05, 50.0), st.floats(0.01, 5.0), st.floats(-5.0, 5.0), st.floats(0.02, 6.0))
-def test_a_solved_cable_is_a_solution_of_the_differential_equation(H, w, slope, swing):
+def test_catenary_solves_the_differential_equation(H, w, slope, swing):
     span = swing * H / w
     rise, length, far_slope = integrated(w, H, slope, span)
     near = dict(zip(cable.NAMES, (length, rise, span), strict=False))
@@ -63,7 +63,7 @@ def test_a_solved_cable_is_a_solution_of_the_differential_equation(H, w, slope, 
 
 
 @pytest.mark.equation(3)
-def test_length_and_ends_give_the_tension_of_the_boundary_value_problem():
+def test_catenary_between_two_points_solves_the_boundary_value_problem():
     span, rise, length, w = 1.2, 0.7, 1.6, 0.0687
 
     def course(_x, y, curvature):
@@ -86,7 +86,7 @@ def test_length_and_ends_give_the_tension_of_the_boundary_value_problem():
 
 @pytest.mark.equation(6)
 @given(courses)
-def test_the_far_tension_carries_the_weight_of_every_piece(course):
+def test_far_tension_includes_the_weight_of_the_cable(course):
     H, m, d, w = course
     q = quantities(H, m, d, w)
     T = np.array([H, q["tension_1z_N"]])
@@ -97,7 +97,7 @@ def test_the_far_tension_carries_the_weight_of_every_piece(course):
     assert np.hypot(*far) == pytest.approx(q["tension_3_N"], rel=1e-9)
 
 
-def test_the_admissible_triples_are_those_that_are_independent():
+def test_admissible_triples_are_the_independent_ones():
     def logarithms(point):
         return np.array(list(quantities(*point, 1.0).values()))
 
@@ -118,7 +118,7 @@ def test_the_admissible_triples_are_those_that_are_independent():
 @pytest.mark.parametrize(
     ("triple", "solutions"), cable.ADMISSIBLE.items(), ids=lambda v: " ".join(sorted(v))
 )
-def test_any_admissible_triple_gives_the_cable_back(triple, solutions):
+def test_catenary_is_recovered_from_any_admissible_triple(triple, solutions):
     rng = np.random.default_rng(3)
     n = 3000
     H, w = np.exp(rng.uniform(-3.0, 3.0, n)), np.exp(rng.uniform(-5.0, 2.0, n))
@@ -146,7 +146,7 @@ def test_any_admissible_triple_gives_the_cable_back(triple, solutions):
 
 
 @given(courses, st.sampled_from(sorted(map(sorted, cable.ADMISSIBLE))))
-def test_a_cable_is_solved_or_refused_with_a_reason(course, triple):
+def test_catenary_is_solved_or_rejected_with_a_reason(course, triple):
     H, m, d, w = course
     truth = quantities(H, 3.0 * m, d / 4.0, w)  # nearly vertical, and taut to the last digits
     for solution in cable.ADMISSIBLE[frozenset(triple)]:
@@ -180,13 +180,13 @@ def test_a_cable_is_solved_or_refused_with_a_reason(course, triple):
         ({"length_m": [1.0, 2.0], "rise_m": [0.5] * 3, "tension_x_N": 1.0}, "do not broadcast"),
     ],
 )
-def test_what_cannot_hang_is_refused_with_its_bound(known, bound):
+def test_impossible_catenary_is_rejected_with_its_bound(known, bound):
     solution = cable.ADMISSIBLE.get(frozenset(known), ("only",))[0]
     with pytest.raises(InvalidInput, match=bound):
         cable.catenary(0.1, solution=solution, **known)
 
 
-def test_the_bounds_are_sharp():
+def test_bounds_of_the_catenary_are_sharp():
     # A level cable's |T_1| is w dx/2 cosh(d)/d, which is least, 1.50888 w dx/2, at d tanh(d) = 1.
     c = cable.catenary(0.1, solution="shorter", span_m=2.0, rise_m=0.0, tension_1_N=0.15089)
     assert c.tension_1_N == 0.15089
@@ -194,7 +194,7 @@ def test_the_bounds_are_sharp():
     assert cable.catenary(0.1, span_m=3.0, rise_m=4.0, length_m=5.0 + 1e-9).tension_x_N > 1e3
 
 
-def test_two_cables_between_two_points_are_told_apart_only_on_request():
+def test_ambiguous_catenary_needs_a_chosen_solution():
     known = {"span_m": 1.0, "rise_m": 0.3, "tension_1_N": 0.5}
     with pytest.raises(InvalidInput, match=r"two cables fit.*'shorter'.*'longer'"):
         cable.catenary(0.07, **known)
@@ -204,7 +204,7 @@ def test_two_cables_between_two_points_are_told_apart_only_on_request():
         cable.catenary(0.07, solution="lower", **known)
 
 
-def test_scalars_give_floats_and_arrays_keep_their_shape():
+def test_catenary_of_scalars_is_floats_and_of_arrays_arrays():
     c = cable.catenary(0.07, span_m=1.0, rise_m=0.3, length_m=1.2)
     assert type(c.tension_x_N) is type(c.residual()) is type(c.chord_m) is float
     c = cable.catenary(0.07, span_m=np.ones((2, 1, 3)), rise_m=np.zeros((4, 1)), length_m=1.2)
@@ -212,7 +212,7 @@ def test_scalars_give_floats_and_arrays_keep_their_shape():
     assert c.points(7)[0].shape == (2, 4, 3, 7)
 
 
-def test_the_taut_limit_is_the_parabola():
+def test_taut_catenary_approaches_the_parabola():
     # Sag of a taut level cable: w L^2/(8 H), length L (1 + w^2 L^2/(24 H^2)).
     H, w, span = 1e3, 0.07, 2.0
     c = cable.catenary(w, span_m=span, rise_m=0.0, tension_x_N=H)
@@ -223,7 +223,7 @@ def test_the_taut_limit_is_the_parabola():
 
 @pytest.mark.equation(1)
 @given(st.floats(-1.5, 1.5), st.floats(0.01, 0.3), st.floats(0.1, 5.0))
-def test_at_the_least_taut_tension_the_tension_is_uniform_within_beta(angle, beta, length):
+def test_least_taut_tension_is_uniform_within_beta(angle, beta, length):
     mu = 0.007
     T = cable.least_taut_tension_N(mu, length, beta)
     assert cable.tension_ratio(mu, length, T) == pytest.approx(beta)
@@ -240,14 +240,14 @@ def test_at_the_least_taut_tension_the_tension_is_uniform_within_beta(angle, bet
 @pytest.mark.equation(1)
 @pytest.mark.equation(2)
 @given(st.floats(0.5, 5.0), st.floats(0.02, 0.3), st.floats(0.5, 1e4))
-def test_the_least_taut_tension_of_a_stretchy_cable_meets_its_own_density(length, beta, EA):
+def test_least_taut_tension_of_an_elastic_cable_uses_its_loaded_density(length, beta, EA):
     T = cable.least_taut_tension_N(0.02, length, beta, EA)
     mu = cable.loaded_density_kg_m(0.02, T, EA)
     assert T * beta == pytest.approx(mu * cable.GRAVITY_M_S2 * length, rel=1e-12)
 
 
 @pytest.mark.equation(2)
-def test_the_loaded_density_is_the_mass_over_the_length_of_a_row_of_springs():
+def test_loaded_density_matches_a_row_of_springs():
     mu_0, T, EA, length, count = 0.007, 30.0, 400.0, 1.3, 1000
     spring_N_m = EA / (length / count)
     stretched = sum(length / count + T / spring_N_m for _ in range(count))
@@ -267,7 +267,7 @@ def hanging_elastic(w, EA, rest, H, V_1):
 
 @pytest.mark.equation(7)
 @given(st.floats(0.02, 40.0), st.floats(-30.0, 30.0), st.floats(0.2, 5.0), st.floats(5.0, 1e6))
-def test_the_elastic_cable_is_its_integrated_differential_equation(H, V_1, rest, EA):
+def test_elastic_catenary_solves_the_differential_equation(H, V_1, rest, EA):
     mu_0 = 0.05
     w = mu_0 * cable.GRAVITY_M_S2
     span, rise, length = hanging_elastic(w, EA, rest, H, V_1)
@@ -280,7 +280,7 @@ def test_the_elastic_cable_is_its_integrated_differential_equation(H, V_1, rest,
 
 
 @given(st.floats(0.02, 2.0), st.floats(-1.57, 1.57), st.floats(1e-5, 0.5), st.floats(0.1, 20.0))
-def test_the_elastic_cable_between_two_points_reaches_them(chord, angle, stretch, rest):
+def test_elastic_between_reaches_both_points(chord, angle, stretch, rest):
     assume(np.cos(angle) * chord > 1e-3)
     mu_0 = 0.05
     w = mu_0 * cable.GRAVITY_M_S2
@@ -290,7 +290,7 @@ def test_the_elastic_cable_between_two_points_reaches_them(chord, angle, stretch
     assert reached == pytest.approx((span, rise, c.length_m), abs=1e-8 * rest)
 
 
-def test_a_stiff_elastic_cable_is_the_catenary():
+def test_stiff_elastic_catenary_approaches_the_catenary():
     points = {"span_m": np.array([0.4, 0.9, 1.1]), "rise_m": np.array([1.0, -0.5, 0.1])}
     stiff = cable.elastic_between(0.007, 1e12, 1.2, **points)
     rigid = cable.catenary(0.007 * cable.GRAVITY_M_S2, length_m=1.2, **points)
@@ -298,7 +298,7 @@ def test_a_stiff_elastic_cable_is_the_catenary():
     assert stiff.tension_1z_N == pytest.approx(rigid.tension_1z_N, rel=1e-9)
 
 
-def test_numbers_beyond_double_precision_are_refused():
+def test_catenary_rejects_results_lost_in_rounding():
     with pytest.raises(InvalidInput, match="rounding"):
         cable.elastic_between(0.007, 1e4, 1.0, span_m=1e308, rise_m=1e308)
     with pytest.raises(InvalidInput, match="rounding"):
@@ -307,7 +307,7 @@ def test_numbers_beyond_double_precision_are_refused():
 
 @pytest.mark.equation(31)
 @pytest.mark.parametrize("order", [1, 2, 3])
-def test_the_string_sounds_at_the_frequencies_of_a_row_of_beads(order):
+def test_string_frequency_matches_a_row_of_beads(order):
     mu, length, T, beads = 0.007, 0.8, 15.0, 4000
     spacing = length / beads
     diagonal = np.full(beads - 1, 2.0 * T / (mu * spacing**2))
@@ -336,6 +336,6 @@ def test_the_string_sounds_at_the_frequencies_of_a_row_of_beads(order):
         lambda: cable.catenary(0.1, span_m=1.0, rise_m=0.0, length_m=1.2).points(1),
     ],
 )
-def test_values_outside_their_range_are_refused(call):
+def test_cable_functions_reject_values_out_of_range(call):
     with pytest.raises(InvalidInput):
         call()

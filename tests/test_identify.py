@@ -58,7 +58,7 @@ def errors_over_half_width(fit, truth):
 
 
 @pytest.mark.parametrize("dead_time_quarters", [0, 3, 4, 9])
-def test_the_sampled_model_is_what_a_simulation_settles_to(dead_time_quarters):
+def test_sampled_model_matches_the_simulation(dead_time_quarters):
     truth = TRUTH._replace(dead_time_quarters=dead_time_quarters, damping=0.3, gauge_damping=0.1)
     long = multisine(SAMPLING_HZ, replace(TEN_SECONDS, settling_periods=2), 4.0)
     found = frequency_response(long, long.waveform_N, simulated(truth, long.waveform_N))
@@ -80,7 +80,7 @@ def test_the_sampled_model_is_what_a_simulation_settles_to(dead_time_quarters):
     dead_time=st.floats(0.0, 0.01),
     gauge=st.none() | st.tuples(st.floats(1600.0, 1900.0), st.floats(0.01, 0.5)),
 )
-def test_the_sampled_model_agrees_with_the_matrix_exponential(natural, damping, dead_time, gauge):
+def test_sampled_model_agrees_with_the_matrix_exponential(natural, damping, dead_time, gauge):
     model = SecondOrder(1.3, natural, damping, dead_time, gauge and GaugeMode(*gauge))
     f = np.linspace(0.1, 315.0, 60)
     A, B, C, E = model.state_space()
@@ -99,9 +99,7 @@ def test_the_sampled_model_agrees_with_the_matrix_exponential(natural, damping, 
     stiffness=st.floats(0.5, 50.0),
     damping=st.floats(0.001, 0.6),
 )
-def test_the_hooke_constant_is_that_of_the_spring_that_resonates_there(
-    inertia, stiffness, damping
-):
+def test_hooke_constant_is_that_of_the_resonating_spring(inertia, stiffness, damping):
     friction = 2.0 * damping * math.sqrt(stiffness * inertia)
     natural = math.sqrt(stiffness / inertia)
     # Where the mass-spring-damper's response is largest, by search.
@@ -115,7 +113,7 @@ def test_the_hooke_constant_is_that_of_the_spring_that_resonates_there(
     assert hooke_constant(peak, inertia, friction) == pytest.approx(stiffness, rel=1e-5)
 
 
-def test_the_hooke_constant_takes_arrays_and_refuses_what_is_no_resonance():
+def test_hooke_constant_takes_arrays_and_rejects_overdamped_values():
     k = hooke_constant(np.array([40.0, 50.0]), 2e-3, 0.02)
     assert k.shape == (2,)
     assert isinstance(hooke_constant(40.0, 2e-3, 0.02), float)
@@ -125,7 +123,7 @@ def test_the_hooke_constant_takes_arrays_and_refuses_what_is_no_resonance():
 
 
 @pytest.mark.parametrize("slope", [0.0, 1.5])
-def test_a_multisine_is_flat_in_time_and_silent_on_its_detection_lines(slope):
+def test_multisine_has_a_low_crest_factor_and_silent_detection_lines(slope):
     made = multisine(SAMPLING_HZ, TEN_SECONDS, 3.0, slope=slope, corner_Hz=20.0)
     (segment,) = made.segments
     spectrum = np.abs(np.fft.rfft(segment.period_N)) / segment.period_N.size
@@ -143,7 +141,7 @@ def test_a_multisine_is_flat_in_time_and_silent_on_its_detection_lines(slope):
     assert segment.odd.size > segment.excited.size / 5
 
 
-def test_a_chirp_has_no_even_lines_and_no_jump():
+def test_chirp_has_no_even_lines_and_no_jump():
     made = chirp(SAMPLING_HZ, Band(1.0, 100.0), 2.0)
     period = made.segments[0].period_N
     assert np.abs(np.fft.rfft(period)[::2]).max() < 1e-10 * period.size
@@ -160,7 +158,7 @@ def test_a_chirp_has_no_even_lines_and_no_jump():
     ],
     ids=["multisine", "chirp", "stepped sine"],
 )
-def test_every_excitation_finds_the_plant(made):
+def test_every_excitation_identifies_the_plant(made):
     y = simulated(TRUTH, made.waveform_N)
     y += 0.04 * np.random.default_rng(3).standard_normal(y.size)
     fit = fit_second_order(frequency_response(made, 15.0 + made.waveform_N, 15.0 + y))
@@ -175,7 +173,7 @@ def test_every_excitation_finds_the_plant(made):
     assert fit.hooke_constant_Nm_rad(2e-3).value == pytest.approx(k, rel=0.01)
 
 
-def test_the_intervals_hold_the_truth_as_often_as_they_say():
+def test_confidence_intervals_have_nominal_coverage():
     seeds = 60
     ratios = []
     for seed in range(seeds):
@@ -188,7 +186,7 @@ def test_the_intervals_hold_the_truth_as_often_as_they_say():
     assert (covered <= high).all(), covered
 
 
-def test_the_confidence_band_holds_the_true_response():
+def test_confidence_band_covers_the_true_response():
     truth = frequency_response(signal(), signal().waveform_N, clean())
     found = frequency_response(signal(), signal().waveform_N, noisy(11))
     inside = np.abs(found.response - truth.response) <= found.radius(0.95)
@@ -200,7 +198,7 @@ def test_the_confidence_band_holds_the_true_response():
     assert (found.coherence <= 1.0).all()
 
 
-def test_distortion_shows_as_even_or_odd_and_in_its_size():
+def test_distortion_is_measured_as_even_or_odd_with_its_size():
     sine = stepped_sine(SAMPLING_HZ, Band(2.0, 40.0, 1.0, 4, 0), 2.0, points=8)
     x = sine.waveform_N
     noise = 1e-3 * np.random.default_rng(0).standard_normal(x.size)
@@ -218,7 +216,7 @@ def test_distortion_shows_as_even_or_odd_and_in_its_size():
     assert (neither.even.detected, neither.odd.detected) == (False, False)
 
 
-def test_odd_distortion_widens_the_band_to_what_it_does():
+def test_odd_distortion_widens_the_confidence_band():
     x = signal().waveform_N
     noise = 1e-3 * np.random.default_rng(0).standard_normal(x.size)
     found = frequency_response(signal(), x, x + 0.004 * x**3 + noise)
@@ -284,7 +282,7 @@ def _refused(case):  # noqa: C901  one branch for each way a record can be bad
         ("few lines", "lines are too few for 6 unknowns; excite 9 or more"),
     ],
 )
-def test_what_cannot_be_identified_is_refused_with_a_remedy(case, said):
+def test_unidentifiable_plant_is_rejected_with_a_remedy(case, said):
     with pytest.raises(InvalidInput, match=said):
         _refused(case)
 
@@ -302,12 +300,12 @@ def test_what_cannot_be_identified_is_refused_with_a_remedy(case, said):
         (lambda: chirp(632.0, Band(2.0, 90.0, period_s=631 / 632), 1.0), "even number"),
     ],
 )
-def test_an_excitation_that_cannot_be_made_is_refused(make, said):
+def test_impossible_excitation_is_rejected(make, said):
     with pytest.raises(InvalidInput, match=said):
         make()
 
 
-def test_a_band_below_the_gauge_takes_the_gauge_as_known():
+def test_fit_below_the_gauge_mode_uses_a_known_gauge():
     made = multisine(SAMPLING_HZ, Band(0.5, 60.0), 2.0)
     y = simulated(TRUTH, made.waveform_N) + 0.01 * np.random.default_rng(0).standard_normal(
         made.waveform_N.size
@@ -320,7 +318,7 @@ def test_a_band_below_the_gauge_takes_the_gauge_as_known():
     assert fit.gauge_Hz is None
 
 
-def test_the_reel_in_open_loop_is_its_linear_model():
+def test_open_loop_reel_matches_its_linear_model():
     reel = reference_reel(1.1, 20.0, dead_time_s=1.25 / SAMPLING_HZ)
     made = multisine(SAMPLING_HZ, TEN_SECONDS, 20.0)
     record = open_loop_record(reel, made, seed=None)
@@ -333,7 +331,7 @@ def test_the_reel_in_open_loop_is_its_linear_model():
     assert np.abs(record.tension_N - expected).max() < 1e-9
 
 
-def test_a_record_that_answers_another_question_is_refused():
+def test_unsuitable_record_is_rejected():
     reel = reference_reel(0.8, 20.0)
     record = open_loop_record(reel, signal(), seed=0)
     with pytest.raises(InvalidInput, match="run the excitation in open loop"):
@@ -360,7 +358,7 @@ def grid():
     )
 
 
-def test_the_dependence_passes_through_its_conditions_and_foretells_the_rest():
+def test_dependence_interpolates_its_conditions_and_predicts_others():
     dependence = Dependence(grid())
     for condition in grid():
         model = dependence.at(condition.cable_length_m, condition.tension_N)
@@ -379,7 +377,7 @@ def test_the_dependence_passes_through_its_conditions_and_foretells_the_rest():
     assert 0.0 < dependence.cross_validation_errors()["natural_frequency"] < 0.05
 
 
-def test_the_dependence_refuses_to_guess():
+def test_dependence_rejects_extrapolation():
     conditions = grid()
     dependence = Dependence(conditions)
     with pytest.raises(InvalidInput, match=r"outside the identified range of 0\.5 to 1\.4 m"):

@@ -45,11 +45,11 @@ REELS = st.builds(
 
 
 @given(REELS)
-def test_a_reel_saved_and_loaded_is_the_same_reel(reel):
+def test_reel_is_unchanged_by_saving_and_loading(reel):
     assert model_file.from_toml(model_file.to_toml(reel, "a note\nof two lines")) == reel
 
 
-def test_an_unloaded_reel_saved_and_loaded_is_the_same():
+def test_unloaded_reel_is_unchanged_by_saving_and_loading():
     drum = unloaded_reel(drum_inertia_kg_m2=3e-3) + CoulombFriction(0.04)
     assert model_file.from_toml(model_file.to_toml(drum)) == drum
     with pytest.raises(InvalidInput, match=r"\[unloaded_reel\] cable_length_m: there is no such"):
@@ -65,7 +65,7 @@ def test_an_unloaded_reel_saved_and_loaded_is_the_same():
     noise=between(0.0, 1.0),
     gains=st.sampled_from([None, GAINS]),
 )
-def test_a_linear_plant_saved_and_loaded_answers_as_before(poles, gain, dead_time_s, noise, gains):
+def test_linear_plant_is_unchanged_by_saving_and_loading(poles, gain, dead_time_s, noise, gains):
     system = control.tf([gain], np.poly(-np.array(poles)))
     plant = plants.linear_plant(
         system, dead_time_s, 1000.0, noise_rms_N=noise, output_max_N=50.0, gains=gains
@@ -76,7 +76,7 @@ def test_a_linear_plant_saved_and_loaded_answers_as_before(poles, gain, dead_tim
     assert np.array_equal(again.sampled.Phi, plant.sampled.Phi)
 
 
-def test_a_linear_plant_keeps_its_effects_and_their_units():
+def test_linear_plant_file_includes_effects_and_units():
     plain = plants.linear_plant(control.tf([1.0], [0.01, 0.02, 1.0]), sampling_Hz=500.0)
     plant = replace(plain, torque_unit=3.0, angle_unit=0.5) + CoulombFriction(0.1)
     again = model_file.from_toml(model_file.to_toml(plant))
@@ -95,7 +95,7 @@ def motor():
 """
 
 
-def test_a_python_plant_is_written_by_the_name_it_is_found_by(tmp_path, monkeypatch):
+def test_python_plant_is_saved_by_its_reference(tmp_path, monkeypatch):
     (tmp_path / "own_motor.py").write_text(MOTOR)
     monkeypatch.syspath_prepend(tmp_path)
     plant = plants.load_model("own_motor:motor") + CurrentSaturation(0.5)
@@ -113,7 +113,7 @@ def test_a_python_plant_is_written_by_the_name_it_is_found_by(tmp_path, monkeypa
             model_file.from_toml(text)
 
 
-def test_a_discrete_plant_and_a_transfer_function_can_be_files():
+def test_discrete_plant_and_transfer_function_can_be_files():
     system = control.tf([1.0], [0.2, 1.0])
     discrete = plants.linear_plant(control.c2d(system, 0.01), dead_time_s=0.03)
     again = model_file.from_toml(model_file.to_toml(discrete))
@@ -124,7 +124,7 @@ def test_a_discrete_plant_and_a_transfer_function_can_be_files():
     assert model_file.from_toml(written).model == expected.model
 
 
-def test_a_file_is_simulated_like_the_model_it_was_saved_from(tmp_path):
+def test_loaded_model_is_simulated_like_the_saved_one(tmp_path):
     reel = plants.reference_reel(cable_length_m=1.1) + CoulombFriction(0.03) + EyeletFriction(0.9)
     plants.save_model(reel, tmp_path / "reel.toml")
     again = plants.load_model(tmp_path / "reel.toml")
@@ -136,7 +136,7 @@ OLD_FILES = sorted((Path(__file__).parent / "assets" / "model_files").glob("*.to
 
 
 @pytest.mark.parametrize("path", OLD_FILES, ids=lambda path: path.stem)
-def test_a_file_of_an_earlier_version_opens_with_all_its_values(path):
+def test_model_file_of_an_earlier_version_opens_with_all_values(path):
     text = path.read_text(encoding="utf-8")
     tables, again = tomllib.loads(text), tomllib.loads(model_file.to_toml(plants.load_model(path)))
     effects, effects_again = (t.pop("effects", []) for t in (tables, again))
@@ -147,12 +147,12 @@ def test_a_file_of_an_earlier_version_opens_with_all_its_values(path):
         assert new == old
 
 
-def test_what_a_file_leaves_out_is_the_reference_reel():
+def test_model_file_defaults_to_the_reference_reel():
     text = "[reel]\n[[effects]]\nname = 'coulomb_friction'\n"
     assert model_file.from_toml(text) == plants.reference_reel() + CoulombFriction()
 
 
-def test_settings_come_before_what_the_file_says(tmp_path):
+def test_settings_override_the_model_file(tmp_path):
     (tmp_path / "reel.toml").write_text("[reel]\ncable_length_m = 0.5\n")
     reel = plants.load_model(str(tmp_path / "reel.toml"), cable_length_m=1.25)
     assert reel.cable_length_m == 1.25
@@ -161,7 +161,7 @@ def test_settings_come_before_what_the_file_says(tmp_path):
         plants.load_model(str(tmp_path / "reel.toml"), cable_lenght=1.25)
 
 
-def test_every_mistake_in_a_file_is_told_at_once_with_its_place(tmp_path):
+def test_model_file_reports_all_mistakes_with_their_places(tmp_path):
     path = tmp_path / "reel.toml"
     path.write_text(
         """
@@ -229,12 +229,12 @@ torque_Nm = 1.0
         ("[linear_plant]\nA = [[-1.0]]\nB = [1, 2]\nC = [1]\n", "the model cannot be made"),
     ],
 )
-def test_a_file_that_holds_no_model_says_why(text, words):
+def test_model_file_without_a_model_is_rejected_with_the_reason(text, words):
     with pytest.raises(InvalidInput, match=words):
         model_file.from_toml(text)
 
 
-def test_a_file_that_cannot_be_read_or_written_says_why(tmp_path):
+def test_unreadable_or_unwritable_model_file_is_reported(tmp_path):
     with pytest.raises(InvalidInput, match=r"nowhere\.toml: No such file"):
         plants.load_model(tmp_path / "nowhere.toml")
     (tmp_path / "latin.toml").write_bytes(b"[reel]\n# \xe9t\xe9\n")
@@ -246,7 +246,7 @@ def test_a_file_that_cannot_be_read_or_written_says_why(tmp_path):
         plants.save_model({}, tmp_path / "reel.toml")
 
 
-def test_an_effect_of_ones_own_is_written_by_module_and_attribute(tmp_path, monkeypatch):
+def test_user_effect_is_saved_by_module_and_attribute(tmp_path, monkeypatch):
     (tmp_path / "hose.py").write_text(
         "from dataclasses import dataclass\n"
         "from typing import ClassVar\n"
@@ -274,7 +274,7 @@ def test_an_effect_of_ones_own_is_written_by_module_and_attribute(tmp_path, monk
         model_file.to_toml(plants.reference_reel() + Local())
 
 
-def test_every_field_of_a_reel_is_in_its_file():
+def test_model_file_has_every_field_of_a_reel():
     table = tomllib.loads(model_file.to_toml(plants.reference_reel()))["reel"]
     assert set(table) == {f.name for f in fields(Reel)} - {"effects"}
     assert {kind.table for kind in KINDS} >= {"reel", "linear_plant"}

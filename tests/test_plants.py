@@ -72,13 +72,13 @@ def wander(samples, size, seed=1):
 
 
 @pytest.mark.parametrize("dead_time_s", [0.0, h, 2.3 * h, 0.45 * h])
-def test_a_taut_reel_is_propagated_exactly(dead_time_s):
+def test_taut_reel_is_propagated_exactly(dead_time_s):
     reel = plants.reference_reel(dead_time_s=dead_time_s)
     effort = wander(120, 3.0)
     assert open_loop(reel, effort)[0] == pytest.approx(integrated(reel, effort), abs=2e-8)
 
 
-def test_a_reel_that_goes_slack_follows_the_differential_equation():
+def test_slack_reel_follows_the_differential_equation():
     effort = np.where(np.arange(150) < 60, -40.0, 20.0)
     exact = integrated(REEL, effort)
     tension = open_loop(REEL, effort)[0]
@@ -86,11 +86,11 @@ def test_a_reel_that_goes_slack_follows_the_differential_equation():
     assert tension == pytest.approx(exact, abs=2e-3 * np.ptp(exact))
 
 
-def test_at_rest_tension_equals_effort():
+def test_tension_at_rest_equals_effort():
     assert open_loop(REEL, np.full(3 * 632, 23.0))[0][-1] == pytest.approx(23.0, abs=1e-3)
 
 
-def test_drum_and_cable_ring_at_the_root_of_stiffness_over_inertia():
+def test_drum_and_cable_oscillate_at_their_natural_frequency():
     poles = np.linalg.eigvals(np.array(REEL.linear_model().A))
     slow = poles[np.abs(poles) < 500.0]
     k = 1.0 / (1.0 / 20e3 + 0.8 / 10e3)
@@ -103,7 +103,7 @@ def test_drum_and_cable_ring_at_the_root_of_stiffness_over_inertia():
     assert np.diff(exact).mean() * h == pytest.approx(np.pi / slow.imag.max(), rel=2e-3)
 
 
-def test_the_gauge_has_its_mode():
+def test_gauge_oscillates_at_its_mode():
     model = REEL.linear_model()
     poles = np.linalg.eigvals(np.array(model.A))
     fast = poles[np.abs(poles) > 500.0]
@@ -111,7 +111,7 @@ def test_the_gauge_has_its_mode():
     assert -fast.real / np.abs(fast) == pytest.approx(0.03)
 
 
-def test_the_linear_model_is_the_taut_reel():
+def test_linear_model_matches_the_taut_reel():
     model, effort = REEL.linear_model(), wander(200, 2.0)
     system = control.ss(model.A, np.array(model.B)[:, None], model.C, 0.0).sample(h)
     late = np.concatenate([[15.0], effort[:-1]])  # one sample of dead time
@@ -119,7 +119,7 @@ def test_the_linear_model_is_the_taut_reel():
     assert open_loop(REEL, effort)[0] - 15.0 == pytest.approx(expected, abs=1e-4)
 
 
-def test_sag_softens_the_cable_as_the_parabola_of_its_weight_says():
+def test_cable_stiffness_includes_the_sag_of_a_parabola():
     reel = plants.reference_reel(1.4, cable_density_kg_m=0.05)
 
     def span(T):
@@ -145,14 +145,14 @@ def test_dead_time_delays_by_whole_samples():
     assert late[:8] == pytest.approx(15.0)
 
 
-def test_the_encoder_counts():
+def test_encoder_angle_is_quantised():
     _, read, true, _ = open_loop(REEL, wander(100, 3.0))
     counts = read / (2 * np.pi / 8192)
     assert counts == pytest.approx(np.round(counts), abs=1e-6)
     assert np.abs(read - true).max() <= np.pi / 8192 * (1 + 1e-9)
 
 
-def test_coulomb_friction_takes_a_fixed_amount_off_each_half_swing():
+def test_coulomb_friction_reduces_each_half_swing_by_a_constant():
     F = 0.005
     frictionless = plants.reference_reel(
         viscous_friction_Nms=0.0, viscous_friction_per_length_Ns=0.0, dead_time_s=0.0
@@ -166,7 +166,7 @@ def test_coulomb_friction_takes_a_fixed_amount_off_each_half_swing():
     assert np.diff(swings) == pytest.approx(-2 * F / stiffness, rel=0.03)
 
 
-def test_coulomb_friction_holds_the_drum_still_and_gives_no_energy():
+def test_coulomb_friction_holds_the_drum_and_adds_no_energy():
     reel = REEL + plants.CoulombFriction(torque_Nm=0.05)
     held = open_loop(reel, np.full(100, 16.9))  # 1.9 N at 0.025 m is less than the friction
     assert np.ptp(held[2]) < 1e-12
@@ -176,6 +176,27 @@ def test_coulomb_friction_holds_the_drum_still_and_gives_no_energy():
     energy = 0.5 * 2e-3 * velocity**2 + 0.5 * k * (angle - 15.0 * 0.025 / k) ** 2
     assert np.all(np.diff(energy[52:]) <= 1e-15)
     assert np.abs(velocity[-1]) < 1e-12
+
+
+def test_plants_have_a_short_repr():
+    motor = plants.python_plant(
+        shifted, 0.0, sampling_Hz=100.0, settling_time_s=1.0, gains=Gains(1.0, 0.0, 0.0, 0.0)
+    )
+    linear = plants.linear_plant(control.tf([1.0], [0.2, 1.0]), 0.31, 50.0)
+    reel = plants.reference_reel(1.1, 20.0, gauge_Hz=250.0)
+    assert repr(reel) == "Reel(cable_length_m=1.1, tension_N=20, gauge_Hz=250)"
+    assert repr(reel + plants.CoulombFriction(0.02)).startswith(f"{reel!r} + CoulombFriction(")
+    assert repr(plants.unloaded_reel()) == "UnloadedReel()"
+    assert repr(linear) == "LinearPlant(order 1, dead time 0.31 s, 50 Hz)"
+    assert repr(motor) == "PythonPlant(shifted, 100 Hz)"
+    assert repr(reel.rig(name="a")) == f"SimulatedRig('a', {reel!r})"
+    assert repr(plants.simulate(reel, reel.describe("a", None).gains)) == (
+        "Response(632 samples, complete)"
+    )
+
+
+def shifted(state, effort, dt_s):
+    return state + dt_s * (effort - state), state
 
 
 @pytest.mark.parametrize(
@@ -190,7 +211,7 @@ def test_coulomb_friction_holds_the_drum_still_and_gives_no_energy():
         (lambda: plants.CoulombFriction(torque_Nm=float("nan")), "torque_Nm"),
     ],
 )
-def test_a_reel_that_cannot_be_is_refused(make, told):
+def test_reel_rejects_values_out_of_range(make, told):
     with pytest.raises(InvalidInput, match=told):
         make()
 
@@ -209,7 +230,7 @@ SYSTEMS = {
 
 @pytest.mark.parametrize("dead_samples", [0.0, 0.25, 3.0, 40.5])
 @pytest.mark.parametrize("name", SYSTEMS)
-def test_a_linear_trial_agrees_with_python_control(name, dead_samples):
+def test_linear_trial_agrees_with_python_control(name, dead_samples):
     rate, fine = 50.0, 4
     plant = plants.linear_plant(SYSTEMS[name], dead_samples / rate, rate)
     gains = Gains(0.4, 0.3, 0.01, 0.1)
@@ -234,27 +255,27 @@ def test_a_linear_trial_agrees_with_python_control(name, dead_samples):
     expected = (C @ np.atleast_2d(x))[0] + sampled.D[0, 0] * in_force
     assert trial.tension_N == pytest.approx(expected[::fine], abs=1e-9)
     # The controller: its own measurement through the controller of the rig.
-    c, state = pidf.coefficients(plant.controller, gains), pidf.at_rest(0.0, 0.0)
+    c, state = pidf.coefficients(plant.controller, gains), pidf.state_at_rest(0.0, 0.0)
     for r, y, u in zip(trial.setpoint_N, trial.tension_N, trial.effort_N, strict=True):
         state, effort, _ = pidf.step(c, state, r, y)
         assert u == pytest.approx(effort, abs=1e-12)
 
 
-def test_a_linear_trial_starts_settled_at_its_preload():
+def test_linear_trial_starts_settled_at_its_preload():
     for name in ("lag", "resonance", "integrator", "feed-through", "state space"):
         plant = plants.linear_plant(SYSTEMS[name], 0.1, 50.0)
         trial = plants.simulate(plant, Gains(0.4, 0.3, 0.0, 0.1), StepProfile(7.0, 1.0, 1.0, 2.0))
         assert trial.tension_N[:50] == pytest.approx(7.0)
 
 
-def test_a_model_without_gain_at_rest_is_held_at_zero_only():
+def test_linear_plant_without_gain_at_rest_accepts_only_zero_preload():
     plant = plants.linear_plant(control.tf([1.0, 0.0], [1.0, 1.0]), 0.1, 50.0)
     assert plants.simulate(plant, Gains(0.1, 0.0, 0.0, 0.0)).diverged_at is None
     with pytest.raises(PlantError, match="preload of 3 N"):
         plants.simulate(plant, Gains(0.1, 0.0, 0.0, 0.0), StepProfile(3.0, 1.0, 0.1, 1.0))
 
 
-def test_an_effect_on_a_linear_plant_of_any_order_is_the_plant_that_has_it():
+def test_effect_on_a_linear_plant_equals_the_plant_that_includes_it():
     gains, profile = Gains(0.02, 0.2, 0.0, 0.1), StepProfile(7.0, 1.0, 0.1, 4.0)
     for name in ("lag", "resonance", "integrator"):
         plain, stronger = (plants.linear_plant(k * SYSTEMS[name], 0.1, 50.0) for k in (1.0, 1.2))
@@ -264,7 +285,7 @@ def test_an_effect_on_a_linear_plant_of_any_order_is_the_plant_that_has_it():
             assert trials[0].tension_N == pytest.approx(trials[1].tension_N, abs=1e-9)
 
 
-def test_a_discrete_model_is_the_continuous_one_sampled():
+def test_discrete_model_matches_the_sampled_continuous_model():
     continuous = SYSTEMS["resonance"]
     gains = Gains(0.2, 1.0, 0.0, 0.0)
     trials = [
@@ -277,7 +298,7 @@ def test_a_discrete_model_is_the_continuous_one_sampled():
     assert trials[0].tension_N == pytest.approx(trials[1].tension_N, abs=1e-9)
 
 
-def test_models_of_one_order_share_one_compilation():
+def test_linear_plants_of_one_order_share_one_compilation():
     a, b = (plants.linear_plant(control.tf([1.0], [T, 1.0]), T, 50.0) for T in (0.5, 3.0))
     assert a.structure == b.structure
 
@@ -317,12 +338,12 @@ def test_models_of_one_order_share_one_compilation():
         (lambda: plants.linear_plant(SYSTEMS["unstable"]).rig(), UnsafeStart, "gains"),
     ],
 )
-def test_a_model_that_cannot_serve_is_refused(make, error, told):
+def test_linear_plant_rejects_unusable_models(make, error, told):
     with pytest.raises(error, match=told):
         make()
 
 
-def test_a_model_finds_safe_gains_of_its_own():
+def test_linear_plant_chooses_safe_gains():
     for name in ("lag", "resonance", "eighth order", "integrator"):
         plant = plants.linear_plant(SYSTEMS[name], 0.2)
         gains = plant.describe("model", None).gains
@@ -337,7 +358,7 @@ def lag(state, effort, dt_s):
 
 
 @pytest.mark.parametrize("dead_samples", [0.0, 3.0, 2.6])
-def test_a_python_plant_gives_what_the_same_linear_model_gives(dead_samples):
+def test_python_plant_matches_the_same_linear_model(dead_samples):
     step = StepProfile(0.0, 1.0, 0.1, 3.0)
     gains, limits = Gains(0.8, 2.0, 0.01, 0.05), {"output_min_N": -1.0, "output_max_N": 0.6}
     model = plants.linear_plant(SYSTEMS["lag"], dead_samples / 50.0, 50.0, **limits)
@@ -351,7 +372,7 @@ def test_a_python_plant_gives_what_the_same_linear_model_gives(dead_samples):
     assert a.flags.any()
 
 
-def test_a_python_plant_that_changes_its_state_in_place_starts_anew_each_time():
+def test_python_plant_copies_its_initial_state_for_each_trial():
     def tank(state, effort, dt_s):
         state["level"] += effort * dt_s
         return state, state["level"]
@@ -374,7 +395,7 @@ def test_a_python_plant_that_changes_its_state_in_place_starts_anew_each_time():
         ((0.0, float("inf")), "inf"),
     ],
 )
-def test_a_python_plant_that_answers_wrongly_is_told_so(answer, told):
+def test_python_plant_rejects_wrong_return_values(answer, told):
     plant = plants.python_plant(
         lambda _state, _effort, _dt: answer, 0.0, sampling_Hz=20.0, settling_time_s=1.0
     )
@@ -384,7 +405,7 @@ def test_a_python_plant_that_answers_wrongly_is_told_so(answer, told):
     assert "(state, measurement)" in str(caught.value)
 
 
-def test_a_python_plant_that_raises_is_told_so():
+def test_python_plant_reports_exceptions_of_its_function():
     def broken(_state, _effort, _dt):
         raise ZeroDivisionError("no mass")
 
@@ -393,7 +414,7 @@ def test_a_python_plant_that_raises_is_told_so():
         plants.simulate(plant, Gains(1.0, 0.0, 0.0, 0.0))
 
 
-def test_a_python_plant_has_no_safe_gains_of_its_own():
+def test_python_plant_needs_given_gains():
     plant = plants.python_plant(lag, 0.0, sampling_Hz=20.0, settling_time_s=1.0)
     with pytest.raises(UnsafeStart, match="gains"):
         plant.rig()

@@ -44,7 +44,7 @@ PLANTS = {
 
 
 @pytest.mark.parametrize("name", PLANTS)
-def test_the_virtual_machine_gives_the_numbers_of_the_compiled_trial(name, monkeypatch):
+def test_virtual_machine_matches_the_compiled_trial(name, monkeypatch):
     plant = PLANTS[name]
     profile = StepProfile(15.0, 10.0, 0.1, 0.6)
     samples = profile.samples(plant.controller.sampling_Hz)
@@ -61,7 +61,7 @@ def test_the_virtual_machine_gives_the_numbers_of_the_compiled_trial(name, monke
     assert virtual.diverged_at == compiled.diverged_at
 
 
-def test_one_structure_is_compiled_once(cache):
+def test_structure_is_compiled_once(cache):
     a = trial_loop.__wrapped__(plants.reference_reel(0.5, 8.0).structure)
     b = trial_loop.__wrapped__(plants.reference_reel(1.4, 30.0, gauge_Hz=250.0).structure)
     assert isinstance(a, CompiledLoop)
@@ -72,7 +72,7 @@ def test_one_structure_is_compiled_once(cache):
 @pytest.mark.parametrize(
     "damage", [lambda b: b[: len(b) // 2], lambda _: b"", lambda b: b[:-9] + b"corrupted"]
 )
-def test_a_spoilt_library_is_made_anew(cache, damage):
+def test_corrupt_library_is_compiled_again(cache, damage):
     source = "int estune_spoilt(void) { return 41; }"
     source = source.replace("int", '__attribute__((visibility("default"))) int', 1)
     assert c_compiler.load(source).estune_spoilt() == 41
@@ -85,7 +85,7 @@ def test_a_spoilt_library_is_made_anew(cache, damage):
     assert again.read_bytes() == whole
 
 
-def test_many_processes_may_compile_the_same_at_once(cache):
+def test_concurrent_processes_compile_the_same_structure(cache):
     code = (
         "import plants; from estune.core.gains import Gains;"
         "r = plants.simulate(plants.reference_reel(), Gains(1.0, 30.0, 0.01, 0.01));"
@@ -106,7 +106,8 @@ def test_many_processes_may_compile_the_same_at_once(cache):
 def run_elsewhere(**environment):
     """A trial in a new process: its answer and what it said."""
     code = (
-        "import plants; from estune.core.gains import Gains; from plants.simulation import trial_loop;"
+        "import plants; from estune.core.gains import Gains;"
+        "from plants.simulation import trial_loop;"
         "a = plants.reference_reel(); b = a + plants.CoulombFriction();"
         "g = Gains(1.2, 50.0, 0.02, 0.004);"
         "n = [float(plants.simulate(r, g).tension_N.sum()) for r in (a, b, a)];"
@@ -123,7 +124,7 @@ def run_elsewhere(**environment):
 TOTAL = float(plants.simulate(plants.reference_reel(), GAINS).tension_N.sum())
 
 
-def test_without_a_compiler_the_virtual_machine_serves_and_says_so_once(cache):
+def test_missing_compiler_selects_the_virtual_machine_with_one_notice(cache):
     kind, total, said = run_elsewhere(PATH=str(cache), CC="")
     assert kind == "VirtualLoop"
     assert total == pytest.approx(TOTAL, rel=1e-12)
@@ -131,7 +132,7 @@ def test_without_a_compiler_the_virtual_machine_serves_and_says_so_once(cache):
     assert "no C compiler found" in said
 
 
-def test_a_compiler_that_fails_is_named(tmp_path, cache):
+def test_failing_compiler_is_named(tmp_path, cache):
     broken = tmp_path / "broken-cc"
     broken.write_text("#!/bin/sh\necho 'out of ideas' >&2\nexit 3\n")
     broken.chmod(0o755)
@@ -141,14 +142,14 @@ def test_a_compiler_that_fails_is_named(tmp_path, cache):
     assert libraries(cache) == []
 
 
-def test_a_cache_that_cannot_be_written_gives_way_to_a_temporary_folder(tmp_path):
+def test_unwritable_cache_falls_back_to_a_temporary_folder(tmp_path):
     blocked = tmp_path / "file"
     blocked.write_text("in the way")
     kind, total, said = run_elsewhere(ESTUNE_CACHE=str(blocked / "cache"))
     assert (kind, total, said) == ("CompiledLoop", TOTAL, "")
 
 
-def test_the_notice_is_given_once(caplog, monkeypatch):
+def test_notice_is_given_once(caplog, monkeypatch):
     monkeypatch.setattr(c_compiler, "_noticed", threading.Event())
     with caplog.at_level(logging.WARNING):
         c_compiler.notice("first")
@@ -158,7 +159,7 @@ def test_the_notice_is_given_once(caplog, monkeypatch):
 
 
 @pytest.mark.parametrize("plant", [FRICTION, PLANTS["linear"]])
-def test_a_batch_costs_what_its_trials_cost_one_by_one(plant):
+def test_batch_costs_equal_those_of_single_trials(plant):
     step = StepProfile(15.0, 5.0, 0.1, 1.5)
     cost = StepCost(0.5, move_weight=0.2)
     rate = plant.controller.sampling_Hz
@@ -178,7 +179,7 @@ def test_a_batch_costs_what_its_trials_cost_one_by_one(plant):
         assert found == pytest.approx(np.array(expected), rel=1e-12, nan_ok=True)
 
 
-def test_the_noise_of_a_batch_is_that_of_the_rig():
+def test_batch_noise_equals_that_of_the_rig():
     reel, step, cost = plants.reference_reel(), StepProfile(15.0, 10.0, 0.2, 1.0), StepCost(0.13)
     costs = plants.batch_costs(reel, [GAINS.as_tuple()] * 70, step, cost, seed=9)
     noise = NoiseSource(9).draw(66, 632, reel.gauge_noise_N)
@@ -188,14 +189,14 @@ def test_the_noise_of_a_batch_is_that_of_the_rig():
     assert np.ptp(costs) > 0.0
 
 
-def test_an_empty_batch_costs_nothing():
+def test_empty_batch_has_no_costs():
     assert plants.batch_costs(FRICTION, np.empty((0, 4)), None, StepCost(0.1)).shape == (0,)
 
 
 UNSTABLE = plants.linear_plant(control.tf([1.0], [1.0, -1.0]), 0.0, 20.0)
 
 
-def test_divergence_ends_the_trial_and_tells_the_sample():
+def test_divergence_ends_the_trial_and_reports_the_sample():
     step = StepProfile(0.0, 1.0, 0.5, 40.0)
     trial = plants.simulate(UNSTABLE, Gains(0.1, 0.0, 0.0, 0.0), step)
     assert trial.diverged_at is not None
@@ -209,14 +210,14 @@ def test_divergence_ends_the_trial_and_tells_the_sample():
     assert stable.diverged_at is None
 
 
-def test_a_response_that_is_not_finite_has_diverged_whatever_the_bound():
+def test_response_that_is_not_finite_has_diverged_for_any_bound():
     step = StepProfile(0.0, 1.0, 0.5, 2000.0)
     trial = plants.simulate(UNSTABLE, Gains(0.1, 0.0, 0.0, 0.0), step, bound_N=float("inf"))
     assert trial.diverged_at is not None
     assert np.isfinite(trial.tension_N).all()
 
 
-def test_a_diverged_trial_of_a_batch_has_no_cost():
+def test_diverged_trial_of_a_batch_costs_nan():
     step = StepProfile(0.0, 1.0, 0.5, 40.0)
     costs = plants.batch_costs(
         UNSTABLE, [(0.1, 0.0, 0.0, 0.0), (3.0, 1.0, 0.0, 0.0)], step, StepCost(5.0)
@@ -250,19 +251,19 @@ def cost_of(gains, settling_time_s=0.1):
         (lambda: NoiseSource(1.5), "seed is 1.5"),
     ],
 )
-def test_what_cannot_be_simulated_is_told_in_a_line(call, told):
+def test_simulate_rejects_bad_input_in_one_line(call, told):
     with pytest.raises(InvalidInput, match=told) as caught:
         call()
     assert "\n" not in str(caught.value)
 
 
-def test_an_error_in_a_thread_reaches_the_caller():
+def test_exception_in_a_batch_thread_reaches_the_caller():
     plant = plants.python_plant(lambda *_: None, 0.0, sampling_Hz=20.0, settling_time_s=1.0)
     with pytest.raises(PlantError, match="NoneType"):
         plants.batch_costs(plant, [(1, 1, 0, 0)] * 200, None, StepCost(1.0), workers=2)
 
 
-def test_noise_is_white_and_depends_on_seed_and_number_alone():
+def test_noise_is_white_and_depends_only_on_seed_and_number():
     source = NoiseSource(5)
     first = source.draw(3, 4000, 0.04)
     source.draw(8, 10, 1.0)

@@ -25,7 +25,7 @@ def columns(record):
     return [getattr(record, name) for name in names]
 
 
-def test_a_record_says_what_was_run():
+def test_record_describes_its_trial():
     rig = plants.reference_reel().rig(name="left", seed=3)
     record = rig.run(ask(4))
     assert (record.trial_id, record.rig, record.outcome) == ("run-00004", "left", Outcome.DONE)
@@ -38,7 +38,7 @@ def test_a_record_says_what_was_run():
     assert np.std(record.tension_N[:60]) == pytest.approx(0.04, rel=0.3)
 
 
-def test_noise_depends_on_the_seed_and_the_trial_number_alone():
+def test_rig_noise_depends_only_on_seed_and_trial_number():
     a, b, c = (plants.reference_reel().rig(seed=seed) for seed in (1, 1, 2))
     a.run(ask(0))
     once = a.run(ask(7)).tension_N
@@ -47,7 +47,7 @@ def test_noise_depends_on_the_seed_and_the_trial_number_alone():
     assert not np.array_equal(once, a.run(ask(8)).tension_N)
 
 
-def test_a_trial_asked_for_again_is_not_run_again():
+def test_repeated_request_returns_the_first_record():
     rig = plants.reference_reel().rig()
     first = rig.run(ask())
     assert rig.run(ask()) is first
@@ -56,14 +56,14 @@ def test_a_trial_asked_for_again_is_not_run_again():
     assert rig.run(ask(attempt=1)).trial_id == "run-00000.1"
 
 
-def test_records_handed_out_cannot_be_changed():
+def test_records_are_read_only():
     record = plants.reference_reel().rig().run(ask())
     for column in columns(record):
         with pytest.raises(ValueError, match="read-only"):
             column[0] = 1.0
 
 
-def test_the_number_of_records_kept_is_bounded():
+def test_number_of_stored_records_is_bounded():
     rig = plants.reference_reel().rig()
     first = rig.run(ask())
     for number in range(1, 300):
@@ -73,7 +73,7 @@ def test_the_number_of_records_kept_is_bounded():
     assert np.array_equal(again.tension_N, first.tension_N)
 
 
-def test_a_trial_leaves_the_live_gains_alone():
+def test_trial_does_not_change_the_live_gains():
     rig = plants.reference_reel().rig()
     before = rig.describe().gains
     rig.run(ask())
@@ -92,14 +92,14 @@ def test_a_trial_leaves_the_live_gains_alone():
         StepProfile(15.0, 10.0, 0.2, 100.0),
     ],
 )
-def test_a_request_outside_the_limits_is_refused(step):
+def test_request_outside_the_limits_is_rejected(step):
     rig = plants.reference_reel().rig()
     with pytest.raises(InvalidInput):
         rig.run(ask(profile=step))
     assert rig.run(ask()).outcome is Outcome.DONE  # the id was not used up
 
 
-def test_a_closed_rig_refuses():
+def test_closed_rig_rejects_calls():
     rig = plants.reference_reel().rig(name="left")
     rig.close()
     rig.close()
@@ -119,7 +119,7 @@ def test_divergence_is_an_outcome():
     assert all(np.isfinite(column).all() for column in columns(record))
 
 
-def test_abort_ends_a_trial_that_takes_its_time():
+def test_abort_ends_a_paced_trial():
     rig = plants.reference_reel().rig(pace=1.0)
     step = StepProfile(15.0, 10.0, 0.2, 60.0)
     records = []
@@ -138,13 +138,13 @@ def test_abort_ends_a_trial_that_takes_its_time():
     assert rig.run(ask(1, profile=StepProfile(15.0, 10.0, 0.01, 0.02))).outcome is Outcome.DONE
 
 
-def test_abort_without_a_trial_does_nothing_to_the_next():
+def test_abort_without_a_trial_does_not_affect_the_next():
     rig = plants.reference_reel().rig(pace=0.001)
     assert rig.abort() == rig.describe()
     assert rig.run(ask()).outcome is Outcome.DONE
 
 
-def test_a_paced_trial_takes_its_time():
+def test_paced_trial_takes_its_duration():
     rig = plants.reference_reel().rig(pace=1.0)
     began = time.monotonic()
     record = rig.run(ask(profile=StepProfile(15.0, 10.0, 0.05, 0.2)))
@@ -154,7 +154,7 @@ def test_a_paced_trial_takes_its_time():
 
 @pytest.mark.parametrize("length", [0.5, 0.8, 1.1, 1.4])
 @pytest.mark.parametrize("tension", [5.0, 15.0, 40.0])
-def test_the_reels_own_gains_are_safe_over_its_range(length, tension):
+def test_safe_gains_are_stable_over_the_reels_range(length, tension):
     rig = plants.reference_reel(length, tension).rig()
     told = rig.describe()
     found = margins(told.linear_model, told.gains, told.controller)
@@ -166,7 +166,7 @@ def test_the_reels_own_gains_are_safe_over_its_range(length, tension):
     assert told.settling_time_s < told.step.duration_s - told.step.step_at_s
 
 
-def test_a_rig_describes_its_reel():
+def test_rig_describes_its_reel():
     reel = plants.reference_reel(1.1, 20.0)
     told = reel.rig(name="right").describe()
     stiffness = 1.0 / (1.0 / 20e3 + 1.1 / 10e3)
@@ -181,7 +181,7 @@ def test_a_rig_describes_its_reel():
 
 
 @pytest.mark.parametrize("kind", ["linear", "function"])
-def test_in_open_loop_the_setpoint_is_the_effort_within_its_limits(kind):
+def test_open_loop_setpoint_is_the_limited_effort(kind):
     rate = 100.0
     system = control.ss([[-2.0]], [[2.0]], [[1.0]], [[0.0]])
     settings = {"output_min_N": -1.0, "output_max_N": 1.0}

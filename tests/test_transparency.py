@@ -27,7 +27,7 @@ tensions = st.floats(0.1, 200.0)
 @pytest.mark.equation(11)
 @pytest.mark.equation(12)
 @given(cones, turns)
-def test_directions_are_the_axis_tilted_and_turned(theta, phi):
+def test_directions_are_the_tilted_and_turned_axis(theta, phi):
     turn = Rotation.from_euler("z", phi)
     inside = (turn * Rotation.from_euler("y", theta)).apply([0.0, 0.0, 1.0])
     outside = (turn * Rotation.from_euler("y", -theta)).apply([0.0, 0.0, -1.0])
@@ -37,18 +37,18 @@ def test_directions_are_the_axis_tilted_and_turned(theta, phi):
 
 @pytest.mark.equation(13)
 @given(cones, turns, cones, turns)
-def test_angle_at_the_eyelet_is_that_between_the_two_directions(theta_1, phi_1, theta_2, phi_2):
+def test_eyelet_angle_is_between_the_two_directions(theta_1, phi_1, theta_2, phi_2):
     outside = Rotation.from_euler("yz", [-theta_1, phi_1]).apply([0.0, 0.0, -1.0])
     inside = Rotation.from_euler("yz", [theta_2, phi_2]).apply([0.0, 0.0, 1.0])
     gamma = tr.eyelet_angle_rad(theta_1, phi_1, theta_2, phi_2)
     assert math.cos(gamma) == pytest.approx(outside @ inside, abs=1e-12)
 
 
-def test_angle_of_an_almost_straight_cable_keeps_its_digits():
+def test_angle_of_a_nearly_straight_cable_is_accurate():
     assert math.pi - tr.eyelet_angle_rad(1e-9, 0.3, 0.0, 0.0) == pytest.approx(1e-9, rel=1e-6)
 
 
-def test_contact_line_is_across_both_directions():
+def test_contact_line_is_normal_to_both_directions():
     P_1, P_2 = tr.direction_outside([0.3, 1.0], 0.2), tr.direction_inside(0.8, [2.0, 0.1])
     line = tr.contact_line(P_1, P_2)
     assert np.sum(line * P_1, axis=-1) == pytest.approx([0.0, 0.0], abs=1e-15)
@@ -60,7 +60,7 @@ def test_contact_line_is_across_both_directions():
 
 @pytest.mark.equation(14)
 @given(st.floats(0.0, 1.57), st.integers(0, 1000), tensions)
-def test_contact_force_splits_into_its_parts_along_and_across_the_line(Psi, seed, size):
+def test_contact_force_splits_along_and_across_the_line(Psi, seed, size):
     frame = Rotation.random(random_state=seed)
     line = frame.apply([1.0, 0.0, 0.0])
     force = size * frame.apply([math.sin(Psi), 0.0, math.cos(Psi)])
@@ -92,7 +92,7 @@ def capstan(coefficient, wrap, tension_2):
 @pytest.mark.equation(18)
 @pytest.mark.equation(19)
 @given(st.floats(0.0, 0.9), st.floats(1e-3, 3.0), tensions)
-def test_tensions_balance_friction_and_pressure_summed_along_a_wrap(coefficient, wrap, T_2):
+def test_tensions_balance_friction_and_pressure_along_a_wrap(coefficient, wrap, T_2):
     friction, press = capstan(coefficient, wrap, T_2)
     left = tr.tension_outside_N(T_2, friction)
     assert left == pytest.approx(T_2 * math.exp(-coefficient * wrap), rel=1e-9)
@@ -103,7 +103,7 @@ def test_tensions_balance_friction_and_pressure_summed_along_a_wrap(coefficient,
 @pytest.mark.equation(16)
 @pytest.mark.equation(20)
 @given(st.floats(0.05, 0.9), st.floats(0.05, 0.9), st.floats(0.0, 0.95), st.floats(1.0, 100.0))
-def test_cable_sticks_up_to_the_greatest_friction_in_the_ellipse(C_R, C_L, share, size):
+def test_cable_sticks_up_to_the_friction_ellipse(C_R, C_L, share, size):
     """Brute force: every friction the contact can give lies on an ellipse or within."""
     Psi = share * math.atan(C_L)
     normal, lateral = size * math.cos(Psi), size * math.sin(Psi)
@@ -119,7 +119,7 @@ def test_cable_sticks_up_to_the_greatest_friction_in_the_ellipse(C_R, C_L, share
 
 @pytest.mark.equation(17)
 @given(tensions, tensions, angles)
-def test_plane_tensions_have_their_sizes_and_angle_from_any_frame(T_1, T_2, gamma):
+def test_plane_tensions_have_the_given_sizes_and_angle(T_1, T_2, gamma):
     outside, inside = tr.plane_tensions_N(T_1, T_2, gamma)
     assert np.linalg.norm(outside) == pytest.approx(T_1)
     assert np.linalg.norm(inside) == pytest.approx(T_2)
@@ -145,7 +145,7 @@ def slides_at(coefficient, gamma, T_2=1.0):
 @pytest.mark.equation(23)
 @pytest.mark.equation(24)
 @given(coefficients, angles, tensions)
-def test_attenuation_is_where_the_vectors_balance(coefficient, gamma, T_2):
+def test_attenuation_balances_the_vectors(coefficient, gamma, T_2):
     T_1 = slides_at(coefficient, gamma, T_2)
     B = tr.attenuation(coefficient, gamma)
     assert tr.attenuated_tension_N(T_2, B) == pytest.approx(T_1, rel=1e-9)
@@ -157,7 +157,7 @@ def test_attenuation_is_where_the_vectors_balance(coefficient, gamma, T_2):
 
 @pytest.mark.equation(25)
 @given(st.floats(0.0, 0.9), angles, tensions)
-def test_capital_gamma_is_the_coefficient_of_the_squared_balance(coefficient, gamma, T_2):
+def test_capital_gamma_is_the_coefficient_of_the_quadratic(coefficient, gamma, T_2):
     """The square of (21), sampled at three tensions, is a polynomial in the tension outside."""
     at = T_2 * np.array([0.0, 1.0, 2.0])
     outside = at[:, None] * [math.cos(gamma), math.sin(gamma)]
@@ -171,7 +171,7 @@ def test_capital_gamma_is_the_coefficient_of_the_squared_balance(coefficient, ga
 
 @pytest.mark.equation(26)
 @pytest.mark.parametrize("wrap", [0.3, 1.5, 3.0])
-def test_many_small_contacts_make_a_capstan(wrap):
+def test_many_small_contacts_approach_a_capstan(wrap):
     n, friction_angle = 2000, 0.3
     parts = [tr.attenuation(math.sin(friction_angle), math.pi - wrap / n)] * n
     expected = math.exp(-math.tan(friction_angle) * wrap)
@@ -182,7 +182,7 @@ def test_many_small_contacts_make_a_capstan(wrap):
     st.floats(1e-4, 0.95),
     st.lists(angles, min_size=1, max_size=4),
 )
-def test_friction_coefficient_is_the_root_that_bisection_finds(coefficient, gammas):
+def test_friction_coefficient_equals_the_root_by_bisection(coefficient, gammas):
     B = math.prod(slides_at(coefficient, gamma) for gamma in gammas)
     found = tr.friction_coefficient(B, *gammas)
     assert tr.attenuation(found, *gammas) == pytest.approx(B, rel=1e-12)
@@ -197,7 +197,7 @@ def test_friction_coefficient_is_the_root_that_bisection_finds(coefficient, gamm
     assert found == pytest.approx(brentq(missing, 0.0, 0.999, xtol=1e-15), rel=1e-5)
 
 
-def test_functions_take_arrays_and_broadcast():
+def test_contact_functions_broadcast():
     C, gamma = np.linspace(0.05, 0.9, 4)[:, None], np.linspace(0.1, 3.0, 5)
     B = tr.attenuation(C, gamma, 2.0)
     assert B.shape == (4, 5)
@@ -210,7 +210,7 @@ def test_functions_take_arrays_and_broadcast():
 
 @pytest.mark.equation(27)
 @pytest.mark.equation(28)
-def test_spread_and_mean_are_those_of_the_geometric_statistics():
+def test_log_spread_and_mean_are_geometric_statistics():
     B = np.array([[0.95, 0.93, 0.91, 0.97], [0.8, 0.8, 0.8, 0.8]])
     assert np.exp(tr.log_mean(B)) == pytest.approx(gmean(B, axis=1))
     ln = np.log(B[0]).tolist()
@@ -221,7 +221,7 @@ def test_spread_and_mean_are_those_of_the_geometric_statistics():
 
 @pytest.mark.equation(29)
 @given(coefficients, angles)
-def test_friction_share_is_the_loss_of_tension_and_its_limit_a_ratio_of_nine_tenths(C, gamma):
+def test_friction_share_equals_one_minus_attenuation(C, gamma):
     T_1 = slides_at(C, gamma)
     share = tr.friction_share(C, tr.attenuation(C, gamma), gamma)
     assert share == pytest.approx(1.0 - T_1, abs=1e-9)
@@ -237,7 +237,7 @@ def test_friction_share_is_the_loss_of_tension_and_its_limit_a_ratio_of_nine_ten
         (0.89, 0.9, 0.92, "undecided"),
     ],
 )
-def test_weber_verdict_waits_for_its_interval(low, value, high, verdict):
+def test_weber_verdict_depends_on_the_interval(low, value, high, verdict):
     found = tr.static_transparency([0.96, value], [0.95, low], [0.97, high])
     assert found.verdict == verdict
 
@@ -265,6 +265,6 @@ def test_weber_verdict_waits_for_its_interval(low, value, high, verdict):
         (lambda: tr.log_spread([]), "no attenuation ratio"),
     ],
 )
-def test_bad_input_is_named_with_its_remedy(call, said):
+def test_contact_functions_reject_bad_input_with_a_remedy(call, said):
     with pytest.raises(InvalidInput, match=said):
         call()

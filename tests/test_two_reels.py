@@ -28,7 +28,7 @@ def bench(eyelet=None, *, seed=0, noise_N=0.011, drift_N=0.0, other=None, drive=
     return tr.SimulatedBench(x, y, seed=seed)
 
 
-def test_simulated_reels_do_what_the_protocol_says():
+def test_simulated_reels_follow_the_bench_protocol():
     two = bench(noise_N=0.0)
     started = two.record(1.0)
     assert started.time_s.shape == started.x.gauge.shape == started.y.angle_rad.shape == (50,)
@@ -57,7 +57,7 @@ def test_simulated_reels_do_what_the_protocol_says():
 
 @settings(max_examples=30)
 @given(st.lists(st.tuples(st.booleans(), st.floats(6.0, 40.0)), min_size=1, max_size=6))
-def test_no_eyelet_of_the_bench_ever_holds_more_than_its_friction(commands):
+def test_bench_eyelets_never_exceed_their_friction_limit(commands):
     eyelet = tr.Eyelet(0.15, (2.0,), variation=0.0)
     two = bench(eyelet, noise_N=0.0)
     B = slides_at(0.15, 2.0)
@@ -71,7 +71,7 @@ def test_no_eyelet_of_the_bench_ever_holds_more_than_its_friction(commands):
             assert B - 1e-9 <= outside / reel.tension_N <= 1.0 / B + 1e-9
 
 
-def test_bench_of_the_same_seed_reads_the_same():
+def test_bench_readings_are_reproducible_by_seed():
     first, second = (bench(seed=7, drift_N=0.1).record(1.0) for _ in range(2))
     assert np.array_equal(first.y.gauge, second.y.gauge)
 
@@ -99,7 +99,7 @@ benches = st.fixed_dictionaries(
 @pytest.mark.slow
 @settings(max_examples=40)
 @given(benches)
-def test_procedure_finds_the_coefficient_within_two_percent_or_says_that_it_cannot(drawn):
+def test_procedure_is_accurate_to_two_percent_or_warns(drawn):
     eyelet = tr.Eyelet(drawn["coefficient"], (drawn["gamma"],), variation=drawn["variation"])
     quiet = {name: drawn[name] for name in ("seed", "noise_N", "drift_N")}
     stuck = ""
@@ -123,7 +123,7 @@ def test_procedure_finds_the_coefficient_within_two_percent_or_says_that_it_cann
 @pytest.mark.parametrize(
     ("coefficient", "angles"), [(0.1, (2.1,)), (0.04, (2.6,)), (0.06, (2.2, 2.8))]
 )
-def test_procedure_resolves_an_ordinary_bench(coefficient, angles):
+def test_procedure_resolves_the_default_bench(coefficient, angles):
     result = measure(bench(tr.Eyelet(coefficient, angles), seed=3), angles)
     assert result.resolved
     assert result.friction_coefficient.value == pytest.approx(coefficient, rel=0.01)
@@ -140,7 +140,7 @@ def test_procedure_calibrates_the_gauge_of_the_other_reel():
     assert found == pytest.approx(tension, rel=2e-3)
 
 
-def test_friction_that_grows_with_tension_is_seen_and_measured_at_the_mean_tension():
+def test_growing_friction_is_detected_and_measured_at_mean_tension():
     eyelet = tr.Eyelet(growth_per_N=5e-4)
     result = measure(bench(eyelet, seed=3), eyelet.angles_rad)
     assert not result.curve.follows_coulomb
@@ -152,7 +152,7 @@ def test_friction_that_grows_with_tension_is_seen_and_measured_at_the_mean_tensi
     assert result.transparency().log_spread > 1e-3
 
 
-def test_dynamic_ratio_is_measured_at_the_velocity_of_the_cable():
+def test_dynamic_ratio_is_measured_at_the_cable_velocity():
     eyelet = tr.Eyelet(dynamic_share=0.7, viscous_s_m=0.5)
     result = measure(
         bench(eyelet, seed=5),
@@ -166,7 +166,7 @@ def test_dynamic_ratio_is_measured_at_the_velocity_of_the_cable():
     assert result.friction_coefficient.value == pytest.approx(truth, rel=0.02)
 
 
-def test_a_tension_controller_that_leads_moves_the_cable_off_the_verge_and_breakout_finds_it():
+def test_breakout_holding_is_unbiased_with_a_fast_tension_controller():
     eager = tr.Drive(position_lag_s=3.0, compliance_m_N=3e-5)
     excess = {}
     for holding in ("position", "breakout"):
@@ -176,7 +176,7 @@ def test_a_tension_controller_that_leads_moves_the_cable_off_the_verge_and_break
     assert excess["position"].min() > 50.0 * np.abs(excess["breakout"]).max()
 
 
-def test_noise_that_hides_friction_is_said():
+def test_noise_above_friction_gives_a_warning():
     eyelet = tr.Eyelet(0.01, (2.9,))
     result = measure(bench(eyelet, noise_N=0.3, drift_N=0.3), eyelet.angles_rad, preload_N=3.5)
     assert not result.resolved
@@ -184,7 +184,7 @@ def test_noise_that_hides_friction_is_said():
     assert result.friction_coefficient.low <= 0.01 <= result.friction_coefficient.high
 
 
-def test_scatter_asks_for_the_sweeps_it_needs():
+def test_sweeps_needed_follow_from_the_repeatability():
     eyelet = tr.Eyelet(variation=0.05)
     result = measure(bench(eyelet, seed=1), eyelet.angles_rad, sweeps=5)
     assert not result.resolved
@@ -195,7 +195,7 @@ def test_scatter_asks_for_the_sweeps_it_needs():
     assert 3.29 * error == pytest.approx(0.02 * result.friction_coefficient.value, rel=0.1)
 
 
-def test_an_uncertain_angle_widens_the_interval_and_is_said():
+def test_uncertain_angle_widens_the_interval_with_a_warning():
     measurements = tr.TwoReelProcedure(SETPOINTS, preload_N=2.0, sweeps=4).run(bench(seed=2))
     known, unsure = (
         tr.evaluate(measurements, (2.1,), angle_error_rad=error) for error in (0.0, 0.03)
@@ -211,7 +211,7 @@ def test_an_uncertain_angle_widens_the_interval_and_is_said():
     assert any("angles" in remark for remark in unsure.warnings)
 
 
-def test_ratios_above_one_are_no_friction_that_can_be_told():
+def test_ratios_above_one_give_a_warning():
     rows = [m._replace(x_2_N=2.01 * m.x_1_N - m.x_2_N / 0.9**4) for m in drifting(0.0)]
     result = tr.evaluate(rows, [2.1])
     assert result.attenuation.value > 1.0
@@ -232,14 +232,14 @@ def drifting(per_sweep):
     return rows
 
 
-def test_drift_between_sweeps_is_said():
+def test_drift_between_sweeps_gives_a_warning():
     assert tr.evaluate(drifting(0.0), [2.1]).resolved
     result = tr.evaluate(drifting(0.0005), [2.1])
     assert not result.resolved
     assert any("drifts" in remark for remark in result.warnings)
 
 
-def test_exchanged_angles_tell_unlike_reels_apart_and_alike_ones_not():
+def test_exchanged_angles_separate_unequal_reels_only():
     for other, alike in ((0.1, True), (0.15, False)):
         runs = [
             measure(
@@ -255,7 +255,7 @@ def test_exchanged_angles_tell_unlike_reels_apart_and_alike_ones_not():
         tr.compare_reels(runs[0], runs[0])
 
 
-def test_hysteresis_loop_has_the_edges_of_the_ratio():
+def test_hysteresis_loop_has_the_slopes_of_the_ratio():
     two = bench(tr.Eyelet(variation=0.0), noise_N=0.0)
     loop = tr.HysteresisTest(6.0, 36.0).run(two)
     B = slides_at(0.1, 2.1)
@@ -310,7 +310,7 @@ class FaultyBench:
 
 
 @pytest.mark.parametrize("good_records", [1, 3, 5, 6])
-def test_both_reels_hold_their_position_after_a_gauge_failed(good_records):
+def test_reels_hold_their_position_after_a_gauge_failure(good_records):
     faulty = FaultyBench(good_records)
     procedure = tr.TwoReelProcedure((16.0, 17.0, 18.0, 19.0, 20.0), holding="position")
     with pytest.raises(RigError):
@@ -318,7 +318,7 @@ def test_both_reels_hold_their_position_after_a_gauge_failed(good_records):
     assert faulty.commands[-2:] == [("x", "position"), ("y", "position")]
 
 
-def test_cable_that_never_breaks_out_is_said():
+def test_missing_breakout_is_reported():
     with pytest.raises(RigError, match="did not break out"):
         tr.TwoReelProcedure((16.0, 17.0, 18.0, 19.0, 20.0)).run(FaultyBench(10**6))
 
@@ -345,6 +345,6 @@ def test_cable_that_never_breaks_out_is_said():
         (lambda: tr.evaluate(drifting(0.0), [3.1], angle_error_rad=0.1), "straight to within"),
     ],
 )
-def test_bad_input_is_named_with_its_remedy(call, said):
+def test_two_reel_procedure_rejects_bad_input_with_a_remedy(call, said):
     with pytest.raises(InvalidInput, match=said):
         call()

@@ -29,7 +29,7 @@ def pushed(reel, time_s, torque_Nm):
 
 
 @pytest.mark.parametrize("dead_samples", [0.0, 1.0, 2.6])
-def test_a_push_turns_it_as_the_differential_equation_says(dead_samples):
+def test_unloaded_reel_follows_the_differential_equation(dead_samples):
     reel = replace(FINE, dead_time_s=dead_samples / FINE.sampling_Hz)
     found = angle(reel)
     start = PUSH.step_index(reel.sampling_Hz) + dead_samples
@@ -38,7 +38,7 @@ def test_a_push_turns_it_as_the_differential_equation_says(dead_samples):
     assert found == pytest.approx(expected, abs=1e-10)
 
 
-def test_dry_friction_takes_its_torque_and_holds_what_is_below_it():
+def test_unloaded_reel_with_dry_friction_holds_small_torques():
     F = 0.1
     reel = FINE + CoulombFriction(F)
     assert not angle(reel, replace(PUSH, step_N=0.9 * F / reel.drum_radius_m)).any()
@@ -46,7 +46,7 @@ def test_dry_friction_takes_its_torque_and_holds_what_is_below_it():
     assert angle(reel) == pytest.approx(pushed(reel, time, 0.25 - F), abs=1e-6)
 
 
-def test_a_stage_is_a_drum_of_radius_one_that_has_mass():
+def test_unloaded_reel_of_radius_one_is_a_positioning_stage():
     stage = plants.unloaded_reel(
         drum_radius_m=1.0,
         torque_constant_Nm_A=1.0,
@@ -61,13 +61,13 @@ def test_a_stage_is_a_drum_of_radius_one_that_has_mass():
     assert angle(stage) == pytest.approx(pushed(stage, time, 10.0), abs=1e-10)
 
 
-def test_its_angle_is_read_in_steps_of_the_encoder():
+def test_unloaded_reel_angle_is_quantised():
     reel = plants.unloaded_reel()
     step = 2.0 * math.pi / reel.encoder_counts
     assert angle(reel) == pytest.approx(np.floor(angle(FINE) / step + 0.5) * step)
 
 
-def test_a_rig_of_it_runs_open_loops_and_refuses_closed_ones():
+def test_unloaded_reel_rig_rejects_closed_loops():
     rig = plants.unloaded_reel().rig()
     about = rig.describe()
     record = rig.run(TrialRequest("run", 0, about.gains, about.step))
@@ -80,7 +80,7 @@ def test_a_rig_of_it_runs_open_loops_and_refuses_closed_ones():
         rig.run(TrialRequest("run", 1, about.gains, closed))
 
 
-def test_its_linear_model_has_its_response():
+def test_unloaded_reel_matches_its_linear_model():
     reel = replace(FINE, dead_time_s=0.0)
     model = reel.linear_model()
     plant = plants.linear_plant(
@@ -92,7 +92,7 @@ def test_its_linear_model_has_its_response():
     assert angle(reel, chirp) == pytest.approx(expected, abs=1e-10)
 
 
-def test_effects_of_a_cable_have_no_place_on_it():
+def test_unloaded_reel_rejects_effects_of_a_cable():
     for effect in EFFECTS.values():
         if effect.port in (Port.ACTUATOR, Port.DRUM):
             assert np.isfinite(angle(plants.unloaded_reel() + effect())).all()
@@ -101,7 +101,7 @@ def test_effects_of_a_cable_have_no_place_on_it():
                 plants.unloaded_reel() + effect()
 
 
-def test_effects_act_on_it_as_on_a_reel():
+def test_unloaded_reel_effects_act_as_on_a_reel():
     late = FINE + DeadTime(1.4 / 632.0)
     assert angle(late) == pytest.approx(angle(replace(FINE, dead_time_s=2.4 / 632.0)), abs=1e-12)
     smooth, rough = angle(FINE), angle(FINE + TorqueRipple(0.02, 8.0, 0.0))
@@ -111,12 +111,12 @@ def test_effects_act_on_it_as_on_a_reel():
 
 
 @pytest.mark.parametrize("wrong", [{"drum_inertia_kg_m2": 0.0}, {"sampling_Hz": math.nan}])
-def test_a_drum_that_cannot_be_is_refused(wrong):
+def test_unloaded_reel_rejects_values_out_of_range(wrong):
     (name,) = wrong
     with pytest.raises(InvalidInput, match=name):
         plants.unloaded_reel(**wrong)
 
 
-def test_an_attribute_it_does_not_have_is_told():
+def test_unloaded_reel_names_unknown_attributes():
     with pytest.raises(InvalidInput, match="cable_EA_N"):
         plants.unloaded_reel(cable_EA_N=1.0)

@@ -23,7 +23,7 @@ FLAT_TOP_samples = 4
 """Equal consecutive samples at the extreme that indicate a limit."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class FrequencyResponse:
     """A measured frequency response; arrays have shape (lines,), ascending in frequency."""
 
@@ -38,6 +38,10 @@ class FrequencyResponse:
     degrees: FloatArray  # degrees of freedom of the variance, for each line
     even: Distortion | None  # even distortion, or None without unexcited even lines
     odd: Distortion | None  # odd distortion, or None
+
+    def __repr__(self) -> str:
+        low, high = self.frequency_Hz[[0, -1]]
+        return f"FrequencyResponse({self.frequency_Hz.size} lines, {low:.4g} to {high:.4g} Hz)"
 
     def radius(self, probability: float = 0.95) -> FloatArray:
         """Radius of the confidence circle about each response, shape (lines,)."""

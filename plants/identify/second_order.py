@@ -24,7 +24,7 @@ MISFIT_P_VALUE = 0.01
 """P-value of the misfit below which the covariance is scaled by the misfit."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class SecondOrderFit:
     """A fitted second-order model with confidence intervals."""
 
@@ -39,6 +39,10 @@ class SecondOrderFit:
     frequency_Hz: FloatArray  # fitted lines, shape (lines,)
     # Measured less fitted response, over its standard error, shape (lines,).
     residual: ComplexArray
+
+    def __repr__(self) -> str:
+        w, damping = self.natural_frequency_Hz, self.damping
+        return f"SecondOrderFit({w}, damping {damping}, misfit {self.misfit:.3g})"
 
     @property
     def natural_frequency_Hz(self) -> Estimate:

@@ -24,7 +24,7 @@ DIVERGED_AT = 100.0
 """Measurement at which a response has diverged, relative to the largest setpoint."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Response:
     """A simulated trial; columns have shape (samples,), fewer if it diverged.
 
@@ -48,6 +48,10 @@ class Response:
     flags: NDArray[np.uint8]
     diverged_at: int | None
     reference_N: FloatArray | None = None
+
+    def __repr__(self) -> str:
+        end = "complete" if self.diverged_at is None else f"diverged at sample {self.diverged_at}"
+        return f"Response({len(self.time_s)} samples, {end})"
 
 
 def simulate(

@@ -65,6 +65,9 @@ class SimulatedRig:
         self._shown: tuple[str, Response, float] | None = None
         self._closed = False
 
+    def __repr__(self) -> str:
+        return f"SimulatedRig({self._description.name!r}, {self._plant!r})"
+
     def describe(self) -> RigDescription:
         """Description of the rig, with its live gains."""
         with self._state:

@@ -34,7 +34,7 @@ from plants.two_reel_bench.mean_estimate import mean_estimate
 from plants.two_reel_bench.procedure import SETPOINTS_MIN, SWEEPS_MIN, SetpointReadings
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class TwoReelResult:
     """Result of the two-reel procedure. Arrays have shape (sweeps, setpoints)."""
 
@@ -55,6 +55,10 @@ class TwoReelResult:
     probability: float  # confidence level of the intervals
     angles_x_rad: tuple[float, ...]  # angle gamma of each contact at X, rad
     angles_y_rad: tuple[float, ...]  # angle gamma of each contact at Y, rad
+
+    def __repr__(self) -> str:
+        state = "resolved" if self.resolved else "not resolved"
+        return f"TwoReelResult(B {self.attenuation}, C_R {self.friction_coefficient}, {state})"
 
     def ratio_at_setpoints(self) -> tuple[Estimate, ...]:
         """B at each setpoint, without a model curve: Fig. 7 with its error bars."""
