@@ -1,12 +1,10 @@
-"""What does each physical effect cost a simulated trial, and how does it change the step response?
+"""What time does each physical effect cost, and how does it change the step response?
 
-Every effect alone and all of them at once, with their usual parameters, beside the bare reel. The
-cost is the time of a trial over that of the bare reel, both timed turn by turn on one core. The
-change is the root mean square of the difference between the step responses, without noise: of a
-step up to nearly the greatest tension, and of one down to the verge of slack, for some effects
-show only there. For all effects at once three times are told: of `plants.simulate`, of a trial in
-a batch with fresh noise and its cost function, and of the compiled call alone, without what Python
-does around it.
+Every effect alone and all together, with their usual parameters, beside the bare reel. The time of
+a trial is relative to that of the bare reel, both timed alternately on one core. The change is the
+rms difference between step responses without noise: one up to nearly the greatest tension, one
+down to nearly slack. All effects together are timed in `plants.simulate`, in a batch with noise
+and cost function, and in the compiled call alone.
 """
 
 from typing import Any
@@ -19,10 +17,10 @@ from estune.core.cost import StepCost
 from estune.core.gains import Gains
 from estune.trial.profiles import StepProfile
 from experiments.benchmark_trials import Timed, alternate
-from experiments.judged import at_most, command_line, tell
+from experiments.results import at_most, command_line, print_results
 from plants.effects import EFFECTS, Effect
 from plants.models.reel import Reel
-from plants.simulation.batch import bound
+from plants.simulation.batch import divergence_limit_N
 from plants.simulation.plant import drive_of
 
 GAINS = Gains(P=1.2, I=50.0, D=0.02, setpoint_filter_s=0.004)
@@ -41,7 +39,7 @@ def with_all() -> Reel:
 
 
 def costs(rounds: int) -> dict[str, float]:
-    """Time of a trial with each effect over that without, by slug."""
+    """Time of a trial with each effect relative to the bare reel, by slug."""
     timed = {"": timed_simulation(BARE)}
     timed |= {name: timed_simulation(BARE + effect()) for name, effect in EFFECTS.items()}
     times = alternate(timed, rounds)
@@ -49,12 +47,12 @@ def costs(rounds: int) -> dict[str, float]:
 
 
 def timed_simulation(reel: Reel) -> Timed:
-    """One trial as a user runs it, ten times."""
+    """Ten trials with `plants.simulate`."""
     return Timed(lambda: plants.simulate(reel, GAINS), blocks=10)
 
 
 def all_at_once(rounds: int, trials: int) -> dict[str, float]:
-    """Time with all effects over that of the bare reel, of three ways to run a trial."""
+    """Time with all effects relative to the bare reel, for three ways to run a trial."""
     table, row = np.tile(GAINS.as_tuple(), (trials, 1)), pidf.coefficients(BARE.controller, GAINS)
     coefficients, profile, everything = np.array([row]), BARE.profile, with_all()
 
@@ -63,7 +61,7 @@ def all_at_once(rounds: int, trials: int) -> dict[str, float]:
         return Timed(lambda: plants.batch_costs(reel, table, None, cost, seed=1, workers=1))
 
     def alone(reel: Reel) -> Timed:
-        limit, drive = bound(profile), drive_of(profile, reel.sampling_Hz)
+        limit, drive = divergence_limit_N(profile), drive_of(profile, reel.sampling_Hz)
         return Timed(lambda: reel.respond(coefficients, drive, None, limit), blocks=10)
 
     ratios = {}
@@ -74,7 +72,7 @@ def all_at_once(rounds: int, trials: int) -> dict[str, float]:
 
 
 def change(effect: Effect, profile: StepProfile) -> float:
-    """Root mean square of what the effect changes in a step response, N."""
+    """Rms change of a step response by the effect, N."""
     bare, changed = (plants.simulate(reel, GAINS, profile) for reel in (BARE, BARE + effect))
     if changed.diverged_at is not None:
         return float("inf")
@@ -114,7 +112,7 @@ def show(figures: dict[str, Any]) -> None:
 
 
 def main() -> int:
-    """Measures, prints, and says by its exit code whether every target was met."""
+    """Measures and prints; the exit code tells whether every target was met."""
     options = command_line(__doc__, quick="fewer repeats").parse_args()
     figures = measure(*((8, 200) if options.quick else (40, 1000)))
     targets = {
@@ -123,7 +121,7 @@ def main() -> int:
     }
     if not options.json:
         show(figures)
-    return tell(figures, targets, as_json=options.json)
+    return print_results(figures, targets, as_json=options.json)
 
 
 if __name__ == "__main__":

@@ -1,10 +1,10 @@
-"""Does the workflow name the cubic spring of the Silverbox from measured data?
+"""Does the diagnosis identify the cubic spring of the Silverbox from measured data?
 
 The Silverbox (Wigren & Schoukens 2013) is an electronic oscillator with a cubic spring, a measured
-free benchmark: one long record of growing noise, and a Schroeder multisine that is kept aside. The
-model given is the best linear one: a second-order system fitted to the long record. The multisine
-is used for nothing but the error at the end. The data are not part of this project; the folder
-with silverbox/Silverbox.mat is named by `--data` or the environment variable ESTUNE_DATA.
+free benchmark: one long record of growing noise, and a Schroeder multisine as test data. The model
+given is the best linear one: a second-order system fitted to the long record. The data are not
+part of this project: `--data` or the environment variable ESTUNE_DATA is the folder with
+silverbox/Silverbox.mat.
 """
 
 import os
@@ -15,26 +15,25 @@ import numpy as np
 
 import plants
 from estune.core.quantities import FloatArray
-from experiments.judged import command_line, tell
+from experiments.results import command_line, print_results
 from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.models.diagnosed_model import diagnosed
 from plants.diagnosis.prediction.prediction import Predictor
 
 SAMPLING_HZ = 1e7 / 2**14
 SETTLING = 100
-"""Samples at the start of the multisine that are not counted: what came before is not known."""
+"""Samples at the start of the multisine that are not counted: its initial state is unknown."""
 
 EXPECTED = "cable_stiffening"
 
 
 def folder(named: Path | None) -> Path:
-    """Where third-party data lie: as named, by ESTUNE_DATA, or beside the project."""
-    beside = Path(__file__).resolve().parents[2] / "shared" / "data"
-    return named or Path(os.environ.get("ESTUNE_DATA", beside))
+    """Folder of third-party data: as given, by ESTUNE_DATA, or `data`."""
+    return named or Path(os.environ.get("ESTUNE_DATA", "data"))
 
 
 def figures(data: Path) -> dict[str, Any]:
-    """What was found, by name; where the data are absent, why nothing was."""
+    """The figures by name; without the data, the reason for none."""
     file = data / "silverbox" / "Silverbox.mat"
     if not file.exists():
         return {"silverbox": f"skipped: {file} is not there; name the folder with --data"}
@@ -58,9 +57,9 @@ def figures(data: Path) -> dict[str, Any]:
 def _records(file: Path) -> tuple[MeasuredRecord, MeasuredRecord]:
     from scipy.io import loadmat  # noqa: PLC0415  slow to import
 
-    found = loadmat(file)
-    long = _measurement("long", found["U"].ravel(), found["Y"].ravel())
-    return long, _measurement("multisine", found["U_val"].ravel(), found["Y_val"].ravel())
+    contents = loadmat(file)
+    long = _measurement("long", contents["U"].ravel(), contents["Y"].ravel())
+    return long, _measurement("multisine", contents["U_val"].ravel(), contents["Y_val"].ravel())
 
 
 def _measurement(name: str, u: FloatArray, y: FloatArray) -> MeasuredRecord:
@@ -112,7 +111,7 @@ def _linear(record: MeasuredRecord) -> Any:
 
 
 def _nrmse(model: Any, record: MeasuredRecord) -> float:
-    """Error of the model's free run relative to the deviation of what was measured."""
+    """Error of the model's free run relative to the standard deviation of the measurement."""
     predictor = Predictor(diagnosed(model, [record]), (), [record], horizon_s=None)
     predicted = predictor.predict(predictor.start[None, :])[0].tension_N
     if predicted is None or record.tension_N is None:
@@ -123,14 +122,14 @@ def _nrmse(model: Any, record: MeasuredRecord) -> float:
 
 def main() -> int:
     """Prints the figures, or with --json one object."""
-    parser = command_line(__doc__, quick="the same: there is no shorter form")
+    parser = command_line(__doc__, quick="no shorter form")
     parser.add_argument("--data", type=Path, help="folder that holds silverbox/Silverbox.mat")
     options = parser.parse_args()
-    found = figures(folder(options.data))
+    values = figures(folder(options.data))
     if not options.json:
-        for name, value in found.items():
+        for name, value in values.items():
             print(f"{name:30s} {value if isinstance(value, str) else f'{value:.4g}'}")
-    return tell(found, {}, as_json=options.json)
+    return print_results(values, {}, as_json=options.json)
 
 
 if __name__ == "__main__":
