@@ -261,7 +261,7 @@ def test_missing_permissions_of_the_loop_fail(host, simulated, state):
 
 
 @pytest.mark.parametrize(
-    ("host", "endpoint", "asked_who", "state"),
+    ("host", "endpoint", "authenticated", "state"),
     [
         (HOST, "tcp/127.0.0.1:7447", False, State.FINE),
         (replace(HOST, listens=("0.0.0.0:7447",)), "tcp/127.0.0.1:7447", False, State.FIX),
@@ -272,8 +272,8 @@ def test_missing_permissions_of_the_loop_fail(host, simulated, state):
         (None, "tcp/localhost:7447", False, State.FINE),
     ],
 )
-def test_open_port_without_authentication_fails(host, endpoint, asked_who, state):
-    assert check_ports(host, endpoint, asked_who=asked_who).state is state
+def test_open_port_without_authentication_fails(host, endpoint, authenticated, state):
+    assert check_ports(host, endpoint, authenticated=authenticated).state is state
 
 
 def test_ledger_location_is_reported_or_unknown():

@@ -45,7 +45,7 @@ def doctor(
         move = move or (not json and _allowed(gentle_trial(about), about.gains, repeats))
         results = []
         for result in run_checks(
-            the_rig, endpoint, move=move, repeats=repeats, asked_who=credentials != OPEN
+            the_rig, endpoint, move=move, repeats=repeats, authenticated=credentials != OPEN
         ):
             results.append(result)
             if not json:

@@ -94,12 +94,12 @@ def _metric_cells(metrics: StepMetrics | None) -> Iterator[tuple[str, str]]:
     yield "steady-state error", shown(m and m.steady_state_error, 1.0, "N", "-")
 
 
-def _margin_cells(found: Margins | None) -> Iterator[tuple[str, str]]:
-    if found is None:
+def _margin_cells(measured: Margins | None) -> Iterator[tuple[str, str]]:
+    if measured is None:
         yield from (("gain margin", "-"), ("phase margin", "-"))
-    elif not found.stable:
+    elif not measured.stable:
         yield from (("gain margin", "unstable"), ("phase margin", "unstable"))
     else:
-        gain_dB, angle = 20.0 * math.log10(found.gain_margin), found.phase_margin_deg
+        gain_dB, angle = 20.0 * math.log10(measured.gain_margin), measured.phase_margin_deg
         yield "gain margin", f"{gain_dB:.1f} dB" if math.isfinite(gain_dB) else "∞"
         yield "phase margin", f"{angle:.0f}°" if math.isfinite(angle) else "∞"

@@ -116,8 +116,8 @@ class TuneResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type i
     @cached_property
     def start(self) -> Performance:
         """Performance of the start gains."""
-        found = self.verdict
-        cost = found.start_cost, found.start_cost_error
+        summary = self.verdict
+        cost = summary.start_cost, summary.start_cost_error
         return Performance.on(
             self.rig, self.plan.step, self.start_gains, cost, record=self.first_record
         )
@@ -127,11 +127,11 @@ class TuneResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type i
         """Performance of the tuned gains, or None."""
         if not self.success:
             return None
-        found = self.verdict
+        summary = self.verdict
         return Performance.on(
-            *(self.rig, self.plan.step, self.gains, (found.cost, found.cost_error)),
+            *(self.rig, self.plan.step, self.gains, (summary.cost, summary.cost_error)),
             record=self.tuned_record,
-            intervals=found.intervals,
+            intervals=summary.intervals,
         )
 
     @cached_property
@@ -194,9 +194,9 @@ class TuneResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type i
         if self.folder is not None:
             with Journal.open(self.folder) as journal:
                 return journal.record(entry.trial_id)
-        for kept in (self.first_record, self.tuned_record):
-            if kept and kept.trial_id == entry.trial_id:
-                return kept
+        for record in (self.first_record, self.tuned_record):
+            if record and record.trial_id == entry.trial_id:
+                return record
         raise JournalError(
             f"the record of trial {number} is not stored; tune with journal=True to store them all"
         )
@@ -300,35 +300,35 @@ class TuneResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type i
 def from_tuning(tuning: TuningRun) -> TuneResult:
     """The result of a run, complete or not."""
     session, plan = tuning.session, tuning.plan
-    found = summarise(session)
+    summary = summarise(session)
     if tuning.intervals is not None:
-        found = replace(found, intervals=tuning.intervals)
+        summary = replace(summary, intervals=tuning.intervals)
     if session.failure:
         ending = RunEnding.UNSAFE_START
-    elif not found.complete:
+    elif not summary.complete:
         ending = RunEnding.STOPPED
     else:
-        ending = RunEnding.TUNED if found.improved else RunEnding.NO_IMPROVEMENT
+        ending = RunEnding.TUNED if summary.improved else RunEnding.NO_IMPROVEMENT
     return TuneResult(
-        x=np.array(found.gains.as_tuple()),
-        fun=found.cost,
+        x=np.array(summary.gains.as_tuple()),
+        fun=summary.cost,
         nit=session.search_trials,
         nfev=len(tuning.entries),
-        success=found.improved,
+        success=summary.improved,
         status=ending.status,
-        message=found.message,
+        message=summary.message,
         ending=ending,
-        gains=found.gains,
+        gains=summary.gains,
         start_gains=plan.start,
-        verdict=found,
+        verdict=summary,
         entries=tuple(tuning.entries),
         folder=tuning.journal.folder if tuning.journal else None,
         plan=plan,
         rig=tuning.description,
         first_record=tuning.first_record,
         tuned_record=tuning.tuned_record,
-        improvement=found.change,
-        unsafe=found.unsafe,
+        improvement=summary.change,
+        unsafe=summary.unsafe,
         session=session,
     )
 

@@ -84,21 +84,21 @@ class ResultWarning(NamedTuple):
     sentence: str
 
 
-def low_margins(found: Margins | None) -> tuple[ResultWarning, ...]:
-    """Warning of margins below the usual, or of instability; `found` is None without a model."""
-    if found is None:
+def low_margins(margins: Margins | None) -> tuple[ResultWarning, ...]:
+    """Warning of low margins or instability; none without a model."""
+    if margins is None:
         return ()
     remedy = "a larger move weight makes the tuning gentler"
-    if not found.stable:
+    if not margins.stable:
         sentence = f"these gains make the rig's own linear model unstable; {remedy}"
-    elif found.phase_margin_deg < PHASE_MARGIN_LEAST_deg:
+    elif margins.phase_margin_deg < PHASE_MARGIN_LEAST_deg:
         sentence = (
-            f"the phase margin of {found.phase_margin_deg:.0f}° is low "
+            f"the phase margin of {margins.phase_margin_deg:.0f}° is low "
             f"(under {PHASE_MARGIN_LEAST_deg:.0f}°); {remedy}"
         )
-    elif 1.0 / GAIN_MARGIN_LEAST < found.gain_margin < GAIN_MARGIN_LEAST:
+    elif 1.0 / GAIN_MARGIN_LEAST < margins.gain_margin < GAIN_MARGIN_LEAST:
         sentence = (
-            f"the gain margin of {found.gain_margin:.2g} is low "
+            f"the gain margin of {margins.gain_margin:.2g} is low "
             f"(within a factor {GAIN_MARGIN_LEAST:.0f}); {remedy}"
         )
     else:

@@ -74,20 +74,20 @@ def check_permissions(host: Host | None, *, simulated: bool) -> CheckResult:
     return fine("permissions", "real-time priority and locked memory are granted")
 
 
-def check_ports(host: Host | None, endpoint: str, *, asked_who: bool) -> CheckResult:
+def check_ports(host: Host | None, endpoint: str, *, authenticated: bool) -> CheckResult:
     """Whether the rig is reachable from the network without authentication.
 
     Args:
         host: The process, if it is visible.
         endpoint: Address of the rig.
-        asked_who: Whether the connection is authenticated.
+        authenticated: Whether the connection is authenticated.
     """
     at = host.listens if host is not None else (endpoint,)
-    beyond = [address for address in at if not _is_loopback(address)]
-    if beyond and not asked_who:
+    remote = [address for address in at if not _is_loopback(address)]
+    if remote and not authenticated:
         return fix(
             "ports",
-            f"every client that reaches {', '.join(beyond)} can command the rig",
+            f"every client that reaches {', '.join(remote)} can command the rig",
             "listen at 127.0.0.1, or require authentication (--security)",
         )
     if host is None:

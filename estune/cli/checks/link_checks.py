@@ -13,7 +13,7 @@ QUESTIONS = 200
 OFFSET_MAX_S = 1.0
 """Maximum clock offset: beyond it, records cannot be assigned by their time."""
 
-_NTP = "be kept by NTP (chrony, systemd-timesyncd)"
+_REMEDY = "let NTP (chrony, systemd-timesyncd) set the clocks"
 
 
 class Dated(NamedTuple):
@@ -68,7 +68,7 @@ def check_clock(dated: Sequence[Dated]) -> CheckResult:
             return fix(
                 "clock",
                 f"this machine's clock jumped by {stepped_s:+.2g} s in or between the trials",
-                f"let it {_NTP}",
+                _REMEDY,
             )
         try:
             started = datetime.fromisoformat(trial.started_at)
@@ -88,10 +88,10 @@ def check_clock(dated: Sequence[Dated]) -> CheckResult:
         return fix(
             "clock",
             f"the rig's clock jumped between trials, by {low_s - high_s:.2g} s or more",
-            f"let it {_NTP}",
+            _REMEDY,
             **figures,
         )
     sentence = f"the rig's clock is {low_s:+.2g} to {high_s:+.2g} s from this machine's"
     if low_s > OFFSET_MAX_S or high_s < -OFFSET_MAX_S:
-        return fix("clock", sentence, f"let both {_NTP}", **figures)
+        return fix("clock", sentence, _REMEDY, **figures)
     return fine("clock", sentence, **figures)

@@ -45,7 +45,7 @@ def run_checks(
     *,
     move: bool,
     repeats: int = REPEATS,
-    asked_who: bool = False,
+    authenticated: bool = False,
 ) -> Iterator[CheckResult]:
     """Checks a rig; yields each result as soon as it is known.
 
@@ -54,7 +54,7 @@ def run_checks(
         endpoint: Its address.
         move: Whether it may move: repeats of a gentle step with its live gains.
         repeats: Number of repeats, at least two.
-        asked_who: Whether the connection is authenticated.
+        authenticated: Whether the connection is authenticated.
 
     Raises:
         RigError: it cannot be reached, or refuses the trials.
@@ -68,7 +68,7 @@ def run_checks(
     yield description_checks.check_gains(about)
     host = host_checks.find_host(endpoint)
     yield host_checks.check_permissions(host, simulated=about.simulated)
-    yield host_checks.check_ports(host, endpoint, asked_who=asked_who)
+    yield host_checks.check_ports(host, endpoint, authenticated=authenticated)
     yield host_checks.check_ledger(host, simulated=about.simulated)
     if not move:
         yield unknown(

@@ -42,14 +42,14 @@ def check_outcomes(records: Sequence[TrialRecord], step: StepProfile) -> CheckRe
                 f"{record.outcome.sentence} ({record.reason})",
                 "check the rig: these were its own gains and a gentle step",
             )
-        asked = step.samples(record.sampling_Hz)
+        expected = step.samples(record.sampling_Hz)
         names = ("time_s", "setpoint_N", "tension_N", "current_A", "angle_rad", "flags")
         columns = {name: getattr(record, name) for name in names}
-        wrong = [name for name, column in columns.items() if len(column) != asked]
+        wrong = [name for name, column in columns.items() if len(column) != expected]
         if wrong:
             return fix(
                 "trials",
-                f"{', '.join(wrong)} with another length than the {asked} samples requested",
+                f"{', '.join(wrong)} with another length than the {expected} samples requested",
                 "correct the rig's software or its declared sampling rate",
             )
         wrong = [name for name, column in columns.items() if not np.isfinite(column).all()]
