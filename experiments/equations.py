@@ -35,25 +35,25 @@ class Place(NamedTuple):
 
 def implementations(folders: tuple[str, ...] = ("estune", "plants")) -> dict[int, list[Place]]:
     """The docstrings that implement each equation; there must be one for each."""
-    found = defaultdict(list)
+    places = defaultdict(list)
     for path in sorted(p for folder in folders for p in (ROOT / folder).rglob("*.py")):
         module = ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
         for name, docstring in _docstrings(ast.parse(path.read_text("utf-8")), module):
             for declared in _DECLARED.finditer(docstring):
                 for number in _numbers(declared.group(1)):
-                    found[number].append(Place(name, docstring.strip().splitlines()[0]))
-    return dict(found)
+                    places[number].append(Place(name, docstring.strip().splitlines()[0]))
+    return dict(places)
 
 
 def checks() -> dict[int, list[str]]:
     """The tests marked with each equation."""
-    found = defaultdict(list)
+    tests = defaultdict(list)
     for path in sorted((ROOT / "tests").glob("test_*.py")):
         for node in ast.walk(ast.parse(path.read_text("utf-8"))):
             if isinstance(node, ast.FunctionDef):
                 for number in _marks(node):
-                    found[number].append(f"{path.stem}.{node.name}")
-    return dict(found)
+                    tests[number].append(f"{path.stem}.{node.name}")
+    return dict(tests)
 
 
 def table() -> str:

@@ -37,10 +37,10 @@ def experiments() -> list[str]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", experiments())
-def test_experiment_prints_its_figures_and_meets_its_targets(name):
+def test_experiment_prints_its_figures_and_meets_its_targets(name, tmp_path):
     command = [sys.executable, "-m", f"experiments.{name}", "--quick", "--json"]
     done = subprocess.run(
-        command, cwd=ROOT, capture_output=True, text=True, timeout=300, check=False
+        command, cwd=tmp_path, capture_output=True, text=True, timeout=300, check=False
     )
     assert done.returncode in (0, 1), done.stderr
     printed = json.loads(done.stdout)

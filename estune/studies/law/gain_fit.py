@@ -138,17 +138,17 @@ def _points(
     gain = np.array([getattr(t.gains, name) for t in tunings])
     length = np.array([t.length_m for t in tunings])
     tension = np.array([t.tension_N for t in tunings])
-    kept = ~np.isinf(log_error)
-    if kept.sum() < 4 or np.ptp(length[kept]) == 0.0:
-        kept[:] = True
+    used = ~np.isinf(log_error)
+    if used.sum() < 4 or np.ptp(length[used]) == 0.0:
+        used[:] = True
     known = np.isfinite(log_error)
     # The median of the known errors stands in for an unknown one.
     typical = float(np.median(log_error[known])) if known.any() else 0.0
     # d g = g d ln g, at the mean of all g: with the gain itself as the factor, small gains would
     # have larger weights and bias the line.
     own = gain.mean() * np.where(known, log_error, typical)
-    points = Points(length[kept], tension[kept], gain[kept], own[kept])
-    return points, tuple(t.label for t, k in zip(tunings, kept, strict=True) if k)
+    points = Points(length[used], tension[used], gain[used], own[used])
+    return points, tuple(t.label for t, k in zip(tunings, used, strict=True) if k)
 
 
 def _slope(fit: WeightedFit, column: int) -> Slope:

@@ -113,12 +113,12 @@ class GainLaw:
         tension = np.full_like(
             length, sum(self.tension_N) / 2.0 if tension_N is None else tension_N
         )
-        beyond = ~(_within(length, self.length_m) & _within(tension, self.tension_N))
-        if beyond.any() and not extrapolate:
+        outside = ~(_within(length, self.length_m) & _within(tension, self.tension_N))
+        if outside.any() and not extrapolate:
             raise InvalidInput(
                 f"the law holds from {self.length_m[0]:g} to {self.length_m[1]:g} m and "
-                f"{self.tension_N[0]:g} to {self.tension_N[1]:g} N; {length[beyond].flat[0]:g} m "
-                f"at {tension[beyond].flat[0]:g} N is beyond: tune there too, or set "
+                f"{self.tension_N[0]:g} to {self.tension_N[1]:g} N; {length[outside].flat[0]:g} m "
+                f"at {tension[outside].flat[0]:g} N is beyond: tune there too, or set "
                 "extrapolate=True"
             )
         form, fit = self.fits[name].form, self.fits[name].fit
@@ -128,7 +128,7 @@ class GainLaw:
         t, value = interval_factor(level, fit.degrees), rows @ fit.coefficients
         width, new_width = t * np.sqrt(variance), t * np.sqrt(new)
         return Band(
-            value, value - width, value + width, value - new_width, value + new_width, beyond
+            value, value - width, value + width, value - new_width, value + new_width, outside
         )
 
     def schedule(self) -> GainSchedule:
@@ -166,16 +166,16 @@ def fit_law(tunings: Sequence[TunedGains], *, forms: Mapping[str, str] | None = 
         InvalidInput: fewer than two lengths or three tunings remain, there is no such gain or
             form, or its coefficients are not identifiable.
     """
-    kept, excluded = _split(tunings)
+    usable, excluded = _split(tunings)
     given = {name: parse_form(form) for name, form in (forms or {}).items()}
     for name in given:
         if name not in GAIN_NAMES:
             raise InvalidInput(f"there is no gain {name!r}; the gains are {', '.join(GAIN_NAMES)}")
-    lengths, tensions = [t.length_m for t in kept], [t.tension_N for t in kept]
-    fits = {name: fit_gain(name, n, kept, given.get(name)) for n, name in enumerate(GAIN_NAMES)}
+    lengths, tensions = [t.length_m for t in usable], [t.tension_N for t in usable]
+    fits = {name: fit_gain(name, n, usable, given.get(name)) for n, name in enumerate(GAIN_NAMES)}
     return GainLaw(
         fits=fits,
-        tunings=kept,
+        tunings=usable,
         excluded=excluded,
         length_m=(min(lengths), max(lengths)),
         tension_N=(min(tensions), max(tensions)),
@@ -191,16 +191,16 @@ def _split(
         for t in tunings
         if not (t.safe and t.converged)
     )
-    kept = tuple(t for t in tunings if t.safe and t.converged)
-    lengths = {t.length_m for t in kept}
-    if len(lengths) < 2 or len(kept) < 3:
+    usable = tuple(t for t in tunings if t.safe and t.converged)
+    lengths = {t.length_m for t in usable}
+    if len(lengths) < 2 or len(usable) < 3:
         places = ", ".join(f"{length:g} m" for length in sorted(lengths)) or "no length"
         reasons = ", ".join(f"{label} ({reason})" for label, reason in excluded)
         raise InvalidInput(
-            f"{len(kept)} tunings at {places} are too few for a law over length; tune at three "
+            f"{len(usable)} tunings at {places} are too few for a law over length; tune at three "
             "lengths or more" + (f"; left out: {reasons}" if reasons else "")
         )
-    return kept, excluded
+    return usable, excluded
 
 
 def _within(values: FloatArray, limits: tuple[float, float]) -> BoolArray:

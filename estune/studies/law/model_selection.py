@@ -162,12 +162,14 @@ def _prediction_error(
     design: FloatArray, points: Points, reference: WeightedFit, left_out: FloatArray
 ) -> float:
     """Mean squared error per variance at the points left out; nan where not identifiable."""
-    kept = ~np.asarray(left_out, dtype=bool)
-    root = np.sqrt(reference.weights[kept])
-    beta, _, rank, _ = np.linalg.lstsq(design[kept] * root[:, None], points.gain[kept] * root)
+    training = ~np.asarray(left_out, dtype=bool)
+    root = np.sqrt(reference.weights[training])
+    beta, _, rank, _ = np.linalg.lstsq(
+        design[training] * root[:, None], points.gain[training] * root
+    )
     if rank < design.shape[1]:
         return float("nan")
-    u = (points.gain[~kept] - design[~kept] @ beta) / reference.deviations[~kept]
+    u = (points.gain[~training] - design[~training] @ beta) / reference.deviations[~training]
     return float(np.mean(np.minimum(np.abs(u), _ERROR_MAX) ** 2))
 
 
