@@ -61,7 +61,7 @@ def all_on(order):
 RESTLESS = wander(160, -15.0, 60.0)  # beyond the current limits, and through slack
 
 
-def test_every_named_effect_is_there_in_a_file_of_its_name():
+def test_every_canonical_effect_has_a_file_of_its_name():
     assert set(SLUGS) <= set(EFFECTS)
     for name, effect in EFFECTS.items():
         assert effect.__module__ == f"plants.effects.{name}"
@@ -69,7 +69,7 @@ def test_every_named_effect_is_there_in_a_file_of_its_name():
 
 
 @every_effect
-def test_it_is_declared_in_full(effect):
+def test_effect_declaration_is_complete(effect):
     declared = effect.parameters()
     assert re.fullmatch(r"[a-z]+(_[a-z]+)*", effect.name)
     assert len(effect.title.split()) >= 2
@@ -87,7 +87,7 @@ def test_it_is_declared_in_full(effect):
 
 
 @pytest.mark.parametrize("effect", EFFECTS.values(), ids=EFFECTS)
-def test_its_documentation_has_the_law_and_the_units(effect):
+def test_effect_docstring_has_law_and_units(effect):
     assert "=" in effect.__doc__ or "<=" in effect.__doc__
     for name, p in effect.parameters().items():
         (line,) = re.findall(rf"^ +{name}: (.*(?:\n {{12}}.*)*)", effect.__doc__, re.MULTILINE)
@@ -96,7 +96,7 @@ def test_its_documentation_has_the_law_and_the_units(effect):
 
 @every_effect
 @pytest.mark.parametrize("profile", [UP, DOWN], ids=["up", "down"])
-def test_neutral_it_changes_nothing(effect, profile):
+def test_neutral_effect_changes_nothing(effect, profile):
     bare, neutral = trial(REEL, profile), trial(REEL + effect.neutral(), profile)
     for column in ("tension_N", "effort_N"):
         assert getattr(neutral, column) == pytest.approx(getattr(bare, column), abs=1e-8)
@@ -105,7 +105,7 @@ def test_neutral_it_changes_nothing(effect, profile):
 
 
 @every_effect
-def test_otherwise_it_does_something(effect):
+def test_usual_effect_changes_the_response(effect):
     bare, changed = (rollout(reel, RESTLESS) for reel in (REEL, REEL + effect()))
     change = np.abs(np.stack(changed[:4]) - np.stack(bare[:4])).max(axis=1)
     assert (change / np.ptp(np.stack(bare[:4]), axis=1)).max() > 1e-4
@@ -113,7 +113,7 @@ def test_otherwise_it_does_something(effect):
 
 @every_effect
 @pytest.mark.parametrize("preload", [8.0, 30.0])
-def test_a_trial_begins_settled(effect, preload):
+def test_trial_with_an_effect_begins_settled(effect, preload):
     reel = REEL + effect()
     _, effort = rest(reel, preload)
     held = rollout(reel, np.full(60, effort), preload)
@@ -123,7 +123,7 @@ def test_a_trial_begins_settled(effect, preload):
 
 
 @pytest.mark.parametrize("order", [1, -1], ids=["forward", "backward"])
-def test_a_trial_begins_settled_with_all_effects(order):
+def test_trial_with_all_effects_begins_settled(order):
     reel = all_on(order)
     _, effort = rest(reel, 20.0)
     held = rollout(reel, np.full(60, effort), 20.0)
@@ -132,7 +132,7 @@ def test_a_trial_begins_settled_with_all_effects(order):
 
 
 @every_effect
-def test_a_derivative_by_its_parameters_is_the_quotient_of_differences(effect):
+def test_effect_derivatives_match_finite_differences(effect):
     reel, names = REEL + effect(), list(effect.parameters())
     p, seen = readings(reel, RESTLESS)
     direction = ca.MX.sym("direction", p.numel())
@@ -162,7 +162,7 @@ def test_a_derivative_by_its_parameters_is_the_quotient_of_differences(effect):
         assert np.abs(found).max() > 0.0 or isinstance(declared.start, float)
 
 
-def test_a_dead_time_of_none_has_a_derivative():
+def test_dead_time_has_a_derivative_at_zero():
     reel = REEL + EFFECTS["dead_time"].neutral()
     p, seen = readings(reel, wander(60, 12.0, 20.0))
     run = ca.Function("run", [p], [seen])
@@ -176,7 +176,7 @@ def test_a_dead_time_of_none_has_a_derivative():
 
 
 @every_effect
-def test_it_survives_the_ends_of_its_ranges(effect):
+def test_effect_stays_finite_at_its_bounds(effect):
     declared = effect.parameters()
     ends = itertools.product(*([p.low, p.high] for p in declared.values()))
     for values in ends:
@@ -189,7 +189,7 @@ def test_it_survives_the_ends_of_its_ranges(effect):
 
 
 @every_effect
-def test_a_cable_never_pushes(effect):
+def test_cable_never_pushes(effect):
     watched = REEL + effect() + EyeletFriction.neutral()
     assert rollout(watched, RESTLESS).outside.min() >= 0.0
     declared = effect.parameters()
@@ -209,7 +209,7 @@ FRICTIONLESS = plants.reference_reel(
 @pytest.mark.parametrize(
     "name", ["coulomb_friction", "stribeck_friction", "dahl_hysteresis", "viscous_damping"]
 )
-def test_friction_gives_no_energy(name, share):
+def test_friction_adds_no_energy(name, share):
     usual, declared = EFFECTS[name](), EFFECTS[name].parameters()
     strength = next(iter(declared))
     value = getattr(usual, strength) + share * (declared[strength].high - getattr(usual, strength))
@@ -230,12 +230,14 @@ def test_friction_gives_no_energy(name, share):
 
 
 @pytest.mark.parametrize("order", [1, -1], ids=["forward", "backward"])
-def test_compiled_it_gives_what_the_virtual_machine_gives(order, monkeypatch):
+def test_compiled_trial_equals_that_of_the_virtual_machine(order, monkeypatch):
     reel = all_on(order)
     functions = loop_functions(reel.structure.equations())
     seen = []
     for kind in (CompiledLoop, VirtualLoop):
-        monkeypatch.setattr("plants.models.plant_model.trial_loop", lambda _, kind=kind: kind(functions))
+        monkeypatch.setattr(
+            "plants.models.plant_model.trial_loop", lambda _, kind=kind: kind(functions)
+        )
         noise = np.random.default_rng(3).normal(0.0, 0.05, UP.samples(REEL.sampling_Hz))
         seen.append(plants.simulate(reel, GAINS, UP, noise_N=noise))
     for column in ("tension_N", "effort_N", "angle_rad", "reference_N"):
@@ -243,7 +245,7 @@ def test_compiled_it_gives_what_the_virtual_machine_gives(order, monkeypatch):
         assert compiled == pytest.approx(virtual, rel=1e-9, abs=1e-9)
 
 
-def test_the_tension_outside_is_recorded_where_it_is_another():
+def test_outside_tension_is_recorded_with_eyelet_friction():
     request = TrialRequest("run", 0, GAINS, StepProfile(15.0, 10.0, 0.05, 0.3))
     record = (REEL + EyeletFriction()).rig().run(request)
     assert record.reference_N.shape == record.tension_N.shape
@@ -256,7 +258,7 @@ def test_the_tension_outside_is_recorded_where_it_is_another():
     assert np.abs(record.reference_N / record.tension_N - 1.0).max() > 0.03
 
 
-def test_an_effect_of_ones_own_is_found_by_reference_and_by_entry_point(monkeypatch):
+def test_user_effect_is_found_by_reference_and_entry_point(monkeypatch):
     point = metadata.EntryPoint("drag", "plants.effects:ViscousDamping", effects.GROUP)
     monkeypatch.setattr(effects, "entry_points", lambda group: [point] * (group == effects.GROUP))
     assert effects.find("drag") is EFFECTS["viscous_damping"]
@@ -273,13 +275,13 @@ def test_an_effect_of_ones_own_is_found_by_reference_and_by_entry_point(monkeypa
         (":", "cannot be loaded"),
     ],
 )
-def test_an_effect_that_is_not_there_is_told(name, told):
+def test_missing_effect_is_reported(name, told):
     with pytest.raises(InvalidInput, match=told) as caught:
         effects.find(name)
     assert "\n" not in str(caught.value)
 
 
-def test_a_field_that_is_no_parameter_is_told():
+def test_field_that_is_no_parameter_is_reported():
     class Careless(Effect):
         name = "careless"
         port = Port.DRUM

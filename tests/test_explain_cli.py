@@ -49,7 +49,7 @@ def command(*arguments):
     return run(["explain", "--model", "plants:reference_reel", "--data", "runs", *arguments])
 
 
-def test_the_terminal_shows_verdict_gap_parameters_and_what_is_wrong_with_files(asked, capsys):
+def test_terminal_shows_verdict_error_parameters_and_file_issues(asked, capsys):
     assert command() == 0
     shown = capsys.readouterr().out
     made = diagnosis()
@@ -63,7 +63,7 @@ def test_the_terminal_shows_verdict_gap_parameters_and_what_is_wrong_with_files(
     assert asked == [{"model": REEL, "records": asked[0]["records"], "effects": None}]
 
 
-def test_json_is_one_strict_object_and_nothing_else(asked, capsys):
+def test_json_output_is_one_strict_object(asked, capsys):
     assert command("--json") == 0
 
     def refuse(constant):
@@ -74,7 +74,7 @@ def test_json_is_one_strict_object_and_nothing_else(asked, capsys):
     assert asked
 
 
-def test_report_and_model_are_written_and_named(asked, tmp_path, capsys):
+def test_report_and_model_are_written_and_listed(asked, tmp_path, capsys):
     page, improved = tmp_path / "out.html", tmp_path / "improved.toml"
     assert command("--report", str(page), "--save", str(improved)) == 0
     shown = capsys.readouterr().out
@@ -85,14 +85,14 @@ def test_report_and_model_are_written_and_named(asked, tmp_path, capsys):
     assert asked
 
 
-def test_a_model_file_is_taken_where_a_module_is(asked, tmp_path):
+def test_model_may_be_a_file(asked, tmp_path):
     reel = plants.reference_reel(cable_length_m=1.3)
     plants.save_model(reel, tmp_path / "reel.toml")
     assert run(["explain", "--model", str(tmp_path / "reel.toml"), "--data", "runs"]) == 0
     assert asked[0]["model"] == reel
 
 
-def test_effects_of_ones_own_join_those_there_are(asked, tmp_path, monkeypatch):
+def test_user_effects_join_the_catalogue(asked, tmp_path, monkeypatch):
     (tmp_path / "own_hose.py").write_text(HOSE)
     monkeypatch.syspath_prepend(tmp_path)
     assert command("--effects", "own_hose:Spring") == 0
@@ -100,7 +100,7 @@ def test_effects_of_ones_own_join_those_there_are(asked, tmp_path, monkeypatch):
     assert set(names) >= {*EFFECTS, "rewind_spring"}
 
 
-def test_what_was_not_found_is_told_as_plainly(monkeypatch, capsys):
+def test_terminal_shows_an_unexplained_verdict(monkeypatch, capsys):
     monkeypatch.setattr(module, "explain", lambda *_, **__: nothing_found())
     assert command() == 0
     shown = capsys.readouterr().out
@@ -108,7 +108,7 @@ def test_what_was_not_found_is_told_as_plainly(monkeypatch, capsys):
     assert "with the effects" not in shown
 
 
-def test_the_trial_that_would_decide_is_told_and_written_as_a_file(monkeypatch, tmp_path, capsys):
+def test_deciding_trial_is_shown_and_written(monkeypatch, tmp_path, capsys):
     unsure = diagnosis(
         verdict="ambiguous",
         ambiguous=("coulomb_friction", "dahl_hysteresis"),
@@ -135,7 +135,7 @@ def test_the_trial_that_would_decide_is_told_and_written_as_a_file(monkeypatch, 
         (("--effects", "json:loads"), "an effect is a class derived from Effect"),
     ],
 )
-def test_a_bad_option_is_refused_before_the_work(asked, arguments, words, capsys):
+def test_bad_option_is_refused_before_the_work(asked, arguments, words, capsys):
     assert command(*arguments) == InvalidInput.exit_code
     said = capsys.readouterr()
     assert words in said.err
@@ -151,7 +151,7 @@ def test_a_bad_option_is_refused_before_the_work(asked, arguments, words, capsys
         ("reel", "nor a model file"),
     ],
 )
-def test_a_model_that_is_not_there_is_one_line_with_code_2(asked, model, words, capsys):
+def test_missing_model_is_one_line_with_code_2(asked, model, words, capsys):
     assert run(["explain", "--model", model, "--data", "runs"]) == InvalidInput.exit_code
     said = capsys.readouterr().err
     assert words in said
@@ -160,9 +160,7 @@ def test_a_model_that_is_not_there_is_one_line_with_code_2(asked, model, words, 
 
 
 @pytest.mark.slow
-def test_friction_hidden_in_a_simulated_reel_is_named_from_files_one_of_which_is_bad(
-    tmp_path, capsys
-):
+def test_hidden_friction_is_identified_beside_a_bad_file(tmp_path, capsys):
     base = plants.reference_reel()
     rig = (base + EFFECTS["coulomb_friction"](torque_Nm=0.03)).rig(seed=4)
     about = rig.describe()
@@ -189,7 +187,7 @@ def test_friction_hidden_in_a_simulated_reel_is_named_from_files_one_of_which_is
     assert refused["sentence"] in page.read_text().replace("&nbsp;", " ").replace("&#x27;", "'")
 
 
-def test_a_folder_without_records_is_one_line_with_code_2(tmp_path, capsys):
+def test_folder_without_records_is_one_line_with_code_2(tmp_path, capsys):
     arguments = ["explain", "--model", "plants:reference_reel", "--data", str(tmp_path / "none")]
     assert run(arguments) == InvalidInput.exit_code
     said = capsys.readouterr()

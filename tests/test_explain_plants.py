@@ -64,7 +64,7 @@ def records(friction_N=0.0, hum_m=0.0, step_m=0.0, stiffness_N_m=STIFFNESS_N_m):
     ],
     ids=str,
 )
-def test_what_a_system_of_python_control_lacks_is_told_in_its_own_units(hidden, name, truth):
+def test_effect_of_a_control_system_is_reported_in_its_units(hidden, name, truth):
     found = plants.explain(BELIEVED, list(records(**hidden)))
     if name is None:
         assert found.verdict == "none"
@@ -79,7 +79,7 @@ def test_what_a_system_of_python_control_lacks_is_told_in_its_own_units(hidden, 
 
 
 @pytest.mark.parametrize(("friction_N", "verdict"), [(0.0, "none"), (FRICTION_N, "named")])
-def test_a_stage_that_nothing_holds_is_foretold_as_far_as_its_noise_shows(friction_N, verdict):
+def test_horizon_of_a_free_stage_exceeds_its_noise(friction_N, verdict):
     believed = control.tf([1.0], [1.1 * MASS_kg, 1.3 * DAMPING_Ns_m, 0.0])
     found = plants.explain(believed, list(records(friction_N, step_m=1e-6, stiffness_N_m=0.0)))
     assert found.verdict == verdict

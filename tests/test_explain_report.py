@@ -60,7 +60,7 @@ def shown(named):
     return text, Page(text)
 
 
-def test_the_page_says_what_the_diagnosis_says(named, shown):
+def test_page_contains_all_of_the_diagnosis(named, shown):
     _, found = shown
     assert not found.open
     for sentence in (
@@ -82,7 +82,7 @@ def test_the_page_says_what_the_diagnosis_says(named, shown):
         assert title[1:] in found.text
 
 
-def test_the_page_asks_nothing_of_the_network_or_of_another_file(shown):
+def test_page_needs_no_network_and_no_other_file(shown):
     text, found = shown
     assert "://" not in text
     assert not re.search(r"@import|url\(|<script|<link", text)
@@ -96,11 +96,11 @@ def test_the_page_asks_nothing_of_the_network_or_of_another_file(shown):
             assert all(link.startswith("#") for link in links)
 
 
-def test_the_same_diagnosis_gives_the_same_page(named, shown):
+def test_page_is_reproducible(named, shown):
     assert page(named) == shown[0]
 
 
-def test_what_a_user_wrote_cannot_break_the_page(named):
+def test_page_escapes_user_text(named):
     hostile = '<script>alert("&")</script>'
     text = page(replace(named, sentence=hostile, ruled_out=(hostile,), where=NO_BLOCKS))
     assert "<script>" not in text
@@ -130,7 +130,7 @@ def test_what_a_user_wrote_cannot_break_the_page(named):
     ],
     ids=["none", "bare", "unknown", "ambiguous"],
 )
-def test_every_kind_of_diagnosis_can_be_shown(made):
+def test_every_verdict_has_page_json_and_text(made):
     found = Page(page(made))
     assert not found.open
     assert made.sentence in found.text
@@ -144,7 +144,7 @@ def test_every_kind_of_diagnosis_can_be_shown(made):
         assert made.to_json()["next_experiment"]["profile"]["kind"] == "triangle"
 
 
-def test_json_has_the_agreed_keys_and_nothing_that_is_no_number(named):
+def test_json_has_public_keys_and_finite_numbers(named):
     told = json.loads(json.dumps(named.to_json(), allow_nan=False))
     assert {
         *("verdict", "effects", "candidates", "where", "not_excited", "next_experiment"),
@@ -165,19 +165,19 @@ def test_json_has_the_agreed_keys_and_nothing_that_is_no_number(named):
     assert {"block", "regime", "band"} <= set(told["where"])
 
 
-def test_json_of_an_angle_is_told_in_radians(named):
+def test_json_of_an_angle_is_in_radians(named):
     told = replace(named, unit="rad").to_json()
     assert told["gap_before_rad"] == 0.58
     assert not [name for name in told if name.endswith("_N")]
 
 
-def test_an_infinite_number_is_null():
+def test_json_of_an_infinite_number_is_null():
     told = diagnosis(gap_after=math.inf, rms_after=math.nan).to_json()
     assert told["gap_after_N"] is None
     assert told["free_run_after_N"] is None
 
 
-def test_plots_go_on_the_axes_that_are_given_and_pyplot_is_not_loaded(named):
+def test_plots_use_given_axes_without_pyplot(named):
     import sys  # noqa: PLC0415  its only use
 
     before = "matplotlib.pyplot" in sys.modules
@@ -190,13 +190,13 @@ def test_plots_go_on_the_axes_that_are_given_and_pyplot_is_not_loaded(named):
     assert ("matplotlib.pyplot" in sys.modules) == before
 
 
-def test_a_record_that_is_not_in_the_report_split_is_named(named):
+def test_plot_of_a_record_outside_test_data_is_refused(named):
     assert named.plot_traces("step-9").lines[0].get_xdata()[-1] < 1.0
     with pytest.raises(InvalidInput, match="no record multisine-2; it has triangle-3, step-9"):
         named.plot_traces("multisine-2")
 
 
-def test_the_figures_show_the_numbers_they_are_of(named):
+def test_figures_show_their_numbers(named):
     gap = named.plot_gap()
     assert [bar.get_height() for bar in gap.patches] == [0.58, 0.047]
     trace = summary.worst_trace(named)
@@ -209,7 +209,7 @@ def test_the_figures_show_the_numbers_they_are_of(named):
     assert max(bar.get_width() for bar in shares.patches) == pytest.approx(72.0)
 
 
-def test_the_stretch_that_is_shown_is_the_one_with_the_greatest_error():
+def test_excerpt_has_the_greatest_error():
     trace = summary.worst_trace(diagnosis())
     wrong = np.zeros(trace.time_s.size)
     wrong[200:500] = 1.0
@@ -218,14 +218,14 @@ def test_the_stretch_that_is_shown_is_the_one_with_the_greatest_error():
     assert part.stop >= 500
 
 
-def test_a_page_that_cannot_be_written_says_so(tmp_path):
+def test_unwritable_page_is_reported(tmp_path):
     named = diagnosis(where=NO_BLOCKS)
     with pytest.raises(InvalidInput, match="give another file"):
         named.report(tmp_path / "no" / "page.html")
     assert named.report(tmp_path / "page.html").read_text().startswith("<!DOCTYPE html>")
 
 
-def test_the_model_a_diagnosis_saves_is_the_augmented_one(named, tmp_path):
+def test_saved_model_is_the_augmented_one(named, tmp_path):
     named.save(tmp_path / "improved.toml")
     assert plants.load_model(tmp_path / "improved.toml") == named.augmented
     assert named.heading() in (tmp_path / "improved.toml").read_text()
@@ -300,11 +300,11 @@ def test_sentence_of_a_user_effect_has_title_numbers_and_appearance():
         (12345.0, "N", "12.3 kN"),
     ],
 )
-def test_numbers_are_told_with_the_unit_that_is_read_easily(value, unit, said):
+def test_si_chooses_a_readable_prefix(value, unit, said):
     assert plant_scale.si(value, unit) == said
 
 
-def test_tables_tell_as_many_digits_as_the_interval_settles(named):
+def test_tables_round_to_the_digits_of_the_interval(named):
     assert summary.parameters(named).rows == (
         ("eyelet_friction", "attenuation", "0.9310", "0.9279 to 0.9341", ""),
         ("eyelet_friction", "inner_share", "0.210", "0.190 to 0.230", ""),

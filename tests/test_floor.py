@@ -41,7 +41,7 @@ def once(m):
         ("upper spectrum", [once(measured(SWEEP))]),
     ],
 )
-def test_the_gauge_noise_of_a_reel_is_found(how, records):
+def test_gauge_noise_of_a_reel_is_estimated(how, records):
     floor = noise_floor(records)
     assert floor.channels["tension_N"].how == how
     assert floor.tension_N == pytest.approx(REEL.gauge_noise_N, rel=0.06)
@@ -49,7 +49,7 @@ def test_the_gauge_noise_of_a_reel_is_found(how, records):
     assert floor.angle_rad == pytest.approx(STEP_RAD / 12**0.5, rel=0.1)
 
 
-def test_noise_is_found_while_the_setpoint_stands_still():
+def test_noise_is_estimated_from_constant_setpoints():
     rng = np.random.default_rng(5)
     n = 2000
     setpoint = np.where(np.arange(n) < 1000, 10.0, 20.0)
@@ -65,7 +65,7 @@ def test_noise_is_found_while_the_setpoint_stands_still():
 
 @pytest.mark.parametrize("samples", [632, 6320])
 @pytest.mark.parametrize("rms_of", [spectral_rms, upper_rms])
-def test_mains_and_drift_are_not_taken_for_noise(samples, rms_of):
+def test_noise_excludes_mains_and_drift(samples, rms_of):
     rng = np.random.default_rng(1)
     t = np.arange(samples) / RATE
     mains = 0.5 * np.sin(2.0 * np.pi * 50.0 * t)
@@ -73,7 +73,7 @@ def test_mains_and_drift_are_not_taken_for_noise(samples, rms_of):
     assert found == pytest.approx(0.1, rel=0.12)
 
 
-def test_hum_of_another_phase_in_each_repeat_is_not_taken_for_noise():
+def test_noise_of_repeats_excludes_mains_of_any_phase():
     humming = []
     for seed in (1, 2):
         m = measured(SWEEP, seed)
@@ -84,14 +84,14 @@ def test_hum_of_another_phase_in_each_repeat_is_not_taken_for_noise():
     assert floor.tension_N == pytest.approx(REEL.gauge_noise_N, rel=0.15)
 
 
-def test_coloured_noise_is_counted_whole_in_repeats():
+def test_noise_of_repeats_includes_coloured_noise():
     rng = np.random.default_rng(2)
     white = rng.standard_normal(8001)
     coloured = white[1:] + 0.9 * white[:-1]
     assert spectral_rms(coloured) == pytest.approx((1.0 + 0.9**2) ** 0.5, rel=0.04)
 
 
-def test_the_step_of_rounded_readings_is_found_and_that_of_others_is_not():
+def test_step_is_found_in_rounded_readings_only():
     rng = np.random.default_rng(3)
     smooth = rng.standard_normal(2000)
     assert step_of(smooth) == 0.0
@@ -101,7 +101,7 @@ def test_the_step_of_rounded_readings_is_found_and_that_of_others_is_not():
 
 
 @pytest.mark.parametrize("period_s", [1.0, 2.5])
-def test_the_period_is_that_of_the_excitation(period_s):
+def test_period_equals_that_of_the_excitation(period_s):
     period_s = round(period_s * RATE) / RATE
     excitation = multisine(RATE, Band(2.0, 50.0, period_s=period_s, periods=4), 3.0)
     lead = np.full(100, 15.0)
@@ -111,5 +111,5 @@ def test_the_period_is_that_of_the_excitation(period_s):
 
 
 @pytest.mark.parametrize("setpoint", [np.repeat([1.0, 2.0], 500), np.linspace(0.0, 1.0, 900)])
-def test_a_step_or_a_ramp_has_no_period(setpoint):
+def test_step_and_ramp_have_no_period(setpoint):
     assert periods_of(setpoint) is None

@@ -42,7 +42,7 @@ def about(name):
 
 @pytest.mark.parametrize("name", RIGS)
 @pytest.mark.parametrize("make", [initial_experiments, candidate_experiments])
-def test_experiments_stay_within_a_rigs_limits_and_so_does_what_it_is_foretold_to_do(name, make):
+def test_experiments_and_predicted_tension_stay_within_limits(name, make):
     rig = about(name)
     experiments = make(rig)
     assert len({one.name for one in experiments}) == len(experiments) >= 5
@@ -72,7 +72,7 @@ def plain():
     return Evidence(seen, noise_floor(seen), ResidualLocation((), (), ""), 1.0)
 
 
-def test_the_experiment_that_decides_is_one_in_which_the_models_differ_whatever_is_refitted(plain):
+def test_deciding_experiment_separates_refitted_models(plain):
     rivals = {"coulomb": REEL + CoulombFriction(), "eyelet": REEL + EyeletFriction()}
     found = next_experiment("ambiguous", REEL, rivals, plain, about("reel"))
     assert found.separation == max(found.tried.values())
@@ -95,13 +95,13 @@ def test_the_experiment_that_decides_is_one_in_which_the_models_differ_whatever_
     assert apart(found.trial.profile) > 5.0 * apart(profiles[worst])
 
 
-def test_models_that_no_experiment_tells_apart_are_left_as_they_are(plain):
+def test_no_experiment_for_indistinguishable_models(plain):
     same = {"one": REEL + CoulombFriction(), "other": REEL + CoulombFriction()}
     assert next_experiment("ambiguous", REEL, same, plain, about("reel")) is None
     assert next_experiment("named", REEL, same, plain, about("reel")) is None
 
 
-def test_a_gap_that_nothing_explains_asks_for_what_drives_it():
+def test_unexplained_error_selects_the_experiment_that_excites_it():
     seen = records(REEL + CoulombFriction(torque_Nm=0.05))
     noise = noise_floor(seen)
     where = localise(seen, [BaseNumbers.of(REEL, m) for m in seen], noise)
@@ -119,7 +119,7 @@ def trial(tmp_path):
     return TrialFile("slow", profile, why="because").write(tmp_path)
 
 
-def test_the_trial_of_a_file_runs_on_a_rig_and_its_record_joins_the_data(trial, tmp_path, capsys):
+def test_trial_file_runs_on_a_rig_and_its_record_joins_the_data(trial, tmp_path, capsys):
     data = tmp_path / "data"
     with served("simulated") as rig:
         for _ in range(2):  # a trial id never runs twice, the same file may
@@ -145,7 +145,7 @@ def test_the_trial_of_a_file_runs_on_a_rig_and_its_record_joins_the_data(trial, 
         (lambda values: values.update(name="../x"), "may hold only letters"),
     ],
 )
-def test_a_file_that_is_no_trial_for_the_rig_is_refused(trial, tmp_path, capsys, change, said):
+def test_unsuitable_trial_file_is_refused(trial, tmp_path, capsys, change, said):
     values = json.loads(trial.read_text())
     change(values)
     trial.write_text(json.dumps(values))
@@ -156,7 +156,7 @@ def test_a_file_that_is_no_trial_for_the_rig_is_refused(trial, tmp_path, capsys,
 
 
 @pytest.mark.slow
-def test_what_is_hidden_in_a_rig_is_found_added_and_makes_its_costs_foretellable(tmp_path):
+def test_improved_model_has_the_hidden_effect_and_predicts_costs(tmp_path):
     rig = (REEL + CoulombFriction(torque_Nm=0.05)).rig(seed=7)
     live = rig.describe().gains
     found = plants.improve(rig, REEL, folder=tmp_path / "x", effects=FEW, tuning=SHORT)
@@ -170,7 +170,9 @@ def test_what_is_hidden_in_a_rig_is_found_added_and_makes_its_costs_foretellable
     assert tuned.measured < own.measured
     for costs in (own, tuned):
         assert costs.error_improved < 0.05
-    assert max(c.error_given for c in found.costs) > 3.0 * max(c.error_improved for c in found.costs)
+    assert max(c.error_given for c in found.costs) > 3.0 * max(
+        c.error_improved for c in found.costs
+    )
     kept = read_measurements(tmp_path / "x" / "data")
     assert len(kept.measurements) == sum(len(one.experiments) for one in found.rounds)
     told = json.loads((tmp_path / "x" / "improvement.json").read_text())
@@ -179,7 +181,7 @@ def test_what_is_hidden_in_a_rig_is_found_added_and_makes_its_costs_foretellable
 
 
 @pytest.mark.slow
-def test_a_model_that_lacks_nothing_is_left_as_it_is_over_the_link(tmp_path, capsys):
+def test_complete_model_is_unchanged_over_the_link(tmp_path, capsys):
     with served("simulated") as rig:
         wanted = ["improve-model", rig.endpoint, "--folder", str(tmp_path / "x"), "--json"]
         wanted += ["--model-trials", "20", "--trials", "4"]
@@ -190,7 +192,7 @@ def test_a_model_that_lacks_nothing_is_left_as_it_is_over_the_link(tmp_path, cap
         assert costs["improved"] == pytest.approx(costs["measured"], rel=0.03)
 
 
-def test_interrupted_it_puts_the_rig_back_and_keeps_what_was_measured(tmp_path):
+def test_interrupted_improvement_restores_the_rig_and_keeps_records(tmp_path):
     rig = REEL.rig()
     live, real, calls = rig.describe().gains, rig.run, []
 
@@ -210,7 +212,7 @@ def test_interrupted_it_puts_the_rig_back_and_keeps_what_was_measured(tmp_path):
         plants.improve(rig, REEL, folder=tmp_path / "x")
 
 
-def test_a_slower_plant_is_given_more_time():
+def test_experiments_of_a_slow_plant_are_longer():
     rig = replace(
         about("reel"),
         settling_time_s=5.0,

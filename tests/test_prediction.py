@@ -90,7 +90,7 @@ def sweep(model):
 
 
 @pytest.mark.parametrize("name", [None, *EFFECTS])
-def test_a_free_run_at_the_truth_is_the_simulation(name):
+def test_free_run_with_true_parameters_equals_the_simulation(name):
     effects = [] if name is None else [EFFECTS[name]()]
     records = sweep(REEL + effects[0] if effects else REEL)
     predictor = Predictor(
@@ -114,7 +114,7 @@ def noisy():
     return records, Predictor(diagnosed(REEL, records), [], records, floor=known)
 
 
-def test_what_is_left_of_noise_alone_is_white_at_unit_variance():
+def test_residual_of_noise_is_white_with_unit_variance():
     _, predictor = noisy()
     index, left = predictor.index, predictor.residuals(truth(predictor)[None])[0]
     gauge = index.channel == 0
@@ -128,7 +128,7 @@ def test_what_is_left_of_noise_alone_is_white_at_unit_variance():
     assert np.mean(left[~gauge] ** 2) < 0.01
 
 
-def test_another_start_of_the_windows_leaves_nothing():
+def test_residual_is_independent_of_initial_states():
     _, predictor = noisy()
     row = truth(predictor)[None]
     before = predictor.residuals(row)
@@ -144,7 +144,7 @@ def test_another_start_of_the_windows_leaves_nothing():
     assert np.abs(moved.residuals(row) - before).max() < 1e-3 * change
 
 
-def test_the_derivative_is_the_central_difference():
+def test_derivative_equals_the_central_difference():
     records = sweep(REEL + CoulombFriction(0.03))
     predictor = Predictor(diagnosed(REEL, records), [CoulombFriction], records, floor=SMALL)
     values = predictor.row({"coulomb_friction.torque_Nm": 0.03, "torque_gain": 1.02})
@@ -165,7 +165,7 @@ def test_the_derivative_is_the_central_difference():
     assert predictor.linearise(values, some)[1] == pytest.approx(jacobian[:, some])
 
 
-def test_some_entries_are_those_of_all_and_records_without_any_are_not_run():
+def test_selected_entries_equal_those_of_all():
     records = [*sweep(REEL), *sweep(REEL)]
     predictor = Predictor(diagnosed(REEL, records), [CoulombFriction], records, floor=SMALL)
     values = predictor.row({"coulomb_friction.torque_Nm": 0.03, "torque_gain": 1.02})
@@ -176,7 +176,7 @@ def test_some_entries_are_those_of_all_and_records_without_any_are_not_run():
         assert predictor.linearise(values, entries=some)[1] == pytest.approx(jacobian[some])
 
 
-def test_what_does_nothing_stays_where_it_is_when_something_else_is_switched_on():
+def test_switched_on_effect_leaves_idle_parameters():
     records = [*sweep(REEL + CoulombFriction(0.03)), *sweep(REEL)]
     predictor = Predictor(diagnosed(REEL, records), [StribeckFriction], records, floor=SMALL)
     names = [free.name for free in predictor.free]
@@ -192,7 +192,7 @@ def test_what_does_nothing_stays_where_it_is_when_something_else_is_switched_on(
 
 
 @pytest.mark.parametrize("missing", ["angle_rad", "tension_N"])
-def test_a_channel_that_is_missing_is_done_without(missing):
+def test_prediction_without_a_channel(missing):
     F = CoulombFriction(0.03)
     records = [replace(m, **{missing: None}) for m in sweep(REEL + F)]
     model = diagnosed(REEL, records)
@@ -204,7 +204,7 @@ def test_a_channel_that_is_missing_is_done_without(missing):
     assert np.mean(with_it**2) < 0.02 * np.mean(without**2)
 
 
-def test_a_record_may_begin_in_motion():
+def test_record_may_begin_in_motion():
     whole = measured(REEL, replace(LINES, start_s=0.0))
     cut = 300
     columns = ("setpoint_N", "tension_N", "current_A", "angle_rad", "flags")
@@ -219,7 +219,7 @@ def test_a_record_may_begin_in_motion():
     assert np.sqrt(np.mean(off**2)) < 0.02 * part.tension_N.std()
 
 
-def test_a_dead_time_moves_a_prediction_without_jumps():
+def test_prediction_is_continuous_in_the_dead_time():
     records = [measured(REEL, LINES)]
     predictor = Predictor(diagnosed(REEL, records), [EFFECTS["dead_time"]], records, None, SMALL)
     late = np.linspace(0.0, 3.0 / 632.0, 61)
@@ -229,7 +229,7 @@ def test_a_dead_time_moves_a_prediction_without_jumps():
     assert steps.max() < 1.2 * np.median(steps)
 
 
-def test_a_current_that_is_measured_shows_the_drive():
+def test_measured_current_identifies_the_drive():
     limited = EFFECTS["current_saturation"](0.85, bend=1e-3)
     record = measured(REEL + limited, LINES)
     asked = record.setpoint_N / REEL.newtons_per_ampere
@@ -248,7 +248,7 @@ def test_a_current_that_is_measured_shows_the_drive():
     assert np.abs(left[current]).max() < 1e-6
 
 
-def test_samples_that_are_late_or_no_numbers_do_not_count():
+def test_late_or_nan_samples_are_ignored():
     record = measured(REEL, LINES)
     flags, tension = record.flags.copy(), record.tension_N.copy()
     flags[100:110], tension[200:205] = 4, np.nan
@@ -262,7 +262,7 @@ def test_samples_that_are_late_or_no_numbers_do_not_count():
     assert np.isfinite(predictor.residuals(predictor.start[None])).all()
 
 
-def test_a_prediction_that_runs_away_is_very_bad_and_not_an_error():
+def test_diverging_prediction_has_a_large_finite_residual():
     record = measured(REEL, LINES)
     predictor = Predictor(diagnosed(REEL, [record]), [], [record], None, SMALL)
     bad = predictor.row({"viscous_friction_Nms": -50.0})
@@ -271,7 +271,7 @@ def test_a_prediction_that_runs_away_is_very_bad_and_not_an_error():
 
 
 @pytest.mark.parametrize("horizon", [None, "model"])
-def test_a_fitted_reel_gives_back_its_prediction(horizon):
+def test_calibrated_reel_reproduces_its_prediction(horizon):
     records = sweep(REEL)
     model = diagnosed(REEL, records)
     values = {
@@ -290,7 +290,7 @@ def test_a_fitted_reel_gives_back_its_prediction(horizon):
     assert np.sqrt(np.mean(left[:, gauge] ** 2)) < (1e-3 if horizon is None else 1.0)
 
 
-def test_a_model_that_has_effects_and_calibration_starts_from_them():
+def test_fit_starts_from_effects_and_calibration_of_the_model():
     given = REEL + CoulombFriction(0.03) + Calibration(1.1, 0.0, 0.5) + EyeletFriction(0.9, 0.1)
     records = sweep(given)
     model = diagnosed(given, records)
@@ -306,7 +306,7 @@ def test_a_model_that_has_effects_and_calibration_starts_from_them():
     assert later.calibrated({}).effects[-1] == Calibration(1.2, 0.0, 0.5)
 
 
-def test_several_structures_are_compiled_at_once(monkeypatch, tmp_path):
+def test_structures_are_compiled_in_parallel(monkeypatch, tmp_path):
     monkeypatch.setenv("ESTUNE_CACHE", str(tmp_path))
     slower = replace(REEL, gauge_Hz=5000.0)  # a structure of its own
     model = diagnosed(slower, [measured(REEL, LINES)])
@@ -354,7 +354,7 @@ def swinging(sampling_Hz=500.0, hardening=40.0, slope=0.0):
     )
 
 
-def test_a_linear_plant_with_a_cubic_spring_is_the_differential_equation():
+def test_linear_plant_with_cubic_spring_solves_its_equation():
     hardening = 0.4
     plant, record = swinging(hardening=hardening)
     model = diagnosed(plant, [record])
@@ -379,7 +379,7 @@ def test_a_linear_plant_with_a_cubic_spring_is_the_differential_equation():
     assert found.tension_N[0] == pytest.approx(seen, abs=1e-9)
 
 
-def test_an_input_that_was_not_held_is_recognised():
+def test_first_order_hold_of_the_input_is_detected():
     for slope in (0.0, 1.0):
         plant, record = swinging(sampling_Hz=80.0, hardening=0.0, slope=slope)
         predictor = Predictor(diagnosed(plant, [record]), [], [record], None, SMALL)
@@ -392,7 +392,7 @@ def test_an_input_that_was_not_held_is_recognised():
         assert np.std(wrong - record.tension_N) > 20.0 * off
 
 
-def test_rows_are_predicted_together_as_each_alone():
+def test_batch_of_rows_equals_single_rows():
     plant, record = swinging(sampling_Hz=80.0, hardening=0.0, slope=1.0)
     predictor = Predictor(diagnosed(plant, [record]), [DeadTime], [record], floor=SMALL)
     ways = [(0.0, 0.04), (1.0, 0.0), (0.5, 0.3)]
@@ -427,7 +427,7 @@ def pendulum(state, effort, dt_s):
     return (angle + dt_s * rate, rate), angle
 
 
-def test_a_python_function_is_predicted_as_it_runs():
+def test_prediction_of_a_python_function_equals_its_run():
     plant = plants.python_plant(
         pendulum, (0.0, 0.0), sampling_Hz=400.0, settling_time_s=0.5, dead_time_s=2.3 / 400.0
     )
@@ -456,7 +456,7 @@ def branchless(state, effort, dt_s):
     return state + dt_s * ca.if_else(effort > 0.0, effort, 0.0), state
 
 
-def test_a_function_that_branches_is_told_how_not_to():
+def test_branching_function_is_refused_with_advice():
     record = swinging()[1]
     settings = {"sampling_Hz": 500.0, "settling_time_s": 1.0}
     with pytest.raises(PlantError, match=r"casadi\.if_else") as caught:
@@ -465,7 +465,7 @@ def test_a_function_that_branches_is_told_how_not_to():
     diagnosed(plants.python_plant(branchless, 0.0, **settings), [record])
 
 
-def test_an_unloaded_reel_is_predicted_as_it_runs():
+def test_prediction_of_an_unloaded_reel_equals_its_run():
     reel = plants.unloaded_reel(encoder_counts=1e12) + CoulombFriction(0.05)
     push = ChirpProfile(0.0, 20.0, 1.0, 8.0, 2.0, loop="open")
     record = measured(reel, push)
@@ -489,7 +489,7 @@ def test_an_unloaded_reel_is_predicted_as_it_runs():
     assert predictor.predict(row[None])[0].angle_rad[0] == pytest.approx(again, abs=1e-9)
 
 
-def test_a_wave_has_its_phase_wherever_an_encoder_begins_to_count():
+def test_phase_of_a_wave_is_independent_of_the_encoder_zero():
     ripple = TorqueRipple(0.005, 46.0, 0.7)
     reel = plants.unloaded_reel(encoder_counts=1e12) + ripple
     push, zeros = ChirpProfile(0.0, 20.0, 1.0, 8.0, 2.0, loop="open"), {0: 0.0, 1: 1.7}
@@ -510,7 +510,7 @@ def test_a_wave_has_its_phase_wherever_an_encoder_begins_to_count():
 
 
 @pytest.mark.parametrize(("swing_N", "told"), [(16.0, True), (4.0, False)])
-def test_a_cable_that_hangs_slack_tells_the_torque_s_offset_from_the_gauge_s(swing_N, told):
+def test_slack_cable_identifies_the_torque_offset(swing_N, told):
     record = measured(REEL, TriangleProfile(10.0, swing_N, 0.5, 1.0, start_s=0.1, loop="open"))
     free = Predictor(diagnosed(REEL, [record]), (), [record]).free
     assert ("torque_offset_Nm" in {f.name for f in free}) == told
@@ -519,7 +519,7 @@ def test_a_cable_that_hangs_slack_tells_the_torque_s_offset_from_the_gauge_s(swi
     assert abs(zero) < 0.02 * np.ptp(record.angle_rad)
 
 
-def test_what_cannot_be_held_against_records_is_told():
+def test_unsuitable_models_and_records_are_reported():
     record = measured(REEL, LINES)
     with pytest.raises(PlantError, match="a Reel, an UnloadedReel"):
         diagnosed(object(), [record])
@@ -533,7 +533,7 @@ def test_what_cannot_be_held_against_records_is_told():
 
 
 @pytest.mark.parametrize("wandering", [False, True])
-def test_the_floor_of_a_drum_that_travels_far_is_that_of_short_predictions(wandering):
+def test_sigma_of_a_free_drum_is_that_of_its_windows(wandering):
     drum = plants.unloaded_reel(viscous_friction_Nms=1e-9, dead_time_s=0.0)
     h, count = 1.0 / drum.sampling_Hz, 2.0 * np.pi / drum.encoder_counts
     rng, samples = np.random.default_rng(2), np.arange(20 * 316)
@@ -562,7 +562,7 @@ def test_the_floor_of_a_drum_that_travels_far_is_that_of_short_predictions(wande
     assert 0.5 < np.sqrt(np.mean(left**2)) < 1.3
 
 
-def test_a_drum_without_an_encoder_turns_as_a_cable_that_sticks_lets_it():
+def test_drum_without_encoder_follows_a_sticking_cable():
     held = EyeletFriction(0.9, 0.3)
     record = replace(measured(REEL + held, PROFILES[0]), angle_rad=None, reference_N=None)
     left = []

@@ -44,7 +44,7 @@ def findings(m, model=REEL):
 
 
 @pytest.mark.parametrize("m", [SWEPT, closed()], ids=["open loop", "closed loop"])
-def test_a_healthy_record_is_kept_without_a_word(m):
+def test_healthy_record_has_no_issues(m):
     assert findings(replace(m, rig=GOOD.rig)) == ()
 
 
@@ -57,7 +57,7 @@ UNITS = {
 
 @pytest.mark.parametrize("case", UNITS)
 @pytest.mark.parametrize("wrong_by", [0.8, 1.25])
-def test_a_column_in_another_unit_is_refused_though_the_model_is_off(case, wrong_by):
+def test_column_in_another_unit_is_refused_with_a_wrong_model(case, wrong_by):
     changed, column, unit = UNITS[case]
     bad = replace(
         SWEPT, **{name: change(getattr(SWEPT, name)) for name, change in changed.items()}
@@ -71,7 +71,7 @@ def test_a_column_in_another_unit_is_refused_though_the_model_is_off(case, wrong
     assert unit in finding.sentence
 
 
-def test_a_closed_loop_current_in_mA_is_refused():
+def test_closed_loop_current_in_mA_is_refused():
     m = closed()
     (finding,) = findings(replace(m, rig=GOOD.rig, current_A=m.current_A * 1e3, flags=None))[:1]
     assert finding.column == "current_A"
@@ -88,13 +88,13 @@ def cut(m, samples, **changed):
     return replace(m, **{n: getattr(m, n)[:samples] for n in names}, **changed)
 
 
-def test_a_record_shorter_than_half_a_period_of_the_slowest_mode_is_refused():
+def test_record_shorter_than_half_a_period_is_refused():
     slow = replace(REEL, drum_inertia_kg_m2=4.0)
     _, found = check([GOOD, cut(SWEPT, 100)], slow)
     assert [f.level for f in found if f.source == "bad"] == ["refused"]
 
 
-def test_a_record_in_which_nothing_moves_is_refused():
+def test_record_without_motion_is_refused():
     rng = np.random.default_rng(0)
     still = replace(
         SWEPT,
@@ -107,7 +107,7 @@ def test_a_record_in_which_nothing_moves_is_refused():
     assert (finding.level, "excite" in finding.sentence) == ("refused", True)
 
 
-def test_a_gauge_at_its_rail_a_frozen_one_and_dropouts_are_told_with_the_row():
+def test_gauge_faults_are_reported_with_the_row():
     rng = np.random.default_rng(1)
     railed = np.minimum(SWEPT.tension_N, np.quantile(SWEPT.tension_N, 0.97))
     (finding,) = findings(replace(SWEPT, tension_N=railed))
@@ -125,7 +125,7 @@ def test_a_gauge_at_its_rail_a_frozen_one_and_dropouts_are_told_with_the_row():
     assert "jump" in finding.sentence
 
 
-def test_an_encoder_that_stands_still_while_the_tension_moves_is_told_with_the_row():
+def test_frozen_encoder_is_reported_with_the_row():
     stuck = SWEPT.angle_rad.copy()
     begin = 1 + int(np.flatnonzero(np.diff(stuck[:700]))[-1])
     stuck[begin:900] = stuck[begin]
@@ -137,18 +137,18 @@ def test_an_encoder_that_stands_still_while_the_tension_moves_is_told_with_the_r
 
 
 @pytest.mark.parametrize(("share", "level"), [(0.2, "warning"), (0.8, "refused")])
-def test_a_record_at_the_current_limit_is_warned_of_or_refused(share, level):
+def test_record_at_the_current_limit_is_reported(share, level):
     flags = np.where(np.arange(SWEPT.samples) < share * SWEPT.samples, SATURATED, 0)
     (finding,) = findings(replace(SWEPT, flags=flags.astype(np.uint8)))
     assert (finding.level, finding.column, finding.row) == (level, "current_A", 1)
 
 
-def test_channels_of_different_moments_are_told():
+def test_shifted_channels_are_reported():
     (finding,) = findings(replace(SWEPT, tension_N=np.roll(SWEPT.tension_N, 7)))
     assert (finding.column, "7 samples after" in finding.sentence) == ("tension_N", True)
 
 
-def test_a_label_that_the_data_contradict_is_told():
+def test_wrong_loop_label_is_reported():
     shuffled = np.random.default_rng(2).permutation(SWEPT.current_A)
     (finding,) = findings(replace(SWEPT, current_A=shuffled))
     assert (finding.level, "labelled open" in finding.sentence) == ("refused", True)
@@ -156,7 +156,7 @@ def test_a_label_that_the_data_contradict_is_told():
     assert (finding.level, "labelled closed" in finding.sentence) == ("warning", True)
 
 
-def test_a_torque_that_is_a_function_of_the_position_is_told():
+def test_torque_as_a_function_of_position_is_reported():
     t = SWEPT.time_s
     angle = 0.1 + 0.05 * np.sin(2.0 * np.pi * 0.7 * t)
     slow = replace(
@@ -171,7 +171,7 @@ def test_a_torque_that_is_a_function_of_the_position_is_told():
     assert any("function of the angle" in f.sentence for f in findings(slow))
 
 
-def test_where_every_record_is_refused_the_error_names_them_all():
+def test_error_reports_every_refused_record():
     still = replace(SWEPT, flags=np.full(SWEPT.samples, SATURATED, np.uint8))
     with pytest.raises(InvalidInput, match=r"one.*two"):
         check([replace(still, source="one"), replace(still, source="two")], REEL)

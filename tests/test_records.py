@@ -64,7 +64,7 @@ def equal(one, other):
 
 
 @pytest.mark.parametrize("form", ["csv", "parquet", "run"])
-def test_what_estune_writes_is_read_back_exactly(tmp_path, form):
+def test_records_of_estune_are_read_back_exactly(tmp_path, form):
     run = estune.tune(ArithmeticRig(), trials=2, repeats=1, folder=tmp_path, run="r", watch=None)
     folder = run.folder
     if form != "run":
@@ -87,7 +87,7 @@ BAD_COLUMNS = {
 
 
 @pytest.mark.parametrize("case", BAD_COLUMNS)
-def test_a_column_by_another_name_or_unit_is_refused_with_the_right_one(tmp_path, record, case):
+def test_misnamed_column_is_refused_with_the_right_name(tmp_path, record, case):
     changed, column, row, said = BAD_COLUMNS[case]
     n = record.time_s.size
     changed = {k: None if v is None else np.full(n, v) for k, v in changed.items()}
@@ -103,7 +103,7 @@ def spoilt(column, row, value):
 
 
 @pytest.mark.parametrize("value", ["nan", "inf", "oops", ""])
-def test_a_cell_that_is_no_number_is_named_by_column_and_row(tmp_path, record, value):
+def test_cell_without_a_number_is_reported_by_column_and_row(tmp_path, record, value):
     finding = refusal(tmp_path, record, tension_N=spoilt(record.tension_N, 17, value))
     assert (finding.column, finding.row) == ("tension_N", 17)
 
@@ -123,7 +123,7 @@ BAD_TIMES = {
 
 
 @pytest.mark.parametrize("case", BAD_TIMES)
-def test_a_time_column_that_is_no_even_grid_is_refused_at_the_row(tmp_path, record, case):
+def test_uneven_time_column_is_refused_at_the_row(tmp_path, record, case):
     spoil, row, said = BAD_TIMES[case]
     finding = refusal(tmp_path, record, time_s=spoil(record.time_s))
     assert finding.column == "time_s"
@@ -132,7 +132,7 @@ def test_a_time_column_that_is_no_even_grid_is_refused_at_the_row(tmp_path, reco
         assert finding.row == row
 
 
-def test_time_stamps_rounded_or_scattered_by_less_than_a_sample_pass(tmp_path, record):
+def test_rounded_or_jittered_time_stamps_are_accepted(tmp_path, record):
     write(tmp_path, record, "rounded", time_s=np.round(record.time_s, 3))
     scatter = np.random.default_rng(0).uniform(-0.2, 0.2, record.time_s.size) / RATE
     write(tmp_path, record, "scattered", time_s=record.time_s + scatter)
@@ -142,7 +142,7 @@ def test_time_stamps_rounded_or_scattered_by_less_than_a_sample_pass(tmp_path, r
     assert (finding.source, finding.level) == ("scattered.csv", "warning")
 
 
-def test_without_metadata_rate_loop_and_preload_are_read_off_the_columns(tmp_path, record):
+def test_rate_loop_and_preload_follow_from_columns_without_metadata(tmp_path, record):
     write(tmp_path, record, "foreign", velocity_rad_s=record.time_s)
     (tmp_path / "foreign.json").unlink()
     read = read_measurements(tmp_path)
@@ -154,7 +154,7 @@ def test_without_metadata_rate_loop_and_preload_are_read_off_the_columns(tmp_pat
     assert all(f.level == "warning" for f in read.findings)
 
 
-def test_a_semicolon_table_with_decimal_commas_is_read(tmp_path, record):
+def test_semicolon_table_with_decimal_commas_is_read(tmp_path, record):
     shown = write(tmp_path, record)
     text = (tmp_path / "good.csv").read_text()
     (tmp_path / "good.csv").write_text(text.replace(",", ";").replace(".", ","))
@@ -162,7 +162,7 @@ def test_a_semicolon_table_with_decimal_commas_is_read(tmp_path, record):
     assert np.array_equal(found.tension_N, shown["tension_N"])
 
 
-def test_files_that_are_cut_short_or_empty_do_not_cost_the_others(tmp_path, record):
+def test_truncated_files_do_not_affect_the_others(tmp_path, record):
     write(tmp_path, record)
     whole = (tmp_path / "good.csv").read_bytes()
     (tmp_path / "empty.csv").write_bytes(b"")
@@ -187,7 +187,7 @@ def test_files_that_are_cut_short_or_empty_do_not_cost_the_others(tmp_path, reco
     assert rows["ragged.csv"] == record.time_s.size + 1
 
 
-def test_a_folder_of_nothing_usable_is_an_error_that_names_every_file(tmp_path, record):
+def test_folder_without_usable_records_reports_every_file(tmp_path, record):
     with pytest.raises(InvalidInput, match=r"no \.csv, \.parquet or run"):
         read_measurements(tmp_path)
     write(tmp_path, record, "first", tension_N=spoilt(record.tension_N, 3, "nan"))

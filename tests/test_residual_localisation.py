@@ -53,7 +53,7 @@ def where(*effects):
     )
 
 
-def test_without_an_effect_no_block_is_above_its_noise_and_no_line_is_distorted():
+def test_complete_model_has_no_residual_and_no_distortion():
     found = where()
     assert {block.name for block in found.blocks} == {"force", "gauge"}
     assert all(0.5 < block.ratio < 1.2 for block in found.blocks)
@@ -72,7 +72,7 @@ TRACED = {
 
 
 @pytest.mark.parametrize("case", TRACED)
-def test_an_effect_is_traced_to_its_block_and_its_variable(case):
+def test_effect_is_localised_to_block_and_variable(case):
     effect, name, regimes, title = TRACED[case]
     found = where(effect)
     first = found.blocks[0]
@@ -83,13 +83,13 @@ def test_an_effect_is_traced_to_its_block_and_its_variable(case):
     assert first.regime.name in found.sentence
 
 
-def test_mains_is_found_by_its_band_and_by_no_variable():
+def test_mains_interference_is_localised_by_its_band():
     first = where(MainsInterference()).blocks[0]
     assert (first.name, first.regime) == ("gauge", None)
     assert 45.0 < first.low_Hz <= first.high_Hz < 65.0
 
 
-def test_free_lines_tell_an_odd_law_from_an_even_one():
+def test_free_lines_distinguish_odd_and_even_laws():
     for effect, odd_is_more in ((CoulombFriction(0.03), True), (CableStiffening(), False)):
         shown = [d for d in where(effect).distortion if "multisine" in d.source]
         assert [d.channel for d in shown] == ["tension_N", "angle_rad"]
@@ -100,7 +100,7 @@ def test_free_lines_tell_an_odd_law_from_an_even_one():
 
 
 @pytest.mark.parametrize("missing", ["angle_rad", "tension_N"])
-def test_friction_is_found_with_one_sensor_alone(missing):
+def test_friction_is_localised_with_one_sensor(missing):
     reel = BASE + CoulombFriction(0.03)
     records = [MeasuredRecord.of(open_loop_record(reel, e, seed=1)) for e in (SINES, SWEEP)]
     records = [replace(m, **{missing: None}) for m in records]
@@ -112,7 +112,7 @@ def test_friction_is_found_with_one_sensor_alone(missing):
 
 
 @pytest.mark.parametrize("rate", [120.0, 5000.0])
-def test_a_hardening_spring_is_found_in_a_plant_of_any_size_and_rate(rate):
+def test_hardening_spring_is_localised_at_any_scale(rate):
     """m y'' + c y' + k y + k3 y^3 = u, integrated here, at two scales of time and size."""
     size, w = 1e-3, 2.0 * np.pi * rate / 40.0
     n = 4000
@@ -136,7 +136,7 @@ def test_a_hardening_spring_is_found_in_a_plant_of_any_size_and_rate(rate):
     assert block.regime.share > 0.5
 
 
-def test_smoothed_derivatives_are_those_of_the_smoothed_signal():
+def test_smoothed_derivatives_equal_those_of_the_smoothed_signal():
     t = np.arange(4000) / 1000.0
     w, width = 2.0 * np.pi * 12.0, 0.004
     smoother = Smoother(width, 1000.0)
@@ -159,7 +159,7 @@ def test_independent_samples_of_an_autoregression_are_counted():
     assert independent_share(x) == pytest.approx((1.0 - a**2) / (1.0 + a**2), rel=0.05)
 
 
-def test_the_localisation_goes_to_json():
+def test_localisation_as_json():
     found = json.loads(json.dumps(where(CoulombFriction(0.03)).to_json(), allow_nan=False))
     assert (found["block"], found["regime"]) == ("force", found["blocks"][0]["regime"])
     assert found["sentence"].startswith("The force block")
