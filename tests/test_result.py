@@ -69,6 +69,11 @@ def test_result_is_an_optimize_result(tuned):
     assert (tuned.nit, tuned.nfev) == (40, len(tuned.entries))
 
 
+def test_dir_of_result_lists_fields_and_methods(tuned):
+    assert {"gains", "x", "to_frame", "figure", "tuned"} <= set(dir(tuned))
+    assert str(tuned) == repr(tuned)
+
+
 def test_result_survives_pickling(tuned):
     again = pickle.loads(pickle.dumps(tuned))  # noqa: S301  our own
     assert repr(again) == repr(tuned)

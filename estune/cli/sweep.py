@@ -38,7 +38,7 @@ def sweep(
     are missing or failed.
 
     Args:
-        design: The sweep's file (TOML), with at least: lengths_m = [0.5, 1.4].
+        design: The sweep's file (TOML), such as: rigs = ["reel.toml"], lengths_m = [0.5, 1.4].
         folder: Folder of the sweep; sweeps/NAME by default, named as its file.
         jobs: Processes for models; one per core by default.
         dask: Run models on the Dask cluster whose scheduler is at this address, such as

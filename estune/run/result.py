@@ -272,9 +272,6 @@ class TuneResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type i
         where = [f"run: {self.folder}"] if self.folder else []
         return "\n".join([self.heading(), *table, *self.remarks(), *where])
 
-    def __str__(self) -> str:
-        return repr(self)
-
     def __dir__(self) -> list[str]:  # scipy lists the fields alone, without methods
         return sorted({*object.__dir__(self), *self})
 
