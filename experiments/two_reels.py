@@ -177,7 +177,11 @@ def limits_of_the_bench() -> dict[str, dict[str, Any]]:
             result = measure(case, seed=7)
             C = result.friction_coefficient
             off = abs(C.value / case.eyelet.coefficient - 1.0)
-            row = {"resolved": result.resolved, "error": off, "said": "; ".join(result.warnings)}
+            row = {
+                "resolved": result.resolved,
+                "error": off,
+                "said": "; ".join(result.warnings),
+            }
         except RigError as error:
             row = {"resolved": False, "error": None, "said": str(error)}
         rows[name] = row

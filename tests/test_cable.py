@@ -171,7 +171,7 @@ def test_catenary_is_solved_or_rejected_with_a_reason(course, triple):
         ({"span_m": 1.0, "length_m": 1.5, "tension_x_N": 0.01}, "at least 14.8"),
         ({"tension_1_N": 1.0, "tension_x_N": 2.0, "length_m": 1.0}, "tension_x_N of 2 N"),
         ({"rise_m": -20.0, "tension_1_N": 1.0, "tension_x_N": 0.5}, "would be -1 N"),
-        ({"rise_m": 0.0, "length_m": 1.0, "tension_1z_N": -0.05}, "half the weight whatever"),
+        ({"rise_m": 0.0, "length_m": 1.0, "tension_1z_N": -0.05}, "half the weight for any"),
         ({"length_m": 1.0, "rise_m": 0.5, "tension_x_N": 0.0}, "above 0 N"),
         ({"length_m": [1.0, np.nan], "rise_m": 0.5, "tension_x_N": 1.0}, "nan m at index 1"),
         ({"length_m": 1.0, "rise_m": 0.5}, "determined by three"),

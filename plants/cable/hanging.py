@@ -203,8 +203,8 @@ def _solve(
         both = exists[0] & exists[1]
         if solution == "only":
             _refuse_two(w, found, both, solutions)
-        wanted = int(solution == solutions[1])
-        take = np.where(both, wanted, exists[1]).astype(bool)
+        chosen_solution = int(solution == solutions[1])
+        take = np.where(both, chosen_solution, exists[1]).astype(bool)
         chosen = CatenaryShape(*(np.where(take, b, a) for a, b in zip(*found, strict=True)))
     missing = np.isnan(chosen.H)
     if missing.any():

@@ -60,7 +60,7 @@ def _lengths(w: float, given: dict[str, float]) -> str:
             )
     if z == 0.0 and (V_1 is not None or V_3 is not None):
         return (
-            "with rise_m 0 the vertical tensions are half the weight whatever the tension; give "
+            "with rise_m 0 the vertical tensions are half the weight for any tension; give "
             "span_m or a tension instead"
         )
     return ""

@@ -109,14 +109,14 @@ def tension_between(X: FloatArray, V_1: FloatArray, S: FloatArray) -> FloatArray
     """
     # All forces per S; end 1 is the one with the smaller |V|, so that k below is not negative.
     v_1 = np.where(2.0 * V_1 + S >= 0.0, V_1, -V_1 - S) / S
-    wanted = (S - X) * (S + X) / X**2
+    target = (S - X) * (S + X) / X**2
     mean_square = v_1**2 + v_1 + 1.0 / 3.0
-    inverse_square = newton(_steepness, wanted / mean_square, np.inf, wanted, v_1)
+    inverse_square = newton(_steepness, target / mean_square, np.inf, target, v_1)
     return np.asarray(S / np.sqrt(inverse_square))
 
 
 def _steepness(
-    inverse_square: FloatArray, wanted: FloatArray, v_1: FloatArray
+    inverse_square: FloatArray, target: FloatArray, v_1: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     h, k = 1.0 / np.sqrt(inverse_square), 2.0 * v_1 + 1.0
     t_1, t_3 = np.sqrt(h**2 + v_1**2), np.sqrt(h**2 + (v_1 + 1.0) ** 2)
@@ -129,7 +129,7 @@ def _steepness(
     curved = (e * (2.0 + e) + (k * q) ** 2) / (1.0 - (k * q) ** 2)  # = x^-2 - 1, for x near one
     value = np.where(x > 0.9, curved, 1.0 / x**2 - 1.0)
     span_slope = span_per_tension(d, k * d / (x * np.cosh(d)))
-    return 1.0 - value / wanted, -span_slope * (h / x) ** 3 / wanted
+    return 1.0 - value / target, -span_slope * (h / x) ** 3 / target
 
 
 def span_per_tension(d: FloatArray, sinh_m: FloatArray) -> FloatArray:

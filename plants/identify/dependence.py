@@ -198,8 +198,8 @@ class Dependence:
         return np.asarray(spline(_scaled(target, places)[:, self._varying])[0], dtype=np.float64)
 
 
-def _scaled(asked: FloatArray, places: FloatArray) -> FloatArray:
+def _scaled(points: FloatArray, places: FloatArray) -> FloatArray:
     """Length and inverse tension, each in units of its range over the conditions."""
-    asked, places = (np.column_stack([p[:, 0], 1.0 / p[:, 1]]) for p in (asked, places))
+    points, places = (np.column_stack([p[:, 0], 1.0 / p[:, 1]]) for p in (points, places))
     low, size = places.min(axis=0), np.ptp(places, axis=0)
-    return np.asarray((asked - low) / np.where(size > 0.0, size, 1.0))
+    return np.asarray((points - low) / np.where(size > 0.0, size, 1.0))

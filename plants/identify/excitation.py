@@ -103,7 +103,7 @@ class Band:
             )
         if self.periods < PERIODS_MIN:
             raise InvalidInput(
-                f"{self.periods} periods: {PERIODS_MIN} or more are needed to tell the signal "
+                f"{self.periods} periods: {PERIODS_MIN} or more are needed to separate the signal "
                 "from the noise"
             )
         if self.settling_periods < 0:

@@ -121,12 +121,12 @@ def frequency_response(
     line_Hz = excitation.sampling_Hz / excitation.segments[0].period_N.size
     order = np.argsort(np.concatenate([part.excited for part in parts]))
     frequency = np.concatenate([part.excited for part in parts])[order] * line_Hz
-    U, Y, scatter, coherence = (
+    U, Y, variance, coherence = (
         np.concatenate([getattr(part, name) for part in parts])[order]
-        for name in ("U", "Y", "scatter", "coherence")
+        for name in ("U", "Y", "variance", "coherence")
     )
     periods = parts[0].periods
-    smooth, lines = running_mean(scatter)
+    smooth, lines = running_mean(variance)
     even, odd = (measure_distortion(parts, kind, line_Hz) for kind in ("even", "odd"))
     error = smooth / periods
     if odd is not None and odd.detected:
@@ -175,12 +175,12 @@ def _checked(
             )
     u, y = u[:samples], y[:samples]
     # The input may have another unit and an offset, but must otherwise be the excitation.
-    wanted = excitation.waveform_N - excitation.waveform_N.mean()
-    found = u - u.mean()
-    scale = float(found @ wanted) / float(wanted @ wanted)
-    foreign = float(np.linalg.norm(found - scale * wanted))
-    if not foreign <= FOREIGN_INPUT * float(np.linalg.norm(found)) or scale == 0.0:
-        share = foreign / max(float(np.linalg.norm(found)), 1e-300)
+    expected = excitation.waveform_N - excitation.waveform_N.mean()
+    actual = u - u.mean()
+    scale = float(actual @ expected) / float(expected @ expected)
+    foreign = float(np.linalg.norm(actual - scale * expected))
+    if not foreign <= FOREIGN_INPUT * float(np.linalg.norm(actual)) or scale == 0.0:
+        share = foreign / max(float(np.linalg.norm(actual)), 1e-300)
         raise InvalidInput(
             f"{100.0 * share:.3g} % of the recorded input is not the excitation (at most "
             f"{100.0 * FOREIGN_INPUT:g} %): it was limited, shifted, or another one; lower the "

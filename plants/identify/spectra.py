@@ -27,7 +27,7 @@ class SegmentSpectra(NamedTuple):
     excited: NDArray[np.int64]
     U: ComplexArray
     Y: ComplexArray
-    scatter: FloatArray  # mean square of one period's error on the excited lines
+    variance: FloatArray  # mean square of one period's error on the excited lines
     coherence: FloatArray
     spectra: ComplexArray  # output of each period, all lines, shape (periods, lines)
 
@@ -53,8 +53,8 @@ class SegmentSpectra(NamedTuple):
         power = _power(U) * _power(Y)
         together = np.abs((Y * U.conj()).mean(axis=0)) ** 2
         coherence = np.divide(together, power, out=np.zeros_like(power), where=power > 0.0)
-        scatter = np.sum(np.abs(error) ** 2, axis=0) / (segment.periods - 1)
-        return cls(segment, lines, U_mean, Y_mean, scatter, coherence, outputs)
+        variance = np.sum(np.abs(error) ** 2, axis=0) / (segment.periods - 1)
+        return cls(segment, lines, U_mean, Y_mean, variance, coherence, outputs)
 
 
 def _power(spectra: ComplexArray) -> FloatArray:

@@ -35,8 +35,8 @@ def unavailable(base: LinearBase, effect: type[Effect]) -> str | None:
             return "it lets a cable go slack, and the plant's spring also pushes"
         LinearEffectStructure(base, (effect,), fractional=True, squarings=0).equations()
     except AttributeError as error:
-        wanted = str(error).rpartition("attribute ")[2].strip("'")
-        return f"it needs {wanted}, which such a plant does not have"
+        missing_name = str(error).rpartition("attribute ")[2].strip("'")
+        return f"it needs {missing_name}, which such a plant does not have"
     except (TypeError, NotImplementedError):  # raised by CasADi for an angle of None
         return "it depends on the angle of a drum, and the plant's output is no angle"
     return None

@@ -104,7 +104,7 @@ class LinearPlant(MountedModel):
 
     @cached_property
     def structure(self) -> SampledStructure | LinearEffectStructure:
-        """What the equations depend on besides numbers."""
+        """Structure of the equations."""
         if not self.effects:
             return SampledStructure(max(1, self.sampled.C.size), bool(self.sampled.before.any()))
         rate = self.controller.sampling_Hz
@@ -123,9 +123,9 @@ class LinearPlant(MountedModel):
         s, n = self.sampled, self.sampled.C.size
         gamma = s.now + s.before
         equations = np.block([[s.Phi - np.eye(n), gamma[:, None]], [s.C, np.array([s.E])]])
-        wanted = np.append(np.zeros(n), 1.0)
-        rest: FloatArray = np.linalg.lstsq(equations, wanted, rcond=None)[0]
-        return rest if np.allclose(equations @ rest, wanted, atol=1e-6) else None
+        target = np.append(np.zeros(n), 1.0)
+        rest: FloatArray = np.linalg.lstsq(equations, target, rcond=None)[0]
+        return rest if np.allclose(equations @ rest, target, atol=1e-6) else None
 
     @cached_property
     def parameter_values(self) -> FloatArray:

@@ -134,10 +134,10 @@ class LinearPath(NamedTuple):
         if self.base.is_drum:
             return self.stages.place(ca.vertcat(target, x[n:, :]), target[0])
         _, output = self._unread(x, target[0])
-        wanted = [output, *(target[k] / c.angle_unit for k in range(1, n))]
+        outputs = [output, *(target[k] / c.angle_unit for k in range(1, n))]
         row, states = ca.densify(c.C), ca.SX.zeros(n)
         for k in range(n):
-            states[k] = (wanted[k] - row[:k] @ states[:k] if k else wanted[k]) / row[k]
+            states[k] = (outputs[k] - row[:k] @ states[:k] if k else outputs[k]) / row[k]
             row = row @ c.A
         return ca.vertcat(states, x[n:, :])
 

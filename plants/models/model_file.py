@@ -249,7 +249,7 @@ def _read_values(
 def _make(
     make: Callable[..., Any], values: dict[str, Any], place: str, problems: list[str]
 ) -> Any:
-    """Makes an object; a value that is rejected by name is reported and left out."""
+    """Makes an object; a value that is rejected by name is reported and omitted."""
     while True:
         try:
             return make(**values)

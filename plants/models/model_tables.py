@@ -90,8 +90,8 @@ def _record_of(made: type) -> Reader:
     def read(value: Any) -> Any:
         if not (isinstance(value, dict) and needed <= set(value) <= set(known)):
             optional = [f"{name} if you like" for name in known if name not in needed]
-            wanted = ", ".join([*(name for name in known if name in needed), *optional])
-            raise InvalidInput(f"this is {_shown(value)}; it must be {{ {wanted} }}")
+            expected = ", ".join([*(name for name in known if name in needed), *optional])
+            raise InvalidInput(f"this is {_shown(value)}; it must be {{ {expected} }}")
         return made(**{name: _entry(known[name].type, given) for name, given in value.items()})
 
     return read

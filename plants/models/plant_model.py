@@ -44,7 +44,7 @@ class PlantModel(Plant, ABC):
     @property
     @abstractmethod
     def structure(self) -> Any:
-        """What the equations depend on besides numbers: a `ParametricStructure`."""
+        """Structure of the equations, a `ParametricStructure`."""
 
     @abstractmethod
     def summary(self) -> str:

@@ -139,12 +139,12 @@ def factorise(model: LinearModel) -> tuple[PoleZeroForm, dict[str, float]]:
     names = (*_names(pole_kinds, ""), *_names(zero_kinds, "zero_"))
     numbers = dict(zip(names, (*pole_numbers, *zero_numbers), strict=True))
     at = 1j * rate * np.array([0.5, 1.1, 3.0])
-    wanted = np.array([C @ np.linalg.solve(s * np.eye(B.size) - A, B) + model.E for s in at])
+    response = np.array([C @ np.linalg.solve(s * np.eye(B.size) - A, B) + model.E for s in at])
     numerator, denominator = base.coefficients(numbers)
     bare = np.polyval(numerator[::-1], at) / np.polyval(denominator[::-1], at)
-    gain = complex(wanted[1] / bare[1])
+    gain = complex(response[1] / bare[1])
     if not (
-        abs(gain) > 0.0 and np.allclose(gain.real * bare, wanted, rtol=RESPONSE_RTOL, atol=0.0)
+        abs(gain) > 0.0 and np.allclose(gain.real * bare, response, rtol=RESPONSE_RTOL, atol=0.0)
     ):
         raise PlantError(
             "the poles and zeros of the linear plant do not reproduce its response; give a model "

@@ -104,7 +104,7 @@ class PythonPlant(MountedModel):
 
     @cached_property
     def structure(self) -> TracedStructure:
-        """What the equations depend on besides numbers.
+        """Structure of the equations.
 
         Raises:
             PlantError: the function cannot be traced.

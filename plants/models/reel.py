@@ -171,7 +171,7 @@ class Reel(PlantModel):
 
     @cached_property
     def structure(self) -> ReelStructure:
-        """What the equations depend on besides numbers."""
+        """Structure of the equations."""
         p = self.amended_numbers
         amended = {n for e in self.effects for n in e.amend(SimpleNamespace(**vars(e)), p)}
         kappa = drum_stiffness_Nm_rad(p, self.tension_max_N)

@@ -138,8 +138,8 @@ def unavailable(structure: TracedStructure) -> str | None:
     try:
         structure.equations()
     except AttributeError as error:
-        wanted = str(error).rpartition("attribute ")[2].strip("'")
-        return f"it needs {wanted}, which such a plant does not have"
+        missing_name = str(error).rpartition("attribute ")[2].strip("'")
+        return f"it needs {missing_name}, which such a plant does not have"
     return None
 
 
@@ -154,7 +154,7 @@ def trace(step: Step, shape: StateShape) -> Expression:
     for as_columns in (True, False):  # arrays as CasADi's columns, or as arrays of objects
         try:
             function = _call_with_symbols(step, shape, as_columns=as_columns)
-        except Exception as error:  # noqa: BLE001  whatever the user's function raises
+        except Exception as error:  # noqa: BLE001  any exception of the user's function
             lines = str(error).strip().splitlines() or ["no message"]
             reasons.append(f"{type(error).__name__}: {lines[-1]}")
             continue
@@ -198,8 +198,10 @@ def _agrees(function: Expression, step: Step, shape: StateShape) -> bool:
         next_state, measurement = step(
             shape.build(iter(x.tolist()), as_columns=None), effort, span
         )
-        wanted = np.array([*map(float, shape.flatten(next_state)), float(np.asarray(measurement))])
+        expected = np.array(
+            [*map(float, shape.flatten(next_state)), float(np.asarray(measurement))]
+        )
         given = np.concatenate([np.asarray(part).ravel() for part in function(x, effort, span)])
-        if not np.allclose(wanted, given, rtol=CHECK_RTOL, atol=CHECK_RTOL, equal_nan=True):
+        if not np.allclose(expected, given, rtol=CHECK_RTOL, atol=CHECK_RTOL, equal_nan=True):
             return False
     return True

@@ -132,7 +132,7 @@ class UnloadedReel(PlantModel):
 
     @cached_property
     def structure(self) -> LinearEffectStructure:
-        """What the equations depend on besides numbers."""
+        """Structure of the equations."""
         p = self.amended_numbers
         fastest = p.viscous_friction_Nms / p.drum_inertia_kg_m2
         return LinearEffectStructure(

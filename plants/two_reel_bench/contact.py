@@ -161,7 +161,7 @@ def friction_N(
 
     Raises:
         InvalidInput: a value is not finite or out of its range, or the angle lies outside the
-            friction cone, where the cable slides along the line whatever F_R is.
+            friction cone, where the cable slides along the line for any F_R.
     """
     T = checked_array("contact force", contact_N, "N", least=0.0)
     C_R = checked_array("coefficient_R", coefficient_R, "", least=0.0)
@@ -179,8 +179,8 @@ def friction_N(
             f"outside the friction cone of {limit:g} rad: the cable slides along the line; turn "
             "the lever across the cable or raise coefficient_L"
         )
-    left = np.maximum(np.cos(Psi) ** 2 - (np.sin(Psi) / C_L) ** 2, 0.0)
-    return scalar_or_array(np.asarray(C_R * T * np.sqrt(left)))
+    remaining = np.maximum(np.cos(Psi) ** 2 - (np.sin(Psi) / C_L) ** 2, 0.0)
+    return scalar_or_array(np.asarray(C_R * T * np.sqrt(remaining)))
 
 
 def checked_angle(angle_rad: ArrayLike) -> FloatArray:

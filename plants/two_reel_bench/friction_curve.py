@@ -66,6 +66,6 @@ def curve_warnings(curve: FrictionCurve, middle_N: float) -> list[str]:
     if curve.constant_p_value < SIGNIFICANCE_LEVEL:
         warnings.append(
             f"the loss of tension has a part of {curve.constant_N.value:.2g} N that does not grow "
-            "with tension and was left out: check the zero of X's gauge, and hold by breakout"
+            "with tension and was excluded: check the zero of X's gauge, and hold by breakout"
         )
     return warnings

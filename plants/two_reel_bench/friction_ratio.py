@@ -138,24 +138,24 @@ def friction_coefficient(attenuation_ratio: ArrayLike, *angles_rad: ArrayLike) -
             "show its friction coefficient, bend it by moving one reel sideways"
         )
     shape = B.shape
-    wanted = np.abs(np.log(B)).ravel()
+    log_loss_target = np.abs(np.log(B)).ravel()
     bends = [np.cos(0.5 * gamma).ravel() for gamma in angles]
     slack = 1e-9  # keeps the root inside bounds that differ by rounding alone
-    least = np.sinh(0.5 * wanted / len(bends)) / np.mean(bends, axis=0)
-    most = np.sinh(0.5 * wanted) / np.max(bends, axis=0)
-    t = newton(_missing_loss, least * (1.0 - slack), most * (1.0 + slack), wanted, *bends)
+    low = np.sinh(0.5 * log_loss_target / len(bends)) / np.mean(bends, axis=0)
+    high = np.sinh(0.5 * log_loss_target) / np.max(bends, axis=0)
+    t = newton(_missing_loss, low * (1.0 - slack), high * (1.0 + slack), log_loss_target, *bends)
     return scalar_or_array(np.asarray(t / np.hypot(1.0, t)).reshape(shape))
 
 
 def _missing_loss(
-    t: FloatArray, wanted: FloatArray, *bends: FloatArray
+    t: FloatArray, log_loss_target: FloatArray, *bends: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Residual of the logarithmic loss for a tangent of the friction angle, and its slope."""
     loss, slope = np.zeros_like(t), np.zeros_like(t)
     for bend in bends:
         loss += 2.0 * np.arcsinh(t * bend)
         slope += 2.0 * bend / np.hypot(1.0, t * bend)
-    return wanted - loss, -slope
+    return log_loss_target - loss, -slope
 
 
 def checked_coefficient(coefficient_R: ArrayLike) -> FloatArray:
