@@ -94,20 +94,24 @@ def alternate(
     return {name: of(values) for name, values in times.items()}
 
 
+def reference_batch(reel: Reel, noise: FloatArray) -> Batch:
+    """The reference trial as a batch of one."""
+    return Batch(
+        reel.parameter_values,
+        np.array([pidf.coefficients(reel.controller, GAINS)]),
+        reel.profile.preload_N,
+        reel.profile.setpoint(reel.sampling_Hz),
+        noise[np.newaxis],
+        delay=1,
+        bound_N=divergence_limit_N(reel.profile),
+    )
+
+
 def measure_nonlinear(rounds: int) -> dict[str, float]:
     """The nonlinear trial against hand-written C, the virtual machine and python-control."""
     reel = REEL + FRICTION
-    profile = reel.profile
     noise = NoiseSource(0).draw(0, 632, reel.gauge_noise_N)
-    batch = Batch(
-        reel.parameter_values,
-        np.array([pidf.coefficients(reel.controller, GAINS)]),
-        profile.preload_N,
-        profile.setpoint(reel.sampling_Hz),
-        noise[np.newaxis],
-        delay=1,
-        bound_N=divergence_limit_N(profile),
-    )
+    batch = reference_batch(reel, noise)
     library, compiled = reference_library(), trial_loop(reel.structure)
     virtual = VirtualLoop(loop_functions(reel.structure.equations()))
     by_hand = hand_written(library, batch)
@@ -118,7 +122,7 @@ def measure_nonlinear(rounds: int) -> dict[str, float]:
         return control.input_output_response(system, t, inputs, start).outputs
 
     # A setpoint that makes the cable slack and taut again.
-    slack = batch._replace(setpoint_N=np.where(batch.setpoint_N > profile.preload_N, -20.0, 15.0))
+    slack = batch._replace(setpoint_N=np.where(batch.setpoint_N > batch.preload_N, -20.0, 15.0))
     ours = compiled.run(batch).tension_N[0]
     figures = {
         "difference_from_C_N": largest(ours - by_hand()[0]),
@@ -138,9 +142,10 @@ def measure_nonlinear(rounds: int) -> dict[str, float]:
         },
         rounds,
     )
-    figures["times_hand_written_C"] = figures["compiled_us"] / figures["hand_written_C_us"]
+    compiled_us = figures["compiled_us"]
+    figures["times_hand_written_C"] = compiled_us / figures["hand_written_C_us"]
     figures["faster_than_input_output_response"] = (
-        figures["input_output_response_us"] / figures["compiled_us"]
+        figures["input_output_response_us"] / compiled_us
     )
     return figures
 

@@ -1,6 +1,9 @@
 """Fig. 12: does the convergence of the tuning depend on the cable length?"""
 
+from collections.abc import Mapping
+
 import numpy as np
+from matplotlib.figure import Figure
 from scipy.stats import f_oneway
 
 import estune
@@ -40,14 +43,6 @@ def figure_12(*, quick: bool = False) -> PaperFigure:
     }
     spans = {length: [time_constant(one) for one in some] for length, some in runs.items()}
     chance = float(f_oneway(*spans.values()).pvalue)
-    figure, (ax,) = stacked(1, 3.0)
-    for (length, some), look in zip(runs.items(), FOUR, strict=True):
-        trial = np.arange(1, TRIALS + 1)
-        band = some.min(axis=0), some.max(axis=0)
-        ax.fill_between(trial, *band, color=look["color"], alpha=0.2, linewidth=0.0)
-        ax.plot(trial, some.mean(axis=0), label=f"{length:g} m", **look)
-    finish(ax, "cost η", "trial")
-    legend(ax)
     means = {length: float(np.mean(span)) for length, span in spans.items()}
     excess = max(means.values()) / min(means.values()) - 1.0
     first, last = LENGTHS_m[0], LENGTHS_m[-1]
@@ -75,8 +70,21 @@ def figure_12(*, quick: bool = False) -> PaperFigure:
         "with the default control-move penalty.",
         numbers={"chance": chance, "excess": excess, "runs": float(count)}
         | {f"time_constant_at_{length:g}_m": mean for length, mean in means.items()},
-        figure=figure,
+        figure=_draw(runs),
     )
+
+
+def _draw(runs: Mapping[float, FloatArray]) -> Figure:
+    """Mean and range of the cost over the runs at each length."""
+    figure, (ax,) = stacked(1, 3.0)
+    for (length, some), look in zip(runs.items(), FOUR, strict=True):
+        trial = np.arange(1, TRIALS + 1)
+        band = some.min(axis=0), some.max(axis=0)
+        ax.fill_between(trial, *band, color=look["color"], alpha=0.2, linewidth=0.0)
+        ax.plot(trial, some.mean(axis=0), label=f"{length:g} m", **look)
+    finish(ax, "cost η", "trial")
+    legend(ax)
+    return figure
 
 
 if __name__ == "__main__":
