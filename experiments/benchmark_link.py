@@ -1,14 +1,14 @@
-"""What does a trial cost over the link, beside what it costs the wire to carry the same bytes?
+"""Benchmark of a trial over the link, compared with a plain transfer of the same bytes.
 
-A rig in another process answers at once with a record of 5 x 2000 float64. One trial is all that a
-tuner waits for: the submit, the record's frame, its decoding, and the commit of it to the journal
-together with the next request. Beside it, in the same run and turn by turn, a plain Zenoh get of
-the same number of bytes from the same process, and a plain write of them to the same disk. The
-medians are compared; the limit is three times the plain get. The same trial from a rig that keeps
-its ledger on disk shows what it costs to be able to lose power.
+A rig in another process answers at once with a record of 5 x 2000 float64. A tuner waits for the
+submit, the record's frame, its decoding, and its commit to the journal together with the next
+request. Alternating with it in the same run, a plain Zenoh get fetches as many bytes from the same
+process, and a plain write appends them to a file on the same disk. The medians are compared; the
+limit is three times the plain get. A trial from a rig with its ledger on disk shows the cost of
+surviving a power cut.
 
-Then an emergency stop, again and again, while another process pulls records as fast as it can:
-what counts is the time until the rig has answered, and of that the slowest hundredth.
+Then emergency stops are called repeatedly, while another process queries records at full rate. The
+figure is the 99th centile of the time until the rig has replied.
 """
 
 import argparse
@@ -23,14 +23,13 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from estune.core.gains import Gains
-from estune.core.pidf import ControllerSettings
 from estune.remote import messages, zenoh
 from estune.remote.messages import Inquire, Keys
 from estune.remote.zenoh.zenoh_session import COMMANDS_MAX_BYTES, open_session, with_port
@@ -38,14 +37,14 @@ from estune.run.journal import Journal
 from estune.run.session import Phase
 from estune.trial import (
     Outcome,
-    RigDescription,
-    RigLimits,
     TrialRecord,
     TrialRequest,
     record_frame,
 )
 from estune.trial.profiles import StepProfile
-from experiments.judged import Target, command_line, tell
+from experiments.inert_rig import InertRig
+from experiments.results import Target, command_line, print_results
+from experiments.rig_protocol_page import DESCRIBED, RECORD
 
 SAMPLES, SAMPLING_HZ = 2000, 632.0
 LIMIT = 3.0  # times the plain get
@@ -55,88 +54,38 @@ GAINS = Gains(1.0, 50.0, 0.01, 0.02)
 STEP = StepProfile(15.0, 5.0, 0.1, SAMPLES / SAMPLING_HZ)
 PLAIN_KEY = "plain/record"
 PARTS = {
-    "trial": "all a tuner waits for:",
-    "link": "  submit, the rig's answer, the record decoded",
-    "commit": "  the record in the journal, with the next request",
-    "noted link": "the link, where the rig's ledger is on disk",
-    "plain get": "as many bytes by a plain Zenoh get",
-    "plain write": "as many bytes appended to a file, with fdatasync",
-    "codec": "encoding and decoding, done once more in this process",
+    "trial": "total time a tuner waits:",
+    "link": "  submit, reply, decoding of the record",
+    "commit": "  commit of the record and the next request to the journal",
+    "noted link": "the link, with the rig's ledger on disk",
+    "plain get": "plain Zenoh get of as many bytes",
+    "plain write": "append of as many bytes to a file, with fdatasync",
+    "codec": "encoding and decoding, repeated in this process",
 }
 
 
-def canned_record() -> TrialRecord:
+def record() -> TrialRecord:
     """A record of noise, which no layer can compress."""
-    time_s, setpoint_N, tension_N, current_A, angle_rad = np.random.default_rng(0).normal(
-        size=(5, SAMPLES)
-    )
-    return TrialRecord(
-        trial_id="",
-        rig="canned",
-        sampling_Hz=SAMPLING_HZ,
-        cable_length_m=0.8,
-        preload_N=STEP.preload_N,
-        gains=GAINS,
-        outcome=Outcome.DONE,
-        reason="",
-        started_at="2009-05-04T12:00:00+02:00",
-        software="benchmark 1",
-        time_s=time_s,
-        setpoint_N=setpoint_N,
-        tension_N=tension_N,
-        current_A=current_A,
-        angle_rad=angle_rad,
-        flags=np.zeros(SAMPLES, np.uint8),
-    )
+    columns = np.random.default_rng(0).normal(size=(5, SAMPLES))
+    names = ("time_s", "setpoint_N", "tension_N", "current_A", "angle_rad")
+    samples: dict[str, Any] = dict(zip(names, columns, strict=True))
+    return replace(RECORD, **samples, flags=np.zeros(SAMPLES, np.uint8), outcome=Outcome.DONE)
 
 
-class CannedRig:
-    """Answers every trial at once with the same columns."""
-
-    def __init__(self, name: str) -> None:
-        self._name = name
-        record = canned_record()
-        names = {field.name for field in fields(record)} - {"trial_id", "gains"}
-        self._facts: dict[str, Any] = {name: getattr(record, name) for name in names}
-
-    def describe(self) -> RigDescription:
-        """What a rig of this length of trial would be."""
-        controller = ControllerSettings(SAMPLING_HZ, 0.001, -120.0, 120.0)
-        limits = RigLimits(0.0, 50.0, 10.0)
-        return RigDescription(
-            *(self._name, GAINS, controller, 20.0, limits, STEP, 0.1), simulated=True
-        )
-
-    def run(self, request: TrialRequest) -> TrialRecord:
-        """The canned record under the id asked for."""
-        return TrialRecord(**self._facts, trial_id=request.trial_id, gains=request.gains)
-
-    def apply(self, gains: Gains) -> None:
-        """Nothing is live here."""
-
-    def abort(self) -> RigDescription:
-        """Nothing is ever under way."""
-        return self.describe()
-
-    def estop(self, reason: str) -> None:
-        """Nothing ever moves here."""
-
-    def clear(self) -> None:
-        """Nothing was stopped."""
-
-    def close(self) -> None:
-        """Nothing is held."""
+def rig(name: str) -> InertRig:
+    """A rig that answers with that record."""
+    return InertRig(replace(DESCRIBED, name=name, step=STEP, gains=GAINS), record())
 
 
 def serve(folder: Path | None) -> None:
-    """Serves two canned rigs, and beside them the plain bytes, until standard input is closed."""
+    """Serves two rigs and the plain bytes, until standard input is closed."""
     logging.disable()  # each stop would be a line
-    payload = secrets.token_bytes(len(record_frame.encode(canned_record())))
+    payload = secrets.token_bytes(len(record_frame.encode(record())))
     endpoint = with_port("tcp/127.0.0.1:0")
     with (
         tempfile.TemporaryDirectory(dir=folder) as ledgers,
-        zenoh.serve(CannedRig("canned")) as server,
-        zenoh.serve(CannedRig("noted"), ledger=Path(ledgers) / "ledger") as noted,
+        zenoh.serve(rig("memory")) as server,
+        zenoh.serve(rig("disk"), ledger=Path(ledgers) / "ledger") as noted,
         open_session("peer", listen=(endpoint,), message_max_bytes=COMMANDS_MAX_BYTES) as plain,
     ):
         plain.declare_queryable(PLAIN_KEY, lambda query: query.reply(PLAIN_KEY, payload))
@@ -145,11 +94,11 @@ def serve(folder: Path | None) -> None:
 
 
 def pull(endpoint: str) -> None:
-    """Asks for one record after another, by several threads, until standard input is closed."""
-    with zenoh.connect(endpoint) as rig:
+    """Queries one record after another, by several threads, until standard input is closed."""
+    with zenoh.connect(endpoint) as remote:
         request = TrialRequest("pulled", 0, GAINS, STEP)
-        rig.run(request)
-        keys, payload = Keys("canned"), messages.encode(Inquire(messages.digest(request)))
+        remote.run(request)
+        keys, payload = Keys("memory"), messages.encode(Inquire(messages.digest(request)))
         with open_session(
             "client", connect=(endpoint,), message_max_bytes=2 * record_frame.MAX_BYTES
         ) as session:
@@ -171,7 +120,7 @@ def pull(endpoint: str) -> None:
 
 @contextmanager
 def started(*arguments: str) -> Iterator[list[str]]:
-    """This file in a process of its own, and the first line it prints, in words."""
+    """This module in a process of its own; the words of the first line it prints."""
     command = [sys.executable, "-m", "experiments.benchmark_link", *arguments]
     with subprocess.Popen(  # noqa: S603  starts this file
         command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
@@ -186,39 +135,35 @@ def started(*arguments: str) -> Iterator[list[str]]:
 
 
 class Stopwatch:
-    """Times of the parts of a trial, s, one per turn."""
+    """Durations of the parts of a trial, s, one per turn."""
 
     def __init__(self) -> None:
         self.times: dict[str, list[float]] = {}
 
     @contextmanager
     def part(self, name: str) -> Iterator[None]:
-        """Times what is done inside the block."""
+        """Measures the duration of the block."""
         began = time.perf_counter()
         yield
         self.times.setdefault(name, []).append(time.perf_counter() - began)
 
     def median_ms(self, name: str) -> float:
-        """The median of a part, ms."""
+        """Median duration of a part, ms."""
         return 1e3 * statistics.median(self.times[name])
 
     def slow_ms(self, name: str) -> float:
-        """The time 99 of 100 turns of a part stay below, ms."""
+        """99th centile of the duration of a part, ms."""
         return 1e3 * statistics.quantiles(self.times[name], n=100)[-1]
 
 
 def measure(turns: int, warm_up: int, folder: Path) -> tuple[Stopwatch, int]:
-    """Runs trials, plain gets and plain writes in turn, then emergency stops under load.
-
-    Returns:
-        The times, and the bytes of a record's frame.
-    """
+    """Durations of interleaved trials, plain gets and writes, then of stops; size of a frame."""
     watch = Stopwatch()
     with ExitStack() as stack:
         endpoint, noted_endpoint, plain_endpoint = stack.enter_context(
             started("--serve", "--folder", str(folder))
         )
-        rig = stack.enter_context(zenoh.connect(endpoint))
+        remote = stack.enter_context(zenoh.connect(endpoint))
         noted = stack.enter_context(zenoh.connect(noted_endpoint))
         plain = stack.enter_context(
             open_session(
@@ -235,50 +180,50 @@ def measure(turns: int, warm_up: int, folder: Path) -> tuple[Stopwatch, int]:
             following = replace(request, number=turn + 1)
             with watch.part("trial"):
                 with watch.part("link"):
-                    record = rig.run(request)
+                    result = remote.run(request)
                 with watch.part("commit"):
-                    journal.commit((request, record, 1.0), (following, Phase.SEARCH))
+                    journal.commit((request, result, 1.0), (following, Phase.SEARCH))
             with watch.part("noted link"):
                 noted.run(request)
             request = following
             with watch.part("plain get"):
-                # The first reply is the answer; the end of the query may come a millisecond later.
+                # The first reply is the record; the query may end a millisecond later.
                 reply = next(iter(plain.get(PLAIN_KEY, timeout=5.0)))
                 data = reply.result.payload.to_bytes()
             with watch.part("plain write"):
                 file.write(data)
                 os.fdatasync(file.fileno())
             with watch.part("codec"):
-                record_frame.decode(record_frame.encode(replace(record)))
-        rig.release()
-        stops(rig, watch, "idle stop", turns)
+                record_frame.decode(record_frame.encode(replace(result)))
+        remote.release()
+        stops(remote, watch, "idle stop", turns)
         stack.enter_context(started("--pull", endpoint))
-        stops(rig, watch, "stop", turns)
+        stops(remote, watch, "stop", turns)
     return watch, len(data)
 
 
-def stops(rig: zenoh.RemoteRig, watch: Stopwatch, part: str, turns: int) -> None:
-    """Stops the rig again and again, and clears it each time."""
-    rig.estop("the first opens a connection")
+def stops(remote: zenoh.RemoteRig, watch: Stopwatch, part: str, turns: int) -> None:
+    """Stops the rig repeatedly, and clears it each time."""
+    remote.estop("the first one opens a connection")
     for _ in range(turns):
         with watch.part(part):
-            rig.estop("benchmark")
-        rig.clear()
+            remote.estop("benchmark")
+        remote.clear()
 
 
 def show(watch: Stopwatch) -> None:
     """Prints the tables."""
     for name, what in PARTS.items():
         print(f"  {name:12} {watch.median_ms(name):7.3f} ms  {what}")
-    print("\nan emergency stop, until it is answered (median, slowest hundredth)\n")
-    for name, what in (("idle stop", "nothing else going on"), ("stop", "under full record load")):
+    print("\nan emergency stop, until the reply (median, 99th centile)\n")
+    for name, what in (("idle stop", "without load"), ("stop", "under full record load")):
         print(f"  {watch.median_ms(name):7.3f} {watch.slow_ms(name):7.3f} ms  {what}")
 
 
 def main() -> int:
-    """Measures, prints, and says by its exit code whether every target was met."""
+    """Measures and prints; returns 1 where a target is missed."""
     parser = command_line(__doc__, quick="a few trials only")
-    parser.add_argument("--folder", type=Path, help="on which disk to keep journal and ledger")
+    parser.add_argument("--folder", type=Path, help="folder for journal and ledger")
     parser.add_argument("--serve", action="store_true", help=argparse.SUPPRESS)
     parser.add_argument("--pull", help=argparse.SUPPRESS)
     arguments = parser.parse_args()
@@ -303,7 +248,7 @@ def main() -> int:
     if not arguments.json:
         print(f"{turns} trials over loopback, records of {size} bytes; medians\n")
         show(watch)
-    return tell(figures, targets, as_json=arguments.json)
+    return print_results(figures, targets, as_json=arguments.json)
 
 
 if __name__ == "__main__":

@@ -14,7 +14,6 @@ from collections import Counter
 from dataclasses import replace
 from random import Random
 
-from estune.core.gains import Gains
 from estune.errors import EstuneError
 from estune.remote import messages
 from estune.remote.ledger import MemoryLedger
@@ -22,7 +21,7 @@ from estune.remote.messages import Answer, Description, Inquire, Status, digest
 from estune.remote.messages.codec import Message
 from estune.remote.messages.commands import Cancel, Clear, Lease, Submit, Void
 from estune.remote.zenoh.request_handler import RequestHandler
-from estune.trial import RigDescription, TrialRecord, TrialRequest, empty_record, record_frame
+from estune.trial import TrialRequest, record_frame
 from estune.trial.profiles import (
     AnyProfile,
     ChirpProfile,
@@ -30,12 +29,12 @@ from estune.trial.profiles import (
     StaircaseProfile,
     TriangleProfile,
 )
+from experiments.inert_rig import InertRig
 from experiments.results import at_most, command_line, print_results
 from experiments.rig_protocol_page import (
     COMMANDS,
     DESCRIBED,
     EXAMPLES,
-    GAINS,
     LEASE,
     RECORD,
     REQUEST,
@@ -50,40 +49,6 @@ EXTREMES = (
 
 Sent = tuple[str, bytes]
 """Destination and bytes: a verb, `result/<trial id>`, or `decode/<kind>`."""
-
-
-class CountingRig:
-    """Rig without motion that records the requests."""
-
-    def __init__(self) -> None:
-        self.asked: list[TrialRequest] = []
-        self._live = GAINS
-
-    def describe(self) -> RigDescription:
-        """A simulated rig with the live gains."""
-        return replace(DESCRIBED, gains=self._live, simulated=True)
-
-    def run(self, request: TrialRequest) -> TrialRecord:
-        """A record without samples."""
-        self.asked.append(request)
-        record = empty_record(request, self.describe(), RECORD.outcome, "", RECORD.started_at)
-        return replace(record, gains=request.gains)
-
-    def apply(self, gains: Gains) -> None:
-        """Does nothing."""
-
-    def abort(self) -> RigDescription:
-        """Does nothing."""
-        return self.describe()
-
-    def estop(self, reason: str) -> None:
-        """Does nothing."""
-
-    def clear(self) -> None:
-        """Does nothing."""
-
-    def close(self) -> None:
-        """Does nothing."""
 
 
 PROFILES: tuple[AnyProfile, ...] = (
@@ -163,7 +128,7 @@ class Fuzz:
 
     def __init__(self, seed: int) -> None:
         self.random = Random(seed)  # noqa: S311  nothing here is secret
-        self.rig = CountingRig()
+        self.rig = InertRig(DESCRIBED, RECORD)
         self.handler = RequestHandler(self.rig, MemoryLedger(), lambda: None, instance="0f")
         self.seeds = seeds()
         self.counts: Counter[str] = Counter()
@@ -192,10 +157,10 @@ class Fuzz:
     def finish(self) -> None:
         """Checks that the rig has run the submitted trials and no other."""
         self.handler.close()
-        asked = self.rig.asked
-        if len(set(asked)) != len(asked):
+        requests = self.rig.requests
+        if len(set(requests)) != len(requests):
             self.faults.append("a trial ran twice")
-        if others := [r.trial_id for r in asked if r not in self._submitted]:
+        if others := [r.trial_id for r in requests if r not in self._submitted]:
             self.faults.append(f"trials ran that were not submitted: {others[:3]}")
 
     def _send(self, where: str, data: bytes) -> None:
@@ -266,9 +231,10 @@ def main() -> int:
     arguments = parser.parse_args()
     mutations = QUICK if arguments.quick else arguments.mutations
     run = fuzz(mutations, arguments.seed)
-    figures = {"mutations": mutations, "trials_run": len(run.rig.asked), "faults": len(run.faults)}
+    trials, faults = len(run.rig.requests), len(run.faults)
+    figures = {"mutations": mutations, "trials_run": trials, "faults": faults}
     if not arguments.json:
-        print(f"{mutations} changed messages; {len(run.rig.asked)} trials run\n")
+        print(f"{mutations} changed messages; {trials} trials run\n")
         for name in sorted(run.counts):
             print(f"  {run.counts[name]:7}  {name}")
         print(f"\n{len(run.faults)} faults")

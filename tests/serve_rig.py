@@ -1,7 +1,7 @@
 """Serves a rig in a process of its own, until its standard input is closed.
 
-Prints the endpoint. Started by `served`; the arguments are a kind that `make` knows, the name the
-rig is to be served under, the endpoint, its ledger, and the endpoint of a router, if any.
+Prints the endpoint. Started by `served`; the arguments are a kind of rig of `make`, its name, the
+endpoint, its ledger, and the endpoints of routers.
 """
 
 import subprocess
@@ -18,11 +18,11 @@ from estune.trial import Rig
 from tests.support_rigs import ScriptedRig, broken, diverged
 
 SLOW_S = 100.0
-"""How long the trials of the slow rigs take if nobody stops them."""
+"""Duration of the trials of the slow rigs, s."""
 
 
 def make(kind: str, name: str) -> Rig:
-    """A rig of the kind named."""
+    """A rig of a kind."""
     if kind.endswith("simulated"):
         pace = {"slow": SLOW_S, "paced": 0.5}.get(kind.split(maxsplit=1)[0], 0.0)
         return plants.reference_reel().rig(name=name, seed=3, pace=pace)
@@ -49,9 +49,9 @@ def served(
     *routers: str,
     ledger: Path | None = None,
 ) -> Iterator["Served"]:
-    """A rig served by another process, for as long as the block lasts.
+    """A rig served by another process while the block lasts.
 
-    Its ledger is the file named, or one that is thrown away.
+    Its ledger is the given file, or a temporary one.
     """
     folder = TemporaryDirectory()
     file = str(ledger or Path(folder.name) / "ledger")
@@ -75,7 +75,7 @@ def served(
 
 
 class Served:
-    """A server process, and where it listens."""
+    """A server process and its endpoint."""
 
     def __init__(self, process: subprocess.Popen, endpoint: str) -> None:
         self.process = process

@@ -1,4 +1,4 @@
-"""A rig that answers from a function, for tests of what stands around a rig."""
+"""A rig that answers from a function, for tests of its surroundings."""
 
 import threading
 from collections.abc import Callable
@@ -74,7 +74,7 @@ def response(request: TrialRequest) -> TrialRecord:
 
 
 def diverged(request: TrialRequest) -> TrialRecord:
-    """The response of a loop that left the finite range half way."""
+    """Response of a loop that leaves the finite range halfway."""
     record = response(request)
     tension = np.array(record.tension_N)
     tension[tension.size // 2 :] = np.nan
@@ -84,7 +84,7 @@ def diverged(request: TrialRequest) -> TrialRecord:
 
 
 def broken(request: TrialRequest) -> TrialRecord:
-    """A rig whose own program fails."""
+    """Raises, as a rig whose own program fails."""
     raise ZeroDivisionError(f"no answer to {request.number}")
 
 
@@ -92,7 +92,7 @@ class ScriptedRig:
     """Answers each trial from a function; implements `estune.trial.Rig`.
 
     Attributes:
-        asked: The trials it was asked for, in order, repeats included.
+        asked: The requested trials, in order, repeats included.
     """
 
     def __init__(
@@ -102,7 +102,7 @@ class ScriptedRig:
         duration_s: float = 0.0,
         **changes,
     ) -> None:
-        """`duration_s` is how long each trial takes; `changes` are changes to the description."""
+        """`duration_s` is the duration of each trial; `changes` apply to the description."""
         self.asked: list[TrialRequest] = []
         self._answer = answer
         self._duration_s = duration_s
@@ -183,7 +183,7 @@ class ScriptedRig:
 
 
 def same(one: TrialRecord, other: TrialRecord) -> bool:
-    """Whether two records are the same bit for bit."""
+    """Whether two records are equal bit for bit."""
     columns = ((getattr(one, name), getattr(other, name)) for name in COLUMNS)
     alike = all(
         a is b is None or (a.dtype == b.dtype and a.tobytes() == b.tobytes()) for a, b in columns

@@ -1,4 +1,4 @@
-"""docs/rig-protocol.md: what it prints is what the code does."""
+"""docs/rig-protocol.md agrees with the code."""
 
 import json
 import re
@@ -21,7 +21,7 @@ def section(name: str) -> str:
 
 
 def dumped(name: str) -> bytes:
-    """The bytes of a dump in the page, read as a reader would."""
+    """Bytes of a hexadecimal dump in the page."""
     lines = re.findall(r"^[0-9a-f]{4}  ((?:[0-9a-f]{2} ?)+)", section(name), re.MULTILINE)
     return bytes.fromhex("".join(lines))
 

@@ -69,8 +69,8 @@ _adapters: "dict[type[Message], TypeAdapter[Any]]" = {}
 
 
 def _adapter(kind: type[Message]) -> "TypeAdapter[Any]":
-    from pydantic import TypeAdapter  # noqa: PLC0415  slow to import, not needed by every command
-
     if kind not in _adapters:
+        from pydantic import TypeAdapter  # noqa: PLC0415  slow to import, not always needed
+
         _adapters[kind] = TypeAdapter(kind)
     return _adapters[kind]
