@@ -113,7 +113,7 @@ def emulated_hardware(settings: Mapping[str, Any]) -> Iterator[str]:
     with tempfile.TemporaryDirectory(prefix="estune-reel-") as folder:
         address = str(Path(folder) / "reel")
         process = subprocess.Popen(  # noqa: S603  our own interpreter and module
-            [sys.executable, "-m", "plants.emulator", address, json.dumps(dict(settings))],
+            [sys.executable, "-P", "-m", "plants.emulator", address, json.dumps(dict(settings))],
             stdin=subprocess.PIPE,  # closes with this process, and ends the hardware
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
