@@ -1,5 +1,6 @@
 """`estune explain`: what it prints and writes, and how it ends."""
 
+import html
 import json
 import re
 
@@ -56,7 +57,7 @@ def test_terminal_shows_verdict_error_parameters_and_file_issues(asked, capsys):
     assert shown.startswith(made.heading())
     for sentence in (made.effects[0].sentence, *(str(f) for f in made.findings)):
         assert sentence in shown
-    assert re.search(r"gap of short predictions +0\.58 N +0\.047 N", shown)
+    assert re.search(r"error of short predictions, rms +0\.58 N +0\.047 N", shown)
     assert re.search(r"eyelet_friction +attenuation +0\.9310 +0\.9279 to 0\.9341", shown)
     assert re.search(r"not excited +backlash, drum_eccentricity;", shown)
     assert "--model plants:reference_reel --data runs --report" in shown
@@ -104,7 +105,7 @@ def test_terminal_shows_an_unexplained_verdict(monkeypatch, capsys):
     monkeypatch.setattr(module, "explain", lambda *_, **__: nothing_found())
     assert command() == 0
     shown = capsys.readouterr().out
-    assert shown.startswith("NONE: ")
+    assert shown.startswith("NO MISSING EFFECT: ")
     assert "with the effects" not in shown
 
 
@@ -184,7 +185,8 @@ def test_hidden_friction_is_identified_beside_a_bad_file(tmp_path, capsys):
     assert refused["source"].endswith("bad.csv")
     (effect, *_) = plants.load_model(improved).effects
     assert effect.name in names
-    assert refused["sentence"] in page.read_text().replace("&nbsp;", " ").replace("&#x27;", "'")
+    text = html.unescape(page.read_text()).replace("\N{NO-BREAK SPACE}", " ")
+    assert refused["sentence"] in text
 
 
 def test_folder_without_records_is_one_line_with_code_2(tmp_path, capsys):
