@@ -109,12 +109,12 @@ class Problem:
         )
 
 
-def second_order(frequency_Hz: float, damping: float, dead_time_s: float) -> LinearPlant:
+def second_order(frequency_Hz: float, damping: float, dead_samples: float) -> LinearPlant:
     """A unit-gain second-order plant with limits on the effort, over eight of its periods."""
     w = 2.0 * math.pi * frequency_Hz
     return plants.linear_plant(
         control.tf([w * w], [1.0, 2.0 * damping * w, w * w]),
-        dead_time_s=dead_time_s,
+        dead_time_s=dead_samples * ONE_SAMPLE_S,
         sampling_Hz=SAMPLING_HZ,
         output_min_N=-EFFORT_LIMIT,
         output_max_N=EFFORT_LIMIT,
@@ -134,94 +134,53 @@ def first_plant_of_2006() -> LinearPlant:
     )
 
 
-def _reel_cost(cable_length_m: float) -> StepCost:
-    """The default cost of a tuning of the reel."""
-    w = plants.reference_reel(cable_length_m).natural_frequency_rad_s
-    return StepCost(2.0 * math.pi / w, move_weight=MOVE_WEIGHT)
+def _on_reel(
+    name: str, title: str, length_m: float, build: Callable[[], Plant] | None = None
+) -> Problem:
+    """A problem on the reference reel, with the default cost of a tuning.
+
+    Its start is at most four times as costly as the optimum, because a trial of a second bounds
+    the cost of a slow response; but four logarithms and more away from it, as the other starts.
+    """
+    build = build or partial(plants.reference_reel, length_m)
+    w = plants.reference_reel(length_m).natural_frequency_rad_s
+    cost = StepCost(2.0 * math.pi / w, move_weight=MOVE_WEIGHT)
+    return Problem(name, title, build, cost, Gains(0.4, 4.0, 0.003, 0.03))
 
 
-def _scaled_cost(frequency_Hz: float, move_weight: float) -> StepCost:
-    """Cost with times in units of the settling time, one period."""
-    return StepCost(1.0 / frequency_Hz, time_unit="settling_time", move_weight=move_weight)
+def _on_second_order(
+    name: str, title: str, plant: tuple[float, float, float], move_weight: float, start: Gains
+) -> Problem:
+    """A problem on a `second_order` plant, with times in units of the settling time, a period."""
+    cost = StepCost(1.0 / plant[0], time_unit="settling_time", move_weight=move_weight)
+    return Problem(name, title, partial(second_order, *plant), cost, start)
 
 
-def _rubbing_reel() -> Plant:
+def _reel_with_friction() -> Plant:
     return plants.reference_reel() + plants.CoulombFriction(torque_Nm=0.05)
 
 
-WEAK_ON_A_REEL = Gains(0.4, 4.0, 0.003, 0.03)
-"""At most four times as costly as the optimum, because a trial of a second bounds the cost of a
-slow response; but four logarithms and more away from it, as the other starts."""
-
-PROBLEMS = {
-    problem.name: problem
-    for problem in (
-        Problem(
-            "reel 0.5 m",
-            "the reference reel at its shortest cable",
-            partial(plants.reference_reel, 0.5),
-            _reel_cost(0.5),
-            WEAK_ON_A_REEL,
-        ),
-        Problem(
-            "reel 1.4 m",
-            "the reference reel at its longest cable",
-            partial(plants.reference_reel, 1.4),
-            _reel_cost(1.4),
-            WEAK_ON_A_REEL,
-        ),
-        Problem(
-            "8 Hz",
-            "second order, damping 0.15",
-            partial(second_order, 8.0, 0.15, ONE_SAMPLE_S),
-            _scaled_cost(8.0, 2.0),
-            Gains(0.12, 6.0, 0.0015, 0.05),
-        ),
-        Problem(
-            "3 Hz",
-            "slow and lightly damped, 0.06",
-            partial(second_order, 3.0, 0.06, ONE_SAMPLE_S),
-            _scaled_cost(3.0, 2.0),
-            Gains(0.15, 3.0, 0.005, 0.1),
-        ),
-        Problem(
-            "20 Hz",
-            "fast and well damped, 0.7",
-            partial(second_order, 20.0, 0.7, ONE_SAMPLE_S),
-            _scaled_cost(20.0, 2.0),
-            Gains(0.1, 12.0, 0.0004, 0.024),
-        ),
-        Problem(
-            "dead time",
-            "8 Hz, damping 0.15, a dead time of 12 samples",
-            partial(second_order, 8.0, 0.15, 12.0 * ONE_SAMPLE_S),
-            _scaled_cost(8.0, 5.0),
-            Gains(0.08, 3.2, 0.002, 0.045),
-        ),
-        Problem(
-            "friction",
-            "the reference reel with Coulomb friction of 0.05 N m",
-            _rubbing_reel,
-            _reel_cost(0.8),
-            WEAK_ON_A_REEL,
-        ),
-        Problem(
-            "K-K G1",
-            "exp(-5 s)/(1 + 20 s) of Killingsworth & Krstic, with a move penalty",
-            first_plant_of_2006,
-            StepCost(20.0, move_weight=MOVE_WEIGHT),
-            Gains(1.3, 0.035, 0.8, 1.0),
-        ),
-    )
-}
+_FAMILIES = (
+    _on_reel("reel 0.5 m", "the reference reel at its shortest cable", 0.5),
+    _on_reel("reel 1.4 m", "the reference reel at its longest cable", 1.4),
+    _on_second_order("8 Hz", "second order, damping 0.15",
+        (8.0, 0.15, 1.0), 2.0, Gains(0.12, 6.0, 0.0015, 0.05)),
+    _on_second_order("3 Hz", "slow and lightly damped, 0.06",
+        (3.0, 0.06, 1.0), 2.0, Gains(0.15, 3.0, 0.005, 0.1)),
+    _on_second_order("20 Hz", "fast and well damped, 0.7",
+        (20.0, 0.7, 1.0), 2.0, Gains(0.1, 12.0, 0.0004, 0.024)),
+    _on_second_order("dead time", "8 Hz, damping 0.15, a dead time of 12 samples",
+        (8.0, 0.15, 12.0), 5.0, Gains(0.08, 3.2, 0.002, 0.045)),
+    _on_reel("friction", "the reference reel with Coulomb friction of 0.05 N m",
+        0.8, _reel_with_friction),
+    Problem("K-K G1", "exp(-5 s)/(1 + 20 s) of Killingsworth & Krstic, with a move penalty",
+        first_plant_of_2006, StepCost(20.0, move_weight=MOVE_WEIGHT), Gains(1.3, 0.035, 0.8, 1.0)),
+)  # fmt: skip
+PROBLEMS = {problem.name: problem for problem in _FAMILIES}
 """The families by name; their costs get noise of 3 % and 10 %."""
 
-GAUGE = Problem(
-    "gauge",
-    "the reference reel, scored through the noise of its gauge",
-    plants.reference_reel,
-    _reel_cost(0.8),
-    WEAK_ON_A_REEL,
+GAUGE = replace(
+    _on_reel("gauge", "the reference reel, scored through the noise of its gauge", 0.8),
     gauge_noise=True,
 )
 """A problem with measurement noise in the loop."""
