@@ -78,14 +78,7 @@ def export_run(run_folder: Path, out: Path, form: Format) -> list[Path]:
 
 
 def write_record(record: TrialRecord, folder: Path) -> Path:
-    """Writes one record as CSV, with its metadata as JSON beside it.
-
-    Args:
-        record: The record.
-        folder: Folder; made if it is missing. Files of the same trial are replaced.
-
-    Returns:
-        The file with the columns.
+    """Writes one record as CSV, with its metadata as JSON beside it; the path of the CSV.
 
     Raises:
         JournalError: a file cannot be written.

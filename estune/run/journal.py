@@ -69,11 +69,7 @@ class Journal:
 
     @classmethod
     def create(cls, folder: Path, facts: dict[str, Any]) -> Self:
-        """Begins a run in a new folder.
-
-        Args:
-            folder: Folder of the run.
-            facts: Plan of the run, as JSON values.
+        """Begins a run in a new folder, with facts as JSON values.
 
         Raises:
             JournalError: the folder holds a run already, or cannot be written.
@@ -121,11 +117,7 @@ class Journal:
         finished: tuple[TrialRequest, TrialRecord, float] | None,
         following: tuple[TrialRequest, Phase] | None,
     ) -> None:
-        """Commits a trial's end and the next request, in one transaction.
-
-        Args:
-            finished: The request that was run, its record and its cost (nan where it has none).
-            following: The request about to be run, and its phase.
+        """Commits a finished trial with its record and cost, and the request that follows it.
 
         Raises:
             JournalError: it could not be committed; nothing was changed.

@@ -103,11 +103,7 @@ def plan_to_json(plan: Plan) -> dict[str, Any]:
 
 
 def plan_from_json(values: dict[str, Any], tuner: Tuner[Any] | None = None) -> Plan:
-    """The plan in JSON values.
-
-    Args:
-        values: The values.
-        tuner: Tuner to use instead of the stored one.
+    """The plan in JSON values, with a given tuner instead of the stored one.
 
     Raises:
         JournalError: the values are not a plan of this version.

@@ -255,11 +255,7 @@ def after_trial(
 ) -> Session:
     """The session after the trial that `next_request` returned.
 
-    Args:
-        session: The session before the trial.
-        outcome: How the trial ended.
-        cost: Its cost eta; ignored unless the trial is done.
-        margin: Smallest constraint margin of the trial, as a share of the rig's limits.
+    The cost is ignored unless the trial is done; `margin` is its `constraint_margin`.
     """
     if outcome.is_void:
         return replace(session, attempt=session.attempt + 1)
@@ -352,11 +348,7 @@ def _confirmation(
 ) -> InterleavedRepeats | None:
     """The repeats that confirm candidate gains; None if those are the initial ones.
 
-    Args:
-        session: The session at the end of the search.
-        gains: The candidate.
-        expected: Its expected cost; nan if that is not known.
-        costs: Costs of repeats beside the baseline.
+    `expected` is the candidate's expected cost, `costs` are those of repeats beside the baseline.
     """
     plan = session.plan
     if gains == plan.start:

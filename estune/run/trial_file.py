@@ -97,11 +97,6 @@ def run_trial(
 ) -> TrialRecord:
     """Runs one trial on a rig, under an id with the time of day.
 
-    Args:
-        rig: The rig.
-        trial: The trial.
-        now: Clock for the id.
-
     Raises:
         InvalidInput: the rig refuses the trial; nothing moved.
         RigError: the rig cannot be reached.

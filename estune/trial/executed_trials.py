@@ -60,15 +60,10 @@ class ExecutedTrials:
 
 @contextlib.contextmanager
 def stopped_trial(trial: threading.Lock, stop: Callable[[], None]) -> Iterator[None]:
-    """Stops the running trial and holds its lock for the duration of the block.
-
-    Args:
-        trial: Lock that is held while a trial runs.
-        stop: Stops a trial; repeated, because a trial that is just beginning may miss it.
-    """
+    """Stops the running trial and holds its lock `trial` for the duration of the block."""
     acquired = False
     while not acquired:
-        stop()
+        stop()  # repeated, because a trial that is just beginning may miss it
         acquired = trial.acquire(timeout=STOP_INTERVAL_S)
     try:
         yield

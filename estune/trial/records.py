@@ -123,15 +123,7 @@ class TrialRecord:
 def empty_record(
     request: TrialRequest, rig: RigDescription, outcome: Outcome, reason: str, at: str
 ) -> TrialRecord:
-    """The record of a trial without samples, with the live gains.
-
-    Args:
-        request: The trial.
-        rig: Its rig.
-        outcome: How it ended.
-        reason: The outcome in words.
-        at: Time of day, ISO 8601 with offset.
-    """
+    """The record of a trial without samples, with the live gains; `at` is its time of day."""
     nothing = np.empty(0)
     return TrialRecord(
         trial_id=request.trial_id,

@@ -17,12 +17,6 @@ def cost_of(
 ) -> float:
     """The cost of one step trial: eta of (35), with its options.
 
-    Args:
-        record: The record.
-        step: The requested step.
-        cost: The settings of (35).
-        newtons_per_ampere: Tension at rest per motor current, N/A; converts current to effort.
-
     Returns:
         The cost; NaN unless the trial is done and its values are finite.
 

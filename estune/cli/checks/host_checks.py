@@ -75,13 +75,7 @@ def check_permissions(host: Host | None, *, simulated: bool) -> CheckResult:
 
 
 def check_ports(host: Host | None, endpoint: str, *, authenticated: bool) -> CheckResult:
-    """Whether the rig is reachable from the network without authentication.
-
-    Args:
-        host: The process, if it is visible.
-        endpoint: Address of the rig.
-        authenticated: Whether the connection is authenticated.
-    """
+    """Whether the rig is reachable from the network without authentication."""
     at = host.listens if host is not None else (endpoint,)
     remote = [address for address in at if not _is_loopback(address)]
     if remote and not authenticated:

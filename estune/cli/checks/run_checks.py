@@ -49,12 +49,7 @@ def run_checks(
 ) -> Iterator[CheckResult]:
     """Checks a rig; yields each result as soon as it is known.
 
-    Args:
-        rig: The rig.
-        endpoint: Its address.
-        move: Whether it may move: repeats of a gentle step with its live gains.
-        repeats: Number of repeats, at least two.
-        authenticated: Whether the connection is authenticated.
+    With `move`, the rig repeats a gentle step with its live gains.
 
     Raises:
         RigError: it cannot be reached, or refuses the trials.
