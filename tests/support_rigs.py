@@ -92,7 +92,7 @@ class ScriptedRig:
     """Answers each trial from a function; implements `estune.trial.Rig`.
 
     Attributes:
-        asked: The requested trials, in order, repeats included.
+        requests: The requested trials, in order, repeats included.
     """
 
     def __init__(
@@ -103,7 +103,7 @@ class ScriptedRig:
         **changes,
     ) -> None:
         """`duration_s` is the duration of each trial; `changes` apply to the description."""
-        self.asked: list[TrialRequest] = []
+        self.requests: list[TrialRequest] = []
         self._answer = answer
         self._duration_s = duration_s
         self._description = description(**changes)
@@ -120,7 +120,7 @@ class ScriptedRig:
 
     def run(self, request: TrialRequest) -> TrialRecord:
         self._check_free()
-        self.asked.append(request)
+        self.requests.append(request)
         with self._idle:
             if request.trial_id in self._records:
                 asked, record = self._records[request.trial_id]

@@ -91,7 +91,7 @@ def test_trials_over_a_wire_cut_repeatedly_run_once_each():
         finally:
             done.set()
             cutting.join()
-    assert rig.asked == trials
+    assert rig.requests == trials
     assert all(same(response(t), r) for t, r in zip(trials, records, strict=True))
 
 
@@ -106,7 +106,7 @@ def test_trial_whose_first_reply_is_lost_runs_once():
         for request in trials:
             wire.lose_next_answer()
             assert same(client.run(request), response(request))
-    assert rig.asked == trials
+    assert rig.requests == trials
 
 
 def test_trial_survives_a_rig_frozen_longer_than_the_lease():
@@ -238,7 +238,7 @@ def test_run_assembles_records_in_parts():
     with zenoh.serve(rig, part_bytes=1000) as server, zenoh.connect(server.endpoint) as client:
         for number in range(3):
             assert same(client.run(trial(number)), response(trial(number)))
-    assert len(rig.asked) == 3
+    assert len(rig.requests) == 3
 
 
 def test_watch_yields_samples_of_the_active_trial():
@@ -330,7 +330,7 @@ rig = PrintingRig(duration_s=100.0)
 server = zenoh.serve(rig)
 client = zenoh.connect(server.endpoint)
 threading.Thread(target=client.run, args=(trial(),), daemon=True).start()
-while not rig.asked:
+while not rig.requests:
     pass
 """
     assert "cancelled" in end(script(text))

@@ -190,7 +190,7 @@ def test_command_on_a_wildcard_key_is_not_executed():
         payload = messages.encode(Submit("ab", trial(), digest(trial())))
         for key in ("reel/**", "**", "reel/v1/*/*/*/submit", "reel/v1/*/@cmd/*/submit"):
             list(snoop.get(key, payload=payload, target=zenoh.QueryTarget.ALL, timeout=5.0))
-        assert rig.asked == []
+        assert rig.requests == []
 
 
 def test_random_commands_are_refused_without_effect():

@@ -108,7 +108,7 @@ def test_submit_repeated_runs_the_trial_once():
     rig = HeldRig()
     with handling(rig) as handler:
         assert handler.begin(trial()).verdict is ReplyCode.ACCEPTED
-        while not rig.asked:
+        while not rig.requests:
             time.sleep(0.001)
         assert handler.begin(trial()).verdict is ReplyCode.RUNNING
         assert handler.ask(trial()).verdict is ReplyCode.RUNNING
@@ -117,7 +117,7 @@ def test_submit_repeated_runs_the_trial_once():
         first = handler.begin(trial())
         assert same(record_frame.decode(first), replace(response(trial()), rig="scripted"))
         assert handler.ask(trial()) == first
-    assert rig.asked == [trial()]
+    assert rig.requests == [trial()]
 
 
 class LateLedger(MemoryLedger):
@@ -177,10 +177,10 @@ def test_end_of_a_trial_calls_changed():
 def test_submit_to_a_quick_rig_returns_the_record():
     rig = ScriptedRig()
     with handling(rig) as handler:
-        while not isinstance(state := handler.begin(trial(len(rig.asked))), bytes):
+        while not isinstance(state := handler.begin(trial(len(rig.requests))), bytes):
             handler.wait()  # the first is not awaited: nothing is known of the rig
-        assert record_frame.decode(state).trial_id == rig.asked[-1].trial_id
-    assert len(rig.asked) > 1
+        assert record_frame.decode(state).trial_id == rig.requests[-1].trial_id
+    assert len(rig.requests) > 1
 
 
 def test_submit_to_a_rig_no_longer_quick_is_answered_by_another_thread():
@@ -189,13 +189,13 @@ def test_submit_to_a_rig_no_longer_quick_is_answered_by_another_thread():
         handler._prompt = True
         slow = threading.Thread(target=handler.begin, args=(trial(),))
         slow.start()
-        while not rig.asked:
+        while not rig.requests:
             time.sleep(0.001)
         assert handler.begin(trial()).verdict is ReplyCode.RUNNING
         rig.go.set()
         slow.join()
         assert isinstance(handler.begin(trial()), bytes)
-    assert rig.asked == [trial()]
+    assert rig.requests == [trial()]
 
 
 def test_request_under_a_used_id_is_refused_and_not_run():
@@ -209,7 +209,7 @@ def test_request_under_a_used_id_is_refused_and_not_run():
             handler.void(Void(MINE, other.trial_id, digest(other))),
         ):
             assert (answer.verdict, answer.error) == (ReplyCode.REFUSED, "RigError")
-    assert rig.asked == [trial()]
+    assert rig.requests == [trial()]
 
 
 def test_submit_and_gains_during_a_trial_are_busy_with_its_id():
@@ -228,7 +228,7 @@ def test_submit_and_gains_during_a_trial_are_busy_with_its_id():
         handler.begin(trial(1))
         handler.wait()
         assert handler.now.ended == 2
-    assert rig.asked == [trial(), trial(1)]
+    assert rig.requests == [trial(), trial(1)]
 
 
 def test_describe_during_a_trial_returns_the_rig_at_rest():
@@ -259,7 +259,7 @@ def test_submit_too_long_for_a_frame_is_refused():
         answer = handler.begin(trial(duration_s=1e4))
         assert answer.error == "InvalidInput"
         assert "shorter" in answer.sentence
-    assert rig.asked == []
+    assert rig.requests == []
 
 
 # --- the ledger ---
@@ -278,12 +278,12 @@ class CountingLedger(MemoryLedger):
         if self.fails:
             raise RigError("the disk is full")
         state = super().note(*arguments)
-        self.notes.append((state, len(self.rig.asked)))
+        self.notes.append((state, len(self.rig.requests)))
         return state
 
     def end(self, trial_id, outcome):
         super().end(trial_id, outcome)
-        self.notes.append((TrialState.ENDED, len(self.rig.asked)))
+        self.notes.append((TrialState.ENDED, len(self.rig.requests)))
 
 
 @pytest.mark.parametrize("prompt", [False, True])
@@ -311,7 +311,7 @@ def test_submit_without_a_writable_ledger_is_refused_and_not_run(prompt):
         ledger.fails = False
         handler.begin(trial())
         handler.wait()
-    assert rig.asked == [trial()]
+    assert rig.requests == [trial()]
 
 
 @pytest.mark.parametrize("prompt", [False, True])
@@ -341,7 +341,7 @@ def test_void_during_the_note_of_a_trial_prevents_it(prompt):
         begun.join()
         assert answers[0].verdict is ReplyCode.VOID
         handler.wait()
-    assert rig.asked == []
+    assert rig.requests == []
 
 
 def test_void_trial_never_runs():
@@ -355,7 +355,7 @@ def test_void_trial_never_runs():
         handler.wait()
         ended = Void(MINE, trial(1).trial_id, digest(trial(1)))
         assert handler.void(ended).verdict is ReplyCode.ENDED
-    assert rig.asked == [trial(1)]
+    assert rig.requests == [trial(1)]
 
 
 # --- the lease ---
@@ -376,7 +376,7 @@ def test_commands_without_the_lease_are_refused_with_the_holder():
         assert handler.acquire(OTHERS).verdict is ReplyCode.ACCEPTED
         assert handler.now.holder == "holder of others"
         assert handler.begin(trial()).verdict is ReplyCode.HELD
-        assert rig.asked == []
+        assert rig.requests == []
 
 
 def test_lease_not_renewed_stops_the_trial_with_the_reason():
@@ -392,7 +392,7 @@ def test_lease_not_renewed_stops_the_trial_with_the_reason():
         assert "no renewal by holder of mine for 1 s" in record.reason
         assert handler.now.mode is Mode.IDLE
         assert handler.begin(trial(1)).verdict is ReplyCode.NO_LEASE
-    assert rig.asked == [trial()]
+    assert rig.requests == [trial()]
 
 
 def test_lease_renewed_stays_in_force():
@@ -426,7 +426,7 @@ def test_cancel_before_the_start_prevents_the_trial():
         assert record.outcome is Outcome.CANCELLED
         assert record.gains == rig.describe().gains
         assert record.time_s.size == 0
-    assert rig.asked == []
+    assert rig.requests == []
 
 
 def test_cancel_names_the_trial_until_its_end_and_spares_the_next():
@@ -467,7 +467,7 @@ def test_estop_stops_the_trial_and_holds_until_clear():
     rig = ScriptedRig(duration_s=60.0)
     with handling(rig) as handler:
         handler.begin(trial())
-        while not rig.asked:
+        while not rig.requests:
             time.sleep(0.001)
         assert handler.stop("smoke").verdict is ReplyCode.ACCEPTED
         handler.wait()
@@ -487,7 +487,7 @@ def test_estop_waits_for_neither_trial_nor_disk(tmp_path):
     rig, ledger = HeldRig(), FileLedger(tmp_path / "ledger", "scripted")
     with handling(rig, ledger) as handler:
         handler.begin(trial())
-        while not rig.asked:
+        while not rig.requests:
             time.sleep(0.001)
         answers = SimpleQueue()
         with ledger._writing:  # as while a commit takes its time
@@ -511,7 +511,7 @@ def test_estop_that_fails_is_reported_and_latches(caplog):
         assert (answer.verdict, answer.error) == (ReplyCode.REFUSED, "RigError")
         assert handler.begin(trial()).verdict is ReplyCode.SAFE
     assert "emergency stop" in caplog.text
-    assert rig.asked == []
+    assert rig.requests == []
 
 
 def test_estop_at_the_start_of_a_trial_cancels_it():
@@ -524,7 +524,7 @@ def test_estop_at_the_start_of_a_trial_cancels_it():
         record = record_frame.decode(handler.ask(trial()))
     assert record.outcome is Outcome.CANCELLED
     assert record.reason.startswith("emergency stop: smoke (")
-    assert rig.asked == []
+    assert rig.requests == []
 
 
 def test_estop_persists_over_a_restart(tmp_path):
@@ -540,7 +540,7 @@ def test_estop_persists_over_a_restart(tmp_path):
                 handler.reset()
                 assert handler.begin(trial()).verdict is ReplyCode.ACCEPTED
         ledger.close()
-    assert rig.asked == [trial()]
+    assert rig.requests == [trial()]
 
 
 def test_estop_during_clear_holds():

@@ -437,13 +437,13 @@ def test_query_on_a_wildcard_key_is_answered_on_the_rigs_own_key(board, name):
 
 def test_status_is_published_at_each_change(board):
     ring = zenoh.handlers.RingChannel(100)
-    with board.session.declare_subscriber(board.keys.status, ring) as told:
+    with board.session.declare_subscriber(board.keys.status, ring) as subscriber:
         request = board.trial()
         board.submit(request)
         board.record(request)
         ended = board.status().ended
         while True:
-            sample = told.recv()
+            sample = subscriber.recv()
             assert sample.attachment.to_bytes() == board.instance.encode()
             if messages.decode(Status, sample.payload.to_bytes()).ended == ended:
                 break

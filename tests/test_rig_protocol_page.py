@@ -26,16 +26,16 @@ def dumped(name: str) -> bytes:
     return bytes.fromhex("".join(lines))
 
 
-def test_the_page_is_up_to_date():
+def test_page_is_up_to_date():
     assert set(re.findall(r"from the code: (\w+)", TEXT)) == set(SECTIONS)
     assert page(TEXT) == TEXT, "run: python -m experiments.rig_protocol_page"
 
 
-def test_the_frame_in_the_page_is_the_record_it_is_said_to_be():
+def test_frame_of_the_page_decodes_to_its_record():
     assert same(record_frame.decode(dumped("frame_bytes")), RECORD)
 
 
-def test_the_frame_in_the_page_can_be_read_by_what_the_page_says_of_it():
+def test_frame_of_the_page_has_the_described_layout():
     data = dumped("frame_bytes")
     magic, head, body, checksum = struct.unpack_from("<4sIII", data)
     assert (magic, head % 8, len(data)) == (b"RTR1", 0, 16 + head + body)
@@ -48,13 +48,13 @@ def test_the_frame_in_the_page_can_be_read_by_what_the_page_says_of_it():
     assert data[-header["samples"] :] == bytes(RECORD.flags)
 
 
-def test_the_part_in_the_page_is_the_beginning_of_the_frame():
+def test_part_of_the_page_is_the_beginning_of_the_frame():
     part = messages.decode_part(dumped("part_bytes"))
     whole = dumped("frame_bytes")
     assert (part.total, part.offset, part.data) == (len(whole), 0, whole[:32])
 
 
-def test_the_live_samples_in_the_page_are_those_they_are_said_to_be():
+def test_live_samples_of_the_page_decode_to_their_samples():
     samples = messages.decode_live(SAMPLES.trial_id, dumped("live_bytes"))
     assert (samples.first_sample, samples.sampling_Hz) == (32, 632.0)
     for name in ("setpoint_N", "tension_N", "current_A", "angle_rad"):
@@ -62,7 +62,7 @@ def test_the_live_samples_in_the_page_are_those_they_are_said_to_be():
 
 
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda example: type(example).__name__)
-def test_each_example_in_the_page_is_a_message(example):
+def test_examples_of_the_page_decode(example):
     kind = type(example)
     text = re.search(rf"### {kind.__name__}\n.*?```json\n(.*?)\n```", TEXT, re.DOTALL)[1]
     assert messages.decode(kind, text.encode()) == example

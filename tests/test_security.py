@@ -67,7 +67,7 @@ def test_user_with_command_right_commands_by_password(users):
         assert anna.abort() == anna.describe()
         anna.estop("smoke")
         anna.clear()
-        assert rig.asked == [trial()]
+        assert rig.requests == [trial()]
         assert [p.rig for p in zenoh.discover_rigs(server.endpoint, security=users["anna"])] == [
             "scripted"
         ]
@@ -88,7 +88,7 @@ def test_user_with_look_right_sees_all_and_commands_nothing(users):
                 call()
         with pytest.raises(RigError, match="has not answered the emergency stop"):
             guest.estop("smoke")
-        assert rig.asked == []
+        assert rig.requests == []
         assert server._handler.status().mode is Mode.IDLE
 
 
@@ -130,7 +130,7 @@ def test_run_experiment_requires_the_command_right(who, code, users, tmp_path):
     with served("tcp/127.0.0.1:0", security=users["rig"]) as (rig, server):
         words = ["run-experiment", str(file), server.endpoint, "--data", str(tmp_path / "data")]
         assert run([*words, "--security", str(tmp_path / f"{who}.toml")]) == code
-        assert len(rig.asked) == (code == 0)
+        assert len(rig.requests) == (code == 0)
 
 
 def test_improve_requires_the_command_right(users, tmp_path, capsys):
@@ -139,7 +139,7 @@ def test_improve_requires_the_command_right(users, tmp_path, capsys):
         guest = ["--security", str(tmp_path / "guest.toml")]
         assert run([*words, *guest]) == RigError.exit_code
         assert "had no right to command it" in capsys.readouterr().err
-        assert rig.asked == []
+        assert rig.requests == []
 
 
 def test_daemon_authenticates_at_the_rig(users, tmp_path):
@@ -229,7 +229,7 @@ def test_certificates_grant_command_and_look_rights(holders):
         assert guest.describe() == anna.describe()
         with pytest.raises(RigError, match="had no right to command it"):
             guest.run(trial(1))
-        assert rig.asked == [trial()]
+        assert rig.requests == [trial()]
 
 
 def test_certificate_of_another_authority_is_rejected(holders):
