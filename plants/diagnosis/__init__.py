@@ -1,6 +1,6 @@
-"""Where a simulation and measured records disagree, and which physical effect would explain it.
+"""Identification of the physical effect that a model lacks, from measured records.
 
 `explain` is the one call, `improve` the loop closed on a live rig. Below them, from a user's view
-down: `experiments`, what to measure; `search`, which effect; `report`, what is said; `residual`,
-where; `prediction`, `models`, `checks` and `data`, what it all stands on.
+down: `report`, how a diagnosis is shown; `search`, which effect; `experiments`, what to measure;
+`result`, the diagnosis as values; `residual`, where; `prediction`, `models`, `checks` and `data`.
 """

@@ -1,4 +1,4 @@
-"""One call from a model and records to the effect that is missing."""
+"""Identification of the effect that a model lacks, from records, in one call."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -43,7 +43,7 @@ from plants.effects import (
 )
 
 HUM_ROUNDS = 2
-"""Hum is looked for once more without it: windows that begin with it are foretold with it."""
+"""Searches for mains interference; the second is without the line found first."""
 
 
 def explain(
@@ -53,9 +53,7 @@ def explain(
     effects: Sequence[type[Effect] | str] | None = None,
     rig: RigDescription | None = None,
 ) -> Diagnosis:
-    """Finds where a model and records disagree, and names the effect that is missing.
-
-    Nothing is drawn: the same records give the same answer.
+    """Identifies the effect that a model lacks, from records; deterministic.
 
     Args:
         model: A `Reel`, an `UnloadedReel`, a linear or a Python plant, or a system of
@@ -63,7 +61,7 @@ def explain(
         records: A folder of records, or the records themselves.
         effects: The effects to choose from, classes or names for `plants.effects.find`; None is
             all that are declared, those of other packages included.
-        rig: The rig that the next experiment is for; None is what the records tell of it.
+        rig: The rig of the next experiment; None derives it from the records.
 
     Raises:
         InvalidInput: there is no record that can be used; the message says why for each.
@@ -133,7 +131,7 @@ def _explained(
 
 
 def _base(model: Any, measurements: tuple[MeasuredRecord, ...], noise: NoiseFloor) -> FittedModel:
-    """The base fit, of the model as the records tell it is meant."""
+    """The base fit, of the variant of the model that suits the records."""
     stages = []
     for plant in diagnosed(model, measurements).alternatives():
         bench = ModelFitter(plant, measurements, noise)
@@ -145,23 +143,23 @@ def _base(model: Any, measurements: tuple[MeasuredRecord, ...], noise: NoiseFloo
 
 
 def _meant(stage: FittedModel) -> float:
-    """What a way of meaning the model leaves at least; how it sags shows beside more weight.
+    """Least error of a variant of the model, alone or with the effect that reveals its sag.
 
-    A slack cable's tension tells its weight; in the linear law more weight stands for the sag.
+    In the linear law, added weight stands for the sag.
     """
     beside = CoulombFriction if stage.bench.model.is_often_slack else CableWeight
     return min(stage.attempt.fit_J, coarse_fit(stage.bench, beside).fit_J)
 
 
 def _where(bench: ModelFitter, base: CandidateFit, noise: NoiseFloor) -> ResidualLocation:
-    """Where the base model's residual lives."""
+    """Localisation of the base model's residual."""
     model = bench.model.calibrated(base.values)
     numbers = [BaseNumbers.of(model, m) for m in bench.measurements]
     return localise(bench.measurements, numbers, noise)
 
 
 def _still(humming: FittedModel, best: CandidateFit) -> bool:
-    """Whether there is hum in the records as they are when the effects found are in the model."""
+    """Whether the records show mains interference with the effects in the model."""
     row = humming.bench.predictor(best.effects).row(best.values)
     attempt = humming.bench.attempt(best.effects, row[None, :])
     return _hum(humming.bench, attempt, humming.bench.measurements) is not None
@@ -193,7 +191,7 @@ def _choice(plant: DiagnosedModel, effects: Sequence[type[Effect] | str] | None)
 def _hum(
     bench: ModelFitter, base: CandidateFit, measurements: Sequence[MeasuredRecord]
 ) -> MainsLine | None:
-    """Hum in what a model leaves of the gauge's readings outside the report split."""
+    """Mains interference in a model's residual of the gauge outside the test data."""
     if "tension_N" not in bench.floor.channels:
         return None
     fitted, index = base.fitted, bench.base.index

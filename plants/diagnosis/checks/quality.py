@@ -24,7 +24,7 @@ SETTLES = 3.0
 AT_LIMIT = (0.1, 0.5)
 """Shares of the samples at the current limit from which there is a warning, and a refusal."""
 STATIC = 0.01
-"""The current is a function of the angle if the angle leaves less than this of it unexplained."""
+"""Unexplained share of the current below which it is a function of the angle."""
 PLACES = 64
 """Bins of the angle in which the current is averaged."""
 TURNS_BACK = 2
@@ -179,7 +179,7 @@ def _static(m: MeasuredRecord) -> Iterator[DataIssue]:
 
 
 def _mislabelled(m: MeasuredRecord, b: BaseNumbers) -> Iterator[DataIssue]:
-    """The record is not of the loop that its label says."""
+    """The label of the loop contradicts the record."""
     if m.setpoint_N is None or m.current_A is None:
         return
     command = m.setpoint_N / b.newtons_per_ampere

@@ -1,4 +1,4 @@
-"""Whether the channels' sizes fit the model, or a column is in another unit than it says."""
+"""Plausibility of the channels' sizes: columns that seem to be in another unit."""
 
 import math
 from collections.abc import Iterator

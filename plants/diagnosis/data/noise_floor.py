@@ -109,7 +109,7 @@ def _noise(m: MeasuredRecord, column: FloatArray, repeated: float | None) -> Noi
 
 
 def _alone(m: MeasuredRecord, column: FloatArray) -> tuple[float, str]:
-    """The noise of a channel from its own record alone, and what it was found from."""
+    """The noise of a channel from its own record alone, and its source."""
     if m.samples < FEWEST:
         return _differences_rms(column), SOURCES[3]
     found: list[tuple[float, str]] = []

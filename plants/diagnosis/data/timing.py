@@ -6,7 +6,7 @@ from estune.core.quantities import FloatArray
 from plants.diagnosis.data.measured_record import Unusable
 
 GAP = 1.5
-"""An interval longer than this many of the usual one is a gap: a sample is missing."""
+"""Interval, relative to the usual one, above which a sample is missing."""
 OFF_GRID = 0.5
 """Greatest deviation of a time stamp from the even grid, in samples."""
 JITTER = 0.1

@@ -1,1 +1,1 @@
-"""What to measure: the battery, and the experiment that would decide."""
+"""Experiments: the initial ones, and the one that would decide."""

@@ -1,1 +1,1 @@
-"""What may be held against measurements, and what is free in it."""
+"""Models that are compared with records, and their free parameters."""

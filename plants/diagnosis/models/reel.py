@@ -1,4 +1,4 @@
-"""A reel held against measurements: length and preload of each record, calibrations, ports."""
+"""A reel compared with records: length and preload of each record, parameters, offsets."""
 
 import copy
 import math

@@ -1,1 +1,1 @@
-"""What a diagnosis says, and how it is shown."""
+"""Diagnosis as text, figures, page and JSON."""

@@ -227,12 +227,12 @@ def _envelope(time: FloatArray, signal: FloatArray) -> tuple[FloatArray, FloatAr
 
 
 def scalable(d: DiagnosisResult) -> tuple[BaseParameter, ...]:
-    """The calibrations that can be told as a multiple of what was given."""
+    """The base-model parameters that can be shown relative to their given values."""
     return tuple(c for c in d.calibrations if math.isfinite(c.given) and c.given != 0.0)
 
 
 def overview(d: DiagnosisResult) -> Figure:
-    """Before and after, the gap step by step, and where it lives."""
+    """Before and after, the error step by step, and where it is."""
     figure = new_figure(WIDTH_in, 6.4)
     grid = figure.add_gridspec(2, 2)
     if d.traces:

@@ -7,8 +7,7 @@ from pathlib import Path
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from estune.errors import InvalidInput
-from estune.run.export import replace_file
+from estune.run.export import write_file
 from estune.support import html_page
 from estune.support.html_page import Block, Bullets, Drawing, Heading, Page, Paragraph, Section
 from estune.support.plot_style import WIDTH_in, new_figure
@@ -24,11 +23,7 @@ def write(d: DiagnosisResult, path: Path) -> Path:
     Raises:
         InvalidInput: it cannot be written there.
     """
-    text = page(d)
-    try:
-        replace_file(path, text.encode())
-    except OSError as error:
-        raise InvalidInput(f"{path}: {error.strerror or error}; give another file") from error
+    write_file(path, page(d).encode())
     return path
 
 

@@ -1,7 +1,7 @@
-"""What was fitted of an effect, told in the units of a plant that is no reel.
+"""Fitted parameters of an effect in the units of a plant that is no reel.
 
-Effects are declared in a reel's units; what stands for those in such a plant's input and output is
-said in `plants.models.linear_with_effects`.
+Effects are declared in a reel's units; `plants.models.linear_signal_path` defines the equivalents
+in such a plant's input and output.
 """
 
 from typing import Any
@@ -12,13 +12,13 @@ from plants.models.linear_signal_path import READINGS_PER_ANGLE, ARM_m
 
 
 def in_own_units(effect: type[Effect], name: str, found: Interval, model: Any) -> Interval:
-    """A parameter of an effect with its interval, as the user of the model knows it.
+    """A parameter of an effect with its interval, in the model's own units.
 
     Args:
         effect: The effect's class.
         name: Name of the parameter.
-        found: Its value and interval, in the unit it is declared in.
-        model: The model that was fitted. A reel's are told as they are.
+        found: Its value and interval, in the declared unit.
+        model: The model that was fitted; those of a reel are unchanged.
     """
     declared = effect.parameters()[name]
     units = {} if declared.is_phase else _units(effect.port, model)

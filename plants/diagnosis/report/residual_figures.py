@@ -37,7 +37,7 @@ _COLUMNS = 3
 
 
 def draw_shares(ax: Axes, where: ResidualLocation) -> Axes:
-    """What share of each block's residual goes with each variable."""
+    """Share of each block's residual that follows each variable."""
     names = list(dict.fromkeys(v.name for b in where.blocks for v in b.views))
     best = {n: max(v.share for b in where.blocks for v in b.views if v.name == n) for n in names}
     names.sort(key=lambda name: best[name])

@@ -1,1 +1,1 @@
-"""What the base model leaves, and where it lives."""
+"""Residual of the base model, and its localisation."""
