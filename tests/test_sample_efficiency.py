@@ -1,4 +1,4 @@
-"""The comparison of tuners is fair, and its figures are what they are called."""
+"""Problems, trials and figures of the comparison of tuners."""
 
 import math
 
@@ -18,7 +18,7 @@ def row(*excess):
     return Row(Job("20 Hz", "safe_bayesian", 0.03, COLD, 1, len(excess)), excess, 0, 0.0)
 
 
-def test_the_optimum_is_beaten_by_no_point_near_it_or_far():
+def test_optimum_is_below_all_other_points():
     best = search(PROBLEM)
     random = np.random.default_rng(2)
     there, space = np.array(best.coordinates), PROBLEM.space()
@@ -30,21 +30,21 @@ def test_the_optimum_is_beaten_by_no_point_near_it_or_far():
     assert PROBLEM.costs(np.array([warm]))[0] == pytest.approx(WARM_RATIO * best.cost, rel=0.02)
 
 
-def test_the_noise_of_a_trial_depends_on_its_number_and_not_on_where_it_is():
+def test_noise_of_a_trial_depends_on_its_number_only():
     setting = Setting(PROBLEM, PROBLEM.start, 0.1, 5, 3)
-    found = []
+    factors = []
     for away in (0.0, 0.2):
         trials = Trials(setting)
         noisy = [trials(np.array(trials.start) + away * k) for k in range(3)]
         assert max(noisy) < trials.limit
-        found.append(np.divide(noisy, trials.costs))
+        factors.append(np.divide(noisy, trials.costs))
         with pytest.raises(Spent):
             trials(trials.start)
-    assert found[0] == pytest.approx(found[1], rel=1e-12)
-    assert np.ptp(found[0]) > 0.01
+    assert factors[0] == pytest.approx(factors[1], rel=1e-12)
+    assert np.ptp(factors[0]) > 0.01
 
 
-def test_a_trial_is_cut_short_and_its_cost_bounded():
+def test_cost_of_an_aborted_trial_is_the_limit():
     trials = Trials(Setting(PROBLEM, PROBLEM.start, 0.03, 5, 2))
     wild = np.array(trials.start) + 3.5
     start_cost = PROBLEM.costs(np.array([trials.start]))[0]
@@ -52,14 +52,14 @@ def test_a_trial_is_cut_short_and_its_cost_bounded():
     assert trials.unsafe == 1
 
 
-def test_near_is_counted_from_the_first_trial_and_stays_from_the_last():
+def test_first_near_and_stays_near_count_trials():
     assert row(0.5, 0.04, 0.06, 0.03, 0.02).first_near == 2
     assert row(0.5, 0.04, 0.06, 0.03, 0.02).stays_near == 4
     assert row(0.5, 0.04, 0.06).stays_near == math.inf
     assert row(0.5, math.inf).first_near == math.inf
 
 
-def test_a_median_of_searches_that_half_of_never_arrive_is_never():
+def test_median_is_infinite_if_half_never_arrive():
     assert median([3, 7, math.inf, math.inf]) == math.inf
     assert median([3, 4, 7, math.inf]) == 5.5
     assert quartiles([1, 2, 3, 4, math.inf]) == (2, 3, 4)

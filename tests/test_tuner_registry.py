@@ -3,6 +3,7 @@
 import json
 import math
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -73,6 +74,12 @@ def test_own_tuner_by_module_and_class_is_created_stored_and_read_back():
     assert stored(tuner)["kind"] == reference
     assert tuner_from_stored(stored(tuner)) == tuner
     assert tuner_name(stored(tuner)) == "own"
+
+
+def test_page_of_tuners_lists_the_table():
+    page = (Path(__file__).parents[1] / "docs" / "tuners.md").read_text(encoding="utf-8")
+    rows = [f"| `{name}` | {entry.method} | {entry.purpose} |" for name, entry in TUNERS.items()]
+    assert "\n".join(rows) in page, "copy these rows to docs/tuners.md:\n" + "\n".join(rows)
 
 
 @pytest.mark.parametrize(

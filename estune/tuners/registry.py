@@ -34,8 +34,8 @@ class RegisteredTuner(NamedTuple):
 
     Attributes:
         kind: The class; each is created from a search space, with defaults for all settings.
-        method: How it searches, in one line.
-        purpose: When to use it.
+        method: Its method, as in the table of docs/tuners.md.
+        purpose: Its use, as in that table.
     """
 
     kind: type[Any]
@@ -48,27 +48,28 @@ TUNERS: Final[dict[str, RegisteredTuner]] = {
         SafeBayesianTuner,
         "safe Bayesian optimisation: cost model with a prior from simulated PIDF loops, trust "
         "region, safety constraints",
-        "the default: fewest trials",
+        "default",
     ),
     "least_squares_gradient": RegisteredTuner(
         LeastSquaresGradient,
-        "steps against the slope of a regression on recent trials (section V-C)",
-        "an alternative",
+        "slope of a regression on recent trials (section V-C of the paper)",
+        "alternative",
     ),
     "phase_compensated": RegisteredTuner(
         PhaseCompensated,
-        "extremum seeking whose demodulation allows for the phase of its filters",
-        "an alternative",
+        "extremum seeking whose demodulation accounts for the phase of its filters",
+        "alternative",
     ),
     "otis": RegisteredTuner(
         Otis,
-        "the paper's extremum seeking: logarithms, setpoint filter, high-pass and low-pass",
-        "an alternative",
+        "the paper's extremum seeking: logarithmic parameters, setpoint filter, washout and "
+        "low-pass filter",
+        "alternative",
     ),
     "killingsworth": RegisteredTuner(
         Killingsworth,
-        "the equations of Killingsworth & Krstic (2006), verbatim",
-        "to reproduce the publication",
+        "Killingsworth and Krstic 2006, the published equations verbatim",
+        "to reproduce the paper",
     ),
 }
 
