@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from estune import api
 from estune.errors import InvalidInput, JournalError
 from estune.tuners import (
     TUNERS,
@@ -21,7 +22,7 @@ from estune.tuners import (
     tuner_to_stored,
 )
 from estune.tuners.extremum_seeking import ExtremumSeekingState, Otis
-from tests.support_runs import START
+from tests.support_runs import START, ArithmeticRig
 
 SPACE = SearchSpace.around(START)
 STORED_SPACE = tuner_to_stored(create_tuner("otis", SPACE))["space"]
@@ -172,3 +173,11 @@ def test_stored_tuner_that_cannot_be_made_is_a_journal_error(values, says):
 def test_settings_survive_bit_for_bit():
     tuner = Otis(SPACE, adaptation_gain=math.nextafter(0.1, 1.0))
     assert tuner_from_stored(stored(tuner)) == tuner
+
+
+def test_run_with_an_own_tuner_is_journalled_and_loaded(tmp_path):
+    options = {"trials": 12, "repeats": 2, "run": "own", "watch": None, "folder": tmp_path}
+    done = api.tune(ArithmeticRig(), tuner=f"{__name__}:OwnTuner", **options)
+    again = api.load(tmp_path / "own")
+    assert again.gains == done.gains
+    assert len(again.entries) == len(done.entries) > 12
