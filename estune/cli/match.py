@@ -13,7 +13,7 @@ from estune.cli import output
 from estune.cli.tune import NO_COST, NO_STEP, CostOptions, StepOptions, trial_of
 from estune.cli.values import Flag, TunerName, security_from
 from estune.errors import EstuneError, InvalidInput, RigError
-from estune.run.export import replace_file
+from estune.run.export import write_file
 from estune.run.targets import is_endpoint, open_target
 from estune.studies.match import procedure
 from estune.studies.match.outcome import Matching
@@ -173,5 +173,5 @@ def _write(matching: Matching) -> dict[str, object]:
         "match.html": render(page(matching)),
     }
     for name, text in contents.items():
-        replace_file(matching.folder / name, text.encode())
+        write_file(matching.folder / name, text.encode())
     return {"record": matching.folder / "match.csv", "page": matching.folder / "match.html"}

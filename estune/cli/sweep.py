@@ -11,11 +11,12 @@ from rich.text import Text
 from estune.cli import output
 from estune.cli.values import Flag
 from estune.errors import EstuneError, InvalidInput
+from estune.run.export import write_file
 from estune.run.progress import duration
 from estune.studies.sweep import sweep as sweeping
 from estune.studies.sweep.cells import Cell, expand_cells
 from estune.studies.sweep.design import read_design
-from estune.studies.sweep.result import SweepResult, write_file
+from estune.studies.sweep.result import SweepResult
 
 REPORT, CELLS, LAW = "report.html", "cells.csv", "law.json"
 """Files in the folder of the sweep beside its store."""

@@ -94,6 +94,18 @@ def replace_file(path: Path, content: bytes) -> None:
         temporary.write_bytes(content)
 
 
+def write_file(path: Path, content: bytes) -> None:
+    """Writes a file of the user's choice completely or not at all.
+
+    Raises:
+        InvalidInput: it cannot be written.
+    """
+    try:
+        replace_file(path, content)
+    except OSError as error:
+        raise InvalidInput(f"{path}: {error.strerror or error}; give another file") from error
+
+
 def _to_csv(record: TrialRecord, stem: Path) -> Path:
     shown = columns(record)
     beside = stem.with_name(f"{stem.name}.json")

@@ -6,8 +6,7 @@ from rich.text import Text
 
 from estune.cli import output
 from estune.cli.values import Flag, check_folder_exists
-from estune.errors import InvalidInput
-from estune.run.export import replace_file
+from estune.run.export import write_file
 from experiments import paper
 from experiments.paper import page
 
@@ -32,8 +31,5 @@ def reproduce_paper(*, out: Path = Path("paper.html"), quick: Flag = False) -> N
         style = "green" if figure.holds else "yellow"
         line = Text.assemble(f"Fig. {number:<3}", (f"{figure.verdict}  ", style), figure.measured)
         console.print(line, soft_wrap=True)
-    try:
-        replace_file(out, page.page(figures).encode())
-    except OSError as error:
-        raise InvalidInput(f"{out}: {error.strerror or error}; give another --out") from error
+    write_file(out, page.page(figures).encode())
     output.show_next({"page": out})

@@ -4,9 +4,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from estune.core.gains import GAIN_NAMES
+from estune.run.export import write_file
 from estune.studies.law.law import GainLaw
 from estune.studies.sweep import figures
-from estune.studies.sweep.result import Series, SweepResult, write_file
+from estune.studies.sweep.result import Series, SweepResult
 from estune.support.html_page import (
     Block,
     Drawing,

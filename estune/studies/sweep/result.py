@@ -9,7 +9,7 @@ import numpy as np
 
 from estune.core.gains import GAIN_NAMES, GAIN_UNITS
 from estune.errors import InvalidInput
-from estune.run.export import replace_file
+from estune.run.export import write_file
 from estune.studies.law.law import GainLaw, fit_law
 from estune.studies.sweep.design import SweepDesign
 from estune.studies.sweep.outcome import CellOutcome
@@ -176,18 +176,6 @@ class SweepResult:
 
     def _repr_html_(self) -> str:
         return "".join(f"<p>{html.escape(line)}</p>" for line in repr(self).split("\n"))
-
-
-def write_file(path: Path, content: bytes) -> None:
-    """Writes a file whole or not at all.
-
-    Raises:
-        InvalidInput: it cannot be written.
-    """
-    try:
-        replace_file(path, content)
-    except OSError as error:
-        raise InvalidInput(f"{path}: {error.strerror or error}; give another file") from error
 
 
 def _row(outcome: CellOutcome) -> dict[str, Any]:
