@@ -18,6 +18,7 @@ from estune.errors import EstuneError, RigError
 from estune.remote.messages.daemon import DaemonStatus
 from estune.remote.security import OPEN, Security, read_security
 from estune.remote.zenoh.daemon_service import DaemonServer
+from estune.remote.zenoh.zenoh_session import ListeningSession
 
 _POLL_S = 0.25
 _HOOKS_END_WITHIN_S = 5.0
@@ -171,10 +172,11 @@ class DaemonService:
 
 
 def _listen(service: ServiceTable, instance: str) -> DaemonServer:
-    return DaemonServer(
+    session = ListeningSession(
         service.listen,
         instance=instance,
         routers=service.routers,
         allow_remote=service.allow_remote,
         security=read_security(service.security) if service.security else OPEN,
     )
+    return DaemonServer(session)

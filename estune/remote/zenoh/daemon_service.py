@@ -3,7 +3,7 @@
 import logging
 import secrets
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Literal, Protocol, Self, TypeVar
 
@@ -62,37 +62,16 @@ class Supervised(Protocol):
 
 
 class DaemonServer:
-    """Serves the supervisors of several rigs. A context manager.
+    """Serves the supervisors of several rigs; nothing is answered before `serve`.
 
     Attributes:
         endpoint: Where it listens.
-        instance: Identity of this start of the daemon.
     """
 
-    def __init__(
-        self,
-        endpoint: str,
-        *,
-        instance: str,
-        routers: Iterable[str] = (),
-        allow_remote: bool = False,
-        security: Security = OPEN,
-    ) -> None:
-        """Listens; nothing is answered before `serve`.
-
-        Raises:
-            InvalidInput: an endpoint cannot be used, or other machines could reach it.
-            RigError: the endpoint is in use.
-        """
-        self._session = ListeningSession(
-            endpoint,
-            instance=instance,
-            routers=routers,
-            allow_remote=allow_remote,
-            security=security,
-        )
-        self.instance = instance
-        self.endpoint = self._session.endpoint
+    def __init__(self, session: ListeningSession) -> None:
+        """Takes over the session: `close` closes it."""
+        self.endpoint = session.endpoint
+        self._session = session
 
     def serve(self, rigs: Mapping[str, Supervised]) -> None:
         """Starts to serve rigs, by name."""
@@ -100,11 +79,11 @@ class DaemonServer:
             keys = DaemonKeys(rig)
             for verb in DAEMON_VERBS:
                 command = partial(_execute, supervised, verb)
-                self._serve(keys.command(self.instance, verb), command)
+                self._serve(keys.command(self._session.instance, verb), command)
             self._serve(keys.about("status"), partial(_status, supervised))
             self._serve(keys.about("history"), partial(_rows, supervised.history))
             self._serve(keys.about("events"), partial(_rows, supervised.events))
-            self._session.announce(keys.alive(self.instance))
+            self._session.announce(keys.alive(self._session.instance))
 
     def show(self, message: DaemonStatus | EventMessage) -> None:
         """Publishes; a subscriber that is too slow misses it."""
@@ -116,12 +95,6 @@ class DaemonServer:
     def close(self) -> None:
         """Releases the endpoint."""
         self._session.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def _serve(self, key: str, answer: Callable[[bytes], Message]) -> None:
         self._session.serve(key, partial(_reply_to, key, answer))
