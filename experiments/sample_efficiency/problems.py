@@ -134,18 +134,19 @@ def first_plant_of_2006() -> LinearPlant:
     )
 
 
+WEAK_ON_A_REEL = Gains(0.4, 4.0, 0.003, 0.03)
+"""At most four times as costly as the optimum, because a trial of a second bounds the cost of a
+slow response; but four logarithms and more away from it, as the other starts."""
+
+
 def _on_reel(
     name: str, title: str, length_m: float, build: Callable[[], Plant] | None = None
 ) -> Problem:
-    """A problem on the reference reel, with the default cost of a tuning.
-
-    Its start is at most four times as costly as the optimum, because a trial of a second bounds
-    the cost of a slow response; but four logarithms and more away from it, as the other starts.
-    """
+    """A problem on the reference reel, with the default cost of a tuning."""
     build = build or partial(plants.reference_reel, length_m)
     w = plants.reference_reel(length_m).natural_frequency_rad_s
     cost = StepCost(2.0 * math.pi / w, move_weight=MOVE_WEIGHT)
-    return Problem(name, title, build, cost, Gains(0.4, 4.0, 0.003, 0.03))
+    return Problem(name, title, build, cost, WEAK_ON_A_REEL)
 
 
 def _on_second_order(
