@@ -90,10 +90,10 @@ class Access(TomlTable):
         observers = sorted({*self.look, *self.command})
         subjects = [("look", observers), ("command", sorted(set(self.command)))]
         rules = [
-            ("look asks", _IN, _QUERIES, _KEYS),
-            ("look told", _OUT, _REPLIES, _KEYS),
-            ("command asks", _IN, ["query"], _COMMANDS),
-            ("command told", _OUT, ["reply", "declare_queryable"], _COMMANDS),
+            ("look sends", _IN, _QUERIES, _KEYS),
+            ("look receives", _OUT, _REPLIES, _KEYS),
+            ("command sends", _IN, ["query"], _COMMANDS),
+            ("command receives", _OUT, ["reply", "declare_queryable"], _COMMANDS),
         ]
         return {
             "enabled": True,
@@ -104,7 +104,7 @@ class Access(TomlTable):
             ],
             "subjects": [{"id": name, names_are: names} for name, names in subjects if names],
             "policies": [
-                {"rules": [f"{name} asks", f"{name} told"], "subjects": [name]}
+                {"rules": [f"{name} sends", f"{name} receives"], "subjects": [name]}
                 for name, names in subjects
                 if names
             ],
