@@ -105,9 +105,8 @@ def geometries(thin: int) -> dict[str, dict[str, Any]]:
         note = "" if result.resolved else f"  not resolved, needs {needed} sweeps"
         print(
             f"  {math.degrees(gamma):9.1f} {coefficient:6.3f} "
-            f"{case.eyelet.attenuation_at(0.0):7.4f} {C.value:8.5f} "
-            f"{C.low:8.5f} to {C.high:7.5f} {100.0 * (C.value / coefficient - 1.0):6.2f} % "
-            f"{sweeps:6d}{note}"
+            f"{case.eyelet.attenuation_at(0.0):7.4f} {C.value:8.5f} {C.low:8.5f} to {C.high:7.5f} "
+            f"{100.0 * (C.value / coefficient - 1.0):6.2f} % {sweeps:6d}{note}"
         )
         rows[f"gamma {math.degrees(gamma):.1f} deg, C_R {coefficient:g}"] = {
             "true": coefficient,

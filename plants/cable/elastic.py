@@ -126,9 +126,8 @@ def elastic_between(
         place = first_index(inexact)
         raise InvalidInput(
             f"the tension is lost in rounding{index_text(place)}: rest length {s_0[place]:g} m, "
-            "span "
-            f"{X[place]:g} m, rise {Z[place]:g} m, EA {EA[place]:g} N and {w[place]:g} N/m are "
-            "too many orders of magnitude apart; check the units"
+            f"span {X[place]:g} m, rise {Z[place]:g} m, EA {EA[place]:g} N and {w[place]:g} N/m "
+            "are too many orders of magnitude apart; check the units"
         )
     return cable
 

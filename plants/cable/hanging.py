@@ -148,9 +148,8 @@ def catenary(
         values = ", ".join(f"{name} {v[place]:.6g}" for name, v in given.items())
         raise InvalidInput(
             f"the equilibrium is lost in rounding{index_text(place)}: {values} with "
-            f"{w[place]:.6g} N/m are "
-            "too many orders of magnitude apart, or too close to a straight line; check the "
-            "units, or give another triple"
+            f"{w[place]:.6g} N/m are too many orders of magnitude apart, or too close to a "
+            "straight line; check the units, or give another triple"
         )
     return cable
 

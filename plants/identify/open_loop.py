@@ -1,15 +1,15 @@
 """Open-loop record of an excitation on a simulated reel."""
 
-import sys
+import math
 from datetime import UTC, datetime
 
 import numpy as np
 
-from estune.core import pidf
 from estune.errors import InvalidInput, PlantError
 from estune.trial import Outcome, TrialRecord
 from plants.identify.excitation import Excitation
 from plants.models.reel import SAFE_GAINS, Reel
+from plants.simulation.batch import simulate_drive
 from plants.simulation.noise import NoiseSource
 from plants.simulation.plant import SOFTWARE, Drive
 
@@ -35,23 +35,17 @@ def open_loop_record(reel: Reel, excitation: Excitation, seed: int | None = 0) -
             f"{reel.sampling_Hz:g} Hz; make it at the reel's rate"
         )
     setpoint = reel.tension_N + excitation.waveform_N
-    samples = setpoint.size
+    time = np.arange(setpoint.size) / reel.sampling_Hz
     noise = None
     if seed is not None and reel.noise_rms_N > 0.0:
-        noise = NoiseSource(seed).draw(0, samples, reel.noise_rms_N)[np.newaxis]
-    time = np.arange(samples) / reel.sampling_Hz
-    columns = reel.respond(
-        np.array([pidf.coefficients(reel.controller, SAFE_GAINS)]),
-        Drive(time, setpoint, reel.tension_N, open_loop=True),
-        noise,
-        sys.float_info.max,
-    )
-    if (ended := columns.ended[0]) < samples:
+        noise = NoiseSource(seed).draw(0, setpoint.size, reel.noise_rms_N)
+    drive = Drive(time, setpoint, reel.tension_N, open_loop=True)
+    response = simulate_drive(reel, SAFE_GAINS, drive, noise, math.inf)
+    if response.diverged_at is not None:
         raise PlantError(
-            f"the reel's response is not finite from sample {ended} on; lower the excitation's "
-            "peak, or check the effects' parameters"
+            f"the reel's response is not finite from sample {response.diverged_at} on; lower the "
+            "excitation's peak, or check the effects' parameters"
         )
-    tension, effort, angle, flags, _, reference = columns.trial(0)
     return TrialRecord(
         trial_id=f"open-{excitation.profile}-{'clean' if seed is None else seed}",
         rig="simulated-reel",
@@ -63,13 +57,13 @@ def open_loop_record(reel: Reel, excitation: Excitation, seed: int | None = 0) -
         reason="",
         started_at=datetime.now(UTC).isoformat(),
         software=SOFTWARE,
-        time_s=time,
-        setpoint_N=setpoint,
-        tension_N=tension,
-        current_A=effort / reel.newtons_per_ampere,
-        angle_rad=angle,
-        flags=flags,
-        reference_N=reference,
+        time_s=response.time_s,
+        setpoint_N=response.setpoint_N,
+        tension_N=response.tension_N,
+        current_A=response.effort_N / reel.newtons_per_ampere,
+        angle_rad=response.angle_rad,
+        flags=response.flags,
+        reference_N=response.reference_N,
         loop="open",
         profile=excitation.profile,
     )

@@ -196,7 +196,6 @@ def _check_inside(
         if not (visible and first < gauge_Hz <= last):
             raise InvalidInput(
                 f"no gauge mode is visible between {GAUGE_RATIO_MIN * resonance_Hz:.3g} and "
-                f"{last:.3g} Hz "
-                f"(the fit says {gauge_Hz:.3g} +- {error_Hz:.2g} Hz); widen the band, raise the "
-                "peak there, give the known mode, or none"
+                f"{last:.3g} Hz (the fit says {gauge_Hz:.3g} +- {error_Hz:.2g} Hz); widen the "
+                "band, raise the peak there, give the known mode, or none"
             )

@@ -28,12 +28,9 @@ from plants.simulation.trial_loop import Batch, trial_loop
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class PlantModel(Plant, ABC):
-    """A plant to which physical effects are added with `+`.
+    """A plant to which physical effects are added with `+`."""
 
-    Attributes:
-        effects: The effects added, in the order in which the signal meets them.
-    """
-
+    # The effects added, in the order in which the signal meets them.
     effects: tuple[Effect, ...] = ()
 
     @property

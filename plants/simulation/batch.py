@@ -15,7 +15,7 @@ from estune.core.quantities import FloatArray
 from estune.errors import InvalidInput
 from estune.trial.profiles import AnyProfile, StepProfile
 from plants.simulation.noise import NoiseSource
-from plants.simulation.plant import Plant, drive_of
+from plants.simulation.plant import Drive, Plant, drive_of
 
 CHUNK = 128
 """Trials per task of a thread: few waits for the interpreter's lock, and little memory."""
@@ -78,32 +78,33 @@ def simulate(
     """
     profile = profile or plant.profile
     drive = drive_of(profile, plant.controller.sampling_Hz)
-    time, setpoint = drive.time_s, drive.setpoint_N
-    if noise_N is not None and noise_N.shape != time.shape:
+    if noise_N is not None and noise_N.shape != drive.time_s.shape:
         raise InvalidInput(
-            f"the noise has shape {noise_N.shape} where the trial has {len(time)} samples"
+            f"the noise has shape {noise_N.shape} where the trial has {len(drive.time_s)} samples"
         )
+    limit_N = divergence_limit_N(profile) if bound_N is None else bound_N
+    return simulate_drive(plant, gains, drive, noise_N, limit_N)
+
+
+def simulate_drive(
+    plant: Plant, gains: Gains, drive: Drive, noise_N: FloatArray | None, bound_N: float
+) -> Response:
+    """Runs one trial of any drive; see `simulate`."""
     row = np.array([pidf.coefficients(plant.controller, gains)])
-    columns = plant.respond(
-        row,
-        drive,
-        None if noise_N is None else noise_N[np.newaxis],
-        # A response that is not finite has diverged, even with an infinite bound.
-        divergence_limit_N(profile) if bound_N is None else min(bound_N, sys.float_info.max),
-    )
-    ended = int(columns.ended[0])
+    noise = None if noise_N is None else noise_N[np.newaxis]
+    # A response that is not finite has diverged, even with an infinite bound.
+    columns = plant.respond(row, drive, noise, min(bound_N, sys.float_info.max))
+    ended, samples = int(columns.ended[0]), len(drive.time_s)
     tension, effort, angle, flags, _, reference = columns.trial(0)
-    if ended == len(time):
-        return Response(time, setpoint, tension, effort, angle, flags, None, reference)
     used = slice(ended)
     return Response(
-        time[used],
-        setpoint[used],
+        drive.time_s[used],
+        drive.setpoint_N[used],
         tension[used],
         effort[used],
         angle[used],
         flags[used],
-        ended,
+        None if ended == samples else ended,
         None if reference is None else reference[used],
     )
 

@@ -23,30 +23,24 @@ class Equations(NamedTuple):
     The drive is the delayed signal, such as the motor current of a reel. Within a sample the drive
     changes once, after the dead time's fraction of a sample. The diagnosis needs
     `dead_time_samples`, `settle`, `locate` and `place`.
-
-    Attributes:
-        prepare: (parameters, preload) -> (constants, state at rest, effort at rest).
-        observe: (constants, state, present drive, noise) -> (state, measurement, angle).
-        drive: (constants, state, effort) -> (state, drive).
-        substep: (constants, state, drive before, drive after, n) -> state after the nth substep.
-        substeps: Number of substeps in a sample.
-        outside: (constants, state) -> reading of a gauge outside the reel; None without one.
-        late: (parameters) -> dead time in samples, with that of the effects.
-        settle: (constants, measurement) -> (state, effort) at rest at that measurement.
-        locate: (constants, state) -> observable part of the state in measured units: angle and
-            velocity of a drum, output and its derivatives of a linear plant.
-        place: (constants, state, observable part) -> state with that observable part.
     """
 
-    prepare: Expression
-    observe: Expression
-    drive: Expression
+    prepare: Expression  # (parameters, preload) -> (constants, state at rest, effort at rest)
+    observe: Expression  # (constants, state, present drive, noise) -> (state, measurement, angle)
+    drive: Expression  # (constants, state, effort) -> (state, drive)
+    # (constants, state, drive before, drive after, n) -> state after the nth substep.
     substep: Expression
-    substeps: int
+    substeps: int  # number of substeps in a sample
+    # (constants, state) -> reading of a gauge outside the reel; None without one.
     outside: Expression | None = None
+    # (parameters) -> dead time in samples, with that of the effects.
     dead_time_samples: Expression = None
+    # (constants, measurement) -> (state, effort) at rest at that measurement.
     settle: Expression = None
+    # (constants, state) -> observable part of the state in measured units: angle and velocity of a
+    # drum, output and its derivatives of a linear plant.
     locate: Expression = None
+    # (constants, state, observable part) -> state with that observable part.
     place: Expression = None
 
     def move(

@@ -91,8 +91,7 @@ def resolution_warnings(
         warnings.append(
             f"the loss 1 - B of {1.0 - B.value:.2g} is not significant at its standard error of "
             f"{B.standard_error:.2g}: no friction can be determined; bend the cable more, raise "
-            "the "
-            "setpoints, or let the gauges warm up"
+            "the setpoints, or let the gauges warm up"
         )
     elif half > tolerance * C.value:
         what = f"C_R is known to {100.0 * half / C.value:.2g} %, not {100.0 * tolerance:.2g} %"

@@ -82,8 +82,7 @@ def tension_outside_N(tension_2_N: ArrayLike, friction_N: ArrayLike) -> Numbers:
         place = first_index(T_1 < 0.0)
         raise InvalidInput(
             f"friction exceeds the tension inside by {-T_1[place]:g} N{index_text(place)}; the "
-            "cable "
-            "would be slack outside, check the friction coefficient"
+            "cable would be slack outside, check the friction coefficient"
         )
     return scalar_or_array(T_1)
 
@@ -175,9 +174,8 @@ def friction_N(
         limit = np.broadcast_to(np.arctan(C_L), outside.shape)[place]
         raise InvalidInput(
             f"lateral angle is {np.broadcast_to(Psi, outside.shape)[place]:g} "
-            f"rad{index_text(place)}, "
-            f"outside the friction cone of {limit:g} rad: the cable slides along the line; turn "
-            "the lever across the cable or raise coefficient_L"
+            f"rad{index_text(place)}, outside the friction cone of {limit:g} rad: the cable "
+            "slides along the line; turn the lever across the cable or raise coefficient_L"
         )
     remaining = np.maximum(np.cos(Psi) ** 2 - (np.sin(Psi) / C_L) ** 2, 0.0)
     return scalar_or_array(np.asarray(C_R * T * np.sqrt(remaining)))
@@ -190,8 +188,7 @@ def checked_angle(angle_rad: ArrayLike) -> FloatArray:
         place = first_index(gamma > np.pi)
         raise InvalidInput(
             f"angle gamma is {gamma[place]:g} rad{index_text(place)}; it lies between 0 (folded "
-            "back) and "
-            "pi (straight), in radians"
+            "back) and pi (straight), in radians"
         )
     return gamma
 

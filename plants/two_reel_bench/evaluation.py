@@ -123,11 +123,7 @@ def evaluate(
         InvalidInput: too few measurements, sweeps that differ in their setpoints, readings that
             are not above zero, or angles or limits out of their range.
     """
-    for name, value in (("tolerance", tolerance), ("probability", probability)):
-        if not 0.0 < value < 1.0:
-            raise InvalidInput(f"{name} is {value}; it must lie between 0 and 1")
-    if not (np.isfinite(angle_error_rad) and angle_error_rad >= 0.0):
-        raise InvalidInput(f"angle_error_rad is {angle_error_rad}; it must be zero or above")
+    _check_options(tolerance, probability, angle_error_rad)
     angles_x = tuple(map(float, angles_x_rad))
     angles_y = angles_x if angles_y_rad is None else tuple(map(float, angles_y_rad))
     table = _table(measurements)
@@ -163,6 +159,14 @@ def evaluate(
         angles_x_rad=angles_x,
         angles_y_rad=angles_y,
     )
+
+
+def _check_options(tolerance: float, probability: float, angle_error_rad: float) -> None:
+    for name, value in (("tolerance", tolerance), ("probability", probability)):
+        if not 0.0 < value < 1.0:
+            raise InvalidInput(f"{name} is {value}; it must lie between 0 and 1")
+    if not (np.isfinite(angle_error_rad) and angle_error_rad >= 0.0):
+        raise InvalidInput(f"angle_error_rad is {angle_error_rad}; it must be zero or above")
 
 
 def _table(measurements: Sequence[SetpointReadings]) -> FloatArray:

@@ -134,8 +134,7 @@ def friction_coefficient(attenuation_ratio: ArrayLike, *angles_rad: ArrayLike) -
     if straight.any():
         raise InvalidInput(
             f"angle gamma is pi{index_text(first_index(straight))} at every contact: a straight "
-            "cable does not "
-            "show its friction coefficient, bend it by moving one reel sideways"
+            "cable does not show its friction coefficient, bend it by moving one reel sideways"
         )
     shape = B.shape
     log_loss_target = np.abs(np.log(B)).ravel()
@@ -165,8 +164,7 @@ def checked_coefficient(coefficient_R: ArrayLike) -> FloatArray:
         place = first_index(C >= 1.0)
         raise InvalidInput(
             f"friction coefficient is {C[place]:g}{index_text(place)}; from 1 on the cable jams "
-            "at the "
-            "contact, give one below 1"
+            "at the contact, give one below 1"
         )
     return C
 
@@ -178,8 +176,7 @@ def checked_attenuation(ratio: ArrayLike) -> FloatArray:
         place = first_index(B > 1.0)
         raise InvalidInput(
             f"attenuation ratio is {B[place]:.6g}{index_text(place)}; it is at most 1, as "
-            "friction only "
-            "takes tension away: check the gauges' zeros, or which reel was driven"
+            "friction only takes tension away: check the gauges' zeros, or which reel was driven"
         )
     return B
 

@@ -72,8 +72,7 @@ def _direction(
         place = first_index(behind)
         raise InvalidInput(
             f"{theta_name} is {theta[place]:g} rad{index_text(place)}; a cable through the eyelet "
-            "has "
-            "less than pi/2 on either side, turn the eyelet towards it"
+            "has less than pi/2 on either side, turn the eyelet towards it"
         )
     theta, phi = np.broadcast_arrays(theta, phi)
     parts = [np.cos(phi) * np.sin(theta), np.sin(phi) * np.sin(theta), axial * np.cos(theta)]
@@ -113,8 +112,7 @@ def contact_line(P_1: ArrayLike, P_2: ArrayLike) -> FloatArray:
     if collinear.any():
         raise InvalidInput(
             f"the cable outside and inside are collinear{index_text(first_index(collinear))}; "
-            "without a bend "
-            "there is neither a contact line nor friction, move one end sideways"
+            "without a bend there is neither a contact line nor friction, move one end sideways"
         )
     return np.asarray(across / size[..., None])
 

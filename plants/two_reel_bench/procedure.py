@@ -242,8 +242,7 @@ class TwoReelProcedure:
             if len(records) * _CHUNK_s > _BREAKOUT_TIMEOUT_s:
                 raise RigError(
                     f"reel {holding.upper()} did not break out within {_BREAKOUT_TIMEOUT_s:g} s "
-                    "of a ramp "
-                    f"of {self.breakout_slope_N_s:g} N/s; use a steeper one"
+                    f"of a ramp of {self.breakout_slope_N_s:g} N/s; use a steeper one"
                 )
             records.append(bench.record(_CHUNK_s))
             angles = np.concatenate([r.of(holding).angle_rad for r in records])
