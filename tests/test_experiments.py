@@ -1,6 +1,7 @@
 """Every experiment runs in its quick form and prints what its readers and programs expect."""
 
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -17,22 +18,16 @@ TIMES = ("_restored_max_s", "stop_p99_ms")
 SAMPLED = {"confirmation", "hidden_effects", "sample_efficiency"}
 """Experiments whose targets are shares of hundreds of cases; a few cases do not decide them."""
 
-OTHERS = {
-    "commands",
-    "equations",
-    "hidden_scores",
-    "joint_schedule",
-    "reference_trial",
-    "results",
-    "rig_protocol_page",
-}
-"""Modules that are not experiments."""
-
 
 def experiments() -> list[str]:
+    """The modules and packages that can be run and print results."""
     folder = ROOT / "experiments"
-    packages = {file.parent.name for file in folder.glob("*/__main__.py")}
-    return sorted({file.stem for file in folder.glob("*.py")} - {"__init__"} - OTHERS | packages)
+    mains = [*folder.glob("*.py"), *folder.glob("*/__main__.py")]
+    return sorted(
+        file.parent.name if file.stem == "__main__" else file.stem
+        for file in mains
+        if re.search(r"def main\(.*print_results\(", file.read_text(), re.DOTALL)
+    )
 
 
 @pytest.mark.slow
