@@ -108,7 +108,7 @@ def export_controller(
         read_schedule,
         schedule_header,
     )
-    from estune.run.export import replace_file  # noqa: PLC0415  as above
+    from estune.run.export import write_file  # noqa: PLC0415  as above
 
     if not c:
         raise InvalidInput("the form of the controller is missing; give --c")
@@ -122,9 +122,6 @@ def export_controller(
     if schedule is not None:
         files[out.with_name("estune_schedule.h")] = schedule_header(read_schedule(schedule))
     for path, text in files.items():
-        try:
-            replace_file(path, text.encode())
-        except OSError as error:
-            raise InvalidInput(f"{path}: {error.strerror or error}; give another --out") from error
+        write_file(path, text.encode())
         of = f"controller at {settings.sampling_Hz:g} Hz, {gains}" if path == out else ""
         print(f"{of or 'gain schedule'}: {path}")
