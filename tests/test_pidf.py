@@ -13,9 +13,9 @@ from estune.core.gains import Gains
 from estune.core.pidf import (
     ControllerSettings,
     PidfState,
-    state_at_rest,
     bumpless,
     coefficients,
+    state_at_rest,
     step,
     symbolic_coefficients,
 )
