@@ -59,7 +59,7 @@ def test_each_gain_is_its_curve(L, T):
     assert gains.setpoint_filter_s == pytest.approx(0.0022 + 0.0007 * math.log(L))
 
 
-def test_beyond_its_range_the_gains_are_those_of_the_nearest_end():
+def test_gains_beyond_the_range_are_those_of_the_nearest_end():
     assert SCHEDULE.gains(9.0, 99.0) == SCHEDULE.gains(1.4, 30.0)
     assert SCHEDULE.gains(0.1, 0.0) == SCHEDULE.gains(0.5, 5.0)
     assert SCHEDULE.gains(math.nan, 15.0) == SCHEDULE.gains(0.5, 15.0)
@@ -67,7 +67,7 @@ def test_beyond_its_range_the_gains_are_those_of_the_nearest_end():
 
 
 @given(st.sampled_from(FORMS[1:]), st.floats(-100.0, 100.0), st.floats(-1.0, 1.0))
-def test_a_schedule_that_leaves_the_gains_range_anywhere_is_refused(form, slope, per_newton):
+def test_schedule_with_invalid_gains_anywhere_is_refused(form, slope, per_newton):
     def made():
         return replace(SCHEDULE, I=GainCurve(form, 20.0, slope, per_newton))
 
@@ -82,7 +82,7 @@ def test_a_schedule_that_leaves_the_gains_range_anywhere_is_refused(form, slope,
             made()
 
 
-def test_a_schedule_goes_to_json_and_back_exactly(tmp_path):
+def test_schedule_survives_json_exactly(tmp_path):
     path = tmp_path / "schedule.json"
     path.write_text(json.dumps(SCHEDULE.as_dict()))
     assert read_schedule(path) == SCHEDULE
@@ -97,7 +97,7 @@ def test_a_schedule_goes_to_json_and_back_exactly(tmp_path):
 @pytest.mark.parametrize(
     "text", ["", "[]", "{}", '{"gains": {}}', '{"laws": {"a": {"error": ""}}}']
 )
-def test_a_damaged_file_is_told(tmp_path, text):
+def test_damaged_schedule_file_is_refused(tmp_path, text):
     (tmp_path / "s.json").write_text(text)
     with pytest.raises(InvalidInput, match=r"gain schedule .*s\.json: "):
         read_schedule(tmp_path / "s.json")
@@ -112,7 +112,7 @@ def compiled() -> CompiledController:
 
 
 @given(some_gains, some_gains, st.lists(st.tuples(signal, signal), min_size=2, max_size=20))
-def test_at_an_exchange_of_gains_the_effort_is_what_it_would_have_been(one, other, signals):
+def test_bumpless_exchange_keeps_the_effort(one, other, signals):
     for controller in (
         PlainController(),
         compiled(),
@@ -161,7 +161,7 @@ int main(void) {
     [(["-std=c90"], 1e-12), (["-Dcasadi_real=float"], 2e-4)],
     ids=["C90", "single precision"],
 )
-def test_the_header_gives_firmware_the_same_gains_without_a_jump(tmp_path, flags, tolerance):
+def test_firmware_header_gives_the_same_gains_without_a_jump(tmp_path, flags, tolerance):
     (tmp_path / "controller.c").write_text(controller_source(SETTINGS, SCHEDULE.gains(0.8, 15.0)))
     (tmp_path / "estune_schedule.h").write_text(schedule_header(SCHEDULE))
     (tmp_path / "main.c").write_text(_PROGRAM)
@@ -186,7 +186,7 @@ def test_the_header_gives_firmware_the_same_gains_without_a_jump(tmp_path, flags
 
 
 @pytest.mark.parametrize("L", [0.5, 1.1])
-def test_at_one_length_the_python_control_system_is_that_controller(L):
+def test_python_control_system_at_one_length_is_that_controller(L):
     system = schedule_to_control(SCHEDULE, SETTINGS)
     frozen = control.linearize(system, np.zeros(3), np.array([0.0, 0.0, L, 15.0]))
     F, C_r, C_y = to_control(SCHEDULE.gains(L, 15.0), SETTINGS)
@@ -207,7 +207,7 @@ def scheduled(tmp_path, make, schedule=SCHEDULE, **changes):
     return make(schedule={"file": str(path), "length": "angle"}, gains=None, **changes)
 
 
-def test_live_gains_follow_the_drum_without_a_jump_and_a_trial_keeps_its_own(tmp_path):
+def test_live_gains_follow_the_drum_without_a_jump(tmp_path):
     rig = scheduled(tmp_path, config, guard__travel_max_rad=100.0)
     loop = VirtualLoop(rig, noise_N=0.04)
     own = Gains(1.0, 40.0, 0.015, 0.005)
@@ -256,7 +256,7 @@ def test_rig_reports_scheduled_gains_until_others_are_applied(tmp_path):
         assert rig.describe().gains == before.gains
 
 
-def test_a_rigs_file_with_an_unusable_schedule_says_what_is_wrong(tmp_path):
+def test_rig_file_with_unusable_schedule_is_refused(tmp_path):
     path = tmp_path / "schedule.json"
     path.write_text(json.dumps(replace(SCHEDULE, length_m=(1.0, 1.4)).as_dict()))
     table = {"file": str(path)}
@@ -282,7 +282,7 @@ def way(samples: int) -> np.ndarray:
 LONG = StepProfile(15.0, 10.0, 0.2, 3.0)
 
 
-def test_a_cable_that_stays_is_the_reel_as_it_is_simulated_anyway():
+def test_constant_length_simulation_equals_the_fixed_reel():
     reel, gains = plants.reference_reel(0.8), SCHEDULE.gains(0.8, 15.0)
     expected = plants.simulate(reel, gains)
     found = plants.simulate_moving(reel, gains, np.full(632, 0.8))
@@ -290,7 +290,7 @@ def test_a_cable_that_stays_is_the_reel_as_it_is_simulated_anyway():
         assert np.array_equal(getattr(found, name), getattr(expected, name))
 
 
-def test_a_moving_cable_end_obeys_the_equations_of_the_drum():
+def test_moving_cable_end_obeys_the_equations_of_the_drum():
     """Against the equations in terms of the drum's own turn, by Runge and Kutta's method.
 
     J phi'' + b phi' + R T = Kt i,  T' = k (R phi' + s'),  g'' + 2 zeta w g' + w^2 g = w^2 T.
@@ -347,7 +347,7 @@ def test_scheduled_gains_follow_the_moving_cable_without_a_jump():
     assert pytest.approx(0.2 + 1.4, rel=0.01) == before.P
 
 
-def test_what_cannot_be_simulated_while_the_cable_moves_is_refused():
+def test_unsupported_simulation_of_a_moving_cable_is_refused():
     reel, gains = plants.reference_reel(), SCHEDULE.gains(0.8, 15.0)
     with pytest.raises(InvalidInput, match=r"shape \(5,\) where the trial has 632 samples"):
         plants.simulate_moving(reel, gains, np.full(5, 0.8))
