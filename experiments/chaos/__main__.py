@@ -39,16 +39,9 @@ WORDS = {
 
 
 class Extent(NamedTuple):
-    """Extent of the test.
+    """Numbers of faults, trials, clients lost on the emulated hardware, and emergency stops.
 
-    Attributes:
-        faults: Faults.
-        trials: Least number of trials.
-        pace: Real time per time of a trial.
-        plain_share: Divisor of both for the plain client.
-        daemon_faults: Faults of the daemon.
-        losses: Clients lost on the emulated hardware, by each signal.
-        stops: Emergency stops.
+    `pace` is the real time per time of a trial; `plain_share` divides both for the plain client.
     """
 
     faults: int

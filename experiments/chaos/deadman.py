@@ -41,13 +41,7 @@ _WITHIN_S = 30.0
 
 
 class Escape(NamedTuple):
-    """Loss of one client.
-
-    Attributes:
-        restored_s: Time until the rig had ended the trial and ran its own gains again.
-        left_s: Time until the reel's own tension had left the level of the trial.
-        restored: Whether the live gains were then the rig's own.
-    """
+    """Times from the loss of a client until the gains are restored, and the reel's level left."""
 
     restored_s: float
     left_s: float

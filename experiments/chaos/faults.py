@@ -47,14 +47,7 @@ class Kind(StrEnum):
 
 
 class Fault(NamedTuple):
-    """One fault.
-
-    Attributes:
-        kind: Its kind.
-        lasts_s: Its duration, where applicable.
-        after_trials: Number of trials before it.
-        delay_s: Delay after the last of them.
-    """
+    """One fault: its duration, if it lasts, the trials before it, and the delay after these."""
 
     kind: StrEnum
     lasts_s: float

@@ -86,14 +86,7 @@ class Kind(StrEnum):
 
 @dataclass
 class Diary:
-    """Course of a campaign.
-
-    Attributes:
-        faults: Number of faults of each kind.
-        stuck: Number of times no trial ran without a fault.
-        died: Number of times the daemon ended by itself.
-        not_home: Number of proper ends with other live gains than the nominal ones.
-    """
+    """Course of a campaign, counted as in `WORDS`; faults by kind."""
 
     faults: Counter[str] = field(default_factory=Counter)
     stuck: int = 0

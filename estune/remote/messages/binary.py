@@ -25,13 +25,7 @@ _FLOAT = np.dtype("<f4")
 
 
 class Part(NamedTuple):
-    """A part of a record's frame.
-
-    Attributes:
-        total: Length of the whole frame in bytes.
-        offset: Offset in the frame of the first byte.
-        data: The bytes.
-    """
+    """A part of a record's frame: length of the whole, offset of the part, and its bytes."""
 
     total: int
     offset: int

@@ -41,14 +41,7 @@ _log = logging.getLogger(__name__)
 
 @dataclass(slots=True, eq=False)
 class ActiveTrial:
-    """The active trial.
-
-    Attributes:
-        request: The request.
-        digest: Digest of the request.
-        is_stopping: Whether it was ordered to stop.
-        stop_error: Error of the rig on that order, until it was reported.
-    """
+    """The active trial; `stop_error` is the rig's error on the order to stop, until reported."""
 
     request: TrialRequest
     digest: str
@@ -66,13 +59,7 @@ class SharedRigState:
     """
 
     def __init__(self, rig: Rig, latched: str, changed: Callable[[], None]) -> None:
-        """Starts without a trial.
-
-        Args:
-            rig: The rig; only its `abort` is called.
-            latched: Reason of the emergency stop; empty without one.
-            changed: Called when the status has changed.
-        """
+        """Starts without a trial; only the rig's `abort` is called."""
         self.lock = threading.Lock()
         self.state = RigState(latched=latched)
         self.trial: ActiveTrial | None = None

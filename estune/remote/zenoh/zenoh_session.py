@@ -161,8 +161,7 @@ class ListeningSession:
         """Listens; port 0 selects a free port.
 
         Raises:
-            InvalidInput: an endpoint cannot be used, or is not on the loopback address although
-                `allow_remote` is false.
+            InvalidInput: an endpoint is malformed, or reaches other machines without permission.
             RigError: the endpoint is in use.
         """
         routers = tuple(routers)
