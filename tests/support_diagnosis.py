@@ -148,7 +148,7 @@ def diagnosis(**changes) -> Diagnosis:
         closure=0.997,
         rms_before=0.91,
         rms_after=0.09,
-        noise=NoiseFloor(channels, (channels,)),
+        noise=NoiseFloor(channels),
         where=ResidualLocation(
             blocks=(
                 block("gauge", "cable and gauge block", 0.62, 0.05, 1),

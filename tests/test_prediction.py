@@ -5,7 +5,6 @@ import casadi as ca
 import control
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
 
 import plants
 from estune.core.gains import Gains
@@ -15,14 +14,13 @@ from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.data.noise_floor import Noise, NoiseFloor
 from plants.diagnosis.models.calibration import Calibration
 from plants.diagnosis.models.diagnosed_model import diagnosed
-from plants.diagnosis.prediction.prediction import Predictor, warm
+from plants.diagnosis.prediction.prediction import Predictor
 from plants.diagnosis.search.fit import switched_on
 from plants.effects import (
     EFFECTS,
     CoulombFriction,
     DeadTime,
     EyeletFriction,
-    GaugeOffset,
     StribeckFriction,
     TorqueRipple,
 )
@@ -63,7 +61,7 @@ def measured(model, profile, *, noise_N=0.0, seed=0, name="a"):
 
 def floor(**rms):
     channels = {name: Noise(value, 0.0, "quiet stretches") for name, value in rms.items()}
-    return NoiseFloor(channels, ())
+    return NoiseFloor(channels)
 
 
 SMALL = floor(tension_N=1e-3, angle_rad=1e-5, reference_N=1e-3, current_A=1e-4)
@@ -304,14 +302,6 @@ def test_fit_starts_from_effects_and_calibration_of_the_model():
     later = model.at({"torque_gain": 1.2})
     assert {f.name: f.start for f in Predictor(later, [], records).free}["torque_gain"] == 1.2
     assert later.calibrated({}).effects[-1] == Calibration(1.2, 0.0, 0.5)
-
-
-def test_structures_are_compiled_in_parallel(monkeypatch, tmp_path):
-    monkeypatch.setenv("ESTUNE_CACHE", str(tmp_path))
-    slower = replace(REEL, gauge_Hz=5000.0)  # a structure of its own
-    model = diagnosed(slower, [measured(REEL, LINES)])
-    warm(model, [(), (CoulombFriction,), (GaugeOffset, CoulombFriction)])
-    assert len(list(tmp_path.glob("*.so"))) == 3
 
 
 def swinging(sampling_Hz=500.0, hardening=40.0, slope=0.0):

@@ -45,11 +45,9 @@ class NoiseFloor:
 
     Attributes:
         channels: Pooled over the measurements, by channel.
-        records: Of each measurement, by channel.
     """
 
     channels: dict[str, Noise]
-    records: tuple[dict[str, Noise], ...]
 
     @property
     def tension_N(self) -> float:
@@ -97,7 +95,7 @@ def noise_floor(measurements: Sequence[MeasuredRecord]) -> NoiseFloor:
     )
     names = dict.fromkeys(name for record in records for name in record)
     samples = [m.samples for m in measurements]
-    return NoiseFloor({name: _pooled(name, records, samples) for name in names}, records)
+    return NoiseFloor({name: _pooled(name, records, samples) for name in names})
 
 
 def _noise(m: MeasuredRecord, column: FloatArray, repeated: float | None) -> Noise:

@@ -34,11 +34,6 @@ class Smoother(NamedTuple):
     sampling_Hz: float
 
     @property
-    def bandwidth_Hz(self) -> float:
-        """Frequency at which the gain is exp(-1/2)."""
-        return float(1.0 / (2.0 * np.pi * self.width_s))
-
-    @property
     def reach(self) -> int:
         """Samples on either side that a smoothed value depends on."""
         return int(np.ceil(CUT_OFF * self.width_s * self.sampling_Hz))

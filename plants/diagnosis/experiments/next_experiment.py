@@ -214,7 +214,7 @@ def _predicted(
 ) -> list[MeasuredRecord]:
     """Simulated records of experiments, without noise, in free run."""
     plant = diagnosed(model, planned)
-    predictor = Predictor(plant, (), planned, horizon_s=None, floor=_floor(noise, len(planned)))
+    predictor = Predictor(plant, (), planned, horizon_s=None, floor=noise)
     records = []
     for m, found in zip(planned, predictor.predict(predictor.start[None]), strict=True):
         columns = {
@@ -229,7 +229,7 @@ def _predicted(
 def _unfitted(model: Any, records: Sequence[MeasuredRecord], evidence: Evidence) -> FloatArray:
     """Mean square residual of each record after a linearised fit, in variances, (records,)."""
     plant: DiagnosedModel = diagnosed(model, records)
-    predictor = Predictor(plant, (), records, floor=_floor(evidence.noise, len(records)))
+    predictor = Predictor(plant, (), records, floor=evidence.noise)
     residuals, slopes = predictor.linearise(predictor.start)
     index = predictor.index
     unfitted = np.zeros(len(records))
@@ -263,10 +263,6 @@ def _form_share(name: str, evidence: Evidence) -> float:
     rms = math.sqrt(sum(float(c.var()) * c.size for c in seen) / sum(c.size for c in seen))
     unexplained = math.sqrt(max(evidence.ratio_after**2 - 1.0, 0.0))
     return unexplained * evidence.noise.effective(name, rms) / rms if rms > 0.0 else 0.0
-
-
-def _floor(noise: NoiseFloor, records: int) -> NoiseFloor:
-    return NoiseFloor(noise.channels, (noise.channels,) * records)
 
 
 def _excited(regime: str, m: MeasuredRecord) -> float:

@@ -7,10 +7,8 @@ rather than a free run. The initial state of each window is projected out of its
 channels together.
 """
 
-import os
 from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from itertools import pairwise
 from typing import Literal, NamedTuple
@@ -34,10 +32,15 @@ from plants.diagnosis.prediction.library import CHANNELS, Library, Task, library
 from plants.diagnosis.prediction.window_projection import WindowProjection
 from plants.effects import Effect
 
-__all__ = ["CHANNELS", "Index", "Prediction", "Predictor", "warm"]
+__all__ = ["CHANNELS", "Index", "Prediction", "Predictor"]
 
 STEP = 1e-6
 """Step of a finite difference, relative to the value, or to its range where it is zero."""
+RECORD_ARRAYS = (
+    *("record_samples", "preload", "reading", "command", "windows", "window_at", "window_place"),
+    *("measured", "source", "block_end", "record_blocks"),
+)
+"""Arrays of `PredictionData` that the C code reads, by the names of `Task`."""
 STATE_STEP = 1e-3
 """Step of a window's initial state, relative to its spread."""
 
@@ -211,22 +214,6 @@ class Predictor:
         return -step if value + step > free.high else step
 
 
-def warm(
-    model: DiagnosedModel,
-    structures: Iterable[Sequence[type[Effect]]],
-    measurements: Sequence[MeasuredRecord] = (),  # noqa: ARG001  a structure is that of the model
-) -> None:
-    """Compiles several structures in parallel, each with these effects added to the model.
-
-    Raises:
-        PlantError: one cannot be compiled.
-    """
-    wanted = {model.structure((type(model.calibration),))}
-    wanted |= {model.structure(model.combined(effects)) for effects in structures}
-    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
-        list(pool.map(library, wanted))  # the list raises what a thread raised
-
-
 class _Table:
     """Parameter table: rows of values as rows of parameters and sensors, one for each record."""
 
@@ -291,34 +278,23 @@ def _run(
         wanted = np.zeros(len(of.measurements), np.bool_)
         wanted[of.index.measurement[chosen]] = True
 
-    def at(array: NDArray[np.generic] | None) -> int | None:
-        return None if array is None else array.ctypes.data
-
+    arrays = {name: getattr(of, name) for name in RECORD_ARRAYS} | {
+        "table": table,
+        "kick": state_steps,
+        "weight": weight,
+        "wanted": wanted,
+        "basis": basis,
+        "outputs": outputs,
+        "chosen": chosen,
+        "residuals": residuals,
+    }
     task = Task(
         rows=len(table),
         records=len(of.measurements),
         samples=of.samples,
         entries=of.index.sigma.size,
         kept=0 if chosen is None else chosen.size,
-        record_samples=at(of.record_samples),
-        preload=at(of.preload),
-        reading=at(of.reading),
-        command=at(of.command),
-        windows=at(of.windows),
-        window_at=at(of.window_at),
-        window_place=at(of.window_place),
-        table=at(table),
-        kick=at(state_steps),
-        measured=at(of.measured),
-        weight=at(weight),
-        source=at(of.source),
-        block_end=at(of.block_end),
-        record_blocks=at(of.record_blocks),
-        wanted=at(wanted),
-        basis=at(basis),
-        outputs=at(outputs),
-        chosen=at(chosen),
-        residuals=at(residuals),
+        **{name: None if array is None else array.ctypes.data for name, array in arrays.items()},
     )
     compiled.run(task)
 
