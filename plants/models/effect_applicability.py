@@ -7,8 +7,8 @@ import casadi as ca
 import numpy as np
 
 from plants.effects.effect import Effect, Port
-from plants.models.linear_structures import LinearBase
 from plants.models.linear_with_effects import LinearEffectStructure
+from plants.models.pole_zero_form import LinearBase
 
 
 @lru_cache(maxsize=512)

@@ -6,8 +6,8 @@ import casadi as ca
 
 from plants.effects.effect import Port, Site
 from plants.models.effect_stages import EffectStages
-from plants.models.linear_structures import LinearBase
 from plants.models.path_structure import SUBSTEPS
+from plants.models.pole_zero_form import LinearBase
 from plants.simulation.equations import Expression
 
 ARM_m = 0.01

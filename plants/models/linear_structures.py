@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from types import SimpleNamespace
-from typing import ClassVar, NamedTuple, Protocol
+from typing import ClassVar, NamedTuple
 
 import casadi as ca
 
@@ -23,34 +23,6 @@ class Motion(NamedTuple):
     restoring: Expression | None
 
 
-class LinearBase(Protocol):
-    """Kind of linear plant; hashable."""
-
-    @property
-    def own(self) -> tuple[str, ...]:
-        """Names of its parameters."""
-        ...
-
-    @property
-    def order(self) -> int:
-        """Number of its states."""
-        ...
-
-    @property
-    def is_drum(self) -> bool:
-        """Whether an encoder reads its output as an angle; otherwise a gauge reads it."""
-        ...
-
-    @property
-    def can_rest(self) -> bool:
-        """Whether it can be at rest at an output other than zero."""
-        ...
-
-    def motion(self, p: SimpleNamespace) -> Motion:
-        """The plant for its parameters by name, as amended by effects."""
-        ...
-
-
 @dataclass(frozen=True, slots=True)
 class Drum:
     """A drum without a cable, torque in and angle out: `J theta'' + b theta' = tau`."""
@@ -62,8 +34,8 @@ class Drum:
         "torque_constant_Nm_A",
     )
     order: ClassVar[int] = 2
-    is_drum: ClassVar[bool] = True
-    can_rest: ClassVar[bool] = True
+    is_drum: ClassVar[bool] = True  # an encoder reads the output as an angle
+    can_rest: ClassVar[bool] = True  # at an output other than zero
 
     def motion(self, p: SimpleNamespace) -> Motion:
         """The states are angle and velocity."""

@@ -24,7 +24,6 @@ import casadi as ca
 from plants.effects.effect import Effect
 from plants.models.effect_stages import EffectStages
 from plants.models.linear_signal_path import ARM_m, Constants, LinearPath
-from plants.models.linear_structures import LinearBase
 from plants.models.path_structure import (
     SUBSTEPS,
     EffectNumbers,
@@ -32,6 +31,7 @@ from plants.models.path_structure import (
     column_of_effects,
     prepare_effects,
 )
+from plants.models.pole_zero_form import LinearBase
 from plants.simulation.equations import Expression, held_input
 
 

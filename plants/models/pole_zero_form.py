@@ -19,7 +19,7 @@ import numpy as np
 from estune.core.quantities import FloatArray
 from estune.errors import PlantError
 from estune.trial import LinearModel
-from plants.models.linear_structures import Motion
+from plants.models.linear_structures import Drum, Motion
 from plants.simulation.equations import Expression
 
 if TYPE_CHECKING:  # python-control takes more than a second to import
@@ -41,7 +41,7 @@ class PoleZeroForm:
     poles: tuple[Kind, ...]
     zeros: tuple[Kind, ...]
 
-    is_drum: ClassVar[bool] = False
+    is_drum: ClassVar[bool] = False  # a gauge reads the output
 
     @property
     def order(self) -> int:
@@ -117,6 +117,10 @@ class PoleZeroForm:
             else:
                 w = 2.0 * math.pi * getattr(p, next(names)) / p.rate_rad_s
                 yield [1.0, 2.0 * getattr(p, next(names)) / w, 1.0 / w**2]
+
+
+LinearBase = PoleZeroForm | Drum
+"""Kind of linear plant."""
 
 
 def factorise(model: LinearModel) -> tuple[PoleZeroForm, dict[str, float]]:

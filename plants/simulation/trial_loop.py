@@ -43,16 +43,8 @@ class Batch(NamedTuple):
     open_loop: bool = False
 
 
-class TrialLoop(Protocol):
-    """Runs trials of all plants of one structure."""
-
-    def run(self, batch: Batch) -> Columns:
-        """Runs the trials, one after the other."""
-        ...
-
-
 @lru_cache(maxsize=64)
-def trial_loop(structure: Structure) -> TrialLoop:
+def trial_loop(structure: Structure) -> "CompiledLoop | VirtualLoop":
     """Trial loop of a structure, compiled if there is a compiler."""
     functions = loop_functions(structure.equations())
     try:

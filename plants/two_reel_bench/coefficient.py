@@ -6,13 +6,13 @@ import numpy as np
 
 from estune.core.quantities import FloatArray
 from estune.errors import InvalidInput
-from plants.identify.estimate import Estimate
-from plants.two_reel_bench.friction_ratio import friction_coefficient
-from plants.two_reel_bench.mean_estimate import (
+from plants.identify.estimate import (
     SIGNIFICANCE_LEVEL,
+    Estimate,
     student_quantile,
     two_sided_p_value,
 )
+from plants.two_reel_bench.friction_ratio import friction_coefficient
 from plants.two_reel_bench.procedure import SWEEPS_MIN
 
 RESOLVED_PROBABILITY = 0.999

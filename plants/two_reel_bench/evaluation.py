@@ -17,7 +17,7 @@ import numpy as np
 from estune.core.quantities import FloatArray
 from estune.errors import InvalidInput
 from estune.reel.calibration import GaugeCalibration
-from plants.identify.estimate import Estimate
+from plants.identify.estimate import Estimate, mean_estimate
 from plants.two_reel_bench.coefficient import (
     ATTENUATION_MIN,
     mean_coefficient,
@@ -30,7 +30,6 @@ from plants.two_reel_bench.friction_curve import (
     mean_curve,
 )
 from plants.two_reel_bench.index import WEBER_LIMIT, StaticTransparency, static_transparency
-from plants.two_reel_bench.mean_estimate import mean_estimate
 from plants.two_reel_bench.procedure import SETPOINTS_MIN, SWEEPS_MIN, SetpointReadings
 
 

@@ -5,12 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from estune.core.quantities import FloatArray
-from plants.identify.estimate import Estimate
-from plants.two_reel_bench.mean_estimate import (
-    SIGNIFICANCE_LEVEL,
-    mean_estimate,
-    two_sided_p_value,
-)
+from plants.identify.estimate import SIGNIFICANCE_LEVEL, Estimate, mean_estimate, two_sided_p_value
 
 
 class FrictionCurve(NamedTuple):

@@ -6,14 +6,14 @@ import numpy as np
 
 from estune.core.quantities import FloatArray
 from estune.errors import InvalidInput
-from plants.identify.estimate import Estimate
-from plants.two_reel_bench.evaluation import TwoReelResult
-from plants.two_reel_bench.friction_ratio import attenuation
-from plants.two_reel_bench.mean_estimate import (
+from plants.identify.estimate import (
     SIGNIFICANCE_LEVEL,
+    Estimate,
     student_quantile,
     two_sided_p_value,
 )
+from plants.two_reel_bench.evaluation import TwoReelResult
+from plants.two_reel_bench.friction_ratio import attenuation
 
 _CONDITION_MAX = 1e3
 """Maximum condition number; measurements with similar bends amplify their errors."""
