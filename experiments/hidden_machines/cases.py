@@ -228,7 +228,7 @@ def _differ(some: tuple[Record, ...], others: tuple[Record, ...], bench: Bench) 
 def _bent(rows: NDArray[np.float64]) -> NDArray[np.float64]:
     """What straight lines leave of rows, flat."""
     t = np.linspace(-1.0, 1.0, rows.shape[1])
-    basis = np.stack([np.ones_like(t), t]) / np.sqrt([[t.size], [t @ t]])
+    basis = np.stack([np.ones_like(t), t]) / np.sqrt(np.array([[float(t.size)], [float(t @ t)]]))
     left: NDArray[np.float64] = rows - rows @ basis.T @ basis
     return left.ravel()
 
