@@ -5,6 +5,7 @@ import casadi as ca
 import control
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 import plants
 from estune.core.gains import Gains
