@@ -4,7 +4,7 @@ import logging
 import threading
 import time
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import fields, replace
 from queue import SimpleQueue
 
 import numpy as np
@@ -13,8 +13,9 @@ import pytest
 from estune.core.gains import Gains
 from estune.errors import ProtocolError, RigError
 from estune.remote.ledger import FileLedger, MemoryLedger
-from estune.remote.messages import Answer, Inquire, Status, decode_part, digest
+from estune.remote.messages import VERBS, Answer, Inquire, Status, decode_part, digest
 from estune.remote.messages.commands import Cancel, Clear, Estop, Lease, SetGains, Submit, Void
+from estune.remote.state_machine import rig
 from estune.remote.state_machine.reply_codes import ReplyCode
 from estune.remote.state_machine.state import LEASE_S, Mode
 from estune.remote.state_machine.trials import TrialState
@@ -99,6 +100,13 @@ class HeldRig(ScriptedRig):
     def _held(self, request):
         assert self.go.wait(60.0)
         return response(request)
+
+
+def test_every_verb_has_a_handler_and_transitions_for_its_events():
+    for name, verb in VERBS.items():
+        assert callable(getattr(RequestHandler, name))
+        assert set(verb.events) <= set(rig.TABLE)
+        assert verb.needs_lease <= ("lease" in {field.name for field in fields(verb.message)})
 
 
 # --- trials ---
