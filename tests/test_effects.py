@@ -74,6 +74,7 @@ def test_effect_declaration_is_complete(effect):
     assert re.fullmatch(r"[a-z]+(_[a-z]+)*", effect.name)
     assert len(effect.title.split()) >= 2
     assert len(effect.appearance.split()) >= 8
+    assert effect.excitation or effect is Own
     assert any(p.neutral is not None for p in declared.values())
     usual, neutral = effect(), effect.neutral()
     for name, p in declared.items():
@@ -334,3 +335,13 @@ def test_effect_does_not_matter_below_its_least_size():
     assert not EFFECTS["stribeck_friction"].matters(friction, RecordScale(), distinct=True)
     slack = EFFECTS["cable_slack"]
     assert not slack.matters({"slack_m": 2e-3}, RecordScale(stretch_max_m=1e-3))
+
+
+def test_extended_effects_are_in_the_catalogue_and_pass_on_their_parameters():
+    for effect in EFFECTS.values():
+        simpler = effect.extends
+        assert (simpler is None) == (not effect.inherits)
+        if simpler is not None:
+            assert EFFECTS[simpler.name] is simpler
+            assert set(effect.inherits) <= set(effect.parameters())
+            assert set(effect.inherits.values()) <= set(simpler.parameters())

@@ -57,10 +57,6 @@ class BaseNumbers:
     def of(cls, model: Any, measurement: MeasuredRecord) -> "BaseNumbers | None":
         """The numbers of a model at a record's cable length and preload.
 
-        Args:
-            model: A `Reel`, a reel without cable, or a plant with a `LinearModel`.
-            measurement: The record.
-
         Returns:
             None where the model has no such numbers: a plant that is known as a function only.
         """

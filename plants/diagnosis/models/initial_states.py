@@ -44,15 +44,7 @@ class _Spanned(NamedTuple):
 def estimate_states(
     local: Local, output: FloatArray, sampling_Hz: float, noise: float, at: NDArray[np.int64]
 ) -> InitialStates:
-    """The state at some samples of a record.
-
-    Args:
-        local: Linear model.
-        output: Measured output, shape (samples,).
-        sampling_Hz: Sampling rate.
-        noise: Noise of the output, rms; zero is none.
-        at: Indices of the instants, shape (instants,).
-    """
+    """The states at the samples `at` of a record, whose output has `noise` rms."""
     needed = (local.B.size + 2) // 2
     rate = float(np.abs(np.linalg.eigvals(local.A)).max(initial=0.0)) / sampling_Hz
     sampled = _Sampled(local, output, sampling_Hz)

@@ -70,10 +70,6 @@ def units(
 ) -> tuple[float, float]:
     """Powers of ten in which signals are as large as a reel's.
 
-    Args:
-        inputs: Input of each record.
-        outputs: Output of each record, where there is one.
-
     Returns:
         Input that stands for a newton metre, output that stands for a radian.
     """

@@ -102,15 +102,7 @@ def prepare_data(
     floor: NoiseFloor | None,
     placed: int,
 ) -> PredictionData:
-    """The prediction data of some records.
-
-    Args:
-        model: The model that predicts them.
-        measurements: The records.
-        horizon_s: Length of a window, or None for a free run.
-        floor: The noise; None estimates it.
-        placed: Number of states that are reset.
-    """
+    """The prediction data of some records; `placed` states are reset, none without a horizon."""
     noise = noise_floor(measurements) if floor is None else floor
     starts = [_start(model, m, horizon_s, noise, placed) for m in measurements]
     entries = _Entries(model, noise, sum(m.samples for m in measurements))
@@ -331,15 +323,7 @@ class _Entries:
 def _sigma(
     noise: NoiseFloor, channel: str, spread: float, largest: float, known: float = 0.0
 ) -> float:
-    """Sigma_eff of a channel.
-
-    Args:
-        noise: The noise.
-        channel: Name of the channel.
-        spread: Root mean square of the signal to be explained.
-        largest: Greatest magnitude of the readings.
-        known: Rms that repeats do not reproduce.
-    """
+    """Sigma_eff of a channel with an rms to explain, a largest reading, an rms known to be noise."""
     sigma, least = (
         noise.effective(channel, spread, known),
         SIGMA_MIN * max(spread, largest, 1e-3),

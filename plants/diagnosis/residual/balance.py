@@ -219,14 +219,7 @@ def smoother_for(
     sampling_Hz: float,
     longest_s: float,
 ) -> Smoother:
-    """The least smoothing that keeps a balance's noise small relative to its terms.
-
-    Args:
-        equation: The balance.
-        records: Numbers, signals and noises of each record.
-        sampling_Hz: Their rate.
-        longest_s: Greatest width.
-    """
+    """The least smoothing that keeps a balance's noise small relative to its terms."""
     shortest_s = 1.0 / sampling_Hz
     if not equation.smooth:
         return Smoother(shortest_s, sampling_Hz)

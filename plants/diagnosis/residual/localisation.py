@@ -164,13 +164,7 @@ def localise(
     numbers: Sequence[BaseNumbers | None],
     floor: NoiseFloor,
 ) -> ResidualLocation:
-    """Localises the base model's residual, before any effect is fitted.
-
-    Args:
-        measurements: The records.
-        numbers: The base model at each of them; None where it has no such numbers.
-        floor: Their noise.
-    """
+    """Localises the base model's residual; `numbers` are those of the model at each record."""
     found = distortions(measurements)
     records = prepared(measurements, numbers, floor)
     best: dict[str, Block] = {}
