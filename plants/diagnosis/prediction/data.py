@@ -323,7 +323,7 @@ class _Entries:
 def _sigma(
     noise: NoiseFloor, channel: str, spread: float, largest: float, known: float = 0.0
 ) -> float:
-    """Sigma_eff of a channel with an rms to explain, a largest reading, an rms known to be noise."""
+    """Sigma_eff of a channel, from the rms to explain, the largest reading and known noise."""
     sigma, least = (
         noise.effective(channel, spread, known),
         SIGMA_MIN * max(spread, largest, 1e-3),
