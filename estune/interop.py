@@ -1,4 +1,4 @@
-"""To and from python-control: the controller, the plant, and the margins of their loop."""
+"""Exchange with python-control: controller, plant, and the margins of their loop."""
 
 import math
 from typing import TYPE_CHECKING, Any
@@ -30,25 +30,15 @@ __all__ = [
 
 
 def margins(model: LinearModel, gains: Gains, settings: ControllerSettings) -> Margins:
-    """Gain and phase margin of the sampled loop of a plant and the PIDF.
+    """Gain and phase margin of the sampled loop of a plant and the PIDF, or its instability.
 
-    Args:
-        model: The plant, with its dead time.
-        gains: Gains of the controller; its setpoint filter is outside the loop.
-        settings: Sampling rate and derivative filter; the limits play no part.
-
-    Returns:
-        The margins, or a note that the closed loop is unstable.
+    The setpoint filter and the limits of the controller have no effect on them.
     """
     return loop_margins(sampled_model(model, settings), gains, settings)
 
 
 def model_gains(model: LinearModel, settings: ControllerSettings) -> Gains:
-    """Gains to begin from, by the rule `sensitivity_limited` on a rig's own linear model.
-
-    Args:
-        model: The plant with the effort as its input, and its dead time.
-        settings: Sampling rate and derivative filter of the controller.
+    """Initial gains, by the rule `sensitivity_limited` on a rig's own linear model.
 
     Raises:
         InvalidInput: the rule does not apply to the model.
@@ -77,13 +67,9 @@ def to_control(
 ) -> "tuple[TransferFunction, TransferFunction, TransferFunction]":
     """The controller in continuous time, as python-control transfer functions.
 
-    Args:
-        gains: Gains and setpoint filter.
-        settings: The derivative filter tau_d is taken from here; zero is the ideal derivative.
-
     Returns:
         F = 1/(tau_F s + 1), C_r = P + I/s, and C_y = P + I/s + D s/(tau_d s + 1), so that
-        u = C_r F r - C_y y, (32) to (34).
+        u = C_r F r - C_y y, (32) to (34); tau_d = 0 is the ideal derivative.
     """
     from control import tf  # noqa: PLC0415  slow to import
 
@@ -104,34 +90,32 @@ def schedule_to_control(
 ) -> "NonlinearIOSystem":
     """The controller with scheduled gains in continuous time, as a python-control system.
 
-    At a fixed length and tension it is the controller of `to_control`. It has no limits, and so no
-    anti-windup. The integral is kept as effort, so that it does not jump when the gains change.
+    At a fixed length and tension it equals the controller of `to_control`. It has no limits and no
+    anti-windup. The integral is stored as effort, so that gain changes cause no jump.
 
     Args:
-        schedule: Gains over cable length and tension; beyond its range those at its ends.
-        settings: The derivative filter tau_d is taken from here; it must not be zero.
+        schedule: Gains over cable length and tension; constant outside its range.
+        settings: The derivative filter tau_d, which must not be zero, is taken from here.
 
     Returns:
         A system of inputs `setpoint`, `measurement`, `length_m` and `tension_N`, output `effort`,
         and states `integral`, `setpoint_filter`, `measurement_filter`.
 
     Raises:
-        InvalidInput: there is no derivative filter: an ideal derivative is no system of states.
+        InvalidInput: there is no derivative filter; an ideal derivative has no state.
     """
     from control import nlsys  # noqa: PLC0415  slow to import
 
     lag = settings.derivative_filter_s
     if lag == 0.0:
-        raise InvalidInput(
-            "derivative filter is 0 s; a scheduled controller needs one above zero to have states"
-        )
+        raise InvalidInput("derivative filter is 0 s; give a scheduled controller one above zero")
 
     def at(u: FloatArray) -> Gains:
         return schedule.gains(float(u[2]), float(u[3]))
 
     def rates(_t: float, x: FloatArray, u: FloatArray, _params: Any) -> FloatArray:
         gains, (_, r_F, y_F) = at(u), x
-        # A filter without a time constant follows within a hundredth of the derivative's.
+        # A setpoint filter of zero is approximated by a hundredth of the derivative filter.
         tau_F = max(gains.setpoint_filter_s, 0.01 * lag)
         return np.array([gains.I * (r_F - u[1]), (u[0] - r_F) / tau_F, (u[1] - y_F) / lag])
 
@@ -229,7 +213,7 @@ def linear_model(system: "TransferFunction | StateSpace", dead_time_s: float = 0
     if not all(np.isfinite(part).all() for part in (A, B, C, E)):
         raise InvalidInput("the plant has a coefficient that is not finite")
     if A.size:
-        # A transfer function of fast modes gives a state matrix of numbers many decades apart.
+        # The state matrix of fast modes has elements many decades apart.
         A, (scale, _) = matrix_balance(A, permute=False, separate=True)
         B, C = B / scale[:, None], C * scale
     return LinearModel(
@@ -254,7 +238,7 @@ def _check_siso_continuous(system: "TransferFunction | StateSpace", what: str) -
 
 
 def _coprime(numerator: FloatArray, denominator: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Without leading zeros, and without powers of s that both have. Highest power first."""
+    """Both polynomials without leading zeros and common powers of s, highest power first."""
     numerator, denominator = np.trim_zeros(numerator, "f"), np.trim_zeros(denominator, "f")
     while numerator.size and numerator[-1] == 0.0 == denominator[-1]:
         numerator, denominator = numerator[:-1], denominator[:-1]
@@ -269,5 +253,6 @@ def _ascending(polynomial: FloatArray) -> tuple[float, float, float]:
 
 def _not_a_pid(why: str) -> InvalidInput:
     return InvalidInput(
-        f"the controller is not P + I/s + D s/(tau s + 1): {why}; give such a one, or its gains"
+        f"the controller is not P + I/s + D s/(tau s + 1): {why}; "
+        "give a controller of this form, or its gains"
     )
