@@ -108,8 +108,7 @@ def _show(diagnosis: "Diagnosis") -> None:
 def _table(rows: "Rows") -> Table:
     table = Table(box=None, pad_edge=False, padding=(0, 3, 0, 0))
     for number, column in enumerate(rows.columns):
-        numeric = all(not row[number] or row[number][0] in "-0123456789" for row in rows.rows)
-        side: Literal["left", "right"] = "right" if number and numeric else "left"
+        side: Literal["left", "right"] = "right" if number in rows.numeric else "left"
         table.add_column(column, header_style="dim", justify=side, no_wrap=True)
     for row in rows.rows:
         table.add_row(*map(Text, row))

@@ -193,7 +193,7 @@ def _data(d: DiagnosisResult) -> list[Block]:
 
 
 def _table(table: summary.Table) -> html_page.Table:
-    return html_page.Table(*table)
+    return html_page.Table(table.columns, table.rows, table.numeric)
 
 
 def _plot(

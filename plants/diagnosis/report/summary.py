@@ -32,6 +32,15 @@ class Table(NamedTuple):
     columns: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
 
+    @property
+    def numeric(self) -> tuple[int, ...]:
+        """Indices of the columns of numbers."""
+        return tuple(
+            n
+            for n in range(1, len(self.columns))
+            if all(row[n][:1] in "-0123456789" for row in self.rows)
+        )
+
 
 def heading(d: DiagnosisResult) -> str:
     """The verdict and the prediction error in one line."""
