@@ -318,6 +318,8 @@ def test_fit_of_friction_begins_at_a_share_of_the_torque_in_the_records():
     records = RecordScale(torque_rms_Nm=0.5, torque_max_Nm=1.0)
     assert EFFECTS["coulomb_friction"].start("torque_Nm", records) == (0.05, 2.0)
     assert EFFECTS["coulomb_friction"].start("torque_Nm", RecordScale()) == (0.02, 1e4)
+    moving = RecordScale(velocity_rms_rad_s=1.0, velocity_max_rad_s=3.0)
+    assert EFFECTS["coulomb_friction"].start("creep_rad_s", moving) == (0.0, 6.0)
 
 
 def test_guesses_of_a_string_are_the_densities_that_ring_where_the_residual_does():

@@ -174,15 +174,14 @@ class Effect(ABC):
     def start(cls, name: str, records: RecordScale) -> tuple[float, float]:
         """Where a fit of a parameter begins, and its upper bound there."""
         p, usual = cls.parameters()[name], float(getattr(cls(), name))
-        if isinstance(p.start, float | int):
-            return float(p.start), p.high
         begin, most = USUAL_STARTS.get((cls.port, "" if p.is_phase else p.unit), (None, None))
         begin = p.start if isinstance(p.start, Share) else begin
         value = usual if begin is None else begin.factor * getattr(records, begin.of)
-        high = p.high if most is None else most.factor * getattr(records, most.of)
+        high = p.high if most is None else min(p.high, most.factor * getattr(records, most.of))
         if not (math.isfinite(value) and value > 0.0 and high > p.low):
-            return usual, p.high
-        high = min(high, p.high)
+            value, high = usual, p.high
+        if isinstance(p.start, float | int):
+            value = float(p.start)
         return min(max(value, p.low), high), high
 
     @classmethod
