@@ -14,7 +14,7 @@ from estune.trial import (
     TrialRequest,
 )
 from estune.trial.profiles import StepProfile
-from estune.tuners.convergence import ConvergenceEstimate, CostPrediction
+from estune.tuners.interface import ConvergenceEstimate, CostPrediction
 from estune.tuners.least_squares_gradient import LeastSquaresGradient
 
 START = Gains(0.5, 10.0, 0.005, 0.02)
@@ -92,9 +92,9 @@ class ArithmeticRig:
 class Seer(LeastSquaresGradient):
     """A tuner that says what is left to gain, by a script, and what it takes for explored."""
 
-    def outlook(self, state):
+    def convergence(self, state):
         left = (1.0, 0.3, 0.01, 0.01, 0.3, *(0.01,) * 50)[state.k - 1]
         return ConvergenceEstimate(0.01, left, left / 2.0, ((0.1, 1.0),) * 4)
 
-    def forecast(self, _state, point):
+    def predict(self, _state, point):
         return CostPrediction(1.0, 0.5, 2.0, explored=point[0] < START.P)

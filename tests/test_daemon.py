@@ -115,7 +115,7 @@ def test_stop_in_a_trial_does_not_wait_for_its_end(tmp_path):
         daemon(tmp_path, rig_table("drum", where)) as it,
     ):
         it.until_mode("tuning")
-        while not rig.asked:
+        while not rig.requests:
             time.sleep(0.01)
         it.command("stop")
         it.thread.join(WITHIN_S)
@@ -214,9 +214,9 @@ def test_emergency_stop_pauses_until_resume(tmp_path):
                 status = it.until_mode("paused")
                 assert "smoke" in status.paused
                 other.clear()
-            asked = len(rig.asked)
+            asked = len(rig.requests)
             time.sleep(0.5)
-            assert len(rig.asked) == asked
+            assert len(rig.requests) == asked
             it.command("resume")
             it.until_mode("holding")
         assert rig.describe().gains == ORIGINAL
@@ -285,7 +285,7 @@ def test_settings_that_do_not_suit_the_rig_pause(tmp_path):
     table = rig_table("drum", "{}") + "step = {step_N = 1000.0}\n"
     with rig_served() as (rig, where), daemon(tmp_path, table.replace("{}", where)) as it:
         assert "setpoint 1010 N is outside" in it.until_mode("paused").paused
-        assert not rig.asked
+        assert not rig.requests
 
 
 FAULTS = {

@@ -74,7 +74,7 @@ def test_read_config_reports_all_mistakes_with_their_paths():
         ({"gauge__file": "c2.json"}, "give either file, or counts_of_force, range_N"),
         ({"current__range_counts": None}, "give either file, or amperes_of_command"),
         ({"gauge__counts_of_force": [1.0, 0.0]}, "flat"),
-        ({"current__amperes_of_command": [0.0, 1e-4, 1e-8]}, "not surely monotone"),
+        ({"current__amperes_of_command": [0.0, 1e-4, 1e-8]}, "not significantly monotone"),
     ],
 )
 def test_inconsistent_values_are_reported(changes, words):

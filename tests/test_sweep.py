@@ -250,7 +250,7 @@ def test_rigs_are_tuned_in_parallel_and_resume_after_an_interrupt(tmp_path):
     assert not result.failed
     assert sorted({o.cell.length_m for o in result.outcomes}) == [0.5, 0.9]
     for rig, of_rig in zip(rigs, (result.outcomes[:2], result.outcomes[2:]), strict=True):
-        asked = [request.trial_id for request in rig.asked]
+        asked = [request.trial_id for request in rig.requests]
         assert len(asked) == len(set(asked))  # no trial twice, before and after the interrupt
         told = sum(len(o.trace) for o in of_rig)
         assert len(asked) - told <= 1  # at most the one that was stopped under way
@@ -271,7 +271,7 @@ def test_rig_with_wrong_or_unknown_length_is_refused(tmp_path, length, given, le
         design = {"rigs": [{"target": server.endpoint, **given}], "lengths_m": lengths}
         with pytest.raises(InvalidInput, match=words):
             expand_cells(read_design(design))
-    assert not rig.asked
+    assert not rig.requests
 
 
 def test_sweep_documentation_lists_every_key_and_valid_examples():
