@@ -74,6 +74,25 @@ def served(
         folder.cleanup()
 
 
+@contextmanager
+def small_board(folder: Path) -> Iterator[tuple[subprocess.Popen, str]]:
+    """The board without estune, in a process of its own."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "tests.small_board", "board", str(folder / "board.json")],
+        cwd=Path(__file__).parent.parent,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        yield process, process.stdout.readline().strip()
+    finally:
+        process.kill()
+        process.wait()
+        process.stdin.close()
+        process.stdout.close()
+
+
 class Served:
     """A server process and its endpoint."""
 

@@ -27,10 +27,11 @@ from estune.core.pidf import ControllerSettings
 from estune.remote.messages import Status
 from estune.remote.state_machine.state import Mode
 from estune.trial import LATE, SATURATED, LinearModel, Outcome, RigLimits
-from tests.serve_rig import served
+from tests.serve_rig import served, small_board
 from tests.support_rigs import ScriptedRig, description, diverged, response
 
 ROOT = Path(__file__).parents[1]
+LOCAL = "tcp/127.0.0.1:7447"
 ELSEWHERE = "tcp/192.0.2.1:7447"  # an address for documentation: no process of this machine
 
 
@@ -89,15 +90,15 @@ def test_sound_rig_passes_all_checks():
 def test_checks_move_nothing_unless_allowed():
     rig = Patient(dated)
     assert found(rig, move=False)["trials"] is State.UNKNOWN
-    assert rig.asked == []
+    assert rig.requests == []
 
 
 def test_check_trial_is_gentle_and_uses_live_gains():
     rig = Patient(dated)
     found(rig)
     about = description()
-    assert {request.gains for request in rig.asked} == {about.gains}
-    assert {request.profile for request in rig.asked} == {gentle_trial(about)}
+    assert {request.gains for request in rig.requests} == {about.gains}
+    assert {request.profile for request in rig.requests} == {gentle_trial(about)}
     assert abs(gentle_trial(about).step_N) < abs(about.step.step_N)
 
 
@@ -105,7 +106,7 @@ def test_rig_in_emergency_stop_is_not_moved():
     rig = Patient(dated)
     rig.latched = "smoke"
     assert to_fix(rig) == {"state"}
-    assert rig.asked == []
+    assert rig.requests == []
 
 
 INFINITE = RigLimits(0.0, math.inf, 5.0)
@@ -125,7 +126,7 @@ TOO_WEAK = ControllerSettings(200.0, 0.002, -100.0, 12.0)
 def test_unusable_limits_fail_and_nothing_moves(changes):
     rig = Patient(dated, **changes)
     assert "limits" in to_fix(rig)
-    assert rig.asked == []
+    assert rig.requests == []
 
 
 def test_gains_without_margins_fail():
@@ -247,17 +248,22 @@ HOST = Host(1, ("127.0.0.1:7447",), real_time=True, locked=True, ledger=Path("ri
 
 
 @pytest.mark.parametrize(
-    ("host", "simulated", "state"),
+    ("host", "software", "simulated", "state"),
     [
-        (HOST, False, State.FINE),
-        (replace(HOST, real_time=False), False, State.FIX),
-        (replace(HOST, locked=False), False, State.FIX),
-        (None, False, State.UNKNOWN),
-        (replace(HOST, real_time=False), True, State.FINE),
+        (HOST, "estune 1.0", False, State.FINE),
+        (replace(HOST, real_time=False), "estune 1.0", False, State.FIX),
+        (replace(HOST, locked=False), "estune 1.0", False, State.FIX),
+        (None, "estune 1.0", False, State.UNKNOWN),
+        (replace(HOST, real_time=False), "estune 1.0", True, State.FINE),
+        # A gateway to a board, and a router to estune's own rig.
+        (replace(HOST, real_time=False), "gateway 2", False, State.UNKNOWN),
+        (replace(HOST, locked=False, ledger=None), "estune 1.0", False, State.UNKNOWN),
     ],
 )
-def test_missing_permissions_of_the_loop_fail(host, simulated, state):
-    assert check_permissions(host, simulated=simulated).state is state
+def test_missing_permissions_fail_only_where_the_loop_runs(host, software, simulated, state):
+    result = check_permissions(host, simulated=simulated, software=software)
+    assert result.state is state
+    assert (state is State.UNKNOWN) == result.sentence.startswith("not stated")
 
 
 @pytest.mark.parametrize(
@@ -267,6 +273,8 @@ def test_missing_permissions_of_the_loop_fail(host, simulated, state):
         (replace(HOST, listens=("0.0.0.0:7447",)), "tcp/127.0.0.1:7447", False, State.FIX),
         (replace(HOST, listens=("[::]:7447",)), "tcp/127.0.0.1:7447", True, State.FINE),
         (replace(HOST, listens=("[::1]:7447",)), "tcp/[::1]:7447", False, State.FINE),
+        # Another port of the process, of which the rig states nothing.
+        (replace(HOST, listens=("127.0.0.1:7447", "0.0.0.0:80")), LOCAL, False, State.FINE),
         (None, ELSEWHERE, False, State.FIX),
         (None, ELSEWHERE, True, State.FINE),
         (None, "tcp/localhost:7447", False, State.FINE),
@@ -276,12 +284,13 @@ def test_open_port_without_authentication_fails(host, endpoint, authenticated, s
     assert check_ports(host, endpoint, authenticated=authenticated).state is state
 
 
-def test_ledger_location_is_reported_or_unknown():
+def test_ledger_is_reported_where_visible_and_else_not_stated():
     assert "rig.ledger" in check_ledger(HOST, simulated=False).sentence
-    forgetful = replace(HOST, ledger=None)
-    assert check_ledger(forgetful, simulated=True).state is State.FINE
-    assert check_ledger(forgetful, simulated=False).state is State.UNKNOWN
-    assert check_ledger(None, simulated=False).state is State.UNKNOWN
+    for host in (replace(HOST, ledger=None), None):
+        for simulated, state in ((True, State.FINE), (False, State.UNKNOWN)):
+            result = check_ledger(host, simulated=simulated)
+            assert result.state is state
+            assert result.sentence.startswith("not stated")
 
 
 @pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="only Linux tells")
@@ -317,3 +326,11 @@ def test_doctor_command_fails_with_failed_checks_in_json():
         assert "failed checks: " in done.stderr
         assert "-> " in done.stdout
         assert Outcome.DIVERGED.sentence in done.stdout
+
+
+def test_doctor_command_finds_no_fault_in_what_a_board_does_not_state(tmp_path):
+    with small_board(tmp_path) as (_, endpoint):
+        done = call(endpoint, "--json")
+    assert done.returncode == 0, done.stdout
+    findings = {f["check"]: f for f in json.loads(done.stdout)["findings"]}
+    assert findings["ledger"]["sentence"].startswith("not stated")

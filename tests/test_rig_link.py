@@ -6,12 +6,9 @@ step trial that it suggests, is stopped in the middle of one, and has its emerge
 
 import json
 import secrets
-import subprocess
-import sys
 import time
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from dataclasses import fields, replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -34,7 +31,7 @@ from estune.remote.zenoh import connect
 from estune.remote.zenoh.remote_rig import RECORDS_MAX_BYTES
 from estune.remote.zenoh.zenoh_session import open_session
 from estune.trial import Outcome, TrialRequest, record_frame
-from tests.serve_rig import served
+from tests.serve_rig import served, small_board
 
 ANSWERED_WITHIN_S = 10.0  # generous: the speed of the machine is not tested
 PENDING = (ReplyCode.ACCEPTED, ReplyCode.RUNNING, ReplyCode.BUSY)
@@ -125,25 +122,6 @@ class Board:
                 self.send("lease", Lease("renew", self.lease))
             time.sleep(RENEW_S / 10)
         return status
-
-
-@contextmanager
-def small_board(folder: Path):
-    """The board without estune, in a process of its own."""
-    process = subprocess.Popen(
-        [sys.executable, "-m", "tests.small_board", "board", str(folder / "board.json")],
-        cwd=Path(__file__).parent.parent,
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-    try:
-        yield process, process.stdout.readline().strip()
-    finally:
-        process.kill()
-        process.wait()
-        process.stdin.close()
-        process.stdout.close()
 
 
 def pytest_generate_tests(metafunc):

@@ -72,7 +72,7 @@ def check_gains(rig: RigDescription) -> CheckResult:
     if rig.linear_model is None:
         return unknown(
             "live gains",
-            f"{rig.gains}; the rig gives no linear model, so their margins are not known",
+            f"{rig.gains}; their margins are not stated: the rig gives no linear model",
         )
     measured = margins(rig.linear_model, rig.gains, rig.controller)
     low = result_warnings.low_margins(measured)

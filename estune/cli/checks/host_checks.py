@@ -57,27 +57,40 @@ def find_host(endpoint: str) -> Host | None:
     return None
 
 
-def check_permissions(host: Host | None, *, simulated: bool) -> CheckResult:
-    """Whether the real-time loop has its priority and locked memory."""
+def check_permissions(host: Host | None, *, simulated: bool, software: str) -> CheckResult:
+    """Whether the real-time loop has its priority and locked memory.
+
+    Only estune's own server is known to run the loop itself; a gateway leaves it to a board.
+    """
     if simulated:
         return fine("permissions", "a simulated rig needs none")
     if host is None:
-        return unknown("permissions", _NOT_VISIBLE, _RUN_THERE)
+        return unknown("permissions", f"not stated: {_NOT_VISIBLE}", _RUN_THERE)
     granted = {"real-time priority": host.real_time, "locked memory": host.locked}
     missing = [name for name in granted if not granted[name]]
-    if missing:
+    if not missing:
+        return fine("permissions", "real-time priority and locked memory are granted")
+    lacking = f"without {' and without '.join(missing)}"
+    if software.startswith("estune ") and host.ledger is not None:
         return fix(
             "permissions",
-            f"the rig runs without {' and without '.join(missing)}",
+            f"the rig runs {lacking}",
             "grant rtprio and memlock in /etc/security/limits.d or in its service",
         )
-    return fine("permissions", "real-time priority and locked memory are granted")
+    return unknown(
+        "permissions",
+        f"not stated: process {host.pid} at the endpoint runs {lacking}; the rig does not state "
+        "whether its loop runs there",
+    )
 
 
 def check_ports(host: Host | None, endpoint: str, *, authenticated: bool) -> CheckResult:
     """Whether the rig is reachable from the network without authentication."""
-    at = host.listens if host is not None else (endpoint,)
-    remote = [address for address in at if not _is_loopback(address)]
+    port = endpoint.rpartition(":")[2]
+    at = (endpoint,) if host is None else host.listens
+    # The process may serve other things than the rig at other ports.
+    own = [address for address in at if address.rpartition(":")[2] == port]
+    remote = [address for address in own if not _is_loopback(address)]
     if remote and not authenticated:
         return fix(
             "ports",
@@ -93,14 +106,12 @@ def check_ledger(host: Host | None, *, simulated: bool) -> CheckResult:
     """Whether the rig's ledger survives a restart."""
     if host is not None and host.ledger is not None:
         return fine("ledger", f"on disk, {host.ledger}")
-    if simulated and host is not None:
-        return fine("ledger", "in memory, which is sufficient for a simulated rig")
+    if simulated:
+        return fine("ledger", "not stated; a simulated rig needs none on disk")
+    if host is None:
+        return unknown("ledger", f"not stated: {_NOT_VISIBLE}", _RUN_THERE)
     return unknown(
-        "ledger",
-        f"{_NOT_VISIBLE}, so whether its ledger is on disk is not known"
-        if host is None
-        else f"the process that listens there, {host.pid}, has no visible open ledger",
-        _RUN_THERE,
+        "ledger", f"not stated: process {host.pid} at the endpoint has no ledger of estune's kind"
     )
 
 

@@ -62,7 +62,7 @@ def run_checks(
     yield limits
     yield description_checks.check_gains(about)
     host = host_checks.find_host(endpoint)
-    yield host_checks.check_permissions(host, simulated=about.simulated)
+    yield host_checks.check_permissions(host, simulated=about.simulated, software=about.software)
     yield host_checks.check_ports(host, endpoint, authenticated=authenticated)
     yield host_checks.check_ledger(host, simulated=about.simulated)
     if not move:
