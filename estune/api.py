@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from estune.core.cost import StepCost
 from estune.core.gains import Gains
 from estune.errors import EstuneError, InvalidInput, JournalError, RigError
+from estune.loop_model.optimum import RobustnessLimits
 from estune.run import archived_run, loop, progress, result
 from estune.run.journal import Journal
 from estune.run.loop import ApprovalCallback, ProgressListener, Stopped, TuningRun
@@ -52,6 +53,7 @@ def tune(
     security: "Security | None" = None,
     watch: ProgressListener | Literal["auto"] | None = "auto",
     ask: ApprovalCallback | None = None,
+    limits: RobustnessLimits | None = None,
 ) -> TuneResult:
     """Tunes the PIDF gains of a rig by step trials.
 
@@ -83,6 +85,8 @@ def tune(
         watch: Callback after each trial; "auto" shows progress, None nothing.
         ask: Approval callback for gains outside the region shown to be safe; returns "yes", "no"
             or "always".
+        limits: Limits of sensitivity, overshoot and phase margin that the tuner model_based
+            keeps; 1.6, 5 % and none by default.
 
     Raises:
         InvalidInput: a value is not usable, or the rig gives no model for a warm start.
@@ -109,6 +113,7 @@ def tune(
             bounds=bounds,
             step=step,
             cost=cost,
+            limits=limits,
             trials=trials,
             tolerance=tolerance,
             repeats=repeats,

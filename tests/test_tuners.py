@@ -31,7 +31,8 @@ ALL = {
     "killingsworth, linear": Killingsworth(LINEAR),
 }
 every_tuner = pytest.mark.parametrize("tuner", ALL.values(), ids=ALL.keys())
-WITHOUT_RECORD = {name: tuner for name, tuner in ALL.items() if name != "safe_bayesian"}
+KEEPING_TRIALS = ("safe_bayesian", "model_based")
+WITHOUT_RECORD = {name: tuner for name, tuner in ALL.items() if name not in KEEPING_TRIALS}
 every_tuner_without_record = pytest.mark.parametrize(
     "tuner", WITHOUT_RECORD.values(), ids=WITHOUT_RECORD.keys()
 )
@@ -59,8 +60,8 @@ def run(tuner, state, cost, trials):
 
 def dither(tuner, state):
     """Distance of the proposal from the centre, in coordinates."""
-    asked, centre = map(tuner.space.coordinates, (tuner.ask(state), tuner.recommend(state)))
-    return math.dist(asked, centre)
+    proposal, centre = map(tuner.space.coordinates, (tuner.ask(state), tuner.recommend(state)))
+    return math.dist(proposal, centre)
 
 
 # Every tuner.
@@ -127,14 +128,14 @@ def test_step_scale_recovers_with_safe_trials(tuner):
 @every_tuner
 @given(costs=st.lists(st.floats(0.1, 10.0) | st.none(), max_size=30))
 def test_best_point_is_the_cheapest_safe_trial(tuner, costs):
-    state, seen = tuner.start(), []
+    state, observed = tuner.start(), []
     assert (state.best_point, state.best_cost) == (tuner.space.start, None)
     for cost in costs:
         if cost is not None:
-            seen.append((cost, tuner.ask(state)))
+            observed.append((cost, tuner.ask(state)))
         state = tuner.tell(state, CENSORED if cost is None else Observation(cost))
-    if seen:
-        cheapest = min(seen, key=lambda row: row[0])
+    if observed:
+        cheapest = min(observed, key=lambda row: row[0])
         assert (state.best_cost, state.best_point) == cheapest
     else:
         assert (state.best_cost, state.best_point) == (None, tuner.space.start)
@@ -251,11 +252,11 @@ def test_demodulated_slope_is_free_of_curvature():
 @pytest.mark.parametrize("parameters", [1, 2, 3, 4, 5, 6])
 def test_dither_lines_of_first_and_second_order_are_distinct(parameters):
     # Seen in the spectrum of every product of two dithers over a period, not by their arithmetic.
-    found = dither_of(parameters)
-    dithers = np.cos(np.outer(found.frequencies, np.arange(found.period)))
+    signals = dither_of(parameters)
+    dithers = np.cos(np.outer(signals.frequencies, np.arange(signals.period)))
     answers = [*dithers, *[a * b for i, a in enumerate(dithers) for b in dithers[: i + 1]]]
     power = np.abs(np.fft.rfft(answers))[:, 1:]  # without the mean, which no gradient is read from
-    lines = [set(np.flatnonzero(row > 1e-6 * found.period)) for row in power]
+    lines = [set(np.flatnonzero(row > 1e-6 * signals.period)) for row in power]
     assert all(lines)
     assert len(set.union(*lines)) == sum(map(len, lines))
     assert len(set.union(*lines)) == 2 * parameters + parameters * (parameters - 1)
@@ -263,9 +264,9 @@ def test_dither_lines_of_first_and_second_order_are_distinct(parameters):
 
 @pytest.mark.parametrize("parameters", [1, 2, 3, 4, 5, 6])
 def test_dithers_are_an_orthogonal_design_over_one_period(parameters):
-    found = dither_of(parameters)
-    period = found.period
-    design = np.cos(np.outer(np.arange(period), found.frequencies))
+    signals = dither_of(parameters)
+    period = signals.period
+    design = np.cos(np.outer(np.arange(period), signals.frequencies))
     assert design.sum(axis=0) == pytest.approx(np.zeros(parameters), abs=1e-9)
     assert design.T @ design == pytest.approx(np.eye(parameters) * period / 2, abs=1e-9)
 
@@ -281,8 +282,8 @@ def test_regressed_slope_is_exact_on_a_linear_cost():
         state = run(tuner, state, exponential, 1)
         assert slope(state.moments, 4) == pytest.approx(TRUE_SLOPE, rel=1e-7)
         step = np.subtract(tuner.space.coordinates(tuner.recommend(state)), before)
-        wanted = -tuner.step_limit * np.array(TRUE_SLOPE) / np.linalg.norm(TRUE_SLOPE)
-        assert step == pytest.approx(wanted, rel=1e-6)
+        expected = -tuner.step_limit * np.array(TRUE_SLOPE) / np.linalg.norm(TRUE_SLOPE)
+        assert step == pytest.approx(expected, rel=1e-6)
 
 
 def test_regression_is_weighted_least_squares():
@@ -321,8 +322,8 @@ def test_kesten_step_keeps_the_length_of_aligned_steps():
 def test_kesten_step_shortens_circling_steps_to_the_minimum():
     mean_step, mean_length = (0.0, 0.0), 0.0
     for k in range(200):
-        wanted = (math.cos(2.0 * k), math.sin(2.0 * k))
-        step, mean_step, mean_length = kesten_step(wanted, mean_step, mean_length)
+        direction = (math.cos(2.0 * k), math.sin(2.0 * k))
+        step, mean_step, mean_length = kesten_step(direction, mean_step, mean_length)
     assert math.hypot(*step) == pytest.approx(0.1)
 
 
@@ -365,8 +366,8 @@ def test_washout_response_is_that_of_its_transfer_function(frequency, h):
 
 
 def test_low_pass_is_its_transfer_function():
-    signals, level, found = np.random.default_rng(4).normal(size=50), 0.0, []
+    signals, level, levels = np.random.default_rng(4).normal(size=50), 0.0, []
     for value in signals:
         level = low_pass(0.1, level, value)
-        found.append(level)
-    assert found == pytest.approx(signal.lfilter([0.1], [1.0, -0.9], signals))
+        levels.append(level)
+    assert levels == pytest.approx(signal.lfilter([0.1], [1.0, -0.9], signals))

@@ -24,6 +24,7 @@ from estune.cli.values import (
 )
 from estune.core.gains import GAIN_NAMES
 from estune.errors import InvalidInput
+from estune.loop_model.optimum import RobustnessLimits
 from estune.run.journal import Journal
 from estune.run.plan import model_start
 from estune.run.result import RunEnding, TuneResult
@@ -36,6 +37,7 @@ from estune.tuners import DEFAULT_TUNER
 
 _STEP = Group("The step trial", sort_key=1)
 _COST = Group("The cost of a trial, (35)", sort_key=2)
+_LIMITS = Group("Limits of --tuner model_based; each may be none", sort_key=3)
 
 
 @Parameter(name="*", group=_STEP)
@@ -74,7 +76,23 @@ class CostOptions:
     move_weight: float | None = None
 
 
-NO_STEP, NO_COST = StepOptions(), CostOptions()
+@Parameter(name="*", group=_LIMITS)
+@dataclass(frozen=True, kw_only=True)
+class LimitOptions:
+    """Limits that the tuned gains keep.
+
+    Attributes:
+        max_sensitivity: Largest Ms, the peak of the sensitivity; 1.6 by default.
+        max_overshoot: Largest overshoot, as 5% or 0.05; 5% by default.
+        min_phase_margin: Smallest phase margin, degrees; none by default.
+    """
+
+    max_sensitivity: str | None = None
+    max_overshoot: str | None = None
+    min_phase_margin: str | None = None
+
+
+NO_STEP, NO_COST, NO_LIMITS = StepOptions(), CostOptions(), LimitOptions()
 
 
 def tune(
@@ -97,6 +115,7 @@ def tune(
     quiet: Flag = False,
     step: StepOptions = NO_STEP,
     cost: CostOptions = NO_COST,
+    limits: LimitOptions = NO_LIMITS,
 ) -> int:
     """Tune a rig by step trials.
 
@@ -125,6 +144,7 @@ def tune(
         quiet: Show no progress.
         step: The step trial.
         cost: The cost of a trial.
+        limits: Limits that the tuned gains keep.
     """
     credentials = security_from(security)
     open_rig = partial(open_target, target, rig, credentials)
@@ -144,6 +164,7 @@ def tune(
         folder=folder,
         watch=None if quiet else "auto",
         ask=terminal_approval() if ask else None,
+        limits=_limits(limits),
     )
     return finish(result, target)
 
@@ -192,6 +213,26 @@ def finish(result: TuneResult, target: str | None, more: Mapping[str, str] | Non
     facts["trials"] = f"estune export {result.folder} --csv"
     output.show_next({**facts, **(more or {})})
     return result.ending.exit_code
+
+
+def _limits(options: LimitOptions) -> RobustnessLimits | None:
+    """The limits; None where none is given."""
+    if options == NO_LIMITS:
+        return None
+    usual = RobustnessLimits()
+
+    def number(name: str, default: float | None) -> float | None:
+        text = getattr(options, name)
+        if text is None:
+            return default
+        option = f"--{name.replace('_', '-')}"
+        return None if text == "none" else share_from(option, text)
+
+    return RobustnessLimits(
+        max_sensitivity=number("max_sensitivity", usual.max_sensitivity),
+        max_overshoot=number("max_overshoot", usual.max_overshoot),
+        min_phase_margin_deg=number("min_phase_margin", usual.min_phase_margin_deg),
+    )
 
 
 def _choices(

@@ -1,7 +1,8 @@
 """The loop of a tuning run: request, trial, cost, commit, next state."""
 
+from collections import deque
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -19,6 +20,7 @@ from estune.run.session import (
     predict_next,
 )
 from estune.trial import Outcome, Rig, RigDescription, TrialRecord, TrialRequest, empty_record
+from estune.trial.loop_records import loop_signals
 from estune.trial.scoring import constraint_margin, cost_of
 from estune.tuners.interface import CostPrediction
 
@@ -82,6 +84,10 @@ class Stopped(KeyboardInterrupt):
         self.folder = folder
 
 
+RECENT_MAX = 20
+"""Records that a run keeps at hand."""
+
+
 @dataclass(slots=True)
 class TuningRun:
     """A run in progress.
@@ -96,6 +102,7 @@ class TuningRun:
         tuned_record: Record of the last confirmation trial with the tuned gains.
         intervals: Stored confidence intervals of an archived run, as in
             `estune.run.summary.RunSummary`; None where the tuner computes them.
+        recent_records: Records of the last trials, void ones excluded.
     """
 
     plan: Plan
@@ -106,6 +113,7 @@ class TuningRun:
     first_record: TrialRecord | None
     tuned_record: TrialRecord | None
     intervals: tuple[tuple[str, float, float], ...] | None = None
+    recent_records: deque[TrialRecord] = field(default_factory=lambda: deque(maxlen=RECENT_MAX))
 
 
 def start(plan: Plan, description: RigDescription, journal: Journal | None) -> TuningRun:
@@ -137,8 +145,7 @@ def replay(plan: Plan, description: RigDescription, journal: Journal) -> TuningR
             record = journal.record(entry.trial_id)
             tuning.entries.append(entry)
             keep_record(tuning, entry, record)
-            margin = constraint_margin(record, description)
-            tuning.session = after_trial(tuning.session, entry.outcome, entry.cost, margin)
+            tuning.session = _advanced(tuning, record, entry.cost)
     return tuning
 
 
@@ -245,8 +252,7 @@ def _record_trial(
         reason=record.reason,
         cost=cost,
     )
-    margin = constraint_margin(record, tuning.description)
-    tuning.session = after_trial(before, record.outcome, cost, margin)
+    tuning.session = _advanced(tuning, record, cost)
     following = next_request(tuning.session)
     _commit(tuning, (request, record, cost), following)
     tuning.entries.append(entry)
@@ -255,6 +261,14 @@ def _record_trial(
     for listener in listeners:
         listener(Progress(tuning.session, entry, unsafe, record))
     return following
+
+
+def _advanced(tuning: TuningRun, record: TrialRecord, cost: float) -> Session:
+    """The session after a trial."""
+    plan, rig = tuning.plan, tuning.description
+    margin = constraint_margin(record, rig)
+    signals = loop_signals(record, plan.step, rig).record if plan.uses_records else None
+    return after_trial(tuning.session, record.outcome, cost, margin, signals)
 
 
 def _commit(
@@ -272,6 +286,7 @@ def keep_record(tuning: TuningRun, entry: JournalEntry, record: TrialRecord) -> 
     """Keeps the record of the first trial, and of the last that confirmed the tuned gains."""
     if record.outcome.is_void:
         return
+    tuning.recent_records.append(record)
     if tuning.first_record is None:
         tuning.first_record = record
     elif entry.phase is Phase.CONFIRM and entry.gains != tuning.plan.start:

@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, Literal
 
 from pydantic import TypeAdapter, ValidationError
@@ -10,6 +11,8 @@ from estune.core.cost import StepCost
 from estune.core.gains import Gains
 from estune.errors import InvalidInput, JournalError
 from estune.interop import model_gains
+from estune.loop_model.optimum import RobustnessLimits
+from estune.loop_model.prediction import StepTrial
 from estune.run.session import Plan
 from estune.trial import RigDescription
 from estune.trial.profiles import StepProfile
@@ -20,6 +23,7 @@ from estune.tuners import (
     tuner_from_stored,
     tuner_to_stored,
 )
+from estune.tuners.model_based import IdentifiedLoopTuner
 
 MOVE_WEIGHT = 0.2
 """Default control-move penalty: without it, (35) has no interior optimum on a good plant."""
@@ -51,6 +55,7 @@ def make_plan(
     bounds: Mapping[str, tuple[float, float]] | None,
     step: StepProfile | None,
     cost: StepCost | None,
+    limits: RobustnessLimits | None = None,
     **rest: Any,
 ) -> Plan:
     """The plan of a run; omitted values are those that the rig suggests.
@@ -61,14 +66,31 @@ def make_plan(
     """
     if start == "model":
         start = model_start(description)
-    start = start or description.gains
-    return Plan(
-        run=run,
-        tuner=make_tuner(tuner, start, bounds),
-        start=start,
-        step=step or description.step,
-        cost=cost or StepCost(description.settling_time_s, move_weight=MOVE_WEIGHT),
-        **rest,
+    start, step = start or description.gains, step or description.step
+    cost = cost or StepCost(description.settling_time_s, move_weight=MOVE_WEIGHT)
+    made = make_tuner(tuner, start, bounds)
+    if isinstance(made, IdentifiedLoopTuner):
+        made = replace(
+            made, trial=step_trial(description, step, cost), limits=limits or made.limits
+        )
+    elif limits is not None:
+        raise InvalidInput(
+            f"tuner {made.name} keeps no limits of sensitivity, overshoot or phase margin; use "
+            "model_based, or leave the limits out"
+        )
+    return Plan(run=run, tuner=made, start=start, step=step, cost=cost, **rest)
+
+
+def step_trial(description: RigDescription, step: StepProfile, cost: StepCost) -> StepTrial:
+    """The step trial as the identified loop predicts it."""
+    rate = description.controller.sampling_Hz
+    return StepTrial(
+        controller=description.controller,
+        cost=cost,
+        preload_N=step.preload_N,
+        step_N=step.step_N,
+        step_index=step.step_index(rate),
+        samples=step.samples(rate),
     )
 
 

@@ -19,10 +19,12 @@ from scipy.optimize import OptimizeResult
 from estune.core.comparison import Change, repeatability
 from estune.core.gains import GAIN_NAMES, Gains
 from estune.errors import JournalError
+from estune.loop_model.claim import Claim
 from estune.run import result_warnings
 from estune.run.journal import Journal, JournalEntry
 from estune.run.loop import TuningRun
 from estune.run.performance import Performance
+from estune.run.robustness import claim_from, robustness_cells
 from estune.run.session import Plan, Session, is_censored, is_unsafe
 from estune.run.summary import RunSummary, summarise
 from estune.trial import RigDescription, TrialRecord
@@ -90,6 +92,7 @@ class TuneResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type i
             interval; None if they were not compared.
         unsafe: Unsafe trials of the run.
         session: Session at the end of the run.
+        recent_records: Records of the last trials.
     """
 
     x: "np.ndarray[tuple[int], np.dtype[np.float64]]"
@@ -112,6 +115,12 @@ class TuneResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type i
     improvement: Change | None
     unsafe: int
     session: Session
+    recent_records: tuple[TrialRecord, ...]
+
+    @cached_property
+    def claim(self) -> Claim:
+        """Robustness of the gains to use as the records show it, or why nothing is claimed."""
+        return claim_from(self.recent_records, self.plan, self.rig, self.gains)
 
     @cached_property
     def start(self) -> Performance:
@@ -155,7 +164,9 @@ class TuneResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type i
             costs=np.array([e.cost for e in safe]),
             noise=at.cost * repeatability((session.baseline, *itertools.chain(*repeated))),
         )
-        if self.tuned is None:
+        if self.plan.uses_records:  # the search is too short to vary the cost, and needs not to
+            flat = ()
+        elif self.tuned is None:
             flat = tuple(finding for finding in flat if finding.kind == "flat")
         share = math.inf if at.record is None else constraint_margin(at.record, self.rig)
         near = result_warnings.low_margins(at.margins) + result_warnings.near_limits(share)
@@ -249,7 +260,10 @@ class TuneResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type i
         """The before/after table as text; the last column is empty without an improvement."""
         start = self.start.cells()
         tuned = self.tuned.cells() if self.tuned else dict.fromkeys(start, "")
-        return tuple(Row(label, start[label], tuned[label]) for label in start)
+        rows = [Row(label, start[label], tuned[label]) for label in start]
+        shown = robustness_cells(self.claim.margins)
+        rows += [Row(label, *(("-", x) if self.tuned else (x, ""))) for label, x in shown]
+        return tuple(rows)
 
     def remarks(self) -> tuple[str, ...]:
         """The conclusion and the warnings, a sentence each."""
@@ -258,8 +272,14 @@ class TuneResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type i
             self.message,
             *(f"{n} trial{'s were' if n > 1 else ' was'} {what}" for n, what in counts if n),
             *(finding.sentence for finding in self.findings),
+            *self._unclaimed(),
         )
         return tuple(f"{sentence[:1].upper()}{sentence[1:]}." for sentence in sentences)
+
+    def _unclaimed(self) -> tuple[str, ...]:
+        if not self.verdict.complete or not self.claim.reason:
+            return ()
+        return (f"no sensitivity is claimed from the records: {self.claim.reason}",)
 
     def __repr__(self) -> str:
         rows = self.rows()
@@ -327,6 +347,7 @@ def from_tuning(tuning: TuningRun) -> TuneResult:
         improvement=summary.change,
         unsafe=summary.unsafe,
         session=session,
+        recent_records=tuple(tuning.recent_records),
     )
 
 

@@ -17,10 +17,12 @@ from estune.core.comparison import InterleavedRepeats, repeatability, repeats_ne
 from estune.core.cost import StepCost
 from estune.core.gains import Gains
 from estune.errors import InvalidInput
+from estune.loop_model.identification import LoopRecord
 from estune.trial import Outcome, TrialRequest
 from estune.trial.profiles import StepProfile
 from estune.tuners import Tuner
 from estune.tuners.interface import ConvergenceEstimate, CostPrediction, ModelBasedTuner
+from estune.tuners.model_based import IdentifiedLoopTuner
 from estune.tuners.observation import Observation
 
 
@@ -103,6 +105,17 @@ class Plan:
     def max_trials(self) -> int:
         """Maximum number of trials, void ones excluded."""
         return self.trials + 3 * self.repeats + 2 * max(CONFIRMATION_REPEATS_MAX, self.repeats)
+
+    @property
+    def uses_records(self) -> bool:
+        """Whether the tuner identifies the loop from the records."""
+        return isinstance(self.tuner, IdentifiedLoopTuner)
+
+    @property
+    def settled_trials(self) -> int:
+        """Consecutive trials with little improvement left that end the search."""
+        tuner: Any = self.tuner
+        return int(tuner.settled_trials) if self.uses_records else CONSECUTIVE_SETTLED
 
     def convergence(self, tuner_state: Any) -> ConvergenceEstimate | None:
         """Convergence of the search; None if the tuner has no estimate (yet)."""
@@ -251,11 +264,16 @@ def is_unsafe(session: Session, outcome: Outcome, cost: float) -> bool:
 
 
 def after_trial(
-    session: Session, outcome: Outcome, cost: float, margin: float = math.inf
+    session: Session,
+    outcome: Outcome,
+    cost: float,
+    margin: float = math.inf,
+    record: LoopRecord | None = None,
 ) -> Session:
     """The session after the trial that `next_request` returned.
 
-    The cost is ignored unless the trial is done; `margin` is its `constraint_margin`.
+    The cost is ignored unless the trial is done; `margin` is its `constraint_margin`, `record`
+    its signals if the plan uses them.
     """
     if outcome.is_void:
         return replace(session, attempt=session.attempt + 1)
@@ -266,7 +284,7 @@ def after_trial(
     elif phase is Phase.BASELINE:
         changed = {"baseline": (*session.baseline, cost)}
     elif phase is Phase.SEARCH:
-        observation = Observation(math.nan if censored else cost, censored, margin)
+        observation = Observation(math.nan if censored else cost, censored, margin, record)
         changed = _after_search(session, observation)
     elif phase is Phase.CHOOSE and session.choice is not None:
         choice = session.choice.with_cost(math.inf if censored else cost)
@@ -317,7 +335,7 @@ def _after_search(session: Session, observation: Observation) -> dict[str, Any]:
     if changed["consecutive_censored"] >= CONSECUTIVE_CENSORED_MAX:
         censored = CONSECUTIVE_CENSORED_MAX
         end = f"the search ended after {censored} consecutive unsafe or declined trials"
-    elif convergence is not None and changed["consecutive_settled"] >= CONSECUTIVE_SETTLED:
+    elif convergence is not None and changed["consecutive_settled"] >= plan.settled_trials:
         end = (
             f"the search ended after {changed['search_trials']} of {plan.trials} trials: the "
             f"remaining improvement is at most {convergence.remaining_improvement:.1%}, below the "

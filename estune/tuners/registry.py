@@ -25,6 +25,7 @@ from estune.tuners.extremum_seeking import Otis, PhaseCompensated
 from estune.tuners.interface import Tuner
 from estune.tuners.killingsworth import Killingsworth
 from estune.tuners.least_squares_gradient import LeastSquaresGradient
+from estune.tuners.model_based import IdentifiedLoopTuner
 from estune.tuners.safe_bayesian import SafeBayesianTuner
 from estune.tuners.search_space import SearchSpace
 
@@ -49,6 +50,12 @@ TUNERS: Final[dict[str, RegisteredTuner]] = {
         "safe Bayesian optimisation: cost model with a prior from simulated PIDF loops, trust "
         "region, safety constraints",
         "default",
+    ),
+    "model_based": RegisteredTuner(
+        IdentifiedLoopTuner,
+        "optimum of the loop identified from the records, within limits of sensitivity and "
+        "overshoot; safe_bayesian where the loop is not linear",
+        "fewest trials on rigs without friction; robust gains",
     ),
     "least_squares_gradient": RegisteredTuner(
         LeastSquaresGradient,

@@ -1,0 +1,122 @@
+"""Model-based search: trials, limits, fallback, resumption, and claims from records."""
+
+import math
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import estune
+import plants
+from estune.errors import InvalidInput
+from estune.loop_model.optimum import RobustnessLimits
+from estune.run.loop import Stopped
+from estune.trial import TrialRequest
+from estune.trial.loop_records import loop_signals
+from experiments.loop_claims import true_sensitivity
+from plants.effects import CoulombFriction
+
+
+def tune(target, **settings):
+    settings = {"journal": False, "watch": None, "tuner": "model_based", **settings}
+    return estune.tune(target, **settings)
+
+
+@pytest.fixture(scope="module")
+def tuned():
+    return tune(plants.reference_reel(0.8))
+
+
+def test_search_of_a_linear_reel_needs_few_trials_and_keeps_its_limits(tuned):
+    assert tuned.success
+    assert tuned.nit <= 12
+    assert tuned.unsafe == 0
+    assert true_sensitivity(plants.reference_reel(0.8), tuned.gains) <= 1.65
+    assert tuned.tuned.metrics.overshoot <= 0.06
+
+
+def test_claimed_sensitivity_holds_the_true_one(tuned):
+    claimed = tuned.claim.margins.sensitivity
+    truth = true_sensitivity(plants.reference_reel(0.8), tuned.gains)
+    assert claimed.low <= truth * 1.01
+    assert truth <= claimed.high * 1.01
+
+
+def test_other_limits_are_kept():
+    limits = RobustnessLimits(max_sensitivity=1.4, max_overshoot=None)
+    result = tune(plants.reference_reel(1.1), limits=limits)
+    assert true_sensitivity(plants.reference_reel(1.1), result.gains) <= 1.45
+
+
+def test_friction_leaves_no_claim_and_says_why():
+    result = tune(plants.reference_reel() + CoulombFriction(torque_Nm=0.05), trials=15)
+    assert result.claim.margins is None
+    assert any("estune explain" in remark for remark in result.remarks())
+
+
+def test_limits_are_refused_with_a_tuner_that_keeps_none():
+    with pytest.raises(InvalidInput, match="use model_based"):
+        tune(plants.reference_reel(), tuner="otis", limits=RobustnessLimits())
+
+
+def test_interrupted_search_resumes_with_the_proposals_of_an_uninterrupted_one(tmp_path, tuned):
+    def stop(progress):
+        if progress.session.number == 5:
+            raise KeyboardInterrupt
+
+    with pytest.raises(Stopped):
+        tune(plants.reference_reel(0.8), journal=True, folder=tmp_path, run="cut", watch=stop)
+    resumed = estune.resume(tmp_path / "cut", plants.reference_reel(0.8), watch=None)
+    assert resumed.gains == tuned.gains
+
+
+@pytest.fixture(scope="module")
+def trial():
+    rig = plants.reference_reel(0.8).rig(seed=2)
+    description = rig.describe()
+    record = rig.run(TrialRequest("signals", 0, description.gains, description.step))
+    return record, description
+
+
+def test_recomputed_effort_equals_the_logged_one_of_a_simulated_rig(trial):
+    record, rig = trial
+    signals = loop_signals(record, rig.step, rig)
+    logged = record.current_A * rig.newtons_per_ampere
+    # The derivative filter at rest is not known to the last digit; it forgets within milliseconds.
+    assert np.diff(signals.record.effort_N)[50:] == pytest.approx(np.diff(logged)[50:], abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "reason"),
+    [
+        (lambda i: np.roll(i, 1), "late"),
+        (lambda i: np.roll(i, -1), "early"),
+        (lambda i: 1.2 * i, "times what the gains give"),
+        (lambda i: np.full_like(i, i[0]), "stands still|does not follow"),
+        (lambda i: np.random.default_rng(1).normal(i.mean(), 1.0, i.size), "does not follow"),
+    ],
+)
+def test_logged_effort_that_does_not_match_the_gains_is_refused(trial, spoil, reason):
+    record, rig = trial
+    spoilt = replace(record, current_A=spoil(record.current_A))
+    refused = loop_signals(spoilt, rig.step, rig)
+    assert refused.record is None
+    assert re.search(reason, refused.reason)
+
+
+def test_rig_that_logs_a_shifted_effort_is_still_tuned_by_the_fallback():
+    class Shifted:
+        def __init__(self, rig):
+            self._rig = rig
+
+        def __getattr__(self, name):
+            return getattr(self._rig, name)
+
+        def run(self, request):
+            record = self._rig.run(request)
+            return replace(record, current_A=np.roll(record.current_A, 1))
+
+    result = tune(Shifted(plants.reference_reel(0.8).rig()), trials=10)
+    assert math.isfinite(result.fun)
+    assert "late" in result.claim.reason
