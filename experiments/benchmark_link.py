@@ -32,7 +32,8 @@ import numpy as np
 from estune.core.gains import Gains
 from estune.remote import messages, zenoh
 from estune.remote.messages import Inquire, Keys
-from estune.remote.zenoh.zenoh_session import COMMANDS_MAX_BYTES, open_session, with_port
+from estune.remote.zenoh.endpoints import with_port
+from estune.remote.zenoh.zenoh_session import COMMANDS_MAX_BYTES, open_session
 from estune.run.journal import Journal
 from estune.run.session import Phase
 from estune.trial import (

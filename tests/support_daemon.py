@@ -17,7 +17,7 @@ from estune.daemon.service import DaemonService
 from estune.remote import zenoh
 from estune.remote.security import OPEN, Security
 from estune.remote.zenoh.daemon_service import DaemonClient
-from estune.remote.zenoh.zenoh_session import with_port
+from estune.remote.zenoh.endpoints import with_port
 from estune.trial import TrialRecord, TrialRequest
 from tests.support_rigs import ScriptedRig, description, response
 

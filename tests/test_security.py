@@ -1,5 +1,6 @@
 """Authentication and access control, by password and by certificate."""
 
+import re
 import shutil
 import subprocess
 from contextlib import contextmanager
@@ -184,10 +185,14 @@ def authority(folder: Path, name: str) -> None:
     )
 
 
+EXTENSIONS = {"old": "", "bare": "basicConstraints=CA:FALSE\n"}
+
+
 def certificate(folder: Path, name: str, signer: str) -> None:
-    """A key and a certificate of that name for the loopback address."""
+    """A key and a certificate of that name, for the loopback address unless it is bare."""
     request, extension = folder / f"{name}.csr", folder / f"{name}.ext"
-    extension.write_text("subjectAltName=IP:127.0.0.1\nbasicConstraints=CA:FALSE\n")
+    usual = "subjectAltName=IP:127.0.0.1\nbasicConstraints=CA:FALSE\n"
+    extension.write_text(EXTENSIONS.get(name, usual))
     openssl(
         *("req", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:P-256", "-nodes"),
         *("-subj", f"/CN={name}", "-keyout", folder / f"{name}.key", "-out", request),
@@ -209,13 +214,15 @@ def holders(tmp_path_factory):
     for name in ("ca", "other"):
         authority(folder, name)
     found = {}
-    for name in ("rig", "anna", "guest", "forger"):
+    for name in ("rig", "anna", "guest", "forger", *EXTENSIONS):
         signer = "other" if name == "forger" else "ca"
         certificate(folder, name, signer)
         text = (
             f'[tls]\nauthority = "{signer}.pem"\ncertificate = "{name}.pem"\nkey = "{name}.key"\n'
         )
         found[name] = security(folder / f"{name}.toml", text + ACCESS * (name == "rig"))
+    mixed = '[tls]\nauthority = "ca.pem"\ncertificate = "anna.pem"\nkey = "guest.key"\n'
+    found["mixed"] = security(folder / "mixed.toml", mixed)
     return found
 
 
@@ -232,12 +239,51 @@ def test_certificates_grant_command_and_look_rights(holders):
         assert rig.requests == [trial()]
 
 
-def test_certificate_of_another_authority_is_rejected(holders):
+@pytest.mark.parametrize(
+    ("who", "fault"),
+    [
+        ("forger", "certificates: the listener's, .*; check both .*see --security"),
+        ("old", "old.pem was rejected, .*CERTIFICATE"),
+        ("mixed", "anna.pem and .*guest.key.*MISMATCH"),
+    ],
+)
+def test_client_reports_the_certificate_at_fault(holders, who, fault):
     with (
         served("tls/127.0.0.1:0", security=holders["rig"]) as (_, server),
-        pytest.raises(RigError, match="see --security"),
+        pytest.raises(RigError, match=fault),
     ):
-        zenoh.connect(server.endpoint, timeout_s=SOON_S, security=holders["forger"])
+        zenoh.connect(server.endpoint, timeout_s=0.1, security=holders[who])
+
+
+def test_certificate_without_the_rigs_address_is_reported(holders):
+    with (
+        served("tls/127.0.0.1:0", security=holders["bare"]) as (_, server),
+        pytest.raises(RigError, match=r"the listener's, .*not valid for '127\.0\.0\.1'"),
+    ):
+        zenoh.connect(server.endpoint, timeout_s=0.1, security=holders["anna"])
+
+
+def test_listener_reports_its_certificate_at_fault(holders):
+    with pytest.raises(RigError, match=r"certificate of --security: .*UnsupportedCertVersion"):
+        zenoh.serve(ScriptedRig(), "tls/127.0.0.1:0", security=holders["old"])
+
+
+@pytest.mark.usefixtures("holders")
+def test_commands_of_the_page_make_certificates_that_connect(tmp_path):
+    page = (Path(__file__).parents[1] / "docs" / "security.md").read_text("utf-8")
+    chapter = page.partition("## Certificates")[2].partition("## What")[0]
+    for block in re.findall(r"```text\n(.*?)```", chapter, re.DOTALL):
+        script = block.replace("192.168.1.5", "127.0.0.1")
+        subprocess.run(["sh", "-ec", script], cwd=tmp_path, check=True, capture_output=True)
+    (toml,) = re.findall(r"```toml\n(.*?)```", chapter, re.DOTALL)
+    rig = security(tmp_path / "rig.toml", toml)
+    mine = toml.partition("[access]")[0].replace("rig.", "anna.")
+    anna = security(tmp_path / "anna.toml", mine)
+    with (
+        served("tls/127.0.0.1:0", security=rig) as (_, server),
+        zenoh.connect(server.endpoint, security=anna) as client,
+    ):
+        assert client.run(trial()).outcome is Outcome.DONE
 
 
 def test_unencrypted_endpoint_with_certificates_is_refused(holders):

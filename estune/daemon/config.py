@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 from estune.core.control_chart import ControlChart
 from estune.daemon.events import EventKind
 from estune.errors import InvalidInput
-from estune.remote.zenoh.zenoh_session import check_endpoint, check_loopback
+from estune.remote.zenoh.endpoints import check_endpoint, check_loopback
 from estune.run.targets import check_reference, is_endpoint
 from estune.run.toml_tables import (
     CostTable,

@@ -23,7 +23,7 @@ from typing import NamedTuple
 from estune.hardware import HardwareRig, RigConfig
 from estune.hardware.config import config_from
 from estune.remote import zenoh
-from estune.remote.zenoh.zenoh_session import with_port
+from estune.remote.zenoh.endpoints import with_port
 from estune.trial import TrialRequest
 from experiments.chaos.faults import LEASE_S
 from experiments.chaos.motions import Log, LoggedRig, Motion

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Self
 
-from estune.remote.zenoh.zenoh_session import with_port
+from estune.remote.zenoh.endpoints import with_port
 from experiments.chaos.faults import frozen
 from experiments.chaos.motions import Log
 from experiments.chaos.processes import end, started

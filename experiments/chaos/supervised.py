@@ -25,7 +25,7 @@ from estune.daemon.supervisor_state import SupervisorMode
 from estune.errors import EstuneError
 from estune.remote.messages.daemon import DaemonStatus
 from estune.remote.zenoh.daemon_service import DaemonClient
-from estune.remote.zenoh.zenoh_session import with_port
+from estune.remote.zenoh.endpoints import with_port
 from estune.run import loop
 from estune.run.journal import Journal
 from estune.run.plan import description_from_json, plan_from_json

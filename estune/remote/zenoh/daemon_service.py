@@ -26,11 +26,11 @@ from estune.remote.messages.daemon import (
     Request,
 )
 from estune.remote.security import OPEN, Security
+from estune.remote.zenoh.endpoints import check_endpoint
 from estune.remote.zenoh.zenoh_session import (
     AGAIN_S,
     ListeningSession,
     Reply,
-    check_endpoint,
     close_session,
     open_client,
 )

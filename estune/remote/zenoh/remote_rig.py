@@ -25,14 +25,10 @@ from estune.remote.messages.commands import Cancel, Clear, Estop, SetGains, Void
 from estune.remote.security import OPEN, Security
 from estune.remote.state_machine.client import Action
 from estune.remote.state_machine.reply_codes import ReplyCode
+from estune.remote.zenoh.endpoints import check_endpoint
 from estune.remote.zenoh.rig_connection import LeaseRenewer, RigConnection, present_at
 from estune.remote.zenoh.trial_exchange import TrialExchange
-from estune.remote.zenoh.zenoh_session import (
-    AGAIN_S,
-    check_endpoint,
-    close_session,
-    open_client,
-)
+from estune.remote.zenoh.zenoh_session import AGAIN_S, close_session, open_client
 from estune.trial import (
     Outcome,
     RigDescription,

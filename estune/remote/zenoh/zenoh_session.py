@@ -5,11 +5,9 @@ behind a killed process and gains nothing at this size. A listener only on reque
 loopback address unless remote access is allowed, as there is no authentication by default.
 """
 
-import ipaddress
 import json
 import logging
 import re
-import socket
 import threading
 import time
 from collections.abc import Callable, Iterable
@@ -19,8 +17,14 @@ from typing import Any, Literal
 
 import zenoh
 
-from estune.errors import InvalidInput, RigError
+from estune.errors import RigError
 from estune.remote.security import OPEN, Security
+from estune.remote.zenoh.endpoints import (
+    check_endpoint,
+    check_loopback,
+    connection_fault,
+    with_port,
+)
 
 LEASE_MS = 2000
 """Time after which a frozen process, whose connections are still open, counts as gone, ms."""
@@ -115,11 +119,8 @@ def open_client(
             )
         except zenoh.ZError as error:
             if time.monotonic() > deadline_s:
-                cause = "requires authentication" if security == OPEN else "rejects this client"
-                raise RigError(
-                    f"nothing that speaks Zenoh listens at {endpoint}; start {remedy}; or the "
-                    f"listener {cause}: see --security"
-                ) from error
+                fault, absent = connection_fault(endpoint, security)
+                raise RigError(f"{fault}; start {remedy}" if absent else fault) from error
         time.sleep(AGAIN_S)
 
 
@@ -278,58 +279,15 @@ def _listen(
         except zenoh.ZError as error:
             # Another process may have taken the free port in between.
             if actual == endpoint or not tries_left:
+                certificate = re.search(r"TLS listener.*?\. (.*?) at /", str(error))
                 cause = re.search(r"([A-Z][a-z ]+) \(os error \d+\)", str(error))
                 raise RigError(
-                    f"cannot listen at {actual}: {cause[1].lower() if cause else error}; "
+                    f"cannot listen at {actual} with the certificate of --security: "
+                    f"{certificate[1]}; make it as in docs/security.md"
+                    if certificate and not cause
+                    else f"cannot listen at {actual}: {cause[1].lower() if cause else error}; "
                     "choose another port, or port 0 for any free one"
                 ) from error
         else:
             return session, actual
     raise AssertionError  # the last try has returned or raised
-
-
-def check_endpoint(endpoint: str) -> None:
-    """Raises `InvalidInput` if an endpoint is malformed."""
-    form = r"(tcp|tls|quic)/(\[[0-9a-fA-F:.]+\]|[^\s/:\[\]]+):(\d{1,5})|unixsock-stream/\S+"
-    match = re.fullmatch(form, endpoint)
-    if match is None or int(match[3] or 0) > 65535:
-        raise InvalidInput(
-            f"endpoint {endpoint!r} is malformed; write it as tcp/host:port, "
-            "for example tcp/127.0.0.1:7447"
-        )
-
-
-def check_loopback(endpoint: str) -> None:
-    """Raises `InvalidInput` if other machines could connect to a listener."""
-    if endpoint.startswith("unixsock-stream/"):
-        return
-    host, _ = _host_and_port(endpoint)
-    try:
-        addresses = {info[4][0] for info in socket.getaddrinfo(host, None)}
-    except OSError as error:
-        raise InvalidInput(
-            f"endpoint {endpoint!r}: host {host!r} is unknown; check its name"
-        ) from error
-    if not all(ipaddress.ip_address(str(address)).is_loopback for address in addresses):
-        raise InvalidInput(
-            f"listening at {endpoint} would let any machine on the network move the rig; listen "
-            "at tcp/127.0.0.1, or allow it explicitly (allow_remote) on a network you trust"
-        )
-
-
-def with_port(endpoint: str) -> str:
-    """The endpoint with a free port in place of port 0: Zenoh does not report its choice."""
-    if endpoint.startswith("unixsock-stream/"):
-        return endpoint
-    host, port = _host_and_port(endpoint)
-    if port != 0:
-        return endpoint
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    with socket.socket(family) as probe:
-        probe.bind((host, 0))
-        return f"{endpoint.rpartition(':')[0]}:{probe.getsockname()[1]}"
-
-
-def _host_and_port(endpoint: str) -> tuple[str, int]:
-    host, _, port = endpoint.partition("/")[2].rpartition(":")
-    return host.strip("[]"), int(port)
