@@ -45,13 +45,13 @@ class Refused(Exception):
 
 def load():
     """The ledger of the last start, with its open trials ended."""
-    kept = {"identity": secrets.token_hex(8), "latched": "", "trials": {}}
+    stored = {"identity": secrets.token_hex(8), "latched": "", "trials": {}}
     if FILE.exists():
-        kept = json.loads(FILE.read_text())
-    for entry in kept["trials"].values():
+        stored = json.loads(FILE.read_text())
+    for entry in stored["trials"].values():
         booted = {"accepted": "never_started", "running": "interrupted"}
         entry["state"] = booted.get(entry["state"], entry["state"])
-    return kept
+    return stored
 
 
 ledger = load()
@@ -88,8 +88,8 @@ def holds(token):
 
 
 def answer(verdict, trial_id="", error="", sentence=""):
-    made = {"verdict": verdict, "trial_id": trial_id, "error": error, "sentence": sentence}
-    return json.dumps(made).encode()
+    reply = {"verdict": verdict, "trial_id": trial_id, "error": error, "sentence": sentence}
+    return json.dumps(reply).encode()
 
 
 def denied():
@@ -106,30 +106,30 @@ def finite(*values):
             raise Refused("ProtocolError", f"{value!r} is not finite")
 
 
-def checked(what, given):
+def checked(what, message):
     """Refuses an object with missing, unknown or wrong fields."""
     needed, more = FIELDS[what]
-    if not isinstance(given, dict) or not needed <= set(given) <= needed | more:
+    if not isinstance(message, dict) or not needed <= set(message) <= needed | more:
         raise Refused("ProtocolError", f"{what}: wrong fields")
-    for name, value in given.items():
+    for name, value in message.items():
         number = name in ("offset", "length", "number", "attempt")
         if number and (type(value) is not int or value < 0):
             raise Refused("ProtocolError", f"{name}: no whole number")
         text = name in ("lease", "holder", "digest", "trial_id", "action", "run")
         if text and not isinstance(value, str):
             raise Refused("ProtocolError", f"{name}: no text")
-    return given
+    return message
 
 
-def gains_of(given):
-    checked("P", given)
-    finite(*given.values())
-    if not (given["P"] > 0.0 and min(given.values()) >= 0.0):
+def gains_of(values):
+    checked("P", values)
+    finite(*values.values())
+    if not (values["P"] > 0.0 and min(values.values()) >= 0.0):
         raise Refused("ProtocolError", "gains out of range")
-    return given
+    return values
 
 
-def known(trial_id, digest):
+def find_entry(trial_id, digest):
     """Reply with the state of a trial in the ledger, or None."""
     entry = ledger["trials"].get(trial_id)
     if entry is None:
@@ -143,33 +143,33 @@ def busy():
     return answer("busy", now.trial["id"], sentence=f"busy with trial {now.trial['id']}")
 
 
-def cancel(given):
+def cancel(message):
     if now.trial is None:
         return answer("accepted")
-    if not holds(given["lease"]):
+    if not holds(message["lease"]):
         return denied()
-    if given.get("trial_id", "") not in ("", now.trial["id"]):
+    if message.get("trial_id", "") not in ("", now.trial["id"]):
         return answer("accepted")
     now.stop = now.stop or "stopped by its client"
     work.notify_all()
     return answer("accepted", now.trial["id"])
 
 
-def void(given):
-    if (found := known(given["trial_id"], given["digest"])) is not None:
-        return found
-    if not holds(given["lease"]):
+def void(message):
+    if (reply := find_entry(message["trial_id"], message["digest"])) is not None:
+        return reply
+    if not holds(message["lease"]):
         return denied()
-    ledger["trials"][given["trial_id"]] = {"digest": given["digest"], "state": "void"}
+    ledger["trials"][message["trial_id"]] = {"digest": message["digest"], "state": "void"}
     save()
-    return answer("void", given["trial_id"])
+    return answer("void", message["trial_id"])
 
 
-def set_gains(given):
-    gains = gains_of(given["gains"])
+def set_gains(message):
+    gains = gains_of(message["gains"])
     if ledger["latched"] and now.trial is None:
         return answer("safe", sentence=ledger["latched"])
-    if not holds(given["lease"]):
+    if not holds(message["lease"]):
         return denied()
     if now.trial:
         return busy()
@@ -185,11 +185,11 @@ def clear(_):
     return answer("accepted")
 
 
-def leased(given):
-    token, until = given["lease"], time.monotonic() + LEASE_S
-    match given["action"]:
+def leased(message):
+    token, until = message["lease"], time.monotonic() + LEASE_S
+    match message["action"]:
         case "acquire" if not holds(lease["token"]) or holds(token):
-            holder = given.get("holder", "")[:128]
+            holder = message.get("holder", "")[:128]
             lease.update(token=token, holder=holder, until=until)
         case "renew" if holds(token):
             lease["until"] = until
@@ -199,21 +199,21 @@ def leased(given):
         case "acquire" | "renew" | "release":
             return denied()
         case _:
-            raise Refused("ProtocolError", f"no such action: {given['action']}")
+            raise Refused("ProtocolError", f"no such action: {message['action']}")
     work.notify_all()
     return answer("accepted")
 
 
-def submit(given):
-    request = checked("request", given["request"])
+def submit(message):
+    request = checked("request", message["request"])
     gains, profile = gains_of(request["gains"]), request["profile"]
     attempt = request.get("attempt", 0)
     trial_id = f"{request['run']}-{request['number']:05d}" + (f".{attempt}" if attempt else "")
-    if (found := known(trial_id, given["digest"])) is not None:
-        return found
+    if (reply := find_entry(trial_id, message["digest"])) is not None:
+        return reply
     if ledger["latched"] and now.trial is None:
         return answer("safe", sentence=f"safe state: {ledger['latched']}")
-    if not holds(given["lease"]):
+    if not holds(message["lease"]):
         return denied()
     if isinstance(profile, dict) and profile.get("kind") != "step":
         raise Refused("InvalidInput", "this board knows steps only")
@@ -229,7 +229,7 @@ def submit(given):
         raise Refused("InvalidInput", "longer than the rig's limit of 5 s, or an open loop")
     if now.trial:
         return busy()
-    ledger["trials"][trial_id] = {"digest": given["digest"], "state": "accepted"}
+    ledger["trials"][trial_id] = {"digest": message["digest"], "state": "accepted"}
     save()
     now.trial = {"id": trial_id, "gains": gains, "profile": numbers}
     work.notify_all()
@@ -249,7 +249,7 @@ COMMANDS = {
 def question(words, payload):
     match words:
         case ["status"]:
-            said = {
+            status = {
                 "instance": INSTANCE,
                 "mode": mode(),
                 "trial_id": now.trial["id"] if now.trial else "",
@@ -257,19 +257,19 @@ def question(words, payload):
                 "holder": lease["holder"] if holds(lease["token"]) else "",
                 "latched": ledger["latched"],
             }
-            return json.dumps(said).encode()
+            return json.dumps(status).encode()
         case ["describe"]:
             return json.dumps(
                 {"rig": description(), "instance": INSTANCE, "ledger": ledger["identity"]}
             ).encode()
         case ["result", trial_id]:
-            given = checked("result", parse(payload))
-            found = known(trial_id, given["digest"]) or answer("unknown", trial_id)
-            if b'"ended"' in found and now.frame[0] == trial_id:
-                return part(now.frame[1], given.get("offset", 0), given.get("length", 0))
-            if b'"ended"' in found:
+            message = checked("result", parse(payload))
+            reply = find_entry(trial_id, message["digest"]) or answer("unknown", trial_id)
+            if b'"ended"' in reply and now.frame[0] == trial_id:
+                return part(now.frame[1], message.get("offset", 0), message.get("length", 0))
+            if b'"ended"' in reply:
                 raise Refused("RigError", "it has run, its record is gone")
-            return found
+            return reply
     raise AssertionError(words)
 
 
@@ -313,12 +313,12 @@ def parse(payload):
 
 def serve(key, query):
     """Replies to a query; to a command only if the query's key is exactly the command's own."""
-    asked = str(query.key_expr)
+    requested_key = str(query.key_expr)
     if key.endswith("/result/*"):
-        key = f"{ROOT}/result/{asked.rpartition('/')[2]}"
+        key = f"{ROOT}/result/{requested_key.rpartition('/')[2]}"
     payload = query.payload.to_bytes() if query.payload is not None else b""
     with query:
-        if "*" not in key and (asked == key or "/@cmd/" not in key):
+        if "*" not in key and (requested_key == key or "/@cmd/" not in key):
             query.reply(key, reply(key, payload), attachment=INSTANCE)
 
 

@@ -20,14 +20,14 @@ _TABLES = tomllib.loads(RIG_FILE.read_text())
 
 def tables(**changes) -> dict:
     """The tables of plants/emulator/rig.toml, with `guard__slack_N=2.0` and the like changed."""
-    made = copy.deepcopy(_TABLES)
+    tables_copy = copy.deepcopy(_TABLES)
     for name, value in changes.items():
         *path, key = name.split("__")
-        place = made
+        place = tables_copy
         for part in path:
             place = place[part]
         place[key] = value
-    return made
+    return tables_copy
 
 
 def config(**changes) -> RigConfig:
@@ -93,11 +93,11 @@ class VirtualLoop:
         """One sample; `reading` is what is read instead of the truth."""
         self.time_s += 1.0 / self.plan.sampling_Hz
         counts = self.board.read(self.time_s)
-        seen = Reading(self.time_s, *counts) if reading is None else reading
-        command = self.machine.sample(seen, silence_s, late=late)
+        measured = Reading(self.time_s, *counts) if reading is None else reading
+        command = self.machine.sample(measured, silence_s, late=late)
         self.board.write(self.time_s, command)
         self.current_A.append(Electronics().current_A(command))
-        self.tension_N.append(self.plan.gauge.force_N(seen.gauge_counts))
+        self.tension_N.append(self.plan.gauge.force_N(measured.gauge_counts))
         if self.machine.powered is not self._powered:
             self._powered = self.machine.powered
             self.board.power(self.time_s, on=self._powered)

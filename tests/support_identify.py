@@ -37,7 +37,7 @@ def simulated(truth, u):
     B = np.array([[0.0], [truth.gain * w**2], [0.0], [0.0]])
     system = (A, B, np.array([[0.0, 0.0, 1.0, 0.0]]), np.zeros((1, 1)))
     fine = cont2discrete(system, 1.0 / (SAMPLING_HZ * FINER), method="zoh")
-    held = np.repeat(u, FINER)
-    late = np.concatenate([np.zeros(truth.dead_time_quarters), held])[: held.size]
+    held_input = np.repeat(u, FINER)
+    late = np.concatenate([np.zeros(truth.dead_time_quarters), held_input])[: held_input.size]
     _, y, _ = dlsim((*fine[:4], fine[4]), late)
     return y[::FINER, 0]

@@ -93,8 +93,8 @@ class Seer(LeastSquaresGradient):
     """A tuner that says what is left to gain, by a script, and what it takes for explored."""
 
     def convergence(self, state):
-        left = (1.0, 0.3, 0.01, 0.01, 0.3, *(0.01,) * 50)[state.k - 1]
-        return ConvergenceEstimate(0.01, left, left / 2.0, ((0.1, 1.0),) * 4)
+        remaining = (1.0, 0.3, 0.01, 0.01, 0.3, *(0.01,) * 50)[state.k - 1]
+        return ConvergenceEstimate(0.01, remaining, remaining / 2.0, ((0.1, 1.0),) * 4)
 
     def predict(self, _state, point):
         return CostPrediction(1.0, 0.5, 2.0, explored=point[0] < START.P)

@@ -34,22 +34,22 @@ TUNERS = (DEFAULT_TUNER, "least_squares_gradient", "otis")
 @pytest.mark.parametrize("noise", [0.0, 0.03])
 def test_constant_cost_keeps_initial_gains(tuner, noise):
     session = ended(lambda _: 2.0, tuner=tuner, noise=noise)
-    found = summarise(session)
-    assert found.complete
-    assert not found.improved
-    assert found.gains == START
-    assert found.unsafe == 0
+    summary = summarise(session)
+    assert summary.complete
+    assert not summary.improved
+    assert summary.gains == START
+    assert summary.unsafe == 0
 
 
 @pytest.mark.parametrize("tuner", TUNERS)
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -1.0, 1e9])
 def test_search_ends_soon_where_only_the_start_is_safe(tuner, bad):
     session = ended(lambda gains: 2.0 if gains == START else bad, tuner=tuner)
-    found = summarise(session)
-    assert found.complete
-    assert "consecutive" in found.message
-    assert found.gains == START
-    assert found.unsafe < 20
+    summary = summarise(session)
+    assert summary.complete
+    assert "consecutive" in summary.message
+    assert summary.gains == START
+    assert summary.unsafe < 20
 
 
 def bowl(gains: Gains, *which: str) -> float:
@@ -60,10 +60,10 @@ def bowl(gains: Gains, *which: str) -> float:
 @pytest.mark.parametrize("seed", range(3))
 def test_gains_without_effect_get_wider_intervals(seed):
     session = ended(lambda g: bowl(g, "P", "I"), noise=0.02, seed=seed)
-    found = summarise(session)
-    assert found.improved
-    assert bowl(found.gains, "P", "I") < 1.05
-    width = {name: high / low for name, low, high in found.intervals}
+    summary = summarise(session)
+    assert summary.improved
+    assert bowl(summary.gains, "P", "I") < 1.05
+    width = {name: high / low for name, low, high in summary.intervals}
     assert max(width["P"], width["I"]) < min(width["D"], width["setpoint_filter_s"])
 
 
@@ -72,12 +72,12 @@ def test_gains_with_an_effective_product_reach_it(seed):
     def cost(gains):
         return math.exp(math.log(gains.P * gains.I / (START.P * START.I) / 4.0) ** 2)
 
-    found = summarise(ended(cost, noise=0.02, seed=seed))
-    assert found.improved
-    assert cost(found.gains) < 1.05
+    summary = summarise(ended(cost, noise=0.02, seed=seed))
+    assert summary.improved
+    assert cost(summary.gains) < 1.05
 
 
 def test_smallest_costs_are_compared_like_others():
-    found = summarise(ended(lambda g: 1e-12 * bowl(g, "P", "I"), noise=0.02))
-    assert found.improved
-    assert found.cost == pytest.approx(1e-12, rel=0.1)
+    summary = summarise(ended(lambda g: 1e-12 * bowl(g, "P", "I"), noise=0.02))
+    assert summary.improved
+    assert summary.cost == pytest.approx(1e-12, rel=0.1)

@@ -50,12 +50,12 @@ def test_catenary_solves_the_differential_equation(H, w, slope, swing):
     span = swing * H / w
     rise, length, far_slope = integrated(w, H, slope, span)
     near = dict(zip(cable.NAMES, (length, rise, span), strict=False))
-    for known in (
+    for given_values in (
         near,
         {"length_m": length, "rise_m": rise, "tension_1_N": H * np.hypot(1.0, slope)},
         {"span_m": span, "tension_x_N": H, "tension_1z_N": H * slope},
     ):
-        c = cable.catenary(w, **known)
+        c = cable.catenary(w, **given_values)
         expected = (length, rise, span, H, H * slope, H * far_slope)
         sizes = (length, length, span, H, c.tension_1_N, c.tension_3_N)
         for name, value, size in zip(cable.NAMES, expected, sizes, strict=False):
@@ -124,12 +124,12 @@ def test_catenary_is_recovered_from_any_admissible_triple(triple, solutions):
     H, w = np.exp(rng.uniform(-3.0, 3.0, n)), np.exp(rng.uniform(-5.0, 2.0, n))
     m, d = rng.uniform(-3.0, 3.0, n), np.exp(rng.uniform(np.log(1e-3), np.log(3.0), n))
     truth = quantities(H, m, d, w)
-    known = {name: truth[name] for name in triple}
-    found = [cable.catenary(w, solution=s, **known) for s in solutions]
-    for c in found:
+    given_values = {name: truth[name] for name in triple}
+    curves = [cable.catenary(w, solution=s, **given_values) for s in solutions]
+    for c in curves:
         assert np.max(c.residual()) < 1e-9
         for name in triple:
-            assert np.array_equal(getattr(c, name), known[name])
+            assert np.array_equal(getattr(c, name), given_values[name])
     # One of the two is the cable that we began with; the order of the two is what it is called.
     # Ill-conditioned triples keep fewer digits: all are held to four.
     errors = [
@@ -137,12 +137,12 @@ def test_catenary_is_recovered_from_any_admissible_triple(triple, solutions):
             [np.abs(getattr(c, f"tension_{k}_N") / truth[f"tension_{k}_N"] - 1.0) for k in "x13"],
             0,
         )
-        for c in found
+        for c in curves
     ]
     assert np.max(np.min(errors, axis=0)) < 1e-4
-    if len(found) == 2:
+    if len(curves) == 2:
         name = "length_m" if solutions[0] == "shorter" else "rise_m"
-        assert np.all(getattr(found[0], name) <= getattr(found[1], name))
+        assert np.all(getattr(curves[0], name) <= getattr(curves[1], name))
 
 
 @given(courses, st.sampled_from(sorted(map(sorted, cable.ADMISSIBLE))))
@@ -150,18 +150,18 @@ def test_catenary_is_solved_or_rejected_with_a_reason(course, triple):
     H, m, d, w = course
     truth = quantities(H, 3.0 * m, d / 4.0, w)  # nearly vertical, and taut to the last digits
     for solution in cable.ADMISSIBLE[frozenset(triple)]:
-        said, residual = "", 0.0
+        message, residual = "", 0.0
         try:
             c = cable.catenary(w, solution=solution, **{n: truth[n] for n in triple})
             residual = c.residual()
         except InvalidInput as refused:
-            said = str(refused)
+            message = str(refused)
         assert residual < 1e-9
-        assert not said or "rounding" in said or "no cable hangs so" in said
+        assert not message or "rounding" in message or "no cable hangs so" in message
 
 
 @pytest.mark.parametrize(
-    ("known", "bound"),
+    ("given_values", "bound"),
     [
         ({"span_m": 3.0, "rise_m": 4.0, "length_m": 5.0}, "exceed the distance of 5 m"),
         ({"length_m": 2.0, "rise_m": 1.0, "tension_1_N": 0.049}, "more than 0.05 N"),
@@ -180,10 +180,10 @@ def test_catenary_is_solved_or_rejected_with_a_reason(course, triple):
         ({"length_m": [1.0, 2.0], "rise_m": [0.5] * 3, "tension_x_N": 1.0}, "do not broadcast"),
     ],
 )
-def test_impossible_catenary_is_rejected_with_its_bound(known, bound):
-    solution = cable.ADMISSIBLE.get(frozenset(known), ("only",))[0]
+def test_impossible_catenary_is_rejected_with_its_bound(given_values, bound):
+    solution = cable.ADMISSIBLE.get(frozenset(given_values), ("only",))[0]
     with pytest.raises(InvalidInput, match=bound):
-        cable.catenary(0.1, solution=solution, **known)
+        cable.catenary(0.1, solution=solution, **given_values)
 
 
 def test_bounds_of_the_catenary_are_sharp():
@@ -195,13 +195,13 @@ def test_bounds_of_the_catenary_are_sharp():
 
 
 def test_ambiguous_catenary_needs_a_chosen_solution():
-    known = {"span_m": 1.0, "rise_m": 0.3, "tension_1_N": 0.5}
+    given_values = {"span_m": 1.0, "rise_m": 0.3, "tension_1_N": 0.5}
     with pytest.raises(InvalidInput, match=r"two cables fit.*'shorter'.*'longer'"):
-        cable.catenary(0.07, **known)
-    taut = cable.catenary(0.07, solution="shorter", **known)
-    assert taut.length_m < 1.1 < cable.catenary(0.07, solution="longer", **known).length_m
+        cable.catenary(0.07, **given_values)
+    taut = cable.catenary(0.07, solution="shorter", **given_values)
+    assert taut.length_m < 1.1 < cable.catenary(0.07, solution="longer", **given_values).length_m
     with pytest.raises(InvalidInput, match="it is 'only' or 'shorter' or 'longer'"):
-        cable.catenary(0.07, solution="lower", **known)
+        cable.catenary(0.07, solution="lower", **given_values)
 
 
 def test_catenary_of_scalars_is_floats_and_of_arrays_arrays():

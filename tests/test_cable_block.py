@@ -30,7 +30,7 @@ def whitened(index: Index, tension_N: np.ndarray, angle_rad: np.ndarray) -> np.n
     return np.where(gauge, tension_N[index.sample], angle_rad[index.sample]) / index.sigma
 
 
-def found(index: Index) -> CableBlock:
+def fitted_block(index: Index) -> CableBlock:
     block = CableBlock.of(index, np.arange(index.sample.size), np.array([PULL_N_RAD]))
     assert block is not None
     return block
@@ -39,9 +39,9 @@ def found(index: Index) -> CableBlock:
 def test_what_the_drum_does_wrong_is_not_the_cable_s():
     index = both_channels()
     moved_rad = 1e-3 * np.random.default_rng(1).standard_normal(SAMPLES)
-    block = found(index)
-    left = block.left(whitened(index, PULL_N_RAD * moved_rad, moved_rad))
-    assert left == pytest.approx(np.zeros(SAMPLES - 5), abs=1e-12)
+    block = fitted_block(index)
+    residual = block.left(whitened(index, PULL_N_RAD * moved_rad, moved_rad))
+    assert residual == pytest.approx(np.zeros(SAMPLES - 5), abs=1e-12)
     blocks = Blocks.of(block, whitened(index, PULL_N_RAD * moved_rad, moved_rad))
     assert blocks.cable == pytest.approx(0.0, abs=1e-12)
     assert blocks.drum > 1.0
@@ -49,15 +49,15 @@ def test_what_the_drum_does_wrong_is_not_the_cable_s():
 
 def test_what_the_gauge_reads_wrong_is_as_large_as_the_noise_of_both_channels_has_it():
     index = both_channels()
-    left = found(index).left(whitened(index, np.full(SAMPLES, 0.1), np.zeros(SAMPLES)))
+    residual = fitted_block(index).left(whitened(index, np.full(SAMPLES, 0.1), np.zeros(SAMPLES)))
     both = np.hypot(SIGMA["tension_N"], PULL_N_RAD * SIGMA["angle_rad"])
-    assert left == pytest.approx(np.full(SAMPLES - 5, 0.1 / both))
+    assert residual == pytest.approx(np.full(SAMPLES - 5, 0.1 / both))
 
 
 def test_noise_leaves_both_blocks_at_the_floor_and_no_power_is_lost():
     index = both_channels()
     noise = np.random.default_rng(2).standard_normal((20_000, index.sample.size))
-    block = found(index)
+    block = fitted_block(index)
     assert np.mean(block.left(noise) ** 2) == pytest.approx(1.0, abs=0.01)
     blocks = Blocks.of(block, noise[0])
     pairs = block.gauge.size

@@ -106,12 +106,12 @@ def test_linearised_current_follows_the_setpoint():
     rng = np.random.default_rng(5)
     measured = amplifier_A(COMMANDS) + 0.01 * rng.standard_normal(COMMANDS.size)
     calibration = CurrentCalibration.fit(COMMANDS, measured)
-    wanted = np.linspace(-5.0, 5.0, 101)
-    command = calibration.counts(wanted)
-    assert np.max(np.abs(amplifier_A(command) - wanted)) < 0.02
-    uncorrected = (wanted - 0.03) / 2.9e-3
-    worst = np.max(np.abs(amplifier_A(uncorrected) - wanted))
-    assert np.max(np.abs(amplifier_A(command) - wanted)) < 0.1 * worst
+    setpoint = np.linspace(-5.0, 5.0, 101)
+    command = calibration.counts(setpoint)
+    assert np.max(np.abs(amplifier_A(command) - setpoint)) < 0.02
+    uncorrected = (setpoint - 0.03) / 2.9e-3
+    worst = np.max(np.abs(amplifier_A(uncorrected) - setpoint))
+    assert np.max(np.abs(amplifier_A(command) - setpoint)) < 0.1 * worst
 
 
 def test_half_width_covers_the_true_curve_at_95_percent():
@@ -199,7 +199,7 @@ SWAPPED = gauge_counts(np.where(FORCES == 10.0, 15.0, np.where(FORCES == 15.0, 1
 
 
 @pytest.mark.parametrize(
-    ("data", "said"),
+    ("data", "message"),
     [
         ({"reading": SWAPPED}, r"not monotone: .* at force 10 N"),
         ({"reading": CLEAN - 0.9 * FORCES**2}, "not monotone"),
@@ -221,14 +221,14 @@ SWAPPED = gauge_counts(np.where(FORCES == 10.0, 15.0, np.where(FORCES == 15.0, 1
         ({"margin": -0.1}, "margin of force"),
     ],
 )  # fmt: skip
-def test_bad_gauge_data_are_refused_by_name(data, said):
+def test_bad_gauge_data_are_refused_by_name(data, message):
     columns = {"force_N": FORCES, "reading": CLEAN} | data
-    with pytest.raises(InvalidInput, match=said):
+    with pytest.raises(InvalidInput, match=message):
         GaugeCalibration.fit(**columns)
 
 
 @pytest.mark.parametrize(
-    ("data", "said"),
+    ("data", "message"),
     [
         ({"current_A": np.abs(amplifier_A(COMMANDS))}, "not monotone"),
         ({"current_A": np.zeros(22)}, "flat"),
@@ -237,9 +237,9 @@ def test_bad_gauge_data_are_refused_by_name(data, said):
         ({"current_A": amplifier_A(COMMANDS), "margin": 1.0}, "significantly monotone"),
     ],
 )
-def test_bad_current_data_are_refused_by_name(data, said):
+def test_bad_current_data_are_refused_by_name(data, message):
     columns = {"command": COMMANDS, "current_A": amplifier_A(COMMANDS)} | data
-    with pytest.raises(InvalidInput, match=said):
+    with pytest.raises(InvalidInput, match=message):
         CurrentCalibration.fit(**columns)
 
 

@@ -17,9 +17,9 @@ A, B = Gains(1.0, 10.0, 0.01, 0.01), Gains(2.0, 20.0, 0.02, 0.02)
 def test_interval_of_a_change_is_that_of_welchs_test():
     before, after = [1.0, 1.1, 0.95, 1.02], [0.8, 0.7, 0.9]
     expected = ttest_ind(np.log(after), np.log(before), equal_var=False).confidence_interval(0.9)
-    found = compare_costs(before, after, 0.9)
-    assert (found.low, found.high) == pytest.approx(np.expm1(expected))
-    assert found.estimate == pytest.approx(
+    change = compare_costs(before, after, 0.9)
+    assert (change.low, change.high) == pytest.approx(np.expm1(expected))
+    assert change.estimate == pytest.approx(
         np.exp(np.mean(np.log(after)) - np.mean(np.log(before))) - 1
     )
 
@@ -30,8 +30,8 @@ def test_intervals_have_their_nominal_coverage():
     covered = 0
     for _ in range(trials):
         before, after = np.exp(rng.normal(0.0, 0.05, 4)), np.exp(rng.normal(-0.1, 0.02, 4))
-        found = compare_costs(before, after, 0.9)
-        covered += found.low < math.expm1(-0.1) < found.high
+        change = compare_costs(before, after, 0.9)
+        covered += change.low < math.expm1(-0.1) < change.high
     # Welch's approximation errs by a per cent or so; four standard errors of the count beside it.
     assert covered / trials == pytest.approx(0.9, abs=0.015 + 4 * math.sqrt(0.09 / trials))
 
@@ -55,9 +55,9 @@ def test_repeats_needed_is_the_fewest_that_resolve_a_quarter(noise):
     def reach(n):
         return t.ppf(0.975, 2 * n - 2) * noise * math.sqrt(2.0 / n)
 
-    found = repeats_needed(-0.5, noise, least=3, most=20)
-    assert reach(found) <= 0.125 or found == 20
-    assert found == 3 or reach(found - 1) > 0.125
+    repeats = repeats_needed(-0.5, noise, least=3, most=20)
+    assert reach(repeats) <= 0.125 or repeats == 20
+    assert repeats == 3 or reach(repeats - 1) > 0.125
 
 
 def test_repeats_needed_stays_within_its_bounds():

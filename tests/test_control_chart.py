@@ -45,11 +45,13 @@ def test_average_run_length_matches_a_markov_chain(smoothing, shift):
     assert average_run_length(smoothing, limit, shift) == pytest.approx(expected, rel=1e-4)
 
 
-def run_lengths(chart: ControlChart, runs: int, known: int, drift: float = 0.0) -> np.ndarray:
+def run_lengths(chart: ControlChart, runs: int, baseline: int, drift: float = 0.0) -> np.ndarray:
     """Trials until the alarm, of charts that begin with so many repeats each."""
     rng, lengths = np.random.default_rng(7), []
     for _ in range(runs):
-        state = chart.begin(np.exp(rng.normal(0.0, 0.03, known)), np.exp(rng.normal(0.5, 0.03, 3)))
+        state = chart.begin(
+            np.exp(rng.normal(0.0, 0.03, baseline)), np.exp(rng.normal(0.5, 0.03, 3))
+        )
         sign, length = ChartSignal.STEADY, 0
         while sign not in (ChartSignal.WORSE, ChartSignal.BETTER):
             state, sign = chart.update(state, math.exp(rng.normal(drift, 0.03)))
@@ -58,10 +60,10 @@ def run_lengths(chart: ControlChart, runs: int, known: int, drift: float = 0.0) 
     return np.array(lengths)
 
 
-@pytest.mark.parametrize("known", [3, 15])
-def test_false_alarm_rate_is_independent_of_the_baseline_length(known):
+@pytest.mark.parametrize("baseline", [3, 15])
+def test_false_alarm_rate_is_independent_of_the_baseline_length(baseline):
     chart = ControlChart(smoothing=0.2, false_alarm_checks=60.0, scatter_min=1e-6)
-    lengths = run_lengths(chart, 400, known)
+    lengths = run_lengths(chart, 400, baseline)
     error = lengths.std() / math.sqrt(lengths.size)
     # Trials that are repeated, and those not learnt from, make it rarer, but not by much.
     assert 60.0 - 3.0 * error < lengths.mean() < 1.25 * 60.0 + 3.0 * error
@@ -69,21 +71,21 @@ def test_false_alarm_rate_is_independent_of_the_baseline_length(known):
 
 def test_drift_of_three_deviations_is_detected_within_a_few_trials():
     chart = ControlChart(smoothing=0.2, false_alarm_checks=1000.0, scatter_min=1e-6)
-    lengths = run_lengths(chart, 200, known=15, drift=0.09)
+    lengths = run_lengths(chart, 200, baseline=15, drift=0.09)
     assert np.median(lengths) <= 6
     assert lengths.max() < 60
 
 
-def begun() -> ChartState:
+def begin_chart() -> ChartState:
     return CHART.begin([1.0, 1.02, 0.98], [2.0, 2.05, 1.96])
 
 
 def test_single_outlier_is_repeated_and_ignored():
-    state, sign = CHART.update(begun(), 3.0)
+    state, sign = CHART.update(begin_chart(), 3.0)
     assert sign is ChartSignal.SUSPECT
     after, sign = CHART.update(state, 1.01)
     assert sign is ChartSignal.OUTLIER
-    assert after == CHART.update(begun(), 1.01)[0]
+    assert after == CHART.update(begin_chart(), 1.01)[0]
 
 
 @pytest.mark.parametrize(
@@ -91,12 +93,12 @@ def test_single_outlier_is_repeated_and_ignored():
     [(3.0, ChartSignal.WORSE), (math.inf, ChartSignal.WORSE), (0.3, ChartSignal.BETTER)],
 )
 def test_two_outliers_in_a_row_are_a_change(cost, sign):
-    state, _ = CHART.update(begun(), cost)
+    state, _ = CHART.update(begin_chart(), cost)
     assert CHART.update(state, cost)[1] is sign
 
 
 def test_outliers_of_opposite_sign_are_repeated_again():
-    state, _ = CHART.update(begun(), 3.0)
+    state, _ = CHART.update(begin_chart(), 3.0)
     assert CHART.update(state, 0.3)[1] is ChartSignal.SUSPECT
 
 
@@ -109,7 +111,7 @@ def test_drift_below_the_minimum_deviation_is_ignored():
 
 
 def test_state_survives_storage_as_a_list():
-    state, _ = CHART.update(begun(), 1.03)
+    state, _ = CHART.update(begin_chart(), 1.03)
     assert ChartState(*list(state)) == state
 
 
@@ -122,8 +124,8 @@ def test_state_survives_storage_as_a_list():
         lambda: CHART.begin([1.0]),
         lambda: CHART.begin([], [1.0, 2.0]),
         lambda: CHART.begin([1.0, math.nan]),
-        lambda: CHART.update(begun(), 0.0),
-        lambda: CHART.update(begun(), math.nan),
+        lambda: CHART.update(begin_chart(), 0.0),
+        lambda: CHART.update(begin_chart(), math.nan),
     ],
 )
 def test_invalid_chart_inputs_are_refused(bad):

@@ -216,7 +216,7 @@ def test_unknown_option_is_refused_with_the_choices(option):
 )
 def test_response_that_cannot_be_scored_is_refused(changed, message):
     names = ("setpoint_N", "measurement_N", "effort_N")
-    asked = {
+    arguments = {
         "sampling_Hz": SAMPLING_Hz,
         "step_index": STEP_INDEX,
         "step_N": 5.0,
@@ -224,7 +224,7 @@ def test_response_that_cannot_be_scored_is_refused(changed, message):
         **changed,
     }
     with pytest.raises(InvalidInput, match=message):
-        StepCost(0.3, move_weight=0.1).evaluate(**asked)
+        StepCost(0.3, move_weight=0.1).evaluate(**arguments)
 
 
 STEP = StepProfile(10.0, 5.0, STEP_INDEX / SAMPLING_Hz, 1.0)

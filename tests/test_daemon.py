@@ -39,20 +39,20 @@ def test_daemon_tunes_watches_and_tunes_again_after_a_drift(tmp_path):
     plant = Plant()
     with rig_served(plant=plant) as (rig, where):
         with daemon(tmp_path, rig_table("drum", where)) as it:
-            held = it.until_mode("holding")
-            assert held.live == "original"
-            assert rig.describe().gains == ORIGINAL != held.gains["candidate"]
+            status = it.until_mode("holding")
+            assert status.live == "original"
+            assert rig.describe().gains == ORIGINAL != status.gains["candidate"]
             it.command("accept")
             watching = it.until(lambda s: s.mode == "watching" and s.checks >= 14)
             assert watching.live == "accepted"
-            assert watching.gains == {"original": ORIGINAL, "accepted": held.gains["candidate"]}
+            assert watching.gains == {"original": ORIGINAL, "accepted": status.gains["candidate"]}
             assert "drifted" not in it.kinds()
             plant.slower = 3.0
             again = it.until(lambda s: s.run.endswith("-002") and s.mode == "holding")
             assert "drifted" in it.kinds()
-            assert again.gains["candidate"] != held.gains["candidate"]
+            assert again.gains["candidate"] != status.gains["candidate"]
         # Stopped while a second candidate waits: what was accepted before is live.
-        assert rig.describe().gains == held.gains["candidate"]
+        assert rig.describe().gains == status.gains["candidate"]
 
 
 def test_significant_improvement_is_accepted_automatically_if_configured(tmp_path):
@@ -80,10 +80,10 @@ def test_gains_without_improvement_are_not_accepted(tmp_path):
 
 @pytest.mark.parametrize("verb", ["reject", "revert", "stop"])
 def test_candidate_is_not_live_unless_accepted(verb, tmp_path):
-    given = []
+    offered = []
     with rig_served() as (rig, where), daemon(tmp_path, rig_table("drum", where)) as it:
         apply = rig.apply
-        rig.apply = lambda gains: (given.append(gains), apply(gains))[1]
+        rig.apply = lambda gains: (offered.append(gains), apply(gains))[1]
         it.until_mode("holding")
         it.command(verb)
         if verb == "stop":
@@ -91,7 +91,7 @@ def test_candidate_is_not_live_unless_accepted(verb, tmp_path):
         else:
             it.until_mode({"reject": "watching", "revert": "paused"}[verb])
         assert rig.describe().gains == ORIGINAL
-        assert set(given) <= {ORIGINAL}
+        assert set(offered) <= {ORIGINAL}
 
 
 def test_revert_brings_the_original_gains_back_after_others_were_accepted(tmp_path):
@@ -105,8 +105,8 @@ def test_revert_brings_the_original_gains_back_after_others_were_accepted(tmp_pa
         assert status.gains == {"original": ORIGINAL}
         it.command("resume")
         it.until(lambda s: s.run.endswith("-002"))
-        said = [(row["verb"], row["done"]) for row in it.client.history("drum").commands]
-        assert said == [("accept", 1), ("revert", 1), ("resume", 1)]
+        commands = [(row["verb"], row["done"]) for row in it.client.history("drum").commands]
+        assert commands == [("accept", 1), ("revert", 1), ("resume", 1)]
 
 
 def test_stop_in_a_trial_does_not_wait_for_its_end(tmp_path):
@@ -164,12 +164,12 @@ def test_nominal_gains_are_restored_on_a_restarted_rig(tmp_path):
         with zenoh.serve(ScriptedRig(Plant(), name="drum"), where):
             it.until_mode("holding")
             it.command("accept")
-            kept = it.until(lambda s: s.live == "accepted")
+            accepted_status = it.until(lambda s: s.live == "accepted")
         it.until_mode("waiting")
         again = ScriptedRig(Plant(), name="drum")
         with zenoh.serve(again, where):
             it.until_mode("watching")
-            assert again.describe().gains == kept.gains["accepted"] != ORIGINAL
+            assert again.describe().gains == accepted_status.gains["accepted"] != ORIGINAL
 
 
 def test_single_outlying_check_is_repeated_and_starts_no_tuning(tmp_path):
@@ -214,9 +214,9 @@ def test_emergency_stop_pauses_until_resume(tmp_path):
                 status = it.until_mode("paused")
                 assert "smoke" in status.paused
                 other.clear()
-            asked = len(rig.requests)
+            requests_before = len(rig.requests)
             time.sleep(0.5)
-            assert len(rig.requests) == asked
+            assert len(rig.requests) == requests_before
             it.command("resume")
             it.until_mode("holding")
         assert rig.describe().gains == ORIGINAL
@@ -240,11 +240,11 @@ def test_trial_cut_off_on_a_real_rig_pauses(tmp_path):
 
 @pytest.mark.parametrize(("simulated", "tries"), [(True, VOID_TRIALS_MAX), (False, 1)])
 def test_rig_whose_program_fails_pauses_until_resume(simulated, tries, tmp_path):
-    asked, mended = [], []
+    attempts, repaired = [], []
 
     def plant(request):
-        if request.number == 7 and not mended:
-            asked.append(request.attempt)
+        if request.number == 7 and not repaired:
+            attempts.append(request.attempt)
             raise RuntimeError("no gauge")
         return response(request)
 
@@ -254,10 +254,10 @@ def test_rig_whose_program_fails_pauses_until_resume(simulated, tries, tmp_path)
         daemon(tmp_path, rig_table("drum", server.endpoint)) as it,
     ):
         assert "no gauge" in it.until_mode("paused").paused
-        assert asked == list(range(tries))
+        assert attempts == list(range(tries))
         assert rig.describe().gains == ORIGINAL
         assert it.kinds().count("trouble") == 1
-        mended.append(True)
+        repaired.append(True)
         it.command("resume")
         it.until_mode("holding")
 
@@ -342,8 +342,8 @@ def test_hanging_rig_does_not_delay_another(tmp_path):
                 it.until(lambda s: bool(s.trouble), "hung")
             finally:
                 hung.process.send_signal(signal.SIGCONT)
-            seen = it.client.status("hung").trials
-            it.until(lambda s: s.mode == "tuning" and s.trials > seen, "hung")
+            trials_before = it.client.status("hung").trials
+            it.until(lambda s: s.mode == "tuning" and s.trials > trials_before, "hung")
 
 
 def test_full_disk_prevents_accept_and_still_stops_safely(tmp_path):

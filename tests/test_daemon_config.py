@@ -49,7 +49,7 @@ def test_read_config_reports_all_mistakes_with_their_places(tmp_path, capsys):
     file = tmp_path / "daemon.toml"
     file.write_text(WRONG)
     assert run(["daemon", str(file)]) == InvalidInput.exit_code
-    said = capsys.readouterr().err
+    errors = capsys.readouterr().err
     for words in (
         "stat: there is no such key; did you mean state?",
         "stop_within_s: Input should be greater than 0",
@@ -69,7 +69,7 @@ def test_read_config_reports_all_mistakes_with_their_places(tmp_path, capsys):
         "rig.0.step: step_at_s: 0.4 is not before the trial's end",
         "rig.0.cost.settling_time_s: Input should be a finite number",
     ):
-        assert words.replace("step: step_at_s", "step.step_at_s") in said, words
+        assert words.replace("step: step_at_s", "step.step_at_s") in errors, words
 
 
 @pytest.mark.parametrize(
@@ -127,9 +127,11 @@ def test_docs_have_a_valid_example_and_every_key_event_and_metric():
         row = re.search(rf"^\| `{re.escape(key)}` \| ([^|]*) \|", text, re.MULTILINE)
         assert row, f"{key} is not in docs/daemon.md"
         if not field.is_required():
-            shown = field.default.as_posix() if isinstance(field.default, Path) else field.default
+            default = (
+                field.default.as_posix() if isinstance(field.default, Path) else field.default
+            )
             assert row[1].strip().strip("`") == (
-                "" if shown in (None, [], {}) else json.dumps(shown).strip('"')
+                "" if default in (None, [], {}) else json.dumps(default).strip('"')
             ), key
     for kind in EventKind:
         assert f"`{kind}`" in text

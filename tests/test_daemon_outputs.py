@@ -49,7 +49,7 @@ def status(**changes) -> DaemonStatus:
 
 def parsed(text: str) -> dict[tuple[str, frozenset], float]:
     """Prometheus' text format, read strictly."""
-    found = {}
+    samples = {}
     for line in text.removesuffix("\n").split("\n"):
         if line.startswith("#"):
             assert re.fullmatch(r"# (HELP [a-z_]+ .+|TYPE [a-z_]+ (gauge|counter))", line)
@@ -57,34 +57,34 @@ def parsed(text: str) -> dict[tuple[str, frozenset], float]:
         match = re.fullmatch(r"([a-z_]+)\{(.*)\} (\S+)", line)
         labels = re.findall(r'([a-z]+)="((?:[^"\\\n]|\\.)*)"', match[2])
         key = match[1], frozenset(labels)
-        assert key not in found
-        found[key] = float(match[3])
-    return found
+        assert key not in samples
+        samples[key] = float(match[3])
+    return samples
 
 
 def test_metrics_are_prometheus_text_of_the_status():
-    found = parsed(render([status(), status(rig='o"d\\d', mode="paused", live="")]))
+    samples = parsed(render([status(), status(rig='o"d\\d', mode="paused", live="")]))
 
     def figure(name, rig="drum", **labels):
-        return found[name, frozenset({"rig": rig, **labels}.items())]
+        return samples[name, frozenset({"rig": rig, **labels}.items())]
 
     assert figure("estune_mode", mode="watching") == 1.0
     assert figure("estune_mode", mode="paused") == 0.0
     assert figure("estune_gains_live", set="accepted") == 1.0
     assert figure("estune_gain", set="original", gain="P") == ORIGINAL.P
     assert figure("estune_drift_ratio") == -0.5
-    assert ("estune_cost_ratio", frozenset({("rig", "drum")})) not in found
+    assert ("estune_cost_ratio", frozenset({("rig", "drum")})) not in samples
     odd = r"o\"d\\d"
     assert all(figure("estune_gains_live", odd, set=s) == 0.0 for s in ("original", "candidate"))
 
 
 def test_metrics_file_is_whole_at_every_read(tmp_path):
-    file, seen, over = tmp_path / "estune.prom", set(), threading.Event()
+    file, sizes, over = tmp_path / "estune.prom", set(), threading.Event()
     write_metrics(file, [status()])
 
     def read():
         while not over.is_set():
-            seen.add(len(parsed(file.read_text())))
+            sizes.add(len(parsed(file.read_text())))
 
     reader = threading.Thread(target=read)
     reader.start()
@@ -92,7 +92,7 @@ def test_metrics_file_is_whole_at_every_read(tmp_path):
         write_metrics(file, [status()])
     over.set()
     reader.join()
-    assert seen == {len(parsed(render([status()])))}
+    assert sizes == {len(parsed(render([status()])))}
     assert [path.name for path in tmp_path.iterdir()] == ["estune.prom"]
 
 
@@ -129,9 +129,9 @@ def test_hooks_get_their_kinds_of_events_as_json(tmp_path):
     for kind in (EventKind.DRIFTED, EventKind.GAINS, EventKind.LOST):
         hooks.submit(event(kind))
     hooks.close(WITHIN_S)
-    told = [json.loads(line) for line in out.read_text().splitlines()]
-    assert [line["kind"] for line in told] == ["drifted", "lost"]
-    assert told[0] == {
+    events = [json.loads(line) for line in out.read_text().splitlines()]
+    assert [line["kind"] for line in events] == ["drifted", "lost"]
+    assert events[0] == {
         "rig": "drum",
         "number": 1,
         "at": "2009-05-04T12:00:00+02:00",
@@ -180,7 +180,7 @@ def test_log_lines_are_json_or_plain_with_rig_and_event():
     record.rig, record.event, record.facts = "drum", "drifted", {"cost": 1.5}
     line = JsonLines().format(record)
     assert "\n" not in line
-    told = json.loads(line)
-    assert (told["level"], told["message"], told["rig"]) == ("warning", "drift\nb", "drum")
-    assert (told["event"], told["facts"]) == ("drifted", {"cost": 1.5})
+    entry = json.loads(line)
+    assert (entry["level"], entry["message"], entry["rig"]) == ("warning", "drift\nb", "drum")
+    assert (entry["event"], entry["facts"]) == ("drifted", {"cost": 1.5})
     assert PlainLines().format(record).endswith("drum: warning: drift\nb")

@@ -83,9 +83,9 @@ FAULTS = [
 @pytest.mark.parametrize(("changes", "words"), FAULTS)
 def test_record_fault_names_what_is_wrong(changes, words):
     record = replace(response(REQUEST), **changes)
-    found = record_checks.record_fault(record, REQUEST, description())
-    assert words in found
-    assert bool(found) is bool(words)
+    fault = record_checks.record_fault(record, REQUEST, description())
+    assert words in fault
+    assert bool(fault) is bool(words)
 
 
 def test_record_fault_accepts_diverged_and_short_trials():
@@ -105,11 +105,11 @@ def test_daemon_control_shows_and_commands(tmp_path, capsys):
             assert run(["daemon-control", *words]) == 0
             return capsys.readouterr().out
 
-        shown = say("status", endpoint)
-        assert re.search(r"^live +original gains; nominal gains: original", shown, re.MULTILINE)
-        assert re.search(r"^candidate is +better than the initial gains: ", shown, re.MULTILINE)
-        told = json.loads(say("status", endpoint, "--json"))
-        assert told[0]["gains"]["original"]["P"] == ORIGINAL.P
+        table = say("status", endpoint)
+        assert re.search(r"^live +original gains; nominal gains: original", table, re.MULTILINE)
+        assert re.search(r"^candidate is +better than the initial gains: ", table, re.MULTILINE)
+        statuses = json.loads(say("status", endpoint, "--json"))
+        assert statuses[0]["gains"]["original"]["P"] == ORIGINAL.P
         assert "accept by" in say("accept", endpoint, "--why", "looks good")
         assert "looks good" in say("history", endpoint)
         assert "better than the initial gains" in say("events", endpoint)

@@ -32,7 +32,7 @@ def test_store_holds_after_reopening_what_was_written(tmp_path):
         store.set_gains(GainSet.ORIGINAL, ORIGINAL, "found")
         store.set_gains(GainSet.CANDIDATE, candidate, "better")
         store.state = state
-        noted = store.add_event(EventKind.BETTER, "better", {"cost": 0.5})
+        event = store.add_event(EventKind.BETTER, "better", {"cost": 0.5})
     record = response(REQUEST)
     store.begin_check(REQUEST)
     assert store.next_check() == (0, 0)
@@ -43,7 +43,7 @@ def test_store_holds_after_reopening_what_was_written(tmp_path):
     try:
         assert store.state == state
         assert store.gains() == {GainSet.ORIGINAL: ORIGINAL, GainSet.CANDIDATE: candidate}
-        assert store.events(0, 9) == store.events(-1, 9) == [noted]
+        assert store.events(0, 9) == store.events(-1, 9) == [event]
         assert store.identity == identity
         assert same(stored_record(store, 0), record)
         assert store.next_check() == (1, 0)

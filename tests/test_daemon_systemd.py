@@ -38,9 +38,9 @@ class Manager:
 
 @pytest.fixture
 def manager(tmp_path):
-    made = Manager(str(tmp_path / "notify"))
-    yield made
-    made.socket.close()
+    manager = Manager(str(tmp_path / "notify"))
+    yield manager
+    manager.socket.close()
 
 
 def test_notifier_reports_start_state_watchdog_and_stop(tmp_path, manager):

@@ -41,12 +41,12 @@ except EstuneError as error:
 def small_disk(folder: Path, size: str):
     """A file system of that size; skips where this user may not make one."""
     folder.mkdir()
-    made = subprocess.run(
+    mounted = subprocess.run(
         ["mount", "-t", "tmpfs", "-o", f"size={size}", "tmpfs", folder],
         capture_output=True,
         check=False,
     )
-    if made.returncode:
+    if mounted.returncode:
         pytest.skip("this user may not mount a small disk")
     try:
         yield folder
@@ -64,9 +64,9 @@ def tune_until_it_fails(folder: Path, *limit_bytes: str) -> str:
         check=False,
     )
     assert ended.returncode == JournalError.exit_code, ended.stderr
-    said = ended.stdout.strip()
-    assert "\n" not in said
-    return said
+    message = ended.stdout.strip()
+    assert "\n" not in message
+    return message
 
 
 def committed(folder: Path) -> list[tuple]:
@@ -81,22 +81,22 @@ def undisturbed(trials: int) -> list[tuple]:
 
 def test_full_disk_is_reported_and_committed_trials_stay_whole(tmp_path):
     with small_disk(tmp_path / "disk", "600k") as disk:
-        said = tune_until_it_fails(disk)
-        assert "full" in said
-        assert "estune resume" in said
-        kept = committed(disk / "run")
+        message = tune_until_it_fails(disk)
+        assert "full" in message
+        assert "estune resume" in message
+        committed_rows = committed(disk / "run")
         roomy = shutil.copytree(disk / "run", tmp_path / "roomy")
-    assert len(kept) > 10
+    assert len(committed_rows) > 10
     resumed = api.resume(roomy, ArithmeticRig(), watch=None)
     assert [(e.number, e.gains, e.cost) for e in resumed.entries] == undisturbed(300)
 
 
 def test_file_size_limit_is_reported_and_committed_trials_stay_whole(tmp_path):
-    said = tune_until_it_fails(tmp_path, "400000")
-    assert "estune resume" in said
-    kept = committed(tmp_path / "run")
-    assert len(kept) > 10
-    assert kept == undisturbed(300)[: len(kept)]
+    message = tune_until_it_fails(tmp_path, "400000")
+    assert "estune resume" in message
+    committed_rows = committed(tmp_path / "run")
+    assert len(committed_rows) > 10
+    assert committed_rows == undisturbed(300)[: len(committed_rows)]
 
 
 def old_run(tmp_path: Path) -> Path:
@@ -133,7 +133,7 @@ def test_journal_of_first_schema_is_read_and_replayed(tmp_path):
         watch=None,
     )
     then, today = (
-        np.array([[*e.gains.as_tuple(), e.cost] for e in found.entries]) for found in (result, now)
+        np.array([[*e.gains.as_tuple(), e.cost] for e in tuned.entries]) for tuned in (result, now)
     )
     np.testing.assert_allclose(today, then, rtol=1e-12)
 
@@ -149,8 +149,8 @@ def test_interrupted_run_of_an_earlier_tuner_name_resumes(tmp_path):
     whole = api.tune(ArithmeticRig(), tuner="safe_bayesian", journal=False, **options)
     assert [(e.number, e.gains, e.cost) for e in resumed.entries[:40]] == before
     then, today = (
-        np.array([[*e.gains.as_tuple(), e.cost] for e in found.entries])
-        for found in (resumed, whole)
+        np.array([[*e.gains.as_tuple(), e.cost] for e in tuned.entries])
+        for tuned in (resumed, whole)
     )
     np.testing.assert_allclose(today, then, rtol=1e-9)
 

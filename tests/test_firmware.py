@@ -89,8 +89,8 @@ def test_firmware_file_compiles_alone_and_computes_the_same(tmp_path, flags, tol
         program = program.replace("double r, y, excess, last", "double r, y; float excess, last")
     (tmp_path / "main.c").write_text(program)
     command = [*c_compiler.compiler(), *flags, "-Wall", "-Wextra", "-Werror", "-pedantic"]
-    made = [str(tmp_path / "main"), str(tmp_path / "main.c"), "-lm"]
-    subprocess.run([*command, "-o", *made], check=True)
+    outputs = [str(tmp_path / "main"), str(tmp_path / "main.c"), "-lm"]
+    subprocess.run([*command, "-o", *outputs], check=True)
     rng = np.random.default_rng(0)
     measured = 15.0 + np.cumsum(rng.normal(0.0, 1.0, 200))
     swap_at = 120
@@ -99,7 +99,7 @@ def test_firmware_file_compiles_alone_and_computes_the_same(tmp_path, flags, tol
         f"{-r if k == swap_at else r!r} {y!r}"
         for k, (r, y) in enumerate(zip(setpoint.tolist(), measured.tolist(), strict=True))
     )
-    done = subprocess.run(made[0], input=text, capture_output=True, text=True, check=True)
+    done = subprocess.run(outputs[0], input=text, capture_output=True, text=True, check=True)
     *lines, rate = done.stdout.splitlines()
     state, c, effort = pidf.state_at_rest(15.0, 14.0), pidf.coefficients(SETTINGS, GAINS), 0.0
     for k, (r, y) in enumerate(zip(setpoint, measured, strict=True)):
@@ -107,8 +107,8 @@ def test_firmware_file_compiles_alone_and_computes_the_same(tmp_path, flags, tol
             c = pidf.coefficients(SETTINGS, Gains(1.0, 40.0, 0.015, 0.0))
             state = pidf.bumpless(c, state, r, y, effort)
         state, effort, excess = pidf.step(c, state, r, y)
-        told = tuple(map(float, lines[k].split()))
-        assert told == pytest.approx((effort, excess), rel=tolerance, abs=tolerance)
+        computed = tuple(map(float, lines[k].split()))
+        assert computed == pytest.approx((effort, excess), rel=tolerance, abs=tolerance)
     assert float(rate) == 632.0
 
 

@@ -69,8 +69,8 @@ def test_noise_excludes_mains_and_drift(samples, rms_of):
     rng = np.random.default_rng(1)
     t = np.arange(samples) / RATE
     mains = 0.5 * np.sin(2.0 * np.pi * 50.0 * t)
-    found = rms_of(rng.normal(0.0, 0.1, samples) + mains + 0.2 * t)
-    assert found == pytest.approx(0.1, rel=0.12)
+    rms = rms_of(rng.normal(0.0, 0.1, samples) + mains + 0.2 * t)
+    assert rms == pytest.approx(0.1, rel=0.12)
 
 
 def test_noise_of_repeats_excludes_mains_of_any_phase():
@@ -105,9 +105,9 @@ def test_period_equals_that_of_the_excitation(period_s):
     period_s = round(period_s * RATE) / RATE
     excitation = multisine(RATE, Band(2.0, 50.0, period_s=period_s, periods=4), 3.0)
     lead = np.full(100, 15.0)
-    found = periods_of(np.concatenate([lead, 15.0 + excitation.waveform_N, lead]))
-    assert found.samples == round(period_s * RATE)
-    assert found.periods == 5
+    periods = periods_of(np.concatenate([lead, 15.0 + excitation.waveform_N, lead]))
+    assert periods.samples == round(period_s * RATE)
+    assert periods.periods == 5
 
 
 @pytest.mark.parametrize("setpoint", [np.repeat([1.0, 2.0], 500), np.linspace(0.0, 1.0, 900)])

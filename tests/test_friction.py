@@ -85,8 +85,8 @@ def test_compensation_never_drives_a_drum_of_less_friction(
 
 def test_compensation_beyond_the_noise_is_a_fraction_of_the_friction():
     v = np.array([-3.0, -0.5, 0.2, 0.8, 5.0])
-    seen = Motion(v, np.full(5, 0.1), 0.01, np.zeros(5), 1.0)
-    assert FeedForward(DRY, 0.0, 0.7).friction_Nm(seen) == pytest.approx(0.7 * DRY.torque_Nm(v))
+    motion = Motion(v, np.full(5, 0.1), 0.01, np.zeros(5), 1.0)
+    assert FeedForward(DRY, 0.0, 0.7).friction_Nm(motion) == pytest.approx(0.7 * DRY.torque_Nm(v))
 
 
 def unstable_wrench_trial(coefficient_share, noise_counts):
@@ -131,8 +131,8 @@ def test_limits_prevent_instability_at_high_friction_coefficients():
 def test_inertia_is_compensated_at_high_speed_only():
     high, low = run_high_and_low(reference_wrench_trial())
     assert np.mean(high.inertia_N != 0.0) > 0.5
-    left = np.std(high.true_inertia_N - high.inertia_N)
-    assert left < 0.5 * np.std(high.true_inertia_N)
+    residual = np.std(high.true_inertia_N - high.inertia_N)
+    assert residual < 0.5 * np.std(high.true_inertia_N)
     assert (low.inertia_N == 0.0).all()
     for traces in (high, low):  # friction is compensated at either, never beyond the true one
         moving = np.abs(traces.velocity_rad_s) > 0.3
@@ -200,9 +200,9 @@ def estimates(fit):
 
 def test_ramps_in_both_directions_recover_friction_and_inertia():
     fit = fit_friction([ramp(held=True), ramp(held=True, sign=-1.0, slope=0.05)], 0.999)
-    for name, found in estimates(fit).items():
-        assert found.low <= TRUTH[name] <= found.high, name
-        assert found.value == pytest.approx(TRUTH[name], rel=0.03), name
+    for name, estimate in estimates(fit).items():
+        assert estimate.low <= TRUTH[name] <= estimate.high, name
+        assert estimate.value == pytest.approx(TRUTH[name], rel=0.03), name
     assert fit.residual_counts == pytest.approx(1.0 / math.sqrt(12.0), rel=0.1)  # counting alone
     assert fit.feed_forward().friction == fit.friction
 
@@ -210,8 +210,8 @@ def test_ramps_in_both_directions_recover_friction_and_inertia():
 def test_bias_by_presliding_falls_with_its_stiffness():
     off = {}
     for stiffness in (60.0, 300.0):  # the drum creeps half a count before it slips, and a tenth
-        found = estimates(fit_friction([ramp(stiffness=stiffness)]))
-        off[stiffness] = {name: abs(e.value / TRUTH[name] - 1.0) for name, e in found.items()}
+        estimate = estimates(fit_friction([ramp(stiffness=stiffness)]))
+        off[stiffness] = {name: abs(e.value / TRUTH[name] - 1.0) for name, e in estimate.items()}
     for name in ("coulomb", "static", "inertia", "stribeck"):
         assert off[300.0][name] < 0.3 * off[60.0][name], name
         assert off[300.0][name] < 0.05, name
@@ -231,11 +231,11 @@ def test_confidence_intervals_match_the_spread_of_estimates():
     fits, scores = 16, []
     for _ in range(fits):
         record, truth = drawn_ramp(rng)
-        found = estimates(fit_friction([record], confidence=0.9))
+        estimate = estimates(fit_friction([record], confidence=0.9))
         # Miss in standard deviations; a 90 % interval is 1.645 of them to either side.
         scores.append(
             [1.645 * math.log(e.value / truth[n]) / math.log(e.high / e.value)
-             for n, e in found.items()]
+             for n, e in estimate.items()]
         )  # fmt: skip
     misfit = np.sum(np.square(scores), axis=0)
     least, greatest = chi2.ppf([0.001, 0.999], fits)
@@ -244,7 +244,7 @@ def test_confidence_intervals_match_the_spread_of_estimates():
 
 
 @pytest.mark.parametrize(
-    ("record", "says"),
+    ("record", "message"),
     [
         (lambda: ramp(static=0.2, coulomb=0.1), "no break-away"),
         (lambda: replace(ramp(), torque_Nm=0.05 * np.sin(ramp().time_s)), "not monotone"),
@@ -257,26 +257,26 @@ def test_confidence_intervals_match_the_spread_of_estimates():
         (lambda: ramp(duration=0.1), "80 or more"),
     ],
 )
-def test_record_without_friction_information_is_refused(record, says):
-    with pytest.raises(InvalidInput, match=says):
+def test_record_without_friction_information_is_refused(record, message):
+    with pytest.raises(InvalidInput, match=message):
         record()
 
 
 @pytest.mark.parametrize(
-    ("record", "says"),
+    ("record", "message"),
     [
         (lambda: ramp(slope=3.0, duration=0.5, static=0.3, coulomb=0.02), "slower ramp"),
         (lambda: ramp(stribeck=8.0), "end the ramp higher"),
         (lambda: ramp(static=0.02), "Coulomb friction alone|slower ramp"),
     ],
 )
-def test_ramp_too_fast_for_the_stribeck_velocity_is_refused(record, says):
-    with pytest.raises(InvalidInput, match=says):
+def test_ramp_too_fast_for_the_stribeck_velocity_is_refused(record, message):
+    with pytest.raises(InvalidInput, match=message):
         fit_friction([record()])
 
 
 @pytest.mark.parametrize(
-    ("call", "says"),
+    ("call", "message"),
     [
         (lambda: StribeckFriction(0.03, 0.02, 1.0), "static one not below"),
         (lambda: StribeckFriction(-0.1, 0.02, 1.0), "zero or above"),
@@ -288,6 +288,6 @@ def test_ramp_too_fast_for_the_stribeck_velocity_is_refused(record, says):
         (lambda: fit_friction([ramp()], confidence=95.0), "between 0 and 1"),
     ],
 )
-def test_bad_input_is_refused_with_its_remedy(call, says):
-    with pytest.raises(InvalidInput, match=says):
+def test_bad_input_is_refused_with_its_remedy(call, message):
+    with pytest.raises(InvalidInput, match=message):
         call()

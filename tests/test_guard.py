@@ -34,8 +34,8 @@ def faulty(first: int, **changes):
     for k in range(first + 400):
         sample = good(k)
         if k >= first:
-            made = {n: v(k) if callable(v) else v for n, v in changes.items()}
-            sample = sample._replace(**made)
+            columns = {n: v(k) if callable(v) else v for n, v in changes.items()}
+            sample = sample._replace(**columns)
         yield sample
 
 
@@ -150,7 +150,7 @@ def test_guard_trips_on_any_reading_that_is_not_a_number(samples):
 
 
 @pytest.mark.parametrize(
-    ("limits", "told"),
+    ("limits", "message"),
     [
         ({"tension_max_N": math.nan}, "tension_max_N is not a number"),
         ({"slack_s": -0.1}, "slack_s is -0.1"),
@@ -159,6 +159,6 @@ def test_guard_trips_on_any_reading_that_is_not_a_number(samples):
         ({"late_in_a_row": -1}, "late_in_a_row"),
     ],
 )
-def test_invalid_limits_are_refused(limits, told):
-    with pytest.raises(InvalidInput, match=told):
+def test_invalid_limits_are_refused(limits, message):
+    with pytest.raises(InvalidInput, match=message):
         Limits(**limits)

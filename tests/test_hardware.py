@@ -135,14 +135,14 @@ def test_record_holds_what_the_hardware_did(rig, hardware):
 
 def test_telemetry_shows_a_trial_while_it_runs(rig):
     assert rig.telemetry(0) is None
-    seen = []
+    batches = []
     with in_background(lambda: rig.run(ask(rig, duration_s=1.0))) as results:
         eventually(lambda: rig.telemetry(0) is not None)
-        while (shown := rig.telemetry(sum(part.tension_N.size for part in seen))) is not None:
-            seen.append(shown)
+        while (batch := rig.telemetry(sum(part.tension_N.size for part in batches))) is not None:
+            batches.append(batch)
     (record,) = results
-    tension = np.concatenate([part.tension_N for part in seen])
-    assert {part.trial_id for part in seen} == {record.trial_id}
+    tension = np.concatenate([part.tension_N for part in batches])
+    assert {part.trial_id for part in batches} == {record.trial_id}
     assert 0 < tension.size <= record.tension_N.size
     np.testing.assert_array_equal(tension, record.tension_N[: tension.size])
 
@@ -214,10 +214,10 @@ class ObservedLock:
         self._lock, self._in_vain = lock, in_vain
 
     def acquire(self, timeout=-1):
-        got = self._lock.acquire(timeout=timeout)
-        if not got:
+        acquired = self._lock.acquire(timeout=timeout)
+        if not acquired:
             self._in_vain.set()
-        return got
+        return acquired
 
     def release(self):
         self._lock.release()
@@ -231,17 +231,17 @@ class ObservedLock:
 
 def test_abort_during_preparation_stops_the_trial(hardware):
     with HardwareRig(configuration(hardware[0])) as rig:
-        prepare, begun, said = rig._prepare, threading.Event(), threading.Event()
+        prepare, started, aborted = rig._prepare, threading.Event(), threading.Event()
 
         def until_said(request):
-            begun.set()
-            assert said.wait(GIVE_UP_S)
+            started.set()
+            assert aborted.wait(GIVE_UP_S)
             return prepare(request)
 
         # The abort is said once before the trial has a number, and so to none.
-        rig._prepare, rig._trial = until_said, ObservedLock(rig._trial, said)
+        rig._prepare, rig._trial = until_said, ObservedLock(rig._trial, aborted)
         with in_background(lambda: rig.run(ask(rig, duration_s=8.0))) as results:
-            assert begun.wait(GIVE_UP_S)
+            assert started.wait(GIVE_UP_S)
             assert rig.abort().gains == rig.describe().gains
         (record,) = results
         assert record.outcome is Outcome.CANCELLED

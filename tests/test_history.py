@@ -18,8 +18,8 @@ def another_version(monkeypatch, request):
     def proposes(_):
         for kind in (TUNERS[name].kind for name in ("phase_compensated", "safe_bayesian")):
 
-            def ask(self, state, asked=kind.ask):
-                return tuple(1.01 * value for value in asked(self, state))
+            def ask(self, state, proposal=kind.ask):
+                return tuple(1.01 * value for value in proposal(self, state))
 
             monkeypatch.setattr(kind, "ask", ask)
 

@@ -55,7 +55,7 @@ def test_handed_over_integral_gives_the_effort_of_the_other(which, effort, seed)
         c = coefficients(which, which)[1]
         r, y = (v / scale for v in signals_at(0.5, seed)[2:])
         state = PidfState(3.0, 0.9 * r, 1.1 * y)
-        after, taken = hybrid.hand_over(c, state, r, y, effort)
+        after, effort_taken = hybrid.hand_over(c, state, r, y, effort)
         # Found by search, with the whole controller as a black box.
         integral = brentq(
             lambda value, c=c, state=state, r=r, y=y: (
@@ -64,7 +64,7 @@ def test_handed_over_integral_gives_the_effort_of_the_other(which, effort, seed)
             -1e5, 1e5, xtol=1e-12,
         )  # fmt: skip
         expected, _, _ = pidf.step(c, state._replace(integral_N=integral), r, y)
-        assert taken == pytest.approx(effort, abs=1e-9)
+        assert effort_taken == pytest.approx(effort, abs=1e-9)
         assert after == pytest.approx(expected, rel=1e-9, abs=1e-9)
 
 
@@ -167,8 +167,8 @@ def test_selection_follows_the_rules_of_the_paper():
     assert both.tolist() == [True, False]
     assert rules.tension_setpoint_N(15.0, solved=True) == 15.0
     assert rules.tension_setpoint_N(0.5, solved=True) == 2.0
-    held = rules.tension_setpoint_N(0.5, solved=False)
-    assert not rules.select(previous=True, tension_N=held, solved=False)
+    setpoint_N = rules.tension_setpoint_N(0.5, solved=False)
+    assert not rules.select(previous=True, tension_N=setpoint_N, solved=False)
 
 
 def test_hand_over_at_the_boundary_keeps_the_cable_taut():

@@ -61,7 +61,7 @@ def errors_over_half_width(fit, truth):
 def test_sampled_model_matches_the_simulation(dead_time_quarters):
     truth = TRUTH._replace(dead_time_quarters=dead_time_quarters, damping=0.3, gauge_damping=0.1)
     long = multisine(SAMPLING_HZ, replace(TEN_SECONDS, settling_periods=2), 4.0)
-    found = frequency_response(long, long.waveform_N, simulated(truth, long.waveform_N))
+    response = frequency_response(long, long.waveform_N, simulated(truth, long.waveform_N))
     model = SecondOrder(
         truth.gain,
         2 * np.pi * truth.natural_Hz,
@@ -69,8 +69,8 @@ def test_sampled_model_matches_the_simulation(dead_time_quarters):
         truth.dead_time_s,
         GaugeMode(2 * np.pi * truth.gauge_Hz, truth.gauge_damping),
     )
-    exact = model.sampled_response(found.frequency_Hz, SAMPLING_HZ)
-    assert np.abs(found.response - exact).max() < 1e-8 * truth.gain
+    exact = model.sampled_response(response.frequency_Hz, SAMPLING_HZ)
+    assert np.abs(response.response - exact).max() < 1e-8 * truth.gain
 
 
 @settings(max_examples=50, deadline=None)
@@ -124,33 +124,35 @@ def test_hooke_constant_takes_arrays_and_rejects_overdamped_values():
 
 @pytest.mark.parametrize("slope", [0.0, 1.5])
 def test_multisine_has_a_low_crest_factor_and_silent_detection_lines(slope):
-    made = multisine(SAMPLING_HZ, TEN_SECONDS, 3.0, slope=slope, corner_Hz=20.0)
-    (segment,) = made.segments
+    excitation = multisine(SAMPLING_HZ, TEN_SECONDS, 3.0, slope=slope, corner_Hz=20.0)
+    (segment,) = excitation.segments
     spectrum = np.abs(np.fft.rfft(segment.period_N)) / segment.period_N.size
     silent = np.ones(spectrum.size, bool)
     silent[segment.excited] = False
-    assert np.abs(made.waveform_N).max() == pytest.approx(3.0)
+    assert np.abs(excitation.waveform_N).max() == pytest.approx(3.0)
     assert spectrum[silent].max() < 1e-12
     f = segment.excited / TEN_SECONDS.period_s
-    wanted = np.maximum(f / 20.0, 1.0) ** slope
-    assert spectrum[segment.excited] / spectrum[segment.excited][0] == pytest.approx(wanted)
+    expected = np.maximum(f / 20.0, 1.0) ** slope
+    assert spectrum[segment.excited] / spectrum[segment.excited][0] == pytest.approx(expected)
     # A sum of sines with phases by lot has 3 or more; one sine has 1.41.
-    assert made.crest_factor < 1.6
+    assert excitation.crest_factor < 1.6
     assert (segment.even % 2 == 0).all()
     assert (segment.odd % 2 == 1).all()
     assert segment.odd.size > segment.excited.size / 5
 
 
 def test_chirp_has_no_even_lines_and_no_jump():
-    made = chirp(SAMPLING_HZ, Band(1.0, 100.0), 2.0)
-    period = made.segments[0].period_N
+    excitation = chirp(SAMPLING_HZ, Band(1.0, 100.0), 2.0)
+    period = excitation.segments[0].period_N
     assert np.abs(np.fft.rfft(period)[::2]).max() < 1e-10 * period.size
     # No step is larger than the fastest sine's.
-    assert np.abs(np.diff(made.waveform_N)).max() < 2.0 * 2 * np.pi * 100.0 / SAMPLING_HZ * 1.01
+    assert (
+        np.abs(np.diff(excitation.waveform_N)).max() < 2.0 * 2 * np.pi * 100.0 / SAMPLING_HZ * 1.01
+    )
 
 
 @pytest.mark.parametrize(
-    "made",
+    "excitation",
     [
         multisine(SAMPLING_HZ, TEN_SECONDS, 4.0, slope=1.5, corner_Hz=20.0),
         chirp(SAMPLING_HZ, TEN_SECONDS, 1.5),
@@ -158,10 +160,10 @@ def test_chirp_has_no_even_lines_and_no_jump():
     ],
     ids=["multisine", "chirp", "stepped sine"],
 )
-def test_every_excitation_identifies_the_plant(made):
-    y = simulated(TRUTH, made.waveform_N)
+def test_every_excitation_identifies_the_plant(excitation):
+    y = simulated(TRUTH, excitation.waveform_N)
     y += 0.04 * np.random.default_rng(3).standard_normal(y.size)
-    fit = fit_second_order(frequency_response(made, 15.0 + made.waveform_N, 15.0 + y))
+    fit = fit_second_order(frequency_response(excitation, 15.0 + excitation.waveform_N, 15.0 + y))
     assert fit.natural_frequency_Hz.value == pytest.approx(TRUTH.natural_Hz, rel=0.005)
     assert fit.damping.value == pytest.approx(TRUTH.damping, rel=0.05)
     assert fit.dead_time_s.value == pytest.approx(TRUTH.dead_time_s, abs=0.1 / SAMPLING_HZ)
@@ -177,8 +179,8 @@ def test_confidence_intervals_have_nominal_coverage():
     seeds = 60
     ratios = []
     for seed in range(seeds):
-        found = frequency_response(signal(), signal().waveform_N, noisy(seed))
-        ratios.append(errors_over_half_width(fit_second_order(found, probability=0.8), TRUTH))
+        response = frequency_response(signal(), signal().waveform_N, noisy(seed))
+        ratios.append(errors_over_half_width(fit_second_order(response, probability=0.8), TRUTH))
     covered = (np.abs(ratios) <= 1.0).sum(axis=0)
     # 80 %, so that too wide shows as well as too narrow; 1 in 10 000 by chance on each side.
     low, high = binom.ppf([1e-4, 1 - 1e-4], seeds, 0.8)
@@ -188,14 +190,14 @@ def test_confidence_intervals_have_nominal_coverage():
 
 def test_confidence_band_covers_the_true_response():
     truth = frequency_response(signal(), signal().waveform_N, clean())
-    found = frequency_response(signal(), signal().waveform_N, noisy(11))
-    inside = np.abs(found.response - truth.response) <= found.radius(0.95)
+    response = frequency_response(signal(), signal().waveform_N, noisy(11))
+    inside = np.abs(response.response - truth.response) <= response.radius(0.95)
     low, high = binom.ppf([1e-4, 1 - 1e-4], inside.size, 0.95)
     assert low <= inside.sum() <= high
-    least, greatest = found.magnitude_band()
+    least, greatest = response.magnitude_band()
     assert ((least <= np.abs(truth.response)) & (np.abs(truth.response) <= greatest)).mean() > 0.95
-    assert (found.coherence >= 0.0).all()
-    assert (found.coherence <= 1.0).all()
+    assert (response.coherence >= 0.0).all()
+    assert (response.coherence <= 1.0).all()
 
 
 def test_distortion_is_measured_as_even_or_odd_with_its_size():
@@ -219,14 +221,16 @@ def test_distortion_is_measured_as_even_or_odd_with_its_size():
 def test_odd_distortion_widens_the_confidence_band():
     x = signal().waveform_N
     noise = 1e-3 * np.random.default_rng(0).standard_normal(x.size)
-    found = frequency_response(signal(), x, x + 0.004 * x**3 + noise)
+    response = frequency_response(signal(), x, x + 0.004 * x**3 + noise)
     quiet = frequency_response(signal(), x, x + noise)
     # What the cube adds in proportion to the signal is part of the response, the rest scatters.
-    scatter = np.abs(found.response - np.average(found.response, weights=1 / found.variance))
-    inside = scatter <= found.radius(0.95)
-    assert found.odd.detected
+    deviation = np.abs(
+        response.response - np.average(response.response, weights=1 / response.variance)
+    )
+    inside = deviation <= response.radius(0.95)
+    assert response.odd.detected
     assert inside.mean() > 0.85
-    assert (scatter <= quiet.radius(0.95)).mean() < 0.5
+    assert (deviation <= quiet.radius(0.95)).mean() < 0.5
 
 
 def _refused(case):  # noqa: C901  one branch for each way a record can be bad
@@ -266,7 +270,7 @@ def _refused(case):  # noqa: C901  one branch for each way a record can be bad
 
 
 @pytest.mark.parametrize(
-    ("case", "said"),
+    ("case", "message"),
     [
         ("short", "asks for 6320 samples: record all of it"),
         ("nan", "output sample 100 is nan; repeat the record"),
@@ -282,13 +286,13 @@ def _refused(case):  # noqa: C901  one branch for each way a record can be bad
         ("few lines", "lines are too few for 6 unknowns; excite 9 or more"),
     ],
 )
-def test_unidentifiable_plant_is_rejected_with_a_remedy(case, said):
-    with pytest.raises(InvalidInput, match=said):
+def test_unidentifiable_plant_is_rejected_with_a_remedy(case, message):
+    with pytest.raises(InvalidInput, match=message):
         _refused(case)
 
 
 @pytest.mark.parametrize(
-    ("make", "said"),
+    ("make", "message"),
     [
         (lambda: Band(5.0, 1.0), "the lower one first"),
         (lambda: Band(0.1, 10.0, period_s=1.0), "use 10 s or longer"),
@@ -300,19 +304,19 @@ def test_unidentifiable_plant_is_rejected_with_a_remedy(case, said):
         (lambda: chirp(632.0, Band(2.0, 90.0, period_s=631 / 632), 1.0), "even number"),
     ],
 )
-def test_impossible_excitation_is_rejected(make, said):
-    with pytest.raises(InvalidInput, match=said):
+def test_impossible_excitation_is_rejected(make, message):
+    with pytest.raises(InvalidInput, match=message):
         make()
 
 
 def test_fit_below_the_gauge_mode_uses_a_known_gauge():
-    made = multisine(SAMPLING_HZ, Band(0.5, 60.0), 2.0)
-    y = simulated(TRUTH, made.waveform_N) + 0.01 * np.random.default_rng(0).standard_normal(
-        made.waveform_N.size
+    excitation = multisine(SAMPLING_HZ, Band(0.5, 60.0), 2.0)
+    y = simulated(TRUTH, excitation.waveform_N) + 0.01 * np.random.default_rng(0).standard_normal(
+        excitation.waveform_N.size
     )
-    found = frequency_response(made, made.waveform_N, y)
+    response = frequency_response(excitation, excitation.waveform_N, y)
     gauge = GaugeMode(2 * np.pi * TRUTH.gauge_Hz, TRUTH.gauge_damping)
-    fit = fit_second_order(found, gauge)
+    fit = fit_second_order(response, gauge)
     assert fit.dead_time_s.low <= TRUTH.dead_time_s <= fit.dead_time_s.high
     assert fit.model.gauge == gauge
     assert fit.gauge_Hz is None
@@ -320,14 +324,14 @@ def test_fit_below_the_gauge_mode_uses_a_known_gauge():
 
 def test_open_loop_reel_matches_its_linear_model():
     reel = reference_reel(1.1, 20.0, dead_time_s=1.25 / SAMPLING_HZ)
-    made = multisine(SAMPLING_HZ, TEN_SECONDS, 20.0)
-    record = open_loop_record(reel, made, seed=None)
+    excitation = multisine(SAMPLING_HZ, TEN_SECONDS, 20.0)
+    record = open_loop_record(reel, excitation, seed=None)
     w = reel.natural_frequency_rad_s
     zeta = (0.010 + 0.015 * 1.1) / (2.0 * 2.0e-3 * w)
     truth = Truth(1.0, w / (2 * np.pi), zeta, 5, reel.gauge_Hz, reel.gauge_damping)
     assert record.loop == "open"
     assert record.current_A == pytest.approx(record.setpoint_N / reel.newtons_per_ampere)
-    expected = 20.0 + simulated(truth, made.waveform_N)
+    expected = 20.0 + simulated(truth, excitation.waveform_N)
     assert np.abs(record.tension_N - expected).max() < 1e-9
 
 
@@ -345,13 +349,15 @@ def test_unsuitable_record_is_rejected():
 
 @cache
 def grid():
-    made = multisine(SAMPLING_HZ, TEN_SECONDS, 40.0, slope=1.5, corner_Hz=20.0)
+    excitation = multisine(SAMPLING_HZ, TEN_SECONDS, 40.0, slope=1.5, corner_Hz=20.0)
     return tuple(
         Condition(
             L,
             T,
             fit_second_order(
-                response_of_record(open_loop_record(reference_reel(L, T), made, seed=n), made)
+                response_of_record(
+                    open_loop_record(reference_reel(L, T), excitation, seed=n), excitation
+                )
             ),
         )
         for n, (L, T) in enumerate((L, T) for L in (0.5, 0.8, 1.1, 1.4) for T in (5.0, 12.0, 40.0))

@@ -115,21 +115,21 @@ def test_sensitivity_limited_has_the_largest_integral_gain_nearby(length):
 
 
 def test_sensitivity_limited_integral_gain_falls_with_length():
-    found = [checked(reel_model(length)) for length in (0.5, 0.8, 1.1, 1.4)]
-    assert all(0.7 < gains.P < 1.3 for gains in found)
-    assert all(long.I < short.I for short, long in pairwise(found))
+    designs = [checked(reel_model(length)) for length in (0.5, 0.8, 1.1, 1.4)]
+    assert all(0.7 < gains.P < 1.3 for gains in designs)
+    assert all(long.I < short.I for short, long in pairwise(designs))
 
 
 @settings(max_examples=30, deadline=None)
 @given(damping=st.floats(0.05, 0.6), natural=st.floats(20.0, 60.0), pair=st.floats(0.3, 0.95))
 def test_pole_placement_puts_the_poles_at_the_given_places(damping, natural, pair):
     model = SecondOrder(2.0, natural, damping, 0.002)
-    wanted = 1.6 * natural
-    gains = pole_placement(model, SETTINGS, wanted, pair)
+    pole_frequency = 1.6 * natural
+    gains = pole_placement(model, SETTINGS, pole_frequency, pair)
     theta = 0.002 + 0.002 + 0.5 / 632.0  # dead time, derivative filter, half a hold
     for s in (
-        -wanted,
-        wanted * complex(-pair, math.sqrt(1 - pair**2)),
+        -pole_frequency,
+        pole_frequency * complex(-pair, math.sqrt(1 - pair**2)),
     ):
         G = 2.0 * natural**2 / (s**2 + 2 * damping * natural * s + natural**2)
         C = gains.P + gains.I / s + gains.D * s
@@ -137,13 +137,13 @@ def test_pole_placement_puts_the_poles_at_the_given_places(damping, natural, pai
 
 
 def test_pole_placement_without_dead_time_is_the_textbook_polynomial():
-    k, w, zeta, wanted, pair = 1.5, 50.0, 0.1, 80.0, 0.7
-    gains = pole_placement(SecondOrder(k, w, zeta), QUICK, wanted, pair)
+    k, w, zeta, pole_frequency, pair = 1.5, 50.0, 0.1, 80.0, 0.7
+    gains = pole_placement(SecondOrder(k, w, zeta), QUICK, pole_frequency, pair)
     poles = np.roots(
         [1.0, 2 * zeta * w + k * w**2 * gains.D, w**2 * (1 + k * gains.P), k * w**2 * gains.I]
     )
-    pole = wanted * complex(-pair, math.sqrt(1 - pair**2))
-    expected = np.array([-wanted, pole, pole.conjugate()])
+    pole = pole_frequency * complex(-pair, math.sqrt(1 - pair**2))
+    expected = np.array([-pole_frequency, pole, pole.conjugate()])
     assert np.sort_complex(poles) == pytest.approx(np.sort_complex(expected), rel=2e-3)
 
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from estune.core.gains import Gains
 from estune.core.margins import controller_response, sample_plant
-from estune.core.pidf import ControllerSettings, PidfState, state_at_rest, coefficients, step
+from estune.core.pidf import ControllerSettings, PidfState, coefficients, state_at_rest, step
 from estune.errors import InvalidInput
 from estune.interop import from_control, linear_model, margins, to_control
 
@@ -231,8 +231,8 @@ def closed_loop_radius(model, gains, controller):
         x = plant.Phi @ x + plant.now * line[-2] + plant.before * line[-1]
         return np.concatenate([x, line[:-1], [state.integral_N, state.filtered_measurement_N]])
 
-    kept = [True] * (n + d + 1) + [gains.I > 0.0, gains.D > 0.0]
-    matrix = np.array([advance(unit) for unit in np.eye(len(kept))]).T[np.ix_(kept, kept)]
+    present = [True] * (n + d + 1) + [gains.I > 0.0, gains.D > 0.0]
+    matrix = np.array([advance(unit) for unit in np.eye(len(present))]).T[np.ix_(present, present)]
     return float(np.abs(np.linalg.eigvals(matrix)).max())
 
 
@@ -261,8 +261,8 @@ def test_controller_response_matches_its_difference_equation():
 def test_margins_match_a_brute_force_scan(name):
     system, dead_time_s, gains, controller = LOOPS[name]
     model = linear_model(system, dead_time_s)
-    found = margins(model, gains, controller)
-    assert found.stable
+    result = margins(model, gains, controller)
+    assert result.stable
 
     theta = np.unique(np.r_[np.geomspace(1e-5, np.pi, 200_000), np.linspace(1e-5, np.pi, 200_000)])
     loop = controller_response(gains, controller, theta) * sampled(
@@ -274,12 +274,12 @@ def test_margins_match_a_brute_force_scan(name):
     real_axis = real_axis[np.abs(loop[real_axis]) < 1e4]  # not across an undamped pole
     factors = 1.0 / np.abs(np.append(loop[real_axis], loop[-1] if loop[-1].real < 0.0 else 1e-9))
     nearest = factors[np.abs(np.log(factors)).argmin()]
-    assert found.phase_margin_deg == pytest.approx(turns.min(initial=np.inf), abs=0.02)
-    assert found.gain_margin == pytest.approx(nearest, rel=1e-3)
+    assert result.phase_margin_deg == pytest.approx(turns.min(initial=np.inf), abs=0.02)
+    assert result.gain_margin == pytest.approx(nearest, rel=1e-3)
     per_sample = controller.sampling_Hz / (2.0 * np.pi)
     if turns.size:
         crossover_Hz = theta[at_one[turns.argmin()]] * per_sample
-        assert found.gain_crossover_Hz == pytest.approx(crossover_Hz, rel=1e-3)
+        assert result.gain_crossover_Hz == pytest.approx(crossover_Hz, rel=1e-3)
 
 
 def test_margins_match_python_control_where_well_conditioned():
@@ -289,11 +289,11 @@ def test_margins_match_python_control_where_well_conditioned():
     C_y = gains.P + gains.I * h / (z - 1) + gains.D * (z - 1) / ((lag + h) * z - lag)
     loop = C_y * control.tf(control.sample_system(control.ss(system), h, "zoh")) / z
     gain, phase, _, phase_rad_s, gain_rad_s, _ = control.stability_margins(loop, method="poly")
-    found = margins(linear_model(system, dead_time_s), gains, controller)
-    assert found.gain_margin == pytest.approx(gain, rel=1e-5)
-    assert found.phase_margin_deg == pytest.approx(phase, rel=1e-5)
-    assert found.phase_crossover_Hz == pytest.approx(phase_rad_s / (2.0 * np.pi), rel=1e-5)
-    assert found.gain_crossover_Hz == pytest.approx(gain_rad_s / (2.0 * np.pi), rel=1e-5)
+    result = margins(linear_model(system, dead_time_s), gains, controller)
+    assert result.gain_margin == pytest.approx(gain, rel=1e-5)
+    assert result.phase_margin_deg == pytest.approx(phase, rel=1e-5)
+    assert result.phase_crossover_Hz == pytest.approx(phase_rad_s / (2.0 * np.pi), rel=1e-5)
+    assert result.gain_crossover_Hz == pytest.approx(gain_rad_s / (2.0 * np.pi), rel=1e-5)
 
 
 @pytest.mark.parametrize("name", [name for name in LOOPS if "2000" not in name])
@@ -344,24 +344,24 @@ def test_stability_matches_the_eigenvalues():
     ids=["too much gain", "unstable plant", "no gain at rest"],
 )
 def test_unstable_loop_has_no_margins(system, gains):
-    found = margins(linear_model(system), gains, settings(632.0, 5e-4))
-    assert found.stable is False
-    assert list(map(math.isnan, found[:4])) == [True] * 4
+    result = margins(linear_model(system), gains, settings(632.0, 5e-4))
+    assert result.stable is False
+    assert list(map(math.isnan, result[:4])) == [True] * 4
 
 
 def test_stabilised_unstable_plant_has_margins():
-    found = margins(linear_model(1 / (s - 2)), Gains(6.0, 1.0, 0.0, 0.0), settings(632.0, 0.0))
-    assert found.stable
-    assert found.gain_margin == pytest.approx(1.0 / 3.0, rel=1e-3)  # s^2 + (6 k - 2) s + k
-    assert found.phase_margin_deg > 40.0
+    result = margins(linear_model(1 / (s - 2)), Gains(6.0, 1.0, 0.0, 0.0), settings(632.0, 0.0))
+    assert result.stable
+    assert result.gain_margin == pytest.approx(1.0 / 3.0, rel=1e-3)  # s^2 + (6 k - 2) s + k
+    assert result.phase_margin_deg > 40.0
 
 
 @pytest.mark.parametrize("system", [0.2 / (s + 1), control.tf([0.0], [1.0, 1.0])])
 def test_loop_below_one_has_no_crossover(system):
-    found = margins(linear_model(system), Gains(0.5, 0.0, 0.0, 0.0), settings(100.0, 0.0))
-    assert found.phase_margin_deg == math.inf
-    assert math.isnan(found.gain_crossover_Hz)
-    assert found.gain_margin > 100.0
+    result = margins(linear_model(system), Gains(0.5, 0.0, 0.0, 0.0), settings(100.0, 0.0))
+    assert result.phase_margin_deg == math.inf
+    assert math.isnan(result.gain_crossover_Hz)
+    assert result.gain_margin > 100.0
 
 
 def test_margins_do_not_import_python_control():

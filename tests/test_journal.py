@@ -127,10 +127,10 @@ def test_journal_returns_records_bit_for_bit(tmp_path):
 
 
 def test_loaded_result_equals_the_returned_one(tmp_path):
-    made = estune.tune(ArithmeticRig(), trials=11, folder=tmp_path, run="a", watch=None)
+    returned = estune.tune(ArithmeticRig(), trials=11, folder=tmp_path, run="a", watch=None)
     loaded = estune.load(tmp_path / "a")
-    assert loaded.verdict == made.verdict
-    assert loaded.to_frame().equals(made.to_frame())
+    assert loaded.verdict == returned.verdict
+    assert loaded.to_frame().equals(returned.to_frame())
 
 
 def test_journal_refuses_a_second_writer_but_no_reader(tmp_path):
@@ -218,10 +218,10 @@ def test_changed_journal_is_refused_before_any_trial(tmp_path):
     with sqlite3.connect(tmp_path / "run" / FILE_NAME) as connection:
         connection.execute("UPDATE trial SET P = P * 1.01 WHERE number = 5")
     connection.close()
-    ran = len(rig.asked)
+    trials_before = len(rig.asked)
     with pytest.raises(JournalError, match="not what the plan asks for"):
         resume(tmp_path / "run", rig)
-    assert len(rig.asked) == ran
+    assert len(rig.asked) == trials_before
 
 
 _TUNE = """
@@ -249,11 +249,11 @@ def test_killed_process_loses_no_committed_trial(tmp_path):
         process.kill()
         process.wait()
     with Journal.open(tmp_path / "run") as journal:
-        left = [entry for entry in journal.entries() if entry.outcome is not None]
+        entries = [entry for entry in journal.entries() if entry.outcome is not None]
         assert json.dumps(journal.fact("status")) == '"running"'
-    assert len(left) >= 60
+    assert len(entries) >= 60
     resumed = estune.resume(tmp_path / "run", ArithmeticRig(), watch=None)
     options = {"trials": 150, "tolerance": 0.0, "run": "run", "watch": None}
     whole = estune.tune(ArithmeticRig(), journal=False, **options)
-    assert trace(resumed.entries)[: len(left)] == trace(left)
+    assert trace(resumed.entries)[: len(entries)] == trace(entries)
     assert trace(resumed.entries) == trace(whole.entries)

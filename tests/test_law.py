@@ -30,30 +30,30 @@ def with_tension(L, T):
 
 
 def tunings(
-    law=falling, seed=0, *, seeds=1, lengths=LENGTHS, tensions=(15.0,), told=True, scatter=0.02
+    law=falling, seed=0, *, seeds=1, lengths=LENGTHS, tensions=(15.0,), message=True, spread=0.02
 ) -> list[TunedGains]:
     """Tunings of a reel whose I follows a law; P, D and filter are the same everywhere.
 
     Each errs by its own error, 1 to 5 % and told to the law, and by a scatter that is not.
     """
-    rng, made = np.random.default_rng(seed), []
+    rng, results = np.random.default_rng(seed), []
     for s in range(seeds):
         for L in lengths:
             for T in tensions:
                 own = rng.uniform(0.01, 0.05, 4)
-                wrong = own * rng.normal(size=4) + scatter * rng.normal(size=4)
+                wrong = own * rng.normal(size=4) + spread * rng.normal(size=4)
                 gains = Gains(*(np.array([1.2, law(L, T), 0.02, 0.004]) * np.exp(wrong)))
-                made.append(
+                results.append(
                     TunedGains(
                         *(f"{L:g} m, {T:g} N, seed {s}", L, T, gains),
-                        log_errors=tuple(own) if told else None,
+                        log_errors=tuple(own) if message else None,
                         cost=1.5,
                         cost_error=0.01,
                         safe=True,
                         converged=True,
                     )
                 )
-    return made
+    return results
 
 
 # --- the slope and its interval --------------------------------------------------------------
@@ -76,7 +76,7 @@ def test_slope_interval_has_its_nominal_coverage(told, repeats):
 
 
 def test_law_without_outliers_is_close_to_weighted_least_squares():
-    law = fit_law(tunings(seeds=3, scatter=0.0))
+    law = fit_law(tunings(seeds=3, spread=0.0))
     points = law.fits["I"].points
     fit = law.fits["I"].straight
     by_numpy = np.polyfit(points.length_m, points.gain, 1, w=1.0 / fit.deviations)
@@ -95,20 +95,20 @@ def test_slope_interval_for_equal_errors_is_the_textbook_one():
 
 
 def test_tuning_with_large_errors_has_small_weight():
-    made = tunings(seeds=2, scatter=0.0)
+    results = tunings(seeds=2, spread=0.0)
     far = replace(
-        made[0], gains=replace(made[0].gains, I=70.0), log_errors=(0.01, 0.6, 0.01, 0.01)
+        results[0], gains=replace(results[0].gains, I=70.0), log_errors=(0.01, 0.6, 0.01, 0.01)
     )
-    without, with_it = fit_law(made[1:]), fit_law([far, *made[1:]])
+    without, with_it = fit_law(results[1:]), fit_law([far, *results[1:]])
     slopes = [law.fits["I"].slope for law in (without, with_it)]
     assert slopes[1].value == pytest.approx(slopes[0].value, abs=0.3 * slopes[0].half_width)
 
 
 def test_outlier_is_reported_and_does_not_change_the_law():
-    made = tunings(seeds=3)
-    wild = replace(made[5], gains=replace(made[5].gains, I=200.0))
-    law = fit_law([*made[:5], wild, *made[6:]])
-    clean = fit_law(made)
+    results = tunings(seeds=3)
+    wild = replace(results[5], gains=replace(results[5].gains, I=200.0))
+    law = fit_law([*results[:5], wild, *results[6:]])
+    clean = fit_law(results)
     assert law.fits["I"].outliers == (wild.label,)
     assert law.remarks == (f"I: {wild.label} is an outlier, down-weighted",)
     difference = law.fits["I"].slope.value - clean.fits["I"].slope.value
@@ -137,7 +137,7 @@ def test_gain_without_dependence_is_constant():
 
 
 def test_lack_of_fit_is_reported():
-    law = fit_law(tunings(inverse, seeds=6, scatter=0.0), forms={"I": "linear"})
+    law = fit_law(tunings(inverse, seeds=6, spread=0.0), forms={"I": "linear"})
     assert law.fits["I"].lack_of_fit.p_value < 1e-6
     assert "I: the linear form does not fit the repeated tunings" in law.remarks[0]
     assert fit_law(tunings()).fits["I"].lack_of_fit is None  # nothing was repeated
@@ -147,8 +147,8 @@ def test_form_that_falls_below_zero_is_not_selected():
     def steep(L, _):
         return 0.02 + 3e3 * max(0.0, 0.9 - L) ** 3
 
-    fit_law(tunings(steep, seeds=3, told=False)).schedule()
-    law = fit_law(tunings(steep, told=False), forms={"I": "linear"})
+    fit_law(tunings(steep, seeds=3, message=False)).schedule()
+    law = fit_law(tunings(steep, message=False), forms={"I": "linear"})
     with pytest.raises(InvalidInput, match="narrow its range, or choose another form"):
         law.schedule()
 
@@ -162,8 +162,8 @@ def test_prediction_band_has_its_nominal_coverage():
         law = fit_law(tunings(seed=seed, seeds=2), forms={"I": "linear"})
         further = tunings(seed=1000 + seed)
         band = law.band("I", [t.length_m for t in further])
-        found = np.array([t.gains.I for t in further])
-        hits += list((band.new_low <= found) & (found <= band.new_high))
+        measured = np.array([t.gains.I for t in further])
+        hits += list((band.new_low <= measured) & (measured <= band.new_high))
         assert (band.new_low < band.low).all()
         assert (band.low < band.gain).all()
     assert 0.9 < np.mean(hits) < 0.99
@@ -185,14 +185,14 @@ def test_band_refuses_extrapolation_unless_requested():
 
 
 def test_law_excludes_and_lists_unsafe_and_unconverged_tunings():
-    made = tunings(seeds=2)
+    results = tunings(seeds=2)
     bad = [
-        replace(made[0], safe=False, gains=replace(made[0].gains, I=500.0)),
-        replace(made[1], converged=False, gains=replace(made[1].gains, I=500.0)),
+        replace(results[0], safe=False, gains=replace(results[0].gains, I=500.0)),
+        replace(results[1], converged=False, gains=replace(results[1].gains, I=500.0)),
     ]
-    law = fit_law([*bad, *made[2:]])
+    law = fit_law([*bad, *results[2:]])
     assert law.excluded == ((bad[0].label, "unsafe"), (bad[1].label, "not converged"))
-    assert law.fits["I"].slope == fit_law(made[2:]).fits["I"].slope
+    assert law.fits["I"].slope == fit_law(results[2:]).fits["I"].slope
     assert law.remarks[0] == f"left out: {bad[0].label}, unsafe"
 
 
@@ -213,8 +213,10 @@ def test_fit_law_refuses_too_few_tunings(some, sentence):
 
 
 def test_fit_law_refuses_confounded_length_and_tension():
-    made = [t for t in tunings(tensions=(10.0, 20.0)) if (t.length_m > 0.9) == (t.tension_N > 15)]
-    together = [replace(t, tension_N=10.0 + 10.0 * t.length_m) for t in made]
+    results = [
+        t for t in tunings(tensions=(10.0, 20.0)) if (t.length_m > 0.9) == (t.tension_N > 15)
+    ]
+    together = [replace(t, tension_N=10.0 + 10.0 * t.length_m) for t in results]
     with pytest.raises(InvalidInput, match="vary length and tension separately"):
         fit_law(together)
 
@@ -227,25 +229,25 @@ def test_fit_law_refuses_unknown_gains_and_forms():
 
 
 def test_law_does_not_depend_on_the_order_of_tunings():
-    made = tunings(seeds=2)
-    one, other = fit_law(made), fit_law(made[::-1])
+    results = tunings(seeds=2)
+    one, other = fit_law(results), fit_law(results[::-1])
     assert one.fits["I"].slope.value == pytest.approx(other.fits["I"].slope.value, rel=1e-9)
     assert one.sentence == other.sentence
 
 
 def test_gain_held_constant_is_exact():
-    held = [replace(t, gains=replace(t.gains, D=0.0)) for t in tunings()]
-    law = fit_law(held)
+    results = [replace(t, gains=replace(t.gains, D=0.0)) for t in tunings()]
+    law = fit_law(results)
     assert law.schedule().gains(0.7, 15.0).D == 0.0
     assert "D is 0 s throughout" in law.sentence
 
 
 def test_gain_undetermined_in_a_tuning_ignores_that_tuning():
-    made = tunings(seeds=2)
+    results = tunings(seeds=2)
     flat = replace(
-        made[3], gains=replace(made[3].gains, I=9.0), log_errors=(0.02, math.inf, 0.02, 0.02)
+        results[3], gains=replace(results[3].gains, I=9.0), log_errors=(0.02, math.inf, 0.02, 0.02)
     )
-    law = fit_law([*made[:3], flat, *made[4:]])
+    law = fit_law([*results[:3], flat, *results[4:]])
     assert flat.label not in law.fits["I"].labels
     assert flat.label in law.fits["P"].labels
 
@@ -265,8 +267,8 @@ def test_sentence_states_length_and_tension_dependence():
 
 def test_law_json_and_schedule_agree():
     law = fit_law(tunings(seeds=2, tensions=(5.0, 20.0)))
-    shown = json.loads(json.dumps(law.to_json(), allow_nan=False))
-    assert list(shown["fits"]) == list(GAIN_NAMES)
+    data = json.loads(json.dumps(law.to_json(), allow_nan=False))
+    assert list(data["fits"]) == list(GAIN_NAMES)
     schedule = law.schedule()
     for name, curve in zip(GAIN_NAMES, schedule.curves, strict=True):
         band = law.band(name, [0.6, 1.3], 8.0)

@@ -21,9 +21,9 @@ SUBMIT, START, VOID = TrialEvent.SUBMIT, TrialEvent.START, TrialEvent.VOID
 
 @pytest.fixture(params=["memory", "file"])
 def ledger(request, tmp_path):
-    made = MemoryLedger() if request.param == "memory" else FileLedger(tmp_path / "l", "reel")
-    yield made
-    made.close()
+    ledger = MemoryLedger() if request.param == "memory" else FileLedger(tmp_path / "l", "reel")
+    yield ledger
+    ledger.close()
 
 
 def opened(path: Path, **limits) -> FileLedger:
@@ -138,7 +138,7 @@ for number in range(10**6):
     ledger.end(str(number), bytes([number % 256]) * 20_000)
     print("ended", number, flush=True)
 """
-    said: dict[str, str] = {}
+    states: dict[str, str] = {}
     for kill_after in (1, 40, 41, 99):
         process = subprocess.Popen(
             [sys.executable, "-c", text, str(tmp_path / str(kill_after))],
@@ -146,10 +146,10 @@ for number in range(10**6):
             text=True,
             cwd=Path(__file__).parent.parent,
         )
-        said = {}
+        states = {}
         for _ in range(kill_after):
             state, number = process.stdout.readline().split()
-            said[number] = state
+            states[number] = state
         process.send_signal(signal.SIGKILL)
         process.wait()
         process.stdout.close()
@@ -159,7 +159,7 @@ for number in range(10**6):
             "running": {TrialState.INTERRUPTED, TrialState.ENDED},
             "ended": {TrialState.ENDED},
         }
-        for number, state in said.items():
+        for number, state in states.items():
             entry = ledger.find(number)
             assert entry.state in allowed[state]
             if entry.state is TrialState.ENDED:
@@ -264,10 +264,10 @@ def test_ledger_size_is_bounded(tmp_path):
 def test_find_does_not_wait_for_a_slow_disk(tmp_path):
     ledger = opened(tmp_path)
     ledger.note("t", "d", SUBMIT)
-    found = []
+    entries = []
     with ledger._writing:  # as while a commit takes its time
-        asking = threading.Thread(target=lambda: found.append(ledger.find("t").state))
+        asking = threading.Thread(target=lambda: entries.append(ledger.find("t").state))
         asking.start()
         asking.join(60.0)
-    assert found == [TrialState.ACCEPTED]
+    assert entries == [TrialState.ACCEPTED]
     ledger.close()

@@ -87,7 +87,7 @@ def normal(state: RigState, now_s: float) -> RigState:
 
 def reachable() -> list[tuple[RigState, float, events.Event, Transition | None]]:
     """Every transition from every reachable state, each event at three times."""
-    found, queue, moves = {RigState()}, [RigState()], []
+    states, queue, moves = {RigState()}, [RigState()], []
     while queue:
         state = queue.pop()
         for event, now_s in product(EVENTS, (0.0, STEP_S, LEASE_S)):
@@ -98,8 +98,8 @@ def reachable() -> list[tuple[RigState, float, events.Event, Transition | None]]
                 continue
             moves.append((state, now_s, event, move))
             following = normal(move.state, now_s)
-            if following not in found:
-                found.add(following)
+            if following not in states:
+                states.add(following)
                 queue.append(following)
     return moves
 
@@ -137,16 +137,16 @@ def test_step_with_a_refused_command_changes_nothing(moves):
 
 
 def test_submit_is_accepted_once_by_the_holder_on_an_idle_rig(moves):
-    taken = 0
+    accepted = 0
     for state, now_s, event, move in moves:
         if move is None or RigAction.TAKE_IN not in move.orders:
             continue
-        taken += 1
+        accepted += 1
         assert lives(state, now_s)
         assert event.token == state.lease.token
         assert (event.known, event.objection) == (TrialState.UNKNOWN, "")
         assert (state.trial, state.latched, state.closed) == (None, "", False)
-    assert taken
+    assert accepted
 
 
 def test_motion_is_ordered_only_by_the_lease_holder(moves):
@@ -219,15 +219,15 @@ def test_closed_rig_accepts_no_commands(moves):
 
 
 @pytest.mark.parametrize(
-    ("stage", "heard"), list(product(ClientStage, [*ReplyCode, *ClientInput]))
+    ("stage", "received"), list(product(ClientStage, [*ReplyCode, *ClientInput]))
 )
-def test_client_never_resubmits_a_trial_that_may_be_accepted(stage, heard):
+def test_client_never_resubmits_a_trial_that_may_be_accepted(stage, received):
     try:
-        step = client.next_transition(stage, heard)
+        step = client.next_transition(stage, received)
     except ProtocolError:
         assert stage in (ClientStage.OVER, ClientStage.FRESH)
         return
-    if step.action in (Action.SUBMIT, Action.LEASE) and heard is not ClientInput.EMPTIED:
+    if step.action in (Action.SUBMIT, Action.LEASE) and received is not ClientInput.EMPTIED:
         assert stage is not ClientStage.IN_HAND
         harmless = (
             ReplyCode.UNKNOWN,
@@ -235,14 +235,14 @@ def test_client_never_resubmits_a_trial_that_may_be_accepted(stage, heard):
             ClientInput.LEASED,
             ClientInput.RESTARTED,
         )
-        assert heard in harmless
-        assert heard is not ClientInput.RESTARTED or stage is ClientStage.FRESH
+        assert received in harmless
+        assert received is not ClientInput.RESTARTED or stage is ClientStage.FRESH
     if step.action is Action.GONE:
         assert stage is ClientStage.FRESH
     if step.action is Action.NOTHING_RAN:
-        assert heard in (ReplyCode.NEVER_STARTED, ReplyCode.VOID)
+        assert received in (ReplyCode.NEVER_STARTED, ReplyCode.VOID)
     if step.action is Action.INTERRUPTED:
-        assert heard is ReplyCode.INTERRUPTED
+        assert received is ReplyCode.INTERRUPTED
     assert (step.stage is ClientStage.OVER) == (step.action in OVER)
 
 
@@ -323,7 +323,7 @@ class Exchange(RuleBasedStateMachine):
         if not self.answers:
             return
         index = at % len(self.answers)
-        boot, verb, trial_id, token, heard, record = self.answers[index]
+        boot, verb, trial_id, token, received, record = self.answers[index]
         if not twice:
             del self.answers[index]
         view = self.client
@@ -331,14 +331,14 @@ class Exchange(RuleBasedStateMachine):
             return
         leasing = view.step.action is Action.LEASE
         if verb == "lease" and leasing and token == view.token:
-            self._hear(ClientInput.LEASED if heard is ReplyCode.ACCEPTED else heard)
+            self._hear(ClientInput.LEASED if received is ReplyCode.ACCEPTED else received)
         elif verb != "lease" and not leasing and view.step.stage is not ClientStage.FRESH:
             # A late reply to an earlier query is taken for one to the latest.
-            self._hear(heard, record)
+            self._hear(received, record)
 
-    def _hear(self, heard, record=None):
+    def _hear(self, received, record=None):
         view = self.client
-        view.step = client.next_transition(view.step.stage, heard)
+        view.step = client.next_transition(view.step.stage, received)
         action = view.step.action
         moved = self.moved.get(view.trial_id, 0)
         if action is Action.RECORD:
@@ -367,24 +367,24 @@ class Exchange(RuleBasedStateMachine):
             del self.queries[index]
         if boot != self.boots:
             return  # addressed to an instance that is no more
-        known = self.ledger.get(trial_id, TrialState.UNKNOWN)
+        stored = self.ledger.get(trial_id, TrialState.UNKNOWN)
         mine = self.rig.trial is not None and self.rig.trial.trial_id == trial_id
         if verb == "lease":
             verdict = self._rig(events.Acquire(token, "client")).verdict
         elif verb == "submit":
-            move = self._rig(events.SubmitEvent(token, trial_id, known))
+            move = self._rig(events.SubmitEvent(token, trial_id, stored))
             if RigAction.TAKE_IN in move.orders:
                 return  # the reply follows once it is in the ledger
             verdict = move.verdict
-        elif known is TrialState.UNKNOWN and mine:
+        elif stored is TrialState.UNKNOWN and mine:
             verdict = ReplyCode.BUSY
         else:
-            verdict = OF_TRIAL[known]
+            verdict = OF_TRIAL[stored]
         if verdict is ReplyCode.BUSY and not mine:
             return  # the client under test wants one trial at a time
         record = self.records.get(trial_id)
-        heard = ClientInput.RECORD if verdict is ReplyCode.ENDED else verdict
-        self.answers.append((self.boots, verb, trial_id, token, heard, record))
+        received = ClientInput.RECORD if verdict is ReplyCode.ENDED else verdict
+        self.answers.append((self.boots, verb, trial_id, token, received, record))
 
     @rule()
     def rig_goes_on(self):
@@ -462,8 +462,8 @@ class Exchange(RuleBasedStateMachine):
     @rule()
     def client_voids(self):
         """As after Ctrl-C: a trial not accepted by now must never run."""
-        known = self.ledger.get(self.client.trial_id, TrialState.UNKNOWN)
-        self._rig(events.VoidEvent(self.client.token, self.client.trial_id, known))
+        stored = self.ledger.get(self.client.trial_id, TrialState.UNKNOWN)
+        self._rig(events.VoidEvent(self.client.token, self.client.trial_id, stored))
 
     @invariant()
     def no_trial_runs_twice(self):

@@ -84,14 +84,14 @@ def test_margins_equal_those_of_the_sampled_plant(factor):
         ss.A, ss.B[:, 0], ss.C[0], 0.0, dead_time_s=dead_time_s, sample_s=1.0 / SAMPLING_HZ
     )
     reference = loop_margins(plant, gains, settings)
-    found = robustness(exact_model(), gains, settings)
-    assert found.phase_margin_deg == pytest.approx(reference.phase_margin_deg, abs=0.1)
+    result = robustness(exact_model(), gains, settings)
+    assert result.phase_margin_deg == pytest.approx(reference.phase_margin_deg, abs=0.1)
     theta = np.linspace(1e-4, math.pi, 200_000)
     h, lag = 1.0 / SAMPLING_HZ, settings.derivative_filter_s
     z = np.exp(1j * theta)
     controller = gains.P + gains.I * h / (z - 1) + gains.D * (z - 1) / ((lag + h) * z - lag)
     peak = np.max(1.0 / np.abs(1.0 + controller * plant.response(theta)))
-    assert found.sensitivity == pytest.approx(peak, rel=2e-3)
+    assert result.sensitivity == pytest.approx(peak, rel=2e-3)
 
 
 def test_stability_agrees_with_the_poles_of_the_closed_loop():
@@ -124,15 +124,15 @@ def test_identified_loop_predicts_cost_and_sensitivity_far_from_the_trials():
 
 
 def test_intervals_of_sensitivity_hold_the_true_value():
-    plant, held = linear(), 0
+    plant, covered = linear(), 0
     truth = robustness(exact_model(), GAINS, plant.controller).sensitivity
     for seed in range(20):
         gains = around(Gains(0.2, 4.0, 0.005, 0.05), 5, seed=seed)
         records = [record_of(plant, g, 100 * seed + n) for n, g in enumerate(gains)]
         fit = fit_loop(records, SAMPLING_HZ, COST.settling_time_s)
         interval = predict_with_intervals(fit, trial_of(plant), GAINS).sensitivity
-        held += interval.low < truth < interval.high
-    assert held >= 17  # at a coverage of 0.95 fewer have a chance of 0.3 %
+        covered += interval.low < truth < interval.high
+    assert covered >= 17  # at a coverage of 0.95 fewer have a chance of 0.3 %
 
 
 def test_optimum_keeps_its_limits_and_no_sampled_gains_within_them_are_better():
@@ -159,12 +159,12 @@ def test_optimum_keeps_its_limits_and_no_sampled_gains_within_them_are_better():
 
 def test_claim_needs_trials_near_the_gains():
     plant = linear()
-    tried = around(GAINS, 6, spread=0.1)
+    trials = around(GAINS, 6, spread=0.1)
     fit = fit_loop(
-        [record_of(plant, g, n) for n, g in enumerate(tried)], SAMPLING_HZ, COST.settling_time_s
+        [record_of(plant, g, n) for n, g in enumerate(trials)], SAMPLING_HZ, COST.settling_time_s
     )
-    assert claim(fit, trial_of(plant), GAINS, tried).margins is not None
-    far = claim(fit, trial_of(plant), Gains(4.0, 60.0, 0.1, 0.002), tried)
+    assert claim(fit, trial_of(plant), GAINS, trials).margins is not None
+    far = claim(fit, trial_of(plant), Gains(4.0, 60.0, 0.1, 0.002), trials)
     assert far.margins is None
     assert "trials near these gains" in far.reason
 
@@ -172,9 +172,9 @@ def test_claim_needs_trials_near_the_gains():
 def test_claim_is_refused_where_friction_leaves_a_misfit():
     reel = plants.reference_reel() + CoulombFriction(torque_Nm=0.02)
     gains = Gains(1.0, 30.0, 0.018, 0.0016)
-    tried = around(gains, 6, spread=0.1)
-    records = [record_of(reel, g, n, 0.04) for n, g in enumerate(tried)]
+    trials = around(gains, 6, spread=0.1)
+    records = [record_of(reel, g, n, 0.04) for n, g in enumerate(trials)]
     fit = fit_loop(records, reel.controller.sampling_Hz, 0.13)
-    refused = claim(fit, trial_of(reel), gains, tried)
+    refused = claim(fit, trial_of(reel), gains, trials)
     assert refused.margins is None
     assert "estune explain" in refused.reason

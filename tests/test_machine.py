@@ -211,8 +211,8 @@ def test_failed_recovery_latches_the_stop():
     high = next(n for n in range(1_000_000, 16_000_000, 1000) if gauge.force_N(n) > 65.0)
     while loop.machine.phase is not MotionPhase.STOPPED:
         loop.step(Reading(loop.time_s + 1 / 632, high + len(loop.current_A) % 2, 0))
-    held = sum(tension > 60.0 for tension in loop.tension_N)
-    assert held >= round(0.3 * 632)  # the time the live gains were given
+    samples_above = sum(tension > 60.0 for tension in loop.tension_N)
+    assert samples_above >= round(0.3 * 632)  # the time the live gains were given
     loop.machine.answer = None
     loop.ask(GOOD, STEP, number=2)
     assert "check it, then clear it" in loop.answer().reason
@@ -278,17 +278,17 @@ def test_estop_acts_at_the_next_sample_and_stays():
     assert loop.answer().outcome is Outcome.DONE
 
 
-@pytest.mark.parametrize("begun", [True, False])
-def test_abort_ends_a_trial_before_and_after_it_begins(begun):
+@pytest.mark.parametrize("started", [True, False])
+def test_abort_ends_a_trial_before_and_after_it_begins(started):
     loop = VirtualLoop(config())
-    if begun:
+    if started:
         in_trial(loop)
     else:
         loop.ask(GOOD, STEP)
     loop.memory.words[Word.ABORT] = 1
     ended = loop.answer()
     assert ended.outcome is Outcome.CANCELLED
-    assert (ended.samples > 0) is begun
+    assert (ended.samples > 0) is started
     loop.ask(GOOD, STEP, number=2)
     assert loop.answer().outcome is Outcome.DONE
 

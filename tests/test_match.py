@@ -62,8 +62,8 @@ def test_target_cost_tuner_keeps_the_start_if_the_target_is_below_it():
 
 
 def test_target_cost_tuner_repeats_no_unsafe_trial():
-    found, trespassed = sought(2.0, 0.0, seed=1, unsafe_from=0.7)
-    assert 0.5 < found < 0.7
+    point, trespassed = sought(2.0, 0.0, seed=1, unsafe_from=0.7)
+    assert 0.5 < point < 0.7
     assert not trespassed
 
 
@@ -77,8 +77,8 @@ def test_detuning_path_changes_only_the_loop_gain():
 def test_cost_interval_covers_its_mean_in_95_of_100_cases():
     random = np.random.default_rng(3)
     rows = 1.4 * np.exp(0.02 * random.standard_normal((2000, 6)))
-    held = [level.low <= 1.4 <= level.high for level in map(estimate_cost, rows.tolist())]
-    assert 0.935 < np.mean(held) < 0.965
+    covered = [level.low <= 1.4 <= level.high for level in map(estimate_cost, rows.tolist())]
+    assert 0.935 < np.mean(covered) < 0.965
 
 
 @pytest.mark.parametrize(
@@ -101,21 +101,21 @@ def test_match_brings_different_reels_to_the_cost_of_the_worst():
         "soft": plants.reference_reel(cable_EA_N=8e3),
         "heavy": plants.reference_reel(drum_inertia_kg_m2=2.3e-3),
     }
-    found = estune.match(reels, settings=BRIEF, journal=False)
-    assert found.passed
+    result = estune.match(reels, settings=BRIEF, journal=False)
+    assert result.passed
     # The true cost: the mean over noise that no trial of the matching saw.
     before, after = (
         [
             plants.batch_costs(
-                reels[r.label], np.tile(g.as_tuple(), (100, 1)), None, found.cost, seed=77
+                reels[r.label], np.tile(g.as_tuple(), (100, 1)), None, result.cost, seed=77
             ).mean()
-            for r, g in ((r, getattr(r, which)) for r in found.reels)
+            for r, g in ((r, getattr(r, which)) for r in result.reels)
         ]
         for which in ("tuned", "gains")
     )
     assert np.std(after) < 0.2 * np.std(before)
     assert np.mean(after) < 1.1 * max(before)
-    assert found.cost.settling_time_s == max(
+    assert result.cost.settling_time_s == max(
         reel.describe("", None).settling_time_s for reel in reels.values()
     )
 
@@ -127,19 +127,19 @@ def test_match_goes_on_without_unreachable_reels():
 
     slow = plants.reference_reel(drum_inertia_kg_m2=8e-3)
     targets = {"away": Away(), "slow": slow, "good": plants.reference_reel()}
-    found = estune.match(targets, eta=1.1, settings=BRIEF, journal=False)
-    stands = {reel.label: reel.outcome for reel in found.reels}
-    assert stands == {"away": "failed", "slow": "out of reach", "good": "pass"}
-    assert "nobody there" in found.reels[0].reason
-    assert not found.passed
+    result = estune.match(targets, eta=1.1, settings=BRIEF, journal=False)
+    outcomes = {reel.label: reel.outcome for reel in result.reels}
+    assert outcomes == {"away": "failed", "slow": "out of reach", "good": "pass"}
+    assert "nobody there" in result.reels[0].reason
+    assert not result.passed
 
 
 def test_match_applies_gains_only_on_request_and_to_passing_reels():
     rigs = {"fast": ArithmeticRig(name="fast"), "slow": ArithmeticRig(name="slow")}
     rigs["slow"].best = replace(ArithmeticRig.best, I=60.0)
     start, settings = rigs["fast"].description.gains, replace(BRIEF, tolerance=0.05)
-    kept = estune.match(rigs, eta=1.6, settings=settings, journal=False)
-    assert kept.passed
+    unapplied = estune.match(rigs, eta=1.6, settings=settings, journal=False)
+    assert unapplied.passed
     assert {rig.description.gains for rig in rigs.values()} == {start}
     live = estune.match(rigs, eta=1.6, settings=settings, journal=False, apply=True)
     assert [rig.description.gains for rig in rigs.values()] == [r.gains for r in live.reels]
@@ -149,7 +149,7 @@ def test_match_applies_gains_only_on_request_and_to_passing_reels():
 
 def test_interrupted_matching_continues_and_repeats_no_trial(tmp_path):
     class CutOff(ArithmeticRig):
-        left = 50
+        trials_left = 50
 
         def run(self, request):
             if self.left == 0:
@@ -162,14 +162,14 @@ def test_interrupted_matching_continues_and_repeats_no_trial(tmp_path):
     cut = {"a": CutOff(name="a"), "b": CutOff(name="b")}
     for _ in range(9):
         try:
-            found = estune.match(cut, settings=BRIEF, folder=tmp_path / "cut" / "m")
+            result = estune.match(cut, settings=BRIEF, folder=tmp_path / "cut" / "m")
             break
         except KeyboardInterrupt:
             for rig in cut.values():
                 rig.left = 60
     ids = [request.trial_id for rig in cut.values() for request in rig.asked]
     assert len(ids) == len(set(ids))
-    assert [r.gains for r in found.reels] == [r.gains for r in whole.reels]
+    assert [r.gains for r in result.reels] == [r.gains for r in whole.reels]
     with pytest.raises(InvalidInput, match="was begun with trials 60, not 50"):
         estune.match(cut, settings=replace(BRIEF, trials=50), folder=tmp_path / "cut" / "m")
 
@@ -204,13 +204,13 @@ def test_match_command_matches_two_rigs_over_zenoh(tmp_path, monkeypatch, capsys
 
 def test_matching_documentation_example_runs():
     page = Path(__file__).parents[1] / "docs" / "matching.md"
-    failed, tried = doctest.testfile(str(page), module_relative=False)
-    assert tried
+    failed, attempted = doctest.testfile(str(page), module_relative=False)
+    assert attempted
     assert not failed
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "message"),
     [
         (["one.toml"], "worst of several"),
         (["one.toml", "two.toml", "--eta", "low"], "neither a number nor auto"),
@@ -224,10 +224,10 @@ def test_matching_documentation_example_runs():
     ],
 )
 def test_match_command_refuses_invalid_arguments_in_one_line(
-    arguments, said, tmp_path, monkeypatch, capsys
+    arguments, message, tmp_path, monkeypatch, capsys
 ):
     monkeypatch.chdir(tmp_path)
     for name in ("one.toml", "two.toml"):
         (tmp_path / name).write_text("[reel]\ncable_length_m = 0.8\n")
     assert run(["match", *arguments]) == 2
-    assert said in capsys.readouterr().err
+    assert message in capsys.readouterr().err

@@ -18,7 +18,7 @@ from plants.models.reel import Reel
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory):
+def paper_figures(tmp_path_factory):
     """What `estune reproduce-paper --quick` makes: each figure, and the page it writes."""
     figures, original = [], paper.make
 
@@ -42,9 +42,9 @@ class Page(HTMLParser):
         self.feed(text)
 
     def handle_starttag(self, tag, attributes):
-        found = dict(attributes)
-        self.addresses += [found[name] for name in ("src", "href", "action") if name in found]
-        self.ids |= {found["id"]} if "id" in found else set()
+        values = dict(attributes)
+        self.addresses += [values[name] for name in ("src", "href", "action") if name in values]
+        self.ids |= {values["id"]} if "id" in values else set()
         if tag not in {"meta", "img", "link"}:
             self.open.append(tag)
 
@@ -56,30 +56,30 @@ class Page(HTMLParser):
 
 
 @pytest.mark.slow
-def test_page_has_every_figure_with_claim_and_verdict(made):
-    figures, out = made
+def test_page_has_every_figure_with_claim_and_verdict(paper_figures):
+    figures, out = paper_figures
     assert set(figures) == set(paper.NUMBERS)
-    shown = Page(out.read_text())
-    text = re.sub(r"\s+", " ", "".join(shown.words)).replace("\N{MINUS SIGN}", "-")
-    assert not shown.open
+    page = Page(out.read_text())
+    text = re.sub(r"\s+", " ", "".join(page.words)).replace("\N{MINUS SIGN}", "-")
+    assert not page.open
     for figure in figures.values():
         assert f"Fig. {figure.number}. {figure.title}" in text
         for sentence in (figure.claim, figure.measured, figure.rule, figure.caveat):
             assert sentence in text
-        assert f"figure-{figure.number}" in shown.ids
+        assert f"figure-{figure.number}" in page.ids
     verdicts = re.findall(r"(Holds|Does not hold) here\.", text)
     assert verdicts == ["Holds" if f.holds else "Does not hold" for f in figures.values()]
     assert [p.name for p in out.parent.iterdir()] == [out.name]
 
 
 @pytest.mark.slow
-def test_page_refers_to_nothing_outside_itself(made):
-    _, out = made
+def test_page_refers_to_nothing_outside_itself(paper_figures):
+    _, out = paper_figures
     text = out.read_text()
-    shown = Page(text)
+    page = Page(text)
     assert "://" not in text
     assert not re.search(r"@import|url\(|<script|<link", text)
-    drawings = [a for a in shown.addresses if not a.startswith("#")]
+    drawings = [a for a in page.addresses if not a.startswith("#")]
     assert len(drawings) == len(paper.NUMBERS)
     for address in drawings:
         kind, content = address.split(",", 1)
@@ -90,28 +90,28 @@ def test_page_refers_to_nothing_outside_itself(made):
             links = [v for name, v in element.attrib.items() if name.endswith("href")]
             assert all(link.startswith("#") for link in links)
             assert element.tag.rpartition("}")[2] != "script"
-    targets = {a[1:] for a in shown.addresses if a.startswith("#")}
+    targets = {a[1:] for a in page.addresses if a.startswith("#")}
     assert targets == {f"figure-{number}" for number in paper.NUMBERS}
 
 
 @pytest.mark.slow
-def test_figure_sentence_agrees_with_its_numbers(made):
-    figures, _ = made
+def test_figure_sentence_agrees_with_its_numbers(paper_figures):
+    figures, _ = paper_figures
     for figure in figures.values():
         number = r"-?\d+(?:\.\d+)?(?:e[+-]?\d+)?"
-        said = [float(n) for n in re.findall(number, figure.measured)]
+        stated = [float(n) for n in re.findall(number, figure.measured)]
         for name, value in figure.numbers.items():
-            near = min(abs(n / scale - value) for n in said for scale in (1.0, 100.0, 1000.0))
+            near = min(abs(n / scale - value) for n in stated for scale in (1.0, 100.0, 1000.0))
             assert near <= 0.06 * abs(value) + 1e-9, (figure.number, name, value)
 
 
 @pytest.mark.slow
-def test_bandwidth_figures_recover_the_reels_parameters(made):
-    figures, _ = made
+def test_bandwidth_figures_recover_the_reels_parameters(paper_figures):
+    figures, _ = paper_figures
     for number, length in ((10, 0.5), (11, 1.4)):
         low, high = (Reel(length, T).natural_frequency_rad_s for T in (5.0, 40.0))
-        found = figures[number].numbers
-        ratio = found["resonance_high_Hz"] / found["resonance_low_Hz"]
+        numbers = figures[number].numbers
+        ratio = numbers["resonance_high_Hz"] / numbers["resonance_low_Hz"]
         assert ratio == pytest.approx(high / low, rel=0.01)
     for name, length in (("damping_short", 0.5), ("damping_long", 1.4)):
         reel = Reel(length, 15.0)
@@ -121,8 +121,8 @@ def test_bandwidth_figures_recover_the_reels_parameters(made):
 
 
 @pytest.mark.slow
-def test_eyelet_figures_recover_the_benches_parameters(made):
-    figures, _ = made
+def test_eyelet_figures_recover_the_benches_parameters(paper_figures):
+    figures, _ = paper_figures
 
     def lost(coefficient, turn_rad):  # (22) as a quadratic equation
         bent = 1.0 + coefficient**2 * math.cos(math.pi - turn_rad)
@@ -132,14 +132,14 @@ def test_eyelet_figures_recover_the_benches_parameters(made):
         built = 1.0 - lost(0.1, math.pi - 2.1)
         assert figures[7].numbers[name] == pytest.approx(built, abs=0.002)
     for turn in (15.0, 40.0, 60.0, 95.0):
-        found = figures[15].numbers[f"loss_at_{turn:g}_deg"]
-        assert found == pytest.approx(lost(0.1, math.radians(turn)), rel=0.05)
+        loss = figures[15].numbers[f"loss_at_{turn:g}_deg"]
+        assert loss == pytest.approx(lost(0.1, math.radians(turn)), rel=0.05)
 
 
 def test_failed_claim_is_shown_as_failed():
-    held = paper.make(18, quick=True)
-    failed = replace(held, holds=False, caveat="Because <a> & <b>.")
-    text = page([held, failed])
+    figure = paper.make(18, quick=True)
+    failed = replace(figure, holds=False, caveat="Because <a> & <b>.")
+    text = page([figure, failed])
     assert "1&nbsp;of 2&nbsp;claims hold here." in text
     assert '<span class="no">does not hold</span>' in text
     assert '<span class="no">Does not hold here.</span>' in text

@@ -100,11 +100,11 @@ def test_derivative_acts_on_the_measurement_alone(gains, state, signals, jump, m
 @given(gain_values, states, signal, signal)
 def test_effort_is_limited_and_the_excess_returned(gains, state, r, y):
     free = ControllerSettings(LIMITED.sampling_Hz, LIMITED.derivative_filter_s, *UNLIMITED)
-    _, wanted, none = step(coefficients(free, gains), state, r, y)
+    _, unlimited, none = step(coefficients(free, gains), state, r, y)
     _, effort, excess = step(coefficients(LIMITED, gains), state, r, y)
     assert none == 0.0
-    assert effort == np.clip(wanted, -20.0, 30.0)
-    assert excess == wanted - effort
+    assert effort == np.clip(unlimited, -20.0, 30.0)
+    assert excess == unlimited - effort
 
 
 @pytest.mark.parametrize("gains", [Gains(1.0, 40.0, 0.0, 0.0), Gains(0.02, 900.0, 0.001, 0.0)])
@@ -122,14 +122,14 @@ def test_effort_leaves_saturation_as_soon_as_the_error_turns(gains):
 
 
 @given(gain_values, gain_values, states, st.tuples(signal, signal), st.floats(-20.0, 30.0))
-def test_bumpless_transfer_holds_the_effort(before, after, state, signals, held):
+def test_bumpless_transfer_holds_the_effort(before, after, state, signals, held_effort):
     r, y = signals
     state, _, _ = step(coefficients(LIMITED, before), state, r, y)
     c = coefficients(LIMITED, after)
-    state = bumpless(c, state, r, y, held)
+    state = bumpless(c, state, r, y, held_effort)
     _, effort, _ = step(c, state, r, y)
-    terms = abs(held) + after.P * 3e3 + after.D * 4e3 / (5e-4 + 1.0 / 632.0)
-    assert effort == pytest.approx(held, abs=1e-14 * terms)
+    terms = abs(held_effort) + after.P * 3e3 + after.D * 4e3 / (5e-4 + 1.0 / 632.0)
+    assert effort == pytest.approx(held_effort, abs=1e-14 * terms)
 
 
 @given(gain_values, signal, st.floats(-20.0, 30.0))

@@ -134,8 +134,8 @@ def test_cable_stiffness_includes_the_sag_of_a_parabola():
 
 
 def test_current_is_limited():
-    beyond, at = (open_loop(REEL, np.full(100, effort))[0] for effort in (1e4, 120.0))
-    assert beyond == pytest.approx(at)
+    above_limit, at = (open_loop(REEL, np.full(100, effort))[0] for effort in (1e4, 120.0))
+    assert above_limit == pytest.approx(at)
 
 
 def test_dead_time_delays_by_whole_samples():
@@ -168,9 +168,9 @@ def test_coulomb_friction_reduces_each_half_swing_by_a_constant():
 
 def test_coulomb_friction_holds_the_drum_and_adds_no_energy():
     reel = REEL + plants.CoulombFriction(torque_Nm=0.05)
-    held = open_loop(reel, np.full(100, 16.9))  # 1.9 N at 0.025 m is less than the friction
-    assert np.ptp(held[2]) < 1e-12
-    assert np.abs(held[3]).max() < 1e-12
+    stuck = open_loop(reel, np.full(100, 16.9))  # 1.9 N at 0.025 m is less than the friction
+    assert np.ptp(stuck[2]) < 1e-12
+    assert np.abs(stuck[3]).max() < 1e-12
     *_, angle, velocity = open_loop(reel, np.where(np.arange(400) < 50, 30.0, 15.0))
     k = cable_stiffness_N_m(reel, 15.0) * reel.drum_radius_m**2
     energy = 0.5 * 2e-3 * velocity**2 + 0.5 * k * (angle - 15.0 * 0.025 / k) ** 2
@@ -200,7 +200,7 @@ def shifted(state, effort, dt_s):
 
 
 @pytest.mark.parametrize(
-    ("make", "told"),
+    ("make", "message"),
     [
         (lambda: plants.reference_reel(cable_length_m=0.0), "cable_length_m"),
         (lambda: plants.reference_reel(tension_N=float("nan")), "tension_N"),
@@ -211,8 +211,8 @@ def shifted(state, effort, dt_s):
         (lambda: plants.CoulombFriction(torque_Nm=float("nan")), "torque_Nm"),
     ],
 )
-def test_reel_rejects_values_out_of_range(make, told):
-    with pytest.raises(InvalidInput, match=told):
+def test_reel_rejects_values_out_of_range(make, message):
+    with pytest.raises(InvalidInput, match=message):
         make()
 
 
@@ -304,7 +304,7 @@ def test_linear_plants_of_one_order_share_one_compilation():
 
 
 @pytest.mark.parametrize(
-    ("make", "error", "told"),
+    ("make", "error", "message"),
     [
         (lambda: plants.linear_plant(3.0), InvalidInput, "float"),
         (
@@ -338,8 +338,8 @@ def test_linear_plants_of_one_order_share_one_compilation():
         (lambda: plants.linear_plant(SYSTEMS["unstable"]).rig(), UnsafeStart, "gains"),
     ],
 )
-def test_linear_plant_rejects_unusable_models(make, error, told):
-    with pytest.raises(error, match=told):
+def test_linear_plant_rejects_unusable_models(make, error, message):
+    with pytest.raises(error, match=message):
         make()
 
 
@@ -383,7 +383,7 @@ def test_python_plant_copies_its_initial_state_for_each_trial():
 
 
 @pytest.mark.parametrize(
-    ("answer", "told"),
+    ("answer", "message"),
     [
         (None, "NoneType"),
         (1.0, "float"),
@@ -395,11 +395,11 @@ def test_python_plant_copies_its_initial_state_for_each_trial():
         ((0.0, float("inf")), "inf"),
     ],
 )
-def test_python_plant_rejects_wrong_return_values(answer, told):
+def test_python_plant_rejects_wrong_return_values(answer, message):
     plant = plants.python_plant(
         lambda _state, _effort, _dt: answer, 0.0, sampling_Hz=20.0, settling_time_s=1.0
     )
-    with pytest.raises(PlantError, match=told) as caught:
+    with pytest.raises(PlantError, match=message) as caught:
         plants.simulate(plant, Gains(1.0, 0.0, 0.0, 0.0))
     assert "sample 0" in str(caught.value)
     assert "(state, measurement)" in str(caught.value)

@@ -40,7 +40,7 @@ def measured(model, profile, *, noise_N=0.0, seed=0, name="a"):
     """The record a model gives, at its own length and rate."""
     rate = model.controller.sampling_Hz
     noise = noise_N * np.random.default_rng(seed).normal(size=profile.samples(rate))
-    seen = plants.simulate(model, GAINS, profile, noise_N=noise)
+    response = plants.simulate(model, GAINS, profile, noise_N=noise)
     return MeasuredRecord(
         name=name,
         rig="rig",
@@ -50,13 +50,13 @@ def measured(model, profile, *, noise_N=0.0, seed=0, name="a"):
         loop=profile.loop,
         profile=profile.kind,
         gains=GAINS,
-        time_s=seen.time_s,
-        setpoint_N=seen.setpoint_N,
-        tension_N=seen.tension_N if seen.tension_N.any() else None,
-        current_A=seen.effort_N / model.newtons_per_ampere,
-        angle_rad=seen.angle_rad if seen.angle_rad.any() else None,
-        reference_N=seen.reference_N,
-        flags=seen.flags,
+        time_s=response.time_s,
+        setpoint_N=response.setpoint_N,
+        tension_N=response.tension_N if response.tension_N.any() else None,
+        current_A=response.effort_N / model.newtons_per_ampere,
+        angle_rad=response.angle_rad if response.angle_rad.any() else None,
+        reference_N=response.reference_N,
+        flags=response.flags,
     )
 
 
@@ -95,36 +95,36 @@ def test_free_run_with_true_parameters_equals_the_simulation(name):
     predictor = Predictor(
         diagnosed(REEL, records), [type(e) for e in effects], records, None, SMALL
     )
-    for record, found in zip(
+    for record, predicted in zip(
         records, predictor.predict(truth(predictor, *effects)[None]), strict=True
     ):
-        assert found.tension_N[0] == pytest.approx(record.tension_N, abs=2e-8)
-        assert found.angle_rad[0] == pytest.approx(record.angle_rad, abs=1e-9)
+        assert predicted.tension_N[0] == pytest.approx(record.tension_N, abs=2e-8)
+        assert predicted.angle_rad[0] == pytest.approx(record.angle_rad, abs=1e-9)
         if record.reference_N is not None:
-            assert found.reference_N[0] == pytest.approx(record.reference_N, abs=2e-8)
-        assert found.current_A is None  # none was measured
+            assert predicted.reference_N[0] == pytest.approx(record.reference_N, abs=2e-8)
+        assert predicted.current_A is None  # none was measured
 
 
 @lru_cache(maxsize=1)
 def noisy():
     """A bare reel's records with a noisy gauge, and their predictor."""
     records = [measured(REEL, LINES, noise_N=0.2, seed=n, name=f"noisy {n}") for n in range(3)]
-    known = floor(tension_N=0.2, angle_rad=1e-5)
-    return records, Predictor(diagnosed(REEL, records), [], records, floor=known)
+    noise_floor = floor(tension_N=0.2, angle_rad=1e-5)
+    return records, Predictor(diagnosed(REEL, records), [], records, floor=noise_floor)
 
 
 def test_residual_of_noise_is_white_with_unit_variance():
     _, predictor = noisy()
-    index, left = predictor.index, predictor.residuals(truth(predictor)[None])[0]
+    index, residuals = predictor.index, predictor.residuals(truth(predictor)[None])[0]
     gauge = index.channel == 0
     allowed = (0.2 / index.sigma[gauge]) ** 2
-    assert np.mean(left[gauge] ** 2) == pytest.approx(np.mean(allowed), rel=0.05)
+    assert np.mean(residuals[gauge] ** 2) == pytest.approx(np.mean(allowed), rel=0.05)
     samples = gauge.sum()
     for lag in (1, 2, 5):
-        together = np.mean(left[gauge][lag:] * left[gauge][:-lag])
+        together = np.mean(residuals[gauge][lag:] * residuals[gauge][:-lag])
         assert abs(together) < 4.0 / np.sqrt(samples)
     # An encoder without steps leaves nothing but the error of the windows' starts.
-    assert np.mean(left[~gauge] ** 2) < 0.01
+    assert np.mean(residuals[~gauge] ** 2) < 0.01
 
 
 def test_residual_is_independent_of_initial_states():
@@ -147,8 +147,8 @@ def test_derivative_equals_the_central_difference():
     records = sweep(REEL + CoulombFriction(0.03))
     predictor = Predictor(diagnosed(REEL, records), [CoulombFriction], records, floor=SMALL)
     values = predictor.row({"coulomb_friction.torque_Nm": 0.03, "torque_gain": 1.02})
-    left, jacobian = predictor.linearise(values)
-    assert left == pytest.approx(predictor.residuals(values[None])[0])
+    residuals, jacobian = predictor.linearise(values)
+    assert residuals == pytest.approx(predictor.residuals(values[None])[0])
     for n, free in enumerate(predictor.free):
         step = 1e-5 * (abs(values[n]) or 1.0)
         rows = np.repeat(values[None], 2, axis=0)
@@ -168,10 +168,10 @@ def test_selected_entries_equal_those_of_all():
     records = [*sweep(REEL), *sweep(REEL)]
     predictor = Predictor(diagnosed(REEL, records), [CoulombFriction], records, floor=SMALL)
     values = predictor.row({"coulomb_friction.torque_Nm": 0.03, "torque_gain": 1.02})
-    left, jacobian = predictor.linearise(values)
+    residuals, jacobian = predictor.linearise(values)
     last = np.flatnonzero(predictor.index.measurement == len(records) - 1)
     for some in (last, last[::3]):  # a view of every third is no array of its own
-        assert np.array_equal(predictor.residuals(values[None], some)[0], left[some])
+        assert np.array_equal(predictor.residuals(values[None], some)[0], residuals[some])
         assert predictor.linearise(values, entries=some)[1] == pytest.approx(jacobian[some])
 
 
@@ -213,8 +213,8 @@ def test_record_may_begin_in_motion():
         **{name: getattr(whole, name)[cut:] for name in columns},
     )
     predictor = Predictor(diagnosed(REEL, [part]), [], [part], None, SMALL)
-    (found,) = predictor.predict(truth(predictor)[None])
-    off = found.tension_N[0] - part.tension_N
+    (predicted,) = predictor.predict(truth(predictor)[None])
+    off = predicted.tension_N[0] - part.tension_N
     assert np.sqrt(np.mean(off**2)) < 0.02 * part.tension_N.std()
 
 
@@ -231,20 +231,20 @@ def test_prediction_is_continuous_in_the_dead_time():
 def test_measured_current_identifies_the_drive():
     limited = EFFECTS["current_saturation"](0.85, bend=1e-3)
     record = measured(REEL + limited, LINES)
-    asked = record.setpoint_N / REEL.newtons_per_ampere
+    commanded = record.setpoint_N / REEL.newtons_per_ampere
     lag = 3  # of the current's own filter
-    flown = np.clip(asked, -0.85, 0.85)
+    flown = np.clip(commanded, -0.85, 0.85)
     record = replace(record, current_A=1.1 * np.append(np.full(lag, flown[0]), flown[:-lag]) + 0.2)
     predictor = Predictor(diagnosed(REEL, [record]), [type(limited)], [record], None, SMALL)
     values = {"current_gain": 1.1, "current_offset_A": 0.2, "encoder_zero_rad[0]": 0.0}
     own = {"current_saturation.limit_A": 0.85, "current_saturation.bend": 0.0}
     row = predictor.row(values | own)
-    (found,) = predictor.predict(row[None])
-    assert found.current_A[0] == pytest.approx(1.1 * flown + 0.2)
-    left = predictor.residuals(row[None])[0]
+    (predicted,) = predictor.predict(row[None])
+    assert predicted.current_A[0] == pytest.approx(1.1 * flown + 0.2)
+    residuals = predictor.residuals(row[None])[0]
     current = predictor.index.channel == 3
     assert current.sum() > 0.9 * record.samples
-    assert np.abs(left[current]).max() < 1e-6
+    assert np.abs(residuals[current]).max() < 1e-6
 
 
 def test_late_or_nan_samples_are_ignored():
@@ -284,22 +284,24 @@ def test_calibrated_reel_reproduces_its_prediction(horizon):
     again = sweep(fitted)
     predictor = Predictor(diagnosed(REEL, again), [CoulombFriction], again, horizon, SMALL)
     zeros = {f.name: 0.0 for f in predictor.free if f.name.startswith("encoder_zero")}
-    left = predictor.residuals(predictor.row(values | zeros)[None])
+    residuals = predictor.residuals(predictor.row(values | zeros)[None])
     gauge = predictor.index.channel == 0
-    assert np.sqrt(np.mean(left[:, gauge] ** 2)) < (1e-3 if horizon is None else 1.0)
+    assert np.sqrt(np.mean(residuals[:, gauge] ** 2)) < (1e-3 if horizon is None else 1.0)
 
 
 def test_fit_starts_from_effects_and_calibration_of_the_model():
-    given = REEL + CoulombFriction(0.03) + Calibration(1.1, 0.0, 0.5) + EyeletFriction(0.9, 0.1)
-    records = sweep(given)
-    model = diagnosed(given, records)
+    given_model = (
+        REEL + CoulombFriction(0.03) + Calibration(1.1, 0.0, 0.5) + EyeletFriction(0.9, 0.1)
+    )
+    records = sweep(given_model)
+    model = diagnosed(given_model, records)
     predictor = Predictor(model, [], records, None, SMALL)
-    known = {f.name: f.start for f in predictor.free}
-    assert (known["torque_gain"], known["gauge_offset_N"]) == (1.1, 0.5)
-    assert known["coulomb_friction.torque_Nm"] == 0.03
-    assert known["eyelet_friction.attenuation"] == 0.9
-    found = predictor.predict(truth(predictor, *given.effects[::2])[None])
-    assert found[0].tension_N[0] == pytest.approx(records[0].tension_N, abs=2e-8)
+    starts = {f.name: f.start for f in predictor.free}
+    assert (starts["torque_gain"], starts["gauge_offset_N"]) == (1.1, 0.5)
+    assert starts["coulomb_friction.torque_Nm"] == 0.03
+    assert starts["eyelet_friction.attenuation"] == 0.9
+    predicted = predictor.predict(truth(predictor, *given_model.effects[::2])[None])
+    assert predicted[0].tension_N[0] == pytest.approx(records[0].tension_N, abs=2e-8)
     later = model.at({"torque_gain": 1.2})
     assert {f.name: f.start for f in Predictor(later, [], records).free}["torque_gain"] == 1.2
     assert later.calibrated({}).effects[-1] == Calibration(1.2, 0.0, 0.5)
@@ -318,15 +320,15 @@ def swinging(sampling_Hz=500.0, hardening=40.0, slope=0.0):
 
     def rate(t, x, k):
         spring = x[0] / gain + hardening * (x[0] / gain) ** 3
-        given = u[k] + slope * t * sampling_Hz * (u[k + 1] - u[k])
-        return [x[1], gain * w**2 * (given - spring) - 2.0 * z * w * x[1]]
+        input_now = u[k] + slope * t * sampling_Hz * (u[k + 1] - u[k])
+        return [x[1], gain * w**2 * (input_now - spring) - 2.0 * z * w * x[1]]
 
     states = [np.zeros(2)]
     for k in range(time.size - 1):
-        found = solve_ivp(
+        solution = solve_ivp(
             rate, (0.0, 1.0 / sampling_Hz), states[-1], args=(k,), rtol=1e-10, atol=1e-12
         )
-        states.append(found.y[:, -1])
+        states.append(solution.y[:, -1])
     y = np.array(states)[:, 0]
     plant = plants.linear_plant(
         control.tf([gain * w**2], [1.0, 2.0 * z * w, w**2]), sampling_Hz=sampling_Hz
@@ -355,19 +357,21 @@ def test_linear_plant_with_cubic_spring_solves_its_equation():
     values = {"cable_stiffening.cubic_per_N2": hardening * newton**2}
     values |= {"cable_stiffening.stiffening_per_N": 0.0, "input_slope": 0.0}
     row = predictor.row(values)
-    (found,) = predictor.predict(row[None])
+    (predicted,) = predictor.predict(row[None])
     linear = predictor.predict(
         predictor.row(values | {"cable_stiffening.cubic_per_N2": 0.0})[None]
     )
     assert np.abs(linear[0].tension_N[0] - record.tension_N).max() > 0.3 * record.tension_N.std()
-    assert found.tension_N[0] == pytest.approx(record.tension_N, abs=3e-3 * record.tension_N.std())
+    assert predicted.tension_N[0] == pytest.approx(
+        record.tension_N, abs=3e-3 * record.tension_N.std()
+    )
     fitted = model.calibrated(predictor.values(row), [spring])
     drive = ChirpProfile(0.0, 1.0, 2.0, 12.0, 2.0, loop="open")
-    seen = plants.simulate(fitted, GAINS, drive).tension_N
-    again = replace(record, setpoint_N=drive.setpoint(500.0), tension_N=seen)
+    simulated = plants.simulate(fitted, GAINS, drive).tension_N
+    again = replace(record, setpoint_N=drive.setpoint(500.0), tension_N=simulated)
     predictor = Predictor(model, [spring], [again], None, SMALL)
-    (found,) = predictor.predict(predictor.row(values)[None])
-    assert found.tension_N[0] == pytest.approx(seen, abs=1e-9)
+    (predicted,) = predictor.predict(predictor.row(values)[None])
+    assert predicted.tension_N[0] == pytest.approx(simulated, abs=1e-9)
 
 
 def test_first_order_hold_of_the_input_is_detected():
@@ -375,8 +379,8 @@ def test_first_order_hold_of_the_input_is_detected():
         plant, record = swinging(sampling_Hz=80.0, hardening=0.0, slope=slope)
         predictor = Predictor(diagnosed(plant, [record]), [], [record], None, SMALL)
         assert predictor.values(predictor.start)["input_slope"] == slope
-        (found,) = predictor.predict(predictor.start[None])
-        off = np.std(found.tension_N[0] - record.tension_N)
+        (predicted,) = predictor.predict(predictor.start[None])
+        off = np.std(predicted.tension_N[0] - record.tension_N)
         assert off < 2e-3 * record.tension_N.std()
         other = predictor.row({"input_slope": 1.0 - slope})
         wrong = predictor.predict(other[None])[0].tension_N[0]
@@ -429,13 +433,13 @@ def test_prediction_of_a_python_function_equals_its_run():
     predictor = Predictor(model, [limit], [record], floor=SMALL)
     assert predictor.horizon_s is None
     values = {"input_gain": 1.0, "current_saturation.limit_A": 1e6}
-    (found,) = predictor.predict(predictor.row(values)[None])
-    assert found.tension_N[0] == pytest.approx(record.tension_N, abs=1e-9)
+    (predicted,) = predictor.predict(predictor.row(values)[None])
+    assert predicted.tension_N[0] == pytest.approx(record.tension_N, abs=1e-9)
     values |= {"input_gain": 0.9, "output_offset": 0.2, "current_saturation.limit_A": 0.06}
     fitted = model.calibrated(values, [limit])
     again = plants.simulate(fitted, GAINS, chirp).tension_N
-    (found,) = predictor.predict(predictor.row(values)[None])
-    assert found.tension_N[0] == pytest.approx(again, abs=1e-9)
+    (predicted,) = predictor.predict(predictor.row(values)[None])
+    assert predicted.tension_N[0] == pytest.approx(again, abs=1e-9)
     assert "inside" in model.unavailable(CoulombFriction)
 
 
@@ -467,10 +471,10 @@ def test_prediction_of_an_unloaded_reel_equals_its_run():
     for horizon in (None, "model"):
         predictor = Predictor(model, [CoulombFriction], [record], horizon, SMALL)
         row = predictor.row({"coulomb_friction.torque_Nm": 0.05})
-        (found,) = predictor.predict(row[None])
+        (predicted,) = predictor.predict(row[None])
         limit = 1e-9 if horizon is None else 1e-3 * record.angle_rad.std()
-        assert np.abs(found.angle_rad[0] - record.angle_rad).max() < limit
-        assert found.tension_N is None
+        assert np.abs(predicted.angle_rad[0] - record.angle_rad).max() < limit
+        assert predicted.tension_N is None
     fitted = model.calibrated(
         predictor.values(row) | {"torque_offset_Nm": 0.01}, [CoulombFriction]
     )
@@ -495,16 +499,16 @@ def test_phase_of_a_wave_is_independent_of_the_encoder_zero():
         elif f.owner.startswith("record "):
             rows[:, n] = zeros[int(f.owner.removeprefix("record "))]
             rows[1, n] += 9.0 * 2.0 * np.pi / ripple.per_turn  # after nine periods it is the same
-    for record, found in zip(records, predictor.predict(rows), strict=True):
-        wrong = np.abs(found.angle_rad - record.angle_rad).max(axis=1)
+    for record, predicted in zip(records, predictor.predict(rows), strict=True):
+        wrong = np.abs(predicted.angle_rad - record.angle_rad).max(axis=1)
         assert (wrong < 1e-3 * np.std(record.angle_rad)).all()
 
 
-@pytest.mark.parametrize(("swing_N", "told"), [(16.0, True), (4.0, False)])
-def test_slack_cable_identifies_the_torque_offset(swing_N, told):
+@pytest.mark.parametrize(("swing_N", "reported"), [(16.0, True), (4.0, False)])
+def test_slack_cable_identifies_the_torque_offset(swing_N, reported):
     record = measured(REEL, TriangleProfile(10.0, swing_N, 0.5, 1.0, start_s=0.1, loop="open"))
     free = Predictor(diagnosed(REEL, [record]), (), [record]).free
-    assert ("torque_offset_Nm" in {f.name for f in free}) == told
+    assert ("torque_offset_Nm" in {f.name for f in free}) == reported
     # A search begins where the cable is just taut, as little as a slack one tells of that.
     (zero,) = (f.start for f in free if f.name.startswith("encoder_zero"))
     assert abs(zero) < 0.02 * np.ptp(record.angle_rad)
@@ -548,19 +552,19 @@ def test_sigma_of_a_free_drum_is_that_of_its_windows(wandering):
         **nothing,
     )
     predictor = Predictor(diagnosed(drum, [record]), [], [record])
-    left = predictor.residuals(predictor.start[None])
+    residuals = predictor.residuals(predictor.start[None])
     assert predictor.index.sigma.max() < 1e-3 * record.angle_rad.std()
-    assert 0.5 < np.sqrt(np.mean(left**2)) < 1.3
+    assert 0.5 < np.sqrt(np.mean(residuals**2)) < 1.3
 
 
 def test_drum_without_encoder_follows_a_sticking_cable():
-    held = EyeletFriction(0.9, 0.3)
-    record = replace(measured(REEL + held, PROFILES[0]), angle_rad=None, reference_N=None)
-    left = []
-    for effects in ([], [held]):
+    friction = EyeletFriction(0.9, 0.3)
+    record = replace(measured(REEL + friction, PROFILES[0]), angle_rad=None, reference_N=None)
+    whitened = []
+    for effects in ([], [friction]):
         model, added = diagnosed(REEL, [record]), [type(e) for e in effects]
         predictor = Predictor(model, added, [record], 0.1, SMALL)
         residuals = predictor.residuals(truth(predictor, *effects)[None])
-        left.append(np.sqrt(np.mean(residuals**2)))
+        whitened.append(np.sqrt(np.mean(residuals**2)))
     # At the linear law's velocity, two thirds of it would be left.
-    assert left[1] < 0.1 * left[0]
+    assert whitened[1] < 0.1 * whitened[0]

@@ -94,7 +94,7 @@ def test_staircase_level_begins_at_nearest_sample(hold_samples, rate):
 
 
 @pytest.mark.parametrize(
-    ("make", "said"),
+    ("make", "message"),
     [
         (lambda: replace(TRIANGLE, amplitude_N=0.0), "amplitude_N is 0.0; it must be other than"),
         (lambda: replace(TRIANGLE, preload_N=math.nan), "preload_N is nan"),
@@ -112,6 +112,6 @@ def test_staircase_level_begins_at_nearest_sample(hold_samples, rate):
         (lambda: replace(STAIRS, hold_s=math.inf), "hold_s is inf"),
     ],
 )
-def test_profile_refuses_unusable_values(make, said):
-    with pytest.raises(InvalidInput, match=said):
+def test_profile_refuses_unusable_values(make, message):
+    with pytest.raises(InvalidInput, match=message):
         make()

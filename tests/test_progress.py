@@ -51,10 +51,10 @@ def test_progress_of_resumed_run_counts_earlier_trials(tmp_path):
     with pytest.raises(Stopped):
         estune.tune(rig, trials=40, folder=tmp_path, run="cut", watch=None)
     before = estune.load(tmp_path / "cut")
-    seen = []
+    updates = []
 
-    def watch(shown):
-        seen.append(shown)
+    def watch(update):
+        updates.append(update)
 
     with Journal.open(tmp_path / "cut") as journal:
         counter = progress.ProgressCounter(replay(before.plan, before.rig, journal))
@@ -63,7 +63,7 @@ def test_progress_of_resumed_run_counts_earlier_trials(tmp_path):
     assert counter.status().done == 20
     rig.stop_before = None
     estune.resume(tmp_path / "cut", rig, watch=watch)
-    assert seen[0].entry.number == 20
+    assert updates[0].entry.number == 20
 
 
 class Cell:
@@ -111,16 +111,16 @@ def test_terminal_progress_shows_status_and_live_gains(tmp_path, width):
             pass
     text = re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", out.getvalue())
     assert str(tmp_path / "cut") in text.replace("\n", "")
-    shown = " ".join(text.split())
-    assert "20 of 135 trials" in shown
-    assert "1 unsafe" in shown
-    assert f"start {result.start.cost:.3g}" in shown
-    assert "live P 0.5 N/N" in shown
-    assert "on arithmetic" in shown
+    line = " ".join(text.split())
+    assert "20 of 135 trials" in line
+    assert "1 unsafe" in line
+    assert f"start {result.start.cost:.3g}" in line
+    assert "live P 0.5 N/N" in line
+    assert "on arithmetic" in line
 
 
 @pytest.mark.parametrize(
-    ("seconds", "shown"), [(0.2, "0:00"), (61.0, "1:01"), (3725.0, "1:02:05"), (float("nan"), "-")]
+    ("seconds", "text"), [(0.2, "0:00"), (61.0, "1:01"), (3725.0, "1:02:05"), (float("nan"), "-")]
 )
-def test_duration_reads_as_a_clock(seconds, shown):
-    assert progress.duration(seconds) == shown
+def test_duration_reads_as_a_clock(seconds, text):
+    assert progress.duration(seconds) == text

@@ -205,15 +205,15 @@ A, B, A_AGAIN, A_NEXT = "v1/a/alive/01", "v1/b/alive/02", "v1/a/alive/03", "v2/a
 
 
 @pytest.mark.parametrize(
-    ("found", "rig", "instance"),
+    ("rigs", "rig", "instance"),
     [([A], None, "01"), ([A, B], "b", "02"), ([B, A_NEXT], None, "02"), ([A, A_NEXT], "a", "01")],
 )
-def test_choose_returns_the_requested_rig(found, rig, instance):
-    assert messages.choose(present(*found), rig, "here").instance == instance
+def test_choose_returns_the_requested_rig(rigs, rig, instance):
+    assert messages.choose(present(*rigs), rig, "here").instance == instance
 
 
 @pytest.mark.parametrize(
-    ("found", "rig", "kind", "complaint"),
+    ("rigs", "rig", "kind", "complaint"),
     [
         ([], None, RigError, "no rig answers at here; start one"),
         ([], "a", RigError, "no rig answers at here; start one"),
@@ -225,9 +225,9 @@ def test_choose_returns_the_requested_rig(found, rig, instance):
         ([B, A_NEXT], "a", ProtocolError, "speaks protocol v2"),
     ],
 )
-def test_choose_without_a_unique_rig_explains_why(found, rig, kind, complaint):
+def test_choose_without_a_unique_rig_explains_why(rigs, rig, kind, complaint):
     with pytest.raises(RigError, match=complaint) as raised:
-        messages.choose(present(*found), rig, "here")
+        messages.choose(present(*rigs), rig, "here")
     assert raised.type is kind
 
 

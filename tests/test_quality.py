@@ -36,11 +36,11 @@ def closed():
 
 def findings(m, model=REEL):
     """What is said of a measurement beside a good one, which must come through unblamed."""
-    kept, found = check([GOOD, m], model)
-    assert GOOD in kept
-    assert not [f for f in found if f.source == "good"]
-    assert (m in kept) == (not any(f.level == "refused" for f in found))
-    return found
+    accepted, issues = check([GOOD, m], model)
+    assert GOOD in accepted
+    assert not [f for f in issues if f.source == "good"]
+    assert (m in accepted) == (not any(f.level == "refused" for f in issues))
+    return issues
 
 
 @pytest.mark.parametrize("m", [SWEPT, closed()], ids=["open loop", "closed loop"])
@@ -65,8 +65,8 @@ def test_column_in_another_unit_is_refused_with_a_wrong_model(case, wrong_by):
     model = replace(
         REEL, torque_constant_Nm_A=REEL.torque_constant_Nm_A * wrong_by, current_limit_A=9
     )
-    _, found = check([GOOD, bad], model)
-    (finding,) = [f for f in found if f.level == "refused"]
+    _, issues = check([GOOD, bad], model)
+    (finding,) = [f for f in issues if f.level == "refused"]
     assert (finding.source, finding.column) == ("bad", column)
     assert unit in finding.sentence
 
@@ -90,8 +90,8 @@ def cut(m, samples, **changed):
 
 def test_record_shorter_than_half_a_period_is_refused():
     slow = replace(REEL, drum_inertia_kg_m2=4.0)
-    _, found = check([GOOD, cut(SWEPT, 100)], slow)
-    assert [f.level for f in found if f.source == "bad"] == ["refused"]
+    _, issues = check([GOOD, cut(SWEPT, 100)], slow)
+    assert [f.level for f in issues if f.source == "bad"] == ["refused"]
 
 
 def test_record_without_motion_is_refused():
@@ -132,8 +132,8 @@ def test_frozen_encoder_is_reported_with_the_row():
     (finding,) = findings(replace(SWEPT, angle_rad=stuck))
     assert (finding.level, finding.column, finding.row) == ("warning", "angle_rad", begin + 1)
     assert f"still for {900 - begin} samples while the tension moves" in finding.sentence
-    found = findings(replace(SWEPT, angle_rad=np.full(SWEPT.samples, SWEPT.angle_rad[0])))
-    assert ("refused", "angle_rad") in [(f.level, f.column) for f in found]
+    issues = findings(replace(SWEPT, angle_rad=np.full(SWEPT.samples, SWEPT.angle_rad[0])))
+    assert ("refused", "angle_rad") in [(f.level, f.column) for f in issues]
 
 
 @pytest.mark.parametrize(("share", "level"), [(0.2, "warning"), (0.8, "refused")])

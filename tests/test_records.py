@@ -32,13 +32,13 @@ def record():
 
 def write(folder, record, name="good", about=None, **changed):
     """Writes the record with columns replaced (None: left out), and metadata beside it."""
-    shown = {k: v for k, v in {**columns(record), **changed}.items() if v is not None}
-    rows = zip(*(np.asarray(v).tolist() for v in shown.values()), strict=True)
-    text = "\n".join([",".join(shown), *(",".join(map(str, row)) for row in rows)])
+    written = {k: v for k, v in {**columns(record), **changed}.items() if v is not None}
+    rows = zip(*(np.asarray(v).tolist() for v in written.values()), strict=True)
+    text = "\n".join([",".join(written), *(",".join(map(str, row)) for row in rows)])
     (folder / f"{name}.csv").write_text(text + "\n")
     facts = {**metadata(record), "trial_id": name, **(about or {})}
     (folder / f"{name}.json").write_text(json.dumps(facts))
-    return shown
+    return written
 
 
 def refusal(folder, record, name="bad", about=None, **changed):
@@ -88,12 +88,12 @@ BAD_COLUMNS = {
 
 @pytest.mark.parametrize("case", BAD_COLUMNS)
 def test_misnamed_column_is_refused_with_the_right_name(tmp_path, record, case):
-    changed, column, row, said = BAD_COLUMNS[case]
+    changed, column, row, message = BAD_COLUMNS[case]
     n = record.time_s.size
     changed = {k: None if v is None else np.full(n, v) for k, v in changed.items()}
     finding = refusal(tmp_path, record, **changed)
     assert (finding.column, finding.row) == (column, row)
-    assert said in finding.sentence
+    assert message in finding.sentence
 
 
 def spoilt(column, row, value):
@@ -124,18 +124,18 @@ BAD_TIMES = {
 
 @pytest.mark.parametrize("case", BAD_TIMES)
 def test_uneven_time_column_is_refused_at_the_row(tmp_path, record, case):
-    spoil, row, said = BAD_TIMES[case]
+    spoil, row, message = BAD_TIMES[case]
     finding = refusal(tmp_path, record, time_s=spoil(record.time_s))
     assert finding.column == "time_s"
-    assert said in finding.sentence
+    assert message in finding.sentence
     if row is not None:
         assert finding.row == row
 
 
 def test_rounded_or_jittered_time_stamps_are_accepted(tmp_path, record):
     write(tmp_path, record, "rounded", time_s=np.round(record.time_s, 3))
-    scatter = np.random.default_rng(0).uniform(-0.2, 0.2, record.time_s.size) / RATE
-    write(tmp_path, record, "scattered", time_s=record.time_s + scatter)
+    jitter = np.random.default_rng(0).uniform(-0.2, 0.2, record.time_s.size) / RATE
+    write(tmp_path, record, "scattered", time_s=record.time_s + jitter)
     read = read_measurements(tmp_path)
     assert [m.sampling_Hz for m in read.measurements] == [RATE, RATE]
     (finding,) = read.findings
@@ -146,20 +146,20 @@ def test_rate_loop_and_preload_follow_from_columns_without_metadata(tmp_path, re
     write(tmp_path, record, "foreign", velocity_rad_s=record.time_s)
     (tmp_path / "foreign.json").unlink()
     read = read_measurements(tmp_path)
-    (found,) = read.measurements
-    assert found.sampling_Hz == pytest.approx(RATE, rel=1e-9)
-    assert (found.loop, found.preload_N) == ("open", record.setpoint_N[0])
-    assert (found.cable_length_m, found.gains, found.rig) == (None, None, "")
+    (measurement,) = read.measurements
+    assert measurement.sampling_Hz == pytest.approx(RATE, rel=1e-9)
+    assert (measurement.loop, measurement.preload_N) == ("open", record.setpoint_N[0])
+    assert (measurement.cable_length_m, measurement.gains, measurement.rig) == (None, None, "")
     assert {f.column for f in read.findings} == {"", "velocity_rad_s"}
     assert all(f.level == "warning" for f in read.findings)
 
 
 def test_semicolon_table_with_decimal_commas_is_read(tmp_path, record):
-    shown = write(tmp_path, record)
+    written = write(tmp_path, record)
     text = (tmp_path / "good.csv").read_text()
     (tmp_path / "good.csv").write_text(text.replace(",", ";").replace(".", ","))
-    (found,) = read_measurements(tmp_path).measurements
-    assert np.array_equal(found.tension_N, shown["tension_N"])
+    (measurement,) = read_measurements(tmp_path).measurements
+    assert np.array_equal(measurement.tension_N, written["tension_N"])
 
 
 def test_truncated_files_do_not_affect_the_others(tmp_path, record):

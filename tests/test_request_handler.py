@@ -337,8 +337,8 @@ def test_void_during_the_note_of_a_trial_prevents_it(prompt):
     with handling(rig, ledger) as handler:
         handler._prompt = prompt
         answers = []
-        begun = threading.Thread(target=lambda: answers.append(handler.begin(trial())))
-        begun.start()
+        beginning = threading.Thread(target=lambda: answers.append(handler.begin(trial())))
+        beginning.start()
         assert noting.wait(60.0)
         assert handler.ask(trial()).verdict is ReplyCode.BUSY
         if not prompt:
@@ -346,7 +346,7 @@ def test_void_during_the_note_of_a_trial_prevents_it(prompt):
             assert (voided.verdict, voided.trial_id) == (ReplyCode.BUSY, trial().trial_id)
         MemoryLedger.note(ledger, trial().trial_id, digest(trial()), "void")
         go_on.set()
-        begun.join()
+        beginning.join()
         assert answers[0].verdict is ReplyCode.VOID
         handler.wait()
     assert rig.requests == []

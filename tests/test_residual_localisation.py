@@ -54,11 +54,11 @@ def where(*effects):
 
 
 def test_complete_model_has_no_residual_and_no_distortion():
-    found = where()
-    assert {block.name for block in found.blocks} == {"force", "gauge"}
-    assert all(0.5 < block.ratio < 1.2 for block in found.blocks)
-    assert all(max(d.even_dB, d.odd_dB) < 3.0 for d in found.distortion)
-    assert "stands out" in found.sentence
+    result = where()
+    assert {block.name for block in result.blocks} == {"force", "gauge"}
+    assert all(0.5 < block.ratio < 1.2 for block in result.blocks)
+    assert all(max(d.even_dB, d.odd_dB) < 3.0 for d in result.distortion)
+    assert "stands out" in result.sentence
 
 
 TRACED = {
@@ -74,13 +74,13 @@ TRACED = {
 @pytest.mark.parametrize("case", TRACED)
 def test_effect_is_localised_to_block_and_variable(case):
     effect, name, regimes, title = TRACED[case]
-    found = where(effect)
-    first = found.blocks[0]
+    result = where(effect)
+    first = result.blocks[0]
     assert (first.name, first.title) == (name, title)
     assert first.regime is not None
     assert first.regime.name in regimes
-    assert f"The {title}" in found.sentence
-    assert first.regime.name in found.sentence
+    assert f"The {title}" in result.sentence
+    assert first.regime.name in result.sentence
 
 
 def test_mains_interference_is_localised_by_its_band():
@@ -91,9 +91,9 @@ def test_mains_interference_is_localised_by_its_band():
 
 def test_free_lines_distinguish_odd_and_even_laws():
     for effect, odd_is_more in ((CoulombFriction(0.03), True), (CableStiffening(), False)):
-        shown = [d for d in where(effect).distortion if "multisine" in d.source]
-        assert [d.channel for d in shown] == ["tension_N", "angle_rad"]
-        for d in shown:
+        distortions = [d for d in where(effect).distortion if "multisine" in d.source]
+        assert [d.channel for d in distortions] == ["tension_N", "angle_rad"]
+        for d in distortions:
             more, less = (d.odd_dB, d.even_dB) if odd_is_more else (d.even_dB, d.odd_dB)
             assert more > 8.0 + less
             assert less < 6.0
@@ -104,8 +104,8 @@ def test_friction_is_localised_with_one_sensor(missing):
     reel = BASE + CoulombFriction(0.03)
     records = [MeasuredRecord.of(open_loop_record(reel, e, seed=1)) for e in (SINES, SWEEP)]
     records = [replace(m, **{missing: None}) for m in records]
-    found = localise(records, [BaseNumbers.of(BASE, m) for m in records], noise_floor(records))
-    (block,) = found.blocks
+    result = localise(records, [BaseNumbers.of(BASE, m) for m in records], noise_floor(records))
+    (block,) = result.blocks
     assert block.name == "force"
     assert block.ratio > 2.0
     assert block.regime.name in ("velocity", "velocity sign", "velocity sign and tension")
@@ -130,8 +130,8 @@ def test_hardening_spring_is_localised_at_any_scale(rate):
         *(None, size * (y + rng.normal(0.0, 1e-3, n)), None, None, None),
     )
     model = LinearModel(((0.0, 1.0), (-(w**2), -0.2 * w)), (0.0, size * w**2), (1.0, 0.0))
-    found = localise([m], [BaseNumbers(1.0, rate, linear=model)], noise_floor([m]))
-    (block,) = found.blocks
+    result = localise([m], [BaseNumbers(1.0, rate, linear=model)], noise_floor([m]))
+    (block,) = result.blocks
     assert (block.name, block.regime.name) == ("plant", "tension")
     assert block.regime.share > 0.5
 
@@ -145,11 +145,11 @@ def test_smoothed_derivatives_equal_those_of_the_smoothed_signal():
     expected = damped * (
         2.0 * np.sin(w * t) + 3.0 * w * np.cos(w * t) - 0.1 * w**2 * np.sin(w * t)
     )
-    found = smoother.sampled(np.sin(w * t), 2.0, 3.0, 0.1)
-    assert np.allclose(found[inside], expected[inside], rtol=0.0, atol=1e-4 * w**2)
+    sampled = smoother.sampled(np.sin(w * t), 2.0, 3.0, 0.1)
+    assert np.allclose(sampled[inside], expected[inside], rtol=0.0, atol=1e-4 * w**2)
     # A straight line that is held lags half a sample, and by the delay.
-    held = smoother.held(t, 0.0123, 1.0)
-    assert np.allclose(held[inside], t[inside] - 0.0005 - 0.0123, atol=1e-9)
+    held_signal = smoother.held(t, 0.0123, 1.0)
+    assert np.allclose(held_signal[inside], t[inside] - 0.0005 - 0.0123, atol=1e-9)
 
 
 def test_independent_samples_of_an_autoregression_are_counted():
@@ -160,6 +160,6 @@ def test_independent_samples_of_an_autoregression_are_counted():
 
 
 def test_localisation_as_json():
-    found = json.loads(json.dumps(where(CoulombFriction(0.03)).to_json(), allow_nan=False))
-    assert (found["block"], found["regime"]) == ("force", found["blocks"][0]["regime"])
-    assert found["sentence"].startswith("The force block")
+    data = json.loads(json.dumps(where(CoulombFriction(0.03)).to_json(), allow_nan=False))
+    assert (data["block"], data["regime"]) == ("force", data["blocks"][0]["regime"])
+    assert data["sentence"].startswith("The force block")

@@ -109,16 +109,18 @@ def test_run_without_journal_keeps_the_records_it_plots(unimproved):
 
 
 def test_table_shows_first_and_last_record_of_the_gains(tuned):
-    start, found = tuned.start.record, tuned.tuned.record
+    start, tuned_record = tuned.start.record, tuned.tuned.record
     assert start.trial_id == tuned.entries[0].trial_id
     same = [
-        e.trial_id for e in tuned.entries if e.phase is Phase.CONFIRM and e.gains == found.gains
+        e.trial_id
+        for e in tuned.entries
+        if e.phase is Phase.CONFIRM and e.gains == tuned_record.gains
     ]
-    assert found.gains == tuned.gains
-    assert found.trial_id == same[-1]
-    metrics = metrics_of(found, tuned.plan.step)
-    shown = {row.label: row.tuned for row in tuned.rows()}
-    assert shown["rise time"] == f"{metrics.rise_time_s * 1e3:.3g} ms"
+    assert tuned_record.gains == tuned.gains
+    assert tuned_record.trial_id == same[-1]
+    metrics = metrics_of(tuned_record, tuned.plan.step)
+    values = {row.label: row.tuned for row in tuned.rows()}
+    assert values["rise time"] == f"{metrics.rise_time_s * 1e3:.3g} ms"
 
 
 @pytest.mark.parametrize(
@@ -134,8 +136,8 @@ def test_table_shows_first_and_last_record_of_the_gains(tuned):
 def test_margins_are_of_the_rigs_model_or_missing(model, start):
     rig = ArithmeticRig(linear_model=model)
     result = estune.tune(rig, trials=1, repeats=1, journal=False, watch=None)
-    shown = {row.label: row.start for row in result.rows()}
-    margins = (shown["gain margin"], shown["phase margin"])
+    values = {row.label: row.start for row in result.rows()}
+    margins = (values["gain margin"], values["phase margin"])
     if start is None:
         on_model = result.start.margins
         gain_dB = 20.0 * math.log10(on_model.gain_margin)
@@ -150,9 +152,9 @@ def test_result_without_improvement_shows_no_tuned_column(kind, request, tuned):
     assert result.status != 0
     assert result.gains == result.start_gains
     assert result.ending in (RunEnding.STOPPED, RunEnding.NO_IMPROVEMENT)
-    for shown in (repr(result), result._repr_html_()):
-        assert result.ending.upper() in shown
-        assert "TUNED" not in shown
+    for text in (repr(result), result._repr_html_()):
+        assert result.ending.upper() in text
+        assert "TUNED" not in text
     assert "tuned" not in repr(result)
     assert all(row.tuned == "" for row in result.rows())
     assert not result.findings

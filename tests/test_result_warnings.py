@@ -27,22 +27,24 @@ def findings(cost, *, trials=120, noise=NOISE, seed=0):
     )
 
 
-def flat(found):
-    return {f.parameters for f in found if f.kind == "flat"}
+def flat(warnings):
+    return {f.parameters for f in warnings if f.kind == "flat"}
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_flat_parameter_is_named_with_its_range(seed):
-    found = findings(lambda z: 1.0 + z[0] ** 2 + 2.0 * z[1] ** 2 + z[3] ** 2, seed=seed)
-    assert flat(found) == {("D",)}
-    assert "D may change by a factor" in found[0].sentence
+    warnings = findings(lambda z: 1.0 + z[0] ** 2 + 2.0 * z[1] ** 2 + z[3] ** 2, seed=seed)
+    assert flat(warnings) == {("D",)}
+    assert "D may change by a factor" in warnings[0].sentence
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_parameters_with_an_effective_product_are_named_together(seed):
-    found = findings(lambda z: 1.0 + 2.0 * (z[0] + z[1]) ** 2 + z[2] ** 2 + z[3] ** 2, seed=seed)
-    assert flat(found) == {("P", "I")}
-    ways = next(f.sentence for f in found if f.kind == "flat")
+    warnings = findings(
+        lambda z: 1.0 + 2.0 * (z[0] + z[1]) ** 2 + z[2] ** 2 + z[3] ** 2, seed=seed
+    )
+    assert flat(warnings) == {("P", "I")}
+    ways = next(f.sentence for f in warnings if f.kind == "flat")
     assert ("raising P" in ways) == ("lowering I" in ways)
 
 
@@ -62,23 +64,23 @@ def test_cost_of_all_parameters_has_no_flat_direction(cost, seed):
 
 @given(trials=st.integers(0, 20), seed=st.integers(0, 99))
 def test_too_few_trials_are_inconclusive(trials, seed):
-    found = findings(lambda z: 1.0 + z[0] ** 2, trials=trials, seed=seed)
-    assert [f.kind for f in found] == ["unknown"]
-    assert found[0].parameters == SPACE.names
+    warnings = findings(lambda z: 1.0 + z[0] ** 2, trials=trials, seed=seed)
+    assert [f.kind for f in warnings] == ["unknown"]
+    assert warnings[0].parameters == SPACE.names
 
 
 def test_unexplored_direction_is_not_flat():
     random = np.random.default_rng(1)
     z = random.normal(0.0, 0.5, (120, 4)) * (1.0, 1.0, 0.05, 1.0)
     costs = 1.0 + z[:, 0] ** 2 + z[:, 1] ** 2 + z[:, 3] ** 2 + NOISE * random.normal(size=120)
-    found = flat_directions(SPACE, BEST, 1.0, points=BEST * np.exp(z), costs=costs, noise=NOISE)
-    assert not flat(found)
-    assert any(f.kind == "unknown" and "D" in f.parameters for f in found)
+    warnings = flat_directions(SPACE, BEST, 1.0, points=BEST * np.exp(z), costs=costs, noise=NOISE)
+    assert not flat(warnings)
+    assert any(f.kind == "unknown" and "D" in f.parameters for f in warnings)
 
 
 def test_flatness_is_unknown_without_repeats():
-    found = findings(lambda z: 1.0 + z[0] ** 2, noise=float("nan"))
-    assert [f.kind for f in found] == ["unknown"]
+    warnings = findings(lambda z: 1.0 + z[0] ** 2, noise=float("nan"))
+    assert [f.kind for f in warnings] == ["unknown"]
 
 
 @pytest.mark.parametrize(
@@ -91,8 +93,8 @@ def test_flatness_is_unknown_without_repeats():
     ],
 )
 def test_at_bounds_names_parameter_and_side(factors, named):
-    found = at_bounds(SPACE, tuple(np.multiply(BEST, factors)))
-    sides = {f.parameters[0]: f.sentence for f in found}
+    warnings = at_bounds(SPACE, tuple(np.multiply(BEST, factors)))
+    sides = {f.parameters[0]: f.sentence for f in warnings}
     assert sides.keys() == named.keys()
     assert all(f"at its {side} bound" in sides[name] for name, side in named.items())
 
@@ -102,13 +104,13 @@ def test_at_bounds_names_parameter_and_side(factors, named):
     [(math.inf, None), (0.3, None), (0.11, "gains is 11% of"), (-0.2, "gains is 0% of")],
 )
 def test_near_limits_warns_below_the_share(share, words):
-    said = [finding.sentence for finding in near_limits(share)]
-    assert len(said) == (words is not None)
-    assert all(words in sentence for sentence in said)
+    sentences = [finding.sentence for finding in near_limits(share)]
+    assert len(sentences) == (words is not None)
+    assert all(words in sentence for sentence in sentences)
 
 
 @pytest.mark.parametrize(
-    ("found", "words"),
+    ("loop_margins", "words"),
     [
         (Margins(4.0, 55.0, 5.0, 20.0, stable=True), None),
         (Margins(4.0, 20.0, 5.0, 20.0, stable=True), "phase margin of 20°"),
@@ -117,7 +119,7 @@ def test_near_limits_warns_below_the_share(share, words):
         (None, None),
     ],
 )
-def test_low_margins_warns_below_usual_values(found, words):
-    said = [finding.sentence for finding in low_margins(found)]
-    assert len(said) == (words is not None)
-    assert all(words in sentence for sentence in said)
+def test_low_margins_warns_below_usual_values(loop_margins, words):
+    sentences = [finding.sentence for finding in low_margins(loop_margins)]
+    assert len(sentences) == (words is not None)
+    assert all(words in sentence for sentence in sentences)

@@ -141,13 +141,13 @@ def test_gauge_scale_is_nan_beyond_the_calibration(gauge, counts):
 def test_current_scale_equals_the_calibration(current, place):
     scale = CurrentScale.of(current)
     low, high = sorted(scale._curve(u)[0] for u in (-scale.scaled_max, scale.scaled_max))
-    wanted = low + place * (high - low)
-    assert abs(scale.counts(wanted) - current.counts(wanted)) <= 0.5 + 1e-6
+    current_A = low + place * (high - low)
+    assert abs(scale.counts(current_A) - current.counts(current_A)) <= 0.5 + 1e-6
 
 
 @given(st.sampled_from(CURRENTS), st.floats(-1e6, 1e6))
-def test_current_scale_ends_at_the_calibrated_range(current, wanted):
+def test_current_scale_ends_at_the_calibrated_range(current, current_A):
     scale = CurrentScale.of(current)
     low, high = sorted(scale._curve(u)[0] for u in (-scale.scaled_max, scale.scaled_max))
-    given_A = current.current_A(scale.counts(min(max(wanted, low), high)))
-    assert current.current_A(scale.counts(wanted)) == pytest.approx(given_A, abs=1e-9)
+    given_A = current.current_A(scale.counts(min(max(current_A, low), high)))
+    assert current.current_A(scale.counts(current_A)) == pytest.approx(given_A, abs=1e-9)

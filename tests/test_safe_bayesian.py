@@ -69,8 +69,8 @@ def test_search_stays_within_five_percent_after_sixty_trials(seed):
 
 def test_trials_approach_the_optimum_as_uncertainty_falls():
     states = run(TUNER, 200, 0)
-    asked = [excess(TUNER.ask(state)) for state in states]
-    assert np.mean(asked[150:]) < 0.5 * np.mean(asked[30:60])
+    excesses = [excess(TUNER.ask(state)) for state in states]
+    assert np.mean(excesses[150:]) < 0.5 * np.mean(excesses[30:60])
 
 
 def test_proposals_are_rounded_to_six_digits():
@@ -199,9 +199,9 @@ def test_estimated_noise_is_the_true_noise():
 def test_convergence_estimate_follows_the_axis_probe():
     states = run(TUNER, 150, 9)
     first = next(k for k, state in enumerate(states) if TUNER.convergence(state) is not None)
-    asked = np.array([SPACE.coordinates(TUNER.ask(state)) for state in states])
+    proposals = np.array([SPACE.coordinates(TUNER.ask(state)) for state in states])
     centres = np.array([SPACE.coordinates(TUNER.recommend(state)) for state in states])
-    away = np.linalg.norm(asked - centres, axis=1)
+    away = np.linalg.norm(proposals - centres, axis=1)
     assert np.max(away[first - 9 : first]) > 0.4
     assert np.max(away[first + 20 :]) < np.max(away[first - 9 : first])
     assert all(TUNER.convergence(state) is not None for state in states[first:])
@@ -295,7 +295,7 @@ def test_setting_out_of_range_is_refused_by_name(setting, value):
 
 def test_gaussian_process_is_the_posterior_of_its_prior():
     draws = np.random.default_rng(15)
-    points, asked, values = (
+    points, queries, values = (
         draws.normal(size=(8, 3)),
         draws.normal(size=(5, 3)),
         draws.normal(size=8),
@@ -309,16 +309,16 @@ def test_gaussian_process_is_the_posterior_of_its_prior():
         apart = np.sum(((a - b) @ prior.inverse_length) ** 2)
         return 4.0 + slopes + quadratic + prior.remainder_sd**2 * math.exp(-0.5 * apart)
 
-    def K(left, right):
-        return np.array([[k(a, b) for b in right] for a in left])
+    def K(rows, right):
+        return np.array([[k(a, b) for b in right] for a in rows])
 
     def m(x):
         return np.array([0.5 * row @ prior.mean_rise @ row for row in x])
 
-    gain = np.linalg.solve(K(points, points) + 0.01 * np.eye(8), K(points, asked)).T
-    mean, spread = fit_gaussian_process(points, values[:, None], 0.1, prior).predict(asked)
-    assert mean[:, 0] == pytest.approx(m(asked) + gain @ (values - m(points)))
-    assert spread**2 == pytest.approx(np.diag(K(asked, asked) - gain @ K(points, asked)))
+    gain = np.linalg.solve(K(points, points) + 0.01 * np.eye(8), K(points, queries)).T
+    mean, spread = fit_gaussian_process(points, values[:, None], 0.1, prior).predict(queries)
+    assert mean[:, 0] == pytest.approx(m(queries) + gain @ (values - m(points)))
+    assert spread**2 == pytest.approx(np.diag(K(queries, queries) - gain @ K(points, queries)))
 
 
 def test_cost_prior_agrees_between_forms_and_parameter_subsets():
@@ -404,6 +404,6 @@ def test_low_discrepancy_points_have_the_moments_of_their_distribution():
         filled = np.linalg.norm(unit_ball_points(n, 1024), axis=1)
         assert np.mean(filled**n < 0.5) == pytest.approx(0.5, abs=0.02)
         assert unit_ball_points(n, 1024).mean(axis=0) == pytest.approx(np.zeros(n), abs=0.03)
-        drawn = normal_points(n, 1024)
-        assert drawn.T @ drawn / 1024 == pytest.approx(np.eye(n))
-        assert np.mean(np.abs(drawn) < 0.6745) == pytest.approx(0.5, abs=0.02)
+        points = normal_points(n, 1024)
+        assert points.T @ points / 1024 == pytest.approx(np.eye(n))
+        assert np.mean(np.abs(points) < 0.6745) == pytest.approx(0.5, abs=0.02)

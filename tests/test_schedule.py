@@ -68,18 +68,18 @@ def test_gains_beyond_the_range_are_those_of_the_nearest_end():
 
 @given(st.sampled_from(FORMS[1:]), st.floats(-100.0, 100.0), st.floats(-1.0, 1.0))
 def test_schedule_with_invalid_gains_anywhere_is_refused(form, slope, per_newton):
-    def made():
+    def create():
         return replace(SCHEDULE, I=GainCurve(form, 20.0, slope, per_newton))
 
     corners = [
         GainCurve(form, 20.0, slope, per_newton).at(L, T) for L in (0.5, 1.4) for T in (5.0, 30.0)
     ]
     if min(corners) >= 0.0:
-        within = made()
+        within = create()
         assert all(within.gains(L, 17.0).I >= 0.0 for L in np.linspace(0.5, 1.4, 7))
     else:
         with pytest.raises(InvalidInput, match=r"cannot be used at .* m and .* N: gain I is"):
-            made()
+            create()
 
 
 def test_schedule_survives_json_exactly(tmp_path):
@@ -165,21 +165,21 @@ def test_firmware_header_gives_the_same_gains_without_a_jump(tmp_path, flags, to
     (tmp_path / "controller.c").write_text(controller_source(SETTINGS, SCHEDULE.gains(0.8, 15.0)))
     (tmp_path / "estune_schedule.h").write_text(schedule_header(SCHEDULE))
     (tmp_path / "main.c").write_text(_PROGRAM)
-    made = [str(tmp_path / "main"), str(tmp_path / "main.c"), "-lm"]
+    outputs = [str(tmp_path / "main"), str(tmp_path / "main.c"), "-lm"]
     strict = ["-Wall", "-Wextra", "-Werror", "-pedantic"]
-    subprocess.run([*c_compiler.compiler(), *flags, *strict, "-o", *made], check=True)
+    subprocess.run([*c_compiler.compiler(), *flags, *strict, "-o", *outputs], check=True)
     rng = np.random.default_rng(0)
-    asked = np.column_stack(
+    queries = np.column_stack(
         [rng.uniform(0.3, 1.7, 200), rng.uniform(0.0, 40.0, 200), np.full(200, 20.0)]
     )
-    asked = np.column_stack([asked, 20.0 + rng.normal(0.0, 0.5, 200)])
-    asked[7, 0] = math.nan
-    text = "\n".join(" ".join(map(repr, row)) for row in asked.tolist())
-    done = subprocess.run(made[0], input=text, capture_output=True, text=True, check=True)
-    told = np.array([line.split() for line in done.stdout.splitlines()], dtype=float)
-    expected = [SCHEDULE.gains(*row[:2]).as_tuple() for row in asked.tolist()]
-    np.testing.assert_allclose(told[:, :4], expected, rtol=max(tolerance, 1e-14) / 10.0)
-    np.testing.assert_allclose(told[:, 5], told[:, 4], rtol=0.0, atol=100.0 * tolerance)
+    queries = np.column_stack([queries, 20.0 + rng.normal(0.0, 0.5, 200)])
+    queries[7, 0] = math.nan
+    text = "\n".join(" ".join(map(repr, row)) for row in queries.tolist())
+    done = subprocess.run(outputs[0], input=text, capture_output=True, text=True, check=True)
+    computed = np.array([line.split() for line in done.stdout.splitlines()], dtype=float)
+    expected = [SCHEDULE.gains(*row[:2]).as_tuple() for row in queries.tolist()]
+    np.testing.assert_allclose(computed[:, :4], expected, rtol=max(tolerance, 1e-14) / 10.0)
+    np.testing.assert_allclose(computed[:, 5], computed[:, 4], rtol=0.0, atol=100.0 * tolerance)
 
 
 # --- python-control --------------------------------------------------------------------------
@@ -192,8 +192,8 @@ def test_python_control_system_at_one_length_is_that_controller(L):
     F, C_r, C_y = to_control(SCHEDULE.gains(L, 15.0), SETTINGS)
     omega = np.logspace(-1, 3, 9)
     for place, expected in ((0, C_r * F), (1, -C_y)):
-        found = frozen[0, place]
-        response = [found(1j * w) for w in omega]
+        scheduled = frozen[0, place]
+        response = [scheduled(1j * w) for w in omega]
         np.testing.assert_allclose(response, [expected(1j * w) for w in omega], rtol=1e-3)
 
 
@@ -219,7 +219,7 @@ def test_live_gains_follow_the_drum_without_a_jump(tmp_path):
     loop.answer()
     for _ in range(300):
         loop.step()
-    machine, seen = loop.machine, set()
+    machine, live_gains = loop.machine, set()
     for k in range(400):  # the drum pays out 0.3 m over the samples
         gauge, encoder = loop.board.read(loop.time_s)
         paid_out = -round(0.3 / 0.025 * k / 400 * 8192 / (2.0 * math.pi))
@@ -228,10 +228,10 @@ def test_live_gains_follow_the_drum_without_a_jump(tmp_path):
         after = machine._controller._coefficients
         if after == before:
             continue
-        seen.add(after)
+        live_gains.add(after)
         _, stayed, _ = pidf.step(before, state, machine._setpoint_N, loop.tension_N[-1])
         assert machine._effort_N == pytest.approx(stayed, rel=0.0, abs=1e-11)
-    assert len(seen) > 100
+    assert len(live_gains) > 100
     assert machine.phase is MotionPhase.HOLD
     angle = (loop.board.read(loop.time_s)[1] + paid_out) * rig.plan().radians_per_count
     expected = SCHEDULE.gains(0.8 - 0.025 * angle, 15.0)
@@ -285,9 +285,9 @@ LONG = StepProfile(15.0, 10.0, 0.2, 3.0)
 def test_constant_length_simulation_equals_the_fixed_reel():
     reel, gains = plants.reference_reel(0.8), SCHEDULE.gains(0.8, 15.0)
     expected = plants.simulate(reel, gains)
-    found = plants.simulate_moving(reel, gains, np.full(632, 0.8))
+    moving = plants.simulate_moving(reel, gains, np.full(632, 0.8))
     for name in ("tension_N", "effort_N", "angle_rad"):
-        assert np.array_equal(getattr(found, name), getattr(expected, name))
+        assert np.array_equal(getattr(moving, name), getattr(expected, name))
 
 
 def test_moving_cable_end_obeys_the_equations_of_the_drum():
@@ -297,14 +297,14 @@ def test_moving_cable_end_obeys_the_equations_of_the_drum():
     """
     reel, rate = plants.reference_reel(encoder_counts=1e9), 632.0
     L = way(LONG.samples(rate))
-    found = plants.simulate_moving(reel, SCHEDULE, L, LONG)
+    simulated = plants.simulate_moving(reel, SCHEDULE, L, LONG)
     w, sag = 2.0 * math.pi * 290.0, (9.80665 * 0.007) ** 2 / (12.0 * 15.0**3)
     speed = (np.diff(L, append=L[-1]) * rate).tolist()
-    lengths, efforts = L.tolist(), [15.0, *found.effort_N.tolist()]  # one sample of dead time
-    x = np.array([found.angle_rad[0], 0.0, 15.0, 15.0, 0.0])
-    h, seen = 1.0 / (10.0 * rate), []
+    lengths, efforts = L.tolist(), [15.0, *simulated.effort_N.tolist()]  # one sample of dead time
+    x = np.array([simulated.angle_rad[0], 0.0, 15.0, 15.0, 0.0])
+    h, states = 1.0 / (10.0 * rate), []
     for k, (length, effort) in enumerate(zip(lengths, efforts, strict=False)):
-        seen.append(x)
+        states.append(x)
         stiffness = 1.0 / (1.0 / 20e3 + length / 10e3 + sag * length**3)
         friction = 0.010 + 0.015 * length
         A = np.zeros((5, 5))
@@ -318,10 +318,10 @@ def test_moving_cable_end_obeys_the_equations_of_the_drum():
             k2 = A @ (x + 0.5 * h * k1) + b
             k3 = A @ (x + 0.5 * h * k2) + b
             x = x + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + A @ (x + h * k3) + b)
-    solved = np.array(seen)
-    assert np.abs(solved[:, 3] - found.tension_N).max() < 0.02
-    assert np.abs(solved[:, 0] - found.angle_rad).max() < 0.01
-    assert np.ptp(found.angle_rad) > 35.0  # the drum has paid 0.9 m out
+    solved = np.array(states)
+    assert np.abs(solved[:, 3] - simulated.tension_N).max() < 0.02
+    assert np.abs(solved[:, 0] - simulated.angle_rad).max() < 0.01
+    assert np.ptp(simulated.angle_rad) > 35.0  # the drum has paid 0.9 m out
 
 
 def test_scheduled_gains_follow_the_moving_cable_without_a_jump():
@@ -329,12 +329,16 @@ def test_scheduled_gains_follow_the_moving_cable_without_a_jump():
     reel = plants.reference_reel()
     steep = replace(SCHEDULE, P=GainCurve("linear", 0.2, slope=1.0))
     L = way(LONG.samples(632.0))
-    found = plants.simulate_moving(reel, steep, L, LONG)
+    simulated = plants.simulate_moving(reel, steep, L, LONG)
     state, changes = pidf.state_at_rest(15.0, 15.0), 0
     before = pidf.coefficients(reel.controller, steep.gains(0.5, 15.0))
     live = LiveGains(before, LengthSource(steep, reel.controller, 0.5, 0.025))
     for r, y, effort, angle in zip(
-        found.setpoint_N, found.tension_N, found.effort_N, found.angle_rad, strict=True
+        simulated.setpoint_N,
+        simulated.tension_N,
+        simulated.effort_N,
+        simulated.angle_rad,
+        strict=True,
     ):
         _, would, _ = pidf.step(before, state, r, y)
         assert effort == pytest.approx(would, rel=0.0, abs=1e-12)

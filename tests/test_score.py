@@ -15,11 +15,11 @@ RIG = description()
 
 
 def record(**columns):
-    made = ArithmeticRig().run(TrialRequest("run", 0, START, RIG.step))
-    flat = {"tension_N": made.setpoint_N, "current_A": made.setpoint_N / 20.0}
+    record = ArithmeticRig().run(TrialRequest("run", 0, START, RIG.step))
+    flat = {"tension_N": record.setpoint_N, "current_A": record.setpoint_N / 20.0}
     for name, peak in columns.items():
         flat[name] = np.concatenate([flat[name][:-1], [peak]])
-    return replace(made, **flat)
+    return replace(record, **flat)
 
 
 @pytest.mark.parametrize(

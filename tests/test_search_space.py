@@ -31,8 +31,8 @@ def test_point_is_within_the_bounds_for_any_coordinates(coordinates):
 @given(st.tuples(*[st.floats(-4.6, 4.6)] * 4))
 def test_coordinates_invert_point(offsets):
     origin = SPACE.coordinates(SPACE.start)
-    wanted = tuple(o + d for o, d in zip(origin, offsets, strict=True))
-    assert SPACE.coordinates(SPACE.point(wanted)) == pytest.approx(wanted, abs=1e-12)
+    expected = tuple(o + d for o, d in zip(origin, offsets, strict=True))
+    assert SPACE.coordinates(SPACE.point(expected)) == pytest.approx(expected, abs=1e-12)
 
 
 def test_space_around_gains_extends_by_the_factor():
@@ -43,9 +43,9 @@ def test_space_around_gains_extends_by_the_factor():
 
 
 def test_zero_gain_is_held_at_zero():
-    found = SearchSpace.around(Gains(1.0, 10.0, 0.0, 0.0))
-    assert found.names == ("P", "I")
-    assert found.gains((2.0, 20.0)) == Gains(2.0, 20.0, 0.0, 0.0)
+    space_around = SearchSpace.around(Gains(1.0, 10.0, 0.0, 0.0))
+    assert space_around.names == ("P", "I")
+    assert space_around.gains((2.0, 20.0)) == Gains(2.0, 20.0, 0.0, 0.0)
 
 
 def test_standard_form_gives_the_gains_of_the_parallel_form():
@@ -57,8 +57,8 @@ def test_standard_form_gives_the_gains_of_the_parallel_form():
 
 
 def test_untuned_parameters_keep_their_fixed_value():
-    found = space(fixed=(("D", 0.02),)).gains((2.0, 20.0))
-    assert found == Gains(2.0, 20.0, 0.02, 0.0)
+    gains = space(fixed=(("D", 0.02),)).gains((2.0, 20.0))
+    assert gains == Gains(2.0, 20.0, 0.02, 0.0)
 
 
 def test_at_bound_names_parameters_and_sides():

@@ -12,15 +12,15 @@ from estune.core.gains import GAIN_NAMES
 from estune.errors import InvalidInput
 from estune.run.plan import make_plan, plan_from_json, plan_to_json
 from estune.run.session import (
-    CONSECUTIVE_CENSORED_MAX,
     CONFIRMATION_REPEATS_MAX,
+    CONSECUTIVE_CENSORED_MAX,
     UNSAFE_RATIO,
     Phase,
     Plan,
     after_trial,
-    predict_next,
     new_session,
     next_request,
+    predict_next,
 )
 from estune.run.summary import summarise
 from estune.trial import Outcome
@@ -30,7 +30,7 @@ from tests.support_runs import START, Seer, description
 
 
 def plan(**changes) -> Plan:
-    made = make_plan(
+    plan = make_plan(
         description(gains=START),
         "run",
         tuner="least_squares_gradient",
@@ -40,25 +40,25 @@ def plan(**changes) -> Plan:
         cost=StepCost(0.1),
         trials=10,
     )
-    return replace(made, **changes)
+    return replace(plan, **changes)
 
 
 def advance(session, costs):
     """The session after the given costs, and what it asked for."""
-    asked = []
+    requests = []
     for cost in costs:
         request = next_request(session)
         assert request is not None
-        asked.append((session.phase, request))
+        requests.append((session.phase, request))
         session = after_trial(session, Outcome.DONE, cost)
-    return session, asked
+    return session, requests
 
 
 def test_phases_follow_one_another_and_number_every_trial():
-    session, asked = advance(new_session(plan()), [1.0] * 3 + [0.9] * 10)
-    assert [phase for phase, _ in asked] == [Phase.BASELINE] * 3 + [Phase.SEARCH] * 10
-    assert [request.number for _, request in asked] == list(range(13))
-    assert all(request.gains == START for _, request in asked[:3])
+    session, requests = advance(new_session(plan()), [1.0] * 3 + [0.9] * 10)
+    assert [phase for phase, _ in requests] == [Phase.BASELINE] * 3 + [Phase.SEARCH] * 10
+    assert [request.number for _, request in requests] == list(range(13))
+    assert all(request.gains == START for _, request in requests[:3])
     while next_request(session) is not None:
         assert session.phase is (Phase.CHOOSE if session.confirmation is None else Phase.CONFIRM)
         session = after_trial(
@@ -116,11 +116,11 @@ def test_insignificant_improvement_is_not_reported_as_one():
 
 def to_the_end(session, cost_of):
     """The session after its repeats, and what they asked for."""
-    asked = []
+    requests = []
     while (request := next_request(session)) is not None:
-        asked.append((session.phase, request.gains))
+        requests.append((session.phase, request.gains))
         session = after_trial(session, Outcome.DONE, cost_of(request.gains))
-    return session, asked
+    return session, requests
 
 
 def searched(**changes):
@@ -136,26 +136,26 @@ def test_choice_and_confirmation_use_different_trials():
     session = searched()
     first, second = session.choice.gains
     costs = {START: 1.0, first: 0.6, second: 0.4}
-    session, asked = to_the_end(session, costs.get)
-    assert [g for p, g in asked if p is Phase.CHOOSE] == [
+    session, requests = to_the_end(session, costs.get)
+    assert [g for p, g in requests if p is Phase.CHOOSE] == [
         *(first, second, second, first, first, second)
     ]
-    confirmed = [g for p, g in asked if p is Phase.CONFIRM]
+    confirmed = [g for p, g in requests if p is Phase.CONFIRM]
     assert confirmed == [START, second, second, START, START, second]
-    found = summarise(session)
-    assert found.improved
-    assert found.gains == second != first
-    assert found.cost == pytest.approx(0.4)
-    assert found.change.estimate == pytest.approx(-0.6)
+    summary = summarise(session)
+    assert summary.improved
+    assert summary.gains == second != first
+    assert summary.cost == pytest.approx(0.4)
+    assert summary.change.estimate == pytest.approx(-0.6)
 
 
 def test_drift_of_the_cost_is_no_improvement():
     # The plant gets better by itself during the search: everything costs half of what it did.
     session, _ = to_the_end(searched(), lambda gains: 0.5 if gains == START else 0.51)
-    found = summarise(session)
-    assert not found.improved
-    assert (found.start_cost, found.gains) == (0.5, START)
-    assert found.change.estimate == pytest.approx(0.02)
+    summary = summarise(session)
+    assert not summary.improved
+    assert (summary.start_cost, summary.gains) == (0.5, START)
+    assert summary.change.estimate == pytest.approx(0.02)
 
 
 def test_smaller_improvement_is_confirmed_by_more_repeats():
@@ -189,10 +189,10 @@ def test_invalid_cost_fails_the_start_and_is_unsafe_later(cost):
 
 def test_constant_cost_is_no_improvement():
     session, _ = advance(new_session(plan()), [1.0] * 13)
-    found = summarise(to_the_end(session, lambda _: 1.0)[0])
-    assert found.complete
-    assert not found.improved
-    assert found.gains == START
+    summary = summarise(to_the_end(session, lambda _: 1.0)[0])
+    assert summary.complete
+    assert not summary.improved
+    assert summary.gains == START
 
 
 def seer(**changes):
@@ -207,24 +207,26 @@ def test_search_ends_after_consecutive_trials_below_tolerance():
     assert summarise(session).intervals == tuple((n, 0.1, 1.0) for n in GAIN_NAMES)
 
 
-@pytest.mark.parametrize("made", [seer(tolerance=0.0), plan()], ids=["no tolerance", "no estimate"])
-def test_search_without_convergence_estimate_uses_all_trials(made):
-    session, _ = advance(new_session(made), [1.0] * 3 + [0.9] * 10)
+@pytest.mark.parametrize(
+    "options", [seer(tolerance=0.0), plan()], ids=["no tolerance", "no estimate"]
+)
+def test_search_without_convergence_estimate_uses_all_trials(options):
+    session, _ = advance(new_session(options), [1.0] * 3 + [0.9] * 10)
     assert session.search_end == "the search used its 10 trials"
 
 
 def test_predict_next_is_for_new_gains_only():
     session = new_session(seer(repeats=1))
-    asked = []
+    requests = []
     while next_request(session) is not None:
-        asked.append(
+        requests.append(
             (session.phase, next_request(session).gains, predict_next(session) is not None)
         )
         session = after_trial(session, Outcome.DONE, 0.9 + 0.001 * session.number)
-    new = [gains for _, gains, foretold in asked if foretold]
+    new = [gains for _, gains, prediction in requests if prediction]
     assert len(new) == len(set(new))
     assert START not in new
-    assert {gains for phase, gains, _ in asked if phase is Phase.SEARCH} <= {START, *new}
+    assert {gains for phase, gains, _ in requests if phase is Phase.SEARCH} <= {START, *new}
 
 
 def test_declined_trials_are_avoided_and_not_unsafe():
@@ -236,16 +238,16 @@ def test_declined_trials_are_avoided_and_not_unsafe():
 
 @given(st.lists(st.floats(0.8, 2.0), min_size=0, max_size=12), st.integers(0, 11))
 def test_session_is_a_function_of_its_trials(costs, cut):
-    straight, asked = advance(new_session(plan()), costs)
+    straight, requests = advance(new_session(plan()), costs)
     first, _ = advance(new_session(plan()), costs[:cut])
     second, again = advance(first, costs[cut:])
     assert straight == second
-    assert asked[cut:] == again
+    assert requests[cut:] == again
 
 
 def test_plan_survives_json_exactly():
-    made = plan(eta_max=1.7)
-    assert plan_from_json(plan_to_json(made)) == made
+    original = plan(eta_max=1.7)
+    assert plan_from_json(plan_to_json(original)) == original
 
 
 @pytest.mark.parametrize(

@@ -125,28 +125,28 @@ TOTAL = float(plants.simulate(plants.reference_reel(), GAINS).tension_N.sum())
 
 
 def test_missing_compiler_selects_the_virtual_machine_with_one_notice(cache):
-    kind, total, said = run_elsewhere(PATH=str(cache), CC="")
+    kind, total, stderr = run_elsewhere(PATH=str(cache), CC="")
     assert kind == "VirtualLoop"
     assert total == pytest.approx(TOTAL, rel=1e-12)
-    assert said.count("virtual machine") == 1
-    assert "no C compiler found" in said
+    assert stderr.count("virtual machine") == 1
+    assert "no C compiler found" in stderr
 
 
 def test_failing_compiler_is_named(tmp_path, cache):
     broken = tmp_path / "broken-cc"
     broken.write_text("#!/bin/sh\necho 'out of ideas' >&2\nexit 3\n")
     broken.chmod(0o755)
-    kind, total, said = run_elsewhere(CC=str(broken))
+    kind, total, stderr = run_elsewhere(CC=str(broken))
     assert (kind, total) == ("VirtualLoop", pytest.approx(TOTAL, rel=1e-12))
-    assert "broken-cc failed: out of ideas" in said
+    assert "broken-cc failed: out of ideas" in stderr
     assert libraries(cache) == []
 
 
 def test_unwritable_cache_falls_back_to_a_temporary_folder(tmp_path):
     blocked = tmp_path / "file"
     blocked.write_text("in the way")
-    kind, total, said = run_elsewhere(ESTUNE_CACHE=str(blocked / "cache"))
-    assert (kind, total, said) == ("CompiledLoop", TOTAL, "")
+    kind, total, stderr = run_elsewhere(ESTUNE_CACHE=str(blocked / "cache"))
+    assert (kind, total, stderr) == ("CompiledLoop", TOTAL, "")
 
 
 def test_notice_is_given_once(caplog, monkeypatch):
@@ -175,8 +175,8 @@ def test_batch_costs_equal_those_of_single_trials(plant):
             ) if finished else np.nan
         )  # fmt: skip
     for workers in (1, 2, None):
-        found = plants.batch_costs(plant, table, step, cost, workers=workers)
-        assert found == pytest.approx(np.array(expected), rel=1e-12, nan_ok=True)
+        costs = plants.batch_costs(plant, table, step, cost, workers=workers)
+        assert costs == pytest.approx(np.array(expected), rel=1e-12, nan_ok=True)
 
 
 def test_batch_noise_equals_that_of_the_rig():
@@ -239,7 +239,7 @@ def cost_of(gains, settling_time_s=0.1):
 
 
 @pytest.mark.parametrize(
-    ("call", "told"),
+    ("call", "message"),
     [
         (lambda: cost_of([[1.0, 2.0]]), r"shape \(1, 2\)"),
         (lambda: cost_of([(1, 1, 0, 0), (1, np.nan, 0, 0)]), "gain I is nan"),
@@ -251,8 +251,8 @@ def cost_of(gains, settling_time_s=0.1):
         (lambda: NoiseSource(1.5), "seed is 1.5"),
     ],
 )
-def test_simulate_rejects_bad_input_in_one_line(call, told):
-    with pytest.raises(InvalidInput, match=told) as caught:
+def test_simulate_rejects_bad_input_in_one_line(call, message):
+    with pytest.raises(InvalidInput, match=message) as caught:
         call()
     assert "\n" not in str(caught.value)
 

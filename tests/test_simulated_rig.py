@@ -156,26 +156,32 @@ def test_paced_trial_takes_its_duration():
 @pytest.mark.parametrize("tension", [5.0, 15.0, 40.0])
 def test_safe_gains_are_stable_over_the_reels_range(length, tension):
     rig = plants.reference_reel(length, tension).rig()
-    told = rig.describe()
-    found = margins(told.linear_model, told.gains, told.controller)
-    assert found.gain_margin > 4.0
-    assert found.phase_margin_deg > 45.0
-    record = rig.run(ask(gains=told.gains, profile=told.step))
-    final = told.step.preload_N + told.step.step_N
-    assert record.tension_N[-60:].mean() == pytest.approx(final, abs=0.05 * abs(told.step.step_N))
-    assert told.settling_time_s < told.step.duration_s - told.step.step_at_s
+    description = rig.describe()
+    loop_margins = margins(description.linear_model, description.gains, description.controller)
+    assert loop_margins.gain_margin > 4.0
+    assert loop_margins.phase_margin_deg > 45.0
+    record = rig.run(ask(gains=description.gains, profile=description.step))
+    final = description.step.preload_N + description.step.step_N
+    assert record.tension_N[-60:].mean() == pytest.approx(
+        final, abs=0.05 * abs(description.step.step_N)
+    )
+    assert description.settling_time_s < description.step.duration_s - description.step.step_at_s
 
 
 def test_rig_describes_its_reel():
     reel = plants.reference_reel(1.1, 20.0)
-    told = reel.rig(name="right").describe()
+    description = reel.rig(name="right").describe()
     stiffness = 1.0 / (1.0 / 20e3 + 1.1 / 10e3)
     natural = 0.025 * np.sqrt(stiffness / 2e-3)
-    assert told.settling_time_s == pytest.approx(2 * np.pi / natural, rel=1e-3)
-    assert (told.name, told.cable_length_m, told.newtons_per_ampere) == ("right", 1.1, 20.0)
-    assert told.step == StepProfile(20.0, 10.0, 0.2, 1.0)
-    assert told.linear_model.dead_time_s == pytest.approx(1 / 632)
-    assert told.software.startswith("estune ")
+    assert description.settling_time_s == pytest.approx(2 * np.pi / natural, rel=1e-3)
+    assert (description.name, description.cable_length_m, description.newtons_per_ampere) == (
+        "right",
+        1.1,
+        20.0,
+    )
+    assert description.step == StepProfile(20.0, 10.0, 0.2, 1.0)
+    assert description.linear_model.dead_time_s == pytest.approx(1 / 632)
+    assert description.software.startswith("estune ")
     with pytest.raises(InvalidInput, match="pace"):
         reel.rig(pace=float("nan"))
 
@@ -202,6 +208,6 @@ def test_open_loop_setpoint_is_the_limited_effort(kind):
     effort = np.minimum(profile.setpoint(rate), 1.0)
     np.testing.assert_array_equal(record.current_A, effort)
     np.testing.assert_array_equal(record.flags == SATURATED, profile.setpoint(rate) > 1.0)
-    held = control.sample_system(system, 1.0 / rate)
-    expected = control.forced_response(held, record.time_s, effort).outputs
+    sampled = control.sample_system(system, 1.0 / rate)
+    expected = control.forced_response(sampled, record.time_s, effort).outputs
     assert record.tension_N == pytest.approx(expected, abs=1e-12)

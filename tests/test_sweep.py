@@ -106,10 +106,10 @@ def test_dry_run_shows_the_trials_and_writes_nothing(tmp_path, capsys, monkeypat
         'lengths_m = [0.5, 1.4]\nrigs = ["plants:reference_reel"]\nseeds = 2\ntrials = 30\n'
     )
     assert run(["sweep", "sweep.toml", "--dry-run"]) == 0
-    shown = capsys.readouterr().out
+    text = capsys.readouterr().out
     most = expand_cells(read_design("sweep.toml"))[0].most_trials
-    assert "15 to 25 N" in shown
-    assert f"at most {4 * most}, each within its rig's limits" in shown
+    assert "15 to 25 N" in text
+    assert f"at most {4 * most}, each within its rig's limits" in text
     assert [path.name for path in tmp_path.iterdir()] == ["sweep.toml"]
 
 
@@ -118,14 +118,14 @@ def test_processes_give_equal_outcomes_and_a_second_call_runs_nothing(tmp_path):
     many = swept(tmp_path / "many", jobs=2)
     assert len(one.outcomes) == 6
     assert all(map(alike, one.outcomes, many.outcomes))
-    seen: list[CellOutcome] = []
-    again = swept(tmp_path / "many", watch=seen.append)
-    assert not seen
+    outcomes: list[CellOutcome] = []
+    again = swept(tmp_path / "many", watch=outcomes.append)
+    assert not outcomes
     assert all(map(alike, one.outcomes, again.outcomes))
     # More seeds are more cells; those that are there stay.
-    more = swept(tmp_path / "many", {**SMALL, "seeds": 2}, watch=seen.append)
+    more = swept(tmp_path / "many", {**SMALL, "seeds": 2}, watch=outcomes.append)
     assert len(more.outcomes) == 12
-    assert sorted(o.cell.seed for o in seen) == [1] * 6
+    assert sorted(o.cell.seed for o in outcomes) == [1] * 6
 
 
 def test_noise_seed_depends_on_the_place_and_not_on_the_tuner():
@@ -189,9 +189,9 @@ def test_failed_cell_is_stored_and_tried_again(tmp_path):
     assert broken.cell.length_m == 0.9
     assert broken.message == "ZeroDivisionError: no answer to 0"
     assert math.isnan(first.to_frame().set_index("length_m").loc[0.9, "P"])
-    seen: list[CellOutcome] = []
-    second = swept(tmp_path, design, watch=seen.append)
-    assert [o.cell.length_m for o in seen] == [0.9]
+    outcomes: list[CellOutcome] = []
+    second = swept(tmp_path, design, watch=outcomes.append)
+    assert [o.cell.length_m for o in outcomes] == [0.9]
     assert not second.failed
 
 
@@ -213,8 +213,8 @@ def test_sweep_command_writes_laws_report_and_cells(tmp_path, capsys, monkeypatc
         "tolerance = 0.0\nseeds = 2\n"
     )
     assert run(["sweep", "sweep.toml", "--quiet", "--jobs", "1"]) == 0
-    shown = " ".join(capsys.readouterr().out.split())
-    assert "I falls by" in shown
+    text = " ".join(capsys.readouterr().out.split())
+    assert "I falls by" in text
     folder = Path("sweeps/sweep")
     page = (folder / "report.html").read_text()
     assert page.count("<img") == 6  # costs, integral gain, and the law of each of four gains
@@ -250,14 +250,16 @@ def test_rigs_are_tuned_in_parallel_and_resume_after_an_interrupt(tmp_path):
     assert not result.failed
     assert sorted({o.cell.length_m for o in result.outcomes}) == [0.5, 0.9]
     for rig, of_rig in zip(rigs, (result.outcomes[:2], result.outcomes[2:]), strict=True):
-        asked = [request.trial_id for request in rig.requests]
-        assert len(asked) == len(set(asked))  # no trial twice, before and after the interrupt
-        told = sum(len(o.trace) for o in of_rig)
-        assert len(asked) - told <= 1  # at most the one that was stopped under way
+        trial_ids = [request.trial_id for request in rig.requests]
+        assert len(trial_ids) == len(
+            set(trial_ids)
+        )  # no trial twice, before and after the interrupt
+        reported = sum(len(o.trace) for o in of_rig)
+        assert len(trial_ids) - reported <= 1  # at most the one that was stopped under way
 
 
 @pytest.mark.parametrize(
-    ("length", "given", "lengths", "words"),
+    ("length", "entry", "lengths", "words"),
     [
         (1.6, {}, [0.5, 1.4], "it stands at 1.6 m, outside the sweep's range of 0.5 to 1.4 m"),
         (None, {}, [0.5, 1.4], "it does not state its cable length; give cable_length_m"),
@@ -265,10 +267,10 @@ def test_rigs_are_tuned_in_parallel_and_resume_after_an_interrupt(tmp_path):
         (0.8, {}, [], "one length only, which gives no law over length"),
     ],
 )
-def test_rig_with_wrong_or_unknown_length_is_refused(tmp_path, length, given, lengths, words):
+def test_rig_with_wrong_or_unknown_length_is_refused(tmp_path, length, entry, lengths, words):
     rig = ScriptedRig(cable_length_m=length)
     with zenoh.serve(rig, "tcp/127.0.0.1:0", ledger=tmp_path / "ledger") as server:
-        design = {"rigs": [{"target": server.endpoint, **given}], "lengths_m": lengths}
+        design = {"rigs": [{"target": server.endpoint, **entry}], "lengths_m": lengths}
         with pytest.raises(InvalidInput, match=words):
             expand_cells(read_design(design))
     assert not rig.requests
@@ -282,9 +284,9 @@ def test_sweep_documentation_lists_every_key_and_valid_examples():
     assert set(rows) == keys - {"step", "cost", "step.preload_N"}
     for prefix, table in tables.items():
         for key, field in table.model_fields.items():
-            said = rows.get(prefix + key, "").strip().strip("`")
+            documented = rows.get(prefix + key, "").strip().strip("`")
             if isinstance(field.default, str | int | float) and field.default != "":
-                assert said == str(field.default), key
+                assert documented == str(field.default), key
     examples = re.findall(r"```toml\n(.*?)```", text, re.DOTALL)
     assert len(examples) == 2
     for example in examples:

@@ -27,12 +27,12 @@ repeats = 2
 
 def children(pid: int) -> list[Path]:
     """The processes a process has started, by their folder in /proc."""
-    found = []
+    folders = []
     for folder in Path("/proc").glob("[0-9]*"):
         with suppress(OSError):  # it has just ended
             parent = (folder / "stat").read_text().rpartition(")")[2].split()[1]
-            found += [folder] * (int(parent) == pid)
-    return found
+            folders += [folder] * (int(parent) == pid)
+    return folders
 
 
 def all_end(processes: list[Path], within_s: float = 30.0) -> bool:
@@ -73,18 +73,18 @@ def test_killed_sweep_loses_and_repeats_no_finished_cell(tmp_path):
 def test_cluster_gives_equal_outcomes_and_its_loss_keeps_finished_cells(tmp_path):
     design = tmp_path / "sweep.toml"
     design.write_text(DESIGN)
-    seen: list[CellOutcome] = []
+    outcomes: list[CellOutcome] = []
     with cluster(workers=2) as dask:
 
         def end_it(outcome: CellOutcome) -> None:
-            seen.append(outcome)
-            if len(seen) == 3:
+            outcomes.append(outcome)
+            if len(outcomes) == 3:
                 dask.scheduler.kill()
                 dask.scheduler.wait()
 
         with pytest.raises(EstuneError, match="the cluster's scheduler has ended; finished cells"):
             swept(tmp_path / "cluster", design, dask=dask.address, watch=end_it)
-    done = {outcome.cell.key: outcome for outcome in seen}
+    done = {outcome.cell.key: outcome for outcome in outcomes}
     assert set(done) == set(finish_times(tmp_path / "cluster"))
     assert len(done) >= 3
     result = swept(tmp_path / "cluster", design)

@@ -94,9 +94,9 @@ def capstan(coefficient, wrap, tension_2):
 @given(st.floats(0.0, 0.9), st.floats(1e-3, 3.0), tensions)
 def test_tensions_balance_friction_and_pressure_along_a_wrap(coefficient, wrap, T_2):
     friction, press = capstan(coefficient, wrap, T_2)
-    left = tr.tension_outside_N(T_2, friction)
-    assert left == pytest.approx(T_2 * math.exp(-coefficient * wrap), rel=1e-9)
-    size = tr.contact_force_N(left, T_2, math.pi - wrap)
+    outside_N = tr.tension_outside_N(T_2, friction)
+    assert outside_N == pytest.approx(T_2 * math.exp(-coefficient * wrap), rel=1e-9)
+    size = tr.contact_force_N(outside_N, T_2, math.pi - wrap)
     assert size == pytest.approx(np.hypot(*press), rel=1e-8)
 
 
@@ -184,8 +184,8 @@ def test_many_small_contacts_approach_a_capstan(wrap):
 )
 def test_friction_coefficient_equals_the_root_by_bisection(coefficient, gammas):
     B = math.prod(slides_at(coefficient, gamma) for gamma in gammas)
-    found = tr.friction_coefficient(B, *gammas)
-    assert tr.attenuation(found, *gammas) == pytest.approx(B, rel=1e-12)
+    computed = tr.friction_coefficient(B, *gammas)
+    assert tr.attenuation(computed, *gammas) == pytest.approx(B, rel=1e-12)
 
     def missing(C):
         ratios = []
@@ -194,7 +194,7 @@ def test_friction_coefficient_equals_the_root_by_bisection(coefficient, gammas):
             ratios.append(1.0 / (G + math.sqrt(max(G**2 - 1.0, 0.0))))
         return math.prod(ratios) - B
 
-    assert found == pytest.approx(brentq(missing, 0.0, 0.999, xtol=1e-15), rel=1e-5)
+    assert computed == pytest.approx(brentq(missing, 0.0, 0.999, xtol=1e-15), rel=1e-5)
 
 
 def test_contact_functions_broadcast():
@@ -238,15 +238,15 @@ def test_friction_share_equals_one_minus_attenuation(C, gamma):
     ],
 )
 def test_weber_verdict_depends_on_the_interval(low, value, high, verdict):
-    found = tr.static_transparency([0.96, value], [0.95, low], [0.97, high])
-    assert found.verdict == verdict
+    transparency = tr.static_transparency([0.96, value], [0.95, low], [0.97, high])
+    assert transparency.verdict == verdict
 
 
 # Bad input
 
 
 @pytest.mark.parametrize(
-    ("call", "said"),
+    ("call", "message"),
     [
         (lambda: tr.attenuation(1.0, 2.0), "below 1"),
         (lambda: tr.attenuation(-0.1, 2.0), "friction coefficient is -0.1"),
@@ -265,6 +265,6 @@ def test_weber_verdict_depends_on_the_interval(low, value, high, verdict):
         (lambda: tr.log_spread([]), "no attenuation ratio"),
     ],
 )
-def test_contact_functions_reject_bad_input_with_a_remedy(call, said):
-    with pytest.raises(InvalidInput, match=said):
+def test_contact_functions_reject_bad_input_with_a_remedy(call, message):
+    with pytest.raises(InvalidInput, match=message):
         call()

@@ -110,14 +110,14 @@ def test_gains_outside_safe_region_run_only_when_approved(tmp_path):
         questions.append(question.request.number)
         return answers(question.request.number)
 
-    found, ran = run_with_approval(tmp_path, ArithmeticRig(), ask)
+    result, numbers = run_with_approval(tmp_path, ArithmeticRig(), ask)
     assert {answers(number) for number in questions} == {"yes", "no"}
     refused = {number for number in questions if answers(number) == "no"}
-    assert not refused & set(ran)
-    assert {e.number for e in found.entries if e.outcome is Outcome.DECLINED} == refused
-    assert found.verdict.declined == len(refused)
-    assert found.unsafe == 0
-    assert "declined" in repr(found)
+    assert not refused & set(numbers)
+    assert {e.number for e in result.entries if e.outcome is Outcome.DECLINED} == refused
+    assert result.verdict.declined == len(refused)
+    assert result.unsafe == 0
+    assert "declined" in repr(result)
 
 
 def test_resumed_run_keeps_declined_trials(tmp_path):
@@ -147,6 +147,6 @@ def test_approval_always_prompts_once(tmp_path):
         questions.append(question)
         return "always"
 
-    found, ran = run_with_approval(tmp_path, ArithmeticRig(), ask)
+    result, numbers = run_with_approval(tmp_path, ArithmeticRig(), ask)
     assert len(questions) == 1
-    assert len(ran) == len(found.entries)
+    assert len(numbers) == len(result.entries)

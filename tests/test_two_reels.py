@@ -99,9 +99,9 @@ benches = st.fixed_dictionaries(
 @pytest.mark.slow
 @settings(max_examples=40)
 @given(benches)
-def test_procedure_is_accurate_to_two_percent_or_warns(drawn):
-    eyelet = tr.Eyelet(drawn["coefficient"], (drawn["gamma"],), variation=drawn["variation"])
-    quiet = {name: drawn[name] for name in ("seed", "noise_N", "drift_N")}
+def test_procedure_is_accurate_to_two_percent_or_warns(case):
+    eyelet = tr.Eyelet(case["coefficient"], (case["gamma"],), variation=case["variation"])
+    quiet = {name: case[name] for name in ("seed", "noise_N", "drift_N")}
     stuck = ""
     try:
         result = measure(bench(eyelet, **quiet), eyelet.angles_rad, sweeps=6)
@@ -111,7 +111,7 @@ def test_procedure_is_accurate_to_two_percent_or_warns(drawn):
         event("the cable stuck")
         # The tension comes back as B^4 of the setpoint, which must clear the preload.
         assert "did not slide through" in stuck
-        assert slides_at(drawn["coefficient"], drawn["gamma"]) ** 4 < 0.6
+        assert slides_at(case["coefficient"], case["gamma"]) ** 4 < 0.6
     elif result.resolved:
         event("resolved")
         assert result.friction_coefficient.value == pytest.approx(eyelet.coefficient, rel=0.02)
@@ -136,8 +136,8 @@ def test_procedure_calibrates_the_gauge_of_the_other_reel():
     result = measure(bench(seed=4), (2.1,))
     calibration = result.calibration_y()
     tension = np.array([8.0, 15.0, 22.0, 30.0])
-    found = calibration.force_N([GAUGE_Y.reading(T) for T in tension])
-    assert found == pytest.approx(tension, rel=2e-3)
+    measured = calibration.force_N([GAUGE_Y.reading(T) for T in tension])
+    assert measured == pytest.approx(tension, rel=2e-3)
 
 
 def test_growing_friction_is_detected_and_measured_at_mean_tension():
@@ -197,14 +197,14 @@ def test_sweeps_needed_follow_from_the_repeatability():
 
 def test_uncertain_angle_widens_the_interval_with_a_warning():
     measurements = tr.TwoReelProcedure(SETPOINTS, preload_N=2.0, sweeps=4).run(bench(seed=2))
-    known, unsure = (
+    exact, unsure = (
         tr.evaluate(measurements, (2.1,), angle_error_rad=error) for error in (0.0, 0.03)
     )
     # C_R goes as 1/cos(gamma/2): relative, the uncertainty is tan(gamma/2)/2 times the angle's.
-    expected = 0.5 * math.tan(1.05) * 0.03 * known.friction_coefficient.value
+    expected = 0.5 * math.tan(1.05) * 0.03 * exact.friction_coefficient.value
     added = math.sqrt(
         unsure.friction_coefficient.standard_error**2
-        - known.friction_coefficient.standard_error**2
+        - exact.friction_coefficient.standard_error**2
     )
     assert added == pytest.approx(expected, rel=0.05)
     assert unsure.sweeps_needed is None
@@ -247,10 +247,10 @@ def test_exchanged_angles_separate_unequal_reels_only():
             )
             for seed, (a, b) in enumerate([(1.9, 2.5), (2.5, 1.9)])
         ]
-        found = tr.compare_reels(*runs)
-        assert found.alike is alike
-        assert found.coefficient_x.value == pytest.approx(0.1, rel=0.03)
-        assert found.coefficient_y.value == pytest.approx(other, rel=0.03)
+        comparison = tr.compare_reels(*runs)
+        assert comparison.alike is alike
+        assert comparison.coefficient_x.value == pytest.approx(0.1, rel=0.03)
+        assert comparison.coefficient_y.value == pytest.approx(other, rel=0.03)
     with pytest.raises(InvalidInput, match="exchange the angles"):
         tr.compare_reels(runs[0], runs[0])
 
@@ -327,7 +327,7 @@ def test_missing_breakout_is_reported():
 
 
 @pytest.mark.parametrize(
-    ("call", "said"),
+    ("call", "message"),
     [
         (lambda: tr.TwoReelProcedure((8.0, 16.0, 24.0, 32.0)), "5 or more"),
         (lambda: tr.TwoReelProcedure(SETPOINTS, sweeps=2), "3 or more"),
@@ -345,6 +345,6 @@ def test_missing_breakout_is_reported():
         (lambda: tr.evaluate(drifting(0.0), [3.1], angle_error_rad=0.1), "straight to within"),
     ],
 )
-def test_two_reel_procedure_rejects_bad_input_with_a_remedy(call, said):
-    with pytest.raises(InvalidInput, match=said):
+def test_two_reel_procedure_rejects_bad_input_with_a_remedy(call, message):
+    with pytest.raises(InvalidInput, match=message):
         call()

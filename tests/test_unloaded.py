@@ -31,11 +31,11 @@ def pushed(reel, time_s, torque_Nm):
 @pytest.mark.parametrize("dead_samples", [0.0, 1.0, 2.6])
 def test_unloaded_reel_follows_the_differential_equation(dead_samples):
     reel = replace(FINE, dead_time_s=dead_samples / FINE.sampling_Hz)
-    found = angle(reel)
+    simulated = angle(reel)
     start = PUSH.step_index(reel.sampling_Hz) + dead_samples
-    time = (np.arange(found.size) - start) / reel.sampling_Hz
+    time = (np.arange(simulated.size) - start) / reel.sampling_Hz
     expected = pushed(reel, time, 10.0 * reel.drum_radius_m)
-    assert found == pytest.approx(expected, abs=1e-10)
+    assert simulated == pytest.approx(expected, abs=1e-10)
 
 
 def test_unloaded_reel_with_dry_friction_holds_small_torques():

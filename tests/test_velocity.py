@@ -36,13 +36,13 @@ def counted(angle, phase=0.0):
 )
 def test_constant_velocity_error_is_one_count_per_window(velocity, phase, longest, seed):
     t = times(120, seed)
-    seen = motion(Windows(COUNT, longest, longest), t, counted(velocity * t, phase))
+    estimate = motion(Windows(COUNT, longest, longest), t, counted(velocity * t, phase))
     span = t - t[np.maximum(np.arange(120) - longest, 0)]
-    assert np.allclose(seen.velocity_window_s, span, rtol=0, atol=1e-12)  # never cut short
-    known = span > 0.0
-    error = np.abs(seen.velocity_rad_s - velocity)[known]
-    assert (error <= COUNT / span[known] * (1.0 + 1e-6)).all()
-    assert (seen.acceleration_rad_s2 == 0.0).all()
+    assert np.allclose(estimate.velocity_window_s, span, rtol=0, atol=1e-12)  # never cut short
+    valid = span > 0.0
+    error = np.abs(estimate.velocity_rad_s - velocity)[valid]
+    assert (error <= COUNT / span[valid] * (1.0 + 1e-6)).all()
+    assert (estimate.acceleration_rad_s2 == 0.0).all()
 
 
 @settings(max_examples=40)
@@ -51,21 +51,21 @@ def test_constant_velocity_error_is_one_count_per_window(velocity, phase, longes
 )
 def test_constant_acceleration_shrinks_the_window_within_bounds(acceleration, phase, sign):
     t = times(200)
-    seen = motion(WINDOWS, t, counted(sign * 0.5 * acceleration * t**2, phase))
+    estimate = motion(WINDOWS, t, counted(sign * 0.5 * acceleration * t**2, phase))
     # A chord over tau departs from the parabola by a (tau^2 - T^2)/8 at least; two counts go by.
     assert (
-        seen.velocity_window_s <= math.sqrt(16.0 * COUNT / acceleration + 1 / RATE**2) + 1e-9
+        estimate.velocity_window_s <= math.sqrt(16.0 * COUNT / acceleration + 1 / RATE**2) + 1e-9
     ).all()
-    known = seen.velocity_window_s > 0.0
-    middle = sign * acceleration * (t - 0.5 * seen.velocity_window_s)
-    off = np.abs(seen.velocity_rad_s - middle)[known]
-    assert (off <= seen.velocity_bound_rad_s[known] * (1.0 + 1e-6)).all()
-    counts = seen.acceleration_rad_s2 != 0.0
-    evident = acceleration >= (1.0 + WINDOWS.strong) * seen.acceleration_bound_rad_s2
+    valid = estimate.velocity_window_s > 0.0
+    middle = sign * acceleration * (t - 0.5 * estimate.velocity_window_s)
+    off = np.abs(estimate.velocity_rad_s - middle)[valid]
+    assert (off <= estimate.velocity_bound_rad_s[valid] * (1.0 + 1e-6)).all()
+    counts = estimate.acceleration_rad_s2 != 0.0
+    evident = acceleration >= (1.0 + WINDOWS.strong) * estimate.acceleration_bound_rad_s2
     assert evident[60:].any()
     assert counts[evident].all()
-    off = np.abs(seen.acceleration_rad_s2 - sign * acceleration)[counts]
-    assert (off <= seen.acceleration_bound_rad_s2[counts] * (1.0 + 1e-6)).all()
+    off = np.abs(estimate.acceleration_rad_s2 - sign * acceleration)[counts]
+    assert (off <= estimate.acceleration_bound_rad_s2[counts] * (1.0 + 1e-6)).all()
 
 
 def noisy_record():
@@ -77,7 +77,7 @@ def noisy_record():
 
 def test_window_is_that_of_the_definition():
     t, angle = noisy_record()
-    seen = motion(WINDOWS, t, angle)
+    estimate = motion(WINDOWS, t, angle)
     for k in range(1, t.size):
         expected = 0.0
         for n in range(1, min(WINDOWS.velocity_intervals, k) + 1):
@@ -86,7 +86,7 @@ def test_window_is_that_of_the_definition():
             if np.abs(angle[between] - chord).max() > COUNT:
                 break
             expected = (angle[k] - angle[k - n]) / (t[k] - t[k - n])
-        assert seen.velocity_rad_s[k] == expected
+        assert estimate.velocity_rad_s[k] == expected
 
 
 def test_step_gives_the_numbers_of_the_whole_record():
@@ -108,10 +108,10 @@ def test_acceleration_is_one_connected_interval():
     # At 2 rad/s, then 40 rad/s2 for 0.3 s, then at constant velocity again.
     gained = np.clip(t - 0.4, 0.0, 0.3)
     angle = 2.0 * t + 40.0 * (0.5 * gained**2 + gained * np.clip(t - 0.7, 0.0, None))
-    seen = motion(WINDOWS, t, counted(angle)).acceleration_rad_s2
-    counts = np.flatnonzero(seen)
+    acceleration = motion(WINDOWS, t, counted(angle)).acceleration_rad_s2
+    counts = np.flatnonzero(acceleration)
     assert (np.diff(counts) == 1).all()
-    assert (seen[counts] > 0.0).all()
+    assert (acceleration[counts] > 0.0).all()
     windows_s = (WINDOWS.velocity_intervals + WINDOWS.acceleration_intervals) / RATE
     assert 0.4 <= t[counts[0]] <= 0.4 + windows_s
     assert 0.7 - 1 / RATE <= t[counts[-1]] <= 0.7 + windows_s
@@ -122,12 +122,12 @@ def test_slow_motion_shows_no_acceleration():
     floor = WINDOWS.acceleration_floor_rad_s2(RATE)
     for share, shows in ((0.3, False), (3.0, True)):
         w = 2.0 * math.pi
-        seen = motion(WINDOWS, t, counted(share * floor / w**2 * np.sin(w * t), 0.5))
-        assert (seen.acceleration_rad_s2 != 0.0).any() == shows
+        estimate = motion(WINDOWS, t, counted(share * floor / w**2 * np.sin(w * t), 0.5))
+        assert (estimate.acceleration_rad_s2 != 0.0).any() == shows
 
 
 @pytest.mark.parametrize(
-    ("call", "says"),
+    ("call", "message"),
     [
         (lambda: Windows(0.0), "one encoder count"),
         (lambda: Windows(math.nan), "one encoder count"),
@@ -141,6 +141,6 @@ def test_slow_motion_shows_no_acceleration():
         (lambda: motion(WINDOWS, [0.0, 1.0], [0.0, 1.0, 2.0]), "one time for each"),
     ],
 )
-def test_bad_input_is_refused_with_its_remedy(call, says):
-    with pytest.raises(InvalidInput, match=says):
+def test_bad_input_is_refused_with_its_remedy(call, message):
+    with pytest.raises(InvalidInput, match=message):
         call()

@@ -33,11 +33,11 @@ def loop(model) -> Margins:
     ids=["reel", "first order with dead time", "three lags", "non-minimum phase"],
 )
 def test_warm_start_of_stable_model_has_stability_margins(model):
-    found = loop(model)
-    assert found.stable
+    loop_margins = loop(model)
+    assert loop_margins.stable
     # |1 + L| >= 1/1.6 everywhere means margins of at least 2.67 and 36 degrees.
-    assert found.gain_margin > 2.6
-    assert found.phase_margin_deg > 36.0
+    assert loop_margins.gain_margin > 2.6
+    assert loop_margins.phase_margin_deg > 36.0
 
 
 @pytest.mark.parametrize(
@@ -55,7 +55,9 @@ def test_warm_start_refuses_unsuitable_model(system, words):
 
 
 def test_warm_start_of_rig_without_model_names_a_remedy():
-    with pytest.raises(InvalidInput, match=r"arithmetic gives no linear model.*give the initial gains"):
+    with pytest.raises(
+        InvalidInput, match=r"arithmetic gives no linear model.*give the initial gains"
+    ):
         model_start(replace(description(), linear_model=None))
 
 
