@@ -84,7 +84,7 @@ def test_page_of_tuners_lists_the_table():
 
 
 @pytest.mark.parametrize(
-    ("name", "says"),
+    ("name", "message"),
     [
         ("newton", "safe_bayesian"),
         ("optuna", "the tuners are safe_bayesian, "),
@@ -96,8 +96,8 @@ def test_page_of_tuners_lists_the_table():
         ("estune:", "has no ''"),
     ],
 )
-def test_unknown_tuner_is_refused_with_a_remedy(name, says):
-    with pytest.raises(InvalidInput, match=says):
+def test_unknown_tuner_is_refused_with_a_remedy(name, message):
+    with pytest.raises(InvalidInput, match=message):
         tuner_class(name)
 
 
@@ -154,7 +154,7 @@ def test_old_plan_of_the_level_seeker_gives_the_target_cost_tuner():
 
 
 @pytest.mark.parametrize(
-    ("values", "says"),
+    ("values", "message"),
     [
         ({"kind": "estune.outside.optuna_tpe:OptunaTpe", "seed": 0}, "tuner optuna is no longer"),
         ({"kind": "estune.outside.bobyqa:Bobyqa"}, "tuner bobyqa is no longer"),
@@ -165,8 +165,8 @@ def test_old_plan_of_the_level_seeker_gives_the_target_cost_tuner():
         ({}, "another version"),
     ],
 )
-def test_stored_tuner_that_cannot_be_made_is_a_journal_error(values, says):
-    with pytest.raises(JournalError, match=says):
+def test_stored_tuner_that_cannot_be_made_is_a_journal_error(values, message):
+    with pytest.raises(JournalError, match=message):
         tuner_from_stored({"space": STORED_SPACE, **values})
 
 
