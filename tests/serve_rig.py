@@ -22,7 +22,7 @@ SLOW_S = 100.0
 
 
 def make(kind: str, name: str) -> Rig:
-    """A rig of a kind."""
+    """Creates a rig of the given kind."""
     if kind.endswith("simulated"):
         pace = {"slow": SLOW_S, "paced": 0.5}.get(kind.split(maxsplit=1)[0], 0.0)
         return plants.reference_reel().rig(name=name, seed=3, pace=pace)
@@ -76,7 +76,7 @@ def served(
 
 @contextmanager
 def small_board(folder: Path) -> Iterator[tuple[subprocess.Popen, str]]:
-    """The board without estune, in a process of its own."""
+    """Runs the board that does without estune in its own process."""
     process = subprocess.Popen(
         [sys.executable, "-m", "tests.small_board", "board", str(folder / "board.json")],
         cwd=Path(__file__).parent.parent,

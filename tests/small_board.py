@@ -1,4 +1,4 @@
-"""A complete rig as on a small board: one Zenoh session, JSON, struct and CRC, no estune.
+"""A complete rig for a small board: one Zenoh session, JSON, struct and CRC, no estune.
 
 Written from docs/rig-protocol.md alone. Its drum follows the setpoint with a lag. It supports
 steps only, keeps one record, sends it in parts of 1 KiB, and writes its ledger to a file. It
@@ -44,7 +44,7 @@ class Refused(Exception):
 
 
 def load():
-    """The ledger of the last start, with its open trials ended."""
+    """Ledger of the last start, with its open trials ended."""
     stored = {"identity": secrets.token_hex(8), "latched": "", "trials": {}}
     if FILE.exists():
         stored = json.loads(FILE.read_text())
@@ -68,7 +68,7 @@ work = threading.Condition(lock)
 
 
 def save():
-    """Writes the ledger to the disk, whole or not at all."""
+    """Writes the ledger to the disk atomically."""
     new = FILE.with_suffix(".new")
     with new.open("w") as file:
         json.dump(ledger, file)
@@ -312,7 +312,7 @@ def parse(payload):
 
 
 def serve(key, query):
-    """Replies to a query; to a command only if the query's key is exactly the command's own."""
+    """Replies to a query; a command needs a query on exactly its own key."""
     requested_key = str(query.key_expr)
     if key.endswith("/result/*"):
         key = f"{ROOT}/result/{requested_key.rpartition('/')[2]}"
@@ -349,7 +349,7 @@ def emergency(payload):
 
 
 def run():
-    """The board's main loop: waits for a trial, runs it, and notes its end."""
+    """Main loop of the board: waits for a trial, runs it, and writes its end to the ledger."""
     while True:
         with lock:
             work.wait_for(lambda: now.trial is not None)

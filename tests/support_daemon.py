@@ -1,4 +1,4 @@
-"""Daemons in this process or another, with rigs that answer at once."""
+"""Daemons in this process or another, with rigs that answer immediately."""
 
 import json
 import subprocess
@@ -23,7 +23,7 @@ from tests.support_rigs import ScriptedRig, description, response
 
 ORIGINAL = description().gains
 WITHIN_S = 40.0
-"""A generous time for what takes a second or two on a machine of its own."""
+"""Time limit, s, for events that take a second or two on an idle machine."""
 
 RIG = """
 [[rig]]
@@ -44,7 +44,7 @@ def rig_table(name: str, target: str, accept="ask", trials=12, every_s=0.05) -> 
 
 
 class Plant:
-    """Answers trials, and can be changed while it does: `slower` makes every response so."""
+    """Rig whose response can be made slower by `slower` while it runs."""
 
     def __init__(self) -> None:
         self.slower = 1.0
@@ -56,7 +56,7 @@ class Plant:
 
 @contextmanager
 def rig_served(name: str = "drum", plant=None, **changes):
-    """A scripted rig over Zenoh, and where it is."""
+    """Scripted rig over Zenoh, and its endpoint."""
     rig = ScriptedRig(plant or Plant(), name=name, **changes)
     with zenoh.serve(rig) as server:
         yield rig, server.endpoint
@@ -101,7 +101,7 @@ class Watched:
         self.service, self.client, self.thread, self.failed = service, client, thread, failed
 
     def until(self, condition, rig: str = "drum"):
-        """The first status that meets the condition."""
+        """First status that meets the condition."""
         ends = time.monotonic() + WITHIN_S
         while not condition(status := self.client.status(rig)):
             assert time.monotonic() < ends, status

@@ -19,7 +19,7 @@ _TABLES = tomllib.loads(RIG_FILE.read_text())
 
 
 def tables(**changes) -> dict:
-    """The tables of plants/emulator/rig.toml, with `guard__slack_N=2.0` and the like changed."""
+    """Tables of plants/emulator/rig.toml with changes such as `guard__slack_N=2.0`."""
     tables_copy = copy.deepcopy(_TABLES)
     for name, value in changes.items():
         *path, key = name.split("__")
@@ -35,13 +35,13 @@ def config(**changes) -> RigConfig:
 
 
 def quick(**changes) -> RigConfig:
-    """The same with short trials and moves, for tests in wall-clock time."""
+    """Tables of `tables` with short trials and moves, for tests in wall-clock time."""
     short = {
         "settling_time_s": 0.05,
         "motion__settle_s": 0.02,
         "motion__rate_N_s": 400.0,
         "motion__settle_N": 1.0,
-        "guard__late_in_a_row": 1000,  # the machine that runs the tests is busy
+        "guard__late_in_a_row": 1000,  # the test machine may be busy
         "guard__gap_s": 0.5,
         "real_time__priority": 50,
         "driver__settings": {"electronics": {"watchdog_s": 0.2}, "seed": 1},
@@ -53,7 +53,7 @@ def quick(**changes) -> RigConfig:
 
 
 class VirtualLoop:
-    """The loop of `estune.hardware.loop` with the clock and the pipe taken out.
+    """The loop of `estune.hardware.loop` without its clock and its pipe.
 
     Attributes:
         current_A: What was commanded at each sample.
@@ -90,7 +90,7 @@ class VirtualLoop:
         self.machine.begin(begin)
 
     def step(self, reading: Reading | None = None, silence_s: float = 0.0, *, late=False) -> None:
-        """One sample; `reading` is what is read instead of the truth."""
+        """Runs one sample; `reading` replaces the true sensor values."""
         self.time_s += 1.0 / self.plan.sampling_Hz
         counts = self.board.read(self.time_s)
         measured = Reading(self.time_s, *counts) if reading is None else reading
@@ -103,14 +103,14 @@ class VirtualLoop:
             self.board.power(self.time_s, on=self._powered)
 
     def until(self, holds, within_s: float = 20.0) -> None:
-        """Runs until something holds."""
+        """Runs until a condition holds."""
         end = self.time_s + within_s
         while not holds():
             assert self.time_s < end, self.machine.phase
             self.step()
 
     def answer(self):
-        """Runs until the trial asked for has been answered."""
+        """Runs until the requested trial has ended."""
         self.until(lambda: self.machine.answer is not None)
         answer, self.machine.answer = self.machine.answer, None
         return answer

@@ -1,4 +1,4 @@
-"""Records as somebody else's simulator or logger gives them: a command, and what was read."""
+"""Records of another simulator or logger: a command and the sensor readings."""
 
 import numpy as np
 
@@ -6,7 +6,7 @@ from plants.diagnosis.data.measured_record import MeasuredRecord
 
 
 def open_loop(number, rate_Hz, current_A, *, tension_N=None, angle_rad=None):
-    """One record without setpoint, preload, gains and flags."""
+    """Record without setpoint, preload, gains and flags."""
     return MeasuredRecord(
         name=f"record-{number}",
         rig="rig",

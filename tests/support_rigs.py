@@ -1,4 +1,4 @@
-"""A rig that answers from a function, for tests of its surroundings."""
+"""A rig whose records come from a function, for tests of the code around it."""
 
 import threading
 from collections.abc import Callable
@@ -42,7 +42,7 @@ def description(**changes) -> RigDescription:
 
 
 def response(request: TrialRequest) -> TrialRecord:
-    """A first-order response, faster the higher P is, with noise of the trial's number."""
+    """First-order response, faster at higher P; the trial's number seeds its noise."""
     profile = request.profile
     setpoint = profile.setpoint(RATE_HZ)
     time = np.arange(setpoint.size) / RATE_HZ
@@ -74,7 +74,7 @@ def response(request: TrialRequest) -> TrialRecord:
 
 
 def diverged(request: TrialRequest) -> TrialRecord:
-    """Response of a loop that leaves the finite range halfway."""
+    """Response of a loop that diverges to infinity halfway."""
     record = response(request)
     tension = np.array(record.tension_N)
     tension[tension.size // 2 :] = np.nan
@@ -84,12 +84,12 @@ def diverged(request: TrialRequest) -> TrialRecord:
 
 
 def broken(request: TrialRequest) -> TrialRecord:
-    """Raises, as a rig whose own program fails."""
+    """Raises an error like a rig whose program fails."""
     raise ZeroDivisionError(f"no answer to {request.number}")
 
 
 class ScriptedRig:
-    """Answers each trial from a function; implements `estune.trial.Rig`.
+    """Rig whose records a function computes; implements `estune.trial.Rig`.
 
     Attributes:
         requests: The requested trials, in order, repeats included.

@@ -1,4 +1,4 @@
-"""A rig of arithmetic and a tuner by script, for tests of the run around them."""
+"""A computed rig and a scripted tuner, for tests of runs."""
 
 from dataclasses import replace
 
@@ -34,7 +34,7 @@ def description(**changes) -> RigDescription:
 
 
 class ArithmeticRig:
-    """Answers with a first-order response that is fastest at certain gains, with 1 % noise.
+    """Rig with a first-order response that is fastest at certain gains, with 1 % noise.
 
     Like the simulated rig, its noise depends on the trial's number alone.
     """
@@ -90,7 +90,7 @@ class ArithmeticRig:
 
 
 class Seer(LeastSquaresGradient):
-    """A tuner that says what is left to gain, by a script, and what it takes for explored."""
+    """Tuner with scripted remaining improvement and a scripted explored region."""
 
     def convergence(self, state):
         remaining = (1.0, 0.3, 0.01, 0.01, 0.3, *(0.01,) * 50)[state.k - 1]

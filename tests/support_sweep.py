@@ -1,4 +1,4 @@
-"""A model that can be made to fail at one length, for tests of what stands around a cell."""
+"""A model that can be made to fail at one length, for tests of sweeps."""
 
 from tests.support_rigs import ScriptedRig, broken, response
 
@@ -18,5 +18,5 @@ class Fragile:
 
 
 def fragile(cable_length_m: float) -> Fragile:
-    """The plant at one length."""
+    """Plant at one length."""
     return Fragile(cable_length_m)

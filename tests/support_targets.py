@@ -1,4 +1,4 @@
-"""Targets that cannot be tuned, by module:attribute, for tests of what is said of them."""
+"""Targets that cannot be tuned, by module:attribute, for tests of their error messages."""
 
 from dataclasses import replace
 
@@ -10,14 +10,14 @@ from tests.support_runs import ArithmeticRig
 
 
 def unstable():
-    """A plant that its gains do not hold."""
+    """Plant that its gains do not stabilise."""
     return plants.linear_plant(
         control.tf([1.0], [1.0, -50.0]), settling_time_s=0.2, gains=Gains(0.1, 0.1, 0.0, 0.0)
     )
 
 
 def diverging():
-    """A function that leaves the finite range."""
+    """Function whose output diverges to infinity."""
 
     def step(state, _effort, _dt_s):
         return state * 10.0 + 1.0, state
@@ -28,7 +28,7 @@ def diverging():
 
 
 def misshapen():
-    """A function whose measurement is not one number."""
+    """Function that returns an array instead of one number."""
 
     def step(state, effort, _dt_s):
         return state, (effort, effort)
@@ -46,5 +46,5 @@ class _Short(ArithmeticRig):
 
 
 def short():
-    """A rig that sends half the samples and says it is done."""
+    """Rig that sends half the samples and reports the trial as done."""
     return _Short()

@@ -1,4 +1,4 @@
-"""Whole runs on uninformative costs: a clean end, and safe gains."""
+"""Runs on uninformative costs: they end regularly, with safe gains."""
 
 import math
 
@@ -16,7 +16,7 @@ from tests.support_runs import START, description
 
 
 def ended(cost, *, tuner=DEFAULT_TUNER, noise=0.0, seed=0, **changes) -> Session:
-    """A run to its end on a cost of the gains, with noise in proportion."""
+    """Session after a complete run on a cost of the gains with proportional noise."""
     about = description(gains=START)
     options = {"start": None, "bounds": None, "step": None, "cost": StepCost(0.1), **changes}
     session = new_session(make_plan(about, "run", tuner=tuner, **options))
@@ -53,7 +53,7 @@ def test_search_ends_soon_where_only_the_start_is_safe(tuner, bad):
 
 
 def bowl(gains: Gains, *which: str) -> float:
-    """Least at twice the start of the gains named; the others do not matter."""
+    """Cost with its minimum at twice the initial values of the named gains; flat in the others."""
     return math.exp(sum(math.log(getattr(gains, n) / getattr(START, n) / 2.0) ** 2 for n in which))
 
 
@@ -68,7 +68,7 @@ def test_gains_without_effect_get_wider_intervals(seed):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_gains_with_an_effective_product_reach_it(seed):
+def test_gains_with_an_effective_product_converge_to_it(seed):
     def cost(gains):
         return math.exp(math.log(gains.P * gains.I / (START.P * START.I) / 4.0) ** 2)
 

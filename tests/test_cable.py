@@ -14,7 +14,7 @@ from plants import cable
 
 TOLERANCE = {"rtol": 1e-12, "atol": 1e-13, "method": "DOP853"}
 
-# (T_x, mean of asinh(V/T_x), half its change, weight): taut to slack, falling to all but upright.
+# (T_x, mean of asinh(V/T_x), half its change, weight): taut to slack, sloping to nearly upright.
 courses = st.tuples(
     st.floats(0.05, 50.0), st.floats(-4.0, 4.0), st.floats(1e-3, 4.0), st.floats(0.01, 5.0)
 )
@@ -130,8 +130,8 @@ def test_catenary_is_recovered_from_any_admissible_triple(triple, solutions):
         assert np.max(c.residual()) < 1e-9
         for name in triple:
             assert np.array_equal(getattr(c, name), given_values[name])
-    # One of the two is the cable that we began with; the order of the two is what it is called.
-    # Ill-conditioned triples keep fewer digits: all are held to four.
+    # One solution is the original cable; `solution` names the two by their order.
+    # Ill-conditioned triples keep fewer digits; four are required of all.
     errors = [
         np.max(
             [np.abs(getattr(c, f"tension_{k}_N") / truth[f"tension_{k}_N"] - 1.0) for k in "x13"],
@@ -240,7 +240,7 @@ def test_least_taut_tension_is_uniform_within_beta(angle, beta, length):
 @pytest.mark.equation(1)
 @pytest.mark.equation(2)
 @given(st.floats(0.5, 5.0), st.floats(0.02, 0.3), st.floats(0.5, 1e4))
-def test_least_taut_tension_of_an_elastic_cable_uses_its_loaded_density(length, beta, EA):
+def test_least_taut_tension_uses_the_loaded_density_of_an_elastic_cable(length, beta, EA):
     T = cable.least_taut_tension_N(0.02, length, beta, EA)
     mu = cable.loaded_density_kg_m(0.02, T, EA)
     assert T * beta == pytest.approx(mu * cable.GRAVITY_M_S2 * length, rel=1e-12)

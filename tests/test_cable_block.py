@@ -1,4 +1,4 @@
-"""Residuals of gauge and encoder, turned into what the drum does and what is the cable's own."""
+"""Separation of gauge and encoder residuals into drum motion and cable errors."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ SIGMA = {"tension_N": 0.05, "angle_rad": 2e-4}
 
 
 def both_channels() -> Index:
-    """Gauge and encoder of one record, in one window; the encoder's first samples are missing."""
+    """Index of the gauge and encoder of one record; the encoder's first samples are missing."""
     samples = [np.arange(SAMPLES), np.arange(5, SAMPLES)]
     channel = np.concatenate(
         [
@@ -36,7 +36,7 @@ def fitted_block(index: Index) -> CableBlock:
     return block
 
 
-def test_what_the_drum_does_wrong_is_not_the_cable_s():
+def test_cable_residual_excludes_drum_motion():
     index = both_channels()
     moved_rad = 1e-3 * np.random.default_rng(1).standard_normal(SAMPLES)
     block = fitted_block(index)
@@ -47,14 +47,14 @@ def test_what_the_drum_does_wrong_is_not_the_cable_s():
     assert blocks.drum > 1.0
 
 
-def test_what_the_gauge_reads_wrong_is_as_large_as_the_noise_of_both_channels_has_it():
+def test_cable_residual_of_a_gauge_error_is_scaled_by_both_noises():
     index = both_channels()
     residual = fitted_block(index).left(whitened(index, np.full(SAMPLES, 0.1), np.zeros(SAMPLES)))
     both = np.hypot(SIGMA["tension_N"], PULL_N_RAD * SIGMA["angle_rad"])
     assert residual == pytest.approx(np.full(SAMPLES - 5, 0.1 / both))
 
 
-def test_noise_leaves_both_blocks_at_the_floor_and_no_power_is_lost():
+def test_residual_of_noise_keeps_its_power():
     index = both_channels()
     noise = np.random.default_rng(2).standard_normal((20_000, index.sample.size))
     block = fitted_block(index)

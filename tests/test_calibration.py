@@ -1,4 +1,4 @@
-"""Gauge and current calibration, against other fits, statistics by hand and known truths."""
+"""Gauge and current calibration, against other fits, textbook statistics and true curves."""
 
 import json
 
@@ -16,13 +16,13 @@ COMMANDS = np.repeat(np.linspace(-2000.0, 2000.0, 11), 2)
 
 
 def gauge_counts(force_N, position_m=0.0):
-    """A gauge: nearly linear, softer away from its centre."""
+    """Counts of a nearly linear gauge, softer away from its centre."""
     softening = 1.0 - 30.0 * np.square(position_m - 0.002)
     return 400.0 + 55.0 * force_N * softening + 0.12 * np.square(force_N)
 
 
 def amplifier_A(command):
-    """A current controller with a cubic bend and an offset."""
+    """Current of a controller with a cubic nonlinearity and an offset."""
     return 0.03 + 2.9e-3 * command - 6e-11 * command**3
 
 
@@ -41,7 +41,7 @@ def test_quadratic_agrees_with_an_independent_fit():
     residuals = counts - np.polyval(reference, FORCES)
     assert fit.residuals == pytest.approx(residuals, abs=1e-8)
     assert fit.standard_error**2 == pytest.approx(residuals @ residuals / (FORCES.size - 3))
-    # The leverage of each point by taking it away: its new residual is r/(1 - h).
+    # The leverage of each point by leaving it out: its new residual is r/(1 - h).
     for i in (0, 17, 35):
         keep = np.arange(FORCES.size) != i
         without = np.polyval(np.polyfit(FORCES[keep], counts[keep], 2), FORCES[i])
@@ -157,7 +157,7 @@ def test_lack_of_fit_needs_differing_repeats():
     )
 
 
-def test_extrapolation_is_refused_beyond_the_margin():
+def test_extrapolation_is_refused_outside_the_margin():
     calibration = GaugeCalibration.fit(FORCES, read(0))
     with pytest.raises(InvalidInput, match=r"force 40.5 N is outside the calibrated 0 to 40 N"):
         calibration.reading([3.0, 40.5])

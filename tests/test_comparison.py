@@ -1,4 +1,4 @@
-"""Whether gains are better than others: against scipy, against chance, and under drift."""
+"""Comparison of gains by their costs: against scipy, in coverage, and under drift."""
 
 import math
 from itertools import pairwise
@@ -32,7 +32,7 @@ def test_intervals_have_their_nominal_coverage():
         before, after = np.exp(rng.normal(0.0, 0.05, 4)), np.exp(rng.normal(-0.1, 0.02, 4))
         change = compare_costs(before, after, 0.9)
         covered += change.low < math.expm1(-0.1) < change.high
-    # Welch's approximation errs by a per cent or so; four standard errors of the count beside it.
+    # Welch's approximation errs by about 1 %; four standard errors of the count are added.
     assert covered / trials == pytest.approx(0.9, abs=0.015 + 4 * math.sqrt(0.09 / trials))
 
 

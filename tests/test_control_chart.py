@@ -1,4 +1,4 @@
-"""The control chart's false alarms against tables, a Markov chain and chance; what it tells."""
+"""Control chart: false alarms against tables, a Markov chain and simulation; its signals."""
 
 import math
 
@@ -46,7 +46,7 @@ def test_average_run_length_matches_a_markov_chain(smoothing, shift):
 
 
 def run_lengths(chart: ControlChart, runs: int, baseline: int, drift: float = 0.0) -> np.ndarray:
-    """Trials until the alarm, of charts that begin with so many repeats each."""
+    """Trials until the alarm, for charts with the given number of baseline repeats."""
     rng, lengths = np.random.default_rng(7), []
     for _ in range(runs):
         state = chart.begin(
@@ -65,7 +65,7 @@ def test_false_alarm_rate_is_independent_of_the_baseline_length(baseline):
     chart = ControlChart(smoothing=0.2, false_alarm_checks=60.0, scatter_min=1e-6)
     lengths = run_lengths(chart, 400, baseline)
     error = lengths.std() / math.sqrt(lengths.size)
-    # Trials that are repeated, and those not learnt from, make it rarer, but not by much.
+    # Repeated trials and those excluded from the baseline make alarms slightly rarer.
     assert 60.0 - 3.0 * error < lengths.mean() < 1.25 * 60.0 + 3.0 * error
 
 
@@ -92,12 +92,12 @@ def test_single_outlier_is_repeated_and_ignored():
     ("cost", "sign"),
     [(3.0, ChartSignal.WORSE), (math.inf, ChartSignal.WORSE), (0.3, ChartSignal.BETTER)],
 )
-def test_two_outliers_in_a_row_are_a_change(cost, sign):
+def test_chart_signals_a_change_after_two_consecutive_outliers(cost, sign):
     state, _ = CHART.update(begin_chart(), cost)
     assert CHART.update(state, cost)[1] is sign
 
 
-def test_outliers_of_opposite_sign_are_repeated_again():
+def test_outliers_of_opposite_sign_are_repeated_twice():
     state, _ = CHART.update(begin_chart(), 3.0)
     assert CHART.update(state, 0.3)[1] is ChartSignal.SUSPECT
 

@@ -1,4 +1,4 @@
-"""The cost (35): its normalisation, its closed forms, and what it refuses."""
+"""The cost (35): normalisation, closed forms, and refused input."""
 
 import math
 
@@ -71,7 +71,7 @@ def test_cost_in_settling_times_is_independent_of_loop_speed(cost, faster):
 def test_cost_in_seconds_depends_on_loop_speed():
     quick = evaluate(StepCost(0.4), lambda t: np.exp(-4.0 * t))
     slow = evaluate(StepCost(40.0), lambda t: np.exp(-0.04 * t), sampling_Hz=SAMPLING_Hz / 100.0)
-    assert slow > 1.2 * quick  # the slower loop is charged more for the same slow tail
+    assert slow > 1.2 * quick  # the slower loop costs more for the same slow tail
 
 
 @pytest.mark.equation(35)

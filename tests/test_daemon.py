@@ -51,7 +51,7 @@ def test_daemon_tunes_watches_and_tunes_again_after_a_drift(tmp_path):
             again = it.until(lambda s: s.run.endswith("-002") and s.mode == "holding")
             assert "drifted" in it.kinds()
             assert again.gains["candidate"] != status.gains["candidate"]
-        # Stopped while a second candidate waits: what was accepted before is live.
+        # Stopped while a second candidate waits: the gains accepted before are live.
         assert rig.describe().gains == status.gains["candidate"]
 
 
@@ -65,7 +65,7 @@ def test_significant_improvement_is_accepted_automatically_if_configured(tmp_pat
 
 
 def test_gains_without_improvement_are_not_accepted(tmp_path):
-    # Every response is the same, but for the noise.
+    # All responses are equal except for the noise.
     def deaf(request):
         return replace(response(replace(request, gains=ORIGINAL)), gains=request.gains)
 
@@ -136,7 +136,7 @@ def test_commands_not_allowed_in_a_mode_are_refused(tmp_path):
             it.command("pause", rig="other")
 
 
-def test_paused_rig_is_free_for_others_and_foreign_gains_are_kept(tmp_path):
+def test_paused_rig_accepts_other_clients_and_keeps_their_gains(tmp_path):
     with rig_served() as (rig, where), daemon(tmp_path, rig_table("drum", where)) as it:
         it.until_mode("holding")
         it.command("reject")
@@ -145,7 +145,7 @@ def test_paused_rig_is_free_for_others_and_foreign_gains_are_kept(tmp_path):
         it.until_mode("paused")
         with zenoh.connect(where) as other:
             other.apply(FOREIGN)
-        # Found again after the link was cut: nobody has said to go on.
+        # After a reconnection the daemon waits for the operator's command to resume.
         it.service._supervisors[0]._disconnect()
         status = it.until(lambda s: "not set through this daemon" in s.paused)
         assert "revert the original" in status.paused
@@ -276,7 +276,7 @@ def test_repeated_failures_are_retried_at_growing_intervals(tmp_path, monkeypatc
     monkeypatch.setattr(TuningRuns, "open", no_run)
     monkeypatch.setattr(RigSupervisor, "_rest", rest)
     with rig_served() as (_, where), daemon(tmp_path, rig_table("drum", where)) as it:
-        # The rig is found and readied each time in between.
+        # The rig is found and prepared between two faults.
         it.until(lambda _: len(waits) > 3)
         assert waits[:4] == pytest.approx([0.1, 0.2, 0.3, 0.3])
 
@@ -353,7 +353,7 @@ def test_full_disk_prevents_accept_and_still_stops_safely(tmp_path):
         with store._file._lock:
             pages = store._file._connection.execute("PRAGMA page_count").fetchone()[0]
             store._file._connection.execute(f"PRAGMA max_page_count={pages}")
-        # Commands that are refused are kept, too, until there is no room for another.
+        # Refused commands are stored, too, until the store is full.
         while True:
             try:
                 it.command("resume")
@@ -386,7 +386,7 @@ def test_killed_daemon_continues_where_it_was(moment, tmp_path):
             killed = it.until(at)
             process.kill()
             process.wait()
-        # The rig ends a trial whose daemon died; a candidate is live in trials only.
+        # The rig ends a trial whose daemon died; a candidate is live only during trials.
         nominal = killed.gains["accepted"] if moment == "watching" else ORIGINAL
         assert live_gains(server.endpoint) == nominal
         with daemon_process(tmp_path, table) as (process, it):
@@ -408,7 +408,7 @@ def test_killed_daemon_continues_where_it_was(moment, tmp_path):
 
 
 @pytest.mark.slow
-def test_signals_restore_gains_and_a_lost_rig_gets_them_at_next_start(
+def test_signals_restore_gains_or_a_lost_rigs_at_next_start(
     tmp_path,
 ):
     with served("unhurried", "drum") as server:

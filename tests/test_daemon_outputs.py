@@ -48,7 +48,7 @@ def status(**changes) -> DaemonStatus:
 
 
 def parsed(text: str) -> dict[tuple[str, frozenset], float]:
-    """Prometheus' text format, read strictly."""
+    """Samples of a text in Prometheus' format, parsed strictly."""
     samples = {}
     for line in text.removesuffix("\n").split("\n"):
         if line.startswith("#"):
@@ -158,7 +158,7 @@ def test_failing_hooks_are_logged(command, words, caplog):
     assert bool(caplog.text) is bool(words)
 
 
-def test_hanging_hook_drops_events_beyond_the_queue(tmp_path, caplog):
+def test_hanging_hook_drops_events_when_the_queue_is_full(tmp_path, caplog):
     fifo = tmp_path / "go"
     subprocess.run(["mkfifo", fifo], check=True)
     hooks = Hooks([HookTable(command=["sh", "-c", f"read line < {fifo}"], timeout_s=30.0)])

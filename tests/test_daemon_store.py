@@ -1,4 +1,4 @@
-"""The daemon's store: what it holds comes back, old files open, and its size is bounded."""
+"""The daemon's store: its contents survive reopening, old files open, its size is bounded."""
 
 import shutil
 from dataclasses import asdict, replace

@@ -23,7 +23,7 @@ METADATA = {
 
 
 class Referenced(ArithmeticRig):
-    """Has an outside gauge too."""
+    """Rig with an additional, external gauge."""
 
     def run(self, request):
         record = super().run(request)
@@ -38,7 +38,7 @@ def run(request, tmp_path):
 
 
 def read(path):
-    """Columns and metadata of an exported trial, by readers that are not ours."""
+    """Columns and metadata of an exported trial, read by other libraries."""
     if path.suffix == ".parquet":
         table = pq.read_table(path)
         columns = {name: table[name].to_numpy() for name in table.column_names}
@@ -66,7 +66,7 @@ def test_export_returns_every_record_bit_for_bit(run, form, tmp_path):
         assert about["outcome"] == "done"
 
 
-def test_export_again_replaces_files_and_leaves_no_other(run, tmp_path):
+def test_repeated_export_replaces_all_files(run, tmp_path):
     out = tmp_path / "out"
     first = export_run(run.folder, out, "csv")
     content = first[0].read_bytes()

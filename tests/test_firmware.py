@@ -34,7 +34,7 @@ def compiled() -> CompiledController:
 
 
 def play(controller, gains, other, signals) -> list[tuple[float, bool]]:
-    """Efforts of a controller that takes other gains over half way."""
+    """Efforts of a controller that switches to other gains halfway."""
     controller.rest(signals[0][1], 3.0)
     controller.use(pidf.coefficients(SETTINGS, gains))
     efforts = []
@@ -82,7 +82,7 @@ int main(void) {
     [(["-std=c90"], 1e-9), (["-std=c17", "-O2"], 1e-9), (["-Dcasadi_real=float"], 1e-3)],
     ids=["C90", "C17", "single precision"],
 )
-def test_firmware_file_compiles_alone_and_computes_the_same(tmp_path, flags, tolerance):
+def test_firmware_compiles_alone_and_equals_the_controller(tmp_path, flags, tolerance):
     (tmp_path / "controller.c").write_text(controller_source(SETTINGS, GAINS))
     program = PROGRAM
     if "-Dcasadi_real=float" in flags:

@@ -1,4 +1,4 @@
-"""The noise floor: right where the noise is known, and never taken in by what is not noise."""
+"""The noise floor: accurate for known noise, insensitive to mains, drift and excitation."""
 
 from dataclasses import replace
 
@@ -27,7 +27,7 @@ SINES = multisine(RATE, Band(1.0, 60.0, periods=3), 4.0)
 
 
 def once(m):
-    """The first period of a record, in which nothing repeats."""
+    """First period of a record, in which nothing repeats."""
     n = m.samples // 2 - 7
     cut = {c: getattr(m, c)[:n] for c in ("time_s", "setpoint_N", "current_A", "tension_N")}
     return replace(m, **cut, angle_rad=m.angle_rad[:n], flags=m.flags[:n])

@@ -1,4 +1,4 @@
-"""The record frame: bit for bit, and any other bytes are refused."""
+"""The record frame: decoded bit for bit; any other bytes are refused."""
 
 import json
 import struct
@@ -80,7 +80,7 @@ def test_changed_record_is_encoded_anew(framed):
 
 @given(st.data())
 def test_frame_with_corrupt_bits_is_refused(framed, data):
-    """Single bits anywhere, and bursts up to the length the checksum is certain to notice."""
+    """Single-bit errors, and bursts up to the length that the checksum detects with certainty."""
     start = data.draw(st.integers(0, 8 * len(framed) - 32))
     burst = data.draw(st.integers(1, 2**32 - 1))
     damaged = int.from_bytes(framed, "little") ^ (burst << start)
@@ -105,7 +105,7 @@ def test_bytes_that_are_no_frame_are_refused(data, sealed):
 
 
 def seal(header: bytes, body: bytes = b"", magic: bytes = b"RTR1") -> bytes:
-    """A frame with right lengths and checksum, whatever it holds; written from the description."""
+    """Frame with correct lengths and checksum around any content; written from the description."""
     lengths = struct.pack("<4sII", magic, len(header), len(body))
     checksum = zlib.crc32(lengths + bytes(4) + header + body)
     return lengths + struct.pack("<I", checksum) + header + body

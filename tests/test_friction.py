@@ -24,7 +24,7 @@ COUNTS = 8192.0
 
 
 def lugre_steady_friction(velocity, stiffness=50.0):
-    """Friction at constant velocity by the LuGre model, integrated until it is steady."""
+    """Steady friction at constant velocity by integration of the LuGre model."""
     fade = math.exp(-((velocity / DRY.stribeck_rad_s) ** 2))
     g = DRY.coulomb_Nm + (DRY.static_Nm - DRY.coulomb_Nm) * fade
 
@@ -83,14 +83,14 @@ def test_compensation_never_drives_a_drum_of_less_friction(
         assert abs(given_at(1e-9)) <= steepest * 1e-9
 
 
-def test_compensation_beyond_the_noise_is_a_fraction_of_the_friction():
+def test_compensation_above_the_noise_is_a_fraction_of_friction():
     v = np.array([-3.0, -0.5, 0.2, 0.8, 5.0])
     motion = Motion(v, np.full(5, 0.1), 0.01, np.zeros(5), 1.0)
     assert FeedForward(DRY, 0.0, 0.7).friction_Nm(motion) == pytest.approx(0.7 * DRY.torque_Nm(v))
 
 
 def unstable_wrench_trial(coefficient_share, noise_counts):
-    """A small wrench on a reel of high friction, with the given errors of the compensation."""
+    """Small force on a reel of high friction, with the given errors of the compensation."""
     trial = reference_wrench_trial()
     reel = replace(trial.platform.reel, tension_N=trial.platform.reel.tension_min_N)
     coulomb, static, velocity = 0.08, 0.12, 0.5
@@ -108,7 +108,7 @@ def unstable_wrench_trial(coefficient_share, noise_counts):
 
 
 def run_limits(trial):
-    """The trial with (10) of the estimated velocity fed forward, and with its limits."""
+    """Trial with (10) fed forward at the estimated velocity and at its limits."""
     dry = trial.feed_forward.friction
     unlimited = run_wrench(trial, lambda motion: float(dry.torque_Nm(motion.velocity_rad_s)))
     return unlimited, run_wrench(trial)
@@ -122,7 +122,7 @@ def test_limits_prevent_instability_at_high_friction_coefficients():
             shaking[share, noise] = np.std(free.tension_N) / np.std(limited.tension_N)
             assert limited.tension_N.min() > 4.5  # of 5 N
     assert shaking[3.0, 0.3] > 10.0
-    del shaking[3.0, 0.3]  # either cause alone does no harm
+    del shaking[3.0, 0.3]  # one cause alone has no effect
     assert max(shaking.values()) < 1.2
     free, _ = run_limits(unstable_wrench_trial(3.0, 1.0))
     assert free.tension_N.min() < 0.5
@@ -134,7 +134,7 @@ def test_inertia_is_compensated_at_high_speed_only():
     residual = np.std(high.true_inertia_N - high.inertia_N)
     assert residual < 0.5 * np.std(high.true_inertia_N)
     assert (low.inertia_N == 0.0).all()
-    for traces in (high, low):  # friction is compensated at either, never beyond the true one
+    for traces in (high, low):  # never overcompensated
         moving = np.abs(traces.velocity_rad_s) > 0.3
         assert np.mean(np.abs(traces.friction_N[moving]) > 0.5) > 0.8
         assert np.abs(traces.friction_N).max() <= np.abs(traces.true_friction_N).max()
@@ -203,7 +203,7 @@ def test_ramps_in_both_directions_recover_friction_and_inertia():
     for name, estimate in estimates(fit).items():
         assert estimate.low <= TRUTH[name] <= estimate.high, name
         assert estimate.value == pytest.approx(TRUTH[name], rel=0.03), name
-    assert fit.residual_counts == pytest.approx(1.0 / math.sqrt(12.0), rel=0.1)  # counting alone
+    assert fit.residual_counts == pytest.approx(1.0 / math.sqrt(12.0), rel=0.1)  # rounding
     assert fit.feed_forward().friction == fit.friction
 
 
@@ -218,7 +218,7 @@ def test_bias_by_presliding_falls_with_its_stiffness():
 
 
 def drawn_ramp(rng):
-    """A ramp on a drum drawn at random, and the truth about it."""
+    """Ramp on a randomly drawn drum, and its true parameters."""
     spread = np.exp(0.2 * rng.normal(size=5))
     truth = dict(zip(TRUTH, np.array(list(TRUTH.values())) * spread, strict=True))
     truth["static"] = truth["coulomb"] * rng.uniform(1.3, 1.9)
@@ -232,7 +232,7 @@ def test_confidence_intervals_match_the_spread_of_estimates():
     for _ in range(fits):
         record, truth = drawn_ramp(rng)
         estimate = estimates(fit_friction([record], confidence=0.9))
-        # Miss in standard deviations; a 90 % interval is 1.645 of them to either side.
+        # Error in standard deviations; a 90 % interval is 1.645 of them to either side.
         scores.append(
             [1.645 * math.log(e.value / truth[n]) / math.log(e.high / e.value)
              for n, e in estimate.items()]

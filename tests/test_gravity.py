@@ -30,7 +30,7 @@ def course(T_1, angle, length):
 @given(hanging)
 def test_compensation_is_the_weight_along_the_cable_at_the_reel(cable):
     T_1, angle, length = cable
-    pieces = np.full(500, W * length / 500.0)  # each pulls down; what of it lies along the cable
+    pieces = np.full(500, W * length / 500.0)  # weight acts downwards; component along the cable
     direction, down = np.array([np.cos(angle), np.sin(angle)]), np.array([0.0, -1.0])
     expected = sum(float(piece * down @ direction) for piece in pieces)
     force = gravity_force_N(W, length, tension_1z_N=T_1 * np.sin(angle), tension_1_N=T_1)
@@ -44,7 +44,7 @@ def test_compensation_by_position_agrees_with_the_integrated_cable(cable):
     _, rise, V_3 = course(T_1, angle, length)
     force = gravity_force_by_position_N(W, length, rise_m=rise, tension_1_N=T_1)
     assert force == pytest.approx(-W * length * np.sin(angle), abs=1e-8 * W * length)
-    # It is the added tension to first order in weight over tension, never less than its opposite.
+    # It equals the added tension to first order in weight over tension.
     added = np.hypot(T_1 * np.cos(angle), V_3) - T_1
     second_order = W**2 * (length**2 - rise**2) / (2.0 * T_1)
     assert force + added == pytest.approx(second_order, abs=1e-8 * (T_1 + W * length))
@@ -71,7 +71,7 @@ def test_compensation_of_a_slack_cable_is_its_weight():
     assert gravity_force_by_position_N(W, 2.0, rise_m=1.0, tension_1_N=0.999 * edge) == W * 2.0
 
 
-def test_compensation_of_a_vertical_cable_is_plus_or_minus_its_weight():
+def test_compensation_of_a_vertical_cable_is_its_signed_weight():
     force = gravity_force_by_position_N(W, 2.0, rise_m=np.array([2.0, -2.0]), tension_1_N=9.0)
     assert force == pytest.approx([-2.0 * W, 2.0 * W])
     assert type(gravity_force_N(W, 2.0, tension_1z_N=1.0, tension_1_N=9.0)) is float

@@ -1,4 +1,4 @@
-"""The guard: which limit acts at which sample, and that a good reel is left alone."""
+"""The guard: which limit acts at which sample; a good reel triggers none."""
 
 import math
 
@@ -14,13 +14,13 @@ MS = 1e-3
 
 
 def good(k: int) -> Sample:
-    """Sample k of a reel that is held well, every millisecond."""
+    """Sample k, at 1 kHz, of a reel under good control."""
     tension = 15.0 + 0.01 * (k % 3)
     return Sample(k * MS, tension, 1000.0 + k % 3, 1.0, 0.1)
 
 
 def stopped_at(limits: Limits, samples) -> tuple[int, guard.GuardTrip] | None:
-    """The first sample at which the guard acts, and its word."""
+    """First sample at which the guard acts, and its message."""
     watch = None
     for k, sample in enumerate(samples):
         watch, stop = guard.check_sample(limits, watch or guard.begin(sample), sample)
@@ -30,7 +30,7 @@ def stopped_at(limits: Limits, samples) -> tuple[int, guard.GuardTrip] | None:
 
 
 def faulty(first: int, **changes):
-    """Good samples with changes from one on; a function is of the sample's number."""
+    """Good samples with changes from one sample on; functions take the sample's number."""
     for k in range(first + 400):
         sample = good(k)
         if k >= first:
@@ -83,7 +83,7 @@ CASES = {
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_each_limit_trips_at_the_first_sample_beyond_it(case):
+def test_limits_trip_at_the_first_sample_above_them(case):
     limits, changes, expected, reason = CASES[case]
     at, stop = stopped_at(limits, faulty(50, **changes))
     assert at == expected
@@ -121,7 +121,7 @@ def test_most_severe_reason_is_named_first():
     assert stopped_at(everything, faulty(5, **sample, time_s=0.0))[1].reason is Reason.CLOCK
 
 
-def test_only_limits_of_the_reel_are_caused_by_gains():
+def test_gains_can_violate_only_limits_of_the_reel():
     blamed = {reason for reason in Reason if reason.is_caused_by_gains}
     assert blamed == {
         *(Reason.TENSION, Reason.SLACK, Reason.RATE, Reason.CURRENT),

@@ -62,7 +62,7 @@ def ask(rig, number=0, gains=GAINS, **changes) -> TrialRequest:
 
 
 def eventually(holds) -> None:
-    """Waits for something that must come, however slow the machine is."""
+    """Waits for a condition, with a limit for slow machines."""
     end = time.monotonic() + GIVE_UP_S
     while not holds():
         assert time.monotonic() < end
@@ -71,7 +71,7 @@ def eventually(holds) -> None:
 
 @contextmanager
 def in_background(call):
-    """Runs a call in a thread; yields a list that will hold its result or its error."""
+    """Runs a call in a thread; yields a list that receives its result or its error."""
     results = []
 
     def run():
@@ -90,7 +90,7 @@ def in_background(call):
 
 @contextmanager
 def agent(address: str):
-    """A process with a rig on this hardware that holds the reel after one trial."""
+    """Process with a rig on this hardware that holds the reel after one trial."""
     code = (
         "import sys; from estune.hardware import HardwareRig;"
         "from tests.support_hardware import quick; from tests.test_hardware import ask;"
@@ -111,7 +111,7 @@ def agent(address: str):
             process.kill()
 
 
-def test_rig_has_no_power_before_the_first_trial_and_after_close(hardware):
+def test_rig_is_unpowered_before_the_first_trial_and_after_close(hardware):
     address, truth = hardware
     with HardwareRig(configuration(address)) as rig:
         eventually(lambda: rig.timing().samples > 50)
@@ -127,7 +127,7 @@ def test_record_holds_what_the_hardware_did(rig, hardware):
     record = rig.run(ask(rig))
     assert record.outcome is Outcome.DONE
     spacing = np.diff(record.time_s)
-    assert spacing.min() > 0.0  # stamped when read, not when it should have been
+    assert spacing.min() > 0.0  # time stamp of the reading, not of its deadline
     assert spacing.std() > 0.0
     assert record.tension_N[:20].mean() == pytest.approx(15.0, abs=1.0)
     eventually(lambda: abs(rig.state().tension_N - hardware[1]().tension_N) < 0.5)
@@ -169,7 +169,7 @@ def test_killed_loop_leaves_the_reel_to_the_hardwares_watchdog(hardware):
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
-def test_loop_killed_or_hung_in_a_trial_is_an_error_for_good(hardware, number):
+def test_loop_killed_or_hung_in_a_trial_is_a_permanent_error(hardware, number):
     address, truth = hardware
     with HardwareRig(configuration(address)) as rig:
         with in_background(lambda: rig.run(ask(rig, duration_s=8.0))) as results:
@@ -182,18 +182,18 @@ def test_loop_killed_or_hung_in_a_trial_is_an_error_for_good(hardware, number):
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
-def test_killed_or_hung_rig_program_leaves_the_reel_in_its_safe_state(hardware, number):
+def test_killed_or_hung_rig_program_leaves_the_reel_safe(hardware, number):
     address, truth = hardware
     with agent(address) as process:
         assert truth().powered
         process.send_signal(number)
         if number == signal.SIGKILL:
             eventually(lambda: not truth().powered)
-            assert truth().tripped == 0  # in order, by the loop itself
+            assert truth().tripped == 0  # regular release by the loop itself
         else:
             written = truth().written
             eventually(lambda: truth().written > written + 500)
-            assert truth().powered  # its safe state is to be held by the live gains
+            assert truth().powered  # its safe state is closed-loop control with the live gains
             assert truth().tension_N == pytest.approx(15.0, abs=3.0)
 
 
@@ -208,7 +208,7 @@ def test_jump_of_the_time_of_day_is_logged_once(rig, monkeypatch, caplog):
 
 
 class ObservedLock:
-    """A lock that sets an event when a call has waited for it in vain."""
+    """Lock that sets an event when an acquisition times out."""
 
     def __init__(self, lock, in_vain):
         self._lock, self._in_vain = lock, in_vain
@@ -238,7 +238,7 @@ def test_abort_during_preparation_stops_the_trial(hardware):
             assert aborted.wait(GIVE_UP_S)
             return prepare(request)
 
-        # The abort is said once before the trial has a number, and so to none.
+        # The abort comes once before the trial has a number, so it reaches no trial.
         rig._prepare, rig._trial = until_said, ObservedLock(rig._trial, aborted)
         with in_background(lambda: rig.run(ask(rig, duration_s=8.0))) as results:
             assert started.wait(GIVE_UP_S)
@@ -255,7 +255,7 @@ def test_failing_driver_ends_motion_and_is_reported(hardware):
     with pytest.raises(RigError, match=r"the loop has failed|loop has ended"):
         rig.run(ask(rig, 1))
     rig.close()
-    with HardwareRig(configuration(address)) as rig:  # and another rig is none the worse
+    with HardwareRig(configuration(address)) as rig:  # another rig is unaffected
         assert rig.run(ask(rig)).outcome is Outcome.DONE
 
 

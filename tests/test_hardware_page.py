@@ -29,12 +29,12 @@ from tests.support_hardware import quick
 PAGE = (Path(__file__).parents[1] / "docs" / "hardware.md").read_text()
 COMMAND, ANSWER = struct.Struct("<ch"), struct.Struct("<iq")
 BUSY_S = 3.0
-"""How long a busy machine may keep the loop, or the board behind the port, from its turn."""
+"""Scheduling delay, s, that a busy machine may impose on the loop or the board."""
 
 
 @pytest.fixture
 def serial_board(tmp_path, monkeypatch):
-    """Puts the page's driver where it is found."""
+    """Writes the page's driver to a folder on the import path."""
     (text,) = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
     (tmp_path / "serial_board.py").write_text(text)
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
@@ -43,7 +43,7 @@ def serial_board(tmp_path, monkeypatch):
 
 @pytest.fixture
 def port():
-    """A serial port with the emulated reel behind it."""
+    """Serial port connected to the emulated reel."""
     ours, theirs = os.openpty()
     tty.setraw(ours)
     tty.setraw(theirs)
@@ -55,7 +55,7 @@ def port():
         while not over.is_set():
             try:
                 data += os.read(ours, 64)
-            except OSError:  # nobody has the other end open any more
+            except OSError:  # the other end is closed
                 return
             now = time.monotonic()
             while len(data) >= COMMAND.size:

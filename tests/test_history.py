@@ -13,7 +13,7 @@ TUNE = {"tuner": "phase_compensated", "trials": 40, "repeats": 2, "run": "old", 
 
 @pytest.fixture(params=["other gains", "no such tuner"])
 def another_version(monkeypatch, request):
-    """Makes the tuners propose other gains, or the stored tuner unknown."""
+    """Changes the tuners' proposals, or makes the stored tuner unknown."""
 
     def proposes(_):
         for kind in (TUNERS[name].kind for name in ("phase_compensated", "safe_bayesian")):

@@ -30,7 +30,7 @@ def body(*sections: Section, summary=()) -> str:
     return render(page).split("</style>")[1]
 
 
-def test_every_text_of_a_page_is_escaped():
+def test_page_escapes_every_text():
     blocks = (
         Paragraph(HOSTILE),
         Paragraph(HOSTILE, style="code"),
@@ -48,7 +48,7 @@ def test_code_bold_minus_and_units_are_set():
     assert "<b>Note</b> <code>x**2</code> is &minus;3&nbsp;N, not 2**3&nbsp;or 4**5" in text
 
 
-def test_a_page_refers_to_nothing_outside_itself_and_offers_its_numbers():
+def test_page_is_self_contained_and_includes_its_data():
     text = body(Section("S", (drawing(csv="a,b\n1,2\n"),)))
     addresses = re.findall(r'(?:src|href)="([^"]*)"', text)
     assert [address.partition(",")[0] for address in addresses] == [
@@ -59,7 +59,7 @@ def test_a_page_refers_to_nothing_outside_itself_and_offers_its_numbers():
     assert 'alt="a &#34;line&#34;"' in text
 
 
-def test_sections_and_warnings_without_content_are_left_out():
+def test_empty_sections_and_warnings_are_omitted():
     text = body(Section("Empty", ()), Section("Full", (Warnings(()), Paragraph("text"))))
     assert "Empty" not in text
     assert "<aside>" not in text

@@ -33,7 +33,7 @@ def gains(scale):
 
 
 def signals_at(t, seed):
-    """Smooth signals with steps in the setpoints, as a platform at its boundary shows them."""
+    """Smooth signals with setpoint steps, as of a platform at its boundary."""
     a, b, c, d = np.random.default_rng(seed).uniform(0.3, 1.0, 4)
     return HybridSignals(
         0.1 * a * math.sin(3.0 * t) + (0.05 if t > 0.4 else 0.0),
@@ -56,7 +56,7 @@ def test_handed_over_integral_gives_the_effort_of_the_other(which, effort, seed)
         r, y = (v / scale for v in signals_at(0.5, seed)[2:])
         state = PidfState(3.0, 0.9 * r, 1.1 * y)
         after, effort_taken = hybrid.hand_over(c, state, r, y, effort)
-        # Found by search, with the whole controller as a black box.
+        # By root finding, with the whole controller as a black box.
         integral = brentq(
             lambda value, c=c, state=state, r=r, y=y: (
                 pidf.step(c, state._replace(integral_N=value), r, y)[1] - effort
@@ -98,7 +98,7 @@ def test_effort_at_a_switch_is_that_without_it(position, tension, limit, switche
             # Rounding of the largest term in the sum, P e or D dy/dt.
             largest = position.P + position.D * RATE + 50.0 * (tension.P + tension.D * RATE)
             assert effort == pytest.approx(unswitched, abs=1e-14 * largest + 1e-12)
-            # What follows is the incoming controller's own law, from that effort on.
+            # After the hand-over the effort follows the incoming controller's law.
             assert following.in_tension is mode
             state = following
         else:
@@ -159,7 +159,7 @@ def test_selection_follows_the_rules_of_the_paper():
                 if solved:
                     expected = True
                 elif tension < 2.0:
-                    expected = True  # or the cable would sag
+                    expected = True  # otherwise the cable would sag
                 else:
                     expected = was and tension < 3.0  # hysteresis while a slack cable is pulled
                 assert rules.select(was, tension, solved) is expected
@@ -175,12 +175,12 @@ def test_hand_over_at_the_boundary_keeps_the_cable_taut():
     trial = reference_boundary_trial()
     handed, parallel = run_boundary(trial)
     for traces in (handed, parallel):
-        assert np.count_nonzero(np.diff(traces.in_tension)) >= 4  # both switch to and fro
+        assert np.count_nonzero(np.diff(traces.in_tension)) >= 4  # both switch back and forth
     assert np.abs(handed.jump_N).max() < 1e-9
     assert np.abs(parallel.jump_N).max() > trial.platform.reel.tension_N
     assert handed.tension_N.min() > trial.rules.tension_min_N
     assert parallel.tension_N.min() == 0.0
-    # The user leans on the boundary; the platform gives way by some centimetres and comes back.
+    # The user pushes the platform some centimetres beyond the boundary, then releases it.
     assert handed.position_m.max() < 0.1 < parallel.position_m.max()
 
 

@@ -86,7 +86,7 @@ def test_sampled_model_agrees_with_the_matrix_exponential(natural, damping, dead
     A, B, C, E = model.state_space()
     plant = sample_plant(A, B, C, E, dead_time_s=dead_time, sample_s=1.0 / SAMPLING_HZ)
     exact = plant.response(2 * np.pi * f / SAMPLING_HZ)
-    # The matrix is poorly scaled for fast modes; 1e-6 still tells the two apart.
+    # The matrix is poorly scaled for fast modes; 1e-6 still distinguishes the two.
     assert (
         np.abs(model.sampled_response(f, SAMPLING_HZ) - exact).max() < 1e-6 * np.abs(exact).max()
     )
@@ -134,7 +134,7 @@ def test_multisine_has_a_low_crest_factor_and_silent_detection_lines(slope):
     f = segment.excited / TEN_SECONDS.period_s
     expected = np.maximum(f / 20.0, 1.0) ** slope
     assert spectrum[segment.excited] / spectrum[segment.excited][0] == pytest.approx(expected)
-    # A sum of sines with phases by lot has 3 or more; one sine has 1.41.
+    # A sum of sines with random phases has 3 or more; one sine has 1.41.
     assert excitation.crest_factor < 1.6
     assert (segment.even % 2 == 0).all()
     assert (segment.odd % 2 == 1).all()
@@ -145,7 +145,7 @@ def test_chirp_has_no_even_lines_and_no_jump():
     excitation = chirp(SAMPLING_HZ, Band(1.0, 100.0), 2.0)
     period = excitation.segments[0].period_N
     assert np.abs(np.fft.rfft(period)[::2]).max() < 1e-10 * period.size
-    # No step is larger than the fastest sine's.
+    # No step exceeds that of the fastest sine.
     assert (
         np.abs(np.diff(excitation.waveform_N)).max() < 2.0 * 2 * np.pi * 100.0 / SAMPLING_HZ * 1.01
     )
@@ -160,7 +160,7 @@ def test_chirp_has_no_even_lines_and_no_jump():
     ],
     ids=["multisine", "chirp", "stepped sine"],
 )
-def test_every_excitation_identifies_the_plant(excitation):
+def test_plant_is_identified_by_every_excitation(excitation):
     y = simulated(TRUTH, excitation.waveform_N)
     y += 0.04 * np.random.default_rng(3).standard_normal(y.size)
     fit = fit_second_order(frequency_response(excitation, 15.0 + excitation.waveform_N, 15.0 + y))
@@ -182,7 +182,7 @@ def test_confidence_intervals_have_nominal_coverage():
         response = frequency_response(signal(), signal().waveform_N, noisy(seed))
         ratios.append(errors_over_half_width(fit_second_order(response, probability=0.8), TRUTH))
     covered = (np.abs(ratios) <= 1.0).sum(axis=0)
-    # 80 %, so that too wide shows as well as too narrow; 1 in 10 000 by chance on each side.
+    # At 80 %, intervals too wide show as well; a failure by chance has probability 1e-4 per side.
     low, high = binom.ppf([1e-4, 1 - 1e-4], seeds, 0.8)
     assert (covered >= low).all(), covered
     assert (covered <= high).all(), covered
@@ -223,7 +223,7 @@ def test_odd_distortion_widens_the_confidence_band():
     noise = 1e-3 * np.random.default_rng(0).standard_normal(x.size)
     response = frequency_response(signal(), x, x + 0.004 * x**3 + noise)
     quiet = frequency_response(signal(), x, x + noise)
-    # What the cube adds in proportion to the signal is part of the response, the rest scatters.
+    # The cube's part in proportion to the signal belongs to the response; the rest is distortion.
     deviation = np.abs(
         response.response - np.average(response.response, weights=1 / response.variance)
     )

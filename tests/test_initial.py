@@ -26,7 +26,7 @@ from plants.models.reel import reference_reel
 
 SETTINGS = ControllerSettings(632.0, 0.002, -120.0, 120.0)
 QUICK = ControllerSettings(1e5, 0.0, -1e9, 1e9)
-"""So fast that the loop is the continuous one."""
+"""Controller settings at a rate so high that the loop is continuous."""
 GAUGE = GaugeMode(2 * math.pi * 290.0, 0.03)
 
 MODELS = st.builds(
@@ -47,12 +47,12 @@ def reel_model(length):
 
 
 def checked(model, rule="sensitivity_limited"):
-    """The gains of a rule, if they are safe."""
+    """Gains of a rule, checked to be safe."""
     return propose(model, SETTINGS, rule).checked().gains
 
 
 def peaks(model, gains):
-    """Greatest sensitivity and setpoint response on a grid of its own, and C_y at its end."""
+    """Peak sensitivity and setpoint response on an independent grid, and C_y at its end."""
     f = np.unique(np.concatenate([np.geomspace(0.01, 315.999, 4000), np.linspace(280, 300, 400)]))
     theta = 2 * np.pi * f / SETTINGS.sampling_Hz
     C = controller_response(gains, SETTINGS, theta)
@@ -91,7 +91,7 @@ def test_sensitivity_limited_keeps_its_limits_for_any_plant(model):
     limits = SensitivityLimits(sensitivity=1.7, setpoint_peak=1.05, noise_gain=6.0)
     gains = sensitivity_limited(model, SETTINGS, limits)
     sensitivity, setpoint, noise = peaks(model, gains)
-    # The rule holds them on a grid of its own; between its points they may pass by a little.
+    # The rule enforces them on its own grid; between its points they may be exceeded slightly.
     assert sensitivity < 1.7 * 1.01
     assert setpoint < 1.05 * 1.01
     assert noise < 6.0 * 1.001

@@ -1,4 +1,4 @@
-"""Exchange with python-control, and the margins against it, brute force and the loop itself."""
+"""Exchange with python-control; margins against it, a brute-force scan and the loop itself."""
 
 import math
 import subprocess
@@ -36,7 +36,7 @@ def test_controller_to_python_control_and_back(gains, derivative_filter_s):
     F, _, C_y = to_control(gains, settings(632.0, derivative_filter_s))
     setpoint_filter_s = F.den[0][0][0] if F.den[0][0].size > 1 else 0.0
     back = from_control(C_y, setpoint_filter_s)
-    # The filter mixes the coefficients: P + I tau and D + P tau; what is lost is their rounding.
+    # The filter mixes the coefficients P + I tau and D + P tau; the tolerance is their rounding.
     lag = derivative_filter_s if gains.D > 0.0 else 0.0
     assert back.I == gains.I
     assert back.setpoint_filter_s == gains.setpoint_filter_s
@@ -162,7 +162,7 @@ def sampled(model, sampling_Hz):
 
 @pytest.mark.parametrize("dead_time_samples", [0.0, 0.3, 1.0, 2.75])
 def test_sampled_plant_is_the_plant_with_zero_order_hold(dead_time_samples):
-    """Against the step response written down in closed form, delayed by hand."""
+    """The reference is the closed-form step response with an explicit delay."""
     sampling_Hz, dead_time_s = 50.0, dead_time_samples / 50.0
     plant = sampled(linear_model(1 / (0.1 * s + 1), dead_time_s), sampling_Hz)
     commands = np.random.default_rng(2).normal(size=40)
@@ -219,7 +219,7 @@ LOOPS = {
 
 
 def closed_loop_radius(model, gains, controller):
-    """Largest eigenvalue of the loop, from the controller's own step, signal by signal."""
+    """Spectral radius of the loop, built from `step` applied to unit signals."""
     plant, c = sampled(model, controller.sampling_Hz), coefficients(controller, gains)
     n, d = plant.C.size, plant.delay
 

@@ -1,4 +1,4 @@
-"""The search space of a gain schedule, and its tuning on reels of several lengths."""
+"""Search space of a gain schedule, and its tuning on reels of several lengths."""
 
 import pytest
 
@@ -21,7 +21,7 @@ def test_schedule_of_a_point_has_the_gains_of_the_point():
     assert pytest.approx(14.0) == space.gains(point).I
 
 
-def test_joint_tuning_lowers_the_cost_and_tries_each_proposal_at_every_length():
+def test_joint_tuning_lowers_the_cost_with_trials_at_every_length():
     rigs = {length: ArithmeticRig(name=f"at-{length}") for length in (0.5, 1.4)}
     cost = StepCost(rigs[0.5].describe().settling_time_s, move_weight=MOVE_WEIGHT)
     schedule = tune_jointly(rigs, "least_squares_gradient", 80, START, cost)

@@ -27,11 +27,11 @@ from tests.support_runs import ArithmeticRig
 
 
 class Killed(BaseException):
-    """The process ends at this very point."""
+    """Stands for the death of the process."""
 
 
 class Doomed:
-    """Ends a run at a certain event, with a copy of its files as a kill leaves them."""
+    """Ends a run at a given event and copies its files as a kill would leave them."""
 
     def __init__(self, folder: Path, dies_at: int) -> None:
         self.folder, self.dies_at, self.events = folder, dies_at, 0
@@ -91,7 +91,7 @@ def test_run_killed_at_any_event_resumes_as_if_undisturbed(tuner, tmp_path):
         folder = tmp_path / f"dies-{dies_at}" / "run"
         doomed, rig = Doomed(folder, dies_at), ArithmeticRig()
         dying = begin(folder, tuner, rig)
-        # A killed process leaves what it wrote whether or not it was synced, and this is faster.
+        # A killed process keeps its unsynced writes, so that syncing would only cost time.
         dying.journal._file.rows("PRAGMA synchronous=OFF")
         dying.journal.commit = doomed.around(dying.journal.commit)
         rig.run = doomed.around(rig.run)
@@ -104,7 +104,7 @@ def test_run_killed_at_any_event_resumes_as_if_undisturbed(tuner, tmp_path):
             again = ArithmeticRig()
             resumed = resume(folder.with_name("left"), again)
             assert trace(resumed.entries) == expected
-            # No trial is run again whose record is committed.
+            # No trial with a committed record runs again.
             assert len(again.asked) >= len(expected) - requested_before
             assert len(again.asked) <= len(expected) - max(requested_before - 1, 0)
         dying.journal.close()
@@ -199,7 +199,7 @@ def test_full_disk_ends_the_run_and_keeps_committed_trials(tmp_path):
     rig = ArithmeticRig()
     run = begin(tmp_path / "run", "otis", rig)
     pages = run.journal._file.rows("PRAGMA page_count")[0][0]
-    run.journal._file.rows(f"PRAGMA max_page_count={pages + 12}")
+    run.journal._file.rows(f"PRAGMA max_page_count={pages + 4}")
     with pytest.raises(JournalError, match=r"full.*estune resume"):
         loop.run(run, rig)
     run.journal.close()

@@ -1,4 +1,4 @@
-"""The law of tuned gains over length and tension, on tunings whose law is known."""
+"""The law of tuned gains over length and tension, on tunings of a known law."""
 
 import json
 import math
@@ -32,9 +32,9 @@ def with_tension(L, T):
 def tunings(
     law=falling, seed=0, *, seeds=1, lengths=LENGTHS, tensions=(15.0,), message=True, spread=0.02
 ) -> list[TunedGains]:
-    """Tunings of a reel whose I follows a law; P, D and filter are the same everywhere.
+    """Tunings of a reel whose I follows a law; P, D and filter are constant.
 
-    Each errs by its own error, 1 to 5 % and told to the law, and by a scatter that is not.
+    Each has an individual error of 1 to 5 %, reported to the law, and an unreported spread.
     """
     rng, results = np.random.default_rng(seed), []
     for s in range(seeds):
@@ -71,7 +71,7 @@ def test_slope_interval_has_its_nominal_coverage(told, repeats):
         fit = fit_weighted(design, gain, own if told else np.zeros_like(own))
         width = interval_factor(0.95, fit.degrees) * math.sqrt(fit.covariance[1, 1])
         hits += abs(fit.coefficients[1] + 18.5) <= width
-    # Fewer hits of intervals of 95 % would have a chance below one in a thousand.
+    # Fewer hits of 95 % intervals have a probability below 0.001.
     assert hits >= stats.binom.ppf(0.001, n, 0.95)
 
 
@@ -181,7 +181,7 @@ def test_band_refuses_extrapolation_unless_requested():
     assert not law.schedule().covers(1.5, 15.0)
 
 
-# --- what goes in and comes out --------------------------------------------------------------
+# --- input and output ------------------------------------------------------------------------
 
 
 def test_law_excludes_and_lists_unsafe_and_unconverged_tunings():
@@ -235,7 +235,7 @@ def test_law_does_not_depend_on_the_order_of_tunings():
     assert one.sentence == other.sentence
 
 
-def test_gain_held_constant_is_exact():
+def test_constant_gain_gives_an_exact_law():
     results = [replace(t, gains=replace(t.gains, D=0.0)) for t in tunings()]
     law = fit_law(results)
     assert law.schedule().gains(0.7, 15.0).D == 0.0

@@ -210,7 +210,7 @@ def test_folder_without_write_permission_is_named(tmp_path):
 
 
 def full(ledger: FileLedger, *, is_full: bool) -> None:
-    """Keeps the file from growing, as a full disk does; SQLite reports the same error."""
+    """Limits the file size; SQLite then reports the error of a full disk."""
     ((pages,),) = ledger._file.rows("PRAGMA page_count")
     ledger._file.rows(f"PRAGMA max_page_count={pages if is_full else 2**30}")
 
@@ -265,7 +265,7 @@ def test_find_does_not_wait_for_a_slow_disk(tmp_path):
     ledger = opened(tmp_path)
     ledger.note("t", "d", SUBMIT)
     entries = []
-    with ledger._writing:  # as while a commit takes its time
+    with ledger._writing:  # as during a slow commit
         asking = threading.Thread(target=lambda: entries.append(ledger.find("t").state))
         asking.start()
         asking.join(60.0)

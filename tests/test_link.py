@@ -1,4 +1,4 @@
-"""State machines of the protocol: every state by every event, and both ends over a bad network."""
+"""State machines of the protocol: every event in every state; both ends over a bad network."""
 
 from dataclasses import MISSING, dataclass, field, fields
 from itertools import product
@@ -67,7 +67,7 @@ VALUES = {
 
 
 def examples(kind: type[events.Event]) -> list[events.Event]:
-    """Events of a kind with all combinations of values, defaults included."""
+    """Events of a class with all combinations of values, defaults included."""
     if kind is events.Acquire:
         return [events.Acquire(token, f"holder {token}") for token in TOKENS]
     values = [dict.fromkeys((f.default, *VALUES[f.name])) for f in fields(kind)]
@@ -80,7 +80,7 @@ STEP_S = LEASE_S / 2
 
 
 def normal(state: RigState, now_s: float) -> RigState:
-    """The state relative to time zero, so that there are finitely many."""
+    """State relative to time zero, which makes the number of states finite."""
     lease = state.lease and state.lease._replace(expires_at_s=state.lease.expires_at_s - now_s)
     return state._replace(lease=lease, ended=0)
 
@@ -136,7 +136,7 @@ def test_step_with_a_refused_command_changes_nothing(moves):
         assert (move.state, move.orders) == (passed.state, passed.orders), event
 
 
-def test_submit_is_accepted_once_by_the_holder_on_an_idle_rig(moves):
+def test_submit_is_accepted_once_from_the_holder_when_idle(moves):
     accepted = 0
     for state, now_s, event, move in moves:
         if move is None or RigAction.TAKE_IN not in move.orders:
@@ -270,7 +270,7 @@ def test_busy_with_another_trial_is_a_refusal():
 
 @dataclass
 class ClientTrial:
-    """State of one trial at a client; a new one after each kill of the client."""
+    """One trial at a client; each kill of the client begins a new exchange."""
 
     trial_id: str
     step: client.ClientTransition = field(default_factory=lambda: client.START)
@@ -366,7 +366,7 @@ class Exchange(RuleBasedStateMachine):
         if not twice:
             del self.queries[index]
         if boot != self.boots:
-            return  # addressed to an instance that is no more
+            return  # addressed to an earlier instance
         stored = self.ledger.get(trial_id, TrialState.UNKNOWN)
         mine = self.rig.trial is not None and self.rig.trial.trial_id == trial_id
         if verb == "lease":
@@ -381,14 +381,14 @@ class Exchange(RuleBasedStateMachine):
         else:
             verdict = OF_TRIAL[stored]
         if verdict is ReplyCode.BUSY and not mine:
-            return  # the client under test wants one trial at a time
+            return  # the client under test submits one trial at a time
         record = self.records.get(trial_id)
         received = ClientInput.RECORD if verdict is ReplyCode.ENDED else verdict
         self.answers.append((self.boots, verb, trial_id, token, received, record))
 
     @rule()
     def rig_goes_on(self):
-        """Writes its ledger, begins the trial, ends it: one of these at a time."""
+        """Executes the next action: writes the ledger, begins the trial, or ends it."""
         mode, trial = self.rig.mode, self.rig.trial
         if trial is None:
             return
@@ -418,14 +418,14 @@ class Exchange(RuleBasedStateMachine):
 
     @rule(turns=st.integers(1, 12))
     def all_goes_well_for_a_while(self, turns):
-        """Without it, few examples would come as far as a trial that runs."""
+        """Starts a trial, which few random examples would reach."""
         for _ in range(turns):
             self.client_acts()
             self.query_arrives(-1, twice=False)
             self.rig_goes_on()
             self.answer_arrives(-1, twice=False)
 
-    # what goes wrong
+    # faults
 
     @rule(at=st.integers(0, 99), of_queries=st.booleans())
     def message_is_lost(self, at, of_queries):

@@ -132,10 +132,10 @@ def test_intervals_of_sensitivity_hold_the_true_value():
         fit = fit_loop(records, SAMPLING_HZ, COST.settling_time_s)
         interval = predict_with_intervals(fit, trial_of(plant), GAINS).sensitivity
         covered += interval.low < truth < interval.high
-    assert covered >= 17  # at a coverage of 0.95 fewer have a chance of 0.3 %
+    assert covered >= 17  # at a coverage of 0.95, fewer have a probability of 0.3 %
 
 
-def test_optimum_keeps_its_limits_and_no_sampled_gains_within_them_are_better():
+def test_optimum_meets_its_limits_and_beats_all_sampled_gains():
     plant, limits = linear(), RobustnessLimits(max_sensitivity=1.6, max_overshoot=0.05)
     centre = np.log(GAINS.as_tuple())
     search = RegionSearch(

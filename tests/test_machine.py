@@ -1,4 +1,4 @@
-"""State machine of the reel in virtual time: emulated hardware without clock or processes."""
+"""State machine of the reel in virtual time, on emulated hardware without processes."""
 
 import math
 from dataclasses import replace
@@ -26,7 +26,7 @@ RADIUS_PER_TORQUE = 1.0 / 20.0  # A/N of the emulated reel
 
 
 def in_trial(loop: VirtualLoop, samples: int = 50, gains=GOOD, profile=STEP) -> None:
-    """Runs into the midst of a trial."""
+    """Runs to the middle of a trial."""
     loop.ask(gains, profile)
     loop.until(lambda: loop.machine.phase is MotionPhase.TRIAL)
     for _ in range(samples):
@@ -144,7 +144,7 @@ def turning(loop: VirtualLoop) -> None:
 
 
 FAULTS = {
-    # fault: (outcome, held by the live gains where the safe state is "hold", latched)
+    # fault: (outcome, controlled with the live gains if the safe state is "hold", latched)
     violent: (Outcome.GUARD, True, False),
     slack: (Outcome.GUARD, True, False),
     turning: (Outcome.GUARD, True, False),
@@ -174,7 +174,7 @@ def test_fault_ends_the_trial_at_once_in_the_safe_state(fault, state):
     assert bool(loop.memory.words[Word.LATCHED]) is latched
 
 
-def test_safe_current_is_commanded_in_the_sample_that_crossed_the_limit():
+def test_safe_current_is_commanded_at_the_sample_crossing_a_limit():
     loop = VirtualLoop(config(safe__state="ramp", safe__ramp_s=0.0))
     violent(loop)
     assert loop.tension_N[-1] > 60.0 > loop.tension_N[-2]
@@ -193,7 +193,7 @@ def test_ramp_has_its_duration_and_final_current():
     assert np.allclose(np.diff(ramp[:-1]), (0.3 - start) / samples, atol=5e-4)
     assert loop.machine.phase is MotionPhase.STOPPED
     assert loop.current_A[-1] == pytest.approx(0.3, abs=2e-4)
-    assert loop.machine.powered  # there is a current to be held
+    assert loop.machine.powered  # the current is not zero
 
 
 def test_live_gains_recover_the_reel_for_the_next_trial():
@@ -266,7 +266,7 @@ def test_estop_acts_at_the_next_sample_and_stays():
     assert loop.machine.phase is MotionPhase.RAMP
     assert loop.machine.answer.outcome is Outcome.CANCELLED
     loop.machine.answer = None
-    loop.machine.reset()  # while it is still pressed
+    loop.machine.reset()  # while the stop is still pressed
     loop.ask(GOOD, STEP, number=2)
     assert "emergency stop" in loop.answer().reason
     loop.until(lambda: loop.machine.phase is MotionPhase.STOPPED)
@@ -352,7 +352,7 @@ events = st.sampled_from(["", "", "", "", "ask", "ask", "estop", "release", "cle
     ),
     st.sampled_from(["hold", "ramp"]),
 )
-def test_any_history_keeps_current_limits_and_an_estop_comes_to_rest(history, state):
+def test_machine_keeps_current_limits_and_estop_stops_the_drum(history, state):
     loop = VirtualLoop(config(safe__state=state, motion__settle_s=0.0, motion__settle_N=50.0))
     number, trials = 0, 0
     for event, gauge, encoder, gap, is_late in history:

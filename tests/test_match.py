@@ -1,4 +1,4 @@
-"""Several reels brought to one cost: the search for a level, the procedure, its records."""
+"""Tuning of several reels to one cost: the target-cost tuner, the procedure, its records."""
 
 import csv
 import doctest
@@ -28,12 +28,12 @@ BRIEF = Settings(tuner="least_squares_gradient", trials=60, match_trials=12, rep
 
 
 def cost_along(u: float) -> float:
-    """A cost that rises from 1 like that of a reel: flat at first, then steeper."""
+    """Cost that rises from 1 like that of a reel: flat at first, then steeper."""
     return math.exp(0.08 * u + 0.35 * u * u)
 
 
 def sought(target: float, noise: float, seed: int, trials: int = 16, unsafe_from: float = 9.0):
-    """Distance found, and whether any trial was asked beyond one known to be unsafe."""
+    """Final distance, and whether any trial lay beyond a known unsafe one."""
     seeker, random = TargetCostTuner(detuning_path(TUNED), target), np.random.default_rng(seed)
     state, least_unsafe, trespassed = seeker.start(), math.inf, False
     for _ in range(trials):
@@ -57,7 +57,7 @@ def test_target_cost_tuner_is_more_accurate_than_one_trial(target):
     assert errors.std() < 0.006
 
 
-def test_target_cost_tuner_keeps_the_start_if_the_target_is_below_it():
+def test_target_cost_tuner_keeps_initial_gains_for_lower_targets():
     assert sought(0.8, 0.01, seed=1)[0] < 0.02
 
 
@@ -103,7 +103,7 @@ def test_match_brings_different_reels_to_the_cost_of_the_worst():
     }
     result = estune.match(reels, settings=BRIEF, journal=False)
     assert result.passed
-    # The true cost: the mean over noise that no trial of the matching saw.
+    # The true cost: the mean over noise that no trial of the matching used.
     before, after = (
         [
             plants.batch_costs(
@@ -120,7 +120,7 @@ def test_match_brings_different_reels_to_the_cost_of_the_worst():
     )
 
 
-def test_match_goes_on_without_unreachable_reels():
+def test_match_continues_without_unreachable_reels():
     class Away(ArithmeticRig):
         def describe(self):
             raise RigError("nobody there")

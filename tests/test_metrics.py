@@ -1,4 +1,4 @@
-"""The step metrics, against closed forms, python-control where it is right, and bad data."""
+"""Step metrics against closed forms and python-control, and on bad data."""
 
 import math
 
@@ -17,7 +17,7 @@ AFTER_s = np.maximum(TIME_s - STEP_s, 0.0)
 
 
 def second_order(damping, omega=40.0):
-    """Unit step response of an underdamped second-order system, from the step on."""
+    """Unit step response of an underdamped second-order system."""
     ringing = omega * math.sqrt(1.0 - damping**2)
     lag = np.exp(-damping * omega * AFTER_s)
     turn = np.cos(ringing * AFTER_s) + damping * omega / ringing * np.sin(ringing * AFTER_s)
@@ -51,7 +51,7 @@ def test_second_order_response_has_closed_form_overshoot(damping):
         control.tf([1.0], [0.1, 1.0]),
         control.tf([1600.0], [1.0, 16.0, 1600.0]),
         control.tf([1.0], [0.02, 0.35, 1.0]),
-        control.tf([-0.03, 1.0], [0.002, 0.12, 1.0]),  # starts the wrong way
+        control.tf([-0.03, 1.0], [0.002, 0.12, 1.0]),  # undershoots first
     ],
     ids=["first order", "ringing", "overdamped", "non-minimum phase"],
 )
@@ -105,7 +105,7 @@ def test_response_below_90_percent_has_no_rise_time():
     assert metrics.steady_state_error == pytest.approx(0.2, abs=1e-6)
 
 
-@pytest.mark.parametrize("omega", np.linspace(35.0, 45.0, 7))  # wherever the last swing stands
+@pytest.mark.parametrize("omega", np.linspace(35.0, 45.0, 7))  # any final phase
 def test_response_oscillating_at_the_end_is_not_settled(omega):
     metrics = measure(second_order(0.005, omega))
     assert math.isnan(metrics.settling_time_s)
@@ -119,7 +119,7 @@ def test_settling_band_is_a_fraction_of_the_step():
 
 
 def noisy(response, share, seed=11):
-    """The response with noise of this share of the step, as a standard deviation."""
+    """Response with noise; `share` is its standard deviation over the step."""
     return response + share * np.random.default_rng(seed).standard_normal(response.size)
 
 
@@ -135,7 +135,7 @@ def test_noise_changes_metrics_by_at_most_four_deviations():
     assert metrics.steady_state_error == pytest.approx(0.0, abs=share)
 
 
-def test_noise_beyond_the_settling_band_widens_it():
+def test_noise_above_the_settling_band_widens_it():
     response = 1.0 - np.exp(-AFTER_s / 0.1)
     share = 0.01  # two deviations are the whole band of 2 %: one sample in twenty is outside
     metrics = measure(noisy(response, share))

@@ -1,4 +1,4 @@
-"""Models as TOML files: what is saved is what is loaded, and every mistake is told at once."""
+"""Models as TOML files: exact after saving and loading; all mistakes reported at once."""
 
 import tomllib
 from dataclasses import fields, replace

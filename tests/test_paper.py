@@ -1,4 +1,4 @@
-"""The paper's figures made again, and the page that shows them."""
+"""The reproduced figures of the paper, and the page that shows them."""
 
 import base64
 import math
@@ -19,7 +19,7 @@ from plants.models.reel import Reel
 
 @pytest.fixture(scope="module")
 def paper_figures(tmp_path_factory):
-    """What `estune reproduce-paper --quick` makes: each figure, and the page it writes."""
+    """Figures and page of `estune reproduce-paper --quick`."""
     figures, original = [], paper.make
 
     def kept(number, *, quick):
@@ -34,7 +34,7 @@ def paper_figures(tmp_path_factory):
 
 
 class Page(HTMLParser):
-    """The page's words, the addresses it refers to, and its open elements."""
+    """Parser that collects the page's words, link targets and open elements."""
 
     def __init__(self, text):
         super().__init__()
@@ -73,7 +73,7 @@ def test_page_has_every_figure_with_claim_and_verdict(paper_figures):
 
 
 @pytest.mark.slow
-def test_page_refers_to_nothing_outside_itself(paper_figures):
+def test_page_has_no_external_references(paper_figures):
     _, out = paper_figures
     text = out.read_text()
     page = Page(text)

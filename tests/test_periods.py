@@ -1,4 +1,4 @@
-"""How often in a turn a residual repeats itself."""
+"""Number of periods of a residual per turn of the drum."""
 
 import numpy as np
 import pytest
@@ -9,20 +9,20 @@ READ_rad = 2.0 * np.pi / 8192.0
 
 
 def turned(rng, per_turn, phase, extent_rad):
-    """A wave on noise and a slope, over an angle that dwells at one end."""
+    """Wave with noise and a slope, over an angle that dwells at one end."""
     angle = extent_rad * np.concatenate([rng.random(1500), np.full(1000, 0.9)])
     angle = READ_rad * np.round(angle / READ_rad)
     noise = 0.5 * rng.standard_normal(angle.size)
     return ResidualOverAngle(angle, 3.0 - 2.0 * angle + np.sin(per_turn * angle + phase) + noise)
 
 
-def test_a_wave_is_found_though_each_record_has_another_phase():
+def test_period_is_found_in_records_of_different_phase():
     rng = np.random.default_rng(0)
     each = [turned(rng, 46.0, phase, 2.0) for phase in (0.0, 1.5, 3.0, 4.5)]
     assert per_turn(each, READ_rad)[0] == pytest.approx(46.0, abs=0.5)
 
 
-def test_a_wave_that_hardly_repeats_is_the_best_of_least_squares():
+def test_period_of_a_short_record_minimises_the_squared_error():
     one = turned(np.random.default_rng(1), 70.0, 1.0, 0.15)
     line = np.stack([np.ones(one.angle_rad.size), one.angle_rad], axis=1)
 
@@ -36,6 +36,6 @@ def test_a_wave_that_hardly_repeats_is_the_best_of_least_squares():
     assert per_turn([one], READ_rad)[0] == pytest.approx(best, abs=6.0)
 
 
-def test_a_drum_that_did_not_turn_has_no_period():
+def test_period_is_missing_for_a_drum_at_rest():
     assert per_turn([], READ_rad) == []
     assert per_turn([ResidualOverAngle(np.zeros(9), np.ones(9))], READ_rad) == []

@@ -1,4 +1,4 @@
-"""The controller against python-control's continuous one, and the promises it makes by itself."""
+"""The controller against python-control's continuous one, and its own properties."""
 
 import math
 
@@ -71,7 +71,7 @@ def test_sampled_controller_converges_to_the_continuous_one(gains):
 
     coarse, fine = greatest_difference(1000.0), greatest_difference(8000.0)
     assert coarse < 0.1
-    assert fine == pytest.approx(coarse / 8.0, rel=0.1)  # a scheme of first order
+    assert fine == pytest.approx(coarse / 8.0, rel=0.1)  # first-order discretisation
 
 
 @given(
@@ -81,7 +81,7 @@ def test_sampled_controller_converges_to_the_continuous_one(gains):
     jump=st.floats(-10.0, 10.0),
     more_D=st.floats(0.0, 1e3),
 )
-def test_derivative_acts_on_the_measurement_alone(gains, state, signals, jump, more_D):
+def test_derivative_acts_on_the_measurement_only(gains, state, signals, jump, more_D):
     r, y = signals
 
     def change(gains, r_after, y_after):
@@ -114,7 +114,7 @@ def test_effort_leaves_saturation_as_soon_as_the_error_turns(gains):
         state, effort, excess = step(c, state, 50.0, 0.0)
     assert effort == 30.0
     assert excess > 0.0
-    # Had the integral wound up over 5000 samples of 50 N, it would need 250000 of -1 N to unwind.
+    # An integral wound up over 5000 samples of 50 N would need 250000 samples of -1 N to unwind.
     for _ in range(2):
         state, effort, excess = step(c, state, -1.0, 0.0)
     assert excess == 0.0

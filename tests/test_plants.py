@@ -17,7 +17,7 @@ h = 1.0 / 632.0
 
 
 def open_loop(reel, effort, preload=15.0):
-    """Tension read and angle under a given effort, straight from the equations."""
+    """Tension reading and angle under a given effort, by the equations."""
     e = reel.structure.equations()
     whole = round(reel.dead_time_s * reel.sampling_Hz - 1e-9 - 0.5 * reel.structure.fractional)
     constants, x, _ = e.prepare(reel.parameter_values, preload)
@@ -33,7 +33,7 @@ def open_loop(reel, effort, preload=15.0):
 
 
 def integrated(reel, effort, preload=15.0):
-    """The same by an adaptive integrator from the reel's differential equations."""
+    """Response of `open_loop` by adaptive integration of the reel's differential equations."""
     R, J, L = reel.drum_radius_m, reel.drum_inertia_kg_m2, reel.cable_length_m
     b = reel.viscous_friction_Nms + reel.viscous_friction_per_length_Ns * L
     w, zeta = 2 * np.pi * reel.gauge_Hz, reel.gauge_damping
@@ -66,7 +66,7 @@ def integrated(reel, effort, preload=15.0):
 
 
 def wander(samples, size, seed=1):
-    """An effort that moves about the preload."""
+    """Effort that varies about the preload."""
     steps = np.random.default_rng(seed).uniform(-1.0, 1.0, samples)
     return 15.0 + size * np.convolve(steps, np.ones(8) / 3.0, "same")
 
@@ -235,7 +235,7 @@ def test_linear_trial_agrees_with_python_control(name, dead_samples):
     plant = plants.linear_plant(SYSTEMS[name], dead_samples / rate, rate)
     gains = Gains(0.4, 0.3, 0.01, 0.1)
     trial = plants.simulate(plant, gains, StepProfile(0.0, 1.0, 0.1, 4.0))
-    # The plant: its own effort through python-control on a grid that the dead time falls on.
+    # Plant: its effort through python-control on a grid that contains the dead time.
     n = len(trial.time_s)
     late = np.concatenate([np.zeros(round(dead_samples * fine)), np.repeat(trial.effort_N, fine)])
     states = control.ss(SYSTEMS[name])
@@ -254,7 +254,7 @@ def test_linear_trial_agrees_with_python_control(name, dead_samples):
     C = sampled.C if sampled.nstates else np.zeros((1, 1))
     expected = (C @ np.atleast_2d(x))[0] + sampled.D[0, 0] * in_force
     assert trial.tension_N == pytest.approx(expected[::fine], abs=1e-9)
-    # The controller: its own measurement through the controller of the rig.
+    # Controller: its measurement through the controller of the rig.
     c, state = pidf.coefficients(plant.controller, gains), pidf.state_at_rest(0.0, 0.0)
     for r, y, u in zip(trial.setpoint_N, trial.tension_N, trial.effort_N, strict=True):
         state, effort, _ = pidf.step(c, state, r, y)
@@ -275,7 +275,7 @@ def test_linear_plant_without_gain_at_rest_accepts_only_zero_preload():
         plants.simulate(plant, Gains(0.1, 0.0, 0.0, 0.0), StepProfile(3.0, 1.0, 0.1, 1.0))
 
 
-def test_effect_on_a_linear_plant_equals_the_plant_that_includes_it():
+def test_effect_on_a_linear_plant_equals_an_extended_plant():
     gains, profile = Gains(0.02, 0.2, 0.0, 0.1), StepProfile(7.0, 1.0, 0.1, 4.0)
     for name in ("lag", "resonance", "integrator"):
         plain, stronger = (plants.linear_plant(k * SYSTEMS[name], 0.1, 50.0) for k in (1.0, 1.2))

@@ -37,7 +37,7 @@ PROFILES = (
 
 
 def measured(model, profile, *, noise_N=0.0, seed=0, name="a"):
-    """The record a model gives, at its own length and rate."""
+    """Simulated record of a model, at its own length and rate."""
     rate = model.controller.sampling_Hz
     noise = noise_N * np.random.default_rng(seed).normal(size=profile.samples(rate))
     response = plants.simulate(model, GAINS, profile, noise_N=noise)
@@ -69,7 +69,7 @@ SMALL = floor(tension_N=1e-3, angle_rad=1e-5, reference_N=1e-3, current_A=1e-4)
 
 
 def truth(predictor, *effects):
-    """The row of the effects' own values, all else as the model says, encoders zeroed."""
+    """Parameter row with the effects' own values, the model's other values and zeroed encoders."""
     values = {f"{e.name}.{n}": getattr(e, n) for e in effects for n in e.parameters()}
     zeros = {f.name: 0.0 for f in predictor.free if f.name.startswith("encoder_zero")}
     return predictor.row(values | zeros)
@@ -107,7 +107,7 @@ def test_free_run_with_true_parameters_equals_the_simulation(name):
 
 @lru_cache(maxsize=1)
 def noisy():
-    """A bare reel's records with a noisy gauge, and their predictor."""
+    """Records of a bare reel with a noisy gauge, and their predictor."""
     records = [measured(REEL, LINES, noise_N=0.2, seed=n, name=f"noisy {n}") for n in range(3)]
     noise_floor = floor(tension_N=0.2, angle_rad=1e-5)
     return records, Predictor(diagnosed(REEL, records), [], records, floor=noise_floor)
@@ -123,7 +123,7 @@ def test_residual_of_noise_is_white_with_unit_variance():
     for lag in (1, 2, 5):
         together = np.mean(residuals[gauge][lag:] * residuals[gauge][:-lag])
         assert abs(together) < 4.0 / np.sqrt(samples)
-    # An encoder without steps leaves nothing but the error of the windows' starts.
+    # Without quantisation, only the error of the initial states remains.
     assert np.mean(residuals[~gauge] ** 2) < 0.01
 
 
@@ -139,7 +139,7 @@ def test_residual_is_independent_of_initial_states():
     change = predictor.predict(row)[0].angle_rad - moved.predict(row)[0].angle_rad
     change = np.abs(change).max() / predictor.index.sigma[predictor.index.channel == 1][0]
     assert change > 10.0
-    # But for what still rings in the gauge from one window to the next.
+    # The tolerance covers gauge ringing from one window to the next.
     assert np.abs(moved.residuals(row) - before).max() < 1e-3 * change
 
 
@@ -170,7 +170,7 @@ def test_selected_entries_equal_those_of_all():
     values = predictor.row({"coulomb_friction.torque_Nm": 0.03, "torque_gain": 1.02})
     residuals, jacobian = predictor.linearise(values)
     last = np.flatnonzero(predictor.index.measurement == len(records) - 1)
-    for some in (last, last[::3]):  # a view of every third is no array of its own
+    for some in (last, last[::3]):  # a strided view does not own its data
         assert np.array_equal(predictor.residuals(values[None], some)[0], residuals[some])
         assert predictor.linearise(values, entries=some)[1] == pytest.approx(jacobian[some])
 
@@ -308,9 +308,9 @@ def test_fit_starts_from_effects_and_calibration_of_the_model():
 
 
 def swinging(sampling_Hz=500.0, hardening=40.0, slope=0.0):
-    """An oscillator with a cubic spring, by another integrator.
+    """Oscillator with a cubic spring, by another integrator.
 
-    Within a sample its input goes this share of the way to the next one.
+    Within a sample its input moves by the fraction `slope` of the way to the next sample.
     """
     w, z, gain = 2.0 * np.pi * 6.0, 0.05, 0.5
     time = np.arange(1000) / sampling_Hz
@@ -401,7 +401,7 @@ def test_batch_of_rows_equals_single_rows():
     assert np.array_equal(together[2], predictor.predict(rows[2:])[0].tension_N[0])
 
 
-def test_effects_inside_a_linear_plant_need_a_velocity_and_a_spring():
+def test_linear_plant_effects_need_a_velocity_and_a_spring():
     record = swinging()[1]
     lag, integrator = (diagnosed(control.tf(1, d), [record]) for d in ([1, 1], [1, 1, 0]))
     assert "position" in lag.unavailable(CoulombFriction)
@@ -498,7 +498,7 @@ def test_phase_of_a_wave_is_independent_of_the_encoder_zero():
             rows[:, n] = getattr(ripple, f.name.rpartition(".")[2])
         elif f.owner.startswith("record "):
             rows[:, n] = zeros[int(f.owner.removeprefix("record "))]
-            rows[1, n] += 9.0 * 2.0 * np.pi / ripple.per_turn  # after nine periods it is the same
+            rows[1, n] += 9.0 * 2.0 * np.pi / ripple.per_turn  # nine periods give equal results
     for record, predicted in zip(records, predictor.predict(rows), strict=True):
         wrong = np.abs(predicted.angle_rad - record.angle_rad).max(axis=1)
         assert (wrong < 1e-3 * np.std(record.angle_rad)).all()
@@ -509,7 +509,7 @@ def test_slack_cable_identifies_the_torque_offset(swing_N, reported):
     record = measured(REEL, TriangleProfile(10.0, swing_N, 0.5, 1.0, start_s=0.1, loop="open"))
     free = Predictor(diagnosed(REEL, [record]), (), [record]).free
     assert ("torque_offset_Nm" in {f.name for f in free}) == reported
-    # A search begins where the cable is just taut, as little as a slack one tells of that.
+    # The search starts at a just taut cable, although slack data do not determine this.
     (zero,) = (f.start for f in free if f.name.startswith("encoder_zero"))
     assert abs(zero) < 0.02 * np.ptp(record.angle_rad)
 
@@ -566,5 +566,5 @@ def test_drum_without_encoder_follows_a_sticking_cable():
         predictor = Predictor(model, added, [record], 0.1, SMALL)
         residuals = predictor.residuals(truth(predictor, *effects)[None])
         whitened.append(np.sqrt(np.mean(residuals**2)))
-    # At the linear law's velocity, two thirds of it would be left.
+    # At the velocity of the linear law, two thirds would remain.
     assert whitened[1] < 0.1 * whitened[0]

@@ -44,7 +44,7 @@ def test_triangle_has_constant_rates_and_shrinking_cycles():
         assert setpoint[100 + 500 * cycle + 125] == pytest.approx(15.0 + 4.0 * 0.5**cycle)
 
 
-def test_multisine_has_its_power_on_its_lines_alone():
+def test_multisine_has_power_on_its_lines_only():
     profile = replace(MULTISINE, slope=1.5, corner_Hz=20.0)
     period = profile.setpoint(RATE_HZ)[250:1250]
     spectrum = np.abs(np.fft.rfft(period - 15.0)) / 500.0

@@ -18,7 +18,7 @@ from tests.support_runs import START, ArithmeticRig
 
 
 class Unlucky(ArithmeticRig):
-    """Rig that diverges in one trial and is interrupted before another."""
+    """Rig that diverges in one trial and is interrupted before a later one."""
 
     def __init__(self, *, diverging, stop_before):
         super().__init__()
@@ -87,7 +87,7 @@ def test_notebook_progress_updates_one_output_without_widgets(monkeypatch, capsy
     shell = SimpleNamespace(get_ipython=lambda: SimpleNamespace(kernel=object()))
     monkeypatch.setitem(sys.modules, "IPython", shell)
     monkeypatch.setitem(sys.modules, "IPython.display", SimpleNamespace(display=cell.display))
-    # A clock that stands still: however many trials, no time for a second drawing passes.
+    # The clock stands still, so that no second drawing becomes due.
     monkeypatch.setattr(progress.time, "monotonic", lambda: 0.0)
     estune.tune(ArithmeticRig(), trials=40, journal=False)
     assert [set(content) for content in cell.shown] == [{"text/plain"}] * 3

@@ -1,4 +1,4 @@
-"""Measurements are looked through before any fit: refused or warned of, with the reason."""
+"""Checks of measurements before any fit: refusals and warnings with their reasons."""
 
 from dataclasses import replace
 
@@ -35,7 +35,7 @@ def closed():
 
 
 def findings(m, model=REEL):
-    """What is said of a measurement beside a good one, which must come through unblamed."""
+    """Issues of a measurement; a good one beside it must have none."""
     accepted, issues = check([GOOD, m], model)
     assert GOOD in accepted
     assert not [f for f in issues if f.source == "good"]

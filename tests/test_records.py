@@ -1,4 +1,4 @@
-"""A folder of measured records: read whole, and every fault named with file, column and row."""
+"""Folders of measured records: every fault is reported with file, column and row."""
 
 import json
 
@@ -21,7 +21,7 @@ RATE = 632.0
 
 
 def refused(contents):
-    """The issues that cost a record."""
+    """Issues for which a record is rejected."""
     return tuple(f for f in contents.findings if f.level == "refused")
 
 
@@ -31,7 +31,7 @@ def record():
 
 
 def write(folder, record, name="good", about=None, **changed):
-    """Writes the record with columns replaced (None: left out), and metadata beside it."""
+    """Writes the record with columns replaced (None: omitted), and its metadata file."""
     written = {k: v for k, v in {**columns(record), **changed}.items() if v is not None}
     rows = zip(*(np.asarray(v).tolist() for v in written.values()), strict=True)
     text = "\n".join([",".join(written), *(",".join(map(str, row)) for row in rows)])
@@ -42,7 +42,7 @@ def write(folder, record, name="good", about=None, **changed):
 
 
 def refusal(folder, record, name="bad", about=None, **changed):
-    """What is said of one bad file beside a good one, which must come through."""
+    """Issue of one bad file; the good file beside it must be accepted."""
     write(folder, record)
     write(folder, record, name, about, **changed)
     reading = read_measurements(folder)

@@ -1,4 +1,4 @@
-"""Request handler: one trial at a time, none twice, only by the lease, every stop obeyed."""
+"""Request handler: one trial at a time, none twice, lease holder only, every stop obeyed."""
 
 import logging
 import threading
@@ -43,7 +43,7 @@ class ExercisedHandler(RequestHandler):
         return self.lease(Lease("acquire", lease, f"holder of {lease}"))
 
     def begin(self, request: TrialRequest, lease: str = MINE) -> Answer | bytes:
-        """The reply to a submit, which need not wait for the trial."""
+        """Reply to a submit; the trial may still be running."""
         answers = SimpleQueue()
         submit = Submit(lease, request, digest(request))
         threading.Thread(target=handle, args=(self.submit, submit, answers.put)).start()
@@ -72,7 +72,7 @@ class ExercisedHandler(RequestHandler):
 
 
 def handle(method, command, answer) -> None:
-    """As a server thread does: the reply first, then the remaining work."""
+    """Serves a query like a server thread: first the reply, then the remaining work."""
     handled = method(command)
     answer(handled.answer)
     if handled.afterwards is not None:
@@ -91,7 +91,7 @@ def handling(rig: ScriptedRig, ledger=None):
 
 
 class HeldRig(ScriptedRig):
-    """Answers a trial only after `go` is set."""
+    """Rig that completes a trial only after `go` is set."""
 
     def __init__(self) -> None:
         self.go = threading.Event()
@@ -102,7 +102,7 @@ class HeldRig(ScriptedRig):
         return response(request)
 
 
-def test_every_verb_has_a_handler_and_transitions_for_its_events():
+def test_verbs_all_have_a_handler_and_transitions_for_their_events():
     for name, verb in VERBS.items():
         assert callable(getattr(RequestHandler, name))
         assert set(verb.events) <= set(rig.TABLE)
@@ -129,7 +129,7 @@ def test_submit_repeated_runs_the_trial_once():
 
 
 class LateLedger(MemoryLedger):
-    """Returns from noting the end of a trial only after `go` is set."""
+    """Ledger whose note of a trial's end returns only after `go` is set."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -186,12 +186,12 @@ def test_submit_to_a_quick_rig_returns_the_record():
     rig = ScriptedRig()
     with handling(rig) as handler:
         while not isinstance(state := handler.begin(trial(len(rig.requests))), bytes):
-            handler.wait()  # the first is not awaited: nothing is known of the rig
+            handler.wait()  # the first one does not wait: the rig's duration is unknown
         assert record_frame.decode(state).trial_id == rig.requests[-1].trial_id
     assert len(rig.requests) > 1
 
 
-def test_submit_to_a_rig_no_longer_quick_is_answered_by_another_thread():
+def test_submit_to_a_slow_rig_is_answered_by_another_thread():
     rig = HeldRig()
     with handling(rig) as handler:
         handler._prompt = True
@@ -220,7 +220,7 @@ def test_request_under_a_used_id_is_refused_and_not_run():
     assert rig.requests == [trial()]
 
 
-def test_submit_and_gains_during_a_trial_are_busy_with_its_id():
+def test_submit_and_gains_during_a_trial_reply_busy():
     rig = HeldRig()
     with handling(rig) as handler:
         handler.begin(trial())
@@ -437,7 +437,7 @@ def test_cancel_before_the_start_prevents_the_trial():
     assert rig.requests == []
 
 
-def test_cancel_names_the_trial_until_its_end_and_spares_the_next():
+def test_cancel_applies_to_the_named_trial_only():
     rig = ScriptedRig(duration_s=60.0)
     with handling(rig) as handler:
         handler.begin(trial())
@@ -498,7 +498,7 @@ def test_estop_waits_for_neither_trial_nor_disk(tmp_path):
         while not rig.requests:
             time.sleep(0.001)
         answers = SimpleQueue()
-        with ledger._writing:  # as while a commit takes its time
+        with ledger._writing:  # as during a slow commit
             stopping = threading.Thread(
                 target=handle, args=(handler.estop, Estop("fire"), answers.put)
             )
@@ -562,11 +562,11 @@ def test_estop_during_clear_holds():
         assert rig._latched == "fire"
 
 
-# --- looking on ---
+# --- telemetry ---
 
 
 class ShowingRig(ScriptedRig):
-    """Provides ten more samples at each call."""
+    """Rig whose telemetry has ten more samples at each call."""
 
     def telemetry(self, after):
         column = np.arange(after, after + 10.0)

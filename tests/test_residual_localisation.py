@@ -1,4 +1,4 @@
-"""The residual of a base model is traced to its block, regime and band before any fit."""
+"""Residual localisation: block, variable and frequency band, before any fit."""
 
 import json
 from dataclasses import replace
@@ -36,7 +36,7 @@ SWEEP = chirp(BASE.sampling_Hz, Band(1.0, 30.0, period_s=4.0), 4.0)
 
 @cache
 def where(*effects):
-    """The localisation of a reel with these effects, by the plain reel."""
+    """Localisation of the residual of a reel with these effects against the plain reel."""
     reel = BASE
     for effect in effects:
         reel = reel + effect
@@ -113,7 +113,7 @@ def test_friction_is_localised_with_one_sensor(missing):
 
 @pytest.mark.parametrize("rate", [120.0, 5000.0])
 def test_hardening_spring_is_localised_at_any_scale(rate):
-    """m y'' + c y' + k y + k3 y^3 = u, integrated here, at two scales of time and size."""
+    """Solution of m y'' + c y' + k y + k3 y^3 = u at two scales of time and size."""
     size, w = 1e-3, 2.0 * np.pi * rate / 40.0
     n = 4000
     rng = np.random.default_rng(3)

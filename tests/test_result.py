@@ -24,7 +24,7 @@ from tests.support_runs import START, ArithmeticRig
 
 
 class Unlucky(ArithmeticRig):
-    """Diverges in some trials and is interrupted before one."""
+    """Rig that diverges in some trials and is interrupted before one."""
 
     def __init__(self, *, diverging=(), stop_before=None, **changes):
         super().__init__(**changes)
@@ -80,7 +80,7 @@ def test_result_survives_pickling(tuned):
     assert again.to_frame().equals(tuned.to_frame())
 
 
-def test_frame_has_a_row_per_trial_and_best_cost_never_rises(tuned):
+def test_frame_has_a_row_per_trial_and_monotone_best_cost(tuned):
     frame = tuned.to_frame()
     assert list(frame["number"]) == list(range(tuned.nfev))
     assert list(frame["trial_id"]) == [e.trial_id for e in tuned.entries]

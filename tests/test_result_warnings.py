@@ -1,4 +1,4 @@
-"""Result warnings, on costs and margins with known warnings."""
+"""Result warnings on costs and margins whose warnings are known."""
 
 import math
 
@@ -18,7 +18,7 @@ NOISE = 0.01
 
 
 def findings(cost, *, trials=120, noise=NOISE, seed=0):
-    """What is said of a cost of the logarithms, sampled about its best with noise."""
+    """Warnings for a cost of the logarithms, sampled about its minimum with noise."""
     random = np.random.default_rng(seed)
     z = random.normal(0.0, 0.5, (trials, 4))
     costs = np.array([cost(row) for row in z]) + noise * random.normal(size=trials)
@@ -92,7 +92,7 @@ def test_flatness_is_unknown_without_repeats():
         ((50.0, 0.02, 1.0, 1.0), {}),
     ],
 )
-def test_at_bounds_names_parameter_and_side(factors, named):
+def test_bound_warning_names_parameter_and_side(factors, named):
     warnings = at_bounds(SPACE, tuple(np.multiply(BEST, factors)))
     sides = {f.parameters[0]: f.sentence for f in warnings}
     assert sides.keys() == named.keys()

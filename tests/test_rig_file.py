@@ -1,4 +1,4 @@
-"""A rig's file: its mistakes are reported at once, its values reach the loop."""
+"""A rig's file: its mistakes are reported at once; its values reach the loop."""
 
 import json
 import tomllib
@@ -129,7 +129,7 @@ def test_gauge_scale_equals_the_calibration(gauge, place):
 
 
 @given(st.sampled_from(GAUGES), st.floats(allow_nan=True, allow_infinity=True))
-def test_gauge_scale_is_nan_beyond_the_calibration(gauge, counts):
+def test_gauge_scale_is_nan_outside_the_calibration(gauge, counts):
     force = GaugeScale.of(gauge).force_N(counts)
     try:
         assert force == pytest.approx(gauge.force_N(counts), abs=1e-6)

@@ -34,7 +34,7 @@ def excess(point, best=BEST):
 
 
 def run(tuner, trials, seed, *, cost=None, corrupt=None, noise=NOISE):
-    """The states of a search on a noisy cost; `corrupt` may change the observation of trial k."""
+    """States of a search on a noisy cost; `corrupt` may change the observation of trial k."""
     draws = np.random.default_rng(seed)
     cost = cost or (lambda point, _: 1.0 + excess(point))
     states = [tuner.start()]
@@ -51,7 +51,7 @@ def remaining(tuner, state):
 
 
 def converged(tuner, states):
-    """The states that report a remaining improvement under 2 %."""
+    """States that report a remaining improvement under 2 %."""
     estimates = [(tuner.convergence(state), state) for state in states]
     return [state for e, state in estimates if e is not None and e.remaining_improvement < 0.02]
 
@@ -123,7 +123,7 @@ def test_search_crosses_a_dead_zone_of_the_cost():
 def test_convergence_is_not_reported_on_a_plateau(seed):
     def shelf(point, _):
         rise = excess(point)
-        slight = 0.8 + 0.05 * math.log1p(max(rise - 0.8, 0.0))  # almost level, as far as the start
+        slight = 0.8 + 0.05 * math.log1p(max(rise - 0.8, 0.0))  # nearly flat up to the start
         return 1.0 + min(rise, slight) + 0.3 * max(rise - 6.0, 0.0)
 
     states = run(TUNER, 180, seed, cost=shelf)
@@ -137,7 +137,7 @@ def test_scan_finds_the_effect_of_a_far_too_small_gain(seed):
     best = math.exp(BEST[0])
     space = SearchSpace.around(Gains(best / 300.0, 10.0, 0.005, 0.02), bounds={"P": (1e-4, 50.0)})
 
-    def shelf(point, _):  # level in P far below its best, where it costs 60 % more
+    def shelf(point, _):  # flat in P far below the optimum, at a 60 % higher cost
         share = point[0] / best
         return (1.0 + excess((best, *point[1:]))) * (
             1.0 + 0.6 * (share - 1.0) ** 2 / (1.0 + share**2)
@@ -238,7 +238,7 @@ def test_uninformative_cost_keeps_proposals_finite(cost):
         assert all(math.isfinite(end) for pair in estimate.intervals for end in pair)
 
 
-def test_two_equivalent_parameters_are_tuned():
+def test_tuner_converges_with_two_equivalent_parameters():
     def as_one(point, _):
         middle = math.sqrt(point[2] * point[3])
         return 1.0 + excess((point[0], point[1], middle, math.exp(BEST[3])))
@@ -303,7 +303,7 @@ def test_gaussian_process_is_the_posterior_of_its_prior():
 
     prior = cost_prior((((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0)),))
 
-    def k(a, b):  # the covariance written once more, point by point
+    def k(a, b):  # independent implementation of the covariance, point by point
         slopes = (a @ prior.slope) @ (b @ prior.slope)
         quadratic = ((a @ prior.quadratic) @ (b @ prior.quadratic)) ** 2
         apart = np.sum(((a - b) @ prior.inverse_length) ** 2)
@@ -340,14 +340,14 @@ def test_cost_prior_agrees_between_forms_and_parameter_subsets():
     assert fewer == pytest.approx(prior_covariance(parallel, few, few))
 
 
-def test_cost_prior_of_a_schedule_is_the_mean_over_its_ends():
+def test_schedule_cost_prior_is_the_mean_over_both_ends():
     gains = Gains(0.5, 10.0, 0.005, 0.02)
     one = cost_prior(SearchSpace.around(gains).directions)
     both = cost_prior(ScheduleSpace.over(gains, (0.5, 1.4)).directions)
     draws = np.random.default_rng(19)
     x, y = draws.normal(size=(2, 5, 4))
 
-    def on_both(x):  # I the same at the short end and the long one
+    def on_both(x):  # equal I at the short and the long end
         return x[:, [0, 1, 1, 2, 3]]
 
     same = prior_covariance(one, x, y)
@@ -384,14 +384,14 @@ def test_quadratic_samples_have_their_minima_at_zero_slope():
     assert np.mean(samples.improvement) == pytest.approx(0.5 * (0.01 + 2 * 0.04), rel=0.1)
 
 
-def test_newton_step_is_exact_if_short_and_clipped_to_the_radius():
+def test_newton_step_is_exact_within_the_radius_and_clipped_beyond():
     values, axes = np.linalg.eigh(CURVATURE)
     slope = np.array([0.1, -0.2, 0.05, 0.3])
     whole = -np.linalg.solve(CURVATURE, slope)
     assert newton_step(slope, values, axes, 100.0) == pytest.approx(whole)
     short = newton_step(slope, values, axes, 0.1)
     assert np.linalg.norm(short) == pytest.approx(0.1, rel=1e-6)
-    # On the sphere the slope of the bowl points outward along the step, or a turn would gain.
+    # On the sphere the slope is parallel to the step; otherwise a rotation would lower the cost.
     downhill = -(slope + CURVATURE @ short)
     assert downhill / np.linalg.norm(downhill) == pytest.approx(short / 0.1, abs=1e-6)
 

@@ -1,4 +1,4 @@
-"""A gain schedule: its value, its way to firmware and python-control, and at work on a reel."""
+"""A gain schedule: its values, its exports to C and python-control, and its use on a reel."""
 
 import json
 import math
@@ -51,7 +51,7 @@ signal = st.floats(-200.0, 200.0)
 
 
 @given(length, tension)
-def test_each_gain_is_its_curve(L, T):
+def test_gains_follow_their_curves(L, T):
     gains = SCHEDULE.gains(L, T)
     assert pytest.approx(1.0 + 0.2 * L) == gains.P
     assert pytest.approx(48.0 - 14.0 * L + 0.05 * T) == gains.I
@@ -59,7 +59,7 @@ def test_each_gain_is_its_curve(L, T):
     assert gains.setpoint_filter_s == pytest.approx(0.0022 + 0.0007 * math.log(L))
 
 
-def test_gains_beyond_the_range_are_those_of_the_nearest_end():
+def test_gains_outside_the_range_equal_those_of_the_nearest_end():
     assert SCHEDULE.gains(9.0, 99.0) == SCHEDULE.gains(1.4, 30.0)
     assert SCHEDULE.gains(0.1, 0.0) == SCHEDULE.gains(0.5, 5.0)
     assert SCHEDULE.gains(math.nan, 15.0) == SCHEDULE.gains(0.5, 15.0)
@@ -161,7 +161,7 @@ int main(void) {
     [(["-std=c90"], 1e-12), (["-Dcasadi_real=float"], 2e-4)],
     ids=["C90", "single precision"],
 )
-def test_firmware_header_gives_the_same_gains_without_a_jump(tmp_path, flags, tolerance):
+def test_firmware_header_gives_equal_and_continuous_gains(tmp_path, flags, tolerance):
     (tmp_path / "controller.c").write_text(controller_source(SETTINGS, SCHEDULE.gains(0.8, 15.0)))
     (tmp_path / "estune_schedule.h").write_text(schedule_header(SCHEDULE))
     (tmp_path / "main.c").write_text(_PROGRAM)
@@ -201,7 +201,7 @@ def test_python_control_system_at_one_length_is_that_controller(L):
 
 
 def scheduled(tmp_path, make, schedule=SCHEDULE, **changes):
-    """The emulated rig with live gains by a schedule."""
+    """Emulated rig whose live gains follow a schedule."""
     path = tmp_path / "schedule.json"
     path.write_text(json.dumps(schedule.as_dict()))
     return make(schedule={"file": str(path), "length": "angle"}, gains=None, **changes)
@@ -220,7 +220,7 @@ def test_live_gains_follow_the_drum_without_a_jump(tmp_path):
     for _ in range(300):
         loop.step()
     machine, live_gains = loop.machine, set()
-    for k in range(400):  # the drum pays out 0.3 m over the samples
+    for k in range(400):  # the drum unwinds 0.3 m over the samples
         gauge, encoder = loop.board.read(loop.time_s)
         paid_out = -round(0.3 / 0.025 * k / 400 * 8192 / (2.0 * math.pi))
         before, state = machine._controller._coefficients, machine._controller._state
@@ -270,11 +270,11 @@ def test_rig_file_with_unusable_schedule_is_refused(tmp_path):
         config(schedule={"file": str(tmp_path / "none.json")}, gains=None)
 
 
-# --- on the simulated reel while its cable gets longer -----------------------------------------
+# --- on the simulated reel with a lengthening cable ----------------------------------------------
 
 
 def way(samples: int) -> np.ndarray:
-    """From 0.5 to 1.4 m, smoothly, in the midst of a trial."""
+    """Cable length from 0.5 to 1.4 m, changing smoothly within a trial."""
     along = np.clip((np.arange(samples) / samples - 0.2) / 0.6, 0.0, 1.0)
     return 0.5 + 0.9 * (along - np.sin(2.0 * np.pi * along) / (2.0 * np.pi))
 
@@ -291,7 +291,7 @@ def test_constant_length_simulation_equals_the_fixed_reel():
 
 
 def test_moving_cable_end_obeys_the_equations_of_the_drum():
-    """Against the equations in terms of the drum's own turn, by Runge and Kutta's method.
+    """The reference integrates the equations of the drum's angle by the Runge-Kutta method.
 
     J phi'' + b phi' + R T = Kt i,  T' = k (R phi' + s'),  g'' + 2 zeta w g' + w^2 g = w^2 T.
     """
@@ -321,11 +321,11 @@ def test_moving_cable_end_obeys_the_equations_of_the_drum():
     solved = np.array(states)
     assert np.abs(solved[:, 3] - simulated.tension_N).max() < 0.02
     assert np.abs(solved[:, 0] - simulated.angle_rad).max() < 0.01
-    assert np.ptp(simulated.angle_rad) > 35.0  # the drum has paid 0.9 m out
+    assert np.ptp(simulated.angle_rad) > 35.0  # the drum has unwound 0.9 m
 
 
 def test_scheduled_gains_follow_the_moving_cable_without_a_jump():
-    """At each sample the effort is what the gains of the sample before would have given."""
+    """At each sample the effort equals that of the previous sample's gains."""
     reel = plants.reference_reel()
     steep = replace(SCHEDULE, P=GainCurve("linear", 0.2, slope=1.0))
     L = way(LONG.samples(632.0))

@@ -1,4 +1,4 @@
-"""The search space: coordinates, bounds, gains, and what it refuses."""
+"""The search space: coordinates, bounds, gains, and refused input."""
 
 import math
 
@@ -61,7 +61,7 @@ def test_untuned_parameters_keep_their_fixed_value():
     assert gains == Gains(2.0, 20.0, 0.02, 0.0)
 
 
-def test_at_bound_names_parameters_and_sides():
+def test_bounds_reached_are_named_by_parameter_and_side():
     low, high = SPACE.low, SPACE.high
     inside = tuple(math.sqrt(a * b) for a, b in zip(low, high, strict=True))
     assert SPACE.at_bound(inside) == {}

@@ -44,7 +44,7 @@ def plan(**changes) -> Plan:
 
 
 def advance(session, costs):
-    """The session after the given costs, and what it asked for."""
+    """Session after the given costs, and its requests."""
     requests = []
     for cost in costs:
         request = next_request(session)
@@ -67,7 +67,7 @@ def test_phases_follow_one_another_and_number_every_trial():
     assert {len(costs) for costs in session.confirmation.costs} == {session.plan.repeats}
 
 
-def test_void_trial_is_repeated_under_a_new_id_without_other_effect():
+def test_void_trial_is_only_repeated_under_a_new_id():
     session, _ = advance(new_session(plan()), [1.0] * 3)
     before = next_request(session)
     again = next_request(after_trial(session, Outcome.CANCELLED, math.nan))
@@ -115,7 +115,7 @@ def test_insignificant_improvement_is_not_reported_as_one():
 
 
 def to_the_end(session, cost_of):
-    """The session after its repeats, and what they asked for."""
+    """Session after its repeats, and their requests."""
     requests = []
     while (request := next_request(session)) is not None:
         requests.append((session.phase, request.gains))
@@ -124,7 +124,7 @@ def to_the_end(session, cost_of):
 
 
 def searched(**changes):
-    """A session after its search, with two gains to choose from."""
+    """Session after its search, with two candidates."""
     session, _ = advance(
         new_session(plan(**changes)), [1.0, 1.01, 0.99] + [0.9, 0.5, 0.95] + [0.9] * 7
     )
@@ -150,7 +150,7 @@ def test_choice_and_confirmation_use_different_trials():
 
 
 def test_drift_of_the_cost_is_no_improvement():
-    # The plant gets better by itself during the search: everything costs half of what it did.
+    # The plant drifts during the search: every cost falls by half.
     session, _ = to_the_end(searched(), lambda gains: 0.5 if gains == START else 0.51)
     summary = summarise(session)
     assert not summary.improved

@@ -24,7 +24,7 @@ FRICTION = plants.reference_reel() + plants.CoulombFriction(torque_Nm=0.03)
 
 @pytest.fixture
 def cache(tmp_path, monkeypatch):
-    """An empty cache of its own."""
+    """Empty cache for this test."""
     folder = tmp_path / "cache"
     monkeypatch.setenv("ESTUNE_CACHE", str(folder))
     return folder
@@ -100,11 +100,11 @@ def test_concurrent_processes_compile_the_same_structure(cache):
     answers = [process.communicate(timeout=120) for process in started]
     assert {error for _, error in answers} == {""}
     assert len({out for out, _ in answers}) == 1
-    assert {path.suffix for path in cache.iterdir()} == {".so"}  # nothing half made is left
+    assert {path.suffix for path in cache.iterdir()} == {".so"}  # no partial file remains
 
 
 def run_elsewhere(**environment):
-    """A trial in a new process: its answer and what it said."""
+    """Kind of loop, total cost and standard error of a trial in a new process."""
     code = (
         "import plants; from estune.core.gains import Gains;"
         "from plants.simulation import trial_loop;"

@@ -1,4 +1,4 @@
-"""State machine of a supervision: every state with every event."""
+"""State machine of the supervisor: every event in every state."""
 
 from dataclasses import replace
 from itertools import product
@@ -54,7 +54,7 @@ def test_table_has_a_cell_for_every_event_and_mode():
     assert {state.mode for state in STATES} == set(SupervisorMode)
 
 
-def test_every_event_leads_to_a_known_state():
+def test_events_all_lead_to_valid_states():
     plain_states = {replace(state, why="", failures=0, trouble="", paused="") for state in STATES}
     for state, event, after in moves():
         plain = replace(after, why="", failures=0, trouble="", paused="")

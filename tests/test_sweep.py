@@ -1,4 +1,4 @@
-"""A sweep asks for what fits, keeps each cell as it is done, and runs none twice."""
+"""Sweeps: valid designs only, each finished cell is stored, no cell runs twice."""
 
 import io
 import math
@@ -43,7 +43,7 @@ def swept(folder: Path, design=SMALL, **options) -> SweepResult:
 
 
 def alike(one: CellOutcome, other: CellOutcome) -> bool:
-    """Whether two outcomes are the same but for how long they took."""
+    """Whether two outcomes are equal except for their durations."""
     rest = [replace(o, trace=np.empty(0), duration_s=0.0) for o in (one, other)]
     return repr(rest[0]) == repr(rest[1]) and np.array_equal(one.trace, other.trace)
 
@@ -122,20 +122,20 @@ def test_processes_give_equal_outcomes_and_a_second_call_runs_nothing(tmp_path):
     again = swept(tmp_path / "many", watch=outcomes.append)
     assert not outcomes
     assert all(map(alike, one.outcomes, again.outcomes))
-    # More seeds are more cells; those that are there stay.
+    # More seeds add cells; the finished ones stay.
     more = swept(tmp_path / "many", {**SMALL, "seeds": 2}, watch=outcomes.append)
     assert len(more.outcomes) == 12
     assert sorted(o.cell.seed for o in outcomes) == [1] * 6
 
 
-def test_noise_seed_depends_on_the_place_and_not_on_the_tuner():
+def test_noise_seed_depends_on_length_and_tension_only():
     both = {**SMALL, "tuners": ["least_squares_gradient", "otis"], "seeds": 2}
     cells = expand_cells(read_design(both))
     seeds = [cell.noise_seed for cell in cells]
     assert len(cells) == 2 * len(set(seeds)) == len({cell.key for cell in cells})
 
 
-def test_cell_key_depends_on_the_model_and_not_on_its_folder(tmp_path):
+def test_cell_key_depends_on_the_model_but_not_its_folder(tmp_path):
     def keys(folder: Path, model: str) -> list[str]:
         folder.mkdir(exist_ok=True)
         (folder / "reel.toml").write_text(model)
@@ -255,7 +255,7 @@ def test_rigs_are_tuned_in_parallel_and_resume_after_an_interrupt(tmp_path):
             set(trial_ids)
         )  # no trial twice, before and after the interrupt
         reported = sum(len(o.trace) for o in of_rig)
-        assert len(trial_ids) - reported <= 1  # at most the one that was stopped under way
+        assert len(trial_ids) - reported <= 1  # at most the interrupted one
 
 
 @pytest.mark.parametrize(

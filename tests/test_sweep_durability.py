@@ -1,4 +1,4 @@
-"""What a sweep has done survives the death of its process, and of the cluster it runs on."""
+"""Finished cells of a sweep survive the death of its process and of its cluster."""
 
 import subprocess
 import sys
@@ -26,10 +26,10 @@ repeats = 2
 
 
 def children(pid: int) -> list[Path]:
-    """The processes a process has started, by their folder in /proc."""
+    """Child processes of a process, as folders in /proc."""
     folders = []
     for folder in Path("/proc").glob("[0-9]*"):
-        with suppress(OSError):  # it has just ended
+        with suppress(OSError):  # the process has just ended
             parent = (folder / "stat").read_text().rpartition(")")[2].split()[1]
             folders += [folder] * (int(parent) == pid)
     return folders

@@ -1,4 +1,4 @@
-"""Friction at an eyelet: angles, forces, the attenuation ratio, and what it hides."""
+"""Friction at an eyelet: angles, forces, attenuation ratio and transparency."""
 
 import math
 
@@ -104,7 +104,7 @@ def test_tensions_balance_friction_and_pressure_along_a_wrap(coefficient, wrap, 
 @pytest.mark.equation(20)
 @given(st.floats(0.05, 0.9), st.floats(0.05, 0.9), st.floats(0.0, 0.95), st.floats(1.0, 100.0))
 def test_cable_sticks_up_to_the_friction_ellipse(C_R, C_L, share, size):
-    """Brute force: every friction the contact can give lies on an ellipse or within."""
+    """Brute force: the contact's friction forces fill an ellipse."""
     Psi = share * math.atan(C_L)
     normal, lateral = size * math.cos(Psi), size * math.sin(Psi)
     around = np.linspace(0.0, math.pi / 2.0, 20001)
@@ -158,7 +158,7 @@ def test_attenuation_balances_the_vectors(coefficient, gamma, T_2):
 @pytest.mark.equation(25)
 @given(st.floats(0.0, 0.9), angles, tensions)
 def test_capital_gamma_is_the_coefficient_of_the_quadratic(coefficient, gamma, T_2):
-    """The square of (21), sampled at three tensions, is a polynomial in the tension outside."""
+    """Polynomial in the outside tension through three samples of the square of (21)."""
     at = T_2 * np.array([0.0, 1.0, 2.0])
     outside = at[:, None] * [math.cos(gamma), math.sin(gamma)]
     press = np.linalg.norm(outside + np.array([T_2, 0.0]), axis=1)

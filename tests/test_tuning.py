@@ -95,7 +95,7 @@ def answers(number: int) -> str:
 
 
 def run_with_approval(folder, rig, ask):
-    """A run in which all gains with a larger P than the initial one need approval."""
+    """Run in which all gains with P above the initial value need approval."""
     tuner = Seer(SearchSpace.around(START))
     options = {"tolerance": 0.0, "run": "run", "watch": None}
     tuned = estune.tune(rig, tuner=tuner, trials=15, folder=folder, ask=ask, **options)
@@ -136,7 +136,7 @@ def test_resumed_run_keeps_declined_trials(tmp_path):
     with pytest.raises(InvalidInput, match="approval callback"):
         estune.resume(tmp_path / "run", ArithmeticRig(), watch=None)
     again = estune.resume(tmp_path / "run", ArithmeticRig(), watch=None, ask=ask)
-    assert str(trace(again.entries)) == str(trace(whole.entries))  # nan is not itself
+    assert str(trace(again.entries)) == str(trace(whole.entries))  # nan does not equal itself
     assert again.verdict.declined > 1
 
 

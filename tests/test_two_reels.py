@@ -1,4 +1,4 @@
-"""The two-reel bench and its procedures: what they measure, and what they say they cannot."""
+"""The two-reel bench and its procedures: accuracy and warnings."""
 
 import math
 from dataclasses import replace
@@ -20,7 +20,7 @@ GAUGE_Y = tr.Gauge(zero=3.0, sensitivity=0.8, curvature_per_N=1e-3)
 
 
 def bench(eyelet=None, *, seed=0, noise_N=0.011, drift_N=0.0, other=None, drive=None):
-    """Two reels with the same eyelet, and an unknown gauge at Y."""
+    """Two reels with one eyelet and an uncalibrated gauge at Y."""
     eyelet, drive = eyelet or tr.Eyelet(), drive or tr.Drive()
     quiet = {"noise_N": noise_N, "drift_N": drift_N}
     x = tr.ReelModel(eyelet, tr.Gauge(**quiet), drive)
@@ -109,7 +109,7 @@ def test_procedure_is_accurate_to_two_percent_or_warns(case):
         stuck = str(error)
     if stuck:
         event("the cable stuck")
-        # The tension comes back as B^4 of the setpoint, which must clear the preload.
+        # The tension returns as B^4 times the setpoint, which must exceed the preload.
         assert "did not slide through" in stuck
         assert slides_at(case["coefficient"], case["gamma"]) ** 4 < 0.6
     elif result.resolved:
@@ -190,7 +190,7 @@ def test_sweeps_needed_follow_from_the_repeatability():
     assert not result.resolved
     assert result.sweeps_needed > 5
     assert f"take about {result.sweeps_needed} sweeps" in result.warnings[0]
-    # By then, the promised interval is as wide as the tolerance: 3.29 standard errors for many.
+    # There the stated interval is as wide as the tolerance, 3.29 standard errors.
     error = result.friction_coefficient.standard_error * math.sqrt(5.0 / result.sweeps_needed)
     assert 3.29 * error == pytest.approx(0.02 * result.friction_coefficient.value, rel=0.1)
 
@@ -200,7 +200,7 @@ def test_uncertain_angle_widens_the_interval_with_a_warning():
     exact, unsure = (
         tr.evaluate(measurements, (2.1,), angle_error_rad=error) for error in (0.0, 0.03)
     )
-    # C_R goes as 1/cos(gamma/2): relative, the uncertainty is tan(gamma/2)/2 times the angle's.
+    # C_R is proportional to 1/cos(gamma/2): relative errors scale by tan(gamma/2)/2.
     expected = 0.5 * math.tan(1.05) * 0.03 * exact.friction_coefficient.value
     added = math.sqrt(
         unsure.friction_coefficient.standard_error**2
@@ -222,7 +222,7 @@ def test_ratios_above_one_give_a_warning():
 
 
 def drifting(per_sweep):
-    """Readings whose friction grows from sweep to sweep, with a little noise."""
+    """Readings with friction that grows from sweep to sweep, and small noise."""
     noise = np.random.default_rng(0).normal(0.0, 1e-4, (6, 5))
     rows = []
     for sweep in range(6):
@@ -278,7 +278,7 @@ def test_loop_and_procedure_agree_on_the_ratio():
 
 
 class FaultyBench:
-    """Obeys the protocol and records its commands; its gauges fail after some records."""
+    """Bench that records its commands; its gauges fail after some records."""
 
     def __init__(self, good_records):
         self.commands = []

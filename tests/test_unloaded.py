@@ -22,7 +22,7 @@ def angle(reel, profile=PUSH):
 
 
 def pushed(reel, time_s, torque_Nm):
-    """The closed form of J theta'' + b theta' = tau from rest, under a step at zero."""
+    """Closed-form solution of J theta'' + b theta' = tau from rest under a step at zero."""
     J, b = reel.drum_inertia_kg_m2, reel.viscous_friction_Nms
     t = np.maximum(time_s, 0.0)
     return torque_Nm / b * (t + J / b * np.expm1(-b / J * t))

@@ -14,7 +14,7 @@ WINDOWS = Windows(COUNT)
 
 
 def times(samples, seed=None):
-    """Sampling instants; with a seed, as late as an interrupt handler may be."""
+    """Sampling instants; a seed adds the delays of an interrupt handler."""
     clock = np.arange(samples) / RATE
     return (
         clock
@@ -38,7 +38,7 @@ def test_constant_velocity_error_is_one_count_per_window(velocity, phase, longes
     t = times(120, seed)
     estimate = motion(Windows(COUNT, longest, longest), t, counted(velocity * t, phase))
     span = t - t[np.maximum(np.arange(120) - longest, 0)]
-    assert np.allclose(estimate.velocity_window_s, span, rtol=0, atol=1e-12)  # never cut short
+    assert np.allclose(estimate.velocity_window_s, span, rtol=0, atol=1e-12)  # never shortened
     valid = span > 0.0
     error = np.abs(estimate.velocity_rad_s - velocity)[valid]
     assert (error <= COUNT / span[valid] * (1.0 + 1e-6)).all()
@@ -89,7 +89,7 @@ def test_window_is_that_of_the_definition():
         assert estimate.velocity_rad_s[k] == expected
 
 
-def test_step_gives_the_numbers_of_the_whole_record():
+def test_step_metrics_equal_those_of_the_whole_record():
     t, angle = noisy_record()
     batch = np.stack([angle, counted(-2.0 * angle), np.zeros_like(angle)])
     whole = motion(WINDOWS, t, batch)
