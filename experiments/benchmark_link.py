@@ -34,7 +34,7 @@ from estune.remote import messages, zenoh
 from estune.remote.messages import Inquire, Keys
 from estune.remote.zenoh.endpoints import with_port
 from estune.remote.zenoh.zenoh_session import COMMANDS_MAX_BYTES, open_session
-from estune.run.journal import Journal
+from estune.run.journal import CompletedTrial, Journal
 from estune.run.session import Phase
 from estune.trial import (
     Outcome,
@@ -183,7 +183,8 @@ def measure(turns: int, warm_up: int, folder: Path) -> tuple[Stopwatch, int]:
                 with watch.part("link"):
                     result = remote.run(request)
                 with watch.part("commit"):
-                    journal.commit((request, result, 1.0), (following, Phase.SEARCH))
+                    done = CompletedTrial(request, result, 1.0, 1.0)
+                    journal.commit(done, (following, Phase.SEARCH))
             with watch.part("noted link"):
                 noted.run(request)
             request = following

@@ -2,7 +2,6 @@
 
 import os
 import shutil
-import sqlite3
 import subprocess
 import sys
 from contextlib import contextmanager
@@ -183,9 +182,8 @@ def test_interrupted_migration_leaves_the_old_file(tmp_path, monkeypatch):
     with pytest.raises(JournalError, match="nothing"):
         Journal.open(folder, write=True)
     monkeypatch.undo()
-    with sqlite3.connect(folder / FILE_NAME) as connection:
-        assert connection.execute("PRAGMA user_version").fetchone() == (1,)
-    connection.close()
+    with Journal.open(folder) as book:
+        assert schema_of(book) == len(journal.VERSIONS)
     assert committed(folder) == before
 
 

@@ -1,6 +1,5 @@
 """The loop of a run: void trials, interruptions, approval by the operator."""
 
-from dataclasses import replace
 
 import pytest
 
@@ -86,7 +85,7 @@ def test_run_continues_when_its_rig_is_killed_and_restarted(tmp_path):
     whole = estune.tune(endpoint, run="whole", watch=None, **options)
     servers[-1].__exit__(None, None, None)
     assert len(servers) == 1 + len(kills)
-    same = [replace(e, trial_id=e.trial_id.replace("cut", "whole")) for e in cut.entries]
+    same = [e._replace(trial_id=e.trial_id.replace("cut", "whole")) for e in cut.entries]
     assert same == list(whole.entries)
 
 

@@ -52,8 +52,7 @@ def load_finished(journal: Journal) -> TuningRun:
     tuning.intervals = tuple((n, low, high) for n, low, high in journal.fact("intervals") or ())
     if journal.fact("status") != "finished" or tuning.session.phase is not None:
         raise JournalError(f"{journal.folder}: the run was not finished, and {_REMEDY}")
-    for entry in entries:
-        loop.keep_record(tuning, entry, journal.record(entry.trial_id))
+    loop.read_kept_records(tuning, journal)
     return tuning
 
 

@@ -4,14 +4,15 @@ Every trial is committed before the next one is requested.
 """
 
 import json
+import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 from estune.core.gains import Gains
 from estune.errors import JournalError, ProtocolError
+from estune.run.compressed_frame import compress, decompress
 from estune.run.session import Phase
 from estune.support.sqlite import FileKind, SqliteFile, has_writer
 from estune.trial import Outcome, TrialRecord, TrialRequest, record_frame
@@ -29,14 +30,25 @@ CREATE TABLE trial (
     PRIMARY KEY (number, attempt)
 )
 """,
+    # Records have a table of their own, so that the trials are read without them. Those of the
+    # first schema stay in `trial.record`, as they are.
+    """
+ALTER TABLE trial ADD COLUMN margin REAL;
+CREATE TABLE record (
+    number INTEGER NOT NULL, attempt INTEGER NOT NULL, frame BLOB NOT NULL,
+    PRIMARY KEY (number, attempt)
+);
+CREATE TABLE snapshot (
+    trials INTEGER NOT NULL, version TEXT NOT NULL, digest TEXT NOT NULL, state BLOB NOT NULL
+)
+""",
 )
 """SQL that makes each schema out of the one before it; the first begins an empty file."""
 
 KIND = FileKind("a run", VERSIONS, "continue with: estune resume", lock_name="writer.lock")
 
 
-@dataclass(frozen=True, slots=True)
-class JournalEntry:
+class JournalEntry(NamedTuple):
     """One trial in the journal.
 
     Attributes:
@@ -44,20 +56,44 @@ class JournalEntry:
         attempt: How many void attempts of this trial precede it.
         trial_id: Its id on the rig.
         phase: Its phase of the run.
-        gains: The requested gains.
+        gain_values: The requested gains, in the order of `Gains.as_tuple`.
         outcome: How it ended; None while it is under way.
         reason: The outcome in words.
         cost: Its cost; nan where there is none.
+        margin: Its constraint margin; None where only its record shows it.
     """
 
     number: int
     attempt: int
     trial_id: str
     phase: Phase
-    gains: Gains
+    gain_values: tuple[float, float, float, float]
     outcome: Outcome | None = None
     reason: str = ""
-    cost: float = float("nan")
+    cost: float = math.nan
+    margin: float | None = None
+
+    @property
+    def gains(self) -> Gains:
+        """The requested gains."""
+        return Gains(*self.gain_values)
+
+
+class CompletedTrial(NamedTuple):
+    """A trial to be committed."""
+
+    request: TrialRequest
+    record: TrialRecord
+    cost: float
+    margin: float
+
+
+RECORDS_LEAST = 1000
+"""Fewest records that a run may keep; a resumed run may read as many."""
+
+_PHASES = {phase.value: phase for phase in Phase}
+_OUTCOMES: dict[str | None, Outcome | None] = {outcome.value: outcome for outcome in Outcome}
+_OUTCOMES[None] = None
 
 
 class Journal:
@@ -66,6 +102,7 @@ class Journal:
     def __init__(self, file: SqliteFile) -> None:
         self.folder = file.path.parent
         self._file = file
+        self._records_max: int | None = self.fact("records_max")
 
     @classmethod
     def create(cls, folder: Path, facts: dict[str, Any]) -> Self:
@@ -113,9 +150,7 @@ class Journal:
         _write_facts(self._file, facts)
 
     def commit(
-        self,
-        finished: tuple[TrialRequest, TrialRecord, float] | None,
-        following: tuple[TrialRequest, Phase] | None,
+        self, finished: CompletedTrial | None, following: tuple[TrialRequest, Phase] | None
     ) -> None:
         """Commits a finished trial with its record and cost, and the request that follows it.
 
@@ -123,15 +158,19 @@ class Journal:
             JournalError: it could not be committed; nothing was changed.
         """
         now = datetime.now(UTC).isoformat(timespec="milliseconds")
+        frame = compress(record_frame.encode(finished.record)) if finished else b""
         with self._file.transaction():
             if finished is not None:
-                request, record, cost = finished
+                request, record = finished.request, finished.record
+                place = request.number, request.attempt
                 self._file.write(
-                    "UPDATE trial SET outcome=?, reason=?, cost=?, told_at=?, record=?"
+                    "UPDATE trial SET outcome=?, reason=?, cost=?, margin=?, told_at=?"
                     " WHERE number=? AND attempt=?",
-                    *(record.outcome.value, record.reason, cost, now),
-                    *(record_frame.encode(record), request.number, request.attempt),
+                    *(record.outcome.value, record.reason, finished.cost, finished.margin, now),
+                    *place,
                 )
+                self._file.write("INSERT INTO record VALUES (?, ?, ?)", *place, frame)
+                self._drop_old_records(request.number)
             if following is not None:
                 request, phase = following
                 self._file.write(
@@ -141,18 +180,26 @@ class Journal:
                     *(*request.gains.as_tuple(), now),
                 )
 
+    def _drop_old_records(self, number: int) -> None:
+        """Drops records of the search that are older than the latest `records_max`."""
+        if self._records_max is not None:
+            self._file.write(
+                "DELETE FROM record WHERE rowid IN (SELECT record.rowid FROM record"
+                " JOIN trial USING (number, attempt) WHERE number <= ? AND phase = ?)",
+                *(number - self._records_max, Phase.SEARCH.value),
+            )
+
     def entries(self) -> Iterator[JournalEntry]:
         """Every requested trial, in order."""
         rows = self._file.rows(
             "SELECT number, attempt, trial_id, phase, P, I, D, setpoint_filter_s,"
-            " outcome, reason, cost FROM trial ORDER BY number, attempt"
+            " outcome, reason, cost, margin FROM trial ORDER BY number, attempt"
         )
-        for number, attempt, trial_id, phase, *gains, outcome, reason, cost in rows:
+        for number, attempt, trial_id, phase, P, I, D, filter_s, *outcome, cost, margin in rows:
             yield JournalEntry(
-                *(number, attempt, trial_id, Phase(phase), Gains(*gains)),
-                outcome=None if outcome is None else Outcome(outcome),
-                reason=reason or "",
-                cost=float("nan") if cost is None else cost,
+                *(number, attempt, trial_id, _PHASES[phase], (P, I, D, filter_s)),
+                *(_OUTCOMES[outcome[0]], outcome[1] or ""),
+                *(math.nan if cost is None else cost, margin),
             )
 
     def record(self, trial_id: str) -> TrialRecord:
@@ -161,16 +208,47 @@ class Journal:
         Raises:
             JournalError: the run holds no record of that trial, or a damaged one.
         """
-        rows = self._file.rows("SELECT record FROM trial WHERE trial_id=?", trial_id)
+        rows = self._file.rows(
+            "SELECT COALESCE(frame, record) FROM trial LEFT JOIN record USING (number, attempt)"
+            " WHERE trial_id=?",
+            trial_id,
+        )
         if not rows or rows[0][0] is None:
-            raise JournalError(f"{self.folder} holds no record of trial {trial_id}")
+            kept = f"; it keeps the latest {self._records_max}" if self._records_max else ""
+            raise JournalError(f"{self.folder} holds no record of trial {trial_id}{kept}")
         try:
-            return record_frame.decode(rows[0][0])
+            return record_frame.decode(decompress(rows[0][0]))
         except ProtocolError as error:
             raise JournalError(
                 f"{self._file.path}: the record of trial {trial_id} is damaged ({error}); "
                 "restore the file from a copy"
             ) from error
+
+    def stored_trial_ids(self) -> list[str]:
+        """The ids of the trials of which there is a record, in order."""
+        rows = self._file.rows(
+            "SELECT trial_id FROM trial LEFT JOIN record USING (number, attempt)"
+            " WHERE COALESCE(record.rowid, trial.record) IS NOT NULL ORDER BY number, attempt"
+        )
+        return [trial_id for (trial_id,) in rows]
+
+    def snapshot(self) -> tuple[int, str, str, bytes] | None:
+        """The latest snapshot of the session; see `estune.run.snapshot`."""
+        rows = self._file.rows("SELECT trials, version, digest, state FROM snapshot")
+        return rows[0] if rows else None
+
+    def write_snapshot(self, trials: int, version: str, digest: str, state: bytes) -> None:
+        """Commits a snapshot in place of the earlier one."""
+        with self._file.transaction():
+            self._file.write("DELETE FROM snapshot")
+            self._file.write(
+                "INSERT INTO snapshot VALUES (?, ?, ?, ?)", trials, version, digest, state
+            )
+
+    def size_bytes(self) -> int:
+        """Size of the file, without what SQLite has yet to move into it."""
+        pages, page_size = self._file.rows("SELECT * FROM pragma_page_count, pragma_page_size")[0]
+        return int(pages * page_size)
 
     def close(self) -> None:
         """Closes the file and releases the lock. The journal is complete at any time before."""

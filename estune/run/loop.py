@@ -4,11 +4,13 @@ from collections import deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from itertools import islice
 from pathlib import Path
 from typing import Literal, NamedTuple
 
 from estune.errors import Interrupted, InvalidInput, JournalError, RigError, UnsafeStart
-from estune.run.journal import Journal, JournalEntry
+from estune.run import snapshot
+from estune.run.journal import CompletedTrial, Journal, JournalEntry
 from estune.run.session import (
     Phase,
     Plan,
@@ -127,13 +129,17 @@ def start(plan: Plan, description: RigDescription, journal: Journal | None) -> T
 
 
 def replay(plan: Plan, description: RigDescription, journal: Journal) -> TuningRun:
-    """A run restored from its journal: all records are replayed, no trial is run.
+    """A run restored from its journal: its trials after the last snapshot are replayed.
 
     Raises:
         JournalError: the journal's trials differ from the ones this plan requests.
     """
     tuning = start(plan, description, journal)
-    for entry in journal.entries():
+    entries = list(journal.entries())
+    tuning.entries = [entry for entry in entries if entry.outcome is not None]
+    replayed, session = snapshot.read(journal, plan, tuning.entries)
+    tuning.session = session or tuning.session
+    for entry in entries[replayed:]:
         request = next_request(tuning.session)
         requested = request and (request.trial_id, request.gains)
         if requested != (entry.trial_id, entry.gains):
@@ -141,11 +147,14 @@ def replay(plan: Plan, description: RigDescription, journal: Journal) -> TuningR
                 f"{journal.folder}: trial {entry.trial_id} with {entry.gains} is not what the "
                 f"plan asks for ({requested}); the journal is of another version or was changed"
             )
-        if entry.outcome is not None:
+        if entry.outcome is not None and (plan.uses_records or entry.margin is None):
             record = journal.record(entry.trial_id)
-            tuning.entries.append(entry)
-            keep_record(tuning, entry, record)
-            tuning.session = _advanced(tuning, record, entry.cost)
+            margin = constraint_margin(record, description)
+            tuning.session = _advanced(tuning, record, entry.cost, margin)
+        elif entry.outcome is not None and entry.margin is not None:
+            trial = entry.outcome, entry.cost, entry.margin
+            tuning.session = after_trial(tuning.session, *trial)
+    read_kept_records(tuning, journal)
     return tuning
 
 
@@ -246,34 +255,34 @@ def _record_trial(
     plan, before = tuning.plan, tuning.session
     cost = cost_of(record, plan.step, plan.cost, tuning.description.newtons_per_ampere)
     phase = before.phase or Phase.CONFIRM
+    margin = constraint_margin(record, tuning.description)
     entry = JournalEntry(
-        *(request.number, request.attempt, request.trial_id, phase, request.gains),
-        outcome=record.outcome,
-        reason=record.reason,
-        cost=cost,
+        *(request.number, request.attempt, request.trial_id, phase, request.gains.as_tuple()),
+        *(record.outcome, record.reason, cost, margin),
     )
-    tuning.session = _advanced(tuning, record, cost)
+    tuning.session = _advanced(tuning, record, cost, margin)
     following = next_request(tuning.session)
-    _commit(tuning, (request, record, cost), following)
+    _commit(tuning, CompletedTrial(request, record, cost, margin), following)
     tuning.entries.append(entry)
     keep_record(tuning, entry, record)
+    if tuning.journal is not None:
+        snapshot.write_if_due(tuning.journal, tuning.session, tuning.entries)
     unsafe = is_unsafe(before, record.outcome, cost)
     for listener in listeners:
         listener(Progress(tuning.session, entry, unsafe, record))
     return following
 
 
-def _advanced(tuning: TuningRun, record: TrialRecord, cost: float) -> Session:
+def _advanced(tuning: TuningRun, record: TrialRecord, cost: float, margin: float) -> Session:
     """The session after a trial."""
     plan, rig = tuning.plan, tuning.description
-    margin = constraint_margin(record, rig)
     signals = loop_signals(record, plan.step, rig).record if plan.uses_records else None
     return after_trial(tuning.session, record.outcome, cost, margin, signals)
 
 
 def _commit(
     tuning: TuningRun,
-    done: tuple[TrialRequest, TrialRecord, float] | None,
+    done: CompletedTrial | None,
     following: TrialRequest | None,
 ) -> None:
     phase = tuning.session.phase
@@ -291,3 +300,13 @@ def keep_record(tuning: TuningRun, entry: JournalEntry, record: TrialRecord) -> 
         tuning.first_record = record
     elif entry.phase is Phase.CONFIRM and entry.gains != tuning.plan.start:
         tuning.tuned_record = record
+
+
+def read_kept_records(tuning: TuningRun, journal: Journal) -> None:
+    """Reads the records that `keep_record` keeps of a run's trials, and no others."""
+    entries = [e for e in tuning.entries if e.outcome and not e.outcome.is_void]
+    confirmed = (
+        e for e in reversed(entries) if e.phase is Phase.CONFIRM and e.gains != tuning.plan.start
+    )
+    for entry in sorted({*entries[:1], *islice(confirmed, 1), *entries[-RECENT_MAX:]}):
+        keep_record(tuning, entry, journal.record(entry.trial_id))

@@ -128,7 +128,10 @@ class SqliteFile:
             file = cls(path, kind, _connect(opened, path, mode), opened)
             file._check_version()
             if file._version() < len(kind.versions):
-                cls.open_writer(path, kind, create=False).close()
+                if os.access(path, os.W_OK) and os.access(path.parent, os.W_OK):
+                    cls.open_writer(path, kind, create=False).close()
+                else:
+                    file._migrate_copy(opened)
             file._opened = opened.pop_all()
         return file
 
@@ -203,6 +206,14 @@ class SqliteFile:
             for statement in self._kind.versions[number].split(";"):
                 self._connection.execute(statement)
             self._connection.execute(f"PRAGMA user_version={number + 1}")
+
+    def _migrate_copy(self, opened: ExitStack) -> None:
+        """Reads on in a temporary copy of the newest schema; the file cannot be written."""
+        copy = sqlite3.connect("", isolation_level=None, check_same_thread=False)
+        opened.callback(copy.close)
+        self._connection.backup(copy)
+        self._connection = copy
+        self._migrate()
 
 
 def has_writer(path: Path, kind: FileKind) -> bool:

@@ -38,7 +38,7 @@ MAX_BYTES = 16 * 2**20
 HEADER_MAX_BYTES = 64 * 2**10
 """Size of the largest header; only the reason of a failed trial has no fixed size."""
 
-_FAMILY, _VERSION = b"RTR", b"1"
+FAMILY, _VERSION = b"RTR", b"1"
 _PREFIX = struct.Struct("<4sIII")
 _COLUMNS = ("time_s", "setpoint_N", "tension_N", "current_A", "angle_rad")
 _OPTIONAL_COLUMN = "reference_N"
@@ -78,6 +78,11 @@ def size(samples: int, *, reference: bool = False) -> int:
     return _PREFIX.size + HEADER_MAX_BYTES + _body_size(samples, reference)
 
 
+def body_at(frame: bytes) -> int:
+    """Offset of the body in a frame."""
+    return _PREFIX.size + int.from_bytes(frame[4:8], "little")
+
+
 def encode(record: TrialRecord) -> bytes:
     """The frame of a record.
 
@@ -105,7 +110,7 @@ def encode(record: TrialRecord) -> bytes:
             f"record of trial {record.trial_id} takes {length} bytes, {len(header)} of them its "
             f"header; a frame holds {MAX_BYTES} and {HEADER_MAX_BYTES}: run a shorter trial"
         )
-    prefix = (_FAMILY + _VERSION, len(header), body_length)
+    prefix = (FAMILY + _VERSION, len(header), body_length)
     # Joined from views, so that the columns are copied only once.
     parts: list[bytes | memoryview] = [header, *(array.data for array in arrays)]
     checksum = _checksum(_PREFIX.pack(*prefix, 0), *parts)
@@ -152,8 +157,8 @@ def _check_envelope(data: bytes) -> tuple[int, int]:
             f"record frame cut short: {len(data)} bytes, its prefix alone takes {_PREFIX.size}"
         )
     magic, header_length, body_length, checksum = _PREFIX.unpack_from(data)
-    if magic[:3] != _FAMILY:
-        raise ProtocolError(f"not a record frame: it begins with {magic!r}, not {_FAMILY!r}")
+    if magic[:3] != FAMILY:
+        raise ProtocolError(f"not a record frame: it begins with {magic!r}, not {FAMILY!r}")
     if magic[3:] != _VERSION:
         raise ProtocolError(
             f"record frame of version {magic[3:]!r} at byte 3; this estune reads {_VERSION!r}: "

@@ -1,0 +1,159 @@
+"""Snapshots of a session, so that a long run resumes without a replay of all its trials.
+
+A snapshot holds the session after the first `INTERVAL`, 2 `INTERVAL`, ... trials of a run. It is
+used only by the same version of estune and on unchanged trials; else all trials are replayed.
+"""
+
+import hashlib
+import io
+import marshal
+import pickle
+from collections.abc import Sequence
+from dataclasses import is_dataclass
+from enum import Enum
+from functools import cache
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import estune
+from estune.run.journal import Journal, JournalEntry
+from estune.run.session import Plan, Session
+
+INTERVAL = 500
+"""Trials between snapshots. A run cut off while it writes one replays twice as many."""
+
+_MODULES = (
+    *("estune.core.", "estune.loop_model.", "estune.trial.", "estune.tuners."),
+    "estune.run.session",
+)
+"""Modules on which proposals depend; their values make up a session."""
+
+_ARRAYS = {
+    ("numpy", "ndarray"),
+    ("numpy", "dtype"),
+    *(
+        (f"numpy.{core}.multiarray", f)
+        for core in ("core", "_core")
+        for f in ("_reconstruct", "scalar")
+    ),
+    *((f"numpy.{core}.numeric", "_frombuffer") for core in ("core", "_core")),
+}
+"""What pickle makes arrays of numbers from."""
+
+
+class StoredSnapshot(NamedTuple):
+    """A snapshot as it is stored.
+
+    Attributes:
+        trials: Number of completed trials before it.
+        version: `code_version` of the program that wrote it.
+        digest: Digest of these trials.
+        state: The session, pickled without its plan.
+    """
+
+    trials: int
+    version: str
+    digest: str
+    state: bytes
+
+
+def write_if_due(journal: Journal, session: Session, entries: Sequence[JournalEntry]) -> None:
+    """Stores a snapshot of the session after these trials, if their number is a multiple."""
+    if not entries or len(entries) % INTERVAL:
+        return
+    earlier = journal.snapshot()
+    known = StoredSnapshot(*earlier) if earlier else StoredSnapshot(0, "", "", b"")
+    if known.trials >= len(entries) or known.version != code_version():
+        known = StoredSnapshot(0, "", "", b"")
+    digest = _digest(entries[known.trials :], known.digest)
+    output = io.BytesIO()
+    try:
+        _Pickler(output, session.plan).dump(session)
+        _Unpickler(io.BytesIO(output.getvalue()), session.plan).load()
+    except (pickle.PickleError, TypeError, AttributeError):
+        return  # a tuner of the user's own, whose state cannot be stored: its runs are replayed
+    journal.write_snapshot(
+        *StoredSnapshot(len(entries), code_version(), digest, output.getvalue())
+    )
+
+
+def read(
+    journal: Journal, plan: Plan, entries: Sequence[JournalEntry]
+) -> tuple[int, Session | None]:
+    """The latest session of a snapshot, and the number of trials before it; (0, None) if none."""
+    stored = journal.snapshot()
+    if stored is None:
+        return 0, None
+    snapshot = StoredSnapshot(*stored)
+    unusable = snapshot.version != code_version() or snapshot.trials > len(entries)
+    if unusable or snapshot.digest != _digest(entries[: snapshot.trials], ""):
+        return 0, None
+    try:
+        session = _Unpickler(io.BytesIO(snapshot.state), plan).load()
+    except Exception:  # noqa: BLE001  pickle raises anything on damaged data
+        return 0, None
+    return (snapshot.trials, session) if isinstance(session, Session) else (0, None)
+
+
+@cache
+def code_version() -> str:
+    """Digest of all code on which proposals depend."""
+    digest = hashlib.sha256("".join(map(version, ("numpy", "scipy"))).encode())
+    package = Path(estune.__file__).parent
+    for module in _MODULES:
+        path = package.joinpath(*module.split(".")[1:])
+        files = sorted(path.rglob("*.py")) if module.endswith(".") else [path.with_suffix(".py")]
+        for file in files:
+            digest.update(file.read_bytes())
+    return digest.hexdigest()
+
+
+def _digest(entries: Sequence[JournalEntry], before: str) -> str:
+    """Digest of trials in blocks of `INTERVAL`, after a digest of those before."""
+    for begin in range(0, len(entries), INTERVAL):
+        block = [
+            (e.trial_id, str(e.phase), e.gain_values, str(e.outcome), e.cost, e.margin)
+            for e in entries[begin : begin + INTERVAL]
+        ]
+        # Format 2 of marshal depends on the values alone, and is the fastest there is.
+        before = hashlib.sha256(before.encode() + marshal.dumps(block, 2)).hexdigest()
+    return before
+
+
+class _Pickler(pickle.Pickler):
+    """Pickles a session without its plan, which the run stores."""
+
+    def __init__(self, file: io.BytesIO, plan: Plan) -> None:
+        super().__init__(file, protocol=5)
+        self._plan = plan
+
+    def persistent_id(self, obj: Any) -> str | None:
+        """The plan by its name."""
+        return "plan" if obj is self._plan else None
+
+
+class _Unpickler(pickle.Unpickler):
+    """Makes values of the session and of the tuner's own package, and arrays; nothing else."""
+
+    def __init__(self, file: io.BytesIO, plan: Plan) -> None:
+        super().__init__(file)
+        self._plan = plan
+        own = type(plan.tuner).__module__.partition(".")[0]
+        self._modules = _MODULES if own == "estune" else (*_MODULES, own)
+
+    def persistent_load(self, _: Any) -> Plan:
+        """The plan."""
+        return self._plan
+
+    def find_class(self, module: str, name: str) -> Any:
+        """A class of values; a journal from elsewhere must not call anything."""
+        if (module, name) in _ARRAYS:
+            return super().find_class(module, name)
+        if module.startswith(self._modules):
+            found = super().find_class(module, name)
+            if isinstance(found, type) and (
+                is_dataclass(found) or issubclass(found, tuple | Enum)
+            ):
+                return found
+        raise pickle.UnpicklingError(f"{module}.{name} is not part of a snapshot")
