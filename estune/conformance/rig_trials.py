@@ -1,0 +1,137 @@
+"""Conformance of a rig: trials, their records and their ids."""
+
+from dataclasses import replace
+
+import numpy as np
+import zenoh
+
+from estune.conformance.wire_client import HOLDER, PENDING, WireClient
+from estune.remote import messages
+from estune.remote.messages import Answer, Part, Status, digest
+from estune.remote.messages.commands import Cancel, SetGains, Void
+from estune.remote.state_machine.reply_codes import ReplyCode
+from estune.remote.state_machine.state import Mode
+from estune.trial import Outcome
+
+
+class TrialTests:
+    """Tests of trials."""
+
+    def test_describe_is_constant_and_within_its_own_limits(self, wire: WireClient) -> None:
+        about = wire.describe()
+        assert (about.rig.name, about.instance) == (wire.keys.rig, wire.instance)
+        assert about.ledger
+        about.rig.limits.check(about.rig.step)
+        assert wire.describe() == about
+
+    def test_submit_repeated_runs_the_trial_once_as_requested(self, wire: WireClient) -> None:
+        request, before = wire.trial(), wire.describe().rig
+        ended = wire.status().ended
+        first = wire.submit(request)
+        assert first.verdict in (*PENDING, ReplyCode.ENDED)
+        record = wire.record(request)
+        assert (record.trial_id, record.rig) == (request.trial_id, before.name)
+        assert (record.outcome, record.gains) == (Outcome.DONE, request.gains)
+        setpoint = request.profile.setpoint(record.sampling_Hz)
+        np.testing.assert_allclose(record.setpoint_N, setpoint, rtol=1e-6)
+        assert np.all(np.isfinite(record.tension_N))
+        assert wire.describe().rig.gains == before.gains
+        again = wire.submit(request)
+        assert again.verdict is ReplyCode.ENDED
+        assert wire.status().ended == ended + 1
+
+    def test_result_in_parts_equals_the_whole_frame(self, wire: WireClient) -> None:
+        request = wire.trial()
+        wire.submit(request)
+        wire.record(request)
+        whole = wire.frame(request)
+        data = b""
+        while len(data) < len(whole):
+            part = wire.inquire(request, offset=len(data), length=700)
+            assert isinstance(part, Part)
+            assert (part.offset, part.total, len(part.data) <= 700) == (
+                len(data),
+                len(whole),
+                True,
+            )
+            data += part.data
+        assert data == whole
+
+    def test_submit_of_another_request_under_a_used_id_is_refused(self, wire: WireClient) -> None:
+        request = wire.trial()
+        wire.submit(request)
+        wire.record(request)
+        other = replace(request, gains=replace(request.gains, P=1.1 * request.gains.P))
+        for answer in (wire.submit(other), wire.inquire(other)):
+            assert isinstance(answer, Answer)
+            assert (answer.verdict, answer.error) == (ReplyCode.REFUSED, "RigError")
+
+    def test_result_of_a_trial_never_submitted_is_unknown(self, wire: WireClient) -> None:
+        assert wire.code(wire.trial(99)) is ReplyCode.UNKNOWN
+
+    def test_submit_outside_the_limits_is_refused(self, wire: WireClient) -> None:
+        limits = wire.describe().rig.limits
+        too_high = 2.0 * limits.tension_max_N if np.isfinite(limits.tension_max_N) else 1e300
+        for number, changes in enumerate(
+            ({"step_N": too_high}, {"duration_s": 2.0 * limits.duration_max_s + 1.0})
+        ):
+            answer = wire.submit(wire.trial(number, **changes))
+            assert (answer.verdict, answer.error) == (ReplyCode.REFUSED, "InvalidInput")
+            assert wire.code(wire.trial(number, **changes)) is ReplyCode.UNKNOWN
+
+    def test_submit_during_a_trial_is_busy_until_cancel_ends_it(self, wire: WireClient) -> None:
+        request, gains = wire.long_trial(), wire.describe().rig.gains
+        wire.submit(request)
+        status = wire.until(Mode.RUNNING)
+        assert (status.trial_id, status.holder) == (request.trial_id, HOLDER)
+        for answer in (
+            wire.submit(wire.trial(1)),
+            wire.send("gains", SetGains(wire.lease, gains)),
+        ):
+            assert (answer.verdict, answer.trial_id) == (ReplyCode.BUSY, request.trial_id)
+        assert wire.send("cancel", Cancel(wire.lease, "another-00000")).trial_id == ""
+        while (
+            answer := wire.submit(request)
+        ).verdict is ReplyCode.ACCEPTED:  # the mode changes before the ledger does
+            wire.renew()
+        assert answer.verdict is ReplyCode.RUNNING
+        while wire.send("cancel", Cancel(wire.lease)).trial_id:
+            wire.renew()
+        record = wire.record(request)
+        assert (record.outcome, bool(record.reason)) == (Outcome.CANCELLED, True)
+        assert wire.describe().rig.gains == gains
+        assert wire.send("cancel", Cancel(wire.lease)) == Answer(ReplyCode.ACCEPTED)
+
+    def test_void_trial_never_runs(self, wire: WireClient) -> None:
+        request, ended = wire.trial(), wire.status().ended
+        void = Void(wire.lease, request.trial_id, digest(request))
+        assert wire.send("void", void).verdict is ReplyCode.VOID
+        assert wire.submit(request).verdict is ReplyCode.VOID
+        assert wire.code(request) is ReplyCode.VOID
+        other = wire.trial(1)
+        wire.submit(other)
+        wire.record(other)
+        late = Void(wire.lease, other.trial_id, digest(other))
+        assert wire.send("void", late).verdict is ReplyCode.ENDED
+        assert wire.status().ended == ended + 1
+
+    def test_gains_set_are_live(self, wire: WireClient) -> None:
+        before = wire.describe().rig.gains
+        other = replace(before, P=0.8 * before.P)
+        for gains in (other, before):
+            assert wire.send("gains", SetGains(wire.lease, gains)).verdict is ReplyCode.ACCEPTED
+            assert wire.describe().rig.gains == gains
+
+    def test_status_is_published_at_each_change(self, wire: WireClient) -> None:
+        ring: zenoh.handlers.RingChannel[zenoh.Sample] = zenoh.handlers.RingChannel(100)
+        with wire.session.declare_subscriber(wire.keys.status, ring) as subscriber:
+            request = wire.trial()
+            wire.submit(request)
+            wire.record(request)
+            ended = wire.status().ended
+            while True:
+                sample = subscriber.recv()
+                assert sample.attachment is not None
+                assert sample.attachment.to_bytes() == wire.instance.encode()
+                if messages.decode(Status, sample.payload.to_bytes()).ended == ended:
+                    break

@@ -1,0 +1,130 @@
+"""Single messages to a rig under test."""
+
+import secrets
+import time
+from dataclasses import replace
+from typing import Any
+
+import zenoh
+
+from estune.remote import messages
+from estune.remote.messages import Answer, Description, Inquire, Keys, Part, Status, digest
+from estune.remote.messages.commands import Lease, Submit
+from estune.remote.state_machine.reply_codes import ReplyCode
+from estune.remote.state_machine.state import RENEW_S, Mode
+from estune.remote.zenoh.rig_connection import present_at
+from estune.trial import TrialRecord, TrialRequest, record_frame
+
+ANSWERED_WITHIN_S = 10.0
+"""Timeout of a query, s; generous, as the speed of the machine is not tested."""
+
+HOLDER = "the conformance suite"
+
+PENDING = (ReplyCode.ACCEPTED, ReplyCode.RUNNING, ReplyCode.BUSY)
+"""Reply codes of a trial that has no record yet."""
+
+
+class WireClient:
+    """A session that sends single messages to a rig under test."""
+
+    def __init__(self, session: zenoh.Session, name: str | None) -> None:
+        """Finds the rig of that name, or the only one."""
+        self.session = session
+        presence = messages.choose(present_at(session, messages.ANY_RIG), name, "the endpoint")
+        self.keys, self.instance = Keys(presence.rig), presence.instance
+        self.run = f"conformance-{secrets.token_hex(4)}"
+        self.lease = ""
+
+    def ask(self, key: str, message: Any) -> bytes:
+        """The only reply to a message."""
+        payload = message if isinstance(message, bytes) else messages.encode(message)
+        replies = list(self.session.get(key, payload=payload, timeout=ANSWERED_WITHIN_S))
+        assert len(replies) == 1, f"{len(replies)} replies on {key}"
+        sample = replies[0].ok
+        assert sample is not None, f"an error on {key}"
+        assert sample.attachment is not None, f"no instance on {key}"
+        assert str(sample.key_expr) == key
+        assert sample.attachment.to_bytes() == self.instance.encode()
+        return sample.payload.to_bytes()
+
+    def send(self, verb: str, message: Any) -> Answer:
+        """Reply to a command, given as a message or as bytes."""
+        return messages.decode(Answer, self.ask(self.keys.command(self.instance, verb), message))
+
+    def describe(self) -> Description:
+        """Description of the rig."""
+        return messages.decode_description(self.ask(self.keys.describe, b""))
+
+    def status(self) -> Status:
+        """Status of the rig."""
+        return messages.decode(Status, self.ask(self.keys.status, b""))
+
+    def acquire(self) -> None:
+        """Acquires the lease."""
+        self.lease = secrets.token_hex(8)
+        answer = self.send("lease", Lease("acquire", self.lease, HOLDER))
+        assert answer.verdict is ReplyCode.ACCEPTED, answer.sentence
+
+    def renew(self) -> None:
+        """Renews the lease."""
+        self.send("lease", Lease("renew", self.lease))
+
+    def trial(self, number: int = 0, **changes: Any) -> TrialRequest:
+        """A trial of the rig's own step; its proportional gain is not the live one."""
+        about = self.describe().rig
+        gains = replace(about.gains, P=0.9 * about.gains.P)
+        return TrialRequest(self.run, number, gains, replace(about.step, **changes))
+
+    def long_trial(self, number: int = 0) -> TrialRequest:
+        """A trial that lasts until it is stopped."""
+        longest_s = self.describe().rig.limits.duration_max_s
+        return self.trial(number, duration_s=min(longest_s, 30.0))
+
+    def submit(self, request: TrialRequest) -> Answer:
+        """Reply to a submit; `ended` if it was the record."""
+        message = Submit(self.lease, request, digest(request))
+        data = self.ask(self.keys.command(self.instance, "submit"), message)
+        record = data.startswith(b"RTR1")
+        return Answer(ReplyCode.ENDED) if record else messages.decode(Answer, data)
+
+    def inquire(self, request: TrialRequest, **inquiry: int) -> Answer | TrialRecord | Part:
+        """State or record of a trial."""
+        message = Inquire(digest(request), **inquiry)
+        return messages.decode_trial(self.ask(self.keys.result(request.trial_id), message))
+
+    def frame(self, request: TrialRequest) -> bytes:
+        """The record's frame, from all its parts, after the end of the trial."""
+        key, data = self.keys.result(request.trial_id), b""
+        while True:
+            got = self.ask(key, Inquire(digest(request), len(data)))
+            if not got.startswith(b"RTP1"):
+                return got
+            part = messages.decode_part(got)
+            assert part.offset == len(data)
+            data += part.data
+            if len(data) == part.total:
+                return data
+
+    def code(self, request: TrialRequest) -> ReplyCode:
+        """Reply code of an inquiry for a trial without a record."""
+        answer = self.inquire(request)
+        assert isinstance(answer, Answer), answer
+        return answer.verdict
+
+    def record(self, request: TrialRequest) -> TrialRecord:
+        """Waits for the record of a trial; renews the lease meanwhile."""
+        while True:
+            found = self.inquire(request)
+            if not isinstance(found, Answer):
+                return record_frame.decode(self.frame(request))
+            assert found.verdict in PENDING, found
+            self.renew()
+            time.sleep(RENEW_S / 10)
+
+    def until(self, *modes: Mode, renew: bool = True) -> Status:
+        """Waits for a mode; renews the lease meanwhile."""
+        while (status := self.status()).mode not in modes:
+            if renew:
+                self.renew()
+            time.sleep(RENEW_S / 10)
+        return status
