@@ -1,12 +1,46 @@
-"""Settings and options of all tests."""
+"""Settings and options of all tests, and their distribution over processes."""
+
+from pathlib import Path
 
 from hypothesis import settings
+from xdist.scheduler import LoadScopeScheduling
 
-# The same examples on every machine, however slow it is.
+WORKERS = 3
+"""One more than the two cores CI has, as many tests wait for other processes."""
+
+INDEPENDENT = ("test_experiments", "test_explain", "test_explain_friction", "test_explain_plants")
+"""Files of long tests without shared fixtures, which may run in different processes."""
+
+LONGEST = (*INDEPENDENT, "README", "test_daemon", "test_cli", "test_bus", "test_hidden_effects")
+"""Files that start first, so that no process is left with a long one at the end."""
+
+# Equal examples on every machine, however slow it is.
 settings.register_profile("estune", derandomize=True, deadline=None)
 settings.load_profile("estune")
 
 
+class FileScheduling(LoadScopeScheduling):
+    """Runs a file in one process, as its tests share rigs and daemons, unless independent."""
+
+    def _split_scope(self, nodeid):
+        file = nodeid.partition("::")[0]
+        return nodeid if Path(file).stem in INDEPENDENT else file
+
+
+def pytest_addoption(parser):
+    parser.addoption("--endpoint", help="endpoint of a real rig to test; it will move")
+    parser.addoption("--rig", help="name of the rig, if several answer at the endpoint")
+
+
 def pytest_xdist_auto_num_workers(config):
-    """Two workers for the whole suite; files named on the command line run in this process."""
-    return 2 if config.args_source is config.ArgsSource.TESTPATHS else 0
+    """Workers for the whole suite; files named on the command line run in this process."""
+    return WORKERS if config.args_source is config.ArgsSource.TESTPATHS else 0
+
+
+def pytest_xdist_make_scheduler(config, log):
+    return FileScheduling(config, log)
+
+
+def pytest_collection_modifyitems(items):
+    rank = {name: n for n, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: rank.get(item.path.stem, len(rank)))

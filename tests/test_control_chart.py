@@ -97,7 +97,7 @@ def test_chart_signals_a_change_after_two_consecutive_outliers(cost, sign):
     assert CHART.update(state, cost)[1] is sign
 
 
-def test_outliers_of_opposite_sign_are_repeated_twice():
+def test_outlier_of_opposite_sign_is_suspect_again():
     state, _ = CHART.update(begin_chart(), 3.0)
     assert CHART.update(state, 0.3)[1] is ChartSignal.SUSPECT
 

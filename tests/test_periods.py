@@ -22,17 +22,17 @@ def test_period_is_found_in_records_of_different_phase():
     assert per_turn(each, READ_rad)[0] == pytest.approx(46.0, abs=0.5)
 
 
-def test_period_of_a_short_record_minimises_the_squared_error():
+def test_period_of_few_repetitions_minimises_the_squared_error():
     one = turned(np.random.default_rng(1), 70.0, 1.0, 0.15)
     line = np.stack([np.ones(one.angle_rad.size), one.angle_rad], axis=1)
 
-    def left(order):
+    def squared_error(order):
         wave = np.exp(1j * order * one.angle_rad)
         columns = np.column_stack([line, wave.real, wave.imag])
         return np.linalg.lstsq(columns, one.residual, rcond=None)[1][0]
 
     orders = np.linspace(45.0, 300.0, 500)
-    best = orders[np.argmin([left(order) for order in orders])]
+    best = orders[np.argmin([squared_error(order) for order in orders])]
     assert per_turn([one], READ_rad)[0] == pytest.approx(best, abs=6.0)
 
 

@@ -128,7 +128,7 @@ def test_processes_give_equal_outcomes_and_a_second_call_runs_nothing(tmp_path):
     assert sorted(o.cell.seed for o in outcomes) == [1] * 6
 
 
-def test_noise_seed_depends_on_length_and_tension_only():
+def test_noise_seed_depends_on_the_cell_but_not_its_tuner():
     both = {**SMALL, "tuners": ["least_squares_gradient", "otis"], "seeds": 2}
     cells = expand_cells(read_design(both))
     seeds = [cell.noise_seed for cell in cells]
