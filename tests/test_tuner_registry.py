@@ -30,7 +30,7 @@ STORED_SPACE = tuner_to_stored(create_tuner("otis", SPACE))["space"]
 
 @dataclass(frozen=True)
 class OwnTuner:
-    """A user's own tuner: stays at the start."""
+    """Tuner of a user: stays at the initial gains."""
 
     space: SearchSpace
     width: float = 0.1
@@ -50,11 +50,11 @@ class OwnTuner:
 
 
 class NotATuner:
-    """Has none of the methods."""
+    """Class without the methods of a tuner."""
 
 
 def stored(tuner: Any) -> dict[str, Any]:
-    """The stored form after a journey through JSON."""
+    """Stored form after encoding and decoding as JSON."""
     values: dict[str, Any] = json.loads(json.dumps(tuner_to_stored(tuner)))
     return values
 
@@ -69,7 +69,7 @@ def test_registered_tuner_is_stored_by_name_and_read_back(name):
     assert tuner_space(stored(tuner)) == SPACE
 
 
-def test_own_tuner_by_module_and_class_is_created_stored_and_read_back():
+def test_user_tuner_by_module_and_class_survives_storage():
     reference = f"{__name__}:OwnTuner"
     tuner = replace(create_tuner(reference, SPACE), width=0.3)
     assert stored(tuner)["kind"] == reference
@@ -147,7 +147,7 @@ def test_old_plan_by_module_and_class_gives_the_registered_tuner(kind, name):
     assert tuner_from_stored({"kind": kind, "space": STORED_SPACE}) == create_tuner(name, SPACE)
 
 
-def test_old_plan_of_the_level_seeker_gives_the_target_cost_tuner():
+def test_old_plan_of_level_seeker_becomes_target_cost_tuner():
     path = {"names": ["K"], "start": [1.0], "low": [0.05], "high": [1.0], "form": "standard"}
     old = {"kind": "estune.matching.level_seeker:LevelSeeker", "space": path, "target": 1.5}
     assert type(tuner_from_stored({**old, "name": "level_seeker"})).__name__ == "TargetCostTuner"

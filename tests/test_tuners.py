@@ -1,4 +1,4 @@
-"""Properties of every tuner, and the law of each."""
+"""Properties of every tuner, and the update law of each."""
 
 import json
 import math
@@ -47,12 +47,12 @@ observations = st.lists(
 
 
 def bowl(point, best=(0.8, 35.0, 0.02, 0.015)):
-    """A cost of one at its best, and quadratic in the logarithms."""
+    """Cost with minimum one, quadratic in the logarithms."""
     return 1.0 + sum((math.log(p) - math.log(b)) ** 2 for p, b in zip(point, best, strict=True))
 
 
 def run(tuner, state, cost, trials):
-    """The state after so many trials of a cost."""
+    """State after the given number of trials of a cost."""
     for _ in range(trials):
         state = tuner.tell(state, Observation(cost(tuner.ask(state))))
     return state
@@ -182,7 +182,7 @@ def test_killingsworth_follows_the_printed_equations():
     def cost(K, Ti, Td):
         return 2e-4 + 2e-3 * (K - 3.6) ** 2 + 5e-5 * (Ti - 27.0) ** 2 + 1e-3 * (Td - 2.1) ** 2 * K
 
-    # The equations once more, on arrays and in the printed order, indices from 1.
+    # Independent implementation on arrays, in the printed order, indices from 1.
     alpha, gamma = np.array([0.1, 1.0, 0.1]), np.array([200.0, 1200.0, 200.0])
     omega, h = np.array([0.8, 0.8**2, 0.8**3]) * np.pi, 0.5
     th, theta, J_before = np.array(start), np.array(start), cost(*start)
@@ -197,19 +197,19 @@ def test_killingsworth_follows_the_printed_equations():
         theta = th + alpha * np.cos(omega * (k + 1))
         J_before = J
         state = tuner.tell(state, Observation(cost(*tuner.ask(state))))
-    assert abs(th[1] - start[1]) > 1.0  # it went somewhere
+    assert abs(th[1] - start[1]) > 1.0  # the tuner has moved
 
 
 # Extremum seeking of the paper, without and with phase compensation.
 
 
 def still(kind):
-    """A tuner with a nearly fixed centre, which only measures."""
+    """Tuner with a nearly fixed centre, which only measures the slope."""
     return kind(WIDE, adaptation_gain=1e-9, dither_amplitude=0.02, low_pass_share=0.5)
 
 
 def mean_slope(tuner, cost):
-    """The measured slope, over one period of the dither once the filters have settled."""
+    """Measured slope over one period of the dither after the filters have settled."""
     state = run(tuner, tuner.start(), cost, 200)
     slopes = []
     for _ in range(dither_of(len(tuner.space.names)).period):
@@ -222,7 +222,7 @@ TRUE_SLOPE = (1.0, -0.5, 0.25, 2.0)
 
 
 def exponential(point):
-    """A cost whose logarithm is linear in those of the parameters."""
+    """Cost whose logarithm is linear in those of the parameters."""
     return math.prod(p**g for p, g in zip(point, TRUE_SLOPE, strict=True))
 
 
@@ -251,11 +251,11 @@ def test_demodulated_slope_is_free_of_curvature():
 
 @pytest.mark.parametrize("parameters", [1, 2, 3, 4, 5, 6])
 def test_dither_lines_of_first_and_second_order_are_distinct(parameters):
-    # Seen in the spectrum of every product of two dithers over a period, not by their arithmetic.
+    # Checked in the spectra of all products of two dithers over a period.
     signals = dither_of(parameters)
     dithers = np.cos(np.outer(signals.frequencies, np.arange(signals.period)))
     answers = [*dithers, *[a * b for i, a in enumerate(dithers) for b in dithers[: i + 1]]]
-    power = np.abs(np.fft.rfft(answers))[:, 1:]  # without the mean, which no gradient is read from
+    power = np.abs(np.fft.rfft(answers))[:, 1:]  # without the mean, which carries no gradient
     lines = [set(np.flatnonzero(row > 1e-6 * signals.period)) for row in power]
     assert all(lines)
     assert len(set.union(*lines)) == sum(map(len, lines))
