@@ -10,6 +10,7 @@ from estune.core.cost import StepCost
 from estune.core.gains import Gains
 from estune.errors import EstuneError, InvalidInput, JournalError, RigError
 from estune.loop_model.optimum import RobustnessLimits
+from estune.remote.state_machine.client import PATIENCE_S
 from estune.run import archived_run, loop, progress, result
 from estune.run.journal import Journal
 from estune.run.loop import ApprovalCallback, ProgressListener, Stopped, TuningRun
@@ -51,6 +52,7 @@ def tune(
     journal: bool = True,
     rig: str | None = None,
     security: "Security | None" = None,
+    patience_s: float = PATIENCE_S,
     watch: ProgressListener | Literal["auto"] | None = "auto",
     ask: ApprovalCallback | None = None,
     limits: RobustnessLimits | None = None,
@@ -82,6 +84,7 @@ def tune(
         journal: Whether to store the run on disk, so that it can be resumed.
         rig: Name of the rig, if several answer at the endpoint.
         security: Credentials, if the rig requires authentication; see `estune.remote.security`.
+        patience_s: How long to wait where the rig at an endpoint stops replying, s.
         watch: Callback after each trial; "auto" shows progress, None nothing.
         ask: Approval callback for gains outside the region shown to be safe; returns "yes", "no"
             or "always".
@@ -101,7 +104,7 @@ def tune(
         >>> result.success
         True
     """
-    with open_target(target, rig, security) as the_rig:
+    with open_target(target, rig, security, patience_s) as the_rig:
         description = the_rig.describe()
         name = run or _free_name(Path(folder))
         if not name.replace("-", "").replace("_", "").isalnum():
@@ -140,6 +143,7 @@ def resume(
     target: Any = None,
     *,
     security: "Security | None" = None,
+    patience_s: float = PATIENCE_S,
     watch: ProgressListener | Literal["auto"] | None = "auto",
     ask: ApprovalCallback | None = None,
 ) -> TuneResult:
@@ -149,6 +153,7 @@ def resume(
         run_folder: The run's folder.
         target: Present address of its rig; the earlier one by default.
         security: As in `tune`.
+        patience_s: As in `tune`.
         watch: As in `tune`.
         ask: As in `tune`; required if the run was begun with it.
 
@@ -166,7 +171,7 @@ def resume(
             raise InvalidInput(
                 f"{run_folder} was made on an object; pass it: estune.resume(folder, rig)"
             )
-        with open_target(target, journal.fact("rig_name"), security) as rig:
+        with open_target(target, journal.fact("rig_name"), security, patience_s) as rig:
             check_same_rig(tuning_.description, rig.describe())
             return _run(tuning_, rig, watch, ask)
     finally:

@@ -243,7 +243,7 @@ def limits() -> Iterator[str]:
         ("largest number of live samples in a message", messages.LIVE_MAX_SAMPLES),
         ("longest holder and reason, characters", messages.HOLDER_MAX),
         ("timeout of a client's query, s", rig_connection.ASK_S),
-        ("timeout of a client for a rig that is alive but silent, s", rig_connection.HUNG_AFTER_S),
+        ("time for which a client waits for a silent rig, by default, s", client.PATIENCE_S),
         ("transport lease of estune's sessions, ms", zenoh_session.LEASE_MS),
     )
     yield "| what | value |\n| --- | --- |\n"

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import estune
 import plants
 from estune.core.gains import Gains
 from estune.errors import InvalidInput, RigError
@@ -93,6 +94,43 @@ def test_trials_over_a_wire_cut_repeatedly_run_once_each():
             cutting.join()
     assert rig.requests == trials
     assert all(same(response(t), r) for t, r in zip(trials, records, strict=True))
+
+
+@pytest.mark.slow
+def test_tuning_survives_an_outage_within_the_patience(caplog):
+    rig = ScriptedRig(duration_s=0.05)
+    with zenoh.serve(rig) as server, Wire(server.endpoint) as wire:
+        threading.Timer(1.0, wire.stall).start()
+        threading.Timer(7.0, wire.flow).start()
+        result = estune.tune(wire.endpoint, trials=25, journal=False, watch=None)
+    assert result.success
+    ids = [request.trial_id for request in rig.requests]
+    assert len(set(ids)) == len(ids)
+    client = (r for r in caplog.records if r.name == "estune.remote.zenoh.rig_connection")
+    waiting, back = (
+        record.getMessage() for record in client if "lease" not in record.getMessage()
+    )
+    assert "its process has ended or the network is cut" in waiting
+    assert "waiting for it, at most 30 s" in waiting
+    assert back.endswith("replies again")
+
+
+def test_outage_beyond_the_patience_ends_the_wait_but_abort_is_not_delayed():
+    rig = ScriptedRig(duration_s=0.05)
+    with (
+        zenoh.serve(rig) as server,
+        Wire(server.endpoint) as wire,
+        zenoh.connect(wire.endpoint, timeout_s=SOON_S, patience_s=60.0) as patient,
+        zenoh.connect(wire.endpoint, timeout_s=SOON_S, patience_s=3.0) as client,
+    ):
+        wire.stall()
+        began_s = time.monotonic()
+        with pytest.raises(RigError, match=r"does not reply|network is cut"):
+            client.describe()
+        assert time.monotonic() - began_s > 3.0
+        with pytest.raises(RigError, match="network is cut"):
+            patient.abort()
+        assert time.monotonic() - began_s < 30.0
 
 
 def test_trial_whose_first_reply_is_lost_runs_once():

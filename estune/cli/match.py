@@ -13,6 +13,7 @@ from estune.cli import output
 from estune.cli.tune import NO_COST, NO_STEP, CostOptions, StepOptions, trial_of
 from estune.cli.values import Flag, TunerName, security_from
 from estune.errors import EstuneError, InvalidInput, RigError
+from estune.remote.state_machine.client import PATIENCE_S
 from estune.run.export import write_file
 from estune.run.targets import is_endpoint, open_target
 from estune.studies.match import procedure
@@ -42,6 +43,7 @@ def match(
     folder: Path | None = None,
     json: Flag = False,
     security: Path | None = None,
+    patience: float = PATIENCE_S,
     quiet: Flag = False,
     step: StepOptions = NO_STEP,
     cost: CostOptions = NO_COST,
@@ -62,6 +64,7 @@ def match(
             An interrupted matching continues with the same command and this folder.
         json: Print the outcome as JSON.
         security: Credentials file, if a rig requires authentication.
+        patience: How long to wait where a rig stops replying, s.
         quiet: Show no progress.
         step: The step trial of all reels; by default what the first reel suggests.
         cost: The cost of all reels; the settling time is by default the longest a rig suggests.
@@ -78,6 +81,7 @@ def match(
         folder=folder,
         apply=apply,
         security=credentials,
+        patience_s=patience,
         watch=None if quiet or json else "auto",
         log=_print_note if not (quiet or json) else lambda _: None,
     )

@@ -25,6 +25,7 @@ from estune.cli.values import (
 from estune.core.gains import GAIN_NAMES
 from estune.errors import InvalidInput
 from estune.loop_model.optimum import RobustnessLimits
+from estune.remote.state_machine.client import PATIENCE_S
 from estune.run.journal import Journal
 from estune.run.plan import model_start
 from estune.run.result import RunEnding, TuneResult
@@ -110,6 +111,7 @@ def tune(
     bounds: Values = (),
     rig: str | None = None,
     security: Path | None = None,
+    patience: float = PATIENCE_S,
     run: str | None = None,
     folder: Path = Path(api.RUNS),
     quiet: Flag = False,
@@ -139,6 +141,7 @@ def tune(
             I, D and setpoint_filter_s.
         rig: Name of the rig, if several answer at the endpoint.
         security: Credentials file, if the rig requires authentication.
+        patience: How long to wait where the rig stops replying, s.
         run: Name of the run; the time of day by default.
         folder: Folder of runs.
         quiet: Show no progress.
@@ -160,6 +163,7 @@ def tune(
         **choices,
         rig=rig,
         security=credentials,
+        patience_s=patience,
         run=run,
         folder=folder,
         watch=None if quiet else "auto",
@@ -175,6 +179,7 @@ def resume(
     *,
     target: str | None = None,
     security: Path | None = None,
+    patience: float = PATIENCE_S,
     folder: Path = Path(api.RUNS),
     quiet: Flag = False,
 ) -> int:
@@ -184,6 +189,7 @@ def resume(
         run: The run: its name, or its folder.
         target: Present address of its rig; the earlier one by default.
         security: Credentials file, if the rig requires authentication.
+        patience: How long to wait where the rig stops replying, s.
         folder: Folder of runs.
         quiet: Show no progress.
     """
@@ -193,7 +199,9 @@ def resume(
         ask = terminal_approval() if journal.fact("plan")["ask_first"] else None
     credentials = security_from(security)
     watch: Literal["auto"] | None = None if quiet else "auto"
-    result = api.resume(path, where, security=credentials, watch=watch, ask=ask)
+    result = api.resume(
+        path, where, security=credentials, patience_s=patience, watch=watch, ask=ask
+    )
     return finish(result, where)
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from estune.errors import InvalidInput
+from estune.remote.state_machine.client import PATIENCE_S
 from estune.support.plugins import hiding_hint, load_plugin, plugins
 from estune.trial import Rig
 
@@ -29,7 +30,10 @@ def is_endpoint(target: object) -> bool:
 
 @contextmanager
 def open_target(
-    target: Any, rig: str | None = None, security: "Security | None" = None
+    target: Any,
+    rig: str | None = None,
+    security: "Security | None" = None,
+    patience_s: float = PATIENCE_S,
 ) -> Iterator[Rig]:
     """The rig that a target names, for the duration of the block.
 
@@ -38,6 +42,7 @@ def open_target(
             naming a plant or a rig, a plant (anything with a `.rig()` method), or a rig.
         rig: Name of the rig, if several answer at the endpoint.
         security: Credentials, if the rig at the endpoint requires authentication.
+        patience_s: How long to wait for the rig at the endpoint where it stops replying, s.
 
     Raises:
         InvalidInput: the target is none of these.
@@ -47,7 +52,7 @@ def open_target(
         from estune.remote import zenoh  # noqa: PLC0415  slow to import
         from estune.remote.security import OPEN  # noqa: PLC0415  as above
 
-        remote = zenoh.connect(target, rig=rig, security=security or OPEN)
+        remote = zenoh.connect(target, rig=rig, patience_s=patience_s, security=security or OPEN)
         try:
             yield remote
         finally:

@@ -20,6 +20,9 @@ from types import MappingProxyType
 from estune.errors import ProtocolError
 from estune.remote.state_machine.reply_codes import ReplyCode
 
+PATIENCE_S = 30.0
+"""Time for which a client waits for a rig that does not reply, by default, s."""
+
 
 class ClientStage(StrEnum):
     """Progress of a trial, as far as the client can know it."""

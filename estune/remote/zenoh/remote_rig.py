@@ -51,6 +51,7 @@ def connect(
     rig: str | None = None,
     timeout_s: float = 3.0,
     *,
+    patience_s: float | None = None,
     holder: str = "",
     security: Security = OPEN,
 ) -> "RemoteRig":
@@ -59,7 +60,10 @@ def connect(
     Args:
         endpoint: Endpoint of a rig, or of a Zenoh router: `tcp/127.0.0.1:7447`.
         rig: Name of the rig; None for the only one.
-        timeout_s: Timeout for a rig that does not reply, now and later, s.
+        timeout_s: Timeout for a rig that does not reply, s.
+        patience_s: The timeout once connected, s: for how long a cut of the network is waited
+            out. Not for emergency stops and aborts. By default `timeout_s`, but 30 s for a rig
+            that is alive.
         holder: Name of the lease holder, as others see it; user, machine and process by default.
         security: Credentials, if the rig requires authentication.
 
@@ -72,13 +76,14 @@ def connect(
     check_endpoint(endpoint)
     if rig is not None:
         check_name("rig name", rig)
-    if not (math.isfinite(timeout_s) and timeout_s > 0.0):
-        raise InvalidInput(f"timeout is {timeout_s} s; it must be finite and above zero")
+    for name, time_s in (("timeout", timeout_s), ("patience", patience_s)):
+        if time_s is not None and not (math.isfinite(time_s) and time_s > 0.0):
+            raise InvalidInput(f"{name} is {time_s} s; it must be finite and above zero")
     deadline_s = time.monotonic() + timeout_s
     session = _open(endpoint, security, deadline_s)
     try:
         presence = _find(session, endpoint, rig, deadline_s)
-        connection = RigConnection(session, endpoint, presence, timeout_s)
+        connection = RigConnection(session, endpoint, presence, timeout_s, patience_s)
         return RemoteRig(connection, partial(_open, endpoint, security), holder or _holder())
     except BaseException:
         close_session(session)
@@ -216,7 +221,10 @@ class RemoteRig:
 
     def abort(self) -> RigDescription:
         """Stops the active trial, and returns once the live gains are restored."""
-        unknown = "; whether it has stopped is unknown: inspect the rig"
+        with self._connection.hurried():
+            return self._abort("; whether it has stopped is unknown: inspect the rig")
+
+    def _abort(self, unknown: str) -> RigDescription:
         self._void_unanswered(unknown)
         trial_id = ""
         while True:

@@ -4,7 +4,8 @@ import logging
 import secrets
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import NamedTuple
 
 import zenoh
@@ -14,18 +15,16 @@ from estune.remote import messages
 from estune.remote.messages import HOLDER_MAX, Answer, Description, Keys, Presence
 from estune.remote.messages.codec import Message
 from estune.remote.messages.commands import VERB_OF, Lease
-from estune.remote.state_machine.client import ClientInput
+from estune.remote.state_machine.client import PATIENCE_S, ClientInput
 from estune.remote.state_machine.reply_codes import ReplyCode
 from estune.remote.state_machine.state import LEASE_S, RENEW_S
 from estune.remote.zenoh.zenoh_session import AGAIN_S, close_session
-
-HUNG_AFTER_S = 30.0
-"""Time for which a rig may be alive without replying: a simulation can hold its interpreter."""
 
 ASK_S = 1.0
 _RENEWED_WITHIN_S = 0.3
 _HELD_WITHIN_S = 1.5 * LEASE_S
 _END_WITHIN_S = 2.0
+_REPORTED_AFTER_S = 1.5
 
 _log = logging.getLogger(__name__)
 
@@ -52,16 +51,34 @@ class RigConnection:
     """
 
     def __init__(
-        self, session: zenoh.Session, endpoint: str, presence: Presence, timeout_s: float
+        self,
+        session: zenoh.Session,
+        endpoint: str,
+        presence: Presence,
+        timeout_s: float,
+        patience_s: float | None = None,
     ) -> None:
+        """Connects to a rig; times as in `connect`."""
         self.keys = Keys(presence.rig)
         self.name = presence.rig
         self.instance = presence.instance
         self.timeout_s = timeout_s
+        self._patience_s = patience_s
+        self._hurried = False
+        self._waiting = False
         self.session = session
         self.closed = False
         self.about: Description | None = None
         self._label = f"rig {presence.rig!r} at {endpoint}"
+
+    @contextmanager
+    def hurried(self) -> Iterator[None]:
+        """No call, of any thread, waits longer than by default while the block lasts."""
+        self._hurried = True
+        try:
+            yield
+        finally:
+            self._hurried = False
 
     def describe(self) -> Description:
         """Properties of the rig, with its live gains."""
@@ -116,6 +133,9 @@ class RigConnection:
                 if sample is None or sample.attachment is None:
                     continue
                 if sample.attachment.to_bytes() == self.instance.encode():
+                    if self._waiting:
+                        self._waiting = False
+                        _log.warning("%s replies again", self._label)
                     return sample.payload.to_bytes()
         except zenoh.ZError as error:
             raise RigError(f"rig {self.name!r}: the link has failed ({error})") from error
@@ -156,20 +176,27 @@ class RigConnection:
                     "had no right to command it",
                     "ask its administrator for access",
                 )
-            if silent_s > max(HUNG_AFTER_S, self.timeout_s):
-                return LinkStatus(
-                    ClientInput.GONE,
-                    f"{self._label} is alive but has not replied for {silent_s:.0f} s",
-                    "check its program, or restart it",
-                )
+            # A simulation can hold its interpreter: it is alive without replying.
+            limit_s = self._limit_s(max(PATIENCE_S, self.timeout_s))
+            sentence, remedy = "is alive but does not reply", "check its program, or restart it"
         elif len(instances) == 1:
             return self._follow(instances[0])
-        elif silent_s > self.timeout_s:
-            return LinkStatus(
-                ClientInput.GONE,
-                f"{self._label} is gone: its process has ended or the network is cut",
-            )
+        else:
+            limit_s = self._limit_s(self.timeout_s)
+            sentence = "is gone: its process has ended or the network is cut"
+            remedy = LinkStatus._field_defaults["remedy"]
+        if silent_s > limit_s:
+            sentence = f"{self._label} {sentence} ({silent_s:.0f} s without a reply)"
+            return LinkStatus(ClientInput.GONE, sentence, remedy)
+        if silent_s > _REPORTED_AFTER_S and not self._waiting:
+            self._waiting = True
+            _log.warning("%s %s; waiting for it, at most %.0f s", self._label, sentence, limit_s)
         return _SILENT
+
+    def _limit_s(self, default_s: float) -> float:
+        """Time after which a silent rig is given up."""
+        patience_s = default_s if self._patience_s is None else self._patience_s
+        return min(patience_s, default_s) if self._hurried else patience_s
 
     def _follow(self, instance: str) -> LinkStatus:
         """Changes to another instance, if its ledger shows it to be the same rig."""

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from estune.core.cost import StepCost
 from estune.errors import InvalidInput, RigError
+from estune.remote.state_machine.client import PATIENCE_S
 from estune.run.loop import ProgressListener
 from estune.run.plan import MOVE_WEIGHT
 from estune.run.targets import is_endpoint
@@ -42,6 +43,7 @@ def match(
     journal: bool = True,
     apply: bool = False,
     security: "Security | None" = None,
+    patience_s: float = PATIENCE_S,
     watch: ProgressListener | Literal["auto"] | None = None,
     log: Callable[[str], None] = lambda _: None,
 ) -> Matching:
@@ -63,6 +65,7 @@ def match(
         journal: Whether to store the runs on disk.
         apply: Whether to make the matched gains of reels that pass live on their rigs.
         security: Credentials, if a rig requires authentication.
+        patience_s: How long to wait where a rig stops replying, s.
         watch: Called after each trial; "auto" shows progress, None nothing.
         log: Called with a line of text at each stage.
 
@@ -88,7 +91,7 @@ def match(
     where = _folder(folder) if journal else None
     if where is not None:
         log(f"stored in {where}; to continue after an interruption, give the same folder")
-    matcher = ReelMatcher(settings or Settings(), where, security, watch, log)
+    matcher = ReelMatcher(settings or Settings(), where, security, patience_s, watch, log)
     reels = [matcher.reached(label, target) for label, target in labelled.items()]
     descriptions = [reel.description for reel in reels if reel.description]
     if len(descriptions) < least:

@@ -100,6 +100,7 @@ class ReelMatcher:
     settings: Settings
     folder: Path | None
     security: "Security | None"
+    patience_s: float
     watch: ProgressListener | Literal["auto"] | None
     log: Callable[[str], None]
 
@@ -107,7 +108,7 @@ class ReelMatcher:
         """A reel with its rig's description."""
         reel = ReelProgress(target, ReelMatch(label, MatchOutcome.NOT_SHOWN, ""))
         try:
-            with open_target(target, security=self.security) as rig:
+            with open_target(target, None, self.security, self.patience_s) as rig:
                 description = rig.describe()
         except EstuneError as error:
             return reel.with_failure(str(error))
@@ -173,7 +174,7 @@ class ReelMatcher:
         if not reel.record.passed or gains is None:
             return reel
         try:
-            with open_target(reel.target, security=self.security) as rig:
+            with open_target(reel.target, None, self.security, self.patience_s) as rig:
                 rig.apply(gains)
         except EstuneError as error:
             return reel.with_record(
@@ -191,7 +192,8 @@ class ReelMatcher:
         """
         options = {**options, "repeats": self.settings.repeats}
         name = f"{stage}-{reel.record.label}"
-        common: dict[str, Any] = {"security": self.security, "watch": self.watch}
+        shared = ("security", "patience_s", "watch")
+        common: dict[str, Any] = {name: getattr(self, name) for name in shared}
         path = None
         if self.folder is not None:
             name = f"{self.folder.name}-{name}"

@@ -14,6 +14,7 @@ from estune.core.cost import StepCost
 from estune.core.gains import Gains
 from estune.errors import InvalidInput
 from estune.remote.security import OPEN, read_security
+from estune.remote.state_machine.client import PATIENCE_S
 from estune.run import targets
 from estune.run.plan import make_plan
 from estune.studies.sweep.design import SweepDesign, SweptRig
@@ -84,7 +85,8 @@ def open_rig(rig: SweptRig, model: Mapping[str, float], seed: int = 0) -> Iterat
     """
     if not rig.is_model:
         security = OPEN if rig.security is None else read_security(rig.security)
-        with targets.open_target(rig.target, rig.rig, security) as remote:
+        patience_s = rig.patience_s or PATIENCE_S
+        with targets.open_target(rig.target, rig.rig, security, patience_s) as remote:
             yield remote
         return
     plant = targets.load(rig.target, model)

@@ -32,6 +32,7 @@ class SweptRig(TomlTable):
         rig: Name of the rig, where several answer at the endpoint.
         cable_length_m: Cable length of a rig whose description does not state it, m.
         security: Credentials file, if the rig requires authentication.
+        patience_s: How long to wait where the rig stops replying, s; 30 s by default.
     """
 
     target: str
@@ -39,6 +40,7 @@ class SweptRig(TomlTable):
     rig: str | None = None
     cable_length_m: Positive | None = None
     security: Path | None = Field(default=None, strict=False)
+    patience_s: Positive | None = None
 
     @property
     def label(self) -> str:
@@ -52,7 +54,8 @@ class SweptRig(TomlTable):
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        given = {"rig": self.rig, "cable_length_m": self.cable_length_m, "security": self.security}
+        names = ("rig", "cable_length_m", "security", "patience_s")
+        given = {name: getattr(self, name) for name in names}
         wrong = [key for key, value in given.items() if value is not None and self.is_model]
         if wrong:
             raise ValueError(
