@@ -222,7 +222,8 @@ def test_apply_makes_gains_live_and_start_restores_the_old(tuned, endpoint, here
 @pytest.mark.parametrize("form", ["csv", "parquet"])
 def test_export_writes_one_file_per_trial(tuned, form, tmp_path):
     folder, _ = tuned
-    done = call("export", "first", "--folder", folder, f"--{form}", "--out", tmp_path)
+    options = ("--per-trial", f"--{form}", "--out", tmp_path)
+    done = call("export", "first", "--folder", folder, *options)
     trials = estune.load(folder / "first").nfev
     assert len(list(tmp_path.glob(f"*.{form}"))) == trials
     assert done.stdout.startswith(f"{trials} trials")

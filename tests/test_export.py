@@ -4,13 +4,14 @@ import json
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 
 import estune
 from estune.core.gains import GAIN_NAMES
 from estune.errors import JournalError
-from estune.run.export import export_run
+from estune.run.export import export_run, export_trials
 from estune.run.journal import Journal
 from estune.run.loop import Stopped
 from tests.support_runs import ArithmeticRig
@@ -52,7 +53,7 @@ def read(path):
 
 @pytest.mark.parametrize("form", ["csv", "parquet"])
 def test_export_returns_every_record_bit_for_bit(run, form, tmp_path):
-    written = export_run(run.folder, tmp_path / "out", form)
+    written = export_trials(run.folder, tmp_path / "out", form)
     assert [path.name for path in written] == [f"{e.trial_id}.{form}" for e in run.entries]
     for path, entry in zip(written, run.entries, strict=True):
         record = run.record(entry.number)
@@ -68,10 +69,10 @@ def test_export_returns_every_record_bit_for_bit(run, form, tmp_path):
 
 def test_repeated_export_replaces_all_files(run, tmp_path):
     out = tmp_path / "out"
-    first = export_run(run.folder, out, "csv")
+    first = export_trials(run.folder, out, "csv")
     content = first[0].read_bytes()
     first[0].write_text("half a fi")
-    assert export_run(run.folder, out, "csv") == first
+    assert export_trials(run.folder, out, "csv") == first
     assert first[0].read_bytes() == content
     assert {path.suffix for path in out.iterdir()} == {".csv", ".json"}
     assert len(list(out.iterdir())) == 2 * len(first)
@@ -88,7 +89,28 @@ def test_export_omits_trial_without_record(tmp_path):
         estune.tune(Stopping(), folder=tmp_path, run="cut", watch=None)
     with Journal.open(tmp_path / "cut") as journal:
         assert len(list(journal.entries())) == 3
-    assert len(export_run(tmp_path / "cut", tmp_path / "out", "csv")) == 2
+    assert len(export_trials(tmp_path / "cut", tmp_path / "out", "csv")) == 2
+
+
+@pytest.mark.parametrize("form", ["csv", "parquet"])
+def test_whole_run_export_holds_every_sample_and_trial(run, form, tmp_path):
+    seen = []
+    files = export_run(run.folder, tmp_path, form, lambda done, total: seen.append((done, total)))
+    read_file = pd.read_csv if form == "csv" else pd.read_parquet
+    samples, trials = map(read_file, files)
+    assert [file.name for file in files] == [f"samples.{form}", f"trials.{form}"]
+    assert seen == [(n + 1, len(run.entries)) for n in range(len(run.entries))]
+    assert list(trials["trial_id"]) == [entry.trial_id for entry in run.entries]
+    assert list(trials["cost"]) == [entry.cost for entry in run.entries]
+    assert list(zip(*(trials[name] for name in GAIN_NAMES), strict=True)) == [
+        entry.gain_values for entry in run.entries
+    ]
+    for number, rows in samples.groupby("number"):
+        record = run.record(number)
+        for name in COLUMNS:
+            np.testing.assert_array_equal(rows[name], getattr(record, name))
+        assert rows["reference_N"].isna().all() == (record.reference_N is None)
+    assert samples["number"].nunique() == len(run.entries)
 
 
 def test_export_names_a_folder_that_cannot_be_written(run, tmp_path):

@@ -9,7 +9,7 @@ import pytest
 
 import estune
 from estune.errors import InvalidInput
-from estune.run.export import columns, export_run, metadata
+from estune.run.export import columns, export_trials, metadata
 from plants import reference_reel
 from plants.diagnosis.data.measured_record import CHANNELS, MeasuredRecord
 from plants.diagnosis.data.records import read_measurements
@@ -69,7 +69,7 @@ def test_records_of_estune_are_read_back_exactly(tmp_path, form):
     folder = run.folder
     if form != "run":
         folder = tmp_path / "out"
-        export_run(run.folder, folder, form)
+        export_trials(run.folder, folder, form)
     read = read_measurements(folder)
     assert not read.findings
     assert len(read.measurements) == len(run.entries)

@@ -2,7 +2,7 @@
 
 import math
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from estune import api
 from estune.cli import output
@@ -10,6 +10,7 @@ from estune.cli.values import Flag
 from estune.core.gains import GAIN_NAMES
 from estune.errors import EstuneError, InvalidInput, JournalError
 from estune.run.journal import FILE_NAME, Journal, being_written
+from estune.run.progress import counting
 from estune.run.result import TuneResult
 
 
@@ -66,26 +67,34 @@ def export(
     *,
     csv: Flag = False,
     parquet: Flag = False,
+    per_trial: Flag = False,
     out: Path | None = None,
     folder: Path = Path(api.RUNS),
+    quiet: Flag = False,
 ) -> None:
-    """Write a run's trial records as files, one per trial.
+    """Write a run's trial records as files, Parquet unless CSV is chosen.
 
     Args:
         run: The run: its name, or its folder.
-        csv: Write TRIAL.csv with the columns, and TRIAL.json with everything else.
-        parquet: Write TRIAL.parquet with everything.
+        csv: Write samples.csv with the samples of all trials, and trials.csv with a row for each.
+        parquet: Write samples.parquet and trials.parquet.
+        per_trial: Write a file for each trial instead: TRIAL.csv with the columns and TRIAL.json
+            with everything else, or TRIAL.parquet.
         out: Folder for the files; csv or parquet in the run's own folder by default.
         folder: Folder of runs.
+        quiet: Show no progress.
     """
-    from estune.run.export import export_run  # noqa: PLC0415  no other command here needs it
+    from estune.run.export import export_run, export_trials  # noqa: PLC0415  only needed here
 
-    if csv == parquet:
+    if csv and parquet:
         raise InvalidInput("the form of the files is not clear; give either --csv or --parquet")
+    form: Literal["csv", "parquet"] = "csv" if csv else "parquet"
     path = find_run(run, folder)
-    target = out or path / ("csv" if csv else "parquet")
-    written = export_run(path, target, "csv" if csv else "parquet")
-    print(f"{len(written)} trials written to {target}")
+    target = out or path / form
+    with counting("trials", quiet=quiet) as on_trial:
+        written = (export_trials if per_trial else export_run)(path, target, form, on_trial)
+    what = f"{len(written)} trials" if per_trial else " and ".join(file.name for file in written)
+    print(f"{what} written to {target}")
 
 
 def find_run(run: str, folder: Path) -> Path:

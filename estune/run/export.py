@@ -1,14 +1,15 @@
-"""Trial records as files for other programs: CSV with JSON beside it, or Parquet.
+"""Trial records as files for other programs: CSV or Parquet, for a whole run or per trial.
 
-The files are copies of the journal. Each is written under a temporary name and renamed, so that a
-reader never sees a partial file.
+`samples` holds the samples of all trials of a run one after the other, `trials` a row for each
+trial with everything else. The files are copies of the journal. Each is written under a temporary
+name and renamed, so that a reader never sees a partial file.
 """
 
 import csv
 import json
-import os
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+import math
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, Literal
 
@@ -16,12 +17,22 @@ import numpy as np
 
 from estune.core.gains import GAIN_NAMES
 from estune.errors import InvalidInput, JournalError
-from estune.run.journal import Journal
+from estune.run.journal import Journal, JournalEntry
+from estune.run.table_file import Append, csv_table, parquet_table, whole_file
 from estune.trial import TrialRecord
 
 _REQUIRED = ("time_s", "setpoint_N", "tension_N", "current_A", "angle_rad")
 
 Format = Literal["csv", "parquet"]
+OnTrial = Callable[[int, int], None]
+"""Called after each trial with the number of trials done, and of all."""
+
+_SAMPLE_COLUMNS = (*_REQUIRED, "reference_N", "flags")
+_TRIAL_COLUMNS = (
+    *("number", "attempt", "trial_id", "phase", *GAIN_NAMES, "outcome", "reason", "cost"),
+    *("samples", "rig", "sampling_Hz", "cable_length_m", "preload_N", "loop", "profile"),
+    *("started_at", "software"),
+)
 
 
 def columns(record: TrialRecord) -> dict[str, Any]:
@@ -50,14 +61,55 @@ def metadata(record: TrialRecord) -> dict[str, Any]:
     }
 
 
-def export_run(run_folder: Path, out: Path, form: Format) -> list[Path]:
-    """Writes every record of a run, one file per trial.
+def export_run(
+    run_folder: Path, out: Path, form: Format, on_trial: OnTrial = lambda _done, _all: None
+) -> tuple[Path, Path]:
+    """Writes every trial of a run into two files, `samples` and `trials`.
+
+    Args:
+        run_folder: The run.
+        out: Folder for the files; made if it is missing. Earlier files are replaced.
+        form: `csv` or `parquet`.
+        on_trial: Called after each trial with the number of trials done, and of all.
+
+    Returns:
+        The two files.
+
+    Raises:
+        InvalidInput: Parquet is requested and pyarrow is not installed.
+        JournalError: the run cannot be read, or a file cannot be written.
+    """
+    begin: Callable[[Path, tuple[str, ...]], AbstractContextManager[Append]] = csv_table
+    if form == "parquet":
+        _check_pyarrow()
+        begin = parquet_table
+    paths = out / f"samples.{form}", out / f"trials.{form}"
+    with Journal.open(run_folder) as journal, _explained(out), ExitStack() as stack:
+        out.mkdir(parents=True, exist_ok=True)
+        entries = [entry for entry in journal.entries() if entry.outcome is not None]
+        stored = set(journal.stored_trial_ids())
+        samples = stack.enter_context(begin(paths[0], ("number", "attempt", *_SAMPLE_COLUMNS)))
+        trials = stack.enter_context(begin(paths[1], _TRIAL_COLUMNS))
+        for done, entry in enumerate(entries, start=1):
+            record = journal.record(entry.trial_id) if entry.trial_id in stored else None
+            if record is not None:
+                samples(_samples_of(entry, record))
+            trials({name: [value] for name, value in _trial_of(entry, record).items()})
+            on_trial(done, len(entries))
+    return paths
+
+
+def export_trials(
+    run_folder: Path, out: Path, form: Format, on_trial: OnTrial = lambda _done, _all: None
+) -> list[Path]:
+    """Writes every record of a run, one file per trial; `export_run` writes fewer.
 
     Args:
         run_folder: The run.
         out: Folder for the files; made if it is missing. Files of the same trials are replaced.
         form: `csv`, with the metadata in `<trial id>.json` beside it, or `parquet`, with the
             metadata as JSON under the key `estune` of the file's own metadata.
+        on_trial: As of `export_run`.
 
     Returns:
         The files with the columns, in the order of the trials.
@@ -66,14 +118,16 @@ def export_run(run_folder: Path, out: Path, form: Format) -> list[Path]:
         InvalidInput: Parquet is requested and pyarrow is not installed.
         JournalError: the run cannot be read, or a file cannot be written.
     """
-    write = _to_csv if form == "csv" else _parquet_writer()
-    written = []
+    if form == "parquet":
+        _check_pyarrow()
+    write = _to_csv if form == "csv" else _to_parquet
+    written: list[Path] = []
     with Journal.open(run_folder) as journal, _explained(out):
         out.mkdir(parents=True, exist_ok=True)
-        for entry in journal.entries():
-            if entry.outcome is not None:
-                record = journal.record(entry.trial_id)
-                written.append(write(record, out / record.trial_id))
+        stored = journal.stored_trial_ids()
+        for trial_id in stored:
+            written.append(write(journal.record(trial_id), out / trial_id))
+            on_trial(len(written), len(stored))
     return written
 
 
@@ -90,7 +144,7 @@ def write_record(record: TrialRecord, folder: Path) -> Path:
 
 def replace_file(path: Path, content: bytes) -> None:
     """Writes a file completely or not at all."""
-    with _whole(path) as temporary:
+    with whole_file(path) as temporary:
         temporary.write_bytes(content)
 
 
@@ -111,7 +165,7 @@ def _to_csv(record: TrialRecord, stem: Path) -> Path:
     beside = stem.with_name(f"{stem.name}.json")
     replace_file(beside, json.dumps(metadata(record), indent=2, allow_nan=False).encode())
     path = stem.with_name(f"{stem.name}.csv")
-    with _whole(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
+    with whole_file(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(shown)
         # Python writes the shortest text that reads back as the same number.
@@ -121,35 +175,45 @@ def _to_csv(record: TrialRecord, stem: Path) -> Path:
     return path
 
 
-def _parquet_writer() -> Callable[[TrialRecord, Path], Path]:
+def _to_parquet(record: TrialRecord, stem: Path) -> Path:
+    import pyarrow as pa  # noqa: PLC0415  an optional dependency, slow to import
+    from pyarrow import parquet  # noqa: PLC0415
+
+    path = stem.with_name(f"{stem.name}.parquet")
+    about = json.dumps(metadata(record), allow_nan=False)
+    table = pa.table(columns(record)).replace_schema_metadata({"estune": about})
+    with whole_file(path) as temporary:
+        parquet.write_table(table, temporary)
+    return path
+
+
+def _check_pyarrow() -> None:
     try:
-        import pyarrow as pa  # noqa: PLC0415  an optional dependency, slow to import
-        from pyarrow import parquet  # noqa: PLC0415
+        import pyarrow as pa  # noqa: F401, PLC0415  an optional dependency, slow to import
     except ModuleNotFoundError as error:
         raise InvalidInput(
             "Parquet needs pyarrow; install it with: pip install 'estune[parquet]', or export CSV"
         ) from error
 
-    def write(record: TrialRecord, stem: Path) -> Path:
-        path = stem.with_name(f"{stem.name}.parquet")
-        about = json.dumps(metadata(record), allow_nan=False)
-        table = pa.table(columns(record)).replace_schema_metadata({"estune": about})
-        with _whole(path) as temporary:
-            parquet.write_table(table, temporary)
-        return path
 
-    return write
+def _samples_of(entry: JournalEntry, record: TrialRecord) -> dict[str, Sequence[Any]]:
+    """The samples of a trial as columns, with the place of the trial in each row."""
+    rows = len(record.time_s)
+    place = {name: np.full(rows, getattr(entry, name)) for name in ("number", "attempt")}
+    return {**place, **dict.fromkeys(_SAMPLE_COLUMNS, [None] * rows), **columns(record)}
 
 
-@contextmanager
-def _whole(path: Path) -> Iterator[Path]:
-    """A temporary file beside the path, renamed to it at the end of the block."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        yield temporary
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
+def _trial_of(entry: JournalEntry, record: TrialRecord | None) -> dict[str, Any]:
+    """The row of a trial; without its record, only what the journal keeps for ever."""
+    row = dict.fromkeys(_TRIAL_COLUMNS)
+    if record is not None:
+        row |= {name: value for name, value in metadata(record).items() if name in row}
+        row["samples"] = len(record.time_s)
+    gains = dict(zip(GAIN_NAMES, entry.gain_values, strict=True))
+    kept = {name: getattr(entry, name) for name in ("number", "attempt", "trial_id", "reason")}
+    cost = entry.cost if math.isfinite(entry.cost) else None
+    ending = {"phase": str(entry.phase), "outcome": str(entry.outcome), "cost": cost}
+    return {**row, **kept, **gains, **ending}
 
 
 @contextmanager

@@ -20,6 +20,7 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
+from estune.run.disk_space import DiskForecast
 from estune.run.loop import Progress, ProgressListener, TuningRun
 
 _REDRAW_S = 0.25
@@ -239,12 +240,16 @@ class ProgressCounter:
         self._first = tuning.session.number
         self._began_s = time.monotonic()
         self._last: Progress | None = None
+        self._disk = DiskForecast(tuning.journal) if tuning.journal else None
+        self._disk_warning = ""
         safe = [e.cost for e in tuning.entries if e.cost <= tuning.session.eta_max]
         self.best = min(safe, default=math.nan)
 
     def on_trial(self, progress: Progress) -> None:
         """Takes a trial into account."""
         self._last = progress
+        if self._disk is not None:
+            self._disk_warning = self._disk.warning(progress.session.trials_left)
         if not progress.unsafe:
             self.best = float(np.fmin(self.best, progress.entry.cost))
 
@@ -280,11 +285,38 @@ class ProgressCounter:
             done=session.number,
             total=session.number + session.trials_left,
             unit="trials",
-            alerts="",
+            alerts=self._disk_warning,
             summary=f"{costs}  tried {tried}",
             details=(("now", costs), ("tried", str(tried)), ("live", live)),
             remaining_s=rate_s * session.trials_left,
         )
+
+
+@contextmanager
+def counting(unit: str, *, quiet: bool) -> Iterator[Callable[[int, int], None]]:
+    """A function to be called with the steps done, and all, that shows progress.
+
+    Args:
+        unit: What a step is, in the plural.
+        quiet: Whether to show nothing.
+    """
+    steps, began_s = [0, 0], time.monotonic()
+
+    def status() -> ProgressStatus:
+        done, total = steps
+        left_s = (time.monotonic() - began_s) / done * (total - done) if done else math.nan
+        return ProgressStatus("", done, total, unit, "", "", (), left_s)
+
+    if quiet:
+        yield lambda _done, _total: None
+        return
+    with show_progress(status) as update:
+
+        def on_step(done: int, total: int) -> None:
+            steps[:] = done, total
+            update()
+
+        yield on_step
 
 
 def _cost(value: float) -> str:
