@@ -23,7 +23,7 @@ from estune.loop_model.claim import TRIALS_MIN, claim
 from estune.loop_model.identification import LoopRecord, fit_loop
 from estune.loop_model.prediction import StepTrial
 from estune.tuners import Observation
-from estune.tuners.model_based import IdentifiedLoopTuner
+from estune.tuners.identified_loop import IdentifiedLoopTuner
 from experiments.results import (
     Target,
     at_least,
@@ -150,6 +150,7 @@ def measure(seeds: int) -> list[dict[str, Any]]:
         row: dict[str, Any] = {
             "plant": name,
             "inside": inside,
+            "seeds": seeds,
             "trials": float(np.median([one.trials for one in found])),
             "unsafe": max(one.unsafe for one in found),
             "claims": len(made) / len(found),

@@ -1,5 +1,6 @@
 """The loop of a run: void trials, interruptions, approval by the operator."""
 
+from dataclasses import replace
 
 import pytest
 
@@ -98,7 +99,7 @@ def run_with_approval(folder, rig, ask):
     tuner = Seer(SearchSpace.around(START))
     options = {"tolerance": 0.0, "run": "run", "watch": None}
     tuned = estune.tune(rig, tuner=tuner, trials=15, folder=folder, ask=ask, **options)
-    return tuned, [request.number for request in rig.asked]
+    return tuned, [request.number for request in rig.requests]
 
 
 def test_gains_outside_safe_region_run_only_when_approved(tmp_path):
@@ -149,3 +150,17 @@ def test_approval_always_prompts_once(tmp_path):
     result, numbers = run_with_approval(tmp_path, ArithmeticRig(), ask)
     assert len(questions) == 1
     assert len(numbers) == len(result.entries)
+
+
+def test_record_with_other_gains_than_requested_ends_the_run(tmp_path):
+    class Stubborn(ArithmeticRig):
+        def run(self, request):
+            return super().run(replace(request, gains=START))
+
+    rig = Stubborn()
+    run = begin(tmp_path / "run", "otis", rig)
+    with pytest.raises(RigError, match="were requested; check its limits"):
+        loop.run(run, rig)
+    committed = len(run.entries)
+    run.journal.close()
+    assert committed == run.plan.repeats  # the baseline, at the gains the rig insists on

@@ -251,7 +251,16 @@ def _record_trial(
 
     Returns:
         The next request.
+
+    Raises:
+        RigError: the rig ran other gains than requested; nothing is committed.
     """
+    was_run = not record.outcome.is_void and record.outcome is not Outcome.DECLINED
+    if was_run and record.gains != request.gains:
+        raise RigError(
+            f"trial {request.trial_id}: rig {record.rig} ran {record.gains} where "
+            f"{request.gains} were requested; check its limits and its software, then resume"
+        )
     plan, before = tuning.plan, tuning.session
     cost = cost_of(record, plan.step, plan.cost, tuning.description.newtons_per_ampere)
     phase = before.phase or Phase.CONFIRM

@@ -2,7 +2,6 @@
 
 import dataclasses
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any, Literal
 
 from pydantic import TypeAdapter, ValidationError
@@ -17,13 +16,13 @@ from estune.run.session import Plan
 from estune.trial import RigDescription
 from estune.trial.profiles import StepProfile
 from estune.tuners import (
+    RecordUsingTuner,
     SearchSpace,
     Tuner,
     create_tuner,
     tuner_from_stored,
     tuner_to_stored,
 )
-from estune.tuners.model_based import IdentifiedLoopTuner
 
 MOVE_WEIGHT = 0.2
 """Default control-move penalty: without it, (35) has no interior optimum on a good plant."""
@@ -69,10 +68,8 @@ def make_plan(
     start, step = start or description.gains, step or description.step
     cost = cost or StepCost(description.settling_time_s, move_weight=MOVE_WEIGHT)
     made = make_tuner(tuner, start, bounds)
-    if isinstance(made, IdentifiedLoopTuner):
-        made = replace(
-            made, trial=step_trial(description, step, cost), limits=limits or made.limits
-        )
+    if isinstance(made, RecordUsingTuner):
+        made = made.for_trial(step_trial(description, step, cost), limits)
     elif limits is not None:
         raise InvalidInput(
             f"tuner {made.name} keeps no limits of sensitivity, overshoot or phase margin; use "

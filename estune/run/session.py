@@ -21,8 +21,12 @@ from estune.loop_model.identification import LoopRecord
 from estune.trial import Outcome, TrialRequest
 from estune.trial.profiles import StepProfile
 from estune.tuners import Tuner
-from estune.tuners.interface import ConvergenceEstimate, CostPrediction, ModelBasedTuner
-from estune.tuners.model_based import IdentifiedLoopTuner
+from estune.tuners.interface import (
+    ConvergenceEstimate,
+    CostPrediction,
+    PredictingTuner,
+    RecordUsingTuner,
+)
 from estune.tuners.observation import Observation
 
 
@@ -87,7 +91,7 @@ class Plan:
                 f"tolerance is {self.tolerance}; it is a share of the cost: give 0 (use all "
                 "trials) to below 1, such as 0.02"
             )
-        if self.ask_first and not isinstance(self.tuner, ModelBasedTuner):
+        if self.ask_first and not isinstance(self.tuner, PredictingTuner):
             raise InvalidInput(
                 f"tuner {self.tuner.name} does not predict which gains are safe, as approval "
                 "requires; use safe_bayesian"
@@ -109,18 +113,18 @@ class Plan:
     @property
     def uses_records(self) -> bool:
         """Whether the tuner identifies the loop from the records."""
-        return isinstance(self.tuner, IdentifiedLoopTuner)
+        return isinstance(self.tuner, RecordUsingTuner)
 
     @property
     def settled_trials(self) -> int:
         """Consecutive trials with little improvement left that end the search."""
-        tuner: Any = self.tuner
-        return int(tuner.settled_trials) if self.uses_records else CONSECUTIVE_SETTLED
+        tuner = self.tuner
+        return tuner.settled_trials if isinstance(tuner, RecordUsingTuner) else CONSECUTIVE_SETTLED
 
     def convergence(self, tuner_state: Any) -> ConvergenceEstimate | None:
         """Convergence of the search; None if the tuner has no estimate (yet)."""
         tuner = self.tuner
-        return tuner.convergence(tuner_state) if isinstance(tuner, ModelBasedTuner) else None
+        return tuner.convergence(tuner_state) if isinstance(tuner, PredictingTuner) else None
 
 
 UNSAFE_RATIO = 3.0
@@ -231,7 +235,7 @@ def predict_next(session: Session) -> CostPrediction | None:
     None for gains that have been run before, and if the tuner has no predictions.
     """
     gains, tuner = _next_gains(session), session.plan.tuner
-    if gains is None or not isinstance(tuner, ModelBasedTuner):
+    if gains is None or not isinstance(tuner, PredictingTuner):
         return None
     run_before = [session.plan.start]
     if session.tuner_state.best_cost is not None:

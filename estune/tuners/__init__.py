@@ -3,7 +3,8 @@
 from estune.tuners.interface import (
     ConvergenceEstimate,
     CostPrediction,
-    ModelBasedTuner,
+    PredictingTuner,
+    RecordUsingTuner,
     Tuner,
     TunerState,
 )
@@ -26,9 +27,10 @@ __all__ = [
     "ConvergenceEstimate",
     "Coordinates",
     "CostPrediction",
-    "ModelBasedTuner",
     "Observation",
     "Point",
+    "PredictingTuner",
+    "RecordUsingTuner",
     "SearchSpace",
     "Tuner",
     "TunerState",

@@ -4,8 +4,10 @@ A tuner is a value, its settings; what it has learnt is another, its state. Ever
 the same state and observations give the same proposals bit for bit, in any process.
 """
 
-from typing import Any, NamedTuple, Protocol, TypeVar, runtime_checkable
+from typing import Any, NamedTuple, Protocol, Self, TypeVar, runtime_checkable
 
+from estune.loop_model.optimum import RobustnessLimits
+from estune.loop_model.prediction import StepTrial
 from estune.tuners.observation import Observation
 from estune.tuners.search_space import Point, SearchSpace
 
@@ -103,7 +105,7 @@ class CostPrediction(NamedTuple):
 
 
 @runtime_checkable
-class ModelBasedTuner(Protocol):
+class PredictingTuner(Protocol):
     """A tuner with a model of the cost: predictions and a convergence estimate."""
 
     def convergence(self, state: Any) -> ConvergenceEstimate | None:
@@ -112,4 +114,22 @@ class ModelBasedTuner(Protocol):
 
     def predict(self, state: Any, point: Point) -> CostPrediction:
         """The cost predicted at a point."""
+        ...
+
+
+@runtime_checkable
+class RecordUsingTuner(Protocol):
+    """A tuner that learns from the signals of each record, not from its cost alone.
+
+    Its observations carry the record; its search ends after `settled_trials` consecutive trials
+    with little improvement left.
+    """
+
+    @property
+    def settled_trials(self) -> int:
+        """Consecutive trials with little improvement left that end a search."""
+        ...
+
+    def for_trial(self, trial: StepTrial, limits: RobustnessLimits | None) -> Self:
+        """The tuner for a step trial; without limits with its own."""
         ...

@@ -22,10 +22,10 @@ from pydantic import TypeAdapter, ValidationError
 
 from estune.errors import InvalidInput, JournalError
 from estune.tuners.extremum_seeking import Otis, PhaseCompensated
+from estune.tuners.identified_loop import IdentifiedLoopTuner
 from estune.tuners.interface import Tuner
 from estune.tuners.killingsworth import Killingsworth
 from estune.tuners.least_squares_gradient import LeastSquaresGradient
-from estune.tuners.model_based import IdentifiedLoopTuner
 from estune.tuners.safe_bayesian import SafeBayesianTuner
 from estune.tuners.search_space import SearchSpace
 

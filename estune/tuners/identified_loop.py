@@ -52,7 +52,7 @@ WORTH_DRAWING = 0.1
 remaining improvement is worth estimating."""
 
 
-class ModelBasedState(NamedTuple):
+class IdentifiedLoopState(NamedTuple):
     """The state of a model-based search.
 
     Attributes:
@@ -117,10 +117,16 @@ class IdentifiedLoopTuner:
         """Trials in a row with little improvement left that end a search."""
         return 2
 
-    def start(self) -> ModelBasedState:
+    def for_trial(
+        self, trial: StepTrial, limits: RobustnessLimits | None
+    ) -> "IdentifiedLoopTuner":
+        """The tuner for a step trial; without limits with its own."""
+        return replace(self, trial=trial, limits=limits or self.limits)
+
+    def start(self) -> IdentifiedLoopState:
         """The state before the first trial."""
         fallback = self._fallback.start()
-        return ModelBasedState(
+        return IdentifiedLoopState(
             fallback=fallback,
             records=(),
             points=(),
@@ -135,11 +141,11 @@ class IdentifiedLoopTuner:
             best_cost=None,
         )
 
-    def ask(self, state: ModelBasedState) -> Point:
+    def ask(self, state: IdentifiedLoopState) -> Point:
         """The point of the next trial."""
         return state.proposal
 
-    def tell(self, state: ModelBasedState, observation: Observation) -> ModelBasedState:
+    def tell(self, state: IdentifiedLoopState, observation: Observation) -> IdentifiedLoopState:
         """The state after the trial last asked for."""
         point = state.proposal
         fallback = self._fallback.tell(state.fallback._replace(proposal=point), observation)
@@ -159,15 +165,15 @@ class IdentifiedLoopTuner:
             return self._fall_back(state)
         return self._propose(state, state.fit)
 
-    def recommend(self, state: ModelBasedState) -> Point:
+    def recommend(self, state: IdentifiedLoopState) -> Point:
         """The optimum of the model, corrected by the measured costs."""
         return self.space.point(state.centre)
 
-    def convergence(self, state: ModelBasedState) -> ConvergenceEstimate | None:
+    def convergence(self, state: IdentifiedLoopState) -> ConvergenceEstimate | None:
         """The state of convergence; None while too little is known."""
         return state.estimate
 
-    def predict(self, state: ModelBasedState, point: Point) -> CostPrediction:
+    def predict(self, state: IdentifiedLoopState, point: Point) -> CostPrediction:
         """The predicted cost of a point, by the fallback's model of the cost."""
         return self._fallback.predict(state.fallback, point)
 
@@ -175,7 +181,7 @@ class IdentifiedLoopTuner:
     def _fallback(self) -> SafeBayesianTuner:
         return SafeBayesianTuner(self.space)
 
-    def _fall_back(self, state: ModelBasedState) -> ModelBasedState:
+    def _fall_back(self, state: IdentifiedLoopState) -> IdentifiedLoopState:
         tuner = self._fallback
         return state._replace(
             proposal=tuner.ask(state.fallback),
@@ -184,8 +190,8 @@ class IdentifiedLoopTuner:
         )
 
     def _learn(
-        self, state: ModelBasedState, point: Point, cost: float, record: LoopRecord
-    ) -> ModelBasedState:
+        self, state: IdentifiedLoopState, point: Point, cost: float, record: LoopRecord
+    ) -> IdentifiedLoopState:
         """The state with the model fitted to one more record."""
         assert self.trial is not None  # noqa: S101  checked by the caller
         x, last = self.space.coordinates(point), state.fit
@@ -205,7 +211,7 @@ class IdentifiedLoopTuner:
             fit=fit,
         )
 
-    def _propose(self, state: ModelBasedState, fit: LoopFit) -> ModelBasedState:
+    def _propose(self, state: IdentifiedLoopState, fit: LoopFit) -> IdentifiedLoopState:
         """The next trial and the centre by the model."""
         best = np.array(self.space.coordinates(state.best_point))
         search = self._search(state, fit.model)
@@ -219,7 +225,7 @@ class IdentifiedLoopTuner:
             estimate=self._convergence(state, fit, optimum),
         )
 
-    def _search(self, state: ModelBasedState, model: LoopModel) -> RegionSearch:
+    def _search(self, state: IdentifiedLoopState, model: LoopModel) -> RegionSearch:
         """The search for the optimum of a model within reach of the best trial."""
         best = np.array(self.space.coordinates(state.best_point))
         radius = self.reach * state.step_scale
@@ -234,7 +240,7 @@ class IdentifiedLoopTuner:
         )
 
     def _made_safe(
-        self, state: ModelBasedState, fit: LoopFit, safe: FloatArray, wanted: FloatArray
+        self, state: IdentifiedLoopState, fit: LoopFit, safe: FloatArray, wanted: FloatArray
     ) -> FloatArray:
         """The furthest point on the way to a proposal that is safe by all likely models."""
         theta = fit.model.parameters
@@ -253,7 +259,7 @@ class IdentifiedLoopTuner:
 
     def _convergence(
         self,
-        state: ModelBasedState,
+        state: IdentifiedLoopState,
         fit: LoopFit,
         optimum: Optimum,
     ) -> ConvergenceEstimate | None:
@@ -293,12 +299,12 @@ class IdentifiedLoopTuner:
             ),
         )
 
-    def _trial(self, state: ModelBasedState) -> StepTrial:
+    def _trial(self, state: IdentifiedLoopState) -> StepTrial:
         """The step trial with the effort at rest of the last record."""
         assert self.trial is not None  # noqa: S101  there is a record, so there was a trial
         return replace(self.trial, effort_N=state.records[-1].rest_effort_N)
 
-    def _at(self, state: ModelBasedState, fit: LoopFit, x: Coordinates) -> Prediction:
+    def _at(self, state: IdentifiedLoopState, fit: LoopFit, x: Coordinates) -> Prediction:
         gains = self.space.gains(self.space.point(x))
         return predict(fit.model, self._trial(state), gains, fit.noise_N)
 
