@@ -253,7 +253,7 @@ class Effect(ABC):
 
         Args:
             p: The parameters by name.
-            reel: The attributes of the `ReelProgress` by name, as amended by the effects before.
+            reel: The attributes of the `Reel` by name, as amended by the effects before.
 
         Returns:
             The new values by attribute.
@@ -266,7 +266,7 @@ class Effect(ABC):
 
         Args:
             p: The parameters by name.
-            reel: The attributes of the `ReelProgress` by name, and beside them `preload_N`,
+            reel: The attributes of the `Reel` by name, and beside them `preload_N`,
                 `stiffness_N_m` of the linear law, `gravity_m_s2`, `sample_s`, `substep_s`, and
                 `torque_per_velocity` of a substep as in `Site`.
         """

@@ -76,7 +76,7 @@ class MeasuredRecord:
         tension_N: The measured tension.
         angle_rad: The measured drum angle.
         reference_N: Tension measured outside the reel.
-        flags: Bit field of `estune.trial.rig`.
+        flags: Bit field; see `estune.trial.records`.
         source: The file it was read from.
     """
 
