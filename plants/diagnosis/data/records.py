@@ -20,7 +20,7 @@ from plants.diagnosis.data.measured_record import (
     MeasuredRecord,
     Unusable,
 )
-from plants.diagnosis.data.table import Table, read_table
+from plants.diagnosis.data.table import READERS, Table, read_table
 from plants.diagnosis.data.timing import sampling_rate
 
 FEWEST_SAMPLES = 3
@@ -63,7 +63,7 @@ def read_measurements(folder: Path | str) -> FolderContents:
             found[name] = replace(result, name=name)
     if not found:
         listed = "; ".join(str(f) for f in findings if f.level == "refused")
-        what = listed or "it holds no .csv, .parquet or run"
+        what = listed or f"it holds no {', '.join(READERS)} or run"
         raise InvalidInput(f"{folder} has no record that can be used: {what}")
     return FolderContents(tuple(found[name] for name in sorted(found)), tuple(findings))
 
@@ -85,7 +85,7 @@ def _read_all(folder: Path) -> Iterator[MeasuredRecord | DataIssue]:
         source = path.name if path == folder else inside.as_posix()
         if path.name == FILE_NAME:
             yield from _read_run(path.parent, source)
-        elif path.suffix in (".csv", ".parquet") and path.is_file():
+        elif path.suffix in READERS and path.is_file():
             yield from _read_file(path, source)
 
 

@@ -3,6 +3,7 @@
 import json
 import re
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -34,15 +35,13 @@ class Table(NamedTuple):
 
 
 def read_table(path: Path) -> Table:
-    """Reads a `.csv` or `.parquet` file and the `.json` beside it.
+    """Reads a file with an ending in `READERS` and the `.json` beside it.
 
     Raises:
         Unusable: it cannot be read, has no usable columns, or a column holds what is no number.
     """
     try:
-        names, frame, metadata = (
-            _read_parquet(path) if path.suffix == ".parquet" else _read_csv(path)
-        )
+        names, frame, metadata = READERS[path.suffix](path)
         beside = path.with_name(f"{path.stem}.json")
         if not metadata and beside.is_file():
             metadata = _as_object(beside.read_bytes(), beside.name)
@@ -162,3 +161,10 @@ def _numbers(name: str, column: "pd.Series[Any]") -> FloatArray | None:
         more = f" (and {bad.size - 1} more)" if bad.size > 1 else ""
         raise Unusable(f"{what}{more}; remove or correct the row", name, row)
     return values
+
+
+READERS: dict[str, Callable[[Path], tuple[frozenset[str], "pd.DataFrame", dict[str, Any]]]] = {
+    ".csv": _read_csv,
+    ".parquet": _read_parquet,
+}
+"""Reader by ending; it returns the names of all columns, the known ones, and the metadata."""
