@@ -5,7 +5,6 @@ Every trial is committed before the next one is requested.
 
 import json
 import math
-from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NamedTuple, Self
@@ -189,18 +188,18 @@ class Journal:
                 *(number - self._records_max, Phase.SEARCH.value),
             )
 
-    def entries(self) -> Iterator[JournalEntry]:
+    def entries(self) -> list[JournalEntry]:
         """Every requested trial, in order."""
-        rows = self._file.rows(
+        rows = self._file.rows(  # trials are requested in the order of their rows
             "SELECT number, attempt, trial_id, phase, P, I, D, setpoint_filter_s,"
-            " outcome, reason, cost, margin FROM trial ORDER BY number, attempt"
+            " outcome, reason, cost, margin FROM trial ORDER BY rowid"
         )
-        for number, attempt, trial_id, phase, P, I, D, filter_s, *outcome, cost, margin in rows:
-            yield JournalEntry(
-                *(number, attempt, trial_id, _PHASES[phase], (P, I, D, filter_s)),
-                *(_OUTCOMES[outcome[0]], outcome[1] or ""),
-                *(math.nan if cost is None else cost, margin),
-            )
+        nan, entries = math.nan, []
+        for n, attempt, name, phase, P, I, D, filter_s, outcome, reason, cost, margin in rows:
+            ending = _OUTCOMES[outcome], reason or "", nan if cost is None else cost, margin
+            gains = P, I, D, filter_s
+            entries.append(JournalEntry(n, attempt, name, _PHASES[phase], gains, *ending))
+        return entries
 
     def record(self, trial_id: str) -> TrialRecord:
         """The record of one trial.

@@ -25,7 +25,7 @@ from estune.run.journal import Journal, JournalEntry
 from estune.run.loop import TuningRun
 from estune.run.performance import Performance
 from estune.run.robustness import claim_from, robustness_cells
-from estune.run.session import Plan, Session, is_censored, is_unsafe
+from estune.run.session import Plan, Session, is_safe, is_unsafe
 from estune.run.summary import RunSummary, summarise
 from estune.trial import RigDescription, TrialRecord
 from estune.trial.scoring import constraint_margin
@@ -153,14 +153,13 @@ class TuneResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type i
         if not self.verdict.complete:
             return ()
         at, session, space = self.tuned or self.start, self.session, self.plan.tuner.space
-        safe = [
-            e for e in self.entries if e.outcome and not is_censored(session, e.outcome, e.cost)
-        ]
+        eta_max = session.eta_max
+        safe = [e for e in self.entries if e.outcome and is_safe(e.outcome, e.cost, eta_max)]
         best = space.point_of(at.gains)
         repeated = [r.costs for r in (session.choice, session.confirmation) if r is not None]
         flat = result_warnings.flat_directions(
             *(space, best, at.cost),
-            points=np.array([space.point_of(e.gains) for e in safe]),
+            points=space.points_of(np.array([e.gain_values for e in safe])),
             costs=np.array([e.cost for e in safe]),
             noise=at.cost * repeatability((session.baseline, *itertools.chain(*repeated))),
         )

@@ -54,9 +54,11 @@ class _Axis(NamedTuple):
     high: float
     log: bool
 
-    def coordinate(self, value: float, origin: float) -> float:
-        """Coordinate of a value from the origin: a logarithm, or a share of the range."""
-        return math.log(value / origin) if self.log else (value - origin) / (self.high - self.low)
+    def coordinates(self, values: FloatArray, origin: float) -> FloatArray:
+        """Coordinates of values from the origin: logarithms, or shares of the range."""
+        if self.log:
+            return np.log(values / origin)
+        return (values - origin) / (self.high - self.low)
 
     def value(self, coordinate: float, origin: float) -> float:
         """The value at a coordinate."""
@@ -160,9 +162,10 @@ def flat_directions(
         sentence = "without repeats flat directions cannot be determined"
         return (ResultWarning("unknown", space.names, sentence),)
     tolerance = max(2.0 * noise, LEAST_CHANGE * abs(best_cost))
-    z = np.array(
-        [[a.coordinate(v, o) for a, v, o in zip(axes, p, best, strict=True)] for p in points]
-    ).reshape(-1, len(axes))
+    columns = np.asarray(points, dtype=np.float64).reshape(-1, len(axes)).T
+    z = np.column_stack(
+        [axis.coordinates(c, origin) for axis, c, origin in zip(axes, columns, best, strict=True)]
+    )
     fit = _fit_near(z, np.asarray(costs, dtype=np.float64), best_cost, tolerance, noise)
     if fit is None:
         return (_unknown(axes),)

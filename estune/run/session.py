@@ -255,7 +255,12 @@ def is_censored(session: Session, outcome: Outcome, cost: float) -> bool:
 
     A cost that is not above zero is invalid: (35) is positive.
     """
-    return outcome is not Outcome.DONE or not 0.0 < cost <= session.eta_max or math.isinf(cost)
+    return not is_safe(outcome, cost, session.eta_max)
+
+
+def is_safe(outcome: Outcome, cost: float, eta_max: float) -> bool:
+    """Whether the trial has a cost, of at most `eta_max`."""
+    return outcome is Outcome.DONE and 0.0 < cost <= eta_max and not math.isinf(cost)
 
 
 def is_unsafe(session: Session, outcome: Outcome, cost: float) -> bool:

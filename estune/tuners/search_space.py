@@ -11,7 +11,10 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Literal, Self
 
+import numpy as np
+
 from estune.core.gains import GAIN_NAMES, Gains
+from estune.core.quantities import FloatArray
 from estune.errors import InvalidInput
 
 Point = tuple[float, ...]
@@ -191,6 +194,14 @@ class SearchSpace:
         values = dict(zip(GAIN_NAMES, gains.as_tuple(), strict=True))
         values |= {"K": K, "Ti": Ti, "Td": Td}
         return tuple(values[name] for name in self.names)
+
+    def points_of(self, gains: FloatArray) -> FloatArray:
+        """`point_of` of gains by rows, shape (trials, 4)."""
+        P, I, D, filter_s = gains.reshape(-1, len(GAIN_NAMES)).T
+        Ti = np.divide(P, I, out=np.full_like(P, np.inf), where=I > 0.0)
+        values = {"P": P, "I": I, "D": D, "setpoint_filter_s": filter_s}
+        values |= {"K": P, "Ti": Ti, "Td": D / P}
+        return np.column_stack([values[name] for name in self.names])
 
     def at_bound(self, point: Point, tolerance: float = 1e-3) -> dict[str, Literal["low", "high"]]:
         """The parameters at a bound, where the cost may still be falling, and which bound.

@@ -1,0 +1,164 @@
+"""How does the service grow: seconds, bytes and their growth exponents at each size.
+
+Journals hold real runs of a tuner on recorded trials of the reference reel, 632 samples each, with
+other noise in every trial. Times are process times of whole commands, the start of Python included.
+"""
+
+import functools
+import math
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import estune
+import plants
+from estune.core.gains import Gains
+from estune.errors import EstuneError
+from estune.run.journal import FILE_NAME
+from estune.trial import RigDescription, TrialRecord, TrialRequest
+from experiments.results import Target, at_most, command_line, print_results, print_tables
+
+TRIALS = (1_000, 10_000, 100_000)
+QUICK_TRIALS = (500, 2_000)
+TUNER = "killingsworth"
+LIMITS = {"show_s": 1.5, "resume_s": 4.0, "parquet_s": 60.0, "bytes_per_trial": 10_000.0}
+_RECORDED = 64
+"""Recorded trials, each with noise of its own."""
+
+
+class RecordedRig:
+    """A rig that answers with recorded trials in turn, whatever the gains."""
+
+    def __init__(self) -> None:
+        self._rig = plants.reference_reel().rig()
+        description = self._rig.describe()
+        requests = (
+            TrialRequest("recorded", n, description.gains, description.step)
+            for n in range(_RECORDED)
+        )
+        self._records = tuple(map(self._rig.run, requests))
+
+    def describe(self) -> RigDescription:
+        """The reel's description."""
+        return self._rig.describe()
+
+    def run(self, request: TrialRequest) -> TrialRecord:
+        """A recorded trial under the id and with the gains of the request."""
+        recorded = self._records[request.number % _RECORDED]
+        return replace(recorded, trial_id=request.trial_id, gains=request.gains)
+
+    def apply(self, gains: Gains) -> None:
+        """Makes gains live."""
+        self._rig.apply(gains)
+
+    def abort(self) -> RigDescription:
+        """Nothing runs."""
+        return self.describe()
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+
+@functools.cache
+def recorded_rig() -> RecordedRig:
+    """The rig, as a target of the command line."""
+    return RecordedRig()
+
+
+class JournalCosts(NamedTuple):
+    """Costs of a run's journal at one length."""
+
+    trials: int
+    bytes_per_trial: float
+    show_s: float
+    resume_s: float
+    parquet_s: float
+    parquet_MB: float
+
+
+def measure_journal(trials: int, folder: Path) -> JournalCosts:
+    """Makes a run of so many trials, and times the commands that read it."""
+    run = folder / f"scale-{trials}"
+    if not (run / FILE_NAME).exists():
+        target = "experiments.scale:recorded_rig"
+        search = {"tuner": TUNER, "tolerance": 0.0, "trials": trials, "watch": None}
+        estune.tune(target, folder=folder, run=run.name, **search)
+    size = (run / FILE_NAME).stat().st_size
+    exported = run / "parquet"
+    costs = JournalCosts(
+        trials=trials,
+        bytes_per_trial=size / len(estune.load(run).entries),
+        show_s=_command_s("show", run),
+        resume_s=_command_s("resume", run, "--quiet"),
+        parquet_s=_command_s("export", run, "--parquet", "--out", exported),
+        parquet_MB=sum(file.stat().st_size for file in exported.iterdir()) / 1e6,
+    )
+    for file in exported.iterdir():
+        file.unlink()
+    return costs
+
+
+def _command_s(*arguments: object) -> float:
+    """Process time of a command of the command line, s; its children's too."""
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    command = [sys.executable, "-m", "estune.cli", *map(str, arguments)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)  # noqa: S603
+    if done.returncode not in (0, 7):
+        raise EstuneError(f"estune {arguments[0]} failed: {done.stdout}{done.stderr}")
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+
+def growth_exponents(
+    sizes: Sequence[float], rows: Sequence[Mapping[str, float]]
+) -> dict[str, float]:
+    """Exponent of each figure over the size, between the two largest sizes."""
+    if len(rows) < 2:
+        return {}
+    span = math.log(sizes[-1] / sizes[-2])
+    before, after = rows[-2], rows[-1]
+    return {
+        name: math.log(after[name] / before[name]) / span for name in after if before[name] > 0.0
+    }
+
+
+def print_table(rows: Sequence[Mapping[str, float]]) -> None:
+    """A row for each size, and the growth exponents of the last two."""
+    names = list(rows[0])
+    print("  ".join(f"{name:>15}" for name in names))
+    for row in rows:
+        print("  ".join(f"{row[name]:>15.5g}" for name in names))
+    exponents = growth_exponents([row[names[0]] for row in rows], rows)
+    print("  ".join(f"{exponents.get(name, math.nan):>15.2f}" for name in names), " exponent")
+
+
+def journal_table(folder: Path, *, quick: bool) -> list[dict[str, float]]:
+    """Costs of a journal at each length."""
+    sizes = QUICK_TRIALS if quick else TRIALS
+    rows = [dict(measure_journal(trials, folder)._asdict()) for trials in sizes]
+    print_table(rows)
+    return rows
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Measures, prints, and returns the exit code."""
+    parser = command_line(__doc__, quick="journals of 500 and 2 000 trials")
+    parser.add_argument("--folder", type=Path, help="folder for the journals, to keep them")
+    options = parser.parse_args(arguments)
+    with tempfile.TemporaryDirectory() as temporary, print_tables(hidden=options.json):
+        print(f"load {os.getloadavg()[0]:.1f}")
+        journal = journal_table(options.folder or Path(temporary), quick=options.quick)
+    targets: dict[str, Target] = {
+        f"journal_{name}": at_most(journal[-1][name], limit) for name, limit in LIMITS.items()
+    }
+    return print_results({"journal": journal}, targets, as_json=options.json)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
