@@ -43,14 +43,14 @@ class ArithmeticRig:
 
     def __init__(self, **changes) -> None:
         self.description = description(**changes)
-        self.asked: list[TrialRequest] = []
+        self.requests: list[TrialRequest] = []
         self.closed = False
 
     def describe(self) -> RigDescription:
         return self.description
 
     def run(self, request: TrialRequest) -> TrialRecord:
-        self.asked.append(request)
+        self.requests.append(request)
         away = np.log(np.divide(request.gains.as_tuple(), self.best.as_tuple()))
         lag_s = 0.03 * (1.0 + float(away @ away))
         step, rate = request.profile, self.description.controller.sampling_Hz

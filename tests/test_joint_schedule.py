@@ -25,7 +25,7 @@ def test_joint_tuning_lowers_the_cost_with_trials_at_every_length():
     rigs = {length: ArithmeticRig(name=f"at-{length}") for length in (0.5, 1.4)}
     cost = StepCost(rigs[0.5].describe().settling_time_s, move_weight=MOVE_WEIGHT)
     schedule = tune_jointly(rigs, "least_squares_gradient", 80, START, cost)
-    first, second = (rig.asked for rig in rigs.values())
+    first, second = (rig.requests for rig in rigs.values())
     assert len(first) == len(second) == 41
     assert [r.gains.P for r in first] == [r.gains.P for r in second]
     best = ArithmeticRig.best

@@ -167,7 +167,7 @@ def test_interrupted_matching_continues_and_repeats_no_trial(tmp_path):
         except KeyboardInterrupt:
             for rig in cut.values():
                 rig.left = 60
-    ids = [request.trial_id for rig in cut.values() for request in rig.asked]
+    ids = [request.trial_id for rig in cut.values() for request in rig.requests]
     assert len(ids) == len(set(ids))
     assert [r.gains for r in result.reels] == [r.gains for r in whole.reels]
     with pytest.raises(InvalidInput, match="was begun with trials 60, not 50"):

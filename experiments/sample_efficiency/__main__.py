@@ -104,6 +104,7 @@ def main() -> int:
     parser.add_argument(
         "--only", choices=[*ALGORITHMS, "stops"], help="run these rows again, keep the others"
     )
+    parser.add_argument("--seeds", type=int, help="seeds of every search; keep no rows")
     parser.add_argument("--rows", type=Path, help="print the tables of this file, run nothing")
     options = parser.parse_args()
     if options.rows:
@@ -111,6 +112,10 @@ def main() -> int:
     elif options.quick:
         rows = run(list(quick_jobs()), options.jobs, Path(os.devnull))
         ends = stops(range(2), ["8 Hz"], options.jobs, None)
+    elif options.seeds:
+        seeds = HELD_OUT[: options.seeds]
+        rows = run(list(jobs(options.only, seeds)), options.jobs, Path(os.devnull))
+        ends = stops(seeds, list(PROBLEMS), options.jobs, None)
     else:
         if options.only is None:
             ROWS.unlink(missing_ok=True)

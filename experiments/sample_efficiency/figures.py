@@ -15,6 +15,9 @@ from experiments.sample_efficiency.stopping import StoppedRun
 DEFAULT = OURS[0]
 NOISE, MORE_NOISE = 0.03, 0.10
 ALL = "all"
+ARRIVAL_TRIALS = 40
+"""Trials within which a search should come near the optimum."""
+
 SHARE_WON = 5.0 / 6.0
 """Share of the problems on which every peer must need more trials."""
 
@@ -50,6 +53,8 @@ def of_algorithm(rows: Iterable[Row], problem: str, algorithm: str) -> dict[str,
             "stays": median([row.stays_near for row in usual]),
             "unsafe": median([row.unsafe for row in usual]),
             "unsafe_worst": max(row.unsafe for row in usual),
+            "arrived": sum(row.first_near <= ARRIVAL_TRIALS for row in usual),
+            "unsafe_repeatedly": sum(row.unsafe > 1 for row in usual),
             "seconds": median([row.seconds for row in usual]),
         }
         for trials in (100, 200):
@@ -141,7 +146,7 @@ def targets(
 
 
 WORST_FAMILY = (
-    ("first", 40.0, "trials until within 5 %, median"),
+    ("first", ARRIVAL_TRIALS, "trials until within 5 %, median"),
     ("stays", 60.0, "trials from which it stays within 5 %, median"),
     ("excess_200", 0.003, "excess after 200 trials, median"),
     ("more_noise_excess", 0.015, "excess after 300 at 10 % noise, median"),
