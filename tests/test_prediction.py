@@ -16,13 +16,11 @@ from plants.diagnosis.data.noise_floor import Noise, NoiseFloor
 from plants.diagnosis.models.calibration import Calibration
 from plants.diagnosis.models.diagnosed_model import diagnosed
 from plants.diagnosis.prediction.prediction import Predictor
-from plants.diagnosis.search.fit import switched_on
 from plants.effects import (
     EFFECTS,
     CoulombFriction,
     DeadTime,
     EyeletFriction,
-    StribeckFriction,
     TorqueRipple,
 )
 
@@ -173,21 +171,6 @@ def test_selected_entries_equal_those_of_all():
     for some in (last, last[::3]):  # a strided view does not own its data
         assert np.array_equal(predictor.residuals(values[None], some)[0], residuals[some])
         assert predictor.linearise(values, entries=some)[1] == pytest.approx(jacobian[some])
-
-
-def test_switched_on_effect_leaves_idle_parameters():
-    records = [*sweep(REEL + CoulombFriction(0.03)), *sweep(REEL)]
-    predictor = Predictor(diagnosed(REEL, records), [StribeckFriction], records, floor=SMALL)
-    names = [free.name for free in predictor.free]
-    fade = names.index("stribeck_friction.stribeck_rad_s")
-    excess = names.index("stribeck_friction.excess_Nm")
-    row = predictor.row({"stribeck_friction.coulomb_Nm": 0.02, "stribeck_friction.excess_Nm": 0.0})
-    rows = np.repeat(row[None], 5, axis=0)
-    rows[:, fade] *= np.geomspace(0.1, 10.0, 5)
-    everything = {"moves": np.arange(len(names)), "entries": np.arange(predictor.index.sigma.size)}
-    after = switched_on(predictor, rows, excess, 0.01, **everything)
-    assert np.array_equal(after[:, fade], rows[:, fade])
-    assert (after[:, excess] != 0.0).any()
 
 
 @pytest.mark.parametrize("missing", ["angle_rad", "tension_N"])

@@ -1,89 +1,100 @@
-"""Puts a diagnosis together from what was found."""
+"""Assembly of a diagnosis from the results of its parts."""
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from estune.trial import RigDescription
-from plants.diagnosis.data.measured_record import DataIssue
+from plants.diagnosis.data.measured_record import OUTPUTS, DataIssue
 from plants.diagnosis.data.noise_floor import NoiseFloor
 from plants.diagnosis.experiments.next_experiment import Evidence, next_experiment
+from plants.diagnosis.prediction.prediction import CHANNELS
 from plants.diagnosis.report.diagnosis import Diagnosis
 from plants.diagnosis.report.plant_units import in_own_units
 from plants.diagnosis.residual.localisation import ResidualLocation
-from plants.diagnosis.result import Interval, NamedEffect, NextExperiment, SearchStep, Verdict
-from plants.diagnosis.search import thresholds
-from plants.diagnosis.search.fit import WhitenedFit
-from plants.diagnosis.search.model_comparison import explained_fraction
-from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter
-from plants.diagnosis.search.rule_based import MainsLine
-from plants.diagnosis.search.stepwise import SearchResult
-from plants.diagnosis.search.test_error import calibrations, free_run, intervals, reported
-from plants.diagnosis.search.verdict import (
+from plants.diagnosis.result import (
+    BaseParameter,
+    Interval,
+    NamedEffect,
+    NextExperiment,
+    SearchStep,
+    Trace,
+    Verdict,
+)
+from plants.diagnosis.search.conclusion import (
     Conclusion,
     candidates,
     not_excited,
-    ruled_out,
     verdict_sentence,
 )
+from plants.diagnosis.search.constants import CONSTANTS
+from plants.diagnosis.search.intervals import intervals
+from plants.diagnosis.search.limitations import limitations, most_refused
+from plants.diagnosis.search.mains_interference import MainsLine
+from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter
+from plants.diagnosis.search.search import SearchResult
+from plants.diagnosis.search.validation import held_out, segments
 from plants.effects import Effect, MainsInterference, Quantisation
 from plants.effects.plant_scale import written_unit
 
 STEP_KNOWN = 2e-3
 """Relative uncertainty of a step found among readings."""
+UNITS = {"tension_N": "N", "angle_rad": "rad", "reference_N": "N", "current_A": "A"}
 
 
 class EffectChoices(NamedTuple):
     """The effects to choose from.
 
     Attributes:
-        structural: Those that the search tries.
+        structural: Those that the search fits.
         calibrations: Those that are a wrong number of the model as given.
-        by_rule: Those found by a rule of their own.
-        unavailable: Why others cannot be had on this model, by slug.
+        in_noise: Those found in the noise.
+        unavailable: Why others cannot be added to this model, by slug.
     """
 
     structural: tuple[type[Effect], ...]
     calibrations: tuple[type[Effect], ...]
-    by_rule: tuple[type[Effect], ...]
+    in_noise: tuple[type[Effect], ...]
     unavailable: Mapping[str, str]
 
 
 class FittedModel(NamedTuple):
     """A model fitted to records."""
 
-    bench: ModelFitter
-    attempt: CandidateFit
+    fitter: ModelFitter
+    fit: CandidateFit
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DiagnosisInputs:
-    """All that was found before it is told.
+    """All results that a diagnosis is made of.
 
     Attributes:
         model: The model as given.
-        humming: The base fit of the records as they are.
-        hum: The hum found in them, or None.
-        bench: Model and records without hum.
+        recorded: The base fit of the records as they are, interference included.
+        line: The mains interference found in them, or None.
+        fitter: Model and records without interference.
         found: The search.
-        judged: Its verdict.
-        wrong: The model as given and with the one number changed that is wrong, or None.
+        judged: Its conclusion.
+        wrong: The model as given with the one number changed that is wrong, or None.
         coarse_step_N: Step of a gauge that is read in coarse steps, or None.
         choice: The effects there were to choose from.
-        where: Where the residual lives.
+        where: Localisation of the base model's residual.
         noise: The noise floor.
-        findings: What was wrong with the data.
-        rig: What the rig allows, where it is at hand.
+        findings: Issues of the data.
+        rig: What the rig allows, where it is known.
     """
 
     model: Any
-    humming: FittedModel
-    hum: MainsLine | None
-    bench: ModelFitter
+    recorded: FittedModel
+    line: MainsLine | None
+    fitter: ModelFitter
     found: SearchResult
     judged: Conclusion
-    wrong: tuple[CandidateFit, CandidateFit] | None
+    wrong: CandidateFit | None
     coarse_step_N: float | None
     choice: EffectChoices
     where: ResidualLocation
@@ -92,40 +103,50 @@ class DiagnosisInputs:
     rig: RigDescription | None = None
 
 
-class Fit(NamedTuple):
-    """A stage fitted once more to all that may be fitted, and the slug it added."""
+class Stage(NamedTuple):
+    """A model on the way to the one that is believed.
 
-    bench: ModelFitter
-    fitted: WhitenedFit
+    Attributes:
+        fitter: Model and records.
+        fit: Its fit.
+        ratio: Prediction error on data left out, in times the noise floor.
+        added: Slug of what it added, or None.
+    """
+
+    fitter: ModelFitter
+    fit: CandidateFit
+    ratio: float
     added: str | None
 
 
-def build_diagnosis(known: DiagnosisInputs) -> Diagnosis:
+def build_diagnosis(inputs: DiagnosisInputs) -> Diagnosis:
     """The verdict with all its evidence."""
-    fits = _fits(known)
-    before, after = fits[0], fits[-1]
-    first = intervals(before.bench, before.fitted, before.fitted)
-    last = intervals(after.bench, after.fitted, before.fitted) if after is not before else first
-    base = fits[1] if known.hum is not None else before
-    steps = [_step(one) for one in fits]
-    effects = _structural(known)
+    stages, judged = _validated(inputs)
+    before, after = stages[0], stages[-1]
+    first = intervals(before.fitter, before.fit, before.fit)
+    last = intervals(after.fitter, after.fit, before.fit) if after is not before else first
+    steps = [_step(one) for one in stages]
     # In words as of the plant that was fitted: a system of python-control has units only there.
-    named = [_named(effect, last, known.bench.model.model) for effect in effects]
-    named += _by_rule(known, steps)
-    verdict = _verdict(known, named)
-    ran = free_run((before.bench, before.fitted), (after.bench, after.fitted))
-    listed = candidates(known.found)
-    values = after.fitted.predictor.values(after.fitted.values)
-    base_values = base.fitted.predictor.values(base.fitted.values)
-    plant = known.bench.model
+    plant = inputs.fitter.model
+    effects = [e for e in _in_order(stages) if e is not MainsInterference]
+    named = [_named(e, last, plant.model) for e in effects]
+    named += _in_noise(inputs, steps)
+    verdict = _verdict(inputs, judged, named)
     unit = written_unit(plant.output, plant.model)
+    base = inputs.found.base if inputs.wrong is None else inputs.found.given
+    values = after.fit.values
     added = [one.effect for one in named]
     values |= {f"{e.name}.{n}": getattr(e, n) for e in added for n in e.parameters()}
+    listed = candidates(inputs.found, judged)
+    limits = limitations(inputs.fitter.measurements, inputs.findings, inputs.found.base)
+    said = verdict_sentence(verdict, judged, named, steps, unit)
+    traces, errors = _free_run(before, after)
+    rests = {e.name for e in added} | set(judged.tied)
     return Diagnosis(
         verdict=verdict,
-        sentence=verdict_sentence(verdict, known.judged, named, steps, unit),
+        sentence=" ".join([*(f"{one.sentence}." for one in limits), said]),
         effects=tuple(named),
-        ambiguous=known.judged.tied,
+        ambiguous=judged.tied if verdict == "ambiguous" else (),
         candidates=listed,
         unit=plant.output,
         gap_before=steps[0].gap,
@@ -133,132 +154,198 @@ def build_diagnosis(known: DiagnosisInputs) -> Diagnosis:
         floor=steps[0].floor,
         ratio_before=steps[0].ratio,
         ratio_after=steps[-1].ratio,
-        closure=explained_fraction(steps[0].ratio ** 2, steps[-1].ratio ** 2)
-        if named
-        else math.nan,
-        rms_before=ran.rms_before,
-        rms_after=ran.rms_after,
-        noise=known.noise,
-        where=known.where,
-        calibrations=calibrations(before.fitted.predictor, first, last),
-        not_excited={**not_excited(known.found, {}), **known.choice.unavailable},
-        ruled_out=ruled_out(listed, [e.name for e in named], known.judged.tied),
-        next_experiment=_next(known, verdict, base_values, steps[-1].ratio),
-        findings=known.findings,
+        closure=_explained(steps[0].ratio, steps[-1].ratio) if named else math.nan,
+        rms_before=errors[0],
+        rms_after=errors[1],
+        noise=inputs.noise,
+        where=inputs.where,
+        calibrations=_calibrations(before.fit, first, last),
+        not_excited={**not_excited(inputs.found), **inputs.choice.unavailable},
+        ruled_out=tuple(f"{c.sentence}." for c in listed if c.name not in rests),
+        next_experiment=_next(inputs, judged, verdict, base, steps[-1].ratio),
+        findings=inputs.findings,
         steps=tuple(steps),
-        traces=ran.traces,
-        splits=known.bench.split.parts,
-        model=known.model,
-        base_model=plant.calibrated(base_values),
+        traces=traces,
+        splits=segments(inputs.fitter),
+        model=inputs.model,
+        base_model=plant.calibrated(base.values),
         augmented=plant.calibrated(values, [type(effect) for effect in added]),
         values=values,
+        limitations=limits,
+        models=judged.models,
     )
 
 
+def _validated(inputs: DiagnosisInputs) -> tuple[list[Stage], Conclusion]:
+    """The models from the base to what is believed; unknown where data left out do not agree."""
+    judged, fitter = inputs.judged, inputs.fitter
+    stages: list[Stage] = []
+    if inputs.line is not None:
+        stages.append(_stage(*inputs.recorded, None))
+    fits = judged.stages
+    if inputs.wrong is not None:
+        fits = (inputs.found.given, inputs.wrong)
+    there: frozenset[str] = frozenset()
+    for one in fits:
+        added = next(iter(sorted(one.names - there)), None)
+        if one is fits[0] and inputs.line is not None:
+            added = MainsInterference.name
+        stages.append(_stage(fitter, one, added))
+        there = one.names
+    base, last = stages[len(stages) - len(fits)], stages[-1]
+    share = _explained(base.ratio, last.ratio)
+    agrees = share >= CONSTANTS.named_share or last.ratio**2 <= CONSTANTS.floor
+    if len(fits) > 1 and inputs.wrong is None and not agrees:
+        reason = (
+            f"{' and '.join(e.title for e in judged.best.effects)} would explain it, but on "
+            f"data left out only {100.0 * max(share, 0.0):.0f} % of it."
+        )
+        unknown = judged._replace(
+            verdict="unknown", stages=judged.stages[:1], tied=(), rest="", reason=reason
+        )
+        return stages[: len(stages) - len(fits) + 1], unknown
+    return stages, judged
+
+
+def _stage(fitter: ModelFitter, one: CandidateFit, added: str | None) -> Stage:
+    residuals = held_out(fitter, one)
+    return Stage(fitter, one, float(np.sqrt(np.mean(residuals**2))), added)
+
+
+def _in_order(stages: Sequence[Stage]) -> list[type[Effect]]:
+    """The effects of the last stage in the order in which they were added."""
+    order = [one.added for one in stages]
+    return sorted(
+        stages[-1].fit.effects,
+        key=lambda e: order.index(e.name) if e.name in order else len(order),
+    )
+
+
+def _step(one: Stage) -> SearchStep:
+    index, unit = one.fitter.base.index, one.fitter.model.output
+    first = [CHANNELS.index(name) for name in OUTPUTS if UNITS[name] == unit]
+    sigma = index.sigma[np.isin(index.channel, first)]
+    floor = float(np.sqrt(np.mean(sigma**2))) if sigma.size else math.nan
+    return SearchStep(one.added, one.ratio * floor, floor, one.ratio)
+
+
+def _explained(before: float, after: float) -> float:
+    """Share of the error power above the noise floor, of errors in times the noise floor."""
+    above = before**2 - 1.0
+    return (before**2 - max(after**2, 1.0)) / above if above > 0.0 else 0.0
+
+
+def _verdict(inputs: DiagnosisInputs, judged: Conclusion, named: Sequence[NamedEffect]) -> Verdict:
+    """The conclusion, with what was found in the noise besides."""
+    verdict = judged.verdict
+    if verdict == "none" and most_refused(inputs.fitter.measurements, inputs.findings):
+        verdict = "unknown"
+    if named and verdict in ("none", "unknown"):
+        return "named" if verdict == "none" else "incomplete"
+    return verdict
+
+
 def _next(
-    known: DiagnosisInputs, verdict: Verdict, base_values: Mapping[str, float], ratio_after: float
+    inputs: DiagnosisInputs,
+    judged: Conclusion,
+    verdict: Verdict,
+    base: CandidateFit,
+    ratio_after: float,
 ) -> NextExperiment | None:
-    """The experiment that would decide between the models that are tied, or show the gap best."""
+    """The experiment that would decide between tied models, or show the error best."""
     if verdict not in ("ambiguous", "unknown"):
         return None
-    plant, rounds = known.bench.model, known.found.rounds
+    plant = inputs.fitter.model
+    singles = (inputs.found.fits.get(frozenset({name})) for name in judged.tied)
     rivals = {
-        a.effects[-1].name: plant.calibrated(a.values, a.effects)
-        for a in (rounds[0].attempts if rounds else ())
-        if a.effects[-1].name in known.judged.tied
+        one.effects[0].name: plant.calibrated(one.values, one.effects)
+        for one in singles
+        if one is not None
     }
-    evidence = Evidence(known.bench.measurements, known.noise, known.where, ratio_after)
-    return next_experiment(verdict, plant.calibrated(base_values), rivals, evidence, known.rig)
+    measurements = inputs.fitter.measurements
+    evidence = Evidence(measurements, inputs.noise, inputs.where, ratio_after)
+    return next_experiment(verdict, plant.calibrated(base.values), rivals, evidence, inputs.rig)
 
 
-def _fits(known: DiagnosisInputs) -> list[Fit]:
-    """The models from the base to what is believed, one effect more each."""
-    bench = known.bench
-    if known.wrong is not None:
-        return [
-            Fit(bench, bench.final(known.wrong[0]), None),
-            Fit(bench, bench.final(known.wrong[1]), known.wrong[1].effects[0].name),
-        ]
-    fits = []
-    if known.hum is not None:
-        at = known.humming
-        fits.append(Fit(at.bench, at.bench.final(at.attempt), None))
-    added = None if known.hum is None else MainsInterference.name
-    fits.append(Fit(bench, bench.final(known.found.base), added))
-    believed = known.found.stages if known.judged.best.effects else ()
-    return [*fits, *(Fit(bench, bench.final(a), a.effects[-1].name) for a in believed)]
+def _named(effect: type[Effect], fitted: Mapping[str, Interval], model: Any) -> NamedEffect:
+    return _described(
+        {n: fitted[f"{effect.name}.{n}"] for n in effect.parameters()}, effect, model
+    )
 
 
-def _step(one: Fit) -> SearchStep:
-    found = reported(one.bench, one.fitted)
-    return SearchStep(one.added, found.gap, found.floor, found.ratio)
-
-
-def _structural(known: DiagnosisInputs) -> tuple[type[Effect], ...]:
-    return known.wrong[1].effects if known.wrong is not None else known.judged.best.effects
-
-
-def _named(effect: type[Effect], found: Mapping[str, Interval], model: Any) -> NamedEffect:
-    return _told_by({n: found[f"{effect.name}.{n}"] for n in effect.parameters()}, effect, model)
-
-
-def _told_by(parameters: Mapping[str, Interval], effect: type[Effect], model: Any) -> NamedEffect:
+def _described(
+    parameters: Mapping[str, Interval], effect: type[Effect], model: Any
+) -> NamedEffect:
     own = {name: in_own_units(effect, name, one, model) for name, one in parameters.items()}
     said = effect.sentence({name: one.value for name, one in own.items()}, model)
     built = effect(**{name: one.value for name, one in parameters.items()})
     return NamedEffect(effect.name, effect.title, own, said, built)
 
 
-def _by_rule(known: DiagnosisInputs, steps: list[SearchStep]) -> list[NamedEffect]:
-    """The effects found by rule; what coarse steps explain is taken off the gap."""
-    named, plant = [], known.bench.model
+def _in_noise(inputs: DiagnosisInputs, steps: list[SearchStep]) -> list[NamedEffect]:
+    """The effects found in the noise; what coarse steps explain is taken off the error."""
+    named, plant, line = [], inputs.fitter.model, inputs.line
     read = abs(plant.reading_unit)  # a phase differs from record to record, with its sign
-    if known.hum is not None:
+    if line is not None:
         parameters = {
-            "amplitude_N": known.hum.amplitude_N.over(read),
-            "frequency_Hz": known.hum.frequency_Hz,
-            "phase_rad": known.hum.phase_rad,
+            "amplitude_N": line.amplitude_N.over(read),
+            "frequency_Hz": line.frequency_Hz,
+            "phase_rad": line.phase_rad,
         }
-        named.append(_told_by(parameters, MainsInterference, plant.model))
-    if known.coarse_step_N is not None:
-        q = known.coarse_step_N
-        unrounded = _without_rounding(steps, q)
-        left = _rounded(unrounded[-1], q)
-        if _counts(unrounded[-1], left):
+        named.append(_described(parameters, MainsInterference, plant.model))
+    if inputs.coarse_step_N is not None:
+        q = inputs.coarse_step_N
+        unrounded = [_without_rounding(one, q**2 / 12.0) for one in steps]
+        left = _rounded(unrounded[-1], q**2 / 12.0)
+        above = unrounded[-1].ratio ** 2 > CONSTANTS.floor
+        if above and _explained(unrounded[-1].ratio, left.ratio) >= CONSTANTS.one_more:
             # Readings are written with few digits, of which the step has as many.
             step = Interval(q, q * (1.0 - STEP_KNOWN), q * (1.0 + STEP_KNOWN), "N")
-            named.append(_told_by({"step_N": step.over(read)}, Quantisation, plant.model))
+            named.append(_described({"step_N": step.over(read)}, Quantisation, plant.model))
             steps[:] = [*unrounded, left]
     return named
 
 
-def _counts(before: SearchStep, after: SearchStep) -> bool:
-    """Whether rounding is much beside all else that is allowed for, and beside what is missing."""
-    closes = explained_fraction(before.ratio**2, after.ratio**2)
-    return before.ratio > thresholds.NOTHING and closes >= thresholds.FURTHER
+def _without_rounding(one: SearchStep, rounding: float) -> SearchStep:
+    """A step of the search against a noise floor without the power of rounding."""
+    floor = math.sqrt(max(one.floor**2 - rounding, 0.01 * one.floor**2))
+    return replace(one, floor=floor, ratio=one.gap / floor)
 
 
-def _without_rounding(steps: Sequence[SearchStep], step_N: float) -> list[SearchStep]:
-    """The steps against a floor without rounding."""
-    rounding, again = step_N**2 / 12.0, []
-    for one in steps:
-        floor = math.sqrt(max(one.floor**2 - rounding, 0.01 * one.floor**2))
-        again.append(SearchStep(one.effect, one.gap, floor, one.gap / floor))
-    return again
-
-
-def _rounded(last: SearchStep, step_N: float) -> SearchStep:
-    """What rounding leaves of the last step's gap."""
-    rounding = step_N**2 / 12.0
+def _rounded(last: SearchStep, rounding: float) -> SearchStep:
+    """What the power of rounding leaves of the last step's error."""
     gap = math.sqrt(max(last.gap**2 - rounding, last.floor**2))
     return SearchStep(Quantisation.name, gap, last.floor, gap / last.floor)
 
 
-def _verdict(known: DiagnosisInputs, named: Sequence[NamedEffect]) -> Verdict:
-    """What the search says, with what was found besides."""
-    verdict = known.judged.verdict
-    if verdict == "none" and named:
-        return "named"
-    if verdict == "unknown" and named:
-        return "incomplete"
-    return verdict
+def _calibrations(
+    base: CandidateFit, first: Mapping[str, Interval], last: Mapping[str, Interval]
+) -> tuple[BaseParameter, ...]:
+    """The base model's numbers as given, as fitted, and as fitted with the effects."""
+    return tuple(
+        BaseParameter(f.name, f.unit, f.start, first[f.name], last.get(f.name, first[f.name]))
+        for f in base.fitted.predictor.free
+        if f.owner == "base" and f.name in first
+    )
+
+
+def _free_run(before: Stage, after: Stage) -> tuple[tuple[Trace, ...], tuple[float, float]]:
+    """Each record from its start with nothing put right on the way; rms errors of both models."""
+    runs = [one.fitter.free_run(one.fit) for one in (before, after)]
+    measured_at, cleaned = before.fitter.measurements, after.fitter.measurements
+    channels = {name for m in measured_at for name in m.outputs}
+    main = next(n for n in OUTPUTS if n in channels and UNITS[n] == before.fitter.model.output)
+    traces, errors = [], []
+    for n, m in enumerate(measured_at):
+        for name in OUTPUTS:
+            measured, rest = m.channel(name), cleaned[n].channel(name)
+            first, last = (getattr(run[n], name) for run in runs)
+            if measured is None or rest is None or first is None or last is None:
+                continue
+            # What was taken out as interference belongs to what is predicted with it.
+            known = last[0] + (measured - rest)
+            traces.append(Trace(m.name, name, UNITS[name], m.time_s, measured, first[0], known))
+            if name == main:
+                errors.append(np.stack([first[0] - measured, known - measured]))
+    rms = np.sqrt(np.nanmean(np.concatenate(errors, axis=1) ** 2, axis=1))
+    return tuple(traces), (float(rms[0]), float(rms[1]))

@@ -2,9 +2,8 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-import numpy as np
 from threadpoolctl import threadpool_limits
 
 from estune.errors import InvalidInput
@@ -23,14 +22,17 @@ from plants.diagnosis.models.base import BaseNumbers
 from plants.diagnosis.models.diagnosed_model import DiagnosedModel, diagnosed
 from plants.diagnosis.report.diagnosis import Diagnosis
 from plants.diagnosis.residual.localisation import ResidualLocation, localise
-from plants.diagnosis.search import thresholds
-from plants.diagnosis.search.candidate_fits import coarse_fit
-from plants.diagnosis.search.data_splits import FIT, RANK
-from plants.diagnosis.search.initial_guesses import suggestions
+from plants.diagnosis.search.conclusion import Conclusion, conclude
+from plants.diagnosis.search.constants import CONSTANTS
+from plants.diagnosis.search.initial_guesses import record_scale
+from plants.diagnosis.search.mains_interference import (
+    MainsLine,
+    coarse_step_N,
+    find_mains_interference,
+)
 from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter
-from plants.diagnosis.search.rule_based import MainsLine, coarse_step_N, find_mains_interference
-from plants.diagnosis.search.stepwise import search
-from plants.diagnosis.search.verdict import conclude
+from plants.diagnosis.search.search import SearchResult, search
+from plants.diagnosis.search.starts import coarse_fit
 from plants.diagnosis.search.wrong_parameter import find_wrong_parameter
 from plants.effects import (
     CableWeight,
@@ -42,8 +44,12 @@ from plants.effects import (
     find,
 )
 
-HUM_ROUNDS = 2
+LINE_ROUNDS = 2
 """Searches for mains interference; the second is without the line found first."""
+BASE_ROUNDS = 40
+SAME, OTHER = 0.995, 0.9
+"""Ratio of powers left above which two variants of a model are the same; below the second, the
+one that leaves more is none."""
 
 
 def explain(
@@ -86,43 +92,37 @@ def _explained(
         refused = "; ".join(str(f) for f in findings if f.level == "refused")
         raise InvalidInput(f"no record can be used: {refused or 'there is none'}")
     noise = noise_floor(measurements)
-    bench, base = _base(model, measurements, noise)
-    choice = _choice(bench.model, effects)
-    humming = FittedModel(bench, base)
-    hum = None
-    for _ in range(HUM_ROUNDS if MainsInterference in choice.by_rule else 0):
-        line = _hum(bench, base, measurements)
-        if line is None:
+    variants = _variants(model, measurements, noise)
+    recorded = variants[0]
+    choice = _choice(recorded.fitter.model, effects)
+    line = None
+    for _ in range(LINE_ROUNDS if MainsInterference in choice.in_noise else 0):
+        again = _line(variants[0].fitter, variants[0].fit, measurements)
+        if again is None:
             break
-        hum, (bench, base) = line, _base(model, line.measurements, noise)
-    where = _where(bench, base, noise)
-    suggest = suggestions(measurements, where, base.values)
-    found = search(bench, base, choice.structural, suggest)
-    if hum is not None and found.best.effects and not _still(humming, found.best):
+        line, variants = again, _variants(model, again.measurements, noise)
+    done = _searched(variants, choice, noise)
+    if line is not None and done.judged.best.effects and not _remains(recorded, done.judged.best):
         # The line was what the effects do.
-        hum, (bench, base) = None, humming
-        where = _where(bench, base, noise)
-        suggest = suggestions(measurements, where, base.values)
-        found = search(bench, base, choice.structural, suggest)
-    judged = conclude(found)
+        line, done = None, _searched((recorded,), choice, noise)
     wrong = None
-    if judged.verdict == "none" and hum is None:
-        wrong = find_wrong_parameter(bench, base, choice.calibrations)
+    if done.judged.verdict == "none" and line is None:
+        wrong = find_wrong_parameter(done.fitter, done.found, choice.calibrations)
     coarse = None
-    if Quantisation in choice.by_rule and "tension_N" in noise.channels:
+    if Quantisation in choice.in_noise and "tension_N" in noise.channels:
         coarse = coarse_step_N(noise.channels["tension_N"])
     return build_diagnosis(
         DiagnosisInputs(
             model=model,
-            humming=humming,
-            hum=hum,
-            bench=bench,
-            found=found,
-            judged=judged,
+            recorded=recorded,
+            line=line,
+            fitter=done.fitter,
+            found=done.found,
+            judged=done.judged,
             wrong=wrong,
             coarse_step_N=coarse,
             choice=choice,
-            where=where,
+            where=done.where,
             noise=noise,
             findings=findings,
             rig=rig,
@@ -130,16 +130,47 @@ def _explained(
     )
 
 
-def _base(model: Any, measurements: tuple[MeasuredRecord, ...], noise: NoiseFloor) -> FittedModel:
-    """The base fit, of the variant of the model that suits the records."""
+class Searched(NamedTuple):
+    """A variant of the model with its search: where the residual is, the fits, the conclusion."""
+
+    fitter: ModelFitter
+    where: ResidualLocation
+    found: SearchResult
+    judged: Conclusion
+
+
+def _searched(
+    variants: Sequence[FittedModel], choice: EffectChoices, noise: NoiseFloor
+) -> Searched:
+    """The search on the variant of the model in which it leaves the least."""
+    done = []
+    for fitter, base in variants:
+        model = fitter.model.calibrated(base.values)
+        numbers = [BaseNumbers.of(model, m) for m in fitter.measurements]
+        where = localise(fitter.measurements, numbers, noise)
+        records = record_scale(fitter, where, base.values)
+        found = search(fitter, base, choice.structural, records)
+        done.append(Searched(fitter, where, found, conclude(fitter, found)))
+    return min(done, key=lambda one: one.judged.best.J)
+
+
+def _variants(
+    model: Any, measurements: tuple[MeasuredRecord, ...], noise: NoiseFloor
+) -> tuple[FittedModel, ...]:
+    """The base fits of the variants of the model that may suit the records, the likelier first."""
     stages = []
     for plant in diagnosed(model, measurements).alternatives():
-        bench = ModelFitter(plant, measurements, noise)
-        stages.append(FittedModel(bench, bench.attempt((), bench.base.start[None, :])))
+        fitter = ModelFitter(plant, measurements, noise)
+        stages.append(FittedModel(fitter, fitter.fit((), fitter.base.start, BASE_ROUNDS)))
     if len(stages) == 1:
-        return stages[0]
-    least = min(stage.attempt.fit_J for stage in stages)
-    return min(stages, key=_meant if least > thresholds.GAP**2 else lambda s: s.attempt.fit_J)
+        return (stages[0],)
+    left = [stage.fit.J for stage in stages]
+    if min(left) > CONSTANTS.nothing:
+        left = [_meant(stage) for stage in stages]
+    ratio = left[1] / left[0]
+    if ratio < OTHER:
+        return (stages[1],)
+    return (stages[1], stages[0]) if ratio < SAME else (stages[0],)
 
 
 def _meant(stage: FittedModel) -> float:
@@ -147,22 +178,15 @@ def _meant(stage: FittedModel) -> float:
 
     In the linear law, added weight stands for the sag.
     """
-    beside = CoulombFriction if stage.bench.model.is_often_slack else CableWeight
-    return min(stage.attempt.fit_J, coarse_fit(stage.bench, beside).fit_J)
+    beside = CoulombFriction if stage.fitter.model.is_often_slack else CableWeight
+    return min(stage.fit.J, coarse_fit(stage.fitter, beside).J)
 
 
-def _where(bench: ModelFitter, base: CandidateFit, noise: NoiseFloor) -> ResidualLocation:
-    """Localisation of the base model's residual."""
-    model = bench.model.calibrated(base.values)
-    numbers = [BaseNumbers.of(model, m) for m in bench.measurements]
-    return localise(bench.measurements, numbers, noise)
-
-
-def _still(humming: FittedModel, best: CandidateFit) -> bool:
+def _remains(recorded: FittedModel, best: CandidateFit) -> bool:
     """Whether the records show mains interference with the effects in the model."""
-    row = humming.bench.predictor(best.effects).row(best.values)
-    attempt = humming.bench.attempt(best.effects, row[None, :])
-    return _hum(humming.bench, attempt, humming.bench.measurements) is not None
+    fitter = recorded.fitter
+    row = fitter.predictor(best.effects).row(best.values)
+    return _line(fitter, fitter.fit(best.effects, row), fitter.measurements) is not None
 
 
 def _measurements(
@@ -183,25 +207,17 @@ def _choice(plant: DiagnosedModel, effects: Sequence[type[Effect] | str] | None)
     return EffectChoices(
         structural=tuple(e for e in had if not (e.base_parameter or e.in_noise)),
         calibrations=tuple(e for e in had if e.base_parameter),
-        by_rule=tuple(e for e in had if e.in_noise),
+        in_noise=tuple(e for e in had if e.in_noise),
         unavailable={name: why for name, why in reasons.items() if why is not None},
     )
 
 
-def _hum(
-    bench: ModelFitter, base: CandidateFit, measurements: Sequence[MeasuredRecord]
+def _line(
+    fitter: ModelFitter, one: CandidateFit, measurements: Sequence[MeasuredRecord]
 ) -> MainsLine | None:
-    """Mains interference in a model's residual of the gauge outside the test data."""
-    if "tension_N" not in bench.floor.channels:
+    """Mains interference in what a model leaves of the gauge's readings."""
+    if "tension_N" not in fitter.floor.channels:
         return None
-    fitted, index = base.fitted, bench.base.index
-    predicted = fitted.predictor.predict(fitted.values[None, :])
-    looked = bench.split.where(FIT, RANK)
-    seen = []
-    for n, m in enumerate(measurements):
-        at = np.zeros(m.samples, bool)
-        at[index.sample[looked[index.measurement[looked] == n]]] = True
-        # Of a record that is all report only its own phase is wanted.
-        seen.append(at if at.any() else ~at)
+    predicted = one.fitted.predictor.predict(one.fitted.values[None, :])
     left = [None if p.tension_N is None else p.tension_N[0] for p in predicted]
-    return find_mains_interference(measurements, left, seen, bench.floor.tension_N)
+    return find_mains_interference(measurements, left, fitter.floor.tension_N)

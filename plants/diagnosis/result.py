@@ -1,9 +1,10 @@
 """Result of a diagnosis as plain values: verdict, effects found, evidence."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 from estune.core.quantities import FloatArray
 from estune.run.trial_file import SUFFIX, TrialFile
@@ -17,6 +18,8 @@ Verdict = Literal["named", "incomplete", "ambiguous", "unknown", "none"]
 """`named`: the effects explain the prediction error; `incomplete`: most of it; `ambiguous`: the
 records do not distinguish several effects; `unknown`: no declared effect explains it; `none`:
 there is nothing to explain."""
+
+Slugs = frozenset[str]
 
 Split = Literal["fit", "rank", "report"]
 
@@ -73,6 +76,7 @@ class Candidate:
         gap: Prediction error left on validation data, in times the noise floor.
         cosine2: Screening R2 on training data.
         sentence: Why it was taken or ruled out.
+        probability: Of its family being there, from 0 to 1.
     """
 
     name: str
@@ -80,6 +84,7 @@ class Candidate:
     gap: float
     cosine2: float
     sentence: str
+    probability: float = math.nan
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,6 +136,51 @@ class Trace:
     measured: FloatArray
     before: FloatArray
     after: FloatArray
+
+
+class ModelSummary(NamedTuple):
+    """A fitted model, as a verdict is decided from.
+
+    Attributes:
+        names: Slugs of its effects.
+        families: Families of its effects.
+        rank: Place of its effects within their families, summed: less is simpler.
+        J: Mean square of the whitened residuals.
+        values: Number of values of its effects that are not at a bound.
+        eligible: Whether each of its effects is of a size that matters, and not at a bound.
+        named: Whether all its effects have a name.
+        known_apart: Whether an effect's size is known without the machine.
+        blocks: Mean squares of the cable and gauge block, and of the rest; nan without them.
+    """
+
+    names: Slugs
+    families: Slugs
+    rank: int
+    J: float
+    values: int
+    eligible: bool = True
+    named: bool = True
+    known_apart: bool = False
+    blocks: tuple[float, float] = (math.nan, math.nan)
+
+    @property
+    def power(self) -> float:
+        """P, no less than what noise gives."""
+        return max(self.J, 1.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Limitation:
+    """Something that the records cannot tell.
+
+    Attributes:
+        kind: `records_refused`, `one_direction`, `no_slow_motion`, `no_encoder`,
+            `base_parameter_moved` or `base_parameter_at_bound`.
+        sentence: What it is, and what to do, in plain words without a full stop.
+    """
+
+    kind: str
+    sentence: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -225,6 +275,8 @@ class DiagnosisResult:
         base_model: The model with its own numbers fitted.
         augmented: `base_model` with the effects, fitted together.
         values: The fit's values by the names of the predictor's free numbers.
+        limitations: What these records cannot tell.
+        models: Every model that was fitted, the base model first.
     """
 
     verdict: Verdict
@@ -255,6 +307,8 @@ class DiagnosisResult:
     base_model: Any
     augmented: Any
     values: Mapping[str, float]
+    limitations: tuple[Limitation, ...] = ()
+    models: tuple[ModelSummary, ...] = ()
 
     @property
     def written_unit(self) -> str:

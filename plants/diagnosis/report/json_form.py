@@ -31,6 +31,7 @@ def to_json(d: DiagnosisResult) -> dict[str, Any]:
                 "gap_floors": c.gap,
                 "closure": c.closure,
                 "explains": c.cosine2,
+                "probability": c.probability,
                 "sentence": c.sentence,
             }
             for c in d.candidates
@@ -50,6 +51,7 @@ def to_json(d: DiagnosisResult) -> dict[str, Any]:
         "calibrations": {c.name: _shift(c) for c in d.calibrations},
         "steps": [_step(step, unit) for step in d.steps],
         "noise": d.noise.to_json(),
+        "limitations": [asdict(one) for one in d.limitations],
         "findings": [asdict(finding) for finding in d.findings],
         "splits": [asdict(part) for part in d.splits],
     }

@@ -1,4 +1,4 @@
-"""Bounded least squares of whitened residuals, and how far the values found can be trusted."""
+"""Bounded least squares of whitened residuals."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -121,63 +121,6 @@ def _cost(residuals: FloatArray) -> float:
     return float(residuals @ residuals)
 
 
-def switched_on(
-    predictor: Predictor,
-    rows: FloatArray,
-    size: int,
-    step: float,
-    *,
-    moves: Numbers,
-    entries: Numbers,
-) -> FloatArray:
-    """Rows in which one value that does nothing is given the size that helps the most.
-
-    All others move with it, by one joint linear step: what is missing has often been made up for
-    by them, so that on its own the value would seem to do harm.
-
-    Args:
-        predictor: Gives residuals and their derivative.
-        rows: Rows that differ only in values that do nothing while that one does nothing.
-        size: Number of that value.
-        step: By how much it is changed to see its direction.
-        moves: Numbers of the values that may move with it.
-        entries: Numbers of the residuals that count.
-    """
-    others = moves[moves != size]
-    scale = _Scale.of(predictor, others)
-    residuals, jacobian = predictor.linearise(rows[0], others, entries)
-    columns = jacobian.T * scale.inner(rows[0])[:, None]
-    on = rows.copy()
-    on[:, size] += step
-    changes = predictor.residuals(on, entries) - residuals
-    after = rows.copy()
-    free = predictor.free[size]
-    for row, change in zip(after, changes, strict=True):
-        joint = np.vstack([columns, change])
-        length = _lengths(np.einsum("ij,ij->i", joint, joint))
-        joint = joint / length[:, None]
-        weights = _solve(joint @ joint.T, -(joint @ residuals), 1e-6) / length
-        row[others] = scale.moved(row, weights[:-1])
-        row[size] = min(max(row[size] + weights[-1] * step, free.low), free.high)
-    return after
-
-
-def settled(found: WhitenedFit, moves: Numbers, own: Numbers, entries: Numbers) -> WhitenedFit:
-    """The same held against other entries, with a few values fitted to those they act on.
-
-    Args:
-        found: What was fitted.
-        moves: Numbers of such values, as a held-out record's own zero.
-        own: Numbers of the entries that they act on, among the others.
-        entries: Numbers of the other entries.
-    """
-    predictor, values = found.predictor, found.values
-    if moves.size:
-        values = fit(predictor, values, moves, own, rounds=3).values
-    residuals = predictor.residuals(values[None, :], entries)[0]
-    return WhitenedFit(predictor, values, entries, residuals, found.moved, found.converged)
-
-
 @dataclass(frozen=True, slots=True)
 class _Scale:
     """The values that move, as the search sees them.
@@ -296,39 +239,3 @@ def _solve(normal: FloatArray, pull: FloatArray, damping: float) -> FloatArray:
     weights = np.where(kept, 1.0 / np.where(kept, size + damping, 1.0), 0.0)
     solution: FloatArray = directions @ (weights * (directions.T @ pull))
     return solution
-
-
-def covariance(found: WhitenedFit, groups: Numbers) -> FloatArray:
-    """Covariance of the values that moved, whatever the residuals' colour.
-
-    The sandwich H^-1 (sum_g s_g s_g^T) H^-1 G/(G - 1) with the scores s_g = J_g^T r_g of groups
-    of entries that belong together (Liang & Zeger 1986): residuals may be coloured within a group
-    and larger in some, as those of a model whose law is not quite the machine's are.
-
-    Args:
-        found: What was fitted.
-        groups: For each of its entries the number of its group.
-
-    Returns:
-        Shape (moved, moved); a value that the entries say nothing of has an infinite variance.
-    """
-    if not found.moved.size:
-        return np.zeros((0, 0))
-    residuals, jacobian = found.predictor.linearise(
-        found.values, found.moved, found.entries, found.residuals
-    )
-    columns = jacobian.T
-    size = _lengths(np.einsum("ij,ij->i", columns, columns))
-    columns = columns / size[:, None]
-    dead = np.isinf(size)
-    known, place = np.unique(groups, return_inverse=True)
-    weighted = columns * residuals
-    scores = np.stack([np.bincount(place, row, known.size) for row in weighted], axis=1)
-    scores -= scores.mean(axis=0)
-    value, directions = np.linalg.eigh(columns @ columns.T)
-    kept = value > FLAT
-    inverse = (directions[:, kept] / value[kept]) @ directions[:, kept].T
-    middle = scores.T @ scores * known.size / max(known.size - 1.0, 1.0)
-    result: FloatArray = (inverse @ middle @ inverse) / size / size[:, None]
-    result[dead, dead] = np.inf
-    return result

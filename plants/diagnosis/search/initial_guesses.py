@@ -1,6 +1,7 @@
 """What the base model's residual suggests for frequencies and periods, before any fit."""
 
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -9,8 +10,8 @@ from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.data.noise import step_of
 from plants.diagnosis.residual.localisation import Block, ResidualLocation
 from plants.diagnosis.search.angle_periods import ResidualOverAngle, per_turn
-from plants.diagnosis.search.score_context import InitialGuesses
-from plants.effects import EFFECTS, RecordScale
+from plants.diagnosis.search.model_fitter import ModelFitter
+from plants.effects import RecordScale
 
 PEAKS = 3
 """Peaks taken of a spectrum."""
@@ -20,30 +21,25 @@ FEWEST = 4
 """Fewest samples of a record that are looked at for a wave over the angle."""
 
 
-def suggestions(
-    measurements: Sequence[MeasuredRecord], where: ResidualLocation, values: Mapping[str, float]
-) -> InitialGuesses:
-    """From `slug.parameter` to values to begin with.
+def record_scale(
+    fitter: ModelFitter, where: ResidualLocation, values: Mapping[str, float]
+) -> RecordScale:
+    """What the records show of the machine, and what the base model's residual follows.
 
     Args:
-        measurements: The records.
-        where: Where the base model's residual lives.
+        fitter: Model and records.
+        where: Localisation of the residual.
         values: The base fit's values, by name.
     """
+    measurements = fitter.measurements
     lengths = [m.cable_length_m for m in measurements if m.cable_length_m]
     preloads = [m.preload_N for m in measurements if m.preload_N > 0.0]
-    records = RecordScale(
+    return fitter.scale._replace(
         preload_N=float(np.median(preloads)) if preloads else math.nan,
         cable_length_m=float(np.median(lengths)) if lengths else math.nan,
         resonances_Hz=tuple(sorted({f for b in where.blocks for f in _spectral_peaks(b)})),
         periods_per_turn=tuple(_per_turn(measurements, where, values)),
     )
-
-    def suggested(key: str) -> list[float]:
-        slug, _, name = key.partition(".")
-        return list(EFFECTS[slug].guesses(name, records)) if slug in EFFECTS else []
-
-    return suggested
 
 
 def _spectral_peaks(block: Block) -> list[float]:
@@ -69,8 +65,11 @@ def _per_turn(
     common: list[ResidualOverAngle] = []
     turnings: list[ResidualOverAngle] = []
     read = 0.0
-    for n, (m, residual) in enumerate(zip(measurements, block.residual, strict=True)):
-        inside = np.isfinite(residual)
+    # Spectra are of one grid: records of another sampling rate have no residual.
+    rate = Counter(m.sampling_Hz for m in measurements).most_common(1)[0][0]
+    kept = [n for n, m in enumerate(measurements) if m.sampling_Hz == rate]
+    for n, residual in zip(kept, block.residual, strict=True):
+        m, inside = measurements[n], np.isfinite(residual)
         if m.angle_rad is None or inside.sum() < FEWEST:
             continue
         read = max(read, step_of(m.angle_rad))

@@ -1,8 +1,8 @@
-"""Fits of models with effects to the records, and how they do on data that was not fitted."""
+"""Fits of models with effects to all the records."""
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,22 +10,20 @@ from numpy.typing import NDArray
 from estune.core.quantities import FloatArray
 from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.data.noise_floor import NoiseFloor
-from plants.diagnosis.models.diagnosed_model import DiagnosedModel
+from plants.diagnosis.models.base import BaseNumbers
+from plants.diagnosis.models.diagnosed_model import DiagnosedModel, Free
 from plants.diagnosis.prediction.prediction import Prediction, Predictor
-from plants.diagnosis.search.cable_block import Blocks, CableBlock, pull_N_rad
-from plants.diagnosis.search.data_splits import FIT, RANK, REPORT, DataSplit, split_data
-from plants.diagnosis.search.fit import WhitenedFit, fit, settled, switched_on
+from plants.diagnosis.search.fit import WhitenedFit, fit
 from plants.effects import Effect, Port, RecordScale, Role
 
 SHIFTS = np.array([0.0, *(sign * 3.0**n for n in range(6) for sign in (-1, 1))])
 """Shifts of a record's own value, in floors of change, among which the best is begun with."""
 TURNS = np.arange(8) / 8.0
 """Shares of a period by which a record's wave is turned, among which the best is begun with."""
-PLACINGS = 6
-"""Most times that a held-out record's own values are shifted, each time from where the last ended:
-no fit has led near to them, and where they begin a bent law may be many times as steep."""
-TRYOUT = 1
-"""Rounds of each start before the best is gone on with."""
+BOUND = 1e-6
+"""A value this near to a bound, relative to it, is at it."""
+BLOCK_WINDOWS, BLOCKS, BLOCKS_OF_FEW = 3, 12, 24
+"""Least windows of a block, most blocks of a record, and that of one of two records."""
 
 Effects = tuple[type[Effect], ...]
 Numbers = NDArray[np.int64]
@@ -33,43 +31,64 @@ Numbers = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CandidateFit:
-    """A model with effects, fitted on the fit split.
+    """A model with effects, fitted to some entries.
 
     Attributes:
         effects: The effects added.
         fitted: The fit.
-        fit_J: Mean square of the whitened residuals on the fit split; 1 is the floor.
-        rank_J: The same on the rank split.
-        squares: Sum of squares on the rank split, block by block.
-        fit_squares: The same on the fit split.
-        fit_blocks: Mean squares of the fit split, block by block.
-        rank_blocks: The same of the rank split.
     """
 
     effects: Effects
     fitted: WhitenedFit
-    fit_J: float
-    rank_J: float
-    squares: FloatArray
-    fit_squares: FloatArray
-    fit_blocks: Blocks
-    rank_blocks: Blocks
+
+    @property
+    def J(self) -> float:
+        """Mean square of the whitened residuals; 1 is the noise floor."""
+        return self.fitted.mean_square
+
+    @property
+    def names(self) -> frozenset[str]:
+        """Slugs of the effects."""
+        return frozenset(e.name for e in self.effects)
 
     @property
     def values(self) -> dict[str, float]:
         """The values by name."""
         return self.fitted.predictor.values(self.fitted.values)
 
+    @property
+    def own_values(self) -> int:
+        """Number of the effects' values that are not at a bound."""
+        listed = zip(self.fitted.predictor.free, self.fitted.values.tolist(), strict=True)
+        return sum(f.owner in self.names and not _edges(f, value) for f, value in listed)
+
+    def at_bound(self, effect: type[Effect]) -> bool:
+        """Whether an effect's size, or the length of its wave, is the most it can be."""
+        waves = {f"{effect.name}.{name}" for name in effect.named(Role.PERIODS)}
+        listed = zip(self.fitted.predictor.free, self.fitted.values.tolist(), strict=True)
+        for f, value in listed:
+            at = _edges(f, value)
+            mine = f.owner == effect.name and (f.neutral is not None or f.name in waves)
+            if mine and at and f.neutral not in at:
+                return True
+        return False
+
+
+def _edges(free: Free, value: float) -> list[float]:
+    """The bounds that a value is at."""
+    return [edge for edge in (free.low, free.high) if math.isclose(value, edge, rel_tol=BOUND)]
+
 
 class ModelFitter:
-    """Fits models with effects to the records, and judges them on the other splits.
+    """Fits models with effects to the records.
 
     Attributes:
         model: The model as given.
         measurements: The records.
-        dealt: What each residual entry is used for.
+        floor: The noise.
         base: The predictor without effects.
-        entries: The entries of each split; where one has none, those before it serve.
+        entries: Numbers of all residual entries.
+        group: Number of the block of time each entry lies in.
     """
 
     def __init__(
@@ -78,11 +97,173 @@ class ModelFitter:
         self.model, self.measurements, self.floor = model, tuple(measurements), floor
         self._predictors: dict[Effects, Predictor] = {}
         self.base = self.predictor(())
-        self.split: DataSplit = split_data(measurements, self.base.index)
-        self.entries = {FIT: self.split.where(FIT)}
-        for split, before in ((RANK, (FIT,)), (REPORT, (FIT, RANK))):
-            own = self.split.where(split)
-            self.entries[split] = own if own.size else self.split.where(*before)
+        self.entries: Numbers = np.arange(self.base.index.sigma.size)
+        self.group = self._blocks()
+
+    def predictor(self, effects: Effects) -> Predictor:
+        """The model with effects, compiled once whatever their order."""
+        effects = self.ordered(effects)
+        if effects not in self._predictors:
+            self._predictors[effects] = Predictor(
+                self.model, effects, self.measurements, floor=self.floor
+            )
+        return self._predictors[effects]
+
+    @staticmethod
+    def ordered(effects: Effects) -> Effects:
+        """The effects in the order in which a structure has them."""
+        return tuple(sorted(effects, key=lambda e: e.name))
+
+    def given(self) -> CandidateFit:
+        """The model as given, with only the values of single records fitted."""
+        return self.fit((), self.base.start, owners=frozenset())
+
+    def moves(self, predictor: Predictor, owners: frozenset[str] | None = None) -> Numbers:
+        """Numbers of the values that move: those of single records, and of some owners or names.
+
+        Args:
+            predictor: The model.
+            owners: Owners, or names, of the values that may move besides; None is all.
+        """
+        return np.array(
+            [
+                n
+                for n, f in enumerate(predictor.free)
+                if owners is None or {f.owner, f.name} & owners or record_of(f.owner) is not None
+            ],
+            dtype=np.int64,
+        )
+
+    def fit(
+        self,
+        effects: Effects,
+        row: FloatArray,
+        rounds: int = 15,
+        owners: frozenset[str] | None = None,
+        held: Sequence[str] = (),
+    ) -> CandidateFit:
+        """A model fitted from one row of values.
+
+        Args:
+            effects: The effects added.
+            row: Values to begin with, shape (free,).
+            rounds: Most rounds.
+            owners: Whose values, or which by name, move besides those of single records.
+            held: Names of values that do not move.
+        """
+        effects = self.ordered(effects)
+        predictor = self.predictor(effects)
+        moves = self.moves(predictor, owners)
+        moves = np.array([n for n in moves if predictor.free[n].name not in held], np.int64)
+        return CandidateFit(effects, fit(predictor, row, moves, self.entries, rounds))
+
+    def refine(self, one: CandidateFit, rounds: int = 15) -> CandidateFit:
+        """The same, fitted on with all its values."""
+        moves = self.moves(one.fitted.predictor)
+        if one.fitted.converged and one.fitted.moved.size == moves.size:
+            return one
+        return self.fit(one.effects, one.fitted.values, rounds)
+
+    def best_starts(self, predictor: Predictor, rows: FloatArray, most: int) -> FloatArray:
+        """The rows of values that leave the least."""
+        if len(rows) <= 1:
+            return rows
+        found = predictor.residuals(rows, self.entries)
+        best: FloatArray = rows[np.einsum("ij,ij->i", found, found).argsort()[:most]]
+        return best
+
+    def placed(self, effects: Effects, rows: FloatArray) -> FloatArray:
+        """Rows with each record's own values moved to where the residuals are least.
+
+        An effect that bends the cable's law shifts the angle at which it is taut, further than
+        a fit from elsewhere finds back.
+        """
+        predictor = self.predictor(effects)
+        moves = self.moves(predictor)
+        return self.placed_on(effects, rows, moves, self.entries)
+
+    def placed_on(
+        self, effects: Effects, rows: FloatArray, moves: Numbers, entries: Numbers
+    ) -> FloatArray:
+        """The same with some values moved for some entries."""
+        predictor = self.predictor(effects)
+        rows = self._turned(predictor, effects, rows, moves, entries)
+        bends = {Port.CABLE, Port.EYELET}
+        if not any(bends & set(effect.ports()) for effect in effects):
+            return rows
+        kinds: dict[str, dict[int, int]] = {}
+        for n in moves.tolist():
+            f = predictor.free[n]
+            record = record_of(f.owner)
+            if record is not None:
+                kinds.setdefault(f.name.partition("[")[0], {})[record] = n
+        for own in kinds.values():
+            records, places = np.array(list(own)), np.array(list(own.values()))
+            mine = entries[np.isin(predictor.index.measurement[entries], records)]
+            found, first = np.unique(predictor.index.measurement[mine], return_index=True)
+            _, slope = predictor.linearise(rows[0], places, mine)
+            steepness = np.sqrt(np.einsum("ij,ij->j", slope, slope) / mine.size)
+            if not steepness.all():
+                continue
+            shifted = np.repeat(rows, SHIFTS.size, axis=0)
+            shifted[:, places] += np.tile(SHIFTS, len(rows))[:, None] / steepness
+            best = _least(predictor, shifted, mine, first, (len(rows), SHIFTS.size, -1))
+            rows = rows.copy()
+            rows[:, places] += SHIFTS[best[:, np.searchsorted(found, records)]] / steepness
+        return rows
+
+    def _turned(
+        self,
+        predictor: Predictor,
+        effects: Effects,
+        rows: FloatArray,
+        moves: Numbers,
+        entries: Numbers,
+    ) -> FloatArray:
+        """Rows with each record's zero of the angle where a wave over it leaves the least.
+
+        Only where nothing but the wave tells the zero.
+        """
+        known, free = {f.name for f in self.base.free}, predictor.free
+        places = {
+            record: n
+            for n in moves.tolist()
+            if (record := record_of(free[n].owner)) is not None and free[n].name not in known
+        }
+        waves = {f"{e.name}.{name}" for e in effects for name in e.named(Role.PERIODS)}
+        repeats = [n for n, f in enumerate(free) if f.name in waves]
+        if not places or not repeats:
+            return rows
+        period = 2.0 * math.pi / rows[:, repeats[-1]]
+        records, columns = np.array(list(places)), np.array(list(places.values()))
+        mine = entries[np.isin(predictor.index.measurement[entries], records)]
+        found, first = np.unique(predictor.index.measurement[mine], return_index=True)
+        turned = np.repeat(rows, TURNS.size, axis=0)
+        turned[:, columns] += np.outer(period, TURNS).reshape(-1, 1)
+        best = _least(predictor, turned, mine, first, (len(rows), TURNS.size, -1))
+        rows = rows.copy()
+        rows[:, columns] += TURNS[best[:, np.searchsorted(found, records)]] * period[:, None]
+        return rows
+
+    def _blocks(self) -> Numbers:
+        index = self.base.index
+        most = BLOCKS_OF_FEW if len(self.measurements) <= 2 else BLOCKS
+        group, first = np.zeros(index.sigma.size, np.int64), 0
+        for n in range(len(self.measurements)):
+            mine = np.flatnonzero(index.measurement == n)
+            windows, place = np.unique(index.window[mine], return_inverse=True)
+            blocks = max(1, min(most, windows.size // BLOCK_WINDOWS))
+            group[mine] = first + place * blocks // max(windows.size, 1)
+            first += blocks
+        return group
+
+    def free_run(self, one: CandidateFit) -> list[Prediction]:
+        """Each record from its start, with nothing put right on the way."""
+        values = one.values
+        running = Predictor(self.model, one.effects, self.measurements, None, self.floor)
+        known = {f.name for f in running.free}
+        row = running.row({name: value for name, value in values.items() if name in known})
+        return running.predict(row[None, :])
 
     @property
     def scale(self) -> RecordScale:
@@ -114,224 +295,36 @@ class ModelFitter:
             turn_periods=2.0 * math.pi / max(*turned, 1e-9) if turned else math.nan,
         )
 
-    def predictor(self, effects: Effects) -> Predictor:
-        """The model with effects, compiled once."""
-        if effects not in self._predictors:
-            self._predictors[effects] = Predictor(
-                self.model, effects, self.measurements, floor=self.floor
-            )
-        return self._predictors[effects]
 
-    def attempt(
-        self,
-        effects: Effects,
-        starts: FloatArray,
-        rounds: int = 15,
-        owners: frozenset[str] | None = None,
-    ) -> CandidateFit:
-        """The best fit of a model from several starts.
-
-        Args:
-            effects: The effects added.
-            starts: Rows of values, shape (starts, free).
-            rounds: Most rounds of each fit.
-            owners: Whose values, or which by name, may move besides those of single records; None
-                is all.
-        """
-        predictor = self.predictor(effects)
-        moves = self.moves(predictor)
-        if owners is not None:
-            free = predictor.free
-            moves = np.array(
-                [
-                    n
-                    for n in moves
-                    if {free[n].owner, free[n].name} & owners or _record(free[n].owner) is not None
-                ],
-                dtype=np.int64,
-            )
-        entries, best = self.entries[FIT], starts[0]
-        if len(starts) > 1:
-            begun = [fit(predictor, row, moves, entries, TRYOUT) for row in starts]
-            best = min(begun, key=lambda f: f.mean_square).values
-        return self._judged(effects, fit(predictor, best, moves, entries, rounds))
-
-    def switched_on(
-        self, predictor: Predictor, rows: FloatArray, size: int, step: float
-    ) -> FloatArray:
-        """Rows with a value that does nothing switched on; see `fit.switched_on`."""
-        moves = self.moves(predictor)
-        return switched_on(predictor, rows, size, step, moves=moves, entries=self.entries[FIT])
-
-    def best_starts(self, predictor: Predictor, rows: FloatArray, most: int) -> FloatArray:
-        """The rows of values that leave the least on the fit split."""
-        found = predictor.residuals(rows, self.entries[FIT])
-        best: FloatArray = rows[np.einsum("ij,ij->i", found, found).argsort()[:most]]
-        return best
-
-    def placed(self, predictor: Predictor, rows: FloatArray) -> FloatArray:
-        """Rows with each fitted record's own values moved to where the residuals are least."""
-        return self._placed(predictor, rows, self.moves(predictor), self.entries[FIT])
-
-    def _placed(
-        self, predictor: Predictor, rows: FloatArray, moves: Numbers, entries: Numbers
-    ) -> FloatArray:
-        """Rows with each record's own values moved to where the residuals are least.
-
-        An effect that bends the cable's law shifts the angle at which it is taut, further than
-        a fit from elsewhere finds back.
-
-        Args:
-            predictor: The model.
-            rows: Values, shape (rows, free).
-            moves: Numbers of the values that may move.
-            entries: Numbers of the entries that tell.
-        """
-        rows = self._turned(predictor, rows, moves, entries)
-        bends = {Port.CABLE, Port.EYELET}
-        if not any(bends & set(effect.ports()) for effect in self.effects_of(predictor)):
-            return rows
-        kinds: dict[str, dict[int, int]] = {}
-        for n in moves.tolist():
-            f = predictor.free[n]
-            record = _record(f.owner)
-            if record is not None:
-                kinds.setdefault(f.name.partition("[")[0], {})[record] = n
-        for own in kinds.values():
-            records, places = np.array(list(own)), np.array(list(own.values()))
-            mine = entries[np.isin(predictor.index.measurement[entries], records)]
-            found, first = np.unique(predictor.index.measurement[mine], return_index=True)
-            _, slope = predictor.linearise(rows[0], places, mine)
-            steepness = np.sqrt(np.einsum("ij,ij->j", slope, slope) / mine.size)
-            if not steepness.all():
-                continue
-            shifted = np.repeat(rows, SHIFTS.size, axis=0)
-            shifted[:, places] += np.tile(SHIFTS, len(rows))[:, None] / steepness
-            squares = np.add.reduceat(predictor.residuals(shifted, mine) ** 2, first, axis=1)
-            best = squares.reshape(len(rows), SHIFTS.size, -1).argmin(axis=1)
-            rows = rows.copy()
-            rows[:, places] += SHIFTS[best[:, np.searchsorted(found, records)]] / steepness
-        return rows
-
-    def _turned(
-        self, predictor: Predictor, rows: FloatArray, moves: Numbers, entries: Numbers
-    ) -> FloatArray:
-        """Rows with each record's zero of the angle where a wave over it leaves the least.
-
-        Only where nothing but the wave tells the zero.
-
-        Args:
-            predictor: The model.
-            rows: Values, shape (rows, free).
-            moves: Numbers of the values that may move.
-            entries: Numbers of the entries that tell.
-        """
-        known, free = {f.name for f in self.base.free}, predictor.free
-        places = {
-            record: n
-            for n in moves.tolist()
-            if (record := _record(free[n].owner)) is not None and free[n].name not in known
-        }
-        waves = {
-            f"{e.name}.{name}"
-            for e in self.effects_of(predictor)
-            for name in e.named(Role.PERIODS)
-        }
-        repeats = [n for n, f in enumerate(free) if f.name in waves]
-        if not places or not repeats:
-            return rows
-        period = 2.0 * math.pi / rows[:, repeats[-1]]
-        records, columns = np.array(list(places)), np.array(list(places.values()))
-        mine = entries[np.isin(predictor.index.measurement[entries], records)]
-        found, first = np.unique(predictor.index.measurement[mine], return_index=True)
-        turned = np.repeat(rows, TURNS.size, axis=0)
-        turned[:, columns] += np.outer(period, TURNS).reshape(-1, 1)
-        squares = np.add.reduceat(predictor.residuals(turned, mine) ** 2, first, axis=1)
-        best = squares.reshape(len(rows), TURNS.size, -1).argmin(axis=1)
-        rows = rows.copy()
-        rows[:, columns] += TURNS[best[:, np.searchsorted(found, records)]] * period[:, None]
-        return rows
-
-    def refine(self, attempt: CandidateFit, rounds: int = 15) -> CandidateFit:
-        """The same, fitted to the end, or for some rounds."""
-        f = attempt.fitted
-        if f.converged:
-            return attempt
-        return self._judged(
-            attempt.effects, fit(f.predictor, f.values, f.moved, self.entries[FIT], rounds)
-        )
-
-    def _judged(self, effects: Effects, found: WhitenedFit) -> CandidateFit:
-        held = self.settled(found, RANK)
-        return CandidateFit(
-            *(effects, found, found.mean_square, held.mean_square),
-            *(self._squares(held), self._squares(found)),
-            *(Blocks.of(self.cable_block(at), at.residuals) for at in (found, held)),
-        )
-
-    def _squares(self, found: WhitenedFit) -> FloatArray:
-        """Sum of squares, block by block."""
-        _, block = np.unique(self.split.group[found.entries], return_inverse=True)
-        squares: FloatArray = np.bincount(block, found.residuals**2).astype(np.float64)
-        return squares
-
-    def cable_block(self, found: WhitenedFit) -> CableBlock | None:
-        """The cable and gauge block of the entries of a fit; None without gauge or encoder."""
-        values = found.predictor.values(found.values)
-        pull = pull_N_rad(self.model.calibrated(values), self.measurements)
-        return CableBlock.of(found.predictor.index, found.entries, pull)
-
-    def settled(self, found: WhitenedFit, split: int) -> WhitenedFit:
-        """A fit held against a split, the held-out records' own values fitted to it."""
-        predictor, entries = found.predictor, self.entries[split]
-        moves = self._own(predictor, split)
-        own = entries[np.isin(predictor.index.measurement[entries], list(self.split.records))]
-        if moves.size:
-            rows = found.values[None, :]
-            for _ in range(PLACINGS):
-                before, rows = rows, self._placed(predictor, rows, moves, own)
-                if np.array_equal(before, rows):
-                    break
-            found = replace(found, values=rows[0])
-        return settled(found, moves, own, entries)
-
-    def final(self, attempt: CandidateFit) -> WhitenedFit:
-        """The same model fitted to the fit and the rank split together."""
-        predictor = attempt.fitted.predictor
-        entries = self.split.where(FIT, RANK)
-        moves = np.union1d(attempt.fitted.moved, self._own(predictor, RANK))
-        return fit(predictor, self.settled(attempt.fitted, RANK).values, moves, entries)
-
-    def effects_of(self, predictor: Predictor) -> Effects:
-        """The effects a predictor adds."""
-        return next(e for e, p in self._predictors.items() if p is predictor)
-
-    def free_run(self, fitted: WhitenedFit) -> list[Prediction]:
-        """Each record from its start, with nothing put right on the way."""
-        effects = self.effects_of(fitted.predictor)
-        values = fitted.predictor.values(self.settled(fitted, REPORT).values)
-        running = Predictor(self.model, effects, self.measurements, None, self.floor)
-        known = {f.name for f in running.free}
-        row = running.row({name: value for name, value in values.items() if name in known})
-        return running.predict(row[None, :])
-
-    def moves(self, predictor: Predictor) -> Numbers:
-        """Numbers of the values that the fit split can tell."""
-        measured = set(np.unique(predictor.index.measurement[self.entries[FIT]]).tolist())
-        return np.array(
-            [n for n, f in enumerate(predictor.free) if _record(f.owner) in {None, *measured}],
-            dtype=np.int64,
-        )
-
-    def _own(self, predictor: Predictor, split: int) -> Numbers:
-        """Numbers of the values that belong to held-out records of a split."""
-        measured = set(np.unique(predictor.index.measurement[self.entries[split]]).tolist())
-        wanted = measured & self.split.records
-        return np.array(
-            [n for n, f in enumerate(predictor.free) if _record(f.owner) in wanted], dtype=np.int64
-        )
+def _least(
+    predictor: Predictor,
+    rows: FloatArray,
+    entries: Numbers,
+    first: Numbers,
+    shape: tuple[int, int, int],
+) -> Numbers:
+    """Which of the ways that rows were changed leaves the least, by row and record."""
+    squares = np.add.reduceat(predictor.residuals(rows, entries) ** 2, first, axis=1)
+    best: Numbers = squares.reshape(shape).argmin(axis=1)
+    return best
 
 
-def _record(owner: str) -> int | None:
+def pull_N_rad(model: object, measurements: Sequence[MeasuredRecord]) -> FloatArray:
+    """What a model's cable pulls per angle at each record, N/rad; nan without a cable."""
+    numbers = [BaseNumbers.of(model, m) for m in measurements]
+    return np.array([np.nan if b is None else b.tension_per_angle_N_rad for b in numbers])
+
+
+def record_of(owner: str) -> int | None:
     """Number of the record that a free value belongs to, or None."""
     return int(owner.removeprefix("record ")) if owner.startswith("record ") else None
+
+
+def family_of(effect: type[Effect]) -> str:
+    """Name of an effect's family, or its own."""
+    return effect.family or effect.name
+
+
+def simpler_of(effect: type[Effect]) -> str:
+    """Slug of the effect whose fit another begins with, or empty."""
+    return "" if effect.extends is None else effect.extends.name

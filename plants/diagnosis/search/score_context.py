@@ -1,58 +1,66 @@
-"""What directions are compared with: a residual, and what calibrations can undo of a change."""
+"""What sensitivity directions are compared with: a residual, and what base parameters can undo."""
 
-from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from estune.core.quantities import FloatArray
-from plants.diagnosis.search.cable_block import CableBlock
+from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter, Numbers
+from plants.effects import RecordScale
 
-Numbers = NDArray[np.int64]
-InitialGuesses = Callable[[str], Sequence[float]]
-"""From `slug.parameter` to the values to begin with that the data suggest, often none."""
+SCREENED = 12_000
+"""Entries that directions are compared over: a product over many is as well known from some."""
 
 
 class ScoreContext(NamedTuple):
     """What directions are compared with.
 
     Attributes:
-        values: The fit so far, by name.
-        residual: The residuals screened, less what calibrations can undo, shape (screened,).
-        basis: Orthonormal rows that span what calibrations can undo, shape (rank, screened).
+        one: The fit so far.
+        residual: The residuals screened, less what base parameters can undo, shape (screened,).
+        basis: Orthonormal rows that span what base parameters can undo, shape (rank, screened).
         entries: Numbers of the entries screened.
         lowest_Hz: Lowest frequency that the records resolve.
         highest_Hz: Highest frequency that all of them hold.
-        suggest: What the data suggest for parameters.
-        block: The block looked at; None is all entries.
+        records: What the records show of the machine.
     """
 
-    values: Mapping[str, float]
+    one: CandidateFit
     residual: FloatArray
     basis: FloatArray
     entries: Numbers
     lowest_Hz: float
     highest_Hz: float
-    suggest: InitialGuesses
-    block: CableBlock | None = None
+    records: RecordScale
+
+    @classmethod
+    def of(cls, fitter: ModelFitter, one: CandidateFit, records: RecordScale) -> "ScoreContext":
+        """The context of a fit."""
+        fitted = one.fitted
+        sample = fitted.predictor.index.sample[fitted.entries]
+        some = sample % max(1, sample.size // SCREENED) == 0
+        entries, residual = fitted.entries[some], fitted.residuals[some]
+        moves = fitter.moves(fitted.predictor)
+        slope = fitted.predictor.linearise(fitted.values, moves, entries, residual)[1].T
+        basis = _orthonormal(slope)
+        return cls(
+            one=one,
+            residual=residual - (basis @ residual) @ basis,
+            basis=basis,
+            entries=entries,
+            lowest_Hz=1.0 / max(m.duration_s for m in fitter.measurements),
+            highest_Hz=0.45 * min(m.sampling_Hz for m in fitter.measurements),
+            records=records,
+        )
 
     @property
     def size(self) -> float:
-        """Root mean square of the residuals, in floors."""
+        """Root mean square of the residuals, in times the noise floor."""
         return float(np.sqrt(np.mean(self.residual**2)))
 
-    def shown(self, residuals: FloatArray) -> FloatArray:
-        """What is looked at of residuals of the entries, shape (..., screened)."""
-        return residuals if self.block is None else self.block.left(residuals)
-
-    def projected_products(self, changes: FloatArray) -> "NormalEquations":
-        """The products of changes that tell what they explain.
-
-        Args:
-            changes: Changes of the residuals, shape (changes, screened).
-        """
+    def products(self, changes: FloatArray) -> "NormalEquations":
+        """Products of changes of the residuals, (changes, screened), that determine a fit."""
         undone = changes @ self.basis.T
         return NormalEquations(
             changes @ changes.T - undone @ undone.T,
@@ -63,11 +71,11 @@ class ScoreContext(NamedTuple):
 
 
 class NormalEquations(NamedTuple):
-    """Changes of the residuals, less what calibrations can undo, by their products.
+    """Changes of the residuals, less what base parameters can undo, by their products.
 
     Attributes:
         normal: With each other, shape (changes, changes).
-        pull: With the residual, turned round: above zero where the change takes off from it.
+        pull: With the residual, negative: above zero where the change takes off from it.
         power: The residual's with itself.
         entries: Number of entries.
     """
@@ -79,7 +87,7 @@ class NormalEquations(NamedTuple):
 
     @property
     def rms(self) -> FloatArray:
-        """Root mean square of each change, in floors."""
+        """Root mean square of each change, in times the noise floor."""
         found: FloatArray = np.sqrt(np.maximum(np.diag(self.normal), 0.0) / self.entries)
         return found
 
@@ -104,7 +112,7 @@ class NormalEquations(NamedTuple):
         return (gained**2 / (curve * self.power) if curve * self.power > 0.0 else 0.0), weights
 
 
-def orthonormal(rows: FloatArray) -> FloatArray:
+def _orthonormal(rows: FloatArray) -> FloatArray:
     """Orthonormal rows that span the same space, shape (rank, entries)."""
     size = np.sqrt(np.einsum("ij,ij->i", rows, rows))
     kept = size > 1e-9 * max(float(size.max(initial=0.0)), 1e-300)

@@ -1,9 +1,9 @@
-"""Which effects are worth a fit: how far each one's direction points along the residual.
+"""Which effects are worth a fit: how far each one's sensitivity direction explains the residual.
 
 An effect is switched on at a size that moves the residual by about as much as it is, for several
 values of its other parameters. What that changes in the whitened residuals, less what the base
-model's calibrations can undo, is its direction. The squared cosine between direction and residual
-is the share of the residual that the effect would explain if it acted in proportion to its size.
+parameters can undo, is its direction. The squared cosine between direction and residual is the
+share of the residual that the effect would explain if it acted in proportion to its size.
 """
 
 import itertools
@@ -20,47 +20,40 @@ from plants.diagnosis.search.score_context import ScoreContext
 from plants.effects import Effect, Role
 
 DECADES = np.arange(-2.5, 3.5, 0.5)
-"""Sizes tried, in powers of ten of the usual one, when one that moves the residual is sought: less
-than the first moves it in proportion, and is not seen better."""
+"""Sizes tried, in powers of ten of the usual one, to find one that moves the residual: less than
+the first moves it in proportion, and is not seen better."""
 MOVED = (0.5, 3.0)
 """How far the sizes chosen move the residual, in its own size: a law that is bent points another
 way when it acts strongly."""
-LEVELS = 14
-"""Values tried of a limit, whose neutral value is its greatest and lies far away."""
-GRID = 7
-"""Values tried of a parameter that has no neutral value."""
-FREQUENCIES = 40
-"""The same of a frequency, beside those the data suggest: some 10 % apart, a resonance damped as
-frames are is seen from the next one."""
-ROWS = 20
-"""Most combinations of such values."""
-MODES = 100
-"""The same where one of them is a frequency."""
+LEVELS, GRID, FREQUENCIES = 14, 7, 40
+"""Values tried of a limit, of a shape, and of a frequency: those some 10 % apart, so that a
+resonance damped as frames are is seen from the next one."""
+ROWS, MODES = 20, 100
+"""Most combinations of shapes, and those where one is a frequency."""
 WIDE = 15.0
-"""How far from the usual value they reach, as a factor."""
+"""How far from the usual value shapes reach, as a factor."""
 APART = 0.3
 """Logarithm of the ratio from which on two frequencies are worth a start each."""
 FURTHEST = 30.0
 """A size may be extrapolated by this factor from the one that was tried."""
-STARTS = 2
+STARTS = 8
 """Starts kept of an effect, the most promising first."""
 ACTING = 1e-3
-"""A limit acts that changes the residuals by more than this, in floors."""
+"""A limit acts that changes the residuals by more than this, in times the noise floor."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ScreeningResult:
-    """An effect's direction.
+    """Screening of an effect.
 
     Attributes:
         effect: The effect.
         predictor: The model with it.
         starts: Rows of values to begin fits with, the most promising first, shape (some, free).
-        grids: Values to try of each parameter that has no neutral value and is no phase.
+        grids: Values to try of its shapes.
         screening_R2: Share of the residual that the best start's direction explains.
-        changes: What the best start changes in the residuals, shape (sizes, screened).
-        usual_change: Root mean square change of the residuals at the usual size of the effect, in
-            floors, less what calibrations can undo.
+        usual_change: Root mean square change of the residuals at the usual size of the effect,
+            less what base parameters can undo, in times the noise floor.
     """
 
     effect: type[Effect]
@@ -68,24 +61,25 @@ class ScreeningResult:
     starts: FloatArray
     grids: Mapping[str, list[float]]
     screening_R2: float
-    changes: FloatArray
     usual_change: float
+
+    def merged(self, other: "ScreeningResult") -> "ScreeningResult":
+        """The screening, and that from another place."""
+        return replace(
+            self,
+            screening_R2=max(self.screening_R2, other.screening_R2),
+            starts=np.concatenate([self.starts, other.starts]),
+        )
 
 
 def screen(
     effect: type[Effect], predictor: Predictor, seen: Sequence[ScoreContext]
 ) -> ScreeningResult:
-    """An effect's direction along the residual.
-
-    Args:
-        effect: The last of the predictor's effects.
-        predictor: The model with it.
-        seen: The fit without it, then other places from which to look.
-    """
-    found = [_Probe(effect, predictor, one).screened() for one in seen]
-    best = max(found, key=lambda one: one.screening_R2)
-    starts = np.concatenate([one.starts for one in found])
-    return replace(found[0], screening_R2=best.screening_R2, starts=starts)
+    """Screening of an effect, the last of the predictor's, from one or more places."""
+    found, *rest = (_Probe(effect, predictor, one).screened() for one in seen)
+    for other in rest:
+        found = found.merged(other)
+    return found
 
 
 class _Way(NamedTuple):
@@ -93,7 +87,6 @@ class _Way(NamedTuple):
 
     share: float
     start: FloatArray
-    changes: FloatArray
 
 
 class _Probe:
@@ -104,33 +97,31 @@ class _Probe:
         self.effect, self.predictor, self.seen = effect, predictor, seen
         self.declared = effect.parameters()
         self.column = {name: place[f"{effect.name}.{name}"] for name in self.declared}
-        self.sizes = [name for name, p in self.declared.items() if p.neutral is not None]
-        self.phases = [n for n, p in self.declared.items() if p.neutral is None and p.is_phase]
+        self.sizes = effect.named(Role.SIZE, Role.LIMIT)
+        self.phases = effect.named(Role.PHASE)
+        values = seen.one.values
         # A wave over an angle whose zero each record has for itself, and nothing else tells.
         own = (f.name for f in predictor.free if f.owner.startswith("record "))
-        self.loose = bool(effect.named(Role.PERIODS)) and any(
-            name not in seen.values for name in own
-        )
-        self.off = predictor.row(seen.values)
+        waves = bool(effect.named(Role.PERIODS))
+        self.loose = waves and any(name not in values for name in own)
+        self.off = predictor.row(values)
         for name in self.sizes:
             self.off[self.column[name]] = self.declared[name].neutral
-        self.here = seen.shown(predictor.residuals(self.off[None, :], seen.entries))[0]
+        self.here = predictor.residuals(self.off[None, :], seen.entries)[0]
 
     def screened(self) -> ScreeningResult:
         """The best of all the ways."""
-        ways, reach = self._limits() if is_limit(self.effect) else self._amplitudes()
+        limited = bool(self.effect.named(Role.LIMIT))
+        ways, reach = self._limits() if limited else self._amplitudes()
         ways.sort(key=lambda way: -way.share)
         most = STARTS + len(self.phases)  # a period is soon lost
         starts = np.array([way.start for way in self._apart(ways)[:most]])
-        best = ways[0]
-        return ScreeningResult(
-            *(self.effect, self.predictor, starts, self._grids()),
-            *(best.share, best.changes, reach),
-        )
+        grids = self._grids()
+        return ScreeningResult(self.effect, self.predictor, starts, grids, ways[0].share, reach)
 
-    def _apart(self, ways: list["_Way"]) -> list["_Way"]:
+    def _apart(self, ways: list[_Way]) -> list[_Way]:
         """The ways, of those with frequencies side by side the most promising alone."""
-        rates = [self.column[n] for n, p in self.declared.items() if p.unit == "Hz"]
+        rates = [self.column[n] for n in self.effect.named(Role.FREQUENCY)]
         kept: list[_Way] = []
         for way in ways:
             near = (np.abs(np.log(way.start[rates] / k.start[rates])) for k in kept)
@@ -140,7 +131,7 @@ class _Probe:
 
     def _changes(self, rows: FloatArray) -> FloatArray:
         """What rows change in the residuals screened, shape (rows, screened)."""
-        found = self.seen.shown(self.predictor.residuals(rows, self.seen.entries)) - self.here
+        found = self.predictor.residuals(rows, self.seen.entries) - self.here
         changes: FloatArray = np.where(np.isfinite(found), found, 0.0)
         return changes
 
@@ -148,54 +139,47 @@ class _Probe:
         """Levels of a limit from where it begins to act."""
         name = self.sizes[0]
         p = self.declared[name]
-        nothing = [_Way(0.0, self.off.copy(), np.zeros((1, self.here.size)))]
         levels = np.geomspace(p.low, p.high, LEVELS)
-        change = self.seen.projected_products(self._changes(self._rows(name, levels))).rms
+        change = self.seen.products(self._changes(self._rows(name, levels))).rms
         acting = np.flatnonzero(change > ACTING)
         if not acting.size:
-            return nothing, 0.0
+            return [_Way(0.0, self.off.copy())], 0.0
         top = min(int(acting[-1]) + 1, LEVELS - 1)
         # From where it does not act to where it changes as much as there is to explain.
         enough = acting[change[acting] > max(1.0, 2.0 * self.seen.size)]
         bottom = int(enough[-1]) if enough.size else int(acting[0])
         rows = self._rows(name, np.geomspace(levels[bottom], levels[top], LEVELS))
-        changes = self._changes(rows)
-        products = self.seen.projected_products(changes)
+        products = self.seen.products(self._changes(rows))
         ways = []
         for n in np.flatnonzero(products.rms > ACTING).tolist():
             share, weights = products.of(slice(n, n + 1)).explained(only_up=True)
             # It does not act in proportion: what has to be stretched far is no direction.
             fits = math.exp(-0.1 * math.log(max(float(weights[0]), 1e-9)) ** 2)
-            ways.append(_Way(share * fits, rows[n], changes[n : n + 1]))
-        return ways or nothing, float(change.max())
+            ways.append(_Way(share * fits, rows[n]))
+        return ways or [_Way(0.0, self.off.copy())], float(change.max())
 
     def _amplitudes(self) -> tuple[list[_Way], float]:
-        """Sizes that act in proportion, for several values of the other parameters."""
+        """Sizes that act in proportion, for several values of the shapes."""
         sizes, reach = self._sizes()
-        combinations = [(tried, shape) for tried in sizes for shape in self._shapes()]
+        turns = (0.0, 0.5 * math.pi) if self.phases else (0.0,)
+        ways_on = list(itertools.product(sizes, self._shapes()))
         rows = [
             self._at(shape, name, tried[name], phase)
-            for tried, shape in combinations
+            for tried, shape in ways_on
             for name in self.sizes
-            for phase in self._turns()
+            for phase in turns
         ]
         changes = self._changes(np.array(rows))
-        each = len(rows) // len(combinations)
-        blocks = [slice(n, n + each) for n in range(0, len(rows), each)]
-        if self.loose:
-            found = [self._turned(changes[block]) for block in blocks]
-        else:
-            all_ = self.seen.projected_products(changes)
-            found = [
-                all_.of(block).explained(only_up=self._only_up(tried))
-                for block, (tried, _) in zip(blocks, combinations, strict=True)
-            ]
-        ways = [
-            _Way(share, self._start(shape, tried, weights), changes[block])
-            for (tried, shape), block, (share, weights) in zip(
-                combinations, blocks, found, strict=True
-            )
-        ]
+        each = len(rows) // len(ways_on)
+        products = None if self.loose else self.seen.products(changes)
+        ways = []
+        for n, (tried, shape) in enumerate(ways_on):
+            block = slice(n * each, (n + 1) * each)
+            if products is None:
+                share, weights = self._turned(changes[block])
+            else:
+                share, weights = products.of(block).explained(only_up=self._only_up)
+            ways.append(_Way(share, self._start(shape, tried, weights)))
         return ways, reach
 
     def _turned(self, changes: FloatArray) -> tuple[float, FloatArray]:
@@ -208,9 +192,8 @@ class _Probe:
             The share, and the weights of both for the amplitude that the records have in common.
         """
         record = self.predictor.index.measurement[self.seen.entries]
-        records = np.unique(record)
-        apart = changes[:, None, :] * (record == records[:, None])
-        products = self.seen.projected_products(apart.reshape(-1, record.size))
+        apart = changes[:, None, :] * (record == np.unique(record)[:, None])
+        products = self.seen.products(apart.reshape(-1, record.size))
         share, weights = products.explained(only_up=False)
         size2 = np.sum(weights.reshape(2, -1) ** 2, axis=0)
         # As much as a record shows of it.
@@ -220,43 +203,37 @@ class _Probe:
 
     def _sizes(self) -> tuple[list[dict[str, float]], float]:
         """Sizes that move the residual by about what it is, and more; how far the usual does."""
-        usual = self.predictor.start
-        values, places = {}, []
-        rows: list[FloatArray] = []
+        values, change = {}, {}
         for name in self.sizes:
-            p = self.declared[name]
-            assert p.neutral is not None  # noqa: S101  a size is what has a neutral value
-            step = float(usual[self.column[name]]) - p.neutral or 1e-2 * (p.high - p.low)
-            values[name] = np.clip(p.neutral + step * 10.0**DECADES, p.low, p.high)
+            p, neutral = self.declared[name], self.off[self.column[name]]
+            usual = float(self.predictor.start[self.column[name]])
+            step = usual - neutral or 1e-2 * (p.high - p.low)
+            values[name] = np.clip(neutral + step * 10.0**DECADES, p.low, p.high)
             # Beyond the bounds all are one.
             different, place = np.unique(values[name], return_inverse=True)
-            places.append(sum(len(r) for r in rows) + place)
-            rows.append(self._rows(name, different))
-        change = self.seen.projected_products(self._changes(np.concatenate(rows))).rms[
-            np.array(places)
-        ]
-        reach = float(change[:, DECADES == 0.0].max())
+            rms = self.seen.products(self._changes(self._rows(name, different))).rms
+            change[name] = rms[place]
+        levels = MOVED[:1] if self.effect.named(Role.FREQUENCY) else MOVED
         sizes: list[dict[str, float]] = []
-        for share in MOVED:
+        for share in levels:
             wanted = max(0.3, share * self.seen.size)
-            nearest = np.abs(np.log((change + 1e-12) / wanted)).argmin(axis=1)
-            tried = {n: float(values[n][k]) for n, k in zip(self.sizes, nearest, strict=True)}
+            tried = {
+                name: float(values[name][np.abs(np.log((moved + 1e-12) / wanted)).argmin()])
+                for name, moved in change.items()
+            }
             if tried not in sizes:
                 sizes.append(tried)
-        return sizes, reach
+        return sizes, max(float(moved[DECADES == 0.0][0]) for moved in change.values())
 
-    def _only_up(self, tried: Mapping[str, float]) -> bool:
-        """Whether a size may only grow from its neutral value."""
+    @property
+    def _only_up(self) -> bool:
+        """Whether sizes may only grow from their neutral values."""
         if self.phases:
             return False
         return all(
             self.declared[n].neutral in (self.declared[n].low, self.declared[n].high)
-            for n in tried
+            for n in self.sizes
         )
-
-    def _turns(self) -> tuple[float, ...]:
-        """Phases that span all phases."""
-        return (0.0, 0.5 * math.pi) if self.phases else (0.0,)
 
     def _rows(self, name: str, values: FloatArray) -> FloatArray:
         rows = np.tile(self.off, (len(values), 1))
@@ -267,8 +244,7 @@ class _Probe:
         row = self.off.copy()
         for other, value in shape.items():
             row[self.column[other]] = value
-        for other in self.phases:
-            row[self.column[other]] = phase
+        row[[self.column[other] for other in self.phases]] = phase
         row[self.column[name]] = size
         return row
 
@@ -282,21 +258,15 @@ class _Probe:
             row[self.column[self.phases[0]]] = math.atan2(cosine, sine)
             weights = np.array([math.hypot(sine, cosine)])
         for name, weight in zip(self.sizes, weights.tolist(), strict=True):
-            p = self.declared[name]
-            assert p.neutral is not None  # noqa: S101  a size is what has a neutral value
-            reached = float(np.clip(weight, -FURTHEST, FURTHEST)) * (tried[name] - p.neutral)
-            row[self.column[name]] = min(max(p.neutral + reached, p.low), p.high)
+            p, neutral = self.declared[name], self.off[self.column[name]]
+            reached = float(np.clip(weight, -FURTHEST, FURTHEST)) * (tried[name] - neutral)
+            row[self.column[name]] = min(max(neutral + reached, p.low), p.high)
         return row
 
-    def _grids(self) -> dict[str, list[float]]:
-        """Values to try of the parameters that have no neutral value."""
-        shapes = (n for n, p in self.declared.items() if p.neutral is None)
-        return {name: self._grid(name) for name in shapes if name not in self.phases}
-
     def _shapes(self) -> list[dict[str, float]]:
-        """Combinations of them."""
+        """Combinations of the shapes' values."""
         grids = self._grids()
-        most = MODES if any(self.declared[name].unit == "Hz" for name in grids) else ROWS
+        most = MODES if self.effect.named(Role.FREQUENCY) else ROWS
         while math.prod(map(len, grids.values())) > most:
             shorter = [name for name in grids if len(grids[name]) > 2]
             cut = min(shorter, key=lambda name: len(grids[name]))
@@ -305,14 +275,16 @@ class _Probe:
             dict(zip(grids, values, strict=True)) for values in itertools.product(*grids.values())
         ]
 
+    def _grids(self) -> dict[str, list[float]]:
+        """Values to try of the shapes."""
+        shapes = self.effect.named(Role.SHAPE, Role.FREQUENCY, Role.PERIODS)
+        return {name: self._grid(name) for name in shapes}
+
     def _grid(self, name: str) -> list[float]:
-        """Values of one parameter that has no neutral value."""
         p = self.declared[name]
-        suggested = [
-            v for v in self.seen.suggest(f"{self.effect.name}.{name}") if p.low <= v <= p.high
-        ]
+        suggested = list(self.effect.guesses(name, self.seen.records))
         usual = float(self.predictor.start[self.column[name]])
-        if p.unit == "Hz":
+        if p.role is Role.FREQUENCY:
             low, high = max(p.low, self.seen.lowest_Hz), min(p.high, self.seen.highest_Hz)
             return [*suggested, *np.geomspace(low, max(high, low), FREQUENCIES).tolist()]
         if suggested:
@@ -321,8 +293,3 @@ class _Probe:
             low, high = max(p.low, usual / WIDE), min(p.high, usual * WIDE)
             return [float(v) for v in np.geomspace(low, high, GRID)]
         return [float(v) for v in np.linspace(p.low, p.high, GRID)]
-
-
-def is_limit(effect: type[Effect]) -> bool:
-    """Whether an effect's size is one that acts when it is small: a limit, neutral far up."""
-    return bool(effect.named(Role.LIMIT))

@@ -1,56 +1,44 @@
 """Whether one wrong number of the model as it was given explains all there is."""
 
-import math
 from collections.abc import Sequence
 
-from plants.diagnosis.search import thresholds
-from plants.diagnosis.search.model_comparison import is_significantly_better
+from plants.diagnosis.search.constants import CONSTANTS
 from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter
+from plants.diagnosis.search.search import SearchResult
 from plants.effects import Effect
 
-NOBODY: frozenset[str] = frozenset()
+AS_GOOD = 1.1
+"""One number explains all where it leaves no more power than so many times what all leave."""
+RECKONED = 0.1
+"""Relative uncertainty of an inertia or a friction that was calculated from drawings."""
 
 
 def find_wrong_parameter(
-    bench: ModelFitter, base: CandidateFit, effects: Sequence[type[Effect]]
-) -> tuple[CandidateFit, CandidateFit] | None:
-    """The one calibration that is wrong in the model as given, if one alone is.
+    fitter: ModelFitter, found: SearchResult, effects: Sequence[type[Effect]]
+) -> CandidateFit | None:
+    """The model as given with the one base-model parameter changed that alone is wrong.
 
-    All calibrations are free in the base fit, so that none of them is ever missing after it. But
-    if the model as given leaves a gap, and changing one number alone closes it to where changing
-    all of them does, that number is what is wrong, unless another one does as well.
-
-    Args:
-        bench: Model and records.
-        base: The fit with all calibrations free.
-        effects: The effects that stand for single calibrations.
-
-    Returns:
-        The model as given, and that with the calibration; None where there is no such one.
+    All are free in the base fit, so that none is ever missing after it. But where the model as
+    given leaves an error, and changing one number alone explains as much of it as changing all,
+    that number is what is wrong, unless another one does as well.
     """
-    given = bench.attempt((), bench.base.start[None, :], owners=NOBODY)
-    if math.sqrt(given.rank_J) < thresholds.GAP:
+    base = found.base
+    left = found.given.J
+    if left <= CONSTANTS.nothing or not effects:
         return None
-    attempts = []
-    for effect in effects:
-        start = bench.predictor((effect,)).start
-        attempts.append(bench.attempt((effect,), start[None, :], owners=frozenset({effect.name})))
-    best = min(attempts, key=lambda a: a.rank_J, default=None)
-    most = max(thresholds.CLOSED**2, thresholds.AS_GOOD * base.rank_J)
-    if best is None or best.rank_J > most:
+    fits = [
+        fitter.fit((e,), fitter.predictor((e,)).start, owners=frozenset({e.name})) for e in effects
+    ]
+    best = min(fits, key=lambda f: f.J)
+    effect, most = best.effects[0], max(CONSTANTS.floor, AS_GOOD * base.J)
+    own = {n: best.values[f"{effect.name}.{n}"] for n in effect.parameters()}
+    if most < best.J or not effect.matters(own, fitter.scale):
         return None
-    if not thresholds.large_enough(best.effects[0], best.values, bench.scale):
-        return None
-    numbers = [f for f in bench.base.free if f.owner == "base"]
-    own = best.effects[0].base_parameter
-    if own not in [f.name for f in numbers]:
+    numbers = [f for f in fitter.base.free if f.owner == "base"]
+    if effect.base_parameter not in [f.name for f in numbers]:
         # It does what all the others do together, which are wrong only where one is far off.
         moved = [abs(base.values[f.name] / f.start - 1.0) for f in numbers if f.start]
-        return (given, best) if max(moved, default=0.0) > thresholds.RECKONED else None
-    for f in numbers:
-        if f.name != own:
-            only = frozenset({f.name})
-            other = bench.attempt((), bench.base.start[None, :], owners=only)
-            if other.rank_J <= most and not is_significantly_better(best, other):
-                return None
-    return given, best
+        return best if max(moved, default=0.0) > RECKONED else None
+    others = [f.name for f in numbers if f.name != effect.base_parameter]
+    rest = (fitter.fit((), fitter.base.start, owners=frozenset({n})).J for n in others)
+    return best if all(max(most, AS_GOOD * best.J) < J for J in rest) else None

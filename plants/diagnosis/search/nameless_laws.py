@@ -1,28 +1,66 @@
-"""Laws without a name that a named one of cable or gauge is held against.
+"""Laws without a name that every named effect has to do better than.
 
-Each is a way in which tension and angle may part that is no declared effect, but may be taken for
-one: a loop of the same height at any tension for friction at the eyelet, whose loop grows with
-it; a gain that changes with time for a zero that does. Where such a law does better, what is
-there is not what the name says.
+Each is a way in which a model and a machine may differ that is no declared effect, but may be
+taken for one: a loop of the same height at any tension for friction at the eyelet, whose loop
+grows with it; a gain that changes with time for a zero that does; any function of the velocity
+for dry friction.
 """
 
-import math
-from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from types import SimpleNamespace
-from typing import ClassVar, NamedTuple
+from typing import ClassVar
 
 import casadi as ca
-import numpy as np
 
-from plants.diagnosis.search import thresholds
-from plants.diagnosis.search.cable_block import block_of
-from plants.diagnosis.search.candidate_fits import fit_added_effect
-from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter
-from plants.diagnosis.search.score_context import ScoreContext
-from plants.diagnosis.search.score_test import screen
-from plants.effects import Effect, Port, Role, Signal, Site, parameter
+from plants.effects import Effect, Port, Signal, Site, parameter
 from plants.effects.bristles import bent
+
+KNOTS = (-1.0, -0.5, -0.15, 0.15, 0.5, 1.0)
+"""Of the velocity over itself and its scale, where the curve has its values."""
+SECANTS = 20
+"""They halve the error each; what is left is far below a floor."""
+
+
+@dataclass(frozen=True)
+class VelocityCurve(Effect):
+    """A torque that is some function of the velocity: piecewise linear in `w/(|w| + w_s)`.
+
+    Attributes:
+        fast_down_Nm: The torque at minus infinity, N m; the others lie between in order.
+        scale_rad_s: The velocity w_s at which half the range is gone through, rad/s.
+    """
+
+    name: ClassVar[str] = "velocity_curve"
+    title: ClassVar[str] = "a smooth function of the velocity"
+    appearance: ClassVar[str] = "what is missing of the torque is the same at the same velocity"
+    port: ClassVar[Port] = Port.DRUM
+
+    down_3_Nm: float = parameter(0.01, low=-1e4, high=1e4, unit="N m", neutral=0.0)
+    down_2_Nm: float = parameter(0.01, low=-1e4, high=1e4, unit="N m", neutral=0.0)
+    down_1_Nm: float = parameter(0.01, low=-1e4, high=1e4, unit="N m", neutral=0.0)
+    up_1_Nm: float = parameter(0.01, low=-1e4, high=1e4, unit="N m", neutral=0.0)
+    up_2_Nm: float = parameter(0.01, low=-1e4, high=1e4, unit="N m", neutral=0.0)
+    up_3_Nm: float = parameter(0.01, low=-1e4, high=1e4, unit="N m", neutral=0.0)
+    scale_rad_s: float = parameter(1.0, low=1e-4, high=1e3, unit="rad/s")
+
+    @staticmethod
+    def respond(
+        p: SimpleNamespace, state: Signal, signal: Signal, site: Site
+    ) -> tuple[Signal, Signal]:
+        """The torque at the velocity at which the substep begins."""
+        del signal
+        w = site.start_velocity_rad_s
+        far = ca.fabs(w) + p.scale_rad_s
+        values = (p.down_3_Nm, p.down_2_Nm, p.down_1_Nm, p.up_1_Nm, p.up_2_Nm, p.up_3_Nm)
+        torque, slope = values[0], 0.0
+        for n, (a, b) in enumerate(pairwise(KNOTS)):
+            part, rise = (w / far - a) / (b - a), values[n + 1] - values[n]
+            torque += rise * ca.fmin(ca.fmax(part, 0.0), 1.0)
+            inside = ca.logic_and(part >= 0.0, part < 1.0)
+            slope += inside * rise / (b - a) * p.scale_rad_s / far**2
+        # One linearly implicit step: a steep curve explicitly held would chatter.
+        return state, -torque / (1.0 + ca.fmax(slope, 0.0) / site.torque_per_velocity)
 
 
 @dataclass(frozen=True)
@@ -149,82 +187,10 @@ def _stiffer(p: SimpleNamespace, size: Signal) -> Signal:
     return ca.fmax(1.0 + size * (p.bend_per_N + size * p.bend_per_N2), 0.5)
 
 
-SECANTS = 20
-"""They halve the error each; what is left is far below a floor."""
-AIMED = 0.5
-"""A rival is fitted whose direction explains at least this part of what the effect's does."""
-
-
-class AlternativeLaw(NamedTuple):
-    """A law that an effect is held against.
-
-    Attributes:
-        law: The law.
-        least: Ratio of powers left, its own to the effect's, below which the effect is beaten.
-        ever: Whether it is asked for where the effect leaves nothing, too.
-    """
-
-    law: type[Effect]
-    least: float
-    ever: bool
-
-
-RIVALS = tuple(
-    AlternativeLaw(law, thresholds.BEATEN, ever=False)
-    for law in (CableLoop, GaugeLoop, GaugeWarming)
+NAMELESS: tuple[type[Effect], ...] = (
+    VelocityCurve,
+    CableBend,
+    CableLoop,
+    GaugeLoop,
+    GaugeWarming,
 )
-PLAIN = AlternativeLaw(CableBend, 1.0, ever=True)
-"""A toe is there where it does better than a plain curve. Of one that lies below or above all
-tensions of the records they show the curvature alone, and that tells nothing."""
-STILL = AlternativeLaw(CableBend, thresholds.SIMPLER, ever=True)
-"""A mode is there where it rings. A frame that hardens and rings faster than the records show
-is a curve, whatever bends."""
-
-
-def better_alternative(
-    bench: ModelFitter,
-    before: CandidateFit,
-    one: CandidateFit,
-    seen: Sequence[ScoreContext],
-    share: float,
-) -> str | None:
-    """Title of a rival that does about as well as the effect an attempt adds, or None.
-
-    Args:
-        bench: Model and records.
-        before: The model without the effect.
-        one: The attempt.
-        seen: From where directions are looked for.
-        share: Share of the residual that the effect's direction explains.
-    """
-    effect, closed = one.effects[-1], is_closed(one)
-    if block_of(effect) != "cable":
-        return None
-    for law, least, ever in _held_against(effect):
-        if bench.model.unavailable(law) is not None or (closed and not ever):
-            continue
-        screened = screen(law, bench.predictor((law,)), seen)
-        if screened.screening_R2 < AIMED * share:
-            continue
-        other = bench.refine(fit_added_effect(bench, before, screened, ()))
-        if max(np.divide(_left(other), _left(one))) < least:
-            return law.title
-    return None
-
-
-def _held_against(effect: type[Effect]) -> tuple[AlternativeLaw, ...]:
-    """The rivals of an effect of cable or gauge."""
-    if effect.by_tension:
-        return (*RIVALS, PLAIN)
-    return (*RIVALS, STILL) if effect.family and effect.named(Role.FREQUENCY) else RIVALS
-
-
-def is_closed(attempt: CandidateFit) -> bool:
-    """Whether a model leaves nothing where an effect of cable and gauge is seen."""
-    return max(_left(attempt)) <= thresholds.CLOSED**2
-
-
-def _left(attempt: CandidateFit) -> tuple[float, float]:
-    """Power left on the fit and the rank split: in the cable and gauge block, where it is seen."""
-    cable = attempt.fit_blocks.cable, attempt.rank_blocks.cable
-    return (attempt.fit_J, attempt.rank_J) if math.isnan(sum(cable)) else cable

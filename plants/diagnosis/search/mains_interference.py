@@ -1,6 +1,6 @@
-"""Effects found by a rule of their own, where the prediction error is blind or chance has a part.
+"""Mains interference and coarse readings, found in the noise of the records.
 
-Rounding cannot be predicted, only seen; hum has another phase in each record.
+Rounding cannot be predicted, only seen; mains interference has another phase in each record.
 """
 
 import math
@@ -8,36 +8,23 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estune.core.quantities import FloatArray
 from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.data.noise_floor import Noise
 from plants.diagnosis.result import Interval
+from plants.diagnosis.search.constants import CONSTANTS
 
-COARSE = 3.0
-"""A gauge's steps are coarse from so many times the noise beside them: then most readings of a
-steady tension are the same."""
-
-MAINS_Hz = (50.0, 60.0)
-HARMONICS = 3
-OVERTONES = (2, 3, 5)
-"""Multiples of hum's frequency that it seldom comes without; they go with it."""
+MAINS_Hz, HARMONICS, OVERTONES = (50.0, 60.0), 3, (2, 3, 5)
+"""Frequencies looked at, their multiples, and multiples of the one found that go with it."""
 TOLERANCE = 0.01
 """What a mains frequency may be off by, as a share."""
 FINER = 8
-"""Into so many parts a step is divided about the highest line: beside the line, most of a record's
-hum would be left at its ends."""
-ABOVE = 30.0
-"""Power of hum over that of neighbouring frequencies."""
-CLEAR = 8.0
-"""The same in each single record."""
+"""Into so many parts a step of frequency is divided about the highest line."""
 BESIDE = (0.87, 0.9, 0.93, 1.07, 1.1, 1.13)
 """Neighbouring frequencies, relative to the line's."""
 ALIKE = (0.5, 2.0)
-"""Amplitude of hum in a record, as a share of the median of all: it does not care for motion."""
-AUDIBLE = 0.5
-"""Least root mean square of hum, in noise floors of the gauge."""
+"""Amplitude in a record, as a share of the median of all: interference ignores the motion."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,7 +35,6 @@ class MainsLine:
         amplitude_N: Amplitude in all records.
         frequency_Hz: Its frequency.
         phase_rad: Phase in the first record.
-        same_phase: Whether that of all others is the same.
         measurements: The records without it.
     """
 
@@ -59,49 +45,38 @@ class MainsLine:
 
 
 def coarse_step_N(noise: Noise) -> float | None:
-    """The step of a gauge that is read in coarse steps, N, or None.
-
-    Args:
-        noise: Of the gauge.
-    """
+    """The step of a gauge that is read in coarse steps, N, or None."""
     beside = noise.rms**2 - noise.lsb**2 / 12.0
     # Below a twentieth of a step, what is beside the rounding cannot be told from none.
     rest = math.sqrt(max(beside, (noise.lsb / 20.0) ** 2))
-    return noise.lsb if noise.lsb > COARSE * rest else None
+    return noise.lsb if noise.lsb > CONSTANTS.coarse * rest else None
 
 
 def find_mains_interference(
     measurements: Sequence[MeasuredRecord],
     predicted: Sequence[FloatArray | None],
-    seen: Sequence[NDArray[np.bool_]],
     noise_N: float,
 ) -> MainsLine | None:
-    """Looks for hum in what a model leaves of the gauge's readings.
+    """Looks for mains interference in what a model leaves of the gauge's readings.
 
     Args:
         measurements: The records.
         predicted: The tension predicted, shape (samples,) each; None without a gauge.
-        seen: Samples that may be looked at, same shape.
         noise_N: Noise of the gauge, N rms.
     """
     lines = [
-        _Line(n, m.time_s[at], (m.tension_N - p)[at])
-        for n, (m, p, at) in enumerate(zip(measurements, predicted, seen, strict=True))
-        if m.tension_N is not None and p is not None and at.sum() > 8
+        _Line(n, m.time_s, m.tension_N - p)
+        for n, (m, p) in enumerate(zip(measurements, predicted, strict=True))
+        if m.tension_N is not None and p is not None and m.samples > 8
     ]
     if not lines:
         return None
     longest = max(float(np.ptp(line.time_s)) for line in lines)
     highest = 0.5 * min(m.sampling_Hz for m in measurements)
-    best: tuple[float, float] | None = None
-    for mains in MAINS_Hz:
-        for f in (mains * n for n in range(1, HARMONICS + 1)):
-            if f * (1.0 + TOLERANCE) > highest:
-                continue
-            found = _peak(lines, f, longest)
-            if found is not None and (best is None or found[1] > best[1]):
-                best = found
-    return None if best is None else _hum(measurements, lines, best[0], longest, noise_N)
+    tried = (mains * n for mains in MAINS_Hz for n in range(1, HARMONICS + 1))
+    peaks = [_peak(lines, f, longest) for f in tried if f * (1.0 + TOLERANCE) <= highest]
+    best = max((p for p in peaks if p is not None), key=lambda p: p[1], default=None)
+    return None if best is None else _interference(measurements, lines, best[0], longest, noise_N)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -122,7 +97,8 @@ class _Line:
     def stands_out(self, frequency_Hz: float) -> bool:
         """Whether the line is far above what is beside it in this record."""
         beside = [math.hypot(*self.wave(frequency_Hz * share)) for share in BESIDE]
-        return math.hypot(*self.wave(frequency_Hz)) ** 2 > CLEAR * float(np.median(beside)) ** 2
+        least = 0.25 * CONSTANTS.line * float(np.median(beside)) ** 2
+        return math.hypot(*self.wave(frequency_Hz)) ** 2 > least
 
 
 def _powers(lines: Sequence[_Line], first_Hz: float, step_Hz: float, number: int) -> FloatArray:
@@ -144,16 +120,15 @@ def _peak(lines: Sequence[_Line], about_Hz: float, longest_s: float) -> tuple[fl
     power = _powers(lines, lowest, step, math.ceil(2.0 * TOLERANCE * about_Hz / step))
     beside = [_powers(lines, about_Hz * share, 0.0, 1)[0] for share in BESIDE]
     top = int(power.argmax())
-    if power[top] < ABOVE * float(np.median(beside)):
+    if power[top] < CONSTANTS.line * float(np.median(beside)):
         return None
-    fine = step / FINER
     near = lowest + (top - 1) * step
-    power = _powers(lines, near, fine, 2 * FINER + 1)
+    power = _powers(lines, near, step / FINER, 2 * FINER + 1)
     top = int(power.argmax())
-    return near + top * fine, float(power[top])
+    return near + top * step / FINER, float(power[top])
 
 
-def _hum(
+def _interference(
     measurements: Sequence[MeasuredRecord],
     lines: Sequence[_Line],
     frequency_Hz: float,
@@ -166,7 +141,7 @@ def _hum(
     alike = (sizes > ALIKE[0] * middle) & (sizes < ALIKE[1] * middle)
     # What a model lacks may make lines, too, but not in records of every kind.
     alike &= np.array([line.stands_out(frequency_Hz) for line in lines])
-    if middle < AUDIBLE * math.sqrt(2.0) * noise_N or alike.mean() < 0.75:
+    if middle < CONSTANTS.audible * math.sqrt(2.0) * noise_N or alike.mean() < 0.75:
         return None
     amplitude = float(np.mean(sizes[alike]))
     spread = 2.6 * float(np.std(sizes[alike])) / math.sqrt(alike.sum()) + 0.02 * amplitude
@@ -174,29 +149,35 @@ def _hum(
     first = next(iter(phases.values()))
     apart = max(abs(math.remainder(p - first, 2.0 * math.pi)) for p in phases.values())
     reach = math.pi if apart > 0.5 else apart
-    cleaned = list(measurements)
-    for line in lines:
-        m = cleaned[line.number]
-        cleaned[line.number] = _without(m, amplitude, frequency_Hz, phases[line.number])
-        for order in OVERTONES:
-            sine, cosine = line.wave(order * frequency_Hz)
-            if order * frequency_Hz < 0.5 * m.sampling_Hz:
-                m = cleaned[line.number]
-                wave = math.hypot(sine, cosine), order * frequency_Hz, math.atan2(cosine, sine)
-                cleaned[line.number] = _without(m, *wave)
+    off = 0.15 / longest_s
     return MainsLine(
         Interval(amplitude, amplitude - spread, amplitude + spread, "N"),
-        Interval(
-            frequency_Hz, frequency_Hz - 0.15 / longest_s, frequency_Hz + 0.15 / longest_s, "Hz"
-        ),
+        Interval(frequency_Hz, frequency_Hz - off, frequency_Hz + off, "Hz"),
         Interval(first, max(first - reach, -math.pi), min(first + reach, math.pi), "rad"),
-        tuple(cleaned),
+        _cleaned(measurements, lines, amplitude, frequency_Hz, phases),
     )
 
 
-def _without(
-    m: MeasuredRecord, amplitude_N: float, frequency_Hz: float, phase_rad: float
-) -> MeasuredRecord:
-    assert m.tension_N is not None  # noqa: S101  only records with a gauge have a line
-    wave = np.sin(2.0 * math.pi * frequency_Hz * m.time_s + phase_rad)
-    return replace(m, tension_N=m.tension_N - amplitude_N * wave)
+def _cleaned(
+    measurements: Sequence[MeasuredRecord],
+    lines: Sequence[_Line],
+    amplitude_N: float,
+    frequency_Hz: float,
+    phases: dict[int, float],
+) -> tuple[MeasuredRecord, ...]:
+    """The records without the line and its overtones."""
+    cleaned = list(measurements)
+    for line in lines:
+        m = cleaned[line.number]
+        waves = [(amplitude_N, frequency_Hz, phases[line.number])]
+        for order in OVERTONES:
+            if order * frequency_Hz < 0.5 * m.sampling_Hz:
+                sine, cosine = line.wave(order * frequency_Hz)
+                wave = math.hypot(sine, cosine), order * frequency_Hz, math.atan2(cosine, sine)
+                waves.append(wave)
+        assert m.tension_N is not None  # noqa: S101  only records with a gauge have a line
+        tension = m.tension_N.copy()
+        for size, frequency, phase in waves:
+            tension -= size * np.sin(2.0 * math.pi * frequency * m.time_s + phase)
+        cleaned[line.number] = replace(m, tension_N=tension)
+    return tuple(cleaned)

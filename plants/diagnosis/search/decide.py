@@ -1,0 +1,149 @@
+"""Which of the fitted models is believed, and how probable each is."""
+
+import math
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+from plants.diagnosis.result import ModelSummary as Model
+from plants.diagnosis.result import Slugs, Verdict
+from plants.diagnosis.search.constants import CONSTANTS, Constants
+
+
+class Decision(NamedTuple):
+    """What is believed.
+
+    Attributes:
+        verdict: `named`, `incomplete`, `ambiguous`, `unknown` or `none`.
+        best: Slugs of the model that is believed; empty for `unknown` and `none`.
+        tied: Slugs of models that cannot be told from it.
+        like: Slug of the nameless law the gap looks like, or empty.
+        leading: The best named model whether believed or not.
+    """
+
+    verdict: Verdict
+    best: Slugs
+    tied: tuple[Slugs, ...] = ()
+    like: str = ""
+    leading: Slugs = frozenset()
+
+
+def beats(
+    full: Model, simple: Model, share: float, c: Constants = CONSTANTS, least: float = 0.0
+) -> bool:
+    """Whether a model takes off so much of what a simpler one leaves above the floor."""
+    return simple.power > max(c.floor, least) and full.power - 1.0 <= (1.0 - share) * (
+        simple.power - 1.0
+    )
+
+
+def explained(base: Model, one: Model) -> float:
+    """Share of the power above the floor that a model takes off."""
+    return (base.power - one.power) / (base.power - 1.0) if base.power > 1.0 else 0.0
+
+
+def decide(base: Model, models: Sequence[Model], c: Constants = CONSTANTS) -> Decision:
+    """The verdict on the fits of a search."""
+    if base.power <= c.nothing:
+        return Decision("none", frozenset())
+    named = [m for m in models if m.named and m.eligible]
+    best = best_of(models, c)
+    nameless = [m for m in models if not m.named and len(m.names) == 1]
+    if best is None:
+        like = [m for m in nameless if explained(base, m) >= c.named_share]
+        names = [next(iter(m.names)) for m in sorted(like, key=lambda m: m.power)]
+        return Decision("unknown", frozenset(), like=(*names, "")[0])
+    likelier = sorted((m for m in named if _is_likelier(m, best)), key=lambda m: m.power)
+    for other in likelier:
+        if not beats(best, other, c.one_more, c) and explained(base, other) >= c.named_share:
+            best = other
+            break
+    for law in sorted(nameless, key=lambda m: m.power):
+        fewer = law.values < best.values and not beats(best, law, c.one_more, c)
+        as_few = law.values <= best.values and beats(law, best, c.one_more, c)
+        if fewer or as_few or beats(law, best, c.nameless_more, c):
+            return Decision("unknown", frozenset(), like=next(iter(law.names)), leading=best.names)
+    if explained(base, best) < c.named_share and best.power > c.floor:
+        return Decision("unknown", frozenset(), leading=best.names)
+    tied = _tied(best, named, probabilities(base, models, c), c)
+    verdict: Verdict = "incomplete" if best.power > c.incomplete else "named"
+    return Decision("ambiguous" if tied else verdict, best.names, tied, leading=best.names)
+
+
+def _tied(
+    best: Model, named: Sequence[Model], p: Mapping[Slugs, float], c: Constants
+) -> tuple[Slugs, ...]:
+    """Models of other families, with no more effects, that are about as probable."""
+    others = [m for m in named if not m.families & best.families]
+    others = [m for m in others if len(m.names) <= len(best.names)]
+    close = [m for m in others if p[m.names] > c.tied * (p[m.names] + p[best.names])]
+    return tuple(m.names for m in sorted(close, key=lambda m: m.power))
+
+
+def _is_likelier(one: Model, best: Model) -> bool:
+    """Whether a model of other families is the likelier of two that explain as much."""
+    if len(one.names) > len(best.names) or one.families & best.families:
+        return False
+    return one.values < best.values or (best.known_apart and not one.known_apart)
+
+
+def best_of(models: Sequence[Model], c: Constants = CONSTANTS) -> Model | None:
+    """The best single effect, or the best pair where the second takes off so much more."""
+    named = [m for m in models if m.named and m.eligible]
+    singles = [m for m in named if len(m.names) == 1]
+    single = _member(singles, c)
+    pairs = [m for m in named if len(m.names) == 2]
+    if single is None or not pairs:
+        return _member(pairs, c) or single
+    fullest = min((m for m in singles if m.families == single.families), key=lambda m: m.power)
+    if beats(min(pairs, key=lambda m: m.power), fullest, c.one_more, c, c.nothing):
+        return _member(pairs, c)
+    # A second effect in the block that the first has no part in.
+    for n in range(len(fullest.blocks)):
+        seen = [m for m in pairs if single.families < m.families and _beats_in(m, fullest, n, c)]
+        if seen:
+            return _member([m for m in pairs if m.families == _least(seen, n).families], c)
+    return single
+
+
+def _beats_in(full: Model, simple: Model, block: int, c: Constants) -> bool:
+    before, after = simple.blocks[block], max(full.blocks[block], 1.0)
+    takes_off = after - 1.0 <= (1.0 - c.one_more) * (before - 1.0)
+    return before > c.nothing and takes_off and full.J < simple.J
+
+
+def _least(models: Sequence[Model], block: int) -> Model:
+    return min(models, key=lambda m: m.blocks[block])
+
+
+def _member(models: Sequence[Model], c: Constants) -> Model | None:
+    """The best model, or the simplest of its families that a fuller one does not beat."""
+    if not models:
+        return None
+    best = min(models, key=lambda m: m.power)
+    alike = sorted((m for m in models if m.families == best.families), key=lambda m: (m.rank, m.J))
+    kept = alike[0]
+    for fuller in alike[1:]:
+        if fuller.rank > kept.rank and beats(fuller, kept, c.one_more, c):
+            kept = fuller
+    return kept
+
+
+def probabilities(
+    base: Model, models: Sequence[Model], c: Constants = CONSTANTS
+) -> Mapping[Slugs, float]:
+    """How probable each model is: p ~ exp(-L/2), L = n ln(P + f (J0 - 1)) + k ln n."""
+    all_ = [base, *models]
+    n, slack = c.effective, c.form * (base.power - 1.0)
+    L = [n * math.log(m.power + slack) + m.values * math.log(n) for m in all_]
+    weight = [math.exp(-0.5 * (one - min(L))) for one in L]
+    return {m.names: w / sum(weight) for m, w in zip(all_, weight, strict=True)}
+
+
+def family_probabilities(models: Sequence[Model], p: Mapping[Slugs, float]) -> dict[str, float]:
+    """How probable it is that each family is there."""
+    found: dict[str, float] = defaultdict(float)
+    for one in models:
+        for family in one.families:
+            found[family] += p[one.names]
+    return found

@@ -1,0 +1,180 @@
+"""Where fits with one more effect begin, and how the best of many starts is found.
+
+Starts are laid over a grid of shapes, from the calibrations of the model as given and from those
+of the current one, which may have bent to make up for what is missing. Successive halving goes on
+with the better half each time, with shapes held at first: all values at once often end in a local
+minimum beside a shape that was good enough (Jamieson & Talwalkar 2016).
+"""
+
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from estune.core.quantities import FloatArray
+from plants.diagnosis.search.constants import CONSTANTS
+from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter, simpler_of
+from plants.diagnosis.search.score_test import ScreeningResult
+from plants.effects import Effect, Port, Role
+
+ROUGH = np.array([0.1, 0.3, 1.0, 2.0, 3.5, 6.0, 12.0])
+"""Sizes tried of an effect that no direction shows, relative to the usual one."""
+SPLITS = (0.25, 0.5)
+"""Shares of the size of a simpler law that go over to a size of its own."""
+HALVINGS = ((2, 4), (3, 2), (2, 1))
+"""Rounds with shapes held, and how many starts are gone on with."""
+FREE = 3
+"""Rounds of the best start with all its values."""
+SHAPES = (Role.SHAPE, Role.FREQUENCY, Role.PERIODS)
+FAR = 5.0
+"""Ratio of powers left, to another model's, from which on a fit is not gone on with."""
+MOST = {0: 2, 1: 4}
+"""Starts by the number of shapes; more have `MANY`."""
+MANY = 8
+
+
+def may_be_nonlinear(one: ScreeningResult) -> bool:
+    """Whether an effect may act so unlike a small one that no direction shows it."""
+    effect = one.effect
+    bends = bool({Port.CABLE, Port.EYELET} & set(effect.ports()))
+    sticks = effect.resists and effect.states > 0
+    limits = bool(effect.named(Role.LIMIT))
+    return (bends or sticks or limits) and one.usual_change >= CONSTANTS.shown
+
+
+def fit_added(
+    fitter: ModelFitter,
+    current: CandidateFit,
+    one: ScreeningResult,
+    simpler: CandidateFit | None = None,
+    *,
+    rough: bool = False,
+    least: float = math.inf,
+) -> CandidateFit:
+    """The current model with one more effect, not yet fitted to the end.
+
+    Args:
+        fitter: Model and records.
+        current: The current model.
+        one: The effect's screening.
+        simpler: The model with a simpler law that does a part of what the effect does.
+        rough: Whether sizes that no direction suggests are tried, too.
+        least: What another model leaves: far above it a fit is not gone on with.
+    """
+    effects = fitter.ordered((*current.effects, one.effect))
+    predictor = fitter.predictor(effects)
+    pools = [[predictor.row(values) for values in _suggested(current, one)]]
+    if rough:
+        pools[0] += list(_rough(fitter, effects, one.effect, current))
+    if simpler is not None:
+        # What is near a simpler law's fit may leave more to begin with than what leads nowhere.
+        pools.append([predictor.row(v) for v in _beside(fitter, one, simpler, current)])
+    shapes = [f"{one.effect.name}.{n}" for n in one.effect.named(*SHAPES)]
+    most = MOST.get(len(shapes), MANY) // len(pools)
+    starts = []
+    for pool in pools:
+        rows = fitter.best_starts(predictor, np.array(pool), 2 * most)
+        starts.append(fitter.best_starts(predictor, fitter.placed(effects, rows), most))
+    rows = np.concatenate(starts)
+    return halved(fitter, effects, rows, shapes, least)
+
+
+def coarse_fit(fitter: ModelFitter, effect: type[Effect]) -> CandidateFit:
+    """The model as given with an effect of several sizes, each record's zero put right."""
+    effects = (effect,)
+    base = fitter.fit((), fitter.base.start, 0)
+    rows = _rough(fitter, effects, effect, base)
+    return fitter.fit(effects, rows[0], FREE)
+
+
+def halved(
+    fitter: ModelFitter,
+    effects: tuple[type[Effect], ...],
+    rows: FloatArray,
+    shapes: Sequence[str],
+    least: float,
+) -> CandidateFit:
+    """The best of several starts by successive halving."""
+    for rounds, most in HALVINGS:
+        if len(rows) > most:
+            fits = [fitter.fit(effects, row, rounds, held=shapes) for row in rows]
+            fits.sort(key=lambda f: f.J)
+            if len(rows) > 4 and 1.3 + FAR * (max(least, 1.0) - 1.0) < fits[0].J:
+                return fits[0]
+            rows = np.array([f.fitted.values for f in fits[:most]])
+    return fitter.fit(effects, rows[0], FREE)
+
+
+def _suggested(current: CandidateFit, one: ScreeningResult) -> list[dict[str, float]]:
+    """Values of the starts that the screening found."""
+    found = []
+    for row in one.starts:
+        values = one.predictor.values(row)
+        if current.effects:  # its screening was at the base model
+            own = f"{one.effect.name}."
+            values = current.values | {n: v for n, v in values.items() if n.startswith(own)}
+        found.append(values)
+    return found
+
+
+def _rough(
+    fitter: ModelFitter,
+    effects: tuple[type[Effect], ...],
+    effect: type[Effect],
+    current: CandidateFit,
+) -> FloatArray:
+    """Several sizes from the model as given, each record's zero put right."""
+    predictor = fitter.predictor(effects)
+    start = predictor.start
+    if current.effects:
+        own = {f.name: f.start for f in predictor.free if f.owner == effect.name}
+        start = predictor.row(current.values | own)
+    rows = np.repeat(start[None, :], ROUGH.size, axis=0)
+    for n, f in enumerate(predictor.free):
+        if f.owner != effect.name or f.neutral is None:
+            continue
+        sizes = f.neutral + ROUGH * (f.start - f.neutral)
+        if effect.named(Role.LIMIT):
+            sizes = f.start * np.linspace(1.2, 0.5, ROUGH.size)
+        rows[:, n] = np.clip(sizes, f.low, f.high)
+    for most in (4, 3):  # some only find their zeros from near
+        rows = fitter.best_starts(predictor, fitter.placed(effects, rows), most)
+    return rows
+
+
+def _beside(
+    fitter: ModelFitter, one: ScreeningResult, simpler: CandidateFit, current: CandidateFit
+) -> list[dict[str, float]]:
+    """Values near a simpler law's fit: over the grid of shapes, its size split in several ways.
+
+    Each from the calibrations of that fit, and from those of the model as given.
+    """
+    effect, name = one.effect, one.effect.name
+    given = effect.inherits
+    source = simpler_of(effect)
+    own = {f"{name}.{to}": simpler.values[f"{source}.{of}"] for to, of in given.items()}
+    sizes = [n for n in effect.named(Role.SIZE, Role.LIMIT) if n not in given]
+    grids = {n: v for n, v in one.grids.items() if n not in given}
+    main = next((to for to in given if to in effect.named(Role.SIZE, Role.LIMIT)), None)
+    origins: list[Mapping[str, float]] = [simpler.values]
+    if not current.effects:
+        begun = fitter.base
+        records = {f.name for f in begun.free if f.owner.startswith("record ")}
+        start = begun.values(begun.start)
+        kept = {n: v for n, v in simpler.values.items() if n in records or n not in start}
+        origins.append(start | kept)
+    found = []
+    for origin in origins:
+        for values in itertools.product(*grids.values()):
+            shape = {f"{name}.{n}": v for n, v in zip(grids, values, strict=True)}
+            if main is None:
+                usual = {f"{name}.{n}": float(getattr(effect(), n)) for n in sizes}
+                found.append({**origin, **own, **shape, **usual})
+                continue
+            whole = own[f"{name}.{main}"]
+            for share in SPLITS if sizes else (0.0,):
+                split = {f"{name}.{n}": share * whole for n in sizes}
+                left = {f"{name}.{main}": whole * (1.0 - share if sizes else 1.0)}
+                found.append({**origin, **own, **shape, **split, **left})
+    return found

@@ -1,0 +1,91 @@
+"""Decision between fitted models: shares of power, families, nameless laws, probabilities."""
+
+import pytest
+
+from plants.diagnosis.result import ModelSummary
+from plants.diagnosis.search.decide import decide, family_probabilities, probabilities
+
+NOTHING = frozenset[str]()
+
+
+def base(J):
+    return ModelSummary(NOTHING, NOTHING, 0, J, 0)
+
+
+def model(names, J, values=1, *, rank=None, family="", **fields):
+    slugs = frozenset(names.split("+"))
+    families = frozenset({family}) if family else slugs
+    return ModelSummary(slugs, families, values if rank is None else rank, J, values, **fields)
+
+
+def test_error_at_the_noise_floor_gives_none_whatever_fits_better():
+    assert decide(base(1.2), [model("a", 0.9)]).verdict == "none"
+
+
+def test_effect_that_explains_nearly_all_is_named():
+    decision = decide(base(20.0), [model("a", 1.1), model("b", 15.0)])
+    assert (decision.verdict, decision.best) == ("named", {"a"})
+
+
+def test_effect_that_leaves_much_is_incomplete():
+    assert decide(base(2000.0), [model("a", 100.0)]).verdict == "incomplete"
+
+
+def test_effect_that_explains_half_is_not_named():
+    decision = decide(base(20.0), [model("a", 10.0)])
+    assert (decision.verdict, decision.leading) == ("unknown", {"a"})
+
+
+@pytest.mark.parametrize(("J", "best"), [(95.0, "simple"), (20.0, "full")])
+def test_fuller_member_of_a_family_needs_a_large_share_of_what_the_simpler_leaves(J, best):
+    simple = model("simple", 100.0, 1, family="friction")
+    full = model("full", J, 3, family="friction")
+    assert decide(base(2000.0), [simple, full]).best == {best}
+
+
+def test_member_too_small_to_matter_is_not_named():
+    simple = model("simple", 30.0, 1, family="friction")
+    full = model("full", 2.0, 3, family="friction", eligible=False)
+    assert decide(base(2000.0), [simple, full]).best == {"simple"}
+
+
+@pytest.mark.parametrize(("J", "best"), [(9.0, "a"), (2.0, "a+b")])
+def test_second_effect_needs_a_large_share_of_what_the_first_leaves(J, best):
+    models = [model("a", 10.0), model("a+b", J, 2)]
+    assert decide(base(200.0), models).best == frozenset(best.split("+"))
+
+
+def test_second_effect_is_found_in_the_block_that_the_first_has_no_part_in():
+    single = model("a", 10.0, blocks=(3.0, 17.0))
+    decision = decide(base(200.0), [single, model("a+b", 9.0, 2, blocks=(1.1, 17.0))])
+    assert decision.best == {"a", "b"}
+
+
+def test_law_with_fewer_values_that_does_about_as_well_is_likelier():
+    assert decide(base(50.0), [model("a", 1.3, 4), model("b", 1.6, 1)]).best == {"b"}
+
+
+def test_nameless_law_with_as_few_values_refutes_a_name():
+    laws = [model("a", 8.0, 2), model("loop", 1.1, 2, named=False)]
+    decision = decide(base(50.0), laws)
+    assert (decision.verdict, decision.like, decision.leading) == ("unknown", "loop", {"a"})
+
+
+def test_nameless_law_with_more_values_refutes_only_what_leaves_much_more():
+    curve = model("curve", 55.0, 7, named=False)
+    assert decide(base(2000.0), [model("a", 100.0, 1), curve]).best == {"a"}
+    assert decide(base(2000.0), [model("a", 300.0, 1), curve]).verdict == "unknown"
+
+
+def test_probabilities_sum_to_one_and_favour_fewer_values():
+    models = [model("a", 1.05, 1), model("b", 1.05, 3), model("c", 5.0, 1)]
+    p = probabilities(base(20.0), models)
+    assert sum(p.values()) == pytest.approx(1.0)
+    assert p[frozenset("a")] > 0.9 > p[frozenset("b")] > p[frozenset("c")]
+    assert family_probabilities(models, p)["a"] == pytest.approx(p[frozenset("a")])
+
+
+def test_sums_over_families_count_every_model_with_one():
+    models = [model("a", 1.0, 1), model("a+b", 1.0, 1)]
+    found = family_probabilities(models, probabilities(base(20.0), models))
+    assert found["a"] == pytest.approx(1.0, abs=1e-3)
