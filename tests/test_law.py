@@ -203,7 +203,7 @@ def test_law_excludes_and_lists_unsafe_and_unconverged_tunings():
         (tunings(lengths=(0.5,), seeds=5), "5 tunings at 0.5 m are too few"),
         (
             [replace(t, converged=False) for t in tunings(lengths=(0.5, 1.0, 1.4))],
-            r"left out: 0.5 m, 15 N, seed 0 \(not converged\), ",
+            r"left out: \d+ not converged$",
         ),
     ],
 )

@@ -44,7 +44,7 @@ def swept(folder: Path, design=SMALL, **options) -> SweepResult:
 
 def alike(one: CellOutcome, other: CellOutcome) -> bool:
     """Whether two outcomes are equal except for their durations."""
-    rest = [replace(o, trace=np.empty(0), duration_s=0.0) for o in (one, other)]
+    rest = [replace(o, trace_source=np.empty(0), duration_s=0.0) for o in (one, other)]
     return repr(rest[0]) == repr(rest[1]) and np.array_equal(one.trace, other.trace)
 
 
@@ -199,8 +199,11 @@ def test_law_excludes_and_lists_unsafe_and_unconverged_tunings(tmp_path):
     unfinished = swept(tmp_path / "unfinished")
     assert all("the search had not converged" in o.excluded for o in unfinished.excluded)
     assert len(unfinished.excluded) == 6
-    with pytest.raises(InvalidInput, match="too few for a law over length"):
+    with pytest.raises(InvalidInput, match=r"too few for a law over length.*: 6 not converged"):
         unfinished.law()
+    reason = unfinished.series[0].law_or_reason()
+    assert "6 of 6 tunings ended without an estimate" in reason or "left to gain" in reason
+    assert 'give them more trials (trials = 24 instead of 12), or tuners = ["safe' in reason
     unsafe = swept(tmp_path / "unsafe", {**SMALL, "eta_max": 1.0})
     assert all("the start gains" in o.excluded for o in unsafe.outcomes)
     assert not any(o.safe for o in unsafe.outcomes)

@@ -13,9 +13,11 @@ from estune.cli.values import Flag
 from estune.errors import EstuneError, InvalidInput
 from estune.run.export import write_file
 from estune.run.progress import duration
+from estune.run.table_file import whole_file
 from estune.studies.sweep import sweep as sweeping
 from estune.studies.sweep.cells import Cell, expand_cells
 from estune.studies.sweep.design import read_design
+from estune.studies.sweep.exclusions import LISTED_MAX, exclusion_sentences
 from estune.studies.sweep.result import SweepResult
 
 REPORT, CELLS, LAW = "report.html", "cells.csv", "law.json"
@@ -113,16 +115,21 @@ def _show(result: SweepResult) -> None:
     style = "bold yellow" if result.excluded else "bold green"
     out.print(Text(result.heading(), style=style))
     for series in result.series:
-        try:
-            law = series.law()
-        except InvalidInput as error:
-            out.print(Text(f"{series.label}: no law: {error}", style="yellow"), soft_wrap=True)
-            continue
-        out.print(Text(f"{series.label}: {law.sentence}."), soft_wrap=True)
-    for outcome in result.excluded:
-        what = "failed" if outcome.failed else "left out"
-        text = f"{what}: {outcome.cell.label}: {outcome.excluded}"
-        out.print(Text(text, style="yellow"), soft_wrap=True)
+        law = series.law_or_reason()
+        if isinstance(law, str):
+            out.print(Text(f"{series.label}: no law: {law}", style="yellow"), soft_wrap=True)
+        else:
+            out.print(Text(f"{series.label}: {law.sentence}."), soft_wrap=True)
+    excluded = result.excluded
+    lines = [
+        f"{'failed' if outcome.failed else 'left out'}: {outcome.cell.label}: {outcome.excluded}"
+        for outcome in excluded[:LISTED_MAX]
+    ]
+    if len(excluded) > LISTED_MAX:
+        counted = exclusion_sentences(result.outcomes)
+        lines = [f"left out: {sentence}; see {CELLS}" for sentence in counted]
+    for line in lines:
+        out.print(Text(line, style="yellow"), soft_wrap=True)
 
 
 def _as_json(result: SweepResult) -> dict[str, object]:
@@ -145,7 +152,8 @@ def _write(result: SweepResult) -> dict[str, object]:
 
     folder = result.folder
     write_report(result, folder / REPORT)
-    write_file(folder / CELLS, result.to_frame().to_csv(index=False).encode())
+    with whole_file(folder / CELLS) as temporary:
+        result.to_frame().to_csv(temporary, index=False)
     laws = json.dumps(output.plain(_as_json(result)), indent=2, allow_nan=False)
     write_file(folder / LAW, laws.encode())
     return {"report": folder / REPORT, "cells": folder / CELLS, "laws": folder / LAW}

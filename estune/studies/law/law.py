@@ -8,6 +8,7 @@ A stated slope is that of the straight line, which is fitted whatever form is se
 interval is not narrowed by the selection. Bands are those of the selected form, given that form.
 """
 
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -25,6 +26,9 @@ from estune.studies.law.robust_regression import interval_factor
 from estune.studies.law.tuned import TunedGains
 
 _NAMES = {"setpoint_filter_s": "the setpoint filter"}
+_LISTED_MAX = 10
+"""Excluded tunings that are named one by one; more of them are only counted."""
+
 _LACK_OF_FIT_P = 0.05
 """p value of the lack-of-fit test below which a remark warns of it."""
 
@@ -73,6 +77,9 @@ class GainLaw:
     def remarks(self) -> tuple[str, ...]:
         """Warnings: excluded tunings, outliers, and forms that do not fit."""
         remarks = [f"left out: {label}, {reason}" for label, reason in self.excluded]
+        if len(remarks) > _LISTED_MAX:
+            counts = Counter(reason for _, reason in self.excluded)
+            remarks = [f"left out: {count} tunings, {reason}" for reason, count in counts.items()]
         for fit in self.fits.values():
             name = _NAMES.get(fit.name, fit.name)
             remarks += [f"{name}: {label} is an outlier, down-weighted" for label in fit.outliers]
@@ -195,7 +202,8 @@ def _split(
     lengths = {t.length_m for t in usable}
     if len(lengths) < 2 or len(usable) < 3:
         places = ", ".join(f"{length:g} m" for length in sorted(lengths)) or "no length"
-        reasons = ", ".join(f"{label} ({reason})" for label, reason in excluded)
+        counts = Counter(reason for _, reason in excluded)
+        reasons = ", ".join(f"{count} {reason}" for reason, count in counts.items())
         raise InvalidInput(
             f"{len(usable)} tunings at {places} are too few for a law over length; tune at three "
             "lengths or more" + (f"; left out: {reasons}" if reasons else "")

@@ -1,6 +1,7 @@
 """The paper's Figs. 12, 13 and 14 of a sweep: cost and I over trials, gains over length."""
 
-from collections.abc import Sequence
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
 
 import matplotlib as mpl
 import numpy as np
@@ -11,7 +12,7 @@ from matplotlib.figure import Figure
 from estune.core.gains import GAIN_UNITS
 from estune.core.quantities import FloatArray
 from estune.studies.law.law import GainLaw
-from estune.studies.sweep.outcome import TRACE, CellOutcome
+from estune.studies.sweep.outcome import TRACE, CellOutcome, read_traces
 from estune.support.plot_style import (
     BLACK,
     BLUE,
@@ -99,19 +100,19 @@ def _curve_label(law: GainLaw, name: str) -> str:
     return f"{law.fits[name].curve}{at}"
 
 
-def _by_length(outcomes: Sequence[CellOutcome]) -> list[tuple[float, str, list[FloatArray]]]:
-    """Length, colour, and the search trials of each tuning there."""
-    traces: dict[float, list[FloatArray]] = {}
+def _by_length(outcomes: Sequence[CellOutcome]) -> Iterator[tuple[float, str, list[FloatArray]]]:
+    """Length, colour, and the search trials of each tuning there, read one length at a time."""
+    at: dict[float, list[CellOutcome]] = defaultdict(list)
     for outcome in outcomes:
-        search = outcome.trace[outcome.trace[:, 0] == 1.0]
-        if search.size:
-            traces.setdefault(outcome.cell.length_m, []).append(search)
+        if outcome.trials:
+            at[outcome.cell.length_m].append(outcome)
     # The colour map is distinguishable in grey; its palest end is not used.
-    shares = np.linspace(0.0, 0.88, len(traces))
-    return [
-        (length, to_hex(mpl.colormaps["viridis"](share)), traces[length])
-        for length, share in zip(sorted(traces), shares, strict=True)
-    ]
+    shares = np.linspace(0.0, 0.88, len(at))
+    for length, share in zip(sorted(at), shares, strict=True):
+        traces = [trace[trace[:, 0] == 1.0] for trace in read_traces(at[length])]
+        searches = [trace for trace in traces if trace.size]
+        if searches:
+            yield length, to_hex(mpl.colormaps["viridis"](share)), searches
 
 
 def _median(rows: Sequence[FloatArray]) -> FloatArray:

@@ -1,7 +1,10 @@
 """Outcome of a cell: the gains found, their uncertainty, and whether they may be used."""
 
 import math
+from collections.abc import Iterable, Iterator
+from contextlib import ExitStack
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -12,7 +15,8 @@ from estune.run.result import RunEnding, TuneResult
 from estune.run.session import Phase, is_unsafe
 from estune.studies.law.tuned import TunedGains
 from estune.studies.sweep.cells import Cell
-from estune.tuners.interface import ConvergenceEstimate, ModelBasedTuner
+from estune.support.sqlite import FileKind, SqliteFile
+from estune.tuners.interface import ConvergenceEstimate, PredictingTuner
 
 CONVERGED_BELOW = 0.05
 """A search has converged if it may improve the cost by no more than this share of it."""
@@ -22,6 +26,21 @@ FAILED: Literal["failed"] = "failed"
 
 TRACE = ("search", *GAIN_NAMES, "cost", "unsafe")
 """Columns of a trace; search and unsafe are 0 or 1."""
+
+KIND = FileKind(
+    "a sweep's file",
+    (
+        """
+CREATE TABLE cell (
+    key TEXT PRIMARY KEY, label TEXT NOT NULL, ending TEXT NOT NULL, message TEXT NOT NULL,
+    facts TEXT NOT NULL, trace BLOB NOT NULL, finished_at TEXT NOT NULL
+) WITHOUT ROWID
+""",
+    ),
+    "call the sweep again",
+    lock_name="sweep.lock",
+)
+"""The file of a sweep; `estune.studies.sweep.store` writes it."""
 
 _NORMAL_95 = 1.959964
 """Half the width of a 95 % interval of a normal distribution, in standard deviations."""
@@ -41,7 +60,9 @@ class CellOutcome:
             none; infinite for a gain along which the cost is flat up to its bounds.
         remaining: Remaining improvement when the search ended, relative to the cost; infinite
             where it is unknown.
-        trace: Its trials in order, columns as in `TRACE`, shape (trials, 7).
+        trials: Number of its trials that are not void.
+        unsafe_trials: Number of those that were unsafe.
+        trace_source: Its trace, or the file of the sweep that holds it.
     """
 
     cell: Cell
@@ -54,7 +75,14 @@ class CellOutcome:
     log_errors: tuple[float, ...] | None = None
     remaining: float = math.inf
     duration_s: float = 0.0
-    trace: FloatArray = field(default_factory=lambda: np.empty((0, len(TRACE))))
+    trials: int = 0
+    unsafe_trials: int = 0
+    trace_source: FloatArray | Path = field(default_factory=lambda: np.empty((0, len(TRACE))))
+
+    @property
+    def trace(self) -> FloatArray:
+        """Its trials in order, columns as in `TRACE`, shape (trials, 7); read when it is used."""
+        return next(read_traces([self]))
 
     @property
     def failed(self) -> bool:
@@ -102,6 +130,27 @@ class CellOutcome:
         )
 
 
+def read_traces(outcomes: Iterable[CellOutcome]) -> Iterator[FloatArray]:
+    """The traces of outcomes, one after the other, so that few are in memory at once.
+
+    Raises:
+        JournalError: the file of the sweep cannot be read.
+    """
+    with ExitStack() as stack:
+        files: dict[Path, SqliteFile] = {}
+        for outcome in outcomes:
+            source = outcome.trace_source
+            if not isinstance(source, Path):
+                yield source
+                continue
+            if source not in files:
+                files[source] = stack.enter_context(SqliteFile.open_reader(source, KIND))
+            ((data,),) = files[source].rows(
+                "SELECT trace FROM cell WHERE key = ?", outcome.cell.key
+            )
+            yield np.frombuffer(data, "<f8").reshape(-1, len(TRACE))
+
+
 def failed(cell: Cell, why: str, duration_s: float = 0.0) -> CellOutcome:
     """Outcome of a cell that could not be run."""
     return CellOutcome(cell, FAILED, why, duration_s=duration_s)
@@ -116,7 +165,7 @@ def finished(cell: Cell, result: TuneResult, duration_s: float) -> CellOutcome:
     """Outcome of a cell whose tuning ended by itself."""
     trace, tuner = _trace(result), result.plan.tuner
     estimate = None
-    if isinstance(tuner, ModelBasedTuner):
+    if isinstance(tuner, PredictingTuner):
         estimate = tuner.convergence(result.session.tuner_state)
         remaining = math.inf if estimate is None else estimate.remaining_improvement
     elif result.ending is RunEnding.NO_IMPROVEMENT:
@@ -134,7 +183,9 @@ def finished(cell: Cell, result: TuneResult, duration_s: float) -> CellOutcome:
         log_errors=None if estimate is None else _log_errors(result, estimate),
         remaining=remaining,
         duration_s=duration_s,
-        trace=trace,
+        trials=len(trace),
+        unsafe_trials=int(trace[:, -1].sum()),
+        trace_source=trace,
     )
 
 

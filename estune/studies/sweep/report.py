@@ -1,4 +1,4 @@
-"""Report page of a sweep: its laws, the paper's figures of them, and every excluded cell."""
+"""Report page of a sweep: its laws, the paper's figures of them, and the excluded cells."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -7,6 +7,7 @@ from estune.core.gains import GAIN_NAMES
 from estune.run.export import write_file
 from estune.studies.law.law import GainLaw
 from estune.studies.sweep import figures
+from estune.studies.sweep.exclusions import exclusion_sentences
 from estune.studies.sweep.result import Series, SweepResult
 from estune.support.html_page import (
     Block,
@@ -21,6 +22,9 @@ from estune.support.html_page import (
 )
 
 TITLE = "Gains over cable length"
+
+_ROWS_MAX = 100
+"""Excluded tunings that the page lists."""
 
 
 def write_report(result: SweepResult, path: Path) -> None:
@@ -61,7 +65,7 @@ def _sentence(law: GainLaw | str) -> str:
 
 
 def _figures(n: int, series: Series, law: GainLaw | str) -> Iterator[Block]:
-    if any(outcome.trace.size for outcome in series.outcomes):
+    if any(outcome.trials for outcome in series.outcomes):
         yield Drawing(
             series.plot_costs(),
             f"costs-{n}",
@@ -117,6 +121,11 @@ def _design(result: SweepResult) -> Table:
 
 
 def _excluded(result: SweepResult) -> Iterator[Block]:
-    rows = [(outcome.cell.label, outcome.excluded) for outcome in result.excluded]
+    excluded = result.excluded
+    rows = [(outcome.cell.label, outcome.excluded) for outcome in excluded[:_ROWS_MAX]]
+    for sentence in exclusion_sentences(result.outcomes):
+        yield Paragraph(f"{sentence}.")
     if rows:
         yield Table(("Tuning", "Reason"), rows)
+    if len(excluded) > len(rows):
+        yield Paragraph(f"{len(excluded) - len(rows)} more are listed in cells.csv.", style="soft")

@@ -1,7 +1,9 @@
 """Result of a sweep: a tidy frame, an xarray, and the laws over cable length."""
 
 import html
+from collections.abc import Callable
 from dataclasses import dataclass
+from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -12,6 +14,7 @@ from estune.errors import InvalidInput
 from estune.run.export import write_file
 from estune.studies.law.law import GainLaw, fit_law
 from estune.studies.sweep.design import SweepDesign
+from estune.studies.sweep.exclusions import exclusion_sentences
 from estune.studies.sweep.outcome import CellOutcome
 
 if TYPE_CHECKING:
@@ -39,16 +42,16 @@ class Series(NamedTuple):
         """The law over length, of the cells that are safe and converged.
 
         Raises:
-            InvalidInput: too few are left; the message names the excluded ones.
+            InvalidInput: too few are left; the message counts the excluded ones by reason.
         """
         return fit_law([tuned for o in self.outcomes if (tuned := o.tuned()) is not None])
 
     def law_or_reason(self) -> GainLaw | str:
-        """The law, or why there is none."""
+        """The law, or why there is none and what to change."""
         try:
             return self.law()
         except InvalidInput as error:
-            return str(error)
+            return "; ".join((str(error), *exclusion_sentences(self.outcomes)))
 
     def plot_costs(self) -> "Figure":
         """Fig. 12: the cost over the search, one line a length."""
@@ -122,7 +125,7 @@ class SweepResult:
     def heading(self) -> str:
         """The sweep in one line."""
         lengths = sorted({outcome.cell.length_m for outcome in self.outcomes})
-        trials = sum(len(outcome.trace) for outcome in self.outcomes)
+        trials = sum(outcome.trials for outcome in self.outcomes)
         failed = len(self.failed)
         unused = {"failed": failed, "excluded": len(self.excluded) - failed}
         return ", ".join(
@@ -138,7 +141,7 @@ class SweepResult:
         """One row for each cell; gains in their own units, as in `estune.Gains`."""
         import pandas as pd  # noqa: PLC0415  slow to import
 
-        return pd.DataFrame(list(map(_row, self.outcomes)))
+        return pd.DataFrame({name: list(map(of, self.outcomes)) for name, of in _COLUMNS.items()})
 
     def to_xarray(self) -> "xr.Dataset":
         """The frame by length, tension, tuner, seed and rig; nan where no cell is."""
@@ -178,25 +181,23 @@ class SweepResult:
         return "".join(f"<p>{html.escape(line)}</p>" for line in repr(self).split("\n"))
 
 
-def _row(outcome: CellOutcome) -> dict[str, Any]:
-    cell, unknown = outcome.cell, (np.nan,) * len(GAIN_NAMES)
-    place = (cell.length_m, cell.tension_N, cell.tuner, cell.seed, cell.rig.label)
-    gains = unknown if outcome.gains is None else outcome.gains.as_tuple()
-    errors = zip(GAIN_NAMES, outcome.log_errors or unknown, strict=True)
+def _gain_columns(index: int, name: str) -> dict[str, Callable[[CellOutcome], Any]]:
+    """A gain, and the standard error of its logarithm."""
     return {
-        **dict(zip(DIMENSIONS, place, strict=True)),
-        "ending": str(outcome.ending),
-        **dict(zip(GAIN_NAMES, gains, strict=True)),
-        **{f"{name}_log_error": error for name, error in errors},
-        "cost": outcome.cost,
-        "cost_error": outcome.cost_error,
-        "start_cost": outcome.start_cost,
-        "safe": outcome.safe,
-        "converged": outcome.converged,
-        "remaining": outcome.remaining,
-        "trials": len(outcome.trace),
-        "unsafe_trials": int(outcome.trace[:, -1].sum()),
-        "duration_s": outcome.duration_s,
-        "message": outcome.message,
-        "key": cell.key,
+        name: lambda o: np.nan if o.gains is None else o.gains.as_tuple()[index],
+        f"{name}_log_error": lambda o: np.nan if o.log_errors is None else o.log_errors[index],
     }
+
+
+_GAINS = [_gain_columns(index, name) for index, name in enumerate(GAIN_NAMES)]
+_OWN = ("cost", "cost_error", "start_cost", "safe", "converged", "remaining", "trials")
+_COLUMNS: dict[str, Callable[[CellOutcome], Any]] = {
+    **{name: attrgetter(f"cell.{name}") for name in DIMENSIONS[:-1]},
+    "rig": attrgetter("cell.rig.label"),
+    "ending": lambda outcome: str(outcome.ending),
+    **{name: columns[name] for name, columns in zip(GAIN_NAMES, _GAINS, strict=True)},
+    **{name: of for columns in _GAINS for name, of in columns.items() if name not in GAIN_NAMES},
+    **{name: attrgetter(name) for name in (*_OWN, "unsafe_trials", "duration_s", "message")},
+    "key": attrgetter("cell.key"),
+}
+"""Columns of the frame: name, and its value of an outcome."""

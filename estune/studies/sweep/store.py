@@ -2,37 +2,26 @@
 
 import json
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Self
 
-import numpy as np
-
 from estune.core.gains import Gains
+from estune.run.result import RunEnding
 from estune.studies.sweep.cells import Cell
-from estune.studies.sweep.outcome import FAILED, TRACE, CellOutcome
-from estune.support.sqlite import FileKind, SqliteFile
+from estune.studies.sweep.outcome import FAILED, KIND, TRACE, CellOutcome
+from estune.support.sqlite import SqliteFile
 
 FILE_NAME = "sweep.sqlite"
 RUNS = "runs"
 """Folder of the runs on rigs at endpoints."""
 
-KIND = FileKind(
-    "a sweep's file",
-    (
-        """
-CREATE TABLE cell (
-    key TEXT PRIMARY KEY, label TEXT NOT NULL, ending TEXT NOT NULL, message TEXT NOT NULL,
-    facts TEXT NOT NULL, trace BLOB NOT NULL, finished_at TEXT NOT NULL
-) WITHOUT ROWID
-""",
-    ),
-    "call the sweep again",
-    lock_name="sweep.lock",
-)
-
 _NUMBERS = ("cost", "cost_error", "start_cost", "remaining", "duration_s")
+_ENDINGS = {str(ending): str(ending) for ending in RunEnding}
+"""One text for all cells of an ending, of which there may be many."""
+_ROWS_AT_ONCE = 2000
 
 
 class SweepStore:
@@ -75,15 +64,35 @@ class SweepStore:
                 datetime.now(UTC).isoformat(timespec="milliseconds"),
             )
 
-    def outcomes(self, cells: Iterable[Cell]) -> dict[str, CellOutcome]:
-        """The stored outcomes of some cells, by key.
+    def finished_keys(self) -> set[str]:
+        """Keys of the cells that are finished and did not fail.
 
         Raises:
             JournalError: the file cannot be read.
         """
-        rows = self._file.rows("SELECT key, ending, message, facts, trace FROM cell")
-        stored = {key: rest for key, *rest in rows}
-        return {c.key: _outcome(c, *stored[c.key]) for c in cells if c.key in stored}
+        return {
+            key for (key,) in self._file.rows("SELECT key FROM cell WHERE ending != ?", FAILED)
+        }
+
+    def outcomes(self, cells: Iterable[Cell]) -> dict[str, CellOutcome]:
+        """The stored outcomes of some cells, by key; their traces stay in the file.
+
+        Raises:
+            JournalError: the file cannot be read.
+        """
+        wanted = {cell.key: cell for cell in cells}
+        outcomes: dict[str, CellOutcome] = {}
+        last = ""
+        while rows := self._file.rows(
+            "SELECT key, ending, message, facts, length(trace) FROM cell WHERE key > ?"
+            " ORDER BY key LIMIT ?",
+            *(last, _ROWS_AT_ONCE),
+        ):
+            for key, *rest in rows:
+                if key in wanted:
+                    outcomes[key] = _outcome(wanted[key], self._file.path, rest)
+            last = rows[-1][0]
+        return outcomes
 
 
 def _facts(outcome: CellOutcome) -> dict[str, Any]:
@@ -93,21 +102,29 @@ def _facts(outcome: CellOutcome) -> dict[str, Any]:
         "gains": None if gains is None else list(gains.as_tuple()),
         "log_errors": None if errors is None else [_to_json(error) for error in errors],
         **{name: _to_json(getattr(outcome, name)) for name in _NUMBERS},
+        "unsafe_trials": outcome.unsafe_trials,
     }
 
 
-def _outcome(cell: Cell, ending: str, message: str, facts: str, trace: bytes) -> CellOutcome:
+def _outcome(cell: Cell, path: Path, row: Sequence[Any]) -> CellOutcome:
+    """The outcome in a row: ending, message, facts, and bytes of the trace."""
+    ending, message, facts, trace_bytes = row
     values = json.loads(facts)
     gains, errors = values["gains"], values["log_errors"]
-    return CellOutcome(
+    outcome = CellOutcome(
         cell,
-        ending,
+        _ENDINGS.get(ending, ending),
         message,
         gains=None if gains is None else Gains(*gains),
         log_errors=None if errors is None else tuple(map(float, errors)),
-        trace=np.frombuffer(trace, "<f8").reshape(-1, len(TRACE)).astype(np.float64),
+        trials=trace_bytes // (8 * len(TRACE)),
+        unsafe_trials=values.get("unsafe_trials", 0),
+        trace_source=path,
         **{name: float(values[name]) for name in _NUMBERS},
     )
+    if "unsafe_trials" in values:
+        return outcome
+    return replace(outcome, unsafe_trials=int(outcome.trace[:, -1].sum()))  # an earlier version
 
 
 def _to_json(value: float) -> float | str:

@@ -63,8 +63,8 @@ def sweep(
     checked = read_design(design)
     cells = expand_cells(checked)
     with SweepStore.open(Path(folder or _default_folder(design))) as store:
-        stored = store.outcomes(cells)
-        missing = [cell for cell in cells if cell.key not in stored or stored[cell.key].failed]
+        finished = store.finished_keys()
+        missing = [cell for cell in cells if cell.key not in finished]
         outcomes = _run(missing, store.folder / RUNS, jobs, dask)
         with _watching(watch, len(cells), len(missing)) as watcher, closing(outcomes):
             for outcome in outcomes:
@@ -116,14 +116,12 @@ def show_outcomes(cells: int, missing: int, stream: TextIO | None = None) -> Ite
         missing: Number of cells that are to be run.
         stream: Output; standard error by default.
     """
-    outcomes: list[CellOutcome] = []
+    done = failed = 0
+    last = ""
     began = time.monotonic()
 
     def status() -> ProgressStatus:
-        done = len(outcomes)
-        failed = sum(outcome.failed for outcome in outcomes)
         pace = (time.monotonic() - began) / done if done else math.nan
-        last = _line(outcomes[-1]) if outcomes else ""
         return ProgressStatus(
             stage="",
             done=cells - missing + done,
@@ -138,7 +136,8 @@ def show_outcomes(cells: int, missing: int, stream: TextIO | None = None) -> Ite
     with show_progress(status, stream=stream) as update:
 
         def watch(outcome: CellOutcome) -> None:
-            outcomes.append(outcome)
+            nonlocal done, failed, last
+            done, failed, last = done + 1, failed + outcome.failed, _line(outcome)
             update()
 
         yield watch
