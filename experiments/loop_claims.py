@@ -135,15 +135,15 @@ def true_sensitivity(plant: Plant, gains: Gains) -> float:
     return float(np.max(1.0 / np.abs(1.0 + loop)))
 
 
-def measure(seeds: int) -> list[dict[str, Any]]:
-    """A row per plant."""
+def measure(seeds: int, thin: int) -> list[dict[str, Any]]:
+    """A row per plant, or for every `thin`-th of them."""
     reel_cost = PROBLEMS["friction"].cost
     cases = [
         *((n, p.build, p.cost, p.start, True) for n, p in PROBLEMS.items() if n != "friction"),
         *((n, build, reel_cost, WEAK_ON_A_REEL, False) for n, build in OUTSIDE.items()),
     ]
     rows: list[dict[str, Any]] = []
-    for name, build, cost, start, inside in cases:
+    for name, build, cost, start, inside in cases[::thin]:
         plant = build()
         found = [search(plant, cost, start, seed) for seed in range(1000, 1000 + seeds)]
         made = [one for one in found if not math.isnan(one.claimed)]
@@ -168,13 +168,13 @@ def measure(seeds: int) -> list[dict[str, Any]]:
 
 def main() -> int:
     """Prints the table, or with --json one object; returns 1 where a target is missed."""
-    parser = command_line(__doc__, quick="two searches a plant instead of ten")
+    parser = command_line(__doc__, quick="one search instead of ten, a third of the plants")
     options = parser.parse_args()
     if not options.json:
         heads = f"{'trials':>7} {'unsafe':>7} {'claimed':>9} {'true/claim':>10} {'rho':>9}"
         print(f"{'plant':20} {heads}")
     with print_tables(hidden=options.json):
-        rows = measure(2 if options.quick else 10)
+        rows = measure(1, 3) if options.quick else measure(10, 1)
     inside = [row for row in rows if row["inside"]]
     worst = [row["worst"] for row in rows if not math.isnan(row["worst"])]
     targets: dict[str, Target] = {

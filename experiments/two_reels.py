@@ -363,10 +363,10 @@ def targets(
 
 def main() -> int:
     """Prints the tables, or with --json one object; returns 1 where a target is missed."""
-    parser = command_line(__doc__, quick="20 seeds instead of 200, and a quarter of the tables")
+    parser = command_line(__doc__, quick="8 seeds instead of 200, and a quarter of the tables")
     parser.add_argument("--seeds", type=int, default=200, help="benches for the coverage")
     options = parser.parse_args()
-    seeds, thin = (20, THIN) if options.quick else (options.seeds, 1)
+    seeds, thin = (8, THIN) if options.quick else (options.seeds, 1)
     image = Path(__file__).parent / "out" / "two_reels.png"
     with print_tables(hidden=options.json):
         table, rates, cannot = geometries(thin), coverage(seeds, thin), limits_of_the_bench()

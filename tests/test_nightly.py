@@ -14,6 +14,9 @@ VALIDATION = {
     "sample_efficiency": ("--seeds", "10", "--jobs", "2"),
     "chaos": ("--faults", "500", "--trials", "1000"),
     "loop_claims": (),
+    "two_reels": (),
+    "identification": (),
+    "confirmation": (),
 }
 """Options of each experiment at validation size."""
 
@@ -22,8 +25,11 @@ VALIDATION = {
 @pytest.mark.parametrize("name", VALIDATION)
 def test_figures_agree_with_the_claims_at_validation_size(name, tmp_path):
     printed = run_experiment(name, tmp_path, *VALIDATION[name])
-    CHECKS[name](printed["figures"], printed["targets"])
+    if name in CHECKS:
+        CHECKS[name](printed["figures"], printed["targets"])
+    else:  # its targets allow for the number of cases
+        assert not [key for key, target in printed["targets"].items() if not target["met"]]
 
 
 def test_validation_covers_every_checked_experiment():
-    assert set(VALIDATION) == set(CHECKS)
+    assert set(VALIDATION) >= set(CHECKS)
