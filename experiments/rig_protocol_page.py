@@ -24,7 +24,7 @@ from estune.remote.messages import VERBS, Answer, Description, Inquire, Keys, St
 from estune.remote.messages.codec import Message
 from estune.remote.state_machine import client, rig, state
 from estune.remote.state_machine.client import ClientInput, ClientStage
-from estune.remote.state_machine.reply_codes import ReplyCode
+from estune.remote.state_machine.reply_codes import OF_TRIAL, ReplyCode
 from estune.remote.state_machine.state import Mode
 from estune.remote.state_machine.trials import TABLE, TrialEvent, TrialState
 from estune.remote.zenoh import rig_connection, zenoh_session
@@ -185,12 +185,86 @@ def modes() -> Iterator[str]:
         yield "\n"
 
 
+UNKNOWN = TrialState.UNKNOWN
+HELD = state.RigState(state.Lease("right", "anna", 1.0))
+ACTIVE, NOTED, RUNNING, STOPPING = (
+    HELD._replace(trial=state.AcceptedTrial("active", *progress))
+    for progress in ((), (True,), (True, True), (True, True, "a reason"))
+)
+SAFE = HELD._replace(latched="the first reason")
+CLOSED = state.RigState(closed=True)
+STATES = (state.RigState(), HELD, ACTIVE, NOTED, RUNNING, STOPPING, SAFE, CLOSED)
+"""A state in each mode, in their order; the lease, where one is held, is `right`."""
+
+
+def submits() -> Iterator[str]:
+    """Reply to a submit that has not been refused as a message, in each mode."""
+    events = {
+        "the ledger has an entry": state.SubmitEvent("wrong", "id", TrialState.ENDED, "outside"),
+        "else, the lease is not its": state.SubmitEvent("wrong", "id", UNKNOWN, "outside"),
+        "else, outside the limits": state.SubmitEvent("right", "id", UNKNOWN, "outside"),
+        "else": state.SubmitEvent("right", "id", UNKNOWN),
+    }
+    yield f"| in mode | {' | '.join(events)} |\n| --- |{' --- |' * len(events)}\n"
+    for before in STATES:
+        codes = [rig.step(before, event, 0.0).verdict for event in events.values()]
+        cells = ("its state", *(f"`{code}`" for code in codes[1:]))
+        yield f"| `{before.mode}` | {' | '.join(cells)} |\n"
+
+
+CASES: tuple[tuple[str, state.RigState, state.Event], ...] = (
+    ("renew, while another client holds the lease", HELD, state.Renew("wrong")),
+    ("release, while another client holds the lease", HELD, state.Release("wrong")),
+    ("renew, without any lease in force", state.RigState(), state.Renew("wrong")),
+    ("release, without any lease in force", state.RigState(), state.Release("wrong")),
+    ("cancel of another trial than the active one", RUNNING, state.CancelEvent("right", "id")),
+    (
+        "cancel of a trial, while another client holds the lease",
+        RUNNING,
+        state.CancelEvent("wrong"),
+    ),
+    (
+        "void of a trial in the ledger, without the lease",
+        HELD,
+        state.VoidEvent("wrong", "id", TrialState.ENDED),
+    ),
+    (
+        "void of a trial not in the ledger, without the lease",
+        HELD,
+        state.VoidEvent("wrong", "id", UNKNOWN),
+    ),
+    (
+        "void of the trial that is being written to the ledger",
+        ACTIVE,
+        state.VoidEvent("right", "active", UNKNOWN),
+    ),
+    ("gains, while a trial is active", RUNNING, state.SetGainsEvent("right")),
+    ("gains, in the safe state and without the lease", SAFE, state.SetGainsEvent("wrong")),
+    ("estop, in the safe state: the first reason stands", SAFE, state.EstopEvent("another")),
+    ("clear, by a client without the lease", SAFE, state.ClearEvent()),
+)
+"""Questions that the sentences of the table leave open: situation, state before it, event."""
+
+
+def cases() -> Iterator[str]:
+    """Replies in particular situations."""
+    yield "| command | reply | mode before and after | ordered |\n| --- | --- | --- | --- |\n"
+    for situation, before, event in CASES:
+        move = rig.step(before, event, 0.0)
+        orders = ", ".join(order.value for order in move.orders) or "nothing"
+        modes = f"`{before.mode}`, `{move.state.mode}`"
+        yield f"| {situation} | `{move.verdict}` | {modes} | {orders} |\n"
+
+
 def trials() -> Iterator[str]:
-    """States of a trial id in the ledger."""
-    yield f"| state | {' | '.join(TrialEvent)} |\n| --- |{' --- |' * len(TrialEvent)}\n"
+    """States of a trial id in the ledger, and the reply to a submit or Inquire."""
+    columns = (*TrialEvent, "reply to an Inquire")
+    yield f"| state | {' | '.join(columns)} |\n| --- |{' --- |' * len(columns)}\n"
     for trial in TrialState:
         cells = (f"{TABLE[trial].get(event, 'impossible')}" for event in TrialEvent)
-        yield f"| `{trial}` | {' | '.join(cells)} |\n"
+        reply = "the frame" if trial is TrialState.ENDED else f"`{OF_TRIAL[trial]}`"
+        reply += ", with the error in the ledger" if trial is TrialState.FAILED else ""
+        yield f"| `{trial}` | {' | '.join(cells)} | {reply} |\n"
 
 
 def clients() -> Iterator[str]:
@@ -262,6 +336,8 @@ SECTIONS: dict[str, Callable[[], Iterator[str]]] = {
             profiles,
             verdicts,
             modes,
+            submits,
+            cases,
             trials,
             clients,
             outcomes,

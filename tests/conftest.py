@@ -27,11 +27,6 @@ class FileScheduling(LoadScopeScheduling):
         return nodeid if Path(file).stem in INDEPENDENT else file
 
 
-def pytest_addoption(parser):
-    parser.addoption("--endpoint", help="endpoint of a real rig to test; it will move")
-    parser.addoption("--rig", help="name of the rig, if several answer at the endpoint")
-
-
 def pytest_xdist_auto_num_workers(config):
     """Workers for the whole suite; files named on the command line run in this process."""
     return WORKERS if config.args_source is config.ArgsSource.TESTPATHS else 0

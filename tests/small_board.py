@@ -338,7 +338,7 @@ def reply(key, payload):
 
 def emergency(payload):
     try:
-        reason = str(json.loads(payload)["reason"])[:128]
+        reason = str(json.loads(payload)["reason"])[:128] or "no reason given"
     except (ValueError, KeyError, TypeError):
         reason = "no reason given"
     ledger["latched"] = ledger["latched"] or reason

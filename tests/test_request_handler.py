@@ -541,6 +541,8 @@ def test_estop_persists_over_a_restart(tmp_path):
         with handling(rig, ledger) as handler:
             if not clear:
                 handler.stop("smoke")
+                handler.stop("a later reason")
+            assert handler.status().latched == "smoke"
             assert handler.begin(trial()).verdict is ReplyCode.SAFE
             with pytest.raises(RigError):
                 rig.apply(GAINS)

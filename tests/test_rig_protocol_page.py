@@ -9,8 +9,11 @@ import numpy as np
 import pytest
 
 from estune.remote import messages
+from estune.remote.state_machine.reply_codes import OF_TRIAL
+from estune.remote.state_machine.state import Mode
+from estune.remote.state_machine.trials import TrialState
 from estune.trial import record_frame
-from experiments.rig_protocol_page import EXAMPLES, PAGE, RECORD, SAMPLES, SECTIONS, page
+from experiments.rig_protocol_page import EXAMPLES, PAGE, RECORD, SAMPLES, SECTIONS, STATES, page
 from tests.support_rigs import same
 
 TEXT = PAGE.read_text("utf-8")
@@ -29,6 +32,16 @@ def dumped(name: str) -> bytes:
 def test_page_is_up_to_date():
     assert set(re.findall(r"from the code: (\w+)", TEXT)) == set(SECTIONS)
     assert page(TEXT) == TEXT, "run: python -m experiments.rig_protocol_page"
+
+
+def test_table_of_submits_has_a_state_of_every_mode():
+    assert [state.mode for state in STATES] == list(Mode)
+
+
+@pytest.mark.parametrize("state", TrialState)
+def test_page_has_a_reply_for_every_state_of_a_trial(state):
+    (row,) = re.findall(rf"^\| `{state}` \|.*\| (.*) \|$", section("trials"), re.MULTILINE)
+    assert row == "the frame" or str(OF_TRIAL[state]) in row
 
 
 def test_frame_of_the_page_decodes_to_its_record():

@@ -15,5 +15,15 @@ if __name__ == "__main__":
         print(__doc__)
         raise SystemExit
     # No settings of the folder that it happens to be run in.
-    own = ["-c", os.devnull, "--rootdir", os.curdir, "-p", "no:cacheprovider", "-p", SUITE]
+    own = [
+        "-c",
+        os.devnull,
+        "--rootdir",
+        os.curdir,
+        "--noconftest",
+        "-p",
+        "no:cacheprovider",
+        "-p",
+        SUITE,
+    ]
     raise SystemExit(pytest.main([*own, "--pyargs", SUITE, *sys.argv[1:]]))

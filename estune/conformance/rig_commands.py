@@ -80,7 +80,9 @@ class CommandTests:
         assert wire.record(request).outcome is Outcome.CANCELLED
         wire.acquire()
 
-    @pytest.mark.parametrize("payload", [b"", b'{"reason":"smoke"}', b"\xff{", b'{"reason":3}'])
+    @pytest.mark.parametrize(
+        "payload", [b"", b'{"reason":"smoke"}', b'{"reason":""}', b"\xff{", b'{"reason":3}']
+    )
     def test_estop_with_any_payload_is_obeyed_and_holds_until_clear(
         self, wire: WireClient, payload: bytes
     ) -> None:
@@ -97,6 +99,10 @@ class CommandTests:
         ):
             assert answer.verdict is ReplyCode.SAFE
         assert wire.send("estop", Estop("again")).verdict is ReplyCode.ACCEPTED
+        assert wire.status().latched == status.latched
+        held, wire.lease = wire.lease, "0" * 16
+        assert wire.submit(wire.trial(1)).verdict is ReplyCode.SAFE
+        wire.lease = held
         assert wire.send("clear", Clear()).verdict is ReplyCode.ACCEPTED
         assert wire.status().mode is Mode.LEASED
         wire.submit(wire.trial(1))

@@ -56,6 +56,10 @@ class TrialTests:
             )
             data += part.data
         assert data == whole
+        for offset in (len(whole), -1):
+            beyond = wire.inquire(request, offset=offset)
+            assert isinstance(beyond, Answer)
+            assert (beyond.verdict, beyond.error) == (ReplyCode.REFUSED, "ProtocolError")
 
     def test_submit_of_another_request_under_a_used_id_is_refused(self, wire: WireClient) -> None:
         request = wire.trial()
@@ -89,7 +93,9 @@ class TrialTests:
             wire.send("gains", SetGains(wire.lease, gains)),
         ):
             assert (answer.verdict, answer.trial_id) == (ReplyCode.BUSY, request.trial_id)
-        assert wire.send("cancel", Cancel(wire.lease, "another-00000")).trial_id == ""
+        another = wire.send("cancel", Cancel(wire.lease, "another-00000"))
+        assert another == Answer(ReplyCode.ACCEPTED)
+        assert wire.status().mode is Mode.RUNNING
         while (
             answer := wire.submit(request)
         ).verdict is ReplyCode.ACCEPTED:  # the mode changes before the ledger does
@@ -113,6 +119,7 @@ class TrialTests:
         wire.record(other)
         late = Void(wire.lease, other.trial_id, digest(other))
         assert wire.send("void", late).verdict is ReplyCode.ENDED
+        assert wire.send("void", replace(late, lease="")).verdict is ReplyCode.ENDED
         assert wire.status().ended == ended + 1
 
     def test_gains_set_are_live(self, wire: WireClient) -> None:

@@ -18,6 +18,9 @@ from estune.trial import TrialRecord, TrialRequest, record_frame
 ANSWERED_WITHIN_S = 10.0
 """Timeout of a query, s; generous, as the speed of the machine is not tested."""
 
+MODE_WITHIN_S = 60.0
+"""Longest wait for a mode, s."""
+
 HOLDER = "the conformance suite"
 
 PENDING = (ReplyCode.ACCEPTED, ReplyCode.RUNNING, ReplyCode.BUSY)
@@ -123,7 +126,9 @@ class WireClient:
 
     def until(self, *modes: Mode, renew: bool = True) -> Status:
         """Waits for a mode; renews the lease meanwhile."""
+        deadline_s = time.monotonic() + MODE_WITHIN_S
         while (status := self.status()).mode not in modes:
+            assert time.monotonic() < deadline_s, f"not {modes} but {status}"
             if renew:
                 self.renew()
             time.sleep(RENEW_S / 10)

@@ -36,10 +36,10 @@ def encode_part(whole: bytes, offset: int, length: int) -> bytes:
     """The part of a frame from `offset` on, of `length` bytes or up to its end.
 
     Raises:
-        ProtocolError: the part is empty.
+        ProtocolError: the part is empty, or a number is negative.
     """
     piece = whole[offset : offset + length]
-    if not piece or offset < 0:
+    if not piece or offset < 0 or length < 0:
         raise ProtocolError(
             f"{length} bytes from byte {offset} on of a record of {len(whole)} bytes: none there"
         )

@@ -128,7 +128,7 @@ def cancel_without_trial(state: RigState, _event: events.CancelEvent, _now_s: fl
 
 
 def cancel(state: RigState, event: events.CancelEvent, _now_s: float) -> Transition:
-    """Stop the trial, if the lease is right and the command names this trial or none."""
+    """Stop the trial, if the lease is right and the command names it or none; else accept."""
     if not _owns(state, event.token):
         return _without_lease(state)
     if state.trial is None or event.trial_id not in ("", state.trial.trial_id):

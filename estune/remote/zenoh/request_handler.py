@@ -353,7 +353,9 @@ class RequestHandler:
 
     def _latch(self, reason: str) -> None:
         _log.warning("emergency stop: %s", reason)
-        self._ledger.latch(reason)
+        with self._shared.lock:
+            latched = self._shared.state.latched  # the first reason; empty if cleared meanwhile
+        self._ledger.latch(latched)
 
 
 def _answer(move: Transition, trial_id: str = "") -> Answer:
