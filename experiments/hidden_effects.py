@@ -24,7 +24,7 @@ from typing import Any
 
 from experiments import silverbox
 from experiments.hidden_scores import Row, Task, diagnose
-from experiments.judged import Target, at_least, at_most, command_line, tell
+from experiments.results import Target, at_least, at_most, command_line, print_results
 
 SHARES = {
     "plain": 26,
@@ -51,7 +51,7 @@ OUT = Path(__file__).parent / "out"
 SINGLE = ("plain", "steps_only", "wrong_base", "unloaded", "stage")
 NOTHING = ("none", "none_unloaded")
 OUTSIDE = ("outside", "outside_unloaded", "left_out")
-QUICK_CASES, THROUGHPUT_CASES = 16, 8
+QUICK_CASES, THROUGHPUT_CASES = 8, 8
 
 LIMITS: dict[str, tuple[float, Callable[[float, float], Target]]] = {
     "exact_name": (0.95, at_least),
@@ -268,7 +268,7 @@ def targets(figures: dict[str, float]) -> dict[str, Target]:
 
 def main() -> int:
     """Prints the tables, or with --json one object; returns 1 where a target is missed."""
-    parser = command_line(__doc__, quick="20 cases, no throughput")
+    parser = command_line(__doc__, quick=f"{QUICK_CASES} cases, no throughput")
     parser.add_argument("--cases", type=int, default=1000, help="number of cases")
     parser.add_argument("--seed0", type=int, default=FIRST_FRESH_SEED, help="first seed")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes")
@@ -280,7 +280,7 @@ def main() -> int:
         lines = options.rows.read_text(encoding="utf-8").splitlines()
         rows = [Row.from_json(json.loads(line)) for line in lines]
     else:
-        todo = tasks(QUICK_CASES if options.quick else options.cases, options.seed0)
+        todo = tasks(options.cases, options.seed0)[: QUICK_CASES if options.quick else None]
         rows = run_all(todo, options.jobs, OUT / "hidden_effects.jsonl")
         if not options.quick:
             figures |= throughput(THROUGHPUT_CASES, options.seed0)
@@ -292,7 +292,7 @@ def main() -> int:
         for name, value in figures.items():
             print(f"  {name:30s} {value if isinstance(value, str) else f'{value:.4g}'}")
     counted = figures | {"confusion": confusion(rows)}
-    return tell(counted, targets(figures), as_json=options.json)
+    return print_results(counted, targets(figures), as_json=options.json)
 
 
 if __name__ == "__main__":
