@@ -2,8 +2,11 @@
 
 import re
 import shutil
+import socket
+import ssl
 import subprocess
-from contextlib import contextmanager
+import time
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import pytest
@@ -11,7 +14,7 @@ import pytest
 from estune.cli import run
 from estune.errors import InvalidInput, RigError
 from estune.remote import zenoh
-from estune.remote.security import read_security
+from estune.remote.security import OPEN, read_security
 from estune.remote.state_machine.state import Mode
 from estune.remote.zenoh.daemon_service import DaemonClient
 from estune.run.trial_file import TrialFile
@@ -291,6 +294,28 @@ def test_unencrypted_endpoint_with_certificates_is_refused(holders):
         zenoh.serve(ScriptedRig(), "tcp/127.0.0.1:0", security=holders["rig"])
     with pytest.raises(InvalidInput, match="needs certificates"):
         zenoh.connect("tls/127.0.0.1:7447")
+
+
+@pytest.mark.parametrize("encrypted", [True, False], ids=["tls", "tcp"])
+def test_idle_connections_keep_out_neither_a_newcomer_nor_a_stop(holders, encrypted):
+    rig, anna = (holders["rig"], holders["anna"]) if encrypted else (OPEN, OPEN)
+    context = ssl.create_default_context(cafile=holders["anna"].tls.authority)
+    context.load_cert_chain(holders["anna"].tls.certificate, holders["anna"].tls.key)
+    with (
+        served(f"{'tls' if encrypted else 'tcp'}/127.0.0.1:0", security=rig) as (_, server),
+        zenoh.connect(server.endpoint, security=anna) as client,
+        ExitStack() as idle,
+    ):
+        for _ in range(300):
+            address = "127.0.0.1", int(server.endpoint.rpartition(":")[2])
+            connection = idle.enter_context(socket.create_connection(address))
+            if encrypted:
+                idle.enter_context(context.wrap_socket(connection, server_hostname=address[0]))
+        began_s = time.monotonic()
+        client.estop("smoke")
+        assert time.monotonic() - began_s < 0.5
+        zenoh.connect(server.endpoint, security=anna).close()
+        assert time.monotonic() - began_s < 1.5
 
 
 # --- the file ---

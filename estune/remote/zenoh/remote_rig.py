@@ -8,7 +8,7 @@ import threading
 import time
 import weakref
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from datetime import UTC, datetime
 from functools import partial
@@ -245,10 +245,11 @@ class RemoteRig:
         payload = messages.encode(command)
         asked_s = time.monotonic()
         while True:
+            # First over what is open: a listener may be kept from accepting another session.
             data = self._connection.ask(
                 *(self._connection.command_key(command), payload),
                 timeout_s=_STOPPED_WITHIN_S,
-                session=self._stop_session.get(self._connection.timeout_s),
+                session=self._stop_session.session,
                 priority=zenoh.Priority.REAL_TIME,
             )
             if data is not None:
@@ -258,6 +259,8 @@ class RemoteRig:
                     f"rig {self.name!r} has not answered the emergency stop: it must be taken as "
                     "not stopped; cut its power"
                 )
+            with suppress(RigError):
+                self._stop_session.open(_STOPPED_WITHIN_S)
             self._connection.check_liveliness(asked_s)
 
     def clear(self) -> None:
@@ -312,20 +315,23 @@ class RemoteRig:
 
 
 class _StopSession:
-    """A session for emergency stops alone, opened at the first: nothing queues ahead of them."""
+    """A session for emergency stops alone, opened where the rig's own does not reply in time.
+
+    Attributes:
+        session: The session, or None.
+    """
 
     def __init__(self, reopen: Callable[[float], zenoh.Session]) -> None:
         self._reopen = reopen
-        self._session: zenoh.Session | None = None
+        self.session: zenoh.Session | None = None
 
-    def get(self, timeout_s: float) -> zenoh.Session:
-        if self._session is None:
-            self._session = self._reopen(time.monotonic() + timeout_s)
-        return self._session
+    def open(self, timeout_s: float) -> None:
+        if self.session is None:
+            self.session = self._reopen(time.monotonic() + timeout_s)
 
     def close(self) -> None:
-        if self._session is not None:
-            close_session(self._session)
+        if self.session is not None:
+            close_session(self.session)
 
 
 def _close(lease: LeaseRenewer, stops: _StopSession, connection: RigConnection) -> None:

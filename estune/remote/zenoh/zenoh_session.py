@@ -29,6 +29,14 @@ from estune.remote.zenoh.endpoints import (
 LEASE_MS = 2000
 """Time after which a frozen process, whose connections are still open, counts as gone, ms."""
 
+OPEN_WITHIN_MS = 2000
+"""Time after which a connection is closed that has not become a session, ms."""
+
+UNOPENED_MAX = 512
+"""Connections that may wait to become a session; beyond it, none is accepted until one ends.
+
+It is well below the usual limit of 1024 open files."""
+
 COMMANDS_MAX_BYTES = 64 * 2**10
 """Largest message that a listener accepts; the transport drops longer ones."""
 
@@ -83,7 +91,11 @@ def open_session(
         "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
         "transport": {
             "shared_memory": {"enabled": False},
-            "unicast": {"open_timeout": 2000, "accept_timeout": 2000},
+            "unicast": {
+                "open_timeout": OPEN_WITHIN_MS,
+                "accept_timeout": OPEN_WITHIN_MS,
+                "accept_pending": UNOPENED_MAX,
+            },
             "link": {
                 "tx": {
                     "lease": LEASE_MS,
