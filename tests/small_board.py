@@ -92,7 +92,7 @@ def answer(verdict, trial_id="", error="", sentence=""):
     return json.dumps(reply).encode()
 
 
-def denied():
+def lease_refusal():
     if holds(lease["token"]):
         return answer("held", sentence=f"held by {lease['holder']}")
     return answer("no_lease", sentence="the lease has run out")
@@ -106,7 +106,7 @@ def finite(*values):
             raise Refused("ProtocolError", f"{value!r} is not finite")
 
 
-def checked(what, message):
+def check_fields(what, message):
     """Refuses an object with missing, unknown or wrong fields."""
     needed, more = FIELDS[what]
     if not isinstance(message, dict) or not needed <= set(message) <= needed | more:
@@ -122,7 +122,7 @@ def checked(what, message):
 
 
 def gains_of(values):
-    checked("P", values)
+    check_fields("P", values)
     finite(*values.values())
     if not (values["P"] > 0.0 and min(values.values()) >= 0.0):
         raise Refused("ProtocolError", "gains out of range")
@@ -147,7 +147,7 @@ def cancel(message):
     if now.trial is None:
         return answer("accepted")
     if not holds(message["lease"]):
-        return denied()
+        return lease_refusal()
     if message.get("trial_id", "") not in ("", now.trial["id"]):
         return answer("accepted")
     now.stop = now.stop or "stopped by its client"
@@ -159,7 +159,7 @@ def void(message):
     if (reply := find_entry(message["trial_id"], message["digest"])) is not None:
         return reply
     if not holds(message["lease"]):
-        return denied()
+        return lease_refusal()
     ledger["trials"][message["trial_id"]] = {"digest": message["digest"], "state": "void"}
     save()
     return answer("void", message["trial_id"])
@@ -170,7 +170,7 @@ def set_gains(message):
     if ledger["latched"] and now.trial is None:
         return answer("safe", sentence=ledger["latched"])
     if not holds(message["lease"]):
-        return denied()
+        return lease_refusal()
     if now.trial:
         return busy()
     now.live = gains
@@ -185,7 +185,7 @@ def clear(_):
     return answer("accepted")
 
 
-def leased(message):
+def handle_lease(message):
     token, until = message["lease"], time.monotonic() + LEASE_S
     match message["action"]:
         case "acquire" if not holds(lease["token"]) or holds(token):
@@ -197,7 +197,7 @@ def leased(message):
             lease["until"] = 0.0
             now.stop = now.stop or ("its client released the lease" if now.trial else "")
         case "acquire" | "renew" | "release":
-            return denied()
+            return lease_refusal()
         case _:
             raise Refused("ProtocolError", f"no such action: {message['action']}")
     work.notify_all()
@@ -205,7 +205,7 @@ def leased(message):
 
 
 def submit(message):
-    request = checked("request", message["request"])
+    request = check_fields("request", message["request"])
     gains, profile = gains_of(request["gains"]), request["profile"]
     attempt = request.get("attempt", 0)
     trial_id = f"{request['run']}-{request['number']:05d}" + (f".{attempt}" if attempt else "")
@@ -214,10 +214,10 @@ def submit(message):
     if ledger["latched"] and now.trial is None:
         return answer("safe", sentence=f"safe state: {ledger['latched']}")
     if not holds(message["lease"]):
-        return denied()
+        return lease_refusal()
     if isinstance(profile, dict) and profile.get("kind") != "step":
         raise Refused("InvalidInput", "this board knows steps only")
-    checked("step", profile)
+    check_fields("step", profile)
     numbers = [profile[n] for n in ("preload_N", "step_N", "step_at_s", "duration_s")]
     finite(*numbers)
     preload, size, at, duration = numbers
@@ -237,7 +237,7 @@ def submit(message):
 
 
 COMMANDS = {
-    "lease": leased,
+    "lease": handle_lease,
     "submit": submit,
     "cancel": cancel,
     "void": void,
@@ -263,7 +263,7 @@ def question(words, payload):
                 {"rig": description(), "instance": INSTANCE, "ledger": ledger["identity"]}
             ).encode()
         case ["result", trial_id]:
-            message = checked("result", parse(payload))
+            message = check_fields("result", parse(payload))
             reply = find_entry(trial_id, message["digest"]) or answer("unknown", trial_id)
             if b'"ended"' in reply and now.frame[0] == trial_id:
                 return part(now.frame[1], message.get("offset", 0), message.get("length", 0))
@@ -329,7 +329,7 @@ def reply(key, payload):
                 case ["@cmd", _, "estop"]:
                     return emergency(payload)
                 case ["@cmd", _, verb]:
-                    return COMMANDS[verb](checked(verb, parse(payload)))
+                    return COMMANDS[verb](check_fields(verb, parse(payload)))
                 case words:
                     return question(words, payload)
     except Refused as refused:

@@ -15,7 +15,7 @@ from estune.tuners import DEFAULT_TUNER
 from tests.support_runs import START, description
 
 
-def ended(cost, *, tuner=DEFAULT_TUNER, noise=0.0, seed=0, **changes) -> Session:
+def run_to_end(cost, *, tuner=DEFAULT_TUNER, noise=0.0, seed=0, **changes) -> Session:
     """Session after a complete run on a cost of the gains with proportional noise."""
     about = description(gains=START)
     options = {"start": None, "bounds": None, "step": None, "cost": StepCost(0.1), **changes}
@@ -33,7 +33,7 @@ TUNERS = (DEFAULT_TUNER, "least_squares_gradient", "otis")
 @pytest.mark.parametrize("tuner", TUNERS)
 @pytest.mark.parametrize("noise", [0.0, 0.03])
 def test_constant_cost_keeps_initial_gains(tuner, noise):
-    session = ended(lambda _: 2.0, tuner=tuner, noise=noise)
+    session = run_to_end(lambda _: 2.0, tuner=tuner, noise=noise)
     summary = summarise(session)
     assert summary.complete
     assert not summary.improved
@@ -44,7 +44,7 @@ def test_constant_cost_keeps_initial_gains(tuner, noise):
 @pytest.mark.parametrize("tuner", TUNERS)
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -1.0, 1e9])
 def test_search_ends_soon_where_only_the_start_is_safe(tuner, bad):
-    session = ended(lambda gains: 2.0 if gains == START else bad, tuner=tuner)
+    session = run_to_end(lambda gains: 2.0 if gains == START else bad, tuner=tuner)
     summary = summarise(session)
     assert summary.complete
     assert "consecutive" in summary.message
@@ -59,7 +59,7 @@ def bowl(gains: Gains, *which: str) -> float:
 
 @pytest.mark.parametrize("seed", range(3))
 def test_gains_without_effect_get_wider_intervals(seed):
-    session = ended(lambda g: bowl(g, "P", "I"), noise=0.02, seed=seed)
+    session = run_to_end(lambda g: bowl(g, "P", "I"), noise=0.02, seed=seed)
     summary = summarise(session)
     assert summary.improved
     assert bowl(summary.gains, "P", "I") < 1.05
@@ -72,12 +72,12 @@ def test_gains_with_an_effective_product_converge_to_it(seed):
     def cost(gains):
         return math.exp(math.log(gains.P * gains.I / (START.P * START.I) / 4.0) ** 2)
 
-    summary = summarise(ended(cost, noise=0.02, seed=seed))
+    summary = summarise(run_to_end(cost, noise=0.02, seed=seed))
     assert summary.improved
     assert cost(summary.gains) < 1.05
 
 
 def test_smallest_costs_are_compared_like_others():
-    summary = summarise(ended(lambda g: 1e-12 * bowl(g, "P", "I"), noise=0.02))
+    summary = summarise(run_to_end(lambda g: 1e-12 * bowl(g, "P", "I"), noise=0.02))
     assert summary.improved
     assert summary.cost == pytest.approx(1e-12, rel=0.1)

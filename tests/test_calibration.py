@@ -26,13 +26,13 @@ def amplifier_A(command):
     return 0.03 + 2.9e-3 * command - 6e-11 * command**3
 
 
-def read(seed, noise=3.0, forces=FORCES, **position):
+def read_gauge(seed, noise=3.0, forces=FORCES, **position):
     rng = np.random.default_rng(seed)
     return gauge_counts(forces, **position) + noise * rng.standard_normal(forces.size)
 
 
 def test_quadratic_agrees_with_an_independent_fit():
-    counts = read(0)
+    counts = read_gauge(0)
     calibration = GaugeCalibration.fit(FORCES, counts)
     reference, covariance = np.polyfit(FORCES, counts, 2, cov="unscaled")
     force = np.linspace(0.0, 40.0, 33)
@@ -56,7 +56,7 @@ def test_surface_in_force_and_position_agrees_with_an_independent_fit():
     forces, positions = map(
         np.ravel, np.meshgrid(np.linspace(1.0, 40.0, 6), np.linspace(-0.01, 0.01, 5))
     )
-    counts = read(1, forces=forces, position_m=positions)
+    counts = read_gauge(1, forces=forces, position_m=positions)
     calibration = GaugeCalibration.fit(forces, counts, positions, position_order=2)
 
     def rows(f, y):
@@ -118,7 +118,7 @@ def test_half_width_covers_the_true_curve_at_95_percent():
     seeds, row = 400, np.array([1.0, 0.15, 0.15**2])  # at 23 N of 0 to 40 N
     hits = 0
     for seed in range(seeds):
-        fit = GaugeCalibration.fit(FORCES, read(seed)).regression
+        fit = GaugeCalibration.fit(FORCES, read_gauge(seed)).regression
         hits += abs(row @ fit.coefficients - gauge_counts(23.0)) < fit.half_width(row)
     low, high = binom.interval(0.999, seeds, 0.95)
     assert low <= hits <= high
@@ -127,19 +127,19 @@ def test_half_width_covers_the_true_curve_at_95_percent():
 def test_lack_of_fit_detects_too_low_an_order():
     seeds = 400
     refused = sum(
-        GaugeCalibration.fit(FORCES, read(seed)).regression.lack_of_fit.p_value < 0.05
+        GaugeCalibration.fit(FORCES, read_gauge(seed)).regression.lack_of_fit.p_value < 0.05
         for seed in range(seeds)
     )
     low, high = binom.interval(0.999, seeds, 0.05)
     assert low <= refused <= high
-    bent = read(0) + 0.02 * (FORCES - 20.0) ** 3
+    bent = read_gauge(0) + 0.02 * (FORCES - 20.0) ** 3
     assert GaugeCalibration.fit(FORCES, bent).regression.lack_of_fit.p_value < 1e-6
 
 
 def test_lack_of_fit_statistic_is_an_analysis_of_variance():
     # Saturate the model but for the curve: residuals of the fit, grouped by force, have group
     # means that are the misses, so the one-way F needs only its degrees of freedom corrected.
-    fit = GaugeCalibration.fit(FORCES, read(3)).regression
+    fit = GaugeCalibration.fit(FORCES, read_gauge(3)).regression
     groups = [np.asarray(fit.residuals)[force == FORCES] for force in np.unique(FORCES)]
     one_way = f_oneway(*groups).statistic
     test = fit.lack_of_fit
@@ -158,12 +158,12 @@ def test_lack_of_fit_needs_differing_repeats():
 
 
 def test_extrapolation_is_refused_outside_the_margin():
-    calibration = GaugeCalibration.fit(FORCES, read(0))
+    calibration = GaugeCalibration.fit(FORCES, read_gauge(0))
     with pytest.raises(InvalidInput, match=r"force 40.5 N is outside the calibrated 0 to 40 N"):
         calibration.reading([3.0, 40.5])
     with pytest.raises(InvalidInput, match=r"reading 9000 is outside .* 0 to 40 N"):
         calibration.force_N(9000.0)
-    wider = GaugeCalibration.fit(FORCES, read(0), margin=0.05)
+    wider = GaugeCalibration.fit(FORCES, read_gauge(0), margin=0.05)
     assert wider.force_N(wider.reading(41.9)) == pytest.approx(41.9)
     with pytest.raises(InvalidInput, match="calibrated -2 to 42 N"):
         wider.reading(42.1)
@@ -176,9 +176,9 @@ def test_extrapolation_is_refused_outside_the_margin():
 
 def test_calibration_survives_json():
     forces, positions = np.tile(FORCES, 3), np.repeat([-0.01, 0.0, 0.01], FORCES.size)
-    counts = read(7, forces=forces, position_m=positions)
+    counts = read_gauge(7, forces=forces, position_m=positions)
     for calibration in (
-        GaugeCalibration.fit(FORCES, read(0), margin=0.1),
+        GaugeCalibration.fit(FORCES, read_gauge(0), margin=0.1),
         GaugeCalibration.fit(forces, counts, positions, position_order=2),
         CurrentCalibration.fit(COMMANDS, amplifier_A(COMMANDS), order=5),
     ):
@@ -245,7 +245,7 @@ def test_bad_current_data_are_refused_by_name(data, message):
 
 def test_noise_in_repeats_is_not_a_reversal():
     forces = np.repeat(np.linspace(0.0, 4.0, 21), 3)  # 11 counts apart, noise 30 counts
-    counts = read(4, noise=30.0, forces=forces)
+    counts = read_gauge(4, noise=30.0, forces=forces)
     means = counts.reshape(21, 3).mean(axis=1)
     assert np.any(np.diff(means) < 0.0)
     GaugeCalibration.fit(forces, counts)

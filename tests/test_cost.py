@@ -265,7 +265,7 @@ def test_record_is_scored_by_tension_and_effort():
     assert all(map(math.isfinite, metrics))
 
 
-def spoiled(value, index):
+def with_sample(value, index):
     column = np.full(SAMPLES, 12.0)
     column[index] = value
     return column
@@ -277,9 +277,9 @@ def spoiled(value, index):
         *(record(outcome) for outcome in Outcome if outcome is not Outcome.DONE),
         record(Outcome.GUARD, samples=150),
         record(Outcome.CANCELLED, samples=0),
-        record(tension_N=spoiled(math.nan, 300)),
-        record(tension_N=spoiled(math.inf, 3)),
-        record(current_A=spoiled(math.nan, 631)),
+        record(tension_N=with_sample(math.nan, 300)),
+        record(tension_N=with_sample(math.inf, 3)),
+        record(current_A=with_sample(math.nan, 631)),
     ],
     ids=lambda r: f"{r.outcome} {r.time_s.size}",
 )
@@ -289,7 +289,7 @@ def test_aborted_or_non_finite_record_has_no_metrics(unscorable):
 
 
 def test_record_too_large_to_square_has_no_cost():
-    huge = record(tension_N=spoiled(1e200, 300))
+    huge = record(tension_N=with_sample(1e200, 300))
     assert math.isnan(cost_of(huge, STEP, StepCost(0.3), 20.0))
 
 

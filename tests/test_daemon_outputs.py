@@ -47,7 +47,7 @@ def status(**changes) -> DaemonStatus:
     return replace(plain, **changes)
 
 
-def parsed(text: str) -> dict[tuple[str, frozenset], float]:
+def parse_metrics(text: str) -> dict[tuple[str, frozenset], float]:
     """Samples of a text in Prometheus' format, parsed strictly."""
     samples = {}
     for line in text.removesuffix("\n").split("\n"):
@@ -63,7 +63,7 @@ def parsed(text: str) -> dict[tuple[str, frozenset], float]:
 
 
 def test_metrics_are_prometheus_text_of_the_status():
-    samples = parsed(render([status(), status(rig='o"d\\d', mode="paused", live="")]))
+    samples = parse_metrics(render([status(), status(rig='o"d\\d', mode="paused", live="")]))
 
     def figure(name, rig="drum", **labels):
         return samples[name, frozenset({"rig": rig, **labels}.items())]
@@ -84,7 +84,7 @@ def test_metrics_file_is_whole_at_every_read(tmp_path):
 
     def read():
         while not over.is_set():
-            sizes.add(len(parsed(file.read_text())))
+            sizes.add(len(parse_metrics(file.read_text())))
 
     reader = threading.Thread(target=read)
     reader.start()
@@ -92,7 +92,7 @@ def test_metrics_file_is_whole_at_every_read(tmp_path):
         write_metrics(file, [status()])
     over.set()
     reader.join()
-    assert sizes == {len(parsed(render([status()])))}
+    assert sizes == {len(parse_metrics(render([status()])))}
     assert [path.name for path in tmp_path.iterdir()] == ["estune.prom"]
 
 
@@ -109,9 +109,9 @@ def test_metrics_are_in_the_file_and_on_loopback(tmp_path):
             answers[path] = answer.status, answer.read().decode()
             connection.close()
         assert answers["/metrics"][0] == 200
-        assert parsed(answers["/metrics"][1])[live] == 1.0
+        assert parse_metrics(answers["/metrics"][1])[live] == 1.0
         assert answers["/other"][0] == 404
-        while parsed((tmp_path / "estune.prom").read_text()).get(live) != 1.0:
+        while parse_metrics((tmp_path / "estune.prom").read_text()).get(live) != 1.0:
             time.sleep(0.01)
 
 

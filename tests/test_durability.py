@@ -69,12 +69,12 @@ def tune_until_it_fails(folder: Path, *limit_bytes: str) -> str:
     return message
 
 
-def committed(folder: Path) -> list[tuple]:
+def committed_rows_of(folder: Path) -> list[tuple]:
     with Journal.open(folder) as book:
         return [(e.number, e.gains, e.cost) for e in book.entries() if e.outcome is not None]
 
 
-def undisturbed(trials: int) -> list[tuple]:
+def uninterrupted_rows(trials: int) -> list[tuple]:
     whole = api.tune(ArithmeticRig(), trials=trials, journal=False, run="run", watch=None)
     return [(e.number, e.gains, e.cost) for e in whole.entries]
 
@@ -84,19 +84,19 @@ def test_full_disk_is_reported_and_committed_trials_stay_whole(tmp_path):
         message = tune_until_it_fails(disk)
         assert "full" in message
         assert "estune resume" in message
-        committed_rows = committed(disk / "run")
+        committed_rows = committed_rows_of(disk / "run")
         roomy = shutil.copytree(disk / "run", tmp_path / "roomy")
     assert len(committed_rows) > 10
     resumed = api.resume(roomy, ArithmeticRig(), watch=None)
-    assert [(e.number, e.gains, e.cost) for e in resumed.entries] == undisturbed(300)
+    assert [(e.number, e.gains, e.cost) for e in resumed.entries] == uninterrupted_rows(300)
 
 
 def test_file_size_limit_is_reported_and_committed_trials_stay_whole(tmp_path):
     message = tune_until_it_fails(tmp_path, "400000")
     assert "estune resume" in message
-    committed_rows = committed(tmp_path / "run")
+    committed_rows = committed_rows_of(tmp_path / "run")
     assert len(committed_rows) > 10
-    assert committed_rows == undisturbed(300)[: len(committed_rows)]
+    assert committed_rows == uninterrupted_rows(300)[: len(committed_rows)]
 
 
 def old_run(tmp_path: Path) -> Path:
@@ -110,7 +110,7 @@ def test_read_only_disk_is_reported_and_leaves_the_run_readable(tmp_path):
     with small_disk(tmp_path / "disk", "4m") as disk:
         shutil.copytree(old_run(tmp_path), disk / "run")
         subprocess.run(["mount", "-o", "remount,ro", disk], check=True)
-        assert len(committed(disk / "run")) == 22
+        assert len(committed_rows_of(disk / "run")) == 22
         with pytest.raises(JournalError, match="can be written"):
             Journal.open(disk / "run", write=True)
         with pytest.raises(JournalError, match="can be written"):
@@ -142,7 +142,7 @@ def test_interrupted_run_of_an_earlier_tuner_name_resumes(tmp_path):
     """The file holds 40 of 60 trials of `newton`, whose settings have other names now."""
     (tmp_path / "newton").mkdir()
     shutil.copy(NEWTON, tmp_path / "newton" / FILE_NAME)
-    before = committed(tmp_path / "newton")
+    before = committed_rows_of(tmp_path / "newton")
     assert len(before) == 40
     resumed = api.resume(tmp_path / "newton", ArithmeticRig(), watch=None)
     options = {"trials": 60, "tolerance": 0.0, "repeats": 2, "run": "newton", "watch": None}
@@ -166,17 +166,17 @@ def schema_of(book: Journal) -> int:
 @pytest.mark.parametrize("write", [True, False])
 def test_journal_of_older_schema_is_migrated_when_opened(write, tmp_path, monkeypatch):
     folder = old_run(tmp_path)
-    before = committed(folder)
+    before = committed_rows_of(folder)
     monkeypatch.setattr(journal, "KIND", journal.KIND._replace(versions=LATER))
     with Journal.open(folder, write=write) as book:
         assert schema_of(book) == len(LATER)
         assert book._file.rows("SELECT weather FROM trial") == [(None,)] * 22
-    assert committed(folder) == before
+    assert committed_rows_of(folder) == before
 
 
 def test_interrupted_migration_leaves_the_old_file(tmp_path, monkeypatch):
     folder = old_run(tmp_path)
-    before = committed(folder)
+    before = committed_rows_of(folder)
     broken = (*LATER, "ALTER TABLE nothing ADD COLUMN at_all")
     monkeypatch.setattr(journal, "KIND", journal.KIND._replace(versions=broken))
     with pytest.raises(JournalError, match="nothing"):
@@ -184,7 +184,7 @@ def test_interrupted_migration_leaves_the_old_file(tmp_path, monkeypatch):
     monkeypatch.undo()
     with Journal.open(folder) as book:
         assert schema_of(book) == len(journal.VERSIONS)
-    assert committed(folder) == before
+    assert committed_rows_of(folder) == before
 
 
 KIND = FileKind("a book", ("CREATE TABLE number (n)",), "go on")

@@ -38,7 +38,7 @@ def run(request, tmp_path):
     )
 
 
-def read(path):
+def read_columns(path):
     """Columns and metadata of an exported trial, read by other libraries."""
     if path.suffix == ".parquet":
         table = pq.read_table(path)
@@ -57,7 +57,7 @@ def test_export_returns_every_record_bit_for_bit(run, form, tmp_path):
     assert [path.name for path in written] == [f"{e.trial_id}.{form}" for e in run.entries]
     for path, entry in zip(written, run.entries, strict=True):
         record = run.record(entry.number)
-        columns, about = read(path)
+        columns, about = read_columns(path)
         referenced = ["reference_N"] if record.reference_N is not None else []
         assert list(columns) == COLUMNS[:-1] + referenced + COLUMNS[-1:]
         for name, column in columns.items():

@@ -18,7 +18,7 @@ REEL = reference_reel()
 STEP_RAD = 2.0 * np.pi / REEL.encoder_counts
 
 
-def measured(excitation, seed=0):
+def measure(excitation, seed=0):
     return MeasuredRecord.of(open_loop_record(REEL, excitation, seed=seed))
 
 
@@ -36,9 +36,9 @@ def once(m):
 @pytest.mark.parametrize(
     ("how", "records"),
     [
-        ("repeats", [measured(SWEEP, 1), measured(SWEEP, 2)]),
-        ("periods", [measured(SINES)]),
-        ("upper spectrum", [once(measured(SWEEP))]),
+        ("repeats", [measure(SWEEP, 1), measure(SWEEP, 2)]),
+        ("periods", [measure(SINES)]),
+        ("upper spectrum", [once(measure(SWEEP))]),
     ],
 )
 def test_gauge_noise_of_a_reel_is_estimated(how, records):
@@ -56,7 +56,7 @@ def test_noise_is_estimated_from_constant_setpoints():
     still = 10.0 + rng.normal(0.0, 0.3, n)
     rung = np.exp(-(np.arange(n) % 1000) / 40.0) * 5.0 * np.sin(np.arange(n) / 3.0)
     drifting = 2.0 * np.arange(n) / n
-    m = replace(once(measured(SWEEP)), time_s=np.arange(n) / RATE, setpoint_N=setpoint)
+    m = replace(once(measure(SWEEP)), time_s=np.arange(n) / RATE, setpoint_N=setpoint)
     m = replace(m, tension_N=setpoint + still + rung + drifting, angle_rad=None, current_A=None)
     floor = noise_floor([m])
     assert {n.how for n in floor.channels.values()} == {"quiet stretches"}
@@ -76,7 +76,7 @@ def test_noise_excludes_mains_and_drift(samples, rms_of):
 def test_noise_of_repeats_excludes_mains_of_any_phase():
     humming = []
     for seed in (1, 2):
-        m = measured(SWEEP, seed)
+        m = measure(SWEEP, seed)
         hum = 0.5 * np.sin(2.0 * np.pi * 50.02 * np.arange(m.samples) / RATE + 2.0 * seed)
         humming.append(replace(m, tension_N=m.tension_N + hum))
     floor = noise_floor(humming)

@@ -55,7 +55,7 @@ def record() -> TrialRecord:
 
 
 @pytest.fixture(scope="module")
-def framed(record) -> bytes:
+def encode_by_hand(record) -> bytes:
     return record_frame.encode(record)
 
 
@@ -71,31 +71,31 @@ def test_frame_returns_the_encoded_record(record):
     )
 
 
-def test_changed_record_is_encoded_anew(framed):
-    decoded = record_frame.decode(framed)
+def test_changed_record_is_encoded_anew(encode_by_hand):
+    decoded = record_frame.decode(encode_by_hand)
     assert not decoded.tension_N.flags.writeable
     changed = replace(decoded, reason="looked at")
     assert record_frame.decode(record_frame.encode(changed)).reason == "looked at"
 
 
 @given(st.data())
-def test_frame_with_corrupt_bits_is_refused(framed, data):
+def test_frame_with_corrupt_bits_is_refused(encode_by_hand, data):
     """Single-bit errors, and bursts up to the length that the checksum detects with certainty."""
-    start = data.draw(st.integers(0, 8 * len(framed) - 32))
+    start = data.draw(st.integers(0, 8 * len(encode_by_hand) - 32))
     burst = data.draw(st.integers(1, 2**32 - 1))
-    damaged = int.from_bytes(framed, "little") ^ (burst << start)
+    damaged = int.from_bytes(encode_by_hand, "little") ^ (burst << start)
     with pytest.raises(ProtocolError):
-        record_frame.decode(damaged.to_bytes(len(framed), "little"))
+        record_frame.decode(damaged.to_bytes(len(encode_by_hand), "little"))
 
 
 @given(st.data())
-def test_frame_of_wrong_length_is_refused(framed, data):
-    end = data.draw(st.integers(0, len(framed) - 1))
+def test_frame_of_wrong_length_is_refused(encode_by_hand, data):
+    end = data.draw(st.integers(0, len(encode_by_hand) - 1))
     more = data.draw(st.binary(min_size=1, max_size=20))
     with pytest.raises(ProtocolError, match=r"cut short|missing"):
-        record_frame.decode(framed[:end])
+        record_frame.decode(encode_by_hand[:end])
     with pytest.raises(ProtocolError, match="too many"):
-        record_frame.decode(framed + more)
+        record_frame.decode(encode_by_hand + more)
 
 
 @given(st.binary(max_size=200), st.booleans())
@@ -111,20 +111,20 @@ def seal(header: bytes, body: bytes = b"", magic: bytes = b"RTR1") -> bytes:
     return lengths + struct.pack("<I", checksum) + header + body
 
 
-def test_frame_has_the_documented_layout(framed, record):
-    header_length = struct.unpack_from("<I", framed, 4)[0]
-    header = framed[16 : 16 + header_length]
-    body = framed[16 + header_length :]
-    assert seal(header, body) == framed
+def test_frame_has_the_documented_layout(encode_by_hand, record):
+    header_length = struct.unpack_from("<I", encode_by_hand, 4)[0]
+    header = encode_by_hand[16 : 16 + header_length]
+    body = encode_by_hand[16 + header_length :]
+    assert seal(header, body) == encode_by_hand
     assert header_length % 8 == 0
     assert json.loads(header)["samples"] == record.time_s.size
     assert body.startswith(record.time_s.astype("<f8").tobytes())
     assert body.endswith(record.flags.tobytes())
 
 
-def test_frame_of_another_version_is_refused_by_name(framed):
+def test_frame_of_another_version_is_refused_by_name(encode_by_hand):
     with pytest.raises(ProtocolError, match=r"version b'2' at byte 3; this estune reads b'1'"):
-        record_frame.decode(b"RTR2" + framed[4:])
+        record_frame.decode(b"RTR2" + encode_by_hand[4:])
 
 
 @pytest.mark.parametrize(
@@ -140,12 +140,12 @@ def test_frame_of_another_version_is_refused_by_name(framed):
         ({"colour": "red"}, "colour"),
     ],
 )
-def test_frame_with_wrong_header_is_refused_despite_checksum(framed, change, complaint):
-    length = struct.unpack_from("<I", framed, 4)[0]
-    header = json.dumps(json.loads(framed[16 : 16 + length]) | change).encode()
+def test_frame_with_wrong_header_is_refused_despite_checksum(encode_by_hand, change, complaint):
+    length = struct.unpack_from("<I", encode_by_hand, 4)[0]
+    header = json.dumps(json.loads(encode_by_hand[16 : 16 + length]) | change).encode()
     header += b" " * (-len(header) % 8)
     with pytest.raises(ProtocolError, match=complaint):
-        record_frame.decode(seal(header, framed[16 + length :]))
+        record_frame.decode(seal(header, encode_by_hand[16 + length :]))
 
 
 def test_frame_over_the_limit_is_refused_on_both_sides(record):

@@ -46,7 +46,7 @@ def reel_model(length):
     return SecondOrder(1.0, w, zeta, reel.dead_time_s, GAUGE)
 
 
-def checked(model, rule="sensitivity_limited"):
+def safe_gains(model, rule="sensitivity_limited"):
     """Gains of a rule, checked to be safe."""
     return propose(model, SETTINGS, rule).checked().gains
 
@@ -115,7 +115,7 @@ def test_sensitivity_limited_has_the_largest_integral_gain_nearby(length):
 
 
 def test_sensitivity_limited_integral_gain_falls_with_length():
-    designs = [checked(reel_model(length)) for length in (0.5, 0.8, 1.1, 1.4)]
+    designs = [safe_gains(reel_model(length)) for length in (0.5, 0.8, 1.1, 1.4)]
     assert all(0.7 < gains.P < 1.3 for gains in designs)
     assert all(long.I < short.I for short, long in pairwise(designs))
 
@@ -179,11 +179,11 @@ def test_proposal_margins_agree_with_the_simulated_loop():
 
 def test_unsafe_gains_and_invalid_models_are_refused():
     with pytest.raises(UnsafeStart, match=r"phase margin \d+ degrees.*use sensitivity_limited"):
-        checked(reel_model(0.8), "ziegler_nichols")
+        safe_gains(reel_model(0.8), "ziegler_nichols")
     with pytest.raises(InvalidInput, match="more effort lowers the output"):
-        checked(SecondOrder(-1.0, 50.0, 0.1))
+        safe_gains(SecondOrder(-1.0, 50.0, 0.1))
     with pytest.raises(InvalidInput, match="there is no rule"):
-        checked(reel_model(0.8), "shen_chiang")
+        safe_gains(reel_model(0.8), "shen_chiang")
     with pytest.raises(InvalidInput, match="not all positive"):
         pole_placement(reel_model(0.8), SETTINGS, 5.0)
     with pytest.raises(InvalidInput, match="damping ratio is nan"):

@@ -154,7 +154,7 @@ def matrices(model):
     return A, np.array(model.B, dtype=float), np.array(model.C, dtype=float), model.E
 
 
-def sampled(model, sampling_Hz):
+def sampled_model_of(model, sampling_Hz):
     return sample_plant(
         *matrices(model), dead_time_s=model.dead_time_s, sample_s=1.0 / sampling_Hz
     )
@@ -164,7 +164,7 @@ def sampled(model, sampling_Hz):
 def test_sampled_plant_is_the_plant_with_zero_order_hold(dead_time_samples):
     """The reference is the closed-form step response with an explicit delay."""
     sampling_Hz, dead_time_s = 50.0, dead_time_samples / 50.0
-    plant = sampled(linear_model(1 / (0.1 * s + 1), dead_time_s), sampling_Hz)
+    plant = sampled_model_of(linear_model(1 / (0.1 * s + 1), dead_time_s), sampling_Hz)
     commands = np.random.default_rng(2).normal(size=40)
     moves = np.diff(commands, prepend=0.0)
 
@@ -220,7 +220,7 @@ LOOPS = {
 
 def closed_loop_radius(model, gains, controller):
     """Spectral radius of the loop, built from `step` applied to unit signals."""
-    plant, c = sampled(model, controller.sampling_Hz), coefficients(controller, gains)
+    plant, c = sampled_model_of(model, controller.sampling_Hz), coefficients(controller, gains)
     n, d = plant.C.size, plant.delay
 
     def advance(loop):
@@ -236,7 +236,7 @@ def closed_loop_radius(model, gains, controller):
     return float(np.abs(np.linalg.eigvals(matrix)).max())
 
 
-def scaled(gains, factor):
+def scale_gains(gains, factor):
     P, I, D, setpoint_filter_s = gains.as_tuple()
     return Gains(factor * P, factor * I, factor * D, setpoint_filter_s)
 
@@ -265,7 +265,7 @@ def test_margins_match_a_brute_force_scan(name):
     assert result.stable
 
     theta = np.unique(np.r_[np.geomspace(1e-5, np.pi, 200_000), np.linspace(1e-5, np.pi, 200_000)])
-    loop = controller_response(gains, controller, theta) * sampled(
+    loop = controller_response(gains, controller, theta) * sampled_model_of(
         model, controller.sampling_Hz
     ).response(theta)
     at_one = np.flatnonzero(np.diff(np.sign(np.abs(loop) - 1.0)))
@@ -302,7 +302,7 @@ def test_closed_loop_at_gain_margin_is_marginally_stable(name):
     model = linear_model(system, dead_time_s)
     factor = margins(model, gains, controller).gain_margin
     for share, stable in ((0.98, True), (1.02, False)):
-        there = scaled(gains, factor**share)
+        there = scale_gains(gains, factor**share)
         assert margins(model, there, controller).stable is stable
         assert (closed_loop_radius(model, there, controller) < 1.0) is stable
 

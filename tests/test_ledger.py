@@ -26,7 +26,7 @@ def ledger(request, tmp_path):
     ledger.close()
 
 
-def opened(path: Path, **limits) -> FileLedger:
+def open_ledger(path: Path, **limits) -> FileLedger:
     return FileLedger(path / "l", "reel", **limits)
 
 
@@ -77,7 +77,7 @@ def test_note_of_a_start_after_void_is_an_error(ledger):
 @pytest.mark.parametrize("kind", ["memory", "file"])
 def test_frames_are_deleted_long_before_trial_ids(kind, tmp_path):
     limits = {"frames_max_bytes": 25, "trials_max": 4}
-    ledger = MemoryLedger(**limits) if kind == "memory" else opened(tmp_path, **limits)
+    ledger = MemoryLedger(**limits) if kind == "memory" else open_ledger(tmp_path, **limits)
     for number in range(6):
         ledger.note(str(number), "d", SUBMIT, START)
         ledger.end(str(number), bytes(10))
@@ -100,7 +100,7 @@ def test_identity_is_unique(ledger):
 
 
 def test_entries_persist_over_a_restart(tmp_path):
-    first = opened(tmp_path)
+    first = open_ledger(tmp_path)
     first.note("accepted", "d", SUBMIT)
     first.note("running", "d", SUBMIT)
     first.note("running", "d", START)
@@ -109,7 +109,7 @@ def test_entries_persist_over_a_restart(tmp_path):
     first.note("void", "d", VOID)
     first.latch("smoke")
     first.close()
-    second = opened(tmp_path)
+    second = open_ledger(tmp_path)
     assert states(second, "accepted", "running", "ended", "void", "other") == [
         *(TrialState.NEVER_STARTED, TrialState.INTERRUPTED, TrialState.ENDED),
         *(TrialState.VOID, TrialState.UNKNOWN),
@@ -118,7 +118,7 @@ def test_entries_persist_over_a_restart(tmp_path):
     assert (second.identity, second.latched) == (first.identity, "smoke")
     second.latch("")
     second.close()
-    third = opened(tmp_path)
+    third = open_ledger(tmp_path)
     assert third.latched == ""
     third.close()
 
@@ -153,7 +153,7 @@ for number in range(10**6):
         process.send_signal(signal.SIGKILL)
         process.wait()
         process.stdout.close()
-        ledger = opened(tmp_path / str(kill_after))
+        ledger = open_ledger(tmp_path / str(kill_after))
         allowed = {
             "note": {TrialState.NEVER_STARTED, TrialState.INTERRUPTED, TrialState.ENDED},
             "running": {TrialState.INTERRUPTED, TrialState.ENDED},
@@ -168,18 +168,18 @@ for number in range(10**6):
 
 
 def test_second_writer_is_refused(tmp_path):
-    ledger = opened(tmp_path)
+    ledger = open_ledger(tmp_path)
     with pytest.raises(RigError, match="is being written by another process"):
-        opened(tmp_path)
+        open_ledger(tmp_path)
     ledger.close()
-    opened(tmp_path).close()
+    open_ledger(tmp_path).close()
 
 
 def test_ledger_of_another_rig_is_refused(tmp_path):
-    opened(tmp_path).close()
+    open_ledger(tmp_path).close()
     with pytest.raises(RigError, match="is that of rig 'reel', not of 'drum'"):
         FileLedger(tmp_path / "l", "drum")
-    opened(tmp_path).close()
+    open_ledger(tmp_path).close()
 
 
 @pytest.mark.parametrize(
@@ -189,24 +189,24 @@ def test_ledger_of_another_rig_is_refused(tmp_path):
 def test_file_that_is_no_ledger_is_refused_and_unchanged(tmp_path, content, complaint):
     (tmp_path / "l").write_bytes(content)
     with pytest.raises(RigError, match=complaint):
-        opened(tmp_path)
+        open_ledger(tmp_path)
     assert (tmp_path / "l").read_bytes() == content
 
 
 def test_ledger_of_a_newer_version_is_refused(tmp_path):
-    opened(tmp_path).close()
+    open_ledger(tmp_path).close()
     with sqlite3.connect(tmp_path / "l") as connection:
         connection.execute("PRAGMA user_version=99")
     connection.close()
     with pytest.raises(RigError, match="schema version 99"):
-        opened(tmp_path)
+        open_ledger(tmp_path)
 
 
 @pytest.mark.skipif(os.getuid() == 0, reason="root may write anywhere")
 def test_folder_without_write_permission_is_named(tmp_path):
     tmp_path.chmod(0o500)
     with pytest.raises(RigError, match=r"Permission denied|unable to open"):
-        opened(tmp_path)
+        open_ledger(tmp_path)
 
 
 def full(ledger: FileLedger, *, is_full: bool) -> None:
@@ -216,7 +216,7 @@ def full(ledger: FileLedger, *, is_full: bool) -> None:
 
 
 def test_full_disk_refuses_trials_and_loses_no_record(tmp_path):
-    ledger = opened(tmp_path)
+    ledger = open_ledger(tmp_path)
     ledger.note("t", "d", SUBMIT, START)
     full(ledger, is_full=True)
     ledger.end("t", bytes(100_000))
@@ -227,7 +227,7 @@ def test_full_disk_refuses_trials_and_loses_no_record(tmp_path):
     full(ledger, is_full=False)
     ledger.note("next", "d", SUBMIT)
     ledger.close()
-    again = opened(tmp_path)
+    again = open_ledger(tmp_path)
     assert again.find("t").frame == bytes(100_000)
     assert again.find("next").state is TrialState.NEVER_STARTED
     again.close()
@@ -235,7 +235,7 @@ def test_full_disk_refuses_trials_and_loses_no_record(tmp_path):
 
 @pytest.mark.parametrize("replaced", [False, True])
 def test_ledger_deleted_in_use_refuses_trials(replaced, tmp_path):
-    book = opened(tmp_path)
+    book = open_ledger(tmp_path)
     try:
         book.note("a", "d", SUBMIT, START)
         (tmp_path / "l").unlink()
@@ -251,7 +251,7 @@ def test_ledger_deleted_in_use_refuses_trials(replaced, tmp_path):
 
 
 def test_ledger_size_is_bounded(tmp_path):
-    ledger = opened(tmp_path, frames_max_bytes=200_000)
+    ledger = open_ledger(tmp_path, frames_max_bytes=200_000)
     sizes = []
     for number in range(300):
         ledger.note(str(number), "d", SUBMIT, START)
@@ -262,7 +262,7 @@ def test_ledger_size_is_bounded(tmp_path):
 
 
 def test_find_does_not_wait_for_a_slow_disk(tmp_path):
-    ledger = opened(tmp_path)
+    ledger = open_ledger(tmp_path)
     ledger.note("t", "d", SUBMIT)
     entries = []
     with ledger._writing:  # as during a slow commit

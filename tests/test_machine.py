@@ -33,7 +33,7 @@ def in_trial(loop: VirtualLoop, samples: int = 50, gains=GOOD, profile=STEP) -> 
         loop.step()
 
 
-def settled(loop: VirtualLoop) -> None:
+def settle(loop: VirtualLoop) -> None:
     """Runs until the reel is held, without a trial."""
     loop.ask(GOOD, STEP)
     loop.answer()
@@ -223,7 +223,7 @@ def test_failed_recovery_latches_the_stop():
 
 def test_limit_crossed_under_the_live_gains_latches_the_stop():
     loop = VirtualLoop(config())
-    settled(loop)
+    settle(loop)
     gauge, encoder = loop.board.read(loop.time_s)
     loop.step(Reading(loop.time_s + 1 / 632, gauge, encoder + 8192))
     assert loop.machine.phase is MotionPhase.RAMP
@@ -234,7 +234,7 @@ def test_limit_crossed_under_the_live_gains_latches_the_stop():
 def test_rig_takes_trials_after_a_lost_heartbeat():
     for state, phase in (("hold", MotionPhase.HOLD), ("ramp", MotionPhase.STOPPED)):
         loop = VirtualLoop(config(safe__state=state))
-        settled(loop)
+        settle(loop)
         for _ in range(300):
             loop.step(silence_s=0.6)
         assert loop.machine.phase is phase

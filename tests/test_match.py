@@ -32,7 +32,7 @@ def cost_along(u: float) -> float:
     return math.exp(0.08 * u + 0.35 * u * u)
 
 
-def sought(target: float, noise: float, seed: int, trials: int = 16, unsafe_from: float = 9.0):
+def run_search(target: float, noise: float, seed: int, trials: int = 16, unsafe_from: float = 9.0):
     """Final distance, and whether any trial lay beyond a known unsafe one."""
     seeker, random = TargetCostTuner(detuning_path(TUNED), target), np.random.default_rng(seed)
     state, least_unsafe, trespassed = seeker.start(), math.inf, False
@@ -51,18 +51,18 @@ def sought(target: float, noise: float, seed: int, trials: int = 16, unsafe_from
 
 @pytest.mark.parametrize("target", [1.02, 1.2, 1.8])
 def test_target_cost_tuner_is_more_accurate_than_one_trial(target):
-    costs = [cost_along(sought(target, 0.01, seed)[0]) for seed in range(40)]
+    costs = [cost_along(run_search(target, 0.01, seed)[0]) for seed in range(40)]
     errors = np.log(costs) - math.log(target)
     assert abs(errors.mean()) < 0.002
     assert errors.std() < 0.006
 
 
 def test_target_cost_tuner_keeps_initial_gains_for_lower_targets():
-    assert sought(0.8, 0.01, seed=1)[0] < 0.02
+    assert run_search(0.8, 0.01, seed=1)[0] < 0.02
 
 
 def test_target_cost_tuner_repeats_no_unsafe_trial():
-    point, trespassed = sought(2.0, 0.0, seed=1, unsafe_from=0.7)
+    point, trespassed = run_search(2.0, 0.0, seed=1, unsafe_from=0.7)
     assert 0.5 < point < 0.7
     assert not trespassed
 

@@ -8,7 +8,7 @@ from plants.diagnosis.search.angle_periods import ResidualOverAngle, per_turn
 READ_rad = 2.0 * np.pi / 8192.0
 
 
-def turned(rng, per_turn, phase, extent_rad):
+def residual_over_angle(rng, per_turn, phase, extent_rad):
     """Wave with noise and a slope, over an angle that dwells at one end."""
     angle = extent_rad * np.concatenate([rng.random(1500), np.full(1000, 0.9)])
     angle = READ_rad * np.round(angle / READ_rad)
@@ -18,12 +18,12 @@ def turned(rng, per_turn, phase, extent_rad):
 
 def test_period_is_found_in_records_of_different_phase():
     rng = np.random.default_rng(0)
-    each = [turned(rng, 46.0, phase, 2.0) for phase in (0.0, 1.5, 3.0, 4.5)]
+    each = [residual_over_angle(rng, 46.0, phase, 2.0) for phase in (0.0, 1.5, 3.0, 4.5)]
     assert per_turn(each, READ_rad)[0] == pytest.approx(46.0, abs=0.5)
 
 
 def test_period_of_few_repetitions_minimises_the_squared_error():
-    one = turned(np.random.default_rng(1), 70.0, 1.0, 0.15)
+    one = residual_over_angle(np.random.default_rng(1), 70.0, 1.0, 0.15)
     line = np.stack([np.ones(one.angle_rad.size), one.angle_rad], axis=1)
 
     def squared_error(order):

@@ -34,7 +34,7 @@ PROFILES = (
 )
 
 
-def measured(model, profile, *, noise_N=0.0, seed=0, name="a"):
+def measure(model, profile, *, noise_N=0.0, seed=0, name="a"):
     """Simulated record of a model, at its own length and rate."""
     rate = model.controller.sampling_Hz
     noise = noise_N * np.random.default_rng(seed).normal(size=profile.samples(rate))
@@ -77,7 +77,7 @@ def sweep(model):
     """Records of three lengths, preloads, rates and profiles, one of them in closed loop."""
     lengths, rates, preloads = (0.5, 0.9, 1.4), (632.0, 632.0, 1000.0), (15.0, 20.0, 12.0)
     return [
-        measured(
+        measure(
             replace(model, cable_length_m=length, sampling_Hz=rate, tension_N=preload),
             replace(profile, preload_N=preload),
             name=f"record {length}",
@@ -106,7 +106,7 @@ def test_free_run_with_true_parameters_equals_the_simulation(name):
 @lru_cache(maxsize=1)
 def noisy():
     """Records of a bare reel with a noisy gauge, and their predictor."""
-    records = [measured(REEL, LINES, noise_N=0.2, seed=n, name=f"noisy {n}") for n in range(3)]
+    records = [measure(REEL, LINES, noise_N=0.2, seed=n, name=f"noisy {n}") for n in range(3)]
     noise_floor = floor(tension_N=0.2, angle_rad=1e-5)
     return records, Predictor(diagnosed(REEL, records), [], records, floor=noise_floor)
 
@@ -187,7 +187,7 @@ def test_prediction_without_a_channel(missing):
 
 
 def test_record_may_begin_in_motion():
-    whole = measured(REEL, replace(LINES, start_s=0.0))
+    whole = measure(REEL, replace(LINES, start_s=0.0))
     cut = 300
     columns = ("setpoint_N", "tension_N", "current_A", "angle_rad", "flags")
     part = replace(
@@ -202,7 +202,7 @@ def test_record_may_begin_in_motion():
 
 
 def test_prediction_is_continuous_in_the_dead_time():
-    records = [measured(REEL, LINES)]
+    records = [measure(REEL, LINES)]
     predictor = Predictor(diagnosed(REEL, records), [EFFECTS["dead_time"]], records, None, SMALL)
     late = np.linspace(0.0, 3.0 / 632.0, 61)
     rows = np.array([predictor.row({"dead_time.delay_s": d}) for d in late])
@@ -213,7 +213,7 @@ def test_prediction_is_continuous_in_the_dead_time():
 
 def test_measured_current_identifies_the_drive():
     limited = EFFECTS["current_saturation"](0.85, bend=1e-3)
-    record = measured(REEL + limited, LINES)
+    record = measure(REEL + limited, LINES)
     commanded = record.setpoint_N / REEL.newtons_per_ampere
     lag = 3  # of the current's own filter
     flown = np.clip(commanded, -0.85, 0.85)
@@ -231,7 +231,7 @@ def test_measured_current_identifies_the_drive():
 
 
 def test_late_or_nan_samples_are_ignored():
-    record = measured(REEL, LINES)
+    record = measure(REEL, LINES)
     flags, tension = record.flags.copy(), record.tension_N.copy()
     flags[100:110], tension[200:205] = 4, np.nan
     predictor = Predictor(
@@ -245,7 +245,7 @@ def test_late_or_nan_samples_are_ignored():
 
 
 def test_diverging_prediction_has_a_large_finite_residual():
-    record = measured(REEL, LINES)
+    record = measure(REEL, LINES)
     predictor = Predictor(diagnosed(REEL, [record]), [], [record], None, SMALL)
     bad = predictor.row({"viscous_friction_Nms": -50.0})
     assert np.isfinite(predictor.residuals(bad[None])).all()
@@ -410,7 +410,7 @@ def test_prediction_of_a_python_function_equals_its_run():
         pendulum, (0.0, 0.0), sampling_Hz=400.0, settling_time_s=0.5, dead_time_s=2.3 / 400.0
     )
     chirp = ChirpProfile(0.0, 1.0, 0.5, 6.0, 2.0, loop="open")
-    record = measured(plant, chirp)
+    record = measure(plant, chirp)
     model = diagnosed(plant, [record])
     limit = EFFECTS["current_saturation"]
     predictor = Predictor(model, [limit], [record], floor=SMALL)
@@ -446,7 +446,7 @@ def test_branching_function_is_refused_with_advice():
 def test_prediction_of_an_unloaded_reel_equals_its_run():
     reel = plants.unloaded_reel(encoder_counts=1e12) + CoulombFriction(0.05)
     push = ChirpProfile(0.0, 20.0, 1.0, 8.0, 2.0, loop="open")
-    record = measured(reel, push)
+    record = measure(reel, push)
     bare = replace(reel, effects=())
     model = diagnosed(bare, [record])
     assert model.output == "rad"
@@ -471,7 +471,7 @@ def test_phase_of_a_wave_is_independent_of_the_encoder_zero():
     ripple = TorqueRipple(0.005, 46.0, 0.7)
     reel = plants.unloaded_reel(encoder_counts=1e12) + ripple
     push, zeros = ChirpProfile(0.0, 20.0, 1.0, 8.0, 2.0, loop="open"), {0: 0.0, 1: 1.7}
-    first = measured(reel, push)
+    first = measure(reel, push)
     records = [first, replace(first, name="b", angle_rad=first.angle_rad + zeros[1])]
     model = diagnosed(replace(reel, effects=()), records)
     predictor = Predictor(model, [TorqueRipple], records, floor=SMALL)
@@ -489,7 +489,7 @@ def test_phase_of_a_wave_is_independent_of_the_encoder_zero():
 
 @pytest.mark.parametrize(("swing_N", "reported"), [(16.0, True), (4.0, False)])
 def test_slack_cable_identifies_the_torque_offset(swing_N, reported):
-    record = measured(REEL, TriangleProfile(10.0, swing_N, 0.5, 1.0, start_s=0.1, loop="open"))
+    record = measure(REEL, TriangleProfile(10.0, swing_N, 0.5, 1.0, start_s=0.1, loop="open"))
     free = Predictor(diagnosed(REEL, [record]), (), [record]).free
     assert ("torque_offset_Nm" in {f.name for f in free}) == reported
     # The search starts at a just taut cable, although slack data do not determine this.
@@ -498,7 +498,7 @@ def test_slack_cable_identifies_the_torque_offset(swing_N, reported):
 
 
 def test_unsuitable_models_and_records_are_reported():
-    record = measured(REEL, LINES)
+    record = measure(REEL, LINES)
     with pytest.raises(PlantError, match="a Reel, an UnloadedReel"):
         diagnosed(object(), [record])
     with pytest.raises(InvalidInput, match="no records"):
@@ -542,7 +542,7 @@ def test_sigma_of_a_free_drum_is_that_of_its_windows(wandering):
 
 def test_drum_without_encoder_follows_a_sticking_cable():
     friction = EyeletFriction(0.9, 0.3)
-    record = replace(measured(REEL + friction, PROFILES[0]), angle_rad=None, reference_N=None)
+    record = replace(measure(REEL + friction, PROFILES[0]), angle_rad=None, reference_N=None)
     whitened = []
     for effects in ([], [friction]):
         model, added = diagnosed(REEL, [record]), [type(e) for e in effects]

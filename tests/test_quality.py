@@ -18,15 +18,15 @@ REEL = reference_reel()
 SINES = multisine(RATE, Band(1.0, 60.0, periods=2), 4.0)
 
 
-def measured(excitation, seed=0, name="bad"):
+def measure(excitation, seed=0, name="bad"):
     return replace(MeasuredRecord.of(open_loop_record(REEL, excitation, seed=seed)), source=name)
 
 
-GOOD = measured(SINES, name="good")
-SWEPT = measured(chirp(RATE, Band(1.0, 40.0, periods=2), 4.0))
+GOOD = measure(SINES, name="good")
+SWEPT = measure(chirp(RATE, Band(1.0, 40.0, periods=2), 4.0))
 
 
-def closed():
+def closed_loop_record():
     rig = REEL.rig()
     about = rig.describe()
     return replace(
@@ -43,7 +43,7 @@ def findings(m, model=REEL):
     return issues
 
 
-@pytest.mark.parametrize("m", [SWEPT, closed()], ids=["open loop", "closed loop"])
+@pytest.mark.parametrize("m", [SWEPT, closed_loop_record()], ids=["open loop", "closed loop"])
 def test_healthy_record_has_no_issues(m):
     assert findings(replace(m, rig=GOOD.rig)) == ()
 
@@ -72,7 +72,7 @@ def test_column_in_another_unit_is_refused_with_a_wrong_model(case, wrong_by):
 
 
 def test_closed_loop_current_in_mA_is_refused():
-    m = closed()
+    m = closed_loop_record()
     (finding,) = findings(replace(m, rig=GOOD.rig, current_A=m.current_A * 1e3, flags=None))[:1]
     assert finding.column == "current_A"
 

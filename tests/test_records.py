@@ -20,7 +20,7 @@ from tests.support_runs import ArithmeticRig
 RATE = 632.0
 
 
-def refused(contents):
+def rejecting_issues(contents):
     """Issues for which a record is rejected."""
     return tuple(f for f in contents.findings if f.level == "refused")
 
@@ -47,7 +47,7 @@ def refusal(folder, record, name="bad", about=None, **changed):
     write(folder, record, name, about, **changed)
     reading = read_measurements(folder)
     assert [m.name for m in reading.measurements] == ["good"]
-    (finding,) = refused(reading)
+    (finding,) = rejecting_issues(reading)
     assert finding.source == f"{name}.csv"
     return finding
 
@@ -96,7 +96,7 @@ def test_misnamed_column_is_refused_with_the_right_name(tmp_path, record, case):
     assert message in finding.sentence
 
 
-def spoilt(column, row, value):
+def with_value(column, row, value):
     changed = column.astype(object)
     changed[row - 1] = value
     return changed
@@ -104,16 +104,16 @@ def spoilt(column, row, value):
 
 @pytest.mark.parametrize("value", ["nan", "inf", "oops", ""])
 def test_cell_without_a_number_is_reported_by_column_and_row(tmp_path, record, value):
-    finding = refusal(tmp_path, record, tension_N=spoilt(record.tension_N, 17, value))
+    finding = refusal(tmp_path, record, tension_N=with_value(record.tension_N, 17, value))
     assert (finding.column, finding.row) == ("tension_N", 17)
 
 
-def swapped(t):
+def swap_rows(t):
     return np.concatenate([t[:99], t[[100, 99]], t[101:]])
 
 
 BAD_TIMES = {
-    "unsorted": (swapped, 101, "sort"),
+    "unsorted": (swap_rows, 101, "sort"),
     "repeated": (lambda t: np.concatenate([t[:50], t[49:-1]]), 51, "repeats"),
     "a gap": (lambda t: t + np.where(np.arange(t.size) >= 200, 3.0 / RATE, 0.0), 201, "missing"),
     "a drifting clock": (lambda t: t + 0.004 * np.cos(2.0 * np.pi * t), None, "irregular"),
@@ -178,11 +178,11 @@ def test_truncated_files_do_not_affect_the_others(tmp_path, record):
     (tmp_path / "badmeta.json").write_text('{"sampling_Hz": 632,')
     read = read_measurements(tmp_path)
     assert [m.name for m in read.measurements] == ["good"]
-    assert {f.source for f in refused(read)} == {
+    assert {f.source for f in rejecting_issues(read)} == {
         *("empty.csv", "heading.csv", "cut.csv", "binary.csv", "cut.parquet", "ragged.csv"),
         "badmeta.csv",
     }
-    rows = {f.source: f.row for f in refused(read)}
+    rows = {f.source: f.row for f in rejecting_issues(read)}
     assert rows["cut.csv"] is not None
     assert rows["ragged.csv"] == record.time_s.size + 1
 
@@ -190,7 +190,7 @@ def test_truncated_files_do_not_affect_the_others(tmp_path, record):
 def test_folder_without_usable_records_reports_every_file(tmp_path, record):
     with pytest.raises(InvalidInput, match=r"no \.csv, \.parquet or run"):
         read_measurements(tmp_path)
-    write(tmp_path, record, "first", tension_N=spoilt(record.tension_N, 3, "nan"))
+    write(tmp_path, record, "first", tension_N=with_value(record.tension_N, 3, "nan"))
     write(tmp_path, record, "second", about={"loop": "ajar"})
     with pytest.raises(InvalidInput, match=r"first\.csv, row 3, column tension_N.*second\.csv"):
         read_measurements(tmp_path)

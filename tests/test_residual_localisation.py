@@ -35,7 +35,7 @@ SWEEP = chirp(BASE.sampling_Hz, Band(1.0, 30.0, period_s=4.0), 4.0)
 
 
 @cache
-def where(*effects):
+def localise_effects(*effects):
     """Localisation of the residual of a reel with these effects against the plain reel."""
     reel = BASE
     for effect in effects:
@@ -54,7 +54,7 @@ def where(*effects):
 
 
 def test_complete_model_has_no_residual_and_no_distortion():
-    result = where()
+    result = localise_effects()
     assert {block.name for block in result.blocks} == {"force", "gauge"}
     assert all(0.5 < block.ratio < 1.2 for block in result.blocks)
     assert all(max(d.even_dB, d.odd_dB) < 3.0 for d in result.distortion)
@@ -74,7 +74,7 @@ TRACED = {
 @pytest.mark.parametrize("case", TRACED)
 def test_effect_is_localised_to_block_and_variable(case):
     effect, name, regimes, title = TRACED[case]
-    result = where(effect)
+    result = localise_effects(effect)
     first = result.blocks[0]
     assert (first.name, first.title) == (name, title)
     assert first.regime is not None
@@ -84,14 +84,14 @@ def test_effect_is_localised_to_block_and_variable(case):
 
 
 def test_mains_interference_is_localised_by_its_band():
-    first = where(MainsInterference()).blocks[0]
+    first = localise_effects(MainsInterference()).blocks[0]
     assert (first.name, first.regime) == ("gauge", None)
     assert 45.0 < first.low_Hz <= first.high_Hz < 65.0
 
 
 def test_free_lines_distinguish_odd_and_even_laws():
     for effect, odd_is_more in ((CoulombFriction(0.03), True), (CableStiffening(), False)):
-        distortions = [d for d in where(effect).distortion if "multisine" in d.source]
+        distortions = [d for d in localise_effects(effect).distortion if "multisine" in d.source]
         assert [d.channel for d in distortions] == ["tension_N", "angle_rad"]
         for d in distortions:
             more, less = (d.odd_dB, d.even_dB) if odd_is_more else (d.even_dB, d.odd_dB)
@@ -160,6 +160,8 @@ def test_independent_samples_of_an_autoregression_are_counted():
 
 
 def test_localisation_as_json():
-    data = json.loads(json.dumps(where(CoulombFriction(0.03)).to_json(), allow_nan=False))
+    data = json.loads(
+        json.dumps(localise_effects(CoulombFriction(0.03)).to_json(), allow_nan=False)
+    )
     assert (data["block"], data["regime"]) == ("force", data["blocks"][0]["regime"])
     assert data["sentence"].startswith("The force block")

@@ -23,7 +23,7 @@ def section(name: str) -> str:
     return re.search(rf"<!-- from the code: {name} -->\n(.*?)<!-- end -->", TEXT, re.DOTALL)[1]
 
 
-def dumped(name: str) -> bytes:
+def dump_bytes(name: str) -> bytes:
     """Bytes of a hexadecimal dump in the page."""
     lines = re.findall(r"^[0-9a-f]{4}  ((?:[0-9a-f]{2} ?)+)", section(name), re.MULTILINE)
     return bytes.fromhex("".join(lines))
@@ -45,11 +45,11 @@ def test_page_has_a_reply_for_every_state_of_a_trial(state):
 
 
 def test_frame_of_the_page_decodes_to_its_record():
-    assert same(record_frame.decode(dumped("frame_bytes")), RECORD)
+    assert same(record_frame.decode(dump_bytes("frame_bytes")), RECORD)
 
 
 def test_frame_of_the_page_has_the_described_layout():
-    data = dumped("frame_bytes")
+    data = dump_bytes("frame_bytes")
     magic, head, body, checksum = struct.unpack_from("<4sIII", data)
     assert (magic, head % 8, len(data)) == (b"RTR1", 0, 16 + head + body)
     assert checksum == zlib.crc32(data[:12] + bytes(4) + data[16:])
@@ -62,13 +62,13 @@ def test_frame_of_the_page_has_the_described_layout():
 
 
 def test_part_of_the_page_is_the_beginning_of_the_frame():
-    part = messages.decode_part(dumped("part_bytes"))
-    whole = dumped("frame_bytes")
+    part = messages.decode_part(dump_bytes("part_bytes"))
+    whole = dump_bytes("frame_bytes")
     assert (part.total, part.offset, part.data) == (len(whole), 0, whole[:32])
 
 
 def test_live_samples_of_the_page_decode_to_their_samples():
-    samples = messages.decode_live(SAMPLES.trial_id, dumped("live_bytes"))
+    samples = messages.decode_live(SAMPLES.trial_id, dump_bytes("live_bytes"))
     assert (samples.first_sample, samples.sampling_Hz) == (32, 632.0)
     for name in ("setpoint_N", "tension_N", "current_A", "angle_rad"):
         np.testing.assert_array_equal(getattr(samples, name), getattr(SAMPLES, name))

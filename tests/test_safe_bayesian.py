@@ -50,7 +50,7 @@ def remaining(tuner, state):
     return excess(tuner.recommend(state))
 
 
-def converged(tuner, states):
+def converged_states(tuner, states):
     """States that report a remaining improvement under 2 %."""
     estimates = [(tuner.convergence(state), state) for state in states]
     return [state for e, state in estimates if e is not None and e.remaining_improvement < 0.02]
@@ -127,7 +127,7 @@ def test_convergence_is_not_reported_on_a_plateau(seed):
         return 1.0 + min(rise, slight) + 0.3 * max(rise - 6.0, 0.0)
 
     states = run(TUNER, 180, seed, cost=shelf)
-    settled = converged(TUNER, states)
+    settled = converged_states(TUNER, states)
     assert settled
     assert max(remaining(TUNER, state) for state in settled) < 0.03
 
@@ -145,7 +145,7 @@ def test_scan_finds_the_effect_of_a_far_too_small_gain(seed):
 
     tuner = SafeBayesianTuner(space)
     states = run(tuner, 150, seed, cost=shelf)
-    settled = converged(tuner, states)
+    settled = converged_states(tuner, states)
     assert settled
     assert max(shelf(tuner.recommend(state), 0) for state in settled) < 1.03
 

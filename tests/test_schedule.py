@@ -192,15 +192,15 @@ def test_python_control_system_at_one_length_is_that_controller(L):
     F, C_r, C_y = to_control(SCHEDULE.gains(L, 15.0), SETTINGS)
     omega = np.logspace(-1, 3, 9)
     for place, expected in ((0, C_r * F), (1, -C_y)):
-        scheduled = frozen[0, place]
-        response = [scheduled(1j * w) for w in omega]
+        scheduled_rig = frozen[0, place]
+        response = [scheduled_rig(1j * w) for w in omega]
         np.testing.assert_allclose(response, [expected(1j * w) for w in omega], rtol=1e-3)
 
 
 # --- on a rig --------------------------------------------------------------------------------
 
 
-def scheduled(tmp_path, make, schedule=SCHEDULE, **changes):
+def scheduled_rig(tmp_path, make, schedule=SCHEDULE, **changes):
     """Emulated rig whose live gains follow a schedule."""
     path = tmp_path / "schedule.json"
     path.write_text(json.dumps(schedule.as_dict()))
@@ -208,7 +208,7 @@ def scheduled(tmp_path, make, schedule=SCHEDULE, **changes):
 
 
 def test_live_gains_follow_the_drum_without_a_jump(tmp_path):
-    rig = scheduled(tmp_path, config, guard__travel_max_rad=100.0)
+    rig = scheduled_rig(tmp_path, config, guard__travel_max_rad=100.0)
     loop = VirtualLoop(rig, noise_N=0.04)
     own = Gains(1.0, 40.0, 0.015, 0.005)
     step = StepProfile(15.0, 10.0, 0.2, 1.0)
@@ -242,7 +242,7 @@ def test_live_gains_follow_the_drum_without_a_jump(tmp_path):
 
 def test_rig_reports_scheduled_gains_until_others_are_applied(tmp_path):
     schedule = replace(SCHEDULE, I=GainCurve("linear", 48.0, slope=-14.0))  # at any tension
-    with HardwareRig(scheduled(tmp_path, quick, schedule)) as rig:
+    with HardwareRig(scheduled_rig(tmp_path, quick, schedule)) as rig:
         before = rig.describe()
         assert before.gains == schedule.gains(0.8, 15.0)
         gains = Gains(0.7, 12.0, 0.004, 0.01)

@@ -123,7 +123,7 @@ def to_the_end(session, cost_of):
     return session, requests
 
 
-def searched(**changes):
+def after_search(**changes):
     """Session after its search, with two candidates."""
     session, _ = advance(
         new_session(plan(**changes)), [1.0, 1.01, 0.99] + [0.9, 0.5, 0.95] + [0.9] * 7
@@ -133,7 +133,7 @@ def searched(**changes):
 
 
 def test_choice_and_confirmation_use_different_trials():
-    session = searched()
+    session = after_search()
     first, second = session.choice.gains
     costs = {START: 1.0, first: 0.6, second: 0.4}
     session, requests = to_the_end(session, costs.get)
@@ -151,7 +151,7 @@ def test_choice_and_confirmation_use_different_trials():
 
 def test_drift_of_the_cost_is_no_improvement():
     # The plant drifts during the search: every cost falls by half.
-    session, _ = to_the_end(searched(), lambda gains: 0.5 if gains == START else 0.51)
+    session, _ = to_the_end(after_search(), lambda gains: 0.5 if gains == START else 0.51)
     summary = summarise(session)
     assert not summary.improved
     assert (summary.start_cost, summary.gains) == (0.5, START)
@@ -161,7 +161,7 @@ def test_drift_of_the_cost_is_no_improvement():
 def test_smaller_improvement_is_confirmed_by_more_repeats():
     def rounds(better):
         noise = iter([1.0, 1.03, 0.97, 1.02, 0.98] * 10)
-        session = searched()
+        session = after_search()
         session, _ = to_the_end(session, lambda g: next(noise) * (1.0 if g == START else better))
         return session.confirmation.rounds
 
@@ -170,7 +170,7 @@ def test_smaller_improvement_is_confirmed_by_more_repeats():
 
 
 def test_candidate_that_turns_out_unsafe_is_dropped():
-    session = searched()
+    session = after_search()
     first, second = session.choice.gains
     one, _ = to_the_end(session, {START: 1.0, first: math.nan, second: 0.4}.get)
     assert summarise(one).gains == second
@@ -269,6 +269,6 @@ def test_plan_refuses_unusable_values(wrong):
 
 def test_max_trials_is_never_exceeded():
     for better in (0.3, 1.0):
-        session, _ = to_the_end(searched(), lambda g, b=better: 1.0 if g == START else b)
+        session, _ = to_the_end(after_search(), lambda g, b=better: 1.0 if g == START else b)
         assert session.number <= session.plan.max_trials
         assert session.trials_left == 0

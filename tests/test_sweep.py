@@ -38,7 +38,7 @@ SMALL = {
 }
 
 
-def swept(folder: Path, design=SMALL, **options) -> SweepResult:
+def run_sweep(folder: Path, design=SMALL, **options) -> SweepResult:
     return estune.sweep(design, folder=folder, **{"jobs": 1, "watch": None, **options})
 
 
@@ -114,16 +114,16 @@ def test_dry_run_shows_the_trials_and_writes_nothing(tmp_path, capsys, monkeypat
 
 
 def test_processes_give_equal_outcomes_and_a_second_call_runs_nothing(tmp_path):
-    one = swept(tmp_path / "one")
-    many = swept(tmp_path / "many", jobs=2)
+    one = run_sweep(tmp_path / "one")
+    many = run_sweep(tmp_path / "many", jobs=2)
     assert len(one.outcomes) == 6
     assert all(map(alike, one.outcomes, many.outcomes))
     outcomes: list[CellOutcome] = []
-    again = swept(tmp_path / "many", watch=outcomes.append)
+    again = run_sweep(tmp_path / "many", watch=outcomes.append)
     assert not outcomes
     assert all(map(alike, one.outcomes, again.outcomes))
     # More seeds add cells; the finished ones stay.
-    more = swept(tmp_path / "many", {**SMALL, "seeds": 2}, watch=outcomes.append)
+    more = run_sweep(tmp_path / "many", {**SMALL, "seeds": 2}, watch=outcomes.append)
     assert len(more.outcomes) == 12
     assert sorted(o.cell.seed for o in outcomes) == [1] * 6
 
@@ -157,14 +157,14 @@ def test_stored_sweep_of_an_earlier_version_continues_without_reruns(tmp_path, m
         "repeats": 2,
     }
     rerun: list[CellOutcome] = []
-    outcomes = swept(tmp_path, design, watch=rerun.append).outcomes
+    outcomes = run_sweep(tmp_path, design, watch=rerun.append).outcomes
     assert not rerun
     assert [o.cell.key for o in outcomes] == ["cb3fa07925f723c2308a", "9d0a29c49ef4b5cdff4c"]
     assert [o.trace.shape for o in outcomes] == [(16, 7), (16, 7)]
 
 
 def test_frame_is_tidy_and_dataset_has_the_design_dimensions(tmp_path):
-    result = swept(tmp_path)
+    result = run_sweep(tmp_path)
     frame = result.to_frame()
     assert frame.shape[0] == 6
     assert not frame.duplicated(["length_m", "tension_N", "tuner", "seed", "rig"]).any()
@@ -182,7 +182,7 @@ def test_failed_cell_is_stored_and_tried_again(tmp_path):
     design = {**SMALL, "rigs": ["tests.support_sweep:fragile"], "tensions_N": []}
     support_sweep.broken_at_m.add(0.9)
     try:
-        first = swept(tmp_path, design)
+        first = run_sweep(tmp_path, design)
     finally:
         support_sweep.broken_at_m.clear()
     (broken,) = first.failed
@@ -190,13 +190,13 @@ def test_failed_cell_is_stored_and_tried_again(tmp_path):
     assert broken.message == "ZeroDivisionError: no answer to 0"
     assert math.isnan(first.to_frame().set_index("length_m").loc[0.9, "P"])
     outcomes: list[CellOutcome] = []
-    second = swept(tmp_path, design, watch=outcomes.append)
+    second = run_sweep(tmp_path, design, watch=outcomes.append)
     assert [o.cell.length_m for o in outcomes] == [0.9]
     assert not second.failed
 
 
 def test_law_excludes_and_lists_unsafe_and_unconverged_tunings(tmp_path):
-    unfinished = swept(tmp_path / "unfinished")
+    unfinished = run_sweep(tmp_path / "unfinished")
     assert all("the search had not converged" in o.excluded for o in unfinished.excluded)
     assert len(unfinished.excluded) == 6
     with pytest.raises(InvalidInput, match=r"too few for a law over length.*: 6 not converged"):
@@ -204,7 +204,7 @@ def test_law_excludes_and_lists_unsafe_and_unconverged_tunings(tmp_path):
     reason = unfinished.series[0].law_or_reason()
     assert "6 of 6 tunings ended without an estimate" in reason or "left to gain" in reason
     assert 'give them more trials (trials = 24 instead of 12), or tuners = ["safe' in reason
-    unsafe = swept(tmp_path / "unsafe", {**SMALL, "eta_max": 1.0})
+    unsafe = run_sweep(tmp_path / "unsafe", {**SMALL, "eta_max": 1.0})
     assert all("the start gains" in o.excluded for o in unsafe.outcomes)
     assert not any(o.safe for o in unsafe.outcomes)
 
@@ -248,8 +248,8 @@ def test_rigs_are_tuned_in_parallel_and_resume_after_an_interrupt(tmp_path):
             raise KeyboardInterrupt
 
         with pytest.raises(KeyboardInterrupt):
-            swept(tmp_path / "sweep", design, watch=stop)
-        result = swept(tmp_path / "sweep", design)
+            run_sweep(tmp_path / "sweep", design, watch=stop)
+        result = run_sweep(tmp_path / "sweep", design)
     assert not result.failed
     assert sorted({o.cell.length_m for o in result.outcomes}) == [0.5, 0.9]
     for rig, of_rig in zip(rigs, (result.outcomes[:2], result.outcomes[2:]), strict=True):
@@ -299,7 +299,7 @@ def test_sweep_documentation_lists_every_key_and_valid_examples():
 
 def test_plain_progress_counts_finished_and_failed_cells(tmp_path):
     stream = io.StringIO()
-    outcome = swept(tmp_path, {**SMALL, "lengths_m": [0.5, 1.4], "tensions_N": []}).outcomes[0]
+    outcome = run_sweep(tmp_path, {**SMALL, "lengths_m": [0.5, 1.4], "tensions_N": []}).outcomes[0]
     with show_outcomes(cells=5, missing=3, stream=stream) as saw:
         saw(outcome)
         saw(failed(outcome.cell, "the cable is off"))

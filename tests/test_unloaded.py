@@ -21,7 +21,7 @@ def angle(reel, profile=PUSH):
     return plants.simulate(reel, GAINS, profile).angle_rad
 
 
-def pushed(reel, time_s, torque_Nm):
+def step_response(reel, time_s, torque_Nm):
     """Closed-form solution of J theta'' + b theta' = tau from rest under a step at zero."""
     J, b = reel.drum_inertia_kg_m2, reel.viscous_friction_Nms
     t = np.maximum(time_s, 0.0)
@@ -34,7 +34,7 @@ def test_unloaded_reel_follows_the_differential_equation(dead_samples):
     simulated = angle(reel)
     start = PUSH.step_index(reel.sampling_Hz) + dead_samples
     time = (np.arange(simulated.size) - start) / reel.sampling_Hz
-    expected = pushed(reel, time, 10.0 * reel.drum_radius_m)
+    expected = step_response(reel, time, 10.0 * reel.drum_radius_m)
     assert simulated == pytest.approx(expected, abs=1e-10)
 
 
@@ -43,7 +43,7 @@ def test_unloaded_reel_with_dry_friction_holds_small_torques():
     reel = FINE + CoulombFriction(F)
     assert not angle(reel, replace(PUSH, step_N=0.9 * F / reel.drum_radius_m)).any()
     time = (np.arange(angle(reel).size) - PUSH.step_index(632.0) - 1) / 632.0
-    assert angle(reel) == pytest.approx(pushed(reel, time, 0.25 - F), abs=1e-6)
+    assert angle(reel) == pytest.approx(step_response(reel, time, 0.25 - F), abs=1e-6)
 
 
 def test_unloaded_reel_of_radius_one_is_a_positioning_stage():
@@ -58,7 +58,7 @@ def test_unloaded_reel_of_radius_one_is_a_positioning_stage():
         encoder_counts=2.0 * math.pi / 1e-12,
     )
     time = np.arange(1200) / 2000.0 - 0.1
-    assert angle(stage) == pytest.approx(pushed(stage, time, 10.0), abs=1e-10)
+    assert angle(stage) == pytest.approx(step_response(stage, time, 10.0), abs=1e-10)
 
 
 def test_unloaded_reel_angle_is_quantised():

@@ -23,7 +23,7 @@ def times(samples, seed=None):
     )
 
 
-def counted(angle, phase=0.0):
+def quantise(angle, phase=0.0):
     return (np.floor(angle / COUNT + phase)) * COUNT
 
 
@@ -36,7 +36,7 @@ def counted(angle, phase=0.0):
 )
 def test_constant_velocity_error_is_one_count_per_window(velocity, phase, longest, seed):
     t = times(120, seed)
-    estimate = motion(Windows(COUNT, longest, longest), t, counted(velocity * t, phase))
+    estimate = motion(Windows(COUNT, longest, longest), t, quantise(velocity * t, phase))
     span = t - t[np.maximum(np.arange(120) - longest, 0)]
     assert np.allclose(estimate.velocity_window_s, span, rtol=0, atol=1e-12)  # never shortened
     valid = span > 0.0
@@ -51,7 +51,7 @@ def test_constant_velocity_error_is_one_count_per_window(velocity, phase, longes
 )
 def test_constant_acceleration_shrinks_the_window_within_bounds(acceleration, phase, sign):
     t = times(200)
-    estimate = motion(WINDOWS, t, counted(sign * 0.5 * acceleration * t**2, phase))
+    estimate = motion(WINDOWS, t, quantise(sign * 0.5 * acceleration * t**2, phase))
     # A chord over tau departs from the parabola by a (tau^2 - T^2)/8 at least; two counts go by.
     assert (
         estimate.velocity_window_s <= math.sqrt(16.0 * COUNT / acceleration + 1 / RATE**2) + 1e-9
@@ -91,7 +91,7 @@ def test_window_is_that_of_the_definition():
 
 def test_step_metrics_equal_those_of_the_whole_record():
     t, angle = noisy_record()
-    batch = np.stack([angle, counted(-2.0 * angle), np.zeros_like(angle)])
+    batch = np.stack([angle, quantise(-2.0 * angle), np.zeros_like(angle)])
     whole = motion(WINDOWS, t, batch)
     assert (whole.acceleration_rad_s2[:2] != 0.0).any(axis=-1).all()  # the record shows some
     for row in range(3):
@@ -108,7 +108,7 @@ def test_acceleration_is_one_connected_interval():
     # At 2 rad/s, then 40 rad/s2 for 0.3 s, then at constant velocity again.
     gained = np.clip(t - 0.4, 0.0, 0.3)
     angle = 2.0 * t + 40.0 * (0.5 * gained**2 + gained * np.clip(t - 0.7, 0.0, None))
-    acceleration = motion(WINDOWS, t, counted(angle)).acceleration_rad_s2
+    acceleration = motion(WINDOWS, t, quantise(angle)).acceleration_rad_s2
     counts = np.flatnonzero(acceleration)
     assert (np.diff(counts) == 1).all()
     assert (acceleration[counts] > 0.0).all()
@@ -122,7 +122,7 @@ def test_slow_motion_shows_no_acceleration():
     floor = WINDOWS.acceleration_floor_rad_s2(RATE)
     for share, shows in ((0.3, False), (3.0, True)):
         w = 2.0 * math.pi
-        estimate = motion(WINDOWS, t, counted(share * floor / w**2 * np.sin(w * t), 0.5))
+        estimate = motion(WINDOWS, t, quantise(share * floor / w**2 * np.sin(w * t), 0.5))
         assert (estimate.acceleration_rad_s2 != 0.0).any() == shows
 
 
