@@ -53,7 +53,7 @@ class NotATuner:
     """Class without the methods of a tuner."""
 
 
-def stored(tuner: Any) -> dict[str, Any]:
+def stored_form(tuner: Any) -> dict[str, Any]:
     """Stored form after encoding and decoding as JSON."""
     values: dict[str, Any] = json.loads(json.dumps(tuner_to_stored(tuner)))
     return values
@@ -63,18 +63,18 @@ def stored(tuner: Any) -> dict[str, Any]:
 def test_registered_tuner_is_stored_by_name_and_read_back(name):
     tuner = create_tuner(name, SPACE)
     assert tuner.name == name
-    assert stored(tuner)["kind"] == name
-    assert tuner_from_stored(stored(tuner)) == tuner
-    assert tuner_name(stored(tuner)) == name
-    assert tuner_space(stored(tuner)) == SPACE
+    assert stored_form(tuner)["kind"] == name
+    assert tuner_from_stored(stored_form(tuner)) == tuner
+    assert tuner_name(stored_form(tuner)) == name
+    assert tuner_space(stored_form(tuner)) == SPACE
 
 
 def test_user_tuner_by_module_and_class_survives_storage():
     reference = f"{__name__}:OwnTuner"
     tuner = replace(create_tuner(reference, SPACE), width=0.3)
-    assert stored(tuner)["kind"] == reference
-    assert tuner_from_stored(stored(tuner)) == tuner
-    assert tuner_name(stored(tuner)) == "own"
+    assert stored_form(tuner)["kind"] == reference
+    assert tuner_from_stored(stored_form(tuner)) == tuner
+    assert tuner_name(stored_form(tuner)) == "own"
 
 
 def test_page_of_tuners_lists_the_table():
@@ -123,7 +123,7 @@ def test_old_plan_of_newton_becomes_safe_bayesian_with_its_settings():
         "memory": 500,
     }
     tuner = tuner_from_stored(old)
-    settings = {k: v for k, v in stored(tuner).items() if k not in ("kind", "name", "space")}
+    settings = {k: v for k, v in stored_form(tuner).items() if k not in ("kind", "name", "space")}
     assert list(settings.values()) == [
         *(0.11, 0.12, 0.13, 0.14, 8, 2.1, 2.2, 2.3, 1.31, 1.32, 1.33, 0.15, 0.16, 0.17, 500)
     ]
@@ -172,7 +172,7 @@ def test_stored_tuner_that_cannot_be_made_is_a_journal_error(values, message):
 
 def test_settings_survive_bit_for_bit():
     tuner = Otis(SPACE, adaptation_gain=math.nextafter(0.1, 1.0))
-    assert tuner_from_stored(stored(tuner)) == tuner
+    assert tuner_from_stored(stored_form(tuner)) == tuner
 
 
 def test_run_with_an_own_tuner_is_journalled_and_loaded(tmp_path):
