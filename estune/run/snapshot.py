@@ -16,7 +16,6 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import estune
 from estune.run.journal import Journal, JournalEntry
 from estune.run.session import Plan, Session
 
@@ -100,7 +99,7 @@ def read(
 def code_version() -> str:
     """Digest of all code on which proposals depend."""
     digest = hashlib.sha256("".join(map(version, ("numpy", "scipy"))).encode())
-    package = Path(estune.__file__).parent
+    package = Path(__file__).parents[1]
     for module in _MODULES:
         path = package.joinpath(*module.split(".")[1:])
         files = sorted(path.rglob("*.py")) if module.endswith(".") else [path.with_suffix(".py")]
