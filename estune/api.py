@@ -12,7 +12,7 @@ from estune.errors import EstuneError, InvalidInput, JournalError, RigError
 from estune.loop_model.optimum import RobustnessLimits
 from estune.remote.state_machine.client import PATIENCE_S
 from estune.run import archived_run, loop, progress, result
-from estune.run.journal import Journal
+from estune.run.journal import RECORDS_LEAST, Journal
 from estune.run.loop import ApprovalCallback, ProgressListener, Stopped, TuningRun
 from estune.run.plan import (
     description_from_json,
@@ -50,6 +50,7 @@ def tune(
     run: str | None = None,
     folder: str | Path = RUNS,
     journal: bool = True,
+    records: int | None = None,
     rig: str | None = None,
     security: "Security | None" = None,
     patience_s: float = PATIENCE_S,
@@ -82,6 +83,8 @@ def tune(
         run: Name of the run; the time of day by default.
         folder: Folder of runs.
         journal: Whether to store the run on disk, so that it can be resumed.
+        records: Number of records that the run keeps on disk, the latest and those of repeats;
+            all by default. Gains and costs are kept for ever.
         rig: Name of the rig, if several answer at the endpoint.
         security: Credentials, if the rig requires authentication; see `estune.remote.security`.
         patience_s: How long to wait where the rig at an endpoint stops replying, s.
@@ -104,6 +107,10 @@ def tune(
         >>> result.success
         True
     """
+    if records is not None and records < RECORDS_LEAST:
+        raise InvalidInput(
+            f"records is {records}; keep at least {RECORDS_LEAST}, which a resumed run may read"
+        )
     with open_target(target, rig, security, patience_s) as the_rig:
         description = the_rig.describe()
         name = run or _free_name(Path(folder))
@@ -133,6 +140,7 @@ def tune(
                 "rig_name": rig,
                 "created_at": datetime.now().astimezone().isoformat(timespec="seconds"),
                 "status": "running",
+                "records_max": records,
             }
             book = Journal.create(Path(folder) / name, facts)
         return _run(loop.start(plan, description, book), the_rig, watch, ask)

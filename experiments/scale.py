@@ -1,7 +1,7 @@
 """How does the service grow: seconds, bytes and their growth exponents at each size.
 
 Journals hold real runs of a tuner on recorded trials of the reference reel, 632 samples each, with
-other noise in every trial. Times are process times of whole commands, the start of Python included.
+other noise in every trial. Times are process times of whole commands, with the start of Python.
 """
 
 import functools
@@ -14,7 +14,7 @@ import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import estune
 import plants
@@ -87,8 +87,8 @@ def measure_journal(trials: int, folder: Path) -> JournalCosts:
     run = folder / f"scale-{trials}"
     if not (run / FILE_NAME).exists():
         target = "experiments.scale:recorded_rig"
-        search = {"tuner": TUNER, "tolerance": 0.0, "trials": trials, "watch": None}
-        estune.tune(target, folder=folder, run=run.name, **search)
+        options: dict[str, Any] = {"tuner": TUNER, "tolerance": 0.0, "trials": trials}
+        estune.tune(target, folder=folder, run=run.name, watch=None, **options)
     size = (run / FILE_NAME).stat().st_size
     exported = run / "parquet"
     costs = JournalCosts(

@@ -24,7 +24,8 @@ import plants
 from estune.errors import JournalError
 from estune.studies.sweep.cells import expand_cells
 from estune.studies.sweep.design import read_design
-from estune.studies.sweep.store import FILE_NAME, KIND
+from estune.studies.sweep.outcome import KIND
+from estune.studies.sweep.store import FILE_NAME
 from estune.support.sqlite import SqliteFile
 from estune.trial import Rig
 from experiments.results import at_most, command_line, print_results

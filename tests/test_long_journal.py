@@ -13,6 +13,7 @@ from estune.run import disk_space, loop, snapshot
 from estune.run.compressed_frame import compress, decompress
 from estune.run.journal import FILE_NAME, CompletedTrial, Journal
 from estune.run.session import Phase, next_request
+from estune.support import sqlite
 from estune.trial import TrialRequest, record_frame
 from estune.tuners import TUNERS
 from tests.support_runs import ArithmeticRig
@@ -150,6 +151,18 @@ def test_old_uncompressed_journal_opens_and_its_records_are_read(tmp_path):
         assert [entry.margin for entry in entries] == [None] * len(entries)
         assert journal.stored_trial_ids() == [entry.trial_id for entry in entries]
         assert all(journal.record(entry.trial_id).time_s.size for entry in entries)
+
+
+@pytest.mark.parametrize("large", [0, 2**40])
+def test_large_journal_cut_short_or_torn_is_refused(large, tmp_path, monkeypatch):
+    monkeypatch.setattr(sqlite, "_LARGE_bytes", large)
+    interrupted(tmp_path / "run", "otis", 11)
+    path = tmp_path / "run" / FILE_NAME
+    whole = path.read_bytes()
+    for damaged in (whole[:-4096], whole[:5000] + bytes(4096) + whole[9096:]):
+        path.write_bytes(damaged)
+        with pytest.raises(JournalError, match="damaged"):
+            Journal.open(tmp_path / "run", write=True)
 
 
 class GrowingJournal:

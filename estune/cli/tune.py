@@ -114,6 +114,7 @@ def tune(
     patience: float = PATIENCE_S,
     run: str | None = None,
     folder: Path = Path(api.RUNS),
+    records: int | None = None,
     quiet: Flag = False,
     step: StepOptions = NO_STEP,
     cost: CostOptions = NO_COST,
@@ -144,6 +145,8 @@ def tune(
         patience: How long to wait where the rig stops replying, s.
         run: Name of the run; the time of day by default.
         folder: Folder of runs.
+        records: Number of records that the run keeps on disk, the latest and those of repeats; all
+            by default. Gains and costs are kept for ever.
         quiet: Show no progress.
         step: The step trial.
         cost: The cost of a trial.
@@ -166,6 +169,7 @@ def tune(
         patience_s=patience,
         run=run,
         folder=folder,
+        records=records,
         watch=None if quiet else "auto",
         ask=terminal_approval() if ask else None,
         limits=_limits(limits),

@@ -33,10 +33,13 @@ def decompress(data: bytes) -> bytes:
     """
     if data[:3] == record_frame.FAMILY:
         return data
+    stream = zlib.decompressobj()
     try:
-        frame = zlib.decompressobj().decompress(data, record_frame.MAX_BYTES + 1)
+        frame = stream.decompress(data, record_frame.MAX_BYTES + 1)
     except zlib.error as error:
         raise ProtocolError(f"compressed record frame is damaged: {error}") from error
+    if not stream.eof:  # zlib compares its checksum at the end
+        raise ProtocolError(f"compressed record frame of {len(data)} bytes is cut short")
     begin, end = _body(frame)
     planes = np.frombuffer(frame, np.uint8, end - begin, begin).reshape(_WORD.itemsize, -1)
     words = np.cumsum(np.ascontiguousarray(planes.T).view(_WORD).ravel(), dtype=_WORD)

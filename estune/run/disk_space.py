@@ -41,5 +41,5 @@ class DiskForecast:
             return ""
         return (
             f"the disk will be full in {left_s / 3600.0:.2g} h ({free / 1e6:.3g} MB free, "
-            f"{per_trial * trials_left / 1e6:.3g} MB needed): make room, or keep fewer records"
+            f"{per_trial * trials_left / 1e6:.3g} MB needed): make room, or tune with --records"
         )

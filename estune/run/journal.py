@@ -44,7 +44,13 @@ CREATE TABLE snapshot (
 )
 """SQL that makes each schema out of the one before it; the first begins an empty file."""
 
-KIND = FileKind("a run", VERSIONS, "continue with: estune resume", lock_name="writer.lock")
+KIND = FileKind(
+    "a run",
+    VERSIONS,
+    "continue with: estune resume",
+    lock_name="writer.lock",
+    checksummed=("record",),
+)
 
 
 class JournalEntry(NamedTuple):

@@ -3,14 +3,17 @@
 import csv
 import itertools
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-Append = Callable[[Mapping[str, Sequence[Any]]], None]
+Column = Any
+"""Values of one column: a sequence or an array."""
+
+Append = Callable[[Mapping[str, Column]], None]
 """Appends rows to a table, given by columns."""
 
 _INTEGERS = ("number", "attempt", "samples", "flags")
@@ -40,7 +43,7 @@ def csv_table(path: Path, names: tuple[str, ...]) -> Iterator[Append]:
         writer = csv.writer(file)
         writer.writerow(names)
 
-        def append(table: Mapping[str, Sequence[Any]]) -> None:
+        def append(table: Mapping[str, Column]) -> None:
             # Python writes the shortest text that reads back as the same number.
             columns = (table[name] for name in names)
             listed = (c.tolist() if isinstance(c, np.ndarray) else c for c in columns)
@@ -57,7 +60,8 @@ def parquet_table(path: Path, names: tuple[str, ...]) -> Iterator[Append]:
 
     types = {**dict.fromkeys(_INTEGERS, pa.int32()), **dict.fromkeys(_TEXTS, pa.string())}
     schema = pa.schema([(name, types.get(name, pa.float64())) for name in names])
-    waiting: list[Mapping[str, Sequence[Any]]] = []
+    waiting: list[Mapping[str, Column]] = []
+    rows = 0
 
     def write() -> None:
         if waiting:
@@ -68,7 +72,7 @@ def parquet_table(path: Path, names: tuple[str, ...]) -> Iterator[Append]:
             writer.write_table(pa.Table.from_arrays(arrays, schema=schema))
             waiting.clear()
 
-    def append(table: Mapping[str, Sequence[Any]]) -> None:
+    def append(table: Mapping[str, Column]) -> None:
         nonlocal rows
         waiting.append(table)
         rows += len(table[names[0]])
@@ -76,7 +80,6 @@ def parquet_table(path: Path, names: tuple[str, ...]) -> Iterator[Append]:
             write()
             rows = 0
 
-    rows = 0
     # The high bytes of consecutive samples are alike: stored byte by byte they compress well.
     encoding = {
         "use_dictionary": [name for name in names if name in types],
@@ -90,9 +93,8 @@ def parquet_table(path: Path, names: tuple[str, ...]) -> Iterator[Append]:
         write()
 
 
-def _joined(parts: list[Sequence[Any]]) -> Sequence[Any]:
+def _joined(parts: list[Column]) -> Column:
     """Columns one after the other, as an array if all of them are."""
     if all(isinstance(part, np.ndarray) for part in parts):
-        joined: Sequence[Any] = np.concatenate(parts)
-        return joined
+        return np.concatenate(parts)
     return list(itertools.chain.from_iterable(parts))

@@ -36,6 +36,9 @@ from typing import IO, Any, NamedTuple, Self
 
 from estune.errors import JournalError
 
+_LARGE_bytes = 64 * 2**20
+"""Size from which on tables with checksums are not checked when a file is opened."""
+
 
 class FileKind(NamedTuple):
     """What the files of one store have in common.
@@ -45,12 +48,14 @@ class FileKind(NamedTuple):
         versions: SQL that makes schema n + 1 out of schema n, from n = 0 (an empty file) on.
         continuation: What to do once an obstacle is removed, for messages.
         lock_name: Name of the writer's lock file; by default that of the file and `.lock`.
+        checksummed: Tables whose rows have checksums of their own, checked when they are read.
     """
 
     noun: str
     versions: tuple[str, ...]
     continuation: str
     lock_name: str = ""
+    checksummed: tuple[str, ...] = ()
 
     def lock_path(self, path: Path) -> Path:
         """The lock file beside a file of this kind."""
@@ -196,9 +201,28 @@ class SqliteFile:
 
     def _check(self) -> None:
         self._check_version()
-        fault = self._connection.execute("PRAGMA quick_check(1)").fetchone()[0]
-        if fault != "ok":
+        faults = [row[0] for check in self._checks() for row in self._connection.execute(check)]
+        fault = next((fault for fault in faults if fault != "ok"), None) or self._missing_end()
+        if fault:
             raise JournalError(f"{self.path} is damaged ({fault}); restore it from a copy")
+
+    def _checks(self) -> list[str]:
+        """Statements that check the file: all of it, or a large one without checksummed tables."""
+        if not self._kind.checksummed or self.path.stat().st_size < _LARGE_bytes:
+            return ["PRAGMA quick_check(1)"]
+        tables = self._connection.execute("SELECT name FROM sqlite_schema WHERE type='table'")
+        names = {name for (name,) in tables} - set(self._kind.checksummed)
+        return [f"PRAGMA quick_check('{name}')" for name in sorted(names)]
+
+    def _missing_end(self) -> str:
+        """How much of the file is cut off; empty if nothing is."""
+        page_count, page_size = "PRAGMA page_count", "PRAGMA page_size"
+        pages, size = (self._connection.execute(s).fetchone()[0] for s in (page_count, page_size))
+        wal = Path(f"{self.path}-wal")
+        missing = int(pages * size) - self.path.stat().st_size
+        if missing <= 0 or (wal.exists() and wal.stat().st_size):  # the rest is in the log
+            return ""
+        return f"{missing} bytes are missing at its end"
 
     def _migrate(self) -> None:
         """Brings the file to the newest schema, inside the caller's transaction."""

@@ -32,6 +32,8 @@ _SMOOTHED = 8
 _LABELS = {"P": "P", "I": "I", "D": "D", "setpoint_filter_s": "setpoint filter"}
 _CURVE_POINTS = 200
 _MOST_IN_LEGEND = 10
+_VECTORS_MAX = 2000
+"""Points of a figure that are drawn one by one; more are drawn as an image."""
 
 
 def draw_costs(outcomes: Sequence[CellOutcome]) -> Figure:
@@ -81,14 +83,23 @@ def draw_law(law: GainLaw, name: str, excluded: Sequence[CellOutcome]) -> Figure
         length, band.low, band.high, color=BLUE, alpha=0.25, lw=0.0, label="the law, 95 %"
     )
     ax.plot(length, band.gain, color=BLUE, lw=1.4, label=_curve_label(law, name))
-    ax.plot(fit.points.length_m, fit.points.gain, ".", color=BLACK, ms=5, label="tuned")
+    many = fit.points.length_m.size > _VECTORS_MAX
+    ax.plot(
+        fit.points.length_m,
+        fit.points.gain,
+        ".",
+        color=BLACK,
+        ms=5,
+        label="tuned",
+        rasterized=many,
+    )
     shown = [(o.cell.length_m, getattr(o.gains, name)) for o in excluded if o.gains is not None]
     if shown:
         ax.plot(*zip(*shown, strict=True), "x", color=VERMILION, ms=5, label="left out")
     finish(ax, f"{_LABELS[name]}, {GAIN_UNITS[name]}")
     legend(ax, columns=3)
     below.axhline(0.0, color=GREY, lw=0.8)
-    below.plot(fit.points.length_m, fit.fit.studentised, ".", color=BLACK, ms=4)
+    below.plot(fit.points.length_m, fit.fit.studentised, ".", color=BLACK, ms=4, rasterized=many)
     finish(below, "residual, sd", "cable length, m")
     return figure
 

@@ -21,6 +21,9 @@ from estune.support.html_page import (
     render,
 )
 
+_POINTS_MAX = 2000
+"""Points that the page offers as CSV; cells.csv has them all."""
+
 TITLE = "Gains over cable length"
 
 _ROWS_MAX = 100
@@ -98,8 +101,10 @@ def _figures(n: int, series: Series, law: GainLaw | str) -> Iterator[Block]:
 
 
 def _points_csv(law: GainLaw, name: str) -> str:
-    """The points of a law's figure."""
+    """The points of a law's figure; empty where they are too many for the page."""
     points = law.fits[name].points
+    if points.length_m.size > _POINTS_MAX:
+        return ""
     rows = zip(points.length_m, points.tension_N, points.gain, points.own_error, strict=True)
     lines = [",".join(f"{value:.9g}" for value in row) for row in rows]
     return "\n".join([f"length_m,tension_N,{name},{name}_error", *lines, ""])
