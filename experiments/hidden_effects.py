@@ -1,6 +1,7 @@
 """Does the workflow name an effect that was hidden in the data, and hold its tongue otherwise?
 
-Cases come from `experiments.hidden_machines`, machines that share no code or formula with the models here. Each
+Cases come from `experiments.hidden_machines`, machines that share no code or formula with the models
+here. Each
 is diagnosed from its records alone; then the answer is held against what was hidden. Counted are
 cases whose gap is at least one and a half floors, unless it says otherwise. Misnaming is any name,
 in a verdict of whatever kind, of a family that is not there. Every row goes to a file as it is
@@ -18,13 +19,23 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from itertools import pairwise
 from pathlib import Path
 from statistics import median
-from typing import Any
+from typing import Any, NamedTuple
+
+from matplotlib.figure import Figure
 
 from experiments import silverbox
 from experiments.hidden_scores import Row, Task, diagnose
-from experiments.results import Target, at_least, at_most, command_line, print_results
+from experiments.results import (
+    Target,
+    at_least,
+    at_most,
+    command_line,
+    print_results,
+    save_figure,
+)
 
 SHARES = {
     "plain": 26,
@@ -44,14 +55,17 @@ SHARES = {
 }
 """Per cent of the cases."""
 
-FIRST_FRESH_SEED = 10_000
-"""Seeds below are for development; thresholds were chosen on them."""
+FIRST_SEED = 70_000
+"""First seed of the validation block; experiments/hidden_machines/seeds.md lists the blocks."""
+
+BINS = (0.0, 0.05, 0.2, 0.5, 0.8, 0.95, 1.0)
+"""Edges of the probabilities whose frequencies are compared."""
 
 OUT = Path(__file__).parent / "out"
 SINGLE = ("plain", "steps_only", "wrong_base", "unloaded", "stage")
 NOTHING = ("none", "none_unloaded")
 OUTSIDE = ("outside", "outside_unloaded", "left_out")
-QUICK_CASES, THROUGHPUT_CASES = 8, 8
+QUICK_CASES, THROUGHPUT_CASES = 4, 8
 
 LIMITS: dict[str, tuple[float, Callable[[float, float], Target]]] = {
     "exact_name": (0.95, at_least),
@@ -65,6 +79,7 @@ LIMITS: dict[str, tuple[float, Callable[[float, float], Target]]] = {
     "noise5_wrong_names": (0.0, at_most),
     "no_encoder_false_alarms": (0.05, at_most),
     "intervals_hold_truth": (0.90, at_least),
+    "calibration_error": (0.05, at_most),
     "median_cpu_s": (3.0, at_most),
     "throughput_two_workers": (1.8, at_least),
     "silverbox_nrmse_after": (0.25, at_most),
@@ -222,13 +237,59 @@ def summary(rows: list[Row]) -> dict[str, float]:
         "intervals": float(len(held)),
         "intervals_hold_truth": sum(held) / len(held) if held else math.nan,
         "calibrations_hold_truth": sum(calibrated) / len(calibrated) if calibrated else math.nan,
+        "calibration_error": calibration_error(reliability(rows)),
         "median_cpu_s": middle([row.cpu_s for row in rows]),
         "slowest_cpu_s": max((row.cpu_s for row in rows if not row.error), default=math.nan),
     }
 
 
+class Reliability(NamedTuple):
+    """Probabilities stated between two edges, and how often the family was there."""
+
+    stated: float
+    there: float
+    number: int
+
+
+def reliability(rows: list[Row]) -> list[Reliability]:
+    """Stated probabilities of families against their frequencies, bin by bin."""
+    stated = [one for row in rows for one in row.stated if math.isfinite(one.probability)]
+    found = []
+    for low, high in pairwise(BINS):
+        within = [s for s in stated if low <= s.probability < high or s.probability == high == 1.0]
+        if within:
+            mean = sum(s.probability for s in within) / len(within)
+            there = sum(s.there for s in within) / len(within)
+            found.append(Reliability(mean, there, len(within)))
+    return found
+
+
+def calibration_error(bins: list[Reliability]) -> float:
+    """Expected calibration error: mean difference of probability and frequency."""
+    number = sum(one.number for one in bins)
+    return sum(abs(one.stated - one.there) * one.number for one in bins) / number if bins else 0.0
+
+
+def draw_reliability(bins: list[Reliability]) -> Figure:
+    """Reliability diagram: frequency over stated probability."""
+    figure = Figure(figsize=(4.0, 4.0), layout="constrained")
+    axes = figure.add_subplot()
+    axes.plot([0.0, 1.0], [0.0, 1.0], color="0.7")
+    axes.plot([b.stated for b in bins], [b.there for b in bins], "o-")
+    for b in bins:
+        axes.annotate(
+            f"{b.number}", (b.stated, b.there), xytext=(4, -10), textcoords="offset points"
+        )
+    axes.set(xlabel="stated probability of a family", ylabel="share of cases with it")
+    return figure
+
+
 def show(rows: list[Row]) -> None:
     """Prints the tables."""
+    print("stated probability of a family -> share of cases with it (number)\n")
+    for one in reliability(rows):
+        print(f"  {one.stated:.2f} -> {one.there:.2f} ({one.number})")
+    print()
     print("hidden -> said, one hidden effect or none\n")
     for truth, said in confusion(rows).items():
         print(f"  {truth:22s} " + "; ".join(f"{what} {count}" for what, count in said.items()))
@@ -270,7 +331,7 @@ def main() -> int:
     """Prints the tables, or with --json one object; returns 1 where a target is missed."""
     parser = command_line(__doc__, quick=f"{QUICK_CASES} cases, no throughput")
     parser.add_argument("--cases", type=int, default=1000, help="number of cases")
-    parser.add_argument("--seed0", type=int, default=FIRST_FRESH_SEED, help="first seed")
+    parser.add_argument("--seed0", type=int, default=FIRST_SEED, help="first seed")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes")
     parser.add_argument("--data", type=Path, help="folder that holds silverbox/Silverbox.mat")
     parser.add_argument("--rows", type=Path, help="print the tables of this file; run nothing")
@@ -286,6 +347,7 @@ def main() -> int:
             figures |= throughput(THROUGHPUT_CASES, options.seed0)
         figures |= silverbox.figures(silverbox.folder(options.data))
     figures = summary(rows) | figures
+    save_figure(draw_reliability(reliability(rows)), OUT, "hidden_reliability")
     if not options.json:
         show(rows)
         print()

@@ -152,9 +152,9 @@ def test_interrupted_matching_continues_and_repeats_no_trial(tmp_path):
         trials_left = 50
 
         def run(self, request):
-            if self.left == 0:
+            if self.trials_left == 0:
                 raise KeyboardInterrupt
-            self.left -= 1
+            self.trials_left -= 1
             return super().run(request)
 
     uncut = {"a": ArithmeticRig(name="a"), "b": ArithmeticRig(name="b")}
@@ -166,7 +166,7 @@ def test_interrupted_matching_continues_and_repeats_no_trial(tmp_path):
             break
         except KeyboardInterrupt:
             for rig in cut.values():
-                rig.left = 60
+                rig.trials_left = 60
     ids = [request.trial_id for rig in cut.values() for request in rig.requests]
     assert len(ids) == len(set(ids))
     assert [r.gains for r in result.reels] == [r.gains for r in whole.reels]
