@@ -25,9 +25,9 @@ from estune.run.journal import Journal, JournalEntry
 from estune.run.loop import TuningRun
 from estune.run.performance import Performance
 from estune.run.robustness import claim_from, robustness_cells
-from estune.run.session import Plan, Session, is_safe, is_unsafe
+from estune.run.session import Plan, Session, is_safe
 from estune.run.summary import RunSummary, summarise
-from estune.trial import RigDescription, TrialRecord
+from estune.trial import Outcome, RigDescription, TrialRecord
 from estune.trial.scoring import constraint_margin
 
 if TYPE_CHECKING:
@@ -175,10 +175,11 @@ class TuneResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type i
         """The trials, one row each: number, phase, gains, cost, best cost so far, outcome."""
         import pandas as pd  # noqa: PLC0415  slow to import
 
+        eta_max = self.session.eta_max
         rows = [
             (
-                *(e.number, e.attempt, e.trial_id, str(e.phase), *e.gains.as_tuple(), e.cost),
-                *(_is_unsafe(self.session, e), str(e.outcome), e.reason),
+                *(e.number, e.attempt, e.trial_id, e.phase.value, *e.gain_values, e.cost),
+                *(_is_unsafe(e, eta_max), str(e.outcome), e.reason),
             )
             for e in self.entries
         ]
@@ -350,5 +351,9 @@ def from_tuning(tuning: TuningRun) -> TuneResult:
     )
 
 
-def _is_unsafe(session: Session, entry: JournalEntry) -> bool:
-    return entry.outcome is not None and is_unsafe(session, entry.outcome, entry.cost)
+def _is_unsafe(entry: JournalEntry, eta_max: float) -> bool:
+    """`is_unsafe` with a known limit, for runs of many trials."""
+    if entry.outcome is None or entry.outcome.is_void:
+        return False
+    declined = entry.outcome is Outcome.DECLINED
+    return not declined and not is_safe(entry.outcome, entry.cost, eta_max)
