@@ -13,7 +13,7 @@ from estune.errors import EstuneError
 from estune.studies.sweep.outcome import CellOutcome
 from experiments.sweep_kills import finish_times
 from experiments.sweep_speed.cluster import cluster
-from tests.test_sweep import alike, swept
+from tests.test_sweep import alike, run_sweep
 
 DESIGN = """
 lengths_m = [0.5, 0.8, 1.1, 1.4]
@@ -62,10 +62,10 @@ def test_killed_sweep_loses_and_repeats_no_finished_cell(tmp_path):
         assert len(workers) >= 2
         assert all_end(workers)  # no worker outlives it
     assert len(before) >= 4
-    result = swept(folder, design)
+    result = run_sweep(folder, design)
     assert before.items() <= finish_times(folder).items()
     assert len(finish_times(folder)) == 24
-    whole = swept(tmp_path / "whole", design)
+    whole = run_sweep(tmp_path / "whole", design)
     assert all(map(alike, result.outcomes, whole.outcomes))
 
 
@@ -83,12 +83,12 @@ def test_cluster_gives_equal_outcomes_and_its_loss_keeps_finished_cells(tmp_path
                 dask.scheduler.wait()
 
         with pytest.raises(EstuneError, match="the cluster's scheduler has ended; finished cells"):
-            swept(tmp_path / "cluster", design, dask=dask.address, watch=end_it)
+            run_sweep(tmp_path / "cluster", design, dask=dask.address, watch=end_it)
     done = {outcome.cell.key: outcome for outcome in outcomes}
     assert set(done) == set(finish_times(tmp_path / "cluster"))
     assert len(done) >= 3
-    result = swept(tmp_path / "cluster", design)
-    whole = swept(tmp_path / "whole", design)
+    result = run_sweep(tmp_path / "cluster", design)
+    whole = run_sweep(tmp_path / "whole", design)
     assert all(map(alike, result.outcomes, whole.outcomes))
     assert all(alike(done[o.cell.key], o) for o in whole.outcomes if o.cell.key in done)
 
