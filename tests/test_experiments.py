@@ -9,7 +9,15 @@ from tests.support_claims import CHECKS
 from tests.support_experiments import run_experiment
 
 ROOT = Path(__file__).parents[1]
-TIMED = {"benchmark_link", "benchmark_trials", "catenary", "effects", "jitter", "sweep_speed"}
+TIMED = {
+    "benchmark_link",
+    "benchmark_trials",
+    "catenary",
+    "effects",
+    "jitter",
+    "scale",
+    "sweep_speed",
+}
 """Experiments whose targets are times or ratios of times, which a busy machine may miss."""
 
 TIMES = ("_restored_max_s", "stop_p99_ms")
