@@ -8,10 +8,18 @@ from xdist.scheduler import LoadScopeScheduling
 WORKERS = 3
 """One more than the two cores CI has, as many tests wait for other processes."""
 
-INDEPENDENT = ("test_experiments", "test_explain", "test_explain_friction", "test_explain_plants")
+INDEPENDENT = ("test_experiments", "test_explain_friction", "test_explain_plants")
 """Files of long tests without shared fixtures, which may run in different processes."""
 
-LONGEST = (*INDEPENDENT, "README", "test_daemon", "test_cli", "test_bus", "test_hidden_effects")
+LONGEST = (
+    "test_explain",
+    *INDEPENDENT,
+    "README",
+    "test_daemon",
+    "test_cli",
+    "test_bus",
+    "test_hidden_effects",
+)
 """Files that start first, so that no process is left with a long one at the end."""
 
 # Equal examples on every machine, however slow it is.
