@@ -1,11 +1,10 @@
-"""Does the workflow name an effect that was hidden in the data, and hold its tongue otherwise?
+"""Rates of right names for effects hidden in machines that share no code with the models here.
 
-Cases come from `experiments.hidden_machines`, machines that share no code or formula with the models
-here. Each
-is diagnosed from its records alone; then the answer is held against what was hidden. Counted are
-cases whose gap is at least one and a half floors, unless it says otherwise. Misnaming is any name,
-in a verdict of whatever kind, of a family that is not there. Every row goes to a file as it is
-finished; `--rows` prints the tables of such a file without running anything.
+Cases come from `experiments.hidden_machines`. Each is diagnosed from its records alone; then the
+answer is compared with what was hidden. Counted are cases whose prediction error is at least 1.5
+times the noise floor, unless it says otherwise. Misnaming is any name, in a verdict of whatever
+kind, of a family that is not there. Every row goes to a file as it is finished; `--rows` prints
+the tables of such a file without running anything.
 
 Beside them: a measured set, the Silverbox, where it is at hand (`--data`, or ESTUNE_DATA).
 """

@@ -5,10 +5,13 @@ import traceback
 from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any
 
+import numpy as np
+
 import plants
 from estune.core.gains import Gains
 from experiments import hidden_machines
 from plants.diagnosis.data.measured_record import MeasuredRecord
+from plants.diagnosis.result import ModelSummary
 from plants.effects import EFFECTS
 from plants.models.unloaded_reel import UnloadedReel
 
@@ -46,6 +49,15 @@ class Held:
         return self.low <= self.true <= self.high
 
 
+@dataclass(frozen=True)
+class Stated:
+    """Stated probability that a family of effects is there, and whether it is."""
+
+    family: str
+    probability: float
+    there: bool
+
+
 VISIBLE = 1.5
 """Least gap, in floors, of a case that counts."""
 
@@ -78,6 +90,9 @@ class Row:
     wall_s: float = float("nan")
     intervals: tuple[Held, ...] = field(default=())
     calibrations: tuple[Held, ...] = field(default=())
+    stated: tuple[Stated, ...] = field(default=())
+    accepted: tuple[tuple[str, ...], ...] = ()
+    models: tuple[ModelSummary, ...] = ()
     error: str = ""
 
     @property
@@ -98,7 +113,11 @@ class Row:
 
     def as_json(self) -> dict[str, Any]:
         """All of it as JSON values."""
-        return asdict(self)
+        models = [
+            one._asdict() | {"names": sorted(one.names), "families": sorted(one.families)}
+            for one in self.models
+        ]
+        return asdict(replace(self, models=())) | {"models": models}
 
     @classmethod
     def from_json(cls, found: dict[str, Any]) -> "Row":
@@ -109,7 +128,15 @@ class Row:
             values[name] = tuple(values.get(name, ()))
         for name in ("intervals", "calibrations"):
             values[name] = tuple(Held(**held) for held in values[name])
+        values["stated"] = tuple(Stated(**one) for one in values.get("stated", ()))
+        values["accepted"] = tuple(map(tuple, values.get("accepted", ())))
+        values["models"] = tuple(map(_model_summary, values.get("models", ())))
         return cls(**values)
+
+
+def _model_summary(found: dict[str, Any]) -> ModelSummary:
+    sets = {name: frozenset(found[name]) for name in ("names", "families")}
+    return ModelSummary(**(found | sets | {"blocks": tuple(found["blocks"])}))
 
 
 def measurement(record: hidden_machines.Record) -> MeasuredRecord:
@@ -201,6 +228,9 @@ def score(answer: Any, secret: hidden_machines.Secret, row: Row) -> Row:
         ratio_after=float(answer.ratio_after),
         closure=float(answer.closure),
         rms_ratio=float(answer.rms_after / answer.rms_before),
+        stated=_stated(answer, accepted),
+        accepted=accepted,
+        models=answer.models,
         intervals=_intervals(answer, secret),
         calibrations=_calibrations(answer, secret),
     )
@@ -221,6 +251,17 @@ def _is_wrong(
     for name in truth:
         there |= {FAIR[name][verdict]} if verdict in FAIR.get(name, {}) else set()
     return not _families(named) <= there
+
+
+def _stated(answer: Any, accepted: tuple[tuple[str, ...], ...]) -> tuple[Stated, ...]:
+    """The probabilities of the families that were fitted, one of each."""
+    there = {hidden_machines.family(name) for names in accepted for name in names}
+    found = {
+        hidden_machines.family(c.name): c.probability
+        for c in answer.candidates
+        if np.isfinite(c.gap)
+    }
+    return tuple(Stated(name, p, name in there) for name, p in found.items())
 
 
 def _intervals(answer: Any, secret: hidden_machines.Secret) -> tuple[Held, ...]:

@@ -182,9 +182,8 @@ def _validated(inputs: DiagnosisInputs) -> tuple[list[Stage], Conclusion]:
     stages: list[Stage] = []
     if inputs.line is not None:
         stages.append(_stage(*inputs.recorded, None))
-    fits = judged.stages
-    if inputs.wrong is not None:
-        fits = (inputs.found.given, inputs.wrong)
+    fits = judged.stages if inputs.wrong is None else (inputs.found.given, inputs.wrong)
+    fits = tuple(map(fitter.final, fits))
     there: frozenset[str] = frozenset()
     for one in fits:
         added = next(iter(sorted(one.names - there)), None)
@@ -201,7 +200,7 @@ def _validated(inputs: DiagnosisInputs) -> tuple[list[Stage], Conclusion]:
             f"data left out only {100.0 * max(share, 0.0):.0f} % of it."
         )
         unknown = judged._replace(
-            verdict="unknown", stages=judged.stages[:1], tied=(), rest="", reason=reason
+            verdict="unknown", stages=fits[:1], tied=(), rest="", reason=reason
         )
         return stages[: len(stages) - len(fits) + 1], unknown
     return stages, judged

@@ -59,8 +59,11 @@ def conclude(fitter: ModelFitter, found: SearchResult) -> Conclusion:
     base, *models = found.summaries(fitter)
     decision = decide(base, models)
     families = family_probabilities(models, probabilities(base, models))
+    # Where no name is believed, the best of the declared effects seldom is there.
+    named = (explained(base, m) for m in models if m.named)
+    scale = 1.0 if decision.best else (1.0 - CONSTANTS.named_share) * max(named, default=0.0)
     probability = {
-        e.name: families[family_of(e)] for one in found.fits.values() for e in one.effects
+        e.name: scale * families[family_of(e)] for one in found.fits.values() for e in one.effects
     }
     if not decision.best:
         like = _title(found, decision.like)

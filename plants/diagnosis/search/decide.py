@@ -61,7 +61,7 @@ def decide(base: Model, models: Sequence[Model], c: Constants = CONSTANTS) -> De
     for law in sorted(nameless, key=lambda m: m.power):
         fewer = law.values < best.values and not beats(best, law, c.one_more, c)
         as_few = law.values <= best.values and beats(law, best, c.one_more, c)
-        if fewer or as_few or beats(law, best, c.nameless_more, c):
+        if fewer or as_few or beats(law, best, c.named_share, c):
             return Decision("unknown", frozenset(), like=next(iter(law.names)), leading=best.names)
     if explained(base, best) < c.named_share and best.power > c.floor:
         return Decision("unknown", frozenset(), leading=best.names)
@@ -75,7 +75,8 @@ def _tied(
 ) -> tuple[Slugs, ...]:
     """Models of other families, with no more effects, that are about as probable."""
     others = [m for m in named if not m.families & best.families]
-    others = [m for m in others if len(m.names) <= len(best.names)]
+    # Of two, that whose size a scale tells without the machine is the less likely one.
+    others = [m for m in others if len(m.names) <= len(best.names) and not m.known_apart]
     close = [m for m in others if p[m.names] > c.tied * (p[m.names] + p[best.names])]
     return tuple(m.names for m in sorted(close, key=lambda m: m.power))
 

@@ -18,8 +18,11 @@ FINE = ((0.0, 1e-4, 1e-3, 1e-2, 0.1), (1.0, 30.0))
 """The same along a narrow valley, where a step that is a little too long or too short is lost."""
 VALLEY = 0.5
 """A round that lowers the sum of squares to no less than this share of it is in such a valley."""
-CONVERGED = 1e-4
-"""A round that lowers the sum of squares by a smaller share is the last."""
+CONVERGED = 1e-3
+"""A round that lowers the sum of squares by a smaller share is the last: models are compared by
+tens of per cent."""
+FINAL = 1e-5
+"""That of the fit whose values are reported."""
 DEAD = 1e-9
 """A value whose derivative is below this share of the greatest does nothing where it is."""
 STRIDES = (1.0, 3.0)
@@ -55,7 +58,13 @@ class WhitenedFit:
 
 
 def fit(
-    predictor: Predictor, start: FloatArray, moves: Numbers, entries: Numbers, rounds: int = 15
+    predictor: Predictor,
+    start: FloatArray,
+    moves: Numbers,
+    entries: Numbers,
+    rounds: int = 15,
+    *,
+    tolerance: float = CONVERGED,
 ) -> WhitenedFit:
     """Lowers the sum of squares of some residuals: Levenberg-Marquardt within the bounds.
 
@@ -68,6 +77,7 @@ def fit(
         moves: Numbers of the values that may move.
         entries: Numbers of the residuals that count.
         rounds: Most rounds.
+        tolerance: Share of the sum of squares that the last round lowers it by at most.
     """
     scale = _Scale.of(predictor, moves)
     at, valley, converged = _Point(np.clip(start, scale.low, scale.high), None), False, False
@@ -86,7 +96,7 @@ def fit(
             at = lowest([slope.step(begun.values, residuals, d) for d in dampings], begun)
             if at is not begun:
                 break
-        converged = begun.cost - at.cost < CONVERGED * begun.cost
+        converged = begun.cost - at.cost < tolerance * begun.cost
         if converged:
             break
         valley = at.cost > VALLEY * begun.cost

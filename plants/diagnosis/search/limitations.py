@@ -36,7 +36,7 @@ def limitations(
             Limitation(
                 "no_encoder",
                 "no record has an angle: effects of cable and gauge cannot be told from effects "
-                "of the drum; record angle_rad",
+                "of the drum, nor the drum's inertia but by the stiffness given; record angle_rad",
             )
         )
     return tuple(found)

@@ -13,13 +13,15 @@ from plants.diagnosis.data.noise_floor import NoiseFloor
 from plants.diagnosis.models.base import BaseNumbers
 from plants.diagnosis.models.diagnosed_model import DiagnosedModel, Free
 from plants.diagnosis.prediction.prediction import Prediction, Predictor
-from plants.diagnosis.search.fit import WhitenedFit, fit
+from plants.diagnosis.search.fit import FINAL, WhitenedFit, fit
 from plants.effects import Effect, Port, RecordScale, Role
 
 SHIFTS = np.array([0.0, *(sign * 3.0**n for n in range(6) for sign in (-1, 1))])
 """Shifts of a record's own value, in floors of change, among which the best is begun with."""
 TURNS = np.arange(8) / 8.0
 """Shares of a period by which a record's wave is turned, among which the best is begun with."""
+LONGEST = 60
+"""Most rounds of a fit that is reported."""
 BOUND = 1e-6
 """A value this near to a bound, relative to it, is at it."""
 BLOCK_WINDOWS, BLOCKS, BLOCKS_OF_FEW = 3, 12, 24
@@ -163,6 +165,13 @@ class ModelFitter:
         if one.fitted.converged and one.fitted.moved.size == moves.size:
             return one
         return self.fit(one.effects, one.fitted.values, rounds)
+
+    def final(self, one: CandidateFit) -> CandidateFit:
+        """The same, fitted until nothing is gained."""
+        fitted = one.fitted
+        moved = fitted.moved
+        done = fit(fitted.predictor, fitted.values, moved, self.entries, LONGEST, tolerance=FINAL)
+        return CandidateFit(one.effects, done)
 
     def best_starts(self, predictor: Predictor, rows: FloatArray, most: int) -> FloatArray:
         """The rows of values that leave the least."""

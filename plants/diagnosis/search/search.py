@@ -8,6 +8,8 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from plants.diagnosis.result import ModelSummary
 from plants.diagnosis.search.cable_block import block_powers
 from plants.diagnosis.search.constants import CONSTANTS
@@ -22,7 +24,7 @@ from plants.diagnosis.search.model_fitter import (
 from plants.diagnosis.search.nameless_laws import NAMELESS
 from plants.diagnosis.search.score_context import ScoreContext
 from plants.diagnosis.search.score_test import ScreeningResult, screen
-from plants.diagnosis.search.starts import fit_added, may_be_nonlinear
+from plants.diagnosis.search.starts import coarse_fit, fit_added, may_be_nonlinear
 from plants.effects import Effect, RecordScale, Role
 
 BESIDE = 5
@@ -33,8 +35,6 @@ AIMED = 0.5
 """A law without a name is fitted whose direction explains this share of what the best's does."""
 DISTORTED = 16.0
 """Power left from which on directions are looked for from the model as given, too."""
-LONGEST = 60
-"""Most rounds of the best fit."""
 LEADING, BEHIND = 4, 3.0
 """Fits that are finished, and ratio of powers left beyond which none is."""
 
@@ -132,11 +132,13 @@ def search(
     _fit_all(fitter, found, base, found.screened, unnamed)
     single = next((f for f in found.of(1) if is_named(f)), None)
     if single is None or power(single) > 1.0 + (1.0 - CONSTANTS.named_share) * (power(base) - 1.0):
-        _fit_rest(fitter, found, base)
+        _fit_rest(fitter, found)
         single = next((f for f in found.of(1) if is_named(f)), None)
     # A second effect is looked for beside one that explains something, and leaves something.
     some = 1.0 + CONSTANTS.named_share * (power(base) - 1.0)
-    if single is None or not CONSTANTS.floor < power(single) <= some:
+    if single is None or power(single) > some:
+        return found
+    if np.nanmax([single.J, *summarise(fitter, single, fitter.scale).blocks]) <= CONSTANTS.nothing:
         return found
     there = family_of(single.effects[0])
     rest = [e for e in effects if family_of(e) != there]
@@ -177,7 +179,7 @@ def _fit_all(
             continue
         fitted = fit_added(fitter, current, one, _simpler(one.effect, fits), least=least)
         if least > fitted.J:
-            fitted = fitter.refine(fitted, LONGEST)
+            fitted = fitter.refine(fitted, 40)
             least = fitted.J
         fits.append(fitted)
     found.add(_finished(fitter, fits))
@@ -193,13 +195,13 @@ def _simpler(effect: type[Effect], fits: Sequence[CandidateFit]) -> CandidateFit
     return next((f for f in fits if source in f.names), None)
 
 
-def _fit_rest(fitter: ModelFitter, found: SearchResult, base: CandidateFit) -> None:
+def _fit_rest(fitter: ModelFitter, found: SearchResult) -> None:
     """Fits effects whose direction may not show them."""
-    fits: list[CandidateFit] = []
-    for one in found.screened.values():
-        if frozenset({one.effect.name}) not in found.fits and may_be_nonlinear(one):
-            simpler = _simpler(one.effect, found.of(1))
-            fits.append(fit_added(fitter, base, one, simpler, rough=True))
+    fits = [
+        coarse_fit(fitter, one.effect)
+        for name, one in found.screened.items()
+        if frozenset({name}) not in found.fits and may_be_nonlinear(one)
+    ]
     found.add(_finished(fitter, fits, found.of(1)[0].J if found.fits else math.inf))
 
 
@@ -213,7 +215,7 @@ def _finished(
         limit = min([least, *(f.J for f in done)])
         limit = limit if math.isfinite(limit) else one.J
         near = BEHIND * limit > one.J and len(done) < LEADING
-        done.append(fitter.refine(one, LONGEST if one is ranked[0] else 15) if near else one)
+        done.append(fitter.refine(one, 40 if one is ranked[0] else 15) if near else one)
     return done
 
 

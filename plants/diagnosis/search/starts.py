@@ -22,7 +22,7 @@ ROUGH = np.array([0.1, 0.3, 1.0, 2.0, 3.5, 6.0, 12.0])
 """Sizes tried of an effect that no direction shows, relative to the usual one."""
 SPLITS = (0.25, 0.5)
 """Shares of the size of a simpler law that go over to a size of its own."""
-HALVINGS = ((2, 4), (3, 2), (2, 1))
+HALVINGS = ((2, 3), (2, 1))
 """Rounds with shapes held, and how many starts are gone on with."""
 FREE = 3
 """Rounds of the best start with all its values."""
@@ -31,7 +31,7 @@ FAR = 5.0
 """Ratio of powers left, to another model's, from which on a fit is not gone on with."""
 MOST = {0: 2, 1: 4}
 """Starts by the number of shapes; more have `MANY`."""
-MANY = 8
+MANY = 6
 
 
 def may_be_nonlinear(one: ScreeningResult) -> bool:
@@ -48,8 +48,6 @@ def fit_added(
     current: CandidateFit,
     one: ScreeningResult,
     simpler: CandidateFit | None = None,
-    *,
-    rough: bool = False,
     least: float = math.inf,
 ) -> CandidateFit:
     """The current model with one more effect, not yet fitted to the end.
@@ -59,14 +57,11 @@ def fit_added(
         current: The current model.
         one: The effect's screening.
         simpler: The model with a simpler law that does a part of what the effect does.
-        rough: Whether sizes that no direction suggests are tried, too.
         least: What another model leaves: far above it a fit is not gone on with.
     """
     effects = fitter.ordered((*current.effects, one.effect))
     predictor = fitter.predictor(effects)
     pools = [[predictor.row(values) for values in _suggested(current, one)]]
-    if rough:
-        pools[0] += list(_rough(fitter, effects, one.effect, current))
     if simpler is not None:
         # What is near a simpler law's fit may leave more to begin with than what leads nowhere.
         pools.append([predictor.row(v) for v in _beside(fitter, one, simpler, current)])
@@ -78,14 +73,6 @@ def fit_added(
         starts.append(fitter.best_starts(predictor, fitter.placed(effects, rows), most))
     rows = np.concatenate(starts)
     return halved(fitter, effects, rows, shapes, least)
-
-
-def coarse_fit(fitter: ModelFitter, effect: type[Effect]) -> CandidateFit:
-    """The model as given with an effect of several sizes, each record's zero put right."""
-    effects = (effect,)
-    base = fitter.fit((), fitter.base.start, 0)
-    rows = _rough(fitter, effects, effect, base)
-    return fitter.fit(effects, rows[0], FREE)
 
 
 def halved(
@@ -118,19 +105,10 @@ def _suggested(current: CandidateFit, one: ScreeningResult) -> list[dict[str, fl
     return found
 
 
-def _rough(
-    fitter: ModelFitter,
-    effects: tuple[type[Effect], ...],
-    effect: type[Effect],
-    current: CandidateFit,
-) -> FloatArray:
-    """Several sizes from the model as given, each record's zero put right."""
-    predictor = fitter.predictor(effects)
-    start = predictor.start
-    if current.effects:
-        own = {f.name: f.start for f in predictor.free if f.owner == effect.name}
-        start = predictor.row(current.values | own)
-    rows = np.repeat(start[None, :], ROUGH.size, axis=0)
+def coarse_fit(fitter: ModelFitter, effect: type[Effect]) -> CandidateFit:
+    """The model as given with an effect of several sizes, each record's zero put right."""
+    predictor = fitter.predictor((effect,))
+    rows = np.repeat(predictor.start[None, :], ROUGH.size, axis=0)
     for n, f in enumerate(predictor.free):
         if f.owner != effect.name or f.neutral is None:
             continue
@@ -139,8 +117,8 @@ def _rough(
             sizes = f.start * np.linspace(1.2, 0.5, ROUGH.size)
         rows[:, n] = np.clip(sizes, f.low, f.high)
     for most in (4, 3):  # some only find their zeros from near
-        rows = fitter.best_starts(predictor, fitter.placed(effects, rows), most)
-    return rows
+        rows = fitter.best_starts(predictor, fitter.placed((effect,), rows), most)
+    return fitter.fit((effect,), rows[0], FREE)
 
 
 def _beside(

@@ -7,8 +7,6 @@ from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter
 from plants.diagnosis.search.search import SearchResult
 from plants.effects import Effect
 
-AS_GOOD = 1.1
-"""One number explains all where it leaves no more power than so many times what all leave."""
 RECKONED = 0.1
 """Relative uncertainty of an inertia or a friction that was calculated from drawings."""
 
@@ -30,7 +28,7 @@ def find_wrong_parameter(
         fitter.fit((e,), fitter.predictor((e,)).start, owners=frozenset({e.name})) for e in effects
     ]
     best = min(fits, key=lambda f: f.J)
-    effect, most = best.effects[0], max(CONSTANTS.floor, AS_GOOD * base.J)
+    effect, most = best.effects[0], CONSTANTS.floor * max(base.J, 1.0)
     own = {n: best.values[f"{effect.name}.{n}"] for n in effect.parameters()}
     if most < best.J or not effect.matters(own, fitter.scale):
         return None
@@ -39,6 +37,10 @@ def find_wrong_parameter(
         # It does what all the others do together, which are wrong only where one is far off.
         moved = [abs(base.values[f.name] / f.start - 1.0) for f in numbers if f.start]
         return best if max(moved, default=0.0) > RECKONED else None
-    others = [f.name for f in numbers if f.name != effect.base_parameter]
+    unit = next(f.unit for f in numbers if f.name == effect.base_parameter)
+    # What it is per length of cable is a part of it.
+    per_length = f"{unit} per m"
+    others = [f.name for f in numbers if f.name != effect.base_parameter and f.unit != per_length]
     rest = (fitter.fit((), fitter.base.start, owners=frozenset({n})).J for n in others)
-    return best if all(max(most, AS_GOOD * best.J) < J for J in rest) else None
+    most = CONSTANTS.floor * best.J
+    return best if all(left > most for left in rest) else None

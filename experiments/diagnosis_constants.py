@@ -1,0 +1,193 @@
+"""Operating curves of the numbers that decide a diagnosis.
+
+Each number of `plants.diagnosis.search.constants` is changed alone. Verdicts and intervals are
+worked out again from the fits that `experiments.hidden_effects` stored (`--rows`); without such a
+file, cases of the validation block are diagnosed first. Numbers that are found in the noise are
+tried on machines with mains interference and coarse readings, and on sound ones.
+"""
+
+import json
+import math
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import NamedTuple
+from unittest import mock
+
+from matplotlib.figure import Figure
+
+import plants
+from experiments import hidden_machines
+from experiments.hidden_effects import FIRST_SEED, OUT, tasks
+from experiments.hidden_scores import Held, Row, Task, diagnose, measurement, model
+from experiments.results import command_line, print_results, save_figure
+from plants.diagnosis.search import mains_interference
+from plants.diagnosis.search.constants import CONSTANTS, Constants
+from plants.diagnosis.search.decide import decide, probabilities
+
+DECIDING = {
+    "nothing": (1.1, 1.3, 1.6, 2.0, 2.5),
+    "floor": (1.0, 1.15, 1.3, 1.45, 1.6),
+    "one_more": (0.4, 0.5, 0.6, 0.7, 0.8),
+    "named_share": (0.6, 0.7, 0.8, 0.9, 0.95),
+    "incomplete": (2.25, 4.0, 9.0, 16.0, 36.0),
+    "tied": (0.05, 0.15, 0.3, 0.4, 0.5),
+    "effective": (10.0, 20.0, 60.0, 200.0, 1000.0),
+    "form": (0.0, 0.02, 0.05, 0.1, 0.2),
+}
+"""Numbers whose curve is drawn from stored fits: verdicts and probabilities."""
+WIDENING = {
+    "student": (1.5, 2.0, 2.6, 3.2, 4.0),
+    "form_least": (0.0, 0.001, 0.003, 0.01, 0.03),
+    "form_taken_up": (0.0, 0.1, 0.3, 0.5, 1.0),
+}
+"""The same of intervals."""
+IN_NOISE = {
+    "coarse": (1.0, 2.0, 3.0, 5.0, 8.0),
+    "line": (5.0, 15.0, 30.0, 60.0, 150.0),
+    "audible": (0.1, 0.25, 0.5, 1.0, 2.0),
+}
+"""Numbers whose curve takes new base fits. `shown` decides no verdict, only a list."""
+CASES, NOISE_CASES = 100, 12
+
+
+class Point(NamedTuple):
+    """Rates at one value of a number, in two kinds that pull either way."""
+
+    value: float
+    good: float
+    bad: float
+
+
+def again(rows: Iterable[Row], c: Constants) -> tuple[float, float]:
+    """Shares of visible cases with the right name, and of all cases with a wrong one."""
+    right, wrong, visible, number = 0, 0, 0, 0
+    for row in rows:
+        if not row.models:
+            continue
+        decision = decide(row.models[0], row.models[1:], c)
+        accepted = [frozenset(names) for names in row.accepted]
+        named = decision.verdict in ("named", "incomplete")
+        families = {hidden_machines.family(n) for names in accepted for n in names}
+        wrong += not {hidden_machines.family(n) for n in decision.best} <= families
+        number += 1
+        if row.truth and row.in_catalogue and row.visible:
+            visible += 1
+            right += named and decision.best in accepted
+    return right / max(visible, 1), wrong / max(number, 1)
+
+
+def confidence(rows: Iterable[Row], c: Constants) -> tuple[float, float]:
+    """Mean probability of the models believed where they are right, and where they are not."""
+    sums = {True: [0.0, 0.0], False: [0.0, 0.0]}
+    for row in rows:
+        decision = decide(row.models[0], row.models[1:]) if row.models else None
+        if decision is None or not decision.best:
+            continue
+        p = probabilities(row.models[0], row.models[1:], c)
+        there = sums[decision.best in [frozenset(names) for names in row.accepted]]
+        there[0] += p[decision.best]
+        there[1] += 1.0
+    return tuple(total / max(number, 1.0) for total, number in sums.values())  # type: ignore[return-value]
+
+
+def coverage(rows: Iterable[Row], c: Constants) -> tuple[float, float]:
+    """Share of intervals that hold the truth, and their median relative half width."""
+    held, widths = [], []
+    for row in rows:
+        if not row.right or not row.models:
+            continue
+        before, after = row.models[0].J, min(m.J for m in row.models)
+        left = min(max(after - 1.0, 0.0) / max(before, 1e-300), 1.0)
+
+        def form(of: Constants, left: float = left) -> float:
+            return max(of.form_least, of.form_taken_up * math.sqrt(left))
+
+        for one in (*row.intervals, *row.calibrations):
+            size = abs(one.value)
+            stated = _half_width(one) / CONSTANTS.student
+            s = math.sqrt(max(stated**2 - (form(CONSTANTS) * size) ** 2, 0.0))
+            half = c.student * math.hypot(s, form(c) * size)
+            held.append(abs(one.true - one.value) <= half)
+            widths.append(half / max(size, 1e-300))
+    widths.sort()
+    middle = widths[len(widths) // 2] if widths else math.nan
+    return sum(held) / max(len(held), 1), middle
+
+
+def _half_width(one: Held) -> float:
+    """Half the width of an interval, that of a log scale included."""
+    return min(one.high - one.value, 0.5 * (one.high - one.low))
+
+
+def in_noise(cases: int, c: Constants) -> tuple[float, float]:
+    """Shares of noisy machines found and of sound ones blamed, no other effect declared."""
+    names = ("mains_interference", "quantisation")
+    found, blamed = 0, 0
+    with mock.patch.object(mains_interference, "CONSTANTS", c):
+        for n in range(cases):
+            for name in (*names, "none"):
+                case, _ = hidden_machines.draw(FIRST_SEED + n, "plain", name)
+                records = [measurement(record) for record in case.records]
+                answer = plants.explain(model(case), records, effects=names)
+                slugs = {effect.name for effect in answer.effects}
+                found += name in slugs
+                blamed += name == "none" and bool(slugs)
+    return found / (2.0 * cases), blamed / cases
+
+
+def curve(
+    name: str, values: Sequence[float], rates: Callable[[Constants], tuple[float, float]]
+) -> list[Point]:
+    """Rates over the values of one number."""
+    return [Point(v, *rates(CONSTANTS._replace(**{name: v}))) for v in values]
+
+
+def draw(curves: dict[str, list[Point]]) -> Figure:
+    """All curves, one field each; the value in use is marked."""
+    columns = 4
+    lines = math.ceil(len(curves) / columns)
+    figure = Figure(figsize=(12.0, 2.6 * lines), layout="constrained")
+    for axes, (name, points) in zip(
+        figure.subplots(lines, columns, squeeze=False).flat, curves.items(), strict=False
+    ):
+        axes.plot([p.value for p in points], [p.good for p in points], "o-", label="good")
+        axes.plot([p.value for p in points], [p.bad for p in points], "s--", label="bad")
+        axes.axvline(getattr(CONSTANTS, name), color="0.7")
+        axes.set(title=name, ylim=(-0.03, 1.03))
+    return figure
+
+
+def main() -> int:
+    """Prints and draws the curves."""
+    parser = command_line(__doc__, quick="6 cases, two with noise", out="diagnosis_constants.png")
+    parser.add_argument("--rows", type=Path, default=OUT / "hidden_effects.jsonl")
+    options = parser.parse_args()
+    if options.rows.exists() and not options.quick:
+        lines = options.rows.read_text(encoding="utf-8").splitlines()
+        rows = [Row.from_json(json.loads(line)) for line in lines]
+    else:
+        todo: list[Task] = tasks(CASES, FIRST_SEED)
+        rows = [diagnose(task) for task in (todo[:6] if options.quick else todo)]
+    noisy = 1 if options.quick else NOISE_CASES
+    curves = {
+        **{n: curve(n, v, lambda c: again(rows, c)) for n, v in DECIDING.items()},
+        **{n: curve(n, DECIDING[n], lambda c: confidence(rows, c)) for n in ("effective", "form")},
+        **{n: curve(n, v, lambda c: coverage(rows, c)) for n, v in WIDENING.items()},
+        **{
+            n: curve(n, v[1:4] if options.quick else v, lambda c: in_noise(noisy, c))
+            for n, v in IN_NOISE.items()
+        },
+    }
+    if not options.json:
+        for name, points in curves.items():
+            in_use = getattr(CONSTANTS, name)
+            print(f"{name} (in use: {in_use:g}): value -> good, bad")
+            for p in points:
+                print(f"  {p.value:8g} -> {p.good:.3f}, {p.bad:.3f}")
+    save_figure(draw(curves), options.out, "diagnosis_constants")
+    figures = {name: [p._asdict() for p in points] for name, points in curves.items()}
+    return print_results(figures, {}, as_json=options.json)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
