@@ -23,6 +23,7 @@ from experiments.results import command_line, print_results, save_figure
 from plants.diagnosis.search import mains_interference
 from plants.diagnosis.search.constants import CONSTANTS, Constants
 from plants.diagnosis.search.decide import decide, probabilities
+from plants.effects import EFFECTS
 
 DECIDING = {
     "nothing": (1.1, 1.3, 1.6, 2.0, 2.5),
@@ -59,7 +60,7 @@ class Point(NamedTuple):
 
 
 def again(rows: Iterable[Row], c: Constants) -> tuple[float, float]:
-    """Shares of visible cases with the right name, and of all cases with a wrong one."""
+    """Shares of visible fitted effects with the right name, and of all cases with a wrong one."""
     right, wrong, visible, number = 0, 0, 0, 0
     for row in rows:
         if not row.models:
@@ -70,7 +71,9 @@ def again(rows: Iterable[Row], c: Constants) -> tuple[float, float]:
         families = {hidden_machines.family(n) for names in accepted for n in names}
         wrong += not {hidden_machines.family(n) for n in decision.best} <= families
         number += 1
-        if row.truth and row.in_catalogue and row.visible:
+        known = [EFFECTS[n] for n in row.truth if n in EFFECTS]
+        fitted = not any(e.in_noise or e.base_parameter for e in known)
+        if row.truth and row.in_catalogue and row.visible and fitted:
             visible += 1
             right += named and decision.best in accepted
     return right / max(visible, 1), wrong / max(number, 1)
