@@ -60,7 +60,7 @@ FIRST_SEED = 70_000
 BINS = (0.0, 0.05, 0.2, 0.5, 0.8, 0.95, 1.0)
 """Edges of the probabilities whose frequencies are compared."""
 
-OUT = Path(__file__).parent / "out"
+OUT = Path("out")
 SINGLE = ("plain", "steps_only", "wrong_base", "unloaded", "stage")
 NOTHING = ("none", "none_unloaded")
 OUTSIDE = ("outside", "outside_unloaded", "left_out")

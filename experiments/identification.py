@@ -332,7 +332,7 @@ def main() -> int:
     parser.add_argument("--seeds", type=int, default=200, help="records of each condition")
     options = parser.parse_args()
     signal, reels = excitation(), conditions()
-    image = Path(__file__).parent / "out" / "identification.png"
+    image = Path("out") / "identification.png"
     with print_tables(hidden=options.json):
         print(
             f"multisine of {signal.duration_s:g} s, {len(signal.segments[0].excited)} lines from "

@@ -31,7 +31,7 @@ from experiments.results import Target, at_most, command_line, print_results
 from plants.emulator import RIG_FILE, EmulatedDriver
 from plants.emulator.driver import emulated_hardware
 
-FIGURE = Path(__file__).parent / "out" / "jitter.png"
+FIGURE = Path("out") / "jitter.png"
 SHARES = (0.5, 0.99, 0.999, 0.9999)
 LEASE_ms = 1000.0
 SAFE_WITHIN_ms = LEASE_ms + 100.0

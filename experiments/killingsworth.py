@@ -338,7 +338,7 @@ def main() -> int:
     options = parser.parse_args()
     benchmarks = BENCHMARKS[:2] if options.quick else BENCHMARKS
     trials, evaluations = (30, 150) if options.quick else (options.trials, 600)
-    image = Path(__file__).parent / "out" / "killingsworth.png"
+    image = Path("out") / "killingsworth.png"
     with print_tables(hidden=options.json):
         figures = {b.name: study(b, trials, evaluations) for b in benchmarks}
         save_figure(figures, image)

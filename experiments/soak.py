@@ -24,7 +24,7 @@ from estune.run.journal import FILE_NAME
 from estune.support import plot_style
 from experiments.results import at_most, command_line, print_results
 
-FIGURE = Path(__file__).parent / "out" / "soak.png"
+FIGURE = Path("out") / "soak.png"
 DAY = 100_000
 BESIDE_SEARCH = 9
 ONE_ARENA = {"MALLOC_ARENA_MAX": "1"}

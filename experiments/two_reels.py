@@ -367,7 +367,7 @@ def main() -> int:
     parser.add_argument("--seeds", type=int, default=200, help="benches for the coverage")
     options = parser.parse_args()
     seeds, thin = (8, THIN) if options.quick else (options.seeds, 1)
-    image = Path(__file__).parent / "out" / "two_reels.png"
+    image = Path("out") / "two_reels.png"
     with print_tables(hidden=options.json):
         table, rates, cannot = geometries(thin), coverage(seeds, thin), limits_of_the_bench()
         figures: dict[str, Any] = {

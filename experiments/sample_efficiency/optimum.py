@@ -15,7 +15,7 @@ from estune.core.gains import Gains
 from estune.tuners.search_space import Coordinates
 from experiments.sample_efficiency.problems import Problem
 
-OUT = Path(__file__).parents[1] / "out"
+OUT = Path("out")
 WARM_RATIO = 2.5
 """A warm start is this many times as costly as the optimum."""
 
