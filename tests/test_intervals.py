@@ -1,0 +1,34 @@
+"""Jackknife errors of fitted values: coloured residuals, groups that alone determine a value."""
+
+import numpy as np
+import pytest
+
+from plants.diagnosis.search.intervals import jackknife
+
+GROUPS, EACH = 40, 50
+
+
+def test_jackknife_error_covers_the_spread_of_coloured_residuals():
+    rng = np.random.default_rng(1)
+    group = np.repeat(np.arange(GROUPS), EACH)
+    columns = np.stack([np.ones(group.size), np.sin(0.01 * np.arange(group.size))])
+    normal = columns @ columns.T
+    found, stated = [], []
+    for _ in range(200):
+        residuals = np.repeat(rng.standard_normal(GROUPS), EACH)  # one error a group
+        found.append(np.linalg.solve(normal, columns @ residuals))
+        left = residuals - found[-1] @ columns
+        stated.append(jackknife(columns, left, group))
+    assert np.mean(stated, axis=0) == pytest.approx(np.std(found, axis=0), rel=0.15)
+
+
+def test_group_that_alone_determines_a_value_leaves_it_to_the_prior():
+    group = np.repeat(np.arange(GROUPS), EACH)
+    alone = np.where(group == 3, 100.0, 0.0)
+    columns = np.stack([np.ones(group.size), alone])
+    residuals = np.random.default_rng(2).standard_normal(group.size)
+    assert jackknife(columns, residuals, group)[1] > 0.5
+
+
+def test_single_group_says_nothing():
+    assert jackknife(np.ones((1, 10)), np.ones(10), np.zeros(10, np.int64)) == pytest.approx([0.0])
