@@ -20,6 +20,7 @@ FRICTION = "coulomb_friction"
 FAIR = {
     "sector_rub": {"incomplete": FRICTION},
     "nonlinear_lag": dict.fromkeys(NAMING, "dead_time"),
+    "quadratic_drag": dict.fromkeys(NAMING, "bent_viscous_friction"),
 }
 """Effects without a name for which, by verdict, naming this family is no error."""
 

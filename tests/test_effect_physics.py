@@ -132,6 +132,21 @@ def viscous_damping(effect):
     assert fall == pytest.approx(-a, rel=1e-3)
 
 
+def bent_viscous_friction(effect):
+    """A free swing in a drag that grows with the square of the velocity, and in one that bends."""
+    for bend in (0.02, -2e-4):
+        seen = rollout(REEL + effect(bend_Nms2=bend), np.where(np.arange(300) < 2, 18.0, 15.0))
+
+        def moved(_, x, bend=bend):
+            return [x[1], -(k * R**2 * x[0] + b * x[1] + bend * abs(x[1]) * x[1]) / J]
+
+        start, t = 10, np.arange(290) / RATE
+        begun = [seen.theta[start] - 15.0 / (k * R), seen.omega[start]]
+        exact = integrate.solve_ivp(moved, (0.0, t[-1]), begun, t_eval=t, rtol=1e-9, atol=1e-12)
+        found = seen.theta[start:] - 15.0 / (k * R)
+        assert found == pytest.approx(exact.y[0], abs=5e-3 * np.abs(exact.y[0]).max())
+
+
 def dead_time(effect):
     """The differential equation with a longer dead time."""
     for samples in (0.4, 1.0, 2.3):

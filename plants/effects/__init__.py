@@ -35,6 +35,7 @@ from importlib.metadata import entry_points
 
 from estune.errors import InvalidInput
 from plants.effects.backlash import Backlash as Backlash
+from plants.effects.bent_viscous_friction import BentViscousFriction as BentViscousFriction
 from plants.effects.cable_creep import CableCreep as CableCreep
 from plants.effects.cable_slack import CableSlack as CableSlack
 from plants.effects.cable_stiffening import CableStiffening as CableStiffening

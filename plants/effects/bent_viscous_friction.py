@@ -1,0 +1,70 @@
+"""Viscous friction that is not in proportion to velocity."""
+
+from dataclasses import dataclass
+
+import casadi as ca
+
+from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
+from plants.effects.parameter import RecordScale, parameter
+from plants.effects.plant_scale import PlantScale, digits
+
+BEGUN = 0.1
+"""Where a fit begins: torque at the rms velocity, relative to the torque's rms."""
+
+
+@dataclass(frozen=True)
+class BentViscousFriction(Effect):
+    """Viscous friction that bends with speed: `tau = -b_2 |omega| omega`, beside the linear part.
+
+    Grease that thins as it is sheared bends down, b_2 < 0, but friction never pushes: b_2 |omega|
+    is no less than -b, the linear part. Air, and oil that is stirred, bend up. The torque is that
+    of one linearly implicit step, so that a strong drag does not overshoot:
+    `tau = -s omega_1/(1 + s/m)`, s = b_2 |omega_0|, with the velocities before the substep and
+    after it, were there no drag, and the torque m that adds a unit of velocity in it.
+
+    Attributes:
+        bend_Nms2: The coefficient b_2, N m s2/rad2.
+    """
+
+    name = "bent_viscous_friction"
+    title = "viscous friction that bends with speed"
+    appearance = (
+        "current and tension differ by a smooth odd function of the velocity that is no straight "
+        "line"
+    )
+    excitation = "motion at several speeds in both directions"
+    port = Port.DRUM
+
+    bend_Nms2: float = parameter(1e-3, low=-1e4, high=1e4, unit="N m s2/rad2", neutral=0.0)
+
+    @classmethod
+    def start(cls, name: str, records: RecordScale) -> tuple[float, float]:
+        """A share of the torque at the records' velocity."""
+        usual, high = super().start(name, records)
+        begun = BEGUN * records.torque_rms_Nm / max(records.velocity_rms_rad_s, 1e-9) ** 2
+        return (begun, high) if 0.0 < begun < high else (usual, high)
+
+    @classmethod
+    def describe(cls, p: Values, plant: PlantScale) -> str:
+        """Sentence with the fitted values."""
+        way = "more" if p.bend_Nms2 > 0.0 else "less"
+        size = abs(p.bend_Nms2)
+        unit = "the input's unit per square of the output's rate"
+        unit = unit if plant.is_plant else "N m s2/rad2"
+        return (
+            f"has viscous friction that grows {way} than in proportion to the speed: the torque "
+            f"against the motion has a quadratic part of {digits(size)} {unit}"
+        )
+
+    @staticmethod
+    def prepare(p: Values, reel: Values) -> dict[str, Signal]:  # noqa: ARG004  nothing of its own
+        """The linear part, below which it does not fall."""
+        return {"linear_Nms": reel.viscous_friction_Nms}
+
+    @staticmethod
+    def respond(p: Values, state: Signal, signal: Signal, site: Site) -> Response:
+        """The torque of one linearly implicit step."""
+        del signal
+        slope = ca.fmax(p.bend_Nms2 * ca.fabs(site.start_velocity_rad_s), -p.linear_Nms)
+        stopped = 1.0 + ca.fmax(slope, 0.0) / site.torque_per_velocity
+        return state, -slope * site.velocity_rad_s / stopped
