@@ -133,7 +133,7 @@ def draw_ranking(ax: Axes, d: DiagnosisResult) -> Axes:
     ax.axvline(d.ratio_before, color=ORANGE, linewidth=1.2, label="base model")
     ax.axvline(1.0, label="noise floor", **NOISE)
     ax.set_yticks(at, [c.name for c in fitted])
-    finish(ax, "", "error left with this effect alone, times the noise floor (validation data)")
+    finish(ax, "", "error left with this effect alone, times the noise floor")
     ax.grid(visible=False, axis="y")
     legend(ax, columns=2)
     return ax

@@ -32,8 +32,8 @@ def page(d: DiagnosisResult) -> str:
     certain = d.verdict in {"named", "none"}
     lead = [Paragraph(text, "lead") for text in summary.sentences(d)]
     explained = Paragraph(
-        "All figures are computed on test data, used neither to fit nor to select. The noise "
-        "floor is the noise of the sensors and an allowance for the model's form. A short "
+        "Errors of short predictions are of refits with each third of the data left out, on what "
+        "was left out; free runs are of models fitted to all data. The noise floor is the noise of the sensors and an allowance for the model's form. A short "
         "prediction starts anew from the measured angle every few moments, a free run never.",
         "soft",
     )
@@ -129,10 +129,10 @@ def _ranking(d: DiagnosisResult) -> list[Block]:
     blocks: list[Block] = [
         Paragraph(
             "Every effect was tried as the first one. The screening R² is the share of the "
-            "residual along the direction in which the effect would change it, on training data. "
-            "The best were fitted together with the base model, and judged by the share of the "
-            "error power above the noise floor that they explain on validation data; the others "
-            "change the predictions in another way."
+            "residual along the direction in which the effect would change it. The best were "
+            "fitted together with the base model to all data, and judged by the share of the error "
+            "power above the noise floor that they explain; the others change the predictions in "
+            "another way. The probability is that of the effect's family being there."
         )
     ]
     count = len(summary.fitted(d, figures.BARS_MAX).rows)
@@ -180,8 +180,9 @@ def _data(d: DiagnosisResult) -> list[Block]:
     height = 0.9 + 0.24 * max(records, 2)
     blocks: list[Block] = [
         Paragraph(
-            f"{records} records. Each stretch serves one end: effects are fitted on training data "
-            "(fit), selected on validation data (rank), and all figures are of test data (report)."
+            f"{records} records. Models are fitted to all data and compared there. Prediction "
+            "errors are those of refits with each third left out, on the third left out: a stretch "
+            "of every record."
         ),
         _plot(lambda ax: figures.draw_splits(ax, d), "splits", "splits", height),
         Heading("Noise"),

@@ -130,9 +130,17 @@ def calibrations(d: DiagnosisResult) -> Table:
 def ranking(d: DiagnosisResult) -> Table:
     """All effects that were tried as the first one, best first."""
     rows = [
-        (c.name, _percent(c.cosine2), _percent(c.closure), number(c.gap)) for c in d.candidates
+        (
+            c.name,
+            _percent(c.cosine2),
+            _percent(c.probability),
+            _percent(c.closure),
+            number(c.gap),
+        )
+        for c in d.candidates
     ]
-    return Table(("effect", "screening R²", "explained", "times the floor left"), tuple(rows))
+    columns = ("effect", "screening R²", "probability", "explained", "times the floor left")
+    return Table(columns, tuple(rows))
 
 
 def fitted(d: DiagnosisResult, most: int) -> Table:
