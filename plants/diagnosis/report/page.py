@@ -33,8 +33,9 @@ def page(d: DiagnosisResult) -> str:
     lead = [Paragraph(text, "lead") for text in summary.sentences(d)]
     explained = Paragraph(
         "Errors of short predictions are of refits with each third of the data left out, on what "
-        "was left out; free runs are of models fitted to all data. The noise floor is the noise of the sensors and an allowance for the model's form. A short "
-        "prediction starts anew from the measured angle every few moments, a free run never.",
+        "was left out; free runs are of models fitted to all data. The noise floor is the noise of "
+        "the sensors and an allowance for the model's form. A short prediction starts anew from "
+        "the measured angle every few moments, a free run never.",
         "soft",
     )
     sections = (
@@ -130,9 +131,9 @@ def _ranking(d: DiagnosisResult) -> list[Block]:
         Paragraph(
             "Every effect was tried as the first one. The screening R² is the share of the "
             "residual along the direction in which the effect would change it. The best were "
-            "fitted together with the base model to all data, and judged by the share of the error "
-            "power above the noise floor that they explain; the others change the predictions in "
-            "another way. The probability is that of the effect's family being there."
+            "fitted together with the base model to all data, and judged by the share of the "
+            "error power above the noise floor that they explain; the others change the "
+            "predictions in another way. The probability is that of the effect's family being there."
         )
     ]
     count = len(summary.fitted(d, figures.BARS_MAX).rows)
@@ -181,8 +182,8 @@ def _data(d: DiagnosisResult) -> list[Block]:
     blocks: list[Block] = [
         Paragraph(
             f"{records} records. Models are fitted to all data and compared there. Prediction "
-            "errors are those of refits with each third left out, on the third left out: a stretch "
-            "of every record."
+            "errors are those of refits with each third left out, on the third left out: a "
+            "stretch of every record."
         ),
         _plot(lambda ax: figures.draw_splits(ax, d), "splits", "splits", height),
         Heading("Noise"),
