@@ -70,22 +70,15 @@ class FittedModel(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DiagnosisInputs:
-    """All results that a diagnosis is made of.
+    """Results of all parts of a diagnosis.
 
     Attributes:
         model: The model as given.
         recorded: The base fit of the records as they are, interference included.
         line: The mains interference found in them, or None.
         fitter: Model and records without interference.
-        found: The search.
-        judged: Its conclusion.
         wrong: The model as given with the one number changed that is wrong, or None.
         coarse_step_N: Step of a gauge that is read in coarse steps, or None.
-        choice: The effects there were to choose from.
-        where: Localisation of the base model's residual.
-        noise: The noise floor.
-        findings: Issues of the data.
-        rig: What the rig allows, where it is known.
     """
 
     model: Any

@@ -33,9 +33,9 @@ def page(d: DiagnosisResult) -> str:
     lead = [Paragraph(text, "lead") for text in summary.sentences(d)]
     explained = Paragraph(
         "Errors of short predictions are of refits with each third of the data left out, on what "
-        "was left out; free runs are of models fitted to all data. The noise floor is the noise of "
-        "the sensors and an allowance for the model's form. A short prediction starts anew from "
-        "the measured angle every few moments, a free run never.",
+        "was left out; free runs are of models fitted to all data. The noise floor is the noise "
+        "of the sensors and an allowance for the model's form. A short prediction starts anew "
+        "from the measured angle every few moments, a free run never.",
         "soft",
     )
     sections = (
@@ -133,7 +133,8 @@ def _ranking(d: DiagnosisResult) -> list[Block]:
             "residual along the direction in which the effect would change it. The best were "
             "fitted together with the base model to all data, and judged by the share of the "
             "error power above the noise floor that they explain; the others change the "
-            "predictions in another way. The probability is that of the effect's family being there."
+            "predictions in another way. The probability is that of the effect's family being "
+            "there."
         )
     ]
     count = len(summary.fitted(d, figures.BARS_MAX).rows)
