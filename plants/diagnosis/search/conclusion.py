@@ -66,11 +66,11 @@ def conclude(fitter: ModelFitter, found: SearchResult) -> Conclusion:
         e.name: scale * families[family_of(e)] for one in found.fits.values() for e in one.effects
     }
     if not decision.best:
-        like = _title(found, decision.like)
         return Conclusion(
             decision.verdict,
             (found.base,),
-            like=like,
+            like=_title(found, decision.like),
+            reason=_reason(found, decision, base, models),
             probability=probability,
             models=(base, *models),
         )
@@ -83,6 +83,17 @@ def conclude(fitter: ModelFitter, found: SearchResult) -> Conclusion:
         probability=probability,
         models=(base, *models),
     )
+
+
+def _reason(
+    found: SearchResult, decision: Decision, base: ModelSummary, models: Sequence[ModelSummary]
+) -> str:
+    """What the best named model explains, where it is not believed."""
+    if not decision.leading:
+        return ""
+    leading = next(m for m in models if m.names == decision.leading)
+    titles = " and ".join(_title(found, name) for name in sorted(decision.leading))
+    return f"The best of them, {titles}, explains {_percent(explained(base, leading))} of it."
 
 
 def _stages(found: SearchResult, slugs: Slugs) -> tuple[CandidateFit, ...]:
