@@ -79,14 +79,11 @@ def records(friction):
     ("friction", "name", "size"),
     [
         (smoothed, "coulomb_friction", "torque_Nm"),
-        pytest.param(
-            *(bristles_that_fade, "stribeck_friction", "coulomb_Nm"),
-            marks=pytest.mark.xfail(reason="read as Coulomb friction, incomplete", strict=False),
-        ),
+        (bristles_that_fade, "stribeck_friction", "coulomb_Nm"),
         (bristles, "dahl_hysteresis", "torque_Nm"),
     ],
 )
-def test_a_friction_has_its_name_however_it_is_written_down(friction, name, size):
+def test_friction_is_identified_in_the_notation_of_other_simulators(friction, name, size):
     found = plants.explain(BELIEVED, list(records(friction)))
     assert (found.verdict, [effect.name for effect in found.effects]) == ("named", [name])
     assert found.effects[0].parameters[size].value == pytest.approx(FRICTION_Nm, rel=0.05)

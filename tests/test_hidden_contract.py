@@ -131,7 +131,7 @@ class BestFit:
         return ((rows[1:] - rows[0]) / step[:, None]).T
 
 
-def test_the_package_s_own_formula_would_be_recognised():
+def test_formula_of_the_package_is_recognised():
     reel = plants.reference_reel(LENGTH_m, TENSION_N, encoder_counts=1e9)
     friction = plants.CoulombFriction(torque_Nm=0.03)
     excitation = multisine(RATE, Band(0.5, 100.0, 2.0, 2, 1), 8.0)
@@ -140,6 +140,6 @@ def test_the_package_s_own_formula_would_be_recognised():
 
 
 @pytest.mark.parametrize("name", MAIN)
-def test_no_effect_of_the_package_is_the_hidden_machine_s_formula(name):
+def test_hidden_formula_differs_from_that_of_the_package(name):
     record, hidden = noiseless(name)
     assert BestFit(name, record, hidden.truth).worst > CLOSEST

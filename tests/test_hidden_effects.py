@@ -46,7 +46,7 @@ def respond(setpoint, rest_N=0.0, **settings) -> Run:
     return machines.run(PLAIN | settings, drive, RATE, rest_N=rest_N)
 
 
-def test_an_undamped_machine_swings_with_the_period_of_mass_and_spring():
+def test_undamped_machine_swings_with_the_period_of_mass_and_spring():
     setpoint = np.r_[np.full(100, 15.0), np.full(6000, 18.0)]
     x = respond(setpoint, rest_N=15.0).angle[200:]
     t, w = np.arange(x.size) / RATE, np.sqrt(STIFFNESS / MASS)
@@ -59,7 +59,7 @@ def test_an_undamped_machine_swings_with_the_period_of_mass_and_spring():
     assert left_over(w * 1.001) > 10.0 * left_over(w)
 
 
-def test_a_whole_sample_of_dead_time_shifts_the_record_by_a_sample():
+def test_dead_time_of_a_sample_shifts_the_record_by_a_sample():
     setpoint = np.r_[np.full(100, 15.0), np.full(500, 18.0)]
     soon, late = (respond(setpoint, 15.0, drag=30.0, delay=n / RATE) for n in (1, 4))
     assert late.tension[103:] == pytest.approx(soon.tension[100:-3], abs=1e-9)
@@ -72,13 +72,13 @@ def settled(force, **settings) -> Run:
     return Run(*(column[1263::1264] for column in run[:5]), run.warmth)
 
 
-def test_at_rest_the_cable_stretches_by_tension_over_stiffness():
+def test_cable_at_rest_stretches_by_tension_over_stiffness():
     at = settled([10.0, 20.0, 30.0])
     assert at.tension == pytest.approx([10.0, 20.0, 30.0], abs=1e-3)
     assert np.diff(at.angle) * RADIUS == pytest.approx(10.0 / STIFFNESS, rel=1e-4)
 
 
-def test_a_stiffening_cable_follows_its_power():
+def test_stiffening_cable_follows_its_power_law():
     at = settled([5.0, 15.0, 35.0], stiffening=0.2, stiffening_at=4e-3, stiffening_power=2.0)
     # T = k e + (0.2 k/e0^2) e^3
     stretch = [
@@ -87,14 +87,14 @@ def test_a_stiffening_cable_follows_its_power():
     assert np.diff(at.angle) * RADIUS == pytest.approx(np.diff(stretch), rel=1e-4)
 
 
-def test_a_sagging_cable_gives_up_the_length_of_its_parabola():
+def test_sagging_cable_takes_up_the_length_of_its_parabola():
     q, T = 5e-3, np.array([3.0, 6.0, 12.0])
     length = T / STIFFNESS - q / T**2
     at = settled(list(T), sag=q)
     assert np.diff(at.angle) * RADIUS == pytest.approx(np.diff(length), rel=1e-4)
 
 
-def test_in_a_swinging_cable_the_sag_settles_where_the_parabola_has_it():
+def test_swinging_cable_settles_at_the_sag_of_the_parabola():
     mu, L, T = 0.08, 0.8, np.array([8.0, 16.0, 32.0])
     at = settled(list(T), string_mass=mu, string_length=L, string_damping=0.3)
     # The sine of the string's first mode: 0.986 of the parabola's length.
@@ -102,7 +102,7 @@ def test_in_a_swinging_cable_the_sag_settles_where_the_parabola_has_it():
     assert np.diff(at.angle) * RADIUS == pytest.approx(np.diff(T / STIFFNESS - given), rel=1e-3)
 
 
-def test_slow_branches_give_more_in_the_end_than_at_once():
+def test_creeping_cable_stretches_more_in_the_end_than_at_once():
     at = settled([10.0, 20.0], slow1=0.2, slow1_s=0.05, slow2=0.1, slow2_s=0.1)
     assert np.diff(at.angle) * RADIUS == pytest.approx(10.0 / STIFFNESS, rel=1e-3)
 
@@ -126,7 +126,7 @@ def loop_height(setpoint, run: Run) -> float:
     return float(np.mean(behind[UP]) - np.mean(behind[DOWN]))
 
 
-def test_dry_friction_makes_a_loop_of_twice_its_size_between_force_and_tension():
+def test_dry_friction_makes_a_force_loop_of_twice_its_size():
     setpoint, run = triangle(dry=1.5, bristle=5e-6)
     assert loop_height(setpoint, run) == pytest.approx(2.0 * (1.5 + VISCOUS_N), rel=1e-3)
 
@@ -148,37 +148,37 @@ def test_bristles_hold_up_to_their_strength():
     assert loop_height(setpoint, run) == pytest.approx(2.0 * (2.0 + VISCOUS_N), rel=1e-2)
 
 
-def test_electronics_are_late_by_what_their_chain_takes():
+def test_electronics_delay_the_tension_by_their_dead_time():
     setpoint = 15.0 + np.arange(700.0) / RATE
     early, late = (respond(setpoint, 15.0, drag=80.0, chain=n) for n in (0.0, 3e-3))
     assert early.tension[-1] - late.tension[-1] == pytest.approx(3e-3, abs=1e-5)
 
 
-def test_at_the_eyelet_the_tensions_stand_in_the_capstan_s_ratio():
+def test_tensions_at_the_eyelet_have_the_ratio_of_the_capstan():
     _, run = triangle(hold=0.93, inner=0.3)
     ratio = run.outside / run.tension
     assert ratio[UP] == pytest.approx(0.93, abs=1e-3)
     assert ratio[DOWN] == pytest.approx(1.0 / 0.93, abs=1e-3)
 
 
-def test_a_limited_drive_gives_the_limit_and_no_more():
+def test_limited_drive_gives_no_more_than_the_limit():
     at = settled([10.0, 30.0], limit=22.0, limit_power=40.0)
     assert at.tension == pytest.approx([10.0, 22.0], abs=0.05)
 
 
-def test_a_slew_limit_is_the_slope_of_a_large_step():
+def test_slew_limit_is_the_slope_of_a_large_step():
     setpoint = np.r_[np.full(50, 10.0), np.full(50, 30.0)]
     force = respond(setpoint, 10.0, drag=30.0, slew=400.0, slew_soft=3e-4).force
     middle = (force > 14.0) & (force < 26.0)
     assert np.diff(force[middle]) * RATE == pytest.approx(400.0, rel=1e-3)
 
 
-def test_heat_takes_its_share_of_the_force():
+def test_heat_reduces_the_force_by_its_share():
     at = settled([20.0] * 6, heat=0.1 / 400.0, heat_s=0.5)
     assert at.tension[-1] == pytest.approx(20.0 / 1.1, rel=1e-3)
 
 
-def test_play_lets_the_motor_turn_and_the_drum_stand():
+def test_backlash_lets_the_motor_turn_while_the_drum_stands():
     gear = {
         "far_mass": 1.0,
         "play": 2e-4,
@@ -192,14 +192,14 @@ def test_play_lets_the_motor_turn_and_the_drum_stand():
     assert np.ptp(held.angle * RADIUS) == pytest.approx(2e-4, rel=0.05)
 
 
-def test_halving_the_substep_changes_nothing_worth_telling(monkeypatch):
+def test_halved_substep_changes_tensions_by_less_than_noise(monkeypatch):
     _, whole = triangle(dry=1.0, bristle=8e-6, hold=0.95)
     monkeypatch.setattr(machines, "SUBSTEP_s", machines.SUBSTEP_s / 2.0)
     _, half = triangle(dry=1.0, bristle=8e-6, hold=0.95)
     assert np.std(whole.tension - half.tension) < 2e-4 * np.std(whole.tension)
 
 
-def test_a_seed_draws_the_same_case_again_and_another_seed_another():
+def test_seed_determines_the_case():
     (first, told), (again, told_again), (other, _) = (hidden_machines.draw(n) for n in (7, 7, 8))
     assert told == told_again
     for one, two in zip(first.records, again.records, strict=True):
@@ -217,11 +217,11 @@ def without_any(variant) -> hidden_machines.Case:
 
 
 @pytest.mark.parametrize("variant", ["plain", "no_encoder", "unloaded", "stage"])
-def test_records_are_read_as_they_were_taken(variant, tmp_path):
+def test_written_records_are_read_back_unchanged(variant, tmp_path):
     case, _ = hidden_machines.draw(2, variant)
     hidden_machines.write(list(case.records), tmp_path)
     reading = read_measurements(tmp_path)
-    assert not reading.refused
+    assert not reading.findings
     for found, record in zip(reading.measurements, case.records, strict=True):
         given = measurement(record)
         assert (found.name, found.loop, found.gains) == (given.name, given.loop, given.gains)
@@ -230,7 +230,7 @@ def test_records_are_read_as_they_were_taken(variant, tmp_path):
 
 
 @pytest.mark.parametrize("name", ["none", *hidden_machines.CATALOGUE, *hidden_machines.OUTSIDE])
-def test_every_effect_moves_the_machine_and_no_record_tells_its_name(name):
+def test_hidden_effect_moves_the_machine_and_no_record_has_its_name(name):
     variant = "unloaded" if name == "amplifier_deadband" else "plain"
     case, secret = hidden_machines.draw(3, variant, name)
     seconds = sum(one.columns["time_s"].size for one in case.records) / case.given["sampling_Hz"]
@@ -280,14 +280,14 @@ def imported(file: Path):
             yield node.module or ""
 
 
-def test_nobody_is_told_more_of_a_machine_than_its_owner_believes():
+def test_given_numbers_exclude_hidden_calibrations():
     for base in (REEL, UNLOADED):
         assert not {"gain", "push_N", "zero_N"} & set(base.given())
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["none", "coulomb_friction", "cable_creep", "quadratic_drag"])
-def test_what_is_hidden_is_named_and_nothing_else_is(name):
+def test_hidden_effect_alone_is_named(name):
     row = diagnose(Task(1, "plain", name))
     assert not row.error
     assert not row.wrong_name

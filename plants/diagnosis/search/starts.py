@@ -22,7 +22,7 @@ ROUGH = np.array([0.1, 0.3, 1.0, 2.0, 3.5, 6.0, 12.0])
 """Sizes tried of an effect that no direction shows, relative to the usual one."""
 SPLITS = (0.25, 0.5)
 """Shares of the size of a simpler law that go over to a size of its own."""
-HALVINGS = ((2, 3), (2, 1))
+HALVINGS = ((2, 4), (3, 2), (2, 1))
 """Rounds with shapes held, and how many starts are gone on with."""
 FREE = 3
 """Rounds of the best start with all its values."""
@@ -31,7 +31,7 @@ FAR = 5.0
 """Ratio of powers left, to another model's, from which on a fit is not gone on with."""
 MOST = {0: 2, 1: 4}
 """Starts by the number of shapes; more have `MANY`."""
-MANY = 6
+MANY = 8
 
 
 def may_be_nonlinear(one: ScreeningResult) -> bool:
