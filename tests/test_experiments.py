@@ -23,7 +23,7 @@ TIMED = {
 TIMES = ("_restored_max_s", "stop_p99_ms")
 """Endings of the names of single targets that are times."""
 
-SAMPLED = {"confirmation", "hidden_effects", "sample_efficiency"}
+SAMPLED = {"confirmation", "diagnosis_constants", "hidden_effects", "sample_efficiency"}
 """Experiments whose targets are shares of hundreds of cases, too many for the quick form."""
 
 
