@@ -65,6 +65,12 @@ def test_law_with_fewer_values_that_does_about_as_well_is_likelier():
     assert decide(base(50.0), [model("a", 1.3, 4), model("b", 1.6, 1)]).best == {"b"}
 
 
+def test_effect_whose_size_a_scale_tells_is_less_likely_than_another():
+    weighed = model("weight", 0.95, 1, known_apart=True)
+    for J in (0.9, 1.0):
+        assert decide(base(3.0), [weighed, model("stiff", J, 2)]).best == {"stiff"}
+
+
 def test_nameless_law_with_as_few_values_refutes_a_name():
     laws = [model("a", 8.0, 2), model("loop", 1.1, 2, named=False)]
     decision = decide(base(50.0), laws)

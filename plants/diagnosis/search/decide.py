@@ -82,10 +82,15 @@ def _tied(
 
 
 def _is_likelier(one: Model, best: Model) -> bool:
-    """Whether a model of other families is the likelier of two that explain as much."""
+    """Whether a model of other families is the likelier of two that explain as much.
+
+    One whose size a scale tells without the machine is the less likely, however few its values.
+    """
     if len(one.names) > len(best.names) or one.families & best.families:
         return False
-    return one.values < best.values or (best.known_apart and not one.known_apart)
+    if one.known_apart != best.known_apart:
+        return best.known_apart
+    return one.values < best.values
 
 
 def best_of(models: Sequence[Model], c: Constants = CONSTANTS) -> Model | None:
