@@ -185,73 +185,56 @@ class ModelFitter:
         """Rows with each record's own values moved to where the residuals are least.
 
         An effect that bends the cable's law shifts the angle at which it is taut, further than
-        a fit from elsewhere finds back.
+        a fit from elsewhere finds back. A wave over the angle is turned where nothing else tells
+        each record's zero.
         """
         predictor = self.predictor(effects)
-        moves = self.moves(predictor)
-        return self.placed_on(effects, rows, moves, self.entries)
-
-    def placed_on(
-        self, effects: Effects, rows: FloatArray, moves: Numbers, entries: Numbers
-    ) -> FloatArray:
-        """The same with some values moved for some entries."""
-        predictor = self.predictor(effects)
-        rows = self._turned(predictor, effects, rows, moves, entries)
-        bends = {Port.CABLE, Port.EYELET}
-        if not any(bends & set(effect.ports()) for effect in effects):
-            return rows
         kinds: dict[str, dict[int, int]] = {}
-        for n in moves.tolist():
-            f = predictor.free[n]
+        for n, f in enumerate(predictor.free):
             record = record_of(f.owner)
             if record is not None:
                 kinds.setdefault(f.name.partition("[")[0], {})[record] = n
-        for own in kinds.values():
-            records, places = np.array(list(own)), np.array(list(own.values()))
-            mine = entries[np.isin(predictor.index.measurement[entries], records)]
-            found, first = np.unique(predictor.index.measurement[mine], return_index=True)
+        waves = [f"{e.name}.{name}" for e in effects for name in e.named(Role.PERIODS)]
+        if waves:
+            known = {f.name.partition("[")[0] for f in self.base.free}
+            periods = [n for n, f in enumerate(predictor.free) if f.name in waves]
+            length = 2.0 * math.pi / rows[:, periods[-1]]
+            for own in (of for kind, of in kinds.items() if kind not in known):
+                rows = self._shifted(predictor, rows, own, TURNS[None, :] * length[:, None])
+        if {Port.CABLE, Port.EYELET} & {port for e in effects for port in e.ports()}:
+            for own in kinds.values():
+                rows = self._shifted(predictor, rows, own, None)
+        return rows
+
+    def _shifted(
+        self, predictor: Predictor, rows: FloatArray, own: dict[int, int], by: FloatArray | None
+    ) -> FloatArray:
+        """Rows with one kind of the records' own values shifted, each by the best of some shifts.
+
+        Args:
+            predictor: The model.
+            rows: Values, shape (rows, free).
+            own: Numbers of the values by record.
+            by: Shifts of each row, shape (rows, shifts); None is `SHIFTS`, in noise floors.
+        """
+        records, places = np.array(list(own)), np.array(list(own.values()))
+        mine = np.flatnonzero(np.isin(predictor.index.measurement, records))
+        found, first = np.unique(predictor.index.measurement[mine], return_index=True)
+        unit = np.ones(places.size)
+        if by is None:
             _, slope = predictor.linearise(rows[0], places, mine)
             steepness = np.sqrt(np.einsum("ij,ij->j", slope, slope) / mine.size)
             if not steepness.all():
-                continue
-            shifted = np.repeat(rows, SHIFTS.size, axis=0)
-            shifted[:, places] += np.tile(SHIFTS, len(rows))[:, None] / steepness
-            best = _least(predictor, shifted, mine, first, (len(rows), SHIFTS.size, -1))
-            rows = rows.copy()
-            rows[:, places] += SHIFTS[best[:, np.searchsorted(found, records)]] / steepness
-        return rows
-
-    def _turned(
-        self,
-        predictor: Predictor,
-        effects: Effects,
-        rows: FloatArray,
-        moves: Numbers,
-        entries: Numbers,
-    ) -> FloatArray:
-        """Rows with each record's zero of the angle where a wave over it leaves the least.
-
-        Only where nothing but the wave tells the zero.
-        """
-        known, free = {f.name for f in self.base.free}, predictor.free
-        places = {
-            record: n
-            for n in moves.tolist()
-            if (record := record_of(free[n].owner)) is not None and free[n].name not in known
-        }
-        waves = {f"{e.name}.{name}" for e in effects for name in e.named(Role.PERIODS)}
-        repeats = [n for n, f in enumerate(free) if f.name in waves]
-        if not places or not repeats:
-            return rows
-        period = 2.0 * math.pi / rows[:, repeats[-1]]
-        records, columns = np.array(list(places)), np.array(list(places.values()))
-        mine = entries[np.isin(predictor.index.measurement[entries], records)]
-        found, first = np.unique(predictor.index.measurement[mine], return_index=True)
-        turned = np.repeat(rows, TURNS.size, axis=0)
-        turned[:, columns] += np.outer(period, TURNS).reshape(-1, 1)
-        best = _least(predictor, turned, mine, first, (len(rows), TURNS.size, -1))
+                return rows
+            by, unit = np.tile(SHIFTS, (len(rows), 1)), 1.0 / steepness
+        many = by.shape[1]
+        shifted = np.repeat(rows, many, axis=0)
+        shifted[:, places] += by.reshape(-1, 1) * unit
+        squares = np.add.reduceat(predictor.residuals(shifted, mine) ** 2, first, axis=1)
+        best = squares.reshape(len(rows), many, -1).argmin(axis=1)
+        chosen = np.take_along_axis(by, best, axis=1)[:, np.searchsorted(found, records)]
         rows = rows.copy()
-        rows[:, columns] += TURNS[best[:, np.searchsorted(found, records)]] * period[:, None]
+        rows[:, places] += chosen * unit
         return rows
 
     def _blocks(self) -> Numbers:
@@ -303,19 +286,6 @@ class ModelFitter:
             stretch_max_m=max(stretched, default=math.nan),
             turn_periods=2.0 * math.pi / max(*turned, 1e-9) if turned else math.nan,
         )
-
-
-def _least(
-    predictor: Predictor,
-    rows: FloatArray,
-    entries: Numbers,
-    first: Numbers,
-    shape: tuple[int, int, int],
-) -> Numbers:
-    """Which of the ways that rows were changed leaves the least, by row and record."""
-    squares = np.add.reduceat(predictor.residuals(rows, entries) ** 2, first, axis=1)
-    best: Numbers = squares.reshape(shape).argmin(axis=1)
-    return best
 
 
 def pull_N_rad(model: object, measurements: Sequence[MeasuredRecord]) -> FloatArray:

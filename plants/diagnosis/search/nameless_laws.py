@@ -8,48 +8,49 @@ for dry friction.
 
 from dataclasses import dataclass
 from itertools import pairwise
-from types import SimpleNamespace
-from typing import ClassVar
 
 import casadi as ca
 
 from plants.effects import Effect, Port, Signal, Site, parameter
 from plants.effects.bristles import bent
+from plants.effects.effect import Response, Values
 
 KNOTS = (-1.0, -0.5, -0.15, 0.15, 0.5, 1.0)
-"""Of the velocity over itself and its scale, where the curve has its values."""
+"""Values of w/(|w| + w_s) at which a curve of the velocity has its knots."""
 SECANTS = 20
-"""They halve the error each; what is left is far below a floor."""
+"""They halve the error each; what is left is far below the noise floor."""
+
+
+def _torque() -> float:
+    value: float = parameter(0.01, low=-1e4, high=1e4, unit="N m", neutral=0.0)
+    return value
 
 
 @dataclass(frozen=True)
 class VelocityCurve(Effect):
-    """A torque that is some function of the velocity: piecewise linear in `w/(|w| + w_s)`.
+    """A torque that is some function of the velocity w: piecewise linear in `w/(|w| + w_s)`.
 
     Attributes:
-        fast_down_Nm: The torque at minus infinity, N m; the others lie between in order.
+        down_3_Nm: The torque against the motion at the first knot, N m; the others follow.
         scale_rad_s: The velocity w_s at which half the range is gone through, rad/s.
     """
 
-    name: ClassVar[str] = "velocity_curve"
-    title: ClassVar[str] = "a smooth function of the velocity"
-    appearance: ClassVar[str] = "what is missing of the torque is the same at the same velocity"
-    port: ClassVar[Port] = Port.DRUM
+    name = "velocity_curve"
+    title = "a smooth function of the velocity"
+    appearance = "what is missing of the torque is the same at the same velocity"
+    port = Port.DRUM
 
-    down_3_Nm: float = parameter(0.01, low=-1e4, high=1e4, unit="N m", neutral=0.0)
-    down_2_Nm: float = parameter(0.01, low=-1e4, high=1e4, unit="N m", neutral=0.0)
-    down_1_Nm: float = parameter(0.01, low=-1e4, high=1e4, unit="N m", neutral=0.0)
-    up_1_Nm: float = parameter(0.01, low=-1e4, high=1e4, unit="N m", neutral=0.0)
-    up_2_Nm: float = parameter(0.01, low=-1e4, high=1e4, unit="N m", neutral=0.0)
-    up_3_Nm: float = parameter(0.01, low=-1e4, high=1e4, unit="N m", neutral=0.0)
+    down_3_Nm: float = _torque()
+    down_2_Nm: float = _torque()
+    down_1_Nm: float = _torque()
+    up_1_Nm: float = _torque()
+    up_2_Nm: float = _torque()
+    up_3_Nm: float = _torque()
     scale_rad_s: float = parameter(1.0, low=1e-4, high=1e3, unit="rad/s")
 
     @staticmethod
-    def respond(
-        p: SimpleNamespace, state: Signal, signal: Signal, site: Site
-    ) -> tuple[Signal, Signal]:
-        """The torque at the velocity at which the substep begins."""
-        del signal
+    def respond(p: Values, state: Signal, _signal: Signal, site: Site) -> Response:
+        """The torque of a linearly implicit step: held explicitly, a steep curve would chatter."""
         w = site.start_velocity_rad_s
         far = ca.fabs(w) + p.scale_rad_s
         values = (p.down_3_Nm, p.down_2_Nm, p.down_1_Nm, p.up_1_Nm, p.up_2_Nm, p.up_3_Nm)
@@ -59,7 +60,6 @@ class VelocityCurve(Effect):
             torque += rise * ca.fmin(ca.fmax(part, 0.0), 1.0)
             inside = ca.logic_and(part >= 0.0, part < 1.0)
             slope += inside * rise / (b - a) * p.scale_rad_s / far**2
-        # One linearly implicit step: a steep curve explicitly held would chatter.
         return state, -torque / (1.0 + ca.fmax(slope, 0.0) / site.torque_per_velocity)
 
 
@@ -74,44 +74,34 @@ class CableLoop(Effect):
         reach_N: Change d of the linear law's tension over which it builds up, N.
     """
 
-    name: ClassVar[str] = "cable_loop"
-    title: ClassVar[str] = "a loop of the cable that does not grow with the tension"
-    appearance: ClassVar[str] = "tension against angle is a loop of the same height at any tension"
-    port: ClassVar[Port] = Port.CABLE
-    states: ClassVar[int] = 2
+    name = "cable_loop"
+    title = "a loop of the cable that does not grow with the tension"
+    appearance = "tension against angle is a loop of the same height at any tension"
+    port = Port.CABLE
+    states = 2
 
     height_N: float = parameter(0.5, low=0.0, high=100.0, unit="N", neutral=0.0)
     reach_N: float = parameter(4.0, low=0.1, high=100.0, unit="N")
 
     @staticmethod
-    def respond(
-        p: SimpleNamespace,
-        state: Signal,
-        signal: Signal,
-        site: Site,  # noqa: ARG004  only the tension counts
-    ) -> tuple[Signal, Signal]:
+    def respond(p: Values, state: Signal, signal: Signal, _site: Site) -> Response:
         """The tension of both."""
         z = state[0] + bent(state[0], (signal - state[1]) / p.reach_N)
         return ca.vertcat(z, signal), signal + p.height_N * z
 
     @staticmethod
-    def rest(
-        p: SimpleNamespace,  # noqa: ARG004  nothing is bent
-        state: Signal,  # noqa: ARG004  it is zero
-        signal: Signal,
-        site: Site,  # noqa: ARG004  the same anywhere
-    ) -> tuple[Signal, Signal]:
+    def rest(_p: Values, _state: Signal, signal: Signal, _site: Site) -> Response:
         """The strand has given way to what is steady."""
         return ca.vertcat(0.0, signal), signal
 
 
 @dataclass(frozen=True)
 class GaugeLoop(CableLoop):
-    """The same of what the gauge reads: `y = T + F z`, `dz/dT = (sign(dT) - z)/d`."""
+    """The same loop of what the gauge reads: `y = T + F z`, `dz/dT = (sign(dT) - z)/d`."""
 
-    name: ClassVar[str] = "gauge_loop"
-    title: ClassVar[str] = "a loop of the gauge that does not grow with the tension"
-    port: ClassVar[Port] = Port.GAUGE
+    name = "gauge_loop"
+    title = "a loop of the gauge that does not grow with the tension"
+    port = Port.GAUGE
 
 
 @dataclass(frozen=True)
@@ -123,19 +113,17 @@ class GaugeWarming(Effect):
         time_s: Time constant tau, s.
     """
 
-    name: ClassVar[str] = "gauge_warming"
-    title: ClassVar[str] = "a gain of the gauge that changes with time"
-    appearance: ClassVar[str] = "tension read and current move apart the more, the more it pulls"
-    port: ClassVar[Port] = Port.GAUGE
-    states: ClassVar[int] = 1
+    name = "gauge_warming"
+    title = "a gain of the gauge that changes with time"
+    appearance = "tension read and current move apart the more, the more it pulls"
+    port = Port.GAUGE
+    states = 1
 
-    gain: float = parameter(0.03, low=-0.5, high=0.5, unit="", neutral=0.0)
+    gain: float = parameter(0.03, low=-0.5, high=0.5, neutral=0.0)
     time_s: float = parameter(2.0, low=0.2, high=50.0, unit="s")
 
     @staticmethod
-    def respond(
-        p: SimpleNamespace, state: Signal, signal: Signal, site: Site
-    ) -> tuple[Signal, Signal]:
+    def respond(p: Values, state: Signal, signal: Signal, site: Site) -> Response:
         """The tension read; what is remembered is the gain's change."""
         after = p.gain + (state - p.gain) * ca.exp(-site.span_s / p.time_s)
         return after, signal * (1.0 + state)
@@ -150,31 +138,21 @@ class CableBend(Effect):
         bend_per_N2: The coefficient c, 1/N2.
     """
 
-    name: ClassVar[str] = "cable_bend"
-    title: ClassVar[str] = "a plain curve of tension against angle, bent at no certain tension"
-    appearance: ClassVar[str] = "tension against angle is bent, most where it pulls the most"
-    port: ClassVar[Port] = Port.CABLE
+    name = "cable_bend"
+    title = "a plain curve of tension against angle, bent at no certain tension"
+    appearance = "tension against angle is bent, most where it pulls the most"
+    port = Port.CABLE
 
     bend_per_N: float = parameter(3e-3, low=-5e-3, high=0.1, unit="1/N", neutral=0.0)
     bend_per_N2: float = parameter(1e-5, low=-5e-5, high=0.01, unit="1/N2", neutral=0.0)
 
     @staticmethod
-    def respond(
-        p: SimpleNamespace,
-        state: Signal,
-        signal: Signal,
-        site: Site,  # noqa: ARG004  the law is the same at all times
-    ) -> tuple[Signal, Signal]:
+    def respond(p: Values, state: Signal, signal: Signal, _site: Site) -> Response:
         """The tension."""
         return state, signal * _stiffer(p, ca.fabs(signal))
 
     @staticmethod
-    def rest(
-        p: SimpleNamespace,
-        state: Signal,
-        signal: Signal,
-        site: Site,  # noqa: ARG004  the law is the same at all times
-    ) -> tuple[Signal, Signal]:
+    def rest(p: Values, state: Signal, signal: Signal, _site: Site) -> Response:
         """The linear law's tension, by a secant to the origin, again and again."""
         linear = signal
         for _ in range(SECANTS):
@@ -182,15 +160,9 @@ class CableBend(Effect):
         return state, linear
 
 
-def _stiffer(p: SimpleNamespace, size: Signal) -> Signal:
+def _stiffer(p: Values, size: Signal) -> Signal:
     """Tension per that of the linear law; a curve that bends down is straight before it falls."""
     return ca.fmax(1.0 + size * (p.bend_per_N + size * p.bend_per_N2), 0.5)
 
 
-NAMELESS: tuple[type[Effect], ...] = (
-    VelocityCurve,
-    CableBend,
-    CableLoop,
-    GaugeLoop,
-    GaugeWarming,
-)
+NAMELESS = (VelocityCurve, CableBend, CableLoop, GaugeLoop, GaugeWarming)
