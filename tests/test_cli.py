@@ -390,7 +390,7 @@ def test_missing_locked_newer_or_torn_run_exits_with_code_5(refused, arithmetic_
 
 def test_damaged_record_exits_with_code_5_and_names_the_trial(refused, arithmetic_run):
     with contextlib.closing(sqlite3.connect(arithmetic_run / FILE_NAME)) as connection:
-        connection.execute("UPDATE trial SET record = substr(record, 1, 100) WHERE number = 0")
+        connection.execute("UPDATE record SET frame = substr(frame, 1, 100) WHERE number = 0")
         connection.commit()
     code, said = refused("show", arithmetic_run)
     assert (code, "record of trial one-00000 is damaged" in said) == (5, True)

@@ -55,7 +55,7 @@ class GaugeScale:
         """Force that gives these counts, N; NaN where no calibrated force does."""
         c0, c1, c2 = self.coefficients
         discriminant = c1 * c1 + 4.0 * c2 * (counts - c0)
-        if not discriminant >= 0.0:
+        if not 0.0 <= discriminant < math.inf:
             return math.nan
         # This form of the root neither cancels nor fails for a straight line.
         u = 2.0 * (counts - c0) / (c1 + math.copysign(math.sqrt(discriminant), c1))

@@ -6,6 +6,7 @@ import statistics
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,7 +17,7 @@ import plants
 from estune.studies.sweep import executors
 from estune.studies.sweep.cells import Cell, expand_cells
 from estune.studies.sweep.design import read_design
-from estune.studies.sweep.outcome import CellOutcome
+from estune.studies.sweep.outcome import CellOutcome, read_traces
 from estune.trial import Rig, TrialRequest
 from estune.tuners import DEFAULT_TUNER
 from experiments.results import Target, at_least, at_most, command_line, print_results
@@ -70,7 +71,10 @@ def time_sweep(design: dict[str, Any], jobs: int) -> TimedSweep:
         began, computed = time.perf_counter(), time.process_time()
         result = estune.sweep(design, folder=folder, jobs=jobs, watch=None)
         wall_s, process_s = time.perf_counter() - began, time.process_time() - computed
-        return TimedSweep(wall_s, process_s, result.outcomes)
+        # The traces lie in the folder, which goes.
+        traces = read_traces(result.outcomes)
+        loaded = (replace(o, trace_source=t) for o, t in zip(result.outcomes, traces, strict=True))
+        return TimedSweep(wall_s, process_s, tuple(loaded))
 
 
 def overhead_s(

@@ -223,11 +223,13 @@ class RequestHandler:
         """Brings the rig to its safe state, before anything else is done."""
         reason = command.reason[:HOLDER_MAX] or "no reason given"
         answer = Answer(ReplyCode.ACCEPTED)
+        self._shared.estop_under_way = f"emergency stop: {reason}"
         try:
             self._rig.estop(reason)
         except BaseException as error:  # noqa: BLE001  the stop must hold whatever the rig does
             answer = refusal(to_estune_error(error, "the emergency stop"))
         self._shared.apply_event(events.EstopEvent(reason))
+        self._shared.estop_under_way = ""
         return Handled(answer, partial(self._latch, reason))
 
     def clear(self, _: commands.Clear) -> Answer:

@@ -63,6 +63,7 @@ class SharedRigState:
         self.lock = threading.Lock()
         self.state = RigState(latched=latched)
         self.trial: ActiveTrial | None = None
+        self.estop_under_way = ""  # its reason, from before the rig is called to the event
         self._rig = rig
         self._changed = changed
         self._ended = threading.Condition(self.lock)
@@ -108,7 +109,9 @@ class SharedRigState:
     def stop_reason(self) -> str:
         """Reason why the active trial is being stopped; empty if it is not."""
         with self.lock:
-            return "" if self.state.trial is None else self.state.trial.stopping
+            stopping = "" if self.state.trial is None else self.state.trial.stopping
+            # The rig is stopped before the event is applied, and its trial may end in between.
+            return stopping or self.estop_under_way
 
     def close(self, within_s: float) -> bool:
         """Stops the active trial; returns whether it has ended in time."""
