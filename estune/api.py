@@ -22,7 +22,7 @@ from estune.run.plan import (
     plan_to_json,
 )
 from estune.run.result import TuneResult
-from estune.run.session import TOLERANCE
+from estune.run.session import REPEATS, TOLERANCE, TRIALS
 from estune.run.targets import open_target
 from estune.trial import Rig, RigDescription
 from estune.trial.profiles import StepProfile
@@ -39,9 +39,9 @@ def tune(
     target: Any,
     *,
     tuner: str | Tuner[Any] = DEFAULT_TUNER,
-    trials: int = 120,
+    trials: int = TRIALS,
     tolerance: float = TOLERANCE,
-    repeats: int = 3,
+    repeats: int = REPEATS,
     start: Gains | Literal["model"] | None = None,
     bounds: Mapping[str, tuple[float, float]] | None = None,
     step: StepProfile | None = None,

@@ -2,9 +2,8 @@
 
 import pytest
 
-from estune.core.cost import StepCost
+from estune.core.cost import default_cost
 from estune.core.gains import Gains
-from estune.run.plan import MOVE_WEIGHT
 from experiments.joint_schedule import ScheduleSpace, tune_jointly
 from tests.support_runs import ArithmeticRig
 
@@ -23,7 +22,7 @@ def test_schedule_of_a_point_has_the_gains_of_the_point():
 
 def test_joint_tuning_lowers_the_cost_with_trials_at_every_length():
     rigs = {length: ArithmeticRig(name=f"at-{length}") for length in (0.5, 1.4)}
-    cost = StepCost(rigs[0.5].describe().settling_time_s, move_weight=MOVE_WEIGHT)
+    cost = default_cost(rigs[0.5].describe().settling_time_s)
     schedule = tune_jointly(rigs, "least_squares_gradient", 80, START, cost)
     first, second = (rig.requests for rig in rigs.values())
     assert len(first) == len(second) == 41

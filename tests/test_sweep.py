@@ -153,6 +153,7 @@ def test_stored_sweep_of_an_earlier_version_continues_without_reruns(tmp_path, m
     design = {
         "lengths_m": [0.5, 1.4],
         "rigs": ["tests.support_sweep:fragile"],
+        "tuners": ["safe_bayesian"],
         "trials": 4,
         "repeats": 2,
     }

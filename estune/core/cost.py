@@ -35,6 +35,9 @@ from numpy.typing import ArrayLike
 from estune.core.quantities import FloatArray, check_not_negative, check_positive
 from estune.errors import InvalidInput
 
+MOVE_WEIGHT = 0.2
+"""Default control-move penalty: without it, (35) has no interior optimum on a good plant."""
+
 
 @dataclass(frozen=True, slots=True)
 class StepCost:
@@ -127,6 +130,11 @@ class StepCost:
             InvalidInput: the settling time is longer than so many samples.
         """
         return _normalised_weights(self, sampling_Hz, samples)
+
+
+def default_cost(settling_time_s: float) -> StepCost:
+    """The cost where none is chosen: (35) with the default control-move penalty."""
+    return StepCost(settling_time_s, move_weight=MOVE_WEIGHT)
 
 
 def _moves(step_index: int, step_N: float, effort: FloatArray) -> FloatArray:

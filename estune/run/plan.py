@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 from pydantic import TypeAdapter, ValidationError
 
-from estune.core.cost import StepCost
+from estune.core.cost import StepCost, default_cost
 from estune.core.gains import Gains
 from estune.errors import InvalidInput, JournalError
 from estune.interop import model_gains
@@ -23,9 +23,6 @@ from estune.tuners import (
     tuner_from_stored,
     tuner_to_stored,
 )
-
-MOVE_WEIGHT = 0.2
-"""Default control-move penalty: without it, (35) has no interior optimum on a good plant."""
 
 
 def make_tuner(
@@ -66,7 +63,7 @@ def make_plan(
     if start == "model":
         start = model_start(description)
     start, step = start or description.gains, step or description.step
-    cost = cost or StepCost(description.settling_time_s, move_weight=MOVE_WEIGHT)
+    cost = cost or default_cost(description.settling_time_s)
     made = make_tuner(tuner, start, bounds)
     if isinstance(made, RecordUsingTuner):
         made = made.for_trial(step_trial(description, step, cost), limits)

@@ -39,6 +39,9 @@ class Phase(StrEnum):
     CONFIRM = "confirm"
 
 
+TRIALS, REPEATS = 120, 3
+"""Defaults of the greatest number of search trials and of repeats."""
+
 TOLERANCE = 0.02
 """Default of the remaining improvement at which a search ends, relative to the cost."""
 
@@ -73,8 +76,8 @@ class Plan:
     start: Gains
     step: StepProfile
     cost: StepCost
-    trials: int = 120
-    repeats: int = 3
+    trials: int = TRIALS
+    repeats: int = REPEATS
     eta_max: float | None = None
     tolerance: float = TOLERANCE
     ask_first: bool = False

@@ -1,14 +1,14 @@
 """Tables of settings files on a tuning: the step trial, its cost and the search."""
 
 import math
-from typing import Annotated, Literal, Self
+from dataclasses import replace
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
-from estune.core.cost import StepCost
+from estune.core.cost import StepCost, default_cost
 from estune.core.gains import GAIN_NAMES
-from estune.run.plan import MOVE_WEIGHT
-from estune.run.session import TOLERANCE
+from estune.run.session import REPEATS, TOLERANCE, TRIALS
 from estune.support.toml_file import TomlTable
 from estune.trial import RigDescription
 from estune.trial.profiles import StepProfile
@@ -26,6 +26,11 @@ def _check_tuner(name: str) -> str:
 
 
 TunerName = Annotated[str, AfterValidator(_check_tuner)]
+
+
+def given_values(table: TomlTable) -> dict[str, Any]:
+    """The values of a table that are not left to the rig."""
+    return {name: value for name, value in table.model_dump().items() if value is not None}
 
 
 class StepTable(TomlTable):
@@ -54,9 +59,7 @@ class StepTable(TomlTable):
 
     def of(self, rig: RigDescription) -> StepProfile:
         """The step for a rig."""
-        given = {name: value for name, value in self.model_dump().items() if value is not None}
-        named = ("preload_N", "step_N", "step_at_s", "duration_s")
-        return StepProfile(**{**{name: getattr(rig.step, name) for name in named}, **given})
+        return replace(rig.step, **given_values(self))
 
 
 class CostTable(TomlTable):
@@ -70,9 +73,9 @@ class CostTable(TomlTable):
     """
 
     settling_time_s: Positive | None = None
-    weight: Literal["printed", "rising"] = "printed"
-    time_unit: Literal["second", "settling_time"] = "second"
-    move_weight: NotNegative = MOVE_WEIGHT
+    weight: Literal["printed", "rising"] | None = None
+    time_unit: Literal["second", "settling_time"] | None = None
+    move_weight: NotNegative | None = None
 
     def too_long(self, step: StepTable) -> list[str]:
         """The fault of the settling time for such a trial, if any, as a list."""
@@ -84,12 +87,7 @@ class CostTable(TomlTable):
 
     def of(self, rig: RigDescription) -> StepCost:
         """The cost for a rig."""
-        return StepCost(
-            rig.settling_time_s if self.settling_time_s is None else self.settling_time_s,
-            weight=self.weight,
-            time_unit=self.time_unit,
-            move_weight=self.move_weight,
-        )
+        return replace(default_cost(rig.settling_time_s), **given_values(self))
 
 
 class SearchTable(TomlTable):
@@ -105,8 +103,8 @@ class SearchTable(TomlTable):
         bounds: Lowest and highest value of gains, by name, in their own units.
     """
 
-    trials: Count = 120
-    repeats: Count = 3
+    trials: Count = TRIALS
+    repeats: Count = REPEATS
     tolerance: Annotated[float, Field(ge=0.0, lt=1.0)] = TOLERANCE
     eta_max: Positive | None = None
     bounds: dict[str, Range] = Field(default={})

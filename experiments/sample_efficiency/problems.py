@@ -9,10 +9,9 @@ import control
 import numpy as np
 
 import plants
-from estune.core.cost import StepCost
+from estune.core.cost import StepCost, default_cost
 from estune.core.gains import Gains
 from estune.core.quantities import FloatArray
-from estune.run.plan import MOVE_WEIGHT
 from estune.trial.profiles import StepProfile
 from estune.tuners.search_space import Coordinates, SearchSpace
 from plants.models.linear_plant import LinearPlant
@@ -145,7 +144,7 @@ def _on_reel(
     """A problem on the reference reel, with the default cost of a tuning."""
     build = build or partial(plants.reference_reel, length_m)
     w = plants.reference_reel(length_m).natural_frequency_rad_s
-    cost = StepCost(2.0 * math.pi / w, move_weight=MOVE_WEIGHT)
+    cost = default_cost(2.0 * math.pi / w)
     return Problem(name, title, build, cost, WEAK_ON_A_REEL)
 
 
@@ -175,7 +174,7 @@ _FAMILIES = (
     _on_reel("friction", "the reference reel with Coulomb friction of 0.05 N m",
         0.8, _reel_with_friction),
     Problem("K-K G1", "exp(-5 s)/(1 + 20 s) of Killingsworth & Krstic, with a move penalty",
-        first_plant_of_2006, StepCost(20.0, move_weight=MOVE_WEIGHT), Gains(1.3, 0.035, 0.8, 1.0)),
+        first_plant_of_2006, default_cost(20.0), Gains(1.3, 0.035, 0.8, 1.0)),
 )  # fmt: skip
 PROBLEMS = {problem.name: problem for problem in _FAMILIES}
 """The families by name; their costs get noise of 3 % and 10 %."""

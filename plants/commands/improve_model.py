@@ -7,10 +7,11 @@ from rich.text import Text
 
 from estune.cli import output
 from estune.cli.values import Effects, Flag, check_folder_exists, security_from
+from estune.run.session import REPEATS, TRIALS
 from estune.run.targets import is_endpoint, open_target
 
 if TYPE_CHECKING:
-    from plants.diagnosis.improvement import Improvement
+    from plants.diagnosis.improvement.result import Improvement
 
 
 def improve_model(
@@ -20,9 +21,9 @@ def improve_model(
     model: str | None = None,
     folder: Path | None = None,
     rounds: int = 6,
-    model_trials: int = 120,
+    model_trials: int = TRIALS,
     trials: int = 40,
-    repeats: int = 3,
+    repeats: int = REPEATS,
     effects: Effects = (),
     json: Flag = False,
     report: Path | None = None,
@@ -54,7 +55,7 @@ def improve_model(
     check_folder_exists("--report", report)
     check_folder_exists("--save", save)
     import plants  # noqa: PLC0415  slow to import
-    from plants.diagnosis.improve_model import TuneOptions  # noqa: PLC0415  slow to import
+    from plants.diagnosis.improvement.tuning import TuneOptions  # noqa: PLC0415  slow to import
     from plants.effects import declared, find  # noqa: PLC0415  slow to import
 
     own = tuple(map(find, effects))
@@ -92,7 +93,7 @@ def improve_model(
 
 
 def _show(improvement: "Improvement") -> None:
-    from plants.diagnosis.improvement import COLUMNS  # noqa: PLC0415  slow to import
+    from plants.diagnosis.improvement.result import COLUMNS  # noqa: PLC0415  slow to import
 
     out = output.console()
     out.print()

@@ -7,9 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from estune.cli.checks.check_result import CheckResult, fine, fix, unknown
-from estune.core.cost import StepCost
+from estune.core.cost import default_cost
 from estune.errors import RigError
-from estune.run.plan import MOVE_WEIGHT
 from estune.trial import LATE, SATURATED, Outcome, RigDescription, TrialRecord
 from estune.trial.profiles import StepProfile
 from estune.trial.scoring import cost_of
@@ -129,7 +128,7 @@ def check_cost(
     records: Sequence[TrialRecord], step: StepProfile, rig: RigDescription
 ) -> CheckResult:
     """Repeatability of the cost with the same gains."""
-    cost = StepCost(rig.settling_time_s, move_weight=MOVE_WEIGHT)
+    cost = default_cost(rig.settling_time_s)
     try:
         costs = [cost_of(record, step, cost, rig.newtons_per_ampere) for record in records]
     except RigError as error:

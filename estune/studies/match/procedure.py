@@ -12,11 +12,10 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from estune.core.cost import StepCost
+from estune.core.cost import StepCost, default_cost
 from estune.errors import InvalidInput, RigError
 from estune.remote.state_machine.client import PATIENCE_S
 from estune.run.loop import ProgressListener
-from estune.run.plan import MOVE_WEIGHT
 from estune.run.targets import is_endpoint
 from estune.studies.match.outcome import Matching
 from estune.studies.match.reel_matcher import ReelMatcher, ReelProgress, Settings
@@ -98,7 +97,7 @@ def match(
         raise RigError(f"too few reels for eta {eta} could be reached ({_reasons(reels)})")
     common = common_description(descriptions)
     step = step or common.step
-    cost = cost or StepCost(common.settling_time_s, move_weight=MOVE_WEIGHT)
+    cost = cost or default_cost(common.settling_time_s)
     reels = [matcher.tuned(reel, step, cost) for reel in reels]
     target = _worst(reels) if eta == "auto" else eta
     reels = [matcher.matched(reel, target, step, cost) for reel in reels]

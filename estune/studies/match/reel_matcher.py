@@ -18,7 +18,7 @@ from estune.errors import EstuneError, InvalidInput
 from estune.run.journal import FILE_NAME
 from estune.run.loop import ProgressListener
 from estune.run.result import RunEnding, TuneResult
-from estune.run.session import UNSAFE_RATIO, Phase
+from estune.run.session import TRIALS, UNSAFE_RATIO, Phase
 from estune.run.targets import open_target
 from estune.studies.match.outcome import (
     CostEstimate,
@@ -57,7 +57,7 @@ class Settings:
 
     tolerance: float = 0.02
     tuner: str = DEFAULT_TUNER
-    trials: int = 120
+    trials: int = TRIALS
     match_trials: int = 16
     repeats: int = 6
 
