@@ -26,6 +26,9 @@ TIMES = ("_restored_max_s", "stop_p99_ms")
 SAMPLED = {"confirmation", "diagnosis_constants", "hidden_effects", "sample_efficiency"}
 """Experiments whose targets are shares of hundreds of cases, too many for the quick form."""
 
+NIGHTLY = {"diagnosis_constants", "hidden_effects", "jitter", "two_reels"}
+"""Experiments whose quick form takes a minute; their subjects have tests of their own."""
+
 
 def experiments() -> list[str]:
     """Names of the modules and packages that can be run and print results."""
@@ -39,7 +42,13 @@ def experiments() -> list[str]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", experiments())
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=[pytest.mark.nightly] if name in NIGHTLY else [])
+        for name in experiments()
+    ],
+)
 def test_experiment_prints_its_figures_and_meets_its_targets(name, tmp_path):
     printed = run_experiment(name, tmp_path, "--quick")
     assert printed["figures"]
