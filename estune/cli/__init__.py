@@ -31,6 +31,7 @@ COMMANDS = (
     ("match", "match:match", "Tune several reels to the same cost.", 70),
     ("list", "runs:list_runs", "List the runs of a folder.", 80),
     ("show", "runs:show", "Show the result of a run.", 90),
+    ("report", "runs:report", "Write the report of a run as one HTML page.", 95),
     ("export", "runs:export", "Write a run's trial records as CSV or Parquet.", 100),
     (
         "export-controller",
@@ -161,7 +162,7 @@ def _stop_message(stop: KeyboardInterrupt) -> str:
     if not isinstance(stop, Stopped):
         return "stopped"
     rig = stop.description
-    again = f"; continue with: estune resume {stop.folder}" if stop.folder else ""
+    again = f"; continue with: {stop.again}" if stop.again else ""
     return f"stopped; {rig.name} confirms that its own gains are live: {rig.gains}{again}"
 
 

@@ -11,7 +11,7 @@ from rich.text import Text
 
 from estune.cli import output
 from estune.cli.tune import NO_COST, NO_STEP, CostOptions, StepOptions, trial_of
-from estune.cli.values import Flag, TunerName, security_from
+from estune.cli.values import Flag, TunerName, check_folder_exists, security_from
 from estune.errors import EstuneError, InvalidInput, RigError
 from estune.remote.state_machine.client import PATIENCE_S
 from estune.run.export import write_file
@@ -41,6 +41,7 @@ def match(
     repeats: int = _DEFAULTS.repeats,
     apply: Flag = False,
     folder: Path | None = None,
+    report: Path | None = None,
     json: Flag = False,
     security: Path | None = None,
     patience: float = PATIENCE_S,
@@ -62,6 +63,7 @@ def match(
         apply: Make the matched gains of reels that pass live on their rigs.
         folder: Folder for the runs, match.json, match.csv and match.html; matches/TIME by default.
             An interrupted matching continues with the same command and this folder.
+        report: File of the report page; match.html in the folder by default.
         json: Print the outcome as JSON.
         security: Credentials file, if a rig requires authentication.
         patience: How long to wait where a rig stops replying, s.
@@ -69,6 +71,7 @@ def match(
         step: The step trial of all reels; by default what the first reel suggests.
         cost: The cost of all reels; the settling time is by default the longest a rig suggests.
     """
+    check_folder_exists("--report", report)
     credentials, named = security_from(security), _named(targets)
     models = [label for label, target in named.items() if not is_endpoint(target)]
     if apply and models:
@@ -85,7 +88,7 @@ def match(
         watch=None if quiet or json else "auto",
         log=_print_note if not (quiet or json) else lambda _: None,
     )
-    files = _write(matching)
+    files = _write(matching, report)
     if json:
         output.print_json(matching.to_json())
     else:
@@ -162,7 +165,7 @@ def _gains(values: tuple[float, ...]) -> str:
     return ", ".join(f"{value:.4g}" for value in values)
 
 
-def _write(matching: Matching) -> dict[str, object]:
+def _write(matching: Matching, report: Path | None) -> dict[str, object]:
     """Writes the record for production beside the runs; the main files, by name."""
     from estune.studies.match.report import page  # noqa: PLC0415  draws: slow to import
     from estune.support.html_page import render  # noqa: PLC0415  as above
@@ -171,11 +174,13 @@ def _write(matching: Matching) -> dict[str, object]:
         return {}
     matching.folder.mkdir(parents=True, exist_ok=True)
     table = matching.to_frame().to_csv(index=False)
+    where = {name: matching.folder / f"match.{name}" for name in ("json", "csv", "html")}
+    where["html"] = report or where["html"]
     contents = {
-        "match.json": json_.dumps(output.plain(matching.to_json()), indent=2, allow_nan=False),
-        "match.csv": table,
-        "match.html": render(page(matching)),
+        "json": json_.dumps(output.plain(matching.to_json()), indent=2, allow_nan=False),
+        "csv": table,
+        "html": render(page(matching)),
     }
     for name, text in contents.items():
-        write_file(matching.folder / name, text.encode())
-    return {"record": matching.folder / "match.csv", "page": matching.folder / "match.html"}
+        write_file(where[name], text.encode())
+    return {"record": where["csv"], "page": where["html"]}

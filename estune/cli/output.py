@@ -53,6 +53,18 @@ def save_figure(result: TuneResult) -> Path | None:
     return path
 
 
+def save_report(result: TuneResult, path: Path) -> Path:
+    """Writes the report page of a run.
+
+    Raises:
+        InvalidInput: the file cannot be written.
+    """
+    from estune.run.report import write_report  # noqa: PLC0415  slow to import
+
+    write_report(result, path)
+    return path
+
+
 def show_next(facts: Mapping[str, object]) -> None:
     """Prints a short list of names and values: paths, and the next commands."""
     out = console()

@@ -13,6 +13,8 @@ from estune.run.journal import FILE_NAME, Journal, being_written
 from estune.run.progress import counting
 from estune.run.result import TuneResult
 
+REPORT_NAME = "report.html"
+
 
 def list_runs(*, folder: Path = Path(api.RUNS), json: Flag = False) -> None:
     """List the runs of a folder.
@@ -59,6 +61,24 @@ def show(
             frame.columns, (map(_cell, row) for row in frame.itertuples(index=False))
         )
     output.show_next({"run": result.folder})
+
+
+def report(
+    run: str,
+    /,
+    *,
+    out: Path | None = None,
+    folder: Path = Path(api.RUNS),
+) -> None:
+    """Write the report of a run as one HTML page that works offline and prints well.
+
+    Args:
+        run: The run: its name, or its folder.
+        out: The page; report.html in the run's own folder by default.
+        folder: Folder of runs.
+    """
+    path = find_run(run, folder)
+    output.show_next({"report": output.save_report(api.load(path), out or path / REPORT_NAME)})
 
 
 def export(

@@ -9,7 +9,7 @@ from pathlib import Path
 from rich.text import Text
 
 from estune.cli import output
-from estune.cli.values import Flag
+from estune.cli.values import Flag, check_folder_exists
 from estune.errors import EstuneError, InvalidInput
 from estune.run.export import write_file
 from estune.run.progress import duration
@@ -31,6 +31,7 @@ def sweep(
     folder: Path | None = None,
     jobs: int | None = None,
     dask: str | None = None,
+    report: Path | None = None,
     dry_run: Flag = False,
     quiet: Flag = False,
     json: Flag = False,
@@ -46,6 +47,7 @@ def sweep(
         jobs: Processes for models; one per core by default.
         dask: Run models on the Dask cluster whose scheduler is at this address, such as
             tcp://127.0.0.1:8786.
+        report: File of the report page; report.html in the folder of the sweep by default.
         dry_run: Only check the limits and list what would be commanded; nothing moves.
         quiet: Show no progress.
         json: Print the laws as JSON.
@@ -53,6 +55,7 @@ def sweep(
     Raises:
         InvalidInput: something in the file does not fit.
     """
+    check_folder_exists("--report", report)
     if dry_run:
         _show_plan(expand_cells(read_design(design)))
         return
@@ -68,7 +71,7 @@ def sweep(
     if len(result.failed) == len(result.outcomes):
         first = result.failed[0]
         raise EstuneError(f"every cell failed; {first.cell.label}: {first.message}")
-    written = _write(result)
+    written = _write(result, report or result.folder / REPORT)
     if json:
         output.print_json(_as_json(result))
     else:
@@ -146,14 +149,14 @@ def _as_json(result: SweepResult) -> dict[str, object]:
     }
 
 
-def _write(result: SweepResult) -> dict[str, object]:
-    """Writes report, cells and laws into the sweep's folder."""
+def _write(result: SweepResult, report: Path) -> dict[str, object]:
+    """Writes the report, and cells and laws into the sweep's folder."""
     from estune.studies.sweep.report import write_report  # noqa: PLC0415  draws: slow to import
 
     folder = result.folder
-    write_report(result, folder / REPORT)
+    write_report(result, report)
     with whole_file(folder / CELLS) as temporary:
         result.to_frame().to_csv(temporary, index=False)
     laws = json.dumps(output.plain(_as_json(result)), indent=2, allow_nan=False)
     write_file(folder / LAW, laws.encode())
-    return {"report": folder / REPORT, "cells": folder / CELLS, "laws": folder / LAW}
+    return {"report": report, "cells": folder / CELLS, "laws": folder / LAW}

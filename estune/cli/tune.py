@@ -17,6 +17,7 @@ from estune.cli.values import (
     Flag,
     TunerName,
     Values,
+    check_folder_exists,
     numbers_from,
     ranges_from,
     security_from,
@@ -29,7 +30,7 @@ from estune.remote.state_machine.client import PATIENCE_S
 from estune.run.journal import Journal
 from estune.run.plan import model_start
 from estune.run.result import RunEnding, TuneResult
-from estune.run.session import TOLERANCE
+from estune.run.session import REPEATS, TOLERANCE, TRIALS
 from estune.run.targets import is_endpoint, open_target
 from estune.run.toml_tables import CostTable, StepTable
 from estune.support.toml_file import validate
@@ -101,9 +102,9 @@ def tune(
     /,
     *,
     tuner: TunerName = DEFAULT_TUNER,
-    trials: int = 120,
+    trials: int = TRIALS,
     tolerance: str = f"{TOLERANCE:.0%}",
-    repeats: int = 3,
+    repeats: int = REPEATS,
     eta_max: float | None = None,
     ask: Flag = False,
     warm_start: Flag = False,
@@ -115,6 +116,7 @@ def tune(
     run: str | None = None,
     folder: Path = Path(api.RUNS),
     records: int | None = None,
+    report: Path | None = None,
     quiet: Flag = False,
     step: StepOptions = NO_STEP,
     cost: CostOptions = NO_COST,
@@ -147,11 +149,13 @@ def tune(
         folder: Folder of runs.
         records: Number of records that the run keeps on disk, the latest and those of repeats; all
             by default. Gains and costs are kept for ever.
+        report: Write a report of the run as one HTML page that works offline.
         quiet: Show no progress.
         step: The step trial.
         cost: The cost of a trial.
         limits: Limits that the tuned gains keep.
     """
+    check_folder_exists("--report", report)
     credentials = security_from(security)
     open_rig = partial(open_target, target, rig, credentials)
     choices = _choices(open_rig, numbers_from(start), step, cost, warm_start=warm_start)
@@ -174,7 +178,7 @@ def tune(
         ask=terminal_approval() if ask else None,
         limits=_limits(limits),
     )
-    return finish(result, target)
+    return finish(result, target, report=report)
 
 
 def resume(
@@ -185,6 +189,7 @@ def resume(
     security: Path | None = None,
     patience: float = PATIENCE_S,
     folder: Path = Path(api.RUNS),
+    report: Path | None = None,
     quiet: Flag = False,
 ) -> int:
     """Continue a run that was stopped or interrupted.
@@ -195,8 +200,10 @@ def resume(
         security: Credentials file, if the rig requires authentication.
         patience: How long to wait where the rig stops replying, s.
         folder: Folder of runs.
+        report: Write a report of the run as one HTML page that works offline.
         quiet: Show no progress.
     """
+    check_folder_exists("--report", report)
     path = find_run(run, folder)
     with Journal.open(path) as journal:
         where = target or journal.fact("target")
@@ -206,11 +213,16 @@ def resume(
     result = api.resume(
         path, where, security=credentials, patience_s=patience, watch=watch, ask=ask
     )
-    return finish(result, where)
+    return finish(result, where, report=report)
 
 
-def finish(result: TuneResult, target: str | None, more: Mapping[str, str] | None = None) -> int:
-    """Prints a result, saves its figure, and lists the next commands and `more`.
+def finish(
+    result: TuneResult,
+    target: str | None,
+    more: Mapping[str, str] | None = None,
+    report: Path | None = None,
+) -> int:
+    """Prints a result, saves its figure and its report, and lists the next commands and `more`.
 
     Returns:
         The exit code of the run's ending.
@@ -220,6 +232,10 @@ def finish(result: TuneResult, target: str | None, more: Mapping[str, str] | Non
     figure = output.save_figure(result)
     if figure:
         facts["figure"] = figure
+    if report is not None:
+        facts["report"] = output.save_report(result, report)
+    elif result.folder is not None:
+        facts["report"] = f"estune report {result.folder}"
     if result.ending is RunEnding.TUNED and is_endpoint(target):
         facts["make live"] = f"estune apply {result.folder} {target}"
     facts["trials"] = f"estune export {result.folder} --csv"

@@ -68,6 +68,13 @@ class LoopModel(NamedTuple):
         """The output for an effort, both as deviations, shape (samples,)."""
         return np.asarray(lfilter(self.numerator, self.denominator, effort_N))
 
+    def frequency_response(self, theta: FloatArray) -> ComplexArray:
+        """G(exp(i theta)) for angles in rad/sample, shape of theta."""
+        later = np.exp(-1j * theta)
+        (a1, a2), (b0, b1, b2) = self.poles, self.zeros
+        numerator = later ** (self.dead_samples + 1) * (b0 + later * (b1 + later * b2))
+        return np.asarray(numerator / (1.0 + later * (a1 + later * a2)))
+
 
 class ClosedLoop(NamedTuple):
     """Polynomials in q^-1 of the loop with one set of gains.
@@ -101,10 +108,11 @@ class ClosedLoop(NamedTuple):
         """Variance of the measurement and of one move of the effort, per variance of the noise."""
         impulse = np.zeros(samples)
         impulse[0] = 1.0
-        measured = lfilter(self.forward, self.characteristic, impulse)
-        effort = lfilter(self.noise_to_effort, self.characteristic, impulse)
-        moves = np.diff(effort, prepend=0.0)
-        return float(measured @ measured), float(moves @ moves)
+        poles = lfilter([1.0], self.characteristic, impulse)
+        measured = np.convolve(poles, self.forward)[:samples]
+        effort = np.convolve(poles, self.noise_to_effort)[:samples]
+        moves = effort[1:] - effort[:-1]
+        return float(measured @ measured), float(effort[0] ** 2 + moves @ moves)
 
 
 def close_loop(model: LoopModel, gains: Gains, settings: ControllerSettings) -> ClosedLoop:
@@ -172,10 +180,8 @@ def frequency_grid(model: LoopModel) -> FrequencyGrid:
         np.geomspace(LOWEST_rad, math.pi, GRID_POINTS), np.linspace(0.0, math.pi, turns)[1:]
     )
     later = np.exp(-1j * theta)
-    b0, b1, b2 = model.zeros
     a1, a2 = model.poles
-    poles = 1.0 + later * (a1 + later * a2)
-    plant = later ** (model.dead_samples + 1) * (b0 + later * (b1 + later * b2)) / poles
+    plant, poles = model.frequency_response(theta), 1.0 + later * (a1 + later * a2)
     return FrequencyGrid(theta, later, -np.expm1(-1j * theta), plant, poles)
 
 

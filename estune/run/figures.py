@@ -5,7 +5,7 @@ trial records.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -26,7 +26,7 @@ from estune.support.plot_style import (
     legend,
     new_axes,
 )
-from estune.trial import TrialRecord
+from estune.trial import RigDescription, TrialRecord
 from estune.trial.profiles import StepProfile
 
 if TYPE_CHECKING:
@@ -46,6 +46,8 @@ GAIN_LOOKS = {
 }
 
 _DECADE = 10.0
+VECTORS_MAX = 2000
+"""Trials of a figure that are drawn one by one; more are drawn as an image."""
 
 
 def draw_cost(ax: Axes | None, frame: "pd.DataFrame", start_cost: float, eta_max: float) -> Axes:
@@ -64,6 +66,7 @@ def draw_cost(ax: Axes | None, frame: "pd.DataFrame", start_cost: float, eta_max
         ax.plot(
             part["number"], part["cost"], marker, color=colour, label=label, zorder=3,
             markersize=3.2 if phase == "search" else 4.0, markeredgewidth=0, alpha=0.85,
+            rasterized=len(part) > VECTORS_MAX,
         )  # fmt: skip
     # Repeats after the search are left out: a lucky one does not mean better gains.
     searched = _searched(frame)
@@ -84,38 +87,57 @@ def draw_cost(ax: Axes | None, frame: "pd.DataFrame", start_cost: float, eta_max
 
 
 def draw_response(
-    ax: Axes | None, step: StepProfile, before: TrialRecord | None, after: TrialRecord | None
-) -> Axes:
+    ax: Axes | None, step: StepProfile, before: TrialRecord | None, after: TrialRecord | None,
+    ordinate: str = "tension, N",
+) -> Axes:  # fmt: skip
     """The step response before and after tuning, with the setpoint and its 2 % band."""
     ax = ax or new_axes()
     final = step.preload_N + step.step_N
     band = 0.02 * abs(step.step_N)
     ax.axhspan(final - band, final + band, color=LIGHT, linewidth=0, label="±2 % of the step")
-    curves = (
-        (before, ORANGE, 1.1, "initial gains"),
-        (after, BLUE, 1.3, "tuned gains"),
-    )
-    first = next((record for record, *_ in curves if record is not None), None)
+    first = before or after
     if first is not None:
         ax.plot(
-            first.time_s - step.step_at_s,
-            first.setpoint_N,
-            "--",
-            color=GREY,
-            linewidth=0.9,
-            drawstyle="steps-post",
-            label="setpoint",
-        )
-    for record, colour, width, label in curves:
-        if record is not None:
-            ax.plot(
-                record.time_s - step.step_at_s, record.tension_N, color=colour, linewidth=width,
-                label=label, zorder=2,
-            )  # fmt: skip
+            first.time_s - step.step_at_s, first.setpoint_N, "--", color=GREY, linewidth=0.9,
+            drawstyle="steps-post", label="setpoint",
+        )  # fmt: skip
+    for record, look in _before_and_after(before, after):
+        ax.plot(record.time_s - step.step_at_s, record.tension_N, zorder=2, **look)
     ax.set_xlim(-min(step.step_at_s, 0.1 * step.duration_s), step.duration_s - step.step_at_s)
-    finish(ax, "tension, N", "time from the step, s")
+    finish(ax, ordinate, "time from the step, s")
     ax.legend(loc="best", fontsize=8, frameon=False, handlelength=1.8)
     return ax
+
+
+def draw_command(
+    ax: Axes,
+    step: StepProfile,
+    rig: RigDescription,
+    before: TrialRecord | None,
+    after: TrialRecord | None,
+) -> Axes:
+    """The controller output before and after tuning, and its limits where they are near."""
+    for record, look in _before_and_after(before, after):
+        effort = record.current_A * rig.newtons_per_ampere
+        ax.plot(record.time_s - step.step_at_s, effort, **look)
+    low, high = ax.get_ylim()
+    room = 0.5 * (high - low)
+    for limit in (rig.controller.output_min_N, rig.controller.output_max_N):
+        if low - room <= limit <= high + room:
+            ax.axhline(limit, color=VERMILION, linewidth=1.0, linestyle=":", label="limit")
+    finish(ax, rig.command, "time from the step, s")
+    return ax
+
+
+def _before_and_after(
+    before: TrialRecord | None, after: TrialRecord | None
+) -> Iterator[tuple[TrialRecord, dict[str, Any]]]:
+    """The records that there are, each with its look."""
+    if before is not None:
+        look = {"color": ORANGE, "linewidth": 1.1, "linestyle": (0, (5, 1.2))}
+        yield before, {**look, "label": "initial gains"}
+    if after is not None:
+        yield after, {"color": BLUE, "linewidth": 1.3, "label": "tuned gains"}
 
 
 def draw_gains(
@@ -149,7 +171,10 @@ def draw_gains(
         end = getattr(recommended, name)
         shown = np.where(values > 0.0, values, np.nan) / unit
         label = f"{label}  {getattr(start, name):.3g} → {end:.3g} {GAIN_UNITS[name]}"
-        ax.plot(frame["number"], shown, linestyle=dash, color=colour, linewidth=1.1, label=label)
+        ax.plot(
+            frame["number"], shown, linestyle=dash, color=colour, linewidth=1.1, label=label,
+            rasterized=len(frame) > VECTORS_MAX,
+        )  # fmt: skip
         if end > 0.0 and len(frame):
             # Side by side, so that the bars do not overlap.
             behind = float(frame["number"].iloc[-1]) * (1.0 + 0.015 * place) + 0.3 * place

@@ -24,7 +24,7 @@ from estune.run import result_warnings
 from estune.run.journal import Journal, JournalEntry
 from estune.run.loop import TuningRun
 from estune.run.performance import Performance
-from estune.run.robustness import claim_from, robustness_cells
+from estune.run.robustness import IdentifiedLoop, claim_from, identify, robustness_cells
 from estune.run.session import Plan, Session, is_safe
 from estune.run.summary import RunSummary, summarise
 from estune.trial import Outcome, RigDescription, TrialRecord
@@ -120,7 +120,12 @@ class TuneResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type i
     @cached_property
     def claim(self) -> Claim:
         """Robustness of the gains to use as the records show it, or why nothing is claimed."""
-        return claim_from(self.recent_records, self.plan, self.rig, self.gains)
+        return claim_from(self.identified, self.plan, self.rig, self.gains)
+
+    @cached_property
+    def identified(self) -> IdentifiedLoop:
+        """The loop identified from the last records."""
+        return identify(self.recent_records, self.plan, self.rig)
 
     @cached_property
     def start(self) -> Performance:

@@ -2,10 +2,11 @@
 
 import math
 from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 from estune.core.gains import Gains
 from estune.loop_model.claim import Claim, claim
-from estune.loop_model.identification import LoopRecord, fit_loop
+from estune.loop_model.identification import LoopFit, LoopRecord, fit_loop
 from estune.loop_model.prediction import PredictedMargins
 from estune.run.plan import step_trial
 from estune.run.session import Plan
@@ -16,10 +17,22 @@ RECORDS_MAX = 20
 """Records that are fitted: the last ones of a run."""
 
 
-def claim_from(
-    records: Sequence[TrialRecord], plan: Plan, rig: RigDescription, gains: Gains
-) -> Claim:
-    """The margins of some gains by the loop identified from the records of a run."""
+class IdentifiedLoop(NamedTuple):
+    """The loop identified from the records of a run.
+
+    Attributes:
+        fit: The fit; None where no record can be used.
+        tried: Gains of the records that were fitted, in their order.
+        reason: Why there is no fit; empty where there is one.
+    """
+
+    fit: LoopFit | None
+    tried: tuple[Gains, ...] = ()
+    reason: str = ""
+
+
+def identify(records: Sequence[TrialRecord], plan: Plan, rig: RigDescription) -> IdentifiedLoop:
+    """The loop identified from the last records of a run."""
     signals, tried, reason = list[LoopRecord](), list[Gains](), "there are no records of it"
     for record in records[-RECORDS_MAX:]:
         made = loop_signals(record, plan.step, rig)
@@ -29,9 +42,16 @@ def claim_from(
             signals.append(made.record)
             tried.append(record.gains)
     if not signals:
-        return Claim(None, reason, math.nan)
+        return IdentifiedLoop(None, reason=reason)
     fit = fit_loop(signals, rig.controller.sampling_Hz, plan.cost.settling_time_s)
-    return claim(fit, step_trial(rig, plan.step, plan.cost), gains, tried)
+    return IdentifiedLoop(fit, tuple(tried))
+
+
+def claim_from(loop: IdentifiedLoop, plan: Plan, rig: RigDescription, gains: Gains) -> Claim:
+    """The margins of some gains by an identified loop."""
+    if loop.fit is None:
+        return Claim(None, loop.reason, math.nan)
+    return claim(loop.fit, step_trial(rig, plan.step, plan.cost), gains, loop.tried)
 
 
 def robustness_cells(margins: PredictedMargins | None) -> Iterator[tuple[str, str]]:

@@ -30,7 +30,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 from matplotlib.figure import Figure
 
-from estune.support.plot_style import to_svg
+from estune.support.page_image import DARK_GROUND, light_and_dark, narrow
 from estune.support.version import __version__
 
 
@@ -163,7 +163,7 @@ class Page:
 def render(page: Page) -> str:
     """The page as HTML."""
     template = _environment().get_template("html_page.html.jinja")
-    return template.render(page=page, versions=_versions()) + "\n"
+    return template.render(page=page, versions=_versions(), dark_ground=DARK_GROUND) + "\n"
 
 
 def prose(plain: str) -> Markup:
@@ -180,14 +180,20 @@ def _environment() -> Environment:
         loader=PackageLoader("estune.support", "."), autoescape=True, undefined=StrictUndefined,
         trim_blocks=True, lstrip_blocks=True,
     )  # fmt: skip
-    environment.filters |= {"prose": prose, "svg_address": _svg_address, "base64": _base64}
+    environment.filters |= {"prose": prose, "svg_addresses": _svg_addresses, "base64": _base64}
     return environment
 
 
-def _svg_address(drawing: Drawing) -> str:
-    """The figure as a data URL: as an image of its own its element ids meet no others."""
+def _svg_addresses(drawing: Drawing) -> tuple[str, str]:
+    """The figure for wide and for small screens as data URLs.
+
+    As images of their own their element ids meet no others.
+    """
     with mpl.rc_context({"svg.hashsalt": drawing.name}):  # fixed salt: the same figure, same bytes
-        return f"data:image/svg+xml;base64,{_base64(to_svg(drawing.figure))}"
+        # The narrow layout is made last, on the same figure.
+        forms = light_and_dark(drawing.figure), light_and_dark(narrow(drawing.figure))
+    wide, small = (f"data:image/svg+xml;base64,{_base64(svg)}" for svg in forms)
+    return wide, small
 
 
 def _base64(text: str) -> str:

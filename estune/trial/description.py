@@ -98,6 +98,9 @@ class RigDescription:
         software: Name and version of the rig's program.
         simulated: Whether nothing physical moves, so that an interrupted trial may be repeated
             without a check by the operator.
+        measurement: What is measured, with its unit after the last comma: "speed, rad/s". Fields
+            named in N hold this unit.
+        command: What the controller commands, as `measurement`: "voltage, V".
 
     Raises:
         InvalidInput: a number is not finite, or not above zero.
@@ -114,9 +117,37 @@ class RigDescription:
     linear_model: LinearModel | None = None
     software: str = ""
     simulated: bool = False
+    measurement: str = "tension, N"
+    command: str = "control effort, N"
+
+    @property
+    def measurement_name(self) -> str:
+        """What is measured, without its unit."""
+        return _split(self.measurement)[0]
+
+    @property
+    def measurement_unit(self) -> str:
+        """Unit of what is measured; empty without one."""
+        return _split(self.measurement)[1]
+
+    @property
+    def command_name(self) -> str:
+        """What the controller commands, without its unit."""
+        return _split(self.command)[0]
+
+    @property
+    def command_unit(self) -> str:
+        """Unit of what the controller commands; empty without one."""
+        return _split(self.command)[1]
 
     def __post_init__(self) -> None:
         for name in ("newtons_per_ampere", "settling_time_s", "cable_length_m"):
             value = getattr(self, name)
             if value is not None and not (math.isfinite(value) and value > 0.0):
                 raise InvalidInput(f"rig {self.name}: {name} is {value}; it must be above zero")
+
+
+def _split(label: str) -> tuple[str, str]:
+    """Name and unit of a signal."""
+    name, _, unit = label.rpartition(", ")
+    return (name, unit) if name else (label, "")

@@ -1,0 +1,169 @@
+"""Bode and Nyquist figures of the loop of a run, before and after."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from estune.core.gains import Gains
+from estune.core.margins import controller_response
+from estune.core.pidf import ControllerSettings
+from estune.core.quantities import ComplexArray, FloatArray
+from estune.interop import sampled_model
+from estune.loop_model.identification import LoopFit
+from estune.loop_model.prediction import parameter_deviations
+from estune.support.plot_style import BLUE, GREY, LIGHT, ORANGE, finish, legend, new_figure
+from estune.trial import RigDescription
+
+DRAWS = 200
+"""Models drawn from the fit's covariance; 95 % of them lie within the band."""
+SHOWN = 15
+"""Of these in the Nyquist figure."""
+
+_POINTS = 300
+_SETTLINGS = 20.0
+"""Settling times in the period of the lowest frequency shown."""
+_NYQUIST_MAX = 3.0
+"""Loop gain at which a Nyquist curve begins."""
+
+
+@dataclass(frozen=True, eq=False)
+class PlantResponse:
+    """Frequency response of a plant, shape (frequencies,).
+
+    Attributes:
+        frequency_Hz: The frequencies.
+        plant: G.
+        draws: G of models drawn from the covariance of the fit, shape (draws, frequencies);
+            none for a model of unknown accuracy.
+    """
+
+    frequency_Hz: FloatArray
+    plant: ComplexArray
+    draws: ComplexArray
+
+    @classmethod
+    def of_fit(cls, fit: LoopFit, rig: RigDescription) -> "PlantResponse":
+        """The loop identified from records."""
+        frequency, theta = _grid(rig)
+        deviations = parameter_deviations(fit)
+        # A fixed seed: the same run gives the same page.
+        normal = np.random.default_rng(0).standard_normal((DRAWS, deviations.shape[0]))
+        drawn = [
+            fit.model.with_parameters(fit.model.parameters + row).frequency_response(theta)
+            for row in normal @ deviations.T
+        ]
+        return cls(frequency, fit.model.frequency_response(theta), np.array(drawn))
+
+    @classmethod
+    def of_rig(cls, rig: RigDescription) -> "PlantResponse | None":
+        """The rig's own linear model; None without one."""
+        if rig.linear_model is None:
+            return None
+        frequency, theta = _grid(rig)
+        plant = sampled_model(rig.linear_model, rig.controller).response(theta)
+        return cls(frequency, plant, np.empty((0, frequency.size), complex))
+
+
+Loop = tuple[str, Gains]
+"""Label and gains of a curve."""
+
+_LOOKS: tuple[dict[str, Any], ...] = (
+    {"color": ORANGE, "linestyle": (0, (5, 1.2)), "linewidth": 1.2},
+    {"color": BLUE, "linestyle": "-", "linewidth": 1.4},
+)
+
+
+def draw_bode(
+    response: PlantResponse, settings: ControllerSettings, loops: Sequence[Loop]
+) -> Figure:
+    """Magnitude and phase of the loop gain L for each gains; the band is of the last."""
+    figure = new_figure(7.2, 4.2)
+    upper, lower = figure.subplots(2, 1, sharex=True)
+    for (label, gains), look in zip(loops, _looks(loops), strict=True):
+        controller = _controller(response, settings, gains)
+        loop = controller * response.plant
+        if gains is loops[-1][1] and len(response.draws):
+            drawn = controller * response.draws
+            _band(upper, response, np.abs(drawn), look["color"])
+            # Angles relative to the estimate's, so that no draw is a turn away.
+            turned = np.unwrap(np.angle(loop)) + np.angle(drawn / loop)
+            _band(lower, response, np.degrees(turned), look["color"])
+        upper.plot(response.frequency_Hz, np.abs(loop), label=label, **look)
+        lower.plot(response.frequency_Hz, np.degrees(np.unwrap(np.angle(loop))), **look)
+    upper.axhline(1.0, color=GREY, linewidth=0.8)
+    lower.axhline(-180.0, color=GREY, linewidth=0.8)
+    upper.set_xscale("log")
+    upper.set_yscale("log")
+    upper.set_ylim(max(upper.get_ylim()[0], 1e-3), upper.get_ylim()[1])
+    lower.set_ylim(max(lower.get_ylim()[0], -540.0), lower.get_ylim()[1])
+    finish(upper, "loop gain |L|")
+    finish(lower, "phase of L, degrees", "frequency, Hz")
+    legend(upper)
+    return figure
+
+
+def draw_nyquist(
+    response: PlantResponse, settings: ControllerSettings, loops: Sequence[Loop], limit: float
+) -> Figure:
+    """The loop gain in the complex plane, the unit circle, and the circle of a sensitivity."""
+    figure = new_figure(7.2, 4.2)
+    ax = figure.add_subplot()
+    angle = np.linspace(0.0, 2.0 * np.pi, 181)
+    ax.plot(np.cos(angle), np.sin(angle), color=GREY, linewidth=0.7)
+    circle = -1.0 + np.exp(1j * angle) / limit
+    ax.fill(circle.real, circle.imag, color=LIGHT, label=f"sensitivity above {limit:g}")
+    ax.plot(-1.0, 0.0, "+", color=GREY, markersize=9)
+    for (label, gains), look in zip(loops, _looks(loops), strict=True):
+        loop = _controller(response, settings, gains) * response.plant
+        if gains is loops[-1][1]:
+            for one in _controller(response, settings, gains) * response.draws[:SHOWN]:
+                shown = one[np.abs(one) < _NYQUIST_MAX]
+                ax.plot(shown.real, shown.imag, color=look["color"], linewidth=0.5, alpha=0.25)
+        shown = loop[np.abs(loop) < _NYQUIST_MAX]
+        ax.plot(shown.real, shown.imag, label=label, **look)
+    ax.set_aspect("equal")
+    ax.set_xlim(-2.2, 1.2)
+    ax.set_ylim(-1.6, 1.1)
+    finish(ax, "imaginary part of L", "real part of L")
+    legend(ax)
+    return figure
+
+
+def response_columns(
+    response: PlantResponse, settings: ControllerSettings, loops: Sequence[Loop]
+) -> dict[str, FloatArray]:
+    """The numbers of both figures by column."""
+    columns = {"frequency_Hz": response.frequency_Hz}
+    for label, gains in loops:
+        loop = _controller(response, settings, gains) * response.plant
+        name = label.split()[0]
+        columns |= {f"{name}_L_real": loop.real, f"{name}_L_imaginary": loop.imag}
+    return columns
+
+
+def _looks(loops: Sequence[Loop]) -> tuple[dict[str, Any], ...]:
+    return _LOOKS[: len(loops)]
+
+
+def _controller(
+    response: PlantResponse, settings: ControllerSettings, gains: Gains
+) -> ComplexArray:
+    theta = 2.0 * np.pi * response.frequency_Hz / settings.sampling_Hz
+    return controller_response(gains, settings, theta)
+
+
+def _grid(rig: RigDescription) -> tuple[FloatArray, FloatArray]:
+    """Frequencies in Hz, and in rad/sample."""
+    rate = rig.controller.sampling_Hz
+    lowest = min(1.0 / (_SETTLINGS * rig.settling_time_s), 0.05 * rate)
+    frequency = np.geomspace(lowest, 0.499 * rate, _POINTS)
+    return frequency, 2.0 * np.pi * frequency / rate
+
+
+def _band(ax: Axes, response: PlantResponse, values: FloatArray, color: str) -> None:
+    low, high = np.quantile(values, (0.025, 0.975), axis=0)
+    ax.fill_between(response.frequency_Hz, low, high, color=color, alpha=0.25, linewidth=0.0)

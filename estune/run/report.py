@@ -1,0 +1,247 @@
+"""Report page of a tuning: what to do, how the response changed, and what that rests on."""
+
+import dataclasses
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from estune.core.gains import GAIN_NAMES
+from estune.run import figures
+from estune.run.export import write_file
+from estune.run.frequency_figures import (
+    Loop,
+    PlantResponse,
+    draw_bode,
+    draw_nyquist,
+    response_columns,
+)
+from estune.run.result import RunEnding, TuneResult
+from estune.support.html_page import (
+    Block,
+    Drawing,
+    Page,
+    Paragraph,
+    Section,
+    Status,
+    Table,
+    Warnings,
+    render,
+)
+from estune.support.plot_style import new_figure
+from estune.trial import TrialRecord
+
+_CSV_MAX = 400_000
+"""Characters of a table that the page carries: three of them are 1.6 MB as base64, and a page is
+to stay below 1.5 MB. `estune export` writes all samples."""
+
+_SENSITIVITY = 1.6
+"""Circle in the Nyquist figure, where the run has no limit of its own: the default limit."""
+
+
+def write_report(result: TuneResult, path: Path) -> None:
+    """Writes the page, whole or not at all.
+
+    Raises:
+        InvalidInput: the file cannot be written.
+    """
+    write_file(path, render(page(result)).encode())
+
+
+def page(result: TuneResult) -> Page:
+    """The page of a tuning, finished or not."""
+    good = {RunEnding.TUNED: True, RunEnding.UNSAFE_START: False}.get(result.ending)
+    return Page(
+        f"Tuning of {result.rig.name}",
+        Status(_recommendation(result), good=good),
+        (
+            *(() if result.success else (Paragraph(result.remarks()[0], style="lead"),)),
+            _before_and_after(result),
+            Warnings(result.remarks()[1:]),
+        ),
+        (
+            Section("Step response", tuple(_responses(result))),
+            Section("Loop", tuple(_loop(result))),
+            Section("Search", tuple(_search(result))),
+            Section("Settings", (Table((), tuple(_settings(result).items())),)),
+        ),
+    )
+
+
+def _recommendation(result: TuneResult) -> str:
+    if result.success:
+        cost = f"{result.verdict.start_cost:.3g} to {result.verdict.cost:.3g}"
+        return f"Use {result.gains}: the cost falls from {cost}, {result.improvement}."
+    return f"{result.ending.capitalize()}: keep {result.gains}."
+
+
+def _before_and_after(result: TuneResult) -> Table:
+    if result.tuned:
+        return Table(("", "Initial gains", "Tuned gains"), result.rows(), numeric=(1, 2))
+    return Table(("", "Initial gains"), [row[:2] for row in result.rows()], numeric=(1,))
+
+
+def _responses(result: TuneResult) -> Iterator[Block]:
+    before, after = result.first_record, result.tuned_record if result.success else None
+    if before is None:
+        yield Paragraph("No trial has been completed.")
+        return
+    rig, step = result.rig, result.plan.step
+    figure = new_figure(7.2, 5.0)
+    upper, lower = figure.subplots(2, 1, sharex=True)
+    figures.draw_response(upper, step, before, after, rig.measurement)
+    upper.set_xlabel("")
+    figures.draw_command(lower, step, rig, before, after)
+    shown = {"initial": before} | ({"tuned": after} if after is not None else {})
+    yield Drawing(
+        figure,
+        "response",
+        f"{rig.measurement_name} and {rig.command_name} over time, before and after",
+        f"{rig.measurement_name.capitalize()} and {rig.command_name} in the first trial with the "
+        f"initial gains{' and the last with the tuned ones' if after is not None else ''}. The "
+        f"{rig.command_name} is limited to {rig.controller.output_min_N:.4g} and "
+        f"{rig.controller.output_max_N:.4g} {rig.command_unit}.".replace(" .", "."),
+        csv=_csv(_samples(shown, rig.newtons_per_ampere)),
+    )
+
+
+def _samples(records: Mapping[str, TrialRecord], per_ampere: float) -> dict[str, Any]:
+    """Columns of the records; those of the shorter one end with NaN."""
+    columns: dict[str, Any] = {}
+    for label, record in records.items():
+        columns |= {
+            f"{label}_time_s": record.time_s,
+            f"{label}_setpoint": record.setpoint_N,
+            f"{label}_measurement": record.tension_N,
+            f"{label}_command": record.current_A * per_ampere,
+        }
+    return columns
+
+
+def _loop(result: TuneResult) -> Iterator[Block]:
+    """Bode and Nyquist figures of the loop, or why there are none."""
+    rig, claim, fit = result.rig, result.claim, result.identified.fit
+    if claim.margins is not None and fit is not None:
+        response: PlantResponse | None = PlantResponse.of_fit(fit, rig)
+        known = (
+            "The loop is identified from the run's own records; its linear model leaves "
+            f"{claim.misfit:.2%} of the step unexplained. The band and the pale curves are models "
+            "that the records allow with 95 %."
+        )
+    else:
+        response = PlantResponse.of_rig(rig)
+        known = (
+            "The loop is the rig's own linear model of its plant, whose accuracy is not known; "
+            f"the records allow no statement: {claim.reason}."
+        )
+    if response is None:
+        yield Paragraph(f"There is no model of the loop: {claim.reason}.")
+        return
+    loops: list[Loop] = [("initial gains", result.start_gains)]
+    if result.success:
+        loops.append(("tuned gains", result.gains))
+    yield Paragraph(known)
+    yield Drawing(
+        draw_bode(response, rig.controller, loops),
+        "bode",
+        "Magnitude and phase of the loop gain over frequency",
+        "Bode diagram. The phase margin is read where |L| = 1, the gain margin at -180 degrees.",
+        csv=_csv(response_columns(response, rig.controller, loops)),
+    )
+    limit = _sensitivity_limit(result)
+    yield Drawing(
+        draw_nyquist(response, rig.controller, loops, limit),
+        "nyquist",
+        "Loop gain in the complex plane",
+        "Nyquist diagram with the unit circle. A curve that stays outside the grey disc about -1 "
+        f"has a sensitivity below {limit:g}.",
+    )
+
+
+def _sensitivity_limit(result: TuneResult) -> float:
+    limits = getattr(result.plan.tuner, "limits", None)
+    return getattr(limits, "max_sensitivity", None) or _SENSITIVITY
+
+
+def _search(result: TuneResult) -> Iterator[Block]:
+    if not result.entries:
+        return
+    frame = result.to_frame()
+    figure = new_figure(7.2, 5.4)
+    upper, lower = figure.subplots(2, 1, sharex=True)
+    result.plot_cost(upper)
+    upper.set_xlabel("")
+    result.plot_gains(lower)
+    names = ["number", "phase", *GAIN_NAMES, "cost", "best_cost", "unsafe", "outcome"]
+    yield Drawing(
+        figure,
+        "search",
+        "Cost and gains over the trials",
+        f"{result.verdict.message[:1].upper()}{result.verdict.message[1:]}. Repeats after the "
+        "search compare the gains; the lowest cost of the search is one lucky trial.",
+        csv=_csv({name: frame[name].to_numpy() for name in names}),
+    )
+
+
+def _settings(result: TuneResult) -> dict[str, str]:
+    """The plan and the rig by label."""
+    plan, rig = result.plan, result.rig
+    step, cost, unit = plan.step, plan.cost, rig.measurement_unit
+    penalty = f"control-move penalty {cost.move_weight:g}"
+    rows = {
+        "run": plan.run,
+        "step": f"{step.preload_N:g} to {step.preload_N + step.step_N:g} {unit} at "
+        f"{step.step_at_s:g} s of {step.duration_s:g} s",
+        "cost": f"(35), settling time {cost.settling_time_s:.4g} s, weight {cost.weight}, time in "
+        f"{'s' if cost.time_unit == 'second' else 'settling times'}, {penalty}",
+        "unsafe above": f"η = {result.session.eta_max:.3g}",
+        "trials": f"{len(result.entries)} of at most {plan.max_trials}; {plan.repeats} repeats",
+        "ends below": f"{plan.tolerance:.3g} remaining improvement",
+        "tuner": _tuner(plan.tuner),
+        "rig": ", ".join(
+            (
+                rig.name,
+                f"{rig.controller.sampling_Hz:g} Hz",
+                *((f"cable {rig.cable_length_m:g} m",) if rig.cable_length_m else ()),
+                "simulated" if rig.simulated else "hardware",
+            )
+        ),
+        "its program": rig.software or "not stated",
+    }
+    first = result.first_record
+    return rows if first is None else {**rows, "began": first.started_at}
+
+
+def _tuner(tuner: Any) -> str:
+    """Name of a tuner and those of its settings that are numbers or names."""
+    if not dataclasses.is_dataclass(tuner) or not hasattr(tuner, "name"):
+        return str(getattr(tuner, "name", type(tuner).__name__))
+    shown = {f.name: getattr(tuner, f.name) for f in dataclasses.fields(tuner)}
+    settings = [
+        f"{name} {value:g}" if isinstance(value, float) else f"{name} {value}"
+        for name, value in shown.items()
+        if name != "name" and isinstance(value, int | float | str)
+    ]
+    return ", ".join([shown["name"], *settings])
+
+
+def _csv(columns: Mapping[str, Any]) -> str:
+    """Columns as CSV, shorter ones filled up with nothing; empty where it is too long."""
+    lists = [_texts(values) for values in columns.values()]
+    rows = max(map(len, lists))
+    lines = [",".join(columns)]
+    lines += [",".join(row[n] if n < len(row) else "" for row in lists) for n in range(rows)]
+    text = "\n".join([*lines, ""])
+    return text if len(text) <= _CSV_MAX else ""
+
+
+def _texts(values: Sequence[Any]) -> list[str]:
+    return [_text(value) for value in np.asarray(values).tolist()]
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, float):
+        return f"{value:.9g}" if math.isfinite(value) else ""
+    return str(value)
