@@ -100,6 +100,9 @@ EXCESS_MAX = 5.0
 INFEASIBLE = 10.0
 """Logarithm of the cost of an unstable loop."""
 
+SAME_START = 0.05
+"""Largest difference in a logarithm between two starts of which one search is enough."""
+
 GENTLER = np.array([-0.4, -0.6, -0.4, 0.2])
 """Step from gains at which a model is unstable, in logarithms of P, I, D and the filter."""
 
@@ -138,7 +141,11 @@ class RegionSearch:
             scattered: Number of low-discrepancy points of which the best is one more start.
         """
         starts = [*starts, *([self._best_of(scattered)] if scattered else [])]
-        stable = [x for start in starts if (x := self._stabilised(start)) is not None]
+        stable: list[FloatArray] = []
+        for start in starts:
+            x = self._stabilised(start)
+            if x is not None and all(np.abs(x - other).max() > SAME_START for other in stable):
+                stable.append(x)
         if not stable:
             middle = (self.low + self.high) / 2.0
             return Optimum(middle, self.predicted(middle), feasible=False)

@@ -37,12 +37,16 @@ SAFE_RATIO = 1.3
 """A trial is safe if all models this many standard deviations away predict at most so many times
 the cost of the first trial."""
 
-DRAWS = 10
-DRAW_ITERATIONS = 8
+DRAWS = 8
+DRAW_ITERATIONS = 6
 """Posterior draws of the remaining improvement, and iterations of the optimum of each."""
 
 SCATTERED = 32
 """Low-discrepancy points of which the best is one more start of the search for the optimum."""
+
+FORESEEN = 0.1
+"""Error of the last prediction of the log cost below which the last optimum is enough to start
+from."""
 
 NOISE_EXPECTED = 0.03
 """Relative standard deviation of the cost before enough predictions were compared."""
@@ -215,7 +219,9 @@ class IdentifiedLoopTuner:
         """The next trial and the centre by the model."""
         best = np.array(self.space.coordinates(state.best_point))
         search = self._search(state, fit.model)
-        optimum = search.minimise([np.array(state.centre), best], scattered=SCATTERED)
+        foreseen = abs(state.errors[-1]) < FORESEEN  # not with NaN
+        scattered = 0 if foreseen else SCATTERED
+        optimum = search.minimise([np.array(state.centre), best], scattered=scattered)
         if not math.isfinite(optimum.prediction.cost):
             return self._fall_back(state)
         proposal = self._made_safe(state, fit, best, optimum.coordinates)
