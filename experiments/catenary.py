@@ -35,19 +35,19 @@ def random_cables(count: int) -> cable.Catenary:
     )
 
 
-def measure(count: int) -> list[dict[str, Any]]:
+def measure(count: int) -> dict[str, dict[str, float]]:
     """Residual and time for each triple and solution."""
-    truth, rows = random_cables(count), []
+    truth, rows = random_cables(count), {}
     for triple, solutions in cable.ADMISSIBLE.items():
         known = {name: getattr(truth, name) for name in cable.NAMES if name in triple}
         for solution in solutions:
             began = time.process_time()
             solved = cable.catenary(truth.weight_N_m, solution=solution, **known)
             took = time.process_time() - began
-            residual = float(np.max(solved.residual()))
-            rows.append(
-                {"known": ", ".join(known), "solution": solution, "s": took, "residual": residual}
-            )
+            rows[f"{', '.join(known)}; {solution}"] = {
+                "residual": float(np.max(solved.residual())),
+                "s_per_million": took * 1e6 / count,
+            }
     return rows
 
 
@@ -56,24 +56,18 @@ def main() -> int:
     options = command_line(__doc__, quick="fewer cables").parse_args()
     count = 50_000 if options.quick else 1_000_000
     rows = measure(count)
-    per_million = [row["s"] * 1e6 / count for row in rows]
-    figures = {
+    per_million = [row["s_per_million"] for row in rows.values()]
+    figures: dict[str, Any] = {
         "cables": count,
-        "worst_residual": max(row["residual"] for row in rows),
+        "worst_residual": max(row["residual"] for row in rows.values()),
         "median_s_per_million": statistics.median(per_million),
         "worst_s_per_million": max(per_million),
+        "triples": rows,
     }
     targets = {
         name: Target(figures[name], limit, figures[name] < limit) for name, limit in LIMITS.items()
     }
-    if not options.json:
-        for row in rows:
-            print(
-                f"{row['known']:45} {row['solution']:8} {row['residual']:9.1e} {row['s']:7.2f} s"
-            )
-        for name, value in figures.items():
-            print(f"{name:45} {value:.3g}")
-    return print_results(figures, targets, as_json=options.json)
+    return print_results(figures, targets, as_json=options.json, tables=True)
 
 
 if __name__ == "__main__":

@@ -10,8 +10,6 @@ gains.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import groupby
-from operator import attrgetter
 from statistics import fmean, median
 from typing import Any
 
@@ -22,11 +20,10 @@ from estune.core.gains import Gains
 from estune.run.plan import make_tuner
 from estune.run.session import Plan, after_trial, new_session, next_request
 from estune.run.summary import summarise
-from estune.support import plot_style
 from estune.trial import Outcome
 from estune.tuners import DEFAULT_TUNER
 from experiments.results import Target, at_most, between, command_line, print_results
-from experiments.sample_efficiency.optimum import OUT, optimum
+from experiments.sample_efficiency.optimum import optimum
 from experiments.sample_efficiency.problems import PROBLEMS
 
 PROBLEM = PROBLEMS["8 Hz"]
@@ -37,7 +34,6 @@ FIRST_SEED = 5000
 COVERED_LEAST, COVERED_MOST = 0.93, 0.97
 FALSE_CLAIMS_MOST = 0.05
 EXCESS_MEDIAN, EXCESS_WORST = 0.01, 0.05
-FIGURE = OUT / "confirmation.png"
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,41 +152,6 @@ def targets(figures: dict[str, Any]) -> dict[str, Target]:
     }
 
 
-def show(figures: dict[str, Any]) -> None:
-    """Prints the table."""
-    print(f"{PROBLEM.title}, {NOISE:.0%} noise, tuner {DEFAULT_TUNER}")
-    print(
-        f"{'situation':17s} {'runs':>5s} {'searched':>9s} {'trials':>7s} {'claimed':>8s} "
-        f"{'falsely':>8s} {'covered':>8s} {'excess':>8s} {'worst':>8s}"
-    )
-    for situation in SITUATIONS:
-        f = figures[situation.name]
-        covered = "-" if f["covered"] is None else f"{f['covered']:.1%}"
-        print(
-            f"{situation.name:17s} {f['runs']:5d} {f['searched_median']:9.0f} "
-            f"{f['trials_median']:7.0f} {f['claimed']:8.1%} {f['claimed_falsely']:8.1%} "
-            f"{covered:>8s} {f['excess_median']:8.2%} {f['excess_worst']:8.2%}"
-        )
-
-
-def draw(claims: Sequence[Claim]) -> None:
-    """Saves the figure of the intervals of each situation, sorted by their lower ends."""
-    page = plot_style.new_figure(plot_style.WIDTH_in, 4.6)
-    grid = page.subplots(2, 2, squeeze=False).ravel()
-    for ax, (name, group) in zip(grid, groupby(claims, attrgetter("situation")), strict=False):
-        compared = sorted((c for c in group if not math.isnan(c.low)), key=attrgetter("low"))
-        for place, one in enumerate(compared):
-            ends = (100.0 * (one.low - one.true), 100.0 * (one.high - one.true))
-            ax.vlines(
-                place, *ends, color=plot_style.BLUE if one.held else plot_style.VERMILION, lw=0.8
-            )
-        ax.axhline(0.0, color=plot_style.BLACK, linewidth=0.8)
-        ax.set_title(name, fontsize=9)
-        plot_style.finish(ax, "interval less the true change, %", "run, by its interval")
-    OUT.mkdir(exist_ok=True)
-    FIGURE.write_bytes(plot_style.to_png(page))
-
-
 def main() -> int:
     """Runs, prints, and returns 1 if a target is missed."""
     parser = command_line(__doc__, quick="four runs of each situation")
@@ -207,11 +168,7 @@ def main() -> int:
     }
     plain = [c for c in claims if c.situation in PLAIN]
     figures["covered_by_noise_alone"] = figures_of(plain)["covered"]
-    draw(claims)
-    if not options.json:
-        show(figures)
-        print(f"figure: {FIGURE}")
-    return print_results(figures, targets(figures), as_json=options.json)
+    return print_results(figures, targets(figures), as_json=options.json, tables=True)
 
 
 if __name__ == "__main__":

@@ -95,22 +95,6 @@ def measure(rounds: int, trials: int) -> dict[str, Any]:
     }
 
 
-def show(figures: dict[str, Any]) -> None:
-    """Prints the table."""
-    print(
-        f"{'effect':22s} {'port':9s} {'times bare':>10s} {'up, N rms':>12s} {'down, N rms':>12s}"
-    )
-    for name, one in figures["effects"].items():
-        print(
-            f"{name:22s} {one['port']:9s} {one['times_bare']:10.2f} "
-            f"{one['change_of_step_up_N']:12.4f} {one['change_of_step_down_N']:12.4f}"
-        )
-    print()
-    print(f"all at once, plants.simulate:  {figures['all_times_bare']:.2f} times the bare reel")
-    print(f"all at once, batch with noise: {figures['all_times_bare_batch']:.2f}")
-    print(f"all at once, compiled call:    {figures['all_times_bare_compiled_call']:.2f}")
-
-
 def main() -> int:
     """Measures and prints; the exit code tells whether every target was met."""
     options = command_line(__doc__, quick="fewer repeats").parse_args()
@@ -119,9 +103,7 @@ def main() -> int:
         name: at_most(figures[name], MOST_TIMES_BARE)
         for name in ("all_times_bare", "all_times_bare_batch")
     }
-    if not options.json:
-        show(figures)
-    return print_results(figures, targets, as_json=options.json)
+    return print_results(figures, targets, as_json=options.json, tables=True)
 
 
 if __name__ == "__main__":

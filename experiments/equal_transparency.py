@@ -15,7 +15,6 @@ and the remaining difference between the responses of the eight reels.
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,8 +26,7 @@ from estune.core.gains import Gains
 from estune.core.quantities import FloatArray
 from estune.studies.match.outcome import Matching
 from estune.studies.match.procedure import match
-from estune.support import plot_style
-from experiments.results import at_least, at_most, command_line, print_results, save_figure
+from experiments.results import at_least, at_most, command_line, print_results
 from plants.models.reel import Reel
 from plants.simulation.noise import NoiseSource
 
@@ -182,53 +180,9 @@ def measure(batches: Sequence[Batch]) -> dict[str, Any]:
     }
 
 
-def show(figures: dict[str, Any], first: Batch) -> None:
-    """Prints the tables."""
-    print("first batch   tuned eta  matched eta   loop gain left")
-    for record, before, after in zip(first.matching.reels, first.before, first.after, strict=True):
-        left = record.gains.P / record.tuned.P if record.gains and record.tuned else math.nan
-        print(f"{record.label:12s} {before:10.4f} {after:12.4f} {left:15.2f}  {record.outcome}")
-    print(f"target {first.matching.target:.4f}\n")
-    print("batch  spread before  after  shrinkage  mean after / worst tuned")
-    rows = zip(
-        *(figures[n] for n in ("spread_before", "spread_after", "shrinkage", "mean_over_worst")),
-        strict=True,
-    )
-    for n, (before, after, ratio, above) in enumerate(rows):
-        print(f"{n:5d} {before:14.4f} {after:6.4f} {ratio:10.1f} {above:16.3f}")
-    print(f"\n{figures['passed']} of {figures['reels']} reels pass by their own trials, ", end="")
-    print(f"{figures['trials_per_reel']:.0f} trials each\n")
-    print("path of the first batch  d ln eta/du, least  current noise, A  unlike, N  overshoot")
-    for name, one in figures["paths"].items():
-        print(
-            f"{name:24s} {one['steepness']:19.3f} {one['noise_A']:17.4f} {one['unlike_N']:10.3f} "
-            f"{one['overshoot']:10.1%}"
-        )
-    print(f"{'(tuned, not matched)':24s} {figures['unlike_tuned_N']:48.3f}")
-
-
-def draw(first: Batch, folder: Path) -> None:
-    """Saves the first batch's responses before and after."""
-    figure = plot_style.new_figure(plot_style.WIDTH_in, 2.9)
-    axes = figure.subplots(1, 2, sharey=True)
-    time = plants.simulate(
-        plants.reference_reel(), first.matching.reels[0].tuned or Gains(1, 1, 0, 0)
-    )
-    shown = (time.time_s > 0.18) & (time.time_s < 0.5)
-    for ax, gains, label in (
-        (axes[0], [r.tuned for r in first.matching.reels], "tuned, each on its own"),
-        (axes[1], [r.gains for r in first.matching.reels], "matched to one cost"),
-    ):
-        for response in responses_of(first, gains):
-            ax.plot(time.time_s[shown], response[shown], linewidth=0.9, color=plot_style.BLUE)
-        ax.set_title(label, fontsize=9)
-        plot_style.finish(ax, "tension, N" if ax is axes[0] else "", "time, s")
-    save_figure(figure, folder, "equal_transparency")
-
-
 def main() -> int:
     """Measures and prints; exit code 1 if a target is missed."""
-    options = command_line(__doc__, quick="one batch", out="the figure").parse_args()
+    options = command_line(__doc__, quick="one batch").parse_args()
     batches = [match_batch(n) for n in range(1 if options.quick else 20)]
     figures = measure(batches)
     above = figures["mean_over_worst_greatest"]
@@ -236,10 +190,7 @@ def main() -> int:
         "shrinkage_least": at_least(figures["shrinkage_least"], SHRINKAGE_MIN),
         "mean_over_worst_greatest": at_most(above, OVER_WORST_MAX),
     }
-    draw(batches[0], options.out)
-    if not options.json:
-        show(figures, batches[0])
-    return print_results(figures, targets, as_json=options.json)
+    return print_results(figures, targets, as_json=options.json, tables=True)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""A simulated rig without motion, for experiments on the link."""
+"""Rigs without motion, for experiments."""
 
 from dataclasses import replace
 
@@ -6,32 +6,21 @@ from estune.core.gains import Gains
 from estune.trial import RigDescription, TrialRecord, TrialRequest
 
 
-class InertRig:
-    """Answers every trial at once with the same samples; implements `estune.trial.Rig`.
+class MotionlessRig:
+    """All of `estune.trial.Rig` but `run`, of a rig that has nothing to stop, apply or close."""
 
-    Attributes:
-        requests: The trials it has run.
-    """
-
-    def __init__(self, description: RigDescription, record: TrialRecord) -> None:
-        self.requests: list[TrialRequest] = []
+    def __init__(self, description: RigDescription) -> None:
         self._description = replace(description, simulated=True)
-        self._record = replace(record, rig=description.name)
 
     def describe(self) -> RigDescription:
         """Description of the rig."""
         return self._description
 
-    def run(self, request: TrialRequest) -> TrialRecord:
-        """The record under the requested id, with the requested gains."""
-        self.requests.append(request)
-        return replace(self._record, trial_id=request.trial_id, gains=request.gains)
-
     def apply(self, gains: Gains) -> None:
         """Does nothing: there are no live gains."""
 
     def abort(self) -> RigDescription:
-        """Description of the rig: no trial is ever active."""
+        """Description of the rig: no trial runs between calls."""
         return self._description
 
     def estop(self, reason: str) -> None:
@@ -42,3 +31,21 @@ class InertRig:
 
     def close(self) -> None:
         """Does nothing: nothing is open."""
+
+
+class InertRig(MotionlessRig):
+    """Answers every trial at once with the same samples; implements `estune.trial.Rig`.
+
+    Attributes:
+        requests: The trials it has run.
+    """
+
+    def __init__(self, description: RigDescription, record: TrialRecord) -> None:
+        super().__init__(description)
+        self.requests: list[TrialRequest] = []
+        self._record = replace(record, rig=description.name)
+
+    def run(self, request: TrialRequest) -> TrialRecord:
+        """The record under the requested id, with the requested gains."""
+        self.requests.append(request)
+        return replace(self._record, trial_id=request.trial_id, gains=request.gains)

@@ -16,7 +16,6 @@ import sys
 import time
 import tomllib
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -25,13 +24,11 @@ from numpy.typing import NDArray
 from estune.hardware import HardwareRig, RigConfig
 from estune.hardware.config import config_from
 from estune.hardware.shared_memory import BIN_s, Timing
-from estune.support import plot_style
 from estune.trial import TrialRequest
 from experiments.results import Target, at_most, command_line, print_results
 from plants.emulator import RIG_FILE, EmulatedDriver
 from plants.emulator.driver import emulated_hardware
 
-FIGURE = Path("out") / "jitter.png"
 SHARES = (0.5, 0.99, 0.999, 0.9999)
 LEASE_ms = 1000.0
 SAFE_WITHIN_ms = LEASE_ms + 100.0
@@ -186,57 +183,6 @@ def targets(figures: dict[str, Any]) -> dict[str, Target]:
     }
 
 
-def draw(conditions: list[Condition], path: Path) -> None:
-    """Histograms of both times under each load."""
-    figure = plot_style.new_figure(plot_style.WIDTH_in, 4.5)
-    axes = figure.subplots(2, 1, sharex=True)
-    for ax, what, title in (
-        (axes[0], "lateness", "time from the instant to the beginning of the sample"),
-        (axes[1], "turnaround", "time from the instant to the current command"),
-    ):
-        for look, condition in zip(plot_style.FOUR, conditions, strict=False):
-            counts = getattr(condition.timing, what)
-            edges_us = 1e6 * BIN_s * np.arange(counts.size + 1)
-            edges_us[0] = 1.0  # a logarithmic axis has no zero
-            ax.stairs(counts, edges_us, label=condition.name, **look)
-        ax.set(xscale="log", yscale="log", ylabel="samples", title=title, ylim=(0.5, None))
-    axes[1].axvline(1e6 / 632.0, color=plot_style.GREY, linewidth=0.8)
-    axes[1].text(1e6 / 632.0, 1.0, " sampling period", color=plot_style.GREY)
-    axes[1].set(xlabel="time, us", xlim=(1.0, 1e5))
-    axes[0].legend()
-    path.parent.mkdir(exist_ok=True)
-    path.write_bytes(plot_style.to_png(figure))
-
-
-def show(conditions: list[Condition], figures: dict[str, Any]) -> None:
-    """Prints the tables."""
-    print(f"632 Hz, {figures['seconds']:g} s each; times in us; loaded: other cores busy\n")
-    heads = [f"{100 * share:g} %" for share in SHARES]
-    print(f"{'':8}{'':12}" + "".join(f"{head:>10}" for head in (*heads, "max")))
-    for condition in conditions:
-        for what in ("lateness", "turnaround"):
-            names = [*(f"{100 * share:g}_us" for share in SHARES), "max_us"]
-            values = [figures[f"{condition.name}_{what}_{name}"] for name in names]
-            cells = "".join(f"{value:10.0f}" for value in values)
-            print(f"{condition.name:8}{what:12}{cells}")
-    print("\n(100000: 100 ms or more)\n")
-    for condition in conditions:
-        name = condition.name
-        print(
-            f"{name:8}{figures[f'{name}_samples']} samples, {figures[f'{name}_late']} late "
-            f"(by more than a tenth of the period), {figures[f'{name}_missed']} missed; commanded "
-            f"within the period: {100 * figures[f'{name}_commanded_within_period']:.4f} %"
-        )
-    for note in figures["not_granted"]:
-        print(f"not granted: {note}")
-    print(
-        f"\nuntil the hardware has no current: emergency stop {figures['estop_median_ms']:.1f} ms "
-        f"(at most {figures['estop_max_ms']:.1f}), supervisor killed "
-        f"{figures['supervisor_killed_max_ms']:.0f} ms, frozen "
-        f"{figures['supervisor_frozen_max_ms']:.0f} ms"
-    )
-
-
 def main() -> int:
     """Measures, and prints the tables or, with --json, the figures; the exit code."""
     parser = command_line(__doc__, quick="2 s for each load")
@@ -250,11 +196,7 @@ def main() -> int:
     conditions, figures = measure(seconds, times)
     for condition in conditions:
         figures |= condition.figures()
-    draw(conditions, FIGURE)
-    if not arguments.json:
-        show(conditions, figures)
-        print(f"figure: {FIGURE}")
-    return print_results(figures, targets(figures), as_json=arguments.json)
+    return print_results(figures, targets(figures), as_json=arguments.json, tables=True)
 
 
 if __name__ == "__main__":

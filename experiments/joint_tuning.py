@@ -23,10 +23,9 @@ from scipy.special import stdtrit
 
 import estune
 import plants
-from estune.core.cost import StepCost
+from estune.core.cost import StepCost, default_cost
 from estune.core.gains import Gains
 from estune.core.schedule import GainCurve, GainSchedule
-from estune.run.plan import MOVE_WEIGHT
 from estune.studies.law.law import fit_law
 from estune.studies.law.tuned import TunedGains
 from experiments.joint_schedule import tune_jointly
@@ -61,7 +60,7 @@ def reel(length_m: float) -> Reel:
 def step_cost() -> StepCost:
     """One cost for all lengths, with the settling time of the longest."""
     times = [reel(length).describe("", None).settling_time_s for length in LENGTHS_m[2]]
-    return StepCost(max(times), move_weight=MOVE_WEIGHT)
+    return default_cost(max(times))
 
 
 def true_cost(length_m: float, gains: Gains, seed: int = 70_001) -> float:
@@ -176,23 +175,6 @@ def compare(of: dict[str, list[float]]) -> dict[str, Any]:
     return {**best, "difference": mean, "half_width": half, "winner": winner}
 
 
-def show(figures: dict[str, Any]) -> None:
-    """Prints the table, and which way wins."""
-    print(
-        f"true cost above the optimum at unseen lengths, mean (worst) of {figures['seeds']} seeds"
-    )
-    print("trials     " + "".join(f"{way:>18s}" for way in WAYS))
-    for trials, of in figures["excess"].items():
-        cells = (f"{fmean(of[way]):.2%} ({max(of[way]):.2%})" for way in WAYS)
-        print(f"{trials:>9s}  " + "".join(f"{cell:>18s}" for cell in cells))
-    print()
-    for trials, of in figures["compared"].items():
-        print(
-            f"{trials} trials: {of['winner']} wins; {of['joint']} less {of['fitted']} lengths is "
-            f"{of['difference']:+.2%} +-{of['half_width']:.2%} of the optimum"
-        )
-
-
 def main() -> int:
     """Measures and prints; exit code 1 if a target is missed."""
     options = command_line(__doc__, quick="fewer seeds and budgets").parse_args()
@@ -204,9 +186,7 @@ def main() -> int:
         )
         for kind in ("joint", "fitted")
     }
-    if not options.json:
-        show(figures)
-    return print_results(figures, targets, as_json=options.json)
+    return print_results(figures, targets, as_json=options.json, tables=True)
 
 
 if __name__ == "__main__":

@@ -25,7 +25,6 @@ k = 4 the published cost has fallen to about 1.3e-3, this one has not.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import control
@@ -34,11 +33,10 @@ from scipy.optimize import minimize
 
 from estune.core.gains import Gains
 from estune.core.metrics import step_metrics
-from estune.support import plot_style
 from estune.trial.profiles import StepProfile
 from estune.tuners import Observation, Point, SearchSpace, Tuner, create_tuner
 from estune.tuners.killingsworth import Killingsworth
-from experiments.results import Target, at_most, command_line, print_results, print_tables
+from experiments.results import Target, at_most, command_line, print_results
 from plants.models.linear_plant import LinearPlant, linear_plant
 from plants.simulation.batch import Response, simulate
 
@@ -207,7 +205,7 @@ def search(tuner: Tuner[Any], trial_cost: Callable[[Point], float], trials: int)
 
 
 def study(benchmark: Benchmark, trials: int, evaluations: int) -> dict[str, Any]:
-    """Runs one plant, prints its tables, and returns its figures."""
+    """Figures of one plant."""
     plant = benchmark.plant()
 
     def trial_cost(point: Point) -> float:
@@ -223,21 +221,13 @@ def study(benchmark: Benchmark, trials: int, evaluations: int) -> dict[str, Any]
         **{f"{name}, best trial": s.best for name, s in searches.items()},
         "optimum": best_point,
     }
-    _print_heading(benchmark, start_cost)
     figures: dict[str, Any] = {"start_cost": start_cost, "optimum_cost": least}
     for name, point in table.items():
         figures[name] = row = _row(benchmark, plant, point)
         row["gap_closed"] = (start_cost - row["J"]) / (start_cost - least)
-        print(
-            f"{name:36s} {row['K']:7.4g} {row['Ti']:7.4g} {row['Td']:7.4g} {row['J']:10.3e} "
-            f"{100 * row['overshoot']:7.1f} {row['settling_s']:7.1f} "
-            f"{100 * row['gap_closed']:8.2f}"
-        )
-    print(f"\n{'trials to close':36s} {'90 %':>7s} {'97 %':>7s}   closed after {trials}")
     for name, s in searches.items():
         to_90, to_97 = (s.trials_to(share, start_cost, least) for share in (0.90, 0.97))
         closed = (start_cost - min(s.costs)) / (start_cost - least)
-        print(f"{name:36s} {to_90 or '-':>7} {to_97 or '-':>7}   {100 * closed:.2f} %")
         figures[f"{name}: trials"] = {"90 %": to_90, "97 %": to_97, "closed": closed}
         figures[f"{name}: costs"] = [J if math.isfinite(J) else None for J in s.costs]
     if benchmark.effort_max < math.inf:
@@ -287,48 +277,17 @@ def _row(benchmark: Benchmark, plant: LinearPlant, point: Point) -> dict[str, fl
     }
 
 
-def _print_heading(benchmark: Benchmark, start_cost: float) -> None:
-    limit = f", effort within {benchmark.effort_max:g}" * (benchmark.effort_max < math.inf)
-    t0, end = benchmark.window_s
-    print(f"\n{benchmark.name}: error from {t0:g} to {end:g} s{limit}, J_ZN = {start_cost:.4e}")
-    print(
-        f"{'':36s} {'K':>7s} {'Ti':>7s} {'Td':>7s} {'J':>10s} "
-        f"{'OS %':>7s} {'Ts s':>7s} {'gap %':>8s}"
-    )
-
-
 def _without_limit(
     benchmark: Benchmark, plant: LinearPlant, start: Point, evaluations: int
 ) -> dict[str, float]:
     """The optimum without an actuator limit, which shows why there is one."""
     point, least = optimum(replace(benchmark, effort_max=math.inf), plant, [start], evaluations)
-    effort = _peak(_response(plant, point))
-    print(
-        f"\nWithout the limit: K = {point[0]:.3g}, J = {least:.1e} and falling, "
-        f"effort {effort:.3g} instead of {benchmark.effort_max:g}"
-    )
-    return {"K": point[0], "J": least, "effort": effort}
+    return {"K": point[0], "J": least, "effort": _peak(_response(plant, point))}
 
 
 def _peak(response: Response) -> float:
     """Greatest effort."""
     return float(np.abs(response.effort_N).max())
-
-
-def save_figure(figures: dict[str, dict[str, Any]], path: Path) -> None:
-    """Cost of each trial, one panel for each plant."""
-    figure = plot_style.new_figure(4.5 * len(figures), 4.0)
-    panels = figure.subplots(1, len(figures), squeeze=False)[0]
-    for panel, (name, own) in zip(panels, figures.items(), strict=True):
-        for key, costs in own.items():
-            if key.endswith(": costs"):
-                finite = [math.nan if J is None else J for J in costs]
-                panel.semilogy(finite, label=key.removesuffix(": costs"), linewidth=1.0)
-        panel.axhline(own["optimum_cost"], color="k", linestyle=":", label="optimum")
-        panel.set(title=name, xlabel="trial", ylabel="cost J")
-    panels[0].legend(fontsize="small")
-    path.parent.mkdir(exist_ok=True)
-    path.write_bytes(plot_style.to_png(figure))
 
 
 def main() -> int:
@@ -338,12 +297,8 @@ def main() -> int:
     options = parser.parse_args()
     benchmarks = BENCHMARKS[:2] if options.quick else BENCHMARKS
     trials, evaluations = (30, 150) if options.quick else (options.trials, 600)
-    image = Path("out") / "killingsworth.png"
-    with print_tables(hidden=options.json):
-        figures = {b.name: study(b, trials, evaluations) for b in benchmarks}
-        save_figure(figures, image)
-        print(f"figure: {image}")
-    return print_results(figures, targets(figures), as_json=options.json)
+    figures = {b.name: study(b, trials, evaluations) for b in benchmarks}
+    return print_results(figures, targets(figures), as_json=options.json, tables=True)
 
 
 if __name__ == "__main__":

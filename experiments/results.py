@@ -80,14 +80,46 @@ def print_tables(*, hidden: bool) -> contextlib.AbstractContextManager[object]:
     return contextlib.redirect_stdout(io.StringIO() if hidden else sys.stdout)
 
 
+def print_figures(figures: Mapping[str, Any]) -> None:
+    """Prints single figures line by line, and figures by name, again by name, as a table."""
+    for name, value in figures.items():
+        if not isinstance(value, Mapping):
+            print(f"{name:40} {_text(value)}")
+    for name, rows in figures.items():
+        if isinstance(rows, Mapping):
+            print(f"\n{name}")
+            if not all(isinstance(row, Mapping) for row in rows.values()):
+                print_figures({f"  {key}": value for key, value in rows.items()})
+                continue
+            columns = list(dict.fromkeys(column for row in rows.values() for column in row))
+            cells = [[key, *(_text(row.get(c)) for c in columns)] for key, row in rows.items()]
+            table = [["", *columns], *cells]
+            widths = [max(map(len, column)) for column in zip(*table, strict=True)]
+            for first, *others in table:
+                rest = (f"{cell:>{w}}" for cell, w in zip(others, widths[1:], strict=True))
+                print("  ".join((f"  {first:{widths[0]}}", *rest)))
+
+
 def print_results(
-    figures: Mapping[str, Any], targets: Mapping[str, Target], *, as_json: bool
+    figures: Mapping[str, Any],
+    targets: Mapping[str, Target],
+    *,
+    as_json: bool,
+    tables: bool = False,
 ) -> int:
     """Prints one JSON object, or a line for each target.
+
+    Args:
+        figures: The figures by name; a figure may be a mapping of figures.
+        targets: The targets by name.
+        as_json: Whether to print the object.
+        tables: Whether to print the figures above the targets, too.
 
     Returns:
         The exit code: 1 if a target is missed.
     """
+    if tables and not as_json:
+        print_figures(figures)
     if as_json:
         values = {name: target._asdict() for name, target in targets.items()}
         print(json.dumps(_finite({"figures": figures, "targets": values}), allow_nan=False))
@@ -99,8 +131,14 @@ def print_results(
     return 0 if all(target.met for target in targets.values()) else 1
 
 
-def _text(number: float | None) -> str:
-    return "none" if number is None else f"{number:.4g}"
+def _text(value: Any) -> str:
+    if isinstance(value, Mapping):
+        return ", ".join(f"{name} {_text(one)}" for name, one in value.items())
+    if isinstance(value, list | tuple):
+        return " ".join(map(_text, value[:9])) + " ..." * (len(value) > 9)
+    if value is None:
+        return "none"
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
 def _finite(value: Any) -> Any:

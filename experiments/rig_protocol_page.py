@@ -10,7 +10,7 @@ import inspect
 import json
 import re
 import types
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import MISSING, fields
 from pathlib import Path
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
@@ -114,41 +114,40 @@ def keys() -> Iterator[str]:
         *((made.command("<instance>", verb), "queryable") for verb in VERBS),
         (made.telemetry("<trial id>"), "published, optional"),
     )
-    yield "| key | declared by the rig as |\n| --- | --- |\n"
-    for key, what in shown:
-        yield f"| `{key}` | {what} |\n"
+    yield from _table(("key", "declared by the rig as"), ((f"`{k}`", what) for k, what in shown))
 
 
 def verbs() -> Iterator[str]:
     """Commands and queries: key, message, lease, reply."""
-    yield "| sent to | message | needs the lease | reply |\n| --- | --- | --- | --- |\n"
-    for name, verb in VERBS.items():
-        lease = "yes" if verb.needs_lease else "no"
-        message = _link(verb.message.__name__)
-        yield f"| `@cmd/<instance>/{name}` | {message} | {lease} | {verb.reply} |\n"
-    queries = (
-        ("result/<trial id>", _link("Inquire"), "[Answer](#answer), the frame, or a part of it"),
-        ("status", "none", _link("Status")),
-        ("describe", "none", _link("Description")),
+    commands = (
+        (
+            f"`@cmd/<instance>/{name}`",
+            _link(verb.message.__name__),
+            "yes" if verb.needs_lease else "no",
+            verb.reply,
+        )
+        for name, verb in VERBS.items()
     )
-    for key, message, reply in queries:
-        yield f"| `{key}` | {message} | no | {reply} |\n"
+    whole = "[Answer](#answer), the frame, or a part of it"
+    queries = (
+        ("`result/<trial id>`", _link("Inquire"), "no", whole),
+        ("`status`", "none", "no", _link("Status")),
+        ("`describe`", "none", "no", _link("Description")),
+    )
+    yield from _table(("sent to", "message", "needs the lease", "reply"), (*commands, *queries))
 
 
 def message_examples() -> Iterator[str]:
     """Fields and an example of each message."""
     for example in EXAMPLES:
-        kind = type(example)
-        yield f"### {kind.__name__}\n\n{_title(kind)}\n\n"
-        yield from _fields(kind)
+        yield from _object(type(example))
         yield f"```json\n{messages.encode(example).decode()}\n```\n\n"
 
 
 def parts() -> Iterator[str]:
     """Objects inside the messages."""
     for kind in PARTS:
-        yield f"### {kind.__name__}\n\n{_title(kind)}\n\n"
-        yield from _fields(kind)
+        yield from _object(kind)
 
 
 def profiles() -> Iterator[str]:
@@ -163,25 +162,21 @@ def profiles() -> Iterator[str]:
 
 def verdicts() -> Iterator[str]:
     """Reply codes."""
-    yield "| verdict | meaning |\n| --- | --- |\n"
-    for verdict in ReplyCode:
-        yield f"| `{verdict}` | {verdict.sentence} |\n"
+    yield from _table(("verdict", "meaning"), ((f"`{c}`", c.sentence) for c in ReplyCode))
 
 
 def modes() -> Iterator[str]:
     """Modes of a rig, and the effect of each event in each mode."""
-    yield "| mode | meaning |\n| --- | --- |\n"
-    for mode in Mode:
-        yield f"| `{mode}` | {mode.sentence} |\n"
+    yield from _table(("mode", "meaning"), ((f"`{mode}`", mode.sentence) for mode in Mode))
     yield "\n"
     for event, row in rig.TABLE.items():
         name = event.__name__.removesuffix("Event")
-        yield f"**{name}**: {_title(event)}\n\n| in mode | then |\n| --- | --- |\n"
+        yield f"**{name}**: {_title(event)}\n\n"
         by_handler: dict[rig.Handler, list[str]] = {}
         for mode, handler in row.items():
             by_handler.setdefault(handler, []).append(f"`{mode}`")
-        for handler, columns in by_handler.items():
-            yield f"| {', '.join(columns)} | {_title(handler)} |\n"
+        rows = ((", ".join(found), _title(handler)) for handler, found in by_handler.items())
+        yield from _table(("in mode", "then"), rows)
         yield "\n"
 
 
@@ -205,11 +200,11 @@ def submits() -> Iterator[str]:
         "else, outside the limits": state.SubmitEvent("right", "id", UNKNOWN, "outside"),
         "else": state.SubmitEvent("right", "id", UNKNOWN),
     }
-    yield f"| in mode | {' | '.join(events)} |\n| --- |{' --- |' * len(events)}\n"
+    rows = []
     for before in STATES:
         codes = [rig.step(before, event, 0.0).verdict for event in events.values()]
-        cells = ("its state", *(f"`{code}`" for code in codes[1:]))
-        yield f"| `{before.mode}` | {' | '.join(cells)} |\n"
+        rows.append((f"`{before.mode}`", "its state", *(f"`{code}`" for code in codes[1:])))
+    yield from _table(("in mode", *events), rows)
 
 
 CASES: tuple[tuple[str, state.RigState, state.Event], ...] = (
@@ -248,40 +243,41 @@ CASES: tuple[tuple[str, state.RigState, state.Event], ...] = (
 
 def cases() -> Iterator[str]:
     """Replies in particular situations."""
-    yield "| command | reply | mode before and after | ordered |\n| --- | --- | --- | --- |\n"
+    rows = []
     for situation, before, event in CASES:
         move = rig.step(before, event, 0.0)
         orders = ", ".join(order.value for order in move.orders) or "nothing"
         modes = f"`{before.mode}`, `{move.state.mode}`"
-        yield f"| {situation} | `{move.verdict}` | {modes} | {orders} |\n"
+        rows.append((situation, f"`{move.verdict}`", modes, orders))
+    yield from _table(("command", "reply", "mode before and after", "ordered"), rows)
 
 
 def trials() -> Iterator[str]:
     """States of a trial id in the ledger, and the reply to a submit or Inquire."""
-    columns = (*TrialEvent, "reply to an Inquire")
-    yield f"| state | {' | '.join(columns)} |\n| --- |{' --- |' * len(columns)}\n"
+    rows = []
     for trial in TrialState:
         cells = (f"{TABLE[trial].get(event, 'impossible')}" for event in TrialEvent)
         reply = "the frame" if trial is TrialState.ENDED else f"`{OF_TRIAL[trial]}`"
         reply += ", with the error in the ledger" if trial is TrialState.FAILED else ""
-        yield f"| `{trial}` | {' | '.join(cells)} | {reply} |\n"
+        rows.append((f"`{trial}`", *cells, reply))
+    yield from _table(("state", *TrialEvent, "reply to an Inquire"), rows)
 
 
 def clients() -> Iterator[str]:
     """Transitions of a client."""
     stages = [stage for stage in ClientStage if stage is not ClientStage.OVER]
-    yield f"| input | {' | '.join(stages)} |\n| --- |{' --- |' * len(stages)}\n"
+    rows = []
     for heard, row in client.TABLE.items():
         cells = ("impossible" if s is None else f"{s.action} (`{s.stage}`)" for s in row)
         meaning = heard.sentence if isinstance(heard, ClientInput) else f"`{heard}`"
-        yield f"| {meaning} | {' | '.join(cells)} |\n"
+        rows.append((meaning, *cells))
+    yield from _table(("input", *stages), rows)
 
 
 def outcomes() -> Iterator[str]:
     """Outcomes of a trial."""
-    yield "| outcome | meaning | void |\n| --- | --- | --- |\n"
-    for outcome in Outcome:
-        yield f"| `{outcome}` | {outcome.sentence} | {'yes' if outcome.is_void else 'no'} |\n"
+    rows = ((f"`{o}`", o.sentence, "yes" if o.is_void else "no") for o in Outcome)
+    yield from _table(("outcome", "meaning", "void"), rows)
 
 
 def header() -> Iterator[str]:
@@ -320,29 +316,14 @@ def limits() -> Iterator[str]:
         ("time for which a client waits for a silent rig, by default, s", client.PATIENCE_S),
         ("transport lease of estune's sessions, ms", zenoh_session.LEASE_MS),
     )
-    yield "| what | value |\n| --- | --- |\n"
-    for what, value in rows:
-        yield f"| {what} | {value} |\n"
+    yield from _table(("what", "value"), rows)
 
 
 SECTIONS: dict[str, Callable[[], Iterator[str]]] = {
     made.__name__: made
     for made in (
-        *(
-            keys,
-            verbs,
-            message_examples,
-            parts,
-            profiles,
-            verdicts,
-            modes,
-            submits,
-            cases,
-            trials,
-            clients,
-            outcomes,
-        ),
-        *(header, frame_bytes, part_bytes, live_bytes, limits),
+        *(keys, verbs, message_examples, parts, profiles, verdicts, modes, submits, cases),
+        *(trials, clients, outcomes, header, frame_bytes, part_bytes, live_bytes, limits),
     )
 }
 
@@ -358,6 +339,18 @@ def page(text: str) -> str:
     return _SECTION.sub(renewed, text)
 
 
+def _table(head: Iterable[str], rows: Iterable[Iterable[Any]]) -> Iterator[str]:
+    columns = tuple(head)
+    for row in (columns, ("---",) * len(columns), *rows):
+        yield f"| {' | '.join(map(str, row))} |\n"
+
+
+def _object(kind: type) -> Iterator[str]:
+    """Name, meaning and fields of a message."""
+    yield f"### {kind.__name__}\n\n{_title(kind)}\n\n"
+    yield from _fields(kind)
+
+
 def _fields(kind: type, others: dict[str, Any] | None = None) -> Iterator[str]:
     """The fields of a message as a table."""
     if not fields(kind):
@@ -366,11 +359,12 @@ def _fields(kind: type, others: dict[str, Any] | None = None) -> Iterator[str]:
     hints, meanings = get_type_hints(kind), _attributes(kind)
     if others:
         meanings = _attributes(TrialRecord) | meanings
-    yield "| field | type | meaning |\n| --- | --- | --- |\n"
+    rows = []
     for field in fields(kind):
         default = "" if field.default is MISSING else f"; default {_json(field.default)}"
         meaning = meanings.get(field.name, _OWN.get(field.name, "")).replace("|", "\\|")
-        yield f"| `{field.name}` | {_type(hints[field.name])}{default} | {meaning} |\n"
+        rows.append((f"`{field.name}`", f"{_type(hints[field.name])}{default}", meaning))
+    yield from _table(("field", "type", "meaning"), rows)
     yield "\n"
 
 

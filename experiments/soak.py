@@ -21,10 +21,8 @@ from typing import Any, NamedTuple
 from estune import api
 from estune.remote.ledger import FRAMES_MAX_BYTES
 from estune.run.journal import FILE_NAME
-from estune.support import plot_style
 from experiments.results import at_most, command_line, print_results
 
-FIGURE = Path("out") / "soak.png"
 DAY = 100_000
 BESIDE_SEARCH = 9
 ONE_ARENA = {"MALLOC_ARENA_MAX": "1"}
@@ -172,43 +170,6 @@ def figures_of(samples: list[Sample], per_run: int) -> dict[str, Any]:
     return made
 
 
-def draw(samples: list[Sample], path: Path) -> None:
-    """Memory over the trials."""
-    figure = plot_style.new_figure(plot_style.WIDTH_in, 3.0)
-    ax = figure.subplots()
-    for look, who in zip(plot_style.FOUR, ("client", "rig"), strict=False):
-        memory = [1e-6 * getattr(sample, f"{who}_bytes") for sample in samples]
-        ax.plot([sample.trials for sample in samples], memory, label=who, **look)
-    ax.set(xlabel="trials", ylabel="memory, MB", ylim=(0.0, None))
-    ax.legend()
-    path.parent.mkdir(exist_ok=True)
-    path.write_bytes(plot_style.to_png(figure))
-
-
-def show(figures: dict[str, Any]) -> None:
-    """Prints the table."""
-    print(
-        f"{figures['trials']} trials in {figures['seconds']:.0f} s, "
-        f"{figures['trials_per_second']:.0f} a second\n"
-    )
-    print(f"{'':20}{'first':>12}{'last':>12}{'growth':>10}")
-    for who in ("client", "rig"):
-        for what, unit, factor in (("bytes", "memory, MB", 1e-6), ("files", "open files", 1.0)):
-            first, last, share = (
-                figures[f"{who}_{what}_{name}"] for name in ("first", "last", "growth")
-            )
-            cells = f"{factor * first:12.1f}{factor * last:12.1f}{100 * share:9.1f}%"
-            print(f"{f'{who}, {unit}':20}{cells}")
-    late = ", ".join(
-        f"{who} {figures[f'{who}_bytes_per_trial_late']:+.1f}" for who in ("client", "rig")
-    )
-    print(f"\nbytes of memory a trial in the second half: {late}")
-    print(
-        f"a trial takes {figures['journal_bytes_per_trial']:.0f} bytes of journal; the rig's "
-        f"ledger ends at {1e-6 * figures['ledger_bytes']:.1f} MB"
-    )
-
-
 def main() -> int:
     """Runs the experiment, and prints the table or, with --json, the figures; the exit code."""
     parser = command_line(__doc__, quick="a few tunings only")
@@ -227,13 +188,9 @@ def main() -> int:
             samples.append(sample)
             print(f"{sample.trials} trials, {sample.at_s:.0f} s", file=sys.stderr, flush=True)
     figures = figures_of(samples, per_run)
-    draw(samples, FIGURE)
     growths = [name for name in figures if name.endswith("_growth")]
     targets = {name: at_most(figures[name], GROWTH_LIMIT) for name in growths}
-    if not arguments.json:
-        show(figures)
-        print(f"figure: {FIGURE}")
-    return print_results(figures, targets, as_json=arguments.json)
+    return print_results(figures, targets, as_json=arguments.json, tables=True)
 
 
 if __name__ == "__main__":

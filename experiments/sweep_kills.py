@@ -71,13 +71,13 @@ def finish_times(folder: Path) -> dict[str, str]:
 
 
 class Counts(NamedTuple):
-    """Counts of kills and of cells; `WORDS` says what each is."""
+    """Counts of kills and of cells, the tunings of the sweep."""
 
     kills: int
-    amid: int
-    lost: int
-    repeated: int
-    differing: int
+    amid: int  # kills with some tunings finished and some not
+    lost: int  # finished tunings lost
+    repeated: int  # finished tunings begun again
+    differing: int  # tunings that differ from those of an undisturbed sweep
     cells: int
 
 
@@ -154,26 +154,13 @@ def _differing(seeds: int, folder: Path, other: Path) -> int:
     return sum(a.gains != b.gains or not np.array_equal(a.trace, b.trace) for a, b in pairs)
 
 
-WORDS = {
-    "kills": "times killed",
-    "amid": "  of these with some tunings finished and some not",
-    "cells": "tunings in all",
-    "lost": "finished tunings lost",
-    "repeated": "finished tunings begun again",
-    "differing": "tunings that differ from those of an undisturbed sweep",
-}
-
-
 def main() -> int:
     """Measures and prints; exit code 1 if a target is missed."""
     options = command_line(__doc__, quick="two kills of a smaller sweep").parse_args()
     counts = count_losses(*((1, 1) if options.quick else (12, 20)))
     figures = {name: float(value) for name, value in counts._asdict().items()}
     targets = {name: at_most(figures[name], 0.0) for name in ("lost", "repeated", "differing")}
-    if not options.json:
-        for name, words in WORDS.items():
-            print(f"{figures[name]:6g}  {words}")
-    return print_results(figures, targets, as_json=options.json)
+    return print_results(figures, targets, as_json=options.json, tables=True)
 
 
 if __name__ == "__main__":

@@ -24,17 +24,15 @@ from scipy.optimize import minimize
 
 import estune
 import plants
-from estune.core.cost import StepCost
+from estune.core.cost import default_cost
 from estune.core.gains import GAIN_NAMES, Gains
 from estune.core.quantities import FloatArray
 from estune.core.schedule import GainSchedule
-from estune.run.plan import MOVE_WEIGHT
 from estune.studies.law.law import GainLaw, fit_law
 from estune.studies.law.tuned import TunedGains
 from estune.studies.sweep.result import SweepResult
-from estune.support import plot_style
 from estune.trial.profiles import StepProfile
-from experiments.results import Target, at_least, at_most, command_line, print_results, save_figure
+from experiments.results import Target, at_least, at_most, command_line, print_results
 
 TENSION_N = 15.0
 LENGTHS_m = (0.5, 0.65, 0.8, 0.95, 1.1, 1.25, 1.4)
@@ -64,7 +62,7 @@ QUICK = Plan(LENGTHS_m[::2], UNSEEN_m[1::2], seeds=8, unseen_seeds=4, draws=100)
 def cost_at(length_m: float, gains: FloatArray, draws: int, seed: int) -> float:
     """Mean cost (35) of gains over noise draws; without draws, the cost without noise."""
     reel = plants.reference_reel(length_m, TENSION_N)
-    cost = StepCost(reel.describe("reel", None).settling_time_s, move_weight=MOVE_WEIGHT)
+    cost = default_cost(reel.describe("reel", None).settling_time_s)
     table, noise = np.tile(gains, (max(draws, 1), 1)), seed if draws else None
     mean = float(plants.batch_costs(reel, table, None, cost, seed=noise, workers=1).mean())
     return mean if np.isfinite(mean) else 1e6
@@ -260,92 +258,16 @@ def targets_of(figures: dict[str, float], *, quick: bool) -> dict[str, Target]:
     }
 
 
-def draw(plan: Plan, measured: Measured, folder: Path) -> None:
-    """Fig. 14 with the optima, and the costs at unseen lengths."""
-    figure, (ax, below) = plot_style.stacked(2, 6.0)
-    length = np.linspace(plan.lengths_m[0], plan.lengths_m[-1], 100)
-    band = measured.law.band("I", length)
-    ax.fill_between(length, band.low, band.high, color=plot_style.LIGHT, label="95 % of the law")
-    fit = measured.law.fits["I"]
-    ax.plot(length, band.gain, color=plot_style.BLUE, lw=1.4, label=f"I = {fit.curve}")
-    tuned = fit.points
-    ax.plot(tuned.length_m, tuned.gain, ".", color=plot_style.GREY, ms=4, label="tunings")
-    for draws, colour, label in (
-        (plan.draws, plot_style.VERMILION, "optimum of the expected cost"),
-        (0, plot_style.GREEN, "optimum without gauge noise"),
-    ):
-        best = [optimum(at, draws).I for at in plan.lengths_m]
-        ax.plot(plan.lengths_m, best, "D", color=colour, ms=4.5, label=label)
-    plot_style.finish(ax, "I, 1/s")
-    plot_style.legend(ax, columns=3)
-    rows = measured.rows
-    for label, colour, costs in (
-        ("scheduled", plot_style.BLUE, [row.scheduled for row in rows]),
-        ("tuned there", plot_style.GREY, [row.tuned for row in rows]),
-        ("fixed: shortest", plot_style.ORANGE, [row.fixed[0] for row in rows]),
-        ("fixed: middle", plot_style.GREEN, [row.fixed[1] for row in rows]),
-        ("fixed: longest", plot_style.PURPLE, [row.fixed[2] for row in rows]),
-    ):
-        values = [cost / row.optimum for cost, row in zip(costs, rows, strict=True)]
-        lengths = [row.length_m for row in rows]
-        below.plot(lengths, values, "o-", color=colour, ms=4, lw=1.0, label=label)
-    plot_style.finish(below, "cost over that of the optimum", "cable length, m")
-    plot_style.legend(below, columns=5)
-    save_figure(figure, folder, "sweep_law")
-
-
-def show(plan: Plan, measured: Measured, figures: dict[str, float]) -> None:
-    """Prints the tables."""
-    print(f"{measured.law.sentence}.")
-    for remark in measured.law.remarks:
-        print(f"  {remark}")
-    heads = ("L, m", "P", "optimum", "no noise", "I", "optimum", "no noise")
-    print("\n" + " ".join(f"{head:>8}" for head in heads))
-    for length in plan.lengths_m:
-        P, I = (
-            [figures[f"{name}_{length:g}{which}"] for which in _COLUMNS] for name in ("P", "I")
-        )
-        print(f"{length:8g} " + " ".join(f"{value:8.3f}" for value in (*P, *I)))
-    print(
-        f"\nslope of I, 1/s per m: law {figures['slope_per_m']:.2f} "
-        f"±{figures['slope_half_width']:.2f}, optima {figures['slope_of_optima']:.2f}, "
-        f"without noise {figures['slope_of_optima_without_noise']:.2f}"
-    )
-    print(
-        f"single sweeps: interval ±{figures['slope_half_width_of_single_sweeps']:.2f} (median), "
-        f"standard deviation {figures['slope_scatter_of_single_sweeps']:.2f}, bias "
-        f"{figures['slope_bias_of_single_sweeps']:+.2f}, covered {figures['covered']:.0%} of "
-        f"{plan.seeds}"
-    )
-    heads = ("L, m", "optimum", "tuned", "schedule", "shortest", "middle", "longest")
-    print("\n" + " ".join(f"{head:>8}" for head in heads))
-    for row in measured.rows:
-        costs = (row.optimum, row.tuned, row.scheduled, *row.fixed)
-        print(f"{row.length_m:8g} " + " ".join(f"{cost:8.4f}" for cost in costs))
-    print(
-        "schedule of a single sweep, 95 % of them: at most "
-        f"{figures['single_scheduled_over_tuned_p95']:.4f} of the cost of gains tuned there"
-    )
-    moved = ", ".join(f"{name} {error:.3f}" for name, error in measured.moving.items())
-    print(f"\ntension error while the cable's end moves, N rms: {moved}")
-
-
-_COLUMNS = ("", "_optimum", "_optimum_without_noise")
-
-
 def main() -> int:
     """Measures and prints; exit code 1 if a target is missed."""
-    quick = "fewer lengths, tunings and noise draws"
-    parser = command_line(__doc__, quick=quick, out="the figure")
+    parser = command_line(__doc__, quick="fewer lengths, tunings and noise draws")
     parser.add_argument("--folder", type=Path, help="store the tunings there, to be continued")
     options = parser.parse_args()
     plan = QUICK if options.quick else Plan()
     measured = measure(plan, options.folder)
     figures = figures_of(plan, measured)
-    draw(plan, measured, options.out)
-    if not options.json:
-        show(plan, measured, figures)
-    return print_results(figures, targets_of(figures, quick=options.quick), as_json=options.json)
+    targets = targets_of(figures, quick=options.quick)
+    return print_results(figures, targets, as_json=options.json, tables=True)
 
 
 if __name__ == "__main__":

@@ -55,15 +55,19 @@ def checked_array(
         array = np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise InvalidInput(f"{name} must be a number or an array of numbers: {error}") from None
+    limit = f"above {above:g}" if np.isfinite(above) else f"{least:g} or more"
+    ranged = f"finite and {limit} {unit}" if np.isfinite(max(above, least)) else "finite"
     good = np.isfinite(array) & (array > above) & (array >= least)
-    if not good.all():
-        place = first_index(~good)
-        limit = f"above {above:g}" if np.isfinite(above) else f"{least:g} or more"
-        ranged = f"finite and {limit} {unit}" if np.isfinite(max(above, least)) else "finite"
-        raise InvalidInput(
-            f"{name} is {array[place]:g} {unit}{index_text(place)}; it must be {ranged}"
-        )
+    refuse_where(~good, name, array, unit, f"it must be {ranged}")
     return array
+
+
+def refuse_where(bad: BoolArray, name: str, array: FloatArray, unit: str, remedy: str) -> None:
+    """Raises InvalidInput with the first bad value, its index, and the remedy."""
+    if bad.any():
+        place = first_index(bad)
+        value = f"{array[place]:g}{unit and ' ' + unit}"
+        raise InvalidInput(f"{name} is {value}{index_text(place)}; {remedy}")
 
 
 def first_index(mask: BoolArray) -> tuple[int, ...]:

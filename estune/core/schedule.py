@@ -6,7 +6,7 @@ rig, arrays in a figure, and CasADi symbols.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from itertools import product
 from typing import Any, Literal, Self, get_args
 
@@ -150,13 +150,7 @@ class GainSchedule:
             "length_m": list(self.length_m),
             "tension_N": list(self.tension_N),
             "gains": {
-                name: {
-                    "form": curve.form,
-                    "offset": curve.offset,
-                    "slope": curve.slope,
-                    "per_newton": curve.per_newton,
-                }
-                for name, curve in zip(GAIN_NAMES, self.curves, strict=True)
+                name: asdict(curve) for name, curve in zip(GAIN_NAMES, self.curves, strict=True)
             },
         }
 

@@ -32,9 +32,8 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from estune.core.quantities import FloatArray
 from estune.errors import InvalidInput
 
 ROUNDING = 1.0 + 1e-9
@@ -180,76 +179,28 @@ def _longest_chord(
 
 
 def motion(windows: Windows, time_s: ArrayLike, angle_rad: ArrayLike) -> Motion:
-    """The motion at each sample of a record, exactly as `step` gives it sample by sample.
+    """The motion at each sample of a record, by `step`.
 
     Args:
         windows: The settings.
         time_s: Times of the readings, s, shape (samples,).
-        angle_rad: The angles, rad, shape (..., samples).
+        angle_rad: The angles, rad, shape (samples,).
 
     Returns:
-        Arrays of shape (..., samples).
+        Arrays of shape (samples,).
 
     Raises:
         InvalidInput: a value is not finite, times do not increase, or the shapes do not match.
     """
     times = np.asarray(time_s, dtype=np.float64)
     angles = np.asarray(angle_rad, dtype=np.float64)
-    if times.ndim != 1 or angles.shape[-1:] != times.shape:
+    if times.ndim != 1 or angles.shape != times.shape:
         raise InvalidInput(
             f"times have shape {times.shape} and angles {angles.shape}; "
-            "give one time for each sample along the last axis"
+            "give one time for each sample"
         )
-    if not (np.isfinite(times).all() and np.isfinite(angles).all()):
-        raise InvalidInput("times or angles hold a value that is not finite; leave it out")
-    if not (np.diff(times) > 0.0).all():
-        raise InvalidInput("times do not increase from sample to sample; give them in time order")
-    half_band = np.full(angles.shape, 0.5 * windows.angle_error_rad * ROUNDING)
-    velocity, bound, span = _longest_chords(times, angles, half_band, windows.velocity_intervals)
-    middles = times - 0.5 * span
-    raw, floor, _ = _longest_chords(middles, velocity, bound, windows.acceleration_intervals)
-    counts = _connected(
-        np.sign(raw), np.abs(raw) >= windows.weak * floor, np.abs(raw) >= windows.strong * floor
-    )
-    return Motion(velocity, bound, span, np.where(counts, raw, 0.0), floor)
-
-
-def _longest_chords(
-    times: FloatArray, values: FloatArray, errors: FloatArray, intervals: int
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """`_longest_chord` at every sample at once, with the loop over lengths of the window."""
-    slope = np.zeros(values.shape)
-    bound = np.full(values.shape, np.inf)
-    length = np.zeros(values.shape)
-    least, greatest = -bound, bound.copy()
-    grows = np.ones(values.shape, dtype=np.bool_)
-    for n in range(1, min(intervals, values.shape[-1] - 1) + 1):
-        here = np.s_[..., n:]
-        span = times[here] - times[..., :-n]
-        ordered = span > 0.0
-        span = np.where(ordered, span, 1.0)  # unused, but divided by
-        candidate = (values[here] - values[..., :-n]) / span
-        allowed = (errors[here] + errors[..., :-n]) / span
-        fits = (least[here] <= candidate) & (candidate <= greatest[here])
-        grows[here] &= fits | ~ordered
-        better = grows[here] & ordered & (allowed < bound[here])
-        slope[here] = np.where(better, candidate, slope[here])
-        bound[here] = np.where(better, allowed, bound[here])
-        length[here] = np.where(better, span, length[here])
-        least[here] = np.where(ordered, np.maximum(least[here], candidate - allowed), least[here])
-        greatest[here] = np.where(
-            ordered, np.minimum(greatest[here], candidate + allowed), greatest[here]
-        )
-    return slope, bound, length
-
-
-def _connected(
-    sign: FloatArray, weak: NDArray[np.bool_], strong: NDArray[np.bool_]
-) -> NDArray[np.bool_]:
-    """Weak samples connected to an earlier strong one by weak ones of one sign."""
-    index = np.arange(sign.shape[-1])
-    breaks = ~weak
-    breaks[..., 1:] |= sign[..., 1:] != sign[..., :-1]
-    run_start = np.maximum.accumulate(np.where(breaks, index, 0), axis=-1)
-    last_strong = np.maximum.accumulate(np.where(strong, index, -1), axis=-1)
-    return weak & (last_strong >= run_start)
+    state, rows = MotionState(), []
+    for instant, angle in zip(times.tolist(), angles.tolist(), strict=True):
+        state, now = step(windows, state, instant, angle)
+        rows.append(now)
+    return Motion(*np.array(rows).reshape(-1, len(Motion._fields)).T)

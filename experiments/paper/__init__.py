@@ -1,7 +1,7 @@
 """The paper's figures, reproduced with the project's models, and a verdict on each claim.
 
-`estune reproduce-paper` puts them on one page; `python -m experiments.paper.bandwidth` prints the
-figures of one module. Every number in a sentence is computed in the same run.
+`estune reproduce-paper` puts them on one page. Every number in a sentence is computed in the same
+run.
 """
 
 import importlib
@@ -69,13 +69,3 @@ def make(number: int, *, quick: bool = False) -> PaperFigure:
     module = importlib.import_module(f"experiments.paper.{_MODULES[number]}")
     maker: Callable[..., PaperFigure] = getattr(module, f"figure_{number}")
     return maker(quick=quick)
-
-
-def show(*numbers: int) -> None:
-    """Prints the claims of figures and the verdicts."""
-    for figure in map(make, numbers):
-        print(f"Fig. {figure.number}. {figure.title}")
-        print(f"  the paper: {figure.claim}")
-        print(f"  {figure.verdict}: {figure.measured}")
-        print(f"  rule: {figure.rule}")
-        print(f"  note: {figure.caveat}")

@@ -3,7 +3,7 @@
 from matplotlib.figure import Figure
 
 from estune.support.plot_style import BLUE, GREY, VERMILION, finish, legend, stacked
-from experiments.paper import PaperFigure, show
+from experiments.paper import PaperFigure
 from plants.two_reel_bench import (
     WEBER_LIMIT,
     Eyelet,
@@ -91,7 +91,3 @@ def _draw(coulomb: TwoReelResult, growing: TwoReelResult) -> Figure:
     finish(ax, "attenuation ratio B", "tension setpoint, N")
     legend(ax)
     return figure
-
-
-if __name__ == "__main__":
-    show(7)

@@ -12,7 +12,7 @@ from scipy.stats import linregress
 from estune.core.quantities import FloatArray
 from estune.support.plot_style import FOUR, finish, legend, stacked
 from experiments.identification import TENSIONS_N, LENGTHS_m, excitation
-from experiments.paper import PaperFigure, show
+from experiments.paper import PaperFigure
 from plants.cable import string_frequency_Hz
 from plants.identify import (
     FrequencyResponse,
@@ -169,7 +169,3 @@ def figure_10(*, quick: bool = False) -> PaperFigure:  # noqa: ARG001  one recor
 def figure_11(*, quick: bool = False) -> PaperFigure:  # noqa: ARG001  one record each suffices
     """Fig. 11: the bandwidth at 1.4 m and four tensions."""
     return of_tension(11, 1.4, TENSIONS_N)
-
-
-if __name__ == "__main__":
-    show(9, 10, 11)

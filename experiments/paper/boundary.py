@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import StrMethodFormatter
 
 from estune.support.plot_style import BLUE, GREY, VERMILION, finish, legend, stacked
-from experiments.paper import PaperFigure, show
+from experiments.paper import PaperFigure
 from plants.demonstrations.workspace_boundary import (
     BoundaryTraces,
     BoundaryTrial,
@@ -97,7 +97,3 @@ def _draw(handed: BoundaryTraces, parallel: BoundaryTraces, trial: BoundaryTrial
     finish(tension, "tension, N", "time, s")
     legend(position)
     return figure
-
-
-if __name__ == "__main__":
-    show(18)

@@ -10,7 +10,7 @@ from scipy.constants import g
 from estune.core.quantities import FloatArray
 from estune.reel.gravity import gravity_force_N
 from estune.support.plot_style import BLUE, GREEN, GREY, VERMILION, finish, legend, stacked
-from experiments.paper import PaperFigure, show
+from experiments.paper import PaperFigure
 from plants.demonstrations.friction_compensation import (
     WrenchTraces,
     WrenchTrial,
@@ -176,7 +176,3 @@ def figure_17(*, quick: bool = False) -> PaperFigure:  # noqa: ARG001  one run s
         },
         figure=draw(low, trial),
     )
-
-
-if __name__ == "__main__":
-    show(16, 17)

@@ -10,7 +10,7 @@ import estune
 from estune.core.quantities import FloatArray
 from estune.support.plot_style import FOUR, finish, legend, stacked
 from experiments.identification import LENGTHS_m
-from experiments.paper import PaperFigure, show
+from experiments.paper import PaperFigure
 from plants.models.reel import Reel
 
 TENSION_N = 15.0
@@ -85,7 +85,3 @@ def _draw(runs: Mapping[float, FloatArray]) -> Figure:
     finish(ax, "cost η", "trial")
     legend(ax)
     return figure
-
-
-if __name__ == "__main__":
-    show(12)

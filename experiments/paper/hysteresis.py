@@ -5,7 +5,7 @@ import math
 from matplotlib.figure import Figure
 
 from estune.support.plot_style import FOUR, finish, legend, stacked
-from experiments.paper import PaperFigure, show
+from experiments.paper import PaperFigure
 from plants.two_reel_bench import (
     Eyelet,
     HysteresisLoop,
@@ -74,7 +74,3 @@ def _draw(loops: dict[float, HysteresisLoop]) -> Figure:
     finish(ax, "tension at reel Y, N", "tension at reel X, N")
     legend(ax)
     return figure
-
-
-if __name__ == "__main__":
-    show(15)

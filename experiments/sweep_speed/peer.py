@@ -5,24 +5,20 @@ from datetime import UTC, datetime
 import control
 import numpy as np
 
-from estune.core.gains import Gains
-from estune.trial import Outcome, RigDescription, TrialRecord, TrialRequest
+from estune.trial import Outcome, TrialRecord, TrialRequest
+from experiments.inert_rig import MotionlessRig
 from experiments.reference_trial import nonlinear_start, nonlinear_system
 from plants.models.reel import Reel
 from plants.simulation.noise import NoiseSource
 
 
-class PeerRig:
+class PeerRig(MotionlessRig):
     """A reel simulated by python-control; implements `estune.trial.Rig`."""
 
     def __init__(self, reel: Reel, seed: int) -> None:
         self._reel = reel
         self._noise = NoiseSource(seed)
-        self._description = reel.describe("python-control", None)
-
-    def describe(self) -> RigDescription:
-        """Description of the rig."""
-        return self._description
+        super().__init__(reel.describe("python-control", None))
 
     def run(self, request: TrialRequest) -> TrialRecord:
         """Runs one trial by `input_output_response`."""
@@ -56,19 +52,3 @@ class PeerRig:
             angle_rad=response.states[0],
             flags=np.zeros(setpoint.size, np.uint8),
         )
-
-    def apply(self, gains: Gains) -> None:
-        """Does nothing: there are no live gains."""
-
-    def abort(self) -> RigDescription:
-        """No trial runs between calls."""
-        return self._description
-
-    def estop(self, reason: str) -> None:
-        """Does nothing: nothing moves."""
-
-    def clear(self) -> None:
-        """Does nothing: there is no emergency stop."""
-
-    def close(self) -> None:
-        """Does nothing: there is no resource to release."""

@@ -8,8 +8,7 @@ All functions raise InvalidInput for values that are not finite or out of their 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from estune.core.quantities import Numbers, checked_array, first_index, index_text, scalar_or_array
-from estune.errors import InvalidInput
+from estune.core.quantities import Numbers, checked_array, refuse_where, scalar_or_array
 
 GRAVITY_M_S2 = 9.80665
 """Standard gravity, ISO 80000-3."""
@@ -52,11 +51,8 @@ def least_taut_tension_N(
     s = checked_array("length", length_m, "m", above=0.0)
     criterion = checked_array("beta", beta, "", above=0.0)
     g = checked_array("gravity", gravity_m_s2, "m/s2", above=0.0)
-    if (criterion >= 1.0).any():
-        place = first_index(criterion >= 1.0)
-        raise InvalidInput(
-            f"beta is {criterion[place]:g}{index_text(place)}; a taut cable needs beta far below 1"
-        )
+    remedy = "a taut cable needs beta far below 1"
+    refuse_where(criterion >= 1.0, "beta", criterion, "", remedy)
     bound = np.asarray(mu_0 * g * s / criterion)
     if stiffness_EA_N is None:
         return scalar_or_array(bound)
@@ -98,9 +94,5 @@ def string_frequency_Hz(
     s = checked_array("length", length_m, "m", above=0.0)
     T_1 = checked_array("tension_1", tension_1_N, "N", above=0.0)
     n = checked_array("order", order, "", above=0.0)
-    if (n != np.rint(n)).any():
-        place = first_index(n != np.rint(n))
-        raise InvalidInput(
-            f"order is {n[place]:g}{index_text(place)}; modes are numbered 1, 2, 3..."
-        )
+    refuse_where(n != np.rint(n), "order", n, "", "modes are numbered 1, 2, 3...")
     return scalar_or_array(np.asarray(n / (2.0 * s) * np.sqrt(T_1 / mu)))

@@ -14,11 +14,11 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from estune.core.gains import Gains
+from estune.core.quantities import check_not_negative, check_positive
 from estune.errors import InvalidInput
 from estune.reel.friction import StribeckFriction
 from plants.models.reel import Reel
 from plants.models.reel_equations import cable_stiffness_N_m, viscous_friction_Nms
-from plants.simulation.plant import check_above_zero, check_not_negative
 
 SUBSTEPS = 16
 """Symplectic Euler steps per sample: 10 kHz, over 100 per period of the fastest mode."""
@@ -48,7 +48,7 @@ class Platform:
     centring_N_m: float = 0.0  # stiffness k_c, N/m; zero for a free platform
 
     def __post_init__(self) -> None:
-        check_above_zero("platform: mass_kg", self.mass_kg, "kg")
+        check_positive("platform: mass_kg", self.mass_kg, "kg")
         check_not_negative("platform: damping_Ns_m", self.damping_Ns_m, "N s/m")
         check_not_negative("platform: centring_N_m", self.centring_N_m, "N/m")
         if self.reel.effects:

@@ -5,18 +5,16 @@ sampling period long, with the equations of `plants.models.reel_equations`.
 """
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
-from typing import Any, NamedTuple
 
-import casadi as ca
 import numpy as np
 
+from estune.core.quantities import check_positive
 from estune.errors import InvalidInput
 from plants.emulator.wire import Truth
 from plants.models.reel import Reel
-from plants.models.reel_equations import ReelStructure
 from plants.models.reel_signal_path import THETA
-from plants.simulation.plant import check_above_zero
+from plants.simulation.buffers import Buffers
+from plants.simulation.trial_loop import loop_functions
 
 STEPS_PER_SAMPLE = 8
 _NOISE_AT_ONCE = 4096
@@ -44,7 +42,7 @@ class Electronics:
     watchdog_s: float = 0.02
 
     def __post_init__(self) -> None:
-        check_above_zero("watchdog", self.watchdog_s, "s")
+        check_positive("watchdog", self.watchdog_s, "s")
         for name in ("counts_of_force", "amperes_of_command"):
             numbers = getattr(self, name)
             if len(numbers) < 2 or not np.isfinite(numbers).all():
@@ -133,66 +131,39 @@ class Board:
             self._powered,
             self._tripped,
             self._written,
-            self._written_s,
         )
 
     def _current_A(self) -> float:
         return self._electronics.current_A(self._command) if self._powered else 0.0
 
 
-class _Functions(NamedTuple):
-    """The reel's equations as CasADi functions on dense columns."""
-
-    prepare: Any  # (parameters, preload) -> (constants, state at rest, effort at rest)
-    drive: Any  # (constants, state, effort) -> (state, drive)
-    move: Any  # (constants, state, drive before, drive after) -> state one step later
-    observe: Any  # (constants, state, drive, noise) -> (tension, angle)
-
-
-@lru_cache
-def _functions(structure: ReelStructure) -> _Functions:
-    equations = structure.equations()
-    c, x, in_force, noise = equations.observe.sx_in()
-    effort, before, after = (ca.SX.sym(name) for name in ("effort", "before", "after"))
-    driven, drive = equations.drive(c, x, effort)
-    moved = equations.move(c, x, before, after)
-    _, tension, angle = equations.observe(c, x, in_force, noise)
-    return _Functions(
-        equations.prepare,
-        ca.Function("emulator_drive", [c, x, effort], [ca.densify(driven), drive]),
-        ca.Function("emulator_move", [c, x, before, after], [ca.densify(moved)]),
-        ca.Function("emulator_observe", [c, x, in_force, noise], [tension, angle]),
-    )
-
-
-class _Motion:
+class _Motion(Buffers):
     """The reel's equations, one step at a time, through CasADi's buffers."""
 
     def __init__(self, reel: Reel) -> None:
-        prepare, driven_step, move, observe = _functions(reel.structure)
-        constants, _, _ = prepare(reel.parameter_values, reel.tension_N)
-        # Each buffer is memory of a fixed place that the functions read and write.
-        states = driven_step.numel_out(0)
-        rooms = {"constants": constants.numel(), "x": states, "driven": states}
+        equations = reel.structure.equations()
+        constants, _, _ = equations.prepare(reel.parameter_values, reel.tension_N)
+        states = equations.drive.numel_out(0)
+        rooms = {"constants": constants.numel(), "x": states, "driven": states, "observed": states}
         rooms |= dict.fromkeys(("effort", "drive", "before", "after", "noise", "y", "angle"), 1)
-        self._memory: dict[str, Any] = {n: np.zeros(room).data for n, room in rooms.items()}
-        self._memory["constants"][:] = np.asarray(constants).ravel().data
+        super().__init__(rooms)
+        self.memory["constants"][:] = np.asarray(constants).ravel().data
         self._effort_per_A = reel.newtons_per_ampere
         self._ring = [0.0] * reel.delay_samples
-        self._bound: list[Any] = []
-        self._drive = self._bind(driven_step, "constants x effort", "driven drive")
-        self._move = self._bind(move, "constants driven before after", "x")
-        self._observe = self._bind(observe, "constants x after noise", "y angle")
+        move = loop_functions(equations).move
+        self._drive = self.bind(equations.drive, "constants x effort", "driven drive")
+        self._move = self.bind(move, "constants driven before after", "x")
+        self._observe = self.bind(equations.observe, "constants x after noise", "observed y angle")
 
     @property
     def angle_rad(self) -> float:
         """The drum's angle."""
-        angle: float = self._memory["x"][THETA]
+        angle: float = self.memory["x"][THETA]
         return angle
 
     def step(self, current_A: float) -> None:
         """Advances by one step with this current."""
-        m = self._memory
+        m = self.memory
         m["effort"][0] = current_A * self._effort_per_A
         self._drive()
         self._ring.append(m["drive"][0])
@@ -202,19 +173,9 @@ class _Motion:
 
     def observe(self, noise_N: float) -> tuple[float, float]:
         """Tension at the gauge in N, and angle in rad."""
-        self._memory["noise"][0] = noise_N
+        self.memory["noise"][0] = noise_N
         self._observe()
-        return self._memory["y"][0], self._memory["angle"][0]
-
-    def _bind(self, function: Any, inputs: str, outputs: str) -> Any:
-        """The function as a call without arguments on this memory."""
-        buffer, call = function.buffer()
-        for n, name in enumerate(inputs.split()):
-            buffer.set_arg(n, self._memory[name])
-        for n, name in enumerate(outputs.split()):
-            buffer.set_res(n, self._memory[name])
-        self._bound.append(buffer)
-        return call
+        return self.memory["y"][0], self.memory["angle"][0]
 
 
 def _polynomial(coefficients: tuple[float, ...], x: float) -> float:

@@ -11,7 +11,7 @@ READ, WRITE, ENABLE, DISABLE, TRUTH = b"r", b"w", b"e", b"d", b"t"
 READING = struct.Struct("<dqq")
 """The answer to READ: time in s, counts of the gauge, counts of the encoder."""
 
-TRUTH_ANSWER = struct.Struct("<dddd?qqd")
+TRUTH_ANSWER = struct.Struct("<dddd?qq")
 """The answer to TRUTH: the fields of `Truth`."""
 
 
@@ -25,7 +25,6 @@ class Truth(NamedTuple):
         powered: Whether the amplifier has power.
         tripped: Number of cut-offs by the watchdog.
         written: Number of current commands.
-        last_write_s: Time of the last command, s.
     """
 
     time_s: float
@@ -35,4 +34,3 @@ class Truth(NamedTuple):
     powered: bool
     tripped: int
     written: int
-    last_write_s: float

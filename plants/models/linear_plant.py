@@ -11,7 +11,7 @@ import numpy as np
 from estune.core.gains import Gains
 from estune.core.margins import SampledPlant, loop_margins, sample_plant
 from estune.core.pidf import ControllerSettings
-from estune.core.quantities import FloatArray
+from estune.core.quantities import FloatArray, check_not_negative, check_positive
 from estune.errors import InvalidInput, PlantError
 from estune.interop import linear_model
 from estune.trial import LinearModel, RigDescription, RigLimits
@@ -22,12 +22,7 @@ from plants.models.mounting import UNLIMITED_N, MountedModel, Mounting
 from plants.models.path_structure import squarings_for
 from plants.models.pole_zero_form import PoleZeroForm, factorise
 from plants.models.sampled_structure import SampledStructure
-from plants.simulation.plant import (
-    Drive,
-    check_above_zero,
-    check_not_negative,
-    split_dead_time,
-)
+from plants.simulation.plant import Drive, split_dead_time
 
 if TYPE_CHECKING:  # python-control takes more than a second to import
     from control import StateSpace, TransferFunction
@@ -217,7 +212,7 @@ def linear_plant(
     """
     check_not_negative("dead time", dead_time_s, "s")
     if sampling_Hz is not None:
-        check_above_zero("sampling rate", sampling_Hz, "Hz")
+        check_positive("sampling rate", sampling_Hz, "Hz")
     if getattr(system, "dt", None):  # 0 and None are continuous time
         sampling_Hz = _rate(system, sampling_Hz)
         model, sampled = None, _as_sampled(system, dead_time_s, sampling_Hz)
@@ -228,7 +223,7 @@ def linear_plant(
         model = linear_model(system, dead_time_s)
         A = np.reshape(np.array(model.A), (len(model.B), len(model.B)))
         settling_time_s = settling_time_s or _settling_time(np.linalg.eigvals(A), dead_time_s)
-        check_above_zero("settling time", settling_time_s, "s")
+        check_positive("settling time", settling_time_s, "s")
         sampling_Hz = sampling_Hz or SAMPLES_PER_SETTLING_TIME / settling_time_s
         sampled = sample_plant(
             A,

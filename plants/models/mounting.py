@@ -4,11 +4,12 @@ from dataclasses import dataclass
 
 from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
+from estune.core.quantities import check_not_negative, check_positive
 from estune.errors import UnsafeStart
 from estune.trial import LinearModel, RigDescription, RigLimits
 from estune.trial.profiles import StepProfile
 from plants.models.plant_model import PlantModel
-from plants.simulation.plant import SOFTWARE, check_above_zero, check_not_negative
+from plants.simulation.plant import SOFTWARE
 
 UNLIMITED_N = 1e9
 """Value for "no limit"; JSON has no infinity."""
@@ -29,7 +30,7 @@ class Mounting:
     gains: Gains | None = None  # safe live gains, or None where none are known
 
     def __post_init__(self) -> None:
-        check_above_zero("settling time", self.settling_time_s, "s")
+        check_positive("settling time", self.settling_time_s, "s")
         check_not_negative("measurement noise", self.noise_rms_N, "N rms")
 
     @classmethod

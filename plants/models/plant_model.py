@@ -10,18 +10,11 @@ from typing import Any, Self
 import numpy as np
 
 from estune.core.gains import Gains
-from estune.core.quantities import FloatArray
+from estune.core.quantities import FloatArray, check_not_negative, check_positive
 from estune.errors import InvalidInput
 from plants.effects import Effect
 from plants.models.parameters import amend_parameters
-from plants.simulation.plant import (
-    Columns,
-    Drive,
-    Plant,
-    check_above_zero,
-    check_not_negative,
-    split_dead_time,
-)
+from plants.simulation.plant import Columns, Drive, Plant, split_dead_time
 from plants.simulation.simulated_rig import SimulatedRig
 from plants.simulation.trial_loop import Batch, trial_loop
 
@@ -143,7 +136,7 @@ def own_fields(kind: type[Any]) -> list[Field[Any]]:
 def check_fields(plant: PlantModel, what: str, may_be_zero: tuple[str, ...]) -> None:
     """Checks that every field is a finite number above zero, or zero where that is allowed."""
     for f in own_fields(type(plant)):
-        check = check_not_negative if f.name in may_be_zero else check_above_zero
+        check = check_not_negative if f.name in may_be_zero else check_positive
         check(f"{what}: {f.name}", getattr(plant, f.name), "")
 
 

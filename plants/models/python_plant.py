@@ -12,7 +12,7 @@ import numpy as np
 from estune.core import pidf
 from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
-from estune.core.quantities import FloatArray
+from estune.core.quantities import FloatArray, check_not_negative, check_positive
 from estune.errors import PlantError
 from estune.trial import SATURATED, RigDescription, RigLimits
 from estune.trial.profiles import StepProfile
@@ -20,13 +20,7 @@ from plants.effects import Effect
 from plants.models.mounting import UNLIMITED_N, MountedModel, Mounting
 from plants.models.state_shape import StateShape
 from plants.models.symbolic_plant import TracedStructure, unavailable
-from plants.simulation.plant import (
-    Columns,
-    Drive,
-    check_above_zero,
-    check_not_negative,
-    split_dead_time,
-)
+from plants.simulation.plant import Columns, Drive, split_dead_time
 
 Step = Callable[[Any, float, float], tuple[Any, float]]
 """(state, effort in N, time step in s) -> (next state, measurement in N at its end)."""
@@ -242,8 +236,8 @@ def python_plant(
         raise PlantError(
             f"the plant is a {type(step).__name__}; expected a function step(state, effort, dt_s)"
         )
-    check_above_zero("sampling rate", sampling_Hz, "Hz")
-    check_above_zero("settling time", settling_time_s, "s")
+    check_positive("sampling rate", sampling_Hz, "Hz")
+    check_positive("settling time", settling_time_s, "s")
     check_not_negative("dead time", dead_time_s, "s")
     controller = ControllerSettings(sampling_Hz, derivative_filter_s, output_min_N, output_max_N)
     mounting = Mounting.with_defaults(

@@ -128,18 +128,6 @@ class Plant(Protocol):
         ...
 
 
-def check_above_zero(what: str, value: float, unit: str) -> None:
-    """Raises InvalidInput unless a value is finite and above zero."""
-    if not (math.isfinite(value) and value > 0.0):
-        raise InvalidInput(f"{what} is {value} {unit}; it must be finite and above zero")
-
-
-def check_not_negative(what: str, value: float, unit: str) -> None:
-    """Raises InvalidInput unless a value is finite, and zero or above."""
-    if not (math.isfinite(value) and value >= 0.0):
-        raise InvalidInput(f"{what} is {value} {unit}; it must be finite, and zero or above")
-
-
 def split_dead_time(dead_time_s: float, sampling_Hz: float) -> tuple[int, float]:
     """A dead time as whole samples and the remaining fraction of one, to within rounding."""
     samples = dead_time_s * sampling_Hz

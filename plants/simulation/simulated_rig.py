@@ -10,12 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estune.core.gains import Gains
+from estune.core.quantities import check_not_negative
 from estune.errors import RigError
 from estune.trial import Outcome, RigDescription, Telemetry, TrialRecord, TrialRequest
 from estune.trial.executed_trials import ExecutedTrials, stopped_trial
 from plants.simulation.batch import Response, simulate
 from plants.simulation.noise import NoiseSource
-from plants.simulation.plant import SOFTWARE, Plant, check_not_negative, drive_of
+from plants.simulation.plant import SOFTWARE, Plant, drive_of
 
 Scalar = TypeVar("Scalar", bound=np.generic)
 

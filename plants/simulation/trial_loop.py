@@ -13,6 +13,7 @@ from estune.core.quantities import FloatArray
 from estune.errors import PlantError
 from estune.support import c_compiler
 from estune.trial import SATURATED
+from plants.simulation.buffers import Buffers
 from plants.simulation.c_source import c_source
 from plants.simulation.equations import Equations
 from plants.simulation.plant import Columns
@@ -200,11 +201,10 @@ class VirtualLoop:
         return columns
 
 
-class VirtualMachine:
+class VirtualMachine(Buffers):
     """One trial at a time through CasADi's buffers.
 
     Attributes:
-        memory: Buffers by name, read and written by the functions.
         prepare: Computes the constants and the state at rest from parameters and preload.
         sense: One sample of gauge, encoder and controller; see `Functions`.
         move: The plant to the next sample.
@@ -222,25 +222,14 @@ class VirtualMachine:
         }
         room |= {"constants": prepare.numel_out(0), "pidf": PIDF_STATES, "following": PIDF_STATES}
         room |= {"state": move.numel_out(0), "driven": move.numel_out(0)}
-        self.memory: dict[str, Any] = {n: np.zeros(size).data for n, size in room.items()}
-        self._bound: list[Any] = []
-        self.prepare = self._bind(prepare, "parameters preload", "constants state pidf drive")
-        self.sense = self._bind(
+        super().__init__(room)
+        self.prepare = self.bind(prepare, "parameters preload", "constants state pidf drive")
+        self.sense = self.bind(
             sense,
             "constants state before noise coefficients pidf setpoint is_open",
             "driven y angle following effort drive excess reference",
         )
-        self.move = self._bind(move, "constants driven before after", "state")
-
-    def _bind(self, function: Any, inputs: str, outputs: str) -> Any:
-        """A call of the function on this memory, without arguments."""
-        buffer, call = function.buffer()
-        for n, name in enumerate(inputs.split()):
-            buffer.set_arg(n, self.memory[name])
-        for n, name in enumerate(outputs.split()):
-            buffer.set_res(n, self.memory[name])
-        self._bound.append(buffer)
-        return call
+        self.move = self.bind(move, "constants driven before after", "state")
 
     def start(self, parameters: FloatArray, preload_N: float, coefficients: FloatArray) -> None:
         """Starts a trial with controller and plant at rest."""

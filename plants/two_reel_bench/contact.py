@@ -28,6 +28,7 @@ from estune.core.quantities import (
     checked_array,
     first_index,
     index_text,
+    refuse_where,
     scalar_or_array,
 )
 from estune.errors import InvalidInput
@@ -184,12 +185,8 @@ def friction_N(
 def checked_angle(angle_rad: ArrayLike) -> FloatArray:
     """Angles gamma between the two tensions, 0 to pi."""
     gamma = checked_array("angle gamma", angle_rad, "rad", least=0.0)
-    if (gamma > np.pi).any():
-        place = first_index(gamma > np.pi)
-        raise InvalidInput(
-            f"angle gamma is {gamma[place]:g} rad{index_text(place)}; it lies between 0 (folded "
-            "back) and pi (straight), in radians"
-        )
+    range_ = "it lies between 0 (folded back) and pi (straight), in radians"
+    refuse_where(gamma > np.pi, "angle gamma", gamma, "rad", range_)
     return gamma
 
 

@@ -18,6 +18,7 @@ from estune.core.quantities import (
     checked_array,
     first_index,
     index_text,
+    refuse_where,
     scalar_or_array,
 )
 from estune.errors import InvalidInput
@@ -160,24 +161,19 @@ def _missing_loss(
 def checked_coefficient(coefficient_R: ArrayLike) -> FloatArray:
     """Friction coefficients, from 0 to below 1."""
     C = checked_array("friction coefficient", coefficient_R, "", least=0.0)
-    if (C >= 1.0).any():
-        place = first_index(C >= 1.0)
-        raise InvalidInput(
-            f"friction coefficient is {C[place]:g}{index_text(place)}; from 1 on the cable jams "
-            "at the contact, give one below 1"
-        )
+    remedy = "from 1 on the cable jams at the contact, give one below 1"
+    refuse_where(C >= 1.0, "friction coefficient", C, "", remedy)
     return C
 
 
 def checked_attenuation(ratio: ArrayLike) -> FloatArray:
     """Attenuation ratios, above 0 and at most 1."""
     B = checked_array("attenuation ratio", ratio, "", above=0.0)
-    if (B > 1.0).any():
-        place = first_index(B > 1.0)
-        raise InvalidInput(
-            f"attenuation ratio is {B[place]:.6g}{index_text(place)}; it is at most 1, as "
-            "friction only takes tension away: check the gauges' zeros, or which reel was driven"
-        )
+    remedy = (
+        "it is at most 1, as friction only takes tension away: check the gauges' zeros, or which "
+        "reel was driven"
+    )
+    refuse_where(B > 1.0, "attenuation ratio", B, "", remedy)
     return B
 
 

@@ -22,6 +22,7 @@ from estune.core.quantities import (
     checked_array,
     first_index,
     index_text,
+    refuse_where,
     scalar_or_array,
 )
 from estune.errors import InvalidInput
@@ -67,13 +68,10 @@ def _direction(
 ) -> FloatArray:
     theta = checked_array(theta_name, theta_rad, "rad", least=0.0)
     phi = checked_array(phi_name, phi_rad, "rad")
-    behind = theta >= 0.5 * np.pi
-    if behind.any():
-        place = first_index(behind)
-        raise InvalidInput(
-            f"{theta_name} is {theta[place]:g} rad{index_text(place)}; a cable through the eyelet "
-            "has less than pi/2 on either side, turn the eyelet towards it"
-        )
+    remedy = (
+        "a cable through the eyelet has less than pi/2 on either side, turn the eyelet towards it"
+    )
+    refuse_where(theta >= 0.5 * np.pi, theta_name, theta, "rad", remedy)
     theta, phi = np.broadcast_arrays(theta, phi)
     parts = [np.cos(phi) * np.sin(theta), np.sin(phi) * np.sin(theta), axial * np.cos(theta)]
     return np.stack(parts, axis=-1)

@@ -20,7 +20,7 @@ from estune.reel.calibration.monotone import (
     invert,
     on_scale,
 )
-from estune.reel.calibration.regression import Regression, regress
+from estune.reel.calibration.regression import Regression, from_stored, regress
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,12 +139,7 @@ class CurrentCalibration:
         Raises:
             InvalidInput: a value is missing, of the wrong type, or the curve is not monotone.
         """
-        try:
-            return cls(Axis(**stored["command"]), Regression.from_dict(stored["regression"]))
-        except (KeyError, TypeError) as error:
-            raise InvalidInput(
-                f"stored calibration is damaged: {error!r}; calibrate again"
-            ) from None
+        return from_stored(cls, stored)
 
     def _curve(self, u: FloatArray) -> FloatArray:
         return np.asarray(polynomial.polyval(u, np.asarray(self.regression.coefficients)))

@@ -19,7 +19,7 @@ from estune.reel.calibration.monotone import (
     extremes,
     on_scale,
 )
-from estune.reel.calibration.regression import Regression, regress
+from estune.reel.calibration.regression import Regression, from_stored, regress
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,14 +196,7 @@ class GaugeCalibration:
         Raises:
             InvalidInput: a value is missing, of the wrong type, or the curve is not monotone.
         """
-        try:
-            along = stored["position"]
-            axes = Axis(**stored["force"]), None if along is None else Axis(**along)
-            return cls(*axes, Regression.from_dict(stored["regression"]))
-        except (KeyError, TypeError) as error:
-            raise InvalidInput(
-                f"stored calibration is damaged: {error!r}; calibrate again"
-            ) from None
+        return from_stored(cls, stored)
 
     def _matrix(self) -> FloatArray:
         return np.asarray(self.regression.coefficients).reshape(3, -1)

@@ -3,12 +3,15 @@
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any, Self, TypeVar
 
 import numpy as np
+from pydantic import TypeAdapter, ValidationError
 
 from estune.core.quantities import FloatArray
 from estune.errors import InvalidInput
+
+_Calibration = TypeVar("_Calibration")
 
 _CONDITION_MAX = 1e7
 """Of the design with columns of equal length: coefficients keep half of the digits."""
@@ -96,31 +99,19 @@ class Regression:
             lack_of_fit=None,
         )
 
-    @classmethod
-    def from_dict(cls, stored: dict[str, Any]) -> Self:
-        """The fit of the values that `dataclasses.asdict` gave.
 
-        Raises:
-            InvalidInput: a value is missing or has the wrong type.
-        """
-        try:
-            test = stored["lack_of_fit"]
-            return cls(
-                coefficients=tuple(map(float, stored["coefficients"])),
-                covariance=tuple(tuple(map(float, row)) for row in stored["covariance"]),
-                residuals=tuple(map(float, stored["residuals"])),
-                leverage=tuple(map(float, stored["leverage"])),
-                standard_error=float(stored["standard_error"]),
-                degrees_of_freedom=int(stored["degrees_of_freedom"]),
-                condition=float(stored["condition"]),
-                lack_of_fit=None
-                if test is None
-                else LackOfFit(**test | {"degrees": tuple(test["degrees"])}),
-            )
-        except (KeyError, TypeError, ValueError) as error:
-            raise InvalidInput(
-                f"stored calibration is damaged: {error!r}; calibrate again"
-            ) from None
+def from_stored(kind: type[_Calibration], stored: dict[str, Any]) -> _Calibration:
+    """The calibration of the values that `dataclasses.asdict` gave, as read from JSON.
+
+    Raises:
+        InvalidInput: a value is missing, of the wrong type, or refused by the calibration.
+    """
+    try:
+        return TypeAdapter(kind).validate_python(stored)
+    except ValidationError as error:
+        faults = error.errors(include_url=False, include_context=False)
+        listed = "; ".join(f"{'.'.join(map(str, f['loc']))}: {f['msg']}" for f in faults)
+        raise InvalidInput(f"stored calibration is damaged: {listed}; calibrate again") from None
 
 
 def regress(design: FloatArray, response: FloatArray, settings: FloatArray) -> Regression:
