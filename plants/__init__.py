@@ -11,7 +11,7 @@ from estune.support.lazy_exports import lazy_exports
 if TYPE_CHECKING:
     from plants.demonstrations.moving_cable_end import simulate_moving
     from plants.diagnosis.explain import explain
-    from plants.diagnosis.improve_model import improve
+    from plants.diagnosis.improvement.improve import improve
     from plants.effects import CoulombFriction, Effect
     from plants.models.linear_plant import LinearPlant, linear_plant
     from plants.models.model_file import load_model, save_model
@@ -59,7 +59,7 @@ __getattr__, __dir__ = lazy_exports(
         "UnloadedReel": "plants.models.unloaded_reel",
         "batch_costs": "plants.simulation.batch",
         "explain": "plants.diagnosis.explain",
-        "improve": "plants.diagnosis.improve_model",
+        "improve": "plants.diagnosis.improvement.improve",
         "linear_plant": "plants.models.linear_plant",
         "load_model": "plants.models.model_file",
         "python_plant": "plants.models.python_plant",

@@ -7,11 +7,12 @@ from scipy import integrate, optimize, signal, stats
 
 import plants
 from estune.reel.friction import StribeckFriction
+from plants.conformance.reel_runs import RATE, REEL, rest, rollout, wander
 from plants.diagnosis.models.calibration import SaggingCalibration
 from plants.effects import EFFECTS, Port
 from plants.effects.bristles import bent
 from plants.models.reel_equations import cable_stiffness_N_m
-from tests.support_effects import RATE, REEL, Law, SUBSTEP_s, rest, rollout, wander
+from tests.support_effects import Law, SUBSTEP_s
 from tests.test_plants import integrated
 
 R, J, Kt = REEL.drum_radius_m, REEL.drum_inertia_kg_m2, REEL.torque_constant_Nm_A
@@ -145,6 +146,46 @@ def bent_viscous_friction(effect):
         exact = integrate.solve_ivp(moved, (0.0, t[-1]), begun, t_eval=t, rtol=1e-9, atol=1e-12)
         found = seen.theta[start:] - 15.0 / (k * R)
         assert found == pytest.approx(exact.y[0], abs=5e-3 * np.abs(exact.y[0]).max())
+
+
+def directional_friction(effect):
+    """A free swing whose damping depends on the direction, either way."""
+    for more in (0.03, -0.03):
+        seen = rollout(
+            REEL + effect(difference_Nms=more), np.where(np.arange(300) < 2, 18.0, 15.0)
+        )
+
+        def moved(_, x, more=more):
+            drag = b + max(more * np.sign(x[1]), 0.0)
+            return [x[1], -(k * R**2 * x[0] + drag * x[1]) / J]
+
+        start, t = 10, np.arange(290) / RATE
+        begun = [seen.theta[start] - 15.0 / (k * R), seen.omega[start]]
+        exact = integrate.solve_ivp(moved, (0.0, t[-1]), begun, t_eval=t, rtol=1e-8, atol=1e-12)
+        found = seen.theta[start:] - 15.0 / (k * R)
+        assert found == pytest.approx(exact.y[0], abs=5e-3 * np.abs(exact.y[0]).max())
+
+
+def load_friction(effect):
+    """A share of the tension against the motion, and just enough to stop where it sticks."""
+    law = Law(effect(load_share=0.1))
+    for velocity, tension in ((-3.0, 12.0), (0.1, 30.0), (2.0, -5.0), (1.0, 0.0)):
+        found = law.pass_(0.0, velocity=velocity, tension=tension)
+        assert found == pytest.approx(-0.1 * R * abs(tension) * np.sign(velocity))
+    assert law.pass_(0.0, velocity=1e-9, tension=30.0) == pytest.approx(-0.001)
+
+
+def current_lag(effect):
+    """The mean over each sample of a lag's response to a command held between samples."""
+    lag, u = 2.3e-3, wander(60, -2.0, 4.0)
+    law = Law(effect(lag_s=lag))
+    law.settle(u[0])
+    found = np.array([law.pass_(one) for one in u])
+    fine = np.repeat(u, 400)
+    time = np.arange(fine.size) / (400 * RATE)
+    _, current, _ = signal.lsim(([1.0], [lag, 1.0]), fine - u[0], time)
+    means = u[0] + current.reshape(-1, 400).mean(axis=1)
+    assert found == pytest.approx(means, abs=5e-3 * np.ptp(u))
 
 
 def dead_time(effect):

@@ -1,4 +1,3 @@
-import itertools
 import re
 from dataclasses import dataclass, replace
 from importlib import metadata
@@ -12,20 +11,11 @@ from estune.errors import InvalidInput
 from estune.trial import TrialRequest
 from estune.trial.profiles import StepProfile
 from plants import effects
+from plants.conformance.effect import EffectConformance
+from plants.conformance.reel_runs import GAINS, REEL, UP, readings, rest, rollout, wander
 from plants.effects import EFFECTS, Effect, EyeletFriction, Port, Quantisation, RecordScale, Role
 from plants.identify import Band, multisine, open_loop_record
 from plants.simulation.trial_loop import CompiledLoop, VirtualLoop, loop_functions
-from tests.support_effects import (
-    DOWN,
-    GAINS,
-    REEL,
-    UP,
-    readings,
-    rest,
-    rollout,
-    trial,
-    wander,
-)
 
 SLUGS = [
     *("coulomb_friction", "stribeck_friction", "dahl_hysteresis", "eyelet_friction"),
@@ -47,7 +37,12 @@ def example():
 
 Own = example()
 CASES = {**EFFECTS, "one's own": Own}
-every_effect = pytest.mark.parametrize("effect", CASES.values(), ids=CASES)
+
+
+class TestEveryEffect(EffectConformance):
+    @pytest.fixture(params=CASES.values(), ids=CASES)
+    def effect(self, request):
+        return request.param
 
 
 def all_on(order):
@@ -58,33 +53,11 @@ def all_on(order):
     return reel
 
 
-RESTLESS = wander(160, -15.0, 60.0)  # beyond the current limits, and through slack
-
-
 def test_every_canonical_effect_has_a_file_of_its_name():
     assert set(SLUGS) <= set(EFFECTS)
     for name, effect in EFFECTS.items():
         assert effect.__module__ == f"plants.effects.{name}"
         assert effects.find(name) is effect
-
-
-@every_effect
-def test_effect_declaration_is_complete(effect):
-    declared = effect.parameters()
-    assert re.fullmatch(r"[a-z]+(_[a-z]+)*", effect.name)
-    assert len(effect.title.split()) >= 2
-    assert len(effect.appearance.split()) >= 8
-    assert effect.excitation or effect is Own
-    assert any(p.neutral is not None for p in declared.values())
-    usual, neutral = effect(), effect.neutral()
-    for name, p in declared.items():
-        assert p.low < p.high
-        assert p.low <= getattr(usual, name) <= p.high
-        assert p.neutral in (None, getattr(neutral, name))
-        assert usual != neutral
-        for wrong in (p.low - 1.0, p.high + 1.0, float("nan"), float("inf")):
-            with pytest.raises(InvalidInput, match=f"{effect.name}: {name} is"):
-                effect(**{name: wrong})
 
 
 @pytest.mark.parametrize("effect", EFFECTS.values(), ids=EFFECTS)
@@ -95,34 +68,6 @@ def test_effect_docstring_has_law_and_units(effect):
         assert not p.unit or f" {p.unit}" in line
 
 
-@every_effect
-@pytest.mark.parametrize("profile", [UP, DOWN], ids=["up", "down"])
-def test_neutral_effect_changes_nothing(effect, profile):
-    bare, neutral = trial(REEL, profile), trial(REEL + effect.neutral(), profile)
-    for column in ("tension_N", "effort_N"):
-        assert getattr(neutral, column) == pytest.approx(getattr(bare, column), abs=1e-8)
-    count = 2 * np.pi / REEL.encoder_counts
-    assert np.abs(neutral.angle_rad - bare.angle_rad).max() < 1.5 * count
-
-
-@every_effect
-def test_usual_effect_changes_the_response(effect):
-    bare, changed = (rollout(reel, RESTLESS) for reel in (REEL, REEL + effect()))
-    change = np.abs(np.stack(changed[:4]) - np.stack(bare[:4])).max(axis=1)
-    assert (change / np.ptp(np.stack(bare[:4]), axis=1)).max() > 1e-4
-
-
-@every_effect
-@pytest.mark.parametrize("preload", [8.0, 30.0])
-def test_trial_with_an_effect_begins_settled(effect, preload):
-    reel = REEL + effect()
-    _, effort = rest(reel, preload)
-    held = rollout(reel, np.full(60, effort), preload)
-    assert np.abs(held.omega).max() < 1e-7
-    assert np.ptp(held.theta) < 1e-9
-    assert held.tension[0] == pytest.approx(preload, abs=1e-6)
-
-
 @pytest.mark.parametrize("order", [1, -1], ids=["forward", "backward"])
 def test_trial_with_all_effects_begins_settled(order):
     reel = all_on(order)
@@ -130,37 +75,6 @@ def test_trial_with_all_effects_begins_settled(order):
     held = rollout(reel, np.full(60, effort), 20.0)
     assert np.abs(held.omega).max() < 1e-6
     assert held.tension[0] == pytest.approx(20.0, abs=0.5 * Quantisation().step_N + 1e-9)
-
-
-@every_effect
-def test_effect_derivatives_match_finite_differences(effect):
-    reel, names = REEL + effect(), list(effect.parameters())
-    p, seen = readings(reel, RESTLESS)
-    direction = ca.MX.sym("direction", p.numel())
-    run = ca.Function("run", [p], [seen])
-    slope = ca.Function("slope", [p, direction], [ca.jtimes(seen, p, direction)])
-    first = p.numel() - len(names)
-    for n, (name, declared) in enumerate(effect.parameters().items()):
-        unit = np.zeros(p.numel())
-        unit[first + n] = 1.0
-        value = getattr(reel.effects[-1], name)
-        for here in {value, declared.neutral} - {None}:
-            at = reel.parameter_values + (here - value) * unit
-            found = np.asarray(slope(at, unit)).ravel()
-            assert np.isfinite(found).all()
-        if not effect.smooth:
-            continue
-        found = np.asarray(slope(reel.parameter_values, unit)).ravel()
-        low, high = declared.low, declared.high
-        h = 1e-6 * min(high - value or 1.0, value - low or 1.0, max(abs(value), 0.01))
-        ahead, behind = (
-            np.asarray(run(reel.parameter_values + s * h * unit)).ravel() for s in (1, -1)
-        )
-        # A sample in which an event comes later or earlier by the step itself may differ.
-        off = np.abs(found - (ahead - behind) / (2 * h)) > 1e-3 * np.abs(found).max()
-        assert off.mean() < 0.02
-        # What only shapes a law, as its creep while it sticks, need not show in every trial.
-        assert np.abs(found).max() > 0.0 or isinstance(declared.start, float)
 
 
 def test_dead_time_has_a_derivative_at_zero():
@@ -174,28 +88,6 @@ def test_dead_time_has_a_derivative_at_zero():
     ahead = np.asarray(run(reel.parameter_values + 1e-8 * unit) - run(reel.parameter_values))
     assert found == pytest.approx(ahead / 1e-8, abs=1e-4 * np.abs(found).max())
     assert np.abs(found).max() > 0.0
-
-
-@every_effect
-def test_effect_stays_finite_at_its_bounds(effect):
-    declared = effect.parameters()
-    ends = itertools.product(*([p.low, p.high] for p in declared.values()))
-    for values in ends:
-        reel = REEL + effect(**dict(zip(declared, values, strict=True)))
-        for profile in (UP, DOWN):
-            seen = trial(reel, profile)
-            assert seen.ended[0] == seen.tension_N.size, values
-            columns = np.stack([seen.tension_N, seen.effort_N, seen.angle_rad])
-            assert np.isfinite(columns).all(), values
-
-
-@every_effect
-def test_cable_never_pushes(effect):
-    watched = REEL + effect() + EyeletFriction.neutral()
-    assert rollout(watched, RESTLESS).outside.min() >= 0.0
-    declared = effect.parameters()
-    extreme = effect(**{name: p.high for name, p in declared.items()})
-    assert rollout(REEL + extreme + EyeletFriction.neutral(), RESTLESS).outside.min() >= 0.0
 
 
 FRICTIONLESS = plants.reference_reel(
@@ -299,19 +191,6 @@ def test_roles_follow_from_the_declaration_unless_given():
     assert EFFECTS["gauge_resonance"].named(Role.FREQUENCY) == ("frequency_Hz",)
     assert EFFECTS["rate_limit"].named(Role.LIMIT) == ("rate_A_per_s",)
     assert Own.named(Role.SHAPE) == ("turns",)
-
-
-@every_effect
-def test_every_effect_has_a_size_or_a_limit_and_begins_within_its_bounds(effect):
-    assert effect.named(Role.SIZE, Role.LIMIT)
-    for records in (RecordScale(), RecordScale(*([1.0] * 15), (50.0,), (24.0,))):
-        for name, p in effect.parameters().items():
-            start, high = effect.start(name, records)
-            assert p.low <= start <= high <= p.high
-            assert all(p.low <= value <= p.high for value in effect.guesses(name, records))
-    assert effect.matters(
-        {name: getattr(effect(), name) for name in effect.parameters()}, RecordScale()
-    )
 
 
 def test_fit_of_friction_begins_at_a_share_of_the_torque_in_the_records():

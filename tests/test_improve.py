@@ -1,31 +1,38 @@
 """From a rig with something hidden in it to a better model, and to gains tuned with it."""
 
+import itertools
 import json
 import re
 from dataclasses import replace
 
+import control
 import numpy as np
 import pytest
 
 import plants
 from estune.cli import run
-from estune.errors import InvalidInput
+from estune.core.gains import Gains
+from estune.errors import Interrupted, InvalidInput
 from estune.run.loop import Stopped
 from estune.run.trial_file import TrialFile, read_trial
-from estune.trial import RigLimits, TrialRequest
+from estune.trial import GUARD, LATE, Outcome, RigLimits, TrialRequest
 from estune.trial.profiles import StepProfile, TriangleProfile
 from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.data.noise_floor import noise_floor
 from plants.diagnosis.data.records import read_measurements
 from plants.diagnosis.experiments.designs import candidate_experiments, initial_experiments
 from plants.diagnosis.experiments.next_experiment import Evidence, next_experiment, rig_of
-from plants.diagnosis.improve_model import TuneOptions
+from plants.diagnosis.improvement.experiment_runner import ExperimentRunner
+from plants.diagnosis.improvement.improve import at_rig
+from plants.diagnosis.improvement.result import Costs
+from plants.diagnosis.improvement.tuning import TuneOptions, is_worse, tune_with_model, way
 from plants.diagnosis.models.base import BaseNumbers
 from plants.diagnosis.residual.localisation import ResidualLocation, localise
 from plants.effects import CoulombFriction, EyeletFriction
 from tests.serve_rig import served
 
 REEL = plants.reference_reel()
+GAINS = REEL.describe("rig", None).gains
 SHORT = TuneOptions(model_trials=40, rig_trials=6, watch=None)
 FEW = ("coulomb_friction", "eyelet_friction", "dead_time")
 RIGS = {
@@ -192,24 +199,156 @@ def test_complete_model_is_unchanged_over_the_link(tmp_path, capsys):
         assert costs["improved"] == pytest.approx(costs["measured"], rel=0.03)
 
 
-def test_interrupted_improvement_restores_the_rig_and_keeps_records(tmp_path):
+def watched(rig, at, action):
+    """The rig, whose trial of that number is replaced; and the ids of the trials it runs."""
+    real, ids = rig.run, []
+
+    def run(request):
+        ids.append(request.trial_id)
+        return action(request, real) if len(ids) == at else real(request)
+
+    rig.run = run
+    return ids
+
+
+def stop(*_):
+    raise KeyboardInterrupt
+
+
+FEWER = {
+    "effects": FEW,
+    "rounds": 1,
+    "tuning": TuneOptions(model_trials=5, rig_trials=2, watch=None),
+}
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    return plants.improve(REEL.rig(), REEL, folder=tmp_path_factory.mktemp("whole"), **FEWER)
+
+
+@pytest.mark.parametrize("at", [3, 16])  # among the experiments, and in the rig's tuning
+def test_interrupted_improvement_continues_where_it_stopped(whole, tmp_path, at):
     rig = REEL.rig()
-    live, real, calls = rig.describe().gains, rig.run, []
-
-    def interrupted(request):
-        calls.append(request)
-        if len(calls) == 3:
-            raise KeyboardInterrupt
-        return real(request)
-
-    rig.run = interrupted
+    live, ids = rig.describe().gains, watched(rig, at, stop)
     with pytest.raises(Stopped, match="stopped") as stopped:
-        plants.improve(rig, REEL, folder=tmp_path / "x")
+        plants.improve(rig, REEL, folder=tmp_path / "x", **FEWER)
     assert stopped.value.description.gains == live
     assert stopped.value.folder == tmp_path / "x"
-    assert len(read_measurements(tmp_path / "x" / "data").measurements) == 2
-    with pytest.raises(InvalidInput, match="holds something already"):
-        plants.improve(rig, REEL, folder=tmp_path / "x")
+    assert str(tmp_path / "x") in stopped.value.again
+    with pytest.raises(InvalidInput, match="another model"):
+        plants.improve(rig, plants.reference_reel(drum_inertia_kg_m2=3e-3), folder=tmp_path / "x")
+    found = plants.improve(rig, REEL, folder=tmp_path / "x", **FEWER)
+    ids.remove(ids[at - 1])  # that which was interrupted before it ran
+    assert len(ids) == len(set(ids))
+    assert [c.measured for c in found.costs] == [c.measured for c in whole.costs]
+    assert found.tuning.gains == whole.tuning.gains
+    with pytest.raises(InvalidInput, match="finished"):
+        plants.improve(rig, REEL, folder=tmp_path / "x", **FEWER)
+
+
+def ended(flags, reason):
+    def action(request, real):
+        record = real(request)
+        last = record.flags.copy()
+        last[-1] = flags
+        return replace(record, outcome=Outcome.INTERRUPTED, reason=reason, flags=last)
+
+    return action
+
+
+def runner(rig, folder):
+    """Trials on a rig that says it moves."""
+    about = replace(rig.describe(), simulated=False)
+    return ExperimentRunner(rig, about, folder, "now", lambda _: None)
+
+
+def test_trial_that_was_late_is_repeated(tmp_path):
+    rig = REEL.rig()
+    ids = watched(rig, 1, ended(LATE | GUARD, "3 late samples in a row"))
+    record = runner(rig, tmp_path).trial("step", GAINS, REEL.profile)
+    assert record.outcome is Outcome.DONE
+    assert ids == ["step-now-00000", "step-now-00000.1"]
+
+
+def test_trial_interrupted_on_a_moving_rig_is_repeated_only_by_a_second_call(tmp_path):
+    rig = REEL.rig()
+    ids = watched(rig, 1, ended(GUARD, "no heartbeat"))
+    with pytest.raises(Interrupted, match="check the rig"):
+        runner(rig, tmp_path).trial("step", GAINS, REEL.profile)
+    assert runner(rig, tmp_path).trial("step", GAINS, REEL.profile).outcome is Outcome.DONE
+    assert ids == ["step-now-00000", "step-now-00000.1"]
+
+
+def costs(given, improved):
+    return Costs("the rig's own", GAINS, given, improved, 1.0, 0.01)
+
+
+def test_improved_model_is_refused_only_if_it_predicts_the_rig_worse_beyond_doubt():
+    assert is_worse(costs(1.05, 0.9))
+    assert is_worse(costs(1.0, float("nan")))
+    assert not is_worse(costs(1.05, 0.94))
+    assert not is_worse(costs(float("nan"), 0.5))
+
+
+def test_way_to_the_gains_of_a_model_has_no_large_step():
+    start, goal = Gains(0.4, 12.0, 0.0, 0.03), Gains(8.1, 3.0, 0.02, 0.03)
+    passed = [start, *way(start, goal)]
+    assert passed[-1] == goal
+    for one, other in itertools.pairwise(passed):
+        for a, b in zip(one.as_tuple(), other.as_tuple(), strict=True):
+            assert a == 0.0 or 1.0 / 1.5 <= b / a <= 1.5 + 1e-9 or b < 0.02
+    assert list(way(start, start)) == []
+
+
+def test_gains_tried_on_the_rig_stop_before_the_model_fails(tmp_path):
+    """A model of half the stiffness is tuned to gains with which the real reel rings."""
+    soft = plants.reference_reel(cable_EA_N=600.0, structure_stiffness_N_m=1200.0)
+    rig = REEL.rig()
+    seen = []
+    ids = watched(rig, 0, None)
+    real = rig.run
+    rig.run = lambda request: seen.append(real(request)) or seen[-1]
+    lab = ExperimentRunner(rig, rig.describe(), tmp_path, "now", lambda _: None)
+    tuned = tune_with_model(lab, soft, soft, SHORT)
+    approach = [r for r in seen if r.trial_id.startswith("approach")]
+    assert ids
+    assert all(r.outcome is Outcome.DONE for r in approach)
+    first = tuned.result.start
+    assert first.cost <= tuned.costs[0].measured + 0.1
+
+
+LINEAR = plants.linear_plant(
+    control.tf([1440.0], [1.0, 40.0, 1600.0]),
+    0.004,
+    400.0,
+    noise_rms_N=0.02,
+    newtons_per_ampere=20.0,
+    output_min_N=-120.0,
+    output_max_N=120.0,
+    limits=RigLimits(0.0, 40.0, 60.0),
+    profile=StepProfile(15.0, 10.0, 0.2, 1.5),
+    settling_time_s=0.2,
+)
+
+
+def test_rig_known_by_its_linear_model_keeps_its_effort_per_ampere(tmp_path):
+    short = SHORT._replace(model_trials=10, rig_trials=2)
+    found = plants.improve(LINEAR.rig(seed=3), folder=tmp_path / "x", effects=FEW, tuning=short)
+    assert found.diagnosis.verdict == "none"
+    assert found.model.newtons_per_ampere == 20.0
+    for one in found.costs:
+        assert one.error_improved < 0.01
+    plants.save_model(found.model, tmp_path / "m.toml")
+    assert plants.load_model(tmp_path / "m.toml").newtons_per_ampere == 20.0
+
+
+@pytest.mark.parametrize("plant", [LINEAR, REEL, plants.unloaded_reel()])
+def test_model_at_a_rig_has_its_effort_per_ampere(plant):
+    about = replace(plant.describe("rig", None), newtons_per_ampere=31.0)
+    at = at_rig(plant, about)
+    assert at.newtons_per_ampere == pytest.approx(31.0)
+    assert at.controller.output_max_N == pytest.approx(plant.controller.output_max_N)
 
 
 def test_experiments_of_a_slow_plant_are_longer():

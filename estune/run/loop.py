@@ -78,12 +78,16 @@ class Stopped(KeyboardInterrupt):
     Attributes:
         description: Description of the rig after the stop, with its live gains.
         folder: The run on disk, to be resumed; None without a journal.
+        again: How to continue; empty where nothing can be.
     """
 
-    def __init__(self, description: RigDescription, folder: Path | None) -> None:
+    def __init__(
+        self, description: RigDescription, folder: Path | None, again: str | None = None
+    ) -> None:
         super().__init__(f"stopped; {description.name} runs its live gains {description.gains}")
         self.description = description
         self.folder = folder
+        self.again = again or (f"estune resume {folder}" if folder else "")
 
 
 RECENT_MAX = 20
@@ -230,7 +234,8 @@ def _check_void(tuning: TuningRun, record: TrialRecord, consecutive: int) -> Non
     folder = tuning.journal.folder if tuning.journal else None
     resume = f"continue with: estune resume {folder}" if folder else "tune again"
     what = f"trial {record.trial_id} on rig {record.rig}"
-    if record.outcome is Outcome.INTERRUPTED and not tuning.description.simulated:
+    interrupted = record.outcome is Outcome.INTERRUPTED and not record.ended_late
+    if interrupted and not tuning.description.simulated:
         raise Interrupted(
             f"{what} was interrupted ({record.reason}); check the rig, then {resume}"
         )

@@ -119,6 +119,11 @@ class TrialRecord:
     loop: Loop = "closed"
     profile: Kind | Literal["custom"] = "step"
 
+    @property
+    def ended_late(self) -> bool:
+        """Whether the rig's guard ended the trial because the loop's own sample came late."""
+        return bool(self.flags.size) and int(self.flags[-1]) & (LATE | GUARD) == LATE | GUARD
+
 
 def empty_record(
     request: TrialRequest, rig: RigDescription, outcome: Outcome, reason: str, at: str

@@ -1,5 +1,8 @@
 """`estune improve-model`: a rig's model improved by experiment, and the rig tuned with it."""
 
+import shlex
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -7,6 +10,8 @@ from rich.text import Text
 
 from estune.cli import output
 from estune.cli.values import Effects, Flag, check_folder_exists, security_from
+from estune.errors import RigError
+from estune.run.loop import Stopped
 from estune.run.session import REPEATS, TRIALS
 from estune.run.targets import is_endpoint, open_target
 
@@ -40,6 +45,7 @@ def improve_model(
         model: The initial model: a model file or module:attribute; by default the reference reel
             at the rig's cable length, or the linear model in the rig's description.
         folder: Folder for records, trial files and the tuning's run; the time of day by default.
+            The folder of an improvement that was interrupted continues it.
         rounds: Maximum number of rounds of experiments and diagnosis.
         model_trials: Maximum number of search trials on the improved model.
         trials: Maximum number of search trials on the rig.
@@ -55,17 +61,28 @@ def improve_model(
     check_folder_exists("--report", report)
     check_folder_exists("--save", save)
     import plants  # noqa: PLC0415  slow to import
+    from plants.diagnosis.improvement.experiment_runner import (  # noqa: PLC0415  slow to import
+        default_folder,
+    )
     from plants.diagnosis.improvement.tuning import TuneOptions  # noqa: PLC0415  slow to import
     from plants.effects import declared, find  # noqa: PLC0415  slow to import
 
+    where = folder or default_folder()
+    options = {"--model": model, "--rig": rig, "--security": security, "--folder": where}
+    words = ["estune", "improve-model", target]
+    words += [str(w) for pair in options.items() if pair[1] is not None for w in pair]
+    words += [w for effect in effects for w in ("--effects", effect)]
     own = tuple(map(find, effects))
     silent = quiet or json
     initial = None if model is None else plants.load_model(model)
-    with open_target(target, rig, security_from(security)) as the_rig:
+    with (
+        _continuable(shlex.join(words)),
+        open_target(target, rig, security_from(security)) as the_rig,
+    ):
         improvement = plants.improve(
             the_rig,
             initial,
-            folder=folder,
+            folder=where,
             effects=(*declared(), *own) if own else None,
             rounds=rounds,
             tuning=TuneOptions(
@@ -90,6 +107,19 @@ def improve_model(
     if save is not None:
         facts |= {"model": save, "try it": f"estune tune {save}"}
     output.show_next(facts)
+
+
+@contextmanager
+def _continuable(command: str) -> Iterator[None]:
+    """Says by which command an improvement that ends early is continued."""
+    try:
+        yield
+    except Stopped as stop:
+        stop.again = command
+        raise
+    except RigError as error:
+        error.args = (f"{error}; continue with: {command}",)
+        raise
 
 
 def _show(improvement: "Improvement") -> None:

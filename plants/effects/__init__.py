@@ -41,9 +41,11 @@ from plants.effects.cable_slack import CableSlack as CableSlack
 from plants.effects.cable_stiffening import CableStiffening as CableStiffening
 from plants.effects.cable_weight import CableWeight as CableWeight
 from plants.effects.coulomb_friction import CoulombFriction as CoulombFriction
+from plants.effects.current_lag import CurrentLag as CurrentLag
 from plants.effects.current_saturation import CurrentSaturation as CurrentSaturation
 from plants.effects.dahl_hysteresis import DahlHysteresis as DahlHysteresis
 from plants.effects.dead_time import DeadTime as DeadTime
+from plants.effects.directional_friction import DirectionalFriction as DirectionalFriction
 from plants.effects.drum_eccentricity import DrumEccentricity as DrumEccentricity
 from plants.effects.effect import Effect as Effect
 from plants.effects.effect import Port as Port
@@ -55,6 +57,7 @@ from plants.effects.gauge_drift import GaugeDrift as GaugeDrift
 from plants.effects.gauge_nonlinearity import GaugeNonlinearity as GaugeNonlinearity
 from plants.effects.gauge_offset import GaugeOffset as GaugeOffset
 from plants.effects.gauge_resonance import GaugeResonance as GaugeResonance
+from plants.effects.load_friction import LoadFriction as LoadFriction
 from plants.effects.mains_interference import MainsInterference as MainsInterference
 from plants.effects.parameter import Parameter as Parameter
 from plants.effects.parameter import RecordScale as RecordScale

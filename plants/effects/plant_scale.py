@@ -109,6 +109,13 @@ class PlantScale(NamedTuple):
         at_cable = torque_Nm / self.radius_m if self.has_cable else math.nan
         return f"{si(torque_Nm, 'N m')}{also(at_cable, 'N', ' at the cable')}"
 
+    def damping(self, damping_Nms: float) -> str:
+        """A viscous friction at the drum, and at the cable."""
+        if self.is_plant:
+            return f"{_input(damping_Nms)} for each unit of the output per second"
+        at_cable = damping_Nms / self.radius_m**2 if self.has_cable else math.nan
+        return f"{digits(damping_Nms)} N m s/rad{also(at_cable, 'N per m/s', ' of cable')}"
+
     def travel(self, angle_rad: float) -> str:
         """An angle of the drum, and the cable it winds."""
         if self.is_plant:

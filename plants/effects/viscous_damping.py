@@ -5,7 +5,7 @@ from typing import Any
 
 from plants.effects.effect import Effect, Port, Values
 from plants.effects.parameter import parameter
-from plants.effects.plant_scale import PlantScale, digits
+from plants.effects.plant_scale import PlantScale
 
 
 @dataclass(frozen=True)
@@ -33,15 +33,8 @@ class ViscousDamping(Effect):
     @classmethod
     def describe(cls, p: Values, plant: PlantScale) -> str:
         """Sentence with the fitted values."""
-        b = p.damping_Nms
-        if plant.is_plant:
-            return (
-                f"has more viscous friction than the model: {digits(b)} in the input's unit for "
-                "each unit of the output per second"
-            )
-        cable = f" ({digits(b / plant.radius_m**2)} N per m/s of cable)" if plant.has_cable else ""
         return (
-            f"has more viscous friction than the model: {digits(b)} N m s/rad{cable}, in "
+            f"has more viscous friction than the model: {plant.damping(p.damping_Nms)}, in "
             "proportion to the speed"
         )
 

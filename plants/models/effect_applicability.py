@@ -28,6 +28,9 @@ def unavailable(base: LinearBase, effect: type[Effect]) -> str | None:
         missing |= {Port.DRUM, Port.CABLE}
     elif not base.is_drum and (motion.restoring is None or motion.restoring.is_zero()):
         missing |= {Port.CABLE}
+    still = motion.restoring is None or motion.restoring.is_zero()
+    if effect.by_tension and still and not ports & missing:
+        return "it depends on the level of a tension, which the plant does not have"
     if ports & missing:
         return f"it acts at the {min(ports & missing)}, {_ABSENT[base.is_drum]}"
     try:

@@ -182,6 +182,7 @@ def linear_plant(
     profile: StepProfile | None = None,
     limits: RigLimits | None = None,
     gains: Gains | None = None,
+    newtons_per_ampere: float = 1.0,
 ) -> LinearPlant:
     """A plant from a python-control model, sampled exactly under zero-order hold.
 
@@ -205,6 +206,7 @@ def linear_plant(
             times.
         limits: Limits of its rig; None is practically none.
         gains: Safe live gains of its rig; None is a slow PI chosen by its margins.
+        newtons_per_ampere: Effort per motor current, N/A: the records' current is effort over it.
 
     Raises:
         InvalidInput: the model is of another kind, or a value is out of its range.
@@ -242,6 +244,7 @@ def linear_plant(
         limits=limits,
         noise_rms_N=noise_rms_N,
         gains=gains,
+        newtons_per_ampere=newtons_per_ampere,
     )
     return LinearPlant(mounting, sampled, model)
 

@@ -133,6 +133,7 @@ def _own_values(model: PlantModel) -> dict[str, Any]:
 
 _UNITS = ("torque_unit", "angle_unit")
 _CONTROLLER = ("sampling_Hz", "output_min_N", "output_max_N", "derivative_filter_s")
+_MOUNTED = ("noise_rms_N", "settling_time_s", "newtons_per_ampere")
 _LINEAR_KEYS: dict[str, Reader] = {
     "numerator": _numbers,
     "denominator": _numbers,
@@ -141,9 +142,7 @@ _LINEAR_KEYS: dict[str, Reader] = {
     "C": _numbers,
     "E": read_number,
     "discrete": _flag,
-    **dict.fromkeys(
-        ("dead_time_s", *_CONTROLLER, "noise_rms_N", "settling_time_s", *_UNITS), read_number
-    ),
+    **dict.fromkeys(("dead_time_s", *_CONTROLLER, *_MOUNTED, *_UNITS), read_number),
     "step": _record_of(StepProfile),
     "limits": _record_of(RigLimits),
     "gains": _record_of(Gains),
@@ -193,7 +192,7 @@ def _linear_values(plant: LinearPlant) -> dict[str, Any]:
         }
     values |= _units_of(plant)
     values |= {name: getattr(mounting.controller, name) for name in _CONTROLLER}
-    values |= {"noise_rms_N": mounting.noise_rms_N, "settling_time_s": mounting.settling_time_s}
+    values |= {name: getattr(mounting, name) for name in _MOUNTED}
     values |= {"step": _table(mounting.profile), "limits": _table(mounting.limits)}
     return values if mounting.gains is None else {**values, "gains": _table(mounting.gains)}
 

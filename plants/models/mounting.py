@@ -28,10 +28,12 @@ class Mounting:
     limits: RigLimits  # limits of the rig
     noise_rms_N: float = 0.0  # root mean square of the measurement noise, N
     gains: Gains | None = None  # safe live gains, or None where none are known
+    newtons_per_ampere: float = 1.0  # effort per motor current, N/A
 
     def __post_init__(self) -> None:
         check_positive("settling time", self.settling_time_s, "s")
         check_not_negative("measurement noise", self.noise_rms_N, "N rms")
+        check_positive("effort per ampere", self.newtons_per_ampere, "N/A")
 
     @classmethod
     def with_defaults(
@@ -44,6 +46,7 @@ class Mounting:
         limits: RigLimits | None,
         noise_rms_N: float,
         gains: Gains | None,
+        newtons_per_ampere: float = 1.0,
     ) -> "Mounting":
         """A mounting with a unit step from the preload and wide limits, where none are given."""
         start = 0.5 * settling_time_s
@@ -56,6 +59,7 @@ class Mounting:
             limits=limits or RigLimits(-UNLIMITED_N, UNLIMITED_N, longest_s),
             noise_rms_N=noise_rms_N,
             gains=gains,
+            newtons_per_ampere=newtons_per_ampere,
         )
 
     def describe(
@@ -76,7 +80,7 @@ class Mounting:
             name=name,
             gains=live,
             controller=self.controller,
-            newtons_per_ampere=1.0,
+            newtons_per_ampere=self.newtons_per_ampere,
             limits=self.limits,
             step=self.profile,
             settling_time_s=self.settling_time_s,
@@ -93,8 +97,8 @@ class MountedModel(PlantModel):
 
     @property
     def newtons_per_ampere(self) -> float:
-        """Effort per motor current, N/A; effort and current are the same."""
-        return 1.0
+        """Effort per motor current, N/A."""
+        return self.mounting.newtons_per_ampere
 
     @property
     def controller(self) -> ControllerSettings:

@@ -60,10 +60,11 @@ class DiagnosedLinear(DiagnosedModel):
         if not isinstance(model, LinearPlant):
             model = linear_plant(model, sampling_Hz=measurements[0].sampling_Hz)
         self.kinds, self.values = model.base, model.own_numbers  # raises where it is discrete
+        self.newtons_per_ampere = model.newtons_per_ampere
         if not model.effects:
             model = self._in_units(model, measurements)
         super().__init__(model, measurements)
-        self.drive_unit = model.torque_unit
+        self.drive_unit = model.torque_unit / model.newtons_per_ampere
         self.reading_unit = model.angle_unit / READINGS_PER_ANGLE
 
     def _in_units(self, model: LinearPlant, measurements: Sequence[MeasuredRecord]) -> LinearPlant:

@@ -31,12 +31,13 @@ class DiagnosedFunction(DiagnosedModel):
     def __init__(self, model: PythonPlant, measurements: Sequence[MeasuredRecord]) -> None:
         whole = model.traced(())
         trace(whole.step, whole.shape)  # raises where it cannot be
+        self.newtons_per_ampere = model.newtons_per_ampere
         if not model.effects:
             inputs = [self.command_N(m) for m in measurements]
             torque, angle = units(inputs, [m.tension_N for m in measurements])
             model = replace(model, torque_unit=torque, angle_unit=angle)
         super().__init__(model, measurements)
-        self.drive_unit = model.torque_unit
+        self.drive_unit = model.torque_unit / model.newtons_per_ampere
         self.reading_unit = model.angle_unit / READINGS_PER_ANGLE
 
     def unavailable(self, effect: type[Effect]) -> str | None:

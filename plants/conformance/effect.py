@@ -1,0 +1,135 @@
+"""Conformance suite of a physical effect; see `plants.effects.effect`."""
+
+import itertools
+import re
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from estune.errors import InvalidInput
+from estune.trial.profiles import StepProfile
+from plants.conformance.reel_runs import DOWN, REEL, UP, readings, rest, rollout, trial, wander
+from plants.effects import Effect, EyeletFriction, RecordScale, Role
+
+RESTLESS = wander(160, -15.0, 60.0)
+"""An effort beyond the current limits, and through slack."""
+COUNT_rad = 2.0 * np.pi / REEL.encoder_counts
+UNKNOWN = RecordScale()
+"""The scale of records that show nothing."""
+KNOWN = RecordScale(
+    **{name: 1.0 for name, default in UNKNOWN._asdict().items() if default != ()},
+    resonances_Hz=(50.0,),
+    periods_per_turn=(24.0,),
+)
+"""The scale of records that show all."""
+
+
+class EffectConformance:
+    """Tests of an effect on a reel: the fixture `effect`, which a subclass must define."""
+
+    @pytest.fixture
+    def effect(self) -> type[Effect]:
+        """The effect under test."""
+        raise NotImplementedError("define the fixture `effect`: your class derived from Effect")
+
+    def test_effect_declaration_is_complete(self, effect: type[Effect]) -> None:
+        assert re.fullmatch(r"[a-z]+(_[a-z]+)*", effect.name)
+        assert len(effect.title.split()) >= 2
+        assert len(effect.appearance.split()) >= 8
+        assert effect() != effect.neutral()
+
+    def test_parameters_are_checked_against_their_bounds(self, effect: type[Effect]) -> None:
+        declared = effect.parameters()
+        assert any(p.neutral is not None for p in declared.values())
+        for name, p in declared.items():
+            assert p.low < p.high
+            assert p.low <= getattr(effect(), name) <= p.high
+            assert p.neutral in (None, getattr(effect.neutral(), name))
+            for wrong in (p.low - 1.0, p.high + 1.0, float("nan"), float("inf")):
+                with pytest.raises(InvalidInput, match=f"{effect.name}: {name} is"):
+                    effect(**{name: wrong})
+
+    def test_fit_begins_within_the_bounds(self, effect: type[Effect]) -> None:
+        assert effect.named(Role.SIZE, Role.LIMIT)
+        for records in (UNKNOWN, KNOWN):
+            for name, p in effect.parameters().items():
+                start, high = effect.start(name, records)
+                assert p.low <= start <= high <= p.high
+                assert all(p.low <= value <= p.high for value in effect.guesses(name, records))
+        usual = {name: getattr(effect(), name) for name in effect.parameters()}
+        assert effect.matters(usual, UNKNOWN)
+
+    def test_sentence_gives_the_fitted_size(self, effect: type[Effect]) -> None:
+        usual = {name: getattr(effect(), name) for name in effect.parameters()}
+        assert re.search(r"\d", effect.sentence(usual, REEL))
+
+    @pytest.mark.parametrize("profile", [UP, DOWN], ids=["up", "down"])
+    def test_neutral_effect_changes_nothing(
+        self, effect: type[Effect], profile: StepProfile
+    ) -> None:
+        bare, neutral = trial(REEL, profile), trial(REEL + effect.neutral(), profile)
+        for column in ("tension_N", "effort_N"):
+            assert getattr(neutral, column) == pytest.approx(getattr(bare, column), abs=1e-8)
+        assert np.abs(neutral.angle_rad - bare.angle_rad).max() < 1.5 * COUNT_rad
+
+    def test_usual_effect_changes_the_response(self, effect: type[Effect]) -> None:
+        bare, changed = (np.stack(rollout(r, RESTLESS)[:4]) for r in (REEL, REEL + effect()))
+        change = np.abs(changed - bare).max(axis=1)
+        assert (change / np.ptp(bare, axis=1)).max() > 1e-4
+
+    @pytest.mark.parametrize("preload", [8.0, 30.0])
+    def test_trial_with_the_effect_begins_settled(
+        self, effect: type[Effect], preload: float
+    ) -> None:
+        reel = REEL + effect()
+        _, effort = rest(reel, preload)
+        held = rollout(reel, np.full(60, effort), preload)
+        assert np.abs(held.omega).max() < 1e-7
+        assert np.ptp(held.theta) < 1e-9
+        assert held.tension[0] == pytest.approx(preload, abs=1e-6)
+
+    def test_effect_derivatives_match_finite_differences(self, effect: type[Effect]) -> None:
+        reel, names = REEL + effect(), list(effect.parameters())
+        p, seen = readings(reel, RESTLESS)
+        direction = ca.MX.sym("direction", p.numel())
+        run = ca.Function("run", [p], [seen])
+        slope = ca.Function("slope", [p, direction], [ca.jtimes(seen, p, direction)])
+        first = p.numel() - len(names)
+        for n, (name, declared) in enumerate(effect.parameters().items()):
+            unit = np.zeros(p.numel())
+            unit[first + n] = 1.0
+            value = getattr(reel.effects[-1], name)
+            for here in {value, declared.neutral} - {None}:
+                at = reel.parameter_values + (here - value) * unit
+                assert np.isfinite(np.asarray(slope(at, unit))).all()
+            if not effect.smooth:
+                continue
+            found = np.asarray(slope(reel.parameter_values, unit)).ravel()
+            low, high = declared.low, declared.high
+            h = 1e-6 * min(high - value or 1.0, value - low or 1.0, max(abs(value), 0.01))
+            ahead, behind = (
+                np.asarray(run(reel.parameter_values + s * h * unit)).ravel() for s in (1, -1)
+            )
+            # A sample in which an event comes later or earlier by the step itself may differ.
+            off = np.abs(found - (ahead - behind) / (2 * h)) > 1e-3 * np.abs(found).max()
+            assert off.mean() < 0.02
+            # What only shapes a law, as its creep while it sticks, need not show in every trial.
+            assert np.abs(found).max() > 0.0 or isinstance(declared.start, float)
+
+    def test_effect_stays_finite_at_its_bounds(self, effect: type[Effect]) -> None:
+        declared = effect.parameters()
+        for values in itertools.product(*([p.low, p.high] for p in declared.values())):
+            reel = REEL + effect(**dict(zip(declared, values, strict=True)))
+            for profile in (UP, DOWN):
+                seen = trial(reel, profile)
+                assert seen.ended[0] == seen.tension_N.size, values
+                columns = np.stack([seen.tension_N, seen.effort_N, seen.angle_rad])
+                assert np.isfinite(columns).all(), values
+
+    def test_cable_never_pushes(self, effect: type[Effect]) -> None:
+        declared = effect.parameters()
+        extreme = effect(**{name: p.high for name, p in declared.items()})
+        for one in (effect(), extreme):
+            watched = REEL + one + EyeletFriction.neutral()
+            assert rollout(watched, RESTLESS).outside.min() >= 0.0

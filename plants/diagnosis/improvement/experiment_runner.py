@@ -1,0 +1,178 @@
+"""Trials of an improvement: run on the rig once, kept on disk, read back after an interruption."""
+
+import json
+import math
+from collections.abc import Callable, Sequence
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from estune import api
+from estune.core.cost import StepCost
+from estune.core.gains import Gains
+from estune.errors import Interrupted, InvalidInput, RigError
+from estune.run.export import replace_file, write_record
+from estune.run.loop import CONSECUTIVE_VOID_MAX
+from estune.run.plan import description_from_json, description_to_json
+from estune.run.trial_file import TrialFile
+from estune.trial import Outcome, Rig, RigDescription, TrialRecord, TrialRequest, record_frame
+from estune.trial.profiles import AnyProfile
+from estune.trial.scoring import cost_of
+from plants.diagnosis.data.measured_record import MeasuredRecord
+from plants.diagnosis.experiments.designs import Experiment, candidate_experiments
+
+PLAN, RESULT = "improvement-plan.json", "improvement.json"
+"""Files of an improvement that was begun, and of one that is finished."""
+
+Say = Callable[[str], None]
+
+
+class ExperimentRunner:
+    """Runs trials on the rig and keeps their records.
+
+    A trial that is on disk already is not run again: the same calls in the same order continue an
+    improvement that was interrupted.
+
+    Attributes:
+        rig: The rig.
+        about: Its description when the improvement began.
+        folder: Where everything is kept.
+        stamp: Time of the beginning, a part of each trial's id: a rig's ledger holds the ids of
+            other days.
+        records: Records of the experiments that ran to their end.
+        remarks: Warnings.
+        done: Setpoints of the experiments run.
+    """
+
+    def __init__(
+        self, rig: Rig, about: RigDescription, folder: Path, stamp: str, say: Say
+    ) -> None:
+        self.rig, self.about, self.folder, self.stamp = rig, about, folder, stamp
+        self.say = say
+        self.records: list[MeasuredRecord] = []
+        self.remarks: list[str] = []
+        self.done: set[AnyProfile] = set()
+        self._number = 0
+
+    def run(self, experiments: Sequence[Experiment]) -> tuple[str, ...]:
+        """Runs experiments one after the other; each record is on disk before the next begins."""
+        for one in experiments:
+            self.done.add(one.profile)
+            self.say(f"running {one.title} ({one.profile.duration_s:.3g} s)")
+            file = TrialFile(f"{self._number:02d}-{one.name}", one.profile, why=one.title)
+            file.write(self.folder / "trials")
+            record = self.trial(one.name, self.about.gains, one.profile)
+            write_record(record, self.folder / "data")
+            if record.outcome is Outcome.DONE:
+                self.records.append(MeasuredRecord.of(record))
+            else:
+                why = record.reason or record.outcome.sentence
+                self.remarks.append(f"{one.name} was left out: {why}")
+        return tuple(one.name for one in experiments)
+
+    def new_experiments(self, count: int) -> list[Experiment]:
+        """Candidate experiments that have not been run yet, spread over the list."""
+        left = [one for one in candidate_experiments(self.about) if one.profile not in self.done]
+        return left[:: max(1, len(left) // count)][:count] if left else []
+
+    def costs(self, name: str, gains: Gains, cost: StepCost, repeats: int) -> list[float]:
+        """Costs of some gains on the rig's own step; nan where a trial failed."""
+        step, per_ampere = self.about.step, self.about.newtons_per_ampere
+        records = [self.trial(name, gains, step) for _ in range(repeats)]
+        return [cost_of(record, step, cost, per_ampere) for record in records]
+
+    def measured(self, gains: Gains, cost: StepCost, repeats: int) -> tuple[float, float]:
+        """Mean cost of some gains on the rig's own step, and its standard error."""
+        costs = np.array(self.costs("start", gains, cost, repeats))
+        error = float(costs.std(ddof=1)) / math.sqrt(repeats) if repeats > 1 else 0.0
+        return float(costs.mean()), error
+
+    def trial(self, name: str, gains: Gains, profile: AnyProfile) -> TrialRecord:
+        """The record of a trial; one that carries no information is repeated.
+
+        Raises:
+            Interrupted: the trial was interrupted on a rig that moves, other than by a late
+                sample; to continue is to confirm that an operator has checked the rig.
+            RigError: the rig cannot be reached, or refuses; or too many trials were void.
+        """
+        number, attempt, fresh = self._number, 0, 0
+        self._number += 1
+        while True:
+            request = TrialRequest(f"{name}-{self.stamp}", number, gains, profile, attempt)
+            file = self.folder / "records" / f"{request.trial_id}.record"
+            known = file.exists()
+            record = record_frame.decode(file.read_bytes()) if known else self.rig.run(request)
+            if not known:
+                file.parent.mkdir(exist_ok=True)
+                replace_file(file, record_frame.encode(record))
+            if not record.outcome.is_void:
+                return record
+            attempt, fresh = attempt + 1, fresh + (not known)
+            self._check_void(record, fresh)
+
+    def _check_void(self, record: TrialRecord, fresh: int) -> None:
+        """Ends an improvement that must not repeat its void trial by itself."""
+        what = f"trial {record.trial_id} on rig {record.rig}"
+        unexplained = record.outcome is Outcome.INTERRUPTED and not record.ended_late
+        if fresh and unexplained and not self.about.simulated:
+            raise Interrupted(f"{what} was interrupted ({record.reason}); check the rig")
+        if fresh >= CONSECUTIVE_VOID_MAX:
+            raise RigError(
+                f"{what}: {fresh} consecutive void trials ({record.reason}); fix the cause"
+            )
+
+
+def default_folder() -> Path:
+    """A folder of runs named by the time of day."""
+    return Path(api.RUNS) / f"improve-{datetime.now().astimezone():%Y%m%d-%H%M%S}"
+
+
+def begin(rig: Rig, folder: Path, model: str, say: Say) -> ExperimentRunner:
+    """Begins an improvement in a new folder, or continues the one that a folder holds.
+
+    Args:
+        rig: The rig.
+        folder: The folder; made if it is missing.
+        model: The model to begin from, as text; one that is continued must be of the same.
+        say: Callback for progress in words.
+
+    Raises:
+        InvalidInput: the folder holds something else, or cannot be made.
+        RigError: the rig is not the one of the improvement that is continued.
+    """
+    about, file = rig.describe(), folder / PLAN
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        if file.exists():
+            plan = _continued(file, model)
+            then = description_from_json(plan["rig"])
+            api.check_same_rig(then, about)
+            say(f"continuing the improvement of {folder}")
+            return ExperimentRunner(rig, then, folder, plan["stamp"], say)
+        if any(folder.iterdir()):
+            raise InvalidInput(f"{folder} holds something already; give a new folder")
+        stamp = f"{datetime.now().astimezone():%Y%m%d-%H%M%S-%f}"
+        plan = {"stamp": stamp, "model": model, "rig": description_to_json(about)}
+        replace_file(file, json.dumps(plan, indent=2).encode())
+    except OSError as error:
+        raise InvalidInput(f"{folder}: {error.strerror or error}; give another folder") from error
+    return ExperimentRunner(rig, about, folder, stamp, say)
+
+
+def _continued(file: Path, model: str) -> dict[str, Any]:
+    """The plan of an improvement that can be continued."""
+    if (file.parent / RESULT).exists():
+        raise InvalidInput(f"{file.parent} holds a finished improvement; give a new folder")
+    try:
+        plan: dict[str, Any] = json.loads(file.read_bytes())
+        same = plan["model"] == model
+    except (ValueError, KeyError) as error:
+        raise InvalidInput(f"{file} cannot be read: {error}; give a new folder") from error
+    if not same:
+        raise InvalidInput(
+            f"{file.parent} holds an improvement of another model, or with other effects; give "
+            "the same ones, or a new folder"
+        )
+    return plan

@@ -1,0 +1,60 @@
+"""Viscous friction that differs by direction."""
+
+from dataclasses import dataclass
+
+import casadi as ca
+
+from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
+from plants.effects.parameter import RecordScale, parameter
+from plants.effects.plant_scale import PlantScale
+
+BEGUN = 0.1
+"""Where a fit begins: torque at the rms velocity, relative to the torque's rms."""
+
+
+@dataclass(frozen=True)
+class DirectionalFriction(Effect):
+    """More viscous friction one way than the other: `tau = -max(d sign(omega), 0) omega`.
+
+    The model's own friction is that of the easier direction. Dry friction that differs by
+    direction is no effect of its own: a friction of F_1 forward and F_2 backward is, moving and at
+    rest, one of (F_1 + F_2)/2 and a constant torque of (F_2 - F_1)/2, which no record tells
+    from an offset. The torque is that of one linearly implicit step, as of bent viscous friction.
+
+    Attributes:
+        difference_Nms: Coefficient d: friction forward less friction backward, N m s/rad.
+    """
+
+    name = "directional_friction"
+    title = "viscous friction that differs by direction"
+    appearance = (
+        "current and tension differ in proportion to the velocity, and by more for each unit of "
+        "it in one direction than in the other"
+    )
+    excitation = "motion at several speeds in both directions"
+    port = Port.DRUM
+
+    difference_Nms: float = parameter(0.01, low=-1e4, high=1e4, unit="N m s/rad", neutral=0.0)
+
+    @classmethod
+    def start(cls, name: str, records: RecordScale) -> tuple[float, float]:
+        """A share of the torque at the records' velocity."""
+        usual, high = super().start(name, records)
+        begun = BEGUN * records.torque_rms_Nm / max(records.velocity_rms_rad_s, 1e-9)
+        return (begun, high) if 0.0 < begun < high else (usual, high)
+
+    @classmethod
+    def describe(cls, p: Values, plant: PlantScale) -> str:
+        """Sentence with the fitted values."""
+        way, other = ("forward", "backward") if p.difference_Nms > 0.0 else ("backward", "forward")
+        return (
+            f"has {plant.damping(abs(p.difference_Nms))} more viscous friction when it moves "
+            f"{way} than {other}"
+        )
+
+    @staticmethod
+    def respond(p: Values, state: Signal, signal: Signal, site: Site) -> Response:
+        """The torque of one linearly implicit step."""
+        del signal
+        slope = ca.fmax(p.difference_Nms * ca.sign(site.start_velocity_rad_s), 0.0)
+        return state, -slope * site.velocity_rad_s / (1.0 + slope / site.torque_per_velocity)
