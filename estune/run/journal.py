@@ -194,11 +194,12 @@ class Journal:
                 *(number - self._records_max, Phase.SEARCH.value),
             )
 
-    def entries(self) -> list[JournalEntry]:
-        """Every requested trial, in order."""
+    def entries(self, skip: int = 0) -> list[JournalEntry]:
+        """Every requested trial, in order, but for the first ones."""
         rows = self._file.rows(  # trials are requested in the order of their rows
             "SELECT number, attempt, trial_id, phase, P, I, D, setpoint_filter_s,"
-            " outcome, reason, cost, margin FROM trial ORDER BY rowid"
+            " outcome, reason, cost, margin FROM trial ORDER BY rowid LIMIT -1 OFFSET ?",
+            skip,
         )
         nan, entries = math.nan, []
         for n, attempt, name, phase, P, I, D, filter_s, outcome, reason, cost, margin in rows:

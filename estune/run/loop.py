@@ -2,7 +2,7 @@
 
 from collections import deque
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from itertools import islice
 from pathlib import Path
@@ -21,6 +21,7 @@ from estune.run.session import (
     next_request,
     predict_next,
 )
+from estune.run.start import first_record_fault
 from estune.trial import Outcome, Rig, RigDescription, TrialRecord, TrialRequest, empty_record
 from estune.trial.loop_records import loop_signals
 from estune.trial.scoring import constraint_margin, cost_of
@@ -151,15 +152,20 @@ def replay(plan: Plan, description: RigDescription, journal: Journal) -> TuningR
                 f"{journal.folder}: trial {entry.trial_id} with {entry.gains} is not what the "
                 f"plan asks for ({requested}); the journal is of another version or was changed"
             )
-        if entry.outcome is not None and (plan.uses_records or entry.margin is None):
-            record = journal.record(entry.trial_id)
-            margin = constraint_margin(record, description)
-            tuning.session = _advanced(tuning, record, entry.cost, margin)
-        elif entry.outcome is not None and entry.margin is not None:
-            trial = entry.outcome, entry.cost, entry.margin
-            tuning.session = after_trial(tuning.session, *trial)
+        tuning.session = session_after(tuning, entry, journal)
     read_kept_records(tuning, journal)
     return tuning
+
+
+def session_after(tuning: TuningRun, entry: JournalEntry, journal: Journal) -> Session:
+    """The session after a trial of the journal; the same if the trial is under way."""
+    if entry.outcome is None:
+        return tuning.session
+    if tuning.plan.needs_records or entry.margin is None:
+        record = journal.record(entry.trial_id)
+        margin = constraint_margin(record, tuning.description)
+        return _advanced(tuning, record, entry.cost, margin)
+    return after_trial(tuning.session, entry.outcome, entry.cost, entry.margin)
 
 
 def run(
@@ -290,8 +296,14 @@ def _record_trial(
 def _advanced(tuning: TuningRun, record: TrialRecord, cost: float, margin: float) -> Session:
     """The session after a trial."""
     plan, rig = tuning.plan, tuning.description
-    signals = loop_signals(record, plan.step, rig).record if plan.uses_records else None
-    return after_trial(tuning.session, record.outcome, cost, margin, signals)
+    before = tuning.session
+    signals = loop_signals(record, plan.step, rig).record if plan.needs_records else None
+    session = after_trial(before, record.outcome, cost, margin, signals)
+    if plan.start_source and signals is not None and not before.baseline and session.baseline:
+        settling_time_s = plan.cost.settling_time_s
+        fault = first_record_fault(signals, plan.start, rig.controller, settling_time_s)
+        session = replace(session, failure=fault)
+    return session
 
 
 def _commit(
