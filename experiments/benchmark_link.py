@@ -43,9 +43,8 @@ from estune.trial import (
     record_frame,
 )
 from estune.trial.profiles import StepProfile
-from experiments.inert_rig import InertRig
+from experiments.inert_rig import DESCRIBED, RECORD, InertRig
 from experiments.results import Target, command_line, print_results
-from experiments.rig_protocol_page import DESCRIBED, RECORD
 
 SAMPLES, SAMPLING_HZ = 2000, 632.0
 LIMIT = 3.0  # times the plain get

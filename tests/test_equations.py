@@ -2,7 +2,7 @@
 
 import pytest
 
-from experiments.equations import NUMBERS, TABLE, checks, implementations, table
+from tests.equations import NUMBERS, TABLE, checks, implementations, table
 
 
 @pytest.mark.parametrize("number", NUMBERS)
@@ -12,4 +12,4 @@ def test_equation_has_one_docstring_and_a_check(number):
 
 
 def test_equation_table_is_up_to_date():
-    assert TABLE.read_text("utf-8") == table(), "run: python -m experiments.equations"
+    assert TABLE.read_text("utf-8") == table(), "run: ./dev python -m tests.equations"

@@ -31,7 +31,7 @@ from estune.trial.profiles import (
     StepProfile,
     TriangleProfile,
 )
-from experiments.rig_protocol_page import EXAMPLES
+from tests.rig_protocol_page import EXAMPLES
 from tests.support_rigs import description
 
 finite = st.floats(allow_nan=False, allow_infinity=False)

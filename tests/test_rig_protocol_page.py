@@ -13,7 +13,8 @@ from estune.remote.state_machine.reply_codes import OF_TRIAL
 from estune.remote.state_machine.state import Mode
 from estune.remote.state_machine.trials import TrialState
 from estune.trial import record_frame
-from experiments.rig_protocol_page import EXAMPLES, PAGE, RECORD, SAMPLES, SECTIONS, STATES, page
+from experiments.inert_rig import RECORD
+from tests.rig_protocol_page import EXAMPLES, PAGE, SAMPLES, SECTIONS, STATES, page
 from tests.support_rigs import same
 
 TEXT = PAGE.read_text("utf-8")
@@ -31,7 +32,7 @@ def dump_bytes(name: str) -> bytes:
 
 def test_page_is_up_to_date():
     assert set(re.findall(r"from the code: (\w+)", TEXT)) == set(SECTIONS)
-    assert page(TEXT) == TEXT, "run: python -m experiments.rig_protocol_page"
+    assert page(TEXT) == TEXT, "run: ./dev python -m tests.rig_protocol_page"
 
 
 def test_table_of_submits_has_a_state_of_every_mode():

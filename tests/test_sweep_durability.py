@@ -1,5 +1,7 @@
 """Finished cells of a sweep survive the death of its process and of its cluster."""
 
+import os
+import random
 import subprocess
 import sys
 import time
@@ -9,20 +11,49 @@ from pathlib import Path
 import pytest
 
 import estune
-from estune.errors import EstuneError
-from estune.studies.sweep.outcome import CellOutcome
-from experiments.sweep_kills import finish_times
+import plants
+from estune.errors import EstuneError, JournalError
+from estune.studies.sweep.cells import expand_cells
+from estune.studies.sweep.design import read_design
+from estune.studies.sweep.outcome import KIND, CellOutcome
+from estune.studies.sweep.store import FILE_NAME
+from estune.support.sqlite import SqliteFile
 from experiments.sweep_speed.cluster import cluster
 from tests.test_sweep import alike, run_sweep
 
 DESIGN = """
 lengths_m = [0.5, 0.8, 1.1, 1.4]
-rigs = ["plants:reference_reel"]
+rigs = ["tests.test_sweep_durability:LoggedReel"]
 tuners = ["least_squares_gradient"]
 seeds = 6
 trials = 40
 repeats = 2
 """
+
+
+LOG = "ESTUNE_TEST_SWEEP_LOG"
+
+
+class LoggedReel:
+    """The reference reel, which logs each time a rig of it is made, if `LOG` names a file."""
+
+    def __init__(self, cable_length_m):
+        self._reel = plants.reference_reel(cable_length_m)
+
+    def rig(self, name, seed):
+        if LOG in os.environ:
+            with Path(os.environ[LOG]).open("a", encoding="utf-8") as log:
+                log.write(f"{seed}\n")  # it identifies the cell
+        return self._reel.rig(name=name, seed=seed)
+
+
+def finish_times(folder: Path) -> dict[str, str]:
+    """When each cell in a sweep's file was finished, by its key."""
+    try:
+        with SqliteFile.open_reader(folder / FILE_NAME, KIND) as file:
+            return dict(file.rows("SELECT key, finished_at FROM cell"))
+    except JournalError:  # no file yet, or killed before its table was there
+        return {}
 
 
 def children(pid: int) -> list[Path]:
@@ -43,28 +74,41 @@ def all_end(processes: list[Path], within_s: float = 30.0) -> bool:
 
 
 @pytest.mark.slow
-def test_killed_sweep_loses_and_repeats_no_finished_cell(tmp_path):
-    design, folder = tmp_path / "sweep.toml", tmp_path / "killed"
-    design.write_text(DESIGN)
+@pytest.mark.parametrize(
+    ("kills", "seeds"), [(2, 6), pytest.param(20, 40, marks=pytest.mark.nightly)]
+)
+def test_killed_sweep_loses_and_repeats_no_finished_cell(tmp_path, monkeypatch, kills, seeds):
+    design, folder, log = tmp_path / "sweep.toml", tmp_path / "killed", tmp_path / "log"
+    design.write_text(DESIGN.replace("seeds = 6", f"seeds = {seeds}"))
+    monkeypatch.setenv(LOG, str(log))
+    cells = expand_cells(read_design(design))
+    by_seed = {str(cell.noise_seed): cell.key for cell in cells}
     command = [sys.executable, "-m", "estune.cli", "sweep", str(design), "--quiet",
                "--jobs", "2", "--folder", str(folder)]  # fmt: skip
     before: dict[str, str] = {}
-    for _ in range(2):
+    dice = random.Random(0)  # noqa: S311  moments, not secrets
+    for _ in range(kills):
+        log.write_text("")
         process = subprocess.Popen(command, cwd=Path(__file__).parent.parent)
-        while len(finish_times(folder)) < len(before) + 2 and process.poll() is None:
+        goal = len(before) + dice.randint(2, 4)
+        while len(finish_times(folder)) < goal and process.poll() is None:
             time.sleep(0.01)
+        time.sleep(dice.uniform(0.0, 0.3))
         workers = children(process.pid)
         process.kill()
         process.wait()
         after = finish_times(folder)
         assert before.items() <= after.items()
+        assert not {by_seed.get(seed) for seed in log.read_text().split()} & before.keys()
         before = after
         assert len(workers) >= 2
         assert all_end(workers)  # no worker outlives it
-    assert len(before) >= 4
+    assert 2 * kills <= len(before) < len(cells)
+    log.write_text("")
     result = run_sweep(folder, design)
     assert before.items() <= finish_times(folder).items()
-    assert len(finish_times(folder)) == 24
+    assert finish_times(folder).keys() == {cell.key for cell in cells}
+    assert not {by_seed.get(seed) for seed in log.read_text().split()} & before.keys()
     whole = run_sweep(tmp_path / "whole", design)
     assert all(map(alike, result.outcomes, whole.outcomes))
 

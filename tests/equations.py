@@ -1,7 +1,7 @@
 """Where is each numbered equation of the paper implemented, and which test checks it?
 
 Reads the docstrings with `Implements (n).` and the tests marked `equation(n)` of a checkout, and
-writes its docs/equations.md. After a change of either, run: python -m experiments.equations
+writes its docs/equations.md. After a change of either, run: ./dev python -m tests.equations
 """
 
 import argparse
@@ -19,7 +19,7 @@ NUMBERS = range(1, 38)
 _DECLARED = re.compile(r"Implements\s+((?:\(\d+\)(?:,\s+|\s+and\s+|\s+to\s+)?)+)")
 _HEAD = """# The paper's equations in the code
 
-Written by `python -m experiments.equations` from the docstrings and the tests.
+Written by `./dev python -m tests.equations` from the docstrings and the tests.
 
 | equation | what | where | checked by |
 | --- | --- | --- | --- |
@@ -95,8 +95,6 @@ def _marks(node: ast.FunctionDef) -> Iterator[int]:
 def main() -> None:
     """Writes the page and prints what is missing."""
     argparse.ArgumentParser(description=__doc__).parse_args()
-    if not (ROOT / "tests").is_dir():
-        raise SystemExit("equations: run it in a checkout, whose docs/equations.md it writes")
     TABLE.write_text(table(), "utf-8")
     where, checked = implementations(), checks()
     print(f"{len(where)} equations implemented, {len(checked)} checked: {TABLE}")

@@ -2,7 +2,7 @@
 
 The prose of the page is written by hand. Its tables, examples and bytes lie between markers and
 are made from the code. Run it after each change of the protocol:
-python -m experiments.rig_protocol_page
+./dev python -m tests.rig_protocol_page
 """
 
 import argparse
@@ -38,46 +38,15 @@ from estune.trial import (
     TrialRequest,
     record_frame,
 )
-from estune.trial.profiles import PROFILES, StepProfile
+from estune.trial.profiles import PROFILES
+from experiments.inert_rig import DESCRIBED, GAINS, RECORD, REQUEST
 
 PAGE = Path(__file__).parents[1] / "docs" / "rig-protocol.md"
 
-GAINS = Gains(0.5, 20.0, 0.002, 0.01)
-STEP = StepProfile(15.0, 5.0, 0.1, 1.0)
-REQUEST = TrialRequest("monday", 7, GAINS, STEP)
 LEASE = "5ad1e7c0ffee0042"
-RECORD = TrialRecord(
-    trial_id=REQUEST.trial_id,
-    rig="reel",
-    sampling_Hz=632.0,
-    cable_length_m=0.8,
-    preload_N=15.0,
-    gains=GAINS,
-    outcome=Outcome.GUARD,
-    reason="tension above 45 N",
-    started_at="2009-05-04T12:00:00.000+02:00",
-    software="board 1.0",
-    time_s=np.array([0.0, 1.0 / 632.0]),
-    setpoint_N=np.array([15.0, 15.0]),
-    tension_N=np.array([14.75, 45.5]),
-    current_A=np.array([0.75, -6.0]),
-    angle_rad=np.array([0.0, 0.25]),
-    flags=np.array([0, 3], np.uint8),
-)
 SAMPLES = Telemetry(
     *(REQUEST.trial_id, 32, 632.0, np.array([15.0, 15.0])),
     *(np.array([14.75, 15.25]), np.array([0.75, 0.5]), np.array([0.0, 0.25])),
-)
-DESCRIBED = RigDescription(
-    name="reel",
-    gains=GAINS,
-    controller=ControllerSettings(632.0, 0.001, -120.0, 120.0),
-    newtons_per_ampere=20.0,
-    limits=RigLimits(2.0, 45.0, 10.0),
-    step=STEP,
-    settling_time_s=0.25,
-    cable_length_m=0.8,
-    software="board 1.0",
 )
 VALUES: dict[str, Any] = {
     "action": "acquire",
