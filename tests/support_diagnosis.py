@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 
 import plants
+from estune.recordings.issue import DataIssue
 from estune.run.trial_file import TrialFile
 from estune.trial.profiles import TriangleProfile
-from plants.diagnosis.data.measured_record import DataIssue
 from plants.diagnosis.data.noise_floor import Noise, NoiseFloor
 from plants.diagnosis.report.diagnosis import Diagnosis
 from plants.diagnosis.residual.localisation import (

@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 import pyarrow.parquet as pq
 import pytest
+from mcap.reader import make_reader
 
 import estune
 from estune.core.gains import GAIN_NAMES
@@ -44,6 +45,12 @@ def read_columns(path):
         table = pq.read_table(path)
         columns = {name: table[name].to_numpy() for name in table.column_names}
         return columns, json.loads(table.schema.metadata[b"estune"])
+    if path.suffix == ".mcap":
+        with path.open("rb") as file:
+            reader = make_reader(file)
+            rows = [json.loads(message.data) for _, _, message in reader.iter_messages()]
+            (about,) = (m.metadata["record"] for m in reader.iter_metadata())
+        return {name: np.array([row[name] for row in rows]) for name in rows[0]}, json.loads(about)
     names = path.read_text().splitlines()[0].split(",")
     values = np.loadtxt(path, delimiter=",", skiprows=1)
     return dict(zip(names, values.T, strict=True)), json.loads(
@@ -51,7 +58,7 @@ def read_columns(path):
     )
 
 
-@pytest.mark.parametrize("form", ["csv", "parquet"])
+@pytest.mark.parametrize("form", ["csv", "parquet", "mcap"])
 def test_export_returns_every_record_bit_for_bit(run, form, tmp_path):
     written = export_trials(run.folder, tmp_path / "out", form)
     assert [path.name for path in written] == [f"{e.trial_id}.{form}" for e in run.entries]

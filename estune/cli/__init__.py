@@ -29,10 +29,12 @@ COMMANDS = (
     ("resume", "tune:resume", "Continue a run that was stopped or interrupted.", 50),
     ("sweep", "sweep:sweep", "Tune over cable lengths and fit the gains over length.", 60),
     ("match", "match:match", "Tune several reels to the same cost.", 70),
+    ("compare", "compare:compare", "Compare tuners on one plant or rig.", 75),
     ("list", "runs:list_runs", "List the runs of a folder.", 80),
+    ("watch", "watch:watch", "Show a run, a rig or a daemon live in the browser.", 85),
     ("show", "runs:show", "Show the result of a run.", 90),
     ("report", "runs:report", "Write the report of a run as one HTML page.", 95),
-    ("export", "runs:export", "Write a run's trial records as CSV or Parquet.", 100),
+    ("export", "runs:export", "Write a run's trial records as CSV, Parquet or MCAP.", 100),
     (
         "export-controller",
         "hardware:export_controller",

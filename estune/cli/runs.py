@@ -2,7 +2,7 @@
 
 import math
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from estune import api
 from estune.cli import output
@@ -12,6 +12,9 @@ from estune.errors import EstuneError, InvalidInput, JournalError
 from estune.run.journal import FILE_NAME, Journal, being_written
 from estune.run.progress import counting
 from estune.run.result import TuneResult
+
+if TYPE_CHECKING:
+    from estune.run.record_files import RecordFormat
 
 REPORT_NAME = "report.html"
 
@@ -87,6 +90,7 @@ def export(
     *,
     csv: Flag = False,
     parquet: Flag = False,
+    mcap: Flag = False,
     per_trial: Flag = False,
     out: Path | None = None,
     folder: Path = Path(api.RUNS),
@@ -98,17 +102,21 @@ def export(
         run: The run: its name, or its folder.
         csv: Write samples.csv with the samples of all trials, and trials.csv with a row for each.
         parquet: Write samples.parquet and trials.parquet.
+        mcap: Write TRIAL.mcap for each trial, which PlotJuggler, Foxglove and Lichtblick open.
         per_trial: Write a file for each trial instead: TRIAL.csv with the columns and TRIAL.json
             with everything else, or TRIAL.parquet.
-        out: Folder for the files; csv or parquet in the run's own folder by default.
+        out: Folder for the files; csv, parquet or mcap in the run's own folder by default.
         folder: Folder of runs.
         quiet: Show no progress.
     """
     from estune.run.export import export_run, export_trials  # noqa: PLC0415  only needed here
 
-    if csv and parquet:
-        raise InvalidInput("the form of the files is not clear; give either --csv or --parquet")
-    form: Literal["csv", "parquet"] = "csv" if csv else "parquet"
+    if csv + parquet + mcap > 1:
+        raise InvalidInput(
+            "the form of the files is not clear; give one of --csv, --parquet, --mcap"
+        )
+    form: RecordFormat = "csv" if csv else "mcap" if mcap else "parquet"
+    per_trial = per_trial or mcap
     path = find_run(run, folder)
     target = out or path / form
     with counting("trials", quiet=quiet) as on_trial:

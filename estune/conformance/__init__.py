@@ -19,5 +19,5 @@ tested by `python -m estune.conformance --endpoint tcp/127.0.0.1:7447`.
 
 import pytest
 
-_SUITES = ("wire_client", "rig_trials", "rig_commands", "rig", "tuner")
+_SUITES = ("wire_client", "rig_trials", "rig_commands", "rig", "tuner", "recordings")
 pytest.register_assert_rewrite(*(f"{__name__}.{suite}" for suite in _SUITES))

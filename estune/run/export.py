@@ -1,29 +1,27 @@
-"""Trial records as files for other programs: CSV or Parquet, for a whole run or per trial.
+"""Trial records of a run as files for other programs: one pair for a whole run, or per trial.
 
 `samples` holds the samples of all trials of a run one after the other, `trials` a row for each
 trial with everything else. The files are copies of the journal. Each is written under a temporary
 name and renamed, so that a reader never sees a partial file.
 """
 
-import csv
-import json
 import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
 from estune.core.gains import GAIN_NAMES
 from estune.errors import InvalidInput, JournalError
 from estune.run.journal import Journal, JournalEntry
+from estune.run.record_files import RecordFormat, check_library, write_columns
 from estune.run.table_file import Append, csv_table, parquet_table, whole_file
 from estune.trial import TrialRecord
 
 _REQUIRED = ("time_s", "setpoint_N", "tension_N", "current_A", "angle_rad")
 
-Format = Literal["csv", "parquet"]
 OnTrial = Callable[[int, int], None]
 """Called after each trial with the number of trials done, and of all."""
 
@@ -62,7 +60,7 @@ def metadata(record: TrialRecord) -> dict[str, Any]:
 
 
 def export_run(
-    run_folder: Path, out: Path, form: Format, on_trial: OnTrial = lambda _done, _all: None
+    run_folder: Path, out: Path, form: RecordFormat, on_trial: OnTrial = lambda _done, _all: None
 ) -> tuple[Path, Path]:
     """Writes every trial of a run into two files, `samples` and `trials`.
 
@@ -76,12 +74,14 @@ def export_run(
         The two files.
 
     Raises:
-        InvalidInput: Parquet is requested and pyarrow is not installed.
+        InvalidInput: the format is MCAP, or its library is not installed.
         JournalError: the run cannot be read, or a file cannot be written.
     """
     begin: Callable[[Path, tuple[str, ...]], AbstractContextManager[Append]] = csv_table
+    if form == "mcap":
+        raise InvalidInput("MCAP is written trial by trial; add --per-trial")
+    check_library(form)
     if form == "parquet":
-        _check_pyarrow()
         begin = parquet_table
     paths = out / f"samples.{form}", out / f"trials.{form}"
     with Journal.open(run_folder) as journal, _explained(out), ExitStack() as stack:
@@ -100,33 +100,30 @@ def export_run(
 
 
 def export_trials(
-    run_folder: Path, out: Path, form: Format, on_trial: OnTrial = lambda _done, _all: None
+    run_folder: Path, out: Path, form: RecordFormat, on_trial: OnTrial = lambda _done, _all: None
 ) -> list[Path]:
     """Writes every record of a run, one file per trial; `export_run` writes fewer.
 
     Args:
         run_folder: The run.
         out: Folder for the files; made if it is missing. Files of the same trials are replaced.
-        form: `csv`, with the metadata in `<trial id>.json` beside it, or `parquet`, with the
-            metadata as JSON under the key `estune` of the file's own metadata.
+        form: As of `record_files.write_columns`.
         on_trial: As of `export_run`.
 
     Returns:
         The files with the columns, in the order of the trials.
 
     Raises:
-        InvalidInput: Parquet is requested and pyarrow is not installed.
+        InvalidInput: the library of the format is not installed.
         JournalError: the run cannot be read, or a file cannot be written.
     """
-    if form == "parquet":
-        _check_pyarrow()
-    write = _to_csv if form == "csv" else _to_parquet
+    check_library(form)
     written: list[Path] = []
     with Journal.open(run_folder) as journal, _explained(out):
         out.mkdir(parents=True, exist_ok=True)
         stored = journal.stored_trial_ids()
         for trial_id in stored:
-            written.append(write(journal.record(trial_id), out / trial_id))
+            written.append(_write(journal.record(trial_id), out, form))
             on_trial(len(written), len(stored))
     return written
 
@@ -139,7 +136,11 @@ def write_record(record: TrialRecord, folder: Path) -> Path:
     """
     with _explained(folder):
         folder.mkdir(parents=True, exist_ok=True)
-        return _to_csv(record, folder / record.trial_id)
+        return _write(record, folder, "csv")
+
+
+def _write(record: TrialRecord, folder: Path, form: RecordFormat) -> Path:
+    return write_columns(columns(record), metadata(record), folder / record.trial_id, form)
 
 
 def replace_file(path: Path, content: bytes) -> None:
@@ -158,42 +159,6 @@ def write_file(path: Path, content: bytes) -> None:
         replace_file(path, content)
     except OSError as error:
         raise InvalidInput(f"{path}: {error.strerror or error}; give another file") from error
-
-
-def _to_csv(record: TrialRecord, stem: Path) -> Path:
-    shown = columns(record)
-    beside = stem.with_name(f"{stem.name}.json")
-    replace_file(beside, json.dumps(metadata(record), indent=2, allow_nan=False).encode())
-    path = stem.with_name(f"{stem.name}.csv")
-    with whole_file(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(shown)
-        # Python writes the shortest text that reads back as the same number.
-        writer.writerows(
-            zip(*(np.asarray(column).tolist() for column in shown.values()), strict=True)
-        )
-    return path
-
-
-def _to_parquet(record: TrialRecord, stem: Path) -> Path:
-    import pyarrow as pa  # noqa: PLC0415  an optional dependency, slow to import
-    from pyarrow import parquet  # noqa: PLC0415
-
-    path = stem.with_name(f"{stem.name}.parquet")
-    about = json.dumps(metadata(record), allow_nan=False)
-    table = pa.table(columns(record)).replace_schema_metadata({"estune": about})
-    with whole_file(path) as temporary:
-        parquet.write_table(table, temporary)
-    return path
-
-
-def _check_pyarrow() -> None:
-    try:
-        import pyarrow as pa  # noqa: F401, PLC0415  an optional dependency, slow to import
-    except ModuleNotFoundError as error:
-        raise InvalidInput(
-            "Parquet needs pyarrow; install it with: pip install 'estune[parquet]', or export CSV"
-        ) from error
 
 
 def _samples_of(entry: JournalEntry, record: TrialRecord) -> dict[str, Sequence[Any]]:

@@ -10,6 +10,12 @@ COMMANDS = (
         130,
     ),
     (
+        "records",
+        "plants.commands.records:records",
+        "Show how recorded data are understood, and convert them.",
+        125,
+    ),
+    (
         "improve-model",
         "plants.commands.improve_model:improve_model",
         "Improve a rig's model by experiment, then tune the rig.",

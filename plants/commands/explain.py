@@ -9,7 +9,8 @@ from rich.table import Table
 from rich.text import Text
 
 from estune.cli import output
-from estune.cli.values import Effects, Flag, check_folder_exists
+from estune.cli.values import Effects, Flag, Values, check_folder_exists
+from plants.commands.columns import Sources, column_map
 
 if TYPE_CHECKING:
     from plants.diagnosis.report.diagnosis import Diagnosis
@@ -29,19 +30,27 @@ def explain(
     save: Path | None = None,
     next_: Annotated[Path | None, Parameter(name="--next")] = None,
     effects: Effects = (),
+    map_: Sources = (),
+    unit: Values = (),
+    scale: Values = (),
+    save_map: Path | None = None,
 ) -> None:
     """Identify the effect missing from a model, from records.
 
     Args:
         model: The model: a file such as reel.toml, or module:attribute such as
             plants:reference_reel or plants:unloaded_reel.
-        data: Folder of records, CSV with JSON beside it or Parquet, as estune export writes them.
+        data: Folder of records, as estune export writes them or in any format of estune records.
         json: Print JSON.
         report: Write a report as one HTML page that works offline.
         save: Write the model with the identified effects as a model file.
         next_: Folder for the trial that would distinguish the candidates, for estune
             run-experiment.
         effects: Effects of your own that join the search, each as module:Class.
+        map_: Where the columns come from: time=t,current=vir,angle=qm, or a TOML file of them.
+        unit: Their units, such as angle=mm,tension=lbf.
+        scale: Factors to the unit, such as current=35.15.
+        save_map: Write the map as a TOML file, for --map.
 
     Raises:
         InvalidInput: an option cannot be used, or no record can, with the reason for each.
@@ -52,9 +61,12 @@ def explain(
     from plants.effects import declared, find  # noqa: PLC0415  slow to import
 
     own = tuple(map(find, effects))
+    columns = column_map(map_, unit, scale, save_map)
     given = plants.load_model(model)
     with Console(stderr=True).status(f"{model} against the records of {data}"):
-        diagnosis = plants.explain(given, data, effects=(*declared(), *own) if own else None)
+        diagnosis = plants.explain(
+            given, data, effects=(*declared(), *own) if own else None, columns=columns
+        )
     if report is not None:
         diagnosis.report(report)
     if save is not None:

@@ -7,13 +7,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from estune.recordings.issue import DataIssue
 from estune.trial import RigDescription
-from plants.diagnosis.data.measured_record import OUTPUTS, DataIssue
+from plants.diagnosis.data.measured_record import OUTPUTS
 from plants.diagnosis.data.noise_floor import NoiseFloor
 from plants.diagnosis.experiments.next_experiment import Evidence, next_experiment
 from plants.diagnosis.prediction.prediction import CHANNELS
 from plants.diagnosis.report.diagnosis import Diagnosis
-from plants.diagnosis.report.plant_units import in_own_units
+from plants.diagnosis.report.plant_units import in_own_units, located_in_own_units
 from plants.diagnosis.residual.localisation import ResidualLocation
 from plants.diagnosis.result import (
     BaseParameter,
@@ -38,7 +39,7 @@ from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter
 from plants.diagnosis.search.search import SearchResult
 from plants.diagnosis.search.validation import held_out, segments
 from plants.effects import Effect, MainsInterference, Quantisation
-from plants.effects.plant_scale import written_unit
+from plants.effects.plant_scale import PlantScale, written_unit
 
 STEP_KNOWN = 2e-3
 """Relative uncertainty of a step found among readings."""
@@ -131,7 +132,8 @@ def build_diagnosis(inputs: DiagnosisInputs) -> Diagnosis:
     added = [one.effect for one in named]
     values |= {f"{e.name}.{n}": getattr(e, n) for e in added for n in e.parameters()}
     listed = candidates(inputs.found, judged)
-    limits = limitations(inputs.fitter.measurements, inputs.findings, inputs.found.base)
+    scale = PlantScale.of(plant.model)
+    limits = limitations(inputs.fitter.measurements, inputs.findings, inputs.found.base, scale)
     said = verdict_sentence(verdict, judged, named, steps, unit)
     traces, errors = _free_run(before, after)
     rests = {e.name for e in added} | set(judged.tied)
@@ -141,7 +143,7 @@ def build_diagnosis(inputs: DiagnosisInputs) -> Diagnosis:
         effects=tuple(named),
         ambiguous=judged.tied if verdict == "ambiguous" else (),
         candidates=listed,
-        unit=plant.output,
+        unit=scale.unit(plant.output),
         gap_before=steps[0].gap,
         gap_after=steps[-1].gap,
         floor=steps[0].floor,
@@ -151,8 +153,8 @@ def build_diagnosis(inputs: DiagnosisInputs) -> Diagnosis:
         rms_before=errors[0],
         rms_after=errors[1],
         noise=inputs.noise,
-        where=inputs.where,
-        calibrations=_calibrations(before.fit, first, last),
+        where=located_in_own_units(inputs.where, scale),
+        calibrations=_calibrations(before.fit, first, last, scale),
         not_excited={**not_excited(inputs.found), **inputs.choice.unavailable},
         ruled_out=tuple(f"{c.sentence}." for c in listed if c.name not in rests),
         next_experiment=_next(inputs, judged, verdict, base, steps[-1].ratio),
@@ -311,19 +313,26 @@ def _rounded(last: SearchStep, rounding: float) -> SearchStep:
 
 
 def _calibrations(
-    base: CandidateFit, first: Mapping[str, Interval], last: Mapping[str, Interval]
+    base: CandidateFit,
+    first: Mapping[str, Interval],
+    last: Mapping[str, Interval],
+    scale: PlantScale,
 ) -> tuple[BaseParameter, ...]:
     """The base model's numbers as given, as fitted, and as fitted with the effects."""
-    return tuple(
-        BaseParameter(f.name, f.unit, f.start, first[f.name], last.get(f.name, first[f.name]))
-        for f in base.fitted.predictor.free
-        if f.owner == "base" and f.name in first
-    )
+    found = []
+    for f in base.fitted.predictor.free:
+        if f.owner == "base" and f.name in first:
+            unit = scale.unit(f.unit)
+            fits = (first[f.name], last.get(f.name, first[f.name]))
+            fits = tuple(replace(one, unit=unit) for one in fits)
+            found.append(BaseParameter(scale.name(f.name), unit, f.start, *fits))
+    return tuple(found)
 
 
 def _free_run(before: Stage, after: Stage) -> tuple[tuple[Trace, ...], tuple[float, float]]:
     """Each record from its start with nothing put right on the way; rms errors of both models."""
     runs = [one.fitter.free_run(one.fit) for one in (before, after)]
+    scale = PlantScale.of(before.fitter.model.model)
     measured_at, cleaned = before.fitter.measurements, after.fitter.measurements
     channels = {name for m in measured_at for name in m.outputs}
     main = next(n for n in OUTPUTS if n in channels and UNITS[n] == before.fitter.model.output)
@@ -336,7 +345,8 @@ def _free_run(before: Stage, after: Stage) -> tuple[tuple[Trace, ...], tuple[flo
                 continue
             # What was taken out as interference belongs to what is predicted with it.
             known = last[0] + (measured - rest)
-            traces.append(Trace(m.name, name, UNITS[name], m.time_s, measured, first[0], known))
+            unit = scale.unit(UNITS[name])
+            traces.append(Trace(m.name, name, unit, m.time_s, measured, first[0], known))
             if name == main:
                 errors.append(np.stack([first[0] - measured, known - measured]))
     rms = np.sqrt(np.nanmean(np.concatenate(errors, axis=1) ** 2, axis=1))

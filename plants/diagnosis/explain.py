@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 from threadpoolctl import threadpool_limits
 
 from estune.errors import InvalidInput
+from estune.recordings.column_map import AS_NAMED, ColumnMap
 from estune.trial import RigDescription, TrialRecord
 from plants.diagnosis.build_diagnosis import (
     DiagnosisInputs,
@@ -15,9 +16,9 @@ from plants.diagnosis.build_diagnosis import (
     build_diagnosis,
 )
 from plants.diagnosis.checks.quality import check
-from plants.diagnosis.data.measured_record import DataIssue, MeasuredRecord
+from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.data.noise_floor import NoiseFloor, noise_floor
-from plants.diagnosis.data.records import read_measurements
+from plants.diagnosis.data.records import FolderContents, drum_of, read_measurements
 from plants.diagnosis.models.base import BaseNumbers
 from plants.diagnosis.models.diagnosed_model import DiagnosedModel, diagnosed
 from plants.diagnosis.report.diagnosis import Diagnosis
@@ -58,6 +59,7 @@ def explain(
     *,
     effects: Sequence[type[Effect] | str] | None = None,
     rig: RigDescription | None = None,
+    columns: ColumnMap = AS_NAMED,
 ) -> Diagnosis:
     """Identifies the effect that a model lacks, from records; deterministic.
 
@@ -68,26 +70,30 @@ def explain(
         effects: The effects to choose from, classes or names for `plants.effects.find`; None is
             all that are declared, those of other packages included.
         rig: The rig of the next experiment; None derives it from the records.
+        columns: Where the columns come from, in files that name them otherwise.
 
     Raises:
         InvalidInput: there is no record that can be used; the message says why for each.
         PlantError: the model cannot be simulated.
     """
+    if isinstance(records, Path | str):
+        read = read_measurements(records, columns, drum_of(model))
+    else:
+        read = FolderContents(tuple(map(_measured, records)), ())
     # The matrices are small: a thread more costs more than it brings, and a core that another
     # diagnosis could have.
     with threadpool_limits(limits=1, user_api="blas"):
-        return _explained(model, records, effects, rig)
+        return _explained(model, read, effects, rig)
 
 
 def _explained(
     model: Any,
-    records: Path | str | Sequence[MeasuredRecord] | Sequence[TrialRecord],
+    read: FolderContents,
     effects: Sequence[type[Effect] | str] | None,
     rig: RigDescription | None,
 ) -> Diagnosis:
-    given, read = _measurements(records)
-    measurements, looked = check(given, model)
-    findings = (*read, *looked)
+    measurements, looked = check(read.measurements, model)
+    findings = (*read.findings, *looked)
     if not measurements:
         refused = "; ".join(str(f) for f in findings if f.level == "refused")
         raise InvalidInput(f"no record can be used: {refused or 'there is none'}")
@@ -189,13 +195,8 @@ def _remains(recorded: FittedModel, best: CandidateFit) -> bool:
     return _line(fitter, fitter.fit(best.effects, row), fitter.measurements) is not None
 
 
-def _measurements(
-    records: Path | str | Sequence[MeasuredRecord] | Sequence[TrialRecord],
-) -> tuple[tuple[MeasuredRecord, ...], tuple[DataIssue, ...]]:
-    if isinstance(records, Path | str):
-        read = read_measurements(records)
-        return read.measurements, read.findings
-    return tuple(r if isinstance(r, MeasuredRecord) else MeasuredRecord.of(r) for r in records), ()
+def _measured(record: MeasuredRecord | TrialRecord) -> MeasuredRecord:
+    return record if isinstance(record, MeasuredRecord) else MeasuredRecord.of(record)
 
 
 def _choice(plant: DiagnosedModel, effects: Sequence[type[Effect] | str] | None) -> EffectChoices:

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 from estune.core.quantities import FloatArray
+from estune.recordings.issue import DataIssue
 from estune.run.trial_file import SUFFIX, TrialFile
-from plants.diagnosis.data.measured_record import DataIssue
 from plants.diagnosis.data.noise_floor import NoiseFloor
 from plants.diagnosis.residual.localisation import ResidualLocation
 from plants.effects import Effect
@@ -252,7 +252,7 @@ class DiagnosisResult:
         effects: The effects found, in order; for `ambiguous` the best one.
         ambiguous: Slugs the records do not distinguish, best first; empty unless `ambiguous`.
         candidates: All effects tried as the first one, best first.
-        unit: Unit of prediction errors: N, or rad where no tension was measured.
+        unit: Unit of prediction errors: N, or rad, or m of a stage, where no tension was measured.
         gap_before: Short-horizon prediction error of the base model on test data, rms.
         gap_after: That with the effects.
         floor: Noise floor, same unit.
@@ -284,7 +284,7 @@ class DiagnosisResult:
     effects: tuple[NamedEffect, ...]
     ambiguous: tuple[str, ...]
     candidates: tuple[Candidate, ...]
-    unit: Literal["N", "rad"]
+    unit: str
     gap_before: float
     gap_after: float
     floor: float

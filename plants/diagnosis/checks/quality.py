@@ -10,10 +10,11 @@ import numpy as np
 
 from estune.core.quantities import FloatArray
 from estune.errors import InvalidInput
+from estune.recordings.issue import DataIssue
 from estune.trial import SATURATED
 from plants.diagnosis.checks.sensors import faults, frozen_angle, shift_between
 from plants.diagnosis.checks.units import mistaken_units
-from plants.diagnosis.data.measured_record import OUTPUTS, ROUNDING, DataIssue, MeasuredRecord
+from plants.diagnosis.data.measured_record import OUTPUTS, ROUNDING, MeasuredRecord
 from plants.diagnosis.data.noise import FEWEST, upper_rms
 from plants.diagnosis.models.base import BaseNumbers
 

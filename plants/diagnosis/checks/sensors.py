@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from estune.core.quantities import FloatArray
-from plants.diagnosis.data.measured_record import DataIssue
+from estune.recordings.issue import DataIssue
 from plants.diagnosis.data.noise import step_of, upper_rms
 
 FROZEN_samples = 20

@@ -6,7 +6,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from estune.core.quantities import FloatArray
-from plants.diagnosis.data.measured_record import DataIssue, MeasuredRecord
+from estune.recordings.issue import DataIssue
+from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.data.smoothing import Smoother
 from plants.diagnosis.models.base import BaseNumbers
 

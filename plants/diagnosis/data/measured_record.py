@@ -20,41 +20,6 @@ OUTPUTS = ("tension_N", "angle_rad", "reference_N")
 ROUNDING = 1e-3
 """Difference of two columns, as a share of the greatest value, that rounding explains."""
 
-Level = Literal["refused", "warning"]
-
-
-@dataclass(frozen=True, slots=True)
-class DataIssue:
-    """Something that is wrong with a record, or looks wrong.
-
-    Attributes:
-        level: `refused` where the record is left out because of it, else `warning`.
-        sentence: What is wrong and what to do, one sentence without full stop.
-        column: The column, or empty where it is about the whole record.
-        row: The first data row it is about, counted from 1, or None.
-        source: The file, or the record's name; empty as long as it is not known.
-    """
-
-    level: Level
-    sentence: str
-    column: str = ""
-    row: int | None = None
-    source: str = ""
-
-    def __str__(self) -> str:
-        """File, row and column in front of the sentence."""
-        row = "" if self.row is None else f", row {self.row}"
-        column = f", column {self.column}" if self.column else ""
-        return f"{self.source}{row}{column}: {self.sentence}"
-
-
-class Unusable(InvalidInput):
-    """A record cannot be used because of an issue."""
-
-    def __init__(self, sentence: str, column: str = "", row: int | None = None) -> None:
-        super().__init__(sentence)
-        self.issue = DataIssue("refused", sentence, column, row)
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeasuredRecord:

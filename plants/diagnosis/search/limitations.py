@@ -5,9 +5,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from plants.diagnosis.data.measured_record import DataIssue, MeasuredRecord
+from estune.recordings.issue import DataIssue
+from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.result import Limitation
 from plants.diagnosis.search.model_fitter import CandidateFit
+from plants.effects.plant_scale import PlantScale
 
 ONE_WAY, SLOW, MOVED, EDGE = 0.02, 0.01, 2.0, 1e-3
 """Share of the travel against the main direction; share of the samples below a tenth of the rms
@@ -17,7 +19,10 @@ SPAN = 8
 
 
 def limitations(
-    measurements: Sequence[MeasuredRecord], findings: Sequence[DataIssue], base: CandidateFit
+    measurements: Sequence[MeasuredRecord],
+    findings: Sequence[DataIssue],
+    base: CandidateFit,
+    scale: PlantScale,
 ) -> tuple[Limitation, ...]:
     """What the records cannot tell, the gravest first."""
     found = []
@@ -25,7 +30,7 @@ def limitations(
     if refused:
         said = f"{refused} of {refused + len(measurements)} records were refused"
         found.append(Limitation("records_refused", f"{said}; correct them and run again"))
-    found += [*_of_base(base), *_of_motion(measurements)]
+    found += [*_of_base(base, scale), *_of_motion(measurements)]
     has_cable = any(m.cable_length_m for m in measurements)
     if has_cable and all(m.angle_rad is None for m in measurements):
         said = (
@@ -46,14 +51,14 @@ def most_refused(measurements: Sequence[MeasuredRecord], findings: Sequence[Data
     return len(_refused(findings)) > len(measurements)
 
 
-def _of_base(base: CandidateFit) -> list[Limitation]:
+def _of_base(base: CandidateFit, scale: PlantScale) -> list[Limitation]:
     found = []
     for f in base.fitted.predictor.free:
         value = base.values[f.name]
         if f.owner != "base" or f.scale != "log" or not f.start:
             continue
         factor = value / f.start
-        moved = f"{f.name} moved to {factor:.2g} times what was given"
+        moved = f"{scale.name(f.name)} moved to {factor:.2g} times what was given"
         if min(value / f.low, f.high / value) < 1.0 + EDGE:
             said = f"{moved}, as far as it may; check the units and signs of the columns"
             found.append(Limitation("base_parameter_at_bound", said))

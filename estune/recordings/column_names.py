@@ -1,7 +1,8 @@
 """Column names and their units: known names, and advice on near misses."""
 
 import difflib
-import math
+
+from estune.recordings.units import UNITS, find_unit
 
 TABLE_COLUMNS = (
     "time_s",
@@ -13,6 +14,9 @@ TABLE_COLUMNS = (
     "flags",
 )
 
+MEASURED = ("tension_N", "angle_rad", "reference_N")
+"""Columns that a sensor measures; the others are commands, held until the next."""
+
 METADATA = (
     "rig",
     "trial_id",
@@ -23,30 +27,7 @@ METADATA = (
     "gains",
     "profile",
 )
-"""The metadata that a measurement uses."""
-
-_IN_SI = {
-    "ns": 1e-9,
-    "us": 1e-6,
-    "ms": 1e-3,
-    "min": 60.0,
-    "h": 3600.0,
-    "kN": 1e3,
-    "mN": 1e-3,
-    "kgf": 9.80665,
-    "lbf": 4.4482216,
-    "mA": 1e-3,
-    "kA": 1e3,
-    "deg": math.pi / 180.0,
-    "degrees": math.pi / 180.0,
-    "mrad": 1e-3,
-    "turns": 2.0 * math.pi,
-    "rev": 2.0 * math.pi,
-    "kHz": 1e3,
-    "mm": 1e-3,
-    "cm": 1e-2,
-}
-"""Other units a writer may have used, in the unit of the known name."""
+"""The metadata that a record uses."""
 
 SIMILAR = 0.75
 """Similarity of two names (difflib's ratio) from which one is taken for a misspelling."""
@@ -74,9 +55,12 @@ def suggest_name(name: str, present: frozenset[str], known: tuple[str, ...]) -> 
         if meant in present or not meant_stem:
             continue
         if stem.lower() == meant_stem and unit.lower() != meant_unit.lower():
-            factor = _IN_SI.get(unit)
-            scale = "converted" if factor is None else f"multiplied by {factor:.7g}"
-            return f"{name} is in another unit; give it {scale} under the name {meant}"
+            other = find_unit(unit)
+            scale = f"multiplied by {UNITS[other].factor:.7g}" if other else "converted"
+            return (
+                f"{name} is in another unit; give it {scale} under the name {meant}, or "
+                f"--map {meant_stem}={name} --unit {meant_stem}={unit}"
+            )
         if name.lower() in (meant_stem, meant.lower()):
             return f"did you mean {meant}? rename it if it is in {meant_unit}"
     for rare, least in ((False, SIMILAR), (True, SIMILAR_RARE)):

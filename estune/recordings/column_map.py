@@ -1,0 +1,249 @@
+"""Where a record's columns come from in a file: name, unit and scale, as TOML or as options."""
+
+import difflib
+import json
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from estune.core.quantities import FloatArray
+from estune.errors import InvalidInput
+from estune.recordings.column_names import METADATA, TABLE_COLUMNS
+from estune.recordings.issue import Unusable
+from estune.recordings.raw_file import Channel
+from estune.recordings.units import UNITS, Drum, find_unit, si_factor
+from estune.reel.calibration import CurrentCalibration, GaugeCalibration
+from estune.support.toml_file import TomlTable, read_toml, validate
+
+_STEMS = {name.partition("_")[0]: name for name in TABLE_COLUMNS}
+
+
+class ColumnTable(TomlTable):
+    """One column of the record: SI value = (value x scale + offset) in the unit.
+
+    A calibration, the JSON of C2 or C1, turns counts into N or A instead.
+    """
+
+    from_: str = Field(default="", alias="from")
+    unit: str = ""
+    scale: float = 1.0
+    offset: float = 0.0
+    calibration: Path | None = Field(default=None, strict=False)
+
+
+class ColumnMap(TomlTable):
+    """The columns that need one, by their names in a record, and metadata the files lack."""
+
+    column: dict[str, ColumnTable] = Field(default={})
+    record: dict[str, Any] = Field(default={})
+
+    def table(self, name: str) -> ColumnTable:
+        """What the map says of a column; nothing for most."""
+        return self.column.get(name, ColumnTable())
+
+    def with_options(
+        self, sources: Mapping[str, str], units: Mapping[str, str], scales: Mapping[str, float]
+    ) -> "ColumnMap":
+        """The map with sources, units and scales by column; the unit of a name may be left out.
+
+        Raises:
+            InvalidInput: there is no such column or unit.
+        """
+        tables = {name: table.model_dump(by_alias=True) for name, table in self.column.items()}
+        given: dict[str, Mapping[str, Any]] = {"from": sources, "unit": units, "scale": scales}
+        for key, values in given.items():
+            for name, value in values.items():
+                tables.setdefault(full_name(name), {})[key] = value
+        return _checked({"column": tables, "record": self.record}, "columns")
+
+    def save(self, path: Path) -> None:
+        """Writes the map as TOML."""
+        blocks = []
+        for name, table in self.column.items():
+            values = table.model_dump(by_alias=True, mode="json", exclude_defaults=True)
+            blocks.append([f"[column.{name}]", *map(_assignment, values.items())])
+        if self.record:
+            blocks.append(["[record]", *map(_assignment, self.record.items())])
+        path.write_text("\n\n".join("\n".join(block) for block in blocks) + "\n", "utf-8")
+
+
+AS_NAMED = ColumnMap()
+"""The map of files that name the columns as a record does."""
+
+
+def read_column_map(path: Path) -> ColumnMap:
+    """Reads a map; the calibrations it names are relative to its own folder.
+
+    Raises:
+        InvalidInput: it cannot be read, or has mistakes; the message has a line for each.
+    """
+    data = read_toml(path)
+    for table in data.get("column", {}).values():
+        if isinstance(table, dict) and isinstance(table.get("calibration"), str):
+            table["calibration"] = str((path.parent / table["calibration"]).resolve())
+    return _checked(data, str(path))
+
+
+def full_name(name: str) -> str:
+    """The name of a record's column, given with or without its unit.
+
+    Raises:
+        InvalidInput: there is no such column.
+    """
+    if name in TABLE_COLUMNS:
+        return name
+    if name not in _STEMS:
+        near = difflib.get_close_matches(name, [*_STEMS, *TABLE_COLUMNS], 1)
+        hint = f"did you mean {near[0]}?" if near else f"they are {', '.join(_STEMS)}"
+        raise InvalidInput(f"a record has no column {name}; {hint}")
+    return _STEMS[name]
+
+
+def _checked(data: dict[str, Any], source: str) -> ColumnMap:
+    found = validate(ColumnMap, data, source)
+    for name, table in found.column.items():
+        if name not in TABLE_COLUMNS:
+            raise InvalidInput(f"{source}: column.{name}: write column.{full_name(name)}")
+        if table.unit and find_unit(table.unit) is None:
+            raise InvalidInput(_unknown_unit(table.unit, f"{source}: column.{name}.unit"))
+    unknown = set(found.record) - set(METADATA)
+    if unknown:
+        raise InvalidInput(
+            f"{source}: record has no {', '.join(sorted(unknown))}; it has {', '.join(METADATA)}"
+        )
+    return found
+
+
+class Mapped(NamedTuple):
+    """One column of a record as it was understood.
+
+    Attributes:
+        source: Name of the channel it was taken from.
+        unit: Unit it was taken to be in, or `counts` of a calibration.
+        factor: Factor from the values of the file to SI units.
+        values: In SI units, shape (samples,).
+        time_s: Stamps of the channel's own, or None.
+    """
+
+    source: str
+    unit: str
+    factor: float
+    values: FloatArray
+    time_s: FloatArray | None
+
+
+def find_channel(source: str, channels: Iterable[Channel], column: str) -> Channel | None:
+    """The channel of a name, or the only one whose name ends in it after a dot or a slash.
+
+    Raises:
+        Unusable: several names end so.
+    """
+    by_name = {channel.name: channel for channel in channels}
+    tails = [n for n in by_name if n.endswith(source) and n[: -len(source)].endswith((".", "/"))]
+    if source not in by_name and len(tails) > 1:
+        listed = ", ".join(tails[:4])
+        raise Unusable(f"{source} could be {listed}; give the whole name", column)
+    return by_name.get(source) or (by_name[tails[0]] if tails else None)
+
+
+def map_column(name: str, table: ColumnTable, channel: Channel, drum: Drum) -> Mapped | None:
+    """One column in SI units; None where every cell is empty.
+
+    Raises:
+        Unusable: a cell is no number, or the unit cannot be.
+    """
+    values = _numbers(name, _seconds(channel.values) if name == "time_s" else channel.values)
+    if values is None:
+        return None
+    if table.calibration is not None:
+        calibrated = _calibrated(name, values, table.calibration)
+        return Mapped(channel.name, "counts", np.nan, calibrated, channel.time_s)
+    stem, _, si = name.partition("_")
+    unit = _unit(stem, table, channel, si or "")
+    try:
+        factor = si_factor(unit, si, drum) if unit else 1.0
+    except InvalidInput as error:
+        raise Unusable(str(error), name) from error
+    if table.scale != 1.0 or table.offset != 0.0:
+        values = values * table.scale + table.offset
+    if factor != 1.0:
+        values = values * factor
+    return Mapped(channel.name, unit, factor * table.scale, values, channel.time_s)
+
+
+def _unit(stem: str, table: ColumnTable, channel: Channel, si: str) -> str:
+    """The unit of a column: the map's, else the file's, else that of the column's name."""
+    given = find_unit(table.unit) if table.unit else None
+    stated = find_unit(channel.unit) if channel.unit else None
+    if given and stated and given != stated:
+        raise Unusable(
+            f"{channel.name} is in {stated} by the file and in {given} by the map; correct one",
+            stem,
+        )
+    if channel.unit and not (given or stated) and si:
+        raise Unusable(_unknown_unit(channel.unit, channel.name), stem)
+    return given or stated or si
+
+
+def _unknown_unit(unit: str, where: str) -> str:
+    return f"{where}: unit {unit!r} is not known; use one of {', '.join(UNITS)}, or a scale"
+
+
+def _calibrated(name: str, counts: FloatArray, path: Path) -> FloatArray:
+    try:
+        stored = json.loads(path.read_text(encoding="utf-8"))
+        if name == "current_A":
+            return np.asarray(CurrentCalibration.from_dict(stored).current_A(counts))
+        return np.asarray(GaugeCalibration.from_dict(stored).force_N(counts))
+    except (OSError, ValueError, InvalidInput) as error:
+        raise Unusable(f"calibration {path}: {error}; calibrate again or scale", name) from error
+
+
+def _seconds(values: NDArray[Any]) -> NDArray[Any]:
+    """Stamps as numbers: whole ones from the first on, dates and durations in seconds."""
+    import pandas as pd  # noqa: PLC0415  slow to import
+
+    if values.dtype == object and pd.to_numeric(pd.Series(values), errors="coerce").isna().all():
+        dates = pd.to_datetime(pd.Series(values), format="ISO8601", errors="coerce", utc=True)
+        values = values if dates.isna().any() else dates.to_numpy("M8[ns]")
+    if values.dtype.kind in "mM" and values.size and not np.isnat(values).any():
+        whole = values.astype(f"{values.dtype.kind}8[ns]").astype(np.int64)
+        return np.asarray((whole - whole[0]) * 1e-9)
+    if values.dtype.kind in "iu" and values.size:
+        return np.asarray(values - values[0])
+    return values
+
+
+def _numbers(name: str, cells: NDArray[Any]) -> FloatArray | None:
+    """Cells as floats, or None where every one is empty."""
+    import pandas as pd  # noqa: PLC0415  slow to import
+
+    if cells.dtype.kind == "c":
+        raise Unusable("the values are complex; record real ones", name)
+    column: pd.Series[Any] = pd.Series(
+        cells.astype(object) if cells.dtype.kind in "mMSUO" else cells
+    )
+    if column.isna().all():
+        return None
+    values: FloatArray = pd.to_numeric(column, errors="coerce").to_numpy(
+        np.float64, na_value=np.nan
+    )
+    bad = np.flatnonzero(~np.isfinite(values))
+    if bad.size:
+        row, cell = int(bad[0]) + 1, column.iloc[int(bad[0])]
+        missing = "the cell is empty or NaN"
+        what = missing if column.isna().iloc[row - 1] else f"{cell!r} is not a finite number"
+        more = f" (and {bad.size - 1} more)" if bad.size > 1 else ""
+        raise Unusable(f"{what}{more}; remove or correct the row", name, row)
+    return values
+
+
+def _assignment(item: tuple[str, Any]) -> str:
+    key, value = item
+    if isinstance(value, dict):
+        return f"{key} = {{ {', '.join(map(_assignment, value.items()))} }}"
+    return f"{key} = {json.dumps(value)}"

@@ -1,0 +1,125 @@
+"""One file of recorded data as its format gives it, and how the reader of a format is found."""
+
+from collections.abc import Callable
+from importlib import import_module
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from numpy.typing import NDArray
+
+from estune.core.quantities import FloatArray
+from estune.errors import InvalidInput
+from estune.recordings.issue import Unusable
+from estune.support.plugins import load_plugin, plugins
+
+ENTRY_POINTS = "estune.record_readers"
+"""Entry point group by which a package offers readers, by the ending of the file's name."""
+
+
+class Channel(NamedTuple):
+    """One channel of a file.
+
+    Attributes:
+        name: As the file gives it: `column`, `struct.field`, `group/channel`, `/topic.field[i]`.
+        values: Shape (samples,): numbers, time stamps, or objects where a cell is no number.
+        unit: As the file states it, or empty.
+        time_s: Stamps of the channel's own, s, ascending, same shape; None where the file has one
+            time channel for all, or none.
+    """
+
+    name: str
+    values: NDArray[Any]
+    unit: str = ""
+    time_s: FloatArray | None = None
+
+
+class RawFile(NamedTuple):
+    """The channels of a file, and what it says beside them: rate, cable length, gains."""
+
+    channels: tuple[Channel, ...]
+    metadata: dict[str, Any]
+
+
+Reader = Callable[[Path], RawFile]
+"""Reads a file; raises `Unusable` with row and remedy, or anything where the file is damaged."""
+
+BAG = "metadata.yaml"
+"""File by which a folder is a ROS 2 bag."""
+
+_OWN = {
+    ".csv": "text:read_text",
+    ".tsv": "text:read_text",
+    ".parquet": "parquet:read_parquet",
+    ".mat": "matlab:read_mat",
+    ".bag": "ros:read_bag",
+    ".db3": "ros:read_bag",
+    BAG: "ros:read_bag",
+    ".mcap": "mcap:read_mcap",
+    ".zstd": "mcap:refuse_compressed",
+    ".tdms": "tdms:read_tdms",
+}
+"""Readers by the ending, module and function in `estune.recordings.readers`."""
+
+
+def formats() -> tuple[str, ...]:
+    """Endings of the files that can be read."""
+    return (*(ending for ending in _OWN if ending not in (BAG, ".zstd")), *plugins(ENTRY_POINTS))
+
+
+def is_readable(path: Path) -> bool:
+    """Whether a reader is known for a file; the parts of a ROS 2 bag belong to its folder."""
+    if path.parent.joinpath(BAG).is_file():
+        return path.name == BAG
+    return path.suffix in _OWN or path.suffix in plugins(ENTRY_POINTS)
+
+
+def read_raw(path: Path) -> RawFile:
+    """Reads a file with the reader of its ending.
+
+    Raises:
+        Unusable: it cannot be read; the message is one line.
+    """
+    try:
+        raw = _reader(path)(path)
+    except Unusable:
+        raise
+    except ModuleNotFoundError as error:
+        raise Unusable(_missing(path, error)) from error
+    except InvalidInput as error:
+        raise Unusable(str(error)) from error
+    except UnicodeDecodeError as error:
+        raise Unusable("the file is no UTF-8 text; save it as UTF-8") from error
+    except OSError as error:
+        what = error.strerror or "the file is damaged or of another format"
+        raise Unusable(f"{what}; copy or export it again") from error
+    except Exception as error:  # a format's library may raise anything on damage
+        why = " ".join(f"{type(error).__name__} {error}".split())[:100]
+        raise Unusable(
+            f"the file is damaged or of another format ({why}); copy or export it again"
+        ) from error
+    if not any(channel.values.size for channel in raw.channels):
+        raise Unusable("the file has no rows; record the trial again or remove the file")
+    return raw
+
+
+def _reader(path: Path) -> Reader:
+    where = _OWN.get(path.name, _OWN.get(path.suffix))
+    if where is None:
+        offered = plugins(ENTRY_POINTS)
+        if path.suffix not in offered:
+            raise Unusable(f"{path.suffix or path.name} is no format of records; use {formats()}")
+        plugin: Reader = load_plugin(offered[path.suffix])
+        return plugin
+    module, _, function = where.partition(":")
+    own: Reader = getattr(import_module(f"estune.recordings.readers.{module}"), function)
+    return own
+
+
+def _missing(path: Path, error: ModuleNotFoundError) -> str:
+    extras = {"pyarrow": "parquet", "matio": "matlab", "rosbags": "ros", "nptdms": "tdms"}
+    package = (error.name or "").partition(".")[0]
+    extra = extras.get(package, package)
+    return (
+        f"{path.suffix} files need {package}; install it with: pip install 'estune[{extra}]', "
+        "or export CSV"
+    )

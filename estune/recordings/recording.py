@@ -1,0 +1,160 @@
+"""One file of recorded data as the columns of a record, in SI units on an even grid."""
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from estune.core.quantities import FloatArray
+from estune.recordings.column_map import AS_NAMED, ColumnMap, Mapped, find_channel, map_column
+from estune.recordings.column_names import MEASURED, METADATA, TABLE_COLUMNS, suggest_name
+from estune.recordings.issue import DataIssue, Unusable
+from estune.recordings.metadata import Metadata, metadata_beside
+from estune.recordings.raw_file import RawFile, read_raw
+from estune.recordings.timing import Columns, evened, resampled
+from estune.recordings.units import NO_DRUM, Drum
+
+FEWEST_SAMPLES = 3
+"""Fewer rows have no sampling rate."""
+_LISTED = 12
+"""Channels that a message lists."""
+
+
+class Recording(NamedTuple):
+    """What a file holds.
+
+    Attributes:
+        sampling_Hz: Rate of the grid.
+        parts: Columns of each stretch without a gap; `time_s` is one of them.
+        metadata: As written in the file, beside it or in the map.
+        mapped: Where each column came from.
+        issues: Channels that were ignored, and what was done to the time stamps.
+    """
+
+    sampling_Hz: float
+    parts: tuple[Columns, ...]
+    metadata: Metadata
+    mapped: dict[str, Mapped]
+    issues: tuple[DataIssue, ...]
+
+
+def read_recording(
+    path: Path, column_map: ColumnMap = AS_NAMED, drum: Drum = NO_DRUM
+) -> Recording:
+    """Reads a file of a known format and the `.json` beside it.
+
+    Args:
+        path: The file.
+        column_map: Names, units and scales of the columns that are not as a record's.
+        drum: Numbers of the reel, for lengths and torques.
+
+    Raises:
+        Unusable: it cannot be read, or is no record; the message is one line.
+    """
+    raw = read_raw(path)
+    metadata = Metadata({**column_map.record, **(raw.metadata or metadata_beside(path))})
+    mapped, issues = _mapped(raw, column_map, drum)
+    _check_names(frozenset(metadata.values), METADATA)
+    columns = {n: m for n, m in mapped.items() if n != "time_s"}
+    # A rig without a gauge or an encoder fills the column with zeros.
+    columns = {n: m for n, m in columns.items() if n not in MEASURED or m.values.any()}
+    _check_present(columns, raw)
+    stated_Hz = metadata.number("sampling_Hz", above=0.0)
+    clocks, warning = _clocks(columns, mapped.get("time_s"), stated_Hz)
+    values = {name: m.values for name, m in columns.items()}
+    one = next(iter(clocks.values()))
+    if all(clock is one or np.array_equal(clock, one) for clock in clocks.values()):
+        grid = evened(values, one, stated_Hz)
+    else:
+        grid = resampled(values, clocks, stated_Hz)
+    parts = tuple(p for p in grid.parts if p["time_s"].size >= FEWEST_SAMPLES)
+    return Recording(grid.sampling_Hz, parts, metadata, mapped, (*issues, *warning, *grid.issues))
+
+
+def _mapped(
+    raw: RawFile, column_map: ColumnMap, drum: Drum
+) -> tuple[dict[str, Mapped], list[DataIssue]]:
+    mapped, issues = {}, []
+    for name in TABLE_COLUMNS:
+        table = column_map.table(name)
+        channel = find_channel(table.from_ or name, raw.channels, name)
+        if channel is None:
+            if table.from_:
+                raise Unusable(f"there is no {table.from_}; {_listed(raw)}", name)
+            continue
+        found = map_column(name, table, channel, drum)
+        if found is None:
+            sentence = "the column is empty; it is taken as missing"
+            issues.append(DataIssue("warning", sentence, name))
+        else:
+            mapped[name] = found
+    used = {m.source for m in mapped.values()}
+    left = frozenset(c.name for c in raw.channels) - used
+    present = left | mapped.keys()
+    known = TABLE_COLUMNS if not column_map.column else ()  # a map says what is meant
+    return mapped, issues + _check_names(present, known, used)
+
+
+def _check_names(
+    present: frozenset[str], known: tuple[str, ...], used: frozenset[str] | set[str] = frozenset()
+) -> list[DataIssue]:
+    """Refuses what seems to be a known name misspelt; other unknown names are ignored."""
+    issues = []
+    for name in sorted(present - set(known) - used - set(TABLE_COLUMNS)):
+        sentence = suggest_name(name, present, known)
+        if sentence is not None:
+            raise Unusable(sentence, name)
+        sentence = "not a column of a record; it is ignored"
+        issues.append(DataIssue("warning", sentence, name))
+    return issues
+
+
+def _check_present(columns: dict[str, Mapped], raw: RawFile) -> None:
+    if not any(name in columns for name in MEASURED):
+        raise Unusable(
+            f"there is none of the columns {', '.join(MEASURED)}; {_listed(raw)}: name what was "
+            "measured, as in --map tension=NAME"
+        )
+    if not {"setpoint_N", "current_A"} & set(columns):
+        raise Unusable(
+            f"there is neither setpoint_N nor current_A; {_listed(raw)}: name what was commanded, "
+            "as in --map current=NAME"
+        )
+    for name, m in columns.items():
+        if m.values.size < FEWEST_SAMPLES:
+            what = f"the file has {m.values.size} rows"
+            raise Unusable(f"{what}; {FEWEST_SAMPLES} or more are needed", name)
+
+
+def _listed(raw: RawFile) -> str:
+    names = [channel.name for channel in raw.channels]
+    more = f" and {len(names) - _LISTED} more" if len(names) > _LISTED else ""
+    return f"the file has {', '.join(names[:_LISTED])}{more}"
+
+
+def _clocks(
+    columns: dict[str, Mapped], time: Mapped | None, stated_Hz: float | None
+) -> tuple[dict[str, FloatArray], list[DataIssue]]:
+    """Stamps of each column: those of the time column where it shares its rows, else its own."""
+    clocks: dict[str, FloatArray] = {}
+    issues: list[DataIssue] = []
+    for name, m in columns.items():
+        shares = time is not None and (
+            m.time_s is None or (time.time_s is not None and np.array_equal(m.time_s, time.time_s))
+        )
+        own = time.values if shares and time is not None else m.time_s
+        if own is None:
+            if stated_Hz is None:
+                raise Unusable("there is neither time_s nor sampling_Hz; give one of them")
+            if not issues:
+                sentence = "there is no time column; it is made from sampling_Hz"
+                issues.append(DataIssue("warning", sentence, "time_s"))
+            own = np.arange(m.values.size) / stated_Hz
+        if own.size != m.values.size:
+            raise Unusable(
+                f"it has {m.values.size} values, the time {own.size}; record both together", name
+            )
+        clocks[name] = own
+    if len({c.size for c in clocks.values()}) > 1 and issues:
+        raise Unusable("the columns are of different lengths; give a time column")
+    return clocks, issues

@@ -1,0 +1,218 @@
+"""Time stamps: an even grid of samples, in parts between gaps, and how it was reached."""
+
+import itertools
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estune.core.quantities import BoolArray, FloatArray
+from estune.recordings.column_names import MEASURED
+from estune.recordings.issue import DataIssue, Unusable
+
+GAP = 1.5
+"""Interval, relative to the usual one, above which a sample is missing."""
+OFF_GRID = 0.5
+"""Greatest deviation of a time stamp from the even grid, in samples, of rows taken as they are."""
+JITTER = 0.1
+"""Deviation that causes a warning, in samples."""
+AGREES = 1e-3
+"""Relative difference of two sampling rates that rounding explains."""
+MOST_DECIMALS = 9
+"""Most decimals of rounded time stamps."""
+KEPT_MIN = 0.5
+"""Share of the time that must be left beside the gaps."""
+SAME_INSTANT = 1e-6
+"""Difference of two instants, in samples, that rounding explains."""
+
+COLUMN = "time_s"
+
+Columns = Mapping[str, FloatArray]
+"""Columns by name, each of shape (samples,)."""
+
+
+class Evened(NamedTuple):
+    """Columns on an even grid.
+
+    Attributes:
+        sampling_Hz: The rate, the stated one where there is one.
+        parts: The columns, `time_s` among them, of each stretch without a gap.
+        issues: What was done to the stamps.
+    """
+
+    sampling_Hz: float
+    parts: tuple[Columns, ...]
+    issues: tuple[DataIssue, ...]
+
+
+def evened(columns: Columns, time_s: FloatArray, stated_Hz: float | None) -> Evened:
+    """Columns with one time stamp for each row, on an even grid.
+
+    Rows within half a sample of the grid are taken as they are; others are resampled.
+
+    Args:
+        columns: Columns but time.
+        time_s: Time stamps, finite, shape (samples,), three or more.
+        stated_Hz: The rate the metadata names, or None.
+
+    Raises:
+        Unusable: stamps are out of order, or contradict the stated rate.
+    """
+    rounding_s = _rounding(time_s)
+    _check_order(time_s)
+    gaps = _gaps(time_s, rounding_s)
+    bounds = [0, *gaps.tolist(), time_s.size]
+    rows = [slice(a, b) for a, b in itertools.pairwise(bounds)]
+    longest = max(rows, key=lambda part: part.stop - part.start)
+    found_Hz = _rate(time_s[longest])
+    tolerance = AGREES + rounding_s * found_Hz / (longest.stop - longest.start)
+    if stated_Hz is not None and abs(stated_Hz / found_Hz - 1.0) > tolerance:
+        raise Unusable(_contradiction(stated_Hz, found_Hz), COLUMN)
+    off = max(_off_grid(time_s[part], found_Hz) for part in rows)
+    if off > OFF_GRID + rounding_s * found_Hz:
+        return resampled(columns, dict.fromkeys(columns, time_s), stated_Hz)
+    issues = _gap_issues(time_s, gaps)
+    if off > JITTER + rounding_s * found_Hz:
+        sentence = (
+            f"the time stamps scatter by {off:.2g} of a sample; the rows are taken as evenly"
+        )
+        issues.append(DataIssue("warning", f"{sentence} spaced", COLUMN))
+    whole = {COLUMN: time_s, **columns}
+    parts = tuple({name: values[part] for name, values in whole.items()} for part in rows)
+    return Evened(found_Hz if stated_Hz is None else stated_Hz, parts, tuple(issues))
+
+
+def resampled(columns: Columns, clocks: Columns, stated_Hz: float | None) -> Evened:
+    """Columns with stamps of their own on one grid, that of the first measured column.
+
+    Measurements are interpolated linearly, commands held; nothing reaches beyond the ends of a
+    measurement, nor across a gap in one.
+
+    Args:
+        columns: Columns but time, one of them measured.
+        clocks: Time stamps of each column, same shape.
+        stated_Hz: The rate the metadata names, or None for the usual one of the stamps.
+
+    Raises:
+        Unusable: stamps are out of order, contradict the stated rate, or leave too little.
+    """
+    lead = next(name for name in MEASURED if name in columns)
+    for stamps in clocks.values():
+        _check_order(stamps)
+    steps = np.diff(clocks[lead])
+    usual_s = float(steps[steps <= GAP * np.median(steps) + 2.0 * _rounding(clocks[lead])].mean())
+    if stated_Hz is not None and abs(stated_Hz * usual_s - 1.0) > JITTER:
+        raise Unusable(_contradiction(stated_Hz, 1.0 / usual_s), COLUMN)
+    rate = stated_Hz or 1.0 / usual_s
+    first = max(float(stamps[0]) for stamps in clocks.values())
+    last = min(float(clocks[name][-1]) for name in columns if name in MEASURED)
+    begin = float(clocks[lead][np.searchsorted(clocks[lead], first)]) if first <= last else first
+    grid = begin + np.arange(max(int((last - begin) * rate + SAME_INSTANT) + 1, 0)) / rate
+    within = np.ones(grid.size, np.bool_)
+    on_grid = {COLUMN: grid}
+    for name, values in columns.items():
+        if name in MEASURED:
+            on_grid[name] = np.interp(grid, clocks[name], values)
+            within &= _within(grid, clocks[name])
+        else:
+            held = np.searchsorted(clocks[name], grid + SAME_INSTANT / rate, side="right") - 1
+            on_grid[name] = values[held]
+    if within.mean() < KEPT_MIN if grid.size else True:
+        raise Unusable(
+            "more than half of the time is without samples, or the stamps come in bursts; record "
+            "the stamps of the device, not those of arrival",
+            COLUMN,
+        )
+    parts = tuple({n: v[part] for n, v in on_grid.items()} for part in _runs(within))
+    return Evened(rate, parts, tuple(_resampling_issues(clocks, lead, rate, last, len(parts))))
+
+
+def _resampling_issues(
+    clocks: Columns, lead: str, rate: float, last_s: float, parts: int
+) -> list[DataIssue]:
+    off = _off_grid(clocks[lead], _rate(clocks[lead]))
+    sentence = (
+        f"resampled to {rate:.6g} Hz, the usual rate of {lead}, whose stamps are up to {off:.2g} "
+        "samples off an even grid: measurements linearly, commands held"
+    )
+    if parts > 1:
+        sentence += f"; split into {parts} parts at gaps"
+    issues = [DataIssue("warning", sentence, COLUMN)]
+    for name, stamps in clocks.items():
+        if name not in MEASURED and last_s - stamps[-1] > 1.0 / rate:
+            early = f"it ends {last_s - stamps[-1]:.3g} s before the measurements; its last value"
+            issues.append(DataIssue("warning", f"{early} is held", name))
+    return issues
+
+
+def _gap_issues(time_s: FloatArray, gaps: NDArray[np.intp]) -> list[DataIssue]:
+    if not gaps.size:
+        return []
+    lost_s = float((time_s[gaps] - time_s[gaps - 1]).sum())
+    sentence = (
+        f"samples are missing in {gaps.size} {'gap' if gaps.size == 1 else 'gaps'}, {lost_s:.3g} "
+        f"s of {time_s[-1] - time_s[0]:.4g} s; split into {gaps.size + 1} parts"
+    )
+    return [DataIssue("warning", sentence, COLUMN, int(gaps[0]) + 1)]
+
+
+def _gaps(time_s: FloatArray, rounding_s: float) -> NDArray[np.intp]:
+    """Rows before which samples are missing."""
+    steps = np.diff(time_s)
+    return np.flatnonzero(steps > GAP * float(np.median(steps)) + 2.0 * rounding_s) + 1
+
+
+def _within(grid: FloatArray, stamps: FloatArray) -> BoolArray:
+    """Whether each instant lies between two stamps without a gap."""
+    steps = np.diff(stamps)
+    longest_s = GAP * float(np.median(steps)) + 2.0 * _rounding(stamps)
+    after = np.clip(np.searchsorted(stamps, grid), 1, stamps.size - 1)
+    return np.asarray((steps[after - 1] <= longest_s) | (stamps[after] == grid))
+
+
+def _runs(mask: BoolArray) -> list[slice]:
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
+    return [slice(a, b) for a, b in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)]
+
+
+def _rate(time_s: FloatArray) -> float:
+    """Rate by regression of the stamps."""
+    k = np.arange(time_s.size) - (time_s.size - 1) / 2.0
+    return float((k @ k) / (k @ time_s)) if time_s.size > 1 else np.inf
+
+
+def _off_grid(time_s: FloatArray, rate: float) -> float:
+    """Greatest deviation of stamps from the even grid that suits them best, in samples."""
+    k = np.arange(time_s.size) - (time_s.size - 1) / 2.0
+    return float(np.abs(time_s - time_s.mean() - k / rate).max() * rate)
+
+
+def _check_order(time_s: FloatArray) -> None:
+    backward = np.flatnonzero(np.diff(time_s) <= 0.0)
+    if backward.size:
+        row = int(backward[0]) + 2
+        repeats = time_s[row - 1] == time_s[row - 2]
+        raise Unusable(
+            f"{time_s[row - 1]:g} s {'repeats the time of' if repeats else 'is before that of'} "
+            "the row above; sort the rows and keep each time once",
+            COLUMN,
+            row,
+        )
+
+
+def _rounding(time_s: FloatArray) -> float:
+    """Greatest rounding error of the stamps, s; 0 where they are not rounded."""
+    close = 1e-12 * max(1.0, float(np.abs(time_s).max()))
+    for decimals in range(MOST_DECIMALS + 1):
+        if np.abs(np.round(time_s, decimals) - time_s).max() < close:
+            return 0.5 * 10.0**-decimals
+    return 0.0
+
+
+def _contradiction(stated_Hz: float, found_Hz: float) -> str:
+    sentence = f"sampling_Hz is {stated_Hz:g}, the time column says {found_Hz:.6g} Hz"
+    for unit, per_second in (("ms", 1e3), ("us", 1e6), ("min", 1.0 / 60.0)):
+        if abs(stated_Hz / found_Hz / per_second - 1.0) < 0.1:
+            return f"{sentence}: the time seems to be in {unit}; give it in seconds"
+    return f"{sentence}; correct the one that is wrong"

@@ -1,0 +1,130 @@
+"""`estune records`: how recorded data are understood, and the same data in estune's own form."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from rich.text import Text
+
+from estune.cli import output
+from estune.cli.values import Flag, Values
+from plants.commands.columns import Sources, column_map
+
+if TYPE_CHECKING:
+    from plants.diagnosis.data.measured_record import MeasuredRecord
+    from plants.diagnosis.data.preview import Preview
+    from plants.diagnosis.data.records import ColumnSource
+
+
+def records(
+    data: Path,
+    /,
+    *,
+    map_: Sources = (),
+    unit: Values = (),
+    scale: Values = (),
+    save_map: Path | None = None,
+    model: str | None = None,
+    out: Path | None = None,
+    form: Literal["csv", "parquet", "mcap"] = "csv",
+    json: Flag = False,
+) -> None:
+    """Show how recorded data are understood: columns, units, rate, gaps, trials and signs.
+
+    Args:
+        data: A file or a folder of them: CSV with any separators, Parquet, MATLAB, ROS 1 and 2
+            bags, MCAP, TDMS, or runs.
+        map_: Where the columns come from: time=t,current=vir,angle=qm, or a TOML file of them.
+        unit: Their units, such as angle=mm,tension=lbf.
+        scale: Factors to the unit, such as current=35.15.
+        save_map: Write the map as a TOML file, for --map.
+        model: The model whose drum turns lengths into angles and torques into currents.
+        out: Folder for the records as a model's diagnosis takes them, one file each.
+        form: Format of these files.
+        json: Print JSON.
+
+    Raises:
+        InvalidInput: there is no record, or an option cannot be used.
+    """
+    from estune.recordings.units import NO_DRUM  # noqa: PLC0415  slow to import
+    from plants.diagnosis.data.preview import preview, warnings  # noqa: PLC0415  as above
+    from plants.diagnosis.data.records import drum_of, read_measurements  # noqa: PLC0415
+
+    columns, drum = column_map(map_, unit, scale, save_map), NO_DRUM
+    if model is not None:
+        import plants  # noqa: PLC0415  slow to import
+
+        drum = drum_of(plants.load_model(model))
+    contents = read_measurements(data, columns, drum)
+    previews = [preview(m) for m in contents.measurements]
+    signs = {p.name: warnings(p) for p in previews}
+    if out is not None:
+        for m in contents.measurements:
+            _write(m, out, form)
+    if json:
+        output.print_json(
+            {
+                "records": previews,
+                "columns": contents.sources,
+                "findings": contents.findings,
+                "signs": signs,
+            }
+        )
+        return
+    _show(previews, contents.sources)
+    for issue in contents.findings:
+        _line(issue.level, str(issue))
+    for name, sentences in signs.items():
+        for sentence in sentences:
+            _line("warning", f"{name}: {sentence}")
+    if out is not None:
+        output.show_next({"records": out, "explain": f"estune explain --model MODEL --data {out}"})
+
+
+def _show(previews: list["Preview"], sources: tuple["ColumnSource", ...]) -> None:
+    output.show_table(
+        ("file", "column", "from", "unit", "factor"),
+        ((*source[:4], f"{source.factor:.7g}") for source in sources),
+    )
+    print()
+    output.show_table(
+        ("record", "rate Hz", "seconds", "loop", "steps", "ranges", "signs"),
+        (
+            (
+                *(p.name, f"{p.sampling_Hz:.6g}", f"{p.duration_s:.4g}", p.loop),
+                "-" if p.steps is None else str(p.steps),
+                ", ".join(f"{n} {low:.3g} to {high:.3g}" for n, (low, high) in p.ranges.items()),
+                ", ".join(f"{pair} {value:+.2f}" for pair, value in p.signs.items()),
+            )
+            for p in previews
+        ),
+    )
+
+
+def _line(level: str, sentence: str) -> None:
+    style = "red" if level == "refused" else "yellow"
+    output.console().print(Text.assemble((f"{level}  ", style), sentence), soft_wrap=True)
+
+
+def _write(m: "MeasuredRecord", folder: Path, form: Literal["csv", "parquet", "mcap"]) -> None:
+    from estune.core.gains import GAIN_NAMES  # noqa: PLC0415  slow to import
+    from estune.run.record_files import write_columns  # noqa: PLC0415
+    from plants.diagnosis.data.measured_record import CHANNELS  # noqa: PLC0415
+
+    named = {name: m.channel(name) for name in CHANNELS}
+    columns: dict[str, object] = {"time_s": m.time_s}
+    columns |= {n: c for n, c in named.items() if c is not None}
+    if m.flags is not None:
+        columns["flags"] = m.flags
+    gains = m.gains and dict(zip(GAIN_NAMES, m.gains.as_tuple(), strict=True))
+    about = {
+        "rig": m.rig,
+        "trial_id": m.name,
+        "sampling_Hz": m.sampling_Hz,
+        "cable_length_m": m.cable_length_m,
+        "preload_N": m.preload_N,
+        "loop": m.loop,
+        "gains": gains,
+        "profile": m.profile,
+    }
+    folder.mkdir(parents=True, exist_ok=True)
+    write_columns(columns, about, folder / m.name.replace("/", "_"), form)

@@ -1,0 +1,94 @@
+"""What is understood of recorded data, before anything is fitted to them."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from estune.core.quantities import FloatArray
+from plants.diagnosis.data.measured_record import CHANNELS, MeasuredRecord
+from plants.diagnosis.data.smoothing import Smoother
+
+WIDTH = 0.01
+"""Smoothing of the signals whose signs are compared, as a share of the record."""
+CLEAR = 0.7
+"""Size of a correlation from which its sign says something."""
+STEPWISE = 0.05
+"""Share of the samples at which a setpoint may change to be a sequence of steps."""
+
+
+class Preview(NamedTuple):
+    """One record as it was understood.
+
+    Attributes:
+        name: Its name; a number follows where the file was split at gaps.
+        source: The file.
+        samples: Number of samples.
+        sampling_Hz: Rate.
+        duration_s: Length, s.
+        loop: `open` or `closed`.
+        cable_length_m: Or None.
+        steps: Steps of the setpoint; None where it moves otherwise, or there is none.
+        ranges: Least and greatest value of each column, SI units.
+        signs: Correlation at low frequency by pair of columns: `tension_N by current_A` and so on.
+    """
+
+    name: str
+    source: str
+    samples: int
+    sampling_Hz: float
+    duration_s: float
+    loop: str
+    cable_length_m: float | None
+    steps: int | None
+    ranges: dict[str, tuple[float, float]]
+    signs: dict[str, float]
+
+
+def preview(m: MeasuredRecord) -> Preview:
+    """What is understood of a record."""
+    columns = {name: c for name in CHANNELS if (c := m.channel(name)) is not None}
+    return Preview(
+        name=m.name,
+        source=m.source,
+        samples=m.samples,
+        sampling_Hz=m.sampling_Hz,
+        duration_s=m.duration_s,
+        loop=m.loop,
+        cable_length_m=m.cable_length_m,
+        steps=_steps(m.setpoint_N),
+        ranges={name: (float(c.min()), float(c.max())) for name, c in columns.items()},
+        signs=_signs(m),
+    )
+
+
+def warnings(p: Preview) -> list[str]:
+    """Signs that contradict the conventions: a positive current winds in, which pulls."""
+    return [
+        f"{pair.split(' by ')[0]} falls as {pair.split(' by ')[1]} rises (correlation "
+        f"{value:.2f}); if nothing outside moves the cable, turn a sign, as in --scale "
+        f"{pair.partition('_')[0]}=-1"
+        for pair, value in p.signs.items()
+        if value < -CLEAR
+    ]
+
+
+def _steps(setpoint: FloatArray | None) -> int | None:
+    if setpoint is None:
+        return None
+    changes = int(np.count_nonzero(np.diff(setpoint)))
+    return changes if changes <= STEPWISE * setpoint.size else None
+
+
+def _signs(m: MeasuredRecord) -> dict[str, float]:
+    smoother = Smoother(max(WIDTH * m.duration_s, 1.0 / m.sampling_Hz), m.sampling_Hz)
+    effort = "current_A" if m.current_A is not None else "setpoint_N"
+    found = {}
+    for one, other in (("tension_N", effort), ("tension_N", "angle_rad"), ("angle_rad", effort)):
+        x, y = m.channel(one), m.channel(other)
+        if x is None or y is None:
+            continue
+        pair = np.array([smoother.sampled(x, 1.0), smoother.sampled(y, 1.0)])
+        pair = pair[:, np.isfinite(pair).all(axis=0)]
+        if pair.shape[1] > 2 and (np.ptp(pair, axis=1) > 0.0).all():
+            found[f"{one} by {other}"] = float(np.corrcoef(pair)[0, 1])
+    return found
