@@ -22,7 +22,9 @@ if TYPE_CHECKING:
     from estune.core.pidf import ControllerSettings
     from estune.errors import EstuneError
     from estune.run.result import TuneResult
+    from estune.studies.compare.comparison import compare
     from estune.studies.match.procedure import match
+    from estune.studies.law.start import start_from
     from estune.studies.sweep.sweep import sweep
     from estune.support.version import __version__
     from estune.trial.profiles import StepProfile
@@ -37,9 +39,11 @@ __all__ = [
     "StepProfile",
     "TuneResult",
     "__version__",
+    "compare",
     "load",
     "match",
     "resume",
+    "start_from",
     "sweep",
     "tune",
 ]
@@ -55,9 +59,11 @@ __getattr__, __dir__ = lazy_exports(
         "StepProfile": "estune.trial.profiles",
         "TuneResult": "estune.run.result",
         "__version__": "estune.support.version",
+        "compare": "estune.studies.compare.comparison",
         "load": "estune.api",
         "match": "estune.studies.match.procedure",
         "resume": "estune.api",
+        "start_from": "estune.studies.law.start",
         "sweep": "estune.studies.sweep.sweep",
         "tune": "estune.api",
     },

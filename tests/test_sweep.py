@@ -204,7 +204,7 @@ def test_law_excludes_and_lists_unsafe_and_unconverged_tunings(tmp_path):
         unfinished.law()
     reason = unfinished.series[0].law_or_reason()
     assert "6 of 6 tunings ended without an estimate" in reason or "left to gain" in reason
-    assert 'give them more trials (trials = 24 instead of 12), or tuners = ["safe' in reason
+    assert 'give them more trials (trials = 24 instead of 12), or tuners = ["' in reason
     unsafe = run_sweep(tmp_path / "unsafe", {**SMALL, "eta_max": 1.0})
     assert all("the start gains" in o.excluded for o in unsafe.outcomes)
     assert not any(o.safe for o in unsafe.outcomes)

@@ -16,7 +16,7 @@ from typing import NamedTuple, Self
 import numpy as np
 
 from estune.core.gains import Gains
-from estune.core.margins import SampledPlant, controller_response
+from estune.core.margins import SampledPlant, controller_response, loop_margins
 from estune.core.pidf import ControllerSettings
 from estune.core.quantities import ComplexArray, FloatArray, check_positive
 from estune.errors import InvalidInput
@@ -170,6 +170,15 @@ class _Constraints:
             np.vstack([away, with_setpoint, self.noise]),
             np.concatenate([room - 1.0 / self.limits.sensitivity, room, [self.limits.noise_gain]]),
         )
+
+
+def largest_sensitivity(plant: SampledPlant, gains: Gains, settings: ControllerSettings) -> float:
+    """Ms, the largest |1/(1 + L)| over frequency; infinite where the loop is unstable."""
+    if not loop_margins(plant, gains, settings).stable:
+        return math.inf
+    theta = _grid(plant)
+    loop = controller_response(gains, settings, theta) * plant.response(theta)
+    return float(1.0 / np.abs(1.0 + loop).min())
 
 
 def _grid(plant: SampledPlant) -> FloatArray:

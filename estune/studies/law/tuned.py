@@ -6,6 +6,9 @@ from dataclasses import dataclass
 from estune.core.gains import Gains
 from estune.errors import InvalidInput
 
+CELLS = "cells.csv"
+"""File in the folder of a sweep that holds the data points of its laws."""
+
 
 @dataclass(frozen=True, slots=True)
 class TunedGains:

@@ -16,7 +16,9 @@ from estune.errors import InvalidInput
 from estune.remote.security import OPEN, read_security
 from estune.remote.state_machine.client import PATIENCE_S
 from estune.run import targets
-from estune.run.plan import make_plan
+from estune.run.plan import known_start, make_plan
+from estune.run.start import KnownStart
+from estune.studies.law.start import start_from
 from estune.studies.sweep.design import SweepDesign, SweptRig
 from estune.trial import Rig, RigDescription
 from estune.trial.profiles import StepProfile
@@ -50,7 +52,7 @@ class Cell:
     tuner: str
     seed: int
     search: dict[str, Any]
-    start: Gains | None
+    start: Gains | KnownStart | None
     step: StepProfile
     cost: StepCost
     model: Mapping[str, float]
@@ -183,13 +185,14 @@ def _cells_at(
     with open_rig(rig, model) as opened:
         description = opened.describe()
     step, cost = _step(design, description, tension), design.cost.of(description)
-    start = replace(description.gains, **design.start) if design.start else None
+    start = _start(design.start, description, step, cost)
     search: dict[str, Any] = {
         "trials": design.trials,
         "repeats": design.repeats,
         "tolerance": design.tolerance,
         "eta_max": design.eta_max,
         "bounds": dict(design.bounds) or None,
+        **({"limits": design.limits} if design.limits else {}),  # keys on disk are older
     }
     cells = []
     for tuner in design.tuners or [DEFAULT_TUNER]:
@@ -200,6 +203,16 @@ def _cells_at(
             fields = (length, step.preload_N, tuner, seed, search, start, step, cost, model)
             cells.append(Cell(_key(rig, source, fields), rig, *fields, plan.max_trials))
     return cells
+
+
+def _start(
+    given: Mapping[str, float] | str, rig: RigDescription, step: StepProfile, cost: StepCost
+) -> Gains | KnownStart | None:
+    if not given:
+        return None
+    if not isinstance(given, str):
+        return replace(rig.gains, **given)
+    return known_start(start_from(given), rig, step, cost, None)
 
 
 def _step(design: SweepDesign, rig: RigDescription, tension: float | None) -> StepProfile:
@@ -225,7 +238,7 @@ def _key(rig: SweptRig, source: str, fields: tuple[Any, ...]) -> str:
         *(length, tension, _NAME_IN_KEYS.get(tuner, tuner), seed, search),
         *(start and asdict(start), asdict(step), asdict(cost), model),
     ]
-    text = json.dumps(parts, sort_keys=True)
+    text = json.dumps(parts, sort_keys=True, default=asdict)
     return hashlib.sha256(text.encode()).hexdigest()[:20]
 
 

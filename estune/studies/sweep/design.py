@@ -82,7 +82,8 @@ class SweepDesign(SearchTable):
         tuners: Names of tuners; by default that of `estune.tune`.
         seeds: Number of tunings at each place, each with noise of its own.
         rigs: Models and rigs; a string is short for `{target = "..."}`.
-        start: Initial gains, by name; by default each rig's own.
+        start: Initial gains, by name, or where they come from: "model", "run:RUN", "law:SWEEP" or
+            "law:RUNS"; by default each rig's own.
         step: The step trial.
         cost: The cost of a trial.
     """
@@ -92,7 +93,7 @@ class SweepDesign(SearchTable):
     tuners: list[TunerName] = Field(default=[])
     seeds: Count = 1
     rigs: Rigs
-    start: dict[str, NotNegative] = Field(default={})
+    start: dict[str, NotNegative] | str = Field(default={})
     step: StepTable = StepTable()
     cost: CostTable = CostTable()
 
@@ -119,7 +120,7 @@ class SweepDesign(SearchTable):
             wrong.append("step.preload_N: in a sweep that is tensions_N; give it there")
         wrong += [
             f"start.{name}: no gain; the gains are {', '.join(GAIN_NAMES)}"
-            for name in self.start
+            for name in (() if isinstance(self.start, str) else self.start)
             if name not in GAIN_NAMES
         ]
         wrong += self.cost.too_long(self.step)

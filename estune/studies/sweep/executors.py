@@ -20,6 +20,7 @@ from estune.errors import EstuneError, InvalidInput, UnsafeStart
 from estune.run.journal import FILE_NAME
 from estune.run.loop import ProgressListener
 from estune.run.result import TuneResult
+from estune.run.start import KnownStart
 from estune.studies.sweep.cells import Cell, open_rig
 from estune.studies.sweep.outcome import CellOutcome, failed, finished, unsafe
 from estune.trial import Rig
@@ -54,6 +55,7 @@ def run_cell(
         with open_rig(cell.rig, cell.model, cell.noise_seed) as rig:
             on_rig(rig)
             start = cell.start or rig.describe().gains
+            start = start.gains if isinstance(start, KnownStart) else start
             try:
                 result = _tune(cell, rig, runs, watch)
             except UnsafeStart as error:

@@ -12,7 +12,9 @@ import numpy as np
 from estune.core.gains import GAIN_NAMES, GAIN_UNITS
 from estune.errors import InvalidInput
 from estune.run.export import write_file
+from estune.run.table_file import whole_file
 from estune.studies.law.law import GainLaw, fit_law
+from estune.studies.law.tuned import CELLS
 from estune.studies.sweep.design import SweepDesign
 from estune.studies.sweep.exclusions import exclusion_sentences
 from estune.studies.sweep.outcome import CellOutcome
@@ -142,6 +144,13 @@ class SweepResult:
         import pandas as pd  # noqa: PLC0415  slow to import
 
         return pd.DataFrame({name: list(map(of, self.outcomes)) for name, of in _COLUMNS.items()})
+
+    def write_cells(self) -> Path:
+        """Writes the frame into the folder of the sweep."""
+        path = self.folder / CELLS
+        with whole_file(path) as temporary:
+            self.to_frame().to_csv(temporary, index=False)
+        return path
 
     def to_xarray(self) -> "xr.Dataset":
         """The frame by length, tension, tuner, seed and rig; nan where no cell is."""

@@ -71,7 +71,9 @@ def sweep(
                 store.add(outcome)
                 watcher(outcome)
         stored = store.outcomes(cells)
-    return SweepResult(checked, tuple(stored[cell.key] for cell in cells), store.folder)
+    result = SweepResult(checked, tuple(stored[cell.key] for cell in cells), store.folder)
+    result.write_cells()
+    return result
 
 
 def _default_folder(design: SweepDesign | str | Path | Mapping[str, Any]) -> Path:

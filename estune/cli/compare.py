@@ -1,0 +1,122 @@
+"""`estune compare`: tuners on one plant or rig, side by side."""
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from estune.cli import output
+from estune.cli.tune import (
+    NO_COST,
+    NO_LIMITS,
+    NO_STEP,
+    CostOptions,
+    LimitOptions,
+    StepOptions,
+    tuning_choices,
+)
+from estune.cli.values import Flag, Values, ranges_from, security_from, share_from
+from estune.remote.state_machine.client import PATIENCE_S
+from estune.run.export import write_file
+from estune.run.session import REPEATS, TOLERANCE, TRIALS
+from estune.studies.compare import comparison
+from estune.studies.compare.comparison import COMPARED, Comparison
+
+PAGE, FIGURE, TABLE = "comparison.html", "comparison.png", "comparison.csv"
+"""Files in the folder of a comparison."""
+
+
+def compare(
+    target: str,
+    /,
+    *,
+    tuners: Annotated[str, Parameter(show_default=False)] = ",".join(COMPARED),
+    trials: int = TRIALS,
+    tolerance: str = f"{TOLERANCE:.0%}",
+    repeats: int = REPEATS,
+    start: Values = (),
+    bounds: Values = (),
+    rig: str | None = None,
+    security: Path | None = None,
+    patience: float = PATIENCE_S,
+    folder: Path | None = None,
+    json: Flag = False,
+    quiet: Flag = False,
+    step: StepOptions = NO_STEP,
+    cost: CostOptions = NO_COST,
+    limits: LimitOptions = NO_LIMITS,
+) -> None:
+    """Tune one plant or rig by several tuners, and show cost, gains and unsafe trials of each.
+
+    Args:
+        target: The rig: an endpoint such as tcp/127.0.0.1:7447, a model file such as reel.toml,
+            or module:attribute such as plants:reference_reel.
+        tuners: Names of tuners, with commas between them; by default model_based, safe_bayesian,
+            least_squares_gradient and otis.
+        trials: Maximum number of search trials of each tuner.
+        tolerance: As of estune tune; 0 makes each tuner use all its trials.
+        repeats: As of estune tune.
+        start: As of estune tune; the start of every tuner.
+        bounds: As of estune tune.
+        rig: Name of the rig, if several answer at the endpoint.
+        security: Credentials file, if the rig requires authentication.
+        patience: How long to wait where the rig stops replying, s.
+        folder: Folder for the runs, the page, the figure and the table; comparisons/TIME by
+            default. An interrupted comparison continues with the same command and this folder.
+        json: Print the outcome as JSON.
+        quiet: Show no progress.
+        step: The step trial.
+        cost: The cost of a trial.
+        limits: Limits of the tuner model_based.
+    """
+    credentials = security_from(security)
+    where = folder or comparison.free_folder()
+    try:
+        made = comparison.compare(
+            target,
+            [name.strip() for name in tuners.split(",")],
+            trials=trials,
+            tolerance=share_from("tolerance", tolerance),
+            repeats=repeats,
+            bounds=ranges_from(bounds) or None,
+            **tuning_choices(target, rig, credentials, start, step, cost, limits),
+            rig=rig,
+            security=credentials,
+            patience_s=patience,
+            folder=where,
+            watch=None if quiet else "auto",
+        )
+    except KeyboardInterrupt:
+        kept = "the same command with" if folder is None else "the same command, and"
+        print(f"estune: to continue, give {kept} --folder {where}", file=sys.stderr, flush=True)
+        raise
+    files = _write(made)
+    if json:
+        output.print_json(made.to_json())
+        return
+    from estune.studies.compare.report import COLUMNS, table_rows  # noqa: PLC0415  draws
+
+    output.show_table(COLUMNS, table_rows(made.results))
+    output.show_next(files)
+
+
+def _write(made: Comparison) -> dict[str, object]:
+    """Writes page, figure and table into the folder of the comparison; the files by name."""
+    from estune.studies.compare.report import cost_figure, page  # noqa: PLC0415  draws
+    from estune.support.html_page import render  # noqa: PLC0415  as above
+    from estune.support.plot_style import to_png  # noqa: PLC0415  as above
+
+    table = made.to_frame().to_csv(index=False, lineterminator="\n")
+    contents = {
+        PAGE: render(page(made)).encode(),
+        FIGURE: to_png(cost_figure(made.results)),
+        TABLE: table.encode(),
+    }
+    for name, content in contents.items():
+        write_file(made.folder / name, content)
+    return {
+        "page": made.folder / PAGE,
+        "figure": made.folder / FIGURE,
+        "table": made.folder / TABLE,
+    }

@@ -1,0 +1,1 @@
+"""Tuners compared on one plant or rig."""

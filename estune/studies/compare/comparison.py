@@ -1,0 +1,137 @@
+"""Comparison of tuners on one plant or rig, each with the same start, step, cost and budget."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from estune import api
+from estune.core.gains import GAIN_NAMES
+from estune.errors import InvalidInput
+from estune.loop_model.optimum import RobustnessLimits
+from estune.run.journal import FILE_NAME
+from estune.run.loop import ProgressListener
+from estune.run.result import TuneResult
+from estune.run.session import TOLERANCE, TRIALS
+from estune.tuners import tuner_class
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+COMPARED = ("model_based", "safe_bayesian", "least_squares_gradient", "otis")
+"""Tuners that are compared where none are named."""
+
+COMPARISONS = "comparisons"
+"""Default folder of comparisons, in the working directory."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Comparison:
+    """Results by tuner, in the order in which they were run."""
+
+    results: Mapping[str, TuneResult]
+    folder: Path
+
+    def to_frame(self) -> "pd.DataFrame":
+        """One row for each tuner."""
+        import pandas as pd  # noqa: PLC0415  slow to import
+
+        return pd.DataFrame([_row(name, r) for name, r in self.results.items()])
+
+    def to_json(self) -> dict[str, Any]:
+        """The rows by tuner as JSON values, with cost and lowest cost so far of each trial."""
+        return {
+            name: {
+                **_row(name, result),
+                "message": result.message,
+                "costs": searched(result)["cost"].tolist(),
+                "best_costs": searched(result)["best_cost"].tolist(),
+            }
+            for name, result in self.results.items()
+        }
+
+
+def compare(
+    target: Any,
+    tuners: Sequence[str] = COMPARED,
+    *,
+    trials: int = TRIALS,
+    tolerance: float = TOLERANCE,
+    limits: RobustnessLimits | None = None,
+    folder: str | Path | None = None,
+    watch: ProgressListener | Literal["auto"] | None = "auto",
+    **how: Any,
+) -> Comparison:
+    """Tunes one target by several tuners, one after the other.
+
+    On a rig the tuners follow each other in time, so that a drift of the rig falls on them
+    unequally. The rig's live gains are restored after each trial and stay the start of all.
+
+    Args:
+        target: As in `estune.tune`.
+        tuners: Names of tuners.
+        trials: Greatest number of search trials of each.
+        tolerance: As in `estune.tune`; zero makes each use all its trials.
+        limits: Limits of sensitivity and overshoot, for tuners that keep them.
+        folder: Folder of the comparison, in which a run that was interrupted continues;
+            `comparisons/TIME` by default.
+        watch: As in `estune.tune`.
+        how: Further arguments of `estune.tune`.
+
+    Raises:
+        InvalidInput: fewer than two tuners are named, one twice, or there is none of a name.
+        Stopped: interrupted (a KeyboardInterrupt); the rig is back at its live gains.
+        EstuneError: as of `estune.tune`.
+
+    Example:
+        >>> import estune, plants
+        >>> both = estune.compare(
+        ...     plants.reference_reel(), ["model_based", "otis"], trials=30
+        ... )  # doctest: +SKIP
+    """
+    if len(tuners) < 2 or len(set(tuners)) < len(tuners):
+        raise InvalidInput(f"tuners are {', '.join(tuners)}; name at least two, each once")
+    kinds = {name: tuner_class(name) for name in tuners}
+    where = Path(folder) if folder else free_folder()
+    results: dict[str, TuneResult] = {}
+    for name, kind in kinds.items():
+        run = name.replace(":", "-").replace(".", "-")
+        if (where / run / FILE_NAME).is_file():
+            again = {key: how[key] for key in ("security", "patience_s", "ask") if key in how}
+            results[name] = api.resume(where / run, target, watch=watch, **again)
+            continue
+        kept = limits if hasattr(kind, "for_trial") else None
+        chosen = {"trials": trials, "tolerance": tolerance, "limits": kept, **how}
+        results[name] = api.tune(target, tuner=name, run=run, folder=where, watch=watch, **chosen)
+    return Comparison(results, where)
+
+
+def free_folder() -> Path:
+    """A folder of the present time."""
+    return Path(COMPARISONS) / datetime.now().astimezone().strftime("%Y%m%d-%H%M%S")
+
+
+def searched(result: TuneResult) -> "pd.DataFrame":
+    """The search trials of a run as of `TuneResult.to_frame`, void ones excluded."""
+    frame = result.to_frame()
+    return frame[
+        (frame["phase"] == "search") & ~frame["outcome"].isin(("cancelled", "interrupted"))
+    ]
+
+
+def _row(name: str, result: TuneResult) -> dict[str, Any]:
+    at, margins = result.tuned or result.start, result.claim.margins
+    return {
+        "tuner": name,
+        "ending": str(result.ending),
+        "search_trials": result.nit,
+        "trials": result.nfev,
+        "unsafe": result.unsafe,
+        "start_cost": result.verdict.start_cost,
+        "cost": result.fun,
+        "overshoot": math.nan if at.metrics is None else at.metrics.overshoot,
+        "sensitivity": math.nan if margins is None else margins.sensitivity.value,
+        **dict(zip(GAIN_NAMES, result.gains.as_tuple(), strict=True)),
+    }

@@ -1,0 +1,144 @@
+"""Report page of a comparison of tuners: cost over the trials, gains and unsafe trials."""
+
+import math
+from collections.abc import Mapping
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from estune.core.gains import GAIN_NAMES, GAIN_UNITS
+from estune.run.result import RunEnding, TuneResult
+from estune.studies.compare.comparison import Comparison, searched
+from estune.support.html_page import Cell, Drawing, Page, Paragraph, Section, Status, Table
+from estune.support.plot_style import (
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    PURPLE,
+    VERMILION,
+    WIDTH_in,
+    finish,
+    legend,
+    new_figure,
+)
+
+_COLOURS = (BLUE, GREEN, PURPLE, VERMILION, ORANGE, GREY)
+_MARKERS = "osD^vX"
+_HEADS = {"setpoint_filter_s": "filter"}
+
+COLUMNS = (
+    *("tuner", "search trials", "all trials", "unsafe", "start cost", "cost", "overshoot", "Ms"),
+    *(f"{_HEADS.get(name, name)}, {GAIN_UNITS[name]}" for name in GAIN_NAMES),
+    "ending",
+)
+"""Heads of the table."""
+
+
+def page(comparison: Comparison) -> Page:
+    """The page of a comparison."""
+    results = comparison.results
+    best = min(results, key=lambda name: results[name].fun)
+    headline = f"{best} reached the lowest confirmed cost, {results[best].fun:.3g}"
+    first = next(iter(results.values()))
+    step, cost = first.plan.step, first.plan.cost
+    how = (
+        f"Each tuner began at {first.start_gains} and had at most {first.plan.trials} search "
+        f"trials of a step of {step.step_N:g} from {step.preload_N:g}, with the same cost for a "
+        f"settling time of {cost.settling_time_s:.4g} s. The tuners ran one after the other. The "
+        "cost is from repeats after the search, interleaved with the start. Only model_based "
+        "keeps limits of sensitivity and overshoot, which cost some of the improvement; Ms is "
+        "given where the records allow it to be claimed."
+    )
+    rows = tuple(_cells(row) for row in table_rows(results))
+    return Page(
+        f"Tuners compared on {first.rig.name}",
+        Status(f"{headline}."),
+        (
+            Drawing(cost_figure(results), "costs", headline, csv=_csv(results)),
+            Drawing(gain_figure(results), "gains", "Recommended gains and unsafe trials"),
+            Table(COLUMNS, rows, numeric=range(1, len(COLUMNS) - 1)),
+        ),
+        (Section("Procedure", (Paragraph(how),)),),
+    )
+
+
+def table_rows(results: Mapping[str, TuneResult]) -> list[tuple[str, ...]]:
+    """A row of text for each tuner, as `COLUMNS`."""
+    return [_row(name, result) for name, result in results.items()]
+
+
+def _row(name: str, result: TuneResult) -> tuple[str, ...]:
+    at, margins = result.tuned or result.start, result.claim.margins
+    overshoot = math.nan if at.metrics is None else at.metrics.overshoot
+    return (
+        *(name, str(result.nit), str(result.nfev), str(result.unsafe)),
+        *(f"{result.verdict.start_cost:.4g}", f"{result.fun:.4g}"),
+        f"{overshoot:.1%}" if math.isfinite(overshoot) else "-",
+        "-" if margins is None else f"{margins.sensitivity.value:.2f}",
+        *(f"{value:.4g}" for value in result.gains.as_tuple()),
+        str(result.ending),
+    )
+
+
+def _cells(row: tuple[str, ...]) -> tuple[Cell, ...]:
+    return (*row[:-1], Status(row[-1], good=True if row[-1] == RunEnding.TUNED else None))
+
+
+def cost_figure(results: Mapping[str, TuneResult]) -> Figure:
+    """Cost of each search trial and the lowest so far, one colour a tuner."""
+    figure = new_figure(WIDTH_in, 3.4)
+    ax: Axes = figure.add_subplot()
+    for name, colour, marker, result in _looks(results):
+        frame = searched(result)
+        trial = range(1, len(frame) + 1)
+        cost = frame["cost"].where(~frame["unsafe"])
+        ax.plot(trial, cost, marker, color=colour, markersize=2.5, alpha=0.6, markeredgewidth=0)
+        ax.plot(
+            trial, frame["best_cost"], color=colour, linewidth=1.4, drawstyle="steps-post",
+            label=name, marker=marker, markevery=[-1], markersize=5,
+        )  # fmt: skip
+    start = next(iter(results.values())).verdict.start_cost
+    ax.axhline(start, color=GREY, linewidth=0.9, linestyle="--")
+    ax.set_yscale("log")
+    ax.xaxis.set_major_locator(MaxNLocator(integer=True))
+    finish(ax, "cost, and lowest so far", "search trial")
+    legend(ax)
+    return figure
+
+
+def gain_figure(results: Mapping[str, TuneResult]) -> Figure:
+    """Recommended gains and number of unsafe trials of each tuner."""
+    figure = new_figure(WIDTH_in, 0.9 + 0.28 * len(results))
+    axes = figure.subplots(1, 1 + len(GAIN_NAMES), sharey=True)
+    for n, (_, colour, marker, result) in enumerate(_looks(results)):
+        values = (*result.gains.as_tuple(), float(result.unsafe))
+        for ax, value in zip(axes, values, strict=True):
+            ax.plot([value], [n], marker, color=colour, markersize=5)
+    for ax, name in zip(axes, (*GAIN_NAMES, "unsafe trials"), strict=True):
+        unit = f", {GAIN_UNITS[name]}" if name in GAIN_UNITS else ""
+        finish(ax, "", f"{_HEADS.get(name, name)}{unit}")
+        ax.set_xlim(left=0.0)
+        ax.margins(x=0.2)
+        ax.xaxis.set_major_locator(MaxNLocator(3, integer=not unit))
+    axes[0].set_yticks(range(len(results)), list(results))
+    axes[0].set_ylim(len(results) - 0.5, -0.5)
+    return figure
+
+
+def _looks(results: Mapping[str, TuneResult]) -> list[tuple[str, str, str, TuneResult]]:
+    """Name, colour, marker and result of each tuner."""
+    return [
+        (name, _COLOURS[n % len(_COLOURS)], _MARKERS[n % len(_MARKERS)], result)
+        for n, (name, result) in enumerate(results.items())
+    ]
+
+
+def _csv(results: Mapping[str, TuneResult]) -> str:
+    import pandas as pd  # noqa: PLC0415  slow to import
+
+    columns = ["number", *GAIN_NAMES, "cost", "best_cost", "unsafe"]
+    frames = {name: searched(result)[columns] for name, result in results.items()}
+    table = pd.concat(frames, names=["tuner"]).reset_index("tuner")
+    return str(table.to_csv(index=False, lineterminator="\n"))
