@@ -1,0 +1,109 @@
+// Charts: a thin layer over uPlot that takes its colours from the page's style.
+
+const style = () => getComputedStyle(document.documentElement);
+export const colour = (name) => style().getPropertyValue(`--${name}`).trim();
+
+// Horizontal lines and bands: {at} or {from, to}, each with {colour, label}.
+function marks(get) {
+  return {
+    hooks: {
+      drawClear: (u) => {
+        const { ctx, bbox } = u;
+        ctx.save();
+        ctx.beginPath();
+        ctx.rect(bbox.left, bbox.top, bbox.width, bbox.height);
+        ctx.clip();
+        for (const mark of get()) {
+          if (mark.from !== undefined) {
+            const a = u.valToPos(mark.from, "y", true), b = u.valToPos(mark.to, "y", true);
+            ctx.fillStyle = colour(mark.colour);
+            ctx.fillRect(bbox.left, Math.min(a, b), bbox.width, Math.abs(a - b));
+            continue;
+          }
+          const y = u.valToPos(mark.at, "y", true);
+          ctx.strokeStyle = ctx.fillStyle = colour(mark.colour);
+          ctx.lineWidth = devicePixelRatio;
+          ctx.setLineDash([6 * devicePixelRatio, 4 * devicePixelRatio]);
+          ctx.beginPath();
+          ctx.moveTo(bbox.left, y);
+          ctx.lineTo(bbox.left + bbox.width, y);
+          ctx.stroke();
+          if (mark.label) {
+            ctx.font = `${11 * devicePixelRatio}px system-ui, sans-serif`;
+            ctx.textAlign = "right";
+            ctx.fillText(mark.label, bbox.left + bbox.width - 4, y - 3 * devicePixelRatio);
+          }
+        }
+        ctx.restore();
+      },
+    },
+  };
+}
+
+const number = (value) => (value == null ? "-" : Number(value.toPrecision(4)).toString());
+
+// A chart in a figure. `series` are {label, colour, width, dash, points, step}.
+export class Chart {
+  constructor(figure, { height, x, y, log = false, legend = true, series, label }) {
+    this.options = { height, x, y, log, legend, series };
+    this.figure = figure;
+    this.marks = [];
+    this.data = [[], ...series.map(() => [])];
+    figure.setAttribute("role", "img");
+    figure.setAttribute("aria-label", label);
+    this.build();
+    new ResizeObserver(() => this.plot.setSize(this.size())).observe(figure);
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.build());
+  }
+
+  size() {
+    return { width: Math.max(200, this.figure.clientWidth), height: this.options.height };
+  }
+
+  build() {
+    this.plot?.destroy();
+    const { x, y, log, legend, series } = this.options;
+    const axis = (label, more) => ({
+      label, labelSize: 18, labelGap: 0, stroke: colour("ink"), font: "12px system-ui, sans-serif",
+      labelFont: "12px system-ui, sans-serif", grid: { stroke: colour("rule"), width: 1 },
+      ticks: { stroke: colour("rule"), width: 1 }, ...more,
+    });
+    const values = (u, splits) => splits.map((v) => (v == null ? "" : number(v)));
+    this.plot = new uPlot({
+      ...this.size(),
+      scales: { x: { time: false }, y: log ? { distr: 3 } : { auto: true } },
+      axes: [axis(x, { size: 34, values }), axis(y, { size: 62, values })],
+      legend: { show: legend },
+      cursor: { drag: { x: true, y: false } },
+      plugins: [marks(() => this.marks)],
+      series: [{ label: x, value: (u, v) => number(v) }, ...series.map((one) => ({
+        label: one.label, stroke: colour(one.colour), width: one.width ?? 1.5, dash: one.dash,
+        spanGaps: one.points !== "only", value: (u, v) => number(v),
+        paths: one.points === "only" ? () => null
+          : one.step ? uPlot.paths.stepped({ align: 1 }) : undefined,
+        points: one.points
+          ? { show: true, size: one.size ?? 5, fill: one.open ? colour("ground") : colour(one.colour) }
+          : { show: false },
+      }))],
+    }, this.data, this.figure);
+    this.hideEmpty();
+  }
+
+  // New data, and horizontal marks. A series without data is not in the legend either.
+  show(data, marks = []) {
+    this.data = data;
+    this.marks = marks;
+    this.hideEmpty();
+    this.plot.setData(data);
+  }
+
+  hideEmpty() {
+    for (let n = 1; n < this.data.length; n++) {
+      const show = this.data[n].some((value) => value != null);
+      if (this.plot.series[n].show !== show) this.plot.setSeries(n, { show });
+    }
+  }
+}
+
+// Curves on time axes of their own, on a common one. Each is [times, values].
+export const joined = (curves) => uPlot.join(curves.map(([t, v]) => [t ?? [], v ?? []]));

@@ -1,0 +1,210 @@
+// The page: follows one view by server-sent events, and draws what has changed.
+
+import { Sections } from "./sections.js";
+
+const STALE_S = 1.5; // the rig is read four times a second
+const $ = (id) => document.getElementById(id);
+const key = new URLSearchParams(location.hash.slice(1)).get("key") ?? sessionStorage.getItem("key");
+if (key) {
+  sessionStorage.setItem("key", key);
+  history.replaceState(null, "", location.pathname + location.search); // not into bookmarks
+}
+
+let stream = null, view = "", sections = null;
+let beat = { at: performance.now(), ages: {} };
+let allowed = [];
+
+function text(node, value) {
+  if (node.textContent !== value) node.textContent = value;
+}
+
+function open(name) {
+  stream?.close();
+  view = name;
+  sections = new Sections();
+  beat = { at: performance.now(), ages: {} };
+  stream = new EventSource(`api/events?view=${encodeURIComponent(name)}`);
+  stream.addEventListener("hello", (event) => {
+    sections.clear(); // a new connection sends everything again
+    allowed = key ? JSON.parse(event.data).commands : [];
+    showCommands();
+  });
+  stream.addEventListener("beat", (event) => {
+    beat = { at: performance.now(), ages: JSON.parse(event.data) };
+    showState();
+  });
+  stream.onmessage = (event) => {
+    sections.take(JSON.parse(event.data));
+    requestAnimationFrame(() => { sections.draw(); showState(); });
+  };
+  text($("title"), name);
+  document.title = `${name} - estune`;
+}
+
+// The state in a word, its reason, and whether the data can be trusted to be of now.
+function judge(values) {
+  const { rig, daemon, state } = values;
+  const silent_s = (performance.now() - beat.at) / 1000;
+  const ages = Object.fromEntries(Object.entries(beat.ages).map(([k, s]) => [k, s + silent_s]));
+  if (stream.readyState !== EventSource.OPEN || silent_s > STALE_S)
+    return { word: "page disconnected", stale: true, age: silent_s,
+      reason: "The page's server does not answer; what is shown is not of now." };
+  for (const source of ["daemon", "rig", "run"]) {
+    const fault = values[`fault.${source}`];
+    const silent = source !== "run" && ages[source] > STALE_S;
+    if (!fault && !silent) continue;
+    const optional = source === "rig" && (daemon || state); // the journal alone can be shown
+    if (optional && state?.status !== "running" && !daemon) continue;
+    return { word: `no link to the ${source}`, stale: true, age: ages[source],
+      reason: fault || `The ${source} has not answered for ${ages[source].toFixed(1)} s.` };
+  }
+  const age = Math.max(0, ...Object.values(ages));
+  if (rig?.latched) return { word: "emergency stop", bad: true, age, reason: rig.latched };
+  if (daemon)
+    return { word: daemon.mode, age, bad: Boolean(daemon.trouble),
+      good: daemon.live && !daemon.paused, reason: daemon.trouble || daemon.paused || daemon.sentence };
+  if (state && state.status !== "running") {
+    const [word, reason = ""] = state.status.split(/:(.*)/s);
+    return { word, age, bad: word === "failed" || word === "interrupted", reason: reason.trim() };
+  }
+  if (rig) return { word: rig.mode, age, good: rig.mode === "running", reason: rig.sentence };
+  if (state) return { word: "running", good: true, age, reason: state.phase };
+  return { word: "connecting", age, reason: "" };
+}
+
+function showState() {
+  if (!sections) return;
+  const values = sections.values, now = judge(values);
+  const chip = $("state");
+  text(chip, now.word);
+  chip.className = `chip ${now.stale ? "stale" : now.bad ? "no" : now.good ? "yes" : ""}`;
+  text($("reason"), now.reason ?? "");
+  const age = now.age === undefined || Number.isNaN(now.age) ? "no data yet"
+    : `data ${now.age < 1 ? "of now" : `${duration(now.age)} old`}`;
+  text($("age"), age);
+  $("age").className = `age ${now.stale ? "stale" : ""}`;
+  document.querySelector("header").classList.toggle("stale-data", Boolean(now.stale));
+  showFacts(values, now.stale);
+  confirm(values);
+}
+
+export function duration(seconds) {
+  if (seconds < 90) return `${Math.round(seconds)} s`;
+  if (seconds < 5400) return `${Math.round(seconds / 60)} min`;
+  return `${(seconds / 3600).toFixed(1)} h`;
+}
+
+function showFacts({ rig, description, daemon, state, run }) {
+  const gains = (g) => g?.map((x) => Number(x.toPrecision(4))).join(", ");
+  const facts = [];
+  if (rig) facts.push(["held by", rig.holder || "nobody"]);
+  const live = daemon ? daemon.gains[daemon.live] : description?.gains;
+  if (live) facts.push([`live gains${daemon?.live ? ` (${daemon.live})` : ""}: P, I, D, filter`, gains(live)]);
+  if (daemon && !daemon.live) facts.push(["live gains", "not confirmed by the rig"]);
+  if (daemon?.run) facts.push(["run", `${daemon.run}, ${daemon.trials} of ${daemon.trials_max}`]);
+  if (state) {
+    facts.push(["trials", `${state.done} done, about ${state.left} left`]);
+    if (state.trial_s && state.left) facts.push(["time left", `about ${duration(state.trial_s * state.left)}`]);
+    facts.push(["unsafe trials", String(state.unsafe)]);
+    if (state.best) facts.push(["best cost", `${state.best.cost.toPrecision(4)} in trial ${state.best.number}`]);
+  }
+  if (run && !rig) facts.push(["rig", run.rig]);
+  const list = $("facts"), shown = JSON.stringify(facts);
+  if (list.dataset.shown === shown) return;
+  list.dataset.shown = shown;
+  list.replaceChildren(...facts.map(([name, value]) => {
+    const div = document.createElement("div"), dt = document.createElement("dt"), dd = document.createElement("dd");
+    dt.textContent = name;
+    dd.textContent = value;
+    div.append(dt, dd);
+    return div;
+  }));
+}
+
+// What the rig must show before a command counts as done.
+const DONE = {
+  estop: ({ rig }) => rig?.latched && "the rig confirms: it is in its safe state",
+  accept: ({ daemon }) => daemon.live === "accepted" && "the rig confirms: the accepted gains are live",
+  reject: ({ daemon }) => !daemon.found && daemon.live && `the rig confirms: the ${daemon.live} gains are live`,
+  revert: ({ daemon }) => daemon.live === "original" && "the rig confirms: the original gains are live",
+  pause: ({ daemon }) => daemon.paused && daemon.live && `paused; the rig confirms its ${daemon.live} gains`,
+  resume: ({ daemon }) => !daemon.paused && "supervision has resumed",
+  stop: ({ daemon }) => daemon.mode === "stopped" && "the supervision has ended",
+};
+let pending = null;
+
+async function command(name) {
+  pending = null;
+  text($("answer"), `${name}: sent, not confirmed yet`);
+  $("commands").hidden = false;
+  let answer;
+  try {
+    const reply = await fetch("api/command", {
+      method: "POST",
+      headers: { Authorization: `Bearer ${key}`, "Content-Type": "application/json" },
+      body: JSON.stringify({ view, command: name }),
+    });
+    answer = await reply.json();
+  } catch {
+    answer = { done: false, sentence: "the page's server does not answer" };
+  }
+  if (!answer.done) {
+    const advice = name === "estop" ? "; it must be taken as NOT stopped: cut the rig's power" : "";
+    text($("answer"), `${name}: not done: ${answer.sentence}${advice}`);
+    return;
+  }
+  text($("answer"), `${name}: ${answer.sentence}; waiting for the rig to confirm`);
+  pending = name;
+}
+
+function confirm(values) {
+  const sentence = pending && DONE[pending](values);
+  if (!sentence) return;
+  text($("answer"), `${pending}: done; ${sentence}`);
+  pending = null;
+}
+
+function showCommands() {
+  $("estop").hidden = !allowed.includes("estop");
+  const others = allowed.filter((name) => name !== "estop");
+  $("commands").hidden = !allowed.length;
+  document.querySelector("#commands .buttons").replaceChildren(...others.map((name) => {
+    const button = document.createElement("button");
+    button.textContent = name[0].toUpperCase() + name.slice(1);
+    button.addEventListener("click", () => command(name));
+    return button;
+  }));
+}
+$("estop").addEventListener("click", () => command("estop"));
+
+async function list() {
+  let answer;
+  try {
+    answer = await (await fetch("api/views")).json();
+  } catch {
+    return; // the state says that the server does not answer
+  }
+  const nav = $("views"), names = answer.views.map((one) => one.name);
+  nav.hidden = names.length < 2;
+  nav.replaceChildren(...answer.views.map((one) => {
+    const link = document.createElement("a"), line = document.createElement("small");
+    link.href = `?view=${encodeURIComponent(one.name)}`;
+    link.textContent = one.name;
+    line.textContent = one.line;
+    if (one.name === view) link.setAttribute("aria-current", "page");
+    link.append(line);
+    return link;
+  }));
+  sections?.offer(names.filter((name) => name !== view));
+  const wanted = new URLSearchParams(location.search).get("view");
+  if (!view && names.length) {
+    open(names.includes(wanted) ? wanted : names[0]);
+    list();
+  } else if (!names.length) {
+    text($("reason"), answer.fault || "There is no run in this folder yet.");
+  }
+}
+
+list();
+setInterval(list, 3000);
+setInterval(showState, 250);

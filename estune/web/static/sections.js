@@ -1,0 +1,222 @@
+// Sections of the page: trial, search, result, check trials, events.
+
+import { Chart, joined } from "./charts.js";
+
+const $ = (id) => document.getElementById(id);
+const GAINS = ["P", "I", "D", "setpoint filter, s"];
+const last = (rows) => rows[rows.length - 1];
+
+export class Sections {
+  constructor() {
+    this.charts = {};
+    for (const id of ["response", "command", "cost", "gains", "chart"]) $(id).replaceChildren();
+    $("compare").querySelector("select").replaceChildren();
+    this.other = null;
+    this.clear();
+  }
+
+  clear() {
+    this.values = {};
+    this.tables = { trials: [], samples: [], events: [], checks: [] };
+    this.changed = new Set();
+  }
+
+  take({ values, tables }) {
+    for (const [name, value] of Object.entries(values)) {
+      this.values[name] = value;
+      this.changed.add(name);
+    }
+    for (const [name, { restart, rows }] of Object.entries(tables)) {
+      if (restart) this.tables[name] = [];
+      for (const row of rows) this.tables[name].push(row);
+      this.changed.add(name);
+    }
+  }
+
+  draw() {
+    const has = (...names) => names.some((name) => this.changed.has(name));
+    if (has("curve.start", "curve.best", "curve.latest", "curve.tuned", "samples", "live", "other", "description"))
+      this.drawTrial();
+    if (has("trials", "state", "expected")) this.drawSearch();
+    if (has("result")) this.drawResult();
+    if (has("checks", "daemon")) this.drawChecks();
+    if (has("events")) this.drawEvents();
+    this.changed.clear();
+  }
+
+  chart(id, options, figure = $(id)) {
+    return (this.charts[id] ??= new Chart(figure, options));
+  }
+
+  drawTrial() {
+    const v = this.values, about = v.run ?? v.description;
+    if (!about) return;
+    $("trial").hidden = false;
+    const curves = [["curve.start", "initial gains"], [v["curve.tuned"] ? "curve.tuned" : "curve.best", v["curve.tuned"] ? "tuned gains" : "best so far"]];
+    const samples = this.tables.samples, per = about.per_ampere;
+    const now = v.live
+      ? { t: samples.map((r) => r[0]), r: samples.map((r) => r[1]), y: samples.map((r) => r[2]), u: samples.map((r) => r[3] * per) }
+      : v["curve.latest"];
+    const shown = [...curves.map(([name]) => v[name]), this.other, now].map((one) => one ?? {});
+    const setpoint = now?.t?.length ? now : v["curve.start"] ?? {};
+    const step = about.step_at_s ?? 0;
+    const shifted = (one) => one.t?.map((t) => t - step);
+    const series = [
+      { label: "setpoint", colour: "grey", dash: [6, 4], width: 1 },
+      { label: "initial gains", colour: "orange", dash: [8, 3] },
+      { label: curves[1][1], colour: "green", width: 1.8 },
+      { label: "other run", colour: "purple", dash: [2, 3] },
+      { label: v.live ? "live" : "latest trial", colour: "blue", width: 1.4 },
+    ];
+    const x = "time from the step, s";
+    const response = this.chart("response", { height: 260, x, y: about.measurement, series,
+      label: `${about.measurement} over time: initial gains, best, and the latest trial` });
+    const limits = (pair) => (pair ?? []).filter((at) => at !== null && Math.abs(at) < 1e8).map((at) => ({ at, colour: "red", label: "limit" }));
+    response.show(joined([[shifted(setpoint), setpoint.r], ...shown.map((one) => [shifted(one), one.y])]),
+      limits(v.description?.measurement_limits));
+    const command = this.chart("command", { height: 200, x, y: about.command, series: series.slice(1),
+      label: `${about.command} over time` });
+    command.show(joined(shown.map((one) => [shifted(one), one.u])), limits(about.command_limits));
+    const number = v.live?.trial_id ?? (v["curve.latest"] ? `trial ${v["curve.latest"].number}` : "");
+    $("trial-text").textContent = number;
+  }
+
+  drawSearch() {
+    const { run, state, expected } = this.values, trials = this.tables.trials;
+    if (!run || !state) return;
+    $("search").hidden = false;
+    let best = null;
+    const safe = [], unsafe = [], so_far = [];
+    const top = state.eta_max ?? Math.max(...trials.map((r) => r[1] ?? 0));
+    for (const [, cost, kind, phase] of trials) {
+      safe.push(kind === 0 ? cost : null);
+      unsafe.push(kind === 1 ? top : null);
+      if (kind === 0 && phase < 2 && (best === null || cost < best)) best = cost;
+      so_far.push(best);
+    }
+    const marks = [];
+    if (state.best && state.repeatability) {
+      const half = Math.exp(1.96 * state.repeatability);
+      marks.push({ from: state.best.cost / half, to: state.best.cost * half, colour: "band" });
+    }
+    if (state.start_cost) marks.push({ at: state.start_cost, colour: "orange", label: "initial gains" });
+    if (unsafe.some((x) => x !== null) && state.eta_max) marks.push({ at: state.eta_max, colour: "red", label: "unsafe above" });
+    const cost = this.chart("cost", { height: 240, x: "trial", y: "cost (1 = as good as first order)", log: true,
+      label: "Cost of each trial, the best so far, and the band of noise about it",
+      series: [{ label: "cost", colour: "blue", points: "only" }, { label: "unsafe", colour: "red", points: "only", size: 8, open: true },
+        { label: "best so far", colour: "ink", step: true }] });
+    const numbers = trials.map((r) => r[0]);
+    cost.show([numbers, safe, unsafe, so_far], marks);
+    this.drawGains(numbers);
+    $("search-text").textContent = this.expectation(state, expected);
+  }
+
+  expectation(state, expected) {
+    const parts = [state.phase && `Phase: ${state.phase}.`];
+    if (expected?.remaining != null)
+      parts.push(`At most ${(100 * expected.remaining).toPrecision(2)} % of the cost is expected to be left to gain.`);
+    if (state.next) parts.push(`The next trial runs P, I, D, filter = ${state.next.map((x) => Number(x.toPrecision(4))).join(", ")}.`);
+    if (expected?.next_cost) {
+      const [low, , high] = expected.next_cost.map((x) => Number(x.toPrecision(3)));
+      parts.push(`Its cost is expected between ${low} and ${high}.`);
+    }
+    parts.push("The grey band is the noise about the best cost.");
+    return parts.filter(Boolean).join(" ");
+  }
+
+  drawGains(numbers) {
+    const { run, state, expected } = this.values, trials = this.tables.trials;
+    GAINS.forEach((label, n) => {
+      const id = `gain-${n}`, name = run.gains[n];
+      if (!this.charts[id]) {
+        const figure = document.createElement("figure");
+        $("gains").append(figure);
+        this.chart(id, { height: 150, x: "trial", y: label, log: true, legend: false, label: `${label} over the trials`,
+          series: [{ label, colour: "blue", points: true, size: 4 }, { label: "next", colour: "red", points: "only", size: 9, open: true }] }, figure);
+      }
+      const positive = (x) => (x > 0 ? x : null);
+      const values = trials.map((r) => positive(r[4 + n]));
+      const next = values.map(() => null);
+      const x = [...numbers];
+      if (state.next) {
+        x.push((last(numbers) ?? -1) + 1);
+        values.push(null);
+        next.push(positive(state.next[n]));
+      }
+      const marks = [];
+      const interval = expected?.intervals?.[name];
+      if (interval) marks.push({ from: interval[0], to: interval[1], colour: "band" });
+      for (const at of run.bounds[name] ?? []) marks.push({ at, colour: "grey", label: "bound" });
+      this.charts[id].show([x, values, next], marks);
+    });
+  }
+
+  drawResult() {
+    const { heading, good, rows, remarks } = this.values.result;
+    $("decision").hidden = false;
+    $("heading").textContent = heading;
+    $("heading").className = `lead ${good ? "yes" : ""}`;
+    const heads = ["", "initial gains", ...(good ? ["tuned gains"] : [])];
+    const line = (tag, cells) => {
+      const tr = document.createElement("tr");
+      tr.append(...cells.map((text, n) => {
+        const cell = document.createElement(n ? tag : "th");
+        cell.textContent = text;
+        if (!n && text) cell.scope = "row";
+        return cell;
+      }));
+      return tr;
+    };
+    $("result").replaceChildren(line("th", heads), ...rows.map((row) => line("td", row.slice(0, heads.length))));
+    $("remarks").replaceChildren(...remarks.map((text) => Object.assign(document.createElement("li"), { textContent: text })));
+  }
+
+  drawChecks() {
+    const rows = this.tables.checks.filter((row) => row[2] !== null), { daemon } = this.values;
+    if (!rows.length) return;
+    $("checks").hidden = false;
+    const chart = this.chart("chart", { height: 200, x: "check trial", y: "cost", log: true,
+      label: "Cost of the check trials over their number, with the baseline",
+      series: [{ label: "steady", colour: "blue", points: "only" }, { label: "changed", colour: "red", points: "only", size: 8, open: true }] });
+    const steady = (row) => row[3] === "steady";
+    const marks = [];
+    if (daemon?.baseline_cost) marks.push({ at: daemon.baseline_cost, colour: "orange", label: "baseline" });
+    for (const at of daemon?.alarm_costs ?? []) marks.push({ at, colour: "red", label: "alarm" });
+    chart.show([rows.map((row) => row[0]), rows.map((row) => (steady(row) ? row[2] : null)), rows.map((row) => (steady(row) ? null : row[2]))], marks);
+  }
+
+  drawEvents() {
+    $("events").hidden = false;
+    $("events").querySelector("tbody").replaceChildren(...this.tables.events.slice(-100).reverse().map(([, at, kind, sentence]) => {
+      const tr = document.createElement("tr");
+      tr.append(...[new Date(at).toLocaleString(), kind, sentence].map((text) => Object.assign(document.createElement("td"), { textContent: text })));
+      return tr;
+    }));
+  }
+
+  // Offers the other views to be laid over this one.
+  offer(names) {
+    const label = $("compare"), select = label.querySelector("select");
+    label.hidden = !names.length;
+    const shown = ["nothing", ...names];
+    if (select.dataset.shown === shown.join("\n")) return;
+    select.dataset.shown = shown.join("\n");
+    select.replaceChildren(...shown.map((name) => new Option(name, name)));
+    select.onchange = () => this.compare(select.selectedIndex ? select.value : "");
+  }
+
+  compare(name) {
+    this.other = null;
+    const redraw = () => { this.changed.add("other"); this.draw(); };
+    if (!name) return redraw();
+    const stream = new EventSource(`api/events?view=${encodeURIComponent(name)}`);
+    stream.onmessage = (event) => {
+      const { values } = JSON.parse(event.data);
+      const curve = values["curve.tuned"] ?? values["curve.best"];
+      if (!curve) return;
+      stream.close();
+      this.other = curve;
+      redraw();
+    };
+  }
+}

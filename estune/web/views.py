@@ -1,0 +1,207 @@
+"""What a server shows: runs, rigs and supervised rigs, each with a board and its readers."""
+
+import threading
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Literal
+
+from estune.errors import InvalidInput
+from estune.remote.messages.daemon import (
+    DAEMON_VERBS,
+    Command,
+    CommandAnswer,
+    DaemonStatus,
+    DaemonVerb,
+    Events,
+    History,
+    Request,
+)
+from estune.remote.security import OPEN, Security
+from estune.remote.zenoh import connect
+from estune.remote.zenoh.daemon_service import DaemonClient, Supervised
+from estune.run.journal import FILE_NAME, Journal
+from estune.run.targets import is_endpoint
+from estune.web.board import Board
+from estune.web.daemon_reader import DaemonReader
+from estune.web.reader import Reader
+from estune.web.rig_reader import RigReader
+from estune.web.run_reader import RunReader
+
+LINK_S = 2.0
+"""How long a rig is waited for before the page says that there is no link."""
+RUNS_MAX = 100
+"""Newest runs of a folder that are listed."""
+
+Execute = Callable[[str], str]
+"""Executes a command for somebody named; returns what is being done."""
+
+
+class View:
+    """One rig or run. Its readers start when it is first looked at.
+
+    Attributes:
+        name: Identifies it in addresses.
+        kind: What it shows.
+        board: Its values.
+        commands: What a page may command, by name.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        kind: Literal["run", "rig", "daemon"],
+        board: Board,
+        readers: Iterable[Reader],
+        commands: Mapping[str, Execute] | None = None,
+    ) -> None:
+        self.name = name
+        self.kind = kind
+        self.board = board
+        self.commands = dict(commands or {})
+        self._readers = list(readers)
+        self._is_started = False
+        self._lock = threading.Lock()
+
+    def start(self) -> None:
+        """Starts the readers, once."""
+        with self._lock:
+            if not self._is_started:
+                self._is_started = True
+                for reader in self._readers:
+                    reader.start()
+
+    def replace(self, old: Reader | None, new: Reader) -> None:
+        """Starts a reader in the place of another."""
+        with self._lock:
+            if old is not None:
+                self._readers.remove(old)
+                old.ended.set()
+            self._readers.append(new)
+            new.start()
+
+    def close(self) -> None:
+        """Ends the readers."""
+        with self._lock:
+            for reader in self._readers:
+                reader.close()
+
+
+Views = Callable[[], Sequence[View]]
+"""The views that there are now; the same objects each time."""
+
+
+def run_view(folder: Path, security: Security = OPEN) -> View:
+    """A run, with the rig at the endpoint it was made on."""
+    board = Board()
+    readers: list[Reader] = [RunReader(board, folder)]
+    commands: dict[str, Execute] = {}
+    with Journal.open(folder) as journal:
+        target, rig = journal.fact("target"), journal.fact("rig")["name"]
+    if is_endpoint(target):
+        reader = _rig_reader(board, target, rig, security)
+        readers.append(reader)
+        commands["estop"] = reader.estop
+    return View(folder.name, "run", board, readers, commands)
+
+
+def folder_views(folder: Path, security: Security = OPEN) -> Views:
+    """The newest runs of a folder, also those that are begun later."""
+    kept: dict[Path, View] = {}
+
+    def views() -> list[View]:
+        paths = [path.parent for path in folder.glob(f"*/{FILE_NAME}")]
+        newest = sorted(paths, key=lambda path: path.stat().st_ctime, reverse=True)[:RUNS_MAX]
+        for path in newest:
+            if path not in kept:
+                kept[path] = run_view(path, security)
+        return [kept[path] for path in newest]
+
+    return views
+
+
+def rig_view(endpoint: str, rig: str, security: Security = OPEN) -> View:
+    """A rig at an endpoint."""
+    board = Board()
+    reader = _rig_reader(board, endpoint, rig, security)
+    return View(rig, "rig", board, [reader], {"estop": reader.estop})
+
+
+def _rig_reader(board: Board, endpoint: str, rig: str, security: Security) -> RigReader:
+    open_rig = partial(
+        connect,
+        endpoint,
+        rig,
+        timeout_s=LINK_S,
+        patience_s=LINK_S,
+        holder="live page",
+        security=security,
+    )
+    return RigReader(board, open_rig)
+
+
+def daemon_view(
+    rig: str,
+    supervised: Supervised,
+    *,
+    target: str = "",
+    runs: Path | None = None,
+    security: Security = OPEN,
+) -> View:
+    """A rig that a daemon supervises.
+
+    Args:
+        rig: The rig.
+        supervised: Its supervision.
+        target: Endpoint of the rig, for live samples and the emergency stop; empty if unknown.
+        runs: Folder of its tuning runs; None if it cannot be reached from here.
+        security: Credentials for the rig.
+    """
+    board = Board()
+    shown: dict[str, Reader] = {}
+
+    def follow(run: str) -> None:
+        if runs is None or not (runs / run / FILE_NAME).is_file() or run in shown:
+            return
+        old = next(iter(shown.values()), None)
+        shown.clear()
+        shown[run] = RunReader(board, runs / run, predict=False)
+        view.replace(old, shown[run])
+
+    reader = DaemonReader(board, supervised, follow)
+    readers: list[Reader] = [reader]
+    commands: dict[str, Execute] = {verb: partial(reader.command, verb) for verb in DAEMON_VERBS}
+    if is_endpoint(target):
+        samples = _rig_reader(board, target, rig, security)
+        readers.append(samples)
+        commands["estop"] = samples.estop
+    view = View(rig, "daemon", board, readers, commands)
+    return view
+
+
+class RemoteSupervision:
+    """The supervision of one rig by a daemon at an endpoint."""
+
+    def __init__(self, client: DaemonClient, rig: str) -> None:
+        self._client = client
+        self._rig = rig
+
+    def status(self) -> DaemonStatus:
+        """Current state, with the live gains."""
+        return self._client.status(self._rig)
+
+    def history(self, request: Request) -> History:
+        """Past gain sets, commands and check trials."""
+        return self._client.history(self._rig, request.limit)
+
+    def events(self, request: Request) -> Events:
+        """Past events."""
+        return Events(self._client.events(self._rig, request.after, request.limit))
+
+    def command(self, verb: DaemonVerb, command: Command) -> CommandAnswer:
+        """Gives a command."""
+        try:
+            sentence = self._client.command(self._rig, verb, command.who, command.why)
+        except InvalidInput as error:
+            return CommandAnswer(done=False, sentence=str(error))
+        return CommandAnswer(done=True, sentence=sentence)
