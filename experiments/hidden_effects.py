@@ -27,6 +27,7 @@ from matplotlib.figure import Figure
 
 from experiments import silverbox
 from experiments.hidden_scores import Row, Task, diagnose
+from experiments.measured_data import folder
 from experiments.results import (
     Target,
     at_least,
@@ -344,7 +345,7 @@ def main() -> int:
         rows = run_all(todo, options.jobs, OUT / "hidden_effects.jsonl")
         if not options.quick:
             figures |= throughput(THROUGHPUT_CASES, options.seed0)
-        figures |= silverbox.figures(silverbox.folder(options.data))
+        figures |= silverbox.figures(folder(options.data))
     figures = summary(rows) | figures
     save_figure(draw_reliability(reliability(rows)), OUT, "hidden_reliability")
     if not options.json:

@@ -7,7 +7,6 @@ part of this project: `--data` or the environment variable ESTUNE_DATA is the fo
 silverbox/Silverbox.mat.
 """
 
-import os
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +14,7 @@ import numpy as np
 
 import plants
 from estune.core.quantities import FloatArray
+from experiments.measured_data import folder
 from experiments.results import command_line, print_results
 from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.models.diagnosed_model import diagnosed
@@ -25,11 +25,6 @@ SETTLING = 100
 """Samples at the start of the multisine that are not counted: its initial state is unknown."""
 
 EXPECTED = "cable_stiffening"
-
-
-def folder(named: Path | None) -> Path:
-    """Folder of third-party data: as given, by ESTUNE_DATA, or `data`."""
-    return named or Path(os.environ.get("ESTUNE_DATA", "data"))
 
 
 def figures(data: Path) -> dict[str, Any]:

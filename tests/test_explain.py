@@ -1,36 +1,25 @@
-"""Verdicts of `explain` on records of machines that share no code with it.
+"""What `explain` says of records of machines that share no code with it.
 
-Verdicts are promised over a block of validation seeds; see experiments/hidden_machines/seeds.md.
-Single diagnoses here are of what a verdict says, not of which machines it gets right.
+Which machines it gets right is promised over blocks of seeds, in test_hidden_block.py.
 """
 
 from dataclasses import dataclass, replace
-from functools import cache
-from itertools import pairwise
 from typing import ClassVar
 
 import casadi as ca
-import numpy as np
 import pytest
 
 import plants
 from estune.errors import InvalidInput, PlantError
 from experiments import hidden_machines
-from experiments.hidden_machines import machine as machines
-from experiments.hidden_machines.machine import NoCompiler
-from experiments.hidden_scores import Task, diagnose, measurement, model
+from experiments.measured_data import cut
 from plants.effects import EFFECTS, Effect, Port, parameter
-
-FIRST_SEED = 70_200
-BLOCK = {"plain": 5, "unloaded": 4, "two": 1, "none": 2, "none_unloaded": 2, "outside": 2}
+from tests.support_hidden import drawn, skip_without_compiler
 
 
 @pytest.fixture(autouse=True)
 def _compiler():
-    try:
-        machines.library()
-    except NoCompiler as error:
-        pytest.skip(str(error))
+    skip_without_compiler()
 
 
 @dataclass(frozen=True)
@@ -48,42 +37,6 @@ class AirDrag(Effect):
         del signal
         omega = site.start_velocity_rad_s
         return state, -p.torque_Nms2 * omega * ca.fabs(omega)
-
-
-def drawn(seed, variant, effect=None):
-    case, _ = hidden_machines.draw(seed, variant, effect)
-    return model(case), [measurement(record) for record in case.records]
-
-
-@cache
-def block():
-    """Diagnoses of the block of validation seeds."""
-    return [
-        diagnose(Task(FIRST_SEED + n, variant))
-        for variant, count in BLOCK.items()
-        for n in range(count)
-    ]
-
-
-def test_block_of_hidden_effects_is_identified_by_name():
-    rows = [row for row in block() if row.variant in ("plain", "unloaded") and row.visible]
-    assert not [row.error for row in block() if row.error]
-    assert sum(row.right for row in rows) >= len(rows) - 1
-
-
-def test_block_of_diagnoses_has_no_wrong_names():
-    assert sum(row.wrong_name for row in block()) <= 1
-
-
-def test_block_of_sound_machines_has_no_false_alarms():
-    rows = [row for row in block() if not row.truth]
-    assert sum(row.verdict != "none" for row in rows) <= 1
-
-
-def test_block_of_intervals_holds_the_truth():
-    held = [one.holds for row in block() if row.right for one in row.intervals]
-    assert len(held) > 5
-    assert sum(held) >= 0.8 * len(held)
 
 
 def test_undeclared_effect_is_unknown_until_it_is_declared():
@@ -110,17 +63,6 @@ def test_omitted_truth_is_not_replaced_by_another_name():
     found = plants.explain(given, records, effects=others)
     assert found.verdict == "unknown"
     assert found.where.blocks[0].name == "force"
-
-
-def cut(record, pieces):
-    """A record as so many files, each from its own time zero."""
-    edges = np.linspace(0, record.samples, pieces + 1).astype(int)
-    columns = ("setpoint_N", "current_A", "tension_N", "angle_rad", "reference_N", "flags")
-    for a, b in pairwise(edges):
-        parts = {name: getattr(record, name) for name in columns}
-        kept = {name: part[a:b] for name, part in parts.items() if part is not None}
-        time_s = record.time_s[: b - a]
-        yield replace(record, name=f"{record.name}.{a}", time_s=time_s, **kept)
 
 
 def test_verdict_depends_neither_on_order_nor_on_cut_of_the_files():
@@ -182,7 +124,7 @@ def test_unusable_input_is_refused_by_name():
     given, records = drawn(501, "none_unloaded")
     with pytest.raises(InvalidInput, match="no record"):
         plants.explain(given, [])
-    with pytest.raises(PlantError, match="python_plant"):
+    with pytest.raises(PlantError, match="diagnosed_by"):
         plants.explain(object(), records)
     with pytest.raises(InvalidInput, match="no_such_effect"):
         plants.explain(given, records, effects=["no_such_effect"])

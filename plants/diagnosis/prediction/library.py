@@ -90,7 +90,8 @@ def _source(plant: Equations, delay: int) -> str:
         "PLACED": place.numel_in(2),
         "DELAY": delay,
     }
-    return c_source(functions, sizes, Path(__file__).with_name("prediction.c"))
+    loop = Path(__file__).with_name("prediction.c")
+    return c_source(functions, sizes, loop, ("locate", "place", "sense", "substep"))
 
 
 def _functions(plant: Equations) -> tuple[Any, ...]:

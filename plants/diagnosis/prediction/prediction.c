@@ -1,22 +1,17 @@
 /* Predictions of records: a fixed loop around the generated functions estune_late, estune_prepare,
- * estune_settle, estune_locate, estune_place, estune_drive, estune_sense and estune_substep, which
- * precede this text in the compiled file together with the sizes CONSTANTS, STATES, SUBSTEPS, PARAMETERS,
- * PLACED and DELAY, the place of the whole samples of dead time among the parameters.
+ * estune_settle and estune_drive, and rows_locate, rows_place, rows_sense and rows_substep, which
+ * work out LANES rows at once. They precede this text in the compiled file together with the sizes
+ * CONSTANTS, STATES, SUBSTEPS, PARAMETERS, PLACED and DELAY, the place of the whole samples of dead
+ * time among the parameters.
  *
  * The dead time is a ring of past drives as in trial_loop.c. At the start of each window the plant
  * is put where the record has it; what it remembers besides, and the ring, go on. The residuals
  * then lose what another start of each window would explain, by directions that are orthonormal.
- *
- * Two rows run side by side: each waits for its own last substep, and the other's fills the time.
  */
 #include <stdlib.h>
 #include <string.h>
 
-#define UNROLLED _Pragma("GCC unroll 128")
-#define WITHIN static inline __attribute__((always_inline))
 #define APART static __attribute__((noinline))
-
-enum { SIDE_BY_SIDE = 2 };
 
 enum { TENSION, ANGLE, REFERENCE, CURRENT, CHANNELS };
 enum { ANGLE_ZERO, CURRENT_GAIN, CURRENT_OFFSET, REFERENCE_OFFSET, INPUT_SLOPE, SENSORS };
@@ -44,142 +39,84 @@ typedef struct {
   double *residuals;               /* [rows][kept], or null */
 } Task;
 
+/* The ring: drives[n] is that of every row, the rows' dead times differ in what they read. */
 typedef struct {
-  double *drives;
+  Vector *drives;
   long room;
 } Ring;
 
-/* Puts the plant where a window begins, and a kick from there. */
-static void begin(const double *constants, double *state, const double *to, double zero,
-                  const double *kick) {
-  double place[PLACED], moved[STATES];
-  const double *arg[3];
-  double *res[1];
-  long i;
-  if (to) {
-    for (i = 0; i < PLACED; i++) place[i] = to[i];
-    place[0] -= zero;
-  } else {
-    if (!kick) return;
-    arg[0] = constants; arg[1] = state;
-    res[0] = place;
-    estune_locate(arg, res, 0, 0, 0);
-  }
-  if (kick) for (i = 0; i < PLACED; i++) place[i] += kick[i];
-  arg[0] = constants; arg[1] = state; arg[2] = place;
-  res[0] = moved;
-  estune_place(arg, res, 0, 0, 0);
-  memcpy(state, moved, sizeof moved);
-}
-
-/* The drive that a command gives, and the state after it. */
-static double driven(const double *constants, const double *state, double *after, double command) {
-  const double *arg[3];
-  double *res[2], drive;
-  arg[0] = constants; arg[1] = state; arg[2] = &command;
-  res[0] = after; res[1] = &drive;
-  estune_drive(arg, res, 0, 0, 0);
-  return drive;
-}
-
-/* One row on its way through a record. */
+/* Rows on their way through a record. */
 typedef struct {
-  double constants[CONSTANTS], state[STATES], slope;
-  const double *sensor, *kick;
-  double *drives; /* the ring */
-  long size, before, after, now;
-  double *tension, *angle, *reference, *current; /* [samples] */
-} Lane;
+  Vector constants[CONSTANTS], state[STATES], kick[PLACED];
+  Vector slope, zero, gain, offset, reference_offset;
+  Vector *drives; /* the ring */
+  long size, delay[LANES], now;
+  int first_order, kicked;
+} Rows;
 
-/* A row where a record begins; zero, or nonzero without memory. */
-APART int ready(Lane *lane, Ring *ring, long samples, const double *numbers, double preload,
-                double reading, double command, int at_rest) {
-  double parameters[PARAMETERS], moved[STATES], late, drive;
-  long n, delay;
-  lane->sensor = numbers + PARAMETERS;
-  lane->slope = lane->sensor[INPUT_SLOPE];
-  memcpy(parameters, numbers, sizeof parameters);
-  {
-    const double *arg[2];
-    double *res[2];
-    arg[0] = parameters; res[0] = &late;
-    estune_late(arg, res, 0, 0, 0);
-    /* Rounding must not turn a whole sample into all but one. A dead time that is not finite, or
-     * longer than the record, predicts nothing but the start. */
-    late += 1e-9;
-    delay = late < samples ? (late > 0.0 ? (long)late : 0) : samples;
-    parameters[DELAY] = delay;
-    arg[0] = parameters; arg[1] = &preload;
-    res[0] = lane->constants;
-    estune_prepare(arg, res, 0, 0, 0);
-    arg[0] = lane->constants; arg[1] = &reading;
-    res[0] = lane->state; res[1] = &drive;
-    estune_settle(arg, res, 0, 0, 0);
-  }
-  lane->size = delay + 3;
-  if (ring->room < lane->size) {
-    double *larger = realloc(ring->drives, lane->size * sizeof *larger);
-    if (!larger) return 1;
-    ring->drives = larger; ring->room = lane->size;
-  }
-  lane->drives = ring->drives;
-  if (!at_rest) /* the first command is as good as the last */
-    drive = driven(lane->constants, lane->state, moved, command);
-  for (n = 0; n < lane->size; n++) lane->drives[n] = drive;
-  /* The drive of command j is kept in place (j + delay + 1) mod size. What goes straight from
-   * sample to sample has to be known one sample ahead. */
-  lane->before = 0; lane->after = 1;
-  lane->now = delay + 1 < lane->size ? delay + 1 : 0;
-  if (lane->slope > 0.0) {
-    lane->drives[lane->now] = driven(lane->constants, lane->state, moved, command);
-    memcpy(lane->state, moved, sizeof moved);
-  }
-  if (at_rest) begin(lane->constants, lane->state, 0, 0.0, lane->kick);
-  return 0;
-}
-
-/* What the sensors read in a sample, and the drive of its command or of the next. */
-WITHIN void sense(Lane *lane, long sample, long last, const double *command) {
-  double moved[STATES], outside;
-  const double *arg[4];
-  double *res[5];
-  long i, to = lane->now;
-  if (lane->slope > 0.0) {
-    if (sample < last) command++;
-    if (++to == lane->size) to = 0;
-  }
-  arg[0] = lane->constants; arg[1] = lane->state; arg[2] = lane->drives + lane->before;
-  arg[3] = command;
-  res[0] = moved; res[1] = lane->tension + sample; res[2] = lane->angle + sample;
-  res[3] = &outside; res[4] = lane->drives + to;
-  estune_sense(arg, res, 0, 0, 0);
-  lane->angle[sample] += lane->sensor[ANGLE_ZERO];
-  lane->reference[sample] = outside + lane->sensor[REFERENCE_OFFSET];
-  lane->current[sample] = lane->sensor[CURRENT_GAIN] * lane->drives[lane->now] +
-                          lane->sensor[CURRENT_OFFSET];
-  UNROLLED
-  for (i = 0; i < STATES; i++) lane->state[i] = moved[i];
-}
-
-WITHIN void substep(Lane *lane, long n) {
-  const double *earlier = lane->drives + lane->before, *later = lane->drives + lane->after;
-  double moved[STATES], place = n, from, to;
-  const double *arg[5];
-  double *res[1];
+/* The rows' numbers where a record begins; the longest dead time among them, samples. */
+APART long numbers(Rows *rows, long l, long samples, const double *given, double preload,
+                   double reading, double command, int at_rest) {
+  const double *sensor = given + PARAMETERS;
+  double parameters[PARAMETERS], constants[CONSTANTS], state[STATES], moved[STATES], late, drive;
+  const double *arg[3];
+  double *res[2];
   long i;
-  arg[0] = lane->constants; arg[1] = lane->state; arg[2] = earlier; arg[3] = later;
-  arg[4] = &place;
-  if (lane->slope > 0.0) {
-    const double share = lane->slope * (n + 0.5) / SUBSTEPS;
-    const long next = lane->after + 1 == lane->size ? 0 : lane->after + 1;
-    from = *earlier + share * (*later - *earlier);
-    to = *later + share * (lane->drives[next] - *later);
-    arg[2] = &from; arg[3] = &to;
+  memcpy(parameters, given, sizeof parameters);
+  arg[0] = parameters; res[0] = &late;
+  estune_late(arg, res, 0, 0, 0);
+  /* Rounding must not turn a whole sample into all but one. A dead time that is not finite, or
+   * longer than the record, predicts nothing but the start. */
+  late += 1e-9;
+  rows->delay[l] = late < samples ? (late > 0.0 ? (long)late : 0) : samples;
+  parameters[DELAY] = rows->delay[l];
+  arg[0] = parameters; arg[1] = &preload;
+  res[0] = constants;
+  estune_prepare(arg, res, 0, 0, 0);
+  arg[0] = constants; arg[1] = &reading;
+  res[0] = state; res[1] = &drive;
+  estune_settle(arg, res, 0, 0, 0);
+  arg[1] = state; arg[2] = &command;
+  if (!at_rest) { /* the first command is as good as the last */
+    res[0] = moved; res[1] = &drive;
+    estune_drive(arg, res, 0, 0, 0);
   }
+  rows->drives[0][l] = drive;
+  if (rows->first_order) {
+    res[0] = moved; res[1] = &drive;
+    estune_drive(arg, res, 0, 0, 0);
+    memcpy(state, moved, sizeof moved);
+  }
+  rows->drives[1][l] = drive;
+  for (i = 0; i < CONSTANTS; i++) rows->constants[i][l] = constants[i];
+  for (i = 0; i < STATES; i++) rows->state[i][l] = state[i];
+  rows->slope[l] = sensor[INPUT_SLOPE];
+  rows->zero[l] = sensor[ANGLE_ZERO];
+  rows->gain[l] = sensor[CURRENT_GAIN];
+  rows->offset[l] = sensor[CURRENT_OFFSET];
+  rows->reference_offset[l] = sensor[REFERENCE_OFFSET];
+  return rows->delay[l];
+}
+
+/* Puts the plants where a window begins, and a kick from there. */
+APART void begin(Rows *rows, const double *to) {
+  Vector place[PLACED ? PLACED : 1], moved[STATES];
+  const Vector *arg[3];
+  Vector *res[1];
+  long i;
+  arg[0] = rows->constants; arg[1] = rows->state; arg[2] = place;
+  if (to) {
+    for (i = 0; i < PLACED; i++) place[i] = ALL(to[i]);
+    place[0] -= rows->zero;
+  } else {
+    if (!rows->kicked) return;
+    res[0] = place;
+    rows_locate(arg, res);
+  }
+  if (rows->kicked) for (i = 0; i < PLACED; i++) place[i] += rows->kick[i];
   res[0] = moved;
-  estune_substep(arg, res, 0, 0, 0);
-  UNROLLED
-  for (i = 0; i < STATES; i++) lane->state[i] = moved[i];
+  rows_place(arg, res);
+  memcpy(rows->state, moved, sizeof moved);
 }
 
 /* A stretch of what is predicted: one record. */
@@ -190,48 +127,65 @@ typedef struct {
   const double *window_place; /* [windows][PLACED] */
 } Stretch;
 
-/* A record, of rows that are ready for it. */
-WITHIN void run(const Lane *ready, const int many, Stretch record) {
-  Lane lanes[SIDE_BY_SIDE]; /* that nothing else points to: what is in it may stay in registers */
-  long k, n, w = 0;
-  int l;
-  memcpy(lanes, ready, many * sizeof *lanes);
+WITHIN long wrapped(long n, long size) { return n < 0 ? n + size : n < size ? n : n - size; }
+
+/* A record, of rows that are ready for it; channels are [CHANNELS][apart]. */
+WITHIN void run(const Rows *ready, Stretch record, Vector *channels, long apart) {
+  Rows rows = *ready; /* that nothing else points to: what is in it may stay in registers */
+  long k, n, l, i, w = 0;
   for (k = 0; k < record.samples; k++) {
-    if (w < record.windows && record.window_at[w] == k) {
-      for (l = 0; l < many; l++)
-        begin(lanes[l].constants, lanes[l].state, record.window_place + w * PLACED,
-              lanes[l].sensor[ANGLE_ZERO], lanes[l].kick);
-      w++;
+    Vector moved[STATES], earlier, later, next, command, outside;
+    const Vector *arg[5];
+    Vector *res[5];
+    /* The drive of command j is that of ring place j + 1; what goes straight from sample to
+     * sample has to be known one sample ahead. */
+    const long to = wrapped(rows.now + rows.first_order, rows.size);
+    if (w < record.windows && record.window_at[w] == k)
+      begin(&rows, record.window_place + PLACED * w++);
+    command = ALL(record.command[k + (rows.first_order && k + 1 < record.samples)]);
+    for (l = 0; l < LANES; l++)
+      earlier[l] = rows.drives[wrapped(rows.now - rows.delay[l] - 1, rows.size)][l];
+    arg[0] = rows.constants; arg[1] = rows.state; arg[2] = &earlier; arg[3] = &command;
+    res[0] = moved; res[1] = channels + TENSION * apart + k;
+    res[2] = channels + ANGLE * apart + k; res[3] = &outside; res[4] = rows.drives + to;
+    rows_sense(arg, res);
+    channels[ANGLE * apart + k] += rows.zero;
+    channels[REFERENCE * apart + k] = outside + rows.reference_offset;
+    channels[CURRENT * apart + k] = rows.gain * rows.drives[rows.now] + rows.offset;
+    for (i = 0; i < STATES; i++) rows.state[i] = moved[i];
+    for (l = 0; l < LANES; l++) {
+      later[l] = rows.drives[wrapped(rows.now - rows.delay[l], rows.size)][l];
+      next[l] = rows.drives[wrapped(rows.now - rows.delay[l] + 1, rows.size)][l];
     }
-    UNROLLED
-    for (l = 0; l < many; l++) sense(lanes + l, k, record.samples - 1, record.command + k);
     for (n = 0; n < SUBSTEPS; n++) {
-      UNROLLED
-      for (l = 0; l < many; l++) substep(lanes + l, n);
+      Vector place = ALL((double)n), from = earlier, onto = later;
+      if (rows.first_order) {
+        const Vector share = rows.slope * (n + 0.5) / (double)SUBSTEPS;
+        from = earlier + share * (later - earlier);
+        onto = later + share * (next - later);
+      }
+      arg[2] = &from; arg[3] = &onto; arg[4] = &place;
+      res[0] = moved;
+      rows_substep(arg, res);
+      for (i = 0; i < STATES; i++) rows.state[i] = moved[i];
     }
-    UNROLLED
-    for (l = 0; l < many; l++) {
-      lanes[l].before = lanes[l].after;
-      if (++lanes[l].after == lanes[l].size) lanes[l].after = 0;
-      if (++lanes[l].now == lanes[l].size) lanes[l].now = 0;
-    }
+    rows.now = wrapped(rows.now + 1, rows.size);
   }
 }
 
-/* Whitened residuals of some blocks of one row, without what the windows' starts explain. */
-APART void reduce(const Task *task, long begin, long end, const double *outputs,
-                  double *residuals) {
+/* Whitened residuals of some blocks of the rows, without what the windows' starts explain. */
+APART void reduce(const Task *task, long begin, long end, const Vector *channels,
+                  Vector *residuals) {
   long b, d, e, first = begin ? task->block_end[begin - 1] : 0;
   for (b = begin; b < end; b++) {
     for (e = first; e < task->block_end[b]; e++) {
-      double r = (task->measured[e] - outputs[task->source[e]]) * task->weight[e];
-      if (!(r <= FURTHEST)) r = FURTHEST; /* also where it is not a number */
-      if (r < -FURTHEST) r = -FURTHEST;
-      residuals[e] = r;
+      Vector r = (task->measured[e] - channels[task->source[e]]) * task->weight[e];
+      r = pick(r <= FURTHEST, r, ALL(FURTHEST)); /* also where it is not a number */
+      residuals[e] = pick(r < -FURTHEST, ALL(-FURTHEST), r);
     }
     for (d = 0; task->basis && d < PLACED; d++) {
       const double *direction = task->basis + d * task->entries;
-      double share = 0.0;
+      Vector share = ALL(0.0);
       for (e = first; e < task->block_end[b]; e++) share += direction[e] * residuals[e];
       for (e = first; e < task->block_end[b]; e++) residuals[e] -= share * direction[e];
     }
@@ -239,60 +193,85 @@ APART void reduce(const Task *task, long begin, long end, const double *outputs,
   }
 }
 
+/* Rows ready for a record; zero, or nonzero without memory. Rows beyond the last repeat it. */
+APART int ready(const Task *task, Rows *rows, Ring *ring, long m, long r, Stretch record,
+                int at_rest) {
+  const long width = PARAMETERS + SENSORS;
+  const double *given[LANES];
+  Vector started[2];
+  long l, i, longest = 0;
+  rows->drives = started;
+  rows->kicked = task->kick != 0;
+  rows->first_order = 0;
+  for (l = 0; l < LANES; l++) {
+    const long row = m + l < task->rows ? m + l : task->rows - 1;
+    given[l] = task->table + (row * task->records + r) * width;
+    rows->first_order |= given[l][PARAMETERS + INPUT_SLOPE] > 0.0;
+  }
+  for (l = 0; l < LANES; l++) {
+    const long row = m + l < task->rows ? m + l : task->rows - 1;
+    const long delay = numbers(rows, l, record.samples, given[l], task->preload[r],
+                               task->reading[r], *record.command, at_rest);
+    if (delay > longest) longest = delay;
+    for (i = 0; i < PLACED && rows->kicked; i++)
+      rows->kick[i][l] = task->kick[row * PLACED + i];
+  }
+  rows->size = longest + 3;
+  if (ring->room < rows->size) {
+    free(ring->drives);
+    ring->room = rows->size;
+    if (posix_memalign((void **)&ring->drives, sizeof(Vector), ring->room * sizeof(Vector))) {
+      ring->drives = 0;
+      return 1;
+    }
+  }
+  rows->drives = ring->drives;
+  for (i = 0; i < rows->size; i++) rows->drives[i] = started[0];
+  rows->now = 0;
+  if (rows->first_order) rows->drives[rows->now] = started[1];
+  if (at_rest) begin(rows, 0);
+  return 0;
+}
+
 /* Runs all rows; zero, or nonzero without memory. What is called for each sample is in place. */
 __attribute__((visibility("default"), flatten)) int estune_predict(const Task *task) {
-  const long width = PARAMETERS + SENSORS, samples = task->samples, room = CHANNELS * samples;
-  double *scratch = 0, *left = 0;
-  Ring rings[SIDE_BY_SIDE];
-  Lane lanes[SIDE_BY_SIDE];
-  long m, r, many, l;
+  const long samples = task->samples;
+  Vector *channels = 0, *left = 0;
+  Ring ring = {0, 0};
+  Rows rows;
+  long m, r, k, l, c;
   int failed = 0;
-  memset(rings, 0, sizeof rings);
-  if (!task->outputs) {
-    scratch = malloc(SIDE_BY_SIDE * room * sizeof *scratch);
-    if (!scratch) return 1;
-  }
-  if (task->residuals) {
-    left = malloc(SIDE_BY_SIDE * task->entries * sizeof *left);
-    failed = !left;
-  }
-  for (m = 0; m < task->rows && !failed; m += many) {
-    double *out = scratch ? scratch : task->outputs + m * room;
+  failed |= posix_memalign((void **)&channels, sizeof(Vector),
+                           CHANNELS * samples * sizeof(Vector));
+  if (task->residuals)
+    failed |= posix_memalign((void **)&left, sizeof(Vector), task->entries * sizeof(Vector));
+  for (m = 0; m < task->rows && !failed; m += LANES) {
+    const long many = task->rows - m < LANES ? task->rows - m : LANES;
     long at = 0, w = 0, b = 0;
-    many = task->rows - m < SIDE_BY_SIDE ? 1 : SIDE_BY_SIDE;
     for (r = 0; r < task->records && !failed; r++) {
       const Stretch record = {task->record_samples[r], task->windows[r], task->command + at,
                               task->window_at + w, task->window_place + w * PLACED};
       const long blocks = b + task->record_blocks[r];
       const int at_rest = !record.windows || record.window_at[0] != 0;
-      const int wanted = !task->wanted || task->wanted[r];
-      for (l = 0; wanted && l < many; l++) {
-        double *to = out + l * room + at;
-        lanes[l].tension = to + TENSION * samples;
-        lanes[l].angle = to + ANGLE * samples;
-        lanes[l].reference = to + REFERENCE * samples;
-        lanes[l].current = to + CURRENT * samples;
-        lanes[l].kick = task->kick ? task->kick + (m + l) * PLACED : 0;
-        failed |= ready(lanes + l, rings + l, record.samples,
-                        task->table + ((m + l) * task->records + r) * width, task->preload[r],
-                        task->reading[r], *record.command, at_rest);
-      }
-      if (wanted && !failed) {
-        if (many == 1) run(lanes, 1, record);
-        else run(lanes, SIDE_BY_SIDE, record);
-        for (l = 0; left && l < many; l++)
-          reduce(task, b, blocks, out + l * room, left + l * task->entries);
+      if (!task->wanted || task->wanted[r]) {
+        failed |= ready(task, &rows, &ring, m, r, record, at_rest);
+        if (failed) break;
+        run(&rows, record, channels + at, samples);
+        if (left) reduce(task, b, blocks, channels, left);
       }
       b = blocks;
       at += record.samples;
       w += record.windows;
     }
-    for (l = 0; left && !failed && l < many; l++)
-      for (r = 0; r < task->kept; r++)
-        task->residuals[(m + l) * task->kept + r] = left[l * task->entries + task->chosen[r]];
+    for (l = 0; !failed && l < many; l++) {
+      for (k = 0; left && k < task->kept; k++)
+        task->residuals[(m + l) * task->kept + k] = left[task->chosen[k]][l];
+      for (c = 0; task->outputs && c < CHANNELS * samples; c++)
+        task->outputs[(m + l) * CHANNELS * samples + c] = channels[c][l];
+    }
   }
-  free(scratch);
+  free(channels);
   free(left);
-  for (l = 0; l < SIDE_BY_SIDE; l++) free(rings[l].drives);
+  free(ring.drives);
   return failed;
 }

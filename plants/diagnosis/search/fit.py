@@ -12,10 +12,9 @@ from plants.diagnosis.prediction.prediction import Predictor
 
 Numbers = NDArray[np.int64]
 
-DAMPINGS = ((0.0, 0.03), (1.0, 30.0))
-"""Levenberg's dampings, relative to the columns' own size; the second pair if need be."""
-FINE = ((0.0, 1e-4, 1e-3, 1e-2, 0.1), (1.0, 30.0))
-"""The same along a narrow valley, where a step that is a little too long or too short is lost."""
+DAMPINGS = (0.0, 1e-4, 1e-3, 1e-2, 0.03, 0.1, 1.0, 30.0)
+"""Levenberg's dampings, relative to the columns' own size: as many as are predicted side by side.
+The fine ones are for narrow valleys, where a step a little too long or too short is lost."""
 VALLEY = 0.5
 """A round that lowers the sum of squares to no less than this share of it is in such a valley."""
 CONVERGED = 1e-3
@@ -80,7 +79,7 @@ def fit(
         tolerance: Share of the sum of squares that the last round lowers it by at most.
     """
     scale = _Scale.of(predictor, moves)
-    at, valley, converged = _Point(np.clip(start, scale.low, scale.high), None), False, False
+    at, converged = _Point(np.clip(start, scale.low, scale.high), None), False
 
     def lowest(trials: Sequence[FloatArray], otherwise: _Point) -> _Point:
         found = predictor.residuals(np.array(trials), entries)
@@ -89,20 +88,13 @@ def fit(
 
     for _ in range(rounds):
         residuals, jacobian = predictor.linearise(at.values, moves, entries, at.residuals)
-        begun = at = _Point(at.values, residuals)
-        columns = jacobian.T * scale.inner(at.values)[:, None]
-        slope = _Slope(columns, columns @ columns.T, scale)
-        for dampings in FINE if valley else DAMPINGS:
-            at = lowest([slope.step(begun.values, residuals, d) for d in dampings], begun)
-            if at is not begun:
-                break
+        begun = _Point(at.values, residuals)
+        slope = _Slope.of(jacobian.T * scale.inner(at.values)[:, None], residuals, scale)
+        at = lowest([slope.step(begun.values, d) for d in DAMPINGS], begun)
         converged = begun.cost - at.cost < tolerance * begun.cost
         if converged:
             break
-        valley = at.cost > VALLEY * begun.cost
-        # The old slope is good for one more step, which costs a twelfth of a new one.
-        at = lowest([slope.step(at.values, at.known, 0.0)], at)
-        if valley:
+        if at.cost > VALLEY * begun.cost:
             at = lowest([scale.beyond(begun.values, at.values, n) for n in STRIDES], at)
     if at.residuals is None:
         at = _Point(at.values, predictor.residuals(at.values[None, :], entries)[0])
@@ -186,42 +178,53 @@ class _Scale:
 
 
 class _Slope(NamedTuple):
-    """Derivative of some residuals by what is searched.
+    """Normal equations of some residuals by what is searched, columns scaled to one length.
 
     Attributes:
-        columns: Shape (moves, entries).
-        normal: Their products, shape (moves, moves).
         scale: How the values move.
+        size: Lengths of the columns, shape (moves,).
+        normal: Products of the scaled columns, shape (moves, moves).
+        pull: Their products with the residuals, negative, shape (moves,).
+        curvature: Eigenvalues of `normal`, shape (moves,).
+        directions: Its eigenvectors.
     """
 
-    columns: FloatArray
-    normal: FloatArray
     scale: _Scale
+    size: FloatArray
+    normal: FloatArray
+    pull: FloatArray
+    curvature: FloatArray
+    directions: FloatArray
 
-    def step(self, values: FloatArray, residuals: FloatArray, damping: float) -> FloatArray:
+    @classmethod
+    def of(cls, columns: FloatArray, residuals: FloatArray, scale: _Scale) -> "_Slope":
+        normal = columns @ columns.T
+        size = _lengths(np.diag(normal))
+        scaled = normal / size / size[:, None]
+        return cls(scale, size, scaled, -(columns @ residuals) / size, *np.linalg.eigh(scaled))
+
+    def step(self, values: FloatArray, damping: float) -> FloatArray:
         """The values after a damped step, no further than the bounds.
 
         Args:
             values: Where it begins.
-            residuals: The residuals there.
             damping: Relative to the diagonal of `normal`.
         """
         scale = self.scale
         x = values[scale.moves]
-        size = _lengths(np.diag(self.normal))
-        scaled = self.normal / size / size[:, None]
-        pull = -(self.columns @ residuals) / size
         fixed = np.zeros(x.size, bool)
         given = np.zeros(x.size)  # steps of those that are fixed
-        after = x
+        after, curvature, directions = x, self.curvature, self.directions
         for _ in range(3):
             open_ = ~fixed
             if not open_.any():
                 break
-            held = given[fixed] * size[fixed]
-            free_pull = pull[open_] - scaled[np.ix_(open_, fixed)] @ held
+            if fixed.any():
+                curvature, directions = np.linalg.eigh(self.normal[np.ix_(open_, open_)])
+            held = given[fixed] * self.size[fixed]
+            pull = self.pull[open_] - self.normal[np.ix_(open_, fixed)] @ held
             delta = given.copy()
-            delta[open_] = _solve(scaled[np.ix_(open_, open_)], free_pull, damping) / size[open_]
+            delta[open_] = _solution(curvature, directions, pull, damping) / self.size[open_]
             wanted = scale.unbounded(x, delta)
             after = np.clip(wanted, scale.low[scale.moves], scale.high[scale.moves])
             out = open_ & (wanted != after)
@@ -242,10 +245,11 @@ def _lengths(squares: FloatArray) -> FloatArray:
     return found
 
 
-def _solve(normal: FloatArray, pull: FloatArray, damping: float) -> FloatArray:
+def _solution(
+    curvature: FloatArray, directions: FloatArray, pull: FloatArray, damping: float
+) -> FloatArray:
     """Solution of (normal + damping) x = pull that leaves flat directions alone."""
-    size, directions = np.linalg.eigh(normal)
-    kept = size > FLAT * max(float(size[-1]), 1e-300)
-    weights = np.where(kept, 1.0 / np.where(kept, size + damping, 1.0), 0.0)
+    kept = curvature > FLAT * max(float(curvature[-1]), 1e-300)
+    weights = np.where(kept, 1.0 / np.where(kept, curvature + damping, 1.0), 0.0)
     solution: FloatArray = directions @ (weights * (directions.T @ pull))
     return solution

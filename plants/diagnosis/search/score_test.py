@@ -19,9 +19,9 @@ from plants.diagnosis.prediction.prediction import Predictor
 from plants.diagnosis.search.score_context import ScoreContext
 from plants.effects import Effect, Role
 
-DECADES = np.arange(-2.5, 3.5, 0.5)
-"""Sizes tried, in powers of ten of the usual one, to find one that moves the residual: less than
-the first moves it in proportion, and is not seen better."""
+DECADES = np.arange(-3.0, 4.0)
+"""Sizes tried, in powers of ten of the usual one, between which one is found that moves the
+residual: less than the first moves it in proportion, and is not seen better."""
 MOVED = (0.5, 3.0)
 """How far the sizes chosen move the residual, in its own size: a law that is bent points another
 way when it acts strongly."""
@@ -203,27 +203,29 @@ class _Probe:
 
     def _sizes(self) -> tuple[list[dict[str, float]], float]:
         """Sizes that move the residual by about what it is, and more; how far the usual does."""
-        values, change = {}, {}
-        for name in self.sizes:
-            p, neutral = self.declared[name], self.off[self.column[name]]
-            usual = float(self.predictor.start[self.column[name]])
-            step = usual - neutral or 1e-2 * (p.high - p.low)
-            values[name] = np.clip(neutral + step * 10.0**DECADES, p.low, p.high)
-            # Beyond the bounds all are one.
-            different, place = np.unique(values[name], return_inverse=True)
-            rms = self.seen.products(self._changes(self._rows(name, different))).rms
-            change[name] = rms[place]
+        values = {name: self._scaled(name, DECADES) for name in self.sizes}
+        rows = np.concatenate([self._rows(name, tried) for name, tried in values.items()])
+        moved = self.seen.products(self._changes(rows)).rms.reshape(-1, DECADES.size)
+        rising = np.log(np.maximum.accumulate(moved, axis=1) + 1e-12)
         levels = MOVED[:1] if self.effect.named(Role.FREQUENCY) else MOVED
         sizes: list[dict[str, float]] = []
         for share in levels:
-            wanted = max(0.3, share * self.seen.size)
+            wanted = math.log(max(0.3, share * self.seen.size))
+            powers = [np.interp(wanted, change, DECADES) for change in rising]
             tried = {
-                name: float(values[name][np.abs(np.log((moved + 1e-12) / wanted)).argmin()])
-                for name, moved in change.items()
+                name: float(self._scaled(name, power))
+                for name, power in zip(self.sizes, powers, strict=True)
             }
             if tried not in sizes:
                 sizes.append(tried)
-        return sizes, max(float(moved[DECADES == 0.0][0]) for moved in change.values())
+        return sizes, float(moved[:, DECADES == 0.0].max())
+
+    def _scaled(self, name: str, power: FloatArray) -> FloatArray:
+        """Values of a size at powers of ten of the usual one, within its bounds."""
+        p, neutral = self.declared[name], self.off[self.column[name]]
+        usual = float(self.predictor.start[self.column[name]])
+        step = usual - neutral or 1e-2 * (p.high - p.low)
+        return np.clip(neutral + step * 10.0**power, p.low, p.high)
 
     @property
     def _only_up(self) -> bool:
