@@ -1,10 +1,12 @@
 """Exchange with python-control: controller, plant, and the margins of their loop."""
 
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from estune.core import pidf
 from estune.core.gains import Gains
 from estune.core.initial import Proposal
 from estune.core.margins import Margins, SampledPlant, loop_margins, sample_plant
@@ -20,10 +22,13 @@ if TYPE_CHECKING:  # python-control takes more than a second to import
 
 __all__ = [
     "Margins",
+    "closed_loop",
     "from_control",
     "linear_model",
     "margins",
     "model_gains",
+    "sampled_controller",
+    "sampled_plant",
     "schedule_to_control",
     "to_control",
 ]
@@ -83,6 +88,109 @@ def to_control(
     else:
         C_y = tf([P * lag + D, P], [lag, 1.0])
     return F, C_r, C_y
+
+
+def sampled_controller(gains: Gains, settings: ControllerSettings) -> "StateSpace":
+    """The controller as it runs, sampled at the rig's rate, without its limits.
+
+    Returns:
+        A discrete state space of inputs `setpoint` and `measurement`, output `effort`, and the
+        states of `estune.core.pidf.PidfState`.
+    """
+    from control import ss  # noqa: PLC0415  slow to import
+
+    unlimited = replace(settings, output_min_N=-math.inf, output_max_N=math.inf)
+    c = pidf.coefficients(unlimited, gains)
+    columns = []
+    for unit in np.eye(5):  # the difference equation is linear: its columns are its responses
+        following, effort, _ = pidf.step(c, pidf.PidfState(*unit[:3]), unit[3], unit[4])
+        columns.append([*following, effort])
+    ABCD = np.array(columns).T
+    return ss(
+        *(ABCD[:3, :3], ABCD[:3, 3:], ABCD[3:, :3], ABCD[3:, 3:], 1.0 / settings.sampling_Hz),
+        inputs=["setpoint", "measurement"],
+        outputs=["effort"],
+        states=list(pidf.PidfState._fields),
+        name="pidf",
+    )
+
+
+def sampled_plant(
+    plant: "LinearModel | TransferFunction | StateSpace",
+    settings: ControllerSettings,
+    dead_time_s: float = 0.0,
+) -> "StateSpace":
+    """A plant under zero-order hold with its dead time, as the controller meets it.
+
+    Args:
+        plant: A rig's linear model, or a continuous system of python-control.
+        settings: The rate is taken from here.
+        dead_time_s: Dead time of a system of python-control, s.
+
+    Returns:
+        A discrete state space from `effort` to `measurement`.
+
+    Raises:
+        InvalidInput: the plant is of another kind.
+    """
+    from control import ss  # noqa: PLC0415  slow to import
+
+    model = plant if isinstance(plant, LinearModel) else linear_model(plant, dead_time_s)
+    p = sampled_model(model, settings)
+    n, late = p.C.size, p.delay + 1
+    # States: x, then the last efforts, the latest first; y_k = C x_k + E u_{k-d-1}.
+    A, B = np.zeros((n + late, n + late)), np.zeros((n + late, 1))
+    A[:n, :n], A[:n, -1] = p.Phi, p.before
+    A[n + 1 :, n:-1] = np.eye(late - 1)
+    B[n] = 1.0
+    if p.delay:
+        A[:n, n + p.delay - 1] += p.now
+    else:
+        B[:n, 0] = p.now
+    C = np.concatenate([p.C, np.zeros(p.delay), [p.E]])
+    return ss(
+        *(A, B, C[None, :], 0.0, 1.0 / settings.sampling_Hz),
+        inputs=["effort"],
+        outputs=["measurement"],
+        name="plant",
+    )
+
+
+def closed_loop(
+    plant: "LinearModel | TransferFunction | StateSpace",
+    gains: Gains,
+    settings: ControllerSettings,
+    dead_time_s: float = 0.0,
+) -> "StateSpace":
+    """The sampled loop of a plant and the controller, without limits.
+
+    Args:
+        plant: As of `sampled_plant`.
+        gains: The gains.
+        settings: The fixed part of the controller.
+        dead_time_s: As of `sampled_plant`.
+
+    Returns:
+        A discrete state space from `setpoint` and `disturbance` (added to the effort) to
+        `measurement` and `effort`.
+
+    Raises:
+        InvalidInput: the plant is of another kind.
+    """
+    from control import interconnect, summing_junction  # noqa: PLC0415  slow to import
+
+    driven = sampled_plant(plant, settings, dead_time_s)
+    driven.set_inputs(["drive"])
+    return interconnect(
+        [
+            sampled_controller(gains, settings),
+            summing_junction(["effort", "disturbance"], "drive"),
+            driven,
+        ],
+        inputs=["setpoint", "disturbance"],
+        outputs=["measurement", "effort"],
+        name="loop",
+    )
 
 
 def schedule_to_control(

@@ -29,7 +29,7 @@ from tests.support_runs import START, ArithmeticRig
 COMMAND = [sys.executable, "-m", "estune.cli"]
 COMMANDS = {
     *("demo", "serve", "serve-hardware", "tune", "resume", "sweep", "match", "list", "show"),
-    *("export", "export-controller", "apply", "explain", "run-experiment", "improve-model"),
+    *("export", "export-controller", "apply", "explain", "records", "run-experiment", "improve-model"),
     *("discover", "doctor", "estop", "clear", "daemon", "daemon-control", "reproduce-paper"),
 }
 HERE = Path(__file__).parent.parent
@@ -337,7 +337,7 @@ QUIET = ("--quiet", "--folder")
         (("--trials", 0), "must be at least 1"),
         (("--eta-max", "nan"), "eta_max is nan"),
         (("--run", "a/b"), "run name 'a/b'"),
-        (("--tuner", "magic"), "the tuners are safe_bayesian, "),
+        (("--tuner", "magic"), "the tuners are model_based, "),
         (("--tuner", "newton"), "is now called safe_bayesian"),
         (("--tolerance", "little"), "tolerance: 'little' is not a number"),
         (("--tolerance", "200%"), "tolerance is 2.0; it is a share"),
@@ -464,7 +464,9 @@ def test_apply_refuses_another_rig_unless_named(refused, here, arithmetic_run):
     code, said = refused("apply", arithmetic_run, REEL)
     assert code == 4
     assert "--rig simulated-reel" in said
-    assert "confirms" in here("apply", arithmetic_run, REEL, "--rig", "simulated-reel")
+    said = here("apply", arithmetic_run, REEL, "--rig", "simulated-reel", "--backoff", "25%")
+    assert "confirms" in said
+    assert "any gain margin is 1.33 times as large" in said
 
 
 def test_programming_error_keeps_its_traceback(monkeypatch, tmp_path):

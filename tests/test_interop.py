@@ -10,11 +10,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from estune.core.gain_forms import backed_off, gain_forms
 from estune.core.gains import Gains
 from estune.core.margins import controller_response, sample_plant
 from estune.core.pidf import ControllerSettings, PidfState, coefficients, state_at_rest, step
 from estune.errors import InvalidInput
-from estune.interop import from_control, linear_model, margins, to_control
+from estune.interop import (
+    closed_loop,
+    from_control,
+    linear_model,
+    margins,
+    sampled_controller,
+    to_control,
+)
 
 s = control.tf("s")
 
@@ -379,3 +387,66 @@ def test_margins_do_not_import_python_control():
         [sys.executable, "-c", program], capture_output=True, check=True, text=True
     )
     assert done.stdout.split() == ["True", "False"]
+
+
+# --- what is handed out -----------------------------------------------------------------------
+
+GAINS = Gains(P=0.8, I=20.0, D=0.004, setpoint_filter_s=0.01)
+
+
+def test_sampled_controller_runs_as_the_difference_equation():
+    about = settings(632.0, 0.002)
+    c, state = coefficients(about, GAINS), state_at_rest(0.0, 0.0)
+    signals = np.random.default_rng(0).standard_normal((2, 50))
+    efforts = []
+    for r, y in signals.T:
+        state, effort, _ = step(c, state, r, y)
+        efforts.append(effort)
+    system = sampled_controller(GAINS, about)
+    response = control.forced_response(system, np.arange(50) / 632.0, signals)
+    np.testing.assert_allclose(response.outputs.squeeze(), efforts, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("dead_samples", [0.0, 0.4, 1.0, 2.3])
+def test_closed_loop_is_that_of_a_sample_by_sample_simulation(dead_samples):
+    rate, n, fine = 100.0, 60, 50
+    about, model = settings(rate, 0.02), linear_model(3.0 / (s + 2.0), dead_samples / rate)
+    c, state = coefficients(about, GAINS), state_at_rest(0.0, 0.0)
+    x, efforts, measured = 0.0, np.zeros(n), np.zeros(n)
+    for k in range(n):
+        measured[k] = x
+        state, efforts[k], _ = step(c, state, 1.0, x)
+        for j in range(
+            fine
+        ):  # exact between changes of a command that is held, late by the dead time
+            at = k + j / fine - dead_samples + 1e-9
+            u = efforts[int(at)] if at >= 0.0 else 0.0
+            pole = math.exp(-2.0 / (rate * fine))
+            x = pole * x + (1.0 - pole) * 1.5 * u
+    loop = closed_loop(model, GAINS, about)
+    setpoint = np.vstack([np.ones(n), np.zeros(n)])
+    response = control.forced_response(loop, np.arange(n) / rate, setpoint)
+    np.testing.assert_allclose(response.outputs[0], measured, atol=1e-9)
+    np.testing.assert_allclose(response.outputs[1], efforts, atol=1e-9)
+
+
+def test_forms_are_the_same_controller():
+    forms = {f.name: f.values for f in gain_forms(GAINS, settings(632.0, 0.002))}
+    one, two = forms["standard"], forms["series"]
+    parallel = GAINS.P + GAINS.I / s + GAINS.D * s
+    for other in (
+        one["Kp"] * (1.0 + 1.0 / (one["Ti_s"] * s) + one["Td_s"] * s),
+        two["Kp"] * (1.0 + 1.0 / (two["Ti_s"] * s)) * (1.0 + two["Td_s"] * s),
+    ):
+        assert other(5.0j) == pytest.approx(parallel(5.0j), rel=1e-12)
+    assert forms["per_sample"]["I_k"] * 632.0 == pytest.approx(GAINS.I)
+    oscillating = Gains(P=0.8, I=200.0, D=0.004, setpoint_filter_s=0.0)
+    assert "series" not in {f.name for f in gain_forms(oscillating, settings(632.0, 0.002))}
+
+
+def test_backed_off_gains_have_the_larger_gain_margin():
+    model, about = linear_model(1.0 / (0.1 * s + 1.0), 0.01), settings(632.0, 0.002)
+    optimum, backed = (margins(model, g, about) for g in (GAINS, backed_off(GAINS, 0.25)))
+    assert backed.gain_margin == pytest.approx(optimum.gain_margin / 0.75, rel=1e-6)
+    with pytest.raises(InvalidInput, match="from 0 to 1"):
+        backed_off(GAINS, 1.2)

@@ -6,8 +6,10 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+import scipy.io
 
 import estune
+from estune.cli import run
 from estune.errors import InvalidInput
 from estune.run.export import columns, export_trials, metadata
 from plants import reference_reel
@@ -215,3 +217,25 @@ def test_folder_without_usable_records_reports_every_file(tmp_path, record):
     write(tmp_path, record, "second", about={"loop": "ajar"})
     with pytest.raises(InvalidInput, match=r"first\.csv, row 3, column tension_N.*second\.csv"):
         read_measurements(tmp_path)
+
+
+def test_records_command_shows_and_converts_foreign_data(tmp_path, record, capsys):
+    written = columns(record)
+    foreign = {
+        "t": written["time_s"],
+        "F": written["tension_N"],
+        "vir": 35.15 * written["current_A"],
+        "qm": -25.0 * written["angle_rad"],
+    }
+    scipy.io.savemat(tmp_path / "log.mat", foreign)
+    options = ["--map", "time=t,tension=F,current=vir,angle=qm", "--unit", "angle=mm"]
+    options += ["--scale", f"current={1.0 / 35.15}", "--model", "plants:reference_reel"]
+    command = ["records", str(tmp_path / "log.mat"), *options]
+    assert run(command) == 0
+    assert "tension_N falls as angle_rad rises" in capsys.readouterr().out
+    assert run([*command, "--scale", "angle=-1", "--out", str(tmp_path / "out"), "--json"]) == 0
+    (shown,) = json.loads(capsys.readouterr().out)["records"]
+    assert shown["signs"]["tension_N by angle_rad"] > 0.9
+    (read,) = read_measurements(tmp_path / "out").measurements
+    np.testing.assert_allclose(read.angle_rad, record.angle_rad, rtol=1e-12)
+    np.testing.assert_allclose(read.current_A, record.current_A, rtol=1e-12)

@@ -5,11 +5,14 @@ from pathlib import Path
 from estune import api
 from estune.cli import output
 from estune.cli.runs import find_run
-from estune.cli.values import Flag, security_from
+from estune.cli.values import Flag, security_from, share_from
+from estune.core.gain_forms import backed_off
 from estune.core.gains import GAIN_NAMES, GAIN_UNITS, Gains
-from estune.errors import RigError
+from estune.errors import InvalidInput, RigError
 from estune.remote import messages, zenoh
 from estune.remote.security import Security
+from estune.run.result import TuneResult
+from estune.run.robustness import claim_from
 from estune.run.targets import open_target
 from estune.trial import RigDescription
 
@@ -37,6 +40,7 @@ def apply(
     /,
     *,
     start: Flag = False,
+    backoff: str = "0%",
     rig: str | None = None,
     security: Path | None = None,
     folder: Path = Path(api.RUNS),
@@ -47,12 +51,16 @@ def apply(
         run: The run: its name, or its folder.
         target: Address of the rig, such as tcp/127.0.0.1:7447.
         start: Restore the gains that the run began from.
+        backoff: Share by which P, I and D are lowered, such as 25%, for margin beside the optimum.
         rig: Name of the rig; the rig of the run by default.
         security: Credentials file, if the rig requires authentication.
         folder: Folder of runs.
     """
     result = api.load(find_run(run, folder))
-    gains = result.start_gains if start else result.gains
+    share = share_from("--backoff", backoff)
+    if start and share:
+        raise InvalidInput("--start restores gains as they were; leave --backoff out")
+    gains = result.start_gains if start else backed_off(result.gains, share)
     with open_target(target, rig, security_from(security)) as the_rig:
         before = the_rig.describe()
         if rig is None and before.name != result.rig.name:
@@ -69,6 +77,8 @@ def apply(
             f"{after.name} runs {after.gains}, not the requested gains: {gains}; check the rig"
         )
     print(f"{after.name} confirms that these gains are live")
+    if share:
+        print(_backed_off_sentence(result, gains, share))
     if not start and not result.success:
         print(f"they are the gains the run began from: {result.message}")
     elif not start:
@@ -107,6 +117,23 @@ def clear(endpoint: str, /, *, rig: str | None = None, security: Path | None = N
     with zenoh.connect(endpoint, rig=rig, security=security_from(security)) as the_rig:
         the_rig.clear()
         print(f"{the_rig.name} is cleared: {the_rig.status().mode.sentence}")
+
+
+def _backed_off_sentence(result: TuneResult, gains: Gains, share: float) -> str:
+    """What the margin costs and brings, as far as the records of the run show it."""
+    said = (
+        f"backed off by {share:.0%}: any gain margin is {1.0 / (1.0 - share):.3g} times as large"
+    )
+    claims = (
+        claim_from(result.identified, result.plan, result.rig, g) for g in (result.gains, gains)
+    )
+    before, after = (claim.margins for claim in claims)
+    if before is None or after is None:
+        return said
+    return (
+        f"{said}; Ms {before.sensitivity.value:.2f} becomes {after.sensitivity.value:.2f}, the "
+        f"overshoot {before.overshoot.value:.1%} {after.overshoot.value:.1%}"
+    )
 
 
 def _gain(gains: Gains, name: str) -> str:

@@ -43,6 +43,7 @@ def show(
     *,
     folder: Path = Path(api.RUNS),
     trials: Flag = False,
+    forms: Flag = False,
     json: Flag = False,
 ) -> None:
     """Show the result of a run.
@@ -51,6 +52,7 @@ def show(
         run: The run: its name, or its folder.
         folder: Folder of runs.
         trials: Show every trial too.
+        forms: Show the gains as Kp, Ti and Td, in series and parallel form, and per sample too.
         json: Print JSON.
     """
     result = api.load(find_run(run, folder))
@@ -62,6 +64,14 @@ def show(
         frame = result.to_frame()[["number", "phase", *GAIN_NAMES, "cost", "best_cost", "outcome"]]
         output.show_table(
             frame.columns, (map(_cell, row) for row in frame.itertuples(index=False))
+        )
+    if forms:
+        settings = result.rig.controller
+        rows = ((f.name, _values(f.values), f.equation) for f in result.forms)
+        output.show_table(("form", "gains to use", "equation"), rows)
+        print(
+            f"derivative on the measurement, filter {settings.derivative_filter_s:g} s; setpoint "
+            f"filter {result.gains.setpoint_filter_s:.6g} s; rate {settings.sampling_Hz:g} Hz"
         )
     output.show_next({"run": result.folder})
 
@@ -170,10 +180,15 @@ def _as_json(result: TuneResult, *, trials: bool) -> dict[str, Any]:
         if performance is not None:
             del performance["record"], performance["gains"]
         shown[name] = performance
+    shown["forms"] = output.plain(result.forms)
     shown.update(rig=result.rig.name, trials_run=result.nfev)
     if trials:
         shown["trials"] = result.to_frame().to_dict(orient="records")
     return shown
+
+
+def _values(values: dict[str, float]) -> str:
+    return ", ".join(f"{name} {value:.6g}" for name, value in values.items())
 
 
 def _cell(value: object) -> str:

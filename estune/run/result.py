@@ -11,12 +11,13 @@ from dataclasses import replace
 from enum import StrEnum
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from scipy.optimize import OptimizeResult
 
 from estune.core.comparison import Change, repeatability
+from estune.core.gain_forms import GainForm, gain_forms
 from estune.core.gains import GAIN_NAMES, Gains
 from estune.errors import JournalError
 from estune.loop_model.claim import Claim
@@ -24,14 +25,23 @@ from estune.run import result_warnings
 from estune.run.journal import Journal, JournalEntry
 from estune.run.loop import TuningRun
 from estune.run.performance import Performance
-from estune.run.robustness import IdentifiedLoop, claim_from, identify, robustness_cells
+from estune.run.robustness import (
+    IdentifiedLoop,
+    claim_from,
+    identify,
+    limit_price,
+    robustness_cells,
+    robustness_fault,
+)
 from estune.run.session import Plan, Session, is_safe
-from estune.run.summary import RunSummary, summarise
+from estune.run.summary import RunSummary, not_robust_summary, summarise
+from estune.run.trial_quality import quality_remarks
 from estune.trial import Outcome, RigDescription, TrialRecord
 from estune.trial.scoring import constraint_margin
 
 if TYPE_CHECKING:
     import pandas as pd
+    from control import StateSpace
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
@@ -43,6 +53,7 @@ class RunEnding(StrEnum):
     NO_IMPROVEMENT = "no significant improvement"
     STOPPED = "stopped"
     UNSAFE_START = "unsafe start"
+    NOT_ROBUST = "not robust"
 
     @property
     def status(self) -> int:
@@ -52,11 +63,17 @@ class RunEnding(StrEnum):
     @property
     def exit_code(self) -> int:
         """Exit code of the command line."""
-        return NO_IMPROVEMENT_CODE if self is RunEnding.NO_IMPROVEMENT else 0
+        codes = {RunEnding.NO_IMPROVEMENT: NO_IMPROVEMENT_CODE, RunEnding.NOT_ROBUST: 8}
+        return codes.get(self, 0)
 
 
 NO_IMPROVEMENT_CODE = 7
-"""Exit code of a run without a significant improvement: a result, not an error."""
+"""Exit code of a run without a significant improvement: a result, not an error. Likewise 8, of
+cheaper gains that are not robust."""
+
+
+OVERSHOOT_ALLOWED = 0.01
+"""Overshoot beyond its limit that is not told, as a share of the step."""
 
 
 class Row(NamedTuple):
@@ -76,7 +93,7 @@ class TuneResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type i
         nit: Number of search trials.
         nfev: Number of all trials, void ones too.
         success: Whether the improvement is statistically significant.
-        status: 0 tuned, 1 no significant improvement, 2 stopped, 3 unsafe start.
+        status: 0 tuned, 1 no significant improvement, 2 stopped, 3 unsafe start, 4 not robust.
         message: How the run ended, in a sentence.
         ending: How the run ended.
         gains: The gains to use; the initial ones without a significant improvement.
@@ -116,6 +133,24 @@ class TuneResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type i
     unsafe: int
     session: Session
     recent_records: tuple[TrialRecord, ...]
+
+    @property
+    def forms(self) -> tuple[GainForm, ...]:
+        """The gains to use as Kp/Ti/Td, in series and parallel form, and per sample."""
+        return gain_forms(self.gains, self.rig.controller)
+
+    @property
+    def controller(self) -> "StateSpace":
+        """The controller with the gains to use, sampled at the rig's rate, for python-control."""
+        from estune.interop import sampled_controller  # noqa: PLC0415  slow to import
+
+        return sampled_controller(self.gains, self.rig.controller)
+
+    def loop(self, plant: Any, dead_time_s: float = 0.0) -> "StateSpace":
+        """The loop of a plant with the gains to use; see `estune.interop.closed_loop`."""
+        from estune.interop import closed_loop  # noqa: PLC0415  slow to import
+
+        return closed_loop(plant, self.gains, self.rig.controller, dead_time_s)
 
     @cached_property
     def claim(self) -> Claim:
@@ -254,7 +289,7 @@ class TuneResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type i
         """The run in one line, its ending first."""
         if self.ending is RunEnding.TUNED:
             start, cost = self.verdict.start_cost, self.verdict.cost
-            change = f"cost {start:.3g} → {cost:.3g}, {self.improvement}"
+            change = f"cost {start:.3g} → {cost:.3g}, {self.improvement}, {self._robustness()}"
         elif self.improvement is not None:
             change = f"cost {self.improvement}, keep the initial gains"
         else:
@@ -273,18 +308,42 @@ class TuneResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type i
     def remarks(self) -> tuple[str, ...]:
         """The conclusion and the warnings, a sentence each."""
         counts = ((self.unsafe, "unsafe"), (self.verdict.declined, "declined and not run"))
+        source = self.plan.start_source
         sentences = (
             self.message,
+            *(
+                [f"the search began at {source}; its gains are not live on the rig yet"]
+                if source
+                else []
+            ),
             *(f"{n} trial{'s were' if n > 1 else ' was'} {what}" for n, what in counts if n),
             *(finding.sentence for finding in self.findings),
-            *self._unclaimed(),
+            *(self._robustness_remarks() if self.verdict.complete else ()),
         )
         return tuple(f"{sentence[:1].upper()}{sentence[1:]}." for sentence in sentences)
 
-    def _unclaimed(self) -> tuple[str, ...]:
-        if not self.verdict.complete or not self.claim.reason:
-            return ()
-        return (f"no sensitivity is claimed from the records: {self.claim.reason}",)
+    def _robustness(self) -> str:
+        """What is claimed of the tuned gains, in a few words."""
+        margins = self.claim.margins
+        if margins is None:
+            return "no margins claimed"
+        return f"Ms {margins.sensitivity.value:.2f}"
+
+    def _robustness_remarks(self) -> tuple[str, ...]:
+        """What the records do not show, and what the limits cost."""
+        loop, limits, tuned = self.identified, self.plan.limits, self.tuned
+        remarks = [*loop.remarks]
+        if self.claim.reason:
+            remarks.append(f"no sensitivity is claimed from the records: {self.claim.reason}")
+        kept = None if limits is None else limits.max_overshoot
+        measured = self.claim.margins.overshoot.value if self.claim.margins else math.nan
+        if tuned is not None and kept is not None and measured > kept + OVERSHOOT_ALLOWED:
+            remarks.append(f"the overshoot of {measured:.1%} exceeds its limit of {kept:.1%}")
+        price = limit_price(loop, self.claim, self.plan, self.rig, self.gains)
+        if tuned is not None and price is not None:
+            remarks.append(price.sentence)
+        first, start_cost = self.first_record, self.verdict.start_cost
+        return (*remarks, *quality_remarks(self.plan, self.rig, first, start_cost, loop.fit))
 
     def __repr__(self) -> str:
         rows = self.rows()
@@ -325,12 +384,16 @@ def from_tuning(tuning: TuningRun) -> TuneResult:
     summary = summarise(session)
     if tuning.intervals is not None:
         summary = replace(summary, intervals=tuning.intervals)
+    fault = robustness_fault(tuning) if summary.improved else ""
+    if fault:
+        summary = not_robust_summary(summary, plan, fault)
     if session.failure:
         ending = RunEnding.UNSAFE_START
     elif not summary.complete:
         ending = RunEnding.STOPPED
     else:
-        ending = RunEnding.TUNED if summary.improved else RunEnding.NO_IMPROVEMENT
+        worse = RunEnding.NOT_ROBUST if fault else RunEnding.NO_IMPROVEMENT
+        ending = RunEnding.TUNED if summary.improved else worse
     return TuneResult(
         x=np.array(summary.gains.as_tuple()),
         fun=summary.cost,

@@ -1,7 +1,7 @@
 """`estune explain`: the effect that is missing from a model, identified from records."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 from rich.console import Console
@@ -29,12 +29,13 @@ def explain(
     report: Path | None = None,
     save: Path | None = None,
     next_: Annotated[Path | None, Parameter(name="--next")] = None,
+    hold_out: Path | None = None,
     effects: Effects = (),
     map_: Sources = (),
     unit: Values = (),
     scale: Values = (),
     save_map: Path | None = None,
-) -> None:
+) -> int:
     """Identify the effect missing from a model, from records.
 
     Args:
@@ -46,11 +47,15 @@ def explain(
         save: Write the model with the identified effects as a model file.
         next_: Folder for the trial that would distinguish the candidates, for estune
             run-experiment.
+        hold_out: A record, or folder of records, that nothing is fitted to; its errors are told.
         effects: Effects of your own that join the search, each as module:Class.
         map_: Where the columns come from: time=t,current=vir,angle=qm, or a TOML file of them.
         unit: Their units, such as angle=mm,tension=lbf.
         scale: Factors to the unit, such as current=35.15.
         save_map: Write the map as a TOML file, for --map.
+
+    Exits with 8 where the records do not show enough for the verdict to stand alone, as motion
+    in one direction only, and with 9 where data have faults to be corrected first.
 
     Raises:
         InvalidInput: an option cannot be used, or no record can, with the reason for each.
@@ -65,7 +70,11 @@ def explain(
     given = plants.load_model(model)
     with Console(stderr=True).status(f"{model} against the records of {data}"):
         diagnosis = plants.explain(
-            given, data, effects=(*declared(), *own) if own else None, columns=columns
+            given,
+            data,
+            effects=(*declared(), *own) if own else None,
+            columns=columns,
+            hold_out=hold_out,
         )
     if report is not None:
         diagnosis.report(report)
@@ -81,11 +90,19 @@ def explain(
         again = f"estune explain --model {model} --data {data}"
         facts: dict[str, object] = {"report": report or f"{again} --report report.html"}
         if save is not None:
-            facts |= {"model": save, "try it": f"estune tune {save}"}
+            facts["model"] = save
+            if can_be_tuned(diagnosis.augmented):
+                facts["try it"] = f"estune tune {save}"
         if diagnosis.next_experiment is not None:
             run = f"estune run-experiment {trial} RIG --data {data}"
             facts["next trial"] = run if trial else f"{again} --next ."
         output.show_next(facts)
+    return diagnosis.exit_code
+
+
+def can_be_tuned(model: Any) -> bool:
+    """Whether a model has a tension, or another output, to be controlled."""
+    return bool(model.profile.loop == "closed")
 
 
 def _show(diagnosis: "Diagnosis") -> None:

@@ -14,6 +14,7 @@ from estune.errors import RigError
 from estune.run.loop import Stopped
 from estune.run.session import REPEATS, TRIALS
 from estune.run.targets import is_endpoint, open_target
+from plants.commands.explain import can_be_tuned
 
 if TYPE_CHECKING:
     from plants.diagnosis.improvement.result import Improvement
@@ -105,7 +106,9 @@ def improve_model(
     if improvement.tuning is not None and is_endpoint(target):
         facts["make live"] = f"estune apply {improvement.tuning.folder} {target}"
     if save is not None:
-        facts |= {"model": save, "try it": f"estune tune {save}"}
+        facts["model"] = save
+        if can_be_tuned(improvement.model):
+            facts["try it"] = f"estune tune {save}"
     output.show_next(facts)
 
 

@@ -81,27 +81,36 @@ def records(
 
 
 def _show(previews: list["Preview"], sources: tuple["ColumnSource", ...]) -> None:
+    from plants.diagnosis.data.measured_record import CHANNELS  # noqa: PLC0415  slow to import
+
     output.show_table(
         ("file", "column", "from", "unit", "factor"),
         ((*source[:4], f"{source.factor:.7g}") for source in sources),
     )
     print()
+    columns = [n for n in CHANNELS if any(n in p.ranges for p in previews)]
     output.show_table(
-        ("record", "rate Hz", "seconds", "loop", "steps", "ranges", "signs"),
+        ("record", "rate Hz", "seconds", "loop", "steps", *columns),
         (
             (
                 *(p.name, f"{p.sampling_Hz:.6g}", f"{p.duration_s:.4g}", p.loop),
                 "-" if p.steps is None else str(p.steps),
-                ", ".join(f"{n} {low:.3g} to {high:.3g}" for n, (low, high) in p.ranges.items()),
-                ", ".join(f"{pair} {value:+.2f}" for pair, value in p.signs.items()),
+                *(_range(p.ranges.get(name)) for name in columns),
             )
             for p in previews
         ),
     )
+    for p in previews:
+        signs = ", ".join(f"{pair} {value:+.2f}" for pair, value in p.signs.items())
+        _line("signs", f"{p.name}: {signs}")
+
+
+def _range(ends: tuple[float, float] | None) -> str:
+    return "-" if ends is None else f"{ends[0]:.3g} to {ends[1]:.3g}"
 
 
 def _line(level: str, sentence: str) -> None:
-    style = "red" if level == "refused" else "yellow"
+    style = {"refused": "red", "warning": "yellow"}.get(level, "dim")
     output.console().print(Text.assemble((f"{level}  ", style), sentence), soft_wrap=True)
 
 
