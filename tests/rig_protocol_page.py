@@ -171,7 +171,7 @@ def submits() -> Iterator[str]:
     }
     rows = []
     for before in STATES:
-        codes = [rig.step(before, event, 0.0).verdict for event in events.values()]
+        codes = [rig.step(before, event, 0.0).reply_code for event in events.values()]
         rows.append((f"`{before.mode}`", "its state", *(f"`{code}`" for code in codes[1:])))
     yield from _table(("in mode", *events), rows)
 
@@ -217,7 +217,7 @@ def cases() -> Iterator[str]:
         move = rig.step(before, event, 0.0)
         orders = ", ".join(order.value for order in move.orders) or "nothing"
         modes = f"`{before.mode}`, `{move.state.mode}`"
-        rows.append((situation, f"`{move.verdict}`", modes, orders))
+        rows.append((situation, f"`{move.reply_code}`", modes, orders))
     yield from _table(("command", "reply", "mode before and after", "ordered"), rows)
 
 

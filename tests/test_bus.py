@@ -265,7 +265,7 @@ with zenoh.connect(sys.argv[1]) as rig:
 def test_client_reacquires_an_expired_lease():
     with served("scripted") as server, zenoh.connect(server.endpoint) as client:
         client.run(trial())
-        client._lease._ended.set()  # it renews no more
+        client._lease._renewal.remove(client._lease)  # it renews no more
         with zenoh.connect(server.endpoint) as witness:
             until(lambda: witness.status().mode is Mode.IDLE)
         assert client.run(trial(1)).outcome is Outcome.DONE

@@ -278,7 +278,8 @@ def test_repeated_failures_are_retried_at_growing_intervals(tmp_path, monkeypatc
     with rig_served() as (_, where), daemon(tmp_path, rig_table("drum", where)) as it:
         # The rig is found and prepared between two faults.
         it.until(lambda _: len(waits) > 3)
-        assert waits[:4] == pytest.approx([0.1, 0.2, 0.3, 0.3])
+        longest = [0.1, 0.2, 0.3, 0.3]
+        assert all(0.5 * b <= a <= b for a, b in zip(waits, longest, strict=False))
 
 
 def test_settings_that_do_not_suit_the_rig_pause(tmp_path):

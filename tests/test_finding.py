@@ -16,7 +16,7 @@ from estune.remote.messages.commands import Lease, Submit
 from estune.remote.state_machine.reply_codes import ReplyCode
 from estune.remote.zenoh import connect, serve
 from estune.remote.zenoh.endpoints import with_port
-from estune.remote.zenoh.remote_rig import RECORDS_MAX_BYTES
+from estune.remote.zenoh.network import RECORDS_MAX_BYTES
 from estune.remote.zenoh.zenoh_session import open_session
 from estune.trial import Outcome
 from tests.serve_rig import served

@@ -14,8 +14,7 @@ from hypothesis.stateful import (
 )
 
 from estune.errors import ProtocolError
-from estune.remote.state_machine import client, rig, trials
-from estune.remote.state_machine import state as events
+from estune.remote.state_machine import client, events, rig, trials
 from estune.remote.state_machine.client import Action, ClientInput, ClientStage
 from estune.remote.state_machine.reply_codes import OF_TRIAL, ReplyCode
 from estune.remote.state_machine.state import LEASE_S, Mode, RigAction, RigState, Transition
@@ -130,7 +129,7 @@ def test_step_handles_every_event_in_every_mode(moves):
 
 def test_step_with_a_refused_command_changes_nothing(moves):
     for state, now_s, event, move in moves:
-        if move is None or move.verdict in (ReplyCode.ACCEPTED, ReplyCode.VOID):
+        if move is None or move.reply_code in (ReplyCode.ACCEPTED, ReplyCode.VOID):
             continue
         passed = rig.step(state, events.Expire(), now_s)
         assert (move.state, move.orders) == (passed.state, passed.orders), event
@@ -180,7 +179,7 @@ def test_lease_changes_hands_only_after_its_end(moves):
 def test_estop_is_obeyed_in_every_state_and_holds_until_clear(moves):
     for state, _, event, move in moves:
         if isinstance(event, events.EstopEvent):
-            assert move.verdict is ReplyCode.ACCEPTED
+            assert move.reply_code is ReplyCode.ACCEPTED
             assert RigAction.ESTOP in move.orders
             assert move.state.latched
             assert move.state.trial is None or move.state.trial.stopping
@@ -194,8 +193,8 @@ def test_begin_is_accepted_once_and_never_while_stopping(moves):
         if not isinstance(event, events.Begin) or move is None:
             continue
         stopping = state.trial.stopping or not lives(state, now_s)
-        assert (move.verdict is ReplyCode.ACCEPTED) == (not stopping)
-        if move.verdict is ReplyCode.ACCEPTED:
+        assert (move.reply_code is ReplyCode.ACCEPTED) == (not stopping)
+        if move.reply_code is ReplyCode.ACCEPTED:
             assert move.state.mode is Mode.RUNNING
             with pytest.raises(ProtocolError, match="running cannot begin"):
                 rig.step(move.state, events.Begin(), now_s)
@@ -203,7 +202,7 @@ def test_begin_is_accepted_once_and_never_while_stopping(moves):
 
 def test_held_reply_names_the_holder(moves):
     for _, _, _, move in moves:
-        if move is not None and move.verdict is ReplyCode.HELD:
+        if move is not None and move.reply_code is ReplyCode.HELD:
             assert move.state.lease.holder in move.sentence
 
 
@@ -370,12 +369,12 @@ class Exchange(RuleBasedStateMachine):
         stored = self.ledger.get(trial_id, TrialState.UNKNOWN)
         mine = self.rig.trial is not None and self.rig.trial.trial_id == trial_id
         if verb == "lease":
-            verdict = self._rig(events.Acquire(token, "client")).verdict
+            verdict = self._rig(events.Acquire(token, "client")).reply_code
         elif verb == "submit":
             move = self._rig(events.SubmitEvent(token, trial_id, stored))
             if RigAction.TAKE_IN in move.orders:
                 return  # the reply follows once it is in the ledger
-            verdict = move.verdict
+            verdict = move.reply_code
         elif stored is TrialState.UNKNOWN and mine:
             verdict = ReplyCode.BUSY
         else:
@@ -398,7 +397,7 @@ class Exchange(RuleBasedStateMachine):
             answer = (self.boots, "submit", trial.trial_id, "", ReplyCode.ACCEPTED, None)
             self.answers.append(answer)
         elif mode is Mode.ACCEPTED:
-            if self._rig(events.Begin()).verdict is ReplyCode.ACCEPTED:
+            if self._rig(events.Begin()).reply_code is ReplyCode.ACCEPTED:
                 self._note(trial.trial_id, TrialEvent.START)
                 self.moved[trial.trial_id] = self.moved.get(trial.trial_id, 0) + 1
         else:

@@ -4,7 +4,7 @@ import logging
 import threading
 import time
 from contextlib import contextmanager
-from dataclasses import fields, replace
+from dataclasses import replace
 from queue import SimpleQueue
 
 import numpy as np
@@ -15,7 +15,6 @@ from estune.errors import ProtocolError, RigError
 from estune.remote.ledger import FileLedger, MemoryLedger
 from estune.remote.messages import VERBS, Answer, Inquire, Status, decode_part, digest
 from estune.remote.messages.commands import Cancel, Clear, Estop, Lease, SetGains, Submit, Void
-from estune.remote.state_machine import rig
 from estune.remote.state_machine.reply_codes import ReplyCode
 from estune.remote.state_machine.state import LEASE_S, Mode
 from estune.remote.state_machine.trials import TrialState
@@ -102,11 +101,11 @@ class HeldRig(ScriptedRig):
         return response(request)
 
 
-def test_verbs_all_have_a_handler_and_transitions_for_their_events():
-    for name, verb in VERBS.items():
-        assert callable(getattr(RequestHandler, name))
-        assert set(verb.events) <= set(rig.TABLE)
-        assert verb.needs_lease <= ("lease" in {field.name for field in fields(verb.message)})
+def test_verbs_all_have_a_handler():
+    assert all(callable(getattr(RequestHandler, name)) for name in VERBS)
+    assert {name for name, verb in VERBS.items() if verb.needs_lease} == {
+        *("submit", "cancel", "void", "gains"),
+    }
 
 
 # --- trials ---

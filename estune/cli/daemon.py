@@ -53,6 +53,8 @@ def daemon(
     signal.signal(signal.SIGINT, stop)
     signal.signal(signal.SIGTERM, stop)
     print(f"daemon at {service.endpoint}", flush=True)
+    if service.page_address:
+        print(f"page at {service.page_address}", flush=True)
     service.run()
 
 
@@ -81,16 +83,15 @@ def daemon_control(
     from estune.remote.zenoh.daemon_service import DaemonClient  # noqa: PLC0415  slow to import
 
     with DaemonClient(endpoint, security=security_from(security)) as client:
-        names = client.rigs() if rig is None else (rig,)
-        if not names:
-            client.status("any")  # raises: no daemon answers
         answer: Any
+        statuses = client.statuses() if rig is None else [client.status(rig)]
+        names = [status.rig for status in statuses]
         if verb == "events":
             answer = [event for name in names for event in client.events(name, limit=limit)]
         elif verb == "history":
             answer = {name: client.history(name, limit) for name in names}
         elif verb == "status":
-            answer = [client.status(name) for name in names]
+            answer = statuses
         elif len(names) > 1:
             raise InvalidInput(f"name the rig with --rig: {', '.join(names)}")
         else:

@@ -13,7 +13,7 @@ from estune.remote.messages.commands import Clear, Lease
 from estune.remote.security import OPEN, Security
 from estune.remote.state_machine.state import Mode
 from estune.remote.zenoh import connect
-from estune.remote.zenoh.remote_rig import RECORDS_MAX_BYTES
+from estune.remote.zenoh.network import RECORDS_MAX_BYTES
 from estune.remote.zenoh.zenoh_session import close_session, open_client
 from estune.trial import Outcome
 

@@ -55,6 +55,15 @@ class CheckTrials:
         state = self.chart(name)
         return None if state is None else state.smoothed / self._chart.limit
 
+    def alarm_costs(self, name: GainSet) -> tuple[float, ...]:
+        """Costs beyond which a check trial is an outlier, low and high; none without a chart."""
+        state = self.chart(name)
+        if state is None:
+            return ()
+        spread = self._chart.repeatability(state) * math.sqrt(1.0 + 1.0 / state.known)
+        half = self._chart.outlier_limit * spread
+        return math.exp(state.mean - half), math.exp(state.mean + half)
+
     def wait_s(self, name: GainSet) -> float:
         """Time until the next check trial."""
         state, every_s = self.chart(name), self._settings.watch.every_s

@@ -66,6 +66,19 @@ class MetricsTable(TomlTable):
     every_s: Positive = 15.0
 
 
+class PageTable(TomlTable):
+    """The live page in the browser.
+
+    Attributes:
+        http_port: Port of 127.0.0.1 that serves the page; 0 takes a free one.
+        allow_commands: Let the page command the daemon and stop the rigs, with a key that is part
+            of the address printed at the start.
+    """
+
+    http_port: Annotated[int, Field(ge=0, le=65535)] | None = None
+    allow_commands: bool = False
+
+
 class HookTable(TomlTable):
     """A command that is run at events, with the event as JSON on its standard input.
 
@@ -95,6 +108,9 @@ class TuningTable(SearchTable):
         confidence: Confidence level of the interval of the improvement.
         improvement_min: Relative decrease of the cost that the whole interval must exceed.
         bounds: Least and greatest value of gains, by name, in their own units.
+        max_sensitivity: Largest Ms, or "none"; 1.6 by default.
+        max_overshoot: Largest overshoot as a share of the step, or "none"; 0.05 by default.
+        min_phase_margin_deg: Smallest phase margin; none by default.
     """
 
     tuner: TunerName = DEFAULT_TUNER
@@ -179,12 +195,18 @@ class DaemonConfig(TomlTable):
     Attributes:
         state: Folder of the daemon's state, beside this file unless absolute.
         stop_within_s: Time that a stop waits for a rig that does not answer.
+        shared: Other daemons have the same rigs in their files: a rig that one of them holds is
+            left to it, and taken over when it leaves it.
+        rigs_max: Most rigs that this daemon holds at once; all by default.
     """
 
     state: Path = Field(default=Path("estune-state"), strict=False)
     stop_within_s: Positive = 30.0
+    shared: bool = False
+    rigs_max: Count | None = None
     service: ServiceTable = ServiceTable()
     metrics: MetricsTable = MetricsTable()
+    page: PageTable = PageTable()
     hook: list[HookTable] = Field(default=[])
     rig: Annotated[list[RigTable], Field(min_length=1)]
 
@@ -256,4 +278,5 @@ def plan_settings(rig: RigTable, description: RigDescription) -> dict[str, Any]:
         "repeats": tuning.repeats,
         "eta_max": tuning.eta_max,
         "tolerance": tuning.tolerance,
+        "limits": tuning.limits,
     }

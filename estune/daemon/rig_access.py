@@ -7,7 +7,7 @@ through this daemon are foreign: they are left as they are until an operator dec
 import logging
 import time
 from collections.abc import Callable
-from contextlib import ExitStack, suppress
+from contextlib import AbstractContextManager, ExitStack, nullcontext, suppress
 from datetime import UTC, datetime
 
 from estune.core.gains import Gains
@@ -17,8 +17,8 @@ from estune.daemon.supervised_rig import SupervisedRig
 from estune.daemon.supervisor_state import GainSet
 from estune.errors import EstuneError, PlantError, RigError
 from estune.remote import zenoh
-from estune.remote.security import Security
 from estune.remote.zenoh import RemoteRig
+from estune.remote.zenoh.network import Network
 from estune.run.targets import is_endpoint, open_target
 from estune.trial import Outcome, Rig, RigDescription, TrialRecord, TrialRequest, empty_record
 from estune.trial.record_checks import record_fault
@@ -34,7 +34,7 @@ _log = logging.getLogger(__name__)
 
 
 class HeldByOtherDaemon(RigError):
-    """Another daemon supervises the rig."""
+    """Another daemon, named by the message, supervises the rig."""
 
 
 class TooManyVoidTrials(RigError):
@@ -69,10 +69,19 @@ class RigAccess:
         description: The rig's last description of itself.
     """
 
-    def __init__(self, rig: Rig, opened: ExitStack, void_trials: VoidTrialCounter) -> None:
+    def __init__(
+        self,
+        rig: Rig,
+        holder: str,
+        opened: ExitStack,
+        void_trials: VoidTrialCounter,
+        turn: Callable[[], AbstractContextManager[None]],
+    ) -> None:
         """Use `open_rig`."""
         self._rig = rig
+        self._holder = holder
         self._void_trials = void_trials
+        self._turn = turn
         self.description = rig.describe()
         self.abort, self.estop, self.clear = rig.abort, rig.estop, rig.clear
         self.close = opened.close
@@ -93,13 +102,23 @@ class RigAccess:
             try:
                 self._rig.acquire()
             except RigError as error:
-                holder = self._rig.status().holder
-                if holder.startswith(HOLDER_PREFIX):
-                    message = f"held by {holder}; stop one of the two daemons"
-                    raise HeldByOtherDaemon(message) from error
+                # A lease of this process, lost in an overload, expires by itself.
+                if other := self.other_daemon():
+                    raise HeldByOtherDaemon(other) from error
                 raise
         self.description = self._rig.abort()
         return self.description
+
+    def other_daemon(self) -> str:
+        """The other daemon that holds the rig, in words; empty if none does."""
+        if not isinstance(self._rig, RemoteRig):
+            return ""
+        holder = self._rig.status().holder
+        return holder if holder.startswith(HOLDER_PREFIX) and holder != self._holder else ""
+
+    def daemons(self) -> list[str]:
+        """Instances of the daemons that have the rig, as far as they join its network."""
+        return self._rig.daemons() if isinstance(self._rig, RemoteRig) else []
 
     def apply(self, gains: Gains) -> None:
         """Makes gains the live ones, and reads them back.
@@ -125,7 +144,8 @@ class RigAccess:
             TooManyVoidTrials: too many consecutive trials were void.
         """
         try:
-            record = self._rig.run(request)
+            with self._turn():
+                record = self._rig.run(request)
         except EstuneError as error:
             if not self._has_failed(request, error):
                 raise
@@ -174,7 +194,12 @@ class RigAccess:
 
 
 def open_rig(
-    settings: RigTable, holder: str, void_trials: VoidTrialCounter, security: Security
+    settings: RigTable,
+    holder: str,
+    void_trials: VoidTrialCounter,
+    network: Network,
+    *,
+    turn: Callable[[], AbstractContextManager[None]] = nullcontext,
 ) -> RigAccess:
     """Connects to a rig.
 
@@ -182,7 +207,8 @@ def open_rig(
         settings: The rig's table.
         holder: Name of the lease holder, shown to other clients.
         void_trials: Counter that outlives the connection.
-        security: Credentials, if the rig requires authentication.
+        network: Sessions shared by all rigs of the daemon.
+        turn: The block of one trial; it waits until the trial may run.
 
     Raises:
         RigError: the rig does not answer.
@@ -193,13 +219,13 @@ def open_rig(
             remote = zenoh.connect(
                 *(settings.target, settings.name, settings.answer_within_s),
                 holder=holder,
-                security=security,
+                network=network,
             )
             opened.callback(remote.close)
             rig: Rig = remote
         else:
             rig = opened.enter_context(open_target(settings.target, settings.name))
-        return RigAccess(rig, opened.pop_all(), void_trials)
+        return RigAccess(rig, holder, opened.pop_all(), void_trials, turn)
 
 
 def apply_nominal_gains(rig: SupervisedRig, access: RigAccess, home: GainSet) -> str:
@@ -211,10 +237,16 @@ def apply_nominal_gains(rig: SupervisedRig, access: RigAccess, home: GainSet) ->
     description, store = access.acquire(), rig.store
     fault = _identity_mismatch(rig, description)
     if not fault and store.gains() and description.gains not in store.all_gain_sets():
-        fault = "" if store.fact("overrule") else _foreign_gains(description)
+        if (fellow := store.fact("fellow")) and not store.fact("overrule"):
+            rig.inherit(description.gains, f"{fellow} had the rig before, and left it these")
+            home = rig.state.home
+        else:
+            fault = "" if store.fact("overrule") else _foreign_gains(description)
     if fault:
         return fault
-    store.set_fact("overrule", None)
+    with store.transaction():
+        for fact in ("overrule", "fellow"):
+            store.set_fact(fact, None)
     if not store.gains():
         _back_up(rig, description)
     gains = store.gains()[home]

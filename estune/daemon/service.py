@@ -1,23 +1,30 @@
 """The daemon's process: one supervisor per rig, its server, metrics and notifications."""
 
 import logging
+import os
+import resource
 import secrets
+import socket
 import threading
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 
+from estune.daemon.admission import Admission
 from estune.daemon.config import DaemonConfig, ServiceTable
 from estune.daemon.events import Event
+from estune.daemon.live_page import serve_page
 from estune.daemon.metrics import MetricsServer, write_metrics
 from estune.daemon.notifications import Hooks, Notifier, log_event
+from estune.daemon.rig_access import HOLDER_PREFIX
 from estune.daemon.store import DaemonStore
 from estune.daemon.supervised_rig import SupervisedRig
-from estune.daemon.supervisor import RigSupervisor
+from estune.daemon.supervisor import RigSupervisor, Shared
 from estune.errors import EstuneError, RigError
 from estune.remote.messages.daemon import DaemonStatus
 from estune.remote.security import OPEN, Security, read_security
 from estune.remote.zenoh.daemon_service import DaemonServer
+from estune.remote.zenoh.network import Network
 from estune.remote.zenoh.zenoh_session import ListeningSession
 
 _POLL_S = 0.25
@@ -54,6 +61,7 @@ class DaemonService:
         self._stopping = threading.Event()
         self._published: dict[str, DaemonStatus] = {}
         self._written_at_s = self._watched_at_s = -float("inf")
+        _allow_open_files()
         with ExitStack() as opened:
             stores = {}
             for rig in config.rig:
@@ -69,18 +77,25 @@ class DaemonService:
                 rig.name: SupervisedRig(stores[rig.name], rig, instance, self._publish)
                 for rig in config.rig
             }
+            network = Network(security)
+            self._admission = Admission(network.renewal, len(config.rig), config.rigs_max)
+            shared = Shared(
+                f"{HOLDER_PREFIX} {instance} on {socket.gethostname()}, process {os.getpid()}",
+                *(instance, network, self._admission),
+                *(self._server if config.shared else None, config.stop_within_s),
+            )
             self._supervisors = tuple(
-                RigSupervisor(
-                    *(rig, self._supervised[rig.name]),
-                    stop_within_s=config.stop_within_s,
-                    security=security,
-                )
-                for rig in config.rig
+                RigSupervisor(rig, self._supervised[rig.name], shared) for rig in config.rig
             )
             if config.metrics.http_port is not None:
                 metrics = MetricsServer(config.metrics.http_port, self.statuses)
                 self.metrics_port = metrics.port
                 opened.callback(metrics.close)
+            self.page_address = ""
+            if config.page.http_port is not None:
+                page = serve_page(config, self._supervised, security)
+                self.page_address = page.address
+                opened.callback(page.close)
             self._opened = opened.pop_all()
 
     def statuses(self) -> list[DaemonStatus]:
@@ -99,7 +114,7 @@ class DaemonService:
                 confirmed at the end.
         """
         with self._opened:
-            self._server.serve(self._supervised)
+            self._server.serve(self._supervised, announced=not self._config.shared)
             for supervisor in self._supervisors:
                 supervisor.start()
             self._notifier.notify(READY=1, STATUS=self._summary())
@@ -117,7 +132,8 @@ class DaemonService:
         self._check_ends()
 
     def _report(self) -> None:
-        """Publishes changed states, writes the metrics, and feeds the watchdog."""
+        """Adjusts the load, publishes changed states, writes metrics, feeds the watchdog."""
+        self._admission.adjust()
         statuses = self.statuses()
         # Without the time to the next check, which changes by itself.
         lasting = {status.rig: replace(status, next_check_s=None) for status in statuses}
@@ -169,6 +185,13 @@ class DaemonService:
             self._server.show(event.as_message())
         except EstuneError as error:
             _log.debug("event not published: %s", error)
+
+
+def _allow_open_files() -> None:
+    """Raises the limit of open files to what the system permits: a rig takes up to ten."""
+    _, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    with suppress(ValueError, OSError):
+        resource.setrlimit(resource.RLIMIT_NOFILE, (hard, hard))
 
 
 def _listen(service: ServiceTable, instance: str) -> DaemonServer:

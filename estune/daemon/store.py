@@ -123,6 +123,11 @@ class DaemonStore:
                 raise RigError(f"the state of rig {rig} is in use: {error}") from error
             raise
 
+    @property
+    def changes(self) -> int:
+        """Number that differs once anything was written."""
+        return self._file.changes
+
     def transaction(self) -> AbstractContextManager[None]:
         """Commits all that is written in the block at its end, or nothing; blocks nest.
 

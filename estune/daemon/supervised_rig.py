@@ -8,8 +8,10 @@ import logging
 import math
 import threading
 from collections.abc import Callable
+from dataclasses import replace
 
 from estune.core.control_chart import ChartSignal
+from estune.core.gains import Gains
 from estune.daemon.check_trials import CheckTrials
 from estune.daemon.config import RigTable
 from estune.daemon.events import Event, EventKind
@@ -77,6 +79,7 @@ class SupervisedRig:
         session: The tuning run of this process, current or last.
         cost: Cost of the last trial, if it had one.
         refused: Why this rig is left alone: another daemon has it; empty otherwise.
+        waits_for: What is waited for, where the mode does not say it; empty otherwise.
         abort_trial: Ends the trial under way, if any, without waiting.
     """
 
@@ -92,12 +95,15 @@ class SupervisedRig:
         self.session: Session | None = None
         self.cost: float | None = None
         self.refused = ""
+        self.waits_for = ""
         self.abort_trial: Callable[[], None] = lambda: None
         self._instance = instance
         self._listener = listener
         self._since = now()
         self._lock = threading.RLock()
         self._state = next_state(store.state, SupervisorEvent.BOOT)
+        self._status: DaemonStatus | None = None
+        self._status_of: tuple[object, ...] = ()
 
     @property
     def state(self) -> SupervisorState:
@@ -123,7 +129,19 @@ class SupervisedRig:
         return CommandAnswer(result.done, result.sentence)
 
     def status(self) -> DaemonStatus:
-        """Mode, gain sets, costs and drift."""
+        """Mode, gain sets, costs and drift; made anew where something has changed."""
+        session = self.session
+        made_of = (
+            *(self.store.changes, self._state, self.live, self.cost, self.refused),
+            *(self.waits_for, session and (session.plan.run, session.number)),
+        )
+        if self._status is None or made_of != self._status_of:
+            self._status, self._status_of = self._make_status(), made_of
+        if self._status.next_check_s is None:
+            return self._status
+        return replace(self._status, next_check_s=self.checks.wait_s(self._state.home))
+
+    def _make_status(self) -> DaemonStatus:
         with self._lock:
             state, gains = self._state, self.store.gains()
             chart = self.checks.chart(state.home)
@@ -134,7 +152,7 @@ class SupervisedRig:
                 rig=self.name,
                 instance=self._instance,
                 mode=state.mode.value,
-                sentence=self.refused or state.mode.sentence,
+                sentence=self.refused or self.waits_for or state.mode.sentence,
                 paused=state.paused,
                 trouble=state.trouble,
                 live=self.live.value if self.live else "",
@@ -237,6 +255,18 @@ class SupervisedRig:
         else:
             event = SupervisorEvent.ADOPTED if accept else SupervisorEvent.PROPOSED
             self.apply_event(event, sentence, EventKind.BETTER, write, gains=str(better))
+
+    def inherit(self, gains: Gains, reason: str) -> None:
+        """Takes over the gains that another daemon left, as accepted ones without a baseline."""
+
+        def write() -> None:
+            self.store.set_gains(GainSet.CANDIDATE, None)
+            self.store.set_gains(GainSet.ACCEPTED, gains, reason)
+            self.tuning_runs.end()
+            self.checks.set_charts({})
+
+        event, facts = SupervisorEvent.INHERITED, {"gains": str(gains)}
+        self.apply_event(event, reason, EventKind.GAINS, write, **facts)
 
     def revert_to_original(self, reason: str) -> None:
         """Replaces unsafe nominal gains by the original ones, and pauses."""

@@ -2,22 +2,25 @@
 
 import logging
 import math
-import os
-import socket
+import random
 import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from functools import partial
+from typing import NamedTuple
 
 from estune.core.control_chart import ChartSignal
 from estune.daemon import rig_access
+from estune.daemon.admission import Admission
 from estune.daemon.config import RigTable
 from estune.daemon.events import EventKind
 from estune.daemon.rig_access import HeldByOtherDaemon, RigAccess, TooManyVoidTrials
 from estune.daemon.supervised_rig import Preempted, SupervisedRig
 from estune.daemon.supervisor_state import SupervisorEvent, SupervisorMode
 from estune.errors import EstuneError, Interrupted, InvalidInput, RigError, UnsafeStart
-from estune.remote.security import OPEN, Security
+from estune.remote.zenoh.daemon_service import DaemonServer
+from estune.remote.zenoh.network import Network
 from estune.run import archived_run, loop
 from estune.run.loop import Progress, TuningRun
 from estune.run.session import Phase
@@ -26,8 +29,30 @@ STUCK_AFTER_S = 120.0
 """Time without progress, beside the longest trial, after which a supervisor is stuck."""
 
 _POLL_S = 0.5
+_JITTER = 0.5
 _TRIAL_MODES = (SupervisorMode.TUNING, SupervisorMode.CONFIRMING, SupervisorMode.WATCHING)
 _log = logging.getLogger(__name__)
+
+
+class Shared(NamedTuple):
+    """What the supervisors of a daemon have in common.
+
+    Attributes:
+        holder: Name of the daemon as the holder of leases.
+        instance: Identity of this start of it.
+        network: Sessions with rigs.
+        admission: Places for rigs and turns for trials.
+        fleet: Where a rig that this daemon has is announced to the other daemons that have it in
+            their files; None if there are none.
+        stop_within_s: Time that a stop waits for a rig that does not answer.
+    """
+
+    holder: str
+    instance: str
+    network: Network
+    admission: Admission
+    fleet: DaemonServer | None
+    stop_within_s: float
 
 
 class RigSupervisor:
@@ -38,26 +63,18 @@ class RigSupervisor:
         confirmed: Whether the rig has confirmed, at the end, that the nominal gains are live.
     """
 
-    def __init__(
-        self,
-        settings: RigTable,
-        rig: SupervisedRig,
-        *,
-        stop_within_s: float,
-        security: Security = OPEN,
-    ) -> None:
+    def __init__(self, settings: RigTable, rig: SupervisedRig, shared: Shared) -> None:
         self.name = settings.name
         self.confirmed = False
         self._settings = settings
         self._rig = rig
-        self._stop_within_s = stop_within_s
-        self._security = security
+        self._shared = shared
         self._access: RigAccess | None = None
         self._void_trials = rig_access.VoidTrialCounter()
         self._consecutive_failures = 0  # since a trial or a check of the live gains succeeded
         self._in_trial = False
         self._stopping_since_s: float | None = None
-        self._step_at_s = time.monotonic()
+        self._idle_until_s = time.monotonic()
         name = f"supervisor {self.name}"
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
         rig.abort_trial = self._abort_trial
@@ -79,7 +96,7 @@ class RigSupervisor:
         allowed_s = STUCK_AFTER_S + 2.0 * min(longest_s, STUCK_AFTER_S)  # some rigs have no limit
         begun = self._thread.ident is not None
         alive = begun and self._thread.is_alive()
-        return alive and time.monotonic() - self._step_at_s > allowed_s
+        return alive and time.monotonic() - self._idle_until_s > allowed_s
 
     def _run(self) -> None:
         rig = self._rig
@@ -104,9 +121,7 @@ class RigSupervisor:
         except Preempted:
             raise
         except HeldByOtherDaemon as error:
-            self._rig.refused = str(error)
-            sentence = f"rig {self.name} is left alone: it is {error}"
-            self._rig.log_event(EventKind.FAILED, sentence)
+            self._leave_to(str(error))
         except (Interrupted, TooManyVoidTrials) as error:
             self._pause_for_operator(str(error))
         except UnsafeStart as error:
@@ -141,6 +156,18 @@ class RigSupervisor:
             case SupervisorMode.STOPPING:
                 self._restore_nominal_gains()
 
+    def _leave_to(self, holder: str) -> None:
+        """Leaves the rig to another daemon: until that one leaves it, or for good."""
+        if self._shared.fleet is not None:
+            self._rig.store.set_fact("fellow", holder)
+            self._disconnect()
+            sentence = f"held by {holder}; taken over when that daemon leaves it"
+            self._rig.apply_event(SupervisorEvent.LOST, sentence, EventKind.LOST)
+        else:
+            self._rig.refused = f"held by {holder}; stop one of the two daemons"
+            sentence = f"rig {self.name} is left alone: it is {self._rig.refused}"
+            self._rig.log_event(EventKind.FAILED, sentence)
+
     def _fail(self, why: str) -> None:
         self._disconnect()
         self._consecutive_failures += 1
@@ -164,28 +191,48 @@ class RigSupervisor:
         self._rig.mark_ready(None)
 
     def _wait_for_rig(self) -> None:
-        """Connects to the rig, after a wait that doubles with each failure."""
+        """Connects to the rig, after a wait that doubles with each failure, if there is a place.
+
+        The wait is random by half: rigs that were lost together do not return together.
+        """
         if self._rig.state.failures:
             failures = max(self._rig.state.failures, self._consecutive_failures)
             first_s, max_s = self._settings.retry_first_s, self._settings.retry_max_s
             # The exponent is bounded: a rig may be away for years.
-            if self._rest(min(max_s, first_s * 2.0 ** min(failures - 1, 30))):
+            wait_s = min(max_s, first_s * 2.0 ** min(failures - 1, 30))
+            if self._rest(wait_s * random.uniform(1.0 - _JITTER, 1.0)):  # noqa: S311  no secret
                 return
-        self._connect()
+        full = self._shared.admission.take_place(self.name)
+        if self._rig.waits_for != full:
+            self._rig.waits_for = full
+        if full:
+            self._rest(self._settings.look_every_s)
+            return
+        access = self._connect()
+        if self._shared.fleet is not None:
+            others = [other for other in access.daemons() if other != self._shared.instance]
+            if holder := access.other_daemon() or (others and f"daemon {others[0]}"):
+                raise HeldByOtherDaemon(holder)
         sentence = f"rig {self.name} answers"
         self._rig.apply_event(SupervisorEvent.FOUND, sentence, EventKind.FOUND)
 
     def _connect(self) -> RigAccess:
         self._disconnect()
-        holder = f"{rig_access.HOLDER_PREFIX} on {socket.gethostname()}, process {os.getpid()}"
-        self._access = rig_access.open_rig(
-            self._settings, holder, self._void_trials, self._security
-        )
+        shared = self._shared
+        shared.admission.take_place(self.name)
+        with shared.admission.connecting(self._settings.answer_within_s):
+            self._access = rig_access.open_rig(
+                *(self._settings, shared.holder, self._void_trials, shared.network),
+                turn=partial(shared.admission.trial, self._wait),
+            )
         return self._access
 
     def _apply_nominal_gains(self) -> None:
         access, home = self._access or self._connect(), self._rig.state.home
         fault = rig_access.apply_nominal_gains(self._rig, access, home)
+        if self._shared.fleet is not None:
+            self._shared.fleet.announce(self.name)
+        home = self._rig.state.home  # also where another daemon left other gains
         if fault:
             access.release()
             self._pause_for_operator(fault)
@@ -290,7 +337,7 @@ class RigSupervisor:
                 fault = rig_access.restore_nominal_gains(rig, access, home)
             except EstuneError as error:
                 self._disconnect()
-                if time.monotonic() - self._stopping_since_s < self._stop_within_s:
+                if time.monotonic() - self._stopping_since_s < self._shared.stop_within_s:
                     self._rest(_POLL_S)
                     return
                 fault = (
@@ -311,6 +358,17 @@ class RigSupervisor:
         if access is not None:
             with suppress(EstuneError):
                 access.close()
+        self._shared.admission.leave_place(self.name)
+        if self._shared.fleet is not None:
+            self._shared.fleet.withdraw(self.name)
+
+    def _wait(self, reason: str) -> None:
+        """While a trial waits for its turn."""
+        self._mark_progress()
+        self._rig.waits_for = reason
+        if reason and self._rig.mode not in _TRIAL_MODES:
+            self._rig.waits_for = ""
+            raise Preempted
 
     @contextmanager
     def _trials(self) -> Iterator[None]:
@@ -332,15 +390,13 @@ class RigSupervisor:
 
     def _rest(self, seconds: float) -> bool:
         """Waits; whether the state changed before the time was over."""
-        until_s = time.monotonic() + seconds
-        while (remaining_s := until_s - time.monotonic()) > 0.0:
-            self._mark_progress()
-            if self._rig.changed.wait(min(remaining_s, _POLL_S)):
-                return True
-        return False
+        self._mark_progress(seconds)
+        changed = self._rig.changed.wait(seconds)
+        self._mark_progress()
+        return changed
 
-    def _mark_progress(self) -> None:
-        self._step_at_s = time.monotonic()
+    def _mark_progress(self, idle_s: float = 0.0) -> None:
+        self._idle_until_s = time.monotonic() + idle_s
 
 
 def _finite(cost: float) -> float | None:

@@ -130,6 +130,7 @@ class SupervisorEvent(StrEnum):
 
     BOOT = "boot"
     FOUND = "found"
+    INHERITED = "inherited"
     READIED = "readied"
     CHANGED = "changed"
     LOST = "lost"
@@ -229,6 +230,10 @@ def _adopt(state: SupervisorState, reason: str) -> SupervisorState:
     return _check_gains(replace(state, goal=Goal.WATCH, home=GainSet.ACCEPTED, why=reason))
 
 
+def _inherit(state: SupervisorState, reason: str) -> SupervisorState:
+    return replace(state, goal=Goal.WATCH, home=GainSet.ACCEPTED, why=reason)
+
+
 def _accept(state: SupervisorState, reason: str) -> SupervisorState:
     if state.goal is not Goal.HOLD:
         raise InvalidInput(f"cannot accept: {_NO_CANDIDATE}")
@@ -296,6 +301,8 @@ TABLE: Mapping[SupervisorEvent, Mapping[SupervisorMode, _Cell]] = MappingProxyTy
     {
         SupervisorEvent.BOOT: _row((tuple(SupervisorMode), _boot)),
         SupervisorEvent.FOUND: _row(((*_ABSENT, *_STOPPING), _set(link=Link.FOUND))),
+        # Another daemon had the rig before, and left it other gains.
+        SupervisorEvent.INHERITED: _row(((SupervisorMode.READYING,), _inherit)),
         SupervisorEvent.READIED: _row(
             ((SupervisorMode.READYING,), _set(link=Link.READY, failures=0, trouble=""))
         ),

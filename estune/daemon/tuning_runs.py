@@ -21,6 +21,7 @@ from estune.run.plan import (
     plan_from_json,
     plan_to_json,
 )
+from estune.run.robustness import robustness_fault
 from estune.run.summary import summarise
 from estune.trial import RigDescription
 
@@ -97,6 +98,9 @@ class TuningRuns:
             return Decision(None, summarise(session).message, start_chart, None)
         change = compare_costs(start, best, settings.confidence)
         start_chart = chart(start, best)
+        fault = robustness_fault(run) if change.is_decrease else ""
+        if fault:
+            return Decision(None, f"not robust: {fault}; cost {change}", start_chart, None)
         if change.high < -settings.improvement_min:
             sentence = f"better than the initial gains: cost {change}"
             return Decision(repeats.gains[1], sentence, start_chart, chart(best, start))

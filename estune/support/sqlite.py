@@ -172,6 +172,11 @@ class SqliteFile:
                     self._connection.execute("ROLLBACK")
                 raise
 
+    @property
+    def changes(self) -> int:
+        """Number of rows that this connection has changed, committed or not."""
+        return self._connection.total_changes
+
     def is_in_place(self) -> bool:
         """Whether the path still names the file that was opened, not another or none."""
         return _inode(self.path) == self._inode

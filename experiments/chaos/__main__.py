@@ -16,11 +16,14 @@ from experiments.chaos import __doc__ as about
 from experiments.chaos import deadman, faults, supervised, verdict
 from experiments.chaos.campaign import Campaign
 from experiments.chaos.stand import Stand
-from experiments.results import Target, at_most, command_line, print_results
+from experiments.results import Target, at_least, at_most, command_line, print_results
 
-PARTS = ("estune", "plain", "daemon", "hardware", "stops")
+PARTS = ("estune", "outages", "plain", "daemon", "hardware", "stops")
 SEARCH_TRIALS = 120
 BESIDE_SEARCH = 9
+OUTAGE_SEARCH_TRIALS = 20
+FINISHED_LEAST = 0.95
+"""Least share of tunings that finish by themselves, with an outage of the network in each."""
 PAUSES_TRIALS = (0, 1, 1, 2, 4)
 NONE = (
     *("run_twice", "overlapping", "unattended", "wrong_rig", "wrong_records", "lost_records"),
@@ -51,9 +54,10 @@ class Extent(NamedTuple):
     daemon_faults: int
     losses: int
     stops: int
+    outages: int
 
 
-QUICK = Extent(faults=9, trials=30, pace=0.05, plain_share=3, daemon_faults=4, losses=1, stops=50)
+QUICK = Extent(*(9, 30), pace=0.05, plain_share=3, daemon_faults=4, losses=1, stops=50, outages=1)
 
 
 def run_campaign(
@@ -78,6 +82,23 @@ def run_campaign(
         "twins_served": diary.twins,
         "unnamed_errors": len(diary.unnamed),
         **verdict.count_violations(stand, diary),
+    }
+
+
+def suffer_outages(
+    outages: int, pace: float, seed: int, folder: Path, report: Callable[[str], None]
+) -> dict[str, Any]:
+    """Figures of tunings with an outage of the network in each, and no other fault."""
+    schedule = faults.schedule([faults.Kind.OUTAGE], (1, 4, 10), outages, seed)
+    with Stand(folder, plain=False, pace=pace) as stand:
+        campaign = Campaign(stand, schedule, OUTAGE_SEARCH_TRIALS, seed)
+        campaign.run(outages, report)
+    diary = campaign.diary
+    violations = verdict.count_violations(stand, diary)
+    return {
+        "outages": diary.faults.total(),
+        "finished_share": 1.0 - len(diary.given_up) / len(diary.errands),
+        **{name: violations[name] for name in ("run_twice", "lost_records", "gains_left")},
     }
 
 
@@ -113,7 +134,12 @@ def targets_of(figures: dict[str, Any]) -> dict[str, Target]:
     limits["stop_p99_ms"] = benchmark_link.STOP_LIMIT_MS
     targets = {name: at_most(figures[name], limit) for name, limit in limits.items()}
     daemon = {f"daemon_{name}": at_most(figures["daemon"][name], 0) for name in supervised.NONE}
-    return targets | daemon
+    outages = {
+        f"outages_{name}": at_most(figures["outages"][name], 0)
+        for name in ("run_twice", "lost_records", "gains_left")
+    }
+    finished = at_least(figures["outages"]["finished_share"], FINISHED_LEAST)
+    return targets | daemon | outages | {"outages_finished_share": finished}
 
 
 def show(figures: dict[str, Any], seconds: float) -> None:
@@ -124,6 +150,11 @@ def show(figures: dict[str, Any], seconds: float) -> None:
         print(f"{words:56}{ours[name]:10}{theirs[name]:10}")
     print("\nfaults:")
     _show_kinds(ours)
+    alone = figures["outages"]
+    print(
+        f"{alone['outages']} tunings with an outage of 1 to 20 s each: "
+        f"{alone['finished_share']:.0%} finished by themselves"
+    )
     codes = ", ".join(f"{n} with {code}" for code, n in ours["client_exits"].items())
     print(f"clients by exit code: {codes}; {seconds:.0f} s in total")
     print("\ndaemon that tunes repeatedly:")
@@ -159,7 +190,7 @@ def main() -> int:
     arguments = parser.parse_args()
     extent = QUICK
     if not arguments.quick:
-        extent = Extent(arguments.faults, arguments.trials, 0.2, 4, 140, 20, 2000)
+        extent = Extent(arguments.faults, arguments.trials, 0.2, 4, 140, 20, 2000, 20)
 
     def report(text: str) -> None:
         print(text, file=sys.stderr, flush=True)
@@ -174,6 +205,9 @@ def main() -> int:
             part.mkdir(parents=True)
         seed = arguments.seed
         figures = run_campaign(extent, seed, parts["estune"], plain=False, report=report)
+        figures["outages"] = suffer_outages(
+            *(extent.outages, extent.pace, seed, parts["outages"], report)
+        )
         figures["plain"] = run_campaign(extent, seed, parts["plain"], plain=True, report=report)
         figures["daemon"] = supervised.run_campaign(
             extent.daemon_faults, seed, QUICK.pace, parts["daemon"]

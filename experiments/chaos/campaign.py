@@ -43,6 +43,7 @@ class Diary:
         exits: Number of clients with each exit code.
         absences: Times without a client.
         errands: Tasks of the clients, in order.
+        given_up: Runs whose client ended with an error, although nobody had ended it.
         stuck: Number of times no trial ran without a fault.
         twins: Number of twins that were served.
         unnamed: Error output of clients with an undocumented exit code.
@@ -52,6 +53,7 @@ class Diary:
     exits: Counter[int] = field(default_factory=Counter)
     absences: list[Absence] = field(default_factory=list)
     errands: list[Errand] = field(default_factory=list)
+    given_up: set[str] = field(default_factory=set)
     stuck: int = 0
     twins: int = 0
     unnamed: list[str] = field(default_factory=list)
@@ -133,6 +135,8 @@ class Campaign:
         code = end(client)
         self._alone_since_s = time.monotonic()
         self.diary.exits[code] += 1
+        if code not in (0, INTERRUPTED, -signal.SIGKILL):
+            self.diary.given_up.add(errand.run)
         if code not in NAMED and code != -signal.SIGKILL:
             self.diary.unnamed.append(self._errors.read_text(encoding="utf-8")[-3000:])
         if code == 0:
@@ -195,6 +199,7 @@ class Campaign:
         rival = f"rival{self.diary.faults[kind]}"
         states: dict[str, Callable[[], contextlib.AbstractContextManager[object]]] = {
             Kind.HANG: lambda: faults.stalled(stand.wires, "both"),
+            Kind.OUTAGE: lambda: faults.stalled(stand.wires, "both"),
             Kind.HANG_THERE: lambda: faults.stalled(stand.wires, "there"),
             Kind.HANG_BACK: lambda: faults.stalled(stand.wires, "back"),
             Kind.STOP_CLIENT: lambda: faults.frozen(self._live_client),

@@ -17,6 +17,9 @@ LEASE_S = 1.0
 DURATIONS_S = (0.3, 1.3, 2.8)
 """Shorter than the lease, longer, and longer than Zenoh's own timeout for a silent peer."""
 
+OUTAGE_S = 1.0, 20.0
+"""Shortest and longest outage of the network; a client waits 30 s by default."""
+
 DISK_FULL_BYTES = 8192
 """File size limit of a process whose disk is full."""
 
@@ -25,6 +28,7 @@ class Kind(StrEnum):
     """Kind of a fault of the link."""
 
     CUT = "connections cut"
+    OUTAGE = "the network is down for 1 to 20 s"
     LOSE = "a reply lost with its connection"
     HANG = "the network hangs"
     HANG_THERE = "nothing reaches the rig"
@@ -65,7 +69,7 @@ def schedule(
     return [
         Fault(
             kind,
-            random.choice(DURATIONS_S),
+            random.uniform(*OUTAGE_S) if kind is Kind.OUTAGE else random.choice(DURATIONS_S),
             random.choice(pauses_trials),
             random.uniform(0.0, 0.1),
         )

@@ -9,7 +9,6 @@ from typing import Any, Literal, NamedTuple
 
 from estune.core.gains import Gains
 from estune.remote.messages.codec import Message
-from estune.remote.state_machine import state as events
 from estune.trial import TrialRequest
 
 
@@ -142,50 +141,40 @@ class Verb(NamedTuple):
 
     Attributes:
         message: Class of its payload.
-        events: Events of the state machine that it causes.
-        needs_lease: Whether only the lease holder may send it.
         reply: The reply, in words of the protocol page.
-        threads: Number of threads that serve it.
+        threads: Number of threads that serve it alone; 0 for one that it shares.
     """
 
     message: type[Message]
-    events: tuple[type[events.Event], ...]
-    needs_lease: bool
     reply: str = "[Answer](#answer)"
-    threads: int = 1
+    threads: int = 0
+
+    @property
+    def needs_lease(self) -> bool:
+        """Whether only the lease holder may send it: it has to name its lease."""
+        names = {field.name for field in fields(self.message)}  # type: ignore[arg-type]
+        return self.message is not Lease and "lease" in names
 
 
 VERBS: Mapping[str, Verb] = MappingProxyType(
     {
-        "lease": Verb(Lease, (events.Acquire, events.Renew, events.Release), needs_lease=False),
+        "lease": Verb(Lease, threads=1),
         "submit": Verb(
             Submit,
-            (events.SubmitEvent,),
-            needs_lease=True,
-            reply="[Answer](#answer), or the record's frame (section 5) if it is at hand",
+            "[Answer](#answer), or the record's frame (section 5) if it is at hand",
             threads=2,  # one of them may be running a trial
         ),
         "cancel": Verb(
             Cancel,
-            (events.CancelEvent,),
-            needs_lease=True,
-            reply="[Answer](#answer); its `trial_id` names the trial that has not ended yet, and "
+            "[Answer](#answer); its `trial_id` names the trial that has not ended yet, and "
             "is empty once none is active",
         ),
-        "void": Verb(
-            Void,
-            (events.VoidEvent,),
-            needs_lease=True,
-            reply="[Answer](#answer): `void`, or the trial's state in the ledger",
-        ),
-        "gains": Verb(SetGains, (events.SetGainsEvent,), needs_lease=True),
+        "void": Verb(Void, "[Answer](#answer): `void`, or the trial's state in the ledger"),
+        "gains": Verb(SetGains),
         "estop": Verb(
-            Estop,
-            (events.EstopEvent,),
-            needs_lease=False,
-            reply="[Answer](#answer), once the rig is on its way to its safe state",
+            Estop, "[Answer](#answer), once the rig is on its way to its safe state", threads=1
         ),
-        "clear": Verb(Clear, (events.ClearEvent,), needs_lease=False),
+        "clear": Verb(Clear),
     }
 )
 """All commands, by verb: the table from which server, client and protocol page are made."""

@@ -29,6 +29,12 @@ ROWS_MAX = 1000
 ANY_DAEMON = "reel/v1/*/daemon/alive/*"
 """Matches the liveliness tokens of the daemons of all rigs."""
 
+ANY_QUERY = "reel/v1/*/daemon/*"
+"""Matches the queries of all rigs, about any topic."""
+
+ANY_STATUS = "reel/v1/*/daemon/status"
+"""Matches the query of the status of all rigs."""
+
 
 @dataclass(frozen=True, slots=True)
 class DaemonKeys:
@@ -52,6 +58,11 @@ class DaemonKeys:
     def about(self, topic: Literal["status", "history", "events"]) -> str:
         """Query of a topic."""
         return f"{self.root}/{topic}"
+
+
+def any_command(instance: str) -> str:
+    """Matches the commands of all rigs to an instance."""
+    return f"reel/v1/*/daemon/@cmd/{instance}/*"
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,12 +10,12 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 
 from estune.errors import ProtocolError
-from estune.remote.state_machine import state as events
+from estune.remote.state_machine import events
 from estune.remote.state_machine.reply_codes import OF_TRIAL, ReplyCode
 from estune.remote.state_machine.state import (
     LEASE_S,
     AcceptedTrial,
-    Lease,
+    GrantedLease,
     Mode,
     RigAction,
     RigState,
@@ -48,7 +48,9 @@ def lease(state: RigState, event: events.Acquire, now_s: float) -> Transition:
         return Transition(state, ReplyCode.HELD, _held(current))
     if state.closed:
         return refuse_closed(state, event, now_s)
-    return Transition(state._replace(lease=Lease(event.token, event.holder, now_s + LEASE_S)))
+    return Transition(
+        state._replace(lease=GrantedLease(event.token, event.holder, now_s + LEASE_S))
+    )
 
 
 def renew(state: RigState, event: events.Renew, now_s: float) -> Transition:
@@ -275,7 +277,7 @@ def _stopping(state: RigState, reason: str) -> Transition:
     return Transition(stopped, orders=(RigAction.STOP,))
 
 
-def _held(current: Lease) -> str:
+def _held(current: GrantedLease) -> str:
     return f"the rig is held by {current.holder}; wait until the holder releases it"
 
 

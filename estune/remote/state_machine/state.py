@@ -1,11 +1,9 @@
-"""State of a rig in the protocol, the events that change it, and the actions they require."""
+"""State of a rig in the protocol, and the actions that its transitions require."""
 
-from dataclasses import dataclass
 from enum import StrEnum
 from typing import NamedTuple
 
 from estune.remote.state_machine.reply_codes import ReplyCode
-from estune.remote.state_machine.trials import TrialState
 
 LEASE_S = 1.0
 """Time a lease lasts without renewal, s; the active trial is stopped when it expires."""
@@ -44,7 +42,7 @@ _MODES = {
 }
 
 
-class Lease(NamedTuple):
+class GrantedLease(NamedTuple):
     """Right of one client to command the rig.
 
     Attributes:
@@ -78,7 +76,7 @@ class RigState(NamedTuple):
         ended: Number of trials ended since the start.
     """
 
-    lease: Lease | None = None
+    lease: GrantedLease | None = None
     trial: AcceptedTrial | None = None
     latched: str = ""
     closed: bool = False
@@ -117,133 +115,12 @@ class Transition(NamedTuple):
 
     Attributes:
         state: Next state.
-        verdict: Reply code.
+        reply_code: Reply code.
         sentence: Reason of a refusal; may be empty.
         orders: Actions to execute now, in this order.
     """
 
     state: RigState
-    verdict: ReplyCode = ReplyCode.ACCEPTED
+    reply_code: ReplyCode = ReplyCode.ACCEPTED
     sentence: str = ""
     orders: tuple[RigAction, ...] = ()
-
-
-# --- events ---
-
-
-@dataclass(frozen=True, slots=True)
-class Acquire:
-    """A client requests or extends the lease."""
-
-    token: str
-    holder: str
-
-
-@dataclass(frozen=True, slots=True)
-class Renew:
-    """A client renews its lease."""
-
-    token: str
-
-
-@dataclass(frozen=True, slots=True)
-class Release:
-    """A client returns its lease."""
-
-    token: str
-
-
-@dataclass(frozen=True, slots=True)
-class Expire:
-    """Time has passed."""
-
-
-@dataclass(frozen=True, slots=True)
-class SubmitEvent:
-    """A client submits a trial.
-
-    Attributes:
-        token: The client's lease.
-        trial_id: Its id.
-        known: Its state in the ledger.
-        objection: Reason why the rig must not run it; empty if it may.
-    """
-
-    token: str
-    trial_id: str
-    known: TrialState
-    objection: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class CancelEvent:
-    """A client cancels the active trial: the one named, or any where no id is given."""
-
-    token: str
-    trial_id: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class VoidEvent:
-    """A client voids a trial: it must never run, even if its submit still arrives."""
-
-    token: str
-    trial_id: str
-    known: TrialState
-
-
-@dataclass(frozen=True, slots=True)
-class SetGainsEvent:
-    """A client sets the live gains."""
-
-    token: str
-
-
-@dataclass(frozen=True, slots=True)
-class EstopEvent:
-    """Emergency stop, by any client at any time."""
-
-    reason: str
-
-
-@dataclass(frozen=True, slots=True)
-class ClearEvent:
-    """A client resets the emergency stop."""
-
-
-@dataclass(frozen=True, slots=True)
-class Noted:
-    """The ledger holds the accepted trial."""
-
-
-@dataclass(frozen=True, slots=True)
-class Begin:
-    """The active trial is about to move the rig; it must not unless this is accepted."""
-
-
-@dataclass(frozen=True, slots=True)
-class End:
-    """The active trial is over, the live gains are restored, and the ledger holds its end."""
-
-
-@dataclass(frozen=True, slots=True)
-class Close:
-    """The rig's program shuts down."""
-
-
-Event = (
-    Acquire
-    | Renew
-    | Release
-    | Expire
-    | SubmitEvent
-    | CancelEvent
-    | VoidEvent
-    | SetGainsEvent
-    | EstopEvent
-    | ClearEvent
-    | Noted
-    | Begin
-    | End
-    | Close
-)

@@ -3,7 +3,7 @@
 import logging
 import secrets
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from typing import Literal, Protocol, Self, TypeVar
 
@@ -14,6 +14,8 @@ from estune.remote.messages.codec import Message, decode, encode
 from estune.remote.messages.daemon import (
     ANSWER_MAX_BYTES,
     ANY_DAEMON,
+    ANY_QUERY,
+    ANY_STATUS,
     DAEMON_VERBS,
     Command,
     CommandAnswer,
@@ -24,13 +26,13 @@ from estune.remote.messages.daemon import (
     Events,
     History,
     Request,
+    any_command,
 )
 from estune.remote.security import OPEN, Security
 from estune.remote.zenoh.endpoints import check_endpoint
 from estune.remote.zenoh.zenoh_session import (
     AGAIN_S,
     ListeningSession,
-    Reply,
     close_session,
     open_client,
 )
@@ -39,6 +41,7 @@ ASK_S = 2.0
 
 _log = logging.getLogger(__name__)
 _Reply = TypeVar("_Reply", bound=Message)
+_Answer = Callable[[bytes], Message]
 
 
 class Supervised(Protocol):
@@ -73,17 +76,43 @@ class DaemonServer:
         self.endpoint = session.endpoint
         self._session = session
 
-    def serve(self, rigs: Mapping[str, Supervised]) -> None:
-        """Starts to serve rigs, by name."""
+    def serve(self, rigs: Mapping[str, Supervised], *, announced: bool = True) -> None:
+        """Starts to serve rigs, by name, and announces them, or leaves that to `announce`.
+
+        Commands do not wait for queries. A wildcard query is answered for all rigs.
+        """
+        session, instance = self._session, self._session.instance
+        commands: dict[str, _Answer] = {}
+        queries: dict[str, _Answer] = {}
         for rig, supervised in rigs.items():
             keys = DaemonKeys(rig)
             for verb in DAEMON_VERBS:
-                command = partial(_execute, supervised, verb)
-                self._serve(keys.command(self._session.instance, verb), command)
-            self._serve(keys.about("status"), partial(_status, supervised))
-            self._serve(keys.about("history"), partial(_rows, supervised.history))
-            self._serve(keys.about("events"), partial(_rows, supervised.events))
-            self._session.announce(keys.alive(self._session.instance))
+                commands[keys.command(instance, verb)] = partial(_execute, supervised, verb)
+            queries[keys.about("status")] = partial(_status, supervised)
+            queries[keys.about("history")] = partial(_rows, supervised.history)
+            queries[keys.about("events")] = partial(_rows, supervised.events)
+
+        def command(key: str, payload: bytes) -> Iterator[tuple[str, bytes]]:
+            if key in commands:
+                yield key, _encoded(key, commands[key], payload)
+
+        def query(asked: str, payload: bytes) -> Iterator[tuple[str, bytes]]:
+            wildcard = zenoh.KeyExpr(asked)
+            for key in [asked] if asked in queries else filter(wildcard.intersects, queries):
+                yield key, _encoded(key, queries[key], payload)
+
+        session.serve_many(any_command(instance), command, session.lane())
+        session.serve_many(ANY_QUERY, query, session.lane())
+        for rig in rigs if announced else ():
+            self.announce(rig)
+
+    def announce(self, rig: str) -> None:
+        """Announces that this daemon has a rig."""
+        self._session.announce(DaemonKeys(rig).alive(self._session.instance))
+
+    def withdraw(self, rig: str) -> None:
+        """Announces that it has the rig no longer."""
+        self._session.withdraw(DaemonKeys(rig).alive(self._session.instance))
 
     def show(self, message: DaemonStatus | EventMessage) -> None:
         """Publishes; a subscriber that is too slow misses it."""
@@ -95,9 +124,6 @@ class DaemonServer:
     def close(self) -> None:
         """Releases the endpoint."""
         self._session.close()
-
-    def _serve(self, key: str, answer: Callable[[bytes], Message]) -> None:
-        self._session.serve(key, partial(_reply_to, key, answer))
 
 
 def _execute(supervised: Supervised, verb: DaemonVerb, payload: bytes) -> CommandAnswer:
@@ -112,17 +138,16 @@ def _rows(query: Callable[[Request], Message], payload: bytes) -> Message:
     return query(decode(Request, payload or b"{}"))
 
 
-def _reply_to(key: str, answer: Callable[[bytes], Message], payload: bytes, reply: Reply) -> None:
-    """Replies with the answer, or with the error that prevents it."""
+def _encoded(key: str, answer: _Answer, payload: bytes) -> bytes:
+    """The answer, or the error that prevents it."""
     try:
-        data = encode(answer(payload))
+        return encode(answer(payload))
     except EstuneError as error:
-        data = encode(CommandAnswer(done=False, sentence=str(error)))
+        sentence = str(error)
     except Exception as error:  # noqa: BLE001  a client waits for a reply
         _log.exception("no answer to %s", key)
         sentence = f"{type(error).__name__}: {error}"
-        data = encode(CommandAnswer(done=False, sentence=sentence))
-    reply(data)
+    return encode(CommandAnswer(done=False, sentence=sentence))
 
 
 class DaemonClient:
@@ -149,7 +174,23 @@ class DaemonClient:
 
     def rigs(self) -> tuple[str, ...]:
         """The supervised rigs, by name."""
-        return tuple(sorted({rig for rig, _ in self._present(ANY_DAEMON)}))
+        return tuple(sorted({key.split("/")[2] for key in _present(self._session, ANY_DAEMON)}))
+
+    def statuses(self) -> list[DaemonStatus]:
+        """Current state of every rig, by name, from one query of all daemons.
+
+        A rig in the files of several daemons is told by the one that has it.
+        """
+        found: dict[str, DaemonStatus] = {}
+        deadline_s = time.monotonic() + self._timeout_s
+        while not found:
+            for data in self._replies(ANY_STATUS, b""):
+                status = decode(DaemonStatus, data)
+                if status.rig not in found or status.live:
+                    found[status.rig] = status
+            if not found and time.monotonic() > deadline_s:
+                raise RigError(f"no daemon answers at {self.endpoint}")
+        return [found[rig] for rig in sorted(found)]
 
     def status(self, rig: str) -> DaemonStatus:
         """Current state of the supervision of a rig."""
@@ -201,21 +242,25 @@ class DaemonClient:
     def _ask(self, rig: str, key: Callable[[], str], payload: bytes) -> bytes:
         deadline_s = time.monotonic() + self._timeout_s
         while True:
-            for reply in self._session.get(
-                key(),
-                payload=payload,
-                timeout=ASK_S,
-                target=zenoh.QueryTarget.ALL,
-                consolidation=zenoh.ConsolidationMode.NONE,
-            ):
-                if reply.ok is not None:
-                    return reply.ok.payload.to_bytes()
+            for data in self._replies(key(), payload):
+                return data
             if time.monotonic() > deadline_s:
                 raise RigError(self._no_answer(rig))
             time.sleep(AGAIN_S)
 
+    def _replies(self, key: str, payload: bytes) -> Iterator[bytes]:
+        for reply in self._session.get(
+            key,
+            payload=payload,
+            timeout=ASK_S,
+            target=zenoh.QueryTarget.ALL,
+            consolidation=zenoh.ConsolidationMode.NONE,
+        ):
+            if reply.ok is not None:
+                yield reply.ok.payload.to_bytes()
+
     def _instance(self, rig: str) -> str:
-        instances = [instance for _, instance in self._present(DaemonKeys(rig).alive("*"))]
+        instances = daemon_instances(self._session, rig)
         if len(instances) > 1:
             raise RigError(
                 f"{len(instances)} daemons supervise rig {rig!r}; stop all but one of them"
@@ -234,7 +279,13 @@ class DaemonClient:
         there = f"; there is: {', '.join(rigs)}" if rigs else ""
         return f"no daemon at {self.endpoint} answers for rig {rig!r}{there}"
 
-    def _present(self, key: str) -> set[tuple[str, str]]:
-        replies = self._session.liveliness().get(key, timeout=ASK_S)
-        words = [str(reply.ok.key_expr).split("/") for reply in replies if reply.ok is not None]
-        return {(word[2], word[5]) for word in words}
+
+def daemon_instances(session: zenoh.Session, rig: str) -> list[str]:
+    """Instances of the daemons that have announced a rig."""
+    return sorted(key.rpartition("/")[2] for key in _present(session, DaemonKeys(rig).alive("*")))
+
+
+def _present(session: zenoh.Session, key: str) -> set[str]:
+    """Liveliness tokens that match a key."""
+    replies = session.liveliness().get(key, timeout=ASK_S)
+    return {str(reply.ok.key_expr) for reply in replies if reply.ok is not None}

@@ -25,10 +25,13 @@ from estune.remote.messages.commands import Cancel, Clear, Estop, SetGains, Void
 from estune.remote.security import OPEN, Security
 from estune.remote.state_machine.client import Action
 from estune.remote.state_machine.reply_codes import ReplyCode
+from estune.remote.zenoh.client_lease import ClientLease
+from estune.remote.zenoh.daemon_service import daemon_instances
 from estune.remote.zenoh.endpoints import check_endpoint
-from estune.remote.zenoh.rig_connection import LeaseRenewer, RigConnection, present_at
+from estune.remote.zenoh.network import Network
+from estune.remote.zenoh.rig_connection import RigConnection, present_at
 from estune.remote.zenoh.trial_exchange import TrialExchange
-from estune.remote.zenoh.zenoh_session import AGAIN_S, close_session, open_client
+from estune.remote.zenoh.zenoh_session import AGAIN_S, close_session
 from estune.trial import (
     Outcome,
     RigDescription,
@@ -36,11 +39,7 @@ from estune.trial import (
     TrialRecord,
     TrialRequest,
     empty_record,
-    record_frame,
 )
-
-RECORDS_MAX_BYTES = record_frame.MAX_BYTES + 2**16
-"""Largest message that a client accepts."""
 
 _SAMPLES_WAITING_MAX = 64
 _STOPPED_WITHIN_S = 0.3
@@ -54,6 +53,7 @@ def connect(
     patience_s: float | None = None,
     holder: str = "",
     security: Security = OPEN,
+    network: Network | None = None,
 ) -> "RemoteRig":
     """Connects to a rig.
 
@@ -66,6 +66,7 @@ def connect(
             that is alive.
         holder: Name of the lease holder, as others see it; user, machine and process by default.
         security: Credentials, if the rig requires authentication.
+        network: Sessions shared with other rigs, in place of `security`; a new one by default.
 
     Raises:
         InvalidInput: the endpoint or the name is malformed, or the time is not above zero.
@@ -80,14 +81,15 @@ def connect(
         if time_s is not None and not (math.isfinite(time_s) and time_s > 0.0):
             raise InvalidInput(f"{name} is {time_s} s; it must be finite and above zero")
     deadline_s = time.monotonic() + timeout_s
-    session = _open(endpoint, security, deadline_s)
+    network = network or Network(security)
+    session = network.join(endpoint, deadline_s)
     try:
         presence = _find(session, endpoint, rig, deadline_s)
         connection = RigConnection(session, endpoint, presence, timeout_s, patience_s)
-        return RemoteRig(connection, partial(_open, endpoint, security), holder or _holder())
     except BaseException:
-        close_session(session)
+        network.leave(endpoint)
         raise
+    return RemoteRig(connection, network, endpoint, holder or _holder())
 
 
 def discover_rigs(
@@ -105,7 +107,7 @@ def discover_rigs(
         RigError: nothing listens there.
     """
     check_endpoint(endpoint)
-    session = _open(endpoint, security, time.monotonic() + timeout_s)
+    session = Network(security).open(endpoint, time.monotonic() + timeout_s)
     try:
         return tuple(sorted(present_at(session, messages.ANY_RIG), key=attrgetter("rig")))
     finally:
@@ -133,11 +135,6 @@ def _holder() -> str:
     return f"{user}@{socket.gethostname()}, process {os.getpid()}"
 
 
-def _open(endpoint: str, security: Security, deadline_s: float) -> zenoh.Session:
-    remedy = f"a rig there with: estune serve --listen {endpoint}"
-    return open_client(endpoint, RECORDS_MAX_BYTES, security, deadline_s, remedy)
-
-
 class RemoteRig:
     """A rig in another process: the `Rig` protocol over Zenoh. Made by `connect`.
 
@@ -151,22 +148,26 @@ class RemoteRig:
     """
 
     def __init__(
-        self,
-        connection: RigConnection,
-        reopen: Callable[[float], zenoh.Session],
-        holder: str,
+        self, connection: RigConnection, network: Network, endpoint: str, holder: str
     ) -> None:
         self.name = connection.name
         self._connection = connection
-        self._lease = LeaseRenewer(connection, holder)
-        self._stop_session = _StopSession(reopen)
-        # Closes all of it, too, when this object is deleted or the interpreter ends.
-        self._finish = weakref.finalize(self, _close, self._lease, self._stop_session, connection)
+        self._lease = ClientLease(connection, network.renewal, holder)
+        self._stop_session = _StopSession(partial(network.open, endpoint))
         self._changed = threading.Event()
         wake = zenoh.handlers.Callback(_setter(self._changed), indirect=False)
-        connection.session.declare_subscriber(connection.keys.status, wake)
+        status = connection.session.declare_subscriber(connection.keys.status, wake)
+        ends = [self._lease.release, self._stop_session.close, connection.close]
+        # Closes all of it, too, when this object is deleted or the interpreter ends.
+        self._finish = weakref.finalize(
+            self, _close, [*ends, status.undeclare, partial(network.leave, endpoint)]
+        )
         self._unanswered: tuple[str, str] | None = None
-        self.describe()
+        try:
+            self.describe()
+        except BaseException:
+            self.close()
+            raise
 
     def describe(self) -> RigDescription:
         """Properties of the rig, with its live gains."""
@@ -277,6 +278,10 @@ class RemoteRig:
         with self._connection.session.declare_subscriber(key, ring) as subscriber:
             yield map(_live, subscriber)
 
+    def daemons(self) -> list[str]:
+        """Instances of the daemons that supervise the rig, as far as they join its network."""
+        return daemon_instances(self._connection.session, self.name)
+
     def acquire(self) -> None:
         """Acquires the lease now, rather than with the first command."""
         self._lease.hold()
@@ -334,10 +339,10 @@ class _StopSession:
             close_session(self.session)
 
 
-def _close(lease: LeaseRenewer, stops: _StopSession, connection: RigConnection) -> None:
-    lease.close()
-    stops.close()
-    connection.close()
+def _close(ends: list[Callable[[], object]]) -> None:
+    for end in ends:
+        with suppress(zenoh.ZError):
+            end()
 
 
 def _live(sample: zenoh.Sample) -> Telemetry:

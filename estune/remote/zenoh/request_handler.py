@@ -28,7 +28,7 @@ from estune.remote.messages import (
     refusal,
 )
 from estune.remote.messages.codec import Message
-from estune.remote.state_machine import state as events
+from estune.remote.state_machine import events
 from estune.remote.state_machine.reply_codes import OF_TRIAL, ReplyCode
 from estune.remote.state_machine.state import RigAction, Transition
 from estune.remote.state_machine.trials import TrialEvent, TrialState
@@ -184,7 +184,7 @@ class RequestHandler:
             event = events.CancelEvent(command.lease, command.trial_id)
             move = self._shared.step(event, now_s)
             trial = self._shared.trial
-            if move.verdict is not ReplyCode.ACCEPTED:
+            if move.reply_code is not ReplyCode.ACCEPTED:
                 return _answer(move)
             if trial is None or command.trial_id not in ("", trial.request.trial_id):
                 return Answer(ReplyCode.ACCEPTED)
@@ -285,6 +285,11 @@ class RequestHandler:
         """Properties of the rig; during a trial those before it."""
         return Description(self._executor.describe(), self._instance, self._ledger.identity)
 
+    @property
+    def is_showing(self) -> bool:
+        """Whether a trial is active whose samples the rig provides."""
+        return self._shared.trial is not None and isinstance(self._rig, TelemetrySource)
+
     def telemetry(self, after: int) -> Telemetry | None:
         """Samples of the active trial from index `after` on, if the rig provides them."""
         if self._shared.trial is None or not isinstance(self._rig, TelemetrySource):
@@ -312,11 +317,11 @@ class RequestHandler:
     ) -> Answer | bytes:
         """Reply to a submit that was not accepted. The lock is held."""
         trial = self._shared.trial
-        if move.verdict is ReplyCode.BUSY and trial is not None:
+        if move.reply_code is ReplyCode.BUSY and trial is not None:
             return _answer(move, trial.request.trial_id)
         if entry.state is not TrialState.UNKNOWN:
             return reply_from_ledger(trial_id, entry)
-        if move.verdict is ReplyCode.REFUSED:
+        if move.reply_code is ReplyCode.REFUSED:
             return refusal(violation or RigError(move.sentence), trial_id)
         return _answer(move, trial_id)
 
@@ -361,4 +366,4 @@ class RequestHandler:
 
 
 def _answer(move: Transition, trial_id: str = "") -> Answer:
-    return Answer(move.verdict, trial_id, sentence=move.sentence)
+    return Answer(move.reply_code, trial_id, sentence=move.sentence)

@@ -1,29 +1,22 @@
-"""Client connection to one rig: queries through silence and restarts, and the lease."""
+"""Client connection to one rig: queries through silence and restarts."""
 
 import logging
-import secrets
-import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import zenoh
 
 from estune.errors import RigError
 from estune.remote import messages
-from estune.remote.messages import HOLDER_MAX, Answer, Description, Keys, Presence
+from estune.remote.messages import Answer, Description, Keys, Presence
 from estune.remote.messages.codec import Message
-from estune.remote.messages.commands import VERB_OF, Lease
+from estune.remote.messages.commands import VERB_OF
 from estune.remote.state_machine.client import PATIENCE_S, ClientInput
-from estune.remote.state_machine.reply_codes import ReplyCode
-from estune.remote.state_machine.state import LEASE_S, RENEW_S
-from estune.remote.zenoh.zenoh_session import AGAIN_S, close_session
+from estune.remote.zenoh.zenoh_session import AGAIN_S
 
 ASK_S = 1.0
-_RENEWED_WITHIN_S = 0.3
-_HELD_WITHIN_S = 1.5 * LEASE_S
-_END_WITHIN_S = 2.0
 _REPORTED_AFTER_S = 1.5
 
 _log = logging.getLogger(__name__)
@@ -87,9 +80,8 @@ class RigConnection:
         return self.about
 
     def close(self) -> None:
-        """Closes the connection; further queries are refused."""
+        """Refuses further queries."""
         self.closed = True
-        close_session(self.session)
 
     def command_key(self, command: Message) -> str:
         """Key of a command to the current instance."""
@@ -108,38 +100,64 @@ class RigConnection:
         *,
         timeout_s: float = ASK_S,
         session: zenoh.Session | None = None,
-        priority: zenoh.Priority | None = None,
+        priority: zenoh.Priority = zenoh.Priority.DATA,
     ) -> bytes | None:
         """Reply of this instance; None on timeout, which is not a refusal.
 
         Raises:
             RigError: the connection was closed, or the link has failed.
         """
-        if self.closed:
-            raise RigError(f"rig {self.name!r} was closed; connect again")
-        try:
+        with self._link_failures():
+            # Receives the replies of all rigs of the name, and selects its own.
             replies = (session or self.session).get(
-                key,
-                payload=payload,
-                timeout=timeout_s,
-                priority=priority,
-                express=priority is not None,
-                # Receives the replies of all rigs of the name, and selects its own.
-                target=zenoh.QueryTarget.ALL,
-                consolidation=zenoh.ConsolidationMode.NONE,
+                key, payload=payload, timeout=timeout_s, **_query_settings(priority)
             )
             for reply in replies:
-                sample = reply.ok
-                if sample is None or sample.attachment is None:
-                    continue
-                if sample.attachment.to_bytes() == self.instance.encode():
+                if (data := self.own_reply(reply)) is not None:
                     if self._waiting:
                         self._waiting = False
                         _log.warning("%s replies again", self._label)
-                    return sample.payload.to_bytes()
+                    return data
+        return None
+
+    def send(
+        self, command: Message, receive: Callable[[zenoh.Reply], None], timeout_s: float
+    ) -> None:
+        """Sends a command before all others, or not at all where the network is congested.
+
+        Replies of all rigs of the name reach `receive`, in a thread of the network that must not
+        wait.
+
+        Raises:
+            RigError: the connection was closed, or the link has failed.
+        """
+        with self._link_failures():
+            self.session.get(
+                self.command_key(command),
+                zenoh.handlers.Callback(receive, indirect=False),
+                payload=messages.encode(command),
+                timeout=timeout_s,
+                congestion_control=zenoh.CongestionControl.DROP,
+                **_query_settings(zenoh.Priority.INTERACTIVE_HIGH),
+            )
+
+    def own_reply(self, reply: zenoh.Reply) -> bytes | None:
+        """Payload of a reply of this instance; None of any other."""
+        sample = reply.ok
+        if sample is None or sample.attachment is None:
+            return None
+        own = sample.attachment.to_bytes() == self.instance.encode()
+        return sample.payload.to_bytes() if own else None
+
+    @contextmanager
+    def _link_failures(self) -> Iterator[None]:
+        """Refuses a closed connection, and converts errors of the transport."""
+        if self.closed:
+            raise RigError(f"rig {self.name!r} was closed; connect again")
+        try:
+            yield
         except zenoh.ZError as error:
             raise RigError(f"rig {self.name!r}: the link has failed ({error})") from error
-        return None
 
     def query_until_answered(
         self, key: Callable[[], str], payload: bytes, unknown: str = ""
@@ -227,97 +245,11 @@ def present_at(session: zenoh.Session, key: str) -> set[Presence]:
     return {Presence.parse(str(reply.ok.key_expr)) for reply in replies if reply.ok is not None}
 
 
-class LeaseRenewer:
-    """Acquires the lease when it is first needed, and renews it from a thread of its own.
-
-    The thread waits only on the network and the clock, so that it continues while the main thread
-    computes. It refers to the connection, not to the rig: a rig no longer referred to is closed.
-    """
-
-    def __init__(self, connection: RigConnection, holder: str) -> None:
-        self._connection = connection
-        self._holder = holder[:HOLDER_MAX]
-        self._lock = threading.Lock()
-        self._token = ""
-        self._ended = threading.Event()
-        self._needed = threading.Event()
-        self._thread: threading.Thread | None = None
-
-    @property
-    def token(self) -> str:
-        """The lease held, as far as is known; empty without one."""
-        return self._token
-
-    def hold(self) -> str:
-        """The lease; acquires one if none is held."""
-        if self._token:
-            return self._token
-        with self._lock:
-            asked_s = time.monotonic()
-            while not self._token:
-                token = secrets.token_hex(8)
-                answer = self._connection.command(Lease("acquire", token, self._holder))
-                if answer.verdict is ReplyCode.REFUSED:
-                    answer.check()
-                if answer.verdict is ReplyCode.ACCEPTED:
-                    self._token = token
-                # The lease of a client that was killed expires by itself.
-                elif time.monotonic() - asked_s > _HELD_WITHIN_S:
-                    raise RigError(f"rig {self._connection.name!r}: {answer.sentence}")
-                else:
-                    time.sleep(AGAIN_S)
-            if self._thread is None:
-                self._thread = threading.Thread(target=self._renew, name="lease", daemon=True)
-                self._thread.start()
-            self._needed.set()
-        return self._token
-
-    def drop(self, token: str) -> None:
-        """Forgets a lease that the rig has refused."""
-        if token and token == self._token:
-            self._token = ""
-
-    def release(self) -> None:
-        """Returns the lease, if one is held; if the message is lost, the lease expires."""
-        token, self._token = self._token, ""
-        if not token:
-            return
-        try:
-            self._send(Lease("release", token))
-        except RigError as error:
-            _log.debug("the lease was not returned: %s", error)
-
-    def close(self) -> None:
-        """Returns the lease, and ends the thread."""
-        self._ended.set()
-        thread, until_s = self._thread, time.monotonic() + _END_WITHIN_S
-        while thread is not None and thread.is_alive() and time.monotonic() < until_s:
-            self._needed.set()
-            thread.join(AGAIN_S)
-        self.release()
-
-    def _send(self, command: Lease, priority: zenoh.Priority | None = None) -> Answer | None:
-        """Reply to one attempt, if it arrives within the renewal time."""
-        data = self._connection.ask(
-            *(self._connection.command_key(command), messages.encode(command)),
-            timeout_s=_RENEWED_WITHIN_S,
-            priority=priority,
-        )
-        return None if data is None else messages.decode(Answer, data)
-
-    def _renew(self) -> None:
-        while not self._ended.wait(RENEW_S):
-            self._needed.clear()
-            token = self._token
-            if not token:
-                self._needed.wait()
-                continue
-            try:
-                answer = self._send(Lease("renew", token), zenoh.Priority.INTERACTIVE_HIGH)
-            except RigError as error:
-                _log.debug("lease not renewed: %s", error)
-                continue
-            if answer is not None and answer.verdict is not ReplyCode.ACCEPTED:
-                name = self._connection.name
-                _log.warning("lease of rig %r lost: no renewal arrived for %g s", name, LEASE_S)
-                self.drop(token)
+def _query_settings(priority: zenoh.Priority) -> dict[str, Any]:
+    """Settings of every query; one of more than usual priority does not wait in a batch."""
+    return {
+        "priority": priority,
+        "express": priority is not zenoh.Priority.DATA,
+        "target": zenoh.QueryTarget.ALL,
+        "consolidation": zenoh.ConsolidationMode.NONE,
+    }

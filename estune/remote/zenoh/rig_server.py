@@ -138,12 +138,13 @@ class RigServer:
         self.close()
 
     def _declare(self, handler: RequestHandler) -> None:
-        # Each verb and query has threads of its own: a client that is slow to receive a large
-        # record delays no command, and neither delays a renewal or an emergency stop.
+        # A client that is slow to receive a large record delays no command, a trial or a slow
+        # disk neither a renewal nor an emergency stop.
         session, keys = self._session, self._keys
+        commands, queries = session.lane(), session.lane(threads=2)
         for name, verb in VERBS.items():
-            key = keys.command(self.instance, name)
-            session.serve(key, partial(handler.command, name), threads=verb.threads)
+            own = session.lane(verb.threads) if verb.threads else commands
+            session.serve(keys.command(self.instance, name), partial(handler.command, name), own)
 
         def result(trial_id: str, payload: bytes, reply: Reply) -> None:
             def answer() -> messages.Answer | bytes:
@@ -151,24 +152,26 @@ class RigServer:
 
             handler.query(answer, reply)
 
-        session.serve(keys.status, lambda _, reply: handler.query(handler.status, reply))
-        session.serve(keys.describe, lambda _, reply: handler.query(handler.describe, reply))
-        session.serve_below(keys.result("").rstrip("/"), result)
-        session.start(partial(self._publish_status, handler))
-        session.start(partial(self._publish_telemetry, handler))
+        session.serve(keys.status, lambda _, reply: handler.query(handler.status, reply), queries)
+        session.serve(
+            keys.describe, lambda _, reply: handler.query(handler.describe, reply), queries
+        )
+        session.serve_below(keys.result("").rstrip("/"), result, queries)
+        session.start(partial(self._publish, handler))
         session.announce(keys.alive(self.instance))
 
-    def _publish_status(self, handler: RequestHandler) -> None:
-        """Publishes each change; of changes within a few milliseconds, the last."""
-        while not self._closing.is_set():
-            self._status_changed.wait()
-            self._status_changed.clear()
-            self._session.publish(self._keys.status, messages.encode(handler.status()))
-            self._closing.wait(_STATUS_REST_S)
+    def _publish(self, handler: RequestHandler) -> None:
+        """Publishes changes of the status, and during a trial its samples.
 
-    def _publish_telemetry(self, handler: RequestHandler) -> None:
+        Of changes within a few milliseconds, the last is published.
+        """
         shown, after = "", 0
-        while not self._closing.wait(SHOW_S):
+        while not self._closing.is_set():
+            if self._status_changed.wait(SHOW_S if handler.is_showing else None):
+                self._status_changed.clear()
+                self._session.publish(self._keys.status, messages.encode(handler.status()))
+                self._closing.wait(_STATUS_REST_S)
+                continue
             try:
                 samples = handler.telemetry(after)
                 if samples is not None and samples.trial_id != shown:

@@ -14,7 +14,8 @@ from estune.remote.messages.commands import Submit
 from estune.remote.state_machine import client as machine
 from estune.remote.state_machine.client import Action, ClientInput
 from estune.remote.state_machine.reply_codes import ReplyCode
-from estune.remote.zenoh.rig_connection import LeaseRenewer, RigConnection
+from estune.remote.zenoh.client_lease import ClientLease
+from estune.remote.zenoh.rig_connection import RigConnection
 from estune.remote.zenoh.zenoh_session import AGAIN_S
 from estune.trial import TrialRecord, TrialRequest
 from estune.trial.record_frame import decode
@@ -35,7 +36,7 @@ class TrialExchange:
     def __init__(
         self,
         connection: RigConnection,
-        lease: LeaseRenewer,
+        lease: ClientLease,
         request: TrialRequest,
         changed: threading.Event,
     ) -> None:

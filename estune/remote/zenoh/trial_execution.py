@@ -18,8 +18,8 @@ from estune.core.gains import Gains
 from estune.errors import EstuneError, InvalidInput, ProtocolError, RigError
 from estune.remote.ledger import Ledger, LedgerEntry
 from estune.remote.messages import Answer, check_name, refusal
+from estune.remote.state_machine import events
 from estune.remote.state_machine import rig as machine
-from estune.remote.state_machine import state as events
 from estune.remote.state_machine.reply_codes import OF_TRIAL, ReplyCode
 from estune.remote.state_machine.state import RigAction, RigState, Transition
 from estune.remote.state_machine.trials import TrialEvent, TrialState
@@ -97,7 +97,7 @@ class SharedRigState:
 
     def may_begin(self) -> bool:
         """Whether the active trial may move the rig."""
-        return self.apply_event(events.Begin()).verdict is ReplyCode.ACCEPTED
+        return self.apply_event(events.Begin()).reply_code is ReplyCode.ACCEPTED
 
     def finish_trial(self) -> None:
         """Ends the active trial, once the live gains are restored."""

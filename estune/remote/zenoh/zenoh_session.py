@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from functools import partial
+from queue import Empty, SimpleQueue
 from typing import Any, Literal
 
 import zenoh
@@ -43,6 +44,7 @@ COMMANDS_MAX_BYTES = 64 * 2**10
 AGAIN_S = 0.05
 """Pause before something is tried again, s."""
 
+_OPEN_AGAIN_MAX_S = 0.5
 _CLOSE_WITHIN_S = 5.0
 _END_WITHIN_S = 1.0
 _PORT_TRIES = 5
@@ -121,6 +123,7 @@ def open_client(
     Raises:
         RigError: nothing listens there; the message contains the remedy.
     """
+    pause_s = AGAIN_S
     while True:
         try:
             return open_session(
@@ -133,7 +136,8 @@ def open_client(
             if time.monotonic() > deadline_s:
                 fault, absent = connection_fault(endpoint, security)
                 raise RigError(f"{fault}; start {remedy}" if absent else fault) from error
-        time.sleep(AGAIN_S)
+        time.sleep(pause_s)
+        pause_s = min(2.0 * pause_s, _OPEN_AGAIN_MAX_S)
 
 
 def close_session(session: zenoh.Session) -> None:
@@ -154,8 +158,51 @@ def _close(session: zenoh.Session) -> None:
         _log.warning("session not closed properly: %s", error)
 
 
+class Lane:
+    """Threads that answer queries in the order of their arrival, and sleep until one arrives.
+
+    Zenoh's own threads put the queries in line and never wait for these: beyond `_WAITING_MAX`,
+    the oldest query is dropped, and its sender repeats it. A receiver of Zenoh's would wake some
+    twenty times a second to look for signals.
+    """
+
+    def __init__(self, threads: int) -> None:
+        self._waiting: SimpleQueue[tuple[zenoh.Query, _Handle] | None] = SimpleQueue()
+        self._closed = False
+        self._threads = [threading.Thread(target=self._serve, daemon=True) for _ in range(threads)]
+        for thread in self._threads:
+            thread.start()
+
+    def put(self, handle: "_Handle", query: zenoh.Query) -> None:
+        """Lines a query up, to be answered by a function."""
+        if self._waiting.qsize() >= _WAITING_MAX:
+            with suppress(Empty):
+                if (oldest := self._waiting.get_nowait()) is not None:
+                    oldest[0].drop()  # type: ignore[no-untyped-call]
+        self._waiting.put((query, handle))
+
+    def close(self) -> None:
+        """Ends the threads, once the answers under way are given."""
+        self._closed = True
+        for _ in self._threads:
+            self._waiting.put(None)
+        # The interpreter must not shut down while a thread is inside Zenoh: it would abort.
+        for thread in self._threads:
+            thread.join(_END_WITHIN_S)
+
+    def _serve(self) -> None:
+        while (item := self._waiting.get()) is not None and not self._closed:
+            query, handle = item
+            with query:  # left undropped, it would keep its sender waiting
+                handle(query, b"" if query.payload is None else query.payload.to_bytes())
+            del item, query
+
+
+_Handle = Callable[[zenoh.Query, bytes], None]
+
+
 class ListeningSession:
-    """A session that listens, serves queries from threads of its own, and publishes.
+    """A session that listens, answers queries in lanes, and publishes.
 
     Attributes:
         endpoint: Where it listens.
@@ -185,17 +232,24 @@ class ListeningSession:
         self.instance = instance
         self._session, self.endpoint = _listen(endpoint, routers, security)
         self._threads: list[threading.Thread] = []
-        self._tokens: list[zenoh.LivelinessToken] = []
+        self._lanes: list[Lane] = []
+        self._queryables: list[zenoh.Queryable[None]] = []
+        self._tokens: dict[str, zenoh.LivelinessToken] = {}
 
-    def serve(self, key: str, answer: Callable[[bytes, Reply], None], *, threads: int = 1) -> None:
-        """Answers the queries on a key, by threads of its own.
+    def lane(self, threads: int = 1) -> Lane:
+        """A lane for queries that may wait for each other, but for no others."""
+        self._lanes.append(lane := Lane(threads))
+        return lane
+
+    def serve(self, key: str, answer: Callable[[bytes, Reply], None], lane: Lane) -> None:
+        """Answers the queries on a key.
 
         Args:
             key: The key. Below `@cmd` only a query on exactly this key is answered: a wildcard
                 may reach many rigs, and a command is meant for one. A wildcard query of any other
                 key is answered on this key.
             answer: Called with the payload and the function that sends the reply.
-            threads: Number of threads.
+            lane: Where the queries wait for it.
         """
 
         def answer_exact(query: zenoh.Query, payload: bytes) -> None:
@@ -203,9 +257,11 @@ class ListeningSession:
             if asked == key or "/@cmd/" not in key:
                 answer(payload, partial(self._reply, query, key))
 
-        self._start_serving(key, answer_exact, threads)
+        self._declare(key, answer_exact, lane)
 
-    def serve_below(self, key: str, answer: Callable[[str, bytes, Reply], None]) -> None:
+    def serve_below(
+        self, key: str, answer: Callable[[str, bytes, Reply], None], lane: Lane
+    ) -> None:
         """Answers the queries of one chunk below a key, unless that chunk is a wildcard.
 
         `answer` is called with the chunk, the payload, and the function that sends the reply.
@@ -216,11 +272,35 @@ class ListeningSession:
             if "*" not in chunk:
                 answer(chunk, payload, partial(self._reply, query, f"{key}/{chunk}"))
 
-        self._start_serving(f"{key}/*", answer_chunk, 1)
+        self._declare(f"{key}/*", answer_chunk, lane)
+
+    def serve_many(
+        self, pattern: str, answer: Callable[[str, bytes], Iterable[tuple[str, bytes]]], lane: Lane
+    ) -> None:
+        """Answers queries of many keys, each with any number of replies.
+
+        Args:
+            pattern: Wildcard expression of the keys. Others may answer some of them.
+            answer: Replies, as key and data, to the key or wildcard asked for and the payload.
+            lane: Where the queries wait for it.
+        """
+
+        def answer_all(query: zenoh.Query, payload: bytes) -> None:
+            for key, data in answer(str(query.key_expr), payload):
+                self._send(query, key, data)
+
+        self._declare(pattern, answer_all, lane, complete=False)
 
     def announce(self, key: str) -> None:
         """Declares a liveliness token; last, when all queries are answered."""
-        self._tokens.append(self._session.liveliness().declare_token(key))  # dropped, it vanishes
+        self._tokens[key] = self._session.liveliness().declare_token(key)  # dropped, it vanishes
+
+    def withdraw(self, key: str) -> None:
+        """Undeclares a liveliness token, if it is declared."""
+        token = self._tokens.pop(key, None)
+        if token is not None:
+            with suppress(zenoh.ZError):
+                token.undeclare()  # type: ignore[no-untyped-call]
 
     def publish(self, key: str, data: bytes) -> None:
         """Publishes; a subscriber that is too slow misses it."""
@@ -241,35 +321,23 @@ class ListeningSession:
     def close(self) -> None:
         """Closes the session and waits for its threads."""
         close_session(self._session)
-        # The interpreter must not shut down while a thread is inside Zenoh: it would abort.
+        for lane in self._lanes:
+            lane.close()
         for thread in self._threads:
             thread.join(_END_WITHIN_S)
 
-    def _start_serving(
-        self, key: str, answer: Callable[[zenoh.Query, bytes], None], threads: int
-    ) -> None:
-        # Rings: when clients flood the session, the oldest queries are dropped (their senders
-        # repeat them), and Zenoh's own threads never wait for ours.
-        ring: zenoh.handlers.RingChannel[zenoh.Query] = zenoh.handlers.RingChannel(_WAITING_MAX)
-        queryable = self._session.declare_queryable(key, ring, complete=True)
-
-        def serve_all() -> None:
-            while True:
-                try:
-                    query = queryable.recv()
-                except zenoh.ZError:
-                    return  # the session is closed
-                with query:  # left undropped, it would keep its sender waiting
-                    answer(query, b"" if query.payload is None else query.payload.to_bytes())
-                del query
-
-        for _ in range(threads):
-            self.start(serve_all)
+    def _declare(self, key: str, handle: _Handle, lane: Lane, *, complete: bool = True) -> None:
+        callback = zenoh.handlers.Callback(partial(lane.put, handle), indirect=False)
+        declared = self._session.declare_queryable(key, callback, complete=complete)
+        self._queryables.append(declared)
 
     def _reply(self, query: zenoh.Query, key: str, data: bytes) -> None:
+        with query:  # the sender must not wait for what follows the reply
+            self._send(query, key, data)
+
+    def _send(self, query: zenoh.Query, key: str, data: bytes) -> None:
         try:
-            with query:  # the sender must not wait for what follows the reply
-                query.reply(key, data, attachment=self.instance)
+            query.reply(key, data, attachment=self.instance)
         except zenoh.ZError as error:
             _log.debug("no reply to %s: %s", key, error)
 

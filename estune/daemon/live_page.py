@@ -1,0 +1,43 @@
+"""The daemon's live page: a view of each rig."""
+
+from collections.abc import Mapping
+from functools import partial
+from typing import TYPE_CHECKING
+
+from estune.daemon.config import DaemonConfig
+from estune.daemon.store import RUNS
+from estune.daemon.supervised_rig import SupervisedRig
+from estune.remote.security import Security
+
+if TYPE_CHECKING:
+    from estune.web.server import PageServer
+
+
+def serve_page(
+    config: DaemonConfig, supervised: Mapping[str, SupervisedRig], security: Security
+) -> "PageServer":
+    """Serves the page of the daemon's file.
+
+    Raises:
+        InvalidInput: the port is taken.
+    """
+    from estune.web.server import PageServer  # noqa: PLC0415  slow to import
+    from estune.web.views import daemon_view  # noqa: PLC0415  as above
+
+    views = [
+        daemon_view(
+            rig.name,
+            supervised[rig.name],
+            target=rig.target,
+            runs=config.state / rig.name / RUNS,
+            alarm_costs=partial(_alarm_costs, supervised[rig.name]),
+            security=security,
+        )
+        for rig in config.rig
+    ]
+    page = config.page
+    return PageServer(lambda: views, port=page.http_port or 0, may_command=page.allow_commands)
+
+
+def _alarm_costs(rig: SupervisedRig) -> tuple[float, ...]:
+    return rig.checks.alarm_costs(rig.state.home)

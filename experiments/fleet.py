@@ -1,0 +1,294 @@
+"""A daemon with many rigs: what it costs, how long all tune, and what an overload does to it.
+
+    python -m experiments.fleet --rigs 10 25 50 100
+
+The rigs are simulated reels in real time, in processes of their own behind a Zenoh router, all on
+this machine. Each is tuned with so many trials of a second that 26 s are ideal, and then held.
+`--busy` adds programs that compute while all tune, and measures until all is well after their end.
+"""
+
+import contextlib
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import plants
+from estune.errors import EstuneError
+from estune.remote import zenoh
+from estune.remote.messages.daemon import DaemonStatus
+from estune.remote.zenoh.daemon_service import DaemonClient
+from estune.remote.zenoh.endpoints import with_port
+from estune.trial import TrialRequest
+from experiments.results import Target, at_most, command_line, print_results, print_tables
+
+TUNER = "safe_bayesian"
+"""The tuner; the default one computes 2.5 times as long for a trial."""
+
+SEARCH_TRIALS, REPEATS = 16, 2
+HOLD_S = 20.0
+BUSY_S = 30.0
+WITHIN_S = 400.0
+RIGS_PER_PROCESS = 50
+IDEAL_S = 26.0
+LIMITS = {
+    "leases_lost": 0.0,
+    "slowness": 1.5,
+    "status_s": 0.5,
+    "rss_MB": 400.0,
+    "hold_cores": 0.4,
+}
+_DAEMON = """
+state = "state"
+[service]
+listen = "{listen}"
+routers = ["{router}"]
+"""
+_RIG = f"""
+[[rig]]
+name = "{{name}}"
+target = "{{router}}"
+accept = "ask"
+[rig.tuning]
+tuner = "{{tuner}}"
+trials = {SEARCH_TRIALS}
+repeats = {REPEATS}
+tolerance = 0.0
+"""
+_CLOCK_Hz = os.sysconf("SC_CLK_TCK")
+
+
+class Usage(NamedTuple):
+    """What a process has used so far: CPU time, s; memory, MB; threads; switches of context."""
+
+    cpu_s: float
+    rss_MB: float
+    threads: int
+    switches: int
+    at_s: float
+
+
+def usage(pid: int) -> Usage:
+    """Usage of a process, by the kernel's own account."""
+    fields = Path(f"/proc/{pid}/stat").read_text("utf-8").rpartition(")")[2].split()
+    pages = int(Path(f"/proc/{pid}/statm").read_text("utf-8").split()[1])
+    switches = threads = 0
+    for task in Path(f"/proc/{pid}/task").iterdir():
+        threads += 1
+        with contextlib.suppress(OSError):  # it has ended meanwhile
+            for line in (task / "status").read_text("utf-8").splitlines():
+                if "ctxt_switches" in line:
+                    switches += int(line.split()[1])
+    cpu_s = (int(fields[11]) + int(fields[12])) / _CLOCK_Hz
+    return Usage(cpu_s, pages * 4096 / 1e6, threads, switches, time.monotonic())
+
+
+class FleetCosts(NamedTuple):
+    """Costs of a daemon with so many rigs; cores are CPU time over time."""
+
+    rigs: int
+    all_tuned_s: float
+    slowness: float
+    trials_per_s: float
+    tune_cores: float
+    hold_cores: float
+    rigs_cores: float
+    tune_switches_per_s: float
+    hold_switches_per_s: float
+    threads: int
+    rss_MB: float
+    status_s: float
+    slowest_status_s: float
+    leases_lost: int
+    rigs_lost: int
+    recovered_s: float
+    load: float
+
+
+def serve_rigs(router: str, names: list[str]) -> None:
+    """Serves simulated reels in real time, until standard input is closed."""
+    with ExitStack() as opened:
+        for seed, name in enumerate(names):
+            rig = plants.reference_reel().rig(name=name, seed=seed, pace=1.0)
+            opened.enter_context(zenoh.serve(rig, routers=[router]))
+        quick = plants.reference_reel().rig()
+        quick.run(TrialRequest("compiled", 0, quick.describe().gains, quick.describe().step))
+        print("serving", flush=True)
+        sys.stdin.read()
+
+
+@contextmanager
+def started(command: list[str], **options: Any) -> Iterator[subprocess.Popen[str]]:
+    """A process that has printed its first line; killed at the end."""
+    with subprocess.Popen(  # noqa: S603  our own modules
+        [sys.executable, *command],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        **options,
+    ) as process:
+        try:
+            if not process.stdout or not process.stdout.readline():
+                raise EstuneError(f"{' '.join(command[:3])} does not start")
+            yield process
+        finally:
+            process.kill()
+
+
+@contextmanager
+def fleet(
+    rigs: int, tuner: str, folder: Path
+) -> Iterator[tuple[subprocess.Popen[str], list[int], str]]:
+    """A daemon with rigs behind a router; the daemon's process, the rigs' ids, its endpoint."""
+    names = [f"rig{number:03d}" for number in range(rigs)]
+    router, listen = (with_port("tcp/127.0.0.1:0") for _ in range(2))
+    tables = "".join(_RIG.format(name=name, router=router, tuner=tuner) for name in names)
+    config = folder / "daemon.toml"
+    config.write_text(_DAEMON.format(listen=listen, router=router) + tables, "utf-8")
+    with ExitStack() as opened:
+        opened.enter_context(started(["-m", "experiments.chaos.others", "router", router]))
+        command = ["-m", "experiments.fleet"]
+        served = [
+            opened.enter_context(
+                started(
+                    [*command, "--serve", router, "--names", *names[first:][:RIGS_PER_PROCESS]]
+                )
+            )
+            for first in range(0, rigs, RIGS_PER_PROCESS)
+        ]
+        log = opened.enter_context((folder / "log").open("w"))
+        arguments = ["-m", "estune.cli", "daemon", str(config), "--log", "json"]
+        daemon = opened.enter_context(started(arguments, stderr=log))
+        yield daemon, [process.pid for process in served], listen
+
+
+def measure(rigs: int, tuner: str = TUNER, *, busy: int = 0) -> FleetCosts:
+    """Tunes so many rigs and holds them; `busy` is the number of programs beside it."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        with (
+            fleet(rigs, tuner, folder) as (daemon, served, listen),
+            DaemonClient(listen) as client,
+        ):
+            rigs_before = sum(usage(pid).cpu_s for pid in served)
+            before = usage(daemon.pid)
+            watch = _Watch(client, before.at_s)
+            recovered_s = _disturb(watch, busy) if busy else 0.0
+            watch.until(lambda statuses: all(s.mode in ("holding", "watching") for s in statuses))
+            tuned = usage(daemon.pid)
+            rigs_cores = (sum(usage(pid).cpu_s for pid in served) - rigs_before) / (
+                tuned.at_s - before.at_s
+            )
+            watch.for_s(HOLD_S)
+            held = usage(daemon.pid)
+            load = os.getloadavg()[0]
+        log = (folder / "log").read_text("utf-8")
+    tuned_s, held_s = tuned.at_s - before.at_s, held.at_s - tuned.at_s
+    return FleetCosts(
+        rigs=rigs,
+        all_tuned_s=tuned_s,
+        slowness=tuned_s / IDEAL_S,
+        trials_per_s=rigs * IDEAL_S / tuned_s,
+        tune_cores=(tuned.cpu_s - before.cpu_s) / tuned_s,
+        hold_cores=(held.cpu_s - tuned.cpu_s) / held_s,
+        rigs_cores=rigs_cores,
+        tune_switches_per_s=(tuned.switches - before.switches) / tuned_s,
+        hold_switches_per_s=(held.switches - tuned.switches) / held_s,
+        threads=tuned.threads,
+        rss_MB=max(tuned.rss_MB, held.rss_MB),
+        status_s=statistics.median(watch.times_s),
+        slowest_status_s=max(watch.times_s),
+        leases_lost=log.count("no renewal arrived") + log.count("the lease of"),
+        rigs_lost=log.count('"event": "lost"'),
+        recovered_s=recovered_s,
+        load=load,
+    )
+
+
+class _Watch:
+    """Asks for the status of all rigs each second, and measures how long the answer takes."""
+
+    def __init__(self, client: DaemonClient, began_s: float) -> None:
+        self.times_s: list[float] = []
+        self._client = client
+        self._ends_s = began_s + WITHIN_S
+
+    def until(self, condition: Any) -> None:
+        """Asks until the statuses meet a condition."""
+        while not condition(self.statuses()):
+            if time.monotonic() > self._ends_s:
+                raise EstuneError(f"not within {WITHIN_S:g} s")
+            time.sleep(1.0)
+
+    def for_s(self, seconds: float) -> None:
+        """Asks for a time."""
+        until_s = time.monotonic() + seconds
+        self.until(lambda _: time.monotonic() > until_s)
+
+    def statuses(self) -> list[DaemonStatus]:
+        """Status of all rigs."""
+        asked_s = time.monotonic()
+        statuses = self._client.statuses()
+        self.times_s.append(time.monotonic() - asked_s)
+        return statuses
+
+
+def _disturb(watch: _Watch, busy: int) -> float:
+    """Lets programs compute for a while, and returns the time from their end to recovery, s."""
+    watch.until(lambda statuses: all(s.mode == "tuning" for s in statuses))
+    programs = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(busy)]
+    try:
+        watch.for_s(BUSY_S)
+    finally:
+        for program in programs:
+            program.kill()
+            program.wait()
+    ended_s = time.monotonic()
+    watch.until(lambda statuses: not any(s.trouble or s.paused for s in statuses))
+    return time.monotonic() - ended_s
+
+
+def fleet_table(
+    sizes: tuple[int, ...], tuner: str = TUNER, *, busy: int = 0
+) -> list[dict[str, float]]:
+    """Costs at each number of rigs, printed as they are measured."""
+    rows = []
+    for rigs in sizes:
+        row = dict(measure(rigs, tuner, busy=busy)._asdict())
+        print("  ".join(f"{name} {value:.4g}" for name, value in row.items()), flush=True)
+        rows.append(row)
+    return rows
+
+
+def targets_of(row: dict[str, float]) -> dict[str, Target]:
+    """The targets, at one number of rigs."""
+    return {f"fleet_{name}": at_most(row[name], limit) for name, limit in LIMITS.items()}
+
+
+def main() -> int:
+    """Measures, prints, and returns the exit code."""
+    parser = command_line(__doc__, quick="10 rigs only")
+    parser.add_argument("--rigs", type=int, nargs="+", default=[25], help="numbers of rigs")
+    parser.add_argument("--tuner", default=TUNER, help="tuner of all rigs")
+    parser.add_argument("--busy", type=int, default=0, help="programs that compute beside it")
+    parser.add_argument("--serve", help="router that rigs join: serves them (internal)")
+    parser.add_argument("--names", nargs="*", default=[], help="names of these rigs")
+    options = parser.parse_args()
+    if options.serve:
+        serve_rigs(options.serve, options.names)
+        return 0
+    with print_tables(hidden=options.json):
+        rows = fleet_table(
+            (10,) if options.quick else tuple(options.rigs), options.tuner, busy=options.busy
+        )
+    return print_results({"fleet": rows}, targets_of(rows[-1]), as_json=options.json)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
