@@ -2,7 +2,7 @@
 
 import dataclasses
 import secrets
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from estune.core.gains import Gains
@@ -18,23 +18,29 @@ CHECKS_MAX = 500
 
 
 class DaemonReader(Reader):
-    """Reads the supervision of a rig twice a second.
+    """Reads the supervision of a rig four times a second.
 
     Args:
         board: The board.
         supervised: The supervision, of this process or of another.
         on_run: Called with the name of the present tuning run.
+        alarm_costs: Returns the costs beyond which a check trial raises an alarm, if known.
     """
 
     source = "daemon"
     every_s = 0.25
 
     def __init__(
-        self, board: Board, supervised: Supervised, on_run: Callable[[str], None] = lambda _: None
+        self,
+        board: Board,
+        supervised: Supervised,
+        on_run: Callable[[str], None] = lambda _: None,
+        alarm_costs: Callable[[], Sequence[float]] = tuple,
     ) -> None:
         super().__init__(board)
         self._supervised = supervised
         self._on_run = on_run
+        self._alarm_costs = alarm_costs
         self._last_event = -1
         self._checks = -1
 
@@ -54,6 +60,7 @@ class DaemonReader(Reader):
             checks = self._supervised.history(Request(limit=CHECKS_MAX)).checks
             rows = [(c["number"], c["told_at"], c["cost"], c["sign"]) for c in checks]
             self.board.extend("checks", rows, restart=True)
+            self.board.put("alarm_costs", list(self._alarm_costs()))
 
     def command(self, verb: DaemonVerb, who: str) -> str:
         """Gives a command; returns what is being done.

@@ -101,6 +101,8 @@ class PageServer:
         self._server.should_exit = True
         self._thread.join(_END_WITHIN_S)
         self._socket.close()
+        for view in self._views():
+            view.close()
 
     def _app(self) -> Starlette:
         return Starlette(

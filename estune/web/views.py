@@ -60,31 +60,42 @@ class View:
         self.board = board
         self.commands = dict(commands or {})
         self._readers = list(readers)
-        self._is_started = False
+        self._started = 0
         self._lock = threading.Lock()
 
     def start(self) -> None:
-        """Starts the readers, once."""
+        """Starts the readers that have not been started."""
+        self._start(len(self._readers))
+
+    def glance(self) -> None:
+        """Starts what the list of views shows; a run is read when it is looked at."""
+        if self.kind != "run":
+            self._start(1)
+
+    def _start(self, count: int) -> None:
         with self._lock:
-            if not self._is_started:
-                self._is_started = True
-                for reader in self._readers:
-                    reader.start()
+            for reader in self._readers[self._started : count]:
+                reader.start()
+            self._started = max(self._started, count)
 
     def replace(self, old: Reader | None, new: Reader) -> None:
-        """Starts a reader in the place of another."""
+        """Has a reader in the place of another; it is started at once if the others are."""
         with self._lock:
-            if old is not None:
-                self._readers.remove(old)
+            if old in self._readers:
+                index = self._readers.index(old)
                 old.ended.set()
-            self._readers.append(new)
-            new.start()
+                self._readers[index] = new
+            else:
+                index = len(self._readers)
+                self._readers.append(new)
+                self._started += self._started == index
+            if index < self._started:
+                new.start()
 
     def close(self) -> None:
         """Ends the readers."""
-        with self._lock:
-            for reader in self._readers:
-                reader.close()
+        for reader in tuple(self._readers):
+            reader.close()
 
 
 Views = Callable[[], Sequence[View]]
@@ -146,6 +157,7 @@ def daemon_view(
     *,
     target: str = "",
     runs: Path | None = None,
+    alarm_costs: Callable[[], Sequence[float]] = tuple,
     security: Security = OPEN,
 ) -> View:
     """A rig that a daemon supervises.
@@ -155,6 +167,7 @@ def daemon_view(
         supervised: Its supervision.
         target: Endpoint of the rig, for live samples and the emergency stop; empty if unknown.
         runs: Folder of its tuning runs; None if it cannot be reached from here.
+        alarm_costs: Returns the costs beyond which a check trial raises an alarm, if known.
         security: Credentials for the rig.
     """
     board = Board()
@@ -168,7 +181,7 @@ def daemon_view(
         shown[run] = RunReader(board, runs / run, predict=False)
         view.replace(old, shown[run])
 
-    reader = DaemonReader(board, supervised, follow)
+    reader = DaemonReader(board, supervised, follow, alarm_costs)
     readers: list[Reader] = [reader]
     commands: dict[str, Execute] = {verb: partial(reader.command, verb) for verb in DAEMON_VERBS}
     if is_endpoint(target):

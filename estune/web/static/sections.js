@@ -48,6 +48,11 @@ export class Sections {
     return (this.charts[id] ??= new Chart(figure, options));
   }
 
+  remove(id) {
+    delete this.charts[id];
+    $(id).replaceChildren();
+  }
+
   drawTrial() {
     const v = this.values, about = v.run ?? v.description;
     if (!about) return;
@@ -69,6 +74,11 @@ export class Sections {
       { label: v.live ? "live" : "latest trial", colour: "blue", width: 1.4 },
     ];
     const x = "time from the step, s";
+    const labels = series.map((one) => one.label).join();
+    if (labels !== this.labels) { // a chart has the labels with which it was made
+      this.labels = labels;
+      for (const id of ["response", "command"]) this.remove(id);
+    }
     const response = this.chart("response", { height: 260, x, y: about.measurement, series,
       label: `${about.measurement} over time: initial gains, best, and the latest trial` });
     const limits = (pair) => (pair ?? []).filter((at) => at !== null && Math.abs(at) < 1e8).map((at) => ({ at, colour: "red", label: "limit" }));
@@ -117,7 +127,7 @@ export class Sections {
       parts.push(`At most ${(100 * expected.remaining).toPrecision(2)} % of the cost is expected to be left to gain.`);
     if (state.next) parts.push(`The next trial runs P, I, D, filter = ${state.next.map((x) => Number(x.toPrecision(4))).join(", ")}.`);
     if (expected?.next_cost) {
-      const [low, , high] = expected.next_cost.map((x) => Number(x.toPrecision(3)));
+      const [low, , high] = expected.next_cost.map((x) => (x === null ? "\u221e" : Number(x.toPrecision(3))));
       parts.push(`Its cost is expected between ${low} and ${high}.`);
     }
     parts.push("The grey band is the noise about the best cost.");
@@ -181,7 +191,7 @@ export class Sections {
     const steady = (row) => row[3] === "steady";
     const marks = [];
     if (daemon?.baseline_cost) marks.push({ at: daemon.baseline_cost, colour: "orange", label: "baseline" });
-    for (const at of daemon?.alarm_costs ?? []) marks.push({ at, colour: "red", label: "alarm" });
+    for (const at of this.values.alarm_costs ?? []) marks.push({ at, colour: "red", label: "alarm" });
     chart.show([rows.map((row) => row[0]), rows.map((row) => (steady(row) ? row[2] : null)), rows.map((row) => (steady(row) ? null : row[2]))], marks);
   }
 

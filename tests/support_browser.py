@@ -1,0 +1,48 @@
+"""A headless Chromium that watches what a page asks for and complains of."""
+
+import shutil
+from contextlib import contextmanager
+from urllib.parse import urlsplit
+
+import pytest
+from playwright.sync_api import Page, sync_playwright
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("chrome")
+WITHIN_MS = 60_000.0
+"""Time within which an event must occur; far more than it takes on a busy machine."""
+
+QUIET = (
+    *("--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"),
+    *("--disable-background-networking", "--disable-component-update", "--disable-sync"),
+)
+
+needs_browser = pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium here")
+
+
+@contextmanager
+def browser():
+    with sync_playwright() as playwright:
+        chromium = playwright.chromium.launch(executable_path=CHROMIUM, args=QUIET)
+        try:
+            yield chromium
+        finally:
+            chromium.close()
+
+
+@contextmanager
+def opened(chromium, address: str, **options):
+    """A page; at its end nothing must have been complained of or asked for elsewhere."""
+    page: Page = chromium.new_page(**options)
+    page.set_default_timeout(WITHIN_MS)
+    complaints, asked = [], []
+    page.on("console", lambda message: complaints.append(message.text))
+    page.on("pageerror", lambda error: complaints.append(str(error)))
+    page.on("request", lambda request: asked.append(request.url))
+    try:
+        page.goto(address)
+        yield page
+        assert complaints == [], complaints
+        own = urlsplit(address).netloc
+        assert {urlsplit(url).netloc for url in asked if not url.startswith("data:")} <= {own}
+    finally:
+        page.close()

@@ -1,0 +1,123 @@
+"""The live page in a real browser: a run in processes of its own, and a daemon."""
+
+import subprocess
+import sys
+
+import pytest
+from axe_playwright_python.sync_playwright import Axe
+from playwright.sync_api import expect
+
+from estune.remote import zenoh
+from estune.web.server import PageServer
+from estune.web.views import run_view
+from tests.serve_rig import served
+from tests.support_browser import browser, needs_browser, opened
+from tests.support_daemon import daemon, rig_served, rig_table
+
+pytestmark = needs_browser
+
+NARROW_DARK = {"viewport": {"width": 400, "height": 800}, "color_scheme": "dark"}
+
+
+@pytest.fixture(scope="module")
+def chromium():
+    with browser() as made:
+        yield made
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    """A rig in a process, a run that tunes it in another, and the page of the run."""
+    folder = tmp_path_factory.mktemp("runs")
+    with served("paced simulated") as rig:
+        command = ["tune", rig.endpoint, "--tuner", "safe_bayesian", "--tolerance", "0"]
+        options = ["--trials", "500", "--run", "live", "--folder", str(folder), "--quiet"]
+        with subprocess.Popen([sys.executable, "-m", "estune.cli", *command, *options]) as process:
+            try:
+                while not (folder / "live" / "run.sqlite").exists():
+                    assert process.poll() is None
+                view = run_view_when_there(folder / "live")
+                server = PageServer(lambda: [view], may_command=True)
+                try:
+                    yield rig, server
+                finally:
+                    server.close()
+            finally:
+                process.kill()
+
+
+def run_view_when_there(folder):
+    from estune.errors import JournalError
+
+    while True:
+        try:
+            return run_view(folder)
+        except JournalError:
+            continue
+
+
+def serious(page) -> list[str]:
+    found = Axe().run(page).response["violations"]
+    return [v["id"] for v in found if v["impact"] in ("serious", "critical")]
+
+
+def trials(page) -> int:
+    text = page.locator("#facts").inner_text()
+    return int(text.split(" done")[0].split()[-1])
+
+
+def test_page_of_a_run_follows_it_in_both_forms_without_faults(chromium, run):
+    _, server = run
+    for form in ({}, NARROW_DARK):
+        with opened(chromium, server.address, **form) as page:
+            expect(page.locator("#state")).to_have_text("running")
+            expect(page.locator("#search-text")).to_contain_text("next trial runs")
+            first = trials(page)
+            expect(page.locator("#facts")).not_to_contain_text(f"{first} done")
+            assert trials(page) > first
+            assert page.locator("canvas").count() == 7
+            assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+            assert serious(page) == []
+
+
+def test_stop_is_shown_as_done_when_the_rig_confirms_and_a_dead_rig_as_no_link(chromium, run):
+    rig, server = run
+    with opened(chromium, server.address) as page:
+        expect(page.locator("#state")).to_have_text("running")
+        page.get_by_role("button", name="Emergency stop").click()
+        expect(page.locator("#answer")).to_have_text(
+            "estop: done; the rig confirms: it is in its safe state"
+        )
+        expect(page.locator("#state")).to_have_text("emergency stop")
+        with zenoh.connect(rig.endpoint) as there:
+            assert there.status().latched == "the live page"
+
+
+def test_daemon_page_accepts_a_candidate_once_the_rig_has_it(chromium, tmp_path):
+    page_table = "[page]\nhttp_port = 0\nallow_commands = true\n"
+    with (
+        rig_served() as (_, endpoint),
+        daemon(tmp_path, rig_table("drum", endpoint), more=page_table) as watched,
+    ):
+        watched.until_mode("holding")
+        with opened(chromium, watched.service.page_address) as page:
+            expect(page.locator("#state")).to_have_text("holding")
+            page.get_by_role("button", name="Accept").click()
+            expect(page.locator("#answer")).to_contain_text("the rig confirms: the accepted gains")
+            assert watched.client.status("drum").live == "accepted"
+            expect(page.locator("#checks canvas")).to_be_visible()
+            assert serious(page) == []
+
+
+def test_page_without_its_server_says_that_it_is_disconnected(chromium, tmp_path):
+    with rig_served() as (_, endpoint):
+        from estune.web.views import rig_view
+
+        view = rig_view(endpoint, "drum")
+        server = PageServer(lambda: [view])
+        page = chromium.new_page()
+        page.goto(server.address)
+        expect(page.locator("#state")).to_have_text("idle", timeout=60_000)
+        server.close()
+        expect(page.locator("#state")).to_have_text("page disconnected", timeout=60_000)
+        page.close()
