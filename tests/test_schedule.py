@@ -63,7 +63,6 @@ def test_gains_outside_the_range_equal_those_of_the_nearest_end():
     assert SCHEDULE.gains(9.0, 99.0) == SCHEDULE.gains(1.4, 30.0)
     assert SCHEDULE.gains(0.1, 0.0) == SCHEDULE.gains(0.5, 5.0)
     assert SCHEDULE.gains(math.nan, 15.0) == SCHEDULE.gains(0.5, 15.0)
-    assert not SCHEDULE.covers(9.0, 15.0)
 
 
 @given(st.sampled_from(FORMS[1:]), st.floats(-100.0, 100.0), st.floats(-1.0, 1.0))

@@ -137,13 +137,6 @@ class GainSchedule:
         length, tension = _clipped(length_m, self.length_m), _clipped(tension_N, self.tension_N)
         return Gains(*[float(curve.at(length, tension)) for curve in self.curves])
 
-    def covers(self, length_m: float, tension_N: float) -> bool:
-        """Whether length and tension lie within the range."""
-        return (
-            self.length_m[0] <= length_m <= self.length_m[1]
-            and self.tension_N[0] <= tension_N <= self.tension_N[1]
-        )
-
     def as_dict(self) -> dict[str, Any]:
         """The schedule as JSON values; floats survive exactly."""
         return {

@@ -16,7 +16,6 @@ from plants.cable.taut import (
     least_taut_tension_N,
     loaded_density_kg_m,
     string_frequency_Hz,
-    tension_ratio,
 )
 from plants.cable.triples import ADMISSIBLE, DEPENDENT, NAMES, Solution
 
@@ -36,5 +35,4 @@ __all__ = [
     "least_taut_tension_N",
     "loaded_density_kg_m",
     "string_frequency_Hz",
-    "tension_ratio",
 ]

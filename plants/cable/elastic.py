@@ -49,7 +49,6 @@ def elastic_rise_m(
     stiffness_EA_N: ArrayLike,
     tension_1_N: ArrayLike,
     tension_3_N: ArrayLike,
-    gravity_m_s2: float = GRAVITY_M_S2,
 ) -> Numbers:
     """Height of the far end above the attachment of a cable that stretches, m.
 
@@ -59,7 +58,7 @@ def elastic_rise_m(
     Hooke's law, since `dz/dp = V/T (1 + T/EA)` and `dT/dp = mu_0 g V/T`; it is the vertical
     relation of the elastic catenary of Irvine (Cable Structures, 1981).
     """
-    w = _weight(rest_density_kg_m, gravity_m_s2)
+    w = _weight(rest_density_kg_m)
     EA = checked_array("stiffness EA", stiffness_EA_N, "N", above=0.0)
     T_1 = checked_array("tension_1", tension_1_N, "N", least=0.0)
     T_3 = checked_array("tension_3", tension_3_N, "N", least=0.0)
@@ -73,10 +72,9 @@ def elastic_catenary(
     *,
     tension_x_N: ArrayLike,
     tension_1z_N: ArrayLike,
-    gravity_m_s2: float = GRAVITY_M_S2,
 ) -> ElasticCatenary:
     """Equilibrium of a cable with a given tension vector at its attachment."""
-    w = _weight(rest_density_kg_m, gravity_m_s2)
+    w = _weight(rest_density_kg_m)
     EA = checked_array("stiffness EA", stiffness_EA_N, "N", above=0.0)
     s_0 = checked_array("rest_length_m", rest_length_m, "m", above=0.0)
     H = checked_array("tension_x_N", tension_x_N, "N", above=0.0)
@@ -91,7 +89,6 @@ def elastic_between(
     *,
     span_m: ArrayLike,
     rise_m: ArrayLike,
-    gravity_m_s2: float = GRAVITY_M_S2,
 ) -> ElasticCatenary:
     """Equilibrium of a cable of known rest length between two points.
 
@@ -106,7 +103,7 @@ def elastic_between(
     Raises:
         InvalidInput: a value is not finite or out of its range, or rounding dominates the result.
     """
-    w = _weight(rest_density_kg_m, gravity_m_s2)
+    w = _weight(rest_density_kg_m)
     EA = checked_array("stiffness EA", stiffness_EA_N, "N", above=0.0)
     s_0 = checked_array("rest_length_m", rest_length_m, "m", above=0.0)
     X = checked_array("span_m", span_m, "m", above=0.0)
@@ -132,9 +129,9 @@ def elastic_between(
     return cable
 
 
-def _weight(rest_density_kg_m: ArrayLike, gravity_m_s2: float) -> FloatArray:
+def _weight(rest_density_kg_m: ArrayLike) -> FloatArray:
     mu_0 = checked_array("rest density", rest_density_kg_m, "kg/m", above=0.0)
-    return np.asarray(mu_0 * checked_array("gravity", gravity_m_s2, "m/s2", above=0.0))
+    return np.asarray(mu_0 * GRAVITY_M_S2)
 
 
 def _from_tensions(

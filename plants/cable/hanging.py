@@ -43,11 +43,6 @@ class Catenary:
     tension_1_N: Numbers  # tension at end 1 [|T_1|], N
     tension_3_N: Numbers  # tension at end 3 [|T_3|], N
 
-    @property
-    def chord_m(self) -> Numbers:
-        """Straight distance between the ends, m."""
-        return scalar_or_array(np.hypot(self.span_m, self.rise_m))
-
     def residual(self) -> Numbers:
         """Largest error of (3) to (6), each relative to its largest term."""
         w, s, z, x = self.weight_N_m, self.length_m, self.rise_m, self.span_m

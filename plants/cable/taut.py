@@ -14,30 +14,11 @@ GRAVITY_M_S2 = 9.80665
 """Standard gravity, ISO 80000-3."""
 
 
-def tension_ratio(
-    density_kg_m: ArrayLike,
-    length_m: ArrayLike,
-    tension_1_N: ArrayLike,
-    gravity_m_s2: float = GRAVITY_M_S2,
-) -> Numbers:
-    """Relative tension differential ratio: the cable's weight over its tension.
-
-    A cable is nearly a straight, weightless line where the ratio is at most beta << 1; see
-    `least_taut_tension_N`.
-    """
-    mu = checked_array("density", density_kg_m, "kg/m", above=0.0)
-    s = checked_array("length", length_m, "m", above=0.0)
-    T_1 = checked_array("tension_1", tension_1_N, "N", above=0.0)
-    g = checked_array("gravity", gravity_m_s2, "m/s2", above=0.0)
-    return scalar_or_array(np.asarray(mu * g * s / T_1))
-
-
 def least_taut_tension_N(
     rest_density_kg_m: ArrayLike,
     length_m: ArrayLike,
     beta: ArrayLike = 0.05,
     stiffness_EA_N: ArrayLike | None = None,
-    gravity_m_s2: float = GRAVITY_M_S2,
 ) -> Numbers:
     """Least tension at which the cable is a straight line: `|T_1| >= mu g ds / beta`, N.
 
@@ -50,10 +31,9 @@ def least_taut_tension_N(
     mu_0 = checked_array("rest density", rest_density_kg_m, "kg/m", above=0.0)
     s = checked_array("length", length_m, "m", above=0.0)
     criterion = checked_array("beta", beta, "", above=0.0)
-    g = checked_array("gravity", gravity_m_s2, "m/s2", above=0.0)
     remedy = "a taut cable needs beta far below 1"
     refuse_where(criterion >= 1.0, "beta", criterion, "", remedy)
-    bound = np.asarray(mu_0 * g * s / criterion)
+    bound = np.asarray(mu_0 * GRAVITY_M_S2 * s / criterion)
     if stiffness_EA_N is None:
         return scalar_or_array(bound)
     EA = checked_array("stiffness EA", stiffness_EA_N, "N", above=0.0)

@@ -93,8 +93,7 @@ class Dependence:
     def estimates(self, cable_length_m: float, tension_N: float) -> dict[str, Estimate]:
         """`natural_frequency_Hz`, `damping`, `gain` and `dead_time_s` there.
 
-        The intervals propagate those of the fits; for the interpolation error see
-        `cross_validation_errors`.
+        The intervals propagate those of the fits, without the error of the interpolation.
 
         Raises:
             InvalidInput: the place lies outside the conditions.
@@ -112,38 +111,6 @@ class Dependence:
             name: Estimate.normal(float(values[n] * f), float(errors[n] * f), quantile, unit)
             for name, (n, f, unit) in names.items()
         }
-
-    def cross_validation_errors(self) -> dict[str, float]:
-        """Worst relative error of leave-one-out predictions, by quantity.
-
-        Only conditions inside the range of the others are predicted. The error between the
-        conditions is smaller than that of the grid's corners, which are predicted from one side.
-
-        Raises:
-            InvalidInput: no condition lies inside the range of the others.
-        """
-        worst = {"natural_frequency": 0.0, "damping": 0.0}
-        predicted = 0
-        for n, condition in enumerate(self.conditions):
-            others = [*self.conditions[:n], *self.conditions[n + 1 :]]
-            try:
-                model = Dependence(others).at(condition.cable_length_m, condition.tension_N)
-            except InvalidInput:
-                continue
-            predicted += 1
-            own = condition.fit.model
-            ratios = {
-                "natural_frequency": model.natural_frequency_rad_s / own.natural_frequency_rad_s,
-                "damping": model.damping / own.damping,
-            }
-            for name, ratio in ratios.items():
-                worst[name] = max(worst[name], float(abs(ratio - 1.0)))
-        if predicted == 0:
-            raise InvalidInput(
-                "no condition lies between the others, so none can be checked; identify at "
-                "further lengths or tensions"
-            )
-        return worst
 
     def _values(self, cable_length_m: float, tension_N: float) -> tuple[FloatArray, FloatArray]:
         """(w, zeta, gain, dead time, ...) at a length and tension, and their covariance."""

@@ -45,9 +45,8 @@ class FrictionFit:
     coulomb_Nm: Estimate  # dynamic Coulomb friction f_c, N m
     static_Nm: Estimate  # static friction f_s, N m
     stribeck_rad_s: Estimate  # stribeck velocity v_s, rad/s
-    # Measured less fitted angle after break-away; one array per record.
-    residual_rad: tuple[FloatArray, ...]
-    residual_counts: float  # their rms in encoder counts; quantisation alone gives 0.29
+    # Measured less fitted angle after break-away, rms in counts; quantisation alone gives 0.29.
+    residual_counts: float
     confidence: float  # level of the intervals
 
     @property
@@ -101,8 +100,7 @@ def fit_friction(records: Sequence[RampRecord], confidence: float = 0.95) -> Fri
             f"over {math.exp(width * deviations['excess_Nm']):.3g}; use a slower ramp or a finer "
             "encoder, or compensate Coulomb friction alone"
         )
-    residuals = tuple(residual for residual, _ in parts)
-    squares = [np.mean((e / r.count_rad) ** 2) for e, r in zip(residuals, records, strict=True)]
+    squares = [np.mean((e / r.count_rad) ** 2) for (e, _), r in zip(parts, records, strict=True)]
     intervals = {
         name: Estimate.log_normal(value, deviations[name], width, unit)
         for (name, value), unit in zip(fitted.items(), UNITS, strict=True)
@@ -113,7 +111,6 @@ def fit_friction(records: Sequence[RampRecord], confidence: float = 0.95) -> Fri
         coulomb_Nm=intervals["coulomb_Nm"],
         static_Nm=_static(fitted, covariance, width),
         stribeck_rad_s=intervals["stribeck_rad_s"],
-        residual_rad=residuals,
         residual_counts=math.sqrt(float(np.mean(squares))),
         confidence=confidence,
     )

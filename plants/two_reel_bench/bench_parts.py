@@ -44,11 +44,6 @@ class Eyelet:
         share = self.dynamic_share + (1.0 - self.dynamic_share) * fade
         return static * share + self.viscous_s_m * abs(velocity_m_s)
 
-    def attenuation_at(self, tension_N: float, velocity_m_s: float = 0.0) -> float:
-        """Attenuation ratio B at a tension inside and a sliding velocity."""
-        coefficient = self.coefficient_at(tension_N, velocity_m_s)
-        return float(attenuation(coefficient, *self.angles_rad))
-
 
 @dataclass(frozen=True, slots=True)
 class Gauge:

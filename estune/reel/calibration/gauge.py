@@ -175,16 +175,6 @@ class GaugeCalibration:
         u = 2.0 * (counts - zero) / (one + np.copysign(root, one))
         return scalar_or_array(self.force.natural(np.clip(u, -reach, reach)))
 
-    def sensitivity(self, force_N: ArrayLike, position_m: ArrayLike | None = None) -> Numbers:
-        """Slope of the curve, counts per N; residuals divided by it are in N.
-
-        Raises:
-            InvalidInput: a value is not finite or outside the calibrated range.
-        """
-        u, v = self.force.scaled(force_N), self._along(position_m)
-        _, one, two = self._in_force(v)
-        return scalar_or_array((one + 2.0 * u * two) / (0.5 * (self.force.high - self.force.low)))
-
     def as_dict(self) -> dict[str, Any]:
         """Plain numbers, lists and dictionaries, for JSON."""
         return asdict(self)
