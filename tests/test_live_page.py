@@ -7,9 +7,10 @@ import pytest
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import expect
 
+from estune.errors import JournalError
 from estune.remote import zenoh
 from estune.web.server import PageServer
-from estune.web.views import run_view
+from estune.web.views import rig_view, run_view
 from tests.serve_rig import served
 from tests.support_browser import browser, needs_browser, opened
 from tests.support_daemon import daemon, rig_served, rig_table
@@ -47,8 +48,6 @@ def run(tmp_path_factory):
 
 
 def run_view_when_there(folder):
-    from estune.errors import JournalError
-
     while True:
         try:
             return run_view(folder)
@@ -109,10 +108,8 @@ def test_daemon_page_accepts_a_candidate_once_the_rig_has_it(chromium, tmp_path)
             assert serious(page) == []
 
 
-def test_page_without_its_server_says_that_it_is_disconnected(chromium, tmp_path):
+def test_page_without_its_server_says_that_it_is_disconnected(chromium):
     with rig_served() as (_, endpoint):
-        from estune.web.views import rig_view
-
         view = rig_view(endpoint, "drum")
         server = PageServer(lambda: [view])
         page = chromium.new_page()

@@ -2,11 +2,12 @@
 
 import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Literal
 
-from estune.errors import InvalidInput
+from estune.errors import InvalidInput, JournalError
 from estune.remote.messages.daemon import (
     DAEMON_VERBS,
     Command,
@@ -125,10 +126,17 @@ def folder_views(folder: Path, security: Security = OPEN) -> Views:
         newest = sorted(paths, key=lambda path: path.stat().st_ctime, reverse=True)[:RUNS_MAX]
         for path in newest:
             if path not in kept:
-                kept[path] = run_view(path, security)
-        return [kept[path] for path in newest]
+                with suppress(JournalError):  # half-copied, or just being begun: tried again
+                    kept[path] = run_view(path, security)
+        return [kept.get(path) or _unreadable(path) for path in newest]
 
     return views
+
+
+def _unreadable(folder: Path) -> View:
+    """A run whose journal cannot be read; the page says why."""
+    board = Board()
+    return View(folder.name, "run", board, [RunReader(board, folder)])
 
 
 def rig_view(endpoint: str, rig: str, security: Security = OPEN) -> View:
