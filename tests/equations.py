@@ -9,6 +9,7 @@ import ast
 import re
 from collections import defaultdict
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -33,10 +34,13 @@ class Place(NamedTuple):
     title: str  # first line of the docstring
 
 
-def implementations(folders: tuple[str, ...] = ("estune", "plants")) -> dict[int, list[Place]]:
+@cache
+def implementations() -> dict[int, list[Place]]:
     """The docstrings that implement each equation; there must be one for each."""
     places = defaultdict(list)
-    for path in sorted(p for folder in folders for p in (ROOT / folder).rglob("*.py")):
+    for path in sorted(
+        p for folder in ("estune", "plants") for p in (ROOT / folder).rglob("*.py")
+    ):
         module = ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
         for name, docstring in _docstrings(ast.parse(path.read_text("utf-8")), module):
             for declared in _DECLARED.finditer(docstring):
@@ -45,6 +49,7 @@ def implementations(folders: tuple[str, ...] = ("estune", "plants")) -> dict[int
     return dict(places)
 
 
+@cache
 def checks() -> dict[int, list[str]]:
     """The tests marked with each equation."""
     tests = defaultdict(list)

@@ -301,7 +301,7 @@ def test_unidentifiable_plant_is_rejected_with_a_remedy(case, message):
         (lambda: multisine(632.0, Band(1.0, 400.0), 1.0), "below half the sampling rate"),
         (lambda: multisine(632.0, Band(1.0, 10.0, period_s=1.001), 1.0), "whole number"),
         (lambda: multisine(632.0, Band(1.0, 3.0), 1.0), "longer period or a wider band"),
-        (lambda: chirp(632.0, Band(1.0, 100.0), math.nan), "must be above zero"),
+        (lambda: chirp(632.0, Band(1.0, 100.0), math.nan), "finite and above zero"),
         (lambda: chirp(632.0, Band(2.0, 90.0, period_s=631 / 632), 1.0), "even number"),
     ],
 )

@@ -30,6 +30,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from estune.core.quantities import check_positive
 from estune.errors import InvalidInput
 
 BASELINE_MAX = 100
@@ -111,8 +112,7 @@ class ControlChart:
             raise InvalidInput(
                 f"false_alarm_checks is {self.false_alarm_checks}; it must be from 10 to 1e6"
             )
-        if not (math.isfinite(self.scatter_min) and self.scatter_min > 0.0):
-            raise InvalidInput(f"scatter_min is {self.scatter_min}; it must be above zero")
+        check_positive("scatter_min", self.scatter_min)
 
     @property
     def limit(self) -> float:

@@ -15,7 +15,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from estune.core.quantities import FloatArray
+from estune.core.quantities import FloatArray, check_positive
 from estune.errors import InvalidInput
 
 Lines = NDArray[np.int64]
@@ -89,8 +89,7 @@ class Band:
     settling_periods: int = 1
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.period_s) and self.period_s > 0.0):
-            raise InvalidInput(f"period is {self.period_s} s; it must be finite and above zero")
+        check_positive("period", self.period_s, "s")
         if not 0.0 < self.low_Hz < self.high_Hz < math.inf:
             raise InvalidInput(
                 f"band {self.low_Hz} to {self.high_Hz} Hz: give two frequencies above zero, "
@@ -116,8 +115,7 @@ class Band:
             InvalidInput: the band passes half the sampling rate, or a period is not a whole number
                 of samples.
         """
-        if not (math.isfinite(sampling_Hz) and sampling_Hz > 0.0):
-            raise InvalidInput(f"sampling rate is {sampling_Hz} Hz; it must be above zero")
+        check_positive("sampling rate", sampling_Hz, "Hz")
         samples = round(self.period_s * sampling_Hz)
         if abs(samples - self.period_s * sampling_Hz) > 1e-6 * samples:
             raise InvalidInput(
@@ -161,7 +159,7 @@ def multisine(
     Raises:
         InvalidInput: a value is out of its range, or the band holds fewer than eight odd lines.
     """
-    _check_peak(peak_N)
+    check_positive("peak of the excitation", peak_N, "N")
     samples, lines = band.lines(sampling_Hz)
     odd = lines[lines % 2 == 1]
     if odd.size < 2 * ODD_GROUP:
@@ -196,7 +194,7 @@ def chirp(sampling_Hz: float, band: Band, peak_N: float) -> Excitation:
         InvalidInput: a value is out of its range, a period is an odd number of samples, or too
             short to sweep the band.
     """
-    _check_peak(peak_N)
+    check_positive("peak of the excitation", peak_N, "N")
     samples, lines = band.lines(sampling_Hz)
     if samples % 2:
         raise InvalidInput(
@@ -238,7 +236,7 @@ def stepped_sine(sampling_Hz: float, band: Band, peak_N: float, points: int = 20
         peak_N: Amplitude, N.
         points: Number of frequencies; those on the same line are measured once.
     """
-    _check_peak(peak_N)
+    check_positive("peak of the excitation", peak_N, "N")
     if points < 2:
         raise InvalidInput(f"{points} points: a response needs two frequencies or more")
     samples, lines = band.lines(sampling_Hz)
@@ -258,11 +256,6 @@ def stepped_sine(sampling_Hz: float, band: Band, peak_N: float, points: int = 20
             )
         )
     return Excitation("custom", sampling_Hz, tuple(segments))
-
-
-def _check_peak(peak_N: float) -> None:
-    if not (math.isfinite(peak_N) and peak_N > 0.0):
-        raise InvalidInput(f"peak of the excitation is {peak_N} N; it must be above zero")
 
 
 def _low_crest(samples: int, lines: Lines, amplitude: FloatArray) -> FloatArray:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estune.core.quantities import FloatArray
+from estune.core.quantities import FloatArray, check_not_negative, check_positive
 from estune.errors import InvalidInput
 
 SAMPLES_MIN = 20
@@ -47,14 +47,8 @@ class RampRecord:
             )
         if not all(np.isfinite(column).all() for column in columns):
             raise InvalidInput("the ramp record holds a value that is not finite; leave it out")
-        if not (math.isfinite(self.encoder_counts) and self.encoder_counts > 0.0):
-            raise InvalidInput(
-                f"encoder counts per turn are {self.encoder_counts}; they must be above zero"
-            )
-        if not (math.isfinite(self.dead_time_s) and self.dead_time_s >= 0.0):
-            raise InvalidInput(
-                f"dead time is {self.dead_time_s} s; it must be finite, and zero or above"
-            )
+        check_positive("encoder counts per turn", self.encoder_counts)
+        check_not_negative("dead time", self.dead_time_s, "s")
         steps = np.diff(self.time_s)
         if not (steps > 0.0).all() or np.ptp(steps) > 0.01 * steps.mean():
             raise InvalidInput(

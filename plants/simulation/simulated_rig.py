@@ -4,10 +4,7 @@ import threading
 import time
 from dataclasses import replace
 from datetime import UTC, datetime
-from typing import NamedTuple, TypeVar
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import Any
 
 from estune.core.gains import Gains
 from estune.core.quantities import check_not_negative
@@ -18,16 +15,7 @@ from plants.simulation.batch import Response, simulate
 from plants.simulation.noise import NoiseSource
 from plants.simulation.plant import SOFTWARE, Plant, drive_of
 
-Scalar = TypeVar("Scalar", bound=np.generic)
-
-
-class _TrialEnd(NamedTuple):
-    """Start time of a trial, its number of samples, and how it ended."""
-
-    started_at: str
-    samples: int
-    outcome: Outcome
-    reason: str
+_COLUMNS = ("time_s", "setpoint_N", "tension_N", "angle_rad", "flags", "reference_N")
 
 
 class SimulatedRig:
@@ -156,44 +144,31 @@ class SimulatedRig:
         rms = self._plant.noise_rms_N
         noise = self._noise.draw(request.number, size, rms) if rms else None
         response = simulate(self._plant, request.gains, request.profile, noise_N=noise)
-        samples = len(response.time_s)
-        end = _TrialEnd(started_at, samples, Outcome.DONE, "")
+        samples, outcome, reason = len(response.time_s), Outcome.DONE, ""
         if response.diverged_at is not None:
-            reason = f"{Outcome.DIVERGED.sentence} at sample {samples}, {samples / rate:.3f} s"
-            end = _TrialEnd(started_at, samples, Outcome.DIVERGED, reason)
+            outcome = Outcome.DIVERGED
+            reason = f"{outcome.sentence} at sample {samples}, {samples / rate:.3f} s"
         if self._pace > 0.0:
             with self._state:
                 self._shown = request.trial_id, response, began
             wait = began + self._pace * samples / rate - time.monotonic()
             if self._stop.wait(max(0.0, wait)):
-                passed = int((time.monotonic() - began) / self._pace * rate)
-                reason = Outcome.CANCELLED.sentence
-                end = _TrialEnd(started_at, min(samples, passed), Outcome.CANCELLED, reason)
-        return self._record(request, response, end)
-
-    def _record(self, request: TrialRequest, response: Response, end: _TrialEnd) -> TrialRecord:
-        """Record of the trial; read-only, because it may be returned again."""
-        current = response.effort_N / self._plant.newtons_per_ampere
+                samples = min(samples, int((time.monotonic() - began) / self._pace * rate))
+                outcome, reason = Outcome.CANCELLED, Outcome.CANCELLED.sentence
+        columns = {name: getattr(response, name) for name in _COLUMNS}
+        columns["current_A"] = response.effort_N / self._plant.newtons_per_ampere
         return TrialRecord(
             trial_id=request.trial_id,
             rig=self._description.name,
-            sampling_Hz=self._plant.controller.sampling_Hz,
+            sampling_Hz=rate,
             cable_length_m=self._description.cable_length_m,
             preload_N=request.profile.preload_N,
             gains=request.gains,
-            outcome=end.outcome,
-            reason=end.reason,
-            started_at=end.started_at,
+            outcome=outcome,
+            reason=reason,
+            started_at=started_at,
             software=SOFTWARE,
-            time_s=_read_only(response.time_s, end.samples),
-            setpoint_N=_read_only(response.setpoint_N, end.samples),
-            tension_N=_read_only(response.tension_N, end.samples),
-            current_A=_read_only(current, end.samples),
-            angle_rad=_read_only(response.angle_rad, end.samples),
-            flags=_read_only(response.flags, end.samples),
-            reference_N=None
-            if response.reference_N is None
-            else _read_only(response.reference_N, end.samples),
+            **{name: _read_only(column, samples) for name, column in columns.items()},
             loop=request.profile.loop,
             profile=request.profile.kind,
         )
@@ -218,7 +193,9 @@ class SimulatedRig:
             raise RigError(f"rig {self._description.name} is closed; make a new one")
 
 
-def _read_only(column: NDArray[Scalar], samples: int) -> NDArray[Scalar]:
-    part = column if samples == len(column) else column[:samples]
-    part.flags.writeable = False
-    return part
+def _read_only(column: Any, samples: int) -> Any:
+    """The first samples; read-only, because a record may be returned again."""
+    if column is not None:
+        column = column[:samples]
+        column.flags.writeable = False
+    return column

@@ -14,7 +14,7 @@ import math
 
 import numpy as np
 
-from estune.core.quantities import FloatArray
+from estune.core.quantities import FloatArray, check_positive
 from estune.errors import InvalidInput, PlantError
 from plants.two_reel_bench.bench_parts import Eyelet, ReelModel
 from plants.two_reel_bench.friction_ratio import log_loss
@@ -86,8 +86,7 @@ class SimulatedBench:
             ("tension_N", tension_N),
             ("sampling_Hz", sampling_Hz),
         ):
-            if not (math.isfinite(value) and value > 0.0):
-                raise InvalidInput(f"{name} is {value}; it must be above zero")
+            check_positive(name, value)
         softness = 1.0 / x.stiffness_N_m + 1.0 / outer_stiffness_N_m + 1.0 / y.stiffness_N_m
         self.x = SimulatedReel(x, tension_N, tension_N / outer_stiffness_N_m, 1.0 / softness)
         self.y = SimulatedReel(y, tension_N, 0.0, 1.0 / softness)

@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass, field
 
-from estune.errors import InvalidInput
+from estune.core.quantities import check_not_negative, check_positive
 from plants.two_reel_bench.friction_ratio import attenuation
 
 
@@ -26,16 +26,9 @@ class Eyelet:
 
     def __post_init__(self) -> None:
         attenuation(self.coefficient, *self.angles_rad)
-        shares = {
-            "dynamic_share": self.dynamic_share,
-            "viscous_s_m": self.viscous_s_m,
-            "variation": self.variation,
-        }
-        for name, value in shares.items():
-            if not (math.isfinite(value) and value >= 0.0):
-                raise InvalidInput(f"{name} is {value}; it must be zero or above")
-        if not (math.isfinite(self.stribeck_m_s) and self.stribeck_m_s > 0.0):
-            raise InvalidInput(f"stribeck_m_s is {self.stribeck_m_s}; it must be above zero")
+        for name in ("dynamic_share", "viscous_s_m", "variation"):
+            check_not_negative(name, getattr(self, name))
+        check_positive("stribeck_m_s", self.stribeck_m_s)
 
     def coefficient_at(self, tension_N: float, velocity_m_s: float = 0.0) -> float:
         """Friction coefficient C_R at a tension inside and a sliding velocity."""

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estune.core.quantities import FloatArray
+from estune.core.quantities import FloatArray, check_not_negative
 from estune.errors import InvalidInput
 from estune.reel.calibration import GaugeCalibration
 from plants.identify.estimate import Estimate, mean_estimate
@@ -164,8 +164,7 @@ def _check_options(tolerance: float, probability: float, angle_error_rad: float)
     for name, value in (("tolerance", tolerance), ("probability", probability)):
         if not 0.0 < value < 1.0:
             raise InvalidInput(f"{name} is {value}; it must lie between 0 and 1")
-    if not (np.isfinite(angle_error_rad) and angle_error_rad >= 0.0):
-        raise InvalidInput(f"angle_error_rad is {angle_error_rad}; it must be zero or above")
+    check_not_negative("angle_error_rad", angle_error_rad)
 
 
 def _table(measurements: Sequence[SetpointReadings]) -> FloatArray:

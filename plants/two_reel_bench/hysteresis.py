@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from estune.core.quantities import FloatArray
+from estune.core.quantities import FloatArray, check_positive
 from estune.errors import InvalidInput
 from estune.reel.calibration import GaugeCalibration
 from plants.two_reel_bench.rig import Bench, mean_reading
@@ -72,9 +72,7 @@ class HysteresisTest:
                 "and one or more cycles"
             )
         for name in ("step_s", "settle_s", "read_s"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0.0):
-                raise InvalidInput(f"{name} is {value}; it must be above zero")
+            check_positive(name, getattr(self, name))
 
     def run(self, bench: Bench, calibration_y: GaugeCalibration | None = None) -> HysteresisLoop:
         """Measures the loop; both reels hold their position afterwards, also after an error.

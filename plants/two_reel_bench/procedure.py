@@ -20,6 +20,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from estune.core.quantities import check_positive
 from estune.errors import InvalidInput, RigError
 from plants.two_reel_bench.rig import Bench, BenchRecord, Side, mean_reading, reel_of
 
@@ -101,9 +102,7 @@ class TwoReelProcedure:
             *("breakout_slope_N_s", "breakout_m", "travel_m"),
             *(("velocity_m_s",) if self.holding == "moving" else ()),
         ):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0.0):
-                raise InvalidInput(f"{name} is {value}; it must be above zero")
+            check_positive(name, getattr(self, name))
         if setpoints.min() <= 2.0 * self.preload_N:
             raise InvalidInput(
                 f"the least setpoint is {setpoints.min():g} N with a preload of "
