@@ -3,10 +3,10 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+import estune
 import plants
 from estune.core import pidf
 from estune.core.gains import Gains
-from estune.core.pidf import ControllerSettings
 from estune.errors import InvalidInput, PlantError, UnsafeStart
 from estune.trial.profiles import StepProfile
 from plants.effects import DeadTime, GainError
@@ -349,6 +349,7 @@ def test_linear_plant_chooses_safe_gains():
         gains = plant.describe("model", None).gains
         trial = plants.simulate(plant, gains)
         assert np.abs(trial.tension_N).max() < 1.5
+        assert min(gains.as_tuple()) > 0.0  # or it would not be tuned
 
 
 def lag(state, effort, dt_s):
@@ -414,8 +415,36 @@ def test_python_plant_reports_exceptions_of_its_function():
         plants.simulate(plant, Gains(1.0, 0.0, 0.0, 0.0))
 
 
-def test_python_plant_needs_given_gains():
-    plant = plants.python_plant(lag, 0.0, sampling_Hz=20.0, settling_time_s=1.0)
-    with pytest.raises(UnsafeStart, match="gains"):
+def test_python_plant_without_gains_is_identified_in_open_loop_and_tuned():
+    efforts = []
+
+    def oven(T, effort, dt_s):
+        efforts.append(effort)
+        T = T + dt_s * (0.02 * effort - (T - 20.0) / 300.0)
+        return T, T
+
+    plant = plants.python_plant(
+        oven, 20.0, sampling_Hz=0.5, settling_time_s=400.0, initial_measurement_N=20.0,
+        output_min_N=0.0, output_max_N=100.0, noise_rms_N=0.003,
+    )  # fmt: skip
+    rig = plant.rig()
+    assert min(rig.describe().gains.as_tuple()) > 0.0
+    result = estune.tune(rig, trials=12, journal=False, watch=None)
+    assert result.verdict.change.estimate < -0.5
+    assert 0.0 <= min(efforts) <= max(efforts) <= 100.0
+
+
+@pytest.mark.parametrize(
+    ("step", "words"),
+    [
+        (lambda x, u, dt: (x - dt * 5.0 * (x + u),) * 2, "turn the sign"),
+        (lambda x, u, dt: (x + dt * (5.0 * x + u),) * 2, "unstable by itself"),
+        (lambda x, u, dt: (x + dt * (u + 1.0),) * 2, "does not stay at rest"),
+        (lambda x, _u, _dt: (x, 0.0), "does not move it"),
+    ],
+)
+def test_python_plant_that_cannot_be_identified_says_why_and_asks_for_gains(step, words):
+    plant = plants.python_plant(step, 0.0, sampling_Hz=200.0, settling_time_s=0.5)
+    with pytest.raises(UnsafeStart, match=rf"{words}.*give gains that hold it stable"):
         plant.rig()
-    assert plant.controller == ControllerSettings(20.0, 0.0, -1e9, 1e9)
+    assert plant.rig(gains=Gains(1.0, 0.0, 0.0, 0.0)).describe().gains.P == 1.0

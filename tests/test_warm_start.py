@@ -1,5 +1,6 @@
 """Warm starts from a rig's own linear model."""
 
+import re
 from dataclasses import replace
 
 import control
@@ -147,3 +148,13 @@ def test_start_is_refused_by_the_linear_model_and_without_one_by_the_first_recor
         estune.tune(reel, start=wild, journal=False, watch=None)
     with pytest.raises(UnsafeStart, match=r"Ms of .* by the record of the first trial"):
         estune.tune(Untold(reel.rig()), start=wild, journal=False, watch=None, eta_max=9.0)
+
+
+def test_gains_that_start_at_zero_are_named_with_the_options_that_tune_them():
+    start = Gains(0.5, 10.0, 0.0, 0.0)
+    result = tuned(0.8, start=start, trials=1, journal=False)
+    said = " ".join(result.remarks())
+    assert "D and setpoint_filter_s start at zero and were not tuned" in said
+    options = dict(re.findall(r"--start (\w+)=(\S+?)\.?(?:\s|$)", said))
+    whole = replace(start, **{name: float(value) for name, value in options.items()})
+    assert "not tuned" not in " ".join(tuned(0.8, start=whole, trials=1, journal=False).remarks())

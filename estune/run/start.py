@@ -46,6 +46,25 @@ StartRule = Callable[[RigDescription], KnownStart]
 """Initial gains for a rig, such as those of `estune.start_from`."""
 
 
+def left_out(start: Gains, tuned: tuple[str, ...], settling_time_s: float) -> str:
+    """Which gains start at zero and are therefore not tuned, and how to include them; or nothing.
+
+    The values proposed are a hundredth of the settling time for D over P and the setpoint filter,
+    and an integral time of the settling time.
+    """
+    proposed = {
+        "I": start.P / settling_time_s,
+        "D": 0.01 * start.P * settling_time_s,
+        "setpoint_filter_s": 0.01 * settling_time_s,
+    }
+    names = [name for name in proposed if not getattr(start, name) and name not in tuned]
+    if not names:
+        return ""
+    options = " ".join(f"--start {name}={proposed[name]:.2g}" for name in names)
+    plural = "start at zero and were" if len(names) > 1 else "starts at zero and was"
+    return f"{' and '.join(names)} {plural} not tuned; to tune with: {options}"
+
+
 def check_start(start: KnownStart, rig: RigDescription) -> None:
     """Refuses gains whose loop with the rig's linear model, if it gives one, is not robust.
 

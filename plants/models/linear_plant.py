@@ -1,6 +1,5 @@
 """A linear model of python-control with a dead time, as a plant."""
 
-import itertools
 import math
 from dataclasses import dataclass
 from functools import cached_property
@@ -22,6 +21,7 @@ from plants.models.mounting import UNLIMITED_N, MountedModel, Mounting
 from plants.models.path_structure import squarings_for
 from plants.models.pole_zero_form import PoleZeroForm, factorise
 from plants.models.sampled_structure import SampledStructure
+from plants.models.start_gains import cautious_gains
 from plants.simulation.plant import Drive, split_dead_time
 
 if TYPE_CHECKING:  # python-control takes more than a second to import
@@ -52,6 +52,8 @@ class LinearPlant(MountedModel):
     model: LinearModel | None
     torque_unit: float = 1.0
     angle_unit: float = 1.0
+
+    diagnosed_by = "plants.diagnosis.models.linear_plant:DiagnosedLinear"
 
     def __post_init__(self) -> None:
         for effect in self.effects:
@@ -158,15 +160,12 @@ class LinearPlant(MountedModel):
         h = 1.0 / self.controller.sampling_Hz
         slow = 2.0 * math.pi / self.mounting.settling_time_s  # rad/s
         gain = float(np.abs(self.sampled.response(np.array([min(slow * h, 3.0)])))[0])
-        if not (math.isfinite(gain) and gain > 0.0):
-            return None
-        # A plant that integrates tolerates little integral action, at any P.
-        for P, share in itertools.product(0.5 / gain / 2.0 ** np.arange(20), (0.5, 0.125, 0.03)):
-            gains = Gains(float(P), float(P) * slow * share, 0.0, 0.0)
-            margins = loop_margins(self.sampled, gains, self.controller)
-            if margins.stable and margins.gain_margin >= 3.0 and margins.phase_margin_deg >= 60.0:
-                return gains
-        return None
+
+        def safe(gains: Gains) -> bool:
+            m = loop_margins(self.sampled, gains, self.controller)
+            return m.stable and m.gain_margin >= 3.0 and m.phase_margin_deg >= 60.0
+
+        return cautious_gains(gain, self.mounting.settling_time_s, safe)
 
 
 def linear_plant(

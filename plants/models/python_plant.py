@@ -18,6 +18,7 @@ from estune.trial import SATURATED, RigDescription, RigLimits
 from estune.trial.profiles import StepProfile
 from plants.effects import Effect
 from plants.models.mounting import UNLIMITED_N, MountedModel, Mounting
+from plants.models.start_gains import identified_gains
 from plants.models.state_shape import StateShape
 from plants.models.symbolic_plant import TracedStructure, unavailable
 from plants.simulation.plant import Columns, Drive, split_dead_time
@@ -55,6 +56,8 @@ class PythonPlant(MountedModel):
     dead_time_s: float
     torque_unit: float = 1.0
     angle_unit: float = 1.0
+
+    diagnosed_by = "plants.diagnosis.models.python_plant:DiagnosedFunction"
 
     def __post_init__(self) -> None:
         for effect in self.effects:
@@ -185,7 +188,13 @@ class PythonPlant(MountedModel):
 
     def describe(self, name: str, gains: Gains | None) -> RigDescription:
         """Description of a rig that runs this plant."""
-        return self.mounting.describe(name, gains, None)
+        live = gains or self.mounting.gains or self._identified_gains
+        return self.mounting.describe(name, live, None)
+
+    @cached_property
+    def _identified_gains(self) -> Gains:
+        """Cautious gains by a first identification in open loop."""
+        return identified_gains(self, self.mounting.settling_time_s, self.initial_effort_N)
 
 
 def python_plant(
@@ -216,7 +225,8 @@ def python_plant(
         initial_state: State in the form that the function takes.
         sampling_Hz: Rate of the controller.
         settling_time_s: Settling time a good tuning can reach, s.
-        gains: Safe live gains of its rig.
+        gains: Safe live gains of its rig; None is a slow PI by an identification in open loop,
+            with an effort of at most a tenth of its range.
         profile: The suggested step; None is a step of one from the initial measurement, followed
             for five settling times.
         dead_time_s: Delay of the effort, s.
