@@ -15,6 +15,7 @@ TIMED = {
     "catenary",
     "effects",
     "jitter",
+    "live_page",
     "scale",
     "sweep_speed",
 }
@@ -26,7 +27,7 @@ TIMES = ("_restored_max_s", "stop_p99_ms")
 SAMPLED = {"confirmation", "diagnosis_constants", "hidden_effects", "sample_efficiency"}
 """Experiments whose targets are shares of hundreds of cases, too many for the quick form."""
 
-NIGHTLY = {"diagnosis_constants", "hidden_effects", "jitter", "two_reels"}
+NIGHTLY = {"diagnosis_constants", "hidden_effects", "jitter", "live_page", "two_reels"}
 """Experiments whose quick form takes a minute; their subjects have tests of their own."""
 
 

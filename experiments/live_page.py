@@ -1,0 +1,249 @@
+"""Does the live page show a trial at once, and cost the run or the rig nothing?
+
+Every part is a process of its own: a tuning, a daemon, a rig, the page's server. This process is
+the pages: it reads their event streams.
+
+* Update: time from the commit of a trial, by the journal, to its arrival at a page.
+* History: time until a page of a run with 100 000 trials has been sent them.
+* Rate: a daemon's trials in equal times, with ten pages open and without, in turns.
+* Stop: 99th centile of the time until a rig has answered an emergency stop, likewise.
+"""
+
+import http.client
+import json
+import sqlite3
+import statistics
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import plants
+from estune import tune
+from estune.remote import zenoh
+from estune.remote.zenoh.daemon_service import DaemonClient
+from experiments.results import (
+    Target,
+    at_least,
+    at_most,
+    command_line,
+    print_results,
+    print_tables,
+)
+
+PAGES = 10
+TRIALS_LONG = 100_000
+WITHIN_S = 60.0
+DAEMON = """
+[service]
+listen = "tcp/127.0.0.1:0"
+[page]
+http_port = 0
+[[rig]]
+name = "reel"
+target = "{endpoint}"
+[rig.tuning]
+tuner = "least_squares_gradient"
+trials = 1000000
+tolerance = 0.0
+"""
+
+
+@contextmanager
+def command(*arguments: object) -> Iterator["subprocess.Popen[str]"]:
+    """A command of estune in a process, killed at the end."""
+    line = [sys.executable, "-m", "estune.cli", *map(str, arguments)]
+    with subprocess.Popen(  # noqa: S603  our own command
+        line, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+    ) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
+
+
+def printed(process: "subprocess.Popen[str]", begin: str) -> str:
+    """The rest of the first line that begins so."""
+    assert process.stdout is not None  # noqa: S101  opened as a pipe
+    for line in process.stdout:
+        if line.startswith(begin):
+            return line.removeprefix(begin).strip()
+    raise RuntimeError(f"the process ended before it printed {begin!r}")
+
+
+def changes(address: str, view: str) -> Iterator[dict[str, Any]]:
+    """What a page is sent."""
+    netloc = address.split("/")[2]
+    connection = http.client.HTTPConnection(netloc, timeout=WITHIN_S)
+    connection.request("GET", f"/api/events?view={view}")
+    event = b"message"
+    for line in connection.getresponse():
+        if line.startswith(b"event: "):
+            event = line[7:].strip()
+        elif line.startswith(b"data: "):
+            if event == b"message":
+                yield json.loads(line[6:])
+            event = b"message"
+
+
+@contextmanager
+def pages_open(address: str, view: str) -> Iterator[None]:
+    """Ten pages that read all they are sent."""
+    ended = threading.Event()
+
+    def read() -> None:
+        for _ in changes(address, view):
+            if ended.is_set():
+                return
+
+    threads = [threading.Thread(target=read, daemon=True) for _ in range(PAGES)]
+    for thread in threads:
+        thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+
+
+def update_s(folder: Path, trials: int) -> list[float]:
+    """Time from the commit of each trial to its arrival at a page."""
+    options = ("--trials", trials, "--tolerance", 0, "--tuner", "least_squares_gradient")
+    shown: dict[int, float] = {}
+    with ExitStack() as stack:
+        rig = stack.enter_context(command("serve", "--pace", 0.2, "--ledger", "memory"))
+        endpoint = printed(rig, "rig reel at ")
+        run = ("tune", endpoint, *options, "--quiet", "--run", "live", "--folder", folder)
+        tuning = stack.enter_context(command(*run))
+        while not (folder / "live" / "run.sqlite-wal").exists():
+            time.sleep(0.1)
+        time.sleep(1.0)
+        watch = stack.enter_context(command("watch", folder / "live", "--port", 0))
+        for change in changes(printed(watch, "page at "), "live"):
+            now_s = time.time()
+            table = change["tables"].get("trials")
+            if table and not table["restart"]:
+                shown |= dict.fromkeys((row[0] for row in table["rows"]), now_s)
+            if change["values"].get("state", {}).get("status", "running") != "running":
+                break
+        tuning.wait()
+    with sqlite3.connect(folder / "live" / "run.sqlite") as journal:
+        told = dict(journal.execute("SELECT number, told_at FROM trial WHERE told_at NOT NULL"))
+    return [
+        at_s - datetime.fromisoformat(told[n]).astimezone(UTC).timestamp()
+        for n, at_s in shown.items()
+    ]
+
+
+def history_s(folder: Path, trials: int) -> float:
+    """Time until a page has been sent the trials of a long run."""
+    tune(plants.reference_reel(), trials=3, run="long", folder=folder, watch=None)
+    with sqlite3.connect(folder / "long" / "run.sqlite") as journal:
+        costs = 1.0 + np.random.default_rng(0).lognormal(size=trials)
+        journal.executemany(
+            "INSERT INTO trial (number, attempt, trial_id, phase, P, I, D, setpoint_filter_s,"
+            " asked_at, outcome, cost, margin) VALUES (?, 0, ?, 'search', 1, 1, 1, 1, '', 'done',"
+            " ?, 1)",
+            ((100 + n, f"more-{n}", cost) for n, cost in enumerate(costs.tolist())),
+        )
+    with command("watch", folder / "long", "--port", 0) as watch:
+        address = printed(watch, "page at ")
+        begun_s = time.perf_counter()
+        next(change for change in changes(address, "long") if change["tables"].get("trials"))
+        return time.perf_counter() - begun_s
+
+
+def rates(folder: Path, rounds: int, each_s: float) -> tuple[list[float], list[float]]:
+    """A daemon's trials a second without and with pages open, in turns."""
+    without, having = [], []
+    with ExitStack() as stack:
+        rig = stack.enter_context(command("serve", "--ledger", "memory"))
+        file = folder / "daemon.toml"
+        file.write_text(DAEMON.format(endpoint=printed(rig, "rig reel at ")), encoding="utf-8")
+        daemon = stack.enter_context(command("daemon", file))
+        endpoint, address = printed(daemon, "daemon at "), printed(daemon, "page at ")
+        client = stack.enter_context(DaemonClient(endpoint))
+
+        def rate() -> float:
+            first, begun_s = client.status("reel").trials, time.perf_counter()
+            time.sleep(each_s)
+            done = client.status("reel").trials - first
+            return done / (time.perf_counter() - begun_s)
+
+        while client.status("reel").trials < 5:
+            time.sleep(0.1)
+        for _ in range(rounds):
+            without.append(rate())
+            with pages_open(address, "reel"):
+                time.sleep(0.5)
+                having.append(rate())
+    return without, having
+
+
+def stops_ms(rounds: int, each: int) -> tuple[list[float], list[float]]:
+    """Times until a rig has answered an emergency stop, without and with pages open, in turns."""
+    without: list[float] = []
+    having: list[float] = []
+    with ExitStack() as stack:
+        server = stack.enter_context(command("serve", "--ledger", "memory"))
+        endpoint = printed(server, "rig reel at ")
+        watch = stack.enter_context(command("watch", endpoint, "--port", 0))
+        address = printed(watch, "page at ")
+        rig = stack.enter_context(zenoh.connect(endpoint))
+
+        def stop() -> float:
+            begun_s = time.perf_counter()
+            rig.estop("experiment")
+            taken_s = time.perf_counter() - begun_s
+            rig.clear()
+            return 1e3 * taken_s
+
+        for _ in range(rounds):
+            without += [stop() for _ in range(each)]
+            with pages_open(address, "reel"):
+                time.sleep(0.5)
+                having += [stop() for _ in range(each)]
+    return without, having
+
+
+def main() -> int:
+    """Measures, and prints the figures."""
+    options = command_line(__doc__, quick="fewer trials and turns").parse_args()
+    quick = options.quick
+    with tempfile.TemporaryDirectory() as name, print_tables(hidden=options.json):
+        folder = Path(name)
+        updates = update_s(folder, 20 if quick else 150)
+        opened_s = history_s(folder, 2000 if quick else TRIALS_LONG)
+        without, having = rates(folder, 1 if quick else 8, 2.0 if quick else 8.0)
+        plain_ms, watched_ms = stops_ms(1 if quick else 5, 20 if quick else 200)
+        ratio = statistics.fmean(having) / statistics.fmean(without)
+        p99 = [float(np.quantile(times, 0.99)) for times in (plain_ms, watched_ms)]
+        figures: dict[str, float] = {
+            "update_median_s": statistics.median(updates),
+            "update_max_s": max(updates),
+            "history_s": opened_s,
+            "trials_per_s": statistics.fmean(without),
+            "trials_per_s_with_pages": statistics.fmean(having),
+            "stop_p99_ms": p99[0],
+            "stop_p99_with_pages_ms": p99[1],
+        }
+        for label, value in figures.items():
+            print(f"{label:<26} {value:10.4g}")
+    targets: dict[str, Target] = {
+        "update_max_s": at_most(max(updates), 0.5),
+        "history_s": at_most(opened_s, 2.0),
+        "rate_share": at_least(ratio, 0.98),
+        "stop_p99_with_pages_ms": at_most(p99[1], 5.0),
+    }
+    return print_results(figures, targets, as_json=options.json)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
