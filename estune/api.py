@@ -23,6 +23,7 @@ from estune.run.plan import (
 )
 from estune.run.result import TuneResult
 from estune.run.session import REPEATS, TOLERANCE, TRIALS
+from estune.run.start import KnownStart, StartRule
 from estune.run.targets import open_target
 from estune.trial import Rig, RigDescription
 from estune.trial.profiles import StepProfile
@@ -42,7 +43,7 @@ def tune(
     trials: int = TRIALS,
     tolerance: float = TOLERANCE,
     repeats: int = REPEATS,
-    start: Gains | Literal["model"] | None = None,
+    start: Gains | KnownStart | StartRule | Literal["model"] | None = None,
     bounds: Mapping[str, tuple[float, float]] | None = None,
     step: StepProfile | None = None,
     cost: StepCost | None = None,
@@ -57,6 +58,7 @@ def tune(
     watch: ProgressListener | Literal["auto"] | None = "auto",
     ask: ApprovalCallback | None = None,
     limits: RobustnessLimits | None = None,
+    force: bool = False,
 ) -> TuneResult:
     """Tunes the PIDF gains of a rig by step trials.
 
@@ -72,8 +74,8 @@ def tune(
             tuner estimates it; zero makes it use all its trials.
         repeats: Trials of the initial gains before the search and of each candidate in the
             choice; also the minimum of each in the confirmation.
-        start: Initial gains; the rig's live ones by default, or "model" for a warm start from the
-            rig's own linear model.
+        start: Initial gains; the rig's live ones by default, "model" for the optimum of the rig's
+            own linear model, or from a law or an earlier run by `estune.start_from`.
         bounds: Lowest and highest value of gains, by name (P, I, D, setpoint_filter_s); by default
             a hundredth and a hundred times the initial value.
         step: The step trial; suggested by the rig by default.
@@ -92,10 +94,13 @@ def tune(
         ask: Approval callback for gains outside the region shown to be safe; returns "yes", "no"
             or "always".
         limits: Limits of sensitivity, overshoot and phase margin that the tuner model_based
-            keeps; 1.6, 5 % and none by default.
+            keeps; 1.6, 5 % and none by default. Whatever the tuner, a result with Ms above 2.5 is
+            not robust, unless the sensitivity has no limit.
+        force: Whether to tune by ill-posed trials all the same: noise makes up more than a tenth
+            of the cost, or the settling time is shorter than ten samples.
 
     Raises:
-        InvalidInput: a value is not usable, or the rig gives no model for a warm start.
+        InvalidInput: a value is not usable, or the rig gives no model to start from.
         RigError: the rig cannot be reached or refuses.
         JournalError: the run cannot be written.
         UnsafeStart: the initial gains are unsafe.
@@ -129,6 +134,7 @@ def tune(
             repeats=repeats,
             eta_max=eta_max,
             ask_first=ask is not None,
+            forced=force,
         )
         description.limits.check(plan.step)
         book = None

@@ -87,8 +87,8 @@ def test_page_of_tuners_lists_the_table():
     ("name", "message"),
     [
         ("newton", "safe_bayesian"),
-        ("optuna", "the tuners are safe_bayesian, "),
-        ("bobyqa", "the tuners are safe_bayesian, "),
+        ("optuna", "the tuners are model_based, "),
+        ("bobyqa", "the tuners are model_based, "),
         ("nowhere:Thing", "no module 'nowhere'"),
         (f"{__name__}:Nothing", "has no 'Nothing'"),
         (f"{__name__}:NotATuner", "must be a dataclass with the methods start, ask"),

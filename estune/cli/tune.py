@@ -1,11 +1,9 @@
 """`estune tune` and `estune resume`."""
 
-from collections.abc import Callable, Mapping
-from contextlib import AbstractContextManager
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Group, Parameter
 
@@ -28,18 +26,23 @@ from estune.errors import InvalidInput
 from estune.loop_model.optimum import RobustnessLimits
 from estune.remote.state_machine.client import PATIENCE_S
 from estune.run.journal import Journal
-from estune.run.plan import model_start
+from estune.run.plan import known_start
 from estune.run.result import RunEnding, TuneResult
 from estune.run.session import REPEATS, TOLERANCE, TRIALS
+from estune.run.start import KnownStart
 from estune.run.targets import is_endpoint, open_target
 from estune.run.toml_tables import CostTable, StepTable
+from estune.studies.law.start import start_from
 from estune.support.toml_file import validate
-from estune.trial import Rig, RigDescription
+from estune.trial import RigDescription
 from estune.tuners import DEFAULT_TUNER
+
+if TYPE_CHECKING:
+    from estune.remote.security import Security
 
 _STEP = Group("The step trial", sort_key=1)
 _COST = Group("The cost of a trial, (35)", sort_key=2)
-_LIMITS = Group("Limits of --tuner model_based; each may be none", sort_key=3)
+_LIMITS = Group("Limits of robustness; each may be none", sort_key=3)
 
 
 @Parameter(name="*", group=_STEP)
@@ -107,7 +110,7 @@ def tune(
     repeats: int = REPEATS,
     eta_max: float | None = None,
     ask: Flag = False,
-    warm_start: Flag = False,
+    force: Flag = False,
     start: Values = (),
     bounds: Values = (),
     rig: str | None = None,
@@ -124,7 +127,8 @@ def tune(
 ) -> int:
     """Tune a rig by step trials.
 
-    Exits with code 0 if the improvement is statistically significant, and with 7 if it is not.
+    Exits with code 0 if the improvement is statistically significant, with 7 if it is not, and
+    with 8 if the better gains are not robust.
 
     Args:
         target: The rig: an endpoint such as tcp/127.0.0.1:7447, a model file such as reel.toml,
@@ -137,9 +141,10 @@ def tune(
             trials of the initial and of the tuned gains.
         eta_max: Cost above which a trial is unsafe; three times the initial cost by default.
         ask: Prompt before gains are tried that lie outside the region shown to be safe.
-        warm_start: Begin from the gains that the rig's own linear model suggests.
-        start: Initial value of a gain, instead of the rig's or its model's, as P=0.5; repeat for
-            more.
+        force: Tune even if the trial is ill-posed: cost mostly noise, or too few samples.
+        start: Where the initial gains come from instead of the rig: model (the optimum of its own
+            linear model), run:RUN, law:SWEEP or law:RUNS (the law over cable length of a sweep or
+            of a folder of runs); or the initial value of a gain, as P=0.5. Repeat for more.
         bounds: Lowest and highest value of a gain, as P=0.1:10; repeat for more. The gains are P,
             I, D and setpoint_filter_s.
         rig: Name of the rig, if several answer at the endpoint.
@@ -157,8 +162,6 @@ def tune(
     """
     check_folder_exists("--report", report)
     credentials = security_from(security)
-    open_rig = partial(open_target, target, rig, credentials)
-    choices = _choices(open_rig, numbers_from(start), step, cost, warm_start=warm_start)
     result = api.tune(
         target,
         tuner=tuner,
@@ -167,7 +170,7 @@ def tune(
         repeats=repeats,
         eta_max=eta_max,
         bounds=ranges_from(bounds) or None,
-        **choices,
+        **tuning_choices(target, rig, credentials, start, step, cost, limits),
         rig=rig,
         security=credentials,
         patience_s=patience,
@@ -176,7 +179,7 @@ def tune(
         records=records,
         watch=None if quiet else "auto",
         ask=terminal_approval() if ask else None,
-        limits=_limits(limits),
+        force=force,
     )
     return finish(result, target, report=report)
 
@@ -236,7 +239,8 @@ def finish(
         facts["report"] = output.save_report(result, report)
     elif result.folder is not None:
         facts["report"] = f"estune report {result.folder}"
-    if result.ending is RunEnding.TUNED and is_endpoint(target):
+    found = result.ending is RunEnding.TUNED
+    if (found or result.plan.start_source) and is_endpoint(target):
         facts["make live"] = f"estune apply {result.folder} {target}"
     facts["trials"] = f"estune export {result.folder} --csv"
     output.show_next({**facts, **(more or {})})
@@ -263,26 +267,37 @@ def _limits(options: LimitOptions) -> RobustnessLimits | None:
     )
 
 
-def _choices(
-    open_rig: Callable[[], AbstractContextManager[Rig]],
-    start: Mapping[str, float],
+def tuning_choices(  # noqa: PLR0917  the order of the options
+    target: str,
+    rig_name: str | None,
+    security: "Security",
+    start: Values,
     step: StepOptions,
     cost: CostOptions,
-    *,
-    warm_start: bool,
+    limit_options: LimitOptions,
 ) -> dict[str, Any]:
-    """Arguments of `api.tune` that the rig's suggestions complete; none without such options."""
-    unknown = set(start) - set(GAIN_NAMES)
+    """Arguments of `api.tune` that the rig's suggestions complete; the rig is asked if needed."""
+    limits = _limits(limit_options)
+    if not start and step == NO_STEP and cost == NO_COST:
+        return {"limits": limits}
+    sources = [text for text in start if text.startswith(("run:", "law:")) or "=" not in text]
+    numbers = numbers_from(text for text in start if text not in sources)
+    unknown = set(numbers) - set(GAIN_NAMES)
     if unknown:
         raise InvalidInput(
             f"there is no gain {', '.join(sorted(unknown))}; the gains are {', '.join(GAIN_NAMES)}"
         )
-    if not start and not warm_start and step == NO_STEP and cost == NO_COST:
-        return {}
-    with open_rig() as the_rig:
+    if len(sources) > 1:
+        raise InvalidInput("--start names more than one source of initial gains; name one")
+    with open_target(target, rig_name, security) as the_rig:
         rig = the_rig.describe()
-    initial = model_start(rig) if warm_start else rig.gains
-    return {"start": replace(initial, **start), **trial_of(rig, step, cost)}
+    trial = trial_of(rig, step, cost)
+    if not sources:
+        return {"start": replace(rig.gains, **numbers), "limits": limits, **trial}
+    known = known_start(start_from(sources[0]), rig, trial["step"], trial["cost"], limits)
+    source = ", ".join([known.source, *(f"{name}={value:g}" for name, value in numbers.items())])
+    known = KnownStart(replace(known.gains, **numbers), source)
+    return {"start": known, "limits": limits, **trial}
 
 
 def trial_of(rig: RigDescription, step: StepOptions, cost: CostOptions) -> dict[str, Any]:

@@ -27,6 +27,9 @@ LONGER = 2.0
 noise for dead time where the numerator covers it: sd of ln Ms 2.3 % instead of 1.7 % after ten
 timid trials of `tests/test_loop_model.py`."""
 
+RESPONSE_MIN = 10.0
+"""Least response in standard deviations of the noise: a trial below 95 is refused as ill-posed."""
+
 NUISANCE_APART = 1e-7
 """Least share of the largest singular value by which start state and offsets differ."""
 
@@ -62,6 +65,7 @@ class LoopFit(NamedTuple):
         noise_N: Standard deviation of the measurement noise, from first differences.
         residual_N: Standard deviation of the residual.
         misfits: rho of each record, the residual beyond the noise as a share of its step.
+        response_N: Largest deviation of the fitted measurement.
     """
 
     model: LoopModel
@@ -70,6 +74,12 @@ class LoopFit(NamedTuple):
     noise_N: float
     residual_N: float
     misfits: tuple[float, ...]
+    response_N: float
+
+    @property
+    def responds(self) -> bool:
+        """Whether the measurement follows the effort, beyond the noise."""
+        return self.response_N > RESPONSE_MIN * self.noise_N
 
     @property
     def misfit(self) -> float:
@@ -321,5 +331,6 @@ def _summarise(
         clustered=inverse @ (scores.T @ scores) @ inverse,
         noise_N=noise,
         residual_N=math.sqrt(variance),
+        response_N=float(np.abs(np.tensordot(b, at.regressors, 1)).max()),
         misfits=tuple((np.sqrt(np.maximum(beyond, 0.0)) / steps).tolist()),
     )

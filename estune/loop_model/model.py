@@ -64,9 +64,13 @@ class LoopModel(NamedTuple):
         """A as a polynomial in q^-1."""
         return np.array([1.0, *self.poles])
 
-    def respond(self, effort_N: FloatArray) -> FloatArray:
-        """The output for an effort, both as deviations, shape (samples,)."""
-        return np.asarray(lfilter(self.numerator, self.denominator, effort_N))
+    @property
+    def natural_period(self) -> float:
+        """2 pi over the natural frequency of the poles, samples; infinite for an integrator."""
+        roots = np.roots(self.denominator).astype(complex)
+        one, other = np.log(np.maximum(np.abs(roots), 1e-300)) + 1j * np.angle(roots)
+        frequency = math.sqrt(abs(one * other))
+        return 2.0 * math.pi / frequency if frequency > 0.0 else math.inf
 
     def frequency_response(self, theta: FloatArray) -> ComplexArray:
         """G(exp(i theta)) for angles in rad/sample, shape of theta."""

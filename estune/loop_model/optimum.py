@@ -44,6 +44,12 @@ class RobustnessLimits:
                     f"{what} is {value}; it must be above {least:g}, at most {most:g}"
                 )
 
+    @property
+    def given(self) -> bool:
+        """Whether there is any limit."""
+        limits = (self.max_sensitivity, self.max_overshoot, self.min_phase_margin_deg)
+        return any(limit is not None for limit in limits)
+
     def excess(self, p: Prediction) -> FloatArray:
         """By how much a prediction exceeds each limit, shape (3,).
 

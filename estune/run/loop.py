@@ -22,6 +22,7 @@ from estune.run.session import (
     predict_next,
 )
 from estune.run.start import first_record_fault
+from estune.run.trial_quality import check_noise
 from estune.trial import Outcome, Rig, RigDescription, TrialRecord, TrialRequest, empty_record
 from estune.trial.loop_records import loop_signals
 from estune.trial.scoring import constraint_margin, cost_of
@@ -186,7 +187,8 @@ def run(
             committed as declined, and the run continues.
 
     Raises:
-        InvalidInput: the plan requires approval, and there is no callback.
+        InvalidInput: the plan requires approval, and there is no callback; or noise makes up too
+            much of the cost.
         UnsafeStart: the initial gains are unsafe.
         RigError: the rig cannot be reached, or too many trials were void; the run can be resumed.
         Interrupted: a trial was interrupted on a rig that moves; to resume the run is to confirm
@@ -205,6 +207,7 @@ def run(
         request = next_request(tuning.session)
         _commit(tuning, None, request)
         while request is not None:
+            _check_posed(tuning)
             question = _approval_request(tuning, request) if ask else None
             answer = ask(question) if ask and question else "yes"
             if answer == "always":
@@ -219,6 +222,14 @@ def run(
         raise Stopped(rig.abort(), folder) from None
     if tuning.session.failure:
         raise UnsafeStart(tuning.session.failure)
+
+
+def _check_posed(tuning: TuningRun) -> None:
+    """Refuses to search by trials whose cost is mostly noise, unless forced."""
+    session, first = tuning.session, tuning.first_record
+    begins = session.phase is Phase.SEARCH and not session.search_trials
+    if begins and first is not None and not tuning.plan.forced:
+        check_noise(first, tuning.plan, tuning.description, session.baseline[0])
 
 
 def _approval_request(tuning: TuningRun, request: TrialRequest) -> ApprovalRequest | None:

@@ -9,10 +9,11 @@ from pydantic import TypeAdapter, ValidationError
 from estune.core.cost import StepCost, default_cost
 from estune.core.gains import Gains
 from estune.errors import InvalidInput, JournalError
-from estune.interop import model_gains
 from estune.loop_model.optimum import RobustnessLimits
 from estune.loop_model.prediction import StepTrial
 from estune.run.session import Plan
+from estune.run.start import KnownStart, StartRule, check_start, model_start
+from estune.run.trial_quality import check_sampling
 from estune.trial import RigDescription
 from estune.trial.profiles import StepProfile
 from estune.tuners import (
@@ -47,7 +48,7 @@ def make_plan(
     run: str,
     *,
     tuner: str | Tuner[Any],
-    start: Gains | Literal["model"] | None,
+    start: Gains | KnownStart | StartRule | Literal["model"] | None,
     bounds: Mapping[str, tuple[float, float]] | None,
     step: StepProfile | None,
     cost: StepCost | None,
@@ -58,21 +59,58 @@ def make_plan(
 
     Raises:
         InvalidInput: a value is not usable, or the rig gives no model to start from.
-        UnsafeStart: the warm start would be unsafe.
+        UnsafeStart: initial gains that were not tried on the rig are not robust there.
     """
-    if start == "model":
-        start = model_start(description)
-    start, step = start or description.gains, step or description.step
-    cost = cost or default_cost(description.settling_time_s)
+    step, cost = step or description.step, cost or default_cost(description.settling_time_s)
+    trial = step_trial(description, step, cost)
+    if start == "model" or callable(start):
+        start = known_start(start, description, step, cost, limits)
+    source = ""
+    if isinstance(start, KnownStart):
+        check_start(start, description)
+        start, source = start.gains, start.source
+    start = start or description.gains
     made = make_tuner(tuner, start, bounds)
     if isinstance(made, RecordUsingTuner):
-        made = made.for_trial(step_trial(description, step, cost), limits)
-    elif limits is not None:
+        made = made.for_trial(trial, limits)
+        limits = made.limits
+    elif limits is not None and limits.given:
         raise InvalidInput(
             f"tuner {made.name} keeps no limits of sensitivity, overshoot or phase margin; use "
             "model_based, or leave the limits out"
         )
-    return Plan(run=run, tuner=made, start=start, step=step, cost=cost, **rest)
+    plan = Plan(
+        run=run,
+        tuner=made,
+        start=start,
+        step=step,
+        cost=cost,
+        start_source=source,
+        limits=limits or RobustnessLimits(),
+        **rest,
+    )
+    if not plan.forced:
+        check_sampling(plan.cost, description.controller.sampling_Hz)
+    return plan
+
+
+def known_start(
+    rule: StartRule | Literal["model"],
+    description: RigDescription,
+    step: StepProfile,
+    cost: StepCost,
+    limits: RobustnessLimits | None,
+) -> KnownStart:
+    """The initial gains of a rule for a rig.
+
+    Raises:
+        InvalidInput: the rule does not apply to the rig.
+        UnsafeStart: the rig's linear model has no stable gains.
+    """
+    if rule != "model":
+        return rule(description)
+    trial = step_trial(description, step, cost)
+    return model_start(description, trial, limits or RobustnessLimits())
 
 
 def step_trial(description: RigDescription, step: StepProfile, cost: StepCost) -> StepTrial:
@@ -86,21 +124,6 @@ def step_trial(description: RigDescription, step: StepProfile, cost: StepCost) -
         step_index=step.step_index(rate),
         samples=step.samples(rate),
     )
-
-
-def model_start(description: RigDescription) -> Gains:
-    """Warm start: initial gains from the rig's own linear model.
-
-    Raises:
-        InvalidInput: the rig gives no model, or one the rule does not apply to.
-        UnsafeStart: they would be unsafe.
-    """
-    if description.linear_model is None:
-        raise InvalidInput(
-            f"rig {description.name} gives no linear model of itself; "
-            "give the initial gains, or tune a model of it first (estune improve-model)"
-        )
-    return model_gains(description.linear_model, description.controller)
 
 
 def plan_to_json(plan: Plan) -> dict[str, Any]:
@@ -127,7 +150,7 @@ def plan_from_json(values: dict[str, Any], tuner: Tuner[Any] | None = None) -> P
     try:
         if tuner is None:
             tuner = tuner_from_stored(values["tuner"])
-        types = {"start": Gains, "step": StepProfile, "cost": StepCost}
+        types = {"start": Gains, "step": StepProfile, "cost": StepCost, "limits": RobustnessLimits}
         rest = {
             key: TypeAdapter(types[key]).validate_python(value) if key in types else value
             for key, value in values.items()

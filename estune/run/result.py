@@ -7,6 +7,7 @@ a significant improvement has a column "tuned".
 import html
 import itertools
 import math
+from collections.abc import Iterator
 from dataclasses import replace
 from enum import StrEnum
 from functools import cached_property
@@ -34,6 +35,7 @@ from estune.run.robustness import (
     robustness_fault,
 )
 from estune.run.session import Plan, Session, is_safe
+from estune.run.start import left_out
 from estune.run.summary import RunSummary, not_robust_summary, summarise
 from estune.run.trial_quality import quality_remarks
 from estune.trial import Outcome, RigDescription, TrialRecord
@@ -308,19 +310,24 @@ class TuneResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type i
     def remarks(self) -> tuple[str, ...]:
         """The conclusion and the warnings, a sentence each."""
         counts = ((self.unsafe, "unsafe"), (self.verdict.declined, "declined and not run"))
-        source = self.plan.start_source
         sentences = (
             self.message,
-            *(
-                [f"the search began at {source}; its gains are not live on the rig yet"]
-                if source
-                else []
-            ),
+            *self._start_remarks(),
             *(f"{n} trial{'s were' if n > 1 else ' was'} {what}" for n, what in counts if n),
             *(finding.sentence for finding in self.findings),
             *(self._robustness_remarks() if self.verdict.complete else ()),
         )
         return tuple(f"{sentence[:1].upper()}{sentence[1:]}." for sentence in sentences)
+
+    def _start_remarks(self) -> Iterator[str]:
+        """Where initial gains come from that are not the rig's, and gains that were not tuned."""
+        if self.plan.start_source:
+            source = self.plan.start_source
+            yield f"the search began at {source}, which are not live on the rig yet"
+        space = self.plan.tuner.space
+        left = left_out(self.start_gains, space.names, self.plan.cost.settling_time_s)
+        if left and space.form == "parallel":
+            yield left
 
     def _robustness(self) -> str:
         """What is claimed of the tuned gains, in a few words."""

@@ -90,7 +90,7 @@ def low_margins(margins: Margins | None) -> tuple[ResultWarning, ...]:
     """Warning of low margins or instability; none without a model."""
     if margins is None:
         return ()
-    remedy = "the tuner model_based limits the sensitivity: --tuner model_based"
+    remedy = "limit the sensitivity: --max-sensitivity 1.6"
     if not margins.stable:
         sentence = f"these gains make the rig's own linear model unstable; {remedy}"
     elif margins.phase_margin_deg < PHASE_MARGIN_LEAST_deg:

@@ -1,20 +1,36 @@
 """Robustness of gains as the records of a run show it, or why nothing is claimed."""
 
 import math
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
+import numpy as np
+from scipy.stats import t as student_t
+
 from estune.core.gains import Gains
-from estune.loop_model.claim import Claim, claim
+from estune.core.metrics import STEADY_SHARE, step_metrics
+from estune.core.quantities import FloatArray
+from estune.loop_model.claim import Claim, CostCheck, claim
 from estune.loop_model.identification import LoopFit, LoopRecord, fit_loop
+from estune.loop_model.limit_price import LimitPrice, price_of
 from estune.loop_model.prediction import PredictedMargins
+from estune.run.loop import TuningRun
 from estune.run.plan import step_trial
 from estune.run.session import Plan
-from estune.trial import RigDescription, TrialRecord
+from estune.trial import Outcome, RigDescription, TrialRecord
 from estune.trial.loop_records import loop_signals
+from estune.trial.scoring import cost_of
 
 RECORDS_MAX = 20
 """Records that are fitted: the last ones of a run."""
+
+SENSITIVITY_ROBUST = 2.5
+"""Ms above which gains are not robust. On simulated reels it separates tunings that noise, slow
+sampling or a short settling time spoiled (Ms 3.3 and more) from the others (up to 2.1)."""
+
+END_ERROR = 0.005
+"""Error at the end of a trial, as a share of the step, that is always allowed."""
 
 
 class IdentifiedLoop(NamedTuple):
@@ -24,34 +40,135 @@ class IdentifiedLoop(NamedTuple):
         fit: The fit; None where no record can be used.
         tried: Gains of the records that were fitted, in their order.
         reason: Why there is no fit; empty where there is one.
+        signals: The records that were fitted.
+        costs: Their costs.
+        remarks: Why others were not, a sentence for each reason.
     """
 
     fit: LoopFit | None
     tried: tuple[Gains, ...] = ()
     reason: str = ""
+    signals: tuple[LoopRecord, ...] = ()
+    costs: tuple[float, ...] = ()
+    remarks: tuple[str, ...] = ()
 
 
 def identify(records: Sequence[TrialRecord], plan: Plan, rig: RigDescription) -> IdentifiedLoop:
     """The loop identified from the last records of a run."""
-    signals, tried, reason = list[LoopRecord](), list[Gains](), "there are no records of it"
-    for record in records[-RECORDS_MAX:]:
+    records = records[-RECORDS_MAX:]
+    signals, kept, reasons = list[LoopRecord](), list[TrialRecord](), Counter[str]()
+    for record in records:
         made = loop_signals(record, plan.step, rig)
         if made.record is None:
-            reason = made.reason
+            reasons[made.reason] += 1
         else:
             signals.append(made.record)
-            tried.append(record.gains)
+            kept.append(record)
+    remarks = tuple(
+        f"{count} of the last {len(records)} records cannot identify the loop: {reason}"
+        for reason, count in reasons.items()
+    )
     if not signals:
-        return IdentifiedLoop(None, reason=reason)
-    fit = fit_loop(signals, rig.controller.sampling_Hz, plan.cost.settling_time_s)
-    return IdentifiedLoop(fit, tuple(tried))
+        reason = next(iter(reasons), "there are no records of it")
+        return IdentifiedLoop(None, reason=reason, remarks=remarks)
+    return IdentifiedLoop(
+        fit_loop(signals, rig.controller.sampling_Hz, plan.cost.settling_time_s),
+        tuple(record.gains for record in kept),
+        signals=tuple(signals),
+        costs=tuple(cost_of(r, plan.step, plan.cost, rig.newtons_per_ampere) for r in kept),
+        remarks=remarks,
+    )
 
 
 def claim_from(loop: IdentifiedLoop, plan: Plan, rig: RigDescription, gains: Gains) -> Claim:
     """The margins of some gains by an identified loop."""
     if loop.fit is None:
         return Claim(None, loop.reason, math.nan)
-    return claim(loop.fit, step_trial(rig, plan.step, plan.cost), gains, loop.tried)
+    here = [other == gains for other in loop.tried]
+    earlier = here.index(True) if any(here) else 0
+    check = None
+    if earlier:
+        rate, asked_s = rig.controller.sampling_Hz, plan.cost.settling_time_s
+        before = fit_loop(loop.signals[:earlier], rate, asked_s, loop.fit.model)
+        check = CostCheck(before, tuple(c for c, at in zip(loop.costs, here, strict=True) if at))
+    return claim(loop.fit, step_trial(rig, plan.step, plan.cost), gains, loop.tried, check)
+
+
+def limit_price(
+    loop: IdentifiedLoop, claimed: Claim, plan: Plan, rig: RigDescription, gains: Gains
+) -> LimitPrice | None:
+    """The price of the plan's limits; None where no margins are claimed, or without limits."""
+    limits, space = plan.limits, plan.tuner.space
+    if claimed.margins is None or loop.fit is None or space.scale != "log":
+        return None
+    if limits is None or not limits.given:
+        return None
+    return price_of(
+        loop.fit,
+        step_trial(rig, plan.step, plan.cost),
+        limits,
+        lambda x: space.gains(space.point(tuple(x.tolist()))),
+        at=np.array(space.coordinates(space.point_of(gains))),
+        bounds=(np.array(space.coordinates_low), np.array(space.coordinates_high)),
+    )
+
+
+def robustness_fault(run: TuningRun) -> str:
+    """Why the gains that a complete run confirmed are not robust; empty where they are."""
+    gains, plan, rig = run.session.candidate, run.plan, run.description
+    if gains is None or plan.limits is None:
+        return ""
+    records = list(run.recent_records)
+    claimed = claim_from(identify(records, plan, rig), plan, rig, gains)
+    return not_robust(records, plan, claimed, gains)
+
+
+def not_robust(records: Sequence[TrialRecord], plan: Plan, claimed: Claim, gains: Gains) -> str:
+    """Why tuned gains are not robust; empty where they are, or in a plan without limits.
+
+    The mean of the records with these gains has to settle, without an error at its end beyond
+    its noise, and Ms, if it is claimed, may not be above `SENSITIVITY_ROBUST` unless the plan has
+    no limit of it.
+    """
+    if plan.limits is None:
+        return ""
+    margins = claimed.margins
+    if plan.limits.max_sensitivity is not None and margins is not None:
+        Ms = margins.sensitivity.value
+        if Ms > max(SENSITIVITY_ROBUST, plan.limits.max_sensitivity):
+            return f"the sensitivity Ms is {Ms:.2g}, above {SENSITIVITY_ROBUST:g}"
+    repeats = [r for r in records if r.gains == gains and r.outcome is Outcome.DONE]
+    if not repeats:
+        return ""
+    step, first = plan.step, repeats[0]
+    index = step.step_index(first.sampling_Hz)
+    responses = np.array([record.tension_N for record in repeats])
+    metrics = step_metrics(
+        first.time_s,
+        responses.mean(axis=0),
+        step_time_s=float(first.time_s[index]),
+        initial=step.preload_N,
+        final=step.preload_N + step.step_N,
+    )
+    error_N, allowed_N = _end_error(responses[:, index:], step.preload_N + step.step_N)
+    allowed_N = max(allowed_N, END_ERROR * abs(step.step_N))
+    if abs(error_N) > allowed_N:
+        return f"the response ends {error_N:+.2g} N off its setpoint (allowed {allowed_N:.2g} N)"
+    if math.isnan(metrics.settling_time_s):
+        return "the response has not settled at the end of the trial"
+    return ""
+
+
+def _end_error(responses: FloatArray, final_N: float) -> tuple[float, float]:
+    """Mean error over the last tenth of the responses, and what their noise explains of it."""
+    tail = responses[:, -max(responses.shape[1] // STEADY_SHARE, 1) :]
+    count = tail.shape[0]
+    noise = float(np.std(np.diff(tail, axis=1))) / math.sqrt(2.0) if tail.shape[1] > 1 else 0.0
+    explained = 4.0 * noise / math.sqrt(tail.size)
+    if count > 1:
+        spread = float(np.std(tail.mean(axis=1), ddof=1)) / math.sqrt(count)
+        explained = max(explained, float(student_t.ppf(0.975, count - 1)) * spread)
+    return float(tail.mean()) - final_N, explained
 
 
 def robustness_cells(margins: PredictedMargins | None) -> Iterator[tuple[str, str]]:

@@ -18,6 +18,7 @@ from estune.core.cost import StepCost
 from estune.core.gains import Gains
 from estune.errors import InvalidInput
 from estune.loop_model.identification import LoopRecord
+from estune.loop_model.optimum import RobustnessLimits
 from estune.trial import Outcome, TrialRequest
 from estune.trial.profiles import StepProfile
 from estune.tuners import Tuner
@@ -64,6 +65,11 @@ class Plan:
         tolerance: Remaining improvement, relative to the cost, at which the search ends, if the
             tuner estimates it; zero makes it use all its trials.
         ask_first: Whether the operator must approve gains outside the region shown to be safe.
+        start_source: Where initial gains come from that were not tried on the rig; the first
+            record refuses them if their loop is not robust.
+        limits: Limits of robustness by which the result is judged; None, as in runs of earlier
+            versions, judges none.
+        forced: Whether ill-posed trials are tuned by all the same.
 
     Raises:
         InvalidInput: a count is too small, the limit is not above zero, the tolerance is not a
@@ -81,6 +87,9 @@ class Plan:
     eta_max: float | None = None
     tolerance: float = TOLERANCE
     ask_first: bool = False
+    start_source: str = ""
+    limits: RobustnessLimits | None = None
+    forced: bool = False
 
     def __post_init__(self) -> None:
         if self.trials < 1 or self.repeats < 1:
@@ -117,6 +126,11 @@ class Plan:
     def uses_records(self) -> bool:
         """Whether the tuner identifies the loop from the records."""
         return isinstance(self.tuner, RecordUsingTuner)
+
+    @property
+    def needs_records(self) -> bool:
+        """Whether the session needs the signals of a trial."""
+        return self.uses_records or bool(self.start_source)
 
     @property
     def settled_trials(self) -> int:

@@ -1,12 +1,12 @@
 """Summary of a run: gains, improvement, intervals."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from statistics import fmean, variance
 
 from estune.core.comparison import Change, InterleavedRepeats, compare_costs
 from estune.core.gains import Gains
-from estune.run.session import Session
+from estune.run.session import Plan, Session
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,6 +70,18 @@ def summarise(session: Session) -> RunSummary:
         else session.failure
         or f"stopped after {session.number} trials, before any gains were confirmed",
         complete=complete,
+    )
+
+
+def not_robust_summary(summary: RunSummary, plan: Plan, fault: str) -> RunSummary:
+    """The summary of a run that improved the cost by gains that are not robust."""
+    return replace(
+        summary,
+        gains=plan.start,
+        cost=summary.start_cost,
+        cost_error=summary.start_cost_error,
+        improved=False,
+        message=f"the tuned gains are not robust: {fault}; keep the initial gains",
     )
 
 

@@ -8,6 +8,7 @@ from pydantic import AfterValidator, Field, model_validator
 
 from estune.core.cost import StepCost, default_cost
 from estune.core.gains import GAIN_NAMES
+from estune.loop_model.optimum import RobustnessLimits
 from estune.run.session import REPEATS, TOLERANCE, TRIALS
 from estune.support.toml_file import TomlTable
 from estune.trial import RigDescription
@@ -17,6 +18,7 @@ from estune.tuners import tuner_class
 Positive = Annotated[float, Field(gt=0.0)]
 NotNegative = Annotated[float, Field(ge=0.0)]
 Count = Annotated[int, Field(ge=1)]
+Limit = Positive | Literal["none"] | None
 Range = Annotated[tuple[float, float], Field(strict=False)]
 
 
@@ -101,6 +103,9 @@ class SearchTable(TomlTable):
             makes it use all its trials.
         eta_max: Cost above which a trial is unsafe; three times the initial cost by default.
         bounds: Lowest and highest value of gains, by name, in their own units.
+        max_sensitivity: Largest Ms, or "none"; 1.6 by default.
+        max_overshoot: Largest overshoot as a share of the step, or "none"; 0.05 by default.
+        min_phase_margin_deg: Smallest phase margin; none by default.
     """
 
     trials: Count = TRIALS
@@ -108,6 +113,23 @@ class SearchTable(TomlTable):
     tolerance: Annotated[float, Field(ge=0.0, lt=1.0)] = TOLERANCE
     eta_max: Positive | None = None
     bounds: dict[str, Range] = Field(default={})
+    max_sensitivity: Limit = None
+    max_overshoot: Limit = None
+    min_phase_margin_deg: Limit = None
+
+    @property
+    def limits(self) -> RobustnessLimits | None:
+        """The limits of robustness; None where all are the usual ones."""
+        names = ("max_sensitivity", "max_overshoot", "min_phase_margin_deg")
+        given = {name: value for name in names if (value := getattr(self, name)) is not None}
+        if not given:
+            return None
+        return RobustnessLimits(**{n: None if v == "none" else v for n, v in given.items()})
+
+    @model_validator(mode="after")
+    def _limited(self) -> Self:
+        _ = self.limits
+        return self
 
     @model_validator(mode="after")
     def _bounded(self) -> Self:

@@ -126,6 +126,11 @@ class RecordUsingTuner(Protocol):
     """
 
     @property
+    def limits(self) -> RobustnessLimits:
+        """Limits that its gains keep."""
+        ...
+
+    @property
     def settled_trials(self) -> int:
         """Consecutive trials with little improvement left that end a search."""
         ...

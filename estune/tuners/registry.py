@@ -45,17 +45,17 @@ class RegisteredTuner(NamedTuple):
 
 
 TUNERS: Final[dict[str, RegisteredTuner]] = {
-    "safe_bayesian": RegisteredTuner(
-        SafeBayesianTuner,
-        "safe Bayesian optimisation: cost model with a prior from simulated PIDF loops, trust "
-        "region, safety constraints",
-        "default",
-    ),
     "model_based": RegisteredTuner(
         IdentifiedLoopTuner,
         "optimum of the loop identified from the records, within limits of sensitivity and "
         "overshoot; safe_bayesian where the loop is not linear",
-        "fewest trials on rigs without friction; robust gains",
+        "default",
+    ),
+    "safe_bayesian": RegisteredTuner(
+        SafeBayesianTuner,
+        "safe Bayesian optimisation: cost model with a prior from simulated PIDF loops, trust "
+        "region, safety constraints",
+        "cost alone: without limits, or without records",
     ),
     "least_squares_gradient": RegisteredTuner(
         LeastSquaresGradient,
@@ -80,7 +80,7 @@ TUNERS: Final[dict[str, RegisteredTuner]] = {
     ),
 }
 
-DEFAULT_TUNER: Final = "safe_bayesian"
+DEFAULT_TUNER: Final = "model_based"
 """The tuner of a run for which none is named."""
 
 _RENAMED: Final = {"newton": "safe_bayesian"}

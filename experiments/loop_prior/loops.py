@@ -45,23 +45,23 @@ class Loop:
 def draw(seed: int) -> Loop | None:
     """Draws a loop; None where the optimum has a gain at its bound."""
     random = np.random.default_rng([77, seed])
-    plant, cost, period_s = _plant(random)
+    plant, cost, period_s = random_plant(random)
 
     def costs(x: FloatArray) -> FloatArray:
         values = plants.batch_costs(plant, np.exp(x), None, cost, workers=1)
         return np.log(np.where(np.isfinite(values), values, DIVERGED))
 
     usual = np.log([0.5, math.pi / (3.0 * period_s), 0.05 * period_s / math.pi, 0.05 * period_s])
-    best, least = _optimum(costs, usual, random, seed)
+    best, least = optimum(costs, usual, random, seed)
     if np.max(np.abs(best - usual)) > RANGE - 0.3:
         return None
-    start = _start(costs, best, least, random)
+    start = random_start(costs, best, least, random)
     if start is None:
         return None
     return Loop(*_search(costs, start, random), _curvature(costs, best))
 
 
-def _plant(random: np.random.Generator) -> tuple[LinearPlant, StepCost, float]:
+def random_plant(random: np.random.Generator) -> tuple[LinearPlant, StepCost, float]:
     """A plant with its limits, a cost, and the time of its step response, s."""
 
     def between(low: float, high: float) -> float:
@@ -103,7 +103,7 @@ def _plant(random: np.random.Generator) -> tuple[LinearPlant, StepCost, float]:
     return plant, cost, period_s
 
 
-def _optimum(
+def optimum(
     costs: Any, usual: FloatArray, random: np.random.Generator, seed: int
 ) -> tuple[FloatArray, float]:
     """The optimum and its log cost, by CMA-ES from two starts."""
@@ -121,7 +121,7 @@ def _optimum(
     return best, least
 
 
-def _start(
+def random_start(
     costs: Any, best: FloatArray, least: float, random: np.random.Generator
 ) -> FloatArray | None:
     """Weak gains at three to eight times the optimal cost, or any gains at two to three times."""

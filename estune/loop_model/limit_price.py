@@ -1,0 +1,86 @@
+"""What limits of sensitivity and overshoot cost, by the identified loop."""
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from estune.core.gains import Gains
+from estune.core.quantities import FloatArray
+from estune.loop_model.identification import LoopFit
+from estune.loop_model.optimum import Optimum, RegionSearch, RobustnessLimits
+from estune.loop_model.prediction import StepTrial
+
+DEAR = 0.05
+"""Price from which softer limits are priced too."""
+
+SOFTER = (1.8, 2.0)
+"""Sensitivities that are priced then."""
+
+EXTENT = 1.5
+"""Greatest distance of an optimum from the tuned gains, in logarithms. Without limits the optima
+of seven families lie within 1.3 of those with them."""
+
+
+class LimitPrice(NamedTuple):
+    """Cost of gains within limits over that without them.
+
+    Attributes:
+        price: Relative increase of the cost.
+        softer: Price of each softer limit of Ms; empty unless the price is above `DEAR`.
+    """
+
+    price: float
+    softer: tuple[tuple[float, float], ...]
+
+    @property
+    def sentence(self) -> str:
+        """The price in words."""
+        softer = ", ".join(f"{price:.1%} with Ms up to {limit:g}" for limit, price in self.softer)
+        return f"the limits cost {self.price:.1%} by the identified loop" + (
+            f"; {softer}" if softer else ""
+        )
+
+
+def price_of(
+    fit: LoopFit,
+    trial: StepTrial,
+    limits: RobustnessLimits,
+    gains_of: Callable[[FloatArray], Gains],
+    *,
+    at: FloatArray,
+    bounds: tuple[FloatArray, FloatArray],
+) -> LimitPrice:
+    """The price of limits about the tuned gains.
+
+    Args:
+        fit: The identified loop.
+        trial: The step trial.
+        limits: The limits.
+        gains_of: From coordinates to gains.
+        at: Coordinates of the tuned gains, shape (n,).
+        bounds: Least and greatest coordinates.
+    """
+
+    def best(within: RobustnessLimits) -> Optimum:
+        low, high = np.maximum(bounds[0], at - EXTENT), np.minimum(bounds[1], at + EXTENT)
+        search = RegionSearch(fit.model, trial, within, gains_of, low, high, fit.noise_N)
+        return search.minimise([at])
+
+    free = best(RobustnessLimits(None, None, None)).prediction.cost
+
+    def price(within: RobustnessLimits) -> float:
+        return max(best(within).prediction.cost / free - 1.0, 0.0)
+
+    least = limits.max_sensitivity or math.inf
+    own = price(limits)
+    return LimitPrice(
+        own,
+        tuple(
+            (limit, price(replace(limits, max_sensitivity=limit)))
+            for limit in SOFTER
+            if own > DEAR and limit > least
+        ),
+    )

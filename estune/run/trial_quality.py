@@ -1,0 +1,113 @@
+"""Whether a step trial is fit to be tuned by: noise in its cost, sampling, asked settling time."""
+
+import math
+
+import numpy as np
+
+from estune.core.cost import StepCost
+from estune.errors import InvalidInput
+from estune.loop_model.identification import LoopFit
+from estune.run.session import Plan
+from estune.trial import RigDescription, TrialRecord
+
+NOISE_SHARE_MAX, NOISE_SHARE_HIGH = 0.1, 0.03
+"""Share of the noise in the cost from which a trial is refused, and warned of. On the reference
+reel tuned from records they are reached by steps of 95 and 175 times the noise; the cost at the
+proper step is then 39 % (step 80 times the noise) and 8 % (250) above the optimum."""
+
+STEP_OVER_NOISE_MIN = 95.0
+"""Step over noise from which no trial is refused: near the optimum the noise has a larger share of
+a lower cost, 11 % on the reference reel with a step of 250 times the noise."""
+
+SAMPLES_MIN, SAMPLES_LOW = 10.0, 25.0
+"""Samples in the settling time below which a trial is refused, and warned of: the tuned reel has
+Ms 14, 6.2, 4.7 at 5, 8, 10 samples, and 2.7, 2.1, 1.9 at 16, 24, 40."""
+
+SETTLING_LEAST = 0.7
+"""Asked settling time, over the period 2 pi/omega of the plant's poles, below which a run warns: at
+0.15 to 0.5 the tuned reel has Ms 3.3 to 3.6."""
+
+FEWEST_BEFORE = 8
+"""Samples before the step from which the noise can be told."""
+
+
+def check_sampling(cost: StepCost, sampling_Hz: float) -> None:
+    """Refuses a settling time of too few samples.
+
+    Raises:
+        InvalidInput: it is shorter than `SAMPLES_MIN` samples.
+    """
+    samples = cost.settling_time_s * sampling_Hz
+    if samples < SAMPLES_MIN:
+        raise InvalidInput(
+            f"the settling time of {cost.settling_time_s:g} s is {samples:.2g} samples, and "
+            f"{SAMPLES_MIN:g} are needed for gains that can be trusted; ask for a longer settling "
+            "time, sample faster, or force the run (--force)"
+        )
+
+
+def noise_share(record: TrialRecord, plan: Plan, rig: RigDescription, cost: float) -> float:
+    """Share of the noise's own moves of the effort in the cost of a trial; zero if unknown."""
+    index = plan.step.step_index(record.sampling_Hz)
+    if index < FEWEST_BEFORE or not (math.isfinite(cost) and cost > 0.0):
+        return 0.0
+    effort = record.current_A * rig.newtons_per_ampere
+    per_sample = float(np.mean(np.diff(effort[:index]) ** 2)) / plan.step.step_N**2
+    return plan.cost.move_weight * per_sample * (len(effort) - index) / cost
+
+
+def _step_over_noise(record: TrialRecord, plan: Plan) -> float:
+    """The step over the noise before it; infinite without noise or samples."""
+    before = record.tension_N[: plan.step.step_index(record.sampling_Hz)]
+    noise_N = float(np.std(np.diff(before))) / math.sqrt(2.0) if before.size > 1 else 0.0
+    return abs(plan.step.step_N) / noise_N if noise_N else math.inf
+
+
+def check_noise(record: TrialRecord, plan: Plan, rig: RigDescription, cost: float) -> None:
+    """Refuses a trial whose cost is mostly noise.
+
+    Raises:
+        InvalidInput: the share of the noise is above `NOISE_SHARE_MAX`.
+    """
+    share = noise_share(record, plan, rig, cost)
+    if share > NOISE_SHARE_MAX and _step_over_noise(record, plan) < STEP_OVER_NOISE_MIN:
+        larger = abs(plan.step.step_N) * math.sqrt(share / NOISE_SHARE_HIGH)
+        raise InvalidInput(
+            f"noise makes up {share:.0%} of the cost of trial {record.trial_id}, more than "
+            f"{NOISE_SHARE_MAX:.0%}: D would be tuned away; step by {larger:.2g} N, lower the "
+            "move weight, or force the run (--force)"
+        )
+
+
+def quality_remarks(
+    plan: Plan, rig: RigDescription, first: TrialRecord | None, cost: float, fit: LoopFit | None
+) -> tuple[str, ...]:
+    """Sentences on what makes the trials of a run doubtful.
+
+    Args:
+        plan: The plan.
+        rig: The rig.
+        first: Record of the first trial, or None.
+        cost: Mean cost of the initial gains.
+        fit: The identified loop, or None.
+    """
+    remarks = []
+    share = 0.0 if first is None else noise_share(first, plan, rig, cost)
+    if share > NOISE_SHARE_HIGH:
+        remarks.append(
+            f"noise makes up {share:.0%} of the cost of the initial gains: a larger step gives "
+            "better gains"
+        )
+    samples = plan.cost.settling_time_s * rig.controller.sampling_Hz
+    if samples < SAMPLES_LOW:
+        remarks.append(
+            f"the settling time is {samples:.0f} samples, fewer than {SAMPLES_LOW:g}: the gains "
+            "are less robust than at a higher sampling rate"
+        )
+    period_s = math.inf if fit is None else fit.model.natural_period / rig.controller.sampling_Hz
+    if math.isfinite(period_s) and plan.cost.settling_time_s < SETTLING_LEAST * period_s:
+        remarks.append(
+            f"the settling time asked for, {plan.cost.settling_time_s:.2g} s, is short for a "
+            f"plant with a period of {period_s:.2g} s: the gains trade robustness for speed"
+        )
+    return tuple(remarks)

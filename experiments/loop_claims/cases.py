@@ -1,0 +1,105 @@
+"""The plants of the searches: families within the class, others outside it, and random loops."""
+
+import math
+from collections.abc import Callable, Iterator
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+
+import plants
+from estune.core.cost import StepCost
+from estune.core.gains import Gains
+from estune.core.quantities import FloatArray
+from experiments.loop_claims.truth import with_noise
+from experiments.loop_prior import loops
+from experiments.sample_efficiency.problems import PROBLEMS, WEAK_ON_A_REEL
+from plants.effects import (
+    Backlash,
+    CableStiffening,
+    CoulombFriction,
+    Effect,
+    EyeletFriction,
+    TorqueRipple,
+)
+from plants.simulation.plant import Plant
+
+RECORD_NOISE = 0.004
+"""Noise of plants that have none of their own, as a share of the step."""
+
+OUTSIDE: dict[str, Callable[[], Effect]] = {
+    "Coulomb 0.005 N m": partial(CoulombFriction, 0.005),
+    "Coulomb 0.02 N m": partial(CoulombFriction, 0.02),
+    "Coulomb 0.05 N m": partial(CoulombFriction, 0.05),
+    "eyelet 0.93": partial(EyeletFriction, 0.93),
+    "backlash": Backlash,
+    "torque ripple": TorqueRipple,
+    "stiffening": CableStiffening,
+}
+"""Effects on the reference reel that no linear model has, at their usual size."""
+
+FIRST_RANDOM = 5000
+"""First seed of the random loops."""
+
+
+class Case(NamedTuple):
+    """A plant to be tuned.
+
+    Attributes:
+        name: Short name.
+        kind: "family", "outside" or "random".
+        plant: The plant, with measurement noise.
+        cost: The cost of a trial.
+        start: Initial gains.
+    """
+
+    name: str
+    kind: str
+    plant: Plant
+    cost: StepCost
+    start: Gains
+
+
+def families() -> Iterator[Case]:
+    """The families of `experiments.sample_efficiency` without friction."""
+    for name, problem in PROBLEMS.items():
+        if name != "friction":
+            plant = with_noise(problem.build(), RECORD_NOISE)
+            yield Case(name, "family", plant, problem.cost, problem.start)
+
+
+def outside() -> Iterator[Case]:
+    """The reference reel with an effect that no linear model has."""
+    for name, effect in OUTSIDE.items():
+        plant = plants.reference_reel() + effect()
+        yield Case(name, "outside", plant, PROBLEMS["friction"].cost, WEAK_ON_A_REEL)
+
+
+def random_loops(count: int) -> Iterator[Case]:
+    """Loops drawn at random whose optimum lies within the bounds."""
+    found, seed = 0, FIRST_RANDOM
+    while found < count:
+        case = _random_loop(seed)
+        seed += 1
+        if case is not None:
+            found += 1
+            yield case
+
+
+def _random_loop(seed: int) -> Case | None:
+    random = np.random.default_rng([77, seed])
+    plant, cost, period_s = loops.random_plant(random)
+
+    def costs(x: FloatArray) -> FloatArray:
+        values = plants.batch_costs(plant, np.exp(x), None, cost, workers=1)
+        return np.log(np.where(np.isfinite(values), values, loops.DIVERGED))
+
+    usual = np.log([0.5, math.pi / (3.0 * period_s), 0.05 * period_s / math.pi, 0.05 * period_s])
+    best, least = loops.optimum(costs, usual, random, seed)
+    if np.max(np.abs(best - usual)) > loops.RANGE - 0.3:
+        return None
+    start = loops.random_start(costs, best, least, random)
+    if start is None:
+        return None
+    noisy = with_noise(plant, RECORD_NOISE)
+    return Case(f"random {seed}", "random", noisy, cost, Gains(*np.exp(start).tolist()))
