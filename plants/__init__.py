@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from plants.diagnosis.explain import explain
     from plants.diagnosis.improvement.improve import improve
     from plants.effects import CoulombFriction, Effect
+    from plants.models.drives import Servo, Stage, servo, stage
     from plants.models.linear_plant import LinearPlant, linear_plant
     from plants.models.model_file import load_model, save_model
     from plants.models.python_plant import PythonPlant, python_plant
@@ -30,7 +31,9 @@ __all__ = [
     "PythonPlant",
     "Reel",
     "Response",
+    "Servo",
     "SimulatedRig",
+    "Stage",
     "UnloadedReel",
     "batch_costs",
     "explain",
@@ -40,8 +43,10 @@ __all__ = [
     "python_plant",
     "reference_reel",
     "save_model",
+    "servo",
     "simulate",
     "simulate_moving",
+    "stage",
     "unloaded_reel",
 ]
 
@@ -55,7 +60,9 @@ __getattr__, __dir__ = lazy_exports(
         "PythonPlant": "plants.models.python_plant",
         "Reel": "plants.models.reel",
         "Response": "plants.simulation.batch",
+        "Servo": "plants.models.drives",
         "SimulatedRig": "plants.simulation.simulated_rig",
+        "Stage": "plants.models.drives",
         "UnloadedReel": "plants.models.unloaded_reel",
         "batch_costs": "plants.simulation.batch",
         "explain": "plants.diagnosis.explain",
@@ -65,8 +72,10 @@ __getattr__, __dir__ = lazy_exports(
         "python_plant": "plants.models.python_plant",
         "reference_reel": "plants.models.reel",
         "save_model": "plants.models.model_file",
+        "servo": "plants.models.drives",
         "simulate": "plants.simulation.batch",
         "simulate_moving": "plants.demonstrations.moving_cable_end",
+        "stage": "plants.models.drives",
         "unloaded_reel": "plants.models.unloaded_reel",
     },
 )

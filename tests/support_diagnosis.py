@@ -21,6 +21,7 @@ from plants.diagnosis.result import (
     Candidate,
     DataSegment,
     Interval,
+    ModelErrors,
     NamedEffect,
     NextExperiment,
     SearchStep,
@@ -191,15 +192,16 @@ def diagnosis(**changes) -> Diagnosis:
             trace("step-9", "tension_N", 1.0, scale=0.5, left=0.05),
         ),
         splits=(
-            DataSegment("multisine-2", 0.0, 6.0, "fit"),
-            DataSegment("triangle-1", 0.0, 6.0, "rank"),
-            DataSegment("triangle-3", 0.0, 6.0, "report"),
-            DataSegment("step-9", 0.0, 1.0, "report"),
+            DataSegment("multisine-2", 0.0, 6.0, "report", 0),
+            DataSegment("triangle-1", 0.0, 6.0, "report", 1),
+            DataSegment("triangle-3", 0.0, 6.0, "report", 2),
+            DataSegment("step-9", 0.0, 1.0, "report", 0),
         ),
         model=REEL,
         base_model=REEL,
         augmented=REEL + EyeletFriction(**FOUND),
         values={"eyelet_friction.attenuation": 0.931},
+        given=ModelErrors(0.66, 15.8, 1.02),
     )  # fmt: skip
     return replace(made, **changes)
 

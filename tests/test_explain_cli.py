@@ -14,6 +14,7 @@ from estune.run.trial_file import read_trial
 from estune.trial import TrialRequest
 from plants.diagnosis import explain as module
 from plants.diagnosis.experiments.designs import initial_experiments
+from plants.diagnosis.result import LIMITED, Limitation
 from plants.effects import EFFECTS
 from tests.support_diagnosis import REEL, deciding, diagnosis, nothing_found
 
@@ -38,7 +39,7 @@ def asked(monkeypatch):
     """What the command asked the library for; the answer is a made-up diagnosis."""
     calls = []
 
-    def explain(model, records, *, effects=None):
+    def explain(model, records, *, effects=None, **_):
         calls.append({"model": model, "records": records, "effects": effects})
         return diagnosis()
 
@@ -57,7 +58,7 @@ def test_terminal_shows_verdict_error_parameters_and_file_issues(asked, capsys):
     assert shown.startswith(made.heading())
     for sentence in (made.effects[0].sentence, *(str(f) for f in made.findings)):
         assert sentence in shown
-    assert re.search(r"error of short predictions, rms +0\.58 N +0\.047 N", shown)
+    assert re.search(r"error of short predictions, rms +0\.66 N +0\.58 N +0\.047 N", shown)
     assert re.search(r"eyelet_friction +attenuation +0\.9310 +0\.9279 to 0\.9341", shown)
     assert re.search(r"not excited +backlash, drum_eccentricity;", shown)
     assert "--model plants:reference_reel --data runs --report" in shown
@@ -107,6 +108,30 @@ def test_terminal_shows_an_unexplained_verdict(monkeypatch, capsys):
     shown = capsys.readouterr().out
     assert shown.startswith("NO MISSING EFFECT: ")
     assert "with the effects" not in shown
+
+
+@pytest.mark.parametrize(
+    ("by_data", "code", "first"),
+    [(False, 8, "WITH RESERVATION, no encoder. "), (True, 9, "WITH RESERVATION, no encoder. ")],
+)
+def test_limitation_is_in_the_headline_the_json_and_the_exit_code(
+    monkeypatch, capsys, by_data, code, first
+):
+    limits = (Limitation("no_encoder", "no encoder", "no record has an angle", by_data),)
+    monkeypatch.setattr(module, "explain", lambda *_, **__: diagnosis(limitations=limits))
+    assert command() == code
+    assert capsys.readouterr().out.startswith(f"{first}IDENTIFIED: ")
+    assert command("--json") == code
+    told = json.loads(capsys.readouterr().out)
+    assert (told["exit_code"], told["limitations"][0]["kind"]) == (code, "no_encoder")
+
+
+def test_tuning_is_suggested_only_for_a_model_that_can_be_tuned(monkeypatch, tmp_path, capsys):
+    drive = diagnosis(augmented=plants.stage(95.0, 200.0), base_model=plants.stage(95.0, 200.0))
+    monkeypatch.setattr(module, "explain", lambda *_, **__: drive)
+    assert command("--save", str(tmp_path / "m.toml")) == 0
+    assert "estune tune" not in capsys.readouterr().out
+    assert plants.load_model(tmp_path / "m.toml").scale.subject == "stage"
 
 
 def test_deciding_trial_is_shown_and_written(monkeypatch, tmp_path, capsys):
@@ -173,7 +198,7 @@ def test_hidden_friction_is_identified_beside_a_bad_file(tmp_path, capsys):
     arguments = ["explain", "--model", str(tmp_path / "reel.toml")]
     arguments += ["--data", str(tmp_path / "data"), "--json"]
     improved, page = tmp_path / "improved.toml", tmp_path / "page.html"
-    assert run([*arguments, "--save", str(improved), "--report", str(page)]) == 0
+    assert run([*arguments, "--save", str(improved), "--report", str(page)]) == LIMITED
     told = json.loads(capsys.readouterr().out)
     assert told["verdict"] in {"named", "incomplete", "ambiguous"}
     names = {effect["name"] for effect in told["effects"]} | set(told["ambiguous"])

@@ -190,9 +190,9 @@ def test_plots_use_given_axes_without_pyplot(named):
     assert ("matplotlib.pyplot" in sys.modules) == before
 
 
-def test_plot_of_a_record_outside_test_data_is_refused(named):
+def test_plot_of_an_unknown_record_is_refused(named):
     assert named.plot_traces("step-9").lines[0].get_xdata()[-1] < 1.0
-    with pytest.raises(InvalidInput, match="no record multisine-2; it has triangle-3, step-9"):
+    with pytest.raises(InvalidInput, match="no record multisine-2; there are triangle-3, step-9"):
         named.plot_traces("multisine-2")
 
 

@@ -1,11 +1,13 @@
 """What records cannot tell, found before any effect is."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import plants
+from plants.effects import CoulombFriction
 from plants.models.unloaded_reel import UnloadedReel
 from tests.support_measurements import open_loop
 
@@ -13,13 +15,16 @@ RATE_Hz = 500.0
 DRIVE = UnloadedReel(sampling_Hz=RATE_Hz, dead_time_s=0.0)
 
 
-def drive(current_A, *, inertia=2e-3, friction=0.01):
-    """Angle of a drum with viscous friction, rounded to encoder steps."""
+def drive(current_A, *, inertia=2e-3, friction=0.01, dry=0.0):
+    """Angle of a drum with viscous and dry friction, rounded to encoder steps."""
     velocity, angle, out = 0.0, 0.0, []
     for torque in 0.5 * current_A:
         out.append(angle)
         for _ in range(8):
             velocity += (torque - friction * velocity) / inertia / RATE_Hz / 8
+            velocity -= np.clip(
+                velocity, -dry / inertia / RATE_Hz / 8, dry / inertia / RATE_Hz / 8
+            )
             angle += velocity / RATE_Hz / 8
     step = 2.0 * np.pi / 8192.0
     return np.round(np.array(out) / step) * step
@@ -54,6 +59,51 @@ def test_motion_in_one_direction_is_stated_first():
     assert "one_direction" in kinds(found)
     assert found.sentence.startswith("all motion is in one direction")
     assert found.to_json()["limitations"][0]["kind"] == "one_direction"
+
+
+def test_stage_is_told_of_in_its_own_words():
+    moving = [replace(m, angle_rad=m.angle_rad) for m in records(inertia=7e-3)]
+    stage = plants.stage(2e-3, 0.01, force_constant_N_A=0.5, encoder_step_m=2 * np.pi / 8192)
+    found = plants.explain(stage, moving, effects=[])
+    assert found.unit == "m"
+    assert {c.name: c.unit for c in found.calibrations} == {
+        "mass_kg": "kg",
+        "viscous_friction_Ns_m": "N s/m",
+        "force_offset_N": "N",
+    }
+    told = found.to_json()
+    assert told["gap_before_m"] == found.gap_before
+    assert told["exit_code"] == 8
+    assert "mass_kg moved to 3.5 times" in found.sentence
+    shown = str((found.heading(), found.where, found.traces[0].unit, told))
+    assert "rad" not in re.sub("angle_rad|velocity_rad|presliding_rad", "", shown)
+
+
+def test_model_as_given_is_beside_the_refitted_one(sound):
+    off = plants.explain(DRIVE, list(records(inertia=2.6e-3)), effects=[])
+    assert off.given.ratio > 2.0 * off.ratio_before
+    assert off.given.rms > 2.0 * off.rms_before
+    assert sound.given.ratio == pytest.approx(sound.ratio_before, rel=0.2)
+
+
+def test_errors_on_held_out_records_are_of_models_not_fitted_to_them():
+    fast, slow = records(inertia=2.6e-3)
+    held = plants.explain(DRIVE, [fast], effects=[], hold_out=[slow]).hold_out
+    assert held.records == (slow.name,)
+    assert held.base == held.with_effects
+    assert held.given.ratio > 2.0 * held.base.ratio
+    assert 0.5 < held.base.ratio < 1.3
+
+
+def test_declared_effects_are_compared_with_the_model_without_them():
+    model = DRIVE + CoulombFriction(0.002)
+    rough = list(records(dry=0.004))
+    (shown,) = plants.explain(model, rough, effects=[]).declared
+    assert shown.supported
+    assert shown.parameters["torque_Nm"].value == pytest.approx(0.004, rel=0.1)
+    (idle,) = plants.explain(model, list(records()), effects=[]).declared
+    assert not idle.supported
+    assert "is not supported by these records" in idle.sentence
 
 
 def test_base_parameter_that_moved_far_is_stated():

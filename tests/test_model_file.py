@@ -58,6 +58,50 @@ def test_unloaded_reel_is_unchanged_by_saving_and_loading():
         model_file.from_toml("[unloaded_reel]\n[[effects]]\nname = 'eyelet_friction'\n")
 
 
+STAGE = """
+[stage]
+mass_kg = 95.1
+viscous_friction_Ns_m = 203.4
+encoder_step_m = 5e-8
+
+[[effects]]
+name = "coulomb_friction"
+torque_Nm = 20.4
+"""
+SERVO = "[servo]\ninertia_kg_m2 = 2e-4\nviscous_friction_Nms = 1e-3\ntorque_constant_Nm_A = 0.1\n"
+
+
+def test_stage_and_servo_have_tables_of_their_own():
+    for text in (STAGE, SERVO):
+        made = model_file.from_toml(text)
+        again = model_file.from_toml(model_file.to_toml(made))
+        assert again.own_values == pytest.approx(made.own_values, rel=1e-15)
+        assert (type(again), again.effects) == (type(made), made.effects)
+    stage, servo = map(model_file.from_toml, (STAGE, SERVO))
+    assert stage.linear_model().B == (0.0, 1.0 / 95.1)
+    assert (
+        stage.effects[0]
+        .sentence({"torque_Nm": 20.4, "creep_rad_s": 0.0}, stage)
+        .startswith("Your stage has dry friction: 20.4 N against the motion")
+    )
+    assert servo.newtons_per_ampere == 0.1
+    assert "inertia_kg_m2=0.0002" in repr(servo)
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("[stage]\nmass_kg = 2.0\n", "it needs viscous_friction_Ns_m"),
+        ("[stage]\nmass_kg = -2.0\nviscous_friction_Ns_m = 1.0\n", "stage: mass_kg"),
+        ("[stage]\ndrum_radius_m = 2.0\n", "drum_radius_m: there is no such key"),
+        (f"{SERVO}[[effects]]\nname = 'cable_creep'\n", "cannot be added to the servo"),
+    ],
+)
+def test_stage_or_servo_table_that_is_wrong_is_refused(text, told):
+    with pytest.raises(InvalidInput, match=told):
+        model_file.from_toml(text)
+
+
 @given(
     poles=st.lists(between(0.5, 200.0), min_size=1, max_size=3),
     gain=between(0.1, 10.0),

@@ -11,8 +11,16 @@ from estune.recordings.issue import DataIssue
 from estune.trial import RigDescription
 from plants.diagnosis.data.measured_record import OUTPUTS
 from plants.diagnosis.data.noise_floor import NoiseFloor
+from plants.diagnosis.declared_effects import declared_effects
 from plants.diagnosis.experiments.next_experiment import Evidence, next_experiment
-from plants.diagnosis.prediction.prediction import CHANNELS
+from plants.diagnosis.hold_out import (
+    UNITS,
+    floor_of,
+    held_errors,
+    hold_out,
+    main_channel,
+)
+from plants.diagnosis.models.diagnosed_model import DiagnosedModel
 from plants.diagnosis.report.diagnosis import Diagnosis
 from plants.diagnosis.report.plant_units import in_own_units, located_in_own_units
 from plants.diagnosis.residual.localisation import ResidualLocation
@@ -43,7 +51,6 @@ from plants.effects.plant_scale import PlantScale, written_unit
 
 STEP_KNOWN = 2e-3
 """Relative uncertainty of a step found among readings."""
-UNITS = {"tension_N": "N", "angle_rad": "rad", "reference_N": "N", "current_A": "A"}
 
 
 class EffectChoices(NamedTuple):
@@ -80,6 +87,7 @@ class DiagnosisInputs:
         fitter: Model and records without interference.
         wrong: The model as given with the one number changed that is wrong, or None.
         coarse_step_N: Step of a gauge that is read in coarse steps, or None.
+        held: The model as given for records held out of the fits, or None.
     """
 
     model: Any
@@ -95,6 +103,7 @@ class DiagnosisInputs:
     noise: NoiseFloor
     findings: tuple[DataIssue, ...]
     rig: RigDescription | None = None
+    held: DiagnosedModel | None = None
 
 
 class Stage(NamedTuple):
@@ -136,6 +145,8 @@ def build_diagnosis(inputs: DiagnosisInputs) -> Diagnosis:
     limits = limitations(inputs.fitter.measurements, inputs.findings, inputs.found.base, scale)
     said = verdict_sentence(verdict, judged, named, steps, unit)
     traces, errors = _free_run(before, after)
+    given = before.fitter.given()
+    held = None if inputs.held is None else hold_out(inputs.held, before.fit, after.fit)
     rests = {e.name for e in added} | set(judged.tied)
     return Diagnosis(
         verdict=verdict,
@@ -166,6 +177,9 @@ def build_diagnosis(inputs: DiagnosisInputs) -> Diagnosis:
         base_model=plant.calibrated(base.values),
         augmented=plant.calibrated(values, [type(effect) for effect in added]),
         values=values,
+        given=held_errors(before.fitter, given),
+        declared=declared_effects(plant, inputs.noise, base, first),
+        hold_out=held,
         limitations=limits,
         models=judged.models,
     )
@@ -216,10 +230,7 @@ def _in_order(stages: Sequence[Stage]) -> list[type[Effect]]:
 
 
 def _step(one: Stage) -> SearchStep:
-    index, unit = one.fitter.base.index, one.fitter.model.output
-    first = [CHANNELS.index(name) for name in OUTPUTS if UNITS[name] == unit]
-    sigma = index.sigma[np.isin(index.channel, first)]
-    floor = float(np.sqrt(np.mean(sigma**2))) if sigma.size else math.nan
+    floor = floor_of(one.fitter)
     return SearchStep(one.added, one.ratio * floor, floor, one.ratio)
 
 
@@ -323,9 +334,9 @@ def _calibrations(
     for f in base.fitted.predictor.free:
         if f.owner == "base" and f.name in first:
             unit = scale.unit(f.unit)
-            fits = (first[f.name], last.get(f.name, first[f.name]))
-            fits = tuple(replace(one, unit=unit) for one in fits)
-            found.append(BaseParameter(scale.name(f.name), unit, f.start, *fits))
+            alone = replace(first[f.name], unit=unit)
+            beside = replace(last.get(f.name, alone), unit=unit)
+            found.append(BaseParameter(scale.name(f.name), unit, f.start, alone, beside))
     return tuple(found)
 
 
@@ -334,8 +345,7 @@ def _free_run(before: Stage, after: Stage) -> tuple[tuple[Trace, ...], tuple[flo
     runs = [one.fitter.free_run(one.fit) for one in (before, after)]
     scale = PlantScale.of(before.fitter.model.model)
     measured_at, cleaned = before.fitter.measurements, after.fitter.measurements
-    channels = {name for m in measured_at for name in m.outputs}
-    main = next(n for n in OUTPUTS if n in channels and UNITS[n] == before.fitter.model.output)
+    main = main_channel(measured_at, before.fitter.model.output)
     traces, errors = [], []
     for n, m in enumerate(measured_at):
         for name in OUTPUTS:

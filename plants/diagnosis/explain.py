@@ -45,6 +45,7 @@ from plants.effects import (
     find,
 )
 
+Records = Path | str | Sequence[MeasuredRecord] | Sequence[TrialRecord]
 LINE_ROUNDS = 2
 """Searches for mains interference; the second is without the line found first."""
 BASE_ROUNDS = 40
@@ -55,11 +56,12 @@ one that leaves more is none."""
 
 def explain(
     model: Any,
-    records: Path | str | Sequence[MeasuredRecord] | Sequence[TrialRecord],
+    records: Records,
     *,
     effects: Sequence[type[Effect] | str] | None = None,
     rig: RigDescription | None = None,
     columns: ColumnMap = AS_NAMED,
+    hold_out: Records | None = None,
 ) -> Diagnosis:
     """Identifies the effect that a model lacks, from records; deterministic.
 
@@ -71,24 +73,30 @@ def explain(
             all that are declared, those of other packages included.
         rig: The rig of the next experiment; None derives it from the records.
         columns: Where the columns come from, in files that name them otherwise.
+        hold_out: Records that no model is fitted to; the errors on them are reported.
 
     Raises:
         InvalidInput: there is no record that can be used; the message says why for each.
         PlantError: the model cannot be simulated.
     """
-    if isinstance(records, Path | str):
-        read = read_measurements(records, columns, drum_of(model))
-    else:
-        read = FolderContents(tuple(map(_measured, records)), ())
+    read = _read(records, model, columns)
+    held = None if hold_out is None else _read(hold_out, model, columns)
     # The matrices are small: a thread more costs more than it brings, and a core that another
     # diagnosis could have.
     with threadpool_limits(limits=1, user_api="blas"):
-        return _explained(model, read, effects, rig)
+        return _explained(model, read, held, effects, rig)
+
+
+def _read(records: Records, model: Any, columns: ColumnMap) -> FolderContents:
+    if isinstance(records, Path | str):
+        return read_measurements(records, columns, drum_of(model))
+    return FolderContents(tuple(map(_measured, records)), ())
 
 
 def _explained(
     model: Any,
     read: FolderContents,
+    held: FolderContents | None,
     effects: Sequence[type[Effect] | str] | None,
     rig: RigDescription | None,
 ) -> Diagnosis:
@@ -132,8 +140,16 @@ def _explained(
             noise=noise,
             findings=findings,
             rig=rig,
+            held=None if held is None else _held_model(model, held, done.fitter.model),
         )
     )
+
+
+def _held_model(model: Any, held: FolderContents, fitted: DiagnosedModel) -> DiagnosedModel:
+    """The model as given for records that are held out, in the variant that was fitted."""
+    measurements, _ = check(held.measurements, model)
+    kinds = diagnosed(model, measurements).alternatives()
+    return next((k for k in kinds if type(k.calibration) is type(fitted.calibration)), kinds[0])
 
 
 class Searched(NamedTuple):

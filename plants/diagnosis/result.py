@@ -19,6 +19,10 @@ Verdict = Literal["named", "incomplete", "ambiguous", "unknown", "none"]
 records do not distinguish several effects; `unknown`: no declared effect explains it; `none`:
 there is nothing to explain."""
 
+LIMITED, FAULTY = 8, 9
+"""Exit codes: the verdict stands with a reservation for what the records do not show; the data
+have faults to be corrected first."""
+
 Slugs = frozenset[str]
 
 Split = Literal["fit", "rank", "report"]
@@ -71,10 +75,10 @@ class Candidate:
 
     Attributes:
         name: Its slug.
-        closure: Explained fraction of the error power above the noise floor on validation data;
-            nan where its screening ruled it out before a fit.
-        gap: Prediction error left on validation data, in times the noise floor.
-        cosine2: Screening R2 on training data.
+        closure: Explained fraction of the error power above the noise floor; nan where its
+            screening ruled it out before a fit.
+        gap: Prediction error left, in times the noise floor.
+        cosine2: Screening R2.
         sentence: Why it was taken or ruled out.
         probability: Of its family being there, from 0 to 1.
     """
@@ -98,9 +102,62 @@ class BaseParameter:
     with_effects: Interval
 
 
+class ModelErrors(NamedTuple):
+    """Prediction errors of a model.
+
+    Attributes:
+        gap: Short-horizon prediction error, rms, in the unit of the result.
+        ratio: That over all channels, in times the noise floor.
+        rms: Error of a free run, rms, same unit.
+    """
+
+    gap: float
+    ratio: float
+    rms: float
+
+
+class HoldOut(NamedTuple):
+    """Errors on records that had no part in any fit.
+
+    Attributes:
+        records: Their names.
+        floor: Their noise floor, in the unit of the result.
+        given: Of the model as given.
+        base: Of the refitted base model.
+        with_effects: Of the model with the effects found; those of `base` where there are none.
+    """
+
+    records: tuple[str, ...]
+    floor: float
+    given: ModelErrors
+    base: ModelErrors
+    with_effects: ModelErrors
+
+
+@dataclass(frozen=True, slots=True)
+class DeclaredEffect:
+    """An effect that the model as given has.
+
+    Attributes:
+        name: Its slug.
+        title: Its name in plain words.
+        parameters: Values fitted to the records, by name.
+        supported: Whether the records show it.
+        explained: Share of the error power above the noise floor that it takes off.
+        sentence: The same in words.
+    """
+
+    name: str
+    title: str
+    parameters: Mapping[str, Interval]
+    supported: bool
+    explained: float
+    sentence: str
+
+
 @dataclass(frozen=True, slots=True)
 class SearchStep:
-    """Prediction error on test data after one step of the search.
+    """Prediction error on data left out after one step of the search.
 
     Attributes:
         effect: Slug of the effect added; None for the base fit.
@@ -117,7 +174,7 @@ class SearchStep:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trace:
-    """One channel of one test record, measured and simulated in free run; arrays (samples,).
+    """One channel of one record, measured and simulated in free run; arrays (samples,).
 
     Attributes:
         name: Name of the record.
@@ -174,23 +231,36 @@ class Limitation:
     """Something that the records cannot tell.
 
     Attributes:
-        kind: `records_refused`, `one_direction`, `no_slow_motion`, `no_encoder`,
-            `base_parameter_moved` or `base_parameter_at_bound`.
+        kind: `records_refused`, `tension_below_zero`, `one_direction`, `no_slow_motion`,
+            `no_encoder`, `base_parameter_moved` or `base_parameter_at_bound`.
+        label: What it is in a few words, for a headline.
         sentence: What it is, and what to do, in plain words without a full stop.
+        by_data: Whether it is a fault of the data, not of the motion they show.
     """
 
     kind: str
+    label: str
     sentence: str
+    by_data: bool = False
 
 
 @dataclass(frozen=True, slots=True)
 class DataSegment:
-    """A stretch of a record, and what it was used for."""
+    """A stretch of a record, and what it was used for.
+
+    Attributes:
+        record: Name of the record.
+        start_s: Its first moment in the record, s.
+        end_s: Its last.
+        split: `report`: all data are fitted, and left out in turn for the errors reported.
+        third: Which third of the data it is left out with, from 0.
+    """
 
     record: str
     start_s: float
     end_s: float
     split: Split
+    third: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -253,13 +323,13 @@ class DiagnosisResult:
         ambiguous: Slugs the records do not distinguish, best first; empty unless `ambiguous`.
         candidates: All effects tried as the first one, best first.
         unit: Unit of prediction errors: N, or rad, or m of a stage, where no tension was measured.
-        gap_before: Short-horizon prediction error of the base model on test data, rms.
+        gap_before: Short-horizon prediction error of the refitted base model on data left out.
         gap_after: That with the effects.
         floor: Noise floor, same unit.
         ratio_before: `gap_before` over all channels, in times the noise floor.
         ratio_after: `gap_after` over all channels, in times the noise floor.
         closure: Explained fraction of the error power above the noise floor; nan without effects.
-        rms_before: Free-run error of the base model on test data, rms, in `unit`.
+        rms_before: Free-run error of the refitted base model, rms, in `unit`.
         rms_after: That with the effects.
         noise: The noise of each channel.
         where: Localisation of the base model's residual.
@@ -268,13 +338,16 @@ class DiagnosisResult:
         ruled_out: What was ruled out and why, one sentence each.
         next_experiment: The trial that would decide, or None.
         findings: Issues of the data.
-        steps: Prediction error on test data, step by step.
-        traces: Test records in free run, before and after.
-        splits: What each stretch of the data was used for.
+        steps: Prediction error on data left out, step by step.
+        traces: The records in free run, before and after.
+        splits: Which third of the data each stretch is left out with.
         model: The model as given.
         base_model: The model with its own numbers fitted.
         augmented: `base_model` with the effects, fitted together.
         values: The fit's values by the names of the predictor's free numbers.
+        given: Errors of the model as given, with nothing but values of single records fitted.
+        declared: The effects that the model as given has.
+        hold_out: Errors on records that had no part in the fits, or None.
         limitations: What these records cannot tell.
         models: Every model that was fitted, the base model first.
     """
@@ -307,8 +380,18 @@ class DiagnosisResult:
     base_model: Any
     augmented: Any
     values: Mapping[str, float]
+    given: ModelErrors
+    declared: tuple[DeclaredEffect, ...] = ()
+    hold_out: HoldOut | None = None
     limitations: tuple[Limitation, ...] = ()
     models: tuple[ModelSummary, ...] = ()
+
+    @property
+    def exit_code(self) -> int:
+        """Exit code of `estune explain`: `LIMITED`, `FAULTY`, or 0."""
+        if any(one.by_data for one in self.limitations):
+            return FAULTY
+        return LIMITED if self.limitations else 0
 
     @property
     def written_unit(self) -> str:

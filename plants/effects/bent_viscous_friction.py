@@ -50,7 +50,7 @@ class BentViscousFriction(Effect):
         way = "more" if p.bend_Nms2 > 0.0 else "less"
         size = abs(p.bend_Nms2)
         unit = "the input's unit per square of the output's rate"
-        unit = unit if plant.is_plant else "N m s2/rad2"
+        unit = unit if plant.is_plant else plant.unit("N m s2/rad2")
         return (
             f"has viscous friction that grows {way} than in proportion to the speed: the torque "
             f"against the motion has a quadratic part of {digits(size)} {unit}"

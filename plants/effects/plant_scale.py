@@ -4,6 +4,7 @@ Amounts of a plant that is no reel are in its own units.
 """
 
 import math
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 _PREFIXES = {-6: "µ", -3: "m", 0: "", 3: "k"}
@@ -35,52 +36,52 @@ def share(value: float) -> str:
 
 def written_unit(unit: str, model: Any) -> str:
     """The unit of an output as written: none for a plant, whose output may be anything."""
-    return "" if PlantScale.of(model).is_plant else unit
+    scale = PlantScale.of(model)
+    return "" if scale.is_plant else scale.unit(unit)
 
 
 class PlantScale(NamedTuple):
     """Words and sizes of a plant that the sentences of effects refer to.
 
     Attributes:
-        subject: What the model is of: a reel, a drive without a cable, or any other plant.
+        subject: What the model is of: a reel, a drive, a stage, or any plant.
         radius_m: Drum radius, m; nan without a drum.
         length_m: Cable length, m; nan without a cable.
         tension_N: Usual tension, N; nan where there is none.
         stiffness_N_m: Of the cable, N/m; nan without one.
         newtons_per_ampere: Effort per motor current, N/A.
         sampling_Hz: Rate of the controller; nan if not known.
+        units: The plant's own units by those of a drum, where they differ.
+        names: The plant's own names of numbers and columns by those of a drum.
     """
 
-    subject: str
-    radius_m: float
-    length_m: float
-    tension_N: float
-    stiffness_N_m: float
-    newtons_per_ampere: float
-    sampling_Hz: float
+    subject: str = "plant"
+    radius_m: float = math.nan
+    length_m: float = math.nan
+    tension_N: float = math.nan
+    stiffness_N_m: float = math.nan
+    newtons_per_ampere: float = math.nan
+    sampling_Hz: float = math.nan
+    units: Mapping[str, str] = {}
+    names: Mapping[str, str] = {}
 
     @classmethod
     def of(cls, model: Any) -> "PlantScale":
-        """The words and sizes of a model; missing ones are nan."""
+        """The words and sizes that a model declares; those of any plant for one that does not."""
+        scale = getattr(model, "scale", None)
+        return scale if isinstance(scale, cls) else cls()
 
-        def number(name: str) -> float:
-            value = getattr(model, name, math.nan)
-            return float(value) if isinstance(value, int | float) else math.nan
+    def unit(self, unit: str) -> str:
+        """A drum's unit in the plant's own."""
+        return self.units.get(unit, unit)
 
-        softness = 1.0 / number("structure_stiffness_N_m")
-        softness += number("cable_length_m") / number("cable_EA_N")
-        controller = getattr(model, "controller", None)
-        subject = "reel" if math.isfinite(number("cable_length_m")) else "drive"
-        subject = subject if math.isfinite(number("drum_inertia_kg_m2")) else "plant"
-        return cls(
-            subject=subject,
-            radius_m=number("drum_radius_m"),
-            length_m=number("cable_length_m"),
-            tension_N=number("tension_N"),
-            stiffness_N_m=1.0 / softness,
-            newtons_per_ampere=number("newtons_per_ampere"),
-            sampling_Hz=float(getattr(controller, "sampling_Hz", math.nan)),
-        )
+    def name(self, name: str) -> str:
+        """A drum's number or column by the plant's own name."""
+        return self.names.get(name, name)
+
+    def amount(self, value: float, unit: str) -> str:
+        """A value in a drum's unit, written in the plant's own."""
+        return si(value, self.unit(unit))
 
     @property
     def is_plant(self) -> bool:
@@ -107,21 +108,21 @@ class PlantScale(NamedTuple):
         if self.is_plant:
             return _input(torque_Nm)
         at_cable = torque_Nm / self.radius_m if self.has_cable else math.nan
-        return f"{si(torque_Nm, 'N m')}{also(at_cable, 'N', ' at the cable')}"
+        return f"{self.amount(torque_Nm, 'N m')}{also(at_cable, 'N', ' at the cable')}"
 
     def damping(self, damping_Nms: float) -> str:
         """A viscous friction at the drum, and at the cable."""
         if self.is_plant:
             return f"{_input(damping_Nms)} for each unit of the output per second"
         at_cable = damping_Nms / self.radius_m**2 if self.has_cable else math.nan
-        return f"{digits(damping_Nms)} N m s/rad{also(at_cable, 'N per m/s', ' of cable')}"
+        return f"{self.amount(damping_Nms, 'N m s/rad')}{also(at_cable, 'N per m/s', ' of cable')}"
 
     def travel(self, angle_rad: float) -> str:
         """An angle of the drum, and the cable it winds."""
         if self.is_plant:
             return _output(angle_rad)
         wound = angle_rad * self.radius_m if self.has_cable else math.nan
-        return f"{si(angle_rad, 'rad')}{also(wound, 'm', ' of cable')}"
+        return f"{self.amount(angle_rad, 'rad')}{also(wound, 'm', ' of cable')}"
 
     def cable(self, length_m: float) -> str:
         """A length of cable."""
@@ -134,14 +135,14 @@ class PlantScale(NamedTuple):
         if self.is_plant:
             return f"{_output(velocity_rad_s)} per second"
         wound = velocity_rad_s * self.radius_m if self.has_cable else math.nan
-        return f"{si(velocity_rad_s, 'rad/s')}{also(wound, 'm/s', ' of cable')}"
+        return f"{self.amount(velocity_rad_s, 'rad/s')}{also(wound, 'm/s', ' of cable')}"
 
     def current(self, current_A: float, per: str = "") -> str:
         """A current, and the tension it holds."""
         if self.is_plant:
             return f"{_input(current_A)}{' per second' if per else ''}"
-        tension = current_A * self.newtons_per_ampere
-        return f"{si(current_A, f'A{per}')}{also(tension, f'N{per}')}"
+        force = current_A * self.newtons_per_ampere if self.unit("A") == "A" else math.nan
+        return f"{self.amount(current_A, f'A{per}')}{also(force, f'N{per}')}"
 
     def reading(self, tension_N: float) -> str:
         """A tension, or what stands for it in a plant's output."""

@@ -4,6 +4,7 @@ import json
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import MISSING, asdict, fields, replace
+from inspect import signature
 from typing import Any, NamedTuple, get_args
 
 from estune.core.gains import Gains
@@ -11,6 +12,7 @@ from estune.errors import InvalidInput
 from estune.run import targets
 from estune.trial import RigLimits
 from estune.trial.profiles import StepProfile
+from plants.models.drives import Servo, Stage, servo, stage
 from plants.models.linear_plant import LinearPlant, linear_plant
 from plants.models.plant_model import PlantModel, own_fields
 from plants.models.python_plant import PythonPlant
@@ -193,6 +195,8 @@ def _linear_values(plant: LinearPlant) -> dict[str, Any]:
     values |= _units_of(plant)
     values |= {name: getattr(mounting.controller, name) for name in _CONTROLLER}
     values |= {name: getattr(mounting, name) for name in _MOUNTED}
+    if mounting.newtons_per_ampere == 1.0:  # as in files of earlier versions
+        del values["newtons_per_ampere"]
     values |= {"step": _table(mounting.profile), "limits": _table(mounting.limits)}
     return values if mounting.gains is None else {**values, "gains": _table(mounting.gains)}
 
@@ -212,8 +216,24 @@ def _units_of(plant: LinearPlant | PythonPlant) -> dict[str, Any]:
     return {name: getattr(plant, name) for name in _UNITS}
 
 
+def _of_drive(kind: type[Servo], make: Callable[..., Servo]) -> ModelKind:
+    """A servo or a stage: all its keys are numbers, of which two have no default."""
+    needed = [p.name for p in signature(make).parameters.values() if p.default is p.empty]
+
+    def made(**values: Any) -> Servo:
+        missing = [key for key in needed if key not in values]
+        if missing:
+            raise InvalidInput(f"it needs {' and '.join(missing)}")
+        return make(**values)
+
+    keys = dict.fromkeys(kind.FIELDS, read_number)
+    return ModelKind(kind.title, kind, keys, made, lambda drive: drive.own_values)
+
+
 KINDS = (
     ModelKind("reel", Reel, _own_keys(Reel), reference_reel, _own_values),
+    _of_drive(Stage, stage),
+    _of_drive(Servo, servo),
     ModelKind("unloaded_reel", UnloadedReel, _own_keys(UnloadedReel), unloaded_reel, _own_values),
     ModelKind("linear_plant", LinearPlant, _LINEAR_KEYS, _make_linear, _linear_values),
     ModelKind("python_plant", PythonPlant, _PYTHON_KEYS, _make_python, _units_of),

@@ -5,7 +5,7 @@ from collections.abc import Iterable
 from dataclasses import Field, dataclass, fields, replace
 from functools import cached_property
 from types import SimpleNamespace
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from estune.core.gains import Gains
 from estune.core.quantities import FloatArray, check_not_negative, check_positive
 from estune.errors import InvalidInput
 from plants.effects import Effect
+from plants.effects.plant_scale import PlantScale
 from plants.models.parameters import amend_parameters
 from plants.simulation.plant import Columns, Drive, Plant, split_dead_time
 from plants.simulation.simulated_rig import SimulatedRig
@@ -25,6 +26,15 @@ class PlantModel(Plant, ABC):
 
     # The effects added, in the order in which the signal meets them.
     effects: tuple[Effect, ...] = ()
+
+    diagnosed_by: ClassVar[str] = ""
+    """Class that compares the model with records, a `plants.diagnosis.models.diagnosed_model.
+    DiagnosedModel`, as module:attribute; empty where there is none."""
+
+    @property
+    def scale(self) -> PlantScale:
+        """Words and sizes that sentences on the plant refer to."""
+        return PlantScale(sampling_Hz=self.controller.sampling_Hz)
 
     @property
     @abstractmethod

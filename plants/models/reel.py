@@ -11,6 +11,7 @@ from estune.core.pidf import ControllerSettings
 from estune.errors import InvalidInput
 from estune.trial import LinearModel, RigDescription, RigLimits
 from estune.trial.profiles import StepProfile
+from plants.effects.plant_scale import PlantScale
 from plants.models.path_structure import squarings_for
 from plants.models.plant_model import (
     PlantModel,
@@ -83,6 +84,8 @@ class Reel(PlantModel):
     tension_min_N: float = 5.0
     tension_max_N: float = 40.0
 
+    diagnosed_by = "plants.diagnosis.models.reel:DiagnosedReel"
+
     def __post_init__(self) -> None:
         check_fields(self, "reel", _MAY_BE_ZERO)
         if not self.tension_min_N <= self.tension_N <= self.tension_max_N:
@@ -105,6 +108,20 @@ class Reel(PlantModel):
     def newtons_per_ampere(self) -> float:
         """Tension at rest per motor current, N/A."""
         return self.torque_constant_Nm_A / self.drum_radius_m
+
+    @property
+    def scale(self) -> PlantScale:
+        """Words and sizes that sentences on the reel refer to."""
+        softness = 1.0 / self.structure_stiffness_N_m + self.cable_length_m / self.cable_EA_N
+        return PlantScale(
+            subject="reel",
+            radius_m=self.drum_radius_m,
+            length_m=self.cable_length_m,
+            tension_N=self.tension_N,
+            stiffness_N_m=1.0 / softness,
+            newtons_per_ampere=self.newtons_per_ampere,
+            sampling_Hz=self.sampling_Hz,
+        )
 
     @property
     def noise_rms_N(self) -> float:

@@ -9,6 +9,7 @@ from estune.core.pidf import ControllerSettings
 from estune.errors import PlantError
 from estune.trial import LinearModel, RigDescription, RigLimits
 from estune.trial.profiles import StepProfile
+from plants.effects.plant_scale import PlantScale
 from plants.models.effect_applicability import unavailable
 from plants.models.linear_structures import Drum
 from plants.models.linear_with_effects import LinearEffectStructure
@@ -33,8 +34,7 @@ STEP_SHARE = 0.1
 class UnloadedReel(PlantModel):
     """A motor and a drum without a cable: `J theta'' + b theta' = Kt i`.
 
-    Equally a servo or a positioning stage: with a radius of 1, a mass for the inertia and a torque
-    constant of 1 the command is a force in N and the angle a position in m.
+    Servos and positioning stages, `plants.models.drives`, have the same equations.
 
     There is no tension to control: its trials run in open loop, and setpoint x radius is the
     commanded torque.
@@ -65,14 +65,26 @@ class UnloadedReel(PlantModel):
     sampling_Hz: float = 632.0
     derivative_filter_s: float = 0.002
 
+    title: ClassVar[str] = "unloaded reel"
     noise_rms_N: ClassVar[float] = 0.0
+    diagnosed_by = "plants.diagnosis.models.unloaded:DiagnosedDrum"
 
     def __post_init__(self) -> None:
-        check_fields(self, "unloaded reel", _MAY_BE_ZERO)
+        check_fields(self, self.title, _MAY_BE_ZERO)
         for effect in self.effects:
             reason = unavailable(Drum(), type(effect))
             if reason:
-                raise PlantError(f"{effect.name} cannot be added to an unloaded reel: {reason}")
+                raise PlantError(f"{effect.name} cannot be added to the {self.title}: {reason}")
+
+    @property
+    def scale(self) -> PlantScale:
+        """Words and sizes that sentences on the drive refer to."""
+        return PlantScale(
+            subject="drive",
+            radius_m=self.drum_radius_m,
+            newtons_per_ampere=self.newtons_per_ampere,
+            sampling_Hz=self.sampling_Hz,
+        )
 
     @property
     def newtons_per_ampere(self) -> float:
@@ -146,7 +158,7 @@ class UnloadedReel(PlantModel):
         """An open-loop trial from rest at an angle of zero."""
         if not drive.open_loop:
             raise PlantError(
-                "an unloaded reel has no tension to control; ask for a trial in open loop"
+                f"the {self.title} has no tension to control; ask for a trial in open loop"
             )
         return drive._replace(preload_N=0.0)
 

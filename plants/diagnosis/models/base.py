@@ -9,7 +9,10 @@ from numpy.typing import NDArray
 
 from estune.trial import LinearModel
 from plants.diagnosis.data.measured_record import MeasuredRecord
+from plants.models.linear_plant import LinearPlant
+from plants.models.reel import Reel
 from plants.models.reel_equations import cable_stiffness_N_m, viscous_friction_Nms
+from plants.models.unloaded_reel import UnloadedReel
 
 _DRUM = (
     "dead_time_s",
@@ -60,26 +63,25 @@ class BaseNumbers:
         Returns:
             None where the model has no such numbers: a plant that is known as a function only.
         """
-        if hasattr(model, "cable_EA_N"):
+        if isinstance(model, Reel):
             return cls._of_reel(model, measurement)
-        if hasattr(model, "drum_inertia_kg_m2"):
+        if isinstance(model, UnloadedReel):
             return cls(
                 newtons_per_ampere=model.newtons_per_ampere,
                 sampling_Hz=measurement.sampling_Hz,
-                **{name: getattr(model, name) for name in _DRUM if hasattr(model, name)},
+                **{name: getattr(model, name) for name in _DRUM},
             )
-        linear = getattr(model, "model", None)
-        if not isinstance(linear, LinearModel):
+        if not isinstance(model, LinearPlant) or model.model is None:
             return None
         return cls(
             newtons_per_ampere=model.newtons_per_ampere,
             sampling_Hz=measurement.sampling_Hz,
-            dead_time_s=linear.dead_time_s,
-            linear=linear,
+            dead_time_s=model.model.dead_time_s,
+            linear=model.model,
         )
 
     @classmethod
-    def _of_reel(cls, model: Any, measurement: MeasuredRecord) -> "BaseNumbers":
+    def _of_reel(cls, model: Reel, measurement: MeasuredRecord) -> "BaseNumbers":
         # Not below what the model is for: the sag's share of the flexibility has a pole at zero.
         preload_N = max(measurement.preload_N, model.tension_min_N)
         length_m = measurement.cable_length_m

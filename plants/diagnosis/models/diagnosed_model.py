@@ -4,6 +4,7 @@ import importlib
 from abc import ABC, abstractmethod
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, Literal, NamedTuple, Protocol, Self
 
 import numpy as np
@@ -13,6 +14,7 @@ from estune.errors import InvalidInput, PlantError
 from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.models.calibration import Calibration
 from plants.effects import Effect, Parameter, RecordScale
+from plants.models.linear_plant import LinearPlant
 from plants.simulation.equations import Equations
 
 BASE = "base"
@@ -205,7 +207,7 @@ class DiagnosedModel(ABC):
         """Variants of the model, of which the records decide."""
         return (self,)
 
-    @property
+    @cached_property
     def base(self) -> list[Slot]:
         """The base-model parameters with their initial values."""
         slots = (*self._calibrations(), *self.sensors(), *self._current_sensor())
@@ -228,6 +230,7 @@ class DiagnosedModel(ABC):
         """The model with the values of a base fit as initial values."""
         later = object.__new__(type(self))
         vars(later).update(vars(self))
+        vars(later).pop("base", None)
         later._starts = {**self._starts, **values}
         return later
 
@@ -353,20 +356,14 @@ def diagnosed(model: Any, measurements: Sequence[MeasuredRecord]) -> DiagnosedMo
 
 def _kind(model: Any) -> type[DiagnosedModel]:
     """The class for a model, imported when needed."""
-    name = type(model).__name__
-    classes = {
-        "Reel": ("plants.diagnosis.models.reel", "DiagnosedReel"),
-        "UnloadedReel": ("plants.diagnosis.models.unloaded", "DiagnosedDrum"),
-        "LinearPlant": ("plants.diagnosis.models.linear_plant", "DiagnosedLinear"),
-        "TransferFunction": ("plants.diagnosis.models.linear_plant", "DiagnosedLinear"),
-        "StateSpace": ("plants.diagnosis.models.linear_plant", "DiagnosedLinear"),
-        "PythonPlant": ("plants.diagnosis.models.python_plant", "DiagnosedFunction"),
-    }
-    if name not in classes:
+    reference = getattr(model, "diagnosed_by", "")
+    if type(model).__name__ in ("TransferFunction", "StateSpace"):
+        reference = LinearPlant.diagnosed_by
+    if not reference:
         raise PlantError(
-            f"the model is a {name}; give a Reel, an UnloadedReel, a linear_plant, a python_plant "
-            "or a system of python-control"
+            f"the model is a {type(model).__name__}; give a model file, a plant that declares "
+            "`diagnosed_by`, or a system of python-control"
         )
-    module, attribute = classes[name]
+    module, _, attribute = reference.partition(":")
     found: type[DiagnosedModel] = getattr(importlib.import_module(module), attribute)
     return found

@@ -60,14 +60,14 @@ class Diagnosis(DiagnosisResult):
         return figures.draw_gap(_axes(ax), self)
 
     def plot_traces(self, record: str | None = None, ax: "Axes | None" = None) -> "Axes":
-        """Draws a test record in free run, before and after, where the base model is worst.
+        """Draws a record in free run, before and after, where the base model is worst.
 
         Args:
-            record: Name of a test record; the one with the largest error by default.
+            record: Name of a record; the one with the largest error by default.
             ax: Where to draw; on a figure of its own by default.
 
         Raises:
-            InvalidInput: there is no such test record.
+            InvalidInput: there is no such record.
         """
         from plants.diagnosis.report import figures  # noqa: PLC0415  slow to import
 
@@ -106,7 +106,7 @@ class Diagnosis(DiagnosisResult):
         return figures.draw_calibrations(_axes(ax), self)
 
     def plot_splits(self, ax: "Axes | None" = None) -> "Axes":
-        """Draws what each stretch of the records was used for."""
+        """Draws which third of the data each stretch of the records is left out with."""
         from plants.diagnosis.report import figures  # noqa: PLC0415  slow to import
 
         return figures.draw_splits(_axes(ax), self)

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Patch
 
 from estune.core.quantities import FloatArray
 from estune.support.plot_style import (
@@ -24,7 +23,7 @@ from estune.support.plot_style import (
     legend,
     new_figure,
 )
-from plants.diagnosis.report.residual_figures import CHANNEL_TITLES, NOISE, draw_shares
+from plants.diagnosis.report.residual_figures import NOISE, channel_title, draw_shares
 from plants.diagnosis.report.summary import main_channel, step_name, worst_trace
 from plants.diagnosis.result import BaseParameter, DiagnosisResult, Trace
 from plants.effects.plant_scale import digits, si
@@ -32,7 +31,7 @@ from plants.effects.plant_scale import digits, si
 BEFORE: dict[str, Any] = {"color": ORANGE, "linewidth": 1.1}
 AFTER: dict[str, Any] = {"color": BLUE, "linewidth": 1.1}
 MEASURED: dict[str, Any] = {"color": BLACK, "linewidth": 3.0, "alpha": 0.3}
-SPLIT_LOOKS = {"fit": LIGHT, "rank": ORANGE, "report": BLUE}
+THIRD_COLOURS = (LIGHT, ORANGE, BLUE)
 
 _EXCERPT_samples = 1200
 _BINS = 600
@@ -41,7 +40,7 @@ BARS_MAX = 14
 
 
 def draw_gap(ax: Axes, d: DiagnosisResult) -> Axes:
-    """Prediction error on test data after each step, above the noise floor."""
+    """Prediction error on data left out after each step, above the noise floor."""
     names = [step_name(s.effect) for s in d.steps]
     gaps = [s.gap for s in d.steps]
     at = np.arange(len(gaps))
@@ -74,7 +73,7 @@ def draw_trace(ax: Axes, trace: Trace, within: slice | None = None) -> Axes:
     if changed(trace):
         ax.plot(time, trace.after[part], label="with the effects", **AFTER)
     ax.set_xlim(time[0], time[-1])
-    finish(ax, f"{CHANNEL_TITLES[trace.channel]}, {trace.unit}", "time, s")
+    finish(ax, f"{channel_title(trace.channel, trace.unit)}, {trace.unit}", "time, s")
     legend(ax)
     return ax
 
@@ -113,7 +112,7 @@ def draw_spectrum(ax: Axes, d: DiagnosisResult, channel: str | None = None) -> A
     ax.set_xscale("log")
     ax.set_yscale("log")
     ax.set_xlim(frequency[1], frequency[-1])
-    finish(ax, f"{CHANNEL_TITLES[channel]} error, {unit}/√Hz", "frequency, Hz")
+    finish(ax, f"{channel_title(channel, unit)} error, {unit}/√Hz", "frequency, Hz")
     legend(ax)
     return ax
 
@@ -140,20 +139,24 @@ def draw_ranking(ax: Axes, d: DiagnosisResult) -> Axes:
 
 
 def draw_splits(ax: Axes, d: DiagnosisResult) -> Axes:
-    """What each stretch of the records was used for."""
+    """Which third of the data each stretch of the records is left out with."""
     records = list(dict.fromkeys(part.record for part in d.splits))
-    for part in d.splits:
-        y = len(records) - 1 - records.index(part.record)
-        width = part.end_s - part.start_s
-        colour = SPLIT_LOOKS[part.split]
-        ax.barh(y, width, left=part.start_s, height=0.7, color=colour, zorder=2, antialiased=False)
+    for third, colour in enumerate(THIRD_COLOURS):
+        parts = [part for part in d.splits if part.third == third]
+        ax.barh(
+            [len(records) - 1 - records.index(part.record) for part in parts],
+            [part.end_s - part.start_s for part in parts],
+            left=[part.start_s for part in parts],
+            height=0.7,
+            color=colour,
+            zorder=2,
+            antialiased=False,
+            label=f"left out with third {third + 1}",
+        )
     ax.set_yticks(range(len(records)), records[::-1])
     finish(ax, "", "time in the record, s")
     ax.grid(visible=False, axis="y")
-    ax.legend(
-        handles=[Patch(color=colour, label=name) for name, colour in SPLIT_LOOKS.items()],
-        loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, fontsize=8, frameon=False,
-    )  # fmt: skip
+    legend(ax, columns=3)
     return ax
 
 

@@ -5,7 +5,13 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
-from plants.diagnosis.result import BaseParameter, DiagnosisResult, SearchStep
+from plants.diagnosis.result import (
+    BaseParameter,
+    DeclaredEffect,
+    DiagnosisResult,
+    HoldOut,
+    SearchStep,
+)
 
 
 def to_json(d: DiagnosisResult) -> dict[str, Any]:
@@ -36,26 +42,46 @@ def to_json(d: DiagnosisResult) -> dict[str, Any]:
             }
             for c in d.candidates
         ],
+        f"gap_given_{unit}": d.given.gap,
         f"gap_before_{unit}": d.gap_before,
         f"gap_after_{unit}": d.gap_after,
         f"floor_{unit}": d.floor,
+        "gap_given_floors": d.given.ratio,
         "gap_before_floors": d.ratio_before,
         "gap_after_floors": d.ratio_after,
         "closure": d.closure,
+        f"free_run_given_{unit}": d.given.rms,
         f"free_run_before_{unit}": d.rms_before,
         f"free_run_after_{unit}": d.rms_after,
         "where": d.where.to_json(),
         "not_excited": d.not_excited,
         "ruled_out": d.ruled_out,
         "next_experiment": d.next_experiment and d.next_experiment.to_json(),
+        "declared": [_declared(effect) for effect in d.declared],
+        "hold_out": d.hold_out and _hold_out(d.hold_out, unit),
         "calibrations": {c.name: _shift(c) for c in d.calibrations},
         "steps": [_step(step, unit) for step in d.steps],
         "noise": d.noise.to_json(),
+        "exit_code": d.exit_code,
         "limitations": [asdict(one) for one in d.limitations],
         "findings": [asdict(finding) for finding in d.findings],
         "splits": [asdict(part) for part in d.splits],
     }
     return {name: finite_json(value) for name, value in values.items()}
+
+
+def _declared(effect: DeclaredEffect) -> dict[str, Any]:
+    fitted = {name: asdict(one) for name, one in effect.parameters.items()}
+    return asdict(effect) | {"parameters": fitted}
+
+
+def _hold_out(held: HoldOut, unit: str) -> dict[str, Any]:
+    models = {"given": held.given, "base": held.base, "with_effects": held.with_effects}
+    errors = {
+        name: {f"gap_{unit}": e.gap, "gap_floors": e.ratio, f"free_run_{unit}": e.rms}
+        for name, e in models.items()
+    }
+    return {"records": held.records, f"floor_{unit}": held.floor, **errors}
 
 
 def _shift(c: BaseParameter) -> dict[str, Any]:

@@ -33,7 +33,9 @@ def page(d: DiagnosisResult) -> str:
     lead = [Paragraph(text, "lead") for text in summary.sentences(d)]
     explained = Paragraph(
         "Errors of short predictions are of refits with each third of the data left out, on what "
-        "was left out; free runs are of models fitted to all data. The noise floor is the noise "
+        "was left out, but for the model as given, to which nothing is fitted; free runs are of "
+        "models fitted to all data. No model was fitted to held-out records, if there are any. "
+        "The noise floor is the noise "
         "of the sensors and an allowance for the model's form. A short prediction starts anew "
         "from the measured angle every few moments, a free run never.",
         "soft",

@@ -1,13 +1,17 @@
-"""Fitted parameters of an effect in the units of a plant that is no reel.
+"""Results in the names and units of a plant that is no reel.
 
-Effects are declared in a reel's units; `plants.models.linear_signal_path` defines the equivalents
-in such a plant's input and output.
+Effects are declared in a reel's units. A stage declares its own; of a plant known by input and
+output alone `plants.models.linear_signal_path` defines the equivalents.
 """
 
+import re
+from dataclasses import replace
 from typing import Any
 
+from plants.diagnosis.residual.localisation import ResidualLocation
 from plants.diagnosis.result import Interval
 from plants.effects import Effect, Port
+from plants.effects.plant_scale import PlantScale
 from plants.models.linear_signal_path import READINGS_PER_ANGLE, ARM_m
 
 
@@ -22,11 +26,28 @@ def in_own_units(effect: type[Effect], name: str, found: Interval, model: Any) -
     """
     declared = effect.parameters()[name]
     units = {} if declared.is_phase else _units(effect.port, model)
-    size, unit = units.get(found.unit, (1.0, found.unit))
+    size, unit = units.get(found.unit, (1.0, PlantScale.of(model).unit(found.unit)))
     if declared.low >= 0.0:
         size = abs(size)
     low, high = sorted((found.low * size, found.high * size))
     return Interval(found.value * size, low, high, unit)
+
+
+def located_in_own_units(where: ResidualLocation, scale: PlantScale) -> ResidualLocation:
+    """Where a residual is, in the plant's own units."""
+    blocks = []
+    for block in where.blocks:
+        views = [
+            replace(view, unit=scale.unit(view.unit), detail=_detail(view.detail, scale))
+            for view in block.views
+        ]
+        blocks.append(replace(block, unit=scale.unit(block.unit), views=tuple(views)))
+    return replace(where, blocks=tuple(blocks), sentence=_detail(where.sentence, scale))
+
+
+def _detail(text: str, scale: PlantScale) -> str:
+    """A text with the length of a period in the plant's own unit."""
+    return re.sub(r"(?<=\d) rad\b", f" {scale.unit('rad')}", text)
 
 
 def _units(port: Port, model: Any) -> dict[str, tuple[float, str]]:

@@ -32,6 +32,13 @@ CHANNEL_TITLES = {
     "reference_N": "tension outside",
     "current_A": "current",
 }
+
+
+def channel_title(channel: str, unit: str) -> str:
+    """A channel in words; an angle in metres is a position."""
+    return "position" if unit == "m" else CHANNEL_TITLES[channel]
+
+
 _BLOCK_COLOURS = (VERMILION, PURPLE, GREEN, BLUE)
 _COLUMNS = 3
 

@@ -6,9 +6,9 @@ from typing import NamedTuple
 import numpy as np
 
 from estune.errors import InvalidInput
-from plants.diagnosis.result import DiagnosisResult, Interval, Trace
+from plants.diagnosis.result import DiagnosisResult, Interval, ModelErrors, Trace
 from plants.effects import EFFECTS
-from plants.effects.plant_scale import digits, si
+from plants.effects.plant_scale import PlantScale, digits, si
 
 _HEADINGS = {
     "named": "IDENTIFIED",
@@ -43,7 +43,7 @@ class Table(NamedTuple):
 
 
 def heading(d: DiagnosisResult) -> str:
-    """The verdict and the prediction error in one line."""
+    """What the records cannot tell, the verdict and the prediction error in one line."""
     if d.verdict == "ambiguous":
         what = " or ".join(_title(d, name) for name in d.ambiguous)
     elif d.verdict == "unknown":
@@ -55,15 +55,18 @@ def heading(d: DiagnosisResult) -> str:
     error = _in(d.gap_before, d)
     if d.effects:
         error += f" → {_in(d.gap_after, d)}"
-    return (
-        f"{_HEADINGS[d.verdict]}: {what}; prediction error {error}, noise floor {_in(d.floor, d)}"
-    )
+    first = "".join(f"{one.label}; " for one in d.limitations)
+    first = f"WITH RESERVATION, {first.removesuffix('; ')}. " if first else ""
+    told = f"{what}; prediction error {error}, noise floor {_in(d.floor, d)}"
+    return f"{first}{_HEADINGS[d.verdict]}: {told}"
 
 
 def sentences(d: DiagnosisResult) -> tuple[str, ...]:
     """The verdict, each effect with its size, and where it shows, in plain words."""
     own = [e.sentence for e in d.effects if e.sentence not in d.sentence]
-    return tuple(full_sentence(text) for text in (d.sentence, *own, d.where.sentence) if text)
+    declared = [effect.sentence for effect in d.declared]
+    texts = (d.sentence, *own, *declared, d.where.sentence)
+    return tuple(full_sentence(text) for text in texts if text)
 
 
 def full_sentence(text: str) -> str:
@@ -78,18 +81,28 @@ def _title(d: DiagnosisResult, name: str) -> str:
 
 
 def gaps(d: DiagnosisResult) -> Table:
-    """Prediction errors on test data, before and after."""
+    """Prediction errors: of the model as given, refitted, and refitted with the effects."""
+    given, base = d.given, ModelErrors(d.gap_before, d.ratio_before, d.rms_before)
+    models = (given, base, ModelErrors(d.gap_after, d.ratio_after, d.rms_after))
     rows = [
-        ("error of short predictions, rms", _in(d.gap_before, d), _in(d.gap_after, d)),
-        ("noise floor", _in(d.floor, d), _in(d.floor, d)),
-        ("times the noise floor, all channels", number(d.ratio_before), number(d.ratio_after)),
-        ("error of a free run, rms", _in(d.rms_before, d), _in(d.rms_after, d)),
+        ("error of short predictions, rms", *(_in(m.gap, d) for m in models)),
+        ("noise floor", *[_in(d.floor, d)] * 3),
+        ("times the noise floor, all channels", *(number(m.ratio) for m in models)),
+        ("error of a free run, rms", *(_in(m.rms, d) for m in models)),
     ]
+    if d.hold_out is not None:
+        held = d.hold_out[2:]
+        rows += [
+            ("held-out records: short predictions", *(_in(m.gap, d) for m in held)),
+            ("their noise floor", *[_in(d.hold_out.floor, d)] * 3),
+            ("held-out records: free run", *(_in(m.rms, d) for m in held)),
+        ]
     if math.isfinite(d.closure):
-        rows.append(("explained of the power above the floor", "", _percent(d.closure)))
+        rows.append(("explained of the power above the floor", "", "", _percent(d.closure)))
+    columns = ("", "model as given", "refitted", "with the effects")
     if d.effects:
-        return Table(("", "base model", "with the effects"), tuple(rows))
-    return Table(("", "base model"), tuple(row[:2] for row in rows if row[1]))
+        return Table(columns, tuple(rows))
+    return Table(columns[:3], tuple(row[:3] for row in rows if row[1]))
 
 
 def parameters(d: DiagnosisResult) -> Table:
@@ -150,7 +163,7 @@ def fitted(d: DiagnosisResult, most: int) -> Table:
 
 
 def steps(d: DiagnosisResult) -> Table:
-    """Prediction error on test data, step by step."""
+    """Prediction error on data left out, step by step."""
     rows = [
         (step_name(s.effect), _in(s.gap, d), _in(s.floor, d), number(s.ratio)) for s in d.steps
     ]
@@ -179,10 +192,12 @@ def reasons(d: DiagnosisResult) -> tuple[str, ...]:
 
 def noises(d: DiagnosisResult) -> Table:
     """The noise of each channel, and how it was estimated."""
+    scale = PlantScale.of(d.base_model)
     rows = [
         (name, _amount(n.rms, unit), _amount(n.lsb, unit) if n.lsb > 0.0 else "-", n.how)
-        for name, n in d.noise.channels.items()
-        for unit in [name.rpartition("_")[2]]
+        for channel, n in d.noise.channels.items()
+        for name in [scale.name(channel)]
+        for unit in [scale.unit(name.rpartition("_")[2])]
     ]
     return Table(("channel", "noise, rms", "step of the reading", "from"), tuple(rows))
 
@@ -204,23 +219,23 @@ def main_channel(d: DiagnosisResult) -> str:
 
 
 def worst_trace(d: DiagnosisResult) -> Trace:
-    """The test record of the main channel in which the base model is worst."""
+    """The record of the main channel in which the base model is worst."""
     traces = [trace for trace in d.traces if trace.channel == main_channel(d)]
     return max(traces, key=lambda t: float(np.nanmean((t.measured - t.before) ** 2)))
 
 
 def trace_of(d: DiagnosisResult, record: str | None) -> Trace:
-    """A test record by name, in the main channel if it has it; the worst for None.
+    """A record by name, in the main channel if it has it; the worst for None.
 
     Raises:
-        InvalidInput: there is no such test record.
+        InvalidInput: there is no such record.
     """
     if record is None and d.traces:
         return worst_trace(d)
     named = [trace for trace in d.traces if trace.name == record]
     if not named:
         names = ", ".join(dict.fromkeys(trace.name for trace in d.traces)) or "nothing"
-        raise InvalidInput(f"the report split has no record {record}; it has {names}")
+        raise InvalidInput(f"there is no record {record}; there are {names}")
     return next((trace for trace in named if trace.channel == main_channel(d)), named[0])
 
 

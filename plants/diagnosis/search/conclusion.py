@@ -23,6 +23,7 @@ from plants.diagnosis.search.decide import (
 from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter, family_of
 from plants.diagnosis.search.nameless_laws import NAMELESS
 from plants.diagnosis.search.search import SearchResult, is_named
+from plants.effects.plant_scale import si
 
 
 class Conclusion(NamedTuple):
@@ -176,7 +177,7 @@ def verdict_sentence(
 ) -> str:
     """The verdict in plain words; the unit is that of the error."""
     before, after = steps[0], steps[-1]
-    error = f"{f'{before.gap:.2g} {unit}'.rstrip()}, {before.ratio:.2g} times the noise floor"
+    error = f"{si(before.gap, unit)}, {before.ratio:.2g} times the noise floor"
     if verdict == "none":
         return f"Nothing is missing that these records can show: the prediction error is {error}."
     if verdict == "unknown":

@@ -7,6 +7,7 @@ import numpy as np
 
 from estune.recordings.issue import DataIssue
 from plants.diagnosis.data.measured_record import MeasuredRecord
+from plants.diagnosis.data.noise import step_of, upper_rms
 from plants.diagnosis.result import Limitation
 from plants.diagnosis.search.model_fitter import CandidateFit
 from plants.effects.plant_scale import PlantScale
@@ -14,6 +15,8 @@ from plants.effects.plant_scale import PlantScale
 ONE_WAY, SLOW, MOVED, EDGE = 0.02, 0.01, 2.0, 1e-3
 """Share of the travel against the main direction; share of the samples below a tenth of the rms
 velocity; factor by which a base number moves; distance from a bound, relative."""
+NOISES, PUSHES = 5.0, 0.01
+"""Noises below zero at which a tension is; share of such readings from which on it is said."""
 SPAN = 8
 """Samples over which a velocity is taken, so that an encoder's steps do not make it."""
 
@@ -29,16 +32,19 @@ def limitations(
     refused = len(_refused(findings))
     if refused:
         said = f"{refused} of {refused + len(measurements)} records were refused"
-        found.append(Limitation("records_refused", f"{said}; correct them and run again"))
+        most = most_refused(measurements, findings)
+        again = f"{said}; correct them and run again"
+        found.append(Limitation("records_refused", said, again, by_data=most))
+    if scale.has_cable:
+        found += _of_tension(measurements)
     found += [*_of_base(base, scale), *_of_motion(measurements)]
-    has_cable = any(m.cable_length_m for m in measurements)
-    if has_cable and all(m.angle_rad is None for m in measurements):
+    if scale.has_cable and all(m.angle_rad is None for m in measurements):
         said = (
             "no record has an angle: effects of cable and gauge cannot be told from effects of "
             "the drum, nor the drum's inertia but by the stiffness given; record angle_rad"
         )
-        found.append(Limitation("no_encoder", said))
-    return tuple(found)
+        found.append(Limitation("no_encoder", "no encoder", said))
+    return tuple(sorted(found, key=lambda one: not one.by_data))
 
 
 def _refused(findings: Sequence[DataIssue]) -> set[str]:
@@ -51,20 +57,36 @@ def most_refused(measurements: Sequence[MeasuredRecord], findings: Sequence[Data
     return len(_refused(findings)) > len(measurements)
 
 
+def _of_tension(measurements: Sequence[MeasuredRecord]) -> list[Limitation]:
+    """A cable that seems to push."""
+    tensions = [m.tension_N for m in measurements if m.tension_N is not None]
+    if not tensions:
+        return []
+    low = np.concatenate([t < -NOISES * max(upper_rms(t), step_of(t)) for t in tensions])
+    share = float(np.mean(low))
+    if share < PUSHES:
+        return []
+    said = f"{share:.0%} of the tensions read are below zero, and a cable cannot push"
+    remedy = "check the sign and the zero of tension_N"
+    label = "tension below zero"
+    return [Limitation("tension_below_zero", label, f"{said}; {remedy}", by_data=True)]
+
+
 def _of_base(base: CandidateFit, scale: PlantScale) -> list[Limitation]:
     found = []
     for f in base.fitted.predictor.free:
         value = base.values[f.name]
         if f.owner != "base" or f.scale != "log" or not f.start:
             continue
-        factor = value / f.start
-        moved = f"{scale.name(f.name)} moved to {factor:.2g} times what was given"
+        factor, name = value / f.start, scale.name(f.name)
+        moved = f"{name} moved to {factor:.2g} times what was given"
         if min(value / f.low, f.high / value) < 1.0 + EDGE:
             said = f"{moved}, as far as it may; check the units and signs of the columns"
-            found.append(Limitation("base_parameter_at_bound", said))
+            label = f"{name} at its bound"
+            found.append(Limitation("base_parameter_at_bound", label, said, by_data=True))
         elif abs(math.log(factor)) > math.log(MOVED):
             said = f"{moved}; check it, for it may make up for what is missing"
-            found.append(Limitation("base_parameter_moved", said))
+            found.append(Limitation("base_parameter_moved", f"{name} x{factor:.2g}", said))
     return found
 
 
@@ -81,11 +103,11 @@ def _of_motion(measurements: Sequence[MeasuredRecord]) -> list[Limitation]:
             "all motion is in one direction: dry friction cannot be told from an offset of the "
             "force; record motion both ways"
         )
-        found.append(Limitation("one_direction", said))
+        found.append(Limitation("one_direction", "one direction of motion", said))
     if np.mean(np.abs(moved) < 0.1 * size) < SLOW:
         said = (
             "nothing moves slowly: friction at low speed cannot be told; record slow motion and "
             "standstill"
         )
-        found.append(Limitation("no_slow_motion", said))
+        found.append(Limitation("no_slow_motion", "no slow motion", said))
     return found

@@ -48,5 +48,6 @@ def segments(fitter: ModelFitter) -> tuple[DataSegment, ...]:
         for third in range(THIRDS):
             times = index.time_s[(index.measurement == n) & (part == third)]
             if times.size:
-                found.append(DataSegment(m.name, float(times.min()), float(times.max()), "report"))
+                ends = float(times.min()), float(times.max())
+                found.append(DataSegment(m.name, *ends, "report", third))
     return tuple(sorted(found, key=lambda s: (s.record, s.start_s)))

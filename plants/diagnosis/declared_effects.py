@@ -1,0 +1,66 @@
+"""Whether records support the effects that a model declares already."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from plants.diagnosis.data.noise_floor import NoiseFloor
+from plants.diagnosis.models.diagnosed_model import DiagnosedModel, diagnosed
+from plants.diagnosis.report.plant_units import in_own_units
+from plants.diagnosis.result import DeclaredEffect, Interval
+from plants.diagnosis.search.constants import CONSTANTS
+from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter
+from plants.effects import Effect
+
+ROUNDS = 40
+"""Rounds of the fit without an effect."""
+
+
+def declared_effects(
+    plant: DiagnosedModel,
+    noise: NoiseFloor,
+    base: CandidateFit,
+    fitted: Mapping[str, Interval],
+) -> tuple[DeclaredEffect, ...]:
+    """The effects of the model as given, each compared with a fit of the model without it.
+
+    An effect is supported by the rule by which one is found: it takes off so much of the error
+    power that the model without it leaves.
+
+    Args:
+        plant: The model as it was fitted.
+        noise: The noise of the records.
+        base: Its fit.
+        fitted: Its values with their intervals.
+    """
+    found = []
+    for n, effect in enumerate(plant.effects):
+        rest = (*plant.effects[:n], *plant.effects[n + 1 :], plant.calibration)
+        without = diagnosed(replace(plant.model, effects=rest), plant.measurements)
+        fitter = ModelFitter(without, plant.measurements, noise)
+        left = fitter.fit((), fitter.base.start, ROUNDS).J
+        found.append(_declared(type(effect), left, base.J, fitted, plant))
+    return tuple(found)
+
+
+def _declared(
+    effect: type[Effect],
+    without: float,
+    with_it: float,
+    fitted: Mapping[str, Interval],
+    plant: DiagnosedModel,
+) -> DeclaredEffect:
+    above = max(without, 1.0) - 1.0
+    explained = (max(without, 1.0) - max(with_it, 1.0)) / above if above > 0.0 else 0.0
+    supported = without > CONSTANTS.floor and explained >= CONSTANTS.one_more
+    left, rest = np.sqrt([without, with_it])
+    ratios = f"{left:.3g} times the noise floor without it, {rest:.3g} with"
+    verdict = "is supported by" if supported else "is not supported by"
+    parameters = {
+        name: in_own_units(effect, name, fitted[f"{effect.name}.{name}"], plant.model)
+        for name in effect.parameters()
+        if f"{effect.name}.{name}" in fitted
+    }
+    sentence = f"{effect.title}, which the model declares, {verdict} these records: {ratios}"
+    return DeclaredEffect(effect.name, effect.title, parameters, supported, explained, sentence)

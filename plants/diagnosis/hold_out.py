@@ -1,0 +1,79 @@
+"""Errors of fitted models on records that had no part in the fits."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from plants.diagnosis.data.measured_record import OUTPUTS, MeasuredRecord
+from plants.diagnosis.data.noise_floor import noise_floor
+from plants.diagnosis.models.diagnosed_model import DiagnosedModel
+from plants.diagnosis.prediction.prediction import CHANNELS
+from plants.diagnosis.result import HoldOut, ModelErrors
+from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter
+
+UNITS = {"tension_N": "N", "angle_rad": "rad", "reference_N": "N", "current_A": "A"}
+
+
+def hold_out(model: DiagnosedModel, base: CandidateFit, last: CandidateFit) -> HoldOut:
+    """Errors of the model as given, of the refitted base model and of the one with effects.
+
+    Only values that belong to single records, such as an encoder's zero, are fitted.
+
+    Args:
+        model: The model as given, for the records that were held out.
+        base: The fitted base model.
+        last: The fitted model with effects.
+    """
+    measurements = model.measurements
+    fitter = ModelFitter(model, measurements, noise_floor(measurements))
+    before = held_errors(fitter, fitter.given())
+    fits = [_refitted(fitter, one) for one in (base, last)]
+    return HoldOut(
+        tuple(m.name for m in measurements),
+        floor_of(fitter),
+        before,
+        *(held_errors(fitter, one) for one in fits),
+    )
+
+
+def _refitted(fitter: ModelFitter, one: CandidateFit) -> CandidateFit:
+    """A fitted model on other records, with what belongs to each of them fitted."""
+    predictor = fitter.predictor(one.effects)
+    row = predictor.row(shared(one.values))
+    return fitter.fit(one.effects, row, owners=frozenset())
+
+
+def shared(values: Mapping[str, float]) -> dict[str, float]:
+    """The values that do not belong to single records."""
+    return {name: value for name, value in values.items() if not name.endswith("]")}
+
+
+def held_errors(fitter: ModelFitter, one: CandidateFit) -> ModelErrors:
+    """Errors of a model on the records that it is compared with."""
+    ratio = float(np.sqrt(one.J))
+    return ModelErrors(ratio * floor_of(fitter), ratio, free_run_rms(fitter, one))
+
+
+def floor_of(fitter: ModelFitter) -> float:
+    """The noise floor of the main channels, rms."""
+    index = fitter.base.index
+    main = [CHANNELS.index(n) for n in OUTPUTS if UNITS[n] == fitter.model.output]
+    sigma = index.sigma[np.isin(index.channel, main)]
+    return float(np.sqrt(np.mean(sigma**2))) if sigma.size else float("nan")
+
+
+def free_run_rms(fitter: ModelFitter, one: CandidateFit) -> float:
+    """Error of the main channel where nothing is put right on the way, rms."""
+    name = main_channel(fitter.measurements, fitter.model.output)
+    errors = []
+    for m, run in zip(fitter.measurements, fitter.free_run(one), strict=True):
+        measured, predicted = m.channel(name), getattr(run, name)
+        if measured is not None and predicted is not None:
+            errors.append(predicted[0] - measured)
+    return float(np.sqrt(np.nanmean(np.concatenate(errors) ** 2))) if errors else float("nan")
+
+
+def main_channel(measurements: Sequence[MeasuredRecord], unit: str) -> str:
+    """The channel whose error is reported, by the unit of prediction errors."""
+    channels = {name for m in measurements for name in m.outputs}
+    return next(n for n in OUTPUTS if n in channels and UNITS[n] == unit)
