@@ -34,7 +34,7 @@ def another_version(monkeypatch, request):
 
 @pytest.mark.parametrize("tuner", ["phase_compensated", "safe_bayesian"])
 def test_finished_run_loads_although_its_tuner_has_changed(tmp_path, another_version, tuner):
-    then = api.tune(ArithmeticRig(), folder=tmp_path, **TUNE | {"tuner": tuner})
+    then = api.tune(ArithmeticRig(), folder=tmp_path, **TUNE | {"tuner": tuner, "trials": 90})
     another_version(tmp_path / "old")
     now = api.load(tmp_path / "old")
     assert then.success

@@ -111,6 +111,10 @@ _OLD_SETTINGS: Final = {
 }
 
 
+_SETTINGS_BEFORE: Final = {"safe_bayesian": {"global_noise": "expected"}}
+"""What settings were before they had a name: plans without them go on as they began."""
+
+
 def tuner_class(name: str) -> type[Any]:
     """The class of a registered tuner, or of a user's own by "module:Class".
 
@@ -189,6 +193,7 @@ def tuner_from_stored(values: dict[str, Any]) -> Tuner[Any]:
             stored.pop("name", None)  # the registered name stands for it
             renamed = _OLD_SETTINGS.get(name, {})
             stored = {renamed.get(key, key): value for key, value in stored.items()}
+            stored = {**_SETTINGS_BEFORE.get(name, {}), **stored}
         unknown = stored.keys() - {field.name for field in dataclasses.fields(kind)}
         if unknown:
             raise JournalError(

@@ -38,6 +38,7 @@ from estune.tuners.gaussian_process import (
     GaussianProcess,
     cost_prior,
     fit_gaussian_process,
+    likeliest_noise,
 )
 from estune.tuners.interface import ConvergenceEstimate, CostPrediction
 from estune.tuners.local_cubic import (
@@ -77,6 +78,10 @@ SCAN_BELOW = 0.0125
 
 UNSCANNED_IMPROVEMENT = 0.25
 """Least remaining improvement reported before the scan is complete."""
+
+NOISE_HIGH = 0.045
+"""Noise above which the Gaussian process goes on for longer: at 10 % the worst of 96 searches then
+ends 23 % above the optimum instead of 62 %."""
 
 MODEL_RADIUS = 1.5
 """Greatest distance from the centre, in logarithms, of the convergence estimate."""
@@ -120,6 +125,7 @@ class SafeBayesianTuner:
         local_radius: Radius of the trust region of the local model.
         local_rise: Rise of the cost, relative to it, that bounds the local trust region.
         global_trials: Trials from which on the model is local, for each parameter.
+        global_noise: Noise that the Gaussian process assumes: the expected one, or the likeliest.
         global_exploration: kappa with the Gaussian process.
         local_exploration: kappa with the local model.
         final_exploration: kappa after the axis probe; a wider dither speeds up the rest.
@@ -142,6 +148,7 @@ class SafeBayesianTuner:
     local_radius: float = 0.5
     local_rise: float = 0.08
     global_trials: int = 7
+    global_noise: Literal["expected", "likeliest"] = "likeliest"
     global_exploration: float = 2.2
     local_exploration: float = 2.5
     final_exploration: float = 5.0
@@ -157,7 +164,7 @@ class SafeBayesianTuner:
     def __post_init__(self) -> None:
         check_logarithmic(self.name, self.space)
         for field in fields(self):
-            if field.name not in ("space", "constraint_margin_min", "name"):
+            if field.name not in ("space", "constraint_margin_min", "global_noise", "name"):
                 check_above_zero(self.name, field.name, getattr(self, field.name))
         if not 0.0 <= self.constraint_margin_min < 1.0:
             raise InvalidInput(
@@ -216,7 +223,7 @@ class SafeBayesianTuner:
         if state.reference is None:
             safe = [cost for cost in state.log_costs if cost < UNSAFE]
             state = state._replace(reference=median(safe))
-        if state.k <= self.global_trials * n:
+        if state.k <= self._global_trials(state) * n:
             return self._propose_global(state)
         return self._propose_local(state)
 
@@ -261,6 +268,9 @@ class SafeBayesianTuner:
 
     def _propose_global(self, state: SafeBayesianState) -> SafeBayesianState:
         """The next proposal and centre by the Gaussian process."""
+        if self.global_noise == "likeliest":
+            prior = cost_prior(self.space.directions)
+            state = state._replace(noise=likeliest_noise(*self._observations(state), prior))
         model = self._global_model(state)
         smoothed = model.smoothed()
         best = int(np.argmin(smoothed))
@@ -344,6 +354,11 @@ class SafeBayesianTuner:
         """The trials of the scan along the present direction."""
         costs = state.log_costs[len(state.log_costs) - state.scan_steps :]
         return PlateauScan(costs, model.log_cost + (state.reference or 0.0), model.noise)
+
+    def _global_trials(self, state: SafeBayesianState) -> int:
+        """Trials with the Gaussian process for each parameter: twice as many in high noise."""
+        noisy = self.global_noise == "likeliest" and not state.curvature
+        return self.global_trials * (2 if noisy and state.noise > NOISE_HIGH else 1)
 
     def _global_model(self, state: SafeBayesianState) -> GaussianProcess:
         """The Gaussian process of all trials."""
