@@ -114,7 +114,7 @@ def test_near_limits_warns_below_the_share(share, words):
     [
         (Margins(4.0, 55.0, 5.0, 20.0, stable=True), None),
         (Margins(4.0, 20.0, 5.0, 20.0, stable=True), "phase margin of 20°"),
-        (Margins(1.5, 55.0, 5.0, 20.0, stable=True), "gain margin of 1.5"),
+        (Margins(1.5, 55.0, 5.0, 20.0, stable=True), "gain margin of 3.5 dB"),
         (Margins(math.nan, math.nan, math.nan, math.nan, stable=False), "unstable"),
         (None, None),
     ],

@@ -164,8 +164,9 @@ def _stop_message(stop: KeyboardInterrupt) -> str:
     if not isinstance(stop, Stopped):
         return "stopped"
     rig = stop.description
+    gains = rig.gains.text(rig.gain_units)
     again = f"; continue with: {stop.again}" if stop.again else ""
-    return f"stopped; {rig.name} confirms that its own gains are live: {rig.gains}{again}"
+    return f"stopped; {rig.name} confirms that its own gains are live: {gains}{again}"
 
 
 def _print_error(text: str) -> None:

@@ -1,6 +1,7 @@
 """The four tuned numbers of the PIDF controller."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Self
 
@@ -57,12 +58,37 @@ class Gains:
         """(P, I, D, setpoint_filter_s)."""
         return self.P, self.I, self.D, self.setpoint_filter_s
 
-    def __str__(self) -> str:
-        return (
-            f"P {self.P:.4g} N/N, I {self.I:.4g} 1/s, D {self.D:.4g} s, "
-            f"setpoint filter {self.setpoint_filter_s:.4g} s"
+    def text(self, units: Mapping[str, str]) -> str:
+        """The gains with their units."""
+        labels = {"setpoint_filter_s": "setpoint filter"}
+        return ", ".join(
+            f"{labels.get(name, name)} {getattr(self, name):.4g} {units[name]}".rstrip()
+            for name in GAIN_NAMES
         )
+
+    def __str__(self) -> str:
+        return self.text(GAIN_UNITS)
 
 
 GAIN_NAMES = ("P", "I", "D", "setpoint_filter_s")
-GAIN_UNITS = {"P": "N/N", "I": "1/s", "D": "s", "setpoint_filter_s": "s"}
+
+
+def gain_units(measurement: str, command: str) -> dict[str, str]:
+    """Units of the gains of a plant, from those of what it measures and is commanded."""
+    if measurement == command:
+        ratio = f"{command}/{measurement}" if command else ""
+        return {"P": ratio, "I": "1/s", "D": "s", "setpoint_filter_s": "s"}
+    if not measurement:
+        return {"P": command, "I": f"{command}/s", "D": f"{command} s", "setpoint_filter_s": "s"}
+    top, compound = command or "1", bool({"/", " "} & set(measurement))
+    below = f"({measurement})" if compound else measurement
+    return {
+        "P": f"{top}/{below}",
+        "I": f"{top}/{below}/s" if compound else f"{top}/({measurement} s)",
+        "D": f"{top} s/{below}",
+        "setpoint_filter_s": "s",
+    }
+
+
+GAIN_UNITS = gain_units("N", "N")
+"""Units of the gains of a reel."""

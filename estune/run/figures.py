@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
-from estune.core.gains import GAIN_NAMES, GAIN_UNITS, Gains
+from estune.core.gains import GAIN_NAMES, Gains
 from estune.support.plot_style import (
     BLACK,
     BLUE,
@@ -26,6 +26,7 @@ from estune.support.plot_style import (
     legend,
     new_axes,
 )
+from estune.support.quantity_text import with_unit
 from estune.trial import RigDescription, TrialRecord
 from estune.trial.profiles import StepProfile
 
@@ -145,7 +146,9 @@ def draw_gains(
     frame: "pd.DataFrame",
     start: Gains,
     recommended: Gains,
+    *,
     intervals: Mapping[str, tuple[float, float]],
+    units: Mapping[str, str],
 ) -> Axes:
     """Each gain over the search, relative to its initial value, on a logarithmic axis.
 
@@ -155,6 +158,7 @@ def draw_gains(
         start: Initial gains.
         recommended: The gains of the result, drawn behind the search.
         intervals: Confidence interval of each optimum, by name, drawn as bars.
+        units: Units of the gains, by name.
     """
     ax = ax or new_axes()
     frame = _searched(frame)
@@ -170,7 +174,7 @@ def draw_gains(
             continue
         end = getattr(recommended, name)
         shown = np.where(values > 0.0, values, np.nan) / unit
-        label = f"{label}  {getattr(start, name):.3g} → {end:.3g} {GAIN_UNITS[name]}"
+        label = f"{label}  {getattr(start, name):.3g} → {with_unit(end, units[name], 3)}"
         ax.plot(
             frame["number"], shown, linestyle=dash, color=colour, linewidth=1.1, label=label,
             rasterized=len(frame) > VECTORS_MAX,

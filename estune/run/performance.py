@@ -5,9 +5,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Self
 
-from estune.core.gains import GAIN_NAMES, GAIN_UNITS, Gains
+from estune.core.gains import GAIN_NAMES, Gains
 from estune.core.metrics import StepMetrics
 from estune.interop import Margins, margins
+from estune.support.quantity_text import time_text, with_unit
 from estune.trial import RigDescription, TrialRecord
 from estune.trial.profiles import StepProfile
 from estune.trial.scoring import metrics_of
@@ -26,6 +27,7 @@ class Performance:
         record: A trial with these gains, or None.
         intervals: 95 % confidence interval of the optimum of each tuned gain, by name; may be
             empty.
+        units: Units of the gains by name, and that of the measurement as "measurement".
     """
 
     gains: Gains
@@ -35,6 +37,7 @@ class Performance:
     margins: Margins | None
     record: TrialRecord | None
     intervals: dict[str, tuple[float, float]]
+    units: dict[str, str]
 
     @classmethod
     def on(
@@ -56,19 +59,22 @@ class Performance:
             margins=None if model is None else margins(model, gains, rig.controller),
             record=record,
             intervals={name: (low, high) for name, low, high in intervals},
+            units={**rig.gain_units, "measurement": rig.measurement_unit},
         )
 
     def cells(self) -> dict[str, str]:
         """All values as text, by label."""
         cells = {
             _GAIN_LABELS[name]: (
-                f"{getattr(self.gains, name):.4g} {GAIN_UNITS[name]}{self._interval(name)}"
+                f"{with_unit(getattr(self.gains, name), self.units[name], 4)}"
+                f"{self._interval(name)}"
             )
             for name in GAIN_NAMES
         }
         error = f" ± {self.cost_error:.1g}" if self.cost_error > 0.0 else ""
         cells["cost η"] = f"{self.cost:.3g}{error}" if math.isfinite(self.cost) else "-"
-        return {**cells, **dict(_metric_cells(self.metrics)), **dict(_margin_cells(self.margins))}
+        metrics = _metric_cells(self.metrics, self.units["measurement"])
+        return {**cells, **dict(metrics), **dict(_margin_cells(self.margins))}
 
     def _interval(self, name: str) -> str:
         """The interval of a gain, appended to its value."""
@@ -81,17 +87,17 @@ class Performance:
 _GAIN_LABELS = {"P": "P", "I": "I", "D": "D", "setpoint_filter_s": "setpoint filter"}
 
 
-def _metric_cells(metrics: StepMetrics | None) -> Iterator[tuple[str, str]]:
-    def shown(value: float | None, scale: float, unit: str, never: str) -> str:
-        if value is None:
-            return "-"
-        return f"{value * scale:.3g} {unit}" if math.isfinite(value) else never
-
-    m = metrics
-    yield "rise time", shown(m and m.rise_time_s, 1e3, "ms", "not reached")
-    yield "settling time (2 %)", shown(m and m.settling_time_s, 1e3, "ms", "not settled")
-    yield "overshoot", shown(m and m.overshoot, 100.0, "%", "-")
-    yield "steady-state error", shown(m and m.steady_state_error, 1.0, "N", "-")
+def _metric_cells(metrics: StepMetrics | None, unit: str) -> Iterator[tuple[str, str]]:
+    if metrics is None:
+        labels = ("rise time", "settling time (2 %)", "overshoot", "steady-state error")
+        yield from dict.fromkeys(labels, "-").items()
+        return
+    rise_s, settling_s, overshoot, error = metrics
+    yield "rise time", time_text(rise_s) if math.isfinite(rise_s) else "not reached"
+    settled = math.isfinite(settling_s)
+    yield "settling time (2 %)", time_text(settling_s) if settled else "not settled"
+    yield "overshoot", f"{100.0 * overshoot:.3g} %" if math.isfinite(overshoot) else "-"
+    yield "steady-state error", with_unit(error, unit, 3) if math.isfinite(error) else "-"
 
 
 def _margin_cells(measured: Margins | None) -> Iterator[tuple[str, str]]:

@@ -71,10 +71,11 @@ def page(result: TuneResult) -> Page:
 
 
 def _recommendation(result: TuneResult) -> str:
+    gains = result.gains.text(result.rig.gain_units)
     if result.success:
         cost = f"{result.verdict.start_cost:.3g} to {result.verdict.cost:.3g}"
-        return f"Use {result.gains}: the cost falls from {cost}, {result.improvement}."
-    return f"{result.ending.capitalize()}: keep {result.gains}."
+        return f"Use {gains}: the cost falls from {cost}, {result.improvement}."
+    return f"{result.ending.capitalize()}: keep {gains}."
 
 
 def _before_and_after(result: TuneResult) -> Table:

@@ -204,6 +204,7 @@ class TuneResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type i
             points=space.points_of(np.array([e.gain_values for e in safe])),
             costs=np.array([e.cost for e in safe]),
             noise=at.cost * repeatability((session.baseline, *itertools.chain(*repeated))),
+            units=self.rig.gain_units,
         )
         if self.plan.uses_records:  # the search is too short to vary the cost, and needs not to
             flat = ()
@@ -211,7 +212,7 @@ class TuneResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type i
             flat = tuple(finding for finding in flat if finding.kind == "flat")
         share = math.inf if at.record is None else constraint_margin(at.record, self.rig)
         near = result_warnings.low_margins(at.margins) + result_warnings.near_limits(share)
-        return near + result_warnings.at_bounds(space, best) + flat
+        return near + result_warnings.at_bounds(space, best, self.rig.gain_units) + flat
 
     def to_frame(self) -> "pd.DataFrame":
         """The trials, one row each: number, phase, gains, cost, best cost so far, outcome."""
@@ -266,14 +267,18 @@ class TuneResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type i
         from estune.run import figures  # noqa: PLC0415  slow to import
 
         after = self.tuned_record if self.success else None
-        return figures.draw_response(ax, self.plan.step, self.first_record, after)
+        return figures.draw_response(
+            ax, self.plan.step, self.first_record, after, self.rig.measurement
+        )
 
     def plot_gains(self, ax: "Axes | None" = None) -> "Axes":
         """Draws the gains over the trials, on `ax` or a figure of its own."""
         from estune.run import figures  # noqa: PLC0415  slow to import
 
         intervals = self.tuned.intervals if self.tuned else {}
-        return figures.draw_gains(ax, self.to_frame(), self.start_gains, self.gains, intervals)
+        units = self.rig.gain_units
+        gains = self.start_gains, self.gains
+        return figures.draw_gains(ax, self.to_frame(), *gains, intervals=intervals, units=units)
 
     def figure(self) -> "Figure":
         """All three figures on one page; pyplot is not touched."""
@@ -345,7 +350,12 @@ class TuneResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type i
         kept = None if limits is None else limits.max_overshoot
         measured = self.claim.margins.overshoot.value if self.claim.margins else math.nan
         if tuned is not None and kept is not None and measured > kept + OVERSHOOT_ALLOWED:
-            remarks.append(f"the overshoot of {measured:.1%} exceeds its limit of {kept:.1%}")
+            whose = (
+                "" if self.plan.uses_records else f", which {self.plan.tuner.name} does not keep"
+            )
+            remarks.append(
+                f"the overshoot of {measured:.1%} exceeds the limit of {kept:.1%}{whose}"
+            )
         price = limit_price(loop, self.claim, self.plan, self.rig, self.gains)
         if tuned is not None and price is not None:
             remarks.append(price.sentence)

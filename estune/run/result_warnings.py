@@ -12,7 +12,7 @@ change of the cost, with its uncertainty, is within the repeatability.
 """
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import combinations_with_replacement
 from typing import Literal, NamedTuple
 
@@ -100,12 +100,16 @@ def low_margins(margins: Margins | None) -> tuple[ResultWarning, ...]:
         )
     elif 1.0 / GAIN_MARGIN_LEAST < margins.gain_margin < GAIN_MARGIN_LEAST:
         sentence = (
-            f"the gain margin of {margins.gain_margin:.2g} is low "
-            f"(within a factor {GAIN_MARGIN_LEAST:.0f}); {remedy}"
+            f"the gain margin of {_dB(margins.gain_margin):.2g} dB is low "
+            f"(within {_dB(GAIN_MARGIN_LEAST):.0f} dB); {remedy}"
         )
     else:
         return ()
     return (ResultWarning("margin", (), sentence),)
+
+
+def _dB(factor: float) -> float:
+    return 20.0 * math.log10(factor)
 
 
 def near_limits(share: float) -> tuple[ResultWarning, ...]:
@@ -119,11 +123,13 @@ def near_limits(share: float) -> tuple[ResultWarning, ...]:
     return (ResultWarning("limit", (), sentence),)
 
 
-def at_bounds(space: SearchSpace, best: Point) -> tuple[ResultWarning, ...]:
-    """Warnings of parameters at a bound."""
+def at_bounds(
+    space: SearchSpace, best: Point, units: Mapping[str, str] = GAIN_UNITS
+) -> tuple[ResultWarning, ...]:
+    """Warnings of parameters at a bound, with the units of the gains."""
     sides = space.at_bound(best, AT_BOUND)
     warnings = []
-    for axis in _axes(space):
+    for axis in _axes(space, units):
         if axis.name in sides:
             low = sides[axis.name] == "low"
             side, bound = ("lower", axis.low) if low else ("upper", axis.high)
@@ -143,6 +149,7 @@ def flat_directions(
     points: FloatArray,
     costs: FloatArray,
     noise: float,
+    units: Mapping[str, str] = GAIN_UNITS,
 ) -> tuple[ResultWarning, ...]:
     """Warnings of parameters, alone or together, without effect on the cost.
 
@@ -153,11 +160,12 @@ def flat_directions(
         points: Parameters of the safe trials, shape (trials, parameters).
         costs: Their costs, shape (trials,).
         noise: Standard deviation of the cost between repeats.
+        units: Units of the gains, by name.
 
     Returns:
         Flat directions, then one warning of the parameters on which the trials do not decide.
     """
-    axes = _axes(space)
+    axes = _axes(space, units)
     if not math.isfinite(noise):
         sentence = "without repeats flat directions cannot be determined"
         return (ResultWarning("unknown", space.names, sentence),)
@@ -192,8 +200,8 @@ def flat_directions(
     return tuple(warnings)
 
 
-def _axes(space: SearchSpace) -> list[_Axis]:
-    units = {**GAIN_UNITS, "K": "N/N", "Ti": "s", "Td": "s"}
+def _axes(space: SearchSpace, units: Mapping[str, str]) -> list[_Axis]:
+    units = {**units, "K": units["P"], "Ti": "s", "Td": "s"}
     labels = {"setpoint_filter_s": "the setpoint filter"}
     return [
         _Axis(name, labels.get(name, name), units[name], low, high, space.scale == "log")

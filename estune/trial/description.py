@@ -2,8 +2,11 @@
 
 import math
 from dataclasses import dataclass
+from typing import Annotated, Any
 
-from estune.core.gains import Gains
+from pydantic import Field
+
+from estune.core.gains import Gains, gain_units
 from estune.core.pidf import ControllerSettings
 from estune.errors import InvalidInput
 from estune.trial.profiles import AnyProfile, StepProfile
@@ -81,6 +84,15 @@ class RigLimits:
             )
 
 
+TENSION, EFFORT = "tension, N", "control effort, N"
+"""What a reel measures, and what its controller commands."""
+
+
+def _as_of_a_reel(label: str) -> Any:
+    """Leaves a label out of messages where it is a reel's, as before there were others."""
+    return Field(exclude_if=lambda value: value == label)
+
+
 @dataclass(frozen=True, slots=True)
 class RigDescription:
     """Description of a rig.
@@ -117,13 +129,18 @@ class RigDescription:
     linear_model: LinearModel | None = None
     software: str = ""
     simulated: bool = False
-    measurement: str = "tension, N"
-    command: str = "control effort, N"
+    measurement: Annotated[str, _as_of_a_reel(TENSION)] = TENSION
+    command: Annotated[str, _as_of_a_reel(EFFORT)] = EFFORT
 
     @property
     def measurement_name(self) -> str:
         """What is measured, without its unit."""
         return _split(self.measurement)[0]
+
+    @property
+    def gain_units(self) -> dict[str, str]:
+        """Units of the gains, by name."""
+        return gain_units(self.measurement_unit, self.command_unit)
 
     @property
     def measurement_unit(self) -> str:

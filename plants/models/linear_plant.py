@@ -182,6 +182,8 @@ def linear_plant(
     limits: RigLimits | None = None,
     gains: Gains | None = None,
     newtons_per_ampere: float = 1.0,
+    measurement: str = "measurement",
+    command: str = "control effort",
 ) -> LinearPlant:
     """A plant from a python-control model, sampled exactly under zero-order hold.
 
@@ -206,6 +208,8 @@ def linear_plant(
         limits: Limits of its rig; None is practically none.
         gains: Safe live gains of its rig; None is a slow PI chosen by its margins.
         newtons_per_ampere: Effort per motor current, N/A: the records' current is effort over it.
+        measurement: What is measured, with its unit: "speed, rad/s". Figures and tables use it.
+        command: What the controller commands, likewise: "voltage, V".
 
     Raises:
         InvalidInput: the model is of another kind, or a value is out of its range.
@@ -244,6 +248,8 @@ def linear_plant(
         noise_rms_N=noise_rms_N,
         gains=gains,
         newtons_per_ampere=newtons_per_ampere,
+        measurement=measurement,
+        command=command,
     )
     return LinearPlant(mounting, sampled, model)
 

@@ -29,6 +29,8 @@ class Mounting:
     noise_rms_N: float = 0.0  # root mean square of the measurement noise, N
     gains: Gains | None = None  # safe live gains, or None where none are known
     newtons_per_ampere: float = 1.0  # effort per motor current, N/A
+    measurement: str = "measurement"  # what is measured, with its unit: "speed, rad/s"
+    command: str = "control effort"  # what is commanded, likewise: "voltage, V"
 
     def __post_init__(self) -> None:
         check_positive("settling time", self.settling_time_s, "s")
@@ -47,6 +49,8 @@ class Mounting:
         noise_rms_N: float,
         gains: Gains | None,
         newtons_per_ampere: float = 1.0,
+        measurement: str = "measurement",
+        command: str = "control effort",
     ) -> "Mounting":
         """A mounting with a unit step from the preload and wide limits, where none are given."""
         start = 0.5 * settling_time_s
@@ -60,6 +64,8 @@ class Mounting:
             noise_rms_N=noise_rms_N,
             gains=gains,
             newtons_per_ampere=newtons_per_ampere,
+            measurement=measurement,
+            command=command,
         )
 
     def describe(
@@ -86,6 +92,8 @@ class Mounting:
             settling_time_s=self.settling_time_s,
             linear_model=linear_model,
             software=SOFTWARE,
+            measurement=self.measurement,
+            command=self.command,
         )
 
 

@@ -213,6 +213,8 @@ def python_plant(
     derivative_filter_s: float = 0.0,
     noise_rms_N: float = 0.0,
     limits: RigLimits | None = None,
+    measurement: str = "measurement",
+    command: str = "control effort",
 ) -> PythonPlant:
     """A plant from a function `step(state, effort, dt_s) -> (state, measurement)`.
 
@@ -237,6 +239,8 @@ def python_plant(
         derivative_filter_s: Time constant of the controller's derivative filter, s.
         noise_rms_N: Measurement noise, rms.
         limits: Limits of its rig; None is practically none.
+        measurement: What is measured, with its unit: "temperature, K". Figures and tables use it.
+        command: What the controller commands, likewise: "heating power, W".
 
     Raises:
         PlantError: `step` is no function.
@@ -258,6 +262,8 @@ def python_plant(
         limits=limits,
         noise_rms_N=noise_rms_N,
         gains=gains,
+        measurement=measurement,
+        command=command,
     )
     return PythonPlant(
         mounting, step, initial_state, initial_effort_N, initial_measurement_N, dead_time_s
