@@ -1,0 +1,71 @@
+"""A plant's own units and names, wherever a result or a rig is shown."""
+
+import control
+import pytest
+
+import plants
+from estune import tune
+from estune.core.gains import GAIN_UNITS, gain_units
+from estune.remote import messages
+from estune.remote.messages import Description
+from estune.remote.messages.replies import decode_description
+from estune.run.report import page
+from estune.support.html_page import render
+from estune.support.quantity_text import time_text
+from plants.models.model_file import load_model, save_model
+
+LABELS = {"measurement": "temperature, K", "command": "heating power, W"}
+
+
+def oven():
+    plant = control.tf([0.5], [600.0, 1.0])
+    return plants.linear_plant(plant, dead_time_s=20.0, noise_rms_N=5e-4, **LABELS)
+
+
+@pytest.mark.parametrize(
+    ("measurement", "command", "P", "I", "D"),
+    [
+        ("N", "N", "N/N", "1/s", "s"),
+        ("K", "W", "W/K", "W/(K s)", "W s/K"),
+        ("rad/s", "V", "V/(rad/s)", "V/(rad/s)/s", "V s/(rad/s)"),
+        ("", "", "", "1/s", "s"),
+        ("K", "", "1/K", "1/(K s)", "1 s/K"),
+    ],
+)
+def test_units_of_gains_follow_from_those_of_the_signals(measurement, command, P, I, D):
+    assert gain_units(measurement, command) == {"P": P, "I": I, "D": D, "setpoint_filter_s": "s"}
+
+
+def test_times_are_shown_in_the_unit_that_suits_them():
+    times = (5e-5, 0.0276, 1.5, 599.0, 4390.0, 86_400.0)
+    assert [*map(time_text, times)] == ["50 µs", "27.6 ms", "1.5 s", "599 s", "73.2 min", "24 h"]
+
+
+def test_result_of_an_oven_is_in_its_own_units(tmp_path):
+    result = tune(oven(), folder=tmp_path, run="oven", watch=None)
+    rows = dict((row.label, row.start) for row in result.rows())
+    assert rows["P"].split("(")[0].endswith("W/K")
+    assert rows["steady-state error"].endswith(" K")
+    assert rows["rise time"].endswith(" min")
+    text = render(page(result))
+    assert "Temperature and heating power" in text
+    for shown in (repr(result), text.split("</style>")[1]):
+        assert "tension" not in shown.lower()
+        assert "N/N" not in shown
+
+
+def test_labels_of_a_reel_are_not_sent_so_that_older_clients_understand():
+    reel = Description(plants.reference_reel().rig().describe(), "0", "0")
+    assert b"measurement" not in messages.encode(reel)
+    assert decode_description(messages.encode(reel)) == reel
+    hot = Description(oven().rig().describe(), "0", "0")
+    assert decode_description(messages.encode(hot)) == hot
+    assert decode_description(messages.encode(hot)).rig.measurement == LABELS["measurement"]
+    assert reel.rig.gain_units == GAIN_UNITS
+
+
+def test_model_file_keeps_the_labels(tmp_path):
+    save_model(oven(), tmp_path / "oven.toml")
+    loaded = load_model(tmp_path / "oven.toml").rig().describe()
+    assert (loaded.measurement, loaded.command) == tuple(LABELS.values())
+    assert loaded.measurement_unit == "K"
