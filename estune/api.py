@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from estune.core.cost import StepCost
 from estune.core.gains import Gains
+from estune.core.response import CostFunction
 from estune.errors import EstuneError, InvalidInput, JournalError, RigError
 from estune.loop_model.optimum import RobustnessLimits
 from estune.remote.state_machine.client import PATIENCE_S
@@ -46,7 +47,7 @@ def tune(
     start: Gains | KnownStart | StartRule | Literal["model"] | None = None,
     bounds: Mapping[str, tuple[float, float]] | None = None,
     step: StepProfile | None = None,
-    cost: StepCost | None = None,
+    cost: StepCost | str | CostFunction | None = None,
     eta_max: float | None = None,
     run: str | None = None,
     folder: str | Path = RUNS,
@@ -80,7 +81,8 @@ def tune(
             a hundredth and a hundred times the initial value.
         step: The step trial; suggested by the rig by default.
         cost: The cost of a trial; by default (35) with a control-move penalty and the settling
-            time that the rig suggests.
+            time that the rig suggests. A name of `estune.core.cost.PRESETS` ("itae", "ise",
+            "rejection", "tracking_and_rejection"), or a function of a `StepResponse`.
         eta_max: Cost above which a trial is unsafe; three times the initial cost by default.
         run: Name of the run; the time of day by default.
         folder: Folder of runs.

@@ -26,7 +26,7 @@ from estune.errors import InvalidInput
 from estune.loop_model.optimum import RobustnessLimits
 from estune.remote.state_machine.client import PATIENCE_S
 from estune.run.journal import Journal
-from estune.run.plan import known_start
+from estune.run.plan import known_start, suited_step
 from estune.run.result import RunEnding, TuneResult
 from estune.run.session import REPEATS, TOLERANCE, TRIALS
 from estune.run.start import KnownStart
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from estune.remote.security import Security
 
 _STEP = Group("The step trial", sort_key=1)
-_COST = Group("The cost of a trial, (35)", sort_key=2)
+_COST = Group("The cost of a trial", sort_key=2)
 _LIMITS = Group("Limits of robustness; each may be none", sort_key=3)
 
 
@@ -55,12 +55,16 @@ class StepOptions:
         step_N: Size of the step, N; negative steps down.
         step_at_s: Time of the step from the start of the trial, s.
         duration_s: Length of the whole trial, s.
+        load_N: Load step added to the effort after the step, N, where the rig can make one.
+        load_at_s: Time of the load, s.
     """
 
     preload_N: Annotated[float | None, Parameter(name="--preload-N")] = None
     step_N: Annotated[float | None, Parameter(name="--step-N")] = None
     step_at_s: float | None = None
     duration_s: float | None = None
+    load_N: Annotated[float | None, Parameter(name="--load-N")] = None
+    load_at_s: float | None = None
 
 
 @Parameter(name="*", group=_COST)
@@ -69,16 +73,23 @@ class CostOptions:
     """The cost of a trial; defaults apply where omitted.
 
     Attributes:
+        preset: paper for (35), itae, ise (with a price on the effort), rejection (of a load step),
+            tracking_and_rejection, or module:function of your own; paper by default.
         settling_time_s: Desired settling time, s; suggested by the rig by default.
         weight: Weight over the transient: as the paper prints it, or rising as its text says.
         time_unit: Unit of the time weight: seconds as printed, or the settling time.
         move_weight: Control-move penalty; 0.2 by default, 0 is none, as printed.
+        effort_weight: Price of the effort; 0.1 for ise.
+        rejection: Share of load rejection in the cost, from 0 to 1.
     """
 
+    preset: Annotated[str | None, Parameter(name="--cost")] = None
     settling_time_s: float | None = None
     weight: Literal["printed", "rising"] | None = None
     time_unit: Literal["second", "settling_time"] | None = None
     move_weight: float | None = None
+    effort_weight: float | None = None
+    rejection: float | None = None
 
 
 @Parameter(name="*", group=_LIMITS)
@@ -306,7 +317,6 @@ def trial_of(rig: RigDescription, step: StepOptions, cost: CostOptions) -> dict[
         {name: value for name, value in vars(options).items() if value is not None}
         for options in (step, cost)
     ]
-    return {
-        "step": validate(StepTable, given[0], "the step trial").of(rig),
-        "cost": validate(CostTable, given[1], "its cost").of(rig),
-    }
+    profile = validate(StepTable, given[0], "the step trial").of(rig)
+    chosen = validate(CostTable, given[1], "its cost").of(rig)
+    return {"step": suited_step(profile, chosen, rig), "cost": chosen}

@@ -22,18 +22,44 @@ The paper contradicts itself in two places, both options here:
 The printed cost does not penalise control effort, and its optimum often lies at infinite gain. An
 optional control-move penalty, `+ w sum((du_k/dT)^2)` over the samples from the step on, makes it
 interior. It is a sum, not an integral, so w belongs to one sampling rate.
+
+Other costs are formed in the same way, as a criterion of the error over that of the first-order
+reference: ITAE, `int t |eps| dt`, and ISE, `int eps^2 dt`, with a price on the effort,
+
+    rho/t_s int ((u - u_end)/dT)^2 dt,
+
+where u_end is the mean of the last tenth of the samples. With a load step d at the plant's input
+the same criterion of eps/d from the load on is the cost of rejection; a share r weighs it against
+that of tracking. A Python function of the response replaces all of these.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Literal
+from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from estune.core.quantities import FloatArray, check_not_negative, check_positive
+from estune.core.response import (
+    CostFunction,
+    LoadStep,
+    StepResponse,
+    cost_function,
+    evaluate_function,
+    reference_of,
+)
 from estune.errors import InvalidInput
+
+PRESETS: Final[dict[str, dict[str, Any]]] = {
+    "paper": {},
+    "itae": {"criterion": "itae"},
+    "ise": {"criterion": "ise", "effort_weight": 0.1},
+    "rejection": {"criterion": "itae", "rejection": 1.0},
+    "tracking_and_rejection": {"criterion": "itae", "rejection": 0.5},
+}
+"""Costs by name: settings beside those of the default cost."""
 
 MOVE_WEIGHT = 0.2
 """Default control-move penalty: without it, (35) has no interior optimum on a good plant."""
@@ -41,13 +67,17 @@ MOVE_WEIGHT = 0.2
 
 @dataclass(frozen=True, slots=True)
 class StepCost:
-    """The settings of (35).
+    """The settings of (35), or of another cost.
 
     Attributes:
         settling_time_s: Desired settling time t_s, s; at most the time recorded after the step.
         weight: "printed", the sigmoid that falls with time, or "rising", that of the prose.
         time_unit: "second" as printed, or "settling_time" for t in units of t_s.
         move_weight: Weight w of the control-move penalty, no unit; zero as printed.
+        criterion: "paper" for (35), "itae" or "ise".
+        effort_weight: Price rho of the effort.
+        rejection: Share r of load rejection, from 0 to 1; needs trials with a load step.
+        function: "module:function" of a cost of the response, which is then the whole cost.
 
     Raises:
         InvalidInput: a value is out of its range or not among the choices.
@@ -57,10 +87,23 @@ class StepCost:
     weight: Literal["printed", "rising"] = "printed"
     time_unit: Literal["second", "settling_time"] = "second"
     move_weight: float = 0.0
+    criterion: Literal["paper", "itae", "ise"] = "paper"
+    effort_weight: float = 0.0
+    rejection: float = 0.0
+    function: str = ""
 
     def __post_init__(self) -> None:
         check_positive("settling time", self.settling_time_s, "s")
         check_not_negative("move weight", self.move_weight)
+        check_not_negative("effort weight", self.effort_weight)
+        if self.criterion not in ("paper", "itae", "ise"):
+            raise InvalidInput(
+                f"criterion is {self.criterion!r}; it must be 'paper', 'itae' or 'ise'"
+            )
+        if not 0.0 <= self.rejection <= 1.0:
+            raise InvalidInput(
+                f"share of load rejection is {self.rejection}; it must be from 0 to 1"
+            )
         if self.weight not in ("printed", "rising"):
             raise InvalidInput(f"weight is {self.weight!r}; it must be 'printed' or 'rising'")
         if self.time_unit not in ("second", "settling_time"):
@@ -76,6 +119,7 @@ class StepCost:
         setpoint_N: ArrayLike,
         measurement_N: ArrayLike,
         effort_N: ArrayLike,
+        load: LoadStep | None = None,
     ) -> float | FloatArray:
         """The cost eta of a sampled step response, or of a batch of them.
 
@@ -85,7 +129,8 @@ class StepCost:
             step_N: Size of the step dT, N; not zero.
             setpoint_N: Setpoint r before its filter, N, shape (samples,) or (..., samples).
             measurement_N: Measurement y, N, shape (..., samples).
-            effort_N: Control effort u, N, shape (..., samples); for the move penalty only.
+            effort_N: Control effort u, N, shape (..., samples).
+            load: The load step; None without one.
 
         Returns:
             A float, or an array of shape (...). NaN in the response gives NaN; a response too
@@ -110,18 +155,65 @@ class StepCost:
                 f"setpoint, measurement and effort have {setpoint.shape[-1]}, {samples} and "
                 f"{effort.shape[-1]} samples; they must be of one length"
             )
-        weights = _normalised_weights(self, sampling_Hz, samples - step_index)
-        after = (..., slice(step_index, None))
+        if self.rejection > 0.0 and load is None:
+            raise InvalidInput(
+                "the cost weighs load rejection, and the trial has no load step; give the step a "
+                "load, or choose another cost"
+            )
+        if self.function:
+            return self._by_function(
+                sampling_Hz, step_index, step_N, (setpoint, measurement, effort), load
+            )
+        end = samples if load is None else load.sample
         # A diverged response overflows to infinity, which is its cost.
         with np.errstate(over="ignore", invalid="ignore"):
-            error = (setpoint[after] - measurement[after]) / step_N
-            eta = (error * error) @ weights
+            error = setpoint - measurement
+            eta = self._criterion(error[..., step_index:end] / step_N, sampling_Hz)
+            if load is not None and self.rejection > 0.0:
+                rejected = self._criterion(error[..., load.sample :] / load.size_N, sampling_Hz)
+                eta = (1.0 - self.rejection) * eta + self.rejection * rejected
+            if self.effort_weight > 0.0:
+                used = _effort_used(effort[..., step_index:end] / step_N)
+                eta = eta + self.effort_weight / (sampling_Hz * self.settling_time_s) * used
             if self.move_weight > 0.0:
                 eta = eta + self.move_weight * _moves(step_index, step_N, effort)
         return float(eta) if np.ndim(eta) == 0 else np.asarray(eta)
 
+    def _criterion(self, error: FloatArray, sampling_Hz: float) -> FloatArray:
+        """The criterion of an error relative to its step, shape (..., samples after it)."""
+        weights = _normalised_weights(self, sampling_Hz, error.shape[-1])
+        return np.asarray((np.abs(error) if self.criterion == "itae" else error**2) @ weights)
+
+    def _by_function(
+        self,
+        sampling_Hz: float,
+        step_index: int,
+        step_N: float,
+        columns: tuple[FloatArray, FloatArray, FloatArray],
+        load: LoadStep | None,
+    ) -> float | FloatArray:
+        """The cost by the user's function, of each response of a batch."""
+        rest = [np.asarray(c)[..., : max(step_index, 1)].mean(-1, keepdims=True) for c in columns]
+        rest[1] = rest[0]  # the error stays as it is
+        moved = np.broadcast_arrays(*(c - r for c, r in zip(columns, rest, strict=True)))
+        samples = moved[0].shape[-1]
+        time_s = (np.arange(samples) - step_index) / sampling_Hz
+        costs = [
+            evaluate_function(
+                self.function,
+                StepResponse(time_s, r, y, u, step_N, step_index, self.settling_time_s, load),
+            )
+            for r, y, u in zip(*(c.reshape(-1, samples) for c in moved), strict=True)
+        ]
+        return costs[0] if moved[0].ndim == 1 else np.reshape(costs, moved[0].shape[:-1])
+
+    @property
+    def is_quadratic(self) -> bool:
+        """Whether `weights` and the move penalty are all of the cost."""
+        return not self.function and self.criterion != "itae" and not self.effort_weight
+
     def weights(self, sampling_Hz: float, samples: int) -> FloatArray:
-        """Weights w_k with eta = sum(w_k eps_k^2)/dT^2 over the samples from the step on.
+        """Weights w_k with eta = sum(w_k eps_k^2)/dT^2, or of |eps_k|/dT for ITAE, from the step.
 
         Read-only, shape (samples,). None is negative, so the cost of a running trial only grows.
         They do not contain the move penalty.
@@ -135,6 +227,30 @@ class StepCost:
 def default_cost(settling_time_s: float) -> StepCost:
     """The cost where none is chosen: (35) with the default control-move penalty."""
     return StepCost(settling_time_s, move_weight=MOVE_WEIGHT)
+
+
+def cost_from(choice: str | CostFunction, settling_time_s: float) -> StepCost:
+    """The cost of a name of `PRESETS`, of "module:function", or of a function.
+
+    Raises:
+        InvalidInput: there is no such cost.
+    """
+    if callable(choice):
+        return StepCost(settling_time_s, function=reference_of(choice))
+    if choice in PRESETS:
+        return replace(default_cost(settling_time_s), **PRESETS[choice])
+    if ":" not in choice:
+        raise InvalidInput(
+            f"there is no cost {choice!r}; give one of {', '.join(PRESETS)}, or module:function"
+        )
+    cost_function(choice)
+    return StepCost(settling_time_s, function=choice)
+
+
+def _effort_used(effort: FloatArray) -> FloatArray:
+    """Sum of squared deviations from the mean of the last tenth of the samples."""
+    away = effort - effort[..., -max(1, effort.shape[-1] // 10) :].mean(axis=-1, keepdims=True)
+    return np.asarray(np.vecdot(away, away))
 
 
 def _moves(step_index: int, step_N: float, effort: FloatArray) -> FloatArray:
@@ -166,10 +282,15 @@ def _normalised_weights(cost: StepCost, sampling_Hz: float, samples: int) -> Flo
     # Past t_s the sigmoid is unused; the minimum prevents its overflow.
     sigmoid = 1.0 / (1.0 + np.exp(np.minimum(exponent, 700.0)))
     unit = 1.0 if cost.time_unit == "second" else t_s
-    weights: FloatArray = t / unit**2 * _trapezoid(t, h, t[-1]) + sigmoid / t_s * _trapezoid(
-        t, h, t_s
-    )
-    weights /= weights @ np.exp(-4.0 * t / t_s) ** 2
+    whole, reference = _trapezoid(t, h, t[-1]), np.exp(-4.0 * t / t_s)
+    weights: FloatArray
+    if cost.criterion == "itae":
+        weights = t * whole / (t * whole @ reference)
+    elif cost.criterion == "ise":
+        weights = whole / (whole @ reference**2)
+    else:
+        weights = t / unit**2 * whole + sigmoid / t_s * _trapezoid(t, h, t_s)
+        weights /= weights @ reference**2
     weights.flags.writeable = False
     return weights
 

@@ -11,6 +11,7 @@ from estune.core.control_chart import ControlChart
 from estune.daemon.events import EventKind
 from estune.errors import InvalidInput
 from estune.remote.zenoh.endpoints import check_endpoint, check_loopback
+from estune.run.plan import suited_step
 from estune.run.targets import check_reference, is_endpoint
 from estune.run.toml_tables import (
     CostTable,
@@ -267,13 +268,14 @@ def plan_settings(rig: RigTable, description: RigDescription) -> dict[str, Any]:
     Raises:
         InvalidInput: the step or the cost does not suit the rig.
     """
-    tuning, step = rig.tuning, rig.step.of(description)
+    tuning, cost = rig.tuning, rig.cost.of(description)
+    step = suited_step(rig.step.of(description), cost, description)
     description.limits.check(step)
     return {
         "tuner": tuning.tuner,
         "bounds": dict(tuning.bounds) or None,
         "step": step,
-        "cost": rig.cost.of(description),
+        "cost": cost,
         "trials": tuning.trials,
         "repeats": tuning.repeats,
         "eta_max": tuning.eta_max,

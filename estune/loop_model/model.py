@@ -89,6 +89,8 @@ class ClosedLoop(NamedTuple):
         to_output: From the filtered setpoint to the output, over the characteristic.
         to_effort: From the filtered setpoint to the effort.
         noise_to_effort: From measurement noise to the effort.
+        load_to_output: From a load at the plant's input to the output.
+        load_to_effort: From it to the effort.
         setpoint_pole: Pole of the setpoint filter F.
     """
 
@@ -97,6 +99,8 @@ class ClosedLoop(NamedTuple):
     to_output: FloatArray
     to_effort: FloatArray
     noise_to_effort: FloatArray
+    load_to_output: FloatArray
+    load_to_effort: FloatArray
     setpoint_pole: float
 
     def step_response(self, setpoint_N: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -106,6 +110,20 @@ class ClosedLoop(NamedTuple):
         return (
             np.asarray(lfilter(self.to_output, self.characteristic, filtered)),
             np.asarray(lfilter(self.to_effort, self.characteristic, filtered)),
+        )
+
+    def load_response(self, load_N: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Output and effort for a load at the plant's input, without limits, shape (samples,)."""
+        return (
+            np.asarray(lfilter(self.load_to_output, self.characteristic, load_N)),
+            np.asarray(lfilter(self.load_to_effort, self.characteristic, load_N)),
+        )
+
+    def noise_response(self, noise_N: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Measurement and effort for measurement noise, without limits, shape (samples,)."""
+        return (
+            np.asarray(lfilter(self.forward, self.characteristic, noise_N)),
+            np.asarray(lfilter(self.noise_to_effort, self.characteristic, noise_N)),
         )
 
     def noise_gains(self, samples: int) -> tuple[float, float]:
@@ -138,6 +156,8 @@ def close_loop(model: LoopModel, gains: Gains, settings: ControllerSettings) -> 
         to_output=np.convolve(B, Sr_Nd),
         to_effort=np.convolve(A, Sr_Nd),
         noise_to_effort=-np.convolve(A, Sy),
+        load_to_output=np.convolve(B, np.convolve(Ni, Nd)),
+        load_to_effort=-feedback,
         setpoint_pole=math.exp(-h / max(gains.setpoint_filter_s, 1e-12)),
     )
 

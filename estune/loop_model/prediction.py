@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -12,6 +12,7 @@ from estune.core.cost import StepCost
 from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
 from estune.core.quantities import FloatArray
+from estune.core.response import LoadStep
 from estune.loop_model.identification import LoopFit
 from estune.loop_model.model import ClosedLoop, LoopModel, close_loop, robustness
 
@@ -32,6 +33,8 @@ class StepTrial:
         step_index: First sample of the step.
         samples: Samples of the trial.
         effort_N: Effort at rest before the step, by which the controller's limits are judged.
+        load_N: Load step added to the effort on its way to the plant; zero is none.
+        load_index: First sample of it.
     """
 
     controller: ControllerSettings
@@ -41,6 +44,20 @@ class StepTrial:
     step_index: int
     samples: int
     effort_N: float = 0.0
+    load_N: float = 0.0
+    load_index: int = 0
+
+    @property
+    def load(self) -> LoadStep | None:
+        """The load step; None without one."""
+        return LoadStep(self.load_index, self.load_N) if self.load_N else None
+
+    @cached_property
+    def loads_N(self) -> FloatArray:
+        """The load at each sample, shape (samples,)."""
+        loads = np.zeros(self.samples)
+        loads[self.load_index :] = self.load_N
+        return loads
 
     @cached_property
     def setpoint_N(self) -> FloatArray:
@@ -82,17 +99,10 @@ def predict(model: LoopModel, trial: StepTrial, gains: Gains, noise_N: float = 0
         return UNSTABLE
     loop = close_loop(model, gains, trial.controller)
     output, effort = _response(model, loop, trial, gains)
-    eta = trial.cost.evaluate(
-        trial.controller.sampling_Hz,
-        trial.step_index,
-        trial.step_N,
-        trial.setpoint_N,
-        output,
-        effort,
-    )
-    peak = float(np.max(output[trial.step_index :] / trial.step_N)) - 1.0
+    end = trial.load_index if trial.load else trial.samples
+    peak = float(np.max(output[trial.step_index : end] / trial.step_N)) - 1.0
     return Prediction(
-        cost=float(eta) + _noise_cost(loop, trial, noise_N),
+        cost=_expected_cost(loop, trial, output, effort, noise_N),
         overshoot=max(peak, 0.0),
         sensitivity=margins.sensitivity,
         phase_margin_deg=margins.phase_margin_deg,
@@ -104,6 +114,9 @@ def _response(
 ) -> tuple[FloatArray, FloatArray]:
     """Output and effort as deviations; sample by sample only where the limits act."""
     output, effort = loop.step_response(trial.setpoint_N)
+    if trial.load:
+        loaded = loop.load_response(trial.loads_N)
+        output, effort = output + loaded[0], effort + loaded[1]
     settings = trial.controller
     total = effort + trial.effort_N
     if settings.output_min_N <= total.min() and total.max() <= settings.output_max_N:
@@ -122,20 +135,48 @@ def _limited_response(
     past_u = [0.0] * len(b)
     y1 = y2 = 0.0
     outputs, efforts = [], []
-    for r in trial.setpoint_N.tolist():
+    for r, load in zip(trial.setpoint_N.tolist(), trial.loads_N.tolist(), strict=True):
         y = sum(bi * ui for bi, ui in zip(b[1:], past_u, strict=False)) - a1 * y1 - a2 * y2
         state, effort, _ = pidf.step(c, state, r, y)
-        past_u = [float(effort) - trial.effort_N, *past_u[:-1]]
+        efforts.append(float(effort) - trial.effort_N)
+        past_u = [efforts[-1] + load, *past_u[:-1]]
         y1, y2 = y, y1
         outputs.append(y)
-        efforts.append(past_u[0])
     return np.array(outputs), np.array(efforts)
 
 
-def _noise_cost(loop: ClosedLoop, trial: StepTrial, noise_N: float) -> float:
-    """Expected share of the measurement noise in the cost."""
+def _expected_cost(
+    loop: ClosedLoop, trial: StepTrial, output: FloatArray, effort: FloatArray, noise_N: float
+) -> float:
+    """Cost of a response with the measurement noise in it.
+
+    Where the share of the noise is not known from the weights of the error, it is the mean over
+    one fixed sequence of noise and its negative, which leaves out the terms of odd order.
+    """
+
+    def cost(measurement: FloatArray, command: FloatArray) -> float:
+        columns = trial.setpoint_N, measurement, command
+        rate = trial.controller.sampling_Hz
+        return float(
+            trial.cost.evaluate(rate, trial.step_index, trial.step_N, *columns, load=trial.load)
+        )
+
     if noise_N == 0.0:
-        return 0.0
+        return cost(output, effort)
+    if trial.cost.is_quadratic and trial.load is None:
+        return cost(output, effort) + _noise_cost(loop, trial, noise_N)
+    y, u = loop.noise_response(noise_N * _fixed_noise(trial.samples))
+    return 0.5 * (cost(output + y, effort + u) + cost(output - y, effort - u))
+
+
+@lru_cache(maxsize=16)
+def _fixed_noise(samples: int) -> FloatArray:
+    """White noise of standard deviation one, the same at all gains."""
+    return np.random.default_rng(0).standard_normal(samples)
+
+
+def _noise_cost(loop: ClosedLoop, trial: StepTrial, noise_N: float) -> float:
+    """Expected share of the measurement noise in a quadratic cost."""
     after = trial.samples - trial.step_index
     error, move = loop.noise_gains(after)
     return (noise_N / trial.step_N) ** 2 * (

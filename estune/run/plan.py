@@ -1,13 +1,15 @@
 """Plan of a run, from the user's choices and the rig's suggestions, and its JSON form."""
 
 import dataclasses
+import math
 from collections.abc import Mapping
 from typing import Any, Literal
 
 from pydantic import TypeAdapter, ValidationError
 
-from estune.core.cost import StepCost, default_cost
+from estune.core.cost import StepCost, cost_from
 from estune.core.gains import Gains
+from estune.core.response import CostFunction, LoadStep
 from estune.errors import InvalidInput, JournalError
 from estune.loop_model.optimum import RobustnessLimits
 from estune.loop_model.prediction import StepTrial
@@ -15,7 +17,7 @@ from estune.run.session import Plan
 from estune.run.start import KnownStart, StartRule, check_start, model_start
 from estune.run.trial_quality import check_sampling
 from estune.trial import RigDescription
-from estune.trial.profiles import StepProfile
+from estune.trial.profiles import LoadStepProfile, Profile, StepProfile, load_step
 from estune.tuners import (
     RecordUsingTuner,
     SearchSpace,
@@ -51,7 +53,7 @@ def make_plan(
     start: Gains | KnownStart | StartRule | Literal["model"] | None,
     bounds: Mapping[str, tuple[float, float]] | None,
     step: StepProfile | None,
-    cost: StepCost | None,
+    cost: StepCost | str | CostFunction | None,
     limits: RobustnessLimits | None = None,
     **rest: Any,
 ) -> Plan:
@@ -61,20 +63,23 @@ def make_plan(
         InvalidInput: a value is not usable, or the rig gives no model to start from.
         UnsafeStart: initial gains that were not tried on the rig are not robust there.
     """
-    step, cost = step or description.step, cost or default_cost(description.settling_time_s)
+    step, cost = step or description.step, cost or "paper"
+    if not isinstance(cost, StepCost):
+        cost = cost_from(cost, description.settling_time_s)
+    step = suited_step(step, cost, description)
     trial = step_trial(description, step, cost)
     if start == "model" or callable(start):
         start = known_start(start, description, step, cost, limits)
     source = ""
     if isinstance(start, KnownStart):
         check_start(start, description)
-        start, source = start.gains, start.source
+        source, start = start.source, start.gains
     start = start or description.gains
     made = make_tuner(tuner, start, bounds)
     if isinstance(made, RecordUsingTuner):
         made = made.for_trial(trial, limits)
         limits = made.limits
-    elif limits is not None and limits.given:
+    elif limits is not None and limits.asked:
         raise InvalidInput(
             f"tuner {made.name} keeps no limits of sensitivity, overshoot or phase margin; use "
             "model_based, or leave the limits out"
@@ -92,6 +97,34 @@ def make_plan(
     if not plan.forced:
         check_sampling(plan.cost, description.controller.sampling_Hz)
     return plan
+
+
+def suited_step(step: StepProfile, cost: StepCost, description: RigDescription) -> StepProfile:
+    """The step, with a load where the cost weighs its rejection; raises as `with_load`."""
+    if cost.rejection and not isinstance(step, LoadStepProfile):
+        return with_load(step, description)
+    return step
+
+
+def with_load(step: StepProfile, description: RigDescription) -> LoadStepProfile:
+    """The step followed, after as long again, by a load of half its size.
+
+    Raises:
+        InvalidInput: the rig makes no load steps.
+    """
+    most_N = description.limits.load_max_N
+    if not most_N:
+        raise InvalidInput(
+            f"rig {description.name} makes no load steps, and the cost weighs their rejection; "
+            "choose another cost"
+        )
+    size_N = math.copysign(min(most_N, 0.5 * abs(step.step_N)), -step.step_N)
+    after_s = step.duration_s - step.step_at_s
+    return LoadStepProfile(
+        *(step.preload_N, step.step_N, step.step_at_s, step.duration_s + after_s),
+        load_N=size_N,
+        load_at_s=step.duration_s,
+    )
 
 
 def known_start(
@@ -116,6 +149,7 @@ def known_start(
 def step_trial(description: RigDescription, step: StepProfile, cost: StepCost) -> StepTrial:
     """The step trial as the identified loop predicts it."""
     rate = description.controller.sampling_Hz
+    load = load_step(step, rate) or LoadStep(0, 0.0)
     return StepTrial(
         controller=description.controller,
         cost=cost,
@@ -123,6 +157,8 @@ def step_trial(description: RigDescription, step: StepProfile, cost: StepCost) -
         step_N=step.step_N,
         step_index=step.step_index(rate),
         samples=step.samples(rate),
+        load_N=load.size_N,
+        load_index=load.sample,
     )
 
 
@@ -150,7 +186,8 @@ def plan_from_json(values: dict[str, Any], tuner: Tuner[Any] | None = None) -> P
     try:
         if tuner is None:
             tuner = tuner_from_stored(values["tuner"])
-        types = {"start": Gains, "step": StepProfile, "cost": StepCost, "limits": RobustnessLimits}
+        types: dict[str, Any] = {"start": Gains, "step": Profile, "cost": StepCost}
+        types["limits"] = RobustnessLimits
         rest = {
             key: TypeAdapter(types[key]).validate_python(value) if key in types else value
             for key, value in values.items()

@@ -6,9 +6,10 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
-from estune.core.cost import StepCost, default_cost
+from estune.core.cost import StepCost, cost_from
 from estune.core.gains import GAIN_NAMES
 from estune.loop_model.optimum import RobustnessLimits
+from estune.run.plan import with_load
 from estune.run.session import REPEATS, TOLERANCE, TRIALS
 from estune.support.toml_file import TomlTable
 from estune.trial import RigDescription
@@ -43,12 +44,16 @@ class StepTable(TomlTable):
         step_N: Size of the step.
         step_at_s: Time of the step.
         duration_s: Length of the trial.
+        load_N: Load step after it, added to the effort, where the rig can make one.
+        load_at_s: Time of the load; by default the end of the trial, which grows by as much.
     """
 
     preload_N: float | None = None
     step_N: float | None = None
     step_at_s: NotNegative | None = None
     duration_s: Positive | None = None
+    load_N: float | None = None
+    load_at_s: Positive | None = None
 
     @model_validator(mode="after")
     def _in_order(self) -> Self:
@@ -57,27 +62,47 @@ class StepTable(TomlTable):
             raise ValueError(
                 f"step_at_s: {at:g} is not before the trial's end, duration_s {end:g}"
             )
+        if self.load_at_s is not None and self.load_N is None:
+            raise ValueError("load_at_s: there is no load_N; give its size too")
         return self
 
     def of(self, rig: RigDescription) -> StepProfile:
         """The step for a rig."""
-        return replace(rig.step, **given_values(self))
+        given = given_values(self)
+        load_N, load_at_s = given.pop("load_N", None), given.pop("load_at_s", None)
+        step = replace(rig.step, **given)
+        if load_N is None:
+            return step
+        loaded = replace(with_load(step, rig), load_N=load_N)
+        if load_at_s is None:
+            return loaded
+        longest_s = max(step.duration_s, load_at_s + step.duration_s - step.step_at_s)
+        within = load_at_s < step.duration_s
+        return replace(
+            loaded, load_at_s=load_at_s, duration_s=step.duration_s if within else longest_s
+        )
 
 
 class CostTable(TomlTable):
-    """The cost of a trial, (35).
+    """The cost of a trial.
 
     Attributes:
+        preset: Cost by name, or "module:function" of a `StepResponse`; (35) by default.
         settling_time_s: Desired settling time; the rig's suggestion by default.
         weight: Weight over the transient: as printed, or rising as in the paper's text.
         time_unit: Unit of the time weight.
         move_weight: Control-move penalty.
+        effort_weight: Price of the effort.
+        rejection: Share of load rejection, from 0 to 1.
     """
 
+    preset: str | None = None
     settling_time_s: Positive | None = None
     weight: Literal["printed", "rising"] | None = None
     time_unit: Literal["second", "settling_time"] | None = None
     move_weight: NotNegative | None = None
+    effort_weight: NotNegative | None = None
+    rejection: Annotated[float, Field(ge=0.0, le=1.0)] | None = None
 
     def too_long(self, step: StepTable) -> list[str]:
         """The fault of the settling time for such a trial, if any, as a list."""
@@ -89,7 +114,9 @@ class CostTable(TomlTable):
 
     def of(self, rig: RigDescription) -> StepCost:
         """The cost for a rig."""
-        return replace(default_cost(rig.settling_time_s), **given_values(self))
+        given = given_values(self)
+        chosen = cost_from(given.pop("preset", "paper"), rig.settling_time_s)
+        return replace(chosen, **given)
 
 
 class SearchTable(TomlTable):

@@ -8,8 +8,9 @@ from pydantic import Field
 
 from estune.core.gains import Gains, gain_units
 from estune.core.pidf import ControllerSettings
+from estune.core.quantities import check_not_negative
 from estune.errors import InvalidInput
-from estune.trial.profiles import AnyProfile, StepProfile
+from estune.trial.profiles import AnyProfile, LoadStepProfile, StepProfile
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +48,7 @@ class RigLimits:
         tension_min_N: Lowest setpoint, N; of an open loop too.
         tension_max_N: Highest setpoint, N; of an open loop too.
         duration_max_s: Longest trial, s.
+        load_max_N: Largest load step that the rig can add to the effort, N; zero where it cannot.
 
     Raises:
         InvalidInput: the limits are in the wrong order, or NaN.
@@ -55,8 +57,10 @@ class RigLimits:
     tension_min_N: float
     tension_max_N: float
     duration_max_s: float
+    load_max_N: float = 0.0
 
     def __post_init__(self) -> None:
+        check_not_negative("limit of load steps", self.load_max_N, "N")
         # Infinite limits satisfy both conditions, NaN neither.
         if not (self.tension_min_N <= self.tension_max_N and self.duration_max_s > 0.0):
             raise InvalidInput(
@@ -77,6 +81,13 @@ class RigLimits:
                     f"{self.tension_min_N:g} to {self.tension_max_N:g} N; "
                     "choose another preload or a smaller change"
                 )
+        load_N = abs(profile.load_N) if isinstance(profile, LoadStepProfile) else 0.0
+        if load_N > self.load_max_N:
+            can = f"at most {self.load_max_N:g} N" if self.load_max_N else "none at all"
+            raise InvalidInput(
+                f"the trial has a load step of {load_N:g} N, and the rig can make {can}; choose "
+                "another load, or a cost without load rejection"
+            )
         if profile.duration_s > self.duration_max_s:
             raise InvalidInput(
                 f"a trial of {profile.duration_s:g} s is longer than the rig's limit of "

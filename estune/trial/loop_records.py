@@ -13,7 +13,7 @@ from estune.core import pidf
 from estune.core.quantities import FloatArray
 from estune.loop_model.identification import LoopRecord
 from estune.trial.description import RigDescription
-from estune.trial.profiles import StepProfile
+from estune.trial.profiles import LoadStepProfile, StepProfile
 from estune.trial.records import SATURATED, Outcome, TrialRecord
 
 LAGS = (-2, -1, 0, 1, 2)
@@ -52,6 +52,8 @@ def loop_signals(record: TrialRecord, step: StepProfile, rig: RigDescription) ->
         if reason:
             return LoopSignals(None, reason)
     index = step.step_index(record.sampling_Hz)
+    if isinstance(step, LoadStepProfile):
+        effort = effort + step.load(record.sampling_Hz)
     return LoopSignals(LoopRecord(effort, record.tension_N, step.step_N, index))
 
 

@@ -8,7 +8,7 @@ from estune.core.cost import StepCost
 from estune.core.metrics import NO_METRICS, StepMetrics, step_metrics
 from estune.errors import RigError
 from estune.trial.description import RigDescription
-from estune.trial.profiles import StepProfile
+from estune.trial.profiles import StepProfile, load_step
 from estune.trial.records import Outcome, TrialRecord
 
 
@@ -33,6 +33,7 @@ def cost_of(
         record.setpoint_N,
         record.tension_N,
         record.current_A * newtons_per_ampere,
+        load=load_step(step, record.sampling_Hz),
     )
     return float(eta) if np.isfinite(eta) else math.nan
 
@@ -76,9 +77,11 @@ def metrics_of(record: TrialRecord, step: StepProfile) -> StepMetrics:
     """
     if not _is_complete(record, step):
         return NO_METRICS
+    load = load_step(step, record.sampling_Hz)
+    tracked = slice(None, None if load is None else load.sample)
     return step_metrics(
-        record.time_s,
-        record.tension_N,
+        record.time_s[tracked],
+        record.tension_N[tracked],
         step_time_s=float(record.time_s[step.step_index(record.sampling_Hz)]),
         initial=step.preload_N,
         final=step.preload_N + step.step_N,

@@ -113,6 +113,7 @@ class PlantModel(Plant, ABC):
             delay=self.delay_samples,
             bound_N=bound_N,
             open_loop=drive.open_loop,
+            load_N=drive.load_N,
         )
         return trial_loop(self.structure).run(batch)
 

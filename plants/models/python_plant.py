@@ -142,6 +142,7 @@ class PythonPlant(MountedModel):
         ring = [self.initial_effort_N] * (delay + 2)
         memory = pidf.state_at_rest(self.initial_measurement_N, self.initial_effort_N)
         state, y = copy.deepcopy(self.initial_state), self.initial_measurement_N
+        load = [0.0] * len(drive.setpoint_N) if drive.load_N is None else drive.load_N.tolist()
         for k, r in enumerate(drive.setpoint_N.tolist()):
             measured = y + float(noise[k])
             memory, effort, excess = pidf.step(coefficients, memory, r, measured)
@@ -151,7 +152,7 @@ class PythonPlant(MountedModel):
             if not -bound_N <= measured <= bound_N:
                 return k
             columns.flags[k] = SATURATED if excess else 0
-            ring[(k + delay + 1) % (delay + 2)] = float(effort)
+            ring[(k + delay + 1) % (delay + 2)] = float(effort) + load[k]
             before, after = ring[k % (delay + 2)], ring[(k + 1) % (delay + 2)]
             if fraction:
                 state, y = self._call(state, before, h * fraction, k)

@@ -13,7 +13,7 @@ from estune.core.cost import StepCost
 from estune.core.gains import Gains
 from estune.core.quantities import FloatArray
 from estune.errors import InvalidInput
-from estune.trial.profiles import AnyProfile, StepProfile
+from estune.trial.profiles import AnyProfile, StepProfile, load_step
 from plants.simulation.noise import NoiseSource
 from plants.simulation.plant import Drive, Plant, drive_of
 
@@ -155,6 +155,7 @@ def batch_costs(
             drive.setpoint_N,
             columns.tension_N,
             columns.effort_N,
+            load=load_step(profile, rate),
         )
 
     starts = range(0, len(rows), CHUNK)

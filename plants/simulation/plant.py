@@ -13,7 +13,7 @@ from estune.core.pidf import ControllerSettings
 from estune.core.quantities import FloatArray
 from estune.errors import InvalidInput
 from estune.trial import RigDescription
-from estune.trial.profiles import AnyProfile, StepProfile
+from estune.trial.profiles import AnyProfile, LoadStepProfile, StepProfile
 
 SOFTWARE = f"estune {version('estune')}"
 
@@ -25,6 +25,7 @@ class Drive(NamedTuple):
     setpoint_N: FloatArray  # the setpoint, same shape
     preload_N: float  # the tension at which the trial starts settled
     open_loop: bool  # whether the setpoint is the effort, limited by the controller's limits
+    load_N: FloatArray | None = None  # added to the effort on its way to the plant, same shape
 
 
 @lru_cache(maxsize=16)
@@ -44,7 +45,8 @@ def drive_of(profile: AnyProfile, sampling_Hz: float) -> Drive:
         )
     time, setpoint = np.arange(samples) / sampling_Hz, profile.setpoint(sampling_Hz)
     time.flags.writeable = setpoint.flags.writeable = False
-    return Drive(time, setpoint, profile.preload_N, profile.loop == "open")
+    load = profile.load(sampling_Hz) if isinstance(profile, LoadStepProfile) else None
+    return Drive(time, setpoint, profile.preload_N, profile.loop == "open", load)
 
 
 class Columns(NamedTuple):

@@ -41,7 +41,10 @@ class SimulatedRig:
         """
         check_not_negative("pace", pace, "s/s")
         self._plant = plant
-        self._description = replace(plant.describe(name, gains), simulated=True)
+        about, settings = plant.describe(name, gains), plant.controller
+        # A simulated load may be as large as the controller's range.
+        limits = replace(about.limits, load_max_N=settings.output_max_N - settings.output_min_N)
+        self._description = replace(about, limits=limits, simulated=True)
         self._noise = NoiseSource(seed)
         self._pace = pace
         # A repeated trial gives the same record: its noise depends on seed and number alone.

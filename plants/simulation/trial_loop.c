@@ -5,6 +5,8 @@
  * The dead time is a ring buffer of past drives. During sample k the plant is driven by
  * drive[k - delay - 1] for the dead time's fraction of a sample, then by drive[k - delay].
  *
+ * A load is added to the effort on its way to the plant; a null pointer is no load.
+ *
  * With `open` equal to one the setpoint is the effort, limited by the controller's limits.
  */
 #include <stdlib.h>
@@ -14,7 +16,7 @@
 
 static long one_trial(long samples, long delay, double bound, double preload, double open,
                       const double *parameters, const double *coefficients,
-                      const double *setpoint, const double *noise, double *ring,
+                      const double *setpoint, const double *load, const double *noise, double *ring,
                       double *tension, double *effort, double *angle, double *reference,
                       unsigned char *flags) {
   /* CasADi may write outputs before it has read all inputs: they must not share memory. */
@@ -31,11 +33,12 @@ static long one_trial(long samples, long delay, double bound, double preload, do
   for (n = 0; n < delay + 2; n++) ring[n] = drive;
   for (k = 0; k < samples; k++) {
     {
-      const double *arg[8];
+      const double *arg[9];
       double *res[8];
       arg[0] = constants; arg[1] = state; arg[2] = ring + before;
       arg[3] = noise ? noise + k : 0;  /* CasADi reads a null pointer as zero */
       arg[4] = coefficients; arg[5] = pidf; arg[6] = setpoint + k; arg[7] = &open;
+      arg[8] = load ? load + k : 0;
       res[0] = moved; res[1] = tension + k; res[2] = angle + k;
       res[3] = following; res[4] = effort + k; res[5] = ring + now; res[6] = &excess;
       res[7] = reference ? reference + k : 0;  /* a null pointer: not written */
@@ -70,14 +73,14 @@ static long one_trial(long samples, long delay, double bound, double preload, do
 __attribute__((visibility("default"))) int estune_trials(
     long trials, long samples, long delay, double bound, double preload, double open,
     const double *parameters, long parameter_stride, const double *coefficients,
-    const double *setpoint, const double *noise, long noise_stride, double *tension,
-    double *effort, double *angle, double *reference, unsigned char *flags, long long *ended) {
+    const double *setpoint, const double *load, const double *noise, long noise_stride,
+    double *tension, double *effort, double *angle, double *reference, unsigned char *flags, long long *ended) {
   double *ring = malloc((delay + 2) * sizeof *ring);
   long t;
   if (!ring) return 1;
   for (t = 0; t < trials; t++) {
     ended[t] = one_trial(samples, delay, bound, preload, open, parameters + t * parameter_stride,
-                         coefficients + t * COEFFICIENTS, setpoint,
+                         coefficients + t * COEFFICIENTS, setpoint, load,
                          noise ? noise + t * noise_stride : 0, ring, tension + t * samples,
                          effort + t * samples, angle + t * samples,
                          reference ? reference + t * samples : 0, flags + t * samples);

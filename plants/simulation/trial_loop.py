@@ -42,6 +42,7 @@ class Batch(NamedTuple):
     bound_N: float  # magnitude of the measurement at which a trial ends
     # Whether the setpoint is the effort, limited by the controllers' limits.
     open_loop: bool = False
+    load_N: FloatArray | None = None  # added to the effort on its way to the plant, (samples,)
 
 
 @lru_cache(maxsize=64)
@@ -60,8 +61,8 @@ class Functions(NamedTuple):
 
     prepare: Any  # (parameters, preload) -> (constants, state, controller state, drive at rest)
     # (constants, state, present drive, noise, coefficients, controller state, setpoint, 1 in open
-    # loop else 0) -> (state, measurement, angle, controller state, effort, drive, excess, tension
-    # outside: empty where the plant has no gauge there).
+    # loop else 0, load) -> (state, measurement, angle, controller state, effort, drive, excess,
+    # tension outside: empty where the plant has no gauge there).
     sense: Any
     substep: Any  # (constants, state, drive before, drive after, n) -> state
     move: Any  # (constants, state, drive before, drive after) -> state one sample later
@@ -86,7 +87,7 @@ def loop_functions(plant: Equations) -> Functions:
     c, x, in_force, noise = plant.observe.sx_in()
     coefficients = ca.SX.sym("coefficients", COEFFICIENTS)
     memory, setpoint = ca.SX.sym("memory", PIDF_STATES), ca.SX.sym("setpoint")
-    is_open = ca.SX.sym("is_open")
+    is_open, load = ca.SX.sym("is_open"), ca.SX.sym("load")
     observed, measurement, angle = plant.observe(c, x, in_force, noise)
     controller = pidf.Coefficients(*ca.vertsplit(coefficients))
     following, *closed = pidf.step(
@@ -96,12 +97,12 @@ def loop_functions(plant: Equations) -> Functions:
         ca.if_else(is_open, one, other)
         for one, other in zip(pidf.limit_effort(controller, setpoint), closed, strict=True)
     )
-    driven, drive = plant.drive(c, observed, effort)
+    driven, drive = plant.drive(c, observed, effort + load)
     outside = ca.SX(0, 1) if plant.outside is None else plant.outside(c, observed)
     outputs = [driven, measurement, angle, ca.vertcat(*following), effort, drive, excess, outside]
     sense = ca.Function(
         "estune_sense",
-        [c, x, in_force, noise, coefficients, memory, setpoint, is_open],
+        [c, x, in_force, noise, coefficients, memory, setpoint, is_open, load],
         [ca.densify(output) for output in outputs],  # C writes structural nonzeros only
     )
     *arguments, n = plant.substep.sx_in()
@@ -125,7 +126,7 @@ class CompiledLoop:
         address, count = ctypes.c_void_p, ctypes.c_long
         self._trials.argtypes = (
             *(count, count, count, ctypes.c_double, ctypes.c_double, ctypes.c_double),
-            *(address, count, address, address, address, count),
+            *(address, count, address, address, address, address, count),
             *(address, address, address, address, address, address),
         )
         self._trials.restype = ctypes.c_int
@@ -136,7 +137,10 @@ class CompiledLoop:
         parameters = np.ascontiguousarray(batch.parameters, np.float64)
         coefficients = np.ascontiguousarray(batch.coefficients, np.float64)
         setpoint = np.ascontiguousarray(batch.setpoint_N, np.float64)
-        noise = None if batch.noise_N is None else np.ascontiguousarray(batch.noise_N, np.float64)
+        noise, load = (
+            None if column is None else np.ascontiguousarray(column, np.float64)
+            for column in (batch.noise_N, batch.load_N)
+        )
         trials, samples = len(coefficients), len(setpoint)
         signals = np.empty((3 + self._reference, trials, samples))
         flags, ended = np.empty((trials, samples), np.uint8), np.empty(trials, np.int64)
@@ -147,6 +151,7 @@ class CompiledLoop:
             parameters.shape[1] if parameters.ndim > 1 else 0,
             _address(coefficients),
             _address(setpoint),
+            None if load is None else _address(load),
             None if noise is None else _address(noise),
             samples,
             *(tension, tension + signal_bytes, tension + 2 * signal_bytes),
@@ -212,7 +217,7 @@ class VirtualMachine(Buffers):
 
     def __init__(self, functions: Functions) -> None:
         prepare, sense, _, move, _ = functions
-        scalars = ["preload", "setpoint", "is_open", "noise", "before", "after"]
+        scalars = ["preload", "setpoint", "is_open", "load", "noise", "before", "after"]
         scalars += ["y", "angle", "effort", "drive", "excess"]
         room = dict.fromkeys(scalars, 1)
         room |= {
@@ -226,7 +231,7 @@ class VirtualMachine(Buffers):
         self.prepare = self.bind(prepare, "parameters preload", "constants state pidf drive")
         self.sense = self.bind(
             sense,
-            "constants state before noise coefficients pidf setpoint is_open",
+            "constants state before noise coefficients pidf setpoint is_open load",
             "driven y angle following effort drive excess reference",
         )
         self.move = self.bind(move, "constants driven before after", "state")
@@ -254,6 +259,7 @@ class VirtualMachine(Buffers):
         for k, (setpoint, noise) in enumerate(
             zip(batch.setpoint_N.tolist(), noise_N.tolist(), strict=True)
         ):
+            m["load"][0] = 0.0 if batch.load_N is None else batch.load_N[k]
             m["setpoint"][0], m["noise"][0], m["before"][0] = setpoint, noise, ring[k % size]
             self.sense()
             y = m["y"][0]

@@ -16,6 +16,7 @@ from estune.core.cost import StepCost, default_cost
 from estune.errors import InvalidInput, RigError
 from estune.remote.state_machine.client import PATIENCE_S
 from estune.run.loop import ProgressListener
+from estune.run.plan import suited_step
 from estune.run.targets import is_endpoint
 from estune.studies.match.outcome import Matching
 from estune.studies.match.reel_matcher import ReelMatcher, ReelProgress, Settings
@@ -98,6 +99,7 @@ def match(
     common = common_description(descriptions)
     step = step or common.step
     cost = cost or default_cost(common.settling_time_s)
+    step = suited_step(step, cost, common)
     reels = [matcher.tuned(reel, step, cost) for reel in reels]
     target = _worst(reels) if eta == "auto" else eta
     reels = [matcher.matched(reel, target, step, cost) for reel in reels]

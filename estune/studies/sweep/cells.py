@@ -16,7 +16,7 @@ from estune.errors import InvalidInput
 from estune.remote.security import OPEN, read_security
 from estune.remote.state_machine.client import PATIENCE_S
 from estune.run import targets
-from estune.run.plan import known_start, make_plan
+from estune.run.plan import known_start, make_plan, suited_step
 from estune.run.start import KnownStart
 from estune.studies.law.start import start_from
 from estune.studies.sweep.design import SweepDesign, SweptRig
@@ -184,7 +184,8 @@ def _cells_at(
         model["tension_N"] = tension
     with open_rig(rig, model) as opened:
         description = opened.describe()
-    step, cost = _step(design, description, tension), design.cost.of(description)
+    cost = design.cost.of(description)
+    step = _step(design, description, tension, cost)
     start = _start(design.start, description, step, cost)
     search: dict[str, Any] = {
         "trials": design.trials,
@@ -215,8 +216,10 @@ def _start(
     return known_start(start_from(given), rig, step, cost, None)
 
 
-def _step(design: SweepDesign, rig: RigDescription, tension: float | None) -> StepProfile:
-    step = design.step.of(rig)
+def _step(
+    design: SweepDesign, rig: RigDescription, tension: float | None, cost: StepCost
+) -> StepProfile:
+    step = suited_step(design.step.of(rig), cost, rig)
     if tension is not None:
         step = replace(step, preload_N=tension)
     rig.limits.check(step)
@@ -236,10 +239,21 @@ def _key(rig: SweptRig, source: str, fields: tuple[Any, ...]) -> str:
         version("estune"),
         *(rig.label, rig.rig, source),
         *(length, tension, _NAME_IN_KEYS.get(tuner, tuner), seed, search),
-        *(start and asdict(start), asdict(step), asdict(cost), model),
+        *(start and asdict(start), asdict(step), _cost_in_key(cost), model),
     ]
     text = json.dumps(parts, sort_keys=True, default=asdict)
     return hashlib.sha256(text.encode()).hexdigest()[:20]
+
+
+def _cost_in_key(cost: StepCost) -> dict[str, Any]:
+    """The settings of a cost: those that are younger than keys on disk only if they are used."""
+    plain = StepCost(cost.settling_time_s)
+    first = ("settling_time_s", "weight", "time_unit", "move_weight")
+    return {
+        name: value
+        for name, value in asdict(cost).items()
+        if name in first or value != getattr(plain, name)
+    }
 
 
 def _file_digest(rig: SweptRig) -> str:

@@ -10,7 +10,9 @@ the current loop: current = setpoint / newtons per ampere, within the rig's limi
 
 from typing import Annotated, Any, Literal, TypeAlias, get_args
 
+from estune.core.response import LoadStep
 from estune.trial.profiles.excitations import ChirpProfile, StaircaseProfile, TriangleProfile
+from estune.trial.profiles.load_step import LoadStepProfile
 from estune.trial.profiles.multisine import MOST_LINES, Lines, MultisineProfile
 from estune.trial.profiles.sampled import Loop
 from estune.trial.profiles.step import StepProfile
@@ -22,15 +24,17 @@ __all__ = [
     "ChirpProfile",
     "Kind",
     "Lines",
+    "LoadStepProfile",
     "Loop",
     "MultisineProfile",
     "Profile",
     "StaircaseProfile",
     "StepProfile",
     "TriangleProfile",
+    "load_step",
 ]
 
-Kind = Literal["step", "triangle", "multisine", "chirp", "staircase"]
+Kind = Literal["step", "load_step", "triangle", "multisine", "chirp", "staircase"]
 
 
 class _ByKind:
@@ -43,9 +47,19 @@ class _ByKind:
 
 
 AnyProfile: TypeAlias = (
-    StepProfile | TriangleProfile | MultisineProfile | ChirpProfile | StaircaseProfile
+    StepProfile
+    | LoadStepProfile
+    | TriangleProfile
+    | MultisineProfile
+    | ChirpProfile
+    | StaircaseProfile
 )
 Profile: TypeAlias = Annotated[AnyProfile, _ByKind()]
 """Any profile."""
 
 PROFILES: tuple[type[AnyProfile], ...] = get_args(AnyProfile)
+
+
+def load_step(profile: AnyProfile, sampling_Hz: float) -> LoadStep | None:
+    """First sample and size of a profile's load step; None without one."""
+    return profile.load_step(sampling_Hz) if isinstance(profile, LoadStepProfile) else None
