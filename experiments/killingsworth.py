@@ -221,32 +221,43 @@ def study(benchmark: Benchmark, trials: int, evaluations: int) -> dict[str, Any]
         **{f"{name}, best trial": s.best for name, s in searches.items()},
         "optimum": best_point,
     }
-    figures: dict[str, Any] = {"start_cost": start_cost, "optimum_cost": least}
-    for name, point in table.items():
-        figures[name] = row = _row(benchmark, plant, point)
+    points = {name: _row(benchmark, plant, point) for name, point in table.items()}
+    for row in points.values():
         row["gap_closed"] = (start_cost - row["J"]) / (start_cost - least)
-    for name, s in searches.items():
-        to_90, to_97 = (s.trials_to(share, start_cost, least) for share in (0.90, 0.97))
-        closed = (start_cost - min(s.costs)) / (start_cost - least)
-        figures[f"{name}: trials"] = {"90 %": to_90, "97 %": to_97, "closed": closed}
-        figures[f"{name}: costs"] = [J if math.isfinite(J) else None for J in s.costs]
+    figures: dict[str, Any] = {
+        "start_cost": start_cost,
+        "optimum_cost": least,
+        "points": points,
+        "trials_to_close": {
+            name: {
+                "90 %": s.trials_to(0.90, start_cost, least),
+                "97 %": s.trials_to(0.97, start_cost, least),
+                "closed": (start_cost - min(s.costs)) / (start_cost - least),
+            }
+            for name, s in searches.items()
+        },
+        "costs": {
+            name: [J if math.isfinite(J) else None for J in s.costs]
+            for name, s in searches.items()
+        },
+    }
     if benchmark.effort_max < math.inf:
-        figures["without limit"] = _without_limit(benchmark, plant, best_point, evaluations)
+        figures["without_limit"] = _without_limit(benchmark, plant, best_point, evaluations)
     return figures
 
 
 def targets(figures: dict[str, dict[str, Any]]) -> dict[str, Target]:
     """Targets on the figures of G1 and G2."""
     g1, g2 = figures["G1"], figures["G2"]
-    published = g1["killingsworth (2, 1, 3): costs"]
+    published = g1["costs"]["killingsworth (2, 1, 3)"]
 
     def slowness(name: str) -> float:
         """The worse of the two counts of trials, over its limit."""
-        counts = g1[f"{name}: trials"]["97 %"], g2[f"{name}: trials"]["90 %"]
+        counts = g1["trials_to_close"][name]["97 %"], g2["trials_to_close"][name]["90 %"]
         return max((n or math.inf) / limit for n, limit in zip(counts, (7, 21), strict=True))
 
     best = min(tuners(BENCHMARKS[0]), key=slowness)
-    to_97, to_90 = g1[f"{best}: trials"]["97 %"], g2[f"{best}: trials"]["90 %"]
+    to_97, to_90 = g1["trials_to_close"][best]["97 %"], g2["trials_to_close"][best]["90 %"]
     start, fifth, plateau = g1["start_cost"], published[5], min(published[:9])
     return {
         "G1 start cost, published 0.0195": Target(start, 0.0195, bool(round(start, 4) == 0.0195)),

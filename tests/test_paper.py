@@ -13,7 +13,7 @@ import pytest
 from estune.cli import run
 from estune.errors import InvalidInput
 from experiments import paper
-from experiments.paper.page import page
+from experiments.paper.command import page
 from plants.models.reel import Reel
 
 

@@ -18,7 +18,7 @@ from estune.studies.sweep.design import read_design
 from estune.studies.sweep.outcome import KIND, CellOutcome
 from estune.studies.sweep.store import FILE_NAME
 from estune.support.sqlite import SqliteFile
-from experiments.sweep_speed.cluster import cluster
+from tests.support_dask import cluster
 from tests.test_sweep import alike, run_sweep
 
 DESIGN = """

@@ -1,5 +1,6 @@
-"""`estune reproduce-paper`: the paper's figures, reproduced on one page."""
+"""`estune reproduce-paper`: the paper's figures, reproduced on one page with a verdict on each."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from rich.text import Text
@@ -7,8 +8,25 @@ from rich.text import Text
 from estune.cli import output
 from estune.cli.values import Flag, check_folder_exists
 from estune.run.export import write_file
+from estune.support.html_page import (
+    Drawing,
+    Link,
+    Page,
+    Paragraph,
+    Section,
+    Status,
+    Table,
+    render,
+)
 from experiments import paper
-from experiments.paper import page
+from experiments.paper import PaperFigure
+
+TITLE = "The paper's figures, reproduced"
+PAPER = (
+    "Otis, Nguyen-Dang, Laliberté, Ouellet, Laurendeau and Gosselin: Cable Tension Control and "
+    "Analysis of Reel Transparency for 6-DOF Haptic Foot Platform on a Cable-Driven Locomotion "
+    "Interface (2009)."
+)
 
 
 def reproduce_paper(*, out: Path = Path("paper.html"), quick: Flag = False) -> None:
@@ -31,5 +49,45 @@ def reproduce_paper(*, out: Path = Path("paper.html"), quick: Flag = False) -> N
         style = "green" if figure.holds else "yellow"
         line = Text.assemble(f"Fig. {number:<3}", (f"{figure.verdict}  ", style), figure.measured)
         console.print(line, soft_wrap=True)
-    write_file(out, page.page(figures).encode())
+    write_file(out, page(figures).encode())
     output.show_next({"page": out})
+
+
+def page(figures: Sequence[PaperFigure]) -> str:
+    """The page as HTML."""
+    holding = sum(figure.holds for figure in figures)
+    headline = Status(
+        f"{holding} of {len(figures)} claims hold here.",
+        good=holding == len(figures) or None,
+        detail=(
+            "Each figure is computed on simulated reels and benches; the paper's own machine and "
+            "data are not available. A claim that does not hold is shown with the reason."
+        ),
+    )
+    rows = [
+        (
+            Link(f"Fig. {figure.number}", f"figure-{figure.number}"),
+            figure.claim,
+            Status(figure.verdict.removesuffix(" here"), figure.holds),
+        )
+        for figure in figures
+    ]
+    summary = Table(("Figure", "The paper's claim", "Here"), rows)
+    sections = tuple(map(_section, figures))
+    return render(Page(TITLE, headline, (Paragraph(PAPER, style="soft"), summary), sections))
+
+
+def _section(figure: PaperFigure) -> Section:
+    verdict = f"{figure.verdict.capitalize()}."
+    name = f"figure-{figure.number}"
+    return Section(
+        f"Fig. {figure.number}. {figure.title}",
+        (
+            Paragraph(figure.claim, style="quote"),
+            Status(verdict, figure.holds, figure.measured),
+            Drawing(figure.figure, name, figure.title),
+            Paragraph(f"**Rule.** {figure.rule}", style="soft"),
+            Paragraph(f"**Note.** {figure.caveat}", style="soft"),
+        ),
+        name,
+    )

@@ -19,6 +19,7 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
+from distributed.deploy.subprocess import SubprocessCluster
 from joblib import Parallel, delayed
 
 import estune
@@ -30,7 +31,6 @@ from estune.studies.sweep.outcome import CellOutcome, read_traces
 from estune.trial import Rig, TrialRequest
 from estune.tuners import DEFAULT_TUNER
 from experiments.results import Target, at_least, at_most, command_line, print_results
-from experiments.sweep_speed.cluster import cluster
 from experiments.sweep_speed.peer import PeerRig
 
 CORES = 2
@@ -143,8 +143,13 @@ def measure(extent: Extent) -> dict[str, float]:
     search = sum(int(outcome.trace[:, 0].sum()) for outcome in outcomes)
     trials = sum(len(outcome.trace) for outcome in outcomes)
     cells = expand_cells(read_design(design))[: extent.overhead_cells]
-    with cluster(workers=CORES) as dask:
-        dask_s = overhead_s(lambda some: executors.on_cluster(some, dask.address), cells)
+    with SubprocessCluster(
+        n_workers=CORES,
+        threads_per_worker=1,
+        worker_class="distributed.Worker",
+        dashboard_address=None,  # type: ignore[arg-type]  # no server, as its page says
+    ) as dask:
+        dask_s = overhead_s(lambda some: executors.on_cluster(some, dask.scheduler_address), cells)
     process_s = overhead_s(lambda some: executors.on_cores(some, CORES), cells)
     return figures | {
         "cells": float(len(outcomes)),

@@ -1,4 +1,4 @@
-"""A Dask cluster of separate processes on loopback, for the experiment and for tests."""
+"""A Dask cluster of separate processes on loopback, which a test can kill one by one."""
 
 import json
 import os
@@ -46,7 +46,7 @@ def cluster(workers: int) -> Iterator[Cluster]:
 
 
 def _start(kind: str, *arguments: str) -> subprocess.Popen[bytes]:
-    return subprocess.Popen(  # noqa: S603  Dask's own commands
+    return subprocess.Popen(
         [sys.executable, "-m", f"distributed.cli.dask_{kind}", *arguments],
         stderr=subprocess.DEVNULL,
         env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
