@@ -33,7 +33,7 @@ class Page(HTMLParser):
     def handle_starttag(self, tag, attributes):
         found = dict(attributes)
         self.addresses += [found[name] for name in ("src", "href", "action") if name in found]
-        if tag not in {"meta", "img", "link"}:
+        if tag not in {"meta", "img", "link", "source"}:
             self.open.append(tag)
 
     def handle_endtag(self, tag):

@@ -45,7 +45,7 @@ class Page(HTMLParser):
         values = dict(attributes)
         self.addresses += [values[name] for name in ("src", "href", "action") if name in values]
         self.ids |= {values["id"]} if "id" in values else set()
-        if tag not in {"meta", "img", "link"}:
+        if tag not in {"meta", "img", "link", "source"}:
             self.open.append(tag)
 
     def handle_endtag(self, tag):

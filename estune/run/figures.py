@@ -26,7 +26,7 @@ from estune.support.plot_style import (
     legend,
     new_axes,
 )
-from estune.support.quantity_text import with_unit
+from estune.support.quantity_text import axis_unit, with_unit
 from estune.trial import RigDescription, TrialRecord
 from estune.trial.profiles import StepProfile
 
@@ -97,15 +97,17 @@ def draw_response(
     band = 0.02 * abs(step.step_N)
     ax.axhspan(final - band, final + band, color=LIGHT, linewidth=0, label="±2 % of the step")
     first = before or after
+    per_s, unit = axis_unit(step.duration_s)
     if first is not None:
         ax.plot(
-            first.time_s - step.step_at_s, first.setpoint_N, "--", color=GREY, linewidth=0.9,
-            drawstyle="steps-post", label="setpoint",
+            (first.time_s - step.step_at_s) * per_s, first.setpoint_N, "--", color=GREY,
+            linewidth=0.9, drawstyle="steps-post", label="setpoint",
         )  # fmt: skip
     for record, look in _before_and_after(before, after):
-        ax.plot(record.time_s - step.step_at_s, record.tension_N, zorder=2, **look)
-    ax.set_xlim(-min(step.step_at_s, 0.1 * step.duration_s), step.duration_s - step.step_at_s)
-    finish(ax, ordinate, "time from the step, s")
+        ax.plot((record.time_s - step.step_at_s) * per_s, record.tension_N, zorder=2, **look)
+    early_s = min(step.step_at_s, 0.1 * step.duration_s)
+    ax.set_xlim(-early_s * per_s, (step.duration_s - step.step_at_s) * per_s)
+    finish(ax, ordinate, f"time from the step, {unit}")
     ax.legend(loc="best", fontsize=8, frameon=False, handlelength=1.8)
     return ax
 
@@ -118,15 +120,16 @@ def draw_command(
     after: TrialRecord | None,
 ) -> Axes:
     """The controller output before and after tuning, and its limits where they are near."""
+    per_s, unit = axis_unit(step.duration_s)
     for record, look in _before_and_after(before, after):
         effort = record.current_A * rig.newtons_per_ampere
-        ax.plot(record.time_s - step.step_at_s, effort, **look)
+        ax.plot((record.time_s - step.step_at_s) * per_s, effort, **look)
     low, high = ax.get_ylim()
     room = 0.5 * (high - low)
     for limit in (rig.controller.output_min_N, rig.controller.output_max_N):
         if low - room <= limit <= high + room:
             ax.axhline(limit, color=VERMILION, linewidth=1.0, linestyle=":", label="limit")
-    finish(ax, rig.command, "time from the step, s")
+    finish(ax, rig.command, f"time from the step, {unit}")
     return ax
 
 

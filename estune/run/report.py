@@ -31,12 +31,15 @@ from estune.support.html_page import (
     render,
 )
 from estune.support.plot_style import new_figure
+from estune.support.quantity_text import time_text, with_unit
 from estune.trial import TrialRecord
 
 _CSV_MAX = 400_000
 """Characters of a table that the page carries: three of them are 1.6 MB as base64, and a page is
 to stay below 1.5 MB. `estune export` writes all samples."""
 
+_FAR = 1e4
+"""Times the largest command up to which a limit is worth naming."""
 _SENSITIVITY = 1.6
 """Circle in the Nyquist figure, where the run has no limit of its own: the default limit."""
 
@@ -101,11 +104,21 @@ def _responses(result: TuneResult) -> Iterator[Block]:
         "response",
         f"{rig.measurement_name} and {rig.command_name} over time, before and after",
         f"{rig.measurement_name.capitalize()} and {rig.command_name} in the first trial with the "
-        f"initial gains{' and the last with the tuned ones' if after is not None else ''}. The "
-        f"{rig.command_name} is limited to {rig.controller.output_min_N:.4g} and "
-        f"{rig.controller.output_max_N:.4g} {rig.command_unit}.".replace(" .", "."),
+        f"initial gains{' and the last with the tuned ones' if after is not None else ''}."
+        f"{_limits(result, before)}",
         csv=_csv(_samples(shown, rig.newtons_per_ampere)),
     )
+
+
+def _limits(result: TuneResult, record: TrialRecord) -> str:
+    """Limits of the command in a sentence; empty where they are far from all that is commanded."""
+    rig = result.rig
+    low, high = rig.controller.output_min_N, rig.controller.output_max_N
+    used = float(np.abs(record.current_A).max(initial=0.0)) * rig.newtons_per_ampere
+    if max(abs(low), abs(high)) > _FAR * max(used, abs(result.plan.step.step_N)):
+        return ""
+    name = rig.command_name
+    return f" The {name} is limited to {low:.4g} to {with_unit(high, rig.command_unit, 4)}."
 
 
 def _samples(records: Mapping[str, TrialRecord], per_ampere: float) -> dict[str, Any]:
@@ -193,10 +206,10 @@ def _settings(result: TuneResult) -> dict[str, str]:
     penalty = f"control-move penalty {cost.move_weight:g}"
     rows = {
         "run": plan.run,
-        "step": f"{step.preload_N:g} to {step.preload_N + step.step_N:g} {unit} at "
-        f"{step.step_at_s:g} s of {step.duration_s:g} s",
-        "cost": f"(35), settling time {cost.settling_time_s:.4g} s, weight {cost.weight}, time in "
-        f"{'s' if cost.time_unit == 'second' else 'settling times'}, {penalty}",
+        "step": f"{step.preload_N:g} to {with_unit(step.preload_N + step.step_N, unit, 6)} at "
+        f"{time_text(step.step_at_s)} of {time_text(step.duration_s)}",
+        "cost": f"(35), settling time {time_text(cost.settling_time_s)}, weight {cost.weight}, "
+        f"time in {'s' if cost.time_unit == 'second' else 'settling times'}, {penalty}",
         "unsafe above": f"η = {result.session.eta_max:.3g}",
         "trials": f"{len(result.entries)} of at most {plan.max_trials}; {plan.repeats} repeats",
         "ends below": f"{plan.tolerance:.3g} remaining improvement",
@@ -204,7 +217,7 @@ def _settings(result: TuneResult) -> dict[str, str]:
         "rig": ", ".join(
             (
                 rig.name,
-                f"{rig.controller.sampling_Hz:g} Hz",
+                f"{rig.controller.sampling_Hz:.4g} Hz",
                 *((f"cable {rig.cable_length_m:g} m",) if rig.cable_length_m else ()),
                 "simulated" if rig.simulated else "hardware",
             )

@@ -1,7 +1,25 @@
 """Quantities as text: a value with its unit, a time in the unit that suits it."""
 
-_TIMES = ((1e-3, 1e6, "µs"), (1.0, 1e3, "ms"), (600.0, 1.0, "s"), (36e3, 1.0 / 60.0, "min"))
-"""Below each time in s: values per second, and the unit."""
+from typing import NamedTuple
+
+
+class TimeUnit(NamedTuple):
+    """A unit of time, for times below a limit in s.
+
+    Attributes:
+        below_s: The limit.
+        per_s: Values per second.
+        name: The unit.
+    """
+
+    below_s: float
+    per_s: float
+    name: str
+
+
+_HOURS = TimeUnit(float("inf"), 1.0 / 3600.0, "h")
+_AXES = (TimeUnit(600.0, 1.0, "s"), TimeUnit(36e3, 1.0 / 60.0, "min"), _HOURS)
+_TIMES = (TimeUnit(1e-3, 1e6, "µs"), TimeUnit(1.0, 1e3, "ms"), *_AXES)
 
 
 def with_unit(value: float, unit: str, digits: int) -> str:
@@ -11,7 +29,11 @@ def with_unit(value: float, unit: str, digits: int) -> str:
 
 def time_text(time_s: float) -> str:
     """A time with three digits in µs, ms, s, min or h."""
-    for below_s, per_s, unit in _TIMES:
-        if abs(time_s) < below_s:
-            return f"{time_s * per_s:.3g} {unit}"
-    return f"{time_s / 3600.0:.3g} h"
+    unit = next((unit for unit in _TIMES if abs(time_s) < unit.below_s), _HOURS)
+    return f"{time_s * unit.per_s:.3g} {unit.name}"
+
+
+def axis_unit(duration_s: float) -> tuple[float, str]:
+    """Values per second and name of the unit of an axis over this duration: s, min or h."""
+    unit = next((unit for unit in _AXES if duration_s < unit.below_s), _HOURS)
+    return unit.per_s, unit.name

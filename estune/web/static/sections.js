@@ -4,6 +4,7 @@ import { Chart, joined } from "./charts.js";
 
 const $ = (id) => document.getElementById(id);
 const GAINS = ["P", "I", "D", "setpoint filter, s"];
+const timeUnit = (s) => (s < 600 ? ["s", 1] : s < 36000 ? ["min", 60] : ["h", 3600]);
 const last = (rows) => rows[rows.length - 1];
 
 export class Sections {
@@ -65,7 +66,8 @@ export class Sections {
     const shown = [...curves.map(([name]) => v[name]), this.other, now].map((one) => one ?? {});
     const setpoint = now?.t?.length ? now : v["curve.start"] ?? {};
     const step = about.step_at_s ?? 0;
-    const shifted = (one) => one.t?.map((t) => t - step);
+    const [unit, unit_s] = timeUnit(last((v["curve.start"] ?? now ?? {}).t ?? [0]));
+    const shifted = (one) => one.t?.map((t) => (t - step) / unit_s);
     const series = [
       { label: "setpoint", colour: "grey", dash: [6, 4], width: 1 },
       { label: "initial gains", colour: "orange", dash: [8, 3] },
@@ -73,8 +75,8 @@ export class Sections {
       { label: "other run", colour: "purple", dash: [2, 3] },
       { label: v.live ? "live" : "latest trial", colour: "blue", width: 1.4 },
     ];
-    const x = "time from the step, s";
-    const labels = series.map((one) => one.label).join();
+    const x = `time from the step, ${unit}`;
+    const labels = [x, ...series.map((one) => one.label)].join();
     if (labels !== this.labels) { // a chart has the labels with which it was made
       this.labels = labels;
       for (const id of ["response", "command"]) this.remove(id);
