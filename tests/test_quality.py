@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import plants
 from estune.errors import InvalidInput
 from estune.trial import SATURATED, TrialRequest
 from plants import reference_reel
@@ -12,6 +13,7 @@ from plants.diagnosis.checks.quality import check
 from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.identify.excitation import Band, chirp, multisine
 from plants.identify.open_loop import open_loop_record
+from tests.support_measurements import open_loop
 
 RATE = 632.0
 REEL = reference_reel()
@@ -34,10 +36,10 @@ def closed_loop_record():
     )
 
 
-def findings(m, model=REEL):
+def findings(m, model=REEL, good=GOOD):
     """Issues of a measurement; a good one beside it must have none."""
-    accepted, issues = check([GOOD, m], model)
-    assert GOOD in accepted
+    accepted, issues = check([good, m], model)
+    assert good in accepted
     assert not [f for f in issues if f.source == "good"]
     assert (m in accepted) == (not any(f.level == "refused" for f in issues))
     return issues
@@ -71,6 +73,52 @@ def test_column_in_another_unit_is_refused_with_a_wrong_model(case, wrong_by):
     assert unit in finding.sentence
 
 
+STAGE = plants.stage(95.0, 200.0)
+
+
+def stage_record(**changed):
+    """A carriage driven to and fro."""
+    t = np.arange(3000) / 1000.0
+    force = 60.0 * np.sin(3.0 * t) + 20.0 * np.sin(11.0 * t)
+    states, x, v = [], 0.0, 0.0
+    for f in force:
+        states.append(x)
+        v += (f - 200.0 * v) / 95.0 / 1000.0
+        x += v / 1000.0
+    return replace(open_loop(1, 1000.0, force, angle_rad=np.array(states)), **changed)
+
+
+def test_stage_in_the_units_of_its_model_has_no_issues():
+    assert findings(stage_record(), STAGE, stage_record(source="good")) == ()
+
+
+@pytest.mark.parametrize(
+    ("change", "column", "told"),
+    [
+        (lambda m: {"angle_rad": 1e3 * m.angle_rad}, "angle_rad", "in thousandths, as mm"),
+        (
+            lambda m: {"time_s": 1e3 * m.time_s, "sampling_Hz": 1.0},
+            "time_s",
+            "seems to be in ms; give s",
+        ),
+        (lambda m: {"current_A": -m.current_A}, "current_A", "its sign seems to be reversed"),
+    ],
+)
+def test_record_in_another_unit_or_of_another_sign_is_refused(change, column, told):
+    m = stage_record()
+    found = findings(replace(m, **change(m)), STAGE, replace(m, source="good"))
+    (issue,) = [i for i in found if i.level == "refused"]
+    assert issue.column == column
+    assert told in issue.sentence
+
+
+def test_reel_whose_current_has_the_other_sign_is_refused():
+    m = closed_loop_record()
+    (issue,) = findings(replace(m, current_A=-m.current_A, rig=GOOD.rig))
+    assert (issue.level, issue.column) == ("refused", "current_A")
+    assert "reversed" in issue.sentence
+
+
 def test_closed_loop_current_in_mA_is_refused():
     m = closed_loop_record()
     (finding,) = findings(replace(m, rig=GOOD.rig, current_A=m.current_A * 1e3, flags=None))[:1]
@@ -81,6 +129,11 @@ def test_records_of_another_rig_are_refused():
     (finding,) = findings(replace(SWEPT, rig="another"))
     assert finding.level == "refused"
     assert "another" in finding.sentence
+
+
+def test_fast_multisine_moves():
+    fast = measure(multisine(RATE, Band(63.0, 284.0, periods=2), 6.0))
+    assert findings(fast) == ()
 
 
 def cut(m, samples, **changed):

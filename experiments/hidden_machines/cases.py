@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from experiments.hidden_machines import bases, batteries
 from experiments.hidden_machines.bases import Base
-from experiments.hidden_machines.effects import CATALOGUE, OUTSIDE, Hidden
+from experiments.hidden_machines.effects import CATALOGUE, FURTHER, OUTSIDE, Hidden
 from experiments.hidden_machines.records import Bench, Record, record
 
 Rng = np.random.Generator
@@ -137,7 +137,7 @@ def draw(
     names = _names(own, variant, effect)
     rng = np.random.default_rng([zlib.crc32(variant.encode()), seed, 0])
     believed = _believed(rng, variant, names)
-    hidden = tuple((CATALOGUE | OUTSIDE)[name](own, believed) for name in names)
+    hidden = tuple((CATALOGUE | FURTHER | OUTSIDE)[name](own, believed) for name in names)
     hidden = tuple(one for one in hidden if only in (None, one.name))
     if set(names) & set(AS_BELIEVED):
         actual = bases.as_believed(rng, believed)
@@ -173,7 +173,7 @@ def draw(
         there,
         {one.name: one.truth for one in hidden},
         bases.facts(actual),
-        named=all(one.name in CATALOGUE for one in hidden),
+        named=all(one.name not in OUTSIDE for one in hidden),
         accepted=accepted,
     )
     return case, secret

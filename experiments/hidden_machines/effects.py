@@ -340,7 +340,39 @@ CATALOGUE: dict[str, Draw] = {
         mains_interference,
     )
 }
-"""The effects that have a name in reports."""
+"""The effects that have a name in reports, of which cases are drawn."""
+
+
+def directional_friction(rng: Rng, base: Base) -> Hidden:
+    fast = {"reel": 0.06, "unloaded": 0.3, "stage": 0.25}[base.kind]
+    more = float(rng.choice([-1, 1])) * force(base) * rng.uniform(0.1, 0.5) / fast
+    truth = {"difference_Nms": more * base.radius_m**2}
+    return Hidden("directional_friction", {"drag_one_way": more}, truth=truth)
+
+
+def load_friction(rng: Rng, base: Base) -> Hidden:
+    share = _log(rng, 0.02, 0.1)
+    return Hidden(
+        "load_friction",
+        {"dry_load": share, "bristle": _reach(base) * rng.uniform(0.4, 1.0)},
+        truth={"load_share": share},
+    )
+
+
+def current_lag(rng: Rng, base: Base) -> Hidden:
+    """A lag, of which a small part is electronics that are late otherwise."""
+    lag, electronics = rng.uniform(1.0, 5.0) / base.rate_Hz, rng.uniform(0.02, 0.1)
+    return Hidden(
+        "current_lag",
+        {"lag": (1.0 - electronics) * lag, "chain": electronics * lag},
+        truth={"lag_s": lag},
+    )
+
+
+FURTHER: dict[str, Draw] = {
+    draw.__name__: draw for draw in (directional_friction, load_friction, current_lag)
+}
+"""Effects with a name that are hidden only where a case asks for them: seeds drawn before stay."""
 
 
 def quadratic_drag(rng: Rng, base: Base) -> Hidden:

@@ -1,6 +1,6 @@
 /* A cable machine whose cable end is fixed, in forces at the drum's rim and metres of cable travel.
  *
- *   M v' = f - c v - c2 v|v| - T arm(x) - dry - ripple + disturbance
+ *   M v' = f - c v - c1 max(v, 0) - c2 v|v| - T arm(x) - dry - ripple + disturbance
  *
  * All of it, with the drive's current loop, the bristles of dry friction, the slow branches of the
  * cable, the string, the frame and the gauge, is one set of differential equations, integrated by
@@ -12,12 +12,12 @@
 #include <string.h>
 
 #define PARAMETERS \
-  X(mass) X(drag) X(drag2) X(gain) X(push) X(lag) X(delay) \
+  X(mass) X(drag) X(drag2) X(drag_one_way) X(gain) X(push) X(lag) X(delay) \
   X(chain) X(stiffness) X(sag) X(stiffening) X(stiffening_at) X(stiffening_power) X(toe) X(toe_width) \
   X(slow1) X(slow1_s) X(slow2) X(slow2_s) \
   X(hold) X(inner) X(string_mass) X(string_length) X(string_damping) \
   X(frame_mass) X(frame_stiffness) X(frame_damping) X(frame_hardening) \
-  X(dry) X(dry_excess) X(dry_velocity) X(dry_bias) X(bristle) X(bristle_damping) \
+  X(dry) X(dry_load) X(dry_excess) X(dry_velocity) X(dry_bias) X(bristle) X(bristle_damping) \
   X(slip_force) X(slip_length) X(bend_force) X(bend_length) X(bend_power) X(rub_force) X(rub_at) X(rub_width) \
   X(ripple1) X(ripple2) X(ripple_wave) X(ripple_phase1) X(ripple_phase2) \
   X(radius) X(round1) X(round1_phase) X(round2) X(round2_phase) \
@@ -216,8 +216,11 @@ static void rates(const double *p, const Memory *m, const double *y, double comm
   }
   /* Motor and drum. */
   force -= p[drag] * v + p[drag2] * v * fabs(v);
-  if (p[dry] > 0) {
-    force -= dry_force(p[dry], p[dry_excess], p[dry_velocity], p[bristle], p[bristle_damping],
+  /* The change from one direction to the other takes a millimetre per second. */
+  if (p[drag_one_way] != 0)
+    force -= fabs(p[drag_one_way]) * v * 0.5 * (1 + sign(p[drag_one_way]) * tanh(v * 1e3));
+  if (p[dry] > 0 || p[dry_load] > 0) {
+    force -= dry_force(p[dry] + p[dry_load] * T + 1e-9, p[dry_excess], p[dry_velocity], p[bristle], p[bristle_damping],
                        p[mass], v, y[BRISTLE], &r[BRISTLE]) * (1 + p[dry_bias] * sign(v));
   }
   if (p[slip_force] > 0) force -= slid(p, m, x, 0);

@@ -17,6 +17,7 @@ from plants.diagnosis.checks.units import mistaken_units
 from plants.diagnosis.data.measured_record import OUTPUTS, ROUNDING, MeasuredRecord
 from plants.diagnosis.data.noise import FEWEST, upper_rms
 from plants.diagnosis.models.base import BaseNumbers
+from plants.effects.plant_scale import PlantScale
 
 MOVES = 3.0
 """A channel moves when its rms is so many times its noise."""
@@ -35,6 +36,9 @@ GAIN_ERROR_MAX = 0.2
 FOLLOWS = 0.2
 """Share of the current that the command must explain in an open loop; a limited or lagging
 actuator leaves that much."""
+COHERENT = 20.0
+"""Share of an output that the command explains, times the samples, from which on it moves, however
+fast: of 300 pairs of white noise 99 % stay below 13."""
 LAG_MAX_samples = 50
 """Samples by which the measured current may come after the command."""
 
@@ -53,9 +57,11 @@ def check(
         InvalidInput: none can be used; the message says why for each.
     """
     kept, issues = _of_one_rig(measurements)
+    rate_Hz = PlantScale.of(model).sampling_Hz
     usable = []
     for m in kept:
-        own = [replace(i, source=m.source or m.name) for i in _issues(m, BaseNumbers.of(model, m))]
+        numbers = BaseNumbers.of(model, m)
+        own = [replace(i, source=m.source or m.name) for i in _issues(m, numbers, rate_Hz)]
         issues += own
         if not any(issue.level == "refused" for issue in own):
             usable.append(m)
@@ -87,8 +93,8 @@ def _of_one_rig(
     return [m for m in measurements if m.rig in ("", rig)], issues
 
 
-def _issues(m: MeasuredRecord, b: BaseNumbers | None) -> Iterator[DataIssue]:
-    """All issues of one record, its source left out."""
+def _issues(m: MeasuredRecord, b: BaseNumbers | None, rate_Hz: float) -> Iterator[DataIssue]:
+    """All issues of one record, its source left out; the rate is the model's."""
     if m.samples < FEWEST:
         sentence = f"{m.samples} samples are too few; record {FEWEST} or more"
         yield DataIssue("refused", sentence)
@@ -104,7 +110,7 @@ def _issues(m: MeasuredRecord, b: BaseNumbers | None) -> Iterator[DataIssue]:
     yield from _too_short(m, b)
     yield from _mislabelled(m, b)
     yield from _at_limit(m, b)
-    yield from mistaken_units(m, b)
+    yield from mistaken_units(m, b, rate_Hz)
     if b.stiffness_N_m is None or m.angle_rad is None or m.tension_N is None:
         return
     yield from frozen_angle(m.angle_rad, m.tension_N, 1.0 / b.tension_per_angle_N_rad)
@@ -137,8 +143,13 @@ def _too_short(m: MeasuredRecord, b: BaseNumbers) -> Iterator[DataIssue]:
 def _unmoved(m: MeasuredRecord) -> Iterator[DataIssue]:
     """Neither the command nor the response moves beyond its noise."""
     commanded = [c for c in (m.setpoint_N, m.current_A) if c is not None]
-    still = not any(_moves(c) for c in commanded)
+    # A setpoint has no noise, but may be as fast as noise is.
+    still = m.setpoint_N is None or float(m.setpoint_N.std()) <= _rounding(m.setpoint_N)
+    still = still and not any(_moves(c) for c in commanded)
     moving = [name for name in m.outputs if _moves(np.asarray(m.channel(name)))]
+    if not (still or moving):
+        shares = {n: _follows(commanded[0], np.asarray(m.channel(n)))[0] for n in m.outputs}
+        moving = [name for name, share in shares.items() if share * m.samples > COHERENT]
     if still and not moving:
         yield DataIssue("refused", "nothing moves beyond its noise; excite the reel")
     elif still:
@@ -149,9 +160,11 @@ def _unmoved(m: MeasuredRecord) -> Iterator[DataIssue]:
 
 
 def _moves(column: FloatArray) -> bool:
-    spread = float(column.std())
-    rounding = 1e-9 * float(np.abs(column).max())
-    return spread > max(MOVES * upper_rms(column), rounding)
+    return float(column.std()) > max(MOVES * upper_rms(column), _rounding(column))
+
+
+def _rounding(column: FloatArray) -> float:
+    return 1e-9 * float(np.abs(column).max())
 
 
 def _static(m: MeasuredRecord) -> Iterator[DataIssue]:

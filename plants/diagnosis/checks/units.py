@@ -1,4 +1,4 @@
-"""Plausibility of the channels' sizes: columns that seem to be in another unit."""
+"""Plausibility of the channels' sizes and signs: columns that seem to be in another unit."""
 
 import math
 from collections.abc import Iterator
@@ -23,13 +23,17 @@ WIDTH = 0.01
 """Smoothing, as a share of the record."""
 
 
-def mistaken_units(m: MeasuredRecord, b: BaseNumbers) -> Iterator[DataIssue]:
-    """Columns that seem to be in another unit: refused where the unit is clear.
+def mistaken_units(m: MeasuredRecord, b: BaseNumbers, rate_Hz: float) -> Iterator[DataIssue]:
+    """Columns that seem to be in another unit, or of the other sign: refused where that is clear.
 
     A reel's tension follows the angle by k R and the command by about one; a drum's
     acceleration follows the command by R/J. Judged by factors of twenty and more.
     """
     if b.linear is not None:
+        return
+    if 1.0 / UNIT_FACTOR < m.sampling_Hz * THOUSAND / rate_Hz < UNIT_FACTOR:
+        said = f"its samples come at {m.sampling_Hz:.3g} Hz, the model's at {rate_Hz:.3g} Hz"
+        yield DataIssue("refused", f"{said}: it seems to be in ms; give s", "time_s")
         return
     effort = m.command_A(b.newtons_per_ampere) * b.newtons_per_ampere
     smoother = Smoother(max(WIDTH * m.duration_s, 1.0 / m.sampling_Hz), m.sampling_Hz)
@@ -45,7 +49,23 @@ def mistaken_units(m: MeasuredRecord, b: BaseNumbers) -> Iterator[DataIssue]:
         by_angle = _slope(torque, b.drum_radius_m * u)
     elif m.angle_rad is not None:
         by_angle = _slope(smoother.sampled(m.angle_rad, b.tension_per_angle_N_rad), u)
-    yield from _issues(m, by_angle, by_effort)
+    reversed_ = list(_reversed(m, by_angle, by_effort))
+    yield from reversed_ or _issues(m, by_angle, by_effort)
+
+
+def _reversed(
+    m: MeasuredRecord, by_angle: float | None, by_effort: float | None
+) -> Iterator[DataIssue]:
+    """The column whose sign contradicts the others."""
+    backward = [slope is not None and slope < 0.0 for slope in (by_angle, by_effort)]
+    if not any(backward):
+        return
+    column = "tension_N" if all(backward) else "angle_rad"
+    if by_effort is None or (backward[1] and not backward[0]):
+        open_loop = m.loop == "open" and m.setpoint_N is not None
+        column = "setpoint_N" if open_loop else "current_A"
+    said = "it moves the other way than the model says: its sign seems to be reversed"
+    yield DataIssue("refused", f"{said}; change the sign of {column} or of what it moves", column)
 
 
 def _issues(
@@ -61,7 +81,8 @@ def _issues(
         units = {THOUSAND: f"m{unit}", 1.0 / THOUSAND: f"k{unit}"}
         yield _issue(column, 1.0 / by_effort, "what the tension takes", units)
     elif by_angle is not None and _is_far(by_angle):
-        yield _issue("angle_rad", 1.0 / by_angle, "what the model turns", {DEGREE: "degrees"})
+        units = {DEGREE: "degrees", THOUSAND: "thousandths, as mm or mrad"}
+        yield _issue("angle_rad", 1.0 / by_angle, "what the model turns", units)
 
 
 def _issue(column: str, times: float, what: str, units: dict[float, str]) -> DataIssue:
@@ -69,7 +90,7 @@ def _issue(column: str, times: float, what: str, units: dict[float, str]) -> Dat
     sentence = f"its changes are {times:.3g} times {what}"
     if not near:
         return DataIssue("warning", f"{sentence}; check the unit and the model", column)
-    proper = column.rpartition("_")[2]
+    proper = "rad, or m of a stage" if column == "angle_rad" else column.rpartition("_")[2]
     sentence += f": it seems to be in {near[0]}; give {proper}"
     return DataIssue("refused", sentence, column)
 
@@ -79,7 +100,7 @@ def _is_far(ratio: float) -> bool:
 
 
 def _slope(x: FloatArray, y: FloatArray) -> float | None:
-    """Slope of y by x, or None where they have too little to do with each other."""
+    """Slope of y by x, either sign, or None where they have too little to do with each other."""
     known = np.isfinite(x) & np.isfinite(y)
     if known.sum() < 8:
         return None
@@ -87,4 +108,4 @@ def _slope(x: FloatArray, y: FloatArray) -> float | None:
     xx, yy, xy = float(x @ x), float(y @ y), float(x @ y)
     if not (xx > 0.0 and yy > 0.0 and xy**2 > R2_MIN * xx * yy):
         return None
-    return xy / xx if xy > 0.0 else None
+    return xy / xx
