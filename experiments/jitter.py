@@ -4,6 +4,7 @@ The loop holds the emulated reel at 632 Hz, first on an otherwise idle machine, 
 other core busy. Two times of each sample are counted from its instant: to its beginning, and to
 the current command, within which the guard acts. Then the rig is stopped by hand, and the program
 that supervises it is killed and frozen; the time until the hardware loses its current is measured.
+At last the reel is held through the drivers of the serial board and of the ODrive with a gauge.
 """
 
 import argparse
@@ -27,6 +28,7 @@ from estune.hardware.shared_memory import BIN_s, Timing
 from estune.trial import TrialRequest
 from experiments.results import Target, at_most, command_line, print_results
 from plants.emulator import RIG_FILE, EmulatedDriver
+from plants.emulator.devices import GAUGE, CanDevices
 from plants.emulator.driver import emulated_hardware
 
 SHARES = (0.5, 0.99, 0.999, 0.9999)
@@ -35,10 +37,42 @@ SAFE_WITHIN_ms = LEASE_ms + 100.0
 _GIVE_UP_s = 20.0
 
 
-def configuration(address: str) -> RigConfig:
+DEVICES = {
+    "packets": lambda address: {
+        "use": "plants.emulator:EmulatedDriver",
+        "settings": {"address": address},
+    },
+    "serial": lambda address: {
+        "use": "serial-board",
+        "settings": {"port": address, "answer_within_s": ANSWER_s},
+    },
+    "can": lambda address: {
+        "use": "odrive",
+        "settings": {
+            "interface": address,
+            "newton_metres_per_count": CanDevices.newton_metres_per_count,
+            "counts_per_turn": CanDevices.counts_per_turn,
+            "answer_within_s": ANSWER_s,
+            "write_within_s": 1.0,
+        },
+        "gauge": {
+            "use": "can-gauge",
+            "settings": {
+                "interface": address,
+                "identifier": GAUGE,
+                "answer_within_s": ANSWER_s,
+            },
+        },
+    },
+}
+"""Table [driver] of the emulated reel at an address, by the device that it is behind."""
+ANSWER_s = 0.1
+
+
+def configuration(address: str, device: str = "packets") -> RigConfig:
     """The emulated rig at an address; late samples are counted, but do not stop it."""
     tables = tomllib.loads(RIG_FILE.read_text(encoding="utf-8"))
-    tables["driver"]["settings"] = {"address": address}
+    tables["driver"] = DEVICES[device](address)
     tables["guard"] |= {"late_in_a_row": 1_000_000, "gap_s": 10.0}
     tables["safe"] |= {"state": "ramp", "ramp_s": 0.0}
     tables["step"] |= {"duration_s": 0.35}  # a trial only serves to hold the reel
@@ -87,6 +121,20 @@ def others_busy() -> Iterator[int]:
             process = stack.enter_context(subprocess.Popen(command))  # noqa: S603  ourselves
             stack.callback(process.kill)
         yield cores - 1
+
+
+def drivers(seconds: float) -> list[Condition]:
+    """Timing of the loop with each driver on an otherwise idle machine."""
+    found = []
+    for device in ("serial", "can"):
+        settings = {"electronics": {"watchdog_s": 1.0}, "device": device}
+        with (
+            emulated_hardware(settings) as address,
+            HardwareRig(configuration(address, device)) as rig,
+        ):
+            hold(rig)
+            found.append(Condition(device, observe(rig, seconds)))
+    return found
 
 
 def observe(rig: HardwareRig, seconds: float) -> Timing:
@@ -163,6 +211,7 @@ def measure(seconds: float, times: int) -> tuple[list[Condition], dict[str, Any]
             max(supervisor_lost_ms(address, driver, number) for _ in repeats)
             for number in (signal.SIGKILL, signal.SIGSTOP)
         )
+    conditions += drivers(seconds)
     figures: dict[str, Any] = {
         "seconds": seconds,
         "busy_cores": busy,

@@ -15,16 +15,29 @@ from estune.support.lazy_exports import lazy_exports
 
 if TYPE_CHECKING:
     from estune.hardware.config import RigConfig, read_config
-    from estune.hardware.driver import Driver, Reading
+    from estune.hardware.driver import Drive, Driver, Gauge, GaugeReading, Reading
     from estune.hardware.firmware import controller_source
     from estune.hardware.rig import HardwareRig
 
-__all__ = ["Driver", "HardwareRig", "Reading", "RigConfig", "controller_source", "read_config"]
+__all__ = [
+    "Drive",
+    "Driver",
+    "Gauge",
+    "GaugeReading",
+    "HardwareRig",
+    "Reading",
+    "RigConfig",
+    "controller_source",
+    "read_config",
+]
 
 __getattr__, __dir__ = lazy_exports(
     __name__,
     {
+        "Drive": "estune.hardware.driver",
         "Driver": "estune.hardware.driver",
+        "Gauge": "estune.hardware.driver",
+        "GaugeReading": "estune.hardware.driver",
         "HardwareRig": "estune.hardware.rig",
         "Reading": "estune.hardware.driver",
         "RigConfig": "estune.hardware.config",

@@ -168,10 +168,11 @@ class RigConfig(TomlTable):
         gauge, current = self.calibrations()
         description = self.describe()
         settings = description.controller
+        driver, driver_settings = self.driver.driver
         late_s = self.real_time.late_s or 0.1 / self.sampling_Hz
         return LoopPlan(
-            driver=self.driver.use,
-            driver_settings=self.driver.settings,
+            driver=driver,
+            driver_settings=driver_settings,
             sampling_Hz=self.sampling_Hz,
             capacity=self.capacity,
             gauge=gauge,

@@ -5,6 +5,8 @@ is called by one thread. It knows no newtons, gains or limits: calibrations C1 a
 controller and the guard stand between it and a trial.
 """
 
+import inspect
+from collections.abc import Mapping
 from typing import Any, NamedTuple, Protocol, Self
 
 from estune.errors import InvalidInput
@@ -13,11 +15,6 @@ from estune.support.plugins import plugins
 
 ENTRY_POINTS = "estune.drivers"
 """Entry point group by which an installed package offers drivers by name."""
-
-_METHODS = (
-    *("enable", "read", "write", "disable", "safe_state", "close"),
-    *("__enter__", "__exit__"),
-)
 
 
 class Reading(NamedTuple):
@@ -34,6 +31,61 @@ class Reading(NamedTuple):
     time_s: float
     gauge_counts: float
     encoder_counts: int
+
+
+class GaugeReading(NamedTuple):
+    """A gauge's counts, NaN where they are not valid, and their time as of `Reading`."""
+
+    time_s: float
+    counts: float
+
+
+class Gauge(Protocol):
+    """A strain gauge beside a drive; a rig's file pairs the two."""
+
+    def request(self) -> None:
+        """Asks for a reading, where the gauge has to be asked; returns at once."""
+        ...
+
+    def read(self) -> GaugeReading:
+        """The reading that was asked for, or the newest; raises where there is none in time."""
+        ...
+
+    def close(self) -> None:
+        """Closes the gauge. May be called again."""
+        ...
+
+
+class Drive(Protocol):
+    """Amplifier and encoder without a gauge; its methods are those of `Driver` but for reading."""
+
+    def enable(self) -> None:
+        """As of `Driver`."""
+        ...
+
+    def request(self) -> None:
+        """Asks for the encoder; returns at once."""
+        ...
+
+    def position(self) -> int:
+        """The encoder's counts, unwrapped; raises where they do not come in time."""
+        ...
+
+    def write(self, current_counts: int) -> None:
+        """As of `Driver`."""
+        ...
+
+    def disable(self) -> None:
+        """As of `Driver`."""
+        ...
+
+    def safe_state(self) -> None:
+        """As of `Driver`."""
+        ...
+
+    def close(self) -> None:
+        """As of `Driver`."""
+        ...
 
 
 class Driver(Protocol):
@@ -76,15 +128,22 @@ class Driver(Protocol):
         ...
 
 
-def load_driver(use: str, settings: dict[str, Any]) -> Driver:
-    """The driver that a rig's file names, called with its settings.
+def load_driver(use: str, settings: Mapping[str, Any]) -> Driver:
+    """The driver that a rig's file names, called with its settings; see `load_part`."""
+    driver: Driver = load_part(use, settings, Driver)
+    return driver
+
+
+def load_part(use: str, settings: Mapping[str, Any], kind: type[Any]) -> Any:
+    """A driver, drive or gauge that a rig's file names, called with its settings.
 
     Args:
         use: Its name in the entry point group `estune.drivers`, or `module:attribute`.
         settings: Keyword arguments.
+        kind: `Driver`, `Drive` or `Gauge`.
 
     Raises:
-        InvalidInput: there is no such driver, or it does not take the settings.
+        InvalidInput: there is none, it does not take the settings, or it is of another kind.
         RigError: it cannot reach its hardware.
     """
     if ":" in use:
@@ -98,8 +157,11 @@ def load_driver(use: str, settings: dict[str, Any]) -> Driver:
                 "name an installed one, or give module:attribute"
             )
         reference = offered[use].value
-    driver: Driver = load(reference, settings)
-    missing = [name for name in _METHODS if not hasattr(driver, name)]
+    part = load(reference, settings)
+    methods = [name for name, value in vars(kind).items() if inspect.isfunction(value)]
+    missing = [name for name in methods if name != "__init__" and not hasattr(part, name)]
     if missing:
-        raise InvalidInput(f"{reference} is no driver: it has no {', '.join(missing)}")
-    return driver
+        getattr(part, "close", lambda: None)()
+        what = kind.__name__.lower()
+        raise InvalidInput(f"{reference} is no {what}: it has no {', '.join(missing)}")
+    return part

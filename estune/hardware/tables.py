@@ -13,11 +13,29 @@ Range = tuple[float, float]
 _Any = TypeVar("_Any")
 
 
-class DriverTable(TomlTable):
-    """Driver: its name among the installed ones, or module:attribute, and its settings."""
+class PartTable(TomlTable):
+    """A part: its name among the installed ones, or module:attribute, and its settings."""
 
     use: str
     settings: dict[str, Any] = Field(default={})
+
+
+class DriverTable(PartTable):
+    """Driver of the whole reel; or the drive, with a gauge beside it."""
+
+    gauge: PartTable | None = None
+
+    @property
+    def driver(self) -> tuple[str, dict[str, Any]]:
+        """The driver to load and its keyword arguments."""
+        if self.gauge is None:
+            return self.use, self.settings
+        return "estune.hardware.drivers.paired:PairedDriver", {
+            "drive": self.use,
+            "drive_settings": self.settings,
+            "gauge": self.gauge.use,
+            "gauge_settings": self.gauge.settings,
+        }
 
 
 class _CalibrationTable(TomlTable):

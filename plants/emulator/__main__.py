@@ -1,8 +1,9 @@
 """The emulated hardware as a process: `python -m plants.emulator ADDRESS [SETTINGS]`.
 
 ADDRESS is the path of the socket it makes; SETTINGS is JSON with `reel`, settings of the reference
-reel, `electronics` (see `plants.emulator.board.Electronics`) and `seed`. It prints the address
-when it listens, and ends when its standard input is closed.
+reel, `electronics` (see `plants.emulator.board.Electronics`) and `seed`; with `device`, `serial`
+or `can`, it is behind a real device's protocol (see `plants.emulator.devices`). It prints the
+address at which a driver reaches it, and ends when its standard input is closed.
 """
 
 import contextlib
@@ -19,6 +20,7 @@ from typing import Any
 from estune.errors import EstuneError, InvalidInput
 from plants.emulator import wire
 from plants.emulator.board import Board, Electronics
+from plants.emulator.devices import DEVICES, Device
 from plants.models.reel import reference_reel
 
 _PRIORITY = 60
@@ -32,7 +34,7 @@ def make_board(settings: dict[str, Any]) -> Board:
     Raises:
         InvalidInput: a setting is unknown or out of its range.
     """
-    unknown = set(settings) - {"reel", "electronics", "seed"}
+    unknown = set(settings) - {"reel", "electronics", "seed", "device"}
     if unknown:
         raise InvalidInput(f"the emulated hardware has no setting {', '.join(sorted(unknown))}")
     given: dict[str, Any] = {
@@ -47,17 +49,21 @@ def make_board(settings: dict[str, Any]) -> Board:
     return Board(reel, electronics, settings.get("seed", 0), time.monotonic())
 
 
-def serve(board: Board, listener: socket.socket) -> None:
+def serve(board: Board, listener: socket.socket, device: Device | None = None) -> None:
     """Answers until standard input is closed."""
     poll = select.poll()
     poll.register(listener, select.POLLIN)
     poll.register(sys.stdin, select.POLLIN)
     clients: dict[int, socket.socket] = {}
+    of_device: set[int] = set()
     while True:
+        of_device = _registered(poll, of_device, set(device.readable) if device else set())
         events = poll.poll(_IDLE_ms)
         board.advance(time.monotonic())
         for file, _ in events:
-            if file == listener.fileno():
+            if device and file in of_device:
+                device.take(file, time.monotonic())
+            elif file == listener.fileno():
                 client, _ = listener.accept()
                 clients[client.fileno()] = client
                 poll.register(client, select.POLLIN)
@@ -67,6 +73,17 @@ def serve(board: Board, listener: socket.socket) -> None:
             elif not _answer(board, clients[file]):
                 poll.unregister(file)
                 clients.pop(file).close()
+        if device:
+            device.tick(time.monotonic())
+
+
+def _registered(poll: select.poll, known: set[int], files: set[int]) -> set[int]:
+    """The files, registered in place of those known before."""
+    for file in files - known:
+        poll.register(file, select.POLLIN)
+    for file in known - files:
+        poll.unregister(file)
+    return files
 
 
 def _answer(board: Board, client: socket.socket) -> bool:
@@ -93,18 +110,20 @@ def _answer(board: Board, client: socket.socket) -> bool:
 def main(address: str, settings: str = "{}") -> int:
     """Makes the hardware and serves it; returns the exit code."""
     try:
-        board = make_board(json.loads(settings))
+        given = json.loads(settings)
+        board = make_board(given)
     except EstuneError as error:
         print(f"emulator: {error}", file=sys.stderr)
         return error.exit_code
     with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as listener:
         listener.bind(address)
         listener.listen()
-        print(address, flush=True)
+        device = DEVICES[given["device"]](board, address) if "device" in given else None
+        print(device.address if device else address, flush=True)
         with contextlib.suppress(OSError):  # optional: hardware in real time
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_PRIORITY))
         gc.freeze()
-        serve(board, listener)
+        serve(board, listener, device)
     Path(address).unlink(missing_ok=True)
     return 0
 

@@ -105,7 +105,8 @@ def emulated_hardware(settings: Mapping[str, Any]) -> Iterator[str]:
     """Emulated hardware in a process of its own, for the duration of the block; its address.
 
     Args:
-        settings: `reel`, `electronics` and `seed`, as of `EmulatedDriver`.
+        settings: `reel`, `electronics` and `seed`, as of `EmulatedDriver`, and `device`, as of
+            `plants.emulator.devices`.
 
     Raises:
         RigError: it does not start.
@@ -122,10 +123,10 @@ def emulated_hardware(settings: Mapping[str, Any]) -> Iterator[str]:
         )
         try:
             assert process.stdout and process.stderr  # noqa: S101, PT018  asked for above
-            if not process.stdout.readline():
+            if not (reached := process.stdout.readline().strip()):
                 errors = process.stderr.read().strip().splitlines() or ["no message"]
                 raise RigError(f"the emulated hardware does not start: {errors[-1]}")
-            yield address
+            yield reached
         finally:
             for stream in (process.stdin, process.stdout, process.stderr):
                 if stream:

@@ -1,0 +1,1 @@
+"""Drivers of hardware that people own: a serial board, an ODrive by CAN, gauges beside a drive."""

@@ -1,0 +1,110 @@
+"""Classical CAN frames on a Linux CAN interface, without a library: they are 16 bytes."""
+
+import select
+import socket
+import struct
+import time
+from typing import NamedTuple
+
+from estune.errors import RigError
+
+FRAME = struct.Struct("<IB3x8s")
+"""`struct can_frame` of linux/can.h: identifier with flags, length, eight bytes."""
+REMOTE, EXTENDED, ERROR = 0x40000000, 0x80000000, 0x20000000
+_FILTER = struct.Struct("<II")
+
+
+class Frame(NamedTuple):
+    """One frame; `remote` is a request for the frame of the same identifier."""
+
+    identifier: int
+    data: bytes = b""
+    remote: bool = False
+
+    def pack(self) -> bytes:
+        """As the kernel takes it."""
+        flags = (REMOTE if self.remote else 0) | (EXTENDED if self.identifier > 0x7FF else 0)
+        return FRAME.pack(self.identifier | flags, len(self.data), self.data)
+
+    @classmethod
+    def unpack(cls, packet: bytes) -> "Frame":
+        """As the kernel gives it."""
+        identifier, length, data = FRAME.unpack(packet)
+        return cls(identifier & 0x1FFFFFFF, data[:length], bool(identifier & REMOTE))
+
+
+class CanSocket:
+    """Frames of one device on a bus.
+
+    Args:
+        interface: The interface, such as can0; or the path of a local socket that carries the same
+            frames, as the emulated hardware offers.
+        first: The lowest identifier that is received.
+        last: The highest; both must agree in all but their low bits.
+
+    Raises:
+        RigError: there is no such interface, or it is not up.
+    """
+
+    def __init__(self, interface: str, first: int, last: int) -> None:
+        local = interface.startswith("/")
+        try:
+            if local:
+                self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+                self._socket.connect(interface)
+            else:
+                self._socket = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
+                mask = 0x7FF & ~(first ^ last)
+                accepted = _FILTER.pack(first & mask, mask | EXTENDED)
+                self._socket.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, accepted)
+                self._socket.bind((interface,))
+        except OSError as error:
+            if hasattr(self, "_socket"):
+                self._socket.close()
+            raise RigError(
+                f"no CAN interface {interface}: {error.strerror}; bring it up with: "
+                f"ip link set {interface} up type can bitrate 1000000"
+            ) from error
+        self._range = range(first, last + 1)
+        self._socket.settimeout(0.0)
+        self._poll = select.poll()
+        self._poll.register(self._socket, select.POLLIN)
+
+    def send(self, frame: Frame) -> None:
+        """Sends a frame.
+
+        Raises:
+            RigError: the interface's queue is full: nobody acknowledges on the bus.
+        """
+        try:
+            self._socket.send(frame.pack())
+        except (BlockingIOError, OSError) as error:
+            raise RigError(
+                f"the CAN interface takes no frame ({error}); check the bus, its rate and its "
+                "termination"
+            ) from error
+
+    def waiting(self) -> list[Frame]:
+        """The frames that have arrived."""
+        found = []
+        while self._poll.poll(0):
+            packet = self._socket.recv(FRAME.size)
+            if not packet:
+                raise RigError("the CAN interface is gone; check the adapter")
+            frame = Frame.unpack(packet)
+            if frame.identifier in self._range and not frame.remote:
+                found.append(frame)
+        return found
+
+    def until(self, instant_s: float) -> list[Frame]:
+        """The frames that arrive next, waiting until an instant of `time.monotonic`."""
+        while not (found := self.waiting()):
+            left_ms = 1e3 * (instant_s - time.monotonic())
+            if left_ms <= 0.0:
+                return []
+            self._poll.poll(int(left_ms))  # whole milliseconds; the rest of the last is watched
+        return found
+
+    def close(self) -> None:
+        """Closes the socket. May be called again."""
+        self._socket.close()

@@ -1,0 +1,81 @@
+"""A strain gauge's converter on a CAN bus."""
+
+import math
+import struct
+import time
+
+from estune.errors import InvalidInput
+from estune.hardware.driver import GaugeReading
+from estune.hardware.drivers.can_bus import CanSocket, Frame
+
+
+class CanGauge:
+    """A gauge for `estune.hardware.drivers.paired`; implements `estune.hardware.Gauge`.
+
+    Args:
+        interface: The CAN interface, such as can0.
+        identifier: Identifier of the frame with the counts.
+        layout: Its data in the notation of Python's `struct`, the counts first.
+        requested: Whether the gauge answers remote requests; else it sends by itself.
+        answer_within_s: Time within which a requested frame must have come; of a gauge that sends
+            by itself, the greatest age of its last frame.
+        overload: Counts that stand for an overload, or None.
+
+    Raises:
+        RigError: there is no such interface.
+        InvalidInput: the layout or the identifier cannot be used.
+    """
+
+    def __init__(
+        self,
+        interface: str,
+        identifier: int,
+        *,
+        layout: str = "<i",
+        requested: bool = True,
+        answer_within_s: float = 0.003,
+        overload: int | None = None,
+    ) -> None:
+        try:
+            self._layout = struct.Struct(layout)
+        except struct.error as error:
+            raise InvalidInput(f"layout {layout!r}: {error}; write it as for struct") from error
+        if not 0 <= identifier <= 0x7FF:
+            raise InvalidInput(f"identifier is {identifier:#x}; it must be from 0 to 0x7ff")
+        self._identifier, self._requested = identifier, requested
+        self._within_s, self._overload = answer_within_s, overload
+        self._last: GaugeReading | None = None
+        self._bus = CanSocket(interface, identifier, identifier)
+
+    def request(self) -> None:
+        """Asks for a reading, where the gauge has to be asked."""
+        if self._requested:
+            self._take(self._bus.waiting())
+            self._last = None
+            self._bus.send(Frame(self._identifier, remote=True))
+
+    def read(self) -> GaugeReading:
+        """The newest reading, stamped at its arrival.
+
+        Raises:
+            TimeoutError: it does not come, or is too old.
+        """
+        self._take(self._bus.waiting())
+        deadline_s = time.monotonic() + self._within_s
+        while self._last is None or self._last.time_s < time.monotonic() - self._within_s:
+            frames = self._bus.until(deadline_s)
+            if not frames:
+                raise TimeoutError(f"no frame of the gauge within {self._within_s:g} s")
+            self._take(frames)
+        return self._last
+
+    def close(self) -> None:
+        """Closes the interface. May be called again."""
+        self._bus.close()
+
+    def _take(self, frames: list[Frame]) -> None:
+        for frame in frames:
+            if len(frame.data) >= self._layout.size:
+                counts = self._layout.unpack_from(frame.data)[0]
+                valid = counts != self._overload
+                self._last = GaugeReading(time.monotonic(), float(counts) if valid else math.nan)

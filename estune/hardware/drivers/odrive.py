@@ -1,0 +1,152 @@
+"""An ODrive by CAN Simple (firmware 0.5.2 to 0.6), torque control; it measures no tension.
+
+Its default bus rate of 250 kbit/s is too slow for 632 Hz with a gauge on the bus (380 bits a
+sample at worst, 96 % of the period): set `odrv.can.config.baud_rate` to 1000000.
+"""
+
+import struct
+import time
+from typing import NamedTuple
+
+from estune.core.quantities import check_positive
+from estune.errors import InvalidInput, RigError
+from estune.hardware.drivers.can_bus import CanSocket, Frame
+
+HEARTBEAT, ESTOP, SET_STATE, ENCODER = 0x01, 0x02, 0x07, 0x09
+SET_MODE, INPUT_TORQUE, CLEAR_ERRORS = 0x0B, 0x0E, 0x18
+"""Commands of CAN Simple, as in docs/can-protocol.rst of the firmware."""
+
+IDLE, CLOSED_LOOP = 1, 8
+TORQUE_CONTROL, PASSTHROUGH = 1, 1
+
+_MODE, _STATE, _TORQUE = struct.Struct("<II"), struct.Struct("<I"), struct.Struct("<f")
+_ENCODER, _HEARTBEAT = struct.Struct("<ff"), struct.Struct("<IB")
+
+SWITCHED_WITHIN_s = 1.0
+
+
+class Heartbeat(NamedTuple):
+    """Errors and state of the axis."""
+
+    errors: int
+    state: int
+
+
+class ODrive:
+    """A drive for `estune.hardware.drivers.paired`; implements `estune.hardware.Drive`.
+
+    Args:
+        interface: The CAN interface, such as can0.
+        node: The axis's node id.
+        newton_metres_per_count: Torque of one count of the current's calibration C1.
+        counts_per_turn: Encoder counts per turn in the rig's file; a float32 of turns is finer.
+        answer_within_s: Time within which the encoder's frame must have come.
+        write_within_s: Longest time between two commands while enabled. The firmware's watchdog is
+            fed by any frame, reading included, so that it cannot see a dead controller.
+
+    Raises:
+        RigError: there is no such interface.
+        InvalidInput: a value is out of its range.
+    """
+
+    def __init__(
+        self,
+        interface: str,
+        node: int = 0,
+        *,
+        newton_metres_per_count: float,
+        counts_per_turn: int,
+        answer_within_s: float = 0.003,
+        write_within_s: float = 0.02,
+    ) -> None:
+        check_positive("newton_metres_per_count", newton_metres_per_count, "N m")
+        if not 0 <= node <= 0x3F:
+            raise InvalidInput(f"node is {node}; it must be from 0 to 63")
+        self._node = node << 5
+        self._torque_Nm, self._counts = newton_metres_per_count, counts_per_turn
+        self._answer_s, self._write_s = answer_within_s, write_within_s
+        self._enabled = False
+        self._written_s = 0.0
+        self._turns: float | None = None
+        self._heartbeat = Heartbeat(0, IDLE)
+        self._bus = CanSocket(interface, self._node, self._node | 0x1F)
+
+    def enable(self) -> None:
+        """Clears errors, selects torque control and closes the loop of the current.
+
+        Raises:
+            RigError: the axis does not enter closed loop; the message has its error bits.
+        """
+        self._send(CLEAR_ERRORS)
+        self._send(SET_MODE, _MODE.pack(TORQUE_CONTROL, PASSTHROUGH))
+        self.write(0)
+        self._send(SET_STATE, _STATE.pack(CLOSED_LOOP))
+        self._heartbeat = Heartbeat(0, IDLE)
+        deadline_s = time.monotonic() + SWITCHED_WITHIN_s
+        while self._heartbeat.state != CLOSED_LOOP:
+            if time.monotonic() > deadline_s:
+                raise RigError(
+                    f"the ODrive does not enter closed loop ({self._said()}); check its "
+                    "calibration and supply, and the bus rate"
+                )
+            self._take(self._bus.until(deadline_s))
+        self._written_s = time.monotonic()
+        self._enabled = True
+
+    def request(self) -> None:
+        """Asks for the encoder."""
+        self._turns = None
+        self._bus.send(Frame(self._node | ENCODER, remote=True))
+
+    def position(self) -> int:
+        """The encoder's counts, after a request.
+
+        Raises:
+            TimeoutError: they do not come.
+            RigError: the axis has left closed loop, or the controller has stopped writing.
+        """
+        deadline_s = time.monotonic() + self._answer_s
+        while self._turns is None:
+            frames = self._bus.until(deadline_s)
+            if not frames:
+                raise TimeoutError(f"no encoder frame of the ODrive within {self._answer_s:g} s")
+            self._take(frames)
+        if self._enabled and self._heartbeat != Heartbeat(0, CLOSED_LOOP):
+            raise RigError(f"the ODrive has left closed loop ({self._said()}); check the drive")
+        if self._enabled and time.monotonic() - self._written_s > self._write_s:
+            raise RigError(f"no torque was commanded for more than {self._write_s:g} s")
+        return round(self._turns * self._counts)
+
+    def write(self, current_counts: int) -> None:
+        """Commands a torque."""
+        self._send(INPUT_TORQUE, _TORQUE.pack(current_counts * self._torque_Nm))
+        self._written_s = time.monotonic()
+
+    def disable(self) -> None:
+        """Takes the torque away and lets the axis idle."""
+        self._enabled = False
+        self.write(0)
+        self._send(SET_STATE, _STATE.pack(IDLE))
+
+    def safe_state(self) -> None:
+        """The drive's emergency stop: it disarms, with an error that `enable` clears."""
+        self._enabled = False
+        self._send(ESTOP)
+
+    def close(self) -> None:
+        """Closes the interface. May be called again."""
+        self._bus.close()
+
+    def _send(self, command: int, data: bytes = b"") -> None:
+        self._bus.send(Frame(self._node | command, data))
+
+    def _take(self, frames: list[Frame]) -> None:
+        for frame in frames:
+            command = frame.identifier & 0x1F
+            if command == ENCODER and len(frame.data) == _ENCODER.size:
+                self._turns = _ENCODER.unpack(frame.data)[0]
+            elif command == HEARTBEAT and len(frame.data) >= _HEARTBEAT.size:
+                self._heartbeat = Heartbeat(*_HEARTBEAT.unpack_from(frame.data))
+
+    def _said(self) -> str:
+        return f"state {self._heartbeat.state}, errors {self._heartbeat.errors:#x}"

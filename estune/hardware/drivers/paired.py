@@ -1,0 +1,65 @@
+"""A drive and a gauge as one driver: no drive measures tension."""
+
+from collections.abc import Mapping
+from contextlib import ExitStack
+from typing import Any, Self
+
+from estune.hardware.driver import Drive, Gauge, Reading, load_part
+
+
+class PairedDriver:
+    """A drive with a gauge beside it; implements `estune.hardware.Driver`.
+
+    A reading has the gauge's time: the loop closes on the tension.
+
+    Args:
+        drive: Name of the drive, or module:attribute.
+        gauge: Name of the gauge, or module:attribute.
+        drive_settings: Keyword arguments of the drive.
+        gauge_settings: Keyword arguments of the gauge.
+
+    Raises:
+        InvalidInput: there is no such part, or it does not take the settings.
+        RigError: a part cannot be reached.
+    """
+
+    def __init__(
+        self,
+        drive: str,
+        gauge: str,
+        drive_settings: Mapping[str, Any],
+        gauge_settings: Mapping[str, Any],
+    ) -> None:
+        self._stack = ExitStack()
+        try:
+            self._drive: Drive = load_part(drive, drive_settings, Drive)
+            self._stack.callback(self._drive.close)
+            self._gauge: Gauge = load_part(gauge, gauge_settings, Gauge)
+            self._stack.callback(self._gauge.close)
+        except BaseException:
+            self._stack.close()
+            raise
+        self.enable = self._drive.enable
+        self.write = self._drive.write
+        self.disable = self._drive.disable
+        self.safe_state = self._drive.safe_state
+
+    def read(self) -> Reading:
+        """Reads both, one request on the way while the other is answered."""
+        self._gauge.request()
+        self._drive.request()
+        time_s, counts = self._gauge.read()
+        return Reading(time_s, counts, self._drive.position())
+
+    def close(self) -> None:
+        """Closes both. May be called again."""
+        self._stack.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        try:
+            self.disable()
+        finally:
+            self.close()

@@ -1,0 +1,207 @@
+"""A reel, or a gauge alone, behind a microcontroller on a serial port; see docs/hardware.md.
+
+Every packet ends with a checksum and carries a sequence number, so that a damaged, stale or
+doubled answer is never taken for a reading; the board stamps its readings itself.
+"""
+
+import binascii
+import math
+import struct
+import time
+from typing import NamedTuple, Self
+
+from estune.errors import RigError
+from estune.hardware.driver import GaugeReading, Reading
+from estune.hardware.drivers.board_clock import BoardClock, unwrapped
+from estune.hardware.drivers.serial_port import SerialPort
+
+REQUEST = struct.Struct("<BcHi")
+"""Begin, verb, sequence number, current command in counts."""
+ANSWER = struct.Struct("<BBHHIii")
+"""Begin, status, sequence number of the request, of the last command accepted, time in us, gauge,
+encoder."""
+CHECKSUM = struct.Struct("<H")
+"""CRC-16 with polynomial 0x1021 from 0xFFFF, of everything before it."""
+REQUEST_BEGINS, ANSWER_BEGINS = 0xA5, 0x5A
+
+READ, WRITE, ENABLE, DISABLE, SAFE = b"r", b"w", b"e", b"d", b"s"
+
+POWERED, OVERLOAD, WATCHDOG = 1, 2, 4
+"""Bits of the status: the amplifier has power; the gauge's reading is not valid; the board's
+watchdog has cut the current."""
+
+ATTEMPTS = 3
+"""Requests of one reading within its time; reading has no effect, so it may be repeated."""
+LOST_MAX = 2
+"""Commands in a row that may be lost before motion ends."""
+POWERED_WITHIN_s = 1.0
+
+
+class Answer(NamedTuple):
+    """One answer of the board, without its first byte."""
+
+    status: int
+    sequence: int
+    accepted: int
+    time_us: int
+    gauge: int
+    encoder: int
+
+
+def sealed(packet: bytes) -> bytes:
+    """A packet with its checksum."""
+    return packet + CHECKSUM.pack(binascii.crc_hqx(packet, 0xFFFF))
+
+
+class AnswerStream:
+    """Answers in a stream of bytes, in which some may be missing, doubled or damaged.
+
+    Attributes:
+        damaged: Bytes that belonged to no valid answer.
+    """
+
+    def __init__(self) -> None:
+        self._bytes = b""
+        self.damaged = 0
+
+    def feed(self, data: bytes) -> list[Answer]:
+        """The valid answers that these bytes complete."""
+        self._bytes += data
+        found, size = [], ANSWER.size + CHECKSUM.size
+        while len(self._bytes) >= size:
+            packet = self._bytes[: ANSWER.size]
+            if packet[0] == ANSWER_BEGINS and sealed(packet) == self._bytes[:size]:
+                found.append(Answer(*ANSWER.unpack(packet)[1:]))
+                self._bytes = self._bytes[size:]
+            else:
+                self._bytes = self._bytes[1:]
+                self.damaged += 1
+        return found
+
+
+class SerialBoard:
+    """Drives a reel behind a board; implements `estune.hardware.Driver`.
+
+    Args:
+        port: The device, such as /dev/ttyACM0.
+        baud: Rate of the line; boards with USB of their own ignore it. A sample takes 400 bits.
+        answer_within_s: Time within which a reading must have come, repeated requests included.
+
+    Raises:
+        RigError: there is no port, or no board that answers at it.
+    """
+
+    def __init__(self, port: str, baud: int = 921600, answer_within_s: float = 0.003) -> None:
+        self._wait_s = answer_within_s / ATTEMPTS
+        self._stream = AnswerStream()
+        self._clock = BoardClock()
+        self._sequence = self._written = self._encoder = self._lost = 0
+        self._enabled = False
+        self._port = SerialPort(port, baud)
+        try:
+            self._written = self._exchange().accepted
+        except TimeoutError as error:
+            self._port.close()
+            raise RigError(
+                f"no board answers at {port}; check its program and the rate"
+            ) from error
+
+    @property
+    def damaged(self) -> int:
+        """Bytes received so far that belonged to no valid answer."""
+        return self._stream.damaged
+
+    def enable(self) -> None:
+        """Gives the amplifier power, and waits until the board says so."""
+        deadline_s = time.monotonic() + POWERED_WITHIN_s
+        self._say(ENABLE)
+        while not self._exchange().status & POWERED:
+            if time.monotonic() > deadline_s:
+                raise RigError("the board does not switch the amplifier on; check its supply")
+        self._enabled = True
+
+    def read(self) -> Reading:
+        """Reads gauge and encoder."""
+        answer = self._exchange()
+        if self._enabled and not answer.status & POWERED:
+            cause = "watchdog" if answer.status & WATCHDOG else "own protection"
+            raise RigError(f"the board's {cause} has cut the amplifier's power; check the board")
+        self._lost = 0 if answer.accepted == self._written else self._lost + 1
+        if self._lost > LOST_MAX:
+            raise RigError(
+                f"{self._lost} commands in a row did not reach the board; check the line"
+            )
+        counts = math.nan if answer.status & OVERLOAD else float(answer.gauge)
+        self._encoder = unwrapped(answer.encoder, self._encoder)
+        return Reading(self._clock.time_s, counts, self._encoder)
+
+    def write(self, current_counts: int) -> None:
+        """Commands a motor current, which feeds the board's watchdog."""
+        self._say(WRITE, current_counts)
+        self._written = self._sequence
+
+    def disable(self) -> None:
+        """Removes the amplifier's power."""
+        self._enabled = False
+        self._say(DISABLE)
+
+    def safe_state(self) -> None:
+        """Brings the board to its own safe state: no power, and whatever brake it has."""
+        self._enabled = False
+        self._say(SAFE)
+
+    def close(self) -> None:
+        """Closes the port. May be called again."""
+        self._port.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        try:
+            self.disable()
+        finally:
+            self.close()
+
+    def _say(self, verb: bytes, number: int = 0) -> None:
+        self._sequence = (self._sequence + 1) & 0xFFFF
+        self._port.write(sealed(REQUEST.pack(REQUEST_BEGINS, verb, self._sequence, number)))
+
+    def _exchange(self) -> Answer:
+        """The answer to a request for a reading; any other is old, and discarded."""
+        for _ in range(ATTEMPTS):
+            self._say(READ)
+            deadline_s = time.monotonic() + self._wait_s
+            while data := self._port.read(deadline_s):
+                for answer in self._stream.feed(data):
+                    if answer.sequence == self._sequence:
+                        self._clock = self._clock.stamped(answer.time_us, time.monotonic())
+                        return answer
+        raise TimeoutError(
+            f"the board has not answered {ATTEMPTS} requests within {ATTEMPTS * self._wait_s:g} s"
+        )
+
+
+class SerialGauge:
+    """The gauge of a board, beside a drive of another kind; implements `estune.hardware.Gauge`.
+
+    Args:
+        port: As of `SerialBoard`.
+        baud: As of `SerialBoard`.
+        answer_within_s: As of `SerialBoard`.
+    """
+
+    def __init__(self, port: str, baud: int = 921600, answer_within_s: float = 0.003) -> None:
+        self._board = SerialBoard(port, baud, answer_within_s)
+
+    def request(self) -> None:
+        """Nothing: the board answers at once."""
+
+    def read(self) -> GaugeReading:
+        """Reads the gauge."""
+        reading = self._board.read()
+        return GaugeReading(reading.time_s, reading.gauge_counts)
+
+    def close(self) -> None:
+        """Closes the port. May be called again."""
+        self._board.close()

@@ -1,0 +1,85 @@
+"""A serial port as bytes with deadlines."""
+
+import fcntl
+import os
+import select
+import termios
+import time
+import tty
+from pathlib import Path
+
+from estune.errors import InvalidInput, RigError
+
+LATENCY_MAX_ms = 1
+"""Longest time for which a USB adapter may hold back what it has received."""
+
+
+class SerialPort:
+    """An open port in raw mode, locked against a second program.
+
+    Args:
+        path: The device, such as /dev/ttyACM0.
+        baud: Rate of the line; boards with USB of their own ignore it.
+        sysfs: Where the settings of USB adapters are.
+
+    Raises:
+        RigError: it cannot be opened, is in use, or its adapter would delay every answer.
+        InvalidInput: there is no such rate.
+    """
+
+    def __init__(self, path: str, baud: int, sysfs: Path = Path("/sys/class/tty")) -> None:
+        speed = getattr(termios, f"B{baud}", None)
+        if speed is None:
+            raise InvalidInput(f"baud is {baud}; give a standard rate, such as 921600")
+        _check_latency(sysfs / Path(path).name / "device" / "latency_timer", path)
+        try:
+            self._file = os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        except OSError as error:
+            raise RigError(f"no board at {path}: {error.strerror}; is it plugged in?") from error
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            tty.setraw(self._file)
+            settings = termios.tcgetattr(self._file)
+            settings[4] = settings[5] = speed
+            termios.tcsetattr(self._file, termios.TCSANOW, settings)
+            termios.tcflush(self._file, termios.TCIOFLUSH)
+        except (OSError, termios.error) as error:
+            os.close(self._file)
+            raise RigError(
+                f"{path} cannot be used ({error}); close the other program that uses it"
+            ) from error
+        self._poll = select.poll()
+        self._poll.register(self._file, select.POLLIN)
+
+    def write(self, data: bytes) -> None:
+        """Sends bytes."""
+        if os.write(self._file, data) != len(data):
+            raise RigError("the port does not take more bytes; its rate is too low for the loop")
+
+    def read(self, until_s: float) -> bytes:
+        """What has arrived, waiting until an instant of `time.monotonic`; empty in time."""
+        wait_ms = max(0.0, 1e3 * (until_s - time.monotonic()))
+        # poll counts whole milliseconds; what is left of the last one is watched.
+        while not self._poll.poll(int(wait_ms)):
+            wait_ms = 0.0
+            if time.monotonic() >= until_s:
+                return b""
+        return os.read(self._file, 4096)
+
+    def close(self) -> None:
+        """Closes the port. May be called again."""
+        if self._file >= 0:
+            os.close(self._file)
+            self._file = -1
+
+
+def _check_latency(timer: Path, path: str) -> None:
+    try:
+        held_ms = int(timer.read_text())
+    except (OSError, ValueError):
+        return  # no adapter that holds back
+    if held_ms > LATENCY_MAX_ms:
+        raise RigError(
+            f"the USB adapter of {path} holds answers back for {held_ms} ms; set it with: "
+            f"echo {LATENCY_MAX_ms} > {timer}"
+        )

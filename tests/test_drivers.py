@@ -1,0 +1,306 @@
+"""Drivers of a serial board and of an ODrive with a gauge, on the emulated reel behind each."""
+
+import select
+import socket
+import struct
+import threading
+import time
+from collections import deque
+from contextlib import closing
+
+import pytest
+
+import plants
+from estune.conformance.driver import DriverConformance
+from estune.errors import InvalidInput, RigError
+from estune.hardware import HardwareRig
+from estune.hardware.driver import Drive, Driver, load_driver, load_part
+from estune.hardware.drivers.board_clock import BoardClock, unwrapped
+from estune.hardware.drivers.can_bus import CanSocket, Frame
+from estune.hardware.drivers.can_gauge import CanGauge
+from estune.hardware.drivers.odrive import ODrive
+from estune.hardware.drivers.serial_board import SerialBoard
+from estune.hardware.drivers.serial_port import SerialPort
+from estune.trial import Outcome, TrialRequest
+from plants.emulator import EmulatedDriver
+from plants.emulator.board import Board, Electronics
+from plants.emulator.devices import GAUGE, CanDevices, SerialDevice
+from plants.emulator.driver import emulated_hardware
+from tests.support_hardware import quick
+
+PATIENT_s = 3.0
+"""Time within which an answer must come: the test machine may be busy."""
+MOVES = 1500
+
+
+def hardware(device):
+    settings = {"electronics": {"watchdog_s": 60.0}, "seed": 1}
+    return emulated_hardware(settings if device is None else {**settings, "device": device})
+
+
+def of_serial(address):
+    return {"use": "serial-board", "settings": {"port": address, "answer_within_s": PATIENT_s}}
+
+
+def of_can(address):
+    drive = {
+        "interface": address,
+        "newton_metres_per_count": CanDevices.newton_metres_per_count,
+        "counts_per_turn": CanDevices.counts_per_turn,
+        "answer_within_s": PATIENT_s,
+        "write_within_s": 60.0,
+    }
+    gauge = {"interface": address, "identifier": GAUGE, "answer_within_s": PATIENT_s}
+    part = {"use": "can-gauge", "settings": gauge}
+    return {"use": "odrive", "settings": drive, "gauge": part}
+
+
+DRIVER_TABLES = {"serial": of_serial, "can": of_can}
+
+
+class _OnTheEmulatedReel(DriverConformance):
+    @pytest.fixture
+    def moves(self):
+        return MOVES
+
+
+class TestEmulated(_OnTheEmulatedReel):
+    @pytest.fixture
+    def driver(self):
+        with hardware(None) as address, EmulatedDriver(address) as driver:
+            yield driver
+
+
+class TestSerialBoard(_OnTheEmulatedReel):
+    @pytest.fixture
+    def driver(self):
+        with hardware("serial") as address:
+            table = of_serial(address)
+            with closing(load_driver(table["use"], table["settings"])) as driver:
+                yield driver
+
+
+class TestODriveWithCanGauge(_OnTheEmulatedReel):
+    @pytest.fixture
+    def driver(self):
+        with hardware("can") as address:
+            rig = quick(driver=of_can(address))
+            with closing(load_driver(*rig.driver.driver)) as driver:
+                yield driver
+
+
+@pytest.mark.parametrize("device", DRIVER_TABLES)
+def test_rig_runs_a_trial_behind_a_real_devices_protocol(device):
+    with hardware(device) as address:
+        config = quick(driver=DRIVER_TABLES[device](address))
+        with HardwareRig(config) as rig:
+            about = rig.describe()
+            record = rig.run(TrialRequest("r", 1, about.gains, about.step))
+    assert record.outcome is Outcome.DONE
+    assert record.tension_N[-1] > about.step.preload_N + 0.25 * about.step.step_N
+    assert record.angle_rad.any()
+
+
+# --- the serial board's packets -----------------------------------------------------------------
+
+
+class FaultyDevice(SerialDevice):
+    """A board whose answers pass through a list of faults, one for each answer."""
+
+    def __init__(self, board):
+        super().__init__(board, "")
+        self.faults = deque()
+        self.deaf = False
+        self.sent = []
+
+    def take(self, file, now_s):
+        super().take(file, now_s)
+
+    def _execute(self, verb, sequence, number, now_s):
+        if not (self.deaf and verb == b"w"):
+            super()._execute(verb, sequence, number, now_s)
+
+    def send(self, packet):
+        fault = self.faults.popleft() if self.faults else "none"
+        last, flipped = (self.sent or [packet])[-1], bytes([packet[9] ^ 4])
+        self.sent.append(packet)
+        for part in {
+            "none": [packet],
+            "lost": [],
+            "cut": [packet[:11]],
+            "doubled": [packet, packet],
+            "stale before": [last, packet],
+            "damaged": [packet[:9] + flipped + packet[10:]],
+            "noise before": [b"\x5a\x01garbage", packet],
+        }[fault]:
+            super().send(part)
+
+
+@pytest.fixture
+def board():
+    reel = plants.reference_reel()
+    device = FaultyDevice(Board(reel, Electronics(watchdog_s=60.0), 1, time.monotonic()))
+    over = threading.Event()
+
+    def serve():
+        (file,) = device.readable
+        while not over.is_set():
+            if select.select([file], [], [], 0.05)[0]:
+                device.take(file, time.monotonic())
+
+    thread = threading.Thread(target=serve)
+    thread.start()
+    yield device
+    over.set()
+    thread.join()
+
+
+FAULTS = ("lost", "cut", "doubled", "stale before", "damaged", "noise before", "none")
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_reading_is_that_of_its_own_request_whatever_the_line_does(board, fault):
+    with SerialBoard(board.address, answer_within_s=PATIENT_s) as driver:
+        driver.read()
+        board.faults.append(fault)
+        for _ in range(3):
+            reading = driver.read()
+            gauge, encoder = struct.unpack_from("<ii", board.sent[-1], 10)
+            assert (reading.gauge_counts, reading.encoder_counts) == (gauge, encoder)
+
+
+def test_silent_board_raises_and_commands_that_do_not_arrive_end_motion(board):
+    with SerialBoard(board.address, answer_within_s=PATIENT_s) as driver:
+        board.deaf = True
+        for _ in range(2):
+            driver.write(0)
+            driver.read()
+        driver.write(0)
+        with pytest.raises(RigError, match="3 commands in a row did not reach the board"):
+            driver.read()
+    with SerialBoard(board.address, answer_within_s=0.03) as driver:
+        board.faults.extend(["lost"] * 3)
+        with pytest.raises(TimeoutError, match="has not answered 3 requests"):
+            driver.read()
+
+
+def test_watchdog_of_the_board_ends_motion(board):
+    with SerialBoard(board.address, answer_within_s=PATIENT_s) as driver:
+        driver.enable()
+        board._board.power(time.monotonic(), on=False)
+        with pytest.raises(RigError, match="protection has cut the amplifier's power"):
+            driver.read()
+
+
+def test_port_that_is_in_use_absent_or_slow_is_refused(board, tmp_path):
+    with (
+        SerialBoard(board.address, answer_within_s=PATIENT_s),
+        pytest.raises(RigError, match="close the other program"),
+    ):
+        SerialBoard(board.address)
+    with pytest.raises(RigError, match="is it plugged in"):
+        SerialBoard(str(tmp_path / "ttyACM0"))
+    timer = tmp_path / "ttyUSB0" / "device" / "latency_timer"
+    timer.parent.mkdir(parents=True)
+    timer.write_text("16\n")
+    with pytest.raises(RigError, match=r"holds answers back for 16 ms; set it with: echo 1 > "):
+        SerialPort("/dev/ttyUSB0", 921600, tmp_path)
+    with pytest.raises(InvalidInput, match="baud is 1234"):
+        SerialPort("/dev/ttyUSB0", 1234, tmp_path)
+
+
+def test_board_clock_follows_the_fastest_answers_through_wraps_and_drift():
+    clock, delays = BoardClock(), [0.4e-3, 0.1e-3, 0.9e-3, 0.1e-3] * 500
+    begin_us = 2**32 - 1_000_000  # wraps after a second
+    for k, delay_s in enumerate(delays):
+        board_us = begin_us + round(k * 1582 * (1.0 - 1e-4))  # 100 ppm slow
+        clock = clock.stamped(board_us % 2**32, 50.0 + k * 1582e-6 + delay_s)
+        if k > 1:
+            assert abs(clock.time_s - (50.0 + k * 1582e-6)) < 0.2e-3
+    assert unwrapped(-(2**31), 2**31 - 1) == 2**31
+    assert unwrapped(2**31 - 1, -(2**31)) == -(2**31) - 1
+
+
+# --- frames on the bus --------------------------------------------------------------------------
+
+
+@pytest.fixture
+def bus(tmp_path):
+    """The far end of a bus with one port, and its address."""
+    address = str(tmp_path / "bus")
+    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as listener:
+        listener.bind(address)
+        listener.listen()
+        yield address, listener
+
+
+def test_frames_have_the_layout_of_linux(bus):
+    address, listener = bus
+    odrive = ODrive(address, 3, newton_metres_per_count=0.5, counts_per_turn=100)
+    port, _ = listener.accept()
+    with port:
+        odrive.write(3)
+        odrive.request()
+        assert port.recv(16) == bytes.fromhex("6e000000 04000000 0000c03f 00000000")
+        assert port.recv(16) == bytes.fromhex("69000040 00000000 00000000 00000000")
+        port.send(Frame(0x68, struct.pack("<ff", 9.0, 0.0)).pack())  # of another command
+        port.send(Frame(0x49, struct.pack("<ff", 9.0, 0.0)).pack())  # of another node
+        port.send(Frame(0x69, struct.pack("<ff", -2.5, 0.0)).pack())
+        assert odrive.position() == -250
+        odrive.safe_state()
+        assert port.recv(16)[:5] == bytes.fromhex("62000000 00")
+    odrive.close()
+
+
+def test_axis_that_leaves_closed_loop_ends_motion_with_its_errors(bus):
+    address, listener = bus
+    settings = {"newton_metres_per_count": 1.0, "counts_per_turn": 1, "write_within_s": 60.0}
+    odrive = ODrive(address, 0, answer_within_s=PATIENT_s, **settings)
+    port, _ = listener.accept()
+    with port:
+        port.send(Frame(0x01, struct.pack("<IBBBB", 0, 8, 0, 0, 0)).pack())
+        odrive.enable()
+        port.send(Frame(0x01, struct.pack("<IBBBB", 0x40, 1, 0, 0, 0)).pack())
+        odrive.request()
+        port.send(Frame(0x09, struct.pack("<ff", 0.0, 0.0)).pack())
+        with pytest.raises(RigError, match="state 1, errors 0x40"):
+            odrive.position()
+    odrive.close()
+
+
+def test_gauge_that_sends_by_itself_gives_its_newest_reading_or_raises(bus):
+    address, listener = bus
+    gauge = CanGauge(
+        *(address, 0x20),
+        layout=">h",
+        requested=False,
+        answer_within_s=PATIENT_s,
+        overload=-1,
+    )
+    port, _ = listener.accept()
+    with port:
+        for counts in (7, 8):
+            port.send(Frame(0x20, struct.pack(">h", counts)).pack())
+        gauge.request()
+        assert gauge.read().counts == 8.0
+        assert gauge.read().counts == 8.0  # the loop is faster than the gauge
+        port.send(Frame(0x20, struct.pack(">h", -1)).pack())
+        assert gauge.read().counts != gauge.read().counts  # NaN: an overload
+    gauge.close()
+    silent = CanGauge(address, 0x20, answer_within_s=0.01)
+    port, _ = listener.accept()
+    with port:
+        silent.request()
+        with pytest.raises(TimeoutError, match="no frame of the gauge"):
+            silent.read()
+    silent.close()
+
+
+def test_missing_interface_and_part_of_the_wrong_kind_are_refused(bus):
+    with pytest.raises(RigError, match=r"no CAN interface nocan0.*ip link set nocan0 up"):
+        CanSocket("nocan0", 0, 1)
+    settings = {"interface": bus[0], "identifier": 1}
+    with pytest.raises(InvalidInput, match="is no drive: it has no enable"):
+        load_part("can-gauge", settings, Drive)
+    with pytest.raises(InvalidInput, match="no installed package offers a driver 'odriv'"):
+        load_part("odriv", {}, Driver)
