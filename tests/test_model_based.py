@@ -57,7 +57,7 @@ def test_friction_leaves_no_claim_and_says_why():
 
 def test_limits_are_refused_with_a_tuner_that_keeps_none():
     with pytest.raises(InvalidInput, match="use model_based"):
-        tune(plants.reference_reel(), tuner="otis", limits=RobustnessLimits())
+        tune(plants.reference_reel(), tuner="otis", limits=RobustnessLimits(max_overshoot=0.1))
 
 
 def test_interrupted_search_resumes_with_the_proposals_of_an_uninterrupted_one(tmp_path, tuned):

@@ -103,12 +103,7 @@ def claim(
             None, f"{len(near)} trials near these gains where {TRIALS_MIN} are needed", misfit
         )
     if not misfit <= MISFIT_MAX:
-        return Claim(
-            None,
-            f"a linear model leaves {misfit:.1%} of the step unexplained, more than "
-            f"{MISFIT_MAX:.1%}; find what is missing with estune explain",
-            misfit,
-        )
+        return Claim(None, unexplained(misfit), misfit)
     if not fit.responds:
         return Claim(None, "the measurement does not follow the effort within a trial", misfit)
     fault = check.fault(trial, gains) if check and check.costs else ""
@@ -117,6 +112,14 @@ def claim(
     if not math.isfinite(predict(fit.model, trial, gains).cost):
         return Claim(None, "the identified loop is unstable with these gains", misfit)
     return Claim(predict_with_intervals(fit, trial, gains), "", misfit)
+
+
+def unexplained(misfit: float) -> str:
+    """What is said of a misfit that allows no claim."""
+    return (
+        f"a linear model leaves {misfit:.1%} of the step unexplained, more than {MISFIT_MAX:.1%}; "
+        "find what is missing with estune explain"
+    )
 
 
 def _distance(one: Gains, other: Gains) -> float:

@@ -27,6 +27,12 @@ LONGER = 2.0
 noise for dead time where the numerator covers it: sd of ln Ms 2.3 % instead of 1.7 % after ten
 timid trials of `tests/test_loop_model.py`."""
 
+FEWEST_BEFORE = 8
+"""Samples before the step that are enough to tell the noise."""
+
+NORMAL_MEDIAN = 0.6745
+"""Median of the size of a normal variable, over its standard deviation."""
+
 RESPONSE_MIN = 10.0
 """Least response in standard deviations of the noise: a trial below 95 is refused as ill-posed."""
 
@@ -93,11 +99,16 @@ class LoopFit(NamedTuple):
 
 
 def noise_of(record: LoopRecord) -> float:
-    """Standard deviation of the noise from first differences before the step, N."""
+    """Standard deviation of the measurement noise, N.
+
+    From first differences before the step; where few samples precede it, from the median of third
+    differences of the whole record, in which the response itself hardly counts.
+    """
     before = record.measurement_N[: record.step_index]
-    if before.size < 8:
-        before = record.measurement_N
-    return float(np.std(np.diff(before)) / math.sqrt(2.0))
+    if before.size >= FEWEST_BEFORE:
+        return float(np.std(np.diff(before)) / math.sqrt(2.0))
+    third = np.diff(record.measurement_N, 3)
+    return float(np.median(np.abs(third)) / (NORMAL_MEDIAN * math.sqrt(20.0)))
 
 
 def fit_loop(

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import NamedTuple
 
 import numpy as np
@@ -45,10 +45,14 @@ class RobustnessLimits:
                 )
 
     @property
-    def given(self) -> bool:
-        """Whether there is any limit."""
-        limits = (self.max_sensitivity, self.max_overshoot, self.min_phase_margin_deg)
-        return any(limit is not None for limit in limits)
+    def asked(self) -> bool:
+        """Whether there is a limit other than the usual ones."""
+        usual = RobustnessLimits()
+        return any(
+            limit not in (None, getattr(usual, field.name))
+            for field in fields(self)
+            for limit in [getattr(self, field.name)]
+        )
 
     def excess(self, p: Prediction) -> FloatArray:
         """By how much a prediction exceeds each limit, shape (3,).

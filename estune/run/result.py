@@ -21,7 +21,7 @@ from estune.core.comparison import Change, repeatability
 from estune.core.gain_forms import GainForm, gain_forms
 from estune.core.gains import GAIN_NAMES, Gains
 from estune.errors import JournalError
-from estune.loop_model.claim import Claim
+from estune.loop_model.claim import MISFIT_MAX, Claim, unexplained
 from estune.run import result_warnings
 from estune.run.journal import Journal, JournalEntry
 from estune.run.loop import TuningRun
@@ -345,8 +345,12 @@ class TuneResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type i
         """What the records do not show, and what the limits cost."""
         loop, limits, tuned = self.identified, self.plan.limits, self.tuned
         remarks = [*loop.remarks]
-        if self.claim.reason:
-            remarks.append(f"no sensitivity is claimed from the records: {self.claim.reason}")
+        reason = self.claim.reason
+        if self.ending is RunEnding.NOT_ROBUST:  # few trials were near the initial gains
+            beyond = loop.fit is not None and loop.fit.misfit > MISFIT_MAX
+            reason = unexplained(loop.fit.misfit) if loop.fit and beyond else ""
+        if reason:
+            remarks.append(f"no sensitivity is claimed from the records: {reason}")
         kept = None if limits is None else limits.max_overshoot
         measured = self.claim.margins.overshoot.value if self.claim.margins else math.nan
         if tuned is not None and kept is not None and measured > kept + OVERSHOOT_ALLOWED:

@@ -14,6 +14,7 @@ from estune.core.quantities import FloatArray
 from estune.loop_model.claim import Claim, CostCheck, claim
 from estune.loop_model.identification import LoopFit, LoopRecord, fit_loop
 from estune.loop_model.limit_price import LimitPrice, price_of
+from estune.loop_model.optimum import RobustnessLimits
 from estune.loop_model.prediction import PredictedMargins
 from estune.run.loop import TuningRun
 from estune.run.plan import step_trial
@@ -97,11 +98,11 @@ def claim_from(loop: IdentifiedLoop, plan: Plan, rig: RigDescription, gains: Gai
 def limit_price(
     loop: IdentifiedLoop, claimed: Claim, plan: Plan, rig: RigDescription, gains: Gains
 ) -> LimitPrice | None:
-    """The price of the plan's limits; None where no margins are claimed, or without limits."""
+    """The price of the plan's limits; None where no margins are claimed, or none are kept."""
     limits, space = plan.limits, plan.tuner.space
-    if claimed.margins is None or loop.fit is None or space.scale != "log":
+    if claimed.margins is None or loop.fit is None or not plan.uses_records:
         return None
-    if limits is None or not limits.given:
+    if limits is None or limits == RobustnessLimits(None, None, None):
         return None
     return price_of(
         loop.fit,

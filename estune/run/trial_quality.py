@@ -6,7 +6,7 @@ import numpy as np
 
 from estune.core.cost import StepCost
 from estune.errors import InvalidInput
-from estune.loop_model.identification import LoopFit
+from estune.loop_model.identification import FEWEST_BEFORE, LoopFit
 from estune.run.session import Plan
 from estune.trial import RigDescription, TrialRecord
 
@@ -24,11 +24,9 @@ SAMPLES_MIN, SAMPLES_LOW = 10.0, 25.0
 Ms 14, 6.2, 4.7 at 5, 8, 10 samples, and 2.7, 2.1, 1.9 at 16, 24, 40."""
 
 SETTLING_LEAST = 0.7
-"""Asked settling time, over the period 2 pi/omega of the plant's poles, below which a run warns: at
-0.15 to 0.5 the tuned reel has Ms 3.3 to 3.6."""
+"""Asked settling time over the period 2 pi/omega of the plant's poles, below which a run warns.
 
-FEWEST_BEFORE = 8
-"""Samples before the step from which the noise can be told."""
+At 0.15 to 0.5 the tuned reel has Ms 3.3 to 3.6."""
 
 
 def check_sampling(cost: StepCost, sampling_Hz: float) -> None:

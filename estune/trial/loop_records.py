@@ -96,5 +96,8 @@ def _mismatch(recomputed: FloatArray, logged: FloatArray) -> str:
         late = "late" if LAGS[best] > 0 else "early"
         return f"the logged effort is {abs(LAGS[best])} sample(s) {late}"
     if abs(gains[best] - 1.0) > GAIN_ERROR_MAX:
-        return f"the logged effort is {gains[best]:.3g} times what the gains give"
+        return (
+            f"the logged effort is {gains[best]:.1f} times what the gains give; check that "
+            "the rig applies the gains of a trial"
+        )
     return ""

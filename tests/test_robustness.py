@@ -1,0 +1,183 @@
+"""Results that are not robust, ill-posed trials, and rigs whose records cannot be trusted."""
+
+import math
+from dataclasses import replace
+
+import control
+import numpy as np
+import pytest
+
+import estune
+import plants
+from estune.core.cost import default_cost
+from estune.core.gains import Gains
+from estune.errors import InvalidInput
+from estune.loop_model.claim import claim
+from estune.loop_model.identification import LoopRecord, fit_loop
+from estune.loop_model.limit_price import price_of
+from estune.loop_model.model import LoopModel
+from estune.loop_model.optimum import RobustnessLimits
+from estune.run.plan import step_trial
+from estune.run.result import RunEnding
+from estune.trial.profiles import StepProfile
+from experiments.sample_efficiency.problems import PROBLEMS
+
+
+def tune(target, **settings):
+    return estune.tune(target, **{"journal": False, "watch": None, **settings})
+
+
+class Behind:
+    """A rig whose records a test changes."""
+
+    def __init__(self, rig):
+        self._rig = rig
+
+    def __getattr__(self, name):
+        return getattr(self._rig, name)
+
+
+@pytest.fixture(scope="module")
+def fast():
+    """Tuned without limits by the cost alone, on a plant with a long dead time."""
+    problem = PROBLEMS["dead time"]
+    limits = RobustnessLimits(max_sensitivity=None, max_overshoot=None)
+    settings = {"cost": problem.cost, "start": problem.start, "limits": limits}
+    return problem, tune(problem.build(), **settings)
+
+
+def test_tuned_gains_of_high_sensitivity_end_as_not_robust_and_keep_the_start(fast):
+    problem, free = fast
+    assert free.ending is RunEnding.TUNED
+    assert free.claim.margins.sensitivity.value > 2.5
+    # The same search judged by the usual limits.
+    result = tune(problem.build(), cost=problem.cost, start=problem.start, tuner="safe_bayesian")
+    assert result.ending is RunEnding.NOT_ROBUST
+    assert result.ending.exit_code == 8
+    assert not result.success
+    assert result.gains == problem.start
+    assert "not robust: the sensitivity Ms is" in result.message
+    assert result.heading().startswith("NOT ROBUST")
+
+
+def test_response_that_ends_beside_its_setpoint_is_not_robust():
+    class Drooping(Behind):
+        def run(self, request):
+            record = self._rig.run(request)
+            late = np.where(record.time_s > 0.6 * record.time_s[-1], 0.4, 0.0)
+            return replace(record, tension_N=record.tension_N - late)
+
+    result = tune(Drooping(plants.reference_reel().rig()), trials=3)
+    assert result.ending is RunEnding.NOT_ROBUST
+    assert "off its setpoint" in result.message
+
+
+def test_price_of_limits_is_small_on_a_reel_and_names_softer_limits_where_dear(fast):
+    result = tune(plants.reference_reel())
+    assert any("the limits cost 2." in remark.lower() for remark in result.remarks())
+    _, free = fast
+    space, plan = free.plan.tuner.space, free.plan
+    price = price_of(
+        free.identified.fit,
+        step_trial(free.rig, plan.step, plan.cost),
+        RobustnessLimits(max_sensitivity=1.3),
+        lambda x: space.gains(space.point(tuple(x.tolist()))),
+        at=np.array(space.coordinates(space.point_of(free.gains))),
+        bounds=(np.array(space.coordinates_low), np.array(space.coordinates_high)),
+    )
+    assert price.price > 0.05
+    assert [limit for limit, _ in price.softer] == [1.8, 2.0]
+    assert price.price > price.softer[0][1] >= price.softer[1][1]
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"step": StepProfile(15.0, 0.1, 0.2, 1.0)}, "noise makes up .* of the cost of trial"),
+        ({"cost": default_cost(0.01)}, "is 6.3 samples, and 10 are needed"),
+    ],
+)
+def test_ill_posed_trial_is_refused_unless_forced(changes, message):
+    ran = []
+    with pytest.raises(InvalidInput, match=message):
+        tune(plants.reference_reel(), watch=ran.append, **changes)
+    assert len(ran) <= 3  # the baseline
+    assert tune(plants.reference_reel(), trials=1, force=True, **changes).nit == 1
+
+
+def test_short_settling_time_and_few_samples_are_told():
+    reel = plants.reference_reel()
+    remarks = tune(reel, cost=default_cost(0.03), trials=2).remarks()
+    assert any("is short for a plant" in remark for remark in remarks)
+    assert any("fewer than 25" in remark for remark in remarks)
+
+
+def test_rig_that_ignores_gains_is_found_out():
+    class Deaf(Behind):
+        def run(self, request):
+            there = self._rig.run(replace(request, gains=self._rig.describe().gains))
+            return replace(there, gains=request.gains)
+
+    result = tune(Deaf(plants.reference_reel().rig()), trials=6)
+    assert not result.success
+    assert any("check that the rig applies the gains" in remark for remark in result.remarks())
+
+
+def test_plant_that_changes_between_trials_is_not_claimed():
+    class Changing(Behind):
+        def __init__(self):
+            inertias = (1.5e-3, 2.5e-3)
+            self._rigs = [plants.reference_reel(drum_inertia_kg_m2=j).rig() for j in inertias]
+            super().__init__(self._rigs[0])
+
+        def run(self, request):
+            return self._rigs[request.number % 2].run(request)
+
+    result = tune(Changing(), trials=8)
+    assert result.claim.margins is None
+    assert any("a linear model leaves" in remark for remark in result.remarks())
+
+
+def test_unstable_plant_is_tuned_without_a_claim():
+    unstable = plants.linear_plant(
+        control.tf([30.0], [1.0, 2.0, -15.0]),
+        sampling_Hz=200.0,
+        gains=Gains(1.5, 2.0, 0.1, 0.05),
+        noise_rms_N=0.004,
+        profile=StepProfile(0.0, 1.0, 0.2, 3.0),
+        settling_time_s=1.0,
+    )
+    result = tune(unstable, trials=8)
+    assert result.claim.margins is None
+    assert result.claim.reason
+
+
+def records_without_response(samples=150):
+    rng = np.random.default_rng(3)
+    effort = np.linspace(0.0, 5.0, samples)
+    return [LoopRecord(effort, 0.01 * rng.standard_normal(samples), 1.0, 20) for _ in range(4)]
+
+
+def test_dead_time_longer_than_a_trial_is_told():
+    fit = fit_loop(records_without_response(), 100.0, 0.5)
+    assert not fit.responds
+    made = claim(fit, None, Gains(1.0, 1.0, 0.0, 0.0), [Gains(1.0, 1.0, 0.0, 0.0)] * 4)
+    assert "does not follow the effort within a trial" in made.reason
+
+
+def test_plant_without_steady_state_is_not_claimed():
+    class Drifting(Behind):
+        def run(self, request):
+            record = self._rig.run(request)
+            drift = 3.0 * np.maximum(record.time_s - 0.5, 0.0) ** 2
+            return replace(record, tension_N=record.tension_N + drift)
+
+    result = tune(Drifting(plants.reference_reel().rig()), trials=6)
+    assert result.claim.margins is None
+
+
+def test_natural_period_of_a_model_is_that_of_its_poles():
+    w, z = 0.1, 0.3
+    radius, angle = math.exp(-z * w), w * math.sqrt(1.0 - z * z)
+    model = LoopModel((-2.0 * radius * math.cos(angle), radius**2), (0.0, 0.0, 0.0), 0)
+    assert model.natural_period == pytest.approx(2.0 * math.pi / w)
