@@ -102,14 +102,15 @@ def coverage(rows: Iterable[Row], c: Constants) -> tuple[float, float]:
         before, after = row.models[0].J, min(m.J for m in row.models)
         left = min(max(after - 1.0, 0.0) / max(before, 1e-300), 1.0)
 
-        def form(of: Constants, left: float = left) -> float:
-            return max(of.form_least, of.form_taken_up * math.sqrt(left))
+        def form(of: Constants, one: Held, left: float = left) -> float:
+            least = of.form_least if "." in one.name else 0.0  # effects have it
+            return max(least, of.form_taken_up * math.sqrt(left))
 
         for one in (*row.intervals, *row.calibrations):
             size = abs(one.value)
             stated = _half_width(one) / CONSTANTS.student
-            s = math.sqrt(max(stated**2 - (form(CONSTANTS) * size) ** 2, 0.0))
-            half = c.student * math.hypot(s, form(c) * size)
+            s = math.sqrt(max(stated**2 - (form(CONSTANTS, one) * size) ** 2, 0.0))
+            half = c.student * math.hypot(s, form(c, one) * size)
             held.append(abs(one.true - one.value) <= half)
             widths.append(half / max(size, 1e-300))
     widths.sort()

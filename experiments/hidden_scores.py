@@ -137,7 +137,7 @@ class Row:
 
 def _model_summary(found: dict[str, Any]) -> ModelSummary:
     sets = {name: frozenset(found[name]) for name in ("names", "families")}
-    return ModelSummary(**(found | sets | {"blocks": tuple(found["blocks"])}))
+    return ModelSummary(**{name: (found | sets)[name] for name in ModelSummary._fields})
 
 
 def measurement(record: hidden_machines.Record) -> MeasuredRecord:
@@ -276,7 +276,12 @@ def _intervals(answer: Any, secret: hidden_machines.Secret) -> tuple[Held, ...]:
 
 
 def _calibrations(answer: Any, secret: hidden_machines.Secret) -> tuple[Held, ...]:
-    """Of the machine's own numbers, as fitted with the effects."""
+    """Of the machine's own numbers, as fitted with the effects.
+
+    Without an encoder they are but ratios to the stiffness given, which the verdict says.
+    """
+    if any(one.kind == "no_encoder" for one in answer.limitations):
+        return ()
     return tuple(
         Held(one.name, secret.calibrations[one.name], at.value, at.low, at.high)
         for one in answer.calibrations

@@ -55,12 +55,6 @@ def test_second_effect_needs_a_large_share_of_what_the_first_leaves(J, best):
     assert decide(base(200.0), models).best == frozenset(best.split("+"))
 
 
-def test_second_effect_is_found_in_the_block_that_the_first_has_no_part_in():
-    single = model("a", 10.0, blocks=(3.0, 17.0))
-    decision = decide(base(200.0), [single, model("a+b", 9.0, 2, blocks=(1.1, 17.0))])
-    assert decision.best == {"a", "b"}
-
-
 def test_law_with_fewer_values_that_does_about_as_well_is_likelier():
     assert decide(base(50.0), [model("a", 1.3, 4), model("b", 1.6, 1)]).best == {"b"}
 

@@ -207,7 +207,6 @@ class ModelSummary(NamedTuple):
         eligible: Whether each of its effects is of a size that matters, and not at a bound.
         named: Whether all its effects have a name.
         known_apart: Whether an effect's size is known without the machine.
-        blocks: Mean squares of the cable and gauge block, and of the rest; nan without them.
     """
 
     names: Slugs
@@ -218,7 +217,6 @@ class ModelSummary(NamedTuple):
     eligible: bool = True
     named: bool = True
     known_apart: bool = False
-    blocks: tuple[float, float] = (math.nan, math.nan)
 
     @property
     def power(self) -> float:

@@ -104,22 +104,7 @@ def best_of(models: Sequence[Model], c: Constants = CONSTANTS) -> Model | None:
     fullest = min((m for m in singles if m.families == single.families), key=lambda m: m.power)
     if beats(min(pairs, key=lambda m: m.power), fullest, c.one_more, c, c.nothing):
         return _member(pairs, c)
-    # A second effect in the block that the first has no part in.
-    for n in range(len(fullest.blocks)):
-        seen = [m for m in pairs if single.families < m.families and _beats_in(m, fullest, n, c)]
-        if seen:
-            return _member([m for m in pairs if m.families == _least(seen, n).families], c)
     return single
-
-
-def _beats_in(full: Model, simple: Model, block: int, c: Constants) -> bool:
-    before, after = simple.blocks[block], max(full.blocks[block], 1.0)
-    takes_off = after - 1.0 <= (1.0 - c.one_more) * (before - 1.0)
-    return before > c.nothing and takes_off and full.J < simple.J
-
-
-def _least(models: Sequence[Model], block: int) -> Model:
-    return min(models, key=lambda m: m.blocks[block])
 
 
 def _member(models: Sequence[Model], c: Constants) -> Model | None:

@@ -14,7 +14,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from estune.core.quantities import FloatArray
-from plants.diagnosis.models.diagnosed_model import Free
+from plants.diagnosis.models.diagnosed_model import BASE, Free
 from plants.diagnosis.result import Interval
 from plants.diagnosis.search.constants import CONSTANTS
 from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter, Numbers, record_of
@@ -48,13 +48,14 @@ def intervals(
         jackknife(columns, residuals, record),
     )
     left = max(one.J - 1.0, 0.0) / max(base.J, 1e-300)
-    form = max(c.form_least, c.form_taken_up * math.sqrt(min(left, 1.0)))
+    taken_up = c.form_taken_up * math.sqrt(min(left, 1.0))
     found = {}
     for f, value, s in zip(free, values.tolist(), (spread * prior).tolist(), strict=True):
         if record_of(f.owner) is not None:
             continue
         # A limit is neutral far up, a ratio at one: what counts is the nearer of that and zero.
         size = min(abs(value - (f.neutral or 0.0)), abs(value))
+        form = taken_up if f.owner == BASE else max(c.form_least, taken_up)
         half = c.student * math.hypot(s, form * size)
         if f.scale == "log" and value > 0.0:
             factor = math.exp(min(half / value, 50.0))

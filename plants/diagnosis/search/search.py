@@ -8,17 +8,13 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
-import numpy as np
-
 from plants.diagnosis.result import ModelSummary
-from plants.diagnosis.search.cable_block import block_powers
 from plants.diagnosis.search.constants import CONSTANTS
 from plants.diagnosis.search.decide import best_of
 from plants.diagnosis.search.model_fitter import (
     CandidateFit,
     ModelFitter,
     family_of,
-    pull_N_rad,
     simpler_of,
 )
 from plants.diagnosis.search.nameless_laws import NAMELESS
@@ -31,8 +27,9 @@ BESIDE = 5
 """Further effects whose direction is looked at once more beside those there are."""
 SHORTLIST = 5
 """Effects fitted jointly, by their direction."""
-AIMED = 0.5
-"""A law without a name is fitted whose direction explains this share of what the best's does."""
+AIMED, AIMED_BESIDE = 0.5, 0.2
+"""A law is fitted whose direction explains this share of what the best's does: on 22 development
+seeds that of the effect hidden explained 0.76 or more, of a second effect 0.22 or more."""
 DISTORTED = 16.0
 """Power left from which on directions are looked for from the model as given, too."""
 LEADING, BEHIND = 4, 3.0
@@ -66,7 +63,7 @@ class SearchResult:
     def summaries(self, fitter: ModelFitter) -> list[ModelSummary]:
         """Every model as a verdict is decided from, the base model first."""
         scale = fitter.scale
-        return [summarise(fitter, one, scale) for one in (self.base, *self.fits.values())]
+        return [summarise(one, scale) for one in (self.base, *self.fits.values())]
 
     def of(self, effects: int) -> list[CandidateFit]:
         """The fits with so many effects, the best first."""
@@ -74,10 +71,9 @@ class SearchResult:
         return sorted(some, key=lambda f: f.J)
 
 
-def summarise(fitter: ModelFitter, one: CandidateFit, scale: RecordScale) -> ModelSummary:
+def summarise(one: CandidateFit, scale: RecordScale) -> ModelSummary:
     """What a decision has to know of a fit."""
     values, rank = one.values, sum(len(e.parameters()) for e in one.effects)
-    pull = pull_N_rad(fitter.model.calibrated(values), fitter.measurements)
     return ModelSummary(
         names=one.names,
         families=frozenset(map(family_of, one.effects)),
@@ -92,7 +88,6 @@ def summarise(fitter: ModelFitter, one: CandidateFit, scale: RecordScale) -> Mod
         ),
         named=is_named(one),
         known_apart=any(e.known_apart for e in one.effects),
-        blocks=block_powers(fitter.base.index, one.fitted.residuals, pull),
     )
 
 
@@ -138,7 +133,7 @@ def search(
     some = 1.0 + CONSTANTS.named_share * (power(base) - 1.0)
     if single is None or power(single) > some:
         return found
-    if np.nanmax([single.J, *summarise(fitter, single, fitter.scale).blocks]) <= CONSTANTS.nothing:
+    if CONSTANTS.nothing >= single.J:
         return found
     there = family_of(single.effects[0])
     rest = [e for e in effects if family_of(e) != there]
@@ -146,7 +141,8 @@ def search(
     unnamed = {e.name: found.beside.pop(e.name) for e in nameless}
     _fit_all(fitter, found, single, found.beside, unnamed)
     _, *models = found.summaries(fitter)
-    pair = best_of(models)
+    # Whether an effect of it is of a size that matters shows after the moves.
+    pair = best_of([m._replace(eligible=True) for m in models])
     if pair is not None and len(pair.names) == 2:
         _moves(fitter, found, found.fits[pair.names])
     return found
@@ -161,15 +157,16 @@ def _fit_all(
 ) -> None:
     """Fits the most promising effects with their families, and nameless laws that aim as well."""
     ranked = sorted(screened.values(), key=lambda s: -s.screening_R2)
-    promising = [s for s in ranked if s.screening_R2 > 0.0][:SHORTLIST]
+    best = max((s.screening_R2 for s in ranked), default=0.0)
+    least_R2 = best * (AIMED_BESIDE if current.effects else AIMED)
+    promising = [s for s in ranked if s.screening_R2 > least_R2][:SHORTLIST]
     families = {family_of(s.effect) for s in promising}
     if not current.effects:
         families |= {family_of(s.effect) for s in ranked if s.effect.resists and s.effect.family}
     chosen = [s for s in ranked if family_of(s.effect) in families]
-    # The simpler of a family first: others begin with its fit.
-    depth = {s.effect.name: _depth(s.effect) for s in chosen}
-    chosen.sort(key=lambda s: (depth[s.effect.name], -s.screening_R2))
-    best = max((s.screening_R2 for s in promising), default=0.0)
+    # The most promising family first, of it the simpler ones: others begin with their fit.
+    aim = {family_of(s.effect): s.screening_R2 for s in reversed(chosen)}
+    chosen.sort(key=lambda s: (-aim[family_of(s.effect)], _depth(s.effect), -s.screening_R2))
     chosen += [s for s in nameless.values() if s.screening_R2 >= AIMED * best]
     fits: list[CandidateFit] = []
     least = math.inf
