@@ -12,7 +12,7 @@ import pytest
 import plants
 from estune.cli import run
 from estune.core.gains import Gains
-from estune.errors import Interrupted, InvalidInput
+from estune.errors import Interrupted, InvalidInput, RigError
 from estune.run.loop import Stopped
 from estune.run.trial_file import TrialFile, read_trial
 from estune.trial import GUARD, LATE, Outcome, RigLimits, TrialRequest
@@ -363,3 +363,22 @@ def test_experiments_of_a_slow_plant_are_longer():
     assert sum(durations) > 4.0 * sum(
         one.profile.duration_s for one in initial_experiments(about("reel"))
     )
+
+
+def test_trial_that_failed_in_the_rigs_program_is_asked_for_under_a_new_id(tmp_path):
+    """A rig's ledger answers with the same refusal for ever."""
+    rig = REEL.rig()
+    real = rig.run
+
+    def run(request):
+        if request.attempt == 0:
+            raise RigError("it stopped before the trial began")
+        return real(request)
+
+    rig.run = run
+    with pytest.raises(RigError, match="before the trial began"):
+        runner(rig, tmp_path).trial("step", GAINS, REEL.profile)
+    rig.has_failed = lambda request: request.attempt == 0
+    with pytest.raises(Interrupted, match="before the trial began"):
+        runner(rig, tmp_path).trial("step", GAINS, REEL.profile)
+    assert runner(rig, tmp_path).trial("step", GAINS, REEL.profile).outcome is Outcome.DONE

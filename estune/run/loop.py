@@ -10,6 +10,7 @@ from typing import Literal, NamedTuple
 
 from estune.errors import Interrupted, InvalidInput, JournalError, RigError, UnsafeStart
 from estune.run import snapshot
+from estune.run.failed_trials import run_trial
 from estune.run.journal import CompletedTrial, Journal, JournalEntry
 from estune.run.session import (
     Phase,
@@ -212,7 +213,10 @@ def run(
             answer = ask(question) if ask and question else "yes"
             if answer == "always":
                 ask = None
-            record = rig.run(request) if answer != "no" else _declined(tuning, request)
+            if answer == "no":
+                record = _declined(tuning, request)
+            else:
+                record = run_trial(rig, request, tuning.description)
             request = _record_trial(tuning, request, record, listeners)
             consecutive_void = consecutive_void + 1 if record.outcome.is_void else 0
             if record.outcome.is_void:

@@ -14,6 +14,7 @@ from estune.core.cost import StepCost
 from estune.core.gains import Gains
 from estune.errors import Interrupted, InvalidInput, RigError
 from estune.run.export import replace_file, write_record
+from estune.run.failed_trials import run_trial
 from estune.run.loop import CONSECUTIVE_VOID_MAX
 from estune.run.plan import description_from_json, description_to_json
 from estune.run.trial_file import TrialFile
@@ -103,8 +104,10 @@ class ExperimentRunner:
             request = TrialRequest(f"{name}-{self.stamp}", number, gains, profile, attempt)
             file = self.folder / "records" / f"{request.trial_id}.record"
             known = file.exists()
-            record = record_frame.decode(file.read_bytes()) if known else self.rig.run(request)
-            if not known:
+            if known:
+                record = record_frame.decode(file.read_bytes())
+            else:
+                record = run_trial(self.rig, request, self.about)
                 file.parent.mkdir(exist_ok=True)
                 replace_file(file, record_frame.encode(record))
             if not record.outcome.is_void:

@@ -1,0 +1,43 @@
+"""Trials that a rig cannot run under their id again."""
+
+import contextlib
+from datetime import UTC, datetime
+from typing import Protocol, runtime_checkable
+
+from estune.errors import EstuneError, RigError
+from estune.trial import Outcome, Rig, RigDescription, TrialRecord, TrialRequest, empty_record
+
+
+@runtime_checkable
+class FailureMemory(Protocol):
+    """A rig that remembers which trials have failed in its own program."""
+
+    def has_failed(self, request: TrialRequest) -> bool:
+        """Whether no record can ever be had under a trial's id."""
+        ...
+
+
+def run_trial(rig: Rig, request: TrialRequest, description: RigDescription) -> TrialRecord:
+    """The record of a trial; a void one where none can ever be had under its id.
+
+    A rig does not run an id twice, so that a trial which failed there, before it began or in it,
+    would fail for ever. On a rig that moves it counts as interrupted.
+
+    Raises:
+        RigError: the rig cannot be reached, or refuses.
+    """
+    try:
+        return rig.run(request)
+    except RigError as error:
+        if not _has_failed(rig, request):
+            raise
+        outcome = Outcome.CANCELLED if description.simulated else Outcome.INTERRUPTED
+        at = datetime.now(UTC).isoformat(timespec="milliseconds")
+        return empty_record(request, description, outcome, str(error), at)
+
+
+def _has_failed(rig: Rig, request: TrialRequest) -> bool:
+    if isinstance(rig, FailureMemory):
+        with contextlib.suppress(EstuneError):  # unreachable: known after reconnection
+            return rig.has_failed(request)
+    return False
