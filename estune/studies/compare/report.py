@@ -24,6 +24,8 @@ from estune.support.plot_style import (
     new_figure,
 )
 
+WITHIN = 1.05
+
 _COLOURS = (BLUE, GREEN, PURPLE, VERMILION, ORANGE, GREY)
 _MARKERS = "osD^vX"
 _HEADS = {"setpoint_filter_s": "filter"}
@@ -39,9 +41,7 @@ COLUMNS = (
 def page(comparison: Comparison) -> Page:
     """The page of a comparison."""
     results = comparison.results
-    best = min(results, key=lambda name: results[name].fun)
-    headline = f"{best} reached the lowest confirmed cost, {results[best].fun:.3g}"
-    first = next(iter(results.values()))
+    headline, first = _headline(results), next(iter(results.values()))
     step, cost = first.plan.step, first.plan.cost
     how = (
         f"Each tuner began at {first.start_gains} and had at most {first.plan.trials} search "
@@ -51,17 +51,36 @@ def page(comparison: Comparison) -> Page:
         "keeps limits of sensitivity and overshoot, which cost some of the improvement; Ms is "
         "given where the records allow it to be claimed."
     )
-    rows = tuple(_cells(row) for row in table_rows(results))
+    rows, heads = [_cells(row) for row in table_rows(results)], COLUMNS[:8]
     return Page(
         f"Tuners compared on {first.rig.name}",
         Status(f"{headline}."),
         (
             Drawing(cost_figure(results), "costs", headline, csv=_csv(results)),
             Drawing(gain_figure(results), "gains", "Recommended gains and unsafe trials"),
-            Table(COLUMNS, rows, numeric=range(1, len(COLUMNS) - 1)),
+            Table((*heads, COLUMNS[-1]), [(*row[:8], row[-1]) for row in rows], range(1, 8)),
+            Table(
+                (COLUMNS[0], *COLUMNS[8:-1]), [(row[0], *row[8:-1]) for row in rows], range(1, 5)
+            ),
         ),
         (Section("Procedure", (Paragraph(how),)),),
     )
+
+
+def _headline(results: Mapping[str, TuneResult]) -> str:
+    """The tuner of the lowest cost, and that of the fewest trials to within 5 % of it."""
+    best = min(results, key=lambda name: results[name].fun)
+    least = results[best].fun
+    needed = {}
+    for name, result in results.items():
+        near = (searched(result)["best_cost"] <= WITHIN * least).to_numpy()
+        if near.any():
+            needed[name] = int(near.argmax()) + 1
+    told = f"{best} reached the lowest confirmed cost, {least:.3g}"
+    if not needed:
+        return told
+    soonest = min(needed, key=lambda name: needed[name])
+    return f"{told}; {soonest} came within 5 % of it first, after {needed[soonest]} search trials"
 
 
 def table_rows(results: Mapping[str, TuneResult]) -> list[tuple[str, ...]]:
@@ -115,13 +134,12 @@ def gain_figure(results: Mapping[str, TuneResult]) -> Figure:
     for n, (_, colour, marker, result) in enumerate(_looks(results)):
         values = (*result.gains.as_tuple(), float(result.unsafe))
         for ax, value in zip(axes, values, strict=True):
-            ax.plot([value], [n], marker, color=colour, markersize=5)
-    for ax, name in zip(axes, (*GAIN_NAMES, "unsafe trials"), strict=True):
+            ax.plot([value], [n], marker, color=colour, markersize=5, clip_on=False)
+    for ax, name in zip(axes, (*GAIN_NAMES, "unsafe"), strict=True):
         unit = f", {GAIN_UNITS[name]}" if name in GAIN_UNITS else ""
         finish(ax, "", f"{_HEADS.get(name, name)}{unit}")
-        ax.set_xlim(left=0.0)
-        ax.margins(x=0.2)
-        ax.xaxis.set_major_locator(MaxNLocator(3, integer=not unit))
+        ax.set_xlim(0.0, 1.15 * ax.dataLim.xmax or 1.0)
+        ax.xaxis.set_major_locator(MaxNLocator(2, integer=not unit))
     axes[0].set_yticks(range(len(results)), list(results))
     axes[0].set_ylim(len(results) - 0.5, -0.5)
     return figure
