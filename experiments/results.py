@@ -86,18 +86,20 @@ def print_figures(figures: Mapping[str, Any]) -> None:
         if not isinstance(value, Mapping):
             print(f"{name:40} {_text(value)}")
     for name, rows in figures.items():
-        if isinstance(rows, Mapping):
+        if isinstance(rows, Mapping) and rows:
             print(f"\n{name}")
             if not all(isinstance(row, Mapping) for row in rows.values()):
                 print_figures({f"  {key}": value for key, value in rows.items()})
                 continue
             columns = list(dict.fromkeys(column for row in rows.values() for column in row))
-            cells = [[key, *(_text(row.get(c)) for c in columns)] for key, row in rows.items()]
+            cells = [[key, *(row.get(column) for column in columns)] for key, row in rows.items()]
             table = [["", *columns], *cells]
-            widths = [max(map(len, column)) for column in zip(*table, strict=True)]
-            for first, *others in table:
-                rest = (f"{cell:>{w}}" for cell, w in zip(others, widths[1:], strict=True))
-                print("  ".join((f"  {first:{widths[0]}}", *rest)))
+            widths = [max(map(len, map(_text, column))) for column in zip(*table, strict=True)]
+            sides = ["<" if isinstance(cell, str) else ">" for cell in cells[0]]
+            for row in table:
+                places = zip(row, sides, widths, strict=True)
+                line = "  ".join(f"{_text(cell):{side}{width}}" for cell, side, width in places)
+                print(f"  {line}".rstrip())
 
 
 def print_results(
