@@ -79,13 +79,18 @@ def printed(process: "subprocess.Popen[str]", begin: str) -> str:
     raise RuntimeError(f"the process ended before it printed {begin!r}")
 
 
-def changes(address: str, view: str) -> Iterator[dict[str, Any]]:
-    """What a page is sent."""
+def stream(address: str, view: str) -> http.client.HTTPResponse:
+    """The events of a page."""
     netloc = address.split("/")[2]
     connection = http.client.HTTPConnection(netloc, timeout=WITHIN_S)
     connection.request("GET", f"/api/events?view={view}")
+    return connection.getresponse()
+
+
+def changes(address: str, view: str) -> Iterator[dict[str, Any]]:
+    """What a page is sent."""
     event = b"message"
-    for line in connection.getresponse():
+    for line in stream(address, view):
         if line.startswith(b"event: "):
             event = line[7:].strip()
         elif line.startswith(b"data: "):
@@ -100,7 +105,7 @@ def pages_open(address: str, view: str) -> Iterator[None]:
     ended = threading.Event()
 
     def read() -> None:
-        for _ in changes(address, view):
+        for _ in stream(address, view):
             if ended.is_set():
                 return
 

@@ -194,6 +194,10 @@ class Journal:
                 *(number - self._records_max, Phase.SEARCH.value),
             )
 
+    def changes(self) -> int:
+        """A number that changes with every commit of another process."""
+        return int(self._file.rows("PRAGMA data_version")[0][0])
+
     def entries(self, skip: int = 0) -> list[JournalEntry]:
         """Every requested trial, in order, but for the first ones."""
         rows = self._file.rows(  # trials are requested in the order of their rows

@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Sequence
 from contextlib import suppress
 from itertools import pairwise
@@ -10,9 +10,12 @@ from pathlib import Path
 from statistics import fmean, median
 from typing import Any
 
+import numpy as np
+
 from estune import api
 from estune.core.comparison import repeatability
 from estune.core.gains import GAIN_NAMES
+from estune.core.quantities import FloatArray
 from estune.errors import EstuneError
 from estune.run import loop, snapshot
 from estune.run.journal import Journal, JournalEntry, being_written
@@ -29,13 +32,15 @@ REPLAYED_MAX = 500
 """Trials without a snapshot up to which the tuner's own state is restored."""
 POINTS_MAX = 1500
 """Points of a curve."""
+LATEST_S = 1.0
+"""Least time between two records that are read; what is faster is seen in the live samples."""
 _PHASES = tuple(Phase)
 _TIMES = 20
 """Trials whose durations give the time left."""
 
 
 class RunReader(Reader):
-    """Follows a journal five times a second; only new trials are read.
+    """Follows a journal ten times a second; only new trials are read.
 
     Args:
         board: The board.
@@ -45,6 +50,7 @@ class RunReader(Reader):
     """
 
     source = "run"
+    every_s = 0.1
 
     def __init__(self, board: Board, folder: Path, *, predict: bool = True) -> None:
         super().__init__(board)
@@ -59,19 +65,26 @@ class RunReader(Reader):
         self._unsafe = self._counted = 0
         self._best: JournalEntry | None = None
         self._status = ""
+        self._changes = self._latest = 0
+        self._latest_at_s = -math.inf
         self._seen_s: deque[float] = deque(maxlen=_TIMES)
 
     def read(self) -> None:
         """Reads what has been added to the journal."""
         journal, is_first = self._journal, self._journal is None
+        if journal is not None and journal.changes() == self._changes:
+            self._show_latest(journal)
+            if self._status != "running" or being_written(self._folder):
+                return
         if journal is None:
             journal = self._journal = Journal.open(self._folder)
             self._entries, self._baseline, self._best = [], [], None
-            self._unsafe = self._counted = 0
+            self._unsafe = self._counted = self._latest = 0
             self._tuning = None
             self._plan = journal.fact("plan")
             self._rig = description_from_json(journal.fact("rig"))
             self._show_plan(journal, self._rig)
+        self._changes = journal.changes()
         listed = journal.entries(skip=len(self._entries))
         added = [entry for entry in listed if entry.outcome is not None]
         pending = next((entry for entry in listed if entry.outcome is None), None)
@@ -83,6 +96,7 @@ class RunReader(Reader):
         if added and not is_first:
             self._seen_s.append(time.monotonic())
         self._show_trials(journal, added, restart=is_first)
+        self._show_latest(journal)
         self._show_state(pending)
         if self._predict:
             self._show_expectations(journal)
@@ -103,12 +117,15 @@ class RunReader(Reader):
 
     def _count(self, added: Sequence[JournalEntry]) -> None:
         self._entries += added
-        for entry in added:
-            if entry.phase is Phase.BASELINE and entry.outcome is Outcome.DONE:
-                self._baseline.append(entry.cost)
-            kind = _kind(entry, self._eta_max)
-            self._counted += kind != VOID
-            self._unsafe += kind == UNSAFE
+        self._baseline += [
+            entry.cost
+            for entry in added
+            if entry.phase is Phase.BASELINE and entry.outcome is Outcome.DONE
+        ]
+        eta_max = self._eta_max
+        kinds = Counter(_kind(entry, eta_max) for entry in added)
+        self._counted += kinds[DONE] + kinds[UNSAFE]
+        self._unsafe += kinds[UNSAFE]
 
     def _show_plan(self, journal: Journal, rig: RigDescription) -> None:
         plan, space = self._plan, tuner_space(self._plan["tuner"])
@@ -160,8 +177,14 @@ class RunReader(Reader):
         if best is not None and best is not self._best:
             self._best = best
             self._put_curve(journal, "best", best)
-        if added:
-            self._put_curve(journal, "latest", added[-1])
+
+    def _show_latest(self, journal: Journal) -> None:
+        """Shows the latest trial, of fast ones only some."""
+        now_s = time.monotonic()
+        number = len(self._entries)
+        if number > self._latest and now_s - self._latest_at_s >= LATEST_S:
+            self._latest, self._latest_at_s = number, now_s
+            self._put_curve(journal, "latest", self._entries[-1])
 
     def _put_curve(self, journal: Journal, name: str, entry: JournalEntry) -> None:
         with suppress(EstuneError):  # the run keeps its latest records only
@@ -225,7 +248,12 @@ class RunReader(Reader):
         return loop.replay(plan, self._rig, journal)
 
     def _show_result(self) -> None:
-        result = api.load(self._folder)
+        try:
+            result = api.load(self._folder)
+        except EstuneError as error:  # its trials can be shown all the same
+            shown = {"heading": str(error), "good": False, "rows": [], "remarks": []}
+            self.board.put("result", shown)
+            return
         self.board.put(
             "result",
             {
@@ -289,4 +317,10 @@ def curve(record: TrialRecord, rig: RigDescription) -> dict[str, Any]:
         "y": record.tension_N,
         "u": record.current_A * rig.newtons_per_ampere,
     }
-    return {name: [float(f"{v:.6g}") for v in c[::every]] for name, c in columns.items()}
+    return {name: _rounded(column[::every]) for name, column in columns.items()}
+
+
+def _rounded(values: FloatArray) -> list[float]:
+    """Values with six digits of the largest."""
+    largest = float(np.abs(values[np.isfinite(values)]).max(initial=1e-300))
+    return list(np.round(values, 5 - math.floor(math.log10(largest))).tolist())

@@ -135,17 +135,17 @@ class PageServer:
             return Response(f"{PAGES_MAX} pages are open already; close some", 503)
         view.start()
         return StreamingResponse(
-            self._stream(request, view), media_type="text/event-stream", headers=_HEADERS
+            self._stream(view), media_type="text/event-stream", headers=_HEADERS
         )
 
-    async def _stream(self, request: Request, view: View) -> AsyncIterator[str]:
+    async def _stream(self, view: View) -> AsyncIterator[str]:
         """Server-sent events: what changed, and a beat with the age of the data."""
         self._pages += 1
         try:
             seen, waited_s = Seen(), BEAT_S
             allowed = sorted(view.commands) if self._key else []
             yield f"event: hello\ndata: {to_json({'kind': view.kind, 'commands': allowed})}\n\n"
-            while not self._server.should_exit and not await request.is_disconnected():
+            while not self._server.should_exit:
                 text, seen = view.board.changes(seen)
                 if text:
                     yield f"data: {text}\n\n"
