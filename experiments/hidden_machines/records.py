@@ -88,7 +88,7 @@ def record(
     zero = float(rng.uniform(-2.0, 2.0))
     settings = machine(base, bench.hidden, length_m) | {"encoder_zero": zero}
     settings.setdefault("gauge_step", 2.0 ** -int(rng.choice([12, 16])) * 64.0)
-    settings["lag"] = float(rng.uniform(6e-5, 1.2e-4))
+    settings["lag"] = settings.get("lag", 0.0) + float(rng.uniform(6e-5, 1.2e-4))
     settings |= _controller(base, plan, bench.gains)
     drive = Drive(
         setpoint=plan.setpoint,
