@@ -12,6 +12,7 @@ INDEPENDENT = ("test_experiments", "test_explain_friction", "test_explain_plants
 """Files of long tests without shared fixtures, which may run in different processes."""
 
 LONGEST = (
+    "test_hidden_block",
     "test_explain",
     *INDEPENDENT,
     "README",

@@ -29,6 +29,7 @@ class AirDrag(Effect):
     name: ClassVar[str] = "air_drag"
     title: ClassVar[str] = "drag of the air"
     appearance: ClassVar[str] = "more current the faster it turns, and more than in proportion"
+    excitation: ClassVar[str] = "a run at top speed"
     port: ClassVar[Port] = Port.DRUM
     torque_Nms2: float = parameter(1e-3, low=0.0, high=10.0, unit="N m s2/rad2", neutral=0.0)
 
@@ -49,6 +50,7 @@ def test_undeclared_effect_is_unknown_until_it_is_declared():
     assert (found.verdict, [effect.name for effect in found.effects]) == ("named", ["air_drag"])
     assert found.gap_after < 0.3 * found.gap_before
     assert AirDrag in [type(effect) for effect in found.augmented.effects]
+    assert found.shown_by["air_drag"] == AirDrag.excitation
 
 
 def test_unknown_verdict_says_what_the_error_looks_like():

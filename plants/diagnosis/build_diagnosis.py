@@ -61,12 +61,14 @@ class EffectChoices(NamedTuple):
         calibrations: Those that are a wrong number of the model as given.
         in_noise: Those found in the noise.
         unavailable: Why others cannot be added to this model, by slug.
+        shown_by: The experiment that shows each of all, by slug.
     """
 
     structural: tuple[type[Effect], ...]
     calibrations: tuple[type[Effect], ...]
     in_noise: tuple[type[Effect], ...]
     unavailable: Mapping[str, str]
+    shown_by: Mapping[str, str]
 
 
 class FittedModel(NamedTuple):
@@ -182,6 +184,7 @@ def build_diagnosis(inputs: DiagnosisInputs) -> Diagnosis:
         hold_out=held,
         limitations=limits,
         models=judged.models,
+        shown_by=inputs.choice.shown_by,
     )
 
 

@@ -226,6 +226,7 @@ def _choice(plant: DiagnosedModel, effects: Sequence[type[Effect] | str] | None)
         calibrations=tuple(e for e in had if e.base_parameter),
         in_noise=tuple(e for e in had if e.in_noise),
         unavailable={name: why for name, why in reasons.items() if why is not None},
+        shown_by={e.name: e.excitation for e in asked},
     )
 
 

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -348,6 +348,7 @@ class DiagnosisResult:
         hold_out: Errors on records that had no part in the fits, or None.
         limitations: What these records cannot tell.
         models: Every model that was fitted, the base model first.
+        shown_by: The experiment that shows each effect, by slug; empty where none is declared.
     """
 
     verdict: Verdict
@@ -383,6 +384,7 @@ class DiagnosisResult:
     hold_out: HoldOut | None = None
     limitations: tuple[Limitation, ...] = ()
     models: tuple[ModelSummary, ...] = ()
+    shown_by: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def exit_code(self) -> int:

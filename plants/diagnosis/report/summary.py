@@ -117,8 +117,7 @@ def parameters(d: DiagnosisResult) -> Table:
 
 def not_excited(d: DiagnosisResult) -> Table:
     """Effects that these records cannot show, the reason, and the experiment that would."""
-    shown_by = {name: effect.excitation for name, effect in EFFECTS.items()}
-    rows = [(name, why, shown_by.get(name) or "-") for name, why in d.not_excited.items()]
+    rows = [(name, why, d.shown_by.get(name) or "-") for name, why in d.not_excited.items()]
     return Table(("effect", "why", "shown by"), tuple(rows))
 
 
