@@ -105,6 +105,7 @@ def draw_response(
         )  # fmt: skip
     for record, look in _before_and_after(before, after):
         ax.plot((record.time_s - step.step_at_s) * per_s, record.tension_N, zorder=2, **look)
+    _mark_load(ax, step, per_s)
     early_s = min(step.step_at_s, 0.1 * step.duration_s)
     ax.set_xlim(-early_s * per_s, (step.duration_s - step.step_at_s) * per_s)
     finish(ax, ordinate, f"time from the step, {unit}")
@@ -124,6 +125,7 @@ def draw_command(
     for record, look in _before_and_after(before, after):
         effort = record.current_A * rig.newtons_per_ampere
         ax.plot((record.time_s - step.step_at_s) * per_s, effort, **look)
+    _mark_load(ax, step, per_s)
     low, high = ax.get_ylim()
     room = 0.5 * (high - low)
     for limit in (rig.controller.output_min_N, rig.controller.output_max_N):
@@ -131,6 +133,14 @@ def draw_command(
             ax.axhline(limit, color=VERMILION, linewidth=1.0, linestyle=":", label="limit")
     finish(ax, rig.command, f"time from the step, {unit}")
     return ax
+
+
+def _mark_load(ax: Axes, step: StepProfile, per_s: float) -> None:
+    """Marks the begin of the load that some profiles add after the step."""
+    load_at_s = getattr(step, "load_at_s", None)
+    if load_at_s is not None:
+        at = (load_at_s - step.step_at_s) * per_s
+        ax.axvline(at, color=GREY, linewidth=0.9, linestyle=":", label="load begins")
 
 
 def _before_and_after(

@@ -105,9 +105,18 @@ def _responses(result: TuneResult) -> Iterator[Block]:
         f"{rig.measurement_name} and {rig.command_name} over time, before and after",
         f"{rig.measurement_name.capitalize()} and {rig.command_name} in the first trial with the "
         f"initial gains{' and the last with the tuned ones' if after is not None else ''}."
-        f"{_limits(result, before)}",
+        f"{_load(result)}{_limits(result, before)}",
         csv=_csv(_samples(shown, rig.newtons_per_ampere)),
     )
+
+
+def _load(result: TuneResult) -> str:
+    """What the load after the step shows, in a sentence; empty without a load."""
+    load = getattr(result.plan.step, "load_N", None)
+    if load is None:
+        return ""
+    shown = with_unit(load, result.rig.command_unit, 4)
+    return f" From the dotted line on, a load of {shown} is added: the disturbance response."
 
 
 def _limits(result: TuneResult, record: TrialRecord) -> str:

@@ -67,8 +67,10 @@ function judge(values) {
     const [word, reason = ""] = state.status.split(/:(.*)/s);
     return { word, age, bad: word === "failed" || word === "interrupted", reason: reason.trim() };
   }
+  if (state) // between fast trials the rig's own mode would flicker
+    return { word: rig?.mode === "aborting" ? "aborting" : "running", good: true, age,
+      reason: state.phase && `phase: ${state.phase}` };
   if (rig) return { word: rig.mode, age, good: rig.mode === "running", reason: rig.sentence };
-  if (state) return { word: "running", good: true, age, reason: state.phase };
   return { word: "connecting", age, reason: "" };
 }
 
