@@ -8,6 +8,7 @@ whole number of samples, beside the last one found.
 
 import math
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -267,20 +268,13 @@ class _Solution(NamedTuple):
         a, n = _denominator(coordinates), signals.effort.shape[1]
         filtered = lfilter([1.0], a, signals.effort)
         raw = np.stack([_delayed(filtered, dead + 1 + j) for j in range(3)])
-        free = lfilter([1.0], a, np.eye(1, n)[0])
-        columns = np.array([free, _delayed(free, 1), np.cumsum(free), np.ones(n)])
-        columns /= np.maximum(np.linalg.norm(columns, axis=1, keepdims=True), 1e-300)
-        # Start state and level span the response to an offset of the effort, but for integrators.
-        left, sizes, right = np.linalg.svd(columns.T, full_matrices=False)
-        apart = sizes > NUISANCE_APART * sizes[0]
-        Q = left[:, apart]
+        Q, level = _nuisance(float(a[1]), float(a[2]), n)
         X, y = _projected(raw, Q), _projected(signals.measurement, Q)
         basis, triangle = np.linalg.qr(X.reshape(3, -1).T)  # almost collinear: not by X'X
         b = np.linalg.lstsq(triangle, basis.T @ y.ravel(), rcond=1e-10)[0]
         residual = y - np.tensordot(b, X, 1)
         rest = (signals.measurement - np.tensordot(b, raw, 1)) @ Q
-        constant = (rest / sizes[apart]) @ right[apart, -1:] * columns[-1]
-        output = signals.measurement - residual - constant
+        output = signals.measurement - residual - rest @ level
         return cls(coordinates, dead, Q, X, basis, b, residual, output)
 
     @property
@@ -306,6 +300,23 @@ class _Solution(NamedTuple):
         per_coordinate = np.array([moved[0] - moved[1], moved[2] - moved[3]])[:, 1:] / 2e-6
         slopes = (per_coordinate @ self.denominator_slopes.reshape(2, -1)).T
         return np.asarray(slopes - self.basis @ (self.basis.T @ slopes))
+
+
+@lru_cache(maxsize=4)
+def _nuisance(a1: float, a2: float, samples: int) -> tuple[FloatArray, FloatArray]:
+    """Basis Q of start states and offsets, and the level that each of its columns contains.
+
+    Returns:
+        Arrays of shape (samples, up to 4) and (up to 4, 1).
+    """
+    free = lfilter([1.0], [1.0, a1, a2], np.eye(1, samples)[0])
+    columns = np.array([free, _delayed(free, 1), np.cumsum(free), np.ones(samples)])
+    columns /= np.maximum(np.linalg.norm(columns, axis=1, keepdims=True), 1e-300)
+    # Start state and level span the response to an offset of the effort, but for integrators.
+    left, sizes, right = np.linalg.svd(columns.T, full_matrices=False)
+    apart = sizes > NUISANCE_APART * sizes[0]
+    level = right[apart, -1:] / sizes[apart, np.newaxis] * columns[-1, 0]
+    return left[:, apart], level
 
 
 def _delayed(signals: FloatArray, samples: int) -> FloatArray:

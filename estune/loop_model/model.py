@@ -231,15 +231,14 @@ def robustness(model: LoopModel, gains: Gains, settings: ControllerSettings) -> 
         return UNSTABLE
     size = np.abs(back)
     lowest = int(np.argmin(size))
-    crossing = np.log(np.abs(loop))
-    change = np.flatnonzero(crossing[:-1] * crossing[1:] < 0.0)
-    if not change.size:
+    magnitude = np.abs(loop)
+    at = np.flatnonzero((magnitude[:-1] > 1.0) != (magnitude[1:] > 1.0))
+    if not at.size:
         return Robustness(1.0 / _refined(size, lowest), math.inf)
-    share = crossing[change] / (crossing[change] - crossing[change + 1])
-    angle = np.angle(-loop)
-    step = np.angle(loop[change + 1] / loop[change])
-    margins = np.abs(np.degrees(angle[change] + share * step))
-    return Robustness(1.0 / _refined(size, lowest), float(margins.min()))
+    before, after = np.log(magnitude[at]), np.log(magnitude[at + 1])
+    share = before / (before - after)
+    margins = np.angle(-loop[at]) + share * np.angle(loop[at + 1] / loop[at])
+    return Robustness(1.0 / _refined(size, lowest), float(np.degrees(np.abs(margins).min())))
 
 
 def _refined(values: FloatArray, lowest: int) -> float:

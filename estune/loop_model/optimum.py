@@ -110,6 +110,9 @@ EXCESS_MAX = 5.0
 INFEASIBLE = 10.0
 """Logarithm of the cost of an unstable loop."""
 
+DESCENTS = 2
+"""Starts, the best ones, from which a search descends."""
+
 SAME_START = 0.05
 """Largest difference in a logarithm between two starts of which one search is enough."""
 
@@ -159,7 +162,8 @@ class RegionSearch:
         if not stable:
             middle = (self.low + self.high) / 2.0
             return Optimum(middle, self.predicted(middle), feasible=False)
-        return min((self._descend(x, iterations) for x in stable), key=self._rank)
+        stable.sort(key=lambda x: self._penalised(x, 1.0))
+        return min((self._descend(x, iterations) for x in stable[:DESCENTS]), key=self._rank)
 
     def predicted(self, x: FloatArray) -> Prediction:
         """What the model predicts at some coordinates."""
