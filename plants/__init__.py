@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from plants.diagnosis.improvement.improve import improve
     from plants.effects import CoulombFriction, Effect
     from plants.models.drives import Servo, Stage, servo, stage
+    from plants.models.fmu.plant import FmuPlant, fmu_plant
     from plants.models.linear_plant import LinearPlant, linear_plant
     from plants.models.model_file import load_model, save_model
     from plants.models.python_plant import PythonPlant, python_plant
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
 __all__ = [
     "CoulombFriction",
     "Effect",
+    "FmuPlant",
     "LinearPlant",
     "Plant",
     "PythonPlant",
@@ -37,6 +39,7 @@ __all__ = [
     "UnloadedReel",
     "batch_costs",
     "explain",
+    "fmu_plant",
     "improve",
     "linear_plant",
     "load_model",
@@ -55,6 +58,7 @@ __getattr__, __dir__ = lazy_exports(
     {
         "CoulombFriction": "plants.effects",
         "Effect": "plants.effects",
+        "FmuPlant": "plants.models.fmu.plant",
         "LinearPlant": "plants.models.linear_plant",
         "Plant": "plants.simulation.plant",
         "PythonPlant": "plants.models.python_plant",
@@ -66,6 +70,7 @@ __getattr__, __dir__ = lazy_exports(
         "UnloadedReel": "plants.models.unloaded_reel",
         "batch_costs": "plants.simulation.batch",
         "explain": "plants.diagnosis.explain",
+        "fmu_plant": "plants.models.fmu.plant",
         "improve": "plants.diagnosis.improvement.improve",
         "linear_plant": "plants.models.linear_plant",
         "load_model": "plants.models.model_file",

@@ -13,6 +13,7 @@ from estune.run import targets
 from estune.trial import RigLimits
 from estune.trial.profiles import StepProfile
 from plants.models.drives import Servo, Stage, servo, stage
+from plants.models.fmu.plant import FmuPlant, fmu_plant
 from plants.models.linear_plant import LinearPlant, linear_plant
 from plants.models.plant_model import PlantModel, own_fields
 from plants.models.python_plant import PythonPlant
@@ -55,6 +56,12 @@ def table_names() -> str:
     """The names of the tables, as a phrase."""
     *most, last = (f"[{kind.table}]" for kind in KINDS)
     return f"{', '.join(most)} or {last}"
+
+
+def _text(value: Any) -> str:
+    if not isinstance(value, str):
+        raise InvalidInput(f"this is {_shown(value)}; it must be a text")
+    return value
 
 
 def _reference(value: Any) -> str:
@@ -135,6 +142,7 @@ def _own_values(model: PlantModel) -> dict[str, Any]:
 
 _UNITS = ("torque_unit", "angle_unit")
 _CONTROLLER = ("sampling_Hz", "output_min_N", "output_max_N", "derivative_filter_s")
+_SIGNALS = ("measurement", "command")
 _MOUNTED = ("noise_rms_N", "settling_time_s", "newtons_per_ampere")
 _LINEAR_KEYS: dict[str, Reader] = {
     "numerator": _numbers,
@@ -145,11 +153,20 @@ _LINEAR_KEYS: dict[str, Reader] = {
     "E": read_number,
     "discrete": _flag,
     **dict.fromkeys(("dead_time_s", *_CONTROLLER, *_MOUNTED, *_UNITS), read_number),
+    **dict.fromkeys(_SIGNALS, _text),
     "step": _record_of(StepProfile),
     "limits": _record_of(RigLimits),
     "gains": _record_of(Gains),
 }
 _PYTHON_KEYS: dict[str, Reader] = {"plant": _reference, **dict.fromkeys(_UNITS, read_number)}
+_FMU_KEYS: dict[str, Reader] = {
+    **dict.fromkeys(("file", "input", "output"), _text),
+    **dict.fromkeys(("dead_time_s", "initial_effort_N", *_CONTROLLER), read_number),
+    **dict.fromkeys(("noise_rms_N", "settling_time_s"), read_number),
+    "step": _record_of(StepProfile),
+    "limits": _record_of(RigLimits),
+    "gains": _record_of(Gains),
+}
 
 
 def _make_linear(**values: Any) -> LinearPlant:
@@ -195,6 +212,8 @@ def _linear_values(plant: LinearPlant) -> dict[str, Any]:
     values |= _units_of(plant)
     values |= {name: getattr(mounting.controller, name) for name in _CONTROLLER}
     values |= {name: getattr(mounting, name) for name in _MOUNTED}
+    signals = {name: getattr(mounting, name) for name in _SIGNALS}
+    values |= {name: label for name, label in signals.items() if "," in label}  # with a unit
     if mounting.newtons_per_ampere == 1.0:  # as in files of earlier versions
         del values["newtons_per_ampere"]
     values |= {"step": _table(mounting.profile), "limits": _table(mounting.limits)}
@@ -210,6 +229,25 @@ def _make_python(**values: Any) -> PythonPlant:
     if not isinstance(plant, PythonPlant):
         raise InvalidInput(f"plant {reference} is a {type(plant).__name__}, not a python_plant")
     return replace(plant, effects=(), **values)
+
+
+def _make_fmu(**values: Any) -> FmuPlant:
+    """The plant of an FMU file, whose path is relative to the working directory."""
+    needed = ("file", "input", "output", "sampling_Hz", "settling_time_s")
+    missing = [key for key in needed if key not in values]
+    if missing:
+        raise InvalidInput(f"it needs {' and '.join(missing)}")
+    return fmu_plant(profile=values.pop("step", None), **values)
+
+
+def _fmu_values(plant: FmuPlant) -> dict[str, Any]:
+    m, step = plant.mounting, plant.step
+    values: dict[str, Any] = {"file": step.file, "input": step.input, "output": step.output}
+    values |= {name: getattr(m.controller, name) for name in _CONTROLLER}
+    values |= {"dead_time_s": plant.stated_dead_time_s, "noise_rms_N": m.noise_rms_N}
+    values |= {"settling_time_s": m.settling_time_s, "initial_effort_N": plant.initial_effort_N}
+    values |= {"step": _table(m.profile), "limits": _table(m.limits)}
+    return values if m.gains is None else {**values, "gains": _table(m.gains)}
 
 
 def _units_of(plant: LinearPlant | PythonPlant) -> dict[str, Any]:
@@ -236,6 +274,7 @@ KINDS = (
     _of_drive(Servo, servo),
     ModelKind("unloaded_reel", UnloadedReel, _own_keys(UnloadedReel), unloaded_reel, _own_values),
     ModelKind("linear_plant", LinearPlant, _LINEAR_KEYS, _make_linear, _linear_values),
+    ModelKind("fmu", FmuPlant, _FMU_KEYS, _make_fmu, _fmu_values),
     ModelKind("python_plant", PythonPlant, _PYTHON_KEYS, _make_python, _units_of),
 )
 """All kinds, in the order of messages."""
