@@ -92,7 +92,8 @@ class TestODriveWithCanGauge(_OnTheEmulatedReel):
 @pytest.mark.parametrize("device", DRIVER_TABLES)
 def test_rig_runs_a_trial_behind_a_real_devices_protocol(device):
     with hardware(device) as address:
-        config = quick(driver=DRIVER_TABLES[device](address))
+        patient = {f"guard__{limit}": PATIENT_s for limit in ("gap_s", "heartbeat_s", "frozen_s")}
+        config = quick(driver=DRIVER_TABLES[device](address), **patient)
         with HardwareRig(config) as rig:
             about = rig.describe()
             record = rig.run(TrialRequest("r", 1, about.gains, about.step))
