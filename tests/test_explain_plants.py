@@ -8,6 +8,10 @@ import numpy as np
 import pytest
 
 import plants
+from plants.diagnosis.report.plant_units import in_own_units
+from plants.diagnosis.result import Interval
+from plants.effects import CoulombFriction
+from plants.effects.plant_scale import written_unit
 from tests.support_measurements import open_loop
 
 MASS_kg, DAMPING_Ns_m, STIFFNESS_N_m = 2.0, 10.0, 5e4
@@ -76,6 +80,18 @@ def test_effect_of_a_control_system_is_reported_in_its_units(hidden, name, truth
     parameter = next(iter(found.effects[0].parameters.values()))
     assert parameter.value == pytest.approx(truth, rel=0.05)
     assert parameter.unit == ("input" if name == "coulomb_friction" else "output")
+
+
+def test_plant_that_states_its_units_is_told_of_in_them():
+    plant = plants.linear_plant(BELIEVED, measurement="position, m", command="force, N")
+    friction = CoulombFriction(2.0)
+    said = friction.sentence(vars(friction), plant)
+    assert said.startswith("Your plant has dry friction: 2 N against the motion")
+    for name, unit in {"torque_Nm": "N", "creep_rad_s": "m/s"}.items():
+        declared = CoulombFriction.parameters()[name].unit
+        own = in_own_units(CoulombFriction, name, Interval(2.0, 1.0, 3.0, declared), plant)
+        assert own == Interval(2.0, 1.0, 3.0, unit)
+    assert written_unit("N", plant) == "m"
 
 
 @pytest.mark.parametrize(("friction_N", "verdict"), [(0.0, "none"), (FRICTION_N, "named")])

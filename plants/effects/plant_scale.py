@@ -11,6 +11,9 @@ _PREFIXES = {-6: "µ", -3: "m", 0: "", 3: "k"}
 _SCALED = {"N", "m", "s", "A", "N m", "rad"}
 """Units that are written with a prefix; N m/A or kg/m are not."""
 
+_INPUT, _OUTPUT = "in the input's unit", "in the output's unit"
+"""Units of a plant that states none."""
+
 
 def si(value: float, unit: str) -> str:
     """A value to three digits with its unit, in millimetres and the like where that is shorter."""
@@ -35,9 +38,9 @@ def share(value: float) -> str:
 
 
 def written_unit(unit: str, model: Any) -> str:
-    """The unit of an output as written: none for a plant, whose output may be anything."""
+    """The unit of an output as written; of a plant the one it states, if any."""
     scale = PlantScale.of(model)
-    return "" if scale.is_plant else scale.unit(unit)
+    return scale.output_unit if scale.is_plant else scale.unit(unit)
 
 
 class PlantScale(NamedTuple):
@@ -53,6 +56,8 @@ class PlantScale(NamedTuple):
         sampling_Hz: Rate of the controller; nan if not known.
         units: The plant's own units by those of a drum, where they differ.
         names: The plant's own names of numbers and columns by those of a drum.
+        input_unit: Unit of the input of a plant known by input and output; empty if not stated.
+        output_unit: Unit of its output.
     """
 
     subject: str = "plant"
@@ -64,6 +69,8 @@ class PlantScale(NamedTuple):
     sampling_Hz: float = math.nan
     units: Mapping[str, str] = {}
     names: Mapping[str, str] = {}
+    input_unit: str = ""
+    output_unit: str = ""
 
     @classmethod
     def of(cls, model: Any) -> "PlantScale":
@@ -106,57 +113,57 @@ class PlantScale(NamedTuple):
     def torque(self, torque_Nm: float) -> str:
         """A torque, and the tension it is at the cable."""
         if self.is_plant:
-            return _input(torque_Nm)
+            return self.of_input(torque_Nm)
         at_cable = torque_Nm / self.radius_m if self.has_cable else math.nan
         return f"{self.amount(torque_Nm, 'N m')}{also(at_cable, 'N', ' at the cable')}"
 
     def damping(self, damping_Nms: float) -> str:
         """A viscous friction at the drum, and at the cable."""
         if self.is_plant:
-            return f"{_input(damping_Nms)} for each unit of the output per second"
+            return f"{self.of_input(damping_Nms)} for each unit of the output per second"
         at_cable = damping_Nms / self.radius_m**2 if self.has_cable else math.nan
         return f"{self.amount(damping_Nms, 'N m s/rad')}{also(at_cable, 'N per m/s', ' of cable')}"
 
     def travel(self, angle_rad: float) -> str:
         """An angle of the drum, and the cable it winds."""
         if self.is_plant:
-            return _output(angle_rad)
+            return self.of_output(angle_rad)
         wound = angle_rad * self.radius_m if self.has_cable else math.nan
         return f"{self.amount(angle_rad, 'rad')}{also(wound, 'm', ' of cable')}"
 
     def cable(self, length_m: float) -> str:
         """A length of cable."""
         if self.is_plant:
-            return _output(length_m)
+            return self.of_output(length_m)
         return si(length_m, "m")
 
     def speed(self, velocity_rad_s: float) -> str:
         """A velocity of the drum, and of the cable."""
         if self.is_plant:
-            return f"{_output(velocity_rad_s)} per second"
+            return f"{self.of_output(velocity_rad_s)} per second"
         wound = velocity_rad_s * self.radius_m if self.has_cable else math.nan
         return f"{self.amount(velocity_rad_s, 'rad/s')}{also(wound, 'm/s', ' of cable')}"
 
     def current(self, current_A: float, per: str = "") -> str:
         """A current, and the tension it holds."""
         if self.is_plant:
-            return f"{_input(current_A)}{' per second' if per else ''}"
+            return f"{self.of_input(current_A)}{' per second' if per else ''}"
         force = current_A * self.newtons_per_ampere if self.unit("A") == "A" else math.nan
         return f"{self.amount(current_A, f'A{per}')}{also(force, f'N{per}')}"
 
     def reading(self, tension_N: float) -> str:
         """A tension, or what stands for it in a plant's output."""
         if self.is_plant:
-            return _output(tension_N)
+            return self.of_output(tension_N)
         return si(tension_N, "N")
 
+    def of_input(self, value: float) -> str:
+        """A value of a plant's input."""
+        return f"{digits(value)} {self.input_unit or _INPUT}"
 
-def _input(value: float) -> str:
-    return f"{digits(value)} in the input's unit"
-
-
-def _output(value: float) -> str:
-    return f"{digits(value)} in the output's unit"
+    def of_output(self, value: float) -> str:
+        """A value of a plant's output."""
+        return f"{digits(value)} {self.output_unit or _OUTPUT}"
 
 
 def also(value: float, unit: str, of: str = "") -> str:

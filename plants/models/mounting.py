@@ -8,6 +8,7 @@ from estune.core.quantities import check_not_negative, check_positive
 from estune.errors import UnsafeStart
 from estune.trial import LinearModel, RigDescription, RigLimits
 from estune.trial.profiles import StepProfile
+from plants.effects.plant_scale import PlantScale
 from plants.models.plant_model import PlantModel
 from plants.simulation.plant import SOFTWARE
 
@@ -102,6 +103,13 @@ class MountedModel(PlantModel):
     """A plant model that carries a `Mounting`, in units of its own."""
 
     mounting: Mounting  # controller, suggested step, limits and noise
+
+    @property
+    def scale(self) -> PlantScale:
+        """Units that sentences on the plant refer to."""
+        signals = (self.mounting.command, self.mounting.measurement)
+        units = [text.rpartition(", ")[2] if ", " in text else "" for text in signals]
+        return super().scale._replace(input_unit=units[0], output_unit=units[1])
 
     @property
     def newtons_per_ampere(self) -> float:

@@ -57,15 +57,18 @@ def _units(port: Port, model: Any) -> dict[str, tuple[float, str]]:
         return {}
     at_gauge = port is Port.GAUGE
     newton = angle / READINGS_PER_ANGLE if at_gauge else torque * ARM_m
-    read = "output" if at_gauge else "input"
+    scale = PlantScale.of(model)
+    given, got = scale.input_unit or "input", scale.output_unit or "output"
+    read = got if at_gauge else given
     return {
-        "N m": (torque, "input"),
-        "A": (torque, "input"),
-        "A/s": (torque, "input/s"),
-        "rad": (abs(angle), "output"),
-        "rad/s": (abs(angle), "output/s"),
-        "m": (abs(angle) / ARM_m, "output"),
-        "N m s/rad": (torque / abs(angle), "input s/output"),
+        "N m": (torque, given),
+        "A": (torque, given),
+        "A/s": (torque, f"{given}/s"),
+        "rad": (abs(angle), got),
+        "rad/s": (abs(angle), f"{got}/s"),
+        "m": (abs(angle) / ARM_m, got),
+        "N m s/rad": (torque / abs(angle), f"{given} s/{got}"),
+        "N m s2/rad2": (torque / angle**2, f"{given} s2/{got}2"),
         "N": (newton, read),
         "N/s": (newton, f"{read}/s"),
         "1/N": (1.0 / newton, f"1/{read}"),
