@@ -1,5 +1,6 @@
 """Signal path of a linear plant with effects; the equations are in `linear_with_effects`."""
 
+from types import SimpleNamespace
 from typing import NamedTuple
 
 import casadi as ca
@@ -16,35 +17,11 @@ CABLE_ROUNDS = 8
 """Newton iterations for the rest tension of a cable law that is given by its inverse."""
 
 
-class Constants(NamedTuple):
-    """Constants of a trial; matrices are over one substep."""
-
-    transition: Expression
-    by_torque: Expression
-    by_drive: Expression
-    by_drive_after: Expression  # its part after the drive's change within a substep
-    change: Expression  # number of the substep in which the drive changes
-    A: Expression
-    B: Expression
-    C: Expression
-    E: Expression
-    V: Expression
-    restoring: Expression
-    torque_constant: Expression
-    torque_per_velocity: Expression
-    substep_s: Expression
-    drive_per_effort: Expression
-    limit: Expression
-    encoder_step: Expression
-    angle_unit: Expression
-    effects: Expression
-
-
 class LinearPath(NamedTuple):
     """Signal path of a linear plant; see `SignalPath` and `LinearEffectStructure`."""
 
     base: LinearBase
-    c: Constants
+    c: SimpleNamespace  # constants of a trial, from `_constants` of the structure
     stages: EffectStages
     rounded: bool
 

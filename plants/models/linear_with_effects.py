@@ -17,13 +17,14 @@ effects that repeat with each turn cannot be added.
 
 import math
 from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import ClassVar
 
 import casadi as ca
 
 from plants.effects.effect import Effect
 from plants.models.effect_stages import EffectStages
-from plants.models.linear_signal_path import ARM_m, Constants, LinearPath
+from plants.models.linear_signal_path import ARM_m, LinearPath
 from plants.models.path_structure import (
     SUBSTEPS,
     EffectNumbers,
@@ -70,13 +71,13 @@ class LinearEffectStructure(PathStructure):
             return {}
         return {"drum_radius_m": ARM_m, "torque_constant_Nm_A": 1.0, "viscous_friction_Nms": 0.0}
 
-    def _path(self, c: Constants, numbers: EffectNumbers) -> LinearPath:
+    def _path(self, c: SimpleNamespace, numbers: EffectNumbers) -> LinearPath:
         stages = EffectStages(self.effects, numbers, self.base.order)
         return LinearPath(self.base, c, stages, self.rounded)
 
     def _constants(
         self, parameters: Expression, preload: Expression
-    ) -> tuple[Constants, EffectNumbers]:
+    ) -> tuple[SimpleNamespace, EffectNumbers]:
         given = self.split_parameters(parameters)
         nominal, p = given.nominal, given.with_effects()
         motion = self.base.motion(p)
@@ -95,12 +96,12 @@ class LinearEffectStructure(PathStructure):
             torque_per_velocity=torque_per_velocity,
         )
         per_ampere = nominal.drum_radius_m / nominal.torque_constant_Nm_A
-        constants = Constants(
-            transition=transition,
+        constants = SimpleNamespace(
+            transition=transition,  # over one substep, as the three below
             by_torque=gamma,
             by_drive=gamma * p.torque_constant_Nm_A,
-            by_drive_after=after,
-            change=change,
+            by_drive_after=after,  # after the drive's change within a substep
+            change=change,  # number of the substep in which the drive changes
             A=motion.A,
             B=motion.B,
             C=motion.C,

@@ -17,7 +17,6 @@ from plants.models.parameters import Parameters, ParametricStructure
 from plants.simulation.equations import (
     Equations,
     Expression,
-    column_of,
     held_input,
     pack_constants,
 )
@@ -69,11 +68,13 @@ class PathStructure(ParametricStructure):
         """Number of observable states."""
 
     @abstractmethod
-    def _constants(self, parameters: Expression, preload: Expression) -> tuple[Any, EffectNumbers]:
-        """Constants of a trial, a named tuple, and each effect's part of them by name."""
+    def _constants(
+        self, parameters: Expression, preload: Expression
+    ) -> tuple[SimpleNamespace, EffectNumbers]:
+        """Constants of a trial, and each effect's part of them, by name."""
 
     @abstractmethod
-    def _path(self, c: Any, numbers: EffectNumbers) -> SignalPath:
+    def _path(self, c: SimpleNamespace, numbers: EffectNumbers) -> SignalPath:
         """The signal path with these constants."""
 
     def equations(self) -> Equations:
@@ -86,8 +87,7 @@ class PathStructure(ParametricStructure):
         preload, noise, effort = (ca.SX.sym(name) for name in ("preload", "noise", "effort"))
         before, after, n = (ca.SX.sym(name) for name in ("before", "after", "n"))
         values, numbers = self._constants(parameters, preload)
-        column, c = pack_constants(values)
-        constants = column_of(c)
+        column, constants, c = pack_constants(values)
         rest, rest_effort = self._path(values, numbers).rest(preload)
         symbols = iter(ca.vertsplit(c.effects))
         path = self._path(c, [{name: next(symbols) for name in one} for one in numbers])

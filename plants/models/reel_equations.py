@@ -39,7 +39,6 @@ from plants.models.reel_signal_path import (
     READING_RATE,
     STATES,
     THETA,
-    Constants,
     ReelPath,
 )
 from plants.simulation.equations import Expression, held_input
@@ -106,14 +105,14 @@ class ReelStructure(PathStructure):
         """Angle and velocity of the drum, or tension and its rate."""
         return 2
 
-    def _path(self, c: Constants, numbers: EffectNumbers) -> ReelPath:
+    def _path(self, c: SimpleNamespace, numbers: EffectNumbers) -> ReelPath:
         outside = self.watched or any(Port.EYELET in effect.ports() for effect in self.effects)
         stages = EffectStages(self.effects, numbers, STATES + outside)
         return ReelPath(c, stages, outside, self.rounded, self.by_gauge)
 
     def _constants(
         self, parameters: Expression, preload: Expression
-    ) -> tuple[Constants, EffectNumbers]:
+    ) -> tuple[SimpleNamespace, EffectNumbers]:
         given = self.split_parameters(parameters)
         nominal, p = given.nominal, given.with_effects()
         h = 1.0 / (p.sampling_Hz * SUBSTEPS)
@@ -131,18 +130,18 @@ class ReelStructure(PathStructure):
             substep_s=h,
             torque_per_velocity=torque_per_velocity,
         )
-        constants = Constants(
-            transition=transition,
-            by_torque=gamma[:, 0],
+        constants = SimpleNamespace(
+            transition=transition,  # Phi over one substep, 4 x 4
+            by_torque=gamma[:, 0],  # Gamma for a torque on the drum, 4 x 1
             by_drive=gamma[:, 0] * p.torque_constant_Nm_A,
-            by_drive_after=after,
-            change=change,
-            by_tension=gamma[:, 1],
+            by_drive_after=after,  # after the drive's change within a substep
+            change=change,  # number of the substep in which the drive changes
+            by_tension=gamma[:, 1],  # for tension beyond the linear law
             torque_per_velocity=torque_per_velocity,
             drum_radius_m=p.drum_radius_m,
             torque_constant_Nm_A=p.torque_constant_Nm_A,
-            tension_per_angle=per_angle,
-            tension_per_velocity=per_angle * 0.5 * h,
+            tension_per_angle=per_angle,  # k R
+            tension_per_velocity=per_angle * 0.5 * h,  # to the angle at midspan
             substep_s=h,
             half_substep_s=0.5 * h,
             amperes_per_newton=nominal.drum_radius_m / nominal.torque_constant_Nm_A,

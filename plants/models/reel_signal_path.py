@@ -1,5 +1,6 @@
 """Signal path of the reel, stage by stage; the equations are in `reel_equations`."""
 
+from types import SimpleNamespace
 from typing import NamedTuple
 
 import casadi as ca
@@ -21,28 +22,6 @@ STIFFNESS_RATIO_MAX = 20.0
 """Bound of the cable's stiffness relative to the linear law, and of the inverse."""
 
 
-class Constants(NamedTuple):
-    """Constants of a trial; matrices are over one substep."""
-
-    transition: Expression  # Phi, 4 x 4
-    by_torque: Expression  # Gamma for a torque on the drum, 4 x 1
-    by_drive: Expression  # Gamma for a motor current, 4 x 1
-    by_drive_after: Expression  # its part after the drive's change within a substep
-    change: Expression  # number of the substep in which the drive changes
-    by_tension: Expression  # Gamma for tension beyond the linear law, 4 x 1
-    torque_per_velocity: Expression  # inverse of by_torque[OMEGA]
-    drum_radius_m: Expression
-    torque_constant_Nm_A: Expression
-    tension_per_angle: Expression  # k R
-    tension_per_velocity: Expression  # k R times half a substep: to the angle at midspan
-    substep_s: Expression
-    half_substep_s: Expression
-    amperes_per_newton: Expression
-    current_limit_A: Expression
-    encoder_step_rad: Expression
-    effects: Expression  # parameters and prepared constants of the effects
-
-
 class ReelPath(NamedTuple):
     """Signal path of a reel; see `SignalPath` and `ReelStructure`.
 
@@ -50,7 +29,7 @@ class ReelPath(NamedTuple):
     tension there less that of the linear law.
     """
 
-    c: Constants
+    c: SimpleNamespace  # constants of a trial, from `_constants` of the structure
     stages: EffectStages
     has_outside_gauge: bool
     rounded: bool

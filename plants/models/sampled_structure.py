@@ -1,20 +1,12 @@
 """Structure of a linear plant that is sampled exactly under zero-order hold."""
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
 
-from plants.simulation.equations import Equations, Expression, column_of, pack_constants
-
-
-class _Constants(NamedTuple):
-    Phi: Expression
-    before: Expression
-    now: Expression
-    C: Expression
-    E: Expression
+from plants.simulation.equations import Equations, pack_constants
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,12 +22,13 @@ class SampledStructure:
         shapes = [(n, n), (n, 1), (n, 1), (1, n), (1, 1), (n, 1), (1, 1)]
         ends = np.cumsum([rows * columns for rows, columns in shapes]).tolist()
         parameters, preload = ca.SX.sym("parameters", ends[-1]), ca.SX.sym("preload")
-        *shared, rest, rest_effort = (
+        Phi, before_u, now, C, E, rest, rest_effort = (
             ca.reshape(part, *shape)
             for part, shape in zip(ca.vertsplit(parameters, [0, *ends]), shapes, strict=True)
         )
-        values, c = pack_constants(_Constants(*shared))
-        constants = column_of(c)
+        values, constants, c = pack_constants(
+            SimpleNamespace(Phi=Phi, before=before_u, now=now, C=C, E=E)
+        )
         x, noise, effort = ca.SX.sym("x", n), ca.SX.sym("noise"), ca.SX.sym("effort")
         before, after = ca.SX.sym("before"), ca.SX.sym("after")
         moved = c.Phi @ x + c.now * after

@@ -5,7 +5,8 @@ The same functions are simulated (`plants.simulation.trial_loop`), differentiate
 once per trial; the other functions take the results as one vector of constants.
 """
 
-from typing import Any, NamedTuple, TypeVar
+from types import SimpleNamespace
+from typing import Any, NamedTuple
 
 import casadi as ca
 
@@ -52,29 +53,22 @@ class Equations(NamedTuple):
         return state
 
 
-Constants = TypeVar("Constants", bound=tuple[Any, ...])
-
-
-def pack_constants(constants: Constants) -> tuple[Expression, Constants]:
-    """A named tuple of SX expressions as one dense column, and matching symbols.
+def pack_constants(
+    constants: SimpleNamespace,
+) -> tuple[Expression, Expression, SimpleNamespace]:
+    """SX expressions by name as one dense column, and matching symbols.
 
     Only structural nonzeros are included, so that products with sparse matrices stay sparse.
 
     Returns:
-        The column of values, and a named tuple of symbols whose `column_of` matches it.
+        The column of values, the column of symbols, and the symbols by name.
     """
-    symbols = type(constants)(
-        *(
-            ca.SX.sym(name, value.sparsity())
-            for name, value in zip(constants._fields, constants, strict=True)  # type: ignore[attr-defined]
-        )
+    symbols = {name: ca.SX.sym(name, value.sparsity()) for name, value in vars(constants).items()}
+    values, column = (
+        ca.densify(ca.vertcat(*(ca.vec(value.nz[:]) for value in part.values())))
+        for part in (vars(constants), symbols)
     )
-    return column_of(constants), symbols
-
-
-def column_of(constants: tuple[Any, ...]) -> Expression:
-    """Structural nonzeros of all constants as one dense column."""
-    return ca.densify(ca.vertcat(*(ca.vec(value.nz[:]) for value in constants)))
+    return values, column, SimpleNamespace(**symbols)
 
 
 def held_input(

@@ -83,22 +83,18 @@ class Plant(Protocol):
     @property
     def controller(self) -> ControllerSettings:
         """The fixed part of the controller."""
-        ...
 
     @property
     def profile(self) -> StepProfile:
         """A step trial that suits the plant."""
-        ...
 
     @property
     def noise_rms_N(self) -> float:
         """Root mean square of the measurement noise, N."""
-        ...
 
     @property
     def newtons_per_ampere(self) -> float:
         """Effort per motor current, N/A."""
-        ...
 
     def respond(
         self,
@@ -119,7 +115,6 @@ class Plant(Protocol):
         Raises:
             PlantError: the plant cannot be simulated.
         """
-        ...
 
     def describe(self, name: str, gains: Gains | None) -> RigDescription:
         """Description of a rig that runs this plant, with given or safe gains.
@@ -127,7 +122,6 @@ class Plant(Protocol):
         Raises:
             UnsafeStart: no gains were given and no safe ones are known.
         """
-        ...
 
 
 def split_dead_time(dead_time_s: float, sampling_Hz: float) -> tuple[int, float]:

@@ -27,7 +27,6 @@ class Structure(Protocol):
 
     def equations(self) -> Equations:
         """The plant's equations of one sample."""
-        ...
 
 
 class Batch(NamedTuple):
