@@ -187,13 +187,13 @@ export class Sections {
     const rows = this.tables.checks.filter((row) => row[2] !== null), { daemon } = this.values;
     if (!rows.length) return;
     $("checks").hidden = false;
-    const chart = this.chart("chart", { height: 200, x: "check trial", y: "cost", log: true,
+    const chart = this.chart("chart", { height: 200, x: "check trial", y: "cost",
       label: "Cost of the check trials over their number, with the baseline",
       series: [{ label: "steady", colour: "blue", points: "only" }, { label: "changed", colour: "red", points: "only", size: 8, open: true }] });
     const steady = (row) => row[3] === "steady";
     const marks = [];
     if (daemon?.baseline_cost) marks.push({ at: daemon.baseline_cost, colour: "orange", label: "baseline" });
-    for (const at of this.values.alarm_costs ?? []) marks.push({ at, colour: "red", label: "alarm" });
+    for (const at of this.values.alarm_costs ?? []) marks.push({ at, colour: "red", label: "alarm", seen: true });
     chart.show([rows.map((row) => row[0]), rows.map((row) => (steady(row) ? row[2] : null)), rows.map((row) => (steady(row) ? null : row[2]))], marks);
   }
 
