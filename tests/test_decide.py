@@ -49,6 +49,11 @@ def test_member_too_small_to_matter_is_not_named():
     assert decide(base(2000.0), [simple, full]).best == {"simple"}
 
 
+def test_effect_that_may_not_be_named_leads_where_no_other_explains_the_error():
+    decision = decide(base(20.0), [model("a", 1.1, eligible=False)])
+    assert (decision.verdict, decision.best, decision.leading) == ("unknown", NOTHING, {"a"})
+
+
 @pytest.mark.parametrize(("J", "best"), [(9.0, "a"), (2.0, "a+b")])
 def test_second_effect_needs_a_large_share_of_what_the_first_leaves(J, best):
     models = [model("a", 10.0), model("a+b", J, 2)]

@@ -94,7 +94,8 @@ def _reason(
         return ""
     leading = next(m for m in models if m.names == decision.leading)
     titles = " and ".join(_title(found, name) for name in sorted(decision.leading))
-    return f"The best of them, {titles}, explains {_percent(explained(base, leading))} of it."
+    said = f"The best of them, {titles}, explains {_percent(explained(base, leading))} of it"
+    return f"{said}." if leading.eligible else f"{said}, but at a bound, or too small to matter."
 
 
 def _stages(found: SearchResult, slugs: Slugs) -> tuple[CandidateFit, ...]:

@@ -52,7 +52,8 @@ def decide(base: Model, models: Sequence[Model], c: Constants = CONSTANTS) -> De
     if best is None:
         like = [m for m in nameless if explained(base, m) >= c.named_share]
         names = [next(iter(m.names)) for m in sorted(like, key=lambda m: m.power)]
-        return Decision("unknown", frozenset(), like=(*names, "")[0])
+        leading = min((m for m in models if m.named), key=lambda m: m.power, default=base)
+        return Decision("unknown", frozenset(), like=(*names, "")[0], leading=leading.names)
     likelier = sorted((m for m in named if _is_likelier(m, best)), key=lambda m: m.power)
     for other in likelier:
         if not beats(best, other, c.one_more, c) and explained(base, other) >= c.named_share:
