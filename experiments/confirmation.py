@@ -21,13 +21,13 @@ from estune.run.plan import make_tuner
 from estune.run.session import Plan, after_trial, new_session, next_request
 from estune.run.summary import summarise
 from estune.trial import Outcome
-from estune.tuners import DEFAULT_TUNER
 from experiments.results import Target, at_most, between, command_line, print_results
 from experiments.sample_efficiency.optimum import optimum
 from experiments.sample_efficiency.problems import PROBLEMS
 
 PROBLEM = PROBLEMS["8 Hz"]
 NOISE = 0.03
+TUNER = "safe_bayesian"  # it tunes by the cost alone, as no records are simulated here
 DRIFT = 0.2
 OUTLIER_SHARE, OUTLIER = 0.05, 1.5
 FIRST_SEED = 5000
@@ -90,7 +90,7 @@ def claim(situation: Situation, seed: int) -> Claim:
     """Runs one tuning to its summary."""
     best = optimum(PROBLEM)
     start = Gains(*map(math.exp, best.coordinates)) if situation.from_optimum else PROBLEM.start
-    tuner = make_tuner(DEFAULT_TUNER, start, None)
+    tuner = make_tuner(TUNER, start, None)
     plan = Plan("run", tuner, start, PROBLEM.plant.profile, PROBLEM.cost)
     random = np.random.default_rng(seed)
     factors = 1.0 + NOISE * random.standard_normal(plan.max_trials)

@@ -181,3 +181,10 @@ def test_natural_period_of_a_model_is_that_of_its_poles():
     radius, angle = math.exp(-z * w), w * math.sqrt(1.0 - z * z)
     model = LoopModel((-2.0 * radius * math.cos(angle), radius**2), (0.0, 0.0, 0.0), 0)
     assert model.natural_period == pytest.approx(2.0 * math.pi / w)
+
+
+def test_advice_of_a_low_margin_raises_the_margin_when_followed(fast):
+    problem, free = fast
+    assert [finding.kind for finding in free.findings if finding.kind == "margin"]
+    limited = tune(problem.build(), cost=problem.cost, start=problem.start)
+    assert not [finding.kind for finding in limited.findings if finding.kind == "margin"]

@@ -21,6 +21,10 @@ INFLATION = 1.5
 true value in 1.00 of 42 fits on seven families, without it in 0.83 to 0.95."""
 
 
+GRID_ERROR = 2e-3
+"""Error of Ms between the angles of the grid, against 200 000 angles, relative to it."""
+
+
 @dataclass(frozen=True)
 class StepTrial:
     """A step trial without its gains.
@@ -235,6 +239,7 @@ def predict_with_intervals(fit: LoopFit, trial: StepTrial, gains: Gains) -> Pred
             moved.append(ends[0] - ends[1])
         widths.append(quantile * np.sqrt(np.sum(np.square(moved), axis=0)))
     half = INFLATION * np.fmax(*widths)
+    half[2] = math.hypot(half[2], GRID_ERROR)
     low, high = centre - half, centre + half
     return PredictedMargins(
         Interval(at.cost, float(np.exp(low[0])), float(np.exp(high[0]))),

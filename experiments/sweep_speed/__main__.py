@@ -1,8 +1,8 @@
 """How fast is a sweep: on one core, on two, on a Dask cluster, and compared with python-control?
 
-80 000 search trials of 400 tunings, at 10 lengths, 4 tensions and 10 seeds, run once on two cores
-and once on one. Every tuning uses all of its 200 trials. The time is from the call to the last
-cell on disk. For comparison, the same loop of tuner, session and cost runs some trials of one
+80 000 search trials of 400 tunings by the cost alone, at 10 lengths, 4 tensions and 10 seeds, run
+once on two cores and once on one. Every tuning uses all of its 200 trials. The time is from the
+call to the last cell on disk. For comparison, the same loop of tuner, session and cost runs some trials of one
 tuning simulated by python-control's `input_output_response`; its process time is scaled to the
 same number. The overhead of an executor is its time, times its processes, less the time of the
 cells, per cell; for processes and for a Dask scheduler with workers on loopback, both warm. The
@@ -34,6 +34,7 @@ from experiments.results import Target, at_least, at_most, command_line, print_r
 from experiments.sweep_speed.peer import PeerRig
 
 CORES = 2
+TUNER = "safe_bayesian"
 LEAN_TUNER = "least_squares_gradient"
 SECONDS_MAX, SPEEDUP_MIN, FASTER_MIN, MEMORY_MAX_MB = 30.0, 1.8, 100.0, 400.0
 _MB = 1024.0  # ru_maxrss is in kB
@@ -56,6 +57,7 @@ class Extent(NamedTuple):
             "tensions_N": np.linspace(10.0, 25.0, self.tensions).tolist(),
             "seeds": self.seeds,
             "rigs": ["plants:reference_reel"],
+            "tuners": [TUNER],
             "trials": self.trials,
             "tolerance": 0.0,
         }
@@ -110,19 +112,29 @@ def _peak_memory_MB(pause_s: float) -> float:
 def peer(trials: int) -> dict[str, float]:
     """Process time of a trial of the same search on python-control and here.
 
-    The leanest tuner is timed too: it separates the default tuner's own time.
+    The leanest tuner is timed too: it separates the search's own time. Whole tunings to their own
+    stop are timed by the search of the cost alone and by the default tuner.
     """
     reel = plants.reference_reel(0.8, 15.0)
     description = reel.describe("reel", None)
     request = TrialRequest("compared", 0, description.gains, description.step)
     ours, theirs = reel.rig(seed=1).run(request), PeerRig(reel, 1).run(request)
-    _process_s(reel.rig(seed=0), 2, DEFAULT_TUNER)  # compiles the trial
+    _process_s(reel.rig(seed=0), 2, TUNER)  # compiles the trial
     return {
         "difference_N": float(np.abs(ours.tension_N - theirs.tension_N).max()),
-        "python_control_s_per_trial": _process_s(PeerRig(reel, 1), trials, DEFAULT_TUNER),
-        "s_per_trial": _process_s(reel.rig(seed=1), trials, DEFAULT_TUNER),
+        "python_control_s_per_trial": _process_s(PeerRig(reel, 1), trials, TUNER),
+        "s_per_trial": _process_s(reel.rig(seed=1), trials, TUNER),
         "lean_tuner_s_per_trial": _process_s(reel.rig(seed=1), trials, LEAN_TUNER),
+        "tuning_by_cost_s": _tuning_s(reel.rig(seed=1), TUNER),
+        "tuning_by_default_s": _tuning_s(reel.rig(seed=1), DEFAULT_TUNER),
     }
+
+
+def _tuning_s(rig: Rig, tuner: str) -> float:
+    """Process time of a tuning to its own stop, s."""
+    began = time.process_time()
+    estune.tune(rig, tuner=tuner, journal=False, watch=None)
+    return time.process_time() - began
 
 
 def _process_s(rig: Rig, trials: int, tuner: str) -> float:
