@@ -1,10 +1,10 @@
 """A daemon with many rigs: what it costs, how long all tune, and what an overload does to it.
 
-    python -m experiments.fleet --rigs 10 25 50 100
-
 The rigs are simulated reels in real time, in processes of their own behind a Zenoh router, all on
 this machine. Each is tuned with so many trials of a second that 26 s are ideal, and then held.
-`--busy` adds programs that compute while all tune, and measures until all is well after their end.
+Programs that compute may run beside it while all tune: then the time until all is well after their
+end is measured, too. In a process of its own, `python -m experiments.fleet ROUTER NAME...` serves
+rigs.
 """
 
 import contextlib
@@ -26,7 +26,7 @@ from estune.remote.messages.daemon import DaemonStatus
 from estune.remote.zenoh.daemon_service import DaemonClient
 from estune.remote.zenoh.endpoints import with_port
 from estune.trial import TrialRequest
-from experiments.results import Target, at_most, command_line, print_results, print_tables
+from experiments.results import Target, at_most
 
 TUNER = "safe_bayesian"
 """The tuner; the default one computes 2.5 times as long for a trial."""
@@ -157,7 +157,8 @@ def fleet(
         served = [
             opened.enter_context(
                 started(
-                    [*command, "--serve", router, "--names", *names[first:][:RIGS_PER_PROCESS]]
+                    [*command, router, *names[first:][:RIGS_PER_PROCESS]],
+                    stderr=subprocess.DEVNULL,
                 )
             )
             for first in range(0, rigs, RIGS_PER_PROCESS)
@@ -168,7 +169,7 @@ def fleet(
         yield daemon, [process.pid for process in served], listen
 
 
-def measure(rigs: int, tuner: str = TUNER, *, busy: int = 0) -> FleetCosts:
+def measure(rigs: int, tuner: str = TUNER, hold_s: float = HOLD_S, *, busy: int = 0) -> FleetCosts:
     """Tunes so many rigs and holds them; `busy` is the number of programs beside it."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -185,7 +186,7 @@ def measure(rigs: int, tuner: str = TUNER, *, busy: int = 0) -> FleetCosts:
             rigs_cores = (sum(usage(pid).cpu_s for pid in served) - rigs_before) / (
                 tuned.at_s - before.at_s
             )
-            watch.for_s(HOLD_S)
+            watch.for_s(hold_s)
             held = usage(daemon.pid)
             load = os.getloadavg()[0]
         log = (folder / "log").read_text("utf-8")
@@ -204,7 +205,7 @@ def measure(rigs: int, tuner: str = TUNER, *, busy: int = 0) -> FleetCosts:
         rss_MB=max(tuned.rss_MB, held.rss_MB),
         status_s=statistics.median(watch.times_s),
         slowest_status_s=max(watch.times_s),
-        leases_lost=log.count("no renewal arrived") + log.count("the lease of"),
+        leases_lost=log.count("no renewal arrived"),
         rigs_lost=log.count('"event": "lost"'),
         recovered_s=recovered_s,
         load=load,
@@ -254,41 +255,10 @@ def _disturb(watch: _Watch, busy: int) -> float:
     return time.monotonic() - ended_s
 
 
-def fleet_table(
-    sizes: tuple[int, ...], tuner: str = TUNER, *, busy: int = 0
-) -> list[dict[str, float]]:
-    """Costs at each number of rigs, printed as they are measured."""
-    rows = []
-    for rigs in sizes:
-        row = dict(measure(rigs, tuner, busy=busy)._asdict())
-        print("  ".join(f"{name} {value:.4g}" for name, value in row.items()), flush=True)
-        rows.append(row)
-    return rows
-
-
-def targets_of(row: dict[str, float]) -> dict[str, Target]:
+def targets_of(costs: FleetCosts) -> dict[str, Target]:
     """The targets, at one number of rigs."""
-    return {f"fleet_{name}": at_most(row[name], limit) for name, limit in LIMITS.items()}
-
-
-def main() -> int:
-    """Measures, prints, and returns the exit code."""
-    parser = command_line(__doc__, quick="10 rigs only")
-    parser.add_argument("--rigs", type=int, nargs="+", default=[25], help="numbers of rigs")
-    parser.add_argument("--tuner", default=TUNER, help="tuner of all rigs")
-    parser.add_argument("--busy", type=int, default=0, help="programs that compute beside it")
-    parser.add_argument("--serve", help="router that rigs join: serves them (internal)")
-    parser.add_argument("--names", nargs="*", default=[], help="names of these rigs")
-    options = parser.parse_args()
-    if options.serve:
-        serve_rigs(options.serve, options.names)
-        return 0
-    with print_tables(hidden=options.json):
-        rows = fleet_table(
-            (10,) if options.quick else tuple(options.rigs), options.tuner, busy=options.busy
-        )
-    return print_results({"fleet": rows}, targets_of(rows[-1]), as_json=options.json)
+    return {f"fleet_{name}": at_most(getattr(costs, name), most) for name, most in LIMITS.items()}
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    serve_rigs(sys.argv[1], sys.argv[2:])

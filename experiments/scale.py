@@ -1,7 +1,8 @@
 """How does the service grow: seconds, bytes and their growth exponents at each size.
 
-Journals hold real runs of a tuner on recorded trials of the reference reel, 632 samples each, with
-other noise in every trial. Times are process times of whole commands, with the start of Python.
+A daemon tunes and holds fleets of rigs (`experiments.fleet`). Journals hold real runs of a tuner
+on recorded trials of the reference reel, 632 samples each, with other noise in every trial. Their
+times are process times of whole commands, with the start of Python.
 """
 
 import functools
@@ -22,10 +23,22 @@ from estune.core.gains import Gains
 from estune.errors import EstuneError
 from estune.run.journal import FILE_NAME
 from estune.trial import RigDescription, TrialRecord, TrialRequest
-from experiments.results import Target, at_most, command_line, print_results, print_tables
+from experiments.fleet import HOLD_S, measure, targets_of
+from experiments.fleet import TUNER as FLEET_TUNER
+from experiments.results import (
+    Target,
+    at_most,
+    command_line,
+    print_figures,
+    print_results,
+    print_tables,
+)
 
 TRIALS = (1_000, 10_000, 100_000)
 QUICK_TRIALS = (500, 2_000)
+RIGS = (10, 25, 50, 100, 200)
+QUICK_RIGS = (25,)
+QUICK_HOLD_S = 5.0
 TUNER = "killingsworth"
 LIMITS = {"show_s": 1.5, "resume_s": 4.0, "parquet_s": 60.0, "bytes_per_trial": 10_000.0}
 _RECORDED = 64
@@ -138,9 +151,8 @@ def print_table(rows: Sequence[Mapping[str, float]]) -> None:
     print("  ".join(f"{exponents.get(name, math.nan):>15.2f}" for name in names), " exponent")
 
 
-def journal_table(folder: Path, *, quick: bool) -> list[dict[str, float]]:
+def journal_table(sizes: Sequence[int], folder: Path) -> list[dict[str, float]]:
     """Costs of a journal at each length."""
-    sizes = QUICK_TRIALS if quick else TRIALS
     rows = [dict(measure_journal(trials, folder)._asdict()) for trials in sizes]
     print_table(rows)
     return rows
@@ -148,16 +160,34 @@ def journal_table(folder: Path, *, quick: bool) -> list[dict[str, float]]:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Measures, prints, and returns the exit code."""
-    parser = command_line(__doc__, quick="journals of 500 and 2 000 trials")
+    parser = command_line(__doc__, quick="25 rigs, and journals of 500 and 2 000 trials")
     parser.add_argument("--folder", type=Path, help="folder for the journals, to keep them")
+    parser.add_argument("--rigs", type=int, nargs="*", help="numbers of rigs; none for no fleet")
+    parser.add_argument("--trials", type=int, nargs="*", help="lengths of journals; or none")
+    parser.add_argument("--busy", type=int, default=0, help="programs that compute beside a fleet")
+    parser.add_argument("--tuner", default=FLEET_TUNER, help="tuner of a fleet")
     options = parser.parse_args(arguments)
+    rigs = (QUICK_RIGS if options.quick else RIGS) if options.rigs is None else options.rigs
+    trials = QUICK_TRIALS if options.quick else TRIALS
+    trials = trials if options.trials is None else options.trials
+    hold_s = QUICK_HOLD_S if options.quick else HOLD_S
+    targets: dict[str, Target] = {}
+    fleet, journal = [], []
     with tempfile.TemporaryDirectory() as temporary, print_tables(hidden=options.json):
-        print(f"load {os.getloadavg()[0]:.1f}")
-        journal = journal_table(options.folder or Path(temporary), quick=options.quick)
-    targets: dict[str, Target] = {
-        f"journal_{name}": at_most(journal[-1][name], limit) for name, limit in LIMITS.items()
-    }
-    return print_results({"journal": journal}, targets, as_json=options.json)
+        for number in rigs:
+            costs = measure(number, options.tuner, hold_s, busy=options.busy)
+            fleet.append(dict(costs._asdict()))
+            print_figures(fleet[-1])
+            targets |= targets_of(costs)
+        if len(fleet) > 1:
+            print_figures({"growth exponent": growth_exponents(rigs, fleet)})
+        if trials:
+            print(f"load {os.getloadavg()[0]:.1f}")
+            journal = journal_table(trials, options.folder or Path(temporary))
+            limits = LIMITS.items()
+            targets |= {f"journal_{name}": at_most(journal[-1][name], m) for name, m in limits}
+    figures = {"fleet": fleet, "journal": journal}
+    return print_results(figures, targets, as_json=options.json)
 
 
 if __name__ == "__main__":

@@ -49,7 +49,8 @@ def save_figure(result: TuneResult) -> Path | None:
     from estune.support import plot_style  # noqa: PLC0415  slow to import
 
     path = result.folder / FIGURE_NAME
-    replace_file(path, plot_style.to_png(result.figure()))
+    with plot_style.simplified():
+        replace_file(path, plot_style.to_png(result.figure()))
     return path
 
 

@@ -26,12 +26,18 @@ MANY = 0.1
 DECREASE = 0.7
 _ADJUST_S = 2.0 * RENEW_S
 _LOOK_S = 0.5
+_COMPUTING_MAX = 2
 
 _log = logging.getLogger(__name__)
 
 
 class Admission:
-    """Places for rigs, and turns for trials, in the order of their request."""
+    """Places for rigs, and turns for trials, in the order of their request.
+
+    Attributes:
+        computing: Held by a supervisor while it computes. Few do at once: more would be no faster,
+            as Python runs one thread at a time, and would delay the renewal of leases.
+    """
 
     def __init__(self, renewal: LeaseRenewal, rigs: int, rigs_max: int | None = None) -> None:
         """Begins without a limit of trials.
@@ -41,6 +47,7 @@ class Admission:
             rigs: Number of rigs in the daemon's file.
             rigs_max: Most rigs held at once; None for all.
         """
+        self.computing = threading.Semaphore(_COMPUTING_MAX)
         self._renewal = renewal
         self._rigs = rigs
         self._rigs_max = rigs if rigs_max is None else rigs_max
@@ -80,13 +87,14 @@ class Admission:
 
     @contextmanager
     def trial(self, waits: Callable[[str], None]) -> Iterator[None]:
-        """Block of one trial, once it is its turn.
+        """Block of one trial, once it is its turn; the caller holds `computing`, but not in it.
 
         Args:
             waits: Called with the reason while it is not, again and again, and with an empty one
                 when it is; it may raise, and the turn is given up.
         """
         turn = threading.Event()
+        self.computing.release()
         with self._lock:
             self._waiting.append(turn)
             self._admit()
@@ -105,6 +113,7 @@ class Admission:
                 else:
                     self._waiting.remove(turn)
                 self._admit()
+            self.computing.acquire()
 
     def adjust(self) -> None:
         """Adjusts the number of trials at once; to be called several times a second."""

@@ -18,6 +18,7 @@ from estune.daemon.events import EventKind
 from estune.daemon.rig_access import HeldByOtherDaemon, RigAccess, TooManyVoidTrials
 from estune.daemon.supervised_rig import Preempted, SupervisedRig
 from estune.daemon.supervisor_state import SupervisorEvent, SupervisorMode
+from estune.daemon.tuning_runs import Decision
 from estune.errors import EstuneError, Interrupted, InvalidInput, RigError, UnsafeStart
 from estune.remote.zenoh.daemon_service import DaemonServer
 from estune.remote.zenoh.network import Network
@@ -229,7 +230,8 @@ class RigSupervisor:
 
     def _apply_nominal_gains(self) -> None:
         access, home = self._access or self._connect(), self._rig.state.home
-        fault = rig_access.apply_nominal_gains(self._rig, access, home)
+        with self._shared.admission.connecting(self._settings.answer_within_s):
+            fault = rig_access.apply_nominal_gains(self._rig, access, home)
         if self._shared.fleet is not None:
             self._shared.fleet.announce(self.name)
         home = self._rig.state.home  # also where another daemon left other gains
@@ -244,7 +246,12 @@ class RigSupervisor:
     def _tune(self) -> None:
         """Continues the tuning run from the end of its journal, and applies its result."""
         access = self._connected()
-        run = self._rig.tuning_runs.open(access.description)
+        with self._shared.admission.computing:
+            decision = self._complete(self._rig.tuning_runs.open(access.description), access)
+        self._rig.apply_decision(decision, accept=self._settings.accept == "auto")
+
+    def _complete(self, run: TuningRun, access: RigAccess) -> Decision:
+        """Runs the trials of a tuning run that are missing, and decides on its result."""
         self._rig.session = run.session
         try:
             sentence = f"run {run.plan.run}: trials {run.session.number} to {run.plan.max_trials}"
@@ -256,10 +263,10 @@ class RigSupervisor:
             decision = self._rig.tuning_runs.decide(run)
             if run.journal is not None:
                 run.journal.note(**archived_run.finished(run))
+            return decision
         finally:
             if run.journal is not None:
                 run.journal.close()
-        self._rig.apply_decision(decision, accept=self._settings.accept == "auto")
 
     def _follow_phase(self, run: TuningRun) -> None:
         """Synchronises the mode with the phase of a resumed run, which may be past its search."""
@@ -294,7 +301,7 @@ class RigSupervisor:
             self._monitor_gains(min(wait_s, self._settings.look_every_s))
             return
         gains = rig.store.gains()[home]
-        with self._trials():
+        with self._shared.admission.computing, self._trials():
             check = rig.checks.run(access, access.description, home, gains)
         self._consecutive_failures = 0
         rig.cost = _finite(check.cost)

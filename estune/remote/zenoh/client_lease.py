@@ -26,8 +26,7 @@ _log = logging.getLogger(__name__)
 class LeaseRenewal:
     """A thread that renews leases, all in turn every `RENEW_S`, while there are any.
 
-    It never waits for a rig: replies arrive by callback, and a renewal that the network cannot
-    take at once is dropped, as the next follows soon. So it continues while another thread
+    It never waits for a rig, as replies arrive by callback. So it continues while another thread
     computes, and a rig that hangs delays no other's renewal.
     """
 

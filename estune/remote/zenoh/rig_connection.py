@@ -123,10 +123,11 @@ class RigConnection:
     def send(
         self, command: Message, receive: Callable[[zenoh.Reply], None], timeout_s: float
     ) -> None:
-        """Sends a command before all others, or not at all where the network is congested.
+        """Sends a command before all others, without waiting for the reply.
 
-        Replies of all rigs of the name reach `receive`, in a thread of the network that must not
-        wait.
+        It must not be dropped in a congestion: the queue of a priority holds two messages, and is
+        full whenever Zenoh's sender does not run at once. Replies of all rigs of the name reach
+        `receive`, in a thread of the network that must not wait.
 
         Raises:
             RigError: the connection was closed, or the link has failed.
@@ -137,7 +138,6 @@ class RigConnection:
                 zenoh.handlers.Callback(receive, indirect=False),
                 payload=messages.encode(command),
                 timeout=timeout_s,
-                congestion_control=zenoh.CongestionControl.DROP,
                 **_query_settings(zenoh.Priority.INTERACTIVE_HIGH),
             )
 

@@ -20,7 +20,8 @@ from estune.remote.zenoh.zenoh_session import AGAIN_S
 from estune.trial import TrialRecord, TrialRequest
 from estune.trial.record_frame import decode
 
-_POLL_FIRST_S, _POLL_MAX_S, _POLL_GROWTH = 0.002, 0.05, 1.5
+# Between a status that is lost and the next query; a rig publishes its status when a trial ends.
+_POLL_FIRST_S, _POLL_MAX_S, _POLL_GROWTH = 0.004, 0.25, 2.0
 
 
 class NoRecord(NamedTuple):
