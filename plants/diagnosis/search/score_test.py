@@ -225,7 +225,8 @@ class _Probe:
         p, neutral = self.declared[name], self.off[self.column[name]]
         usual = float(self.predictor.start[self.column[name]])
         step = usual - neutral or 1e-2 * (p.high - p.low)
-        return np.clip(neutral + step * 10.0**power, p.low, p.high)
+        values: FloatArray = np.clip(neutral + step * 10.0**power, p.low, p.high)
+        return values
 
     @property
     def _only_up(self) -> bool:
