@@ -151,7 +151,13 @@ def tune(
                 "records_max": records,
             }
             book = Journal.create(Path(folder) / name, facts)
-        return _run(loop.start(plan, description, book), the_rig, watch, ask)
+        tuning_ = loop.start(plan, description, book)
+        try:
+            return _run(tuning_, the_rig, watch, ask)
+        except (InvalidInput, RigError):
+            if book is not None and not tuning_.entries and _replies(the_rig):
+                book.discard()  # it was refused before its first trial
+            raise
 
 
 def resume(
@@ -245,6 +251,15 @@ def _journal_ending(tuning_: TuningRun) -> Iterator[None]:
             with contextlib.suppress(EstuneError):  # an exception is being raised already
                 journal.note(**facts)
             journal.close()
+
+
+def _replies(rig: Rig) -> bool:
+    """Whether a rig can be asked; if not, its first trial may have been run all the same."""
+    try:
+        rig.describe()
+    except EstuneError:
+        return False
+    return True
 
 
 def _stored(journal: Journal) -> tuple[Any, RigDescription]:

@@ -29,7 +29,7 @@ from tests.support_runs import START, ArithmeticRig
 COMMAND = [sys.executable, "-m", "estune.cli"]
 COMMANDS = {
     *("demo", "serve", "serve-hardware", "tune", "resume", "sweep", "match", "list", "show"),
-    *("watch", "report"),
+    *("watch", "report", "compare"),
     *("export", "export-controller", "apply", "explain", "records", "run-experiment", "improve-model"),
     *("discover", "doctor", "estop", "clear", "daemon", "daemon-control", "reproduce-paper"),
 }

@@ -17,6 +17,7 @@ from types import FrameType
 
 from cyclopts import App, CycloptsError
 
+from estune.cli.plain_text import allow_any_encoding
 from estune.errors import EstuneError, InvalidInput
 from estune.support.plugins import load_plugin, plugins
 
@@ -95,6 +96,7 @@ _faults = tuple(_add_commands())
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Runs the command line and ends the process with its exit code."""
+    allow_any_encoding()
     sys.path.append(str(Path.cwd()))  # for module:attribute of the user, after all else
     sys.exit(run(sys.argv[1:] if arguments is None else arguments))
 

@@ -1,12 +1,12 @@
 """`estune compare`: tuners on one plant or rig, side by side."""
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
 from cyclopts import Parameter
 
 from estune.cli import output
+from estune.cli.interruption import continued_by_same_command
 from estune.cli.tune import (
     NO_COST,
     NO_LIMITS,
@@ -72,7 +72,7 @@ def compare(
     """
     credentials = security_from(security)
     where = folder or comparison.free_folder()
-    try:
+    with continued_by_same_command(where, folder):
         made = comparison.compare(
             target,
             [name.strip() for name in tuners.split(",")],
@@ -87,10 +87,6 @@ def compare(
             folder=where,
             watch=None if quiet else "auto",
         )
-    except KeyboardInterrupt:
-        kept = "the same command with" if folder is None else "the same command, and"
-        print(f"estune: to continue, give {kept} --folder {where}", file=sys.stderr, flush=True)
-        raise
     files = _write(made)
     if json:
         output.print_json(made.to_json())

@@ -10,6 +10,7 @@ from cyclopts import Parameter
 from rich.text import Text
 
 from estune.cli import output
+from estune.cli.interruption import continued_by_same_command
 from estune.cli.tune import NO_COST, NO_STEP, CostOptions, StepOptions, trial_of
 from estune.cli.values import Flag, TunerName, check_folder_exists, security_from
 from estune.errors import EstuneError, InvalidInput, RigError
@@ -76,18 +77,20 @@ def match(
     models = [label for label, target in named.items() if not is_endpoint(target)]
     if apply and models:
         raise InvalidInput(f"{', '.join(models)}: a model keeps no gains; leave out --apply")
-    matching = procedure.match(
-        named,
-        eta=_eta(eta),
-        settings=Settings(tolerance, tuner, trials, match_trials, repeats),
-        **_common_trial(named, credentials, step, cost),
-        folder=folder,
-        apply=apply,
-        security=credentials,
-        patience_s=patience,
-        watch=None if quiet or json else "auto",
-        log=_print_note if not (quiet or json) else lambda _: None,
-    )
+    where = folder or procedure.free_folder()
+    with continued_by_same_command(where, folder):
+        matching = procedure.match(
+            named,
+            eta=_eta(eta),
+            settings=Settings(tolerance, tuner, trials, match_trials, repeats),
+            **_common_trial(named, credentials, step, cost),
+            folder=where,
+            apply=apply,
+            security=credentials,
+            patience_s=patience,
+            watch=None if quiet or json else "auto",
+            log=_print_note if not (quiet or json) else lambda _: None,
+        )
     files = _write(matching, report)
     if json:
         output.print_json(matching.to_json())

@@ -60,6 +60,11 @@ def apply(
     share = share_from("--backoff", backoff)
     if start and share:
         raise InvalidInput("--start restores gains as they were; leave --backoff out")
+    if not start and not result.verdict.complete:
+        raise RigError(
+            f"{result.verdict.message}: the run has no tuned gains yet; finish it with: estune "
+            f"resume {result.folder}, or restore the gains it began from with --start"
+        )
     gains = result.start_gains if start else backed_off(result.gains, share)
     with open_target(target, rig, security_from(security)) as the_rig:
         before = the_rig.describe()

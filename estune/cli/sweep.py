@@ -12,15 +12,16 @@ from estune.cli import output
 from estune.cli.values import Flag, check_folder_exists
 from estune.errors import EstuneError, InvalidInput
 from estune.run.export import write_file
+from estune.run.loop import Stopped
 from estune.run.progress import duration
-from estune.run.table_file import whole_file
+from estune.studies.law.tuned import CELLS
 from estune.studies.sweep import sweep as sweeping
 from estune.studies.sweep.cells import Cell, expand_cells
 from estune.studies.sweep.design import read_design
 from estune.studies.sweep.exclusions import LISTED_MAX, exclusion_sentences
 from estune.studies.sweep.result import SweepResult
 
-REPORT, CELLS, LAW = "report.html", "cells.csv", "law.json"
+REPORT, LAW = "report.html", "law.json"
 """Files in the folder of the sweep beside its store."""
 
 
@@ -64,7 +65,9 @@ def sweep(
         result = sweeping.sweep(
             design, folder=folder, jobs=jobs, dask=dask, watch=None if quiet else "auto"
         )
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as stop:
+        if isinstance(stop, Stopped):  # of one cell's run
+            stop.again = ""
         kept = f"estune: every finished tuning is stored; continue with: {again}"
         print(kept, file=sys.stderr, flush=True)
         raise
@@ -155,8 +158,6 @@ def _write(result: SweepResult, report: Path) -> dict[str, object]:
 
     folder = result.folder
     write_report(result, report)
-    with whole_file(folder / CELLS) as temporary:
-        result.to_frame().to_csv(temporary, index=False)
     laws = json.dumps(output.plain(_as_json(result)), indent=2, allow_nan=False)
     write_file(folder / LAW, laws.encode())
     return {"report": report, "cells": folder / CELLS, "laws": folder / LAW}

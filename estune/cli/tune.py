@@ -291,7 +291,7 @@ def tuning_choices(  # noqa: PLR0917  the order of the options
     limits = _limits(limit_options)
     if not start and step == NO_STEP and cost == NO_COST:
         return {"limits": limits}
-    sources = [text for text in start if text.startswith(("run:", "law:")) or "=" not in text]
+    sources = [text for text in start if text == "model" or text.startswith(("run:", "law:"))]
     numbers = numbers_from(text for text in start if text not in sources)
     unknown = set(numbers) - set(GAIN_NAMES)
     if unknown:

@@ -3,6 +3,7 @@
 Every trial is committed before the next one is requested.
 """
 
+import contextlib
 import json
 import math
 from datetime import UTC, datetime
@@ -129,6 +130,14 @@ class Journal:
             _write_facts(file, facts)
 
         return cls(SqliteFile.open_writer(folder / FILE_NAME, KIND, prepare=write_facts))
+
+    def discard(self) -> None:
+        """Closes the journal and removes it, with its folder if that is empty then."""
+        self.close()
+        for path in (*self.folder.glob(f"{FILE_NAME}*"), self.folder / KIND.lock_name):
+            path.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            self.folder.rmdir()
 
     @classmethod
     def open(cls, folder: Path, *, write: bool = False) -> Self:

@@ -66,7 +66,7 @@ def check_library(form: RecordFormat) -> None:
 
 def _csv(columns: Mapping[str, Any], _metadata: Mapping[str, Any], path: Path) -> None:
     with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
+        writer = csv.writer(file, lineterminator="\n")
         writer.writerow(columns)
         # Python writes the shortest text that reads back as the same number.
         writer.writerows(zip(*(np.asarray(c).tolist() for c in columns.values()), strict=True))

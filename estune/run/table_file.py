@@ -40,7 +40,7 @@ def whole_file(path: Path) -> Iterator[Path]:
 def csv_table(path: Path, names: tuple[str, ...]) -> Iterator[Append]:
     """A CSV file with these columns."""
     with whole_file(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
+        writer = csv.writer(file, lineterminator="\n")
         writer.writerow(names)
 
         def append(table: Mapping[str, Column]) -> None:

@@ -113,6 +113,12 @@ def check_reference(reference: str) -> None:
 
 def _attribute(reference: str) -> Any:
     module_name, colon, attribute = reference.partition(":")
+    if not attribute.isidentifier():
+        from estune.remote.zenoh.endpoints import intended_endpoint  # noqa: PLC0415  slow to import
+
+        intended = intended_endpoint(reference)
+        if intended:
+            raise InvalidInput(f"{reference!r} is no target; did you mean {intended}?")
     if not colon or not module_name or not attribute:
         raise InvalidInput(
             f"{reference!r} is neither an endpoint such as tcp/127.0.0.1:7447, nor a model file "

@@ -11,14 +11,26 @@ from estune.remote.security import OPEN, Security, Tls
 _PROBE_WITHIN_S = 2.0
 
 
+def intended_endpoint(text: str) -> str:
+    """The endpoint that a malformed one stands for, such as `127.0.0.1:7447`; empty if none."""
+    form = r"(?:(tcp|tls|quic|https?):?/*)?(\[[0-9a-fA-F:.]+\]|[A-Za-z0-9.-]+):(\d{1,5})/?"
+    match = re.fullmatch(form, text)
+    if match is None or int(match[3]) > 65535:
+        return ""
+    scheme = match[1] if match[1] in ("tls", "quic") else "tcp"
+    return f"{scheme}/{match[2]}:{match[3]}"
+
+
 def check_endpoint(endpoint: str) -> None:
     """Raises `InvalidInput` if an endpoint is malformed."""
     form = r"(tcp|tls|quic)/(\[[0-9a-fA-F:.]+\]|[^\s/:\[\]]+):(\d{1,5})|unixsock-stream/\S+"
     match = re.fullmatch(form, endpoint)
     if match is None or int(match[3] or 0) > 65535:
+        intended = intended_endpoint(endpoint)
         raise InvalidInput(
-            f"endpoint {endpoint!r} is malformed; write it as tcp/host:port, "
-            "for example tcp/127.0.0.1:7447"
+            f"endpoint {endpoint!r} is malformed; "
+            + (f"did you mean {intended}?" if intended else "write it as tcp/host:port, ")
+            + ("" if intended else "for example tcp/127.0.0.1:7447")
         )
 
 

@@ -88,7 +88,7 @@ def match(
         raise InvalidInput("eta auto takes the worst of several reels; give one reel an eta")
     if eta != "auto" and not (math.isfinite(eta) and eta > 0.0):
         raise InvalidInput(f"eta is {eta}; it must be finite and above zero, or auto")
-    where = _folder(folder) if journal else None
+    where = Path(folder or free_folder()) if journal else None
     if where is not None:
         log(f"stored in {where}; to continue after an interruption, give the same folder")
     matcher = ReelMatcher(settings or Settings(), where, security, patience_s, watch, log)
@@ -153,7 +153,6 @@ def _labelled(targets: Mapping[str, Any] | Sequence[Any]) -> dict[str, Any]:
     return labelled
 
 
-def _folder(folder: str | Path | None) -> Path:
-    if folder is not None:
-        return Path(folder)
+def free_folder() -> Path:
+    """A folder of the present time."""
     return Path(FOLDER) / datetime.now().astimezone().strftime("%Y%m%d-%H%M%S")

@@ -1,0 +1,25 @@
+"""How a command that was stopped is continued."""
+
+import shlex
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from estune.run.loop import Stopped
+
+
+@contextmanager
+def continued_by_same_command(folder: Path, given: Path | None) -> Iterator[None]:
+    """Says, where the block is stopped, that the same command continues all of its runs.
+
+    Args:
+        folder: The folder in which the command stores its runs.
+        given: The folder that its options name, or None.
+    """
+    try:
+        yield
+    except Stopped as stop:
+        words = ["estune", *sys.argv[1:], *([] if given else ["--folder", str(folder)])]
+        stop.again = shlex.join(words)
+        raise
