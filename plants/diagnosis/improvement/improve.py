@@ -216,6 +216,12 @@ def _diagnose_rounds(
 
 
 def _selected_model(last: ImprovementRound) -> Any:
-    """The model to be used after the last round."""
+    """The model to be used after the last round, with the noise that was measured."""
     found = last.diagnosis
-    return found.base_model if found.verdict in ("none", "unknown") else found.augmented
+    model = found.base_model if found.verdict in ("none", "unknown") else found.augmented
+    noise = found.noise.channels.get("tension_N")
+    if noise is None or not is_dataclass(model) or isinstance(model, type):
+        return model
+    if isinstance(model, MountedModel):
+        return replace(model, mounting=replace(model.mounting, noise_rms_N=noise.rms))
+    return replace(model, gauge_noise_N=noise.rms) if isinstance(model, Reel) else model
