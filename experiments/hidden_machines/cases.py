@@ -61,7 +61,7 @@ PAIRED = (
 )
 FAMILIES = (
     ("coulomb_friction", "dahl_hysteresis", "stribeck_friction"),
-    ("dead_time", "rate_limit", "nonlinear_lag"),
+    ("dead_time", "rate_limit", "nonlinear_lag", "current_lag"),
     ("cable_weight", "string_mode"),
 )
 

@@ -30,6 +30,7 @@ class CurrentLag(Effect):
         "slow changes of the command come late by the time constant, fast ones are also smaller"
     )
     excitation = "a multisine up to several times the loop's bandwidth"
+    family = "delay of the drive"
     port = Port.ACTUATOR
     states = 1
 

@@ -26,6 +26,7 @@ class DeadTime(Effect):
         "independent of gain and tension level"
     )
     excitation = "fast changes of the command, as in a multisine"
+    family = "delay of the drive"
     port = Port.ACTUATOR
 
     delay_s: float = parameter(
