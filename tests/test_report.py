@@ -6,6 +6,7 @@ import re
 import pytest
 
 from estune import load, tune
+from estune.cli import run
 from estune.run.report import page
 from estune.support import page_image, plot_style
 from estune.support.html_page import Drawing, render
@@ -101,3 +102,13 @@ def test_legend_of_a_narrow_figure_fits():
     plot_style.legend(ax)
     page_image.narrow(figure).draw_without_rendering()
     assert ax.get_legend().get_window_extent().x1 <= figure.bbox.x1
+
+
+def test_command_writes_the_page_into_the_folder_of_the_run(tmp_path, capsys):
+    tune(ArithmeticRig(), trials=2, run="one", folder=tmp_path, **{**QUICK, "journal": True})
+    assert run(["report", str(tmp_path / "one")]) == 0
+    assert str(tmp_path / "one" / "report.html") in capsys.readouterr().out
+    assert (tmp_path / "one" / "report.html").read_text(encoding="utf-8").startswith("<!DOCTYPE")
+    assert (
+        run(["report", "one", "--folder", str(tmp_path), "--out", str(tmp_path / "no" / "x")]) == 2
+    )
