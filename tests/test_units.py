@@ -44,7 +44,7 @@ def test_times_are_shown_in_the_unit_that_suits_them():
 def test_result_of_an_oven_is_in_its_own_units():
     options = {"tuner": "safe_bayesian", "tolerance": 0.0, "trials": 4, "repeats": 2}
     result = tune(oven(), journal=False, watch=None, **options)
-    rows = dict((row.label, row.start) for row in result.rows())
+    rows = {row.label: row.start for row in result.rows()}
     assert rows["P"].split("(")[0].endswith("W/K")
     assert rows["steady-state error"].endswith(" K")
     assert rows["rise time"].endswith(" min")
