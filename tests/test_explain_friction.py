@@ -1,4 +1,4 @@
-"""Dry friction as other people's simulators write it down, on a drum without a cable."""
+"""Friction and lag as other people's simulators write them down."""
 
 import math
 
@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 import plants
+from experiments.hidden_scores import Task, diagnose
 from plants.models.unloaded_reel import UnloadedReel
+from tests.support_hidden import skip_without_compiler
 from tests.support_measurements import open_loop
 
 RATE_Hz, SUBSTEPS, COUNTS = 500.0, 16, 8192
@@ -87,3 +89,20 @@ def test_friction_is_identified_in_the_notation_of_other_simulators(friction, na
     found = plants.explain(BELIEVED, list(records(friction)))
     assert (found.verdict, [effect.name for effect in found.effects]) == ("named", [name])
     assert found.effects[0].parameters[size].value == pytest.approx(FRICTION_Nm, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("seed", "variant", "effect", "size"),
+    [
+        (31001, "unloaded", "directional_friction", "difference_Nms"),
+        (31003, "unloaded", "current_lag", "lag_s"),
+        (31000, "plain", "load_friction", "load_share"),
+    ],
+)
+def test_effect_of_a_real_drive_is_identified_in_a_hidden_machine(seed, variant, effect, size):
+    skip_without_compiler()
+    row = diagnose(Task(seed, variant, effect))
+    assert (row.verdict, row.found) == ("named", (effect,))
+    (held,) = row.intervals
+    assert held.name == f"{effect}.{size}"
+    assert held.value == pytest.approx(held.true, rel=0.05)
