@@ -16,7 +16,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 from estune import api
 from estune.remote.ledger import FRAMES_MAX_BYTES
@@ -36,15 +36,29 @@ GROWTH_LIMIT = 0.05
 """Greatest relative growth between the first and the last third of the run."""
 
 
+class Use(NamedTuple):
+    """Private memory of a process that it has written to, and its open files and sockets."""
+
+    memory_bytes: int
+    open_files: int
+
+    @classmethod
+    def of(cls, pid: int) -> Self:
+        """The present use of a process."""
+        # Memory that it only reads, such as a library, may be shared or not as others come and go.
+        text = Path(f"/proc/{pid}/smaps_rollup").read_text(encoding="ascii")
+        rows = [line.split() for line in text.splitlines()]
+        memory = next(1024 * int(row[1]) for row in rows if row[0] == "Private_Dirty:")
+        return cls(memory, len(list(Path(f"/proc/{pid}/fd").iterdir())))
+
+
 class Sample(NamedTuple):
-    """Memory and open files of both processes, and file sizes, after so many trials."""
+    """What both processes use, and file sizes, after so many trials."""
 
     trials: int
     at_s: float
-    client_bytes: int
-    client_files: int
-    rig_bytes: int
-    rig_files: int
+    client: Use
+    rig: Use
     journal_bytes: int
     ledger_bytes: int
 
@@ -66,19 +80,6 @@ def work(endpoint: str, folder: Path, trials: int, per_run: int) -> None:
         shutil.rmtree(run)
         if not sampled:
             return
-
-
-def memory_bytes(pid: int) -> int:
-    """Private memory of a process that it has written to."""
-    # Memory that it only reads, such as a library, may be shared or not as others come and go.
-    text = Path(f"/proc/{pid}/smaps_rollup").read_text(encoding="ascii")
-    rows = [line.split() for line in text.splitlines()]
-    return next(1024 * int(row[1]) for row in rows if row[0] == "Private_Dirty:")
-
-
-def files(pid: int) -> int:
-    """Open files and sockets of a process."""
-    return len(list(Path(f"/proc/{pid}/fd").iterdir()))
 
 
 @contextmanager
@@ -118,8 +119,7 @@ def soak(trials: int, per_run: int, folder: Path) -> Iterator[Sample]:
                 yield Sample(
                     total,
                     time.monotonic() - began_s,
-                    *(memory_bytes(client.pid), files(client.pid)),
-                    *(memory_bytes(rig.pid), files(rig.pid)),
+                    *(Use.of(client.pid), Use.of(rig.pid)),
                     size,
                     ledger.stat().st_size,
                 )
@@ -151,23 +151,26 @@ def figures_of(samples: list[Sample], per_run: int) -> dict[str, Any]:
     per_record = last.ledger_bytes / min(last.trials, FRAMES_MAX_BYTES / 25_000)
     filled = max(FRAMES_MAX_BYTES / per_record, 2.0 * STRINGS_KEPT)
     settled = min(int(filled / per_run) + 1, len(samples) // 3)
-    made: dict[str, Any] = {
+    half, use = samples[len(samples) // 2 :], {}
+    late = [sample.trials for sample in half]
+    for who in ("client", "rig"):
+        for what in Use._fields:
+            values = [getattr(getattr(sample, who), what) for sample in samples]
+            line = statistics.linear_regression(late, values[-len(half) :])
+            use[f"{who}, {what}"] = {
+                "first": values[0],
+                "last": values[-1],
+                "growth": growth(values, settled),
+                "per_trial_late": line.slope,
+            }
+    return {
         "trials": last.trials,
         "seconds": last.at_s,
         "trials_per_second": last.trials / last.at_s,
         "journal_bytes_per_trial": sum(s.journal_bytes for s in samples) / last.trials,
         "ledger_bytes": last.ledger_bytes,
+        "use": use,
     }
-    for who in ("client", "rig"):
-        for what in ("bytes", "files"):
-            values = [getattr(sample, f"{who}_{what}") for sample in samples]
-            made[f"{who}_{what}_first"], made[f"{who}_{what}_last"] = values[0], values[-1]
-            made[f"{who}_{what}_growth"] = growth(values, settled)
-        half = samples[len(samples) // 2 :]
-        memory = [getattr(sample, f"{who}_bytes") for sample in half]
-        line = statistics.linear_regression([sample.trials for sample in half], memory)
-        made[f"{who}_bytes_per_trial_late"] = line.slope
-    return made
 
 
 def main() -> int:
@@ -188,8 +191,10 @@ def main() -> int:
             samples.append(sample)
             print(f"{sample.trials} trials, {sample.at_s:.0f} s", file=sys.stderr, flush=True)
     figures = figures_of(samples, per_run)
-    growths = [name for name in figures if name.endswith("_growth")]
-    targets = {name: at_most(figures[name], GROWTH_LIMIT) for name in growths}
+    targets = {
+        f"growth of {name}": at_most(row["growth"], GROWTH_LIMIT)
+        for name, row in figures["use"].items()
+    }
     return print_results(figures, targets, as_json=arguments.json, tables=True)
 
 
