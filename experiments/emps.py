@@ -9,6 +9,7 @@ emps/DATA_EMPS.mat.
 """
 
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -32,7 +33,13 @@ CASES = (*((n, 1000) for n in (1, 2, 3, 4, 5, 6, 8)), (1, 250), (1, 100))
 """Pieces and sampling rates."""
 QUICK = ((1, 250), (3, 100))
 LIMITS = {"mass": 0.02, "viscous": 0.05, "coulomb": 0.03, "offset": 0.10}
-"""Numbers of the drive: kg, N s/m, N, N; relative differences allowed from inverse dynamics."""
+"""Numbers of the drive: kg, N s/m, N, N; differences allowed from inverse dynamics by the same
+law, relative to those of the plain law."""
+FURTHER = {
+    "directional_friction.difference_Nms": lambda v: 0.5 * np.abs(v),
+    "bent_viscous_friction.bend_Nms2": lambda v: v * np.abs(v),
+}
+"""Forces that further effects add, per unit of their value, over the velocity."""
 HELD_OUT_N = 3.5
 """Force error allowed on the record held out."""
 
@@ -44,9 +51,10 @@ class Case(NamedTuple):
         pieces: Number of files.
         rate_Hz: Sampling rate.
         said: Verdict and effects.
-        is_friction: Whether Coulomb friction alone is named.
-        numbers: Numbers of the drive in the order of `LIMITS`.
-        inside: Whether each of their intervals holds the number of inverse dynamics.
+        is_friction: Whether Coulomb friction is named, alone or with a law of `FURTHER`.
+        numbers: Numbers of the drive in the order of `LIMITS`, then of `FURTHER`.
+        true: The same by inverse dynamics with the same laws.
+        inside: Whether the intervals of the first hold the numbers of inverse dynamics.
         held_out_N: Force error on the record held out.
         cpu_s: CPU time taken.
     """
@@ -56,6 +64,7 @@ class Case(NamedTuple):
     said: str
     is_friction: bool
     numbers: tuple[float, ...]
+    true: tuple[float, ...]
     inside: tuple[bool, ...]
     held_out_N: float
     cpu_s: float
@@ -106,7 +115,7 @@ class InverseDynamics(NamedTuple):
     """Force and what it depends on, filtered and decimated alike.
 
     Attributes:
-        regressors: Acceleration, velocity, its sign, and one; shape (samples, 4).
+        regressors: Acceleration, velocity, its sign, one, and `FURTHER`; shape (samples, 6).
         force_N: Shape (samples,).
     """
 
@@ -122,13 +131,15 @@ class InverseDynamics(NamedTuple):
         low_pass = butter(4, LOWPASS_Hz, fs=m.sampling_Hz)
         v = np.gradient(filtfilt(*low_pass, m.angle_rad), 1.0 / m.sampling_Hz)
         a = np.gradient(v, 1.0 / m.sampling_Hz)
-        columns = [a, v, np.sign(v), np.ones_like(v), m.current_A]
-        fewer = np.array([decimate(c, DECIMATION)[EDGE:-EDGE] for c in columns])
-        return cls(fewer[:4].T, fewer[4])
+        columns = [a, v, np.sign(v), np.ones_like(v), *(law(v) for law in FURTHER.values())]
+        fewer = np.array([decimate(c, DECIMATION)[EDGE:-EDGE] for c in (*columns, m.current_A)])
+        return cls(fewer[:-1].T, fewer[-1])
 
-    def numbers(self) -> FloatArray:
-        """Numbers of the drive by least squares, shape (4,)."""
-        found: FloatArray = np.linalg.lstsq(self.regressors, self.force_N, rcond=None)[0]
+    def numbers(self, further: Sequence[bool] = (False,) * len(FURTHER)) -> FloatArray:
+        """Numbers of the drive by least squares, shape (6,); 0 for laws that are not there."""
+        there = np.flatnonzero([*(True for _ in LIMITS), *further])
+        found = np.zeros(self.regressors.shape[1])
+        found[there] = np.linalg.lstsq(self.regressors[:, there], self.force_N, rcond=None)[0]
         return found
 
     def error_N(self, numbers: FloatArray) -> float:
@@ -136,8 +147,11 @@ class InverseDynamics(NamedTuple):
         return float(np.sqrt(np.mean((self.force_N - self.regressors @ numbers) ** 2)))
 
 
-PARAMETERS = ("drum_inertia_kg_m2", "viscous_friction_Nms", "torque_Nm", "torque_offset_Nm")
-SIGNS = np.array([1.0, 1.0, 1.0, -1.0])
+PARAMETERS = (
+    *("drum_inertia_kg_m2", "viscous_friction_Nms", "coulomb_friction.torque_Nm"),
+    "torque_offset_Nm",
+)
+SIGNS = np.array([1.0, 1.0, 1.0, -1.0, *(1.0 for _ in FURTHER)])
 """The model's parameters in the order of `LIMITS`; its offset is of the force given."""
 
 
@@ -148,21 +162,25 @@ def diagnose(data: Path, pieces: int, rate_Hz: int) -> Case:
     answer = plants.explain(carriage(rate_Hz), parts)
     took = time.process_time() - begun
     names = [effect.name for effect in answer.effects]
-    is_friction = names == [CoulombFriction.name] and answer.verdict in ("named", "incomplete")
+    known = {CoulombFriction.name, *(name.partition(".")[0] for name in FURTHER)}
+    is_friction = answer.verdict in ("named", "incomplete") and CoulombFriction.name in names
     found = {one.name: one.with_effects for one in answer.calibrations}
-    found |= dict(answer.effects[0].parameters) if is_friction else {}
-    true = InverseDynamics.of(record(data / FITTED)).numbers()
-    numbers, inside = np.zeros(true.size), []
-    for n, (name, at) in enumerate(zip(PARAMETERS, SIGNS * true, strict=True)):
-        one = found.get(name)
-        numbers[n] = 0.0 if one is None else SIGNS[n] * one.value
-        inside.append(one is not None and bool(one.low <= at <= one.high))
+    found |= {f"{e.name}.{n}": one for e in answer.effects for n, one in e.parameters.items()}
+    listed = [found.get(name) for name in (*PARAMETERS, *FURTHER)]
+    numbers = SIGNS * [0.0 if one is None else one.value for one in listed]
+    dynamics = InverseDynamics.of(record(data / FITTED))
+    true = dynamics.numbers([one is not None for one in listed[len(LIMITS) :]])
+    inside = [
+        one is not None and bool(one.low <= at <= one.high)
+        for one, at in zip(listed[: len(LIMITS)], SIGNS * true, strict=False)
+    ]
     return Case(
         pieces,
         rate_Hz,
         f"{answer.verdict} {' + '.join(names)}".strip(),
-        is_friction,
+        is_friction and set(names) <= known,
         tuple(numbers.tolist()),
+        tuple(true.tolist()),
         tuple(inside),
         InverseDynamics.of(record(data / HELD_OUT)).error_N(numbers),
         took,
@@ -186,9 +204,10 @@ def with_friction(data: Path, coulomb_N: float) -> dict[str, Any]:
     return {"said": said, "held_out_before": errors[0], "held_out_after": errors[1]}
 
 
-def targets(cases: list[Case], true: tuple[float, ...]) -> dict[str, Target]:
-    """What every case has to reach."""
-    apart = np.abs([np.array(one.numbers) / true - 1.0 for one in cases]).max(axis=0)
+def targets(cases: list[Case], plain: FloatArray) -> dict[str, Target]:
+    """What every case has to reach; `plain` are the numbers of the plain law, shape (6,)."""
+    differences = np.array([np.subtract(one.numbers, one.true) for one in cases])
+    apart = np.abs(differences[:, : len(LIMITS)] / plain[: len(LIMITS)]).max(axis=0)
     return {
         "emps_friction_named": at_least(float(all(one.is_friction for one in cases)), 1.0),
         **{
@@ -212,21 +231,21 @@ def main() -> int:
     if not (data / FITTED).exists():
         reason = f"skipped: {data / FITTED} is not there; name the folder with --data"
         return print_results({"emps": reason}, {}, as_json=options.json)
-    true = InverseDynamics.of(record(data / FITTED)).numbers()
+    plain = InverseDynamics.of(record(data / FITTED)).numbers()
     cases = [diagnose(data, *case) for case in (QUICK if options.quick else CASES)]
-    beside = {} if options.quick else with_friction(data, float(true[2]))
+    beside = {} if options.quick else with_friction(data, float(plain[2]))
     if not options.json:
         print("pieces  Hz  verdict: kg, N s/m, N, N; intervals that hold; held out, N; CPU, s")
-        print(f"inverse dynamics: {', '.join(f'{x:.4g}' for x in true)}")
         for one in cases:
-            numbers = ", ".join(f"{x:.4g}" for x in one.numbers)
+            numbers, true = (", ".join(f"{x:.4g}" for x in xs) for xs in (one.numbers, one.true))
             print(
                 f"{one.pieces:4d} {one.rate_Hz:5d}  {one.said}: {numbers}; "
                 f"{sum(one.inside)} of 4; {one.held_out_N:.2f}; {one.cpu_s:.1f}"
             )
+            print(f"            inverse dynamics: {true}")
         print(f"friction in the model given: {beside}")
     figures = {"cases": [one._asdict() for one in cases], "with_friction": beside}
-    return print_results(figures, targets(cases, tuple(true)), as_json=options.json)
+    return print_results(figures, targets(cases, plain), as_json=options.json)
 
 
 if __name__ == "__main__":

@@ -156,7 +156,7 @@ def directional_friction(effect):
         )
 
         def moved(_, x, more=more):
-            drag = b + max(more * np.sign(x[1]), 0.0)
+            drag = b + 0.5 * more * np.sign(x[1])
             return [x[1], -(k * R**2 * x[0] + drag * x[1]) / J]
 
         start, t = 10, np.arange(290) / RATE

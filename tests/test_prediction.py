@@ -499,7 +499,7 @@ def test_slack_cable_identifies_the_torque_offset(swing_N, reported):
 
 def test_unsuitable_models_and_records_are_reported():
     record = measure(REEL, LINES)
-    with pytest.raises(PlantError, match="a Reel, an UnloadedReel"):
+    with pytest.raises(PlantError, match="diagnosed_by"):
         diagnosed(object(), [record])
     with pytest.raises(InvalidInput, match="no records"):
         diagnosed(REEL, [])

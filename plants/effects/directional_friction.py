@@ -14,12 +14,12 @@ BEGUN = 0.1
 
 @dataclass(frozen=True)
 class DirectionalFriction(Effect):
-    """More viscous friction one way than the other: `tau = -max(d sign(omega), 0) omega`.
+    """More viscous friction one way than the other: `tau = -d/2 |omega|`.
 
-    The model's own friction is that of the easier direction. Dry friction that differs by
+    The model's own friction is the mean of both directions. Dry friction that differs by
     direction is no effect of its own: a friction of F_1 forward and F_2 backward is, moving and at
     rest, one of (F_1 + F_2)/2 and a constant torque of (F_2 - F_1)/2, which no record tells
-    from an offset. The torque is that of one linearly implicit step, as of bent viscous friction.
+    from an offset. The torque is that of one linearly implicit step.
 
     Attributes:
         difference_Nms: Coefficient d: friction forward less friction backward, N m s/rad.
@@ -56,5 +56,7 @@ class DirectionalFriction(Effect):
     def respond(p: Values, state: Signal, signal: Signal, site: Site) -> Response:
         """The torque of one linearly implicit step."""
         del signal
-        slope = ca.fmax(p.difference_Nms * ca.sign(site.start_velocity_rad_s), 0.0)
-        return state, -slope * site.velocity_rad_s / (1.0 + slope / site.torque_per_velocity)
+        omega = site.start_velocity_rad_s
+        torque = -0.5 * p.difference_Nms * ca.fabs(omega)
+        slope = 0.5 * p.difference_Nms * ca.sign(omega)
+        return state, torque / (1.0 + ca.fmax(slope, 0.0) / site.torque_per_velocity)
