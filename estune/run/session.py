@@ -25,6 +25,7 @@ from estune.tuners import Tuner
 from estune.tuners.interface import (
     ConvergenceEstimate,
     CostPrediction,
+    EndingTuner,
     PredictingTuner,
     RecordUsingTuner,
 )
@@ -137,6 +138,13 @@ class Plan:
         """Consecutive trials with little improvement left that end the search."""
         tuner = self.tuner
         return tuner.settled_trials if isinstance(tuner, RecordUsingTuner) else CONSECUTIVE_SETTLED
+
+    def may_end(self, tuner_state: Any) -> bool:
+        """Whether the search may end by its tolerance."""
+        tuner, tolerance = self.tuner, self.tolerance
+        if not (tolerance and isinstance(tuner, EndingTuner)):
+            return tolerance > 0.0
+        return tuner.may_end(tuner_state, tolerance)
 
     def convergence(self, tuner_state: Any) -> ConvergenceEstimate | None:
         """Convergence of the search; None if the tuner has no estimate (yet)."""
@@ -350,7 +358,7 @@ def _after_search(session: Session, observation: Observation) -> dict[str, Any]:
     plan = session.plan
     tuner = plan.tuner
     state = tuner.tell(session.tuner_state, observation)
-    convergence = plan.convergence(state) if plan.tolerance else None
+    convergence = plan.convergence(state) if plan.may_end(state) else None
     settled = convergence is not None and convergence.remaining_improvement < plan.tolerance
     changed = {
         "tuner_state": state,

@@ -74,7 +74,8 @@ class IdentifiedLoopState(NamedTuple):
         proposal: The next trial.
         centre: Coordinates of the recommended point.
         step_scale: Factor on the reach after unsafe trials.
-        estimate: State of convergence.
+        estimate: State of convergence by the model.
+        fallen_back: Whether the fallback tuner proposes.
         best_point: The point of the best safe trial.
         best_cost: Its cost.
     """
@@ -89,6 +90,7 @@ class IdentifiedLoopState(NamedTuple):
     centre: Coordinates
     step_scale: float
     estimate: ConvergenceEstimate | None
+    fallen_back: bool
     best_point: Point
     best_cost: float | None
 
@@ -146,6 +148,7 @@ class IdentifiedLoopTuner:
             centre=self.space.coordinates(self.space.start),
             step_scale=1.0,
             estimate=None,
+            fallen_back=False,
             best_point=self.space.start,
             best_cost=None,
         )
@@ -180,7 +183,13 @@ class IdentifiedLoopTuner:
 
     def convergence(self, state: IdentifiedLoopState) -> ConvergenceEstimate | None:
         """The state of convergence; None while too little is known."""
+        if state.fallen_back:
+            return self._fallback.convergence(state.fallback)
         return state.estimate
+
+    def may_end(self, state: IdentifiedLoopState, tolerance: float) -> bool:
+        """Whether the remaining improvement may be below the tolerance."""
+        return not state.fallen_back or self._fallback.may_end(state.fallback, tolerance)
 
     def predict(self, state: IdentifiedLoopState, point: Point) -> CostPrediction:
         """The predicted cost of a point, by the fallback's model of the cost."""
@@ -195,7 +204,8 @@ class IdentifiedLoopTuner:
         return state._replace(
             proposal=tuner.ask(state.fallback),
             centre=self.space.coordinates(tuner.recommend(state.fallback)),
-            estimate=tuner.convergence(state.fallback),
+            estimate=None,
+            fallen_back=True,
         )
 
     def _learn(
@@ -238,6 +248,7 @@ class IdentifiedLoopTuner:
             centre=tuple(optimum.coordinates.tolist()),
             proposal=self.space.point(tuple(proposal.tolist())),
             estimate=self._convergence(state, fit, optimum),
+            fallen_back=False,
         )
 
     def _search(self, state: IdentifiedLoopState, model: LoopModel) -> RegionSearch:

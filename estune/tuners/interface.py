@@ -118,6 +118,15 @@ class PredictingTuner(Protocol):
 
 
 @runtime_checkable
+class EndingTuner(Protocol):
+    """A predicting tuner that tells cheaply whether its convergence is worth estimating."""
+
+    def may_end(self, state: Any, tolerance: float) -> bool:
+        """Whether the remaining improvement may be below the tolerance."""
+        ...
+
+
+@runtime_checkable
 class RecordUsingTuner(Protocol):
     """A tuner that learns from the signals of each record, not from its cost alone.
 

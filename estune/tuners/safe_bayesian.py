@@ -249,6 +249,11 @@ class SafeBayesianTuner:
             intervals=tuple(zip(low, high, strict=True)),
         )
 
+    def may_end(self, state: SafeBayesianState, tolerance: float) -> bool:
+        """Whether the plateau scan is complete, before which much improvement remains."""
+        scanned = state.scanned == 2 * len(self.space.names) and state.scan_steps == 0
+        return scanned or tolerance > UNSCANNED_IMPROVEMENT
+
     def predict(self, state: SafeBayesianState, point: Point) -> CostPrediction:
         """The cost predicted at a point; not a number before there is a safe trial."""
         place = np.array([self.space.from_start(point)])
