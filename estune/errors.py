@@ -14,7 +14,8 @@
 Each message is one line: what is wrong, where, and what to do about it. The number is the exit
 code of the command line. A failed trial is not an exception but data: `estune.trial.Outcome`. A
 tuning without a significant improvement is a result as well, with exit code 7, and one whose
-better gains are not robust, with 8.
+better gains are not robust, with 8; a diagnosis with a reservation ends with 9, one of data with
+faults to be corrected first with 10.
 """
 
 from typing import ClassVar
