@@ -112,7 +112,7 @@ def test_terminal_shows_an_unexplained_verdict(monkeypatch, capsys):
 
 @pytest.mark.parametrize(
     ("by_data", "code", "first"),
-    [(False, 8, "WITH RESERVATION, no encoder. "), (True, 9, "WITH RESERVATION, no encoder. ")],
+    [(False, 9, "WITH RESERVATION, no encoder. "), (True, 10, "WITH RESERVATION, no encoder. ")],
 )
 def test_limitation_is_in_the_headline_the_json_and_the_exit_code(
     monkeypatch, capsys, by_data, code, first

@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 import plants
+from estune.errors import InvalidInput
+from plants.diagnosis.result import FAULTY, LIMITED
 from plants.effects import CoulombFriction
 from plants.models.unloaded_reel import UnloadedReel
 from tests.support_measurements import open_loop
@@ -73,7 +75,7 @@ def test_stage_is_told_of_in_its_own_words():
     }
     told = found.to_json()
     assert told["gap_before_m"] == found.gap_before
-    assert told["exit_code"] == 8
+    assert told["exit_code"] == LIMITED
     assert "mass_kg moved to 3.5 times" in found.sentence
     shown = str((found.heading(), found.where, found.traces[0].unit, told))
     assert "rad" not in re.sub("angle_rad|velocity_rad|presliding_rad", "", shown)
@@ -110,11 +112,16 @@ def test_base_parameter_that_moved_far_is_stated():
     assert "base_parameter_moved" in kinds(plants.explain(DRIVE, list(records(inertia=7e-3))))
 
 
-def test_wrong_sign_or_unit_shows_as_a_parameter_at_its_bound():
+def test_records_of_the_wrong_sign_are_refused():
     flipped = [replace(m, angle_rad=-m.angle_rad) for m in records()]
-    found = plants.explain(DRIVE, flipped, effects=[])
-    assert "base_parameter_at_bound" in kinds(found)
-    assert found.verdict == "unknown"
+    with pytest.raises(InvalidInput, match="its sign seems to be reversed"):
+        plants.explain(DRIVE, flipped, effects=[])
+
+
+def test_model_that_is_far_off_shows_as_a_parameter_at_its_bound():
+    found = plants.explain(DRIVE, list(records(inertia=0.05)), effects=[])
+    assert kinds(found)[0] == "base_parameter_at_bound"
+    assert (found.verdict, found.exit_code) == ("unknown", FAULTY)
 
 
 def test_nothing_missing_is_not_said_where_most_records_were_refused():

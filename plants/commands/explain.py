@@ -54,8 +54,8 @@ def explain(
         scale: Factors to the unit, such as current=35.15.
         save_map: Write the map as a TOML file, for --map.
 
-    Exits with 8 where the records do not show enough for the verdict to stand alone, as motion
-    in one direction only, and with 9 where data have faults to be corrected first.
+    Exits with 9 where the records do not show enough for the verdict to stand alone, as motion
+    in one direction only, and with 10 where data have faults to be corrected first.
 
     Raises:
         InvalidInput: an option cannot be used, or no record can, with the reason for each.

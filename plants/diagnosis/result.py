@@ -19,7 +19,7 @@ Verdict = Literal["named", "incomplete", "ambiguous", "unknown", "none"]
 records do not distinguish several effects; `unknown`: no declared effect explains it; `none`:
 there is nothing to explain."""
 
-LIMITED, FAULTY = 8, 9
+LIMITED, FAULTY = 9, 10
 """Exit codes: the verdict stands with a reservation for what the records do not show; the data
 have faults to be corrected first."""
 
