@@ -22,7 +22,7 @@ from estune.core.pidf import ControllerSettings
 from estune.remote import messages
 from estune.remote.messages import VERBS, Answer, Description, Inquire, Keys, Status
 from estune.remote.messages.codec import Message
-from estune.remote.state_machine import client, rig, state
+from estune.remote.state_machine import client, events, rig, state
 from estune.remote.state_machine.client import ClientInput, ClientStage
 from estune.remote.state_machine.reply_codes import OF_TRIAL, ReplyCode
 from estune.remote.state_machine.state import Mode
@@ -150,7 +150,7 @@ def modes() -> Iterator[str]:
 
 
 UNKNOWN = TrialState.UNKNOWN
-HELD = state.RigState(state.Lease("right", "anna", 1.0))
+HELD = state.RigState(state.GrantedLease("right", "anna", 1.0))
 ACTIVE, NOTED, RUNNING, STOPPING = (
     HELD._replace(trial=state.AcceptedTrial("active", *progress))
     for progress in ((), (True,), (True, True), (True, True, "a reason"))
@@ -163,49 +163,49 @@ STATES = (state.RigState(), HELD, ACTIVE, NOTED, RUNNING, STOPPING, SAFE, CLOSED
 
 def submits() -> Iterator[str]:
     """Reply to a submit that has not been refused as a message, in each mode."""
-    events = {
-        "the ledger has an entry": state.SubmitEvent("wrong", "id", TrialState.ENDED, "outside"),
-        "else, the lease is not its": state.SubmitEvent("wrong", "id", UNKNOWN, "outside"),
-        "else, outside the limits": state.SubmitEvent("right", "id", UNKNOWN, "outside"),
-        "else": state.SubmitEvent("right", "id", UNKNOWN),
+    commands = {
+        "the ledger has an entry": events.SubmitEvent("wrong", "id", TrialState.ENDED, "outside"),
+        "else, the lease is not its": events.SubmitEvent("wrong", "id", UNKNOWN, "outside"),
+        "else, outside the limits": events.SubmitEvent("right", "id", UNKNOWN, "outside"),
+        "else": events.SubmitEvent("right", "id", UNKNOWN),
     }
     rows = []
     for before in STATES:
-        codes = [rig.step(before, event, 0.0).reply_code for event in events.values()]
+        codes = [rig.step(before, event, 0.0).reply_code for event in commands.values()]
         rows.append((f"`{before.mode}`", "its state", *(f"`{code}`" for code in codes[1:])))
-    yield from _table(("in mode", *events), rows)
+    yield from _table(("in mode", *commands), rows)
 
 
-CASES: tuple[tuple[str, state.RigState, state.Event], ...] = (
-    ("renew, while another client holds the lease", HELD, state.Renew("wrong")),
-    ("release, while another client holds the lease", HELD, state.Release("wrong")),
-    ("renew, without any lease in force", state.RigState(), state.Renew("wrong")),
-    ("release, without any lease in force", state.RigState(), state.Release("wrong")),
-    ("cancel of another trial than the active one", RUNNING, state.CancelEvent("right", "id")),
+CASES: tuple[tuple[str, state.RigState, events.Event], ...] = (
+    ("renew, while another client holds the lease", HELD, events.Renew("wrong")),
+    ("release, while another client holds the lease", HELD, events.Release("wrong")),
+    ("renew, without any lease in force", state.RigState(), events.Renew("wrong")),
+    ("release, without any lease in force", state.RigState(), events.Release("wrong")),
+    ("cancel of another trial than the active one", RUNNING, events.CancelEvent("right", "id")),
     (
         "cancel of a trial, while another client holds the lease",
         RUNNING,
-        state.CancelEvent("wrong"),
+        events.CancelEvent("wrong"),
     ),
     (
         "void of a trial in the ledger, without the lease",
         HELD,
-        state.VoidEvent("wrong", "id", TrialState.ENDED),
+        events.VoidEvent("wrong", "id", TrialState.ENDED),
     ),
     (
         "void of a trial not in the ledger, without the lease",
         HELD,
-        state.VoidEvent("wrong", "id", UNKNOWN),
+        events.VoidEvent("wrong", "id", UNKNOWN),
     ),
     (
         "void of the trial that is being written to the ledger",
         ACTIVE,
-        state.VoidEvent("right", "active", UNKNOWN),
+        events.VoidEvent("right", "active", UNKNOWN),
     ),
-    ("gains, while a trial is active", RUNNING, state.SetGainsEvent("right")),
-    ("gains, in the safe state and without the lease", SAFE, state.SetGainsEvent("wrong")),
-    ("estop, in the safe state: the first reason stands", SAFE, state.EstopEvent("another")),
-    ("clear, by a client without the lease", SAFE, state.ClearEvent()),
+    ("gains, while a trial is active", RUNNING, events.SetGainsEvent("right")),
+    ("gains, in the safe state and without the lease", SAFE, events.SetGainsEvent("wrong")),
+    ("estop, in the safe state: the first reason stands", SAFE, events.EstopEvent("another")),
+    ("clear, by a client without the lease", SAFE, events.ClearEvent()),
 )
 """Questions that the sentences of the table leave open: situation, state before it, event."""
 

@@ -67,12 +67,14 @@ def daemon(
     folder: Path,
     *rigs: str,
     more: str = "",
+    top: str = "",
     notifier: Notifier | None = None,
     security: Security = OPEN,
     client: Security = OPEN,
 ):
     """A daemon in this process, and a client of it."""
-    text = f'stop_within_s = 3.0\n[service]\nlisten = "tcp/127.0.0.1:0"\n{more}\n{"".join(rigs)}'
+    service_table = f'[service]\nlisten = "tcp/127.0.0.1:0"\n{more}'
+    text = f"stop_within_s = 3.0\n{top}\n{service_table}\n{''.join(rigs)}"
     config = config_from(tomllib.loads(text), "test", folder)
     service = DaemonService(config, notifier, security=security)
     failed = []

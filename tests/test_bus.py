@@ -18,6 +18,7 @@ from estune.core.gains import Gains
 from estune.errors import InvalidInput, RigError
 from estune.remote import zenoh
 from estune.remote.state_machine.state import Mode
+from estune.remote.zenoh.network import Network
 from estune.trial import Outcome, TrialRequest
 from experiments.chaos.wire import Wire
 from tests.serve_rig import served
@@ -402,6 +403,19 @@ def test_deleted_remote_rig_closes_its_session():
         client.run(trial())  # which begins to keep a lease
         session = client._connection.session
         del client
+        assert session.is_closed()
+
+
+def test_rigs_of_a_network_share_a_session_until_the_last_is_closed():
+    network = Network()
+    with zenoh.serve(ScriptedRig()) as server:
+        first, second = (zenoh.connect(server.endpoint, network=network) for _ in range(2))
+        session = first._connection.session
+        assert second._connection.session is session
+        first.run(trial())
+        first.close()
+        assert second.run(trial(1)).outcome is Outcome.DONE
+        second.close()
         assert session.is_closed()
 
 

@@ -2,18 +2,26 @@
 
 import signal
 import time
+import tomllib
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from estune.core.gains import Gains
-from estune.daemon.rig_access import VOID_TRIALS_MAX
+from estune.daemon.config import config_from
+from estune.daemon.rig_access import (
+    VOID_TRIALS_MAX,
+    HeldByOtherDaemon,
+    VoidTrialCounter,
+    open_rig,
+)
 from estune.daemon.store import RUNS, DaemonStore
 from estune.daemon.supervisor import RigSupervisor
 from estune.daemon.tuning_runs import TuningRuns
 from estune.errors import InvalidInput, JournalError, RigError
 from estune.remote import zenoh
+from estune.remote.zenoh.network import Network
 from estune.run import loop
 from estune.run.journal import Journal
 from estune.run.plan import plan_from_json
@@ -328,6 +336,53 @@ def test_second_daemon_is_refused_with_the_holders_name(tmp_path):
             assert len(other.failed) == 1
             assert "held by estune daemon" in str(other.failed[0])
         assert it.client.status("drum").mode == "holding"
+
+
+def test_shared_rig_is_left_to_its_holder_and_taken_over_with_its_gains(tmp_path):
+    def held(status):
+        return status.mode == "waiting" and "held by estune daemon" in status.trouble
+
+    with rig_served() as (rig, where):
+        table = rig_table("drum", where, accept="auto")
+        with daemon(tmp_path / "one", table, top="shared = true") as one:
+            accepted = one.until_mode("watching").gains["accepted"]
+            with daemon(tmp_path / "two", table, top="shared = true") as two:
+                two.until(held)
+                one.service.stop()
+                one.thread.join(WITHIN_S)
+                assert two.until(lambda s: "original" in s.gains).gains["original"] == accepted
+                theirs = two.until_mode("watching").gains["accepted"]
+                with daemon(tmp_path / "one", table, top="shared = true") as again:
+                    again.until(held)
+                    two.service.stop()
+                    two.thread.join(WITHIN_S)
+                    taken = again.until(lambda status: "had the rig before" in status.why)
+                    assert taken.gains["accepted"] == theirs == rig.describe().gains
+        assert one.failed == two.failed == []
+
+
+def test_rigs_beyond_rigs_max_wait_for_a_place(tmp_path):
+    with rig_served("a") as (_, a), rig_served("b") as (_, b):
+        tables = [rig_table(name, where) for name, where in (("a", a), ("b", b))]
+        with daemon(tmp_path, *tables, top="rigs_max = 1") as it:
+            modes = {"waiting", "holding"}
+            it.until(lambda _: {s.mode for s in it.client.statuses()} == modes, "a")
+            (waiting,) = (s for s in it.client.statuses() if s.mode == "waiting")
+            assert "rigs_max" in waiting.sentence
+
+
+def test_lease_of_this_daemon_is_taken_again_and_one_of_another_is_not(tmp_path):
+    config = config_from(tomllib.loads(rig_table("drum", "tcp/127.0.0.1:1")), "test", tmp_path)
+    with rig_served() as (_, where), zenoh.connect(where, holder="estune daemon a") as first:
+        settings = config.rig[0].model_copy(update={"target": where})
+        first.acquire()
+        for holder, refused in (("estune daemon a", RigError), ("b", HeldByOtherDaemon)):
+            counter, network = VoidTrialCounter(), Network()
+            access = open_rig(settings, holder, counter, network)
+            with pytest.raises(refused) as raised:
+                access.acquire()
+            assert isinstance(raised.value, HeldByOtherDaemon) == (refused is HeldByOtherDaemon)
+            access.close()
 
 
 def test_hanging_rig_does_not_delay_another(tmp_path):

@@ -210,6 +210,13 @@ def test_truncated_files_do_not_affect_the_others(tmp_path, record):
     assert rows["ragged.csv"] == record.time_s.size + 1
 
 
+def test_export_of_a_whole_run_is_refused_by_name(tmp_path):
+    for name in ("samples", "trials"):
+        (tmp_path / f"{name}.csv").write_text("number,attempt\n", "utf-8")
+    with pytest.raises(InvalidInput, match=r"samples\.csv.*export of a whole run; give the run"):
+        read_measurements(tmp_path)
+
+
 def test_folder_without_usable_records_reports_every_file(tmp_path, record):
     with pytest.raises(InvalidInput, match=r"no \.csv, .* or run"):
         read_measurements(tmp_path)

@@ -69,7 +69,12 @@ def test_candidate_is_never_the_nominal_gains():
 def test_nominal_gains_change_only_by_accept_or_revert():
     for state, event, after in moves():
         if after.home is GainSet.ACCEPTED and state.home is GainSet.ORIGINAL:
-            assert event in (SupervisorEvent.ACCEPT, SupervisorEvent.ADOPTED)
+            # Inherited gains are those that another daemon had accepted.
+            assert event in (
+                SupervisorEvent.ACCEPT,
+                SupervisorEvent.ADOPTED,
+                SupervisorEvent.INHERITED,
+            )
         if after.home is GainSet.ORIGINAL and state.home is GainSet.ACCEPTED:
             assert event in (SupervisorEvent.REVERT, SupervisorEvent.UNSAFE)
 

@@ -13,6 +13,7 @@ class EventKind(StrEnum):
     FOUND = "found"
     LOST = "lost"
     FAILED = "failed"
+    DISK = "disk"
     TROUBLE = "trouble"
     BACKED_UP = "backed_up"
     GAINS = "gains"

@@ -24,6 +24,7 @@ _ERROR_OUTPUT_MAX = 500
 _LEVELS = {
     EventKind.LOST: logging.WARNING,
     EventKind.FAILED: logging.ERROR,
+    EventKind.DISK: logging.WARNING,
     EventKind.TROUBLE: logging.ERROR,
     EventKind.UNSAFE: logging.ERROR,
     EventKind.DRIFTED: logging.WARNING,

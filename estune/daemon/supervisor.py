@@ -23,6 +23,7 @@ from estune.errors import EstuneError, Interrupted, InvalidInput, RigError, Unsa
 from estune.remote.zenoh.daemon_service import DaemonServer
 from estune.remote.zenoh.network import Network
 from estune.run import archived_run, loop
+from estune.run.disk_space import DiskForecast
 from estune.run.loop import Progress, TuningRun
 from estune.run.session import Phase
 
@@ -74,6 +75,7 @@ class RigSupervisor:
         self._void_trials = rig_access.VoidTrialCounter()
         self._consecutive_failures = 0  # since a trial or a check of the live gains succeeded
         self._in_trial = False
+        self._disk: DiskForecast | None = None
         self._stopping_since_s: float | None = None
         self._idle_until_s = time.monotonic()
         name = f"supervisor {self.name}"
@@ -253,6 +255,7 @@ class RigSupervisor:
     def _complete(self, run: TuningRun, access: RigAccess) -> Decision:
         """Runs the trials of a tuning run that are missing, and decides on its result."""
         self._rig.session = run.session
+        self._disk = DiskForecast(run.journal) if run.journal is not None else None
         try:
             sentence = f"run {run.plan.run}: trials {run.session.number} to {run.plan.max_trials}"
             self._rig.log_event(EventKind.TUNING, sentence)
@@ -281,6 +284,7 @@ class RigSupervisor:
         self._consecutive_failures = 0
         mode = self._rig.mode
         self._rig.session = progress.session
+        self._warn_of_the_disk(progress.session.trials_left)
         self._rig.cost = _finite(progress.entry.cost)
         is_past_search = progress.session.phase in (Phase.CHOOSE, Phase.CONFIRM)
         if is_past_search and mode is SupervisorMode.TUNING:
@@ -288,6 +292,12 @@ class RigSupervisor:
             self._rig.apply_event(SupervisorEvent.SEARCHED, sentence, EventKind.CONFIRMING)
         if self._rig.mode not in (SupervisorMode.TUNING, SupervisorMode.CONFIRMING):
             raise Preempted
+
+    def _warn_of_the_disk(self, trials_left: int) -> None:
+        """Logs once in a run that its disk will be full within a day."""
+        if self._disk is not None and (warning := self._disk.warning(trials_left)):
+            self._disk = None
+            self._rig.log_event(EventKind.DISK, warning)
 
     def _watch(self) -> None:
         """Waits for the next check trial, runs it, and evaluates the control chart."""

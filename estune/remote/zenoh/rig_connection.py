@@ -59,6 +59,7 @@ class RigConnection:
         self._patience_s = patience_s
         self._hurried = False
         self._waiting = False
+        self._present_since_s: float | None = None
         self.session = session
         self.closed = False
         self.about: Description | None = None
@@ -186,13 +187,18 @@ class RigConnection:
         silent_s = time.monotonic() - silent_since_s
         present = present_at(self.session, self.keys.alive("*"))
         instances = sorted(p.instance for p in present)
-        if self.instance in instances:
-            if silent_s > self.timeout_s and self.ask(self.keys.status, b"") is not None:
+        is_present = self.instance in instances
+        if not is_present or self._present_since_s is None:
+            self._present_since_s = time.monotonic() if is_present else None
+        if self._present_since_s is not None:
+            # After an outage the command has to be repeated for as long, before it is judged.
+            refused_s = time.monotonic() - max(silent_since_s, self._present_since_s)
+            if refused_s > self.timeout_s and self.ask(self.keys.status, b"") is not None:
                 return LinkStatus(
                     ClientInput.GONE,
                     f"{self._label} answers queries but not this command, as if this client "
-                    "had no right to command it",
-                    "ask its administrator for access",
+                    "had no right to command it, or the rig were overloaded",
+                    "ask its administrator for access, or relieve the rig's machine",
                 )
             # A simulation can hold its interpreter: it is alive without replying.
             limit_s = self._limit_s(max(PATIENCE_S, self.timeout_s))

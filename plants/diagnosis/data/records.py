@@ -104,8 +104,19 @@ def _read_all(
         source = path.name if path == folder else inside.as_posix()
         if path.name == FILE_NAME:
             yield from _read_run(path.parent, source)
+        elif _is_run_export(path):
+            if path.stem == "samples":
+                sentence = "it is the export of a whole run; give the run, or export --per-trial"
+                yield DataIssue("refused", sentence, source=source)
         elif path.is_file() and (is_readable(path) or path == folder):
             yield from _read_file(path, source, column_map, drum)
+
+
+def _is_run_export(path: Path) -> bool:
+    """Whether a file is one of the two that `estune export` writes for a whole run."""
+    names = ("samples", "trials")
+    both = path.stem in names and all(path.with_stem(name).is_file() for name in names)
+    return both and path.suffix in (".csv", ".parquet")
 
 
 def _read_file(
