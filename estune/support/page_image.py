@@ -18,6 +18,8 @@ BRIGHTER = 1.25
 """Power of the contrast: a thin line looks paler on a dark ground. 3.1 becomes 4.1, 1.25 1.3."""
 
 _COLOUR = re.compile(r"(fill|stroke|stop-color): ?(#[0-9a-f]{6})")
+_DIGITS = re.compile(r"((?:^|[ \"])-?\d+\.\d\d)\d{2,}(?=[ \"\n])", re.MULTILINE)
+"""Coordinates with more digits than a hundredth of a point, which make up half of a drawing."""
 _BLACK = "#000000"
 _INVERTED = "image { filter: invert(0.92) hue-rotate(180deg) }"
 """For parts of a figure that are drawn as pixels."""
@@ -25,7 +27,7 @@ _INVERTED = "image { filter: invert(0.92) hue-rotate(180deg) }"
 
 def light_and_dark(figure: Figure) -> str:
     """The figure as SVG that follows the reader's colour scheme."""
-    svg = to_svg(figure)
+    svg = _DIGITS.sub(r"\1", to_svg(figure))
     used = sorted(set(_COLOUR.findall(svg)))
     rules = [
         f'[style*="{key}: {colour}"] {{ {key}: {dark_colour(colour)} !important }}'
