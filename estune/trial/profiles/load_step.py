@@ -20,6 +20,11 @@ class LoadStepProfile(StepProfile):
     recorded current is that of the controller, without the load.
 
     Attributes:
+        preload_N: As in `StepProfile`.
+        step_N: As in `StepProfile`.
+        step_at_s: As in `StepProfile`.
+        duration_s: As in `StepProfile`.
+        loop: As in `StepProfile`.
         load_N: The load, N; may be negative, not zero.
         load_at_s: Time from the start of the trial at which it begins, s; after the step.
         kind: Kind of profile in messages.
