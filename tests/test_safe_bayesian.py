@@ -9,7 +9,12 @@ import pytest
 from estune.core.gains import Gains
 from estune.errors import InvalidInput
 from estune.tuners.acquisition import TrustRegion
-from estune.tuners.gaussian_process import cost_prior, fit_gaussian_process, prior_covariance
+from estune.tuners.gaussian_process import (
+    cost_prior,
+    fit_gaussian_process,
+    likeliest_noise,
+    prior_covariance,
+)
 from estune.tuners.local_cubic import curvature_matrix, fit_local_cubic, newton_step
 from estune.tuners.low_discrepancy import normal_points, simplex, unit_ball_points
 from estune.tuners.observation import Observation
@@ -196,6 +201,15 @@ def test_estimated_noise_is_the_true_noise():
         assert estimated == pytest.approx(noise, rel=0.25)
 
 
+def test_search_that_may_not_end_has_much_improvement_left():
+    states = run(TUNER, 60, 3)
+    waiting = [state for state in states if not TUNER.may_end(state, 0.02)]
+    left = [e.remaining_improvement for s in waiting if (e := TUNER.convergence(s)) is not None]
+    assert left
+    assert min(left) >= 0.25
+    assert any(TUNER.may_end(state, 0.02) for state in states)
+
+
 def test_convergence_estimate_follows_the_axis_probe():
     states = run(TUNER, 150, 9)
     first = next(k for k, state in enumerate(states) if TUNER.convergence(state) is not None)
@@ -319,6 +333,20 @@ def test_gaussian_process_is_the_posterior_of_its_prior():
     mean, spread = fit_gaussian_process(points, values[:, None], 0.1, prior).predict(queries)
     assert mean[:, 0] == pytest.approx(m(queries) + gain @ (values - m(points)))
     assert spread**2 == pytest.approx(np.diag(K(queries, queries) - gain @ K(points, queries)))
+
+
+@pytest.mark.parametrize("noise", [0.015, 0.03, 0.085])
+def test_likeliest_noise_is_near_that_of_costs_drawn_from_the_prior(noise):
+    prior, random = cost_prior(SPACE.directions), np.random.default_rng(7)
+    found = []
+    for _ in range(8):
+        points = 0.4 * random.normal(size=(24, 4))
+        covariance = prior_covariance(prior, points, points) + 1e-9 * np.eye(24)
+        smooth = np.linalg.cholesky(covariance) @ random.normal(size=24)
+        mean = 0.5 * np.sum((points @ prior.mean_rise) * points, axis=1)
+        values = (mean + smooth + noise * random.normal(size=24))[:, np.newaxis]
+        found.append(likeliest_noise(points, values, prior))
+    assert 0.5 < np.median(found) / noise < 2.0
 
 
 def test_cost_prior_agrees_between_forms_and_parameter_subsets():
