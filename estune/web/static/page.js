@@ -126,9 +126,9 @@ function showFacts({ rig, description, daemon, state, run }) {
 // What the rig must show before a command counts as done.
 const DONE = {
   estop: ({ rig }) => rig?.latched && "the rig confirms: it is in its safe state",
-  accept: ({ daemon }) => daemon.live === "accepted" && "the rig confirms: the accepted gains are live",
+  accept: ({ daemon }) => !daemon.found && daemon.home === "accepted" && daemon.live === "accepted" && "the rig confirms: the accepted gains are live",
   reject: ({ daemon }) => !daemon.found && daemon.live && `the rig confirms: the ${daemon.live} gains are live`,
-  revert: ({ daemon }) => daemon.live === "original" && "the rig confirms: the original gains are live",
+  revert: ({ daemon }) => daemon.home === "original" && daemon.live === "original" && "the rig confirms: the original gains are live",
   pause: ({ daemon }) => daemon.paused && daemon.live && `paused; the rig confirms its ${daemon.live} gains`,
   resume: ({ daemon }) => !daemon.paused && "supervision has resumed",
   stop: ({ daemon }) => daemon.mode === "stopped" && "the supervision has ended",
@@ -149,10 +149,10 @@ async function command(name) {
     answer = await reply.json();
   } catch {
     answer = { done: false, sentence: "the page's server does not answer" };
+    if (name === "estop") answer.sentence += ": the rig must be taken as not stopped; cut its power";
   }
   if (!answer.done) {
-    const advice = name === "estop" ? "; it must be taken as NOT stopped: cut the rig's power" : "";
-    text($("answer"), `${name}: not done: ${answer.sentence}${advice}`);
+    text($("answer"), `${name}: not done: ${answer.sentence}`);
     return;
   }
   text($("answer"), `${name}: ${answer.sentence}; waiting for the rig to confirm`);
