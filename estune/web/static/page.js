@@ -124,11 +124,13 @@ function showFacts({ rig, description, daemon, state, run }) {
 }
 
 // What the rig must show before a command counts as done.
+const applied = (daemon, gains) => daemon.home === gains && daemon.live === gains
+  && !["readying", "waiting", "retrying"].includes(daemon.mode);
 const DONE = {
   estop: ({ rig }) => rig?.latched && "the rig confirms: it is in its safe state",
-  accept: ({ daemon }) => !daemon.found && daemon.home === "accepted" && daemon.live === "accepted" && "the rig confirms: the accepted gains are live",
+  accept: ({ daemon }) => !daemon.found && applied(daemon, "accepted") && "the rig confirms: the accepted gains are live",
   reject: ({ daemon }) => !daemon.found && daemon.live && `the rig confirms: the ${daemon.live} gains are live`,
-  revert: ({ daemon }) => daemon.home === "original" && daemon.live === "original" && "the rig confirms: the original gains are live",
+  revert: ({ daemon }) => applied(daemon, "original") && "the rig confirms: the original gains are live",
   pause: ({ daemon }) => daemon.paused && daemon.live && `paused; the rig confirms its ${daemon.live} gains`,
   resume: ({ daemon }) => !daemon.paused && "supervision has resumed",
   stop: ({ daemon }) => daemon.mode === "stopped" && "the supervision has ended",
