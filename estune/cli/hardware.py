@@ -13,6 +13,7 @@ from estune.support.plugins import load_plugin, plugins
 
 if TYPE_CHECKING:
     from estune.hardware import HardwareRig
+    from estune.hardware.trial_board.rig import BoardRig
 
 
 def serve_hardware(
@@ -42,10 +43,14 @@ def serve_hardware(
     if file is None:
         raise InvalidInput("give the rig's file; for one to begin from, use --example")
     from estune.hardware import HardwareRig, read_config  # noqa: PLC0415  slow to import
+    from estune.hardware.real_time import request_priority  # noqa: PLC0415  as above
+    from estune.hardware.trial_board.rig import DRIVER, BoardRig  # noqa: PLC0415  as above
 
     config = read_config(file)
-    with HardwareRig(config) as hardware:
-        for note in hardware.notes:
+    with (BoardRig if config.driver.use == DRIVER else HardwareRig)(config) as hardware:
+        # The threads that take a stop from the network are started from here on.
+        refused = request_priority(config.real_time.server_priority)
+        for note in filter(None, (*hardware.notes, refused)):
             print(f"estune: {note}", file=sys.stderr, flush=True)
         with (
             suppress(KeyboardInterrupt),
@@ -74,8 +79,8 @@ def _example() -> str:
     return str(load_plugin(examples["rig"])())
 
 
-def _close_after(hardware: "HardwareRig", server: zenoh.RigServer) -> None:
-    """Closes the server once the control loop of its rig has failed."""
+def _close_after(hardware: "HardwareRig | BoardRig", server: zenoh.RigServer) -> None:
+    """Closes the server once the control loop of its rig, or its board, has failed."""
     hardware.wait()
     server.close()
 
@@ -86,6 +91,7 @@ def export_controller(
     *,
     out: Path = Path("estune_pidf.c"),
     c: Flag = False,
+    board: Flag = False,
     start: Flag = False,
     schedule: Path | None = None,
     folder: Path | None = None,
@@ -96,6 +102,7 @@ def export_controller(
         source: A run, by its name or folder, or a rig's file such as my-rig.toml.
         out: The file to write.
         c: Write C, the only form there is.
+        board: Write the program of a trial board beside it, with the limits of the rig's file.
         start: The gains the run began from, instead of the tuned ones.
         schedule: A gain schedule (JSON, as of a sweep) to be written beside it as a C header,
             estune_schedule.h.
@@ -108,20 +115,26 @@ def export_controller(
         read_schedule,
         schedule_header,
     )
+    from estune.hardware.trial_board.export import board_files  # noqa: PLC0415  as above
     from estune.run.export import write_file  # noqa: PLC0415  as above
 
     if not c:
         raise InvalidInput("the form of the controller is missing; give --c")
+    files: dict[Path, str] = {}
     if source.endswith(".toml"):
-        description = read_config(source).describe()
-        settings, gains = description.controller, description.gains
+        config = read_config(source)
+        settings, gains = config.settings(), config.describe().gains
+        if board:
+            files = {out.with_name(name): text for name, text in board_files(config).items()}
+    elif board:
+        raise InvalidInput("a board's program has the limits of a rig; give the rig's file")
     else:
         result = api.load(find_run(source, folder or Path(api.RUNS)))
         settings, gains = result.rig.controller, result.start_gains if start else result.gains
-    files = {out: controller_source(settings, gains)}
+    files[out] = controller_source(settings, gains)
     if schedule is not None:
         files[out.with_name("estune_schedule.h")] = schedule_header(read_schedule(schedule))
     for path, text in files.items():
         write_file(path, text.encode())
-        of = f"controller at {settings.sampling_Hz:g} Hz, {gains}" if path == out else ""
-        print(f"{of or 'gain schedule'}: {path}")
+        of = f"controller at {settings.sampling_Hz:g} Hz, {gains}: " if path == out else ""
+        print(f"{of}{path}")

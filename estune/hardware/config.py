@@ -198,7 +198,9 @@ class RigConfig(TomlTable):
                 ramp_s=self.safe.ramp_s,
                 recover_s=self.safe.recover_s,
             ),
-            timing=RealTime(**(self.real_time.model_dump() | {"late_s": late_s})),
+            timing=RealTime(
+                **(self.real_time.model_dump(exclude={"server_priority"}) | {"late_s": late_s})
+            ),
         )
 
     def _guard(self) -> Limits:

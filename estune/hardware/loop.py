@@ -35,6 +35,7 @@ from estune.hardware.loop_messages import (
     ResetEstop,
     SetLiveGains,
 )
+from estune.hardware.real_time import request_priority
 from estune.hardware.reel_state_machine import ReelStateMachine
 from estune.hardware.shared_memory import BINS, BIN_s, Memory, Word
 
@@ -177,15 +178,8 @@ def _request_real_time(timing: RealTime) -> tuple[str, ...]:
             os.sched_setaffinity(0, {timing.cpu})
         except OSError as error:
             notes.append(f"not bound to core {timing.cpu}: {error.strerror}")
-    if timing.priority:
-        policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
-        try:
-            os.sched_setscheduler(0, policy, os.sched_param(timing.priority))
-        except OSError as error:
-            notes.append(
-                f"no real-time priority {timing.priority}: {error.strerror}; give the user an "
-                "rtprio limit (limits.conf), or the service LimitRTPRIO="
-            )
+    if refused := request_priority(timing.priority, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK):
+        notes.append(refused)
     if timing.lock_memory and libc.mlockall(_MCL_CURRENT | _MCL_FUTURE):
         reason = os.strerror(ctypes.get_errno())
         notes.append(

@@ -180,9 +180,14 @@ class StepTable(TomlTable):
 
 
 class RealTimeTable(TomlTable):
-    """Timing of the loop; late_s is a tenth of the sampling period by default."""
+    """Timing of the loop; late_s is a tenth of the sampling period by default.
+
+    The server's priority is that of the process that takes a stop from the network; it is below
+    the loop's.
+    """
 
     priority: Annotated[int, Field(ge=0, le=99)] = 50
+    server_priority: Annotated[int, Field(ge=0, le=99)] = 20
     lock_memory: bool = True
     cpu: Annotated[int, Field(ge=0)] | None = None
     spin_s: NotNegative = 100e-6

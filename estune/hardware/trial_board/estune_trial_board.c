@@ -1,0 +1,331 @@
+/* A trial board: the tension loop, one trial at a time, its record and its own guard.
+ *
+ * Compile it with estune_board.h and estune_pidf.c, which estune writes beside it from the rig's
+ * file. The board provides the functions below and calls estune_board_sample once in each
+ * sampling period. C99, without allocation, and no library but exp and memcpy.
+ *
+ * The computer is heard by packets (docs/hardware.md). When it falls silent for ESTUNE_SILENCE
+ * samples, or a limit is crossed, the effort is brought to zero and the amplifier switched off by
+ * the board alone.
+ */
+#include <math.h>
+#include <string.h>
+
+#define ESTUNE_PIDF_EXPORT static inline
+#include "estune_pidf.c"
+#include "estune_board.h"
+
+/* Provided by the board. A tension that cannot be measured is NAN. */
+double board_tension_N(void);
+double board_angle_rad(void);
+void board_effort_N(double effort); /* also feeds the amplifier's watchdog */
+void board_power(int on);
+int board_receive(void); /* the next byte that has arrived, or -1 */
+void board_send(const unsigned char *bytes, int size);
+
+enum state { OFF, TAKE_UP, MOVE, HOLD, TRIAL, RAMP };
+enum outcome { NONE, DONE, GUARD, CANCELLED, INTERRUPTED };
+enum reason { NO_REASON, TENSION, TRAVEL, SILENCE, ABORT, ESTOP, NOT_TAUT, NOT_SETTLED };
+
+typedef struct {
+  double tension, effort, angle;
+  unsigned char flags;
+} sample;
+
+static struct {
+  enum state state;
+  unsigned char latched, pending, open_loop, outcome, reason;
+  unsigned trial, samples, done, silent, since, settled;
+  double setpoint, target, effort, ramp, origin;
+  estune_pidf pidf;
+  double live[ESTUNE_COEFFICIENTS], temporary[ESTUNE_COEFFICIENTS];
+} board;
+
+static double setpoints[ESTUNE_CAPACITY];
+static sample record[ESTUNE_CAPACITY];
+
+/* --- the loop -------------------------------------------------------------------------------- */
+
+static void use(const double *coefficients) {
+  memcpy(board.pidf.coefficients, coefficients, sizeof board.pidf.coefficients);
+}
+
+static void enter(enum state state) {
+  board.state = state;
+  board.since = board.settled = 0;
+}
+
+/* Ends the trial, if one is pending or under way, and brings the effort to zero. */
+static void stop(enum outcome outcome, enum reason reason, int latch) {
+  if (board.pending) {
+    board.outcome = outcome;
+    board.reason = reason;
+    board.pending = 0;
+  } else if (latch) {
+    board.reason = reason;
+  }
+  board.latched |= latch;
+  if (board.state != OFF && board.state != RAMP) {
+    board.ramp = board.effort / ESTUNE_RAMP;
+    enter(RAMP);
+  }
+}
+
+/* Restores the live gains without a jump of the effort, and returns to the tension held. */
+static void end_trial(double tension, enum outcome outcome) {
+  use(board.live);
+  estune_pidf_take_over(&board.pidf, board.setpoint, tension, board.effort);
+  board.outcome = outcome;
+  board.pending = 0;
+  board.target = ESTUNE_HOLD;
+  enter(MOVE);
+}
+
+static void begin_trial(double tension) {
+  use(board.temporary);
+  estune_pidf_take_over(&board.pidf, board.setpoint, tension, board.effort);
+  board.done = 0;
+  enter(TRIAL);
+}
+
+/* A limit of the board's own: that of the tension, or of the travel since the trial was asked. */
+static enum reason crossed(double tension, double angle) {
+  if (!(tension < ESTUNE_TENSION_GUARD)) return TENSION; /* NAN too */
+  if (!(fabs(angle - board.origin) < ESTUNE_TRAVEL_GUARD)) return TRAVEL;
+  return NO_REASON;
+}
+
+static void move(double tension) {
+  double left = board.target - board.setpoint;
+  board.setpoint += fmin(fmax(left, -ESTUNE_RATE), ESTUNE_RATE);
+  board.effort = estune_pidf_step(&board.pidf, board.setpoint, tension, 0);
+  board.settled = fabs(tension - board.target) < ESTUNE_SETTLE_N ? board.settled + 1 : 0;
+  if (board.settled > ESTUNE_SETTLE) {
+    if (board.pending) begin_trial(tension);
+    else enter(HOLD);
+  } else if (board.since > ESTUNE_SETTLE_WITHIN) {
+    stop(GUARD, NOT_SETTLED, 0);
+  }
+}
+
+static void trial(double tension, double angle) {
+  casadi_real excess = 0;
+  sample *now = &record[board.done];
+  board.setpoint = setpoints[board.done];
+  if (board.open_loop)
+    board.effort = fmin(fmax(board.setpoint, ESTUNE_EFFORT_MIN), ESTUNE_EFFORT_MAX);
+  else
+    board.effort = estune_pidf_step(&board.pidf, board.setpoint, tension, &excess);
+  now->tension = tension;
+  now->effort = board.effort;
+  now->angle = angle;
+  now->flags = excess != 0;
+  if (++board.done == board.samples) end_trial(tension, DONE);
+}
+
+static void loop(double tension, double angle) {
+  switch (board.state) {
+    case OFF:
+      break;
+    case TAKE_UP:
+      board.effort = ESTUNE_TAKE_UP;
+      if (tension >= ESTUNE_TAUT) {
+        use(board.live);
+        estune_pidf_at_rest(&board.pidf, tension, board.effort);
+        board.setpoint = tension;
+        enter(MOVE);
+        move(tension);
+      } else if (board.since > ESTUNE_TAKE_UP_WITHIN) {
+        stop(GUARD, NOT_TAUT, 1);
+      }
+      break;
+    case MOVE:
+      move(tension);
+      if (board.state == TRIAL) trial(tension, angle);
+      break;
+    case HOLD:
+      board.effort = estune_pidf_step(&board.pidf, board.setpoint, tension, 0);
+      break;
+    case TRIAL:
+      trial(tension, angle);
+      break;
+    case RAMP:
+      board.effort -= board.ramp;
+      if (board.since >= ESTUNE_RAMP) {
+        board.effort = 0;
+        board_power(0);
+        enter(OFF);
+      }
+      break;
+  }
+  board.since++;
+}
+
+/* --- packets --------------------------------------------------------------------------------- */
+
+#define BEGINS 0xC3
+#define HEAD 6 /* begin, kind, sequence number, length */
+#define LONGEST 240
+
+static unsigned checksum(const unsigned char *bytes, int size) {
+  unsigned crc = 0xFFFF;
+  int bit;
+  for (; size > 0; size--) {
+    crc ^= (unsigned)*bytes++ << 8;
+    for (bit = 0; bit < 8; bit++) crc = (crc & 0x8000 ? crc << 1 ^ 0x1021 : crc << 1) & 0xFFFF;
+  }
+  return crc;
+}
+
+static unsigned get(const unsigned char *bytes, int size) {
+  unsigned value = 0;
+  while (size-- > 0) value = value << 8 | bytes[size];
+  return value;
+}
+
+static unsigned char *put(unsigned char *bytes, unsigned value, int size) {
+  for (; size > 0; size--, value >>= 8) *bytes++ = value & 0xFF;
+  return bytes;
+}
+
+/* Doubles cross the line as the board keeps them: little-endian, as all common cores. */
+static unsigned char *put_number(unsigned char *bytes, double value) {
+  memcpy(bytes, &value, 8);
+  return bytes + 8;
+}
+
+static void answer(unsigned kind, unsigned sequence, const unsigned char *body, int size) {
+  unsigned char packet[HEAD + LONGEST + 2], *end = packet;
+  end = put(end, BEGINS, 1);
+  end = put(end, kind, 1);
+  end = put(end, sequence, 2);
+  end = put(end, (unsigned)size, 2);
+  memcpy(end, body, (size_t)size);
+  end += size;
+  end = put(end, checksum(packet, (int)(end - packet)), 2);
+  board_send(packet, (int)(end - packet));
+}
+
+static int status(unsigned char *body) {
+  unsigned char *end = put(body, board.state, 1);
+  end = put(end, board.latched, 1);
+  end = put(end, board.pending, 1);
+  end = put(end, board.outcome, 1);
+  end = put(end, board.reason, 1);
+  end = put(end, board.trial, 4);
+  return (int)(put(end, board.done, 4) - body);
+}
+
+/* A trial is accepted once: the same number again is a repetition of the request. */
+static void accept(const unsigned char *body, double angle) {
+  unsigned samples = get(body + 4, 4);
+  if (board.latched || board.pending || get(body, 4) == board.trial) return;
+  if (samples < 1 || samples > ESTUNE_CAPACITY || board.state == RAMP) return;
+  board.trial = get(body, 4);
+  board.samples = samples;
+  board.open_loop = body[8];
+  memcpy(&board.target, body + 9, 8);
+  memcpy(board.temporary, body + 17, sizeof board.temporary);
+  board.outcome = NONE;
+  board.reason = NO_REASON;
+  board.done = 0;
+  board.pending = 1;
+  board.origin = angle;
+  if (board.state == OFF) board_power(1);
+  enter(board.state == OFF ? TAKE_UP : MOVE);
+}
+
+static int rows(unsigned char *body, unsigned first, unsigned count) {
+  unsigned char *end = put(body, first, 4);
+  for (; count > 0 && first < board.done; count--, first++) {
+    end = put_number(end, record[first].tension);
+    end = put_number(end, record[first].effort);
+    end = put_number(end, record[first].angle);
+    *end++ = record[first].flags;
+  }
+  return (int)(end - body);
+}
+
+static void execute(unsigned kind, unsigned sequence, const unsigned char *body, int size,
+                    double tension, double angle) {
+  unsigned char out[LONGEST];
+  unsigned first;
+  board.silent = 0;
+  if (kind == 'r' && size == 5 && body[4] <= (LONGEST - 4) / 25) {
+    size = rows(out, get(body, 4), body[4]);
+    answer(kind, sequence, out, size);
+    return;
+  }
+  if (kind == 'p' && size >= 4) {
+    first = get(body, 4);
+    if (!board.pending && first + (unsigned)(size - 4) / 8 <= ESTUNE_CAPACITY)
+      memcpy(&setpoints[first], body + 4, (size_t)(size - 4) / 8 * 8);
+  } else if (kind == 't' && size == 17 + (int)sizeof board.temporary) {
+    accept(body, angle);
+  } else if (kind == 'g' && size == (int)sizeof board.live && !board.latched) {
+    memcpy(board.live, body, sizeof board.live);
+    if (board.state == MOVE || board.state == HOLD) {
+      use(board.live);
+      estune_pidf_take_over(&board.pidf, board.setpoint, tension, board.effort);
+    }
+  } else if (kind == 'a') {
+    if (board.state == TRIAL) {
+      board.reason = ABORT;
+      end_trial(tension, CANCELLED);
+    } else if (board.pending) {
+      stop(CANCELLED, ABORT, 0);
+    }
+  } else if (kind == 'x') {
+    stop(CANCELLED, ESTOP, 1);
+  } else if (kind == 'c') {
+    board.latched = 0;
+  }
+  answer(kind, sequence, out, status(out));
+}
+
+static void receive(double tension, double angle) {
+  static unsigned char packet[HEAD + LONGEST + 2];
+  static int size;
+  int byte, length;
+  while ((byte = board_receive()) >= 0) {
+    packet[size++] = (unsigned char)byte;
+    for (;;) {
+      length = size >= HEAD ? (int)get(packet + 4, 2) : 0;
+      if (size && (packet[0] != BEGINS || length > LONGEST)) {
+        memmove(packet, packet + 1, (size_t)--size); /* no packet begins here */
+        continue;
+      }
+      if (size < HEAD || size < HEAD + length + 2) break;
+      if (checksum(packet, HEAD + length) != get(packet + HEAD + length, 2)) {
+        memmove(packet, packet + 1, (size_t)--size);
+        continue;
+      }
+      execute(packet[1], get(packet + 2, 2), packet + HEAD, length, tension, angle);
+      size -= HEAD + length + 2;
+      memmove(packet, packet + HEAD + length + 2, (size_t)size);
+    }
+  }
+}
+
+/* --- for the board --------------------------------------------------------------------------- */
+
+void estune_board_init(void) {
+  memset(&board, 0, sizeof board);
+  estune_pidf_init(&board.pidf);
+  memcpy(board.live, board.pidf.coefficients, sizeof board.live);
+  board_power(0);
+}
+
+void estune_board_sample(void) {
+  double tension = board_tension_N(), angle = board_angle_rad();
+  enum reason limit;
+  receive(tension, angle);
+  board.silent++;
+  if (board.state != OFF && board.state != RAMP) {
+    limit = crossed(tension, angle);
+    if (limit) stop(GUARD, limit, board.state != TRIAL);
+    else if (board.silent > ESTUNE_SILENCE) stop(INTERRUPTED, SILENCE, 0);
+  }
+  loop(tension, angle);
+  if (board.state != OFF) board_effort_N(board.effort);
+}

@@ -1,0 +1,52 @@
+"""The files of a trial board's program, with the limits of a rig's file."""
+
+import math
+from pathlib import Path
+
+from estune.hardware.config import RigConfig
+from estune.hardware.firmware import COEFFICIENTS, controller_source
+
+PROGRAM = Path(__file__).with_name("estune_trial_board.c")
+
+_TEXT = """\
+/* The limits of {name}, from its rig file; change them there. N, rad, samples at {rate:g} Hz. */
+"""
+
+
+def board_files(config: RigConfig) -> dict[str, str]:
+    """The three files of the program by name; one translation unit is compiled, the last.
+
+    Args:
+        config: The rig. Calibrations are the board's own; all else is taken from here.
+    """
+    settings = config.settings()
+    return {
+        "estune_pidf.c": controller_source(settings, config.describe().gains),
+        "estune_board.h": _header(config),
+        "estune_trial_board.c": PROGRAM.read_text(encoding="utf-8"),
+    }
+
+
+def _header(config: RigConfig) -> str:
+    rate, motion, guard = config.sampling_Hz, config.motion, config.guard
+    settings, newtons = config.settings(), config.newtons_per_ampere
+    values: dict[str, float | int] = {
+        "COEFFICIENTS": COEFFICIENTS,
+        "CAPACITY": config.capacity,
+        "TENSION_GUARD": guard.tension_max_N,
+        "TRAVEL_GUARD": guard.travel_max_rad,
+        "SILENCE": math.ceil(guard.heartbeat_s * rate),
+        "EFFORT_MIN": settings.output_min_N,
+        "EFFORT_MAX": settings.output_max_N,
+        "HOLD": config.hold_N,
+        "RATE": motion.rate_N_s / rate,
+        "SETTLE_N": motion.settle_N,
+        "SETTLE": math.ceil(motion.settle_s * rate),
+        "SETTLE_WITHIN": math.ceil(motion.settle_within_s * rate),
+        "TAKE_UP": motion.take_up_A * newtons,
+        "TAKE_UP_WITHIN": math.ceil(motion.take_up_s * rate),
+        "TAUT": motion.taut_N,
+        "RAMP": max(1, math.ceil(config.safe.ramp_s * rate)),
+    }
+    lines = (f"#define ESTUNE_{name} {value!r}" for name, value in values.items())
+    return _TEXT.format(name=config.name, rate=rate) + "\n".join(lines) + "\n"

@@ -1,0 +1,252 @@
+"""Rig of a board that closes the loop itself."""
+
+import logging
+import struct
+import threading
+import time
+from dataclasses import replace
+from datetime import UTC, datetime
+from typing import Self
+
+import numpy as np
+
+from estune.core import pidf
+from estune.core.gains import Gains
+from estune.core.quantities import FloatArray
+from estune.errors import RigError
+from estune.hardware.config import RigConfig
+from estune.hardware.trial_board.link import REASONS, BoardLink, BoardStatus
+from estune.trial import SATURATED, Outcome, RigDescription, TrialRecord, TrialRequest
+from estune.trial.executed_trials import ExecutedTrials, stopped_trial
+
+DRIVER = "trial-board"
+"""Name of the driver in a rig's file by which the loop is the board's."""
+
+BEAT_s = 0.1
+"""Interval of the sign of life; the board stops by itself after guard.heartbeat_s without one."""
+_POLL_s = 0.01
+_PART, _ROWS = 28, 9
+_ROW = np.dtype([("tension", "<f8"), ("effort", "<f8"), ("angle", "<f8"), ("flags", "u1")])
+_OUTCOMES = {
+    1: Outcome.DONE,
+    2: Outcome.GUARD,
+    3: Outcome.CANCELLED,
+    4: Outcome.INTERRUPTED,
+}
+
+_log = logging.getLogger(__name__)
+
+
+class BoardRig:
+    """Runs trials on a board; implements `estune.trial.Rig`. A context manager.
+
+    Args:
+        config: The rig's file; `driver.settings` are `port`, `baud`, `answer_within_s` and
+            `attempts`.
+
+    Raises:
+        RigError: no board answers at the port.
+    """
+
+    notes: tuple[str, ...] = ()
+
+    def __init__(self, config: RigConfig) -> None:
+        self._config = config
+        self._description = config.describe()
+        settings = {"baud": 921600, "answer_within_s": 0.05, "attempts": 5}
+        self._link = BoardLink(**{**settings, **config.driver.settings})
+        self._records = ExecutedTrials()
+        self._trial = threading.Lock()
+        self._ended = threading.Event()
+        self._failure = ""
+        try:
+            self._number = self._link.status(b"s").trial
+            self._link.status(b"g", self._coefficients(self._description.gains))
+        except BaseException:
+            self._link.close()
+            raise
+        threading.Thread(target=self._beat, name="sign of life", daemon=True).start()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def describe(self) -> RigDescription:
+        """Description of the rig, with its live gains.
+
+        Raises:
+            RigError: it is closed, or the board does not answer.
+        """
+        self._check_alive()
+        return self._description
+
+    def run(self, request: TrialRequest) -> TrialRecord:
+        """Runs one trial, or returns the record of it if that trial id has run before.
+
+        Raises:
+            InvalidInput: the request is outside the rig's limits; nothing moved.
+            RigError: the rig is closed or latched, the board does not answer, or another trial had
+                the id.
+        """
+        with self._trial:
+            self._check_alive()
+            stored = self._records.find_record(request)
+            if stored is not None:
+                return stored
+            self._description.limits.check(request.profile)
+            setpoint = request.profile.setpoint(self._config.sampling_Hz)
+            self._send_setpoint(setpoint)
+            began = self._begin(request, len(setpoint))
+            status = self._until_ended(request)
+            record = self._record(request, status, setpoint, began)
+            self._records.add(request, record)
+            return record
+
+    def apply(self, gains: Gains) -> None:
+        """Makes gains the live ones, without a jump of the effort.
+
+        Raises:
+            RigError: the rig is closed or latched, or the board does not answer.
+        """
+        with self._trial:
+            self._check_alive()
+            status = self._link.status(b"g", self._coefficients(gains))
+            if status.latched:
+                raise self._latched(status)
+            self._description = replace(self._description, gains=gains)
+
+    def abort(self) -> RigDescription:
+        """Stops the trial under way, if any, and returns once the live gains are back."""
+        self._check_alive()
+        with stopped_trial(self._trial, self._stop):
+            return self.describe()
+
+    def estop(self, reason: str) -> None:
+        """Emergency stop: the board brings the effort to zero from its next sample on.
+
+        The rig takes neither trials nor gains until it is cleared. This is software: a reel that
+        can hurt people needs a switch that cuts the amplifier's power, too.
+        """
+        _log.warning("rig %s: emergency stop: %s", self._description.name, reason)
+        self._link.status(b"x")
+
+    def clear(self) -> None:
+        """Resets the emergency stop, and a stop by the board's guard."""
+        self._check_alive()
+        self._link.status(b"c")
+
+    def wait(self) -> None:
+        """Returns when the board no longer answers, or the rig was closed."""
+        self._ended.wait()
+
+    def close(self) -> None:
+        """Stops the trial and leaves the board, which then comes to rest by itself."""
+        if self._ended.is_set() and not self._failure:
+            return
+        if not self._failure:
+            with stopped_trial(self._trial, self._stop):
+                self._ended.set()
+        self._link.close()
+
+    def _stop(self) -> None:
+        self._link.status(b"a")
+
+    def _send_setpoint(self, setpoint: FloatArray) -> None:
+        for first in range(0, len(setpoint), _PART):
+            part = setpoint[first : first + _PART].astype("<f8").tobytes()
+            self._link.status(b"p", struct.pack("<I", first) + part)
+
+    def _begin(self, request: TrialRequest, samples: int) -> datetime:
+        deadline_s = time.monotonic() + self._config.safe.ramp_s + 1.0
+        self._number = (self._number + 1) % 2**32
+        head = struct.pack("<IIB", self._number, samples, request.profile.loop == "open")
+        preload = struct.pack("<d", request.profile.preload_N)
+        body = head + preload + self._coefficients(request.gains)
+        while (status := self._link.status(b"t", body)).trial != self._number:
+            if status.latched:
+                raise self._latched(status)
+            if time.monotonic() > deadline_s:  # else it is still on the way to its safe state
+                raise RigError(
+                    f"the board of rig {self._description.name} takes no trial in state "
+                    f"{status.state.name}; check its program"
+                )
+            time.sleep(_POLL_s)
+        return datetime.now(UTC)
+
+    def _until_ended(self, request: TrialRequest) -> BoardStatus:
+        motion = self._config.motion
+        longest_s = motion.take_up_s + motion.settle_within_s + request.profile.duration_s
+        deadline_s = time.monotonic() + 2.0 * longest_s + 5.0
+        while (status := self._link.status(b"s")).pending:
+            if time.monotonic() > deadline_s:
+                self._link.status(b"x")
+                raise RigError(
+                    f"the trial has not ended on the board of rig {self._description.name} after "
+                    f"{2.0 * longest_s + 5.0:.0f} s; it is stopped: check its sampling rate"
+                )
+            time.sleep(_POLL_s)
+        if status.trial != self._number:
+            raise RigError(
+                f"the board of rig {self._description.name} was restarted; check it, then start "
+                "the rig anew"
+            )
+        return status
+
+    def _record(
+        self,
+        request: TrialRequest,
+        status: BoardStatus,
+        setpoint: FloatArray,
+        began: datetime,
+    ) -> TrialRecord:
+        data = b""
+        for first in range(0, status.done, _ROWS):
+            data += self._link.exchange(b"r", struct.pack("<IB", first, _ROWS))[4:]
+        rows = np.frombuffer(data, _ROW)
+        outcome = _OUTCOMES[status.outcome]
+        return TrialRecord(
+            trial_id=request.trial_id,
+            rig=self._description.name,
+            sampling_Hz=self._config.sampling_Hz,
+            cable_length_m=self._description.cable_length_m,
+            preload_N=request.profile.preload_N,
+            gains=request.gains,
+            outcome=outcome,
+            reason="" if outcome is Outcome.DONE else REASONS[status.reason],
+            started_at=began.isoformat(timespec="milliseconds"),
+            software=self._description.software,
+            loop=request.profile.loop,
+            profile=request.profile.kind,
+            time_s=np.arange(rows.size) / self._config.sampling_Hz,
+            setpoint_N=setpoint[: rows.size].copy(),
+            tension_N=rows["tension"].copy(),
+            current_A=rows["effort"] / self._config.newtons_per_ampere,
+            angle_rad=rows["angle"].copy(),
+            flags=rows["flags"] * np.uint8(SATURATED),
+        )
+
+    def _coefficients(self, gains: Gains) -> bytes:
+        numbers = pidf.coefficients(self._description.controller, gains)
+        return struct.pack(f"<{len(numbers)}d", *map(float, numbers))
+
+    def _latched(self, status: BoardStatus) -> RigError:
+        why = REASONS[status.reason] or "stopped"
+        return RigError(
+            f"rig {self._description.name} is stopped ({why}); check it, then clear it"
+        )
+
+    def _beat(self) -> None:
+        while not self._ended.wait(BEAT_s):
+            try:
+                self._link.status(b"s")
+            except (RigError, OSError) as error:
+                self._failure = str(error)
+                self._ended.set()
+
+    def _check_alive(self) -> None:
+        if self._failure:
+            raise RigError(f"rig {self._description.name}: {self._failure}, then start it anew")
+        if self._ended.is_set():
+            raise RigError(f"rig {self._description.name} is closed; start a new one")
