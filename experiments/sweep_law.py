@@ -15,9 +15,10 @@ from the shortest length to the longest.
 
 import tempfile
 from collections.abc import Sequence
+from dataclasses import asdict
 from functools import cache
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.optimize import minimize
@@ -25,7 +26,7 @@ from scipy.optimize import minimize
 import estune
 import plants
 from estune.core.cost import default_cost
-from estune.core.gains import GAIN_NAMES, Gains
+from estune.core.gains import Gains
 from estune.core.quantities import FloatArray
 from estune.core.schedule import GainSchedule
 from estune.studies.law.law import GainLaw, fit_law
@@ -122,42 +123,33 @@ def mean_gains(tunings: Sequence[TunedGains], length_m: float) -> Gains:
     return Gains(*np.exp(np.mean(np.log(some), axis=0)).tolist())
 
 
-class UnseenCosts(NamedTuple):
-    """Mean costs at a length that was not tuned."""
-
-    length_m: float
-    optimum: float
-    tuned: float  # of gains tuned there, the mean over their tunings
-    scheduled: float  # of the schedule of all sweeps together
-    single: FloatArray  # of the schedule of each single sweep
-    fixed: tuple[float, ...]  # of gains tuned at the shortest, a middle and the longest length
-
-
 def unseen_costs(
     plan: Plan, laws: Sequence[GainLaw], law: GainLaw, folder: Path | None
-) -> list[UnseenCosts]:
-    """The costs of schedules and of fixed gains at the unseen lengths."""
+) -> dict[str, dict[str, float]]:
+    """Mean costs at the lengths that were not tuned, by length.
+
+    `tuned` is the mean over tunings there, `scheduled` that of the schedule of all sweeps,
+    `single_p95` the 95 % quantile of those of single sweeps; the others are of gains tuned at the
+    shortest, a middle and the longest length.
+    """
     unseen = run_sweep(plan.unseen_m, plan.unseen_seeds, plan.trials, folder)
     tunings = of_seeds(unseen, 0, plan.unseen_seeds)
-    places = (plan.lengths_m[0], plan.lengths_m[len(plan.lengths_m) // 2], plan.lengths_m[-1])
-    fixed = [mean_gains(law.tunings, length) for length in places]
-    schedules = [one.schedule() for one in laws]
-    rows = []
+    middle = plan.lengths_m[len(plan.lengths_m) // 2]
+    places = {"shortest": plan.lengths_m[0], "middle": middle, "longest": plan.lengths_m[-1]}
+    rows = {}
     for length in plan.unseen_m:
 
         def cost(gains: Gains, length: float = length) -> float:
             return cost_at(length, np.array(gains.as_tuple()), plan.draws, TEST_SEED)
 
-        rows.append(
-            UnseenCosts(
-                length,
-                optimum=cost(optimum(length, plan.draws)),
-                tuned=float(np.mean([cost(t.gains) for t in tunings if t.length_m == length])),
-                scheduled=cost(law.schedule().gains(length, TENSION_N)),
-                single=np.array([cost(s.gains(length, TENSION_N)) for s in schedules]),
-                fixed=tuple(map(cost, fixed)),
-            )
-        )
+        single = [cost(one.schedule().gains(length, TENSION_N)) for one in laws]
+        rows[f"{length:g} m"] = {
+            "optimum": cost(optimum(length, plan.draws)),
+            "tuned": float(np.mean([cost(t.gains) for t in tunings if t.length_m == length])),
+            "scheduled": cost(law.schedule().gains(length, TENSION_N)),
+            "single_p95": float(np.quantile(single, 0.95)),
+            **{n: cost(mean_gains(law.tunings, at)) for n, at in places.items()},
+        }
     return rows
 
 
@@ -180,35 +172,24 @@ def moving(schedule: GainSchedule) -> dict[str, float]:
     return errors
 
 
-class Measured(NamedTuple):
-    """Everything measured."""
-
-    law: GainLaw
-    laws: list[GainLaw]
-    excluded: int
-    rows: list[UnseenCosts]
-    moving: dict[str, float]
-
-
-def measure(plan: Plan, folder: Path | None) -> Measured:
-    """Tunes, fits, and evaluates the schedules."""
+def measure(plan: Plan, folder: Path | None) -> dict[str, Any]:
+    """All figures by name."""
     result = run_sweep(plan.lengths_m, plan.seeds, plan.trials, folder)
     laws = [fit_law(of_seeds(result, n, n + 1)) for n in range(plan.seeds)]
     law = fit_law(of_seeds(result, 0, plan.seeds))
-    rows = unseen_costs(plan, laws, law, folder)
-    return Measured(law, laws, len(result.excluded), rows, moving(law.schedule()))
-
-
-def figures_of(plan: Plan, measured: Measured) -> dict[str, float]:
-    """All figures by name."""
     best = [optimum(length, plan.draws) for length in plan.lengths_m]
     clean = [optimum(length, 0) for length in plan.lengths_m]
-    means = [mean_gains(measured.law.tunings, length) for length in plan.lengths_m]
-    slope, true = measured.law.fits["I"].slope, I_slope(plan.lengths_m, best)
-    slopes = [one.fits["I"].slope for one in measured.laws]
-    figures: dict[str, float] = {
+    means = [mean_gains(law.tunings, length) for length in plan.lengths_m]
+    slope, true = law.fits["I"].slope, I_slope(plan.lengths_m, best)
+    slopes = [one.fits["I"].slope for one in laws]
+    rows = unseen_costs(plan, laws, law, folder)
+
+    def worst(cost: str, other: str) -> float:
+        return max(row[cost] / row[other] for row in rows.values())
+
+    return {
         "tunings": len(plan.lengths_m) * plan.seeds,
-        "tunings_left_out": measured.excluded,
+        "tunings_left_out": len(result.excluded),
         "slope_per_m": slope.value,
         "slope_half_width": slope.half_width,
         "slope_of_optima": true,
@@ -221,27 +202,20 @@ def figures_of(plan: Plan, measured: Measured) -> dict[str, float]:
         "least_fall_of_I": -max(np.diff([g.I for g in means]).tolist()),
         "least_P": min(g.P for g in means),
         "greatest_P": max(g.P for g in means),
-        "scheduled_over_tuned": max(row.scheduled / row.tuned for row in measured.rows),
-        "single_scheduled_over_tuned_p95": max(
-            float(np.quantile(row.single, 0.95)) / row.tuned for row in measured.rows
-        ),
-        "tuned_over_optimum": max(row.tuned / row.optimum for row in measured.rows),
+        "scheduled_over_tuned": worst("scheduled", "tuned"),
+        "single_scheduled_over_tuned_p95": worst("single_p95", "tuned"),
+        "tuned_over_optimum": worst("tuned", "optimum"),
+        "moving_error_N": moving(law.schedule()),
+        "unseen": rows,
+        "gains": {
+            f"{length:g} m, {which}": asdict(gains)
+            for which, some in (("tuned", means), ("optimum", best), ("without noise", clean))
+            for length, gains in zip(plan.lengths_m, some, strict=True)
+        },
     }
-    for n, name in enumerate(("shortest", "middle", "longest")):
-        figures[f"fixed_{name}_over_tuned"] = max(
-            row.fixed[n] / row.tuned for row in measured.rows
-        )
-    for length, ours, theirs, quiet in zip(plan.lengths_m, means, best, clean, strict=True):
-        for name in GAIN_NAMES:
-            figures[f"{name}_{length:g}"] = getattr(ours, name)
-            figures[f"{name}_{length:g}_optimum"] = getattr(theirs, name)
-            figures[f"{name}_{length:g}_optimum_without_noise"] = getattr(quiet, name)
-    for name, error in measured.moving.items():
-        figures[f"moving_error_N_{name.replace(' ', '_')}"] = error
-    return figures
 
 
-def targets_of(figures: dict[str, float], *, quick: bool) -> dict[str, Target]:
+def targets_of(figures: dict[str, Any], *, quick: bool) -> dict[str, Target]:
     """The targets; few sweeps do not determine the slope and the coverage."""
     least = {"least_fall_of_I": 0.0, "least_P": P_RANGE[0]}
     most = {
@@ -264,8 +238,7 @@ def main() -> int:
     parser.add_argument("--folder", type=Path, help="store the tunings there, to be continued")
     options = parser.parse_args()
     plan = QUICK if options.quick else Plan()
-    measured = measure(plan, options.folder)
-    figures = figures_of(plan, measured)
+    figures = measure(plan, options.folder)
     targets = targets_of(figures, quick=options.quick)
     return print_results(figures, targets, as_json=options.json, tables=True)
 
