@@ -135,7 +135,7 @@ def candidates(found: SearchResult, judged: Conclusion) -> tuple[Candidate, ...]
             why += f"its direction explains {_percent(s.screening_R2)} of the residual"
         else:
             part = explained(before, before._replace(J=one.J))
-            left, why = math.sqrt(one.J), _why(one, part, found, judged)
+            left, why = math.sqrt(one.J), _why(one, part, judged)
         probability = judged.probability.get(name, 0.0)
         listed.append(Candidate(name, part, left, s.screening_R2, why, probability))
     listed.sort(key=lambda c: (c.gap if math.isfinite(c.gap) else 1e9, -c.cosine2))
@@ -143,12 +143,12 @@ def candidates(found: SearchResult, judged: Conclusion) -> tuple[Candidate, ...]
     return tuple(listed)
 
 
-def _why(one: CandidateFit, part: float, found: SearchResult, judged: Conclusion) -> str:
+def _why(one: CandidateFit, part: float, judged: Conclusion) -> str:
     effect, best = one.effects[0], judged.best.effects
     what = f"{effect.title} explains {_percent(max(part, 0.0))} of the error power"
     if effect in best:
         return what
-    if judged.best is found.base:
+    if not best:
         return f"{what}, but {judged.like} explains more" if judged.like else f"{what}, too little"
     if family_of(effect) in map(family_of, best):
         return f"{what}, no more than {best[0].title}, which is simpler, needs to"
