@@ -30,7 +30,7 @@ def unavailable(base: LinearBase, effect: type[Effect]) -> str | None:
         missing |= {Port.CABLE}
     still = motion.restoring is None or motion.restoring.is_zero()
     if effect.by_tension and still and not ports & missing:
-        return "it depends on the level of a tension, which the plant does not have"
+        return f"it depends on the level of a tension, {_ABSENT[base.is_drum]}"
     if ports & missing:
         return f"it acts at the {min(ports & missing)}, {_ABSENT[base.is_drum]}"
     try:
@@ -63,6 +63,6 @@ def _may_push(base: LinearBase, effect: type[Effect]) -> bool:
 
 _COMMON_NAMES = ("torque_unit", "angle_unit", "viscous_friction_Nms")
 _ABSENT = {
-    True: "and a drum without a cable has none",
+    True: "which a drive without a cable does not have",
     False: "which takes an output that moves like a position and a spring that holds it",
 }

@@ -1,6 +1,7 @@
 """A diagnosis as text: heading, sentences, tables of strings."""
 
 import math
+from collections import defaultdict
 from typing import NamedTuple
 
 import numpy as np
@@ -117,7 +118,13 @@ def parameters(d: DiagnosisResult) -> Table:
 
 def not_excited(d: DiagnosisResult) -> Table:
     """Effects that these records cannot show, the reason, and the experiment that would."""
-    rows = [(name, why, d.shown_by.get(name) or "-") for name, why in d.not_excited.items()]
+    alike = defaultdict[str, list[str]](list)
+    for name, why in d.not_excited.items():
+        alike[why].append(name)
+    rows = []
+    for why, names in alike.items():
+        shown = {d.shown_by.get(name) or "-" for name in names}
+        rows.append((", ".join(names), why, shown.pop() if len(shown) == 1 else "-"))
     return Table(("effect", "why", "shown by"), tuple(rows))
 
 
