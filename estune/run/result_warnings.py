@@ -86,11 +86,20 @@ class ResultWarning(NamedTuple):
     sentence: str
 
 
-def low_margins(margins: Margins | None) -> tuple[ResultWarning, ...]:
-    """Warning of low margins or instability; none without a model."""
+def low_margins(margins: Margins | None, *, limited: bool = False) -> tuple[ResultWarning, ...]:
+    """Warning of low margins or instability; none without a model.
+
+    Args:
+        margins: Of the rig's own linear model.
+        limited: Whether the search had a limit of the sensitivity already.
+    """
     if margins is None:
         return ()
-    remedy = "limit the sensitivity: --max-sensitivity 1.6"
+    remedy = (
+        "the loop is not linear enough for the search to keep its limit of the sensitivity"
+        if limited
+        else "limit the sensitivity: --max-sensitivity 1.6"
+    )
     if not margins.stable:
         sentence = f"these gains make the rig's own linear model unstable; {remedy}"
     elif margins.phase_margin_deg < PHASE_MARGIN_LEAST_deg:

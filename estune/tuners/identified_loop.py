@@ -115,7 +115,7 @@ class IdentifiedLoopTuner:
     trial: StepTrial | None = None
     limits: RobustnessLimits = field(default_factory=RobustnessLimits)
     reach: float = 1.2
-    memory: int = 20
+    memory: int = 10
     name: Literal["model_based"] = "model_based"
 
     def __post_init__(self) -> None:
