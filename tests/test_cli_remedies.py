@@ -47,10 +47,12 @@ def test_intended_endpoint_of_what_users_write(written, meant):
 
 
 @pytest.mark.parametrize(
-    "command", [["tune"], ["discover"], ["serve", "--listen"]], ids=["tune", "discover", "serve"]
+    ("command", "code"),
+    [(["tune"], 2), (["discover"], 2), (["serve", "--listen"], 2), (["watch"], 5)],
+    ids=["tune", "discover", "serve", "watch"],
 )
-def test_malformed_endpoint_is_answered_with_the_one_that_was_meant(command, capsys):
-    assert run([*command, "127.0.0.1:7447"]) == 2
+def test_malformed_endpoint_is_answered_with_the_one_that_was_meant(command, code, capsys):
+    assert run([*command, "127.0.0.1:7447"]) == code
     assert "did you mean tcp/127.0.0.1:7447?" in capsys.readouterr().err
 
 

@@ -144,6 +144,11 @@ def find_run(run: str, folder: Path) -> Path:
     for path in (Path(run), folder / run):
         if (path / FILE_NAME).is_file():
             return path
+    from estune.remote.zenoh.endpoints import intended_endpoint  # noqa: PLC0415  slow to import
+
+    intended = intended_endpoint(run)
+    if intended:
+        raise JournalError(f"there is no run {run}; did you mean {intended}?")
     raise JournalError(
         f"there is no run {run}, neither as a folder nor in {folder}; "
         "list the runs with: estune list"
