@@ -13,10 +13,10 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import least_squares
-from scipy.signal import lfilter
-from scipy.stats import t as student_t
+from scipy.special import stdtrit
 
 from estune.core.quantities import FloatArray
+from estune.loop_model.filtering import lfilter
 from estune.loop_model.model import LoopModel
 
 NUISANCE = 4
@@ -96,7 +96,7 @@ class LoopFit(NamedTuple):
     @property
     def quantile(self) -> float:
         """Quantile of Student's t for a 95 % interval from the scatter between records."""
-        return float(student_t.ppf(0.975, max(len(self.misfits) - 1, 1)))
+        return float(stdtrit(max(len(self.misfits) - 1, 1), 0.975))
 
 
 def noise_of(record: LoopRecord) -> float:

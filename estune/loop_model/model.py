@@ -17,11 +17,11 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
 from estune.core.quantities import FloatArray
+from estune.loop_model.filtering import lfilter
 
 ComplexArray = NDArray[np.complex128]
 
@@ -108,22 +108,22 @@ class ClosedLoop(NamedTuple):
         p = self.setpoint_pole
         filtered = lfilter([1.0 - p], [1.0, -p], setpoint_N)
         return (
-            np.asarray(lfilter(self.to_output, self.characteristic, filtered)),
-            np.asarray(lfilter(self.to_effort, self.characteristic, filtered)),
+            lfilter(self.to_output, self.characteristic, filtered),
+            lfilter(self.to_effort, self.characteristic, filtered),
         )
 
     def load_response(self, load_N: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Output and effort for a load at the plant's input, without limits, shape (samples,)."""
         return (
-            np.asarray(lfilter(self.load_to_output, self.characteristic, load_N)),
-            np.asarray(lfilter(self.load_to_effort, self.characteristic, load_N)),
+            lfilter(self.load_to_output, self.characteristic, load_N),
+            lfilter(self.load_to_effort, self.characteristic, load_N),
         )
 
     def noise_response(self, noise_N: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Measurement and effort for measurement noise, without limits, shape (samples,)."""
         return (
-            np.asarray(lfilter(self.forward, self.characteristic, noise_N)),
-            np.asarray(lfilter(self.noise_to_effort, self.characteristic, noise_N)),
+            lfilter(self.forward, self.characteristic, noise_N),
+            lfilter(self.noise_to_effort, self.characteristic, noise_N),
         )
 
     def noise_gains(self, samples: int) -> tuple[float, float]:

@@ -7,7 +7,6 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import minimize
-from scipy.stats import qmc
 
 from estune.core.gains import Gains
 from estune.core.quantities import FloatArray
@@ -202,6 +201,8 @@ class RegionSearch:
         return self._penalised(one.coordinates, PENALTY)
 
     def _best_of(self, count: int) -> FloatArray:
+        from scipy.stats import qmc  # noqa: PLC0415  slow to import
+
         unit = qmc.Sobol(self.low.size, scramble=False).random(count)
         points: FloatArray = self.low + (self.high - self.low) * unit
         return min(points, key=lambda x: self._penalised(x, 1.0))

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import t as student_t
+from scipy.special import stdtrit
 
 from estune.core.gains import Gains
 from estune.core.metrics import STEADY_SHARE, step_metrics
@@ -168,7 +168,7 @@ def _end_error(responses: FloatArray, final_N: float) -> tuple[float, float]:
     explained = 4.0 * noise / math.sqrt(tail.size)
     if count > 1:
         spread = float(np.std(tail.mean(axis=1), ddof=1)) / math.sqrt(count)
-        explained = max(explained, float(student_t.ppf(0.975, count - 1)) * spread)
+        explained = max(explained, float(stdtrit(count - 1, 0.975)) * spread)
     return float(tail.mean()) - final_N, explained
 
 

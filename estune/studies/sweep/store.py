@@ -2,14 +2,13 @@
 
 import json
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Self
 
 from estune.core.gains import Gains
-from estune.run.result import RunEnding
 from estune.studies.sweep.cells import Cell
 from estune.studies.sweep.outcome import FAILED, KIND, TRACE, CellOutcome
 from estune.support.sqlite import SqliteFile
@@ -19,8 +18,6 @@ RUNS = "runs"
 """Folder of the runs on rigs at endpoints."""
 
 _NUMBERS = ("cost", "cost_error", "start_cost", "remaining", "duration_s")
-_ENDINGS = {str(ending): str(ending) for ending in RunEnding}
-"""One text for all cells of an ending, of which there may be many."""
 _ROWS_AT_ONCE = 2000
 
 
@@ -64,35 +61,45 @@ class SweepStore:
                 datetime.now(UTC).isoformat(timespec="milliseconds"),
             )
 
-    def finished_keys(self) -> set[str]:
-        """Keys of the cells that are finished and did not fail.
+    def missing(self, cells: Iterable[Cell]) -> list[Cell]:
+        """Those of some cells that are not finished, or failed.
 
         Raises:
             JournalError: the file cannot be read.
         """
-        return {
-            key for (key,) in self._file.rows("SELECT key FROM cell WHERE ending != ?", FAILED)
-        }
+        missing = {cell.key: cell for cell in cells}
+        for rows in self._pages("key, ending"):
+            for key, ending in rows:
+                if ending != FAILED:
+                    missing.pop(key, None)
+        return list(missing.values())
 
-    def outcomes(self, cells: Iterable[Cell]) -> dict[str, CellOutcome]:
-        """The stored outcomes of some cells, by key; their traces stay in the file.
+    def outcomes(self, cells: Sequence[Cell]) -> tuple[CellOutcome, ...]:
+        """The stored outcomes of cells, in their order; their traces stay in the file.
 
         Raises:
             JournalError: the file cannot be read.
         """
-        wanted = {cell.key: cell for cell in cells}
-        outcomes: dict[str, CellOutcome] = {}
+        places = {cell.key: place for place, cell in enumerate(cells)}
+        outcomes: list[CellOutcome | None] = [None] * len(cells)
+        texts: dict[str, str] = {}
+        for rows in self._pages("key, ending, message, facts, length(trace)"):
+            for key, ending, message, *rest in rows:
+                if (place := places.get(key)) is not None:
+                    shared = (texts.setdefault(text, text) for text in (ending, message))
+                    row = (*shared, *rest)
+                    outcomes[place] = _outcome(cells[place], self._file.path, row)
+        return tuple(outcome for outcome in outcomes if outcome is not None)
+
+    def _pages(self, columns: str) -> Iterator[list[Any]]:
+        """Columns of all cells, a number of rows at a time; the first column is the key."""
         last = ""
         while rows := self._file.rows(
-            "SELECT key, ending, message, facts, length(trace) FROM cell WHERE key > ?"
-            " ORDER BY key LIMIT ?",
+            f"SELECT {columns} FROM cell WHERE key > ? ORDER BY key LIMIT ?",  # noqa: S608  ours
             *(last, _ROWS_AT_ONCE),
         ):
-            for key, *rest in rows:
-                if key in wanted:
-                    outcomes[key] = _outcome(wanted[key], self._file.path, rest)
+            yield rows
             last = rows[-1][0]
-        return outcomes
 
 
 def _facts(outcome: CellOutcome) -> dict[str, Any]:
@@ -113,7 +120,7 @@ def _outcome(cell: Cell, path: Path, row: Sequence[Any]) -> CellOutcome:
     gains, errors = values["gains"], values["log_errors"]
     outcome = CellOutcome(
         cell,
-        _ENDINGS.get(ending, ending),
+        ending,
         message,
         gains=None if gains is None else Gains(*gains),
         log_errors=None if errors is None else tuple(map(float, errors)),

@@ -63,15 +63,14 @@ def sweep(
     checked = read_design(design)
     cells = expand_cells(checked)
     with SweepStore.open(Path(folder or _default_folder(design))) as store:
-        finished = store.finished_keys()
-        missing = [cell for cell in cells if cell.key not in finished]
+        missing = store.missing(cells)
         outcomes = _run(missing, store.folder / RUNS, jobs, dask)
         with _watching(watch, len(cells), len(missing)) as watcher, closing(outcomes):
             for outcome in outcomes:
                 store.add(outcome)
                 watcher(outcome)
         stored = store.outcomes(cells)
-    result = SweepResult(checked, tuple(stored[cell.key] for cell in cells), store.folder)
+    result = SweepResult(checked, stored, store.folder)
     result.write_cells()
     return result
 
