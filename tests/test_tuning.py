@@ -7,7 +7,7 @@ import pytest
 import estune
 from estune.errors import Interrupted, InvalidInput, RigError
 from estune.run import loop
-from estune.trial import Outcome, empty_record
+from estune.trial import GUARD, LATE, Outcome, empty_record
 from estune.tuners.search_space import SearchSpace
 from tests.serve_rig import served
 from tests.support_runs import START, ArithmeticRig, Seer
@@ -44,6 +44,43 @@ def test_interrupted_trial_on_moving_rig_ends_run_until_resumed(tmp_path):
     whole.journal.close()
     assert trace(e for e in resumed.entries if not e.outcome.is_void) == trace(whole.entries)
     assert [e.outcome for e in resumed.entries if e.outcome.is_void] == [Outcome.INTERRUPTED]
+
+
+def test_trial_that_a_late_sample_ended_is_repeated_on_a_moving_rig(tmp_path):
+    class LateRig(ArithmeticRig):
+        def run(self, request):
+            record = super().run(request)
+            if request.number != 5 or request.attempt:
+                return record
+            flags = record.flags.copy()
+            flags[-1] |= LATE | GUARD
+            return replace(record, outcome=Outcome.INTERRUPTED, flags=flags)
+
+    rig = LateRig()
+    assert not rig.describe().simulated
+    run = begin(tmp_path / "run", "otis", rig)
+    loop.run(run, rig)
+    assert [e.attempt for e in run.entries if e.number == 5] == [0, 1]
+    run.journal.close()
+
+
+def test_trial_that_failed_on_the_rig_is_repeated_under_a_new_id_when_resumed(tmp_path):
+    class ForgetfulRig(ArithmeticRig):
+        def run(self, request):
+            if request.number == 5 and not request.attempt:
+                raise RigError("it stopped before the trial began")
+            return super().run(request)
+
+        def has_failed(self, request):
+            return request.number == 5 and not request.attempt
+
+    rig = ForgetfulRig()
+    run = begin(tmp_path / "run", "otis", rig)
+    with pytest.raises(Interrupted, match="before the trial began"):
+        loop.run(run, rig)
+    run.journal.close()
+    resumed = resume(tmp_path / "run", rig)
+    assert [e.attempt for e in resumed.entries if e.number == 5] == [0, 1]
 
 
 @pytest.mark.parametrize("outcome", [Outcome.INTERRUPTED, Outcome.CANCELLED])
