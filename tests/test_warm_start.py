@@ -104,6 +104,15 @@ def test_law_of_earlier_runs_starts_a_new_reel_at_its_optimum(runs):
     assert "law of 3 tunings from 0.5 to 1.4 m" in " ".join(result.remarks())
 
 
+def test_law_leaves_out_runs_with_another_cost_than_the_latest(runs, tmp_path):
+    for run in runs.iterdir():
+        (tmp_path / run.name).symlink_to(run)
+    tuned(0.7, folder=tmp_path, run="other", cost="itae", trials=3)
+    known = estune.start_from(f"law:{tmp_path}")(plants.reference_reel(1.0).rig().describe())
+    assert "the nearest length" in known.source  # the only run with that cost
+    assert known.gains == estune.load(tmp_path / "other").gains
+
+
 def test_law_refuses_lengths_beyond_its_own_and_takes_the_nearest_of_two(runs, tmp_path):
     rule = estune.start_from(f"law:{runs}")
     with pytest.raises(InvalidInput, match=r"holds from 0.5 to 1.4 m"):

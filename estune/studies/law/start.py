@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Literal
@@ -28,8 +29,9 @@ def start_from(source: str) -> StartRule | Literal["model"]:
     Args:
         source: "model" for the optimum of the rig's own linear model, "run:FOLDER" for the gains
             of a run, or "law:FOLDER" for the law over cable length of a sweep, or of the tuned
-            runs in a folder. A law is used within its lengths only; runs at fewer than three
-            lengths give the gains of the one nearest in length.
+            runs in a folder that have the cost, limits and tuner of the latest. A law is used
+            within its lengths only; runs at fewer than three lengths give the gains of the one
+            nearest in length.
 
     Raises:
         InvalidInput: the source is none of these.
@@ -70,8 +72,9 @@ def _tunings(folder: Path) -> tuple[TunedGains, ...]:
     """The tuned gains of a sweep, or of the runs of a folder that state their cable length."""
     if (folder / CELLS).is_file():
         return _of_sweep(folder / CELLS)
-    results = [api.load(path.parent) for path in sorted(folder.glob(f"*/{FILE_NAME}"))]
-    tunings = tuple(_data_point(r) for r in results if r.success and r.rig.cable_length_m)
+    paths = sorted(folder.glob(f"*/{FILE_NAME}"), key=lambda path: path.stat().st_mtime)
+    tuned = [r for path in paths if (r := api.load(path.parent)).success and r.rig.cable_length_m]
+    tunings = tuple(_data_point(r) for r in tuned if _aim(r) == _aim(tuned[-1]))
     if not tunings:
         raise JournalError(
             f"{folder} holds neither a sweep nor a tuned run of a reel with a cable length; "
@@ -109,6 +112,12 @@ def _of_sweep(path: Path) -> tuple[TunedGains, ...]:
 
 def _errors(errors: Sequence[float]) -> tuple[float, ...] | None:
     return None if all(map(math.isnan, errors)) else tuple(errors)
+
+
+def _aim(result: TuneResult) -> tuple[object, ...]:
+    """What a run tuned for: only runs of one aim, that of the latest, make a law."""
+    plan = result.plan
+    return replace(plan.cost, settling_time_s=1.0), plan.limits, plan.tuner.name
 
 
 def _data_point(result: TuneResult) -> TunedGains:
