@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from estune.errors import EstuneError
     from estune.run.result import TuneResult
     from estune.studies.compare.comparison import compare
-    from estune.studies.match.procedure import match
     from estune.studies.law.start import start_from
+    from estune.studies.match.procedure import match
     from estune.studies.sweep.sweep import sweep
     from estune.support.version import __version__
     from estune.trial.profiles import StepProfile
