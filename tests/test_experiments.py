@@ -14,6 +14,7 @@ TIMED = {
     "benchmark_trials",
     "catenary",
     "effects",
+    "emergency_stop",
     "jitter",
     "live_page",
     "scale",

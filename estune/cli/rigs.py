@@ -16,6 +16,9 @@ from estune.run.robustness import claim_from
 from estune.run.targets import open_target
 from estune.trial import RigDescription
 
+STOP_PRIORITY = 20
+"""Real-time priority of an emergency stop, where the system grants it."""
+
 
 def discover(endpoint: str, /, *, security: Path | None = None) -> None:
     """List the rigs at an endpoint and their status.
@@ -106,6 +109,9 @@ def estop(
         reason: Reason, reported to the client that controls the rig.
         security: Credentials file, if the rig requires authentication.
     """
+    from estune.hardware.real_time import request_priority  # noqa: PLC0415  of no use elsewhere
+
+    request_priority(STOP_PRIORITY)  # on a busy machine the stop itself would wait for its turn
     with zenoh.connect(endpoint, rig=rig, security=security_from(security)) as the_rig:
         the_rig.estop(reason)
         print(f"{the_rig.name} is stopped and held; once it is safe, reset it with: estune clear")
