@@ -9,7 +9,7 @@ emps/DATA_EMPS.mat.
 """
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -31,11 +31,11 @@ LOWPASS_Hz, DECIMATION, EDGE = 100.0, 10, 50
 """Filter of the measured position, and parallel decimation, of the inverse dynamics."""
 CASES = (*((n, 1000) for n in (1, 2, 3, 4, 5, 6, 8)), (1, 250), (1, 100))
 """Pieces and sampling rates."""
-QUICK = ((1, 250), (3, 100))
+QUICK = ((3, 1000), (1, 250))
 LIMITS = {"mass": 0.02, "viscous": 0.05, "coulomb": 0.03, "offset": 0.10}
 """Numbers of the drive: kg, N s/m, N, N; differences allowed from inverse dynamics by the same
 law, relative to those of the plain law."""
-FURTHER = {
+FURTHER: dict[str, Callable[[FloatArray], FloatArray]] = {
     "directional_friction.difference_Nms": lambda v: 0.5 * np.abs(v),
     "bent_viscous_friction.bend_Nms2": lambda v: v * np.abs(v),
 }
