@@ -201,6 +201,14 @@ def test_shifted_channels_are_reported():
     assert (finding.column, "7 samples after" in finding.sentence) == ("tension_N", True)
 
 
+def test_noisy_measured_current_is_no_reason_to_refuse_a_record():
+    rng = np.random.default_rng(2)
+    steps = 0.75 + 0.1 * np.sign(np.sin(4.0 * GOOD.time_s))  # A, under noise of 0.5 A rms
+    noisy = steps + 0.5 * rng.normal(size=steps.size)
+    m = replace(GOOD, setpoint_N=20.0 * steps, current_A=noisy, source="noisy")
+    assert not [f for f in findings(m) if f.column == "current_A"]
+
+
 def test_wrong_loop_label_is_reported():
     shuffled = np.random.default_rng(2).permutation(SWEPT.current_A)
     (finding,) = findings(replace(SWEPT, current_A=shuffled))

@@ -39,6 +39,8 @@ actuator leaves that much."""
 COHERENT = 20.0
 """Share of an output that the command explains, times the samples, from which on it moves, however
 fast: of 300 pairs of white noise 99 % stay below 13."""
+SLOW = 0.01
+"""Share of the record over which a noisy current is averaged."""
 LAG_MAX_samples = 50
 """Samples by which the measured current may come after the command."""
 
@@ -204,7 +206,8 @@ def _mislabelled(m: MeasuredRecord, b: BaseNumbers) -> Iterator[DataIssue]:
             yield DataIssue("warning", f"{sentence}; check the label", "current_A")
         return
     explained, gain = _follows(command, m.current_A)
-    if explained < FOLLOWS:
+    # A measured current may be noisy: it is judged by what is slow, too.
+    if max(explained, _follows(_slow(command), _slow(m.current_A))[0]) < FOLLOWS:
         sentence = "the record is labelled open, and the current does not follow the setpoint"
         yield DataIssue("refused", f"{sentence}; check the label and the columns", "current_A")
     elif explained > 1.0 - ROUNDING and abs(gain - 1.0) > GAIN_ERROR_MAX:
@@ -214,6 +217,12 @@ def _mislabelled(m: MeasuredRecord, b: BaseNumbers) -> Iterator[DataIssue]:
             "model's radius and torque constant and the column's unit",
             "current_A",
         )
+
+
+def _slow(column: FloatArray) -> FloatArray:
+    """Moving mean over a share of the record."""
+    width = max(1, round(SLOW * column.size))
+    return np.convolve(column, np.full(width, 1.0 / width), "valid")
 
 
 def _follows(command: FloatArray, current: FloatArray) -> tuple[float, float]:
