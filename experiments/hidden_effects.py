@@ -82,7 +82,7 @@ LIMITS: dict[str, tuple[float, Callable[[float, float], Target]]] = {
     "calibration_error": (0.05, at_most),
     "median_cpu_s": (3.0, at_most),
     "throughput_two_workers": (1.8, at_least),
-    "silverbox_nrmse_after": (0.25, at_most),
+    "silverbox_nrmse_after": (0.025, at_most),
     "silverbox_stiffening_first": (1.0, at_least),
 }
 
