@@ -15,6 +15,8 @@ from estune.errors import JournalError
 from estune.run import journal
 from estune.run.journal import FILE_NAME, Journal
 from estune.support.sqlite import FileKind, SqliteFile, has_writer
+from estune.tuners.safe_bayesian import SafeBayesianTuner
+from estune.tuners.search_space import SearchSpace
 from tests.support_runs import ArithmeticRig
 
 OLD = Path(__file__).parent / "assets" / "journal_v1.sqlite"
@@ -146,7 +148,9 @@ def test_interrupted_run_of_an_earlier_tuner_name_resumes(tmp_path):
     assert len(before) == 40
     resumed = api.resume(tmp_path / "newton", ArithmeticRig(), watch=None)
     options = {"trials": 60, "tolerance": 0.0, "repeats": 2, "run": "newton", "watch": None}
-    whole = api.tune(ArithmeticRig(), tuner="safe_bayesian", journal=False, **options)
+    space = SearchSpace.around(ArithmeticRig().describe().gains)
+    then_tuner = SafeBayesianTuner(space, global_noise="expected")  # all that it knew
+    whole = api.tune(ArithmeticRig(), tuner=then_tuner, journal=False, **options)
     assert [(e.number, e.gains, e.cost) for e in resumed.entries[:40]] == before
     then, today = (
         np.array([[*e.gains.as_tuple(), e.cost] for e in tuned.entries])

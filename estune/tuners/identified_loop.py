@@ -44,7 +44,9 @@ is then as after 25, 0.02 to 0.19 % on five families."""
 
 ITERATIONS = 40
 FIRST_ITERATIONS = 12
-"""Iterations of the search for the optimum, and those while it is still far away."""
+CLOSE_FROM = 3
+"""Iterations of the search for the optimum, and those before the third trial, when the optimum is
+still further away than a trial may go."""
 
 SCATTERED = 32
 """Low-discrepancy points of which the best is one more start of the search for the optimum."""
@@ -238,7 +240,7 @@ class IdentifiedLoopTuner:
         scattered = 0 if foreseen else SCATTERED
         optimum = search.minimise(
             [np.array(state.centre), best],
-            iterations=ITERATIONS if foreseen else FIRST_ITERATIONS,
+            iterations=FIRST_ITERATIONS if len(state.costs) < CLOSE_FROM else ITERATIONS,
             scattered=scattered,
         )
         if not math.isfinite(optimum.prediction.cost):
@@ -292,7 +294,9 @@ class IdentifiedLoopTuner:
         """Remaining improvement within the limits, by draws from the posterior of the model."""
         best = _log_cost(self._at(state, fit, self.space.coordinates(state.best_point)))
         close = best - math.log(optimum.prediction.cost) < WORTH_DRAWING
-        if len(state.costs) < 3 or not (close and optimum.feasible):
+        if len(state.costs) < CLOSE_FROM or not (close and optimum.feasible):
+            return None
+        if self._at_edge(state, optimum):
             return None
         rng = np.random.default_rng(len(state.costs))
         theta, factor = fit.model.parameters, parameter_deviations(fit)
@@ -324,6 +328,14 @@ class IdentifiedLoopTuner:
                 )
             ),
         )
+
+    def _at_edge(self, state: IdentifiedLoopState, optimum: Optimum) -> bool:
+        """Whether the reach, not a bound of the space, holds the optimum back."""
+        away = optimum.coordinates - np.array(self.space.coordinates(state.best_point))
+        inside = (optimum.coordinates > np.array(self.space.coordinates_low) + 1e-6) & (
+            optimum.coordinates < np.array(self.space.coordinates_high) - 1e-6
+        )
+        return bool(np.any(inside & (np.abs(away) > 0.99 * self.reach * state.step_scale)))
 
     def _trial(self, state: IdentifiedLoopState) -> StepTrial:
         """The step trial with the effort at rest of the last record."""
