@@ -222,9 +222,10 @@ class _Watch:
 
     def until(self, condition: Any) -> None:
         """Asks until the statuses meet a condition."""
-        while not condition(self.statuses()):
+        while not condition(statuses := self.statuses()):
             if time.monotonic() > self._ends_s:
-                raise EstuneError(f"not within {WITHIN_S:g} s")
+                modes = sorted({f"{s.mode} ({s.trouble or s.sentence})" for s in statuses})
+                raise EstuneError(f"not within {WITHIN_S:g} s: {'; '.join(modes)}")
             time.sleep(1.0)
 
     def for_s(self, seconds: float) -> None:

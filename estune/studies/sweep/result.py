@@ -12,7 +12,7 @@ import numpy as np
 from estune.core.gains import GAIN_NAMES, GAIN_UNITS
 from estune.errors import InvalidInput
 from estune.run.export import write_file
-from estune.run.table_file import whole_file
+from estune.run.table_file import csv_table
 from estune.studies.law.law import GainLaw, fit_law
 from estune.studies.law.tuned import CELLS
 from estune.studies.sweep.design import SweepDesign
@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
     from matplotlib.figure import Figure
+
+_ROWS_AT_ONCE = 2000
 
 DIMENSIONS = ("length_m", "tension_N", "tuner", "seed", "rig")
 """Columns that identify a cell; without their units, the dimensions of the xarray."""
@@ -146,10 +148,12 @@ class SweepResult:
         return pd.DataFrame({name: list(map(of, self.outcomes)) for name, of in _COLUMNS.items()})
 
     def write_cells(self) -> Path:
-        """Writes the frame into the folder of the sweep."""
+        """Writes the frame into the folder of the sweep, without holding all of it."""
         path = self.folder / CELLS
-        with whole_file(path) as temporary:
-            self.to_frame().to_csv(temporary, index=False)
+        with csv_table(path, tuple(_COLUMNS)) as append:
+            for first in range(0, len(self.outcomes), _ROWS_AT_ONCE):
+                part = self.outcomes[first : first + _ROWS_AT_ONCE]
+                append({name: [_text(of(o)) for o in part] for name, of in _COLUMNS.items()})
         return path
 
     def to_xarray(self) -> "xr.Dataset":
@@ -200,6 +204,13 @@ def _gain_columns(index: int, name: str) -> dict[str, Callable[[CellOutcome], An
 
 _GAINS = [_gain_columns(index, name) for index, name in enumerate(GAIN_NAMES)]
 _OWN = ("cost", "cost_error", "start_cost", "safe", "converged", "remaining", "trials")
+
+
+def _text(value: Any) -> Any:
+    """A value as in a CSV file; nothing where there is none."""
+    return "" if value is None or value != value else value  # noqa: PLR0124  nan differs from itself
+
+
 _COLUMNS: dict[str, Callable[[CellOutcome], Any]] = {
     **{name: attrgetter(f"cell.{name}") for name in DIMENSIONS[:-1]},
     "rig": attrgetter("cell.rig.label"),
