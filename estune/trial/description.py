@@ -40,6 +40,11 @@ class LinearModel:
             raise InvalidInput("the linear model holds a number that is not finite")
 
 
+def _omitted_if(default: object) -> Any:
+    """Leaves a value out of messages where it is the default: older clients know no such key."""
+    return Field(exclude_if=lambda value: value == default)
+
+
 @dataclass(frozen=True, slots=True)
 class RigLimits:
     """Limits of a rig for requests.
@@ -57,7 +62,7 @@ class RigLimits:
     tension_min_N: float
     tension_max_N: float
     duration_max_s: float
-    load_max_N: float = 0.0
+    load_max_N: Annotated[float, _omitted_if(0.0)] = 0.0
 
     def __post_init__(self) -> None:
         check_not_negative("limit of load steps", self.load_max_N, "N")
@@ -99,11 +104,6 @@ TENSION, EFFORT = "tension, N", "control effort, N"
 """What a reel measures, and what its controller commands."""
 
 
-def _as_of_a_reel(label: str) -> Any:
-    """Leaves a label out of messages where it is a reel's, as before there were others."""
-    return Field(exclude_if=lambda value: value == label)
-
-
 @dataclass(frozen=True, slots=True)
 class RigDescription:
     """Description of a rig.
@@ -140,8 +140,8 @@ class RigDescription:
     linear_model: LinearModel | None = None
     software: str = ""
     simulated: bool = False
-    measurement: Annotated[str, _as_of_a_reel(TENSION)] = TENSION
-    command: Annotated[str, _as_of_a_reel(EFFORT)] = EFFORT
+    measurement: Annotated[str, _omitted_if(TENSION)] = TENSION
+    command: Annotated[str, _omitted_if(EFFORT)] = EFFORT
 
     @property
     def measurement_name(self) -> str:
