@@ -189,6 +189,16 @@ def test_frozen_encoder_is_reported_with_the_row():
     assert ("refused", "angle_rad") in [(f.level, f.column) for f in issues]
 
 
+def test_encoder_stands_still_where_the_drum_turns_less_than_a_step():
+    coarse = 0.008  # rad
+    still = measure(chirp(RATE, Band(1.0, 40.0, periods=2), 0.2))
+    middle = replace(still, angle_rad=still.angle_rad - still.angle_rad.mean())
+    rough = [replace(m, angle_rad=coarse * np.round(m.angle_rad / coarse)) for m in (GOOD, middle)]
+    assert np.ptp(rough[1].angle_rad) == 0.0
+    _, issues = check(rough, REEL)
+    assert not [f for f in issues if "stand still" in f.sentence]
+
+
 @pytest.mark.parametrize(("share", "level"), [(0.2, "warning"), (0.8, "refused")])
 def test_record_at_the_current_limit_is_reported(share, level):
     flags = np.where(np.arange(SWEPT.samples) < share * SWEPT.samples, SATURATED, 0)

@@ -15,7 +15,7 @@ from estune.trial import SATURATED
 from plants.diagnosis.checks.sensors import faults, frozen_angle, shift_between
 from plants.diagnosis.checks.units import mistaken_units
 from plants.diagnosis.data.measured_record import OUTPUTS, ROUNDING, MeasuredRecord
-from plants.diagnosis.data.noise import FEWEST, upper_rms
+from plants.diagnosis.data.noise import FEWEST, step_of, upper_rms
 from plants.diagnosis.models.base import BaseNumbers
 from plants.effects.plant_scale import PlantScale
 
@@ -60,10 +60,13 @@ def check(
     """
     kept, issues = _of_one_rig(measurements)
     rate_Hz = PlantScale.of(model).sampling_Hz
+    # A record in which the drum hardly turns does not show the encoder's step.
+    step_rad = max((step_of(m.angle_rad) for m in kept if m.angle_rad is not None), default=0.0)
     usable = []
     for m in kept:
         numbers = BaseNumbers.of(model, m)
-        own = [replace(i, source=m.source or m.name) for i in _issues(m, numbers, rate_Hz)]
+        found = _issues(m, numbers, rate_Hz, step_rad)
+        own = [replace(issue, source=m.source or m.name) for issue in found]
         issues += own
         if not any(issue.level == "refused" for issue in own):
             usable.append(m)
@@ -95,8 +98,17 @@ def _of_one_rig(
     return [m for m in measurements if m.rig in ("", rig)], issues
 
 
-def _issues(m: MeasuredRecord, b: BaseNumbers | None, rate_Hz: float) -> Iterator[DataIssue]:
-    """All issues of one record, its source left out; the rate is the model's."""
+def _issues(
+    m: MeasuredRecord, b: BaseNumbers | None, rate_Hz: float, step_rad: float
+) -> Iterator[DataIssue]:
+    """All issues of one record, its source left out.
+
+    Args:
+        m: The record.
+        b: The model's numbers.
+        rate_Hz: The model's sampling rate.
+        step_rad: Step of the encoder.
+    """
     if m.samples < FEWEST:
         sentence = f"{m.samples} samples are too few; record {FEWEST} or more"
         yield DataIssue("refused", sentence)
@@ -115,7 +127,8 @@ def _issues(m: MeasuredRecord, b: BaseNumbers | None, rate_Hz: float) -> Iterato
     yield from mistaken_units(m, b, rate_Hz)
     if b.stiffness_N_m is None or m.angle_rad is None or m.tension_N is None:
         return
-    yield from frozen_angle(m.angle_rad, m.tension_N, 1.0 / b.tension_per_angle_N_rad)
+    per_N = 1.0 / b.tension_per_angle_N_rad
+    yield from frozen_angle(m.angle_rad, m.tension_N, per_N, step_rad)
     late = shift_between(m.angle_rad, m.tension_N)
     if late:
         yield DataIssue(

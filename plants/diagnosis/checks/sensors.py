@@ -39,16 +39,19 @@ def faults(column: str, readings: FloatArray) -> Iterator[DataIssue]:
     yield from _dropouts(column, readings)
 
 
-def frozen_angle(angle: FloatArray, tension: FloatArray, rad_per_N: float) -> Iterator[DataIssue]:
+def frozen_angle(
+    angle: FloatArray, tension: FloatArray, rad_per_N: float, step_rad: float
+) -> Iterator[DataIssue]:
     """An angle that stands still while the tension moves as only a turning drum can move it.
 
     Args:
         angle: As read, shape (samples,).
         tension: Same shape.
         rad_per_N: How far the drum turns for a change of the tension, at the least.
+        step_rad: Step of the encoder.
     """
     # So far that neither noise nor a step of the encoder can be meant.
-    least = TENSION_RANGE * (step_of(angle) / rad_per_N + upper_rms(tension))
+    least = TENSION_RANGE * (step_rad / rad_per_N + upper_rms(tension))
     runs = [run for run in _constant_runs(angle) if float(np.ptp(tension[run])) > least]
     yield from _frozen("angle_rad", angle.size, runs, " while the tension moves")
 
