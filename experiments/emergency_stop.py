@@ -143,7 +143,7 @@ def main() -> int:
     turns, processes = (5, 2) if arguments.quick else (200, BUSY)
     figures: dict[str, float | int | str] = {"turns": turns, "cores": os.cpu_count() or 0}
     for load, busy_ones in (("idle", 0), ("loaded", processes)):
-        for schedule in SCHEDULES:
+        for schedule in ("both",) if arguments.quick else SCHEDULES:
             times = measure(schedule, busy_ones, turns)
             for what, values in times._asdict().items():
                 name = f"{load}_{schedule}_{what.removesuffix('_ms')}"

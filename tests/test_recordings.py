@@ -15,6 +15,7 @@ from estune.conformance.recordings import ReaderConformance, columns
 from estune.errors import InvalidInput
 from estune.recordings.column_map import AS_NAMED, read_column_map
 from estune.recordings.issue import Unusable
+from estune.recordings.raw_file import is_readable
 from estune.recordings.recording import read_recording
 from estune.recordings.units import Drum
 
@@ -333,6 +334,26 @@ def test_gap_of_any_measurement_splits_the_resampled_record(tmp_path):
     for stamps in (before, after):
         assert np.allclose(np.diff(stamps), 1.0 / recording.sampling_Hz)
     assert any("resampled" in issue.sentence for issue in recording.issues)
+
+
+def test_stamps_in_bursts_are_refused(tmp_path):
+    c = columns()
+    bursts = np.repeat(np.arange(200) / 316.0, 2) + np.tile([0.0, 1e-5], 200)
+    write_csv(tmp_path / "log.csv", {**c, "time_s": bursts})
+    with pytest.raises(Unusable, match="record the stamps of the device"):
+        read_recording(tmp_path / "log.csv")
+
+
+def test_bag_is_one_recording_of_its_folder_and_other_files_are_read_beside_it(tmp_path):
+    bag = tmp_path / "bag"
+    TestRos2Bag().write(bag, columns())
+    write_csv(tmp_path / "LOG.CSV", columns())
+    (tmp_path / "metadata.yaml").write_text("author: somebody\n")
+    readable = {
+        path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*") if is_readable(path)
+    }
+    assert readable == {"LOG.CSV", "bag/metadata.yaml"}
+    assert read_recording(tmp_path / "LOG.CSV").parts
 
 
 def test_object_that_cannot_be_read_is_named(tmp_path):

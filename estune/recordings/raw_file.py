@@ -68,9 +68,17 @@ def formats() -> tuple[str, ...]:
 
 def is_readable(path: Path) -> bool:
     """Whether a reader is known for a file; the parts of a ROS 2 bag belong to its folder."""
-    if path.parent.joinpath(BAG).is_file():
+    if _is_bag(path.parent):
         return path.name == BAG
-    return path.suffix in _OWN or path.suffix in plugins(ENTRY_POINTS)
+    ending = path.suffix.lower()
+    return ending in _OWN or ending in plugins(ENTRY_POINTS)
+
+
+def _is_bag(folder: Path) -> bool:
+    try:
+        return b"rosbag2_bagfile_information" in folder.joinpath(BAG).read_bytes()
+    except OSError:
+        return False
 
 
 def read_raw(path: Path) -> RawFile:
@@ -103,12 +111,14 @@ def read_raw(path: Path) -> RawFile:
 
 
 def _reader(path: Path) -> Reader:
-    where = _OWN.get(path.name, _OWN.get(path.suffix))
+    ending = path.suffix.lower()
+    where = _OWN.get(path.name, _OWN.get(ending))
     if where is None:
         offered = plugins(ENTRY_POINTS)
-        if path.suffix not in offered:
-            raise Unusable(f"{path.suffix or path.name} is no format of records; use {formats()}")
-        plugin: Reader = load_plugin(offered[path.suffix])
+        if ending not in offered:
+            known = ", ".join(formats())
+            raise Unusable(f"{ending or path.name} is no format of records; use {known}")
+        plugin: Reader = load_plugin(offered[ending])
         return plugin
     module, _, function = where.partition(":")
     own: Reader = getattr(import_module(f"estune.recordings.readers.{module}"), function)

@@ -68,6 +68,9 @@ def read_recording(
     else:
         grid = resampled(values, clocks, stated_Hz)
     parts = tuple(p for p in grid.parts if p["time_s"].size >= FEWEST_SAMPLES)
+    if not parts:
+        few = f"no {FEWEST_SAMPLES} samples in a row are without a gap"
+        raise Unusable(f"{few}; record the stamps of the device", "time_s")
     return Recording(grid.sampling_Hz, parts, metadata, mapped, (*issues, *warning, *grid.issues))
 
 
