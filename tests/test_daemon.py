@@ -25,7 +25,7 @@ from estune.remote.zenoh.network import Network
 from estune.run import loop
 from estune.run.journal import Journal
 from estune.run.plan import plan_from_json
-from estune.trial import Outcome
+from estune.trial import Outcome, TrialRequest
 from tests.serve_rig import served
 from tests.support_daemon import (
     ORIGINAL,
@@ -383,6 +383,29 @@ def test_lease_of_this_daemon_is_taken_again_and_one_of_another_is_not(tmp_path)
                 access.acquire()
             assert isinstance(raised.value, HeldByOtherDaemon) == (refused is HeldByOtherDaemon)
             access.close()
+
+
+def test_leases_lost_in_an_overload_need_no_operator(tmp_path):
+    with rig_served() as (_, where), zenoh.connect(where, holder="estune daemon a") as rig:
+        config = config_from(tomllib.loads(rig_table("drum", where)), "test", tmp_path)
+        access = open_rig(config.rig[0], "estune daemon a", VoidTrialCounter(), Network())
+        remote = access._rig
+        cancelled = replace(
+            response(TrialRequest("run", 0, ORIGINAL, rig.describe().step)),
+            outcome=Outcome.CANCELLED,
+        )
+
+        def lose(request):
+            remote._lease.drop(remote._lease.token or remote._lease.hold())
+            return replace(cancelled, trial_id=request.trial_id)
+
+        remote.run = lose
+        for number in range(2 * VOID_TRIALS_MAX):
+            request = TrialRequest("run", number, ORIGINAL, rig.describe().step)
+            assert access.run(request).outcome is Outcome.CANCELLED
+            remote.release()
+            time.sleep(0.01)
+        access.close()
 
 
 def test_hanging_rig_does_not_delay_another(tmp_path):

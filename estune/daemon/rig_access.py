@@ -143,6 +143,7 @@ class RigAccess:
             RigError: the rig cannot be reached.
             TooManyVoidTrials: too many consecutive trials were void.
         """
+        before = self._leases_lost()
         try:
             with self._turn():
                 record = self._rig.run(request)
@@ -156,7 +157,8 @@ class RigAccess:
         if fault:
             reason = f"the record of trial {request.trial_id} is refused: {fault}"
             record = self._void(request, Outcome.CANCELLED, reason)
-        self._void_trials.count(record)
+        if not (record.outcome is Outcome.CANCELLED and self._leases_lost() > before):
+            self._void_trials.count(record)  # an overload, which ends by itself, needs no operator
         return record
 
     def estop_reason(self) -> str:
@@ -177,6 +179,9 @@ class RigAccess:
         """Returns the right to command."""
         if isinstance(self._rig, RemoteRig):
             self._rig.release()
+
+    def _leases_lost(self) -> int:
+        return self._rig.leases_lost if isinstance(self._rig, RemoteRig) else 0
 
     def _has_failed(self, request: TrialRequest, error: EstuneError) -> bool:
         """Whether the trial can never run under its id."""

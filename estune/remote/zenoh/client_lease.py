@@ -82,11 +82,13 @@ class ClientLease:
 
     Attributes:
         token: The lease held, as far as is known; empty without one.
+        losses: Number of leases lost.
         renewed_s: Monotonic time of the last request that the rig is known to have granted.
     """
 
     def __init__(self, connection: RigConnection, renewal: LeaseRenewal, holder: str) -> None:
         self.token = ""
+        self.losses = 0
         self.renewed_s = 0.0
         self._connection = connection
         self._renewal = renewal
@@ -120,6 +122,7 @@ class ClientLease:
         """Forgets a lease that the rig has refused."""
         if token and token == self.token:
             self.token = ""
+            self.losses += 1
 
     def release(self) -> None:
         """Returns the lease, if one is held; if the message is lost, the lease expires."""

@@ -282,6 +282,11 @@ class RemoteRig:
         """Instances of the daemons that supervise the rig, as far as they join its network."""
         return daemon_instances(self._connection.session, self.name)
 
+    @property
+    def leases_lost(self) -> int:
+        """Number of leases lost so far: not renewed in time, or ended by the rig."""
+        return self._lease.losses
+
     def acquire(self) -> None:
         """Acquires the lease now, rather than with the first command."""
         self._lease.hold()
