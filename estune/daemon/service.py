@@ -17,15 +17,16 @@ from estune.daemon.live_page import serve_page
 from estune.daemon.metrics import MetricsServer, write_metrics
 from estune.daemon.notifications import Hooks, Notifier, log_event
 from estune.daemon.rig_access import HOLDER_PREFIX
+from estune.daemon.shared_resources import SharedResources
 from estune.daemon.store import DaemonStore
 from estune.daemon.supervised_rig import SupervisedRig
-from estune.daemon.supervisor import RigSupervisor, Shared
+from estune.daemon.supervisor import RigSupervisor
 from estune.errors import EstuneError, RigError
 from estune.remote.messages.daemon import DaemonStatus
 from estune.remote.security import OPEN, Security, read_security
 from estune.remote.zenoh.daemon_service import DaemonServer
+from estune.remote.zenoh.listening_session import ListeningSession
 from estune.remote.zenoh.network import Network
-from estune.remote.zenoh.zenoh_session import ListeningSession
 
 _POLL_S = 0.25
 _HOOKS_END_WITHIN_S = 5.0
@@ -79,7 +80,7 @@ class DaemonService:
             }
             network = Network(security)
             self._admission = Admission(network.renewal, len(config.rig), config.rigs_max)
-            shared = Shared(
+            shared = SharedResources(
                 f"{HOLDER_PREFIX} {instance} on {socket.gethostname()}, process {os.getpid()}",
                 *(instance, network, self._admission),
                 *(self._server if config.shared else None, config.stop_within_s),

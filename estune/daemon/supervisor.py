@@ -8,20 +8,17 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from functools import partial
-from typing import NamedTuple
 
 from estune.core.control_chart import ChartSignal
 from estune.daemon import rig_access
-from estune.daemon.admission import Admission
 from estune.daemon.config import RigTable
 from estune.daemon.events import EventKind
 from estune.daemon.rig_access import HeldByOtherDaemon, RigAccess, TooManyVoidTrials
+from estune.daemon.shared_resources import SharedResources
 from estune.daemon.supervised_rig import Preempted, SupervisedRig
 from estune.daemon.supervisor_state import SupervisorEvent, SupervisorMode
 from estune.daemon.tuning_runs import Decision
 from estune.errors import EstuneError, Interrupted, InvalidInput, RigError, UnsafeStart
-from estune.remote.zenoh.daemon_service import DaemonServer
-from estune.remote.zenoh.network import Network
 from estune.run import archived_run, loop
 from estune.run.disk_space import DiskForecast
 from estune.run.loop import Progress, TuningRun
@@ -36,27 +33,6 @@ _TRIAL_MODES = (SupervisorMode.TUNING, SupervisorMode.CONFIRMING, SupervisorMode
 _log = logging.getLogger(__name__)
 
 
-class Shared(NamedTuple):
-    """What the supervisors of a daemon have in common.
-
-    Attributes:
-        holder: Name of the daemon as the holder of leases.
-        instance: Identity of this start of it.
-        network: Sessions with rigs.
-        admission: Places for rigs and turns for trials.
-        fleet: Where a rig that this daemon has is announced to the other daemons that have it in
-            their files; None if there are none.
-        stop_within_s: Time that a stop waits for a rig that does not answer.
-    """
-
-    holder: str
-    instance: str
-    network: Network
-    admission: Admission
-    fleet: DaemonServer | None
-    stop_within_s: float
-
-
 class RigSupervisor:
     """Supervisor of one rig.
 
@@ -65,7 +41,7 @@ class RigSupervisor:
         confirmed: Whether the rig has confirmed, at the end, that the nominal gains are live.
     """
 
-    def __init__(self, settings: RigTable, rig: SupervisedRig, shared: Shared) -> None:
+    def __init__(self, settings: RigTable, rig: SupervisedRig, shared: SharedResources) -> None:
         self.name = settings.name
         self.confirmed = False
         self._settings = settings

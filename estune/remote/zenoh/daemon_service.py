@@ -30,9 +30,9 @@ from estune.remote.messages.daemon import (
 )
 from estune.remote.security import OPEN, Security
 from estune.remote.zenoh.endpoints import check_endpoint
+from estune.remote.zenoh.listening_session import ListeningSession
 from estune.remote.zenoh.zenoh_session import (
     AGAIN_S,
-    ListeningSession,
     close_session,
     open_client,
 )
