@@ -60,7 +60,7 @@ PAIRED = (
     "mains_interference",
 )
 FAMILIES = (
-    ("coulomb_friction", "dahl_hysteresis", "stribeck_friction"),
+    ("coulomb_friction", "dahl_hysteresis", "stribeck_friction", "load_friction"),
     ("dead_time", "rate_limit", "nonlinear_lag", "current_lag"),
     ("cable_weight", "string_mode"),
 )

@@ -3,9 +3,11 @@
 import json
 import math
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import MISSING, asdict, fields, replace
+from dataclasses import MISSING, fields, replace
 from inspect import signature
-from typing import Any, NamedTuple, get_args
+from typing import Any, NamedTuple, get_args, get_type_hints
+
+from pydantic import TypeAdapter
 
 from estune.core.gains import Gains
 from estune.errors import InvalidInput
@@ -94,6 +96,7 @@ def _matrix(value: Any) -> tuple[tuple[float, ...], ...]:
 def _record_of(made: type) -> Reader:
     """Reader of a table whose keys are the fields of a dataclass: numbers or literals."""
     known = {f.name: f for f in fields(made) if f.name != "kind"}
+    kinds = get_type_hints(made)
     needed = {name for name, f in known.items() if f.default is MISSING}
 
     def read(value: Any) -> Any:
@@ -101,7 +104,7 @@ def _record_of(made: type) -> Reader:
             optional = [f"{name} if you like" for name in known if name not in needed]
             expected = ", ".join([*(name for name in known if name in needed), *optional])
             raise InvalidInput(f"this is {_shown(value)}; it must be {{ {expected} }}")
-        return made(**{name: _entry(known[name].type, given) for name, given in value.items()})
+        return made(**{name: _entry(kinds[name], given) for name, given in value.items()})
 
     return read
 
@@ -115,7 +118,8 @@ def _entry(kind: Any, value: Any) -> Any:
 
 
 def _table(record: Any) -> dict[str, Any]:
-    return {name: value for name, value in asdict(record).items() if name != "kind"}
+    shown = TypeAdapter(type(record)).dump_python(record)
+    return {name: value for name, value in shown.items() if name != "kind"}
 
 
 def _shown(value: Any) -> str:
