@@ -1,5 +1,6 @@
 """The trial board: its program in C on a pseudo-terminal, its rig, and the loop it closes."""
 
+import copy
 import os
 import subprocess
 import threading
@@ -51,7 +52,7 @@ PERIOD_us = 20
 
 
 def rig_file(**changes):
-    return config(**{**BOARD, **changes})
+    return config(**{**copy.deepcopy(BOARD), **changes})
 
 
 @pytest.fixture(scope="module")
