@@ -24,7 +24,10 @@ _ENDPOINT = re.compile(r"(tcp|udp|tls|quic|ws|serial|unixsock-stream)/.+")
 
 
 def is_endpoint(target: object) -> bool:
-    """Whether the target is the address of a rig on the network, such as tcp/127.0.0.1:7447."""
+    """Whether the target is meant as the address of a rig, such as tcp/127.0.0.1:7447.
+
+    So is one of a transport that a connection then refuses: it is no model file.
+    """
     return isinstance(target, str) and _ENDPOINT.fullmatch(target) is not None
 
 
