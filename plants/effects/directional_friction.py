@@ -19,7 +19,8 @@ class DirectionalFriction(Effect):
     The model's own friction is the mean of both directions. Dry friction that differs by
     direction is no effect of its own: a friction of F_1 forward and F_2 backward is, moving and at
     rest, one of (F_1 + F_2)/2 and a constant torque of (F_2 - F_1)/2, which no record tells
-    from an offset. The torque is that of one linearly implicit step.
+    from an offset. Half the difference counts no further than the model's own friction, for
+    friction never pushes. The torque is that of one linearly implicit step.
 
     Attributes:
         difference_Nms: Coefficient d: friction forward less friction backward, N m s/rad.
@@ -53,10 +54,18 @@ class DirectionalFriction(Effect):
         )
 
     @staticmethod
+    def prepare(p: Values, reel: Values) -> dict[str, Signal]:  # noqa: ARG004  nothing of its own
+        """The mean of both, which half the difference does not exceed: friction never pushes."""
+        own = vars(reel)
+        per_length_Ns = own.get("viscous_friction_per_length_Ns", 0.0)
+        of_cable = per_length_Ns * own.get("cable_length_m", 0.0)
+        return {"linear_Nms": reel.viscous_friction_Nms + of_cable}
+
+    @staticmethod
     def respond(p: Values, state: Signal, signal: Signal, site: Site) -> Response:
         """The torque of one linearly implicit step."""
         del signal
-        omega = site.start_velocity_rad_s
-        torque = -0.5 * p.difference_Nms * ca.fabs(omega)
-        slope = 0.5 * p.difference_Nms * ca.sign(omega)
-        return state, torque / (1.0 + ca.fmax(slope, 0.0) / site.torque_per_velocity)
+        half = 0.5 * p.difference_Nms * ca.sign(site.start_velocity_rad_s)
+        slope = ca.fmax(half, -p.linear_Nms)
+        stopped = 1.0 + ca.fmax(slope, 0.0) / site.torque_per_velocity
+        return state, -slope * site.velocity_rad_s / stopped
