@@ -65,8 +65,8 @@ def test_stuck_supervisor_stops_feeding_the_watchdog(tmp_path, manager, monkeypa
             manager.until("WATCHDOG", "1")
             supervisor = it.service._supervisors[0]
             assert not supervisor.is_stuck
-            monkeypatch.setattr(RigSupervisor, "_mark_progress", lambda _: None)
-            supervisor._step_at_s -= 1e4
+            monkeypatch.setattr(RigSupervisor, "_mark_progress", lambda *_: None)
+            supervisor._idle_until_s -= 1e4
             assert supervisor.is_stuck
             time.sleep(0.6)  # what was on its way
             while select.select([manager.socket], [], [], 0.0)[0]:
