@@ -65,7 +65,7 @@ class DirectionalFriction(Effect):
     def respond(p: Values, state: Signal, signal: Signal, site: Site) -> Response:
         """The torque of one linearly implicit step."""
         del signal
-        half = 0.5 * p.difference_Nms * ca.sign(site.start_velocity_rad_s)
-        slope = ca.fmax(half, -p.linear_Nms)
+        omega = site.start_velocity_rad_s  # that after would make a step where the sign changes
+        slope = ca.fmax(0.5 * p.difference_Nms * ca.sign(omega), -p.linear_Nms)
         stopped = 1.0 + ca.fmax(slope, 0.0) / site.torque_per_velocity
-        return state, -slope * site.velocity_rad_s / stopped
+        return state, -slope * omega / stopped
