@@ -285,10 +285,10 @@ def model_based_us(seed: int) -> float:
         record = rig.run(request)
         cost = cost_of(record, plan.step, plan.cost, about.newtons_per_ampere)
         began = time.process_time()
-        signals = loop_signals(record, plan.step, about).record
+        searching = session.phase is Phase.SEARCH
+        signals = loop_signals(record, plan.step, about).record if searching else None
         session = after_trial(session, record.outcome, cost, record=signals)
-        if session.phase is Phase.SEARCH or session.search_end:
-            spent += time.process_time() - began
+        spent += time.process_time() - began
     return spent / session.search_trials * 1e6
 
 

@@ -312,9 +312,11 @@ def _advanced(tuning: TuningRun, record: TrialRecord, cost: float, margin: float
     """The session after a trial."""
     plan, rig = tuning.plan, tuning.description
     before = tuning.session
-    signals = loop_signals(record, plan.step, rig).record if plan.needs_records else None
+    searching, first = before.phase is Phase.SEARCH, not before.baseline
+    needed = (plan.uses_records and searching) or (plan.start_source and first)
+    signals = loop_signals(record, plan.step, rig).record if needed else None
     session = after_trial(before, record.outcome, cost, margin, signals)
-    if plan.start_source and signals is not None and not before.baseline and session.baseline:
+    if plan.start_source and signals is not None and first and session.baseline:
         settling_time_s = plan.cost.settling_time_s
         fault = first_record_fault(signals, plan.start, rig.controller, settling_time_s)
         session = replace(session, failure=fault)

@@ -48,7 +48,7 @@ CLOSE_FROM = 3
 """Iterations of the search for the optimum, and those before the third trial, when the optimum is
 still further away than a trial may go."""
 
-SCATTERED = 32
+SCATTERED = 16
 """Low-discrepancy points of which the best is one more start of the search for the optimum."""
 
 FORESEEN = 0.1
