@@ -75,6 +75,7 @@ class IdentifiedLoopState(NamedTuple):
         fit: The identified loop; None before the first record.
         proposal: The next trial.
         centre: Coordinates of the recommended point.
+        base: Those of the safe trial of least cost by the model, about which the search reaches.
         step_scale: Factor on the reach after unsafe trials.
         estimate: State of convergence by the model.
         fallen_back: Whether the fallback tuner proposes.
@@ -90,6 +91,7 @@ class IdentifiedLoopState(NamedTuple):
     fit: LoopFit | None
     proposal: Point
     centre: Coordinates
+    base: Coordinates
     step_scale: float
     estimate: ConvergenceEstimate | None
     fallen_back: bool
@@ -148,6 +150,7 @@ class IdentifiedLoopTuner:
             fit=None,
             proposal=fallback.proposal,
             centre=self.space.coordinates(self.space.start),
+            base=self.space.coordinates(self.space.start),
             step_scale=1.0,
             estimate=None,
             fallen_back=False,
@@ -224,17 +227,20 @@ class IdentifiedLoopTuner:
             self.trial.cost.settling_time_s,
             last.model if last else None,
         )
-        return state._replace(
+        state = state._replace(
             records=records,
             points=(*state.points, x),
             costs=(*state.costs, cost),
             errors=(*state.errors, error),
             fit=fit,
         )
+        # The least measured cost may be luck, and would hold the search back where little changes.
+        recent = state.points[-self.memory :]
+        return state._replace(base=min(recent, key=lambda one: self._at(state, fit, one).cost))
 
     def _propose(self, state: IdentifiedLoopState, fit: LoopFit) -> IdentifiedLoopState:
         """The next trial and the centre by the model."""
-        best = np.array(self.space.coordinates(state.best_point))
+        best = np.array(state.base)
         search = self._search(state, fit.model)
         foreseen = abs(state.errors[-1]) < FORESEEN  # not with NaN
         scattered = 0 if foreseen else SCATTERED
@@ -255,7 +261,7 @@ class IdentifiedLoopTuner:
 
     def _search(self, state: IdentifiedLoopState, model: LoopModel) -> RegionSearch:
         """The search for the optimum of a model within reach of the best trial."""
-        best = np.array(self.space.coordinates(state.best_point))
+        best = np.array(state.base)
         radius = self.reach * state.step_scale
         return RegionSearch(
             model=model,
@@ -292,7 +298,7 @@ class IdentifiedLoopTuner:
         optimum: Optimum,
     ) -> ConvergenceEstimate | None:
         """Remaining improvement within the limits, by draws from the posterior of the model."""
-        best = _log_cost(self._at(state, fit, self.space.coordinates(state.best_point)))
+        best = _log_cost(self._at(state, fit, state.base))
         close = best - math.log(optimum.prediction.cost) < WORTH_DRAWING
         if len(state.costs) < CLOSE_FROM or not (close and optimum.feasible):
             return None
@@ -331,7 +337,7 @@ class IdentifiedLoopTuner:
 
     def _at_edge(self, state: IdentifiedLoopState, optimum: Optimum) -> bool:
         """Whether the reach, not a bound of the space, holds the optimum back."""
-        away = optimum.coordinates - np.array(self.space.coordinates(state.best_point))
+        away = optimum.coordinates - np.array(state.base)
         inside = (optimum.coordinates > np.array(self.space.coordinates_low) + 1e-6) & (
             optimum.coordinates < np.array(self.space.coordinates_high) - 1e-6
         )
