@@ -30,7 +30,15 @@ COMMAND = [sys.executable, "-m", "estune.cli"]
 COMMANDS = {
     *("demo", "serve", "serve-hardware", "tune", "resume", "sweep", "match", "list", "show"),
     *("watch", "report", "compare"),
-    *("export", "export-controller", "apply", "explain", "records", "run-experiment", "improve-model"),
+    *(
+        "export",
+        "export-controller",
+        "apply",
+        "explain",
+        "records",
+        "run-experiment",
+        "improve-model",
+    ),
     *("discover", "doctor", "estop", "clear", "daemon", "daemon-control", "reproduce-paper"),
 }
 HERE = Path(__file__).parent.parent

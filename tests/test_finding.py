@@ -121,9 +121,9 @@ def test_connect_to_another_protocol_version_is_refused():
     "endpoint", ["", "127.0.0.1:7447", "tcp/127.0.0.1", "tcp/127.0.0.1:70000", "tcp/a b:1"]
 )
 def test_malformed_endpoint_is_refused(endpoint):
-    with pytest.raises(InvalidInput, match="is malformed; (did you mean|write it as) tcp/"):
+    with pytest.raises(InvalidInput, match=r"is malformed; (did you mean|write it as) tcp/"):
         connect(endpoint)
-    with pytest.raises(InvalidInput, match="is malformed; (did you mean|write it as) tcp/"):
+    with pytest.raises(InvalidInput, match=r"is malformed; (did you mean|write it as) tcp/"):
         serve(ScriptedRig(), endpoint)
 
 

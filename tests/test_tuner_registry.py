@@ -125,7 +125,24 @@ def test_old_plan_of_newton_becomes_safe_bayesian_with_its_settings():
     tuner = tuner_from_stored(old)
     settings = {k: v for k, v in stored_form(tuner).items() if k not in ("kind", "name", "space")}
     assert list(settings.values()) == [
-        *(0.11, 0.12, 0.13, 0.14, 8, "expected", 2.1, 2.2, 2.3, 1.31, 1.32, 1.33, 0.15, 0.16, 0.17, 500)
+        *(
+            0.11,
+            0.12,
+            0.13,
+            0.14,
+            8,
+            "expected",
+            2.1,
+            2.2,
+            2.3,
+            1.31,
+            1.32,
+            1.33,
+            0.15,
+            0.16,
+            0.17,
+            500,
+        )
     ]
     assert tuner.name == tuner_name(old) == "safe_bayesian"
 
