@@ -9,6 +9,7 @@ import functools
 import math
 import os
 import resource
+import signal
 import subprocess
 import sys
 import tempfile
@@ -191,4 +192,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
+    # Ends the daemon and the rigs, too, when it is terminated.
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
     sys.exit(main())
