@@ -13,7 +13,7 @@ from estune.remote.messages.commands import Cancel
 from estune.remote.state_machine.reply_codes import ReplyCode
 from estune.remote.state_machine.state import Mode
 from estune.remote.zenoh.endpoints import with_port
-from estune.remote.zenoh.remote_rig import RECORDS_MAX_BYTES
+from estune.remote.zenoh.network import RECORDS_MAX_BYTES
 from estune.remote.zenoh.zenoh_session import open_session
 from estune.trial import Outcome
 from tests.serve_rig import served, small_board
