@@ -43,17 +43,15 @@ def serve_hardware(
     if file is None:
         raise InvalidInput("give the rig's file; for one to begin from, use --example")
     from estune.hardware import HardwareRig, read_config  # noqa: PLC0415  slow to import
-    from estune.hardware.real_time import request_priority  # noqa: PLC0415  as above
+    from estune.hardware.real_time import prioritised  # noqa: PLC0415  as above
     from estune.hardware.trial_board.rig import DRIVER, BoardRig  # noqa: PLC0415  as above
 
     config = read_config(file)
     with (BoardRig if config.driver.use == DRIVER else HardwareRig)(config) as hardware:
-        # The threads that take a stop from the network are started from here on.
-        refused = request_priority(config.real_time.server_priority)
-        for note in filter(None, (*hardware.notes, refused)):
-            print(f"estune: {note}", file=sys.stderr, flush=True)
         with (
             suppress(KeyboardInterrupt),
+            # The threads that take a stop from the network are started from here on.
+            prioritised(config.real_time.server_priority) as refused,
             zenoh.serve(
                 *(hardware, listen),
                 ledger=ledger or file.with_suffix(".ledger"),
@@ -61,6 +59,8 @@ def serve_hardware(
                 security=security_from(security),
             ) as server,
         ):
+            for note in filter(None, (*hardware.notes, refused)):
+                print(f"estune: {note}", file=sys.stderr, flush=True)
             print(f"rig {config.name} at {server.endpoint}", flush=True)
             print(
                 f"the reel has no power before the first trial; tune it with: estune tune "

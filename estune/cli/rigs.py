@@ -109,10 +109,12 @@ def estop(
         reason: Reason, reported to the client that controls the rig.
         security: Credentials file, if the rig requires authentication.
     """
-    from estune.hardware.real_time import request_priority  # noqa: PLC0415  of no use elsewhere
+    from estune.hardware.real_time import prioritised  # noqa: PLC0415  of no use elsewhere
 
-    request_priority(STOP_PRIORITY)  # on a busy machine the stop itself would wait for its turn
-    with zenoh.connect(endpoint, rig=rig, security=security_from(security)) as the_rig:
+    with (
+        prioritised(STOP_PRIORITY),  # on a busy machine the stop itself would wait for its turn
+        zenoh.connect(endpoint, rig=rig, security=security_from(security)) as the_rig,
+    ):
         the_rig.estop(reason)
         print(f"{the_rig.name} is stopped and held; once it is safe, reset it with: estune clear")
 

@@ -24,6 +24,7 @@ from estune.run.session import (
 )
 from estune.run.start import first_record_fault
 from estune.run.trial_quality import check_noise
+from estune.support.blas import one_blas_thread
 from estune.trial import Outcome, Rig, RigDescription, TrialRecord, TrialRequest, empty_record
 from estune.trial.loop_records import loop_signals
 from estune.trial.scoring import constraint_margin, cost_of
@@ -135,6 +136,7 @@ def start(plan: Plan, description: RigDescription, journal: Journal | None) -> T
     return TuningRun(plan, description, new_session(plan), [], journal, None, None)
 
 
+@one_blas_thread()
 def replay(plan: Plan, description: RigDescription, journal: Journal) -> TuningRun:
     """A run restored from its journal: its trials after the last snapshot are replayed.
 
@@ -170,6 +172,7 @@ def session_after(tuning: TuningRun, entry: JournalEntry, journal: Journal) -> S
     return after_trial(tuning.session, entry.outcome, entry.cost, entry.margin)
 
 
+@one_blas_thread()
 def run(
     tuning: TuningRun,
     rig: Rig,

@@ -19,6 +19,7 @@ from estune.loop_model.prediction import PredictedMargins
 from estune.run.loop import TuningRun
 from estune.run.plan import step_trial
 from estune.run.session import Plan
+from estune.support.blas import one_blas_thread
 from estune.trial import Outcome, RigDescription, TrialRecord
 from estune.trial.loop_records import loop_signals
 from estune.trial.scoring import cost_of
@@ -54,6 +55,7 @@ class IdentifiedLoop(NamedTuple):
     remarks: tuple[str, ...] = ()
 
 
+@one_blas_thread()
 def identify(records: Sequence[TrialRecord], plan: Plan, rig: RigDescription) -> IdentifiedLoop:
     """The loop identified from the last records of a run."""
     records = records[-RECORDS_MAX:]

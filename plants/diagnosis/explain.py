@@ -4,10 +4,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from threadpoolctl import threadpool_limits
-
 from estune.errors import InvalidInput
 from estune.recordings.column_map import AS_NAMED, ColumnMap
+from estune.support.blas import one_blas_thread
 from estune.trial import RigDescription, TrialRecord
 from plants.diagnosis.build_diagnosis import (
     DiagnosisInputs,
@@ -81,9 +80,7 @@ def explain(
     """
     read = _read(records, model, columns)
     held = None if hold_out is None else _read(hold_out, model, columns)
-    # The matrices are small: a thread more costs more than it brings, and a core that another
-    # diagnosis could have.
-    with threadpool_limits(limits=1, user_api="blas"):
+    with one_blas_thread():
         return _explained(model, read, held, effects, rig)
 
 
