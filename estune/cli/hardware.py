@@ -47,29 +47,30 @@ def serve_hardware(
     from estune.hardware.trial_board.rig import DRIVER, BoardRig  # noqa: PLC0415  as above
 
     config = read_config(file)
-    with (BoardRig if config.driver.use == DRIVER else HardwareRig)(config) as hardware:
-        with (
-            suppress(KeyboardInterrupt),
-            # The threads that take a stop from the network are started from here on.
-            prioritised(config.real_time.server_priority) as refused,
-            zenoh.serve(
-                *(hardware, listen),
-                ledger=ledger or file.with_suffix(".ledger"),
-                allow_remote=allow_remote,
-                security=security_from(security),
-            ) as server,
-        ):
-            for note in filter(None, (*hardware.notes, refused)):
-                print(f"estune: {note}", file=sys.stderr, flush=True)
-            print(f"rig {config.name} at {server.endpoint}", flush=True)
-            print(
-                f"the reel has no power before the first trial; tune it with: estune tune "
-                f"{server.endpoint}    stop with Ctrl-C",
-                flush=True,
-            )
-            threading.Thread(target=_close_after, args=(hardware, server), daemon=True).start()
-            server.wait()
-            hardware.describe()  # raises the failure of its control loop, if that ended the wait
+    rig = BoardRig if config.driver.use == DRIVER else HardwareRig
+    with (
+        rig(config) as hardware,
+        suppress(KeyboardInterrupt),
+        # The threads that take a stop from the network are started from here on.
+        prioritised(config.real_time.server_priority) as refused,
+        zenoh.serve(
+            *(hardware, listen),
+            ledger=ledger or file.with_suffix(".ledger"),
+            allow_remote=allow_remote,
+            security=security_from(security),
+        ) as server,
+    ):
+        for note in filter(None, (*hardware.notes, refused)):
+            print(f"estune: {note}", file=sys.stderr, flush=True)
+        print(f"rig {config.name} at {server.endpoint}", flush=True)
+        print(
+            f"the reel has no power before the first trial; tune it with: estune tune "
+            f"{server.endpoint}    stop with Ctrl-C",
+            flush=True,
+        )
+        threading.Thread(target=_close_after, args=(hardware, server), daemon=True).start()
+        server.wait()
+        hardware.describe()  # raises the failure of its control loop, if that ended the wait
 
 
 def _example() -> str:
