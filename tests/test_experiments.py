@@ -25,8 +25,14 @@ TIMED = {
 TIMES = ("_restored_max_s", "stop_p99_ms")
 """Endings of the names of single targets that are times."""
 
-SAMPLED = {"confirmation", "diagnosis_constants", "hidden_effects", "sample_efficiency"}
-"""Experiments whose targets are shares of hundreds of cases, too many for the quick form."""
+SAMPLED = {
+    "confirmation",
+    "diagnosis_constants",
+    "hidden_effects",
+    "loop_prior",
+    "sample_efficiency",
+}
+"""Experiments whose targets are shares or means of hundreds of cases, too many for the quick form."""
 
 NIGHTLY = {"diagnosis_constants", "hidden_effects", "jitter", "live_page", "two_reels"}
 """Experiments whose quick form takes a minute; their subjects have tests of their own."""
