@@ -32,7 +32,7 @@ SAMPLED = {
     "loop_prior",
     "sample_efficiency",
 }
-"""Experiments whose targets are shares or means of hundreds of cases, too many for the quick form."""
+"""Experiments whose targets are shares or means of hundreds of cases: too many to be quick."""
 
 NIGHTLY = {"diagnosis_constants", "hidden_effects", "jitter", "live_page", "two_reels"}
 """Experiments whose quick form takes a minute; their subjects have tests of their own."""
