@@ -61,22 +61,25 @@ def emulated_reel() -> Iterator[HardwareRig]:
         rig.close()
 
 
+PLANT_20_N_A = plants.linear_plant(
+    control.tf([1440.0], [1.0, 40.0, 1600.0]),
+    0.004,
+    400.0,
+    noise_rms_N=0.02,
+    newtons_per_ampere=20.0,
+    output_min_N=-120.0,
+    output_max_N=120.0,
+    limits=RigLimits(0.0, 40.0, 60.0),
+    profile=StepProfile(15.0, 10.0, 0.2, 1.5),
+    settling_time_s=0.2,
+)
+"""A plant that takes 20 N for an ampere; its rig is known by its linear model."""
+
+
 @contextmanager
 def linear_plant() -> Iterator[Any]:
-    """A rig that is known by its linear model, and takes 20 N for an ampere."""
-    plant = plants.linear_plant(
-        control.tf([1440.0], [1.0, 40.0, 1600.0]),
-        0.004,
-        400.0,
-        noise_rms_N=0.02,
-        newtons_per_ampere=20.0,
-        output_min_N=-120.0,
-        output_max_N=120.0,
-        limits=RigLimits(0.0, 40.0, 60.0),
-        profile=StepProfile(15.0, 10.0, 0.2, 1.5),
-        settling_time_s=0.2,
-    )
-    yield plant.rig(seed=3)
+    """The rig of the plant above."""
+    yield PLANT_20_N_A.rig(seed=3)
 
 
 RIGS = {"linear_plant": linear_plant, "served_reel": served_reel, "emulated_reel": emulated_reel}

@@ -6,7 +6,6 @@ import re
 import shlex
 from dataclasses import replace
 
-import control
 import numpy as np
 import pytest
 
@@ -18,6 +17,7 @@ from estune.run.loop import Stopped
 from estune.run.trial_file import TrialFile, read_trial
 from estune.trial import GUARD, LATE, Outcome, RigLimits, TrialRequest
 from estune.trial.profiles import StepProfile, TriangleProfile
+from experiments.improved_models import PLANT_20_N_A
 from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.data.noise_floor import noise_floor
 from plants.diagnosis.data.records import read_measurements
@@ -320,23 +320,11 @@ def test_gains_tried_on_the_rig_stop_before_the_model_fails(tmp_path):
     assert first.cost <= tuned.costs[0].measured + 0.1
 
 
-LINEAR = plants.linear_plant(
-    control.tf([1440.0], [1.0, 40.0, 1600.0]),
-    0.004,
-    400.0,
-    noise_rms_N=0.02,
-    newtons_per_ampere=20.0,
-    output_min_N=-120.0,
-    output_max_N=120.0,
-    limits=RigLimits(0.0, 40.0, 60.0),
-    profile=StepProfile(15.0, 10.0, 0.2, 1.5),
-    settling_time_s=0.2,
-)
-
-
 def test_rig_known_by_its_linear_model_keeps_its_effort_per_ampere(tmp_path):
     short = SHORT._replace(model_trials=10, rig_trials=2)
-    found = plants.improve(LINEAR.rig(seed=3), folder=tmp_path / "x", effects=FEW, tuning=short)
+    found = plants.improve(
+        PLANT_20_N_A.rig(seed=3), folder=tmp_path / "x", effects=FEW, tuning=short
+    )
     assert found.diagnosis.verdict == "none"
     assert found.model.newtons_per_ampere == 20.0
     for one in found.costs:
@@ -345,7 +333,7 @@ def test_rig_known_by_its_linear_model_keeps_its_effort_per_ampere(tmp_path):
     assert plants.load_model(tmp_path / "m.toml").newtons_per_ampere == 20.0
 
 
-@pytest.mark.parametrize("plant", [LINEAR, REEL, plants.unloaded_reel()])
+@pytest.mark.parametrize("plant", [PLANT_20_N_A, REEL, plants.unloaded_reel()])
 def test_model_at_a_rig_has_its_effort_per_ampere(plant):
     about = replace(plant.describe("rig", None), newtons_per_ampere=31.0)
     at = at_rig(plant, about)

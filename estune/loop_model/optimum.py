@@ -14,6 +14,9 @@ from estune.errors import InvalidInput
 from estune.loop_model.model import LoopModel
 from estune.loop_model.prediction import Prediction, StepTrial, predict
 
+SENSITIVITY_MAX = 1.6
+"""Largest Ms by default; 1.4 is robust, 2 aggressive."""
+
 
 @dataclass(frozen=True, slots=True)
 class RobustnessLimits:
@@ -28,7 +31,7 @@ class RobustnessLimits:
         InvalidInput: a value is out of its range.
     """
 
-    max_sensitivity: float | None = 1.6
+    max_sensitivity: float | None = SENSITIVITY_MAX
     max_overshoot: float | None = 0.05
     min_phase_margin_deg: float | None = None
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from estune.core.gains import GAIN_NAMES
+from estune.loop_model.optimum import SENSITIVITY_MAX
 from estune.run import figures
 from estune.run.export import write_file
 from estune.run.frequency_figures import (
@@ -40,8 +41,6 @@ to stay below 1.5 MB. `estune export` writes all samples."""
 
 _FAR = 1e4
 """Times the largest command up to which a limit is worth naming."""
-_SENSITIVITY = 1.6
-"""Circle in the Nyquist figure, where the run has no limit of its own: the default limit."""
 
 
 def write_report(result: TuneResult, path: Path) -> None:
@@ -184,8 +183,9 @@ def _loop(result: TuneResult) -> Iterator[Block]:
 
 
 def _sensitivity_limit(result: TuneResult) -> float:
-    limits = getattr(result.plan.tuner, "limits", None)
-    return getattr(limits, "max_sensitivity", None) or _SENSITIVITY
+    """Limit of Ms by which the result was judged; the usual one where there was none."""
+    limits = result.plan.limits
+    return (limits and limits.max_sensitivity) or SENSITIVITY_MAX
 
 
 def _search(result: TuneResult) -> Iterator[Block]:
