@@ -19,6 +19,7 @@ from estune.errors import EstuneError, PlantError, RigError
 from estune.remote import zenoh
 from estune.remote.zenoh import RemoteRig
 from estune.remote.zenoh.network import Network
+from estune.run.failed_trials import run_trial
 from estune.run.targets import is_endpoint, open_target
 from estune.trial import Outcome, Rig, RigDescription, TrialRecord, TrialRequest, empty_record
 from estune.trial.record_checks import record_fault
@@ -137,8 +138,6 @@ class RigAccess:
     def run(self, request: TrialRequest) -> TrialRecord:
         """Runs a trial. A record with a fault, or a failure of the rig's program, makes it void.
 
-        A failed trial would fail for ever under its id. On a real rig it counts as interrupted.
-
         Raises:
             RigError: the rig cannot be reached.
             TooManyVoidTrials: too many consecutive trials were void.
@@ -146,17 +145,15 @@ class RigAccess:
         before = self._leases_lost()
         try:
             with self._turn():
-                record = self._rig.run(request)
-        except EstuneError as error:
-            if not self._has_failed(request, error):
+                record = run_trial(self._rig, request, self.description)
+        except PlantError as error:
+            if isinstance(self._rig, RemoteRig):
                 raise
-            is_simulated = self.description.simulated
-            outcome = Outcome.CANCELLED if is_simulated else Outcome.INTERRUPTED
-            record = self._void(request, outcome, str(error))
+            record = self._void(request, str(error))
         fault = record_fault(record, request, self.description)
         if fault:
             reason = f"the record of trial {request.trial_id} is refused: {fault}"
-            record = self._void(request, Outcome.CANCELLED, reason)
+            record = self._void(request, reason)
         if not (record.outcome is Outcome.CANCELLED and self._leases_lost() > before):
             self._void_trials.count(record)  # an overload, which ends by itself, needs no operator
         return record
@@ -183,19 +180,10 @@ class RigAccess:
     def _leases_lost(self) -> int:
         return self._rig.leases_lost if isinstance(self._rig, RemoteRig) else 0
 
-    def _has_failed(self, request: TrialRequest, error: EstuneError) -> bool:
-        """Whether the trial can never run under its id."""
-        if not isinstance(self._rig, RemoteRig):
-            return isinstance(error, PlantError)
-        try:
-            return self._rig.has_failed(request)
-        except EstuneError:  # unreachable: the trial's fate is known after reconnection
-            return False
-
-    def _void(self, request: TrialRequest, outcome: Outcome, reason: str) -> TrialRecord:
+    def _void(self, request: TrialRequest, reason: str) -> TrialRecord:
         _log.error("%s", reason, extra={"rig": self.description.name})
         at = datetime.now(UTC).isoformat(timespec="milliseconds")
-        return empty_record(request, self.description, outcome, reason, at)
+        return empty_record(request, self.description, Outcome.CANCELLED, reason, at)
 
 
 def open_rig(

@@ -1,11 +1,14 @@
 """Trials that a rig cannot run under their id again."""
 
 import contextlib
+import logging
 from datetime import UTC, datetime
 from typing import Protocol, runtime_checkable
 
-from estune.errors import EstuneError, RigError
+from estune.errors import EstuneError
 from estune.trial import Outcome, Rig, RigDescription, TrialRecord, TrialRequest, empty_record
+
+_log = logging.getLogger(__name__)
 
 
 @runtime_checkable
@@ -24,13 +27,14 @@ def run_trial(rig: Rig, request: TrialRequest, description: RigDescription) -> T
     would fail for ever. On a rig that moves it counts as interrupted.
 
     Raises:
-        RigError: the rig cannot be reached, or refuses.
+        EstuneError: the rig cannot be reached, or refuses.
     """
     try:
         return rig.run(request)
-    except RigError as error:
+    except EstuneError as error:
         if not _has_failed(rig, request):
             raise
+        _log.error("%s", error, extra={"rig": description.name})
         outcome = Outcome.CANCELLED if description.simulated else Outcome.INTERRUPTED
         at = datetime.now(UTC).isoformat(timespec="milliseconds")
         return empty_record(request, description, outcome, str(error), at)
