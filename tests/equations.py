@@ -1,7 +1,8 @@
 """Where is each numbered equation of the paper implemented, and which test checks it?
 
 Reads the docstrings with `Implements (n).` and the tests marked `equation(n)` of a checkout, and
-writes its docs/equations.md. After a change of either, run: ./dev python -m tests.equations
+writes its docs/reference/equations.md. After a change of either, run:
+./dev python -m tests.equations
 """
 
 import argparse
@@ -14,7 +15,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 ROOT = Path(__file__).parents[1]
-TABLE = ROOT / "docs" / "equations.md"
+TABLE = ROOT / "docs" / "reference" / "equations.md"
 NUMBERS = range(1, 38)
 
 _DECLARED = re.compile(r"Implements\s+((?:\(\d+\)(?:,\s+|\s+and\s+|\s+to\s+)?)+)")

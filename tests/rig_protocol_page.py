@@ -1,4 +1,4 @@
-"""Writes the generated sections of docs/rig-protocol.md.
+"""Writes the generated sections of docs/reference/rig-protocol.md.
 
 The prose of the page is written by hand. Its tables, examples and bytes lie between markers and
 are made from the code. Run it after each change of the protocol:
@@ -41,7 +41,7 @@ from estune.trial import (
 from estune.trial.profiles import PROFILES
 from experiments.inert_rig import DESCRIBED, GAINS, RECORD, REQUEST
 
-PAGE = Path(__file__).parents[1] / "docs" / "rig-protocol.md"
+PAGE = Path(__file__).parents[1] / "docs" / "reference" / "rig-protocol.md"
 
 LEASE = "5ad1e7c0ffee0042"
 SAMPLES = Telemetry(

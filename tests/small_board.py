@@ -1,8 +1,8 @@
 """A complete rig for a small board: one Zenoh session, JSON, struct and CRC, no estune.
 
-Written from docs/rig-protocol.md alone. Its drum follows the setpoint with a lag. It supports
-steps only, keeps one record, sends it in parts of 1 KiB, and writes its ledger to a file. It
-prints its endpoint, and ends when its standard input is closed.
+Written from docs/reference/rig-protocol.md alone. Its drum follows the setpoint with a lag. It
+supports steps only, keeps one record, sends it in parts of 1 KiB, and writes its ledger to a file.
+It prints its endpoint, and ends when its standard input is closed.
 """
 
 import json

@@ -103,7 +103,7 @@ def test_read_config_refuses_empty_and_torn_files(text, words, tmp_path):
 
 
 def test_docs_have_a_valid_example_and_list_keys_events_and_metrics():
-    text = (ROOT / "docs" / "daemon.md").read_text()
+    text = (ROOT / "docs" / "how-to" / "daemon.md").read_text()
     example = re.search(r"```toml\n(.*?)```", text, re.DOTALL)[1]
     config = config_from(tomllib.loads(example), "docs", Path("/etc/estune"))
     assert config.state == Path("/var/lib/estune")
@@ -125,7 +125,7 @@ def test_docs_have_a_valid_example_and_list_keys_events_and_metrics():
 
     for key, field in rows(DaemonConfig, ""):
         row = re.search(rf"^\| `{re.escape(key)}` \| ([^|]*) \|", text, re.MULTILINE)
-        assert row, f"{key} is not in docs/daemon.md"
+        assert row, f"{key} is not in docs/how-to/daemon.md"
         if not field.is_required():
             default = (
                 field.default.as_posix() if isinstance(field.default, Path) else field.default

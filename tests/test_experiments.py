@@ -50,7 +50,7 @@ def experiments() -> list[str]:
 
 
 def test_page_of_experiments_names_each_experiment_once_and_no_other():
-    page = (ROOT / "docs" / "experiments.md").read_text("utf-8")
+    page = (ROOT / "docs" / "reference" / "experiments.md").read_text("utf-8")
     named = re.findall(r"^\| `python -m experiments\.(\w+)", page, re.MULTILINE)
     assert sorted(named) == experiments()
 

@@ -1,4 +1,4 @@
-"""docs/hardware.md: its packets, drivers, keys and TOML."""
+"""docs/how-to/hardware.md: its packets, drivers, keys and TOML."""
 
 import re
 import tomllib
@@ -15,7 +15,7 @@ from estune.hardware.tables import (
 from estune.reel.guard import Reason
 from estune.support.plugins import plugins
 
-PAGE = (Path(__file__).parents[1] / "docs" / "hardware.md").read_text()
+PAGE = (Path(__file__).parents[1] / "docs" / "how-to" / "hardware.md").read_text()
 
 
 def test_page_states_the_size_of_the_serial_boards_packets():

@@ -203,7 +203,7 @@ def test_match_command_matches_two_rigs_over_zenoh(tmp_path, monkeypatch, capsys
 
 
 def test_matching_documentation_example_runs():
-    page = Path(__file__).parents[1] / "docs" / "matching.md"
+    page = Path(__file__).parents[1] / "docs" / "how-to" / "matching.md"
     failed, attempted = doctest.testfile(str(page), module_relative=False)
     assert attempted
     assert not failed

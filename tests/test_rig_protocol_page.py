@@ -1,4 +1,4 @@
-"""docs/rig-protocol.md agrees with the code."""
+"""docs/reference/rig-protocol.md agrees with the code."""
 
 import json
 import re

@@ -281,7 +281,7 @@ def test_rig_with_wrong_or_unknown_length_is_refused(tmp_path, length, entry, le
 
 
 def test_sweep_documentation_lists_every_key_and_valid_examples():
-    text = (Path(__file__).parents[1] / "docs" / "sweep.md").read_text()
+    text = (Path(__file__).parents[1] / "docs" / "how-to" / "sweep.md").read_text()
     rows = dict(re.findall(r"^\| `([\w.]+)` \|([^|]*)\|", text, re.MULTILINE))
     tables = {"": SweepDesign, "rigs.": SweptRig, "step.": StepTable, "cost.": CostTable}
     keys = {prefix + key for prefix, table in tables.items() for key in table.model_fields}
@@ -294,7 +294,7 @@ def test_sweep_documentation_lists_every_key_and_valid_examples():
     examples = re.findall(r"```toml\n(.*?)```", text, re.DOTALL)
     assert len(examples) == 2
     for example in examples:
-        assert validate(SweepDesign, tomllib.loads(example), "docs/sweep.md").rigs
+        assert validate(SweepDesign, tomllib.loads(example), "docs/how-to/sweep.md").rigs
     assert rows["tuners"].strip() == f'`["{DEFAULT_TUNER}"]`'
 
 

@@ -78,9 +78,10 @@ def test_user_tuner_by_module_and_class_survives_storage():
 
 
 def test_page_of_tuners_lists_the_table():
-    page = (Path(__file__).parents[1] / "docs" / "tuners.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[1] / "docs" / "explanation" / "tuners.md").read_text("utf-8")
     rows = [f"| `{name}` | {entry.method} | {entry.purpose} |" for name, entry in TUNERS.items()]
-    assert "\n".join(rows) in page, "copy these rows to docs/tuners.md:\n" + "\n".join(rows)
+    text = "\n".join(rows)
+    assert text in page, f"copy these rows to docs/explanation/tuners.md:\n{text}"
 
 
 @pytest.mark.parametrize(

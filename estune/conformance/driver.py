@@ -1,4 +1,4 @@
-"""Conformance suite of a driver; see docs/hardware.md."""
+"""Conformance suite of a driver; see docs/how-to/hardware.md."""
 
 import itertools
 import math

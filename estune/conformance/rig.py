@@ -1,4 +1,4 @@
-"""Conformance suite of the rig protocol, message by message; see docs/rig-protocol.md."""
+"""Conformance suite of the rig protocol, message by message; see reference/rig-protocol.md."""
 
 import time
 from collections.abc import Iterator

@@ -1,4 +1,4 @@
-"""Conformance suite of a tuner; see docs/tuners.md."""
+"""Conformance suite of a tuner; see docs/explanation/tuners.md."""
 
 import json
 import math

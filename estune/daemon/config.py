@@ -35,7 +35,7 @@ class ServiceTable(TomlTable):
         routers: Zenoh routers to join as well.
         allow_remote: Allow an endpoint that other machines can reach; without `security`, every
             client on the network can command the daemon.
-        security: File of the clients that may read and command; see docs/security.md.
+        security: File of the clients that may read and command; see docs/how-to/security.md.
     """
 
     listen: str = "tcp/127.0.0.1:7450"

@@ -7,7 +7,7 @@ from estune.remote.messages.daemon import EventMessage
 
 
 class EventKind(StrEnum):
-    """Kind of an event; docs/daemon.md says when each occurs."""
+    """Kind of an event; docs/how-to/daemon.md says when each occurs."""
 
     STARTED = "started"
     FOUND = "found"

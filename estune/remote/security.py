@@ -17,7 +17,7 @@
     look = ["guest"]
 
 Relative paths start at this file. A file with a secret must be readable by its owner alone. See
-docs/security.md.
+docs/how-to/security.md.
 """
 
 from pathlib import Path

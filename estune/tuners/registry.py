@@ -35,7 +35,7 @@ class RegisteredTuner(NamedTuple):
 
     Attributes:
         kind: The class; each is created from a search space, with defaults for all settings.
-        method: Its method, as in the table of docs/tuners.md.
+        method: Its method, as in the table of docs/explanation/tuners.md.
         purpose: Its use, as in that table.
     """
 

@@ -1,4 +1,6 @@
-"""A reel, or a gauge alone, behind a microcontroller on a serial port; see docs/hardware.md.
+"""A reel, or a gauge alone, behind a microcontroller on a serial port.
+
+The page docs/how-to/hardware.md says what the board has to do.
 
 Every packet ends with a checksum and carries a sequence number, so that a damaged, stale or
 doubled answer is never taken for a reading; the board stamps its readings itself.

@@ -4,7 +4,7 @@
  * file. The board provides the functions below and calls estune_board_sample once in each
  * sampling period. C99, without allocation, and no library but exp and memcpy.
  *
- * The computer is heard by packets (docs/hardware.md). When it falls silent for ESTUNE_SILENCE
+ * The computer is heard by packets (docs/how-to/hardware.md). When it falls silent for ESTUNE_SILENCE
  * samples, or a limit is crossed, the effort is brought to zero and the amplifier switched off by
  * the board alone.
  */

@@ -1,7 +1,7 @@
 """Messages of the rig protocol and of the daemon: keys, commands, replies; no transport.
 
-`commands.VERBS` is the table of all commands. docs/rig-protocol.md describes the protocol
-completely, for rigs written in any language.
+`commands.VERBS` is the table of all commands. docs/reference/rig-protocol.md describes the
+protocol completely, for rigs written in any language.
 """
 
 from estune.remote.messages.binary import (

@@ -1,7 +1,7 @@
 """Binary messages: parts of a record's frame, and live samples.
 
-docs/rig-protocol.md, section 5, has their layout byte by byte. The frame of a whole record is that
-of `estune.trial.record_frame`.
+docs/reference/rig-protocol.md, section 5, has their layout byte by byte. The frame of a whole
+record is that of `estune.trial.record_frame`.
 """
 
 import struct
