@@ -15,7 +15,8 @@ from estune.remote.state_machine.client import PATIENCE_S
 from estune.run import archived_run, loop, progress, result
 from estune.run.journal import RECORDS_LEAST, Journal
 from estune.run.loop import ApprovalCallback, ProgressListener, Stopped, TuningRun
-from estune.run.plan import (
+from estune.run.plan import REPEATS, TOLERANCE, TRIALS
+from estune.run.planning import (
     description_from_json,
     description_to_json,
     make_plan,
@@ -23,7 +24,6 @@ from estune.run.plan import (
     plan_to_json,
 )
 from estune.run.result import TuneResult
-from estune.run.session import REPEATS, TOLERANCE, TRIALS
 from estune.run.start import KnownStart, StartRule
 from estune.run.targets import open_target
 from estune.trial import Rig, RigDescription

@@ -27,7 +27,7 @@ from estune.core import pidf
 from estune.core.cost import StepCost
 from estune.core.gains import Gains
 from estune.core.quantities import FloatArray
-from estune.run.plan import make_plan
+from estune.run.planning import make_plan
 from estune.run.session import Phase, after_trial, new_session, next_request
 from estune.trial import Outcome, TrialRequest
 from estune.trial.loop_records import loop_signals

@@ -17,8 +17,9 @@ import numpy as np
 from joblib import Parallel, delayed
 
 from estune.core.gains import Gains
-from estune.run.plan import make_tuner
-from estune.run.session import Plan, after_trial, new_session, next_request
+from estune.run.plan import Plan
+from estune.run.planning import make_tuner
+from estune.run.session import after_trial, new_session, next_request
 from estune.run.summary import summarise
 from estune.trial import Outcome
 from experiments.results import Target, at_most, between, command_line, print_results

@@ -20,7 +20,7 @@ import plants
 from estune.core.cost import default_cost
 from estune.core.gains import Gains
 from estune.loop_model.optimum import RobustnessLimits
-from estune.run.plan import known_start
+from estune.run.planning import known_start
 from estune.run.result import TuneResult
 from estune.run.session import Phase
 from experiments.loop_claims import true_sensitivity

@@ -7,7 +7,7 @@ import pytest
 
 from estune.core.cost import StepCost
 from estune.core.gains import Gains
-from estune.run.plan import make_plan
+from estune.run.planning import make_plan
 from estune.run.session import Session, after_trial, new_session, next_request
 from estune.run.summary import summarise
 from estune.trial import Outcome

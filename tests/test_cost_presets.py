@@ -12,9 +12,9 @@ from estune.core.cost import PRESETS, StepCost, cost_from
 from estune.core.gains import Gains
 from estune.core.response import LoadStep, StepResponse
 from estune.errors import InvalidInput
-from estune.loop_model.identification import fit_loop
+from estune.loop_model.fitting import fit_loop
 from estune.loop_model.prediction import predict
-from estune.run.plan import step_trial, suited_step, with_load
+from estune.run.planning import step_trial, suited_step, with_load
 from estune.run.toml_tables import CostTable, StepTable
 from estune.trial import TrialRequest
 from estune.trial.loop_records import loop_signals

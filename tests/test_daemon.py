@@ -24,7 +24,7 @@ from estune.remote import zenoh
 from estune.remote.zenoh.network import Network
 from estune.run import loop
 from estune.run.journal import Journal
-from estune.run.plan import plan_from_json
+from estune.run.planning import plan_from_json
 from estune.trial import Outcome, TrialRequest
 from tests.serve_rig import served
 from tests.support_daemon import (

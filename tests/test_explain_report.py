@@ -14,6 +14,7 @@ import pytest
 
 import plants
 from estune.errors import InvalidInput
+from estune.support.html_page import render
 from estune.support.plot_style import new_figure, to_png
 from plants.diagnosis.report import figures, summary
 from plants.diagnosis.report.page import page
@@ -56,7 +57,7 @@ def named():
 
 @pytest.fixture(scope="module")
 def shown(named):
-    text = page(named)
+    text = render(page(named))
     return text, Page(text)
 
 
@@ -97,12 +98,12 @@ def test_page_needs_no_network_and_no_other_file(shown):
 
 
 def test_page_is_reproducible(named, shown):
-    assert page(named) == shown[0]
+    assert render(page(named)) == shown[0]
 
 
 def test_page_escapes_user_text(named):
     hostile = '<script>alert("&")</script>'
-    text = page(replace(named, sentence=hostile, ruled_out=(hostile,), where=NO_BLOCKS))
+    text = render(page(replace(named, sentence=hostile, ruled_out=(hostile,), where=NO_BLOCKS)))
     assert "<script>" not in text
     assert hostile in Page(text).text
 
@@ -131,7 +132,7 @@ def test_page_escapes_user_text(named):
     ids=["none", "bare", "unknown", "ambiguous"],
 )
 def test_every_verdict_has_page_json_and_text(made):
-    found = Page(page(made))
+    found = Page(render(page(made)))
     assert not found.open
     assert made.sentence in found.text
     json.dumps(made.to_json(), allow_nan=False)

@@ -12,6 +12,7 @@ import pytest
 
 from estune.cli import run
 from estune.errors import InvalidInput
+from estune.support.html_page import render
 from experiments import paper
 from experiments.paper.command import page
 from plants.models.reel import Reel
@@ -139,7 +140,7 @@ def test_eyelet_figures_recover_the_benches_parameters(paper_figures):
 def test_failed_claim_is_shown_as_failed():
     figure = paper.make(18, quick=True)
     failed = replace(figure, holds=False, caveat="Because <a> & <b>.")
-    text = page([figure, failed])
+    text = render(page([figure, failed]))
     assert "1&nbsp;of 2&nbsp;claims hold here." in text
     assert '<span class="no">does not hold</span>' in text
     assert '<span class="no">Does not hold here.</span>' in text
@@ -147,7 +148,7 @@ def test_failed_claim_is_shown_as_failed():
 
 
 def test_page_is_reproducible():
-    first, second = (page([paper.make(18, quick=True)]) for _ in range(2))
+    first, second = (render(page([paper.make(18, quick=True)])) for _ in range(2))
     assert first == second
 
 

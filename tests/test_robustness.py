@@ -13,12 +13,13 @@ from estune.core.cost import default_cost
 from estune.core.gains import Gains
 from estune.errors import InvalidInput
 from estune.loop_model.claim import claim
-from estune.loop_model.identification import LoopRecord, fit_loop
+from estune.loop_model.fitting import fit_loop
+from estune.loop_model.identification import LoopRecord
 from estune.loop_model.limit_price import price_of
 from estune.loop_model.model import LoopModel
 from estune.loop_model.optimum import RobustnessLimits
-from estune.run.plan import step_trial
-from estune.run.result import RunEnding
+from estune.run.ending import RunEnding
+from estune.run.planning import step_trial
 from estune.trial.profiles import StepProfile
 from experiments.sample_efficiency.problems import PROBLEMS
 

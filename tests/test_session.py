@@ -10,13 +10,12 @@ from hypothesis import strategies as st
 from estune.core.cost import StepCost
 from estune.core.gains import GAIN_NAMES
 from estune.errors import InvalidInput
-from estune.run.plan import make_plan, plan_from_json, plan_to_json
+from estune.run.plan import CONFIRMATION_REPEATS_MAX, Plan
+from estune.run.planning import make_plan, plan_from_json, plan_to_json
 from estune.run.session import (
-    CONFIRMATION_REPEATS_MAX,
     CONSECUTIVE_CENSORED_MAX,
     UNSAFE_RATIO,
     Phase,
-    Plan,
     after_trial,
     new_session,
     next_request,

@@ -13,7 +13,7 @@ from estune.core.gains import Gains
 from estune.core.margins import Margins
 from estune.errors import InvalidInput, UnsafeStart
 from estune.interop import linear_model, margins, model_gains
-from estune.run.plan import make_plan
+from estune.run.planning import make_plan
 from estune.run.start import KnownStart
 from experiments.loop_claims import true_sensitivity
 from tests.support_runs import description

@@ -18,10 +18,10 @@ from estune.cli.tune import (
 )
 from estune.cli.values import Flag, Values, ranges_from, security_from, share_from
 from estune.remote.state_machine.client import PATIENCE_S
-from estune.run.export import write_file
-from estune.run.session import REPEATS, TOLERANCE, TRIALS
+from estune.run.plan import REPEATS, TOLERANCE, TRIALS
 from estune.studies.compare import comparison
 from estune.studies.compare.comparison import COMPARED, Comparison
+from estune.support.whole_file import write_file
 
 PAGE, FIGURE, TABLE = "comparison.html", "comparison.png", "comparison.csv"
 """Files in the folder of a comparison."""
@@ -100,17 +100,17 @@ def compare(
 def _write(made: Comparison) -> dict[str, object]:
     """Writes page, figure and table into the folder of the comparison; the files by name."""
     from estune.studies.compare.report import cost_figure, page  # noqa: PLC0415  draws
-    from estune.support.html_page import render  # noqa: PLC0415  as above
+    from estune.support.html_page import write  # noqa: PLC0415  as above
     from estune.support.plot_style import to_png  # noqa: PLC0415  as above
 
     table = made.to_frame().to_csv(index=False, lineterminator="\n")
     contents = {
-        PAGE: render(page(made)).encode(),
         FIGURE: to_png(cost_figure(made.results)),
         TABLE: table.encode(),
     }
     for name, content in contents.items():
         write_file(made.folder / name, content)
+    write(page(made), made.folder / PAGE)
     return {
         "page": made.folder / PAGE,
         "figure": made.folder / FIGURE,

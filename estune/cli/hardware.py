@@ -117,7 +117,7 @@ def export_controller(
         schedule_header,
     )
     from estune.hardware.trial_board.export import board_files  # noqa: PLC0415  as above
-    from estune.run.export import write_file  # noqa: PLC0415  as above
+    from estune.support.whole_file import write_file  # noqa: PLC0415  as above
 
     if not c:
         raise InvalidInput("the form of the controller is missing; give --c")

@@ -15,11 +15,11 @@ from estune.cli.tune import NO_COST, NO_STEP, CostOptions, StepOptions, trial_of
 from estune.cli.values import Flag, TunerName, check_folder_exists, security_from
 from estune.errors import EstuneError, InvalidInput, RigError
 from estune.remote.state_machine.client import PATIENCE_S
-from estune.run.export import write_file
 from estune.run.targets import is_endpoint, open_target
 from estune.studies.match import procedure
 from estune.studies.match.outcome import Matching
 from estune.studies.match.reel_matcher import Settings
+from estune.support.whole_file import write_file
 from estune.trial import RigDescription
 from estune.tuners import DEFAULT_TUNER
 
@@ -171,19 +171,19 @@ def _gains(values: tuple[float, ...]) -> str:
 def _write(matching: Matching, report: Path | None) -> dict[str, object]:
     """Writes the record for production beside the runs; the main files, by name."""
     from estune.studies.match.report import page  # noqa: PLC0415  draws: slow to import
-    from estune.support.html_page import render  # noqa: PLC0415  as above
+    from estune.support.html_page import write  # noqa: PLC0415  as above
 
     if matching.folder is None:
         return {}
     matching.folder.mkdir(parents=True, exist_ok=True)
     table = matching.to_frame().to_csv(index=False)
     where = {name: matching.folder / f"match.{name}" for name in ("json", "csv", "html")}
-    where["html"] = report or where["html"]
     contents = {
         "json": json_.dumps(output.plain(matching.to_json()), indent=2, allow_nan=False),
         "csv": table,
-        "html": render(page(matching)),
     }
     for name, text in contents.items():
         write_file(where[name], text.encode())
-    return {"record": where["csv"], "page": where["html"]}
+    report = report or where["html"]
+    write(page(matching), report)
+    return {"record": where["csv"], "page": report}

@@ -45,24 +45,12 @@ def save_figure(result: TuneResult) -> Path | None:
     """Draws the figure of a run into its folder; None for a run without a folder or a trial."""
     if result.folder is None or not result.entries:
         return None
-    from estune.run.export import replace_file  # noqa: PLC0415  of no use to most commands
     from estune.support import plot_style  # noqa: PLC0415  slow to import
+    from estune.support.whole_file import replace_file  # noqa: PLC0415  of no use to most commands
 
     path = result.folder / FIGURE_NAME
     with plot_style.simplified():
         replace_file(path, plot_style.to_png(result.figure()))
-    return path
-
-
-def save_report(result: TuneResult, path: Path) -> Path:
-    """Writes the report page of a run.
-
-    Raises:
-        InvalidInput: the file cannot be written.
-    """
-    from estune.run.report import write_report  # noqa: PLC0415  slow to import
-
-    write_report(result, path)
     return path
 
 

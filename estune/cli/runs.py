@@ -91,7 +91,7 @@ def report(
         folder: Folder of runs.
     """
     path = find_run(run, folder)
-    output.show_next({"report": output.save_report(api.load(path), out or path / REPORT_NAME)})
+    output.show_next({"report": api.load(path).report(out or path / REPORT_NAME)})
 
 
 def export(

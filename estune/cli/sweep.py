@@ -11,7 +11,6 @@ from rich.text import Text
 from estune.cli import output
 from estune.cli.values import Flag, check_folder_exists
 from estune.errors import EstuneError, InvalidInput
-from estune.run.export import write_file
 from estune.run.loop import Stopped
 from estune.run.progress import duration
 from estune.studies.law.tuned import CELLS
@@ -20,6 +19,7 @@ from estune.studies.sweep.cells import Cell, expand_cells
 from estune.studies.sweep.design import read_design
 from estune.studies.sweep.exclusions import LISTED_MAX, exclusion_sentences
 from estune.studies.sweep.result import SweepResult
+from estune.support.whole_file import write_file
 
 REPORT, LAW = "report.html", "law.json"
 """Files in the folder of the sweep beside its store."""
@@ -154,10 +154,11 @@ def _as_json(result: SweepResult) -> dict[str, object]:
 
 def _write(result: SweepResult, report: Path) -> dict[str, object]:
     """Writes the report, and cells and laws into the sweep's folder."""
-    from estune.studies.sweep.report import write_report  # noqa: PLC0415  draws: slow to import
+    from estune.studies.sweep.report import page  # noqa: PLC0415  draws: slow to import
+    from estune.support.html_page import write  # noqa: PLC0415  as above
 
     folder = result.folder
-    write_report(result, report)
+    write(page(result), report)
     laws = json.dumps(output.plain(_as_json(result)), indent=2, allow_nan=False)
     write_file(folder / LAW, laws.encode())
     return {"report": report, "cells": folder / CELLS, "laws": folder / LAW}

@@ -25,10 +25,11 @@ from estune.core.gains import GAIN_NAMES
 from estune.errors import InvalidInput
 from estune.loop_model.optimum import RobustnessLimits
 from estune.remote.state_machine.client import PATIENCE_S
+from estune.run.ending import RunEnding
 from estune.run.journal import Journal
-from estune.run.plan import known_start, suited_step
-from estune.run.result import RunEnding, TuneResult
-from estune.run.session import REPEATS, TOLERANCE, TRIALS
+from estune.run.plan import REPEATS, TOLERANCE, TRIALS
+from estune.run.planning import known_start, suited_step
+from estune.run.result import TuneResult
 from estune.run.start import KnownStart
 from estune.run.targets import is_endpoint, open_target
 from estune.run.toml_tables import CostTable, StepTable
@@ -247,7 +248,7 @@ def finish(
     if figure:
         facts["figure"] = figure
     if report is not None:
-        facts["report"] = output.save_report(result, report)
+        facts["report"] = result.report(report)
     elif result.folder is not None:
         facts["report"] = f"estune report {result.folder}"
     found = result.ending is RunEnding.TUNED

@@ -11,7 +11,7 @@ from estune.core.control_chart import ControlChart
 from estune.daemon.events import EventKind
 from estune.errors import InvalidInput
 from estune.remote.zenoh.endpoints import check_endpoint, check_loopback
-from estune.run.plan import suited_step
+from estune.run.planning import suited_step
 from estune.run.targets import check_reference, is_endpoint
 from estune.run.toml_tables import (
     CostTable,

@@ -10,7 +10,7 @@ from estune.core.gains import GAIN_NAMES
 from estune.daemon.supervisor_state import GainSet, SupervisorMode
 from estune.errors import RigError
 from estune.remote.messages.daemon import DaemonStatus
-from estune.run.export import replace_file
+from estune.support.whole_file import replace_file
 
 
 class MetricSample(NamedTuple):

@@ -14,7 +14,7 @@ from estune.errors import RigError
 from estune.run import loop
 from estune.run.journal import FILE_NAME, Journal
 from estune.run.loop import TuningRun
-from estune.run.plan import (
+from estune.run.planning import (
     description_from_json,
     description_to_json,
     make_plan,

@@ -13,7 +13,7 @@ from estune.errors import JournalError
 from estune.run import loop
 from estune.run.journal import Journal, JournalEntry
 from estune.run.loop import TuningRun
-from estune.run.plan import description_from_json, plan_from_json
+from estune.run.planning import description_from_json, plan_from_json
 from estune.run.session import Phase, Session, is_censored, is_unsafe, new_session
 from estune.run.summary import summarise
 from estune.trial import Outcome

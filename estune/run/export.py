@@ -17,7 +17,7 @@ from estune.core.gains import GAIN_NAMES
 from estune.errors import InvalidInput, JournalError
 from estune.run.journal import Journal, JournalEntry
 from estune.run.record_files import RecordFormat, check_library, write_columns
-from estune.run.table_file import Append, csv_table, parquet_table, whole_file
+from estune.run.table_file import Append, csv_table, parquet_table
 from estune.trial import TrialRecord
 
 _REQUIRED = ("time_s", "setpoint_N", "tension_N", "current_A", "angle_rad")
@@ -141,24 +141,6 @@ def write_record(record: TrialRecord, folder: Path) -> Path:
 
 def _write(record: TrialRecord, folder: Path, form: RecordFormat) -> Path:
     return write_columns(columns(record), metadata(record), folder / record.trial_id, form)
-
-
-def replace_file(path: Path, content: bytes) -> None:
-    """Writes a file completely or not at all."""
-    with whole_file(path) as temporary:
-        temporary.write_bytes(content)
-
-
-def write_file(path: Path, content: bytes) -> None:
-    """Writes a file of the user's choice completely or not at all.
-
-    Raises:
-        InvalidInput: it cannot be written.
-    """
-    try:
-        replace_file(path, content)
-    except OSError as error:
-        raise InvalidInput(f"{path}: {error.strerror or error}; give another file") from error
 
 
 def _samples_of(entry: JournalEntry, record: TrialRecord) -> dict[str, Sequence[Any]]:

@@ -1,6 +1,6 @@
 """Figures of a run: cost per trial, step response before and after, gains over the trials.
 
-Each is drawn on the given axes or on new ones, from the columns of `TuneResult.to_frame` and from
+Each is drawn on the given axes or on new ones, from the columns of `RunResult.to_frame` and from
 trial records.
 """
 
@@ -56,7 +56,7 @@ def draw_cost(ax: Axes | None, frame: "pd.DataFrame", start_cost: float, eta_max
 
     Args:
         ax: Axes.
-        frame: The trials, as of `TuneResult.to_frame`.
+        frame: The trials, as of `RunResult.to_frame`.
         start_cost: Mean cost of the initial gains; nan if there is none.
         eta_max: The cost above which a trial is unsafe; may be infinite.
     """
@@ -167,7 +167,7 @@ def draw_gains(
 
     Args:
         ax: Axes.
-        frame: The trials, as of `TuneResult.to_frame`.
+        frame: The trials, as of `RunResult.to_frame`.
         start: Initial gains.
         recommended: The gains of the result, drawn behind the search.
         intervals: Confidence interval of each optimum, by name, drawn as bars.

@@ -12,9 +12,9 @@ from estune.errors import Interrupted, InvalidInput, JournalError, RigError, Uns
 from estune.run import snapshot
 from estune.run.failed_trials import run_trial
 from estune.run.journal import CompletedTrial, Journal, JournalEntry
+from estune.run.plan import Plan
 from estune.run.session import (
     Phase,
-    Plan,
     Session,
     after_trial,
     is_unsafe,

@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 
 from estune.errors import InvalidInput
-from estune.run.table_file import whole_file
+from estune.support.whole_file import whole_file
 
 RecordFormat = Literal["csv", "parquet", "mcap"]
 

@@ -3,7 +3,6 @@
 import dataclasses
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,7 +10,7 @@ import numpy as np
 from estune.core.gains import GAIN_NAMES
 from estune.loop_model.optimum import SENSITIVITY_MAX
 from estune.run import figures
-from estune.run.export import write_file
+from estune.run.ending import RunEnding
 from estune.run.frequency_figures import (
     Loop,
     PlantResponse,
@@ -19,7 +18,8 @@ from estune.run.frequency_figures import (
     draw_nyquist,
     response_columns,
 )
-from estune.run.result import RunEnding, TuneResult
+from estune.run.result_text import remarks, rows
+from estune.run.run_result import RunResult
 from estune.support.html_page import (
     Block,
     Drawing,
@@ -29,7 +29,6 @@ from estune.support.html_page import (
     Status,
     Table,
     Warnings,
-    render,
 )
 from estune.support.plot_style import new_figure
 from estune.support.quantity_text import time_text, with_unit
@@ -43,25 +42,16 @@ _FAR = 1e4
 """Times the largest command up to which a limit is worth naming."""
 
 
-def write_report(result: TuneResult, path: Path) -> None:
-    """Writes the page, whole or not at all.
-
-    Raises:
-        InvalidInput: the file cannot be written.
-    """
-    write_file(path, render(page(result)).encode())
-
-
-def page(result: TuneResult) -> Page:
+def page(result: RunResult) -> Page:
     """The page of a tuning, finished or not."""
     good = {RunEnding.TUNED: True, RunEnding.UNSAFE_START: False}.get(result.ending)
     return Page(
         f"Tuning of {result.rig.name}",
         Status(_recommendation(result), good=good),
         (
-            *(() if result.success else (Paragraph(result.remarks()[0], style="lead"),)),
+            *(() if result.success else (Paragraph(remarks(result)[0], style="lead"),)),
             _before_and_after(result),
-            Warnings(result.remarks()[1:]),
+            Warnings(remarks(result)[1:]),
         ),
         (
             Section("Step response", tuple(_responses(result))),
@@ -72,7 +62,7 @@ def page(result: TuneResult) -> Page:
     )
 
 
-def _recommendation(result: TuneResult) -> str:
+def _recommendation(result: RunResult) -> str:
     gains = result.gains.text(result.rig.gain_units)
     if result.success:
         cost = f"{result.verdict.start_cost:.3g} to {result.verdict.cost:.3g}"
@@ -80,13 +70,13 @@ def _recommendation(result: TuneResult) -> str:
     return f"{result.ending.capitalize()}: keep {gains}."
 
 
-def _before_and_after(result: TuneResult) -> Table:
+def _before_and_after(result: RunResult) -> Table:
     if result.tuned:
-        return Table(("", "Initial gains", "Tuned gains"), result.rows(), numeric=(1, 2))
-    return Table(("", "Initial gains"), [row[:2] for row in result.rows()], numeric=(1,))
+        return Table(("", "Initial gains", "Tuned gains"), rows(result), numeric=(1, 2))
+    return Table(("", "Initial gains"), [row[:2] for row in rows(result)], numeric=(1,))
 
 
-def _responses(result: TuneResult) -> Iterator[Block]:
+def _responses(result: RunResult) -> Iterator[Block]:
     before, after = result.first_record, result.tuned_record if result.success else None
     if before is None:
         yield Paragraph("No trial has been completed.")
@@ -109,7 +99,7 @@ def _responses(result: TuneResult) -> Iterator[Block]:
     )
 
 
-def _load(result: TuneResult) -> str:
+def _load(result: RunResult) -> str:
     """What the load after the step shows, in a sentence; empty without a load."""
     load = getattr(result.plan.step, "load_N", None)
     if load is None:
@@ -118,7 +108,7 @@ def _load(result: TuneResult) -> str:
     return f" From the dotted line on, a load of {shown} is added: the disturbance response."
 
 
-def _limits(result: TuneResult, record: TrialRecord) -> str:
+def _limits(result: RunResult, record: TrialRecord) -> str:
     """Limits of the command in a sentence; empty where they are far from all that is commanded."""
     rig = result.rig
     low, high = rig.controller.output_min_N, rig.controller.output_max_N
@@ -142,7 +132,7 @@ def _samples(records: Mapping[str, TrialRecord], per_ampere: float) -> dict[str,
     return columns
 
 
-def _loop(result: TuneResult) -> Iterator[Block]:
+def _loop(result: RunResult) -> Iterator[Block]:
     """Bode and Nyquist figures of the loop, or why there are none."""
     rig, claim, fit = result.rig, result.claim, result.identified.fit
     if claim.margins is not None and fit is not None:
@@ -182,13 +172,13 @@ def _loop(result: TuneResult) -> Iterator[Block]:
     )
 
 
-def _sensitivity_limit(result: TuneResult) -> float:
+def _sensitivity_limit(result: RunResult) -> float:
     """Limit of Ms by which the result was judged; the usual one where there was none."""
     limits = result.plan.limits
     return (limits and limits.max_sensitivity) or SENSITIVITY_MAX
 
 
-def _search(result: TuneResult) -> Iterator[Block]:
+def _search(result: RunResult) -> Iterator[Block]:
     if not result.entries:
         return
     frame = result.to_frame()
@@ -208,7 +198,7 @@ def _search(result: TuneResult) -> Iterator[Block]:
     )
 
 
-def _settings(result: TuneResult) -> dict[str, str]:
+def _settings(result: RunResult) -> dict[str, str]:
     """The plan and the rig by label."""
     plan, rig = result.plan, result.rig
     step, cost, unit = plan.step, plan.cost, rig.measurement_unit

@@ -1,141 +1,27 @@
-"""Result of a run: numbers, tables, figures and warnings.
-
-A result is an `OptimizeResult` of scipy. Its ending is shown first everywhere, and only a run with
-a significant improvement has a column "tuned".
-"""
+"""Result of a run, as it is shown: in a terminal, in a notebook, as a page."""
 
 import html
-import itertools
-import math
-from collections.abc import Iterator
 from dataclasses import replace
-from enum import StrEnum
-from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.optimize import OptimizeResult
 
-from estune.core.comparison import Change, repeatability
 from estune.core.gain_forms import GainForm, gain_forms
-from estune.core.gains import GAIN_NAMES, Gains
-from estune.errors import JournalError
-from estune.loop_model.claim import MISFIT_MAX, Claim, unexplained
-from estune.run import result_warnings
-from estune.run.journal import Journal, JournalEntry
+from estune.run import result_text
+from estune.run.ending import RunEnding
 from estune.run.loop import TuningRun
-from estune.run.performance import Performance
-from estune.run.robustness import (
-    IdentifiedLoop,
-    claim_from,
-    identify,
-    limit_price,
-    robustness_cells,
-    robustness_fault,
-)
-from estune.run.session import Plan, Session, is_safe
-from estune.run.start import left_out
-from estune.run.summary import RunSummary, not_robust_summary, summarise
-from estune.run.trial_quality import quality_remarks
-from estune.trial import Outcome, RigDescription, TrialRecord
-from estune.trial.scoring import constraint_margin
+from estune.run.robustness import robustness_fault
+from estune.run.run_result import RunResult
+from estune.run.summary import not_robust_summary, summarise
 
 if TYPE_CHECKING:
-    import pandas as pd
     from control import StateSpace
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 
-class RunEnding(StrEnum):
-    """How a run ended."""
-
-    TUNED = "tuned"
-    NO_IMPROVEMENT = "no significant improvement"
-    STOPPED = "stopped"
-    UNSAFE_START = "unsafe start"
-    NOT_ROBUST = "not robust"
-
-    @property
-    def status(self) -> int:
-        """Status of the `OptimizeResult`; zero is success."""
-        return list(RunEnding).index(self)
-
-    @property
-    def exit_code(self) -> int:
-        """Exit code of the command line."""
-        codes = {RunEnding.NO_IMPROVEMENT: NO_IMPROVEMENT_CODE, RunEnding.NOT_ROBUST: 8}
-        return codes.get(self, 0)
-
-
-NO_IMPROVEMENT_CODE = 7
-"""Exit code of a run without a significant improvement: a result, not an error. Likewise 8, of
-cheaper gains that are not robust."""
-
-
-OVERSHOOT_ALLOWED = 0.02
-"""Overshoot beyond its limit that is not told, as a share of the step. On the emulated reel noise
-and scatter add up to 0.9 % to that of a record."""
-
-
-class Row(NamedTuple):
-    """Row of the before/after table; `tuned` is empty without an improvement."""
-
-    label: str
-    start: str
-    tuned: str
-
-
-class TuneResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type information
-    """The result of a run, finished or not.
-
-    Attributes:
-        x: The gains to use, shape (4,): P, I, D, setpoint_filter_s.
-        fun: Their mean cost.
-        nit: Number of search trials.
-        nfev: Number of all trials, void ones too.
-        success: Whether the improvement is statistically significant.
-        status: 0 tuned, 1 no significant improvement, 2 stopped, 3 unsafe start, 4 not robust.
-        message: How the run ended, in a sentence.
-        ending: How the run ended.
-        gains: The gains to use; the initial ones without a significant improvement.
-        start_gains: Initial gains.
-        verdict: Summary of the run.
-        entries: Every completed trial, void ones too.
-        folder: The run on disk, or None.
-        plan: Plan of the run.
-        rig: Description of the rig at the start of the run.
-        first_record: Record of the first trial with the initial gains, or None.
-        tuned_record: Record of the last confirmation trial with the tuned gains, or None.
-        improvement: Relative change of the cost from the initial gains, with its 95 % confidence
-            interval; None if they were not compared.
-        unsafe: Unsafe trials of the run.
-        session: Session at the end of the run.
-        recent_records: Records of the last trials.
-    """
-
-    x: "np.ndarray[tuple[int], np.dtype[np.float64]]"
-    fun: float
-    nit: int
-    nfev: int
-    success: bool
-    status: int
-    message: str
-    ending: RunEnding
-    gains: Gains
-    start_gains: Gains
-    verdict: RunSummary
-    entries: tuple[JournalEntry, ...]
-    folder: Path | None
-    plan: Plan
-    rig: RigDescription
-    first_record: TrialRecord | None
-    tuned_record: TrialRecord | None
-    improvement: Change | None
-    unsafe: int
-    session: Session
-    recent_records: tuple[TrialRecord, ...]
+class TuneResult(RunResult):
+    """The result of a run with its representations; pyplot is not touched."""
 
     @property
     def forms(self) -> tuple[GainForm, ...]:
@@ -155,134 +41,6 @@ class TuneResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type i
 
         return closed_loop(plant, self.gains, self.rig.controller, dead_time_s)
 
-    @cached_property
-    def claim(self) -> Claim:
-        """Robustness of the gains to use as the records show it, or why nothing is claimed."""
-        return claim_from(self.identified, self.plan, self.rig, self.gains)
-
-    @cached_property
-    def identified(self) -> IdentifiedLoop:
-        """The loop identified from the last records."""
-        return identify(self.recent_records, self.plan, self.rig)
-
-    @cached_property
-    def start(self) -> Performance:
-        """Performance of the start gains."""
-        summary = self.verdict
-        cost = summary.start_cost, summary.start_cost_error
-        return Performance.on(
-            self.rig, self.plan.step, self.start_gains, cost, record=self.first_record
-        )
-
-    @cached_property
-    def tuned(self) -> Performance | None:
-        """Performance of the tuned gains, or None."""
-        if not self.success:
-            return None
-        summary = self.verdict
-        return Performance.on(
-            *(self.rig, self.plan.step, self.gains, (summary.cost, summary.cost_error)),
-            record=self.tuned_record,
-            intervals=summary.intervals,
-        )
-
-    @cached_property
-    def findings(self) -> tuple[result_warnings.ResultWarning, ...]:
-        """Warnings: low margins, a response near a limit, gains at a bound, a flat cost.
-
-        Without an improvement the search need not have covered the initial gains, so that only
-        the flat directions that it did find are reported.
-        """
-        if not self.verdict.complete:
-            return ()
-        at, session, space = self.tuned or self.start, self.session, self.plan.tuner.space
-        eta_max = session.eta_max
-        safe = [e for e in self.entries if e.outcome and is_safe(e.outcome, e.cost, eta_max)]
-        best = space.point_of(at.gains)
-        repeated = [r.costs for r in (session.choice, session.confirmation) if r is not None]
-        flat = result_warnings.flat_directions(
-            *(space, best, at.cost),
-            points=space.points_of(np.array([e.gain_values for e in safe])),
-            costs=np.array([e.cost for e in safe]),
-            noise=at.cost * repeatability((session.baseline, *itertools.chain(*repeated))),
-            units=self.rig.gain_units,
-        )
-        if self.plan.uses_records:  # the search is too short to vary the cost, and needs not to
-            flat = ()
-        elif self.tuned is None:
-            flat = tuple(finding for finding in flat if finding.kind == "flat")
-        share = math.inf if at.record is None else constraint_margin(at.record, self.rig)
-        near = result_warnings.low_margins(
-            at.margins, limited=self._limited
-        ) + result_warnings.near_limits(share)
-        return near + result_warnings.at_bounds(space, best, self.rig.gain_units) + flat
-
-    def to_frame(self) -> "pd.DataFrame":
-        """The trials, one row each: number, phase, gains, cost, best cost so far, outcome."""
-        import pandas as pd  # noqa: PLC0415  slow to import
-
-        eta_max = self.session.eta_max
-        rows = [
-            (
-                *(e.number, e.attempt, e.trial_id, e.phase.value, *e.gain_values, e.cost),
-                *(_is_unsafe(e, eta_max), str(e.outcome), e.reason),
-            )
-            for e in self.entries
-        ]
-        before, after = ("number", "attempt", "trial_id", "phase"), ("unsafe", "outcome", "reason")
-        frame = pd.DataFrame(rows, columns=[*before, *GAIN_NAMES, "cost", *after])
-        frame["unsafe"] = frame["unsafe"].astype(bool)
-        safe = frame["cost"].where(~frame["unsafe"]).to_numpy(dtype=float)
-        place = list(frame.columns).index("cost") + 1
-        frame.insert(place, "best_cost", np.fmin.accumulate(safe))
-        return frame
-
-    def record(self, number: int) -> TrialRecord:
-        """The record of one trial.
-
-        Raises:
-            JournalError: there is no such trial, or the run has no journal.
-        """
-        entry = next((e for e in reversed(self.entries) if e.number == number), None)
-        if entry is None:
-            raise JournalError(
-                f"there is no trial {number}; the run has trials 0 to {self.session.number - 1}"
-            )
-        if self.folder is not None:
-            with Journal.open(self.folder) as journal:
-                return journal.record(entry.trial_id)
-        for record in (self.first_record, self.tuned_record):
-            if record and record.trial_id == entry.trial_id:
-                return record
-        raise JournalError(
-            f"the record of trial {number} is not stored; tune with journal=True to store them all"
-        )
-
-    def plot_cost(self, ax: "Axes | None" = None) -> "Axes":
-        """Draws the cost per trial with the best so far, on `ax` or a figure of its own."""
-        from estune.run import figures  # noqa: PLC0415  slow to import
-
-        costs = self.verdict.start_cost, self.session.eta_max
-        return figures.draw_cost(ax, self.to_frame(), *costs)
-
-    def plot_response(self, ax: "Axes | None" = None) -> "Axes":
-        """Draws the step response before and after, on `ax` or a figure of its own."""
-        from estune.run import figures  # noqa: PLC0415  slow to import
-
-        after = self.tuned_record if self.success else None
-        return figures.draw_response(
-            ax, self.plan.step, self.first_record, after, self.rig.measurement
-        )
-
-    def plot_gains(self, ax: "Axes | None" = None) -> "Axes":
-        """Draws the gains over the trials, on `ax` or a figure of its own."""
-        from estune.run import figures  # noqa: PLC0415  slow to import
-
-        intervals = self.tuned.intervals if self.tuned else {}
-        units = self.rig.gain_units
-        gains = self.start_gains, self.gains
-        return figures.draw_gains(ax, self.to_frame(), *gains, intervals=intervals, units=units)
-
     def figure(self) -> "Figure":
         """All three figures on one page; pyplot is not touched."""
         from estune.support import plot_style  # noqa: PLC0415  slow to import
@@ -297,87 +55,27 @@ class TuneResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type i
 
     def heading(self) -> str:
         """The run in one line, its ending first."""
-        if self.ending is RunEnding.TUNED:
-            start, cost = self.verdict.start_cost, self.verdict.cost
-            change = f"cost {start:.3g} → {cost:.3g}, {self.improvement}, {self._robustness()}"
-        elif self.improvement is not None:
-            change = f"cost {self.improvement}, keep the initial gains"
-        else:
-            change = "keep the initial gains"
-        return f"{self.ending.upper()}: {self.rig.name}, {len(self.entries)} trials, {change}"
+        return result_text.heading(self)
 
-    def rows(self) -> tuple[Row, ...]:
+    def rows(self) -> tuple[result_text.Row, ...]:
         """The before/after table as text; the last column is empty without an improvement."""
-        start = self.start.cells()
-        tuned = self.tuned.cells() if self.tuned else dict.fromkeys(start, "")
-        rows = [Row(label, start[label], tuned[label]) for label in start]
-        shown = robustness_cells(self.claim.margins)
-        rows += [Row(label, *(("-", x) if self.tuned else (x, ""))) for label, x in shown]
-        return tuple(rows)
+        return result_text.rows(self)
 
     def remarks(self) -> tuple[str, ...]:
         """The conclusion and the warnings, a sentence each."""
-        counts = ((self.unsafe, "unsafe"), (self.verdict.declined, "declined and not run"))
-        sentences = (
-            self.message,
-            *self._start_remarks(),
-            *(f"{n} trial{'s were' if n > 1 else ' was'} {what}" for n, what in counts if n),
-            *(finding.sentence for finding in self.findings),
-            *(self._robustness_remarks() if self.verdict.complete else ()),
-        )
-        return tuple(f"{sentence[:1].upper()}{sentence[1:]}." for sentence in sentences)
+        return result_text.remarks(self)
 
-    def _start_remarks(self) -> Iterator[str]:
-        """Where initial gains come from that are not the rig's, and gains that were not tuned."""
-        if self.plan.start_source:
-            source = self.plan.start_source
-            yield f"the search began at {source}, which are not live on the rig yet"
-        space = self.plan.tuner.space
-        left = left_out(self.start_gains, space.names, self.plan.cost.settling_time_s)
-        if left and space.form == "parallel":
-            yield left
+    def report(self, path: str | Path) -> Path:
+        """Writes everything as one page that needs no other file and no network.
 
-    def _robustness(self) -> str:
-        """What is claimed of the tuned gains, in a few words."""
-        margins = self.claim.margins
-        if margins is None:
-            return "no margins claimed"
-        return f"Ms {margins.sensitivity.value:.2f}"
+        Raises:
+            InvalidInput: the page cannot be written there.
+        """
+        from estune.run.report import page  # noqa: PLC0415  draws: slow to import
+        from estune.support.html_page import write  # noqa: PLC0415  as above
 
-    @property
-    def _limited(self) -> bool:
-        """Whether the search kept a limit of the sensitivity where it could."""
-        limits = self.plan.limits
-        return self.plan.uses_records and limits is not None and bool(limits.max_sensitivity)
-
-    def _robustness_remarks(self) -> tuple[str, ...]:
-        """What the records do not show, and what the limits cost."""
-        loop, limits, tuned = self.identified, self.plan.limits, self.tuned
-        remarks = [*loop.remarks]
-        reason = self.claim.reason
-        if self.ending is RunEnding.NOT_ROBUST:  # few trials were near the initial gains
-            beyond = loop.fit is not None and loop.fit.misfit > MISFIT_MAX
-            reason = unexplained(loop.fit.misfit) if loop.fit and beyond else ""
-        if reason:
-            remarks.append(f"no sensitivity is claimed from the records: {reason}")
-        kept = None if limits is None else limits.max_overshoot
-        measured = math.nan
-        if self.claim.margins is not None:
-            measured = self.claim.margins.overshoot.value
-        elif tuned is not None and tuned.metrics is not None:
-            measured = tuned.metrics.overshoot
-        if tuned is not None and kept is not None and measured > kept + OVERSHOOT_ALLOWED:
-            whose = (
-                "" if self.plan.uses_records else f", which {self.plan.tuner.name} does not keep"
-            )
-            remarks.append(
-                f"the overshoot of {measured:.1%} exceeds the limit of {kept:.1%}{whose}"
-            )
-        price = limit_price(loop, self.claim, self.plan, self.rig, self.gains)
-        if tuned is not None and price is not None:
-            remarks.append(price.sentence)
-        first, start_cost = self.first_record, self.verdict.start_cost
-        return (*remarks, *quality_remarks(self.plan, self.rig, first, start_cost, loop.fit))
+        write(page(self), Path(path))
+        return Path(path)
 
     def __repr__(self) -> str:
         rows = self.rows()
@@ -451,11 +149,3 @@ def from_tuning(tuning: TuningRun) -> TuneResult:
         session=session,
         recent_records=tuple(tuning.recent_records),
     )
-
-
-def _is_unsafe(entry: JournalEntry, eta_max: float) -> bool:
-    """`is_unsafe` with a known limit, for runs of many trials."""
-    if entry.outcome is None or entry.outcome.is_void:
-        return False
-    declined = entry.outcome is Outcome.DECLINED
-    return not declined and not is_safe(entry.outcome, entry.cost, eta_max)

@@ -12,13 +12,14 @@ from estune.core.gains import Gains
 from estune.core.metrics import STEADY_SHARE, step_metrics
 from estune.core.quantities import FloatArray
 from estune.loop_model.claim import Claim, CostCheck, claim
-from estune.loop_model.identification import LoopFit, LoopRecord, fit_loop
+from estune.loop_model.fitting import fit_loop
+from estune.loop_model.identification import LoopFit, LoopRecord
 from estune.loop_model.limit_price import LimitPrice, price_of
 from estune.loop_model.optimum import RobustnessLimits
 from estune.loop_model.prediction import PredictedMargins
 from estune.run.loop import TuningRun
-from estune.run.plan import step_trial
-from estune.run.session import Plan
+from estune.run.plan import Plan
+from estune.run.planning import step_trial
 from estune.support.blas import one_blas_thread
 from estune.trial import Outcome, RigDescription, TrialRecord
 from estune.trial.loop_records import loop_signals

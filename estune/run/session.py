@@ -14,21 +14,11 @@ from statistics import fmean
 from typing import Any
 
 from estune.core.comparison import InterleavedRepeats, repeatability, repeats_needed
-from estune.core.cost import StepCost
 from estune.core.gains import Gains
-from estune.errors import InvalidInput
 from estune.loop_model.identification import LoopRecord
-from estune.loop_model.optimum import RobustnessLimits
+from estune.run.plan import CONFIRMATION_REPEATS_MAX, Plan
 from estune.trial import Outcome, TrialRequest
-from estune.trial.profiles import StepProfile
-from estune.tuners import Tuner
-from estune.tuners.interface import (
-    ConvergenceEstimate,
-    CostPrediction,
-    EndingTuner,
-    PredictingTuner,
-    RecordUsingTuner,
-)
+from estune.tuners.interface import CostPrediction, PredictingTuner
 from estune.tuners.observation import Observation
 
 
@@ -41,128 +31,11 @@ class Phase(StrEnum):
     CONFIRM = "confirm"
 
 
-TRIALS, REPEATS = 120, 3
-"""Defaults of the greatest number of search trials and of repeats."""
-
-TOLERANCE = 0.02
-"""Default of the remaining improvement at which a search ends, relative to the cost."""
-
-
-@dataclass(frozen=True, slots=True)
-class Plan:
-    """Everything that determines the trials of a run.
-
-    Attributes:
-        run: Name of the run; its trial ids begin with it.
-        tuner: The tuner with its settings; its search space is centred on `start`.
-        start: Initial gains.
-        step: The step trial.
-        cost: The cost of a trial.
-        trials: Maximum number of search trials.
-        repeats: Trials of the initial gains before the search and of each candidate in the
-            choice; also the minimum of each in the confirmation.
-        eta_max: Cost above which a trial is unsafe (the paper's guard under (35)); None means
-            `UNSAFE_RATIO` times the initial cost.
-        tolerance: Remaining improvement, relative to the cost, at which the search ends, if the
-            tuner estimates it; zero makes it use all its trials.
-        ask_first: Whether the operator must approve gains outside the region shown to be safe.
-        start_source: Where initial gains come from that were not tried on the rig; the first
-            record refuses them if their loop is not robust.
-        limits: Limits of robustness by which the result is judged; None, as in runs of earlier
-            versions, judges none.
-        forced: Whether ill-posed trials are tuned by all the same.
-
-    Raises:
-        InvalidInput: a count is too small, the limit is not above zero, the tolerance is not a
-            share, the tuner does not predict which gains are safe, or the settling time is longer
-            than the trial.
-    """
-
-    run: str
-    tuner: Tuner[Any]
-    start: Gains
-    step: StepProfile
-    cost: StepCost
-    trials: int = TRIALS
-    repeats: int = REPEATS
-    eta_max: float | None = None
-    tolerance: float = TOLERANCE
-    ask_first: bool = False
-    start_source: str = ""
-    limits: RobustnessLimits | None = None
-    forced: bool = False
-
-    def __post_init__(self) -> None:
-        if self.trials < 1 or self.repeats < 1:
-            raise InvalidInput(
-                f"{self.trials} search trials with {self.repeats} repeats: each must be at least 1"
-            )
-        if self.eta_max is not None and not (math.isfinite(self.eta_max) and self.eta_max > 0.0):
-            raise InvalidInput(f"eta_max is {self.eta_max}; it must be finite and above zero")
-        if not 0.0 <= self.tolerance < 1.0:
-            raise InvalidInput(
-                f"tolerance is {self.tolerance}; it is a share of the cost: give 0 (use all "
-                "trials) to below 1, such as 0.02"
-            )
-        if self.ask_first and not isinstance(self.tuner, PredictingTuner):
-            raise InvalidInput(
-                f"tuner {self.tuner.name} does not predict which gains are safe, as approval "
-                "requires; use safe_bayesian"
-            )
-        if self.step.loop != "closed":
-            raise InvalidInput("an open-loop step cannot tune a controller; make it a closed one")
-        after_s = self.step.duration_s - self.step.step_at_s
-        if self.cost.settling_time_s > after_s:
-            raise InvalidInput(
-                f"settling time {self.cost.settling_time_s:g} s is longer than the {after_s:g} s "
-                "after the step; make the trial longer, or choose a shorter settling time"
-            )
-
-    @property
-    def max_trials(self) -> int:
-        """Maximum number of trials, void ones excluded."""
-        return self.trials + 3 * self.repeats + 2 * max(CONFIRMATION_REPEATS_MAX, self.repeats)
-
-    @property
-    def uses_records(self) -> bool:
-        """Whether the tuner identifies the loop from the records."""
-        return isinstance(self.tuner, RecordUsingTuner)
-
-    @property
-    def needs_records(self) -> bool:
-        """Whether the session needs the signals of a trial."""
-        return self.uses_records or bool(self.start_source)
-
-    @property
-    def settled_trials(self) -> int:
-        """Consecutive trials with little improvement left that end the search."""
-        tuner = self.tuner
-        return tuner.settled_trials if isinstance(tuner, RecordUsingTuner) else CONSECUTIVE_SETTLED
-
-    def may_end(self, tuner_state: Any) -> bool:
-        """Whether the search may end by its tolerance."""
-        tuner, tolerance = self.tuner, self.tolerance
-        if not (tolerance and isinstance(tuner, EndingTuner)):
-            return tolerance > 0.0
-        return tuner.may_end(tuner_state, tolerance)
-
-    def convergence(self, tuner_state: Any) -> ConvergenceEstimate | None:
-        """Convergence of the search; None if the tuner has no estimate (yet)."""
-        tuner = self.tuner
-        return tuner.convergence(tuner_state) if isinstance(tuner, PredictingTuner) else None
-
-
 UNSAFE_RATIO = 3.0
 """Default of the unsafe cost, as a multiple of the initial cost."""
 
 CONSECUTIVE_CENSORED_MAX = 12
 """Consecutive unsafe or declined trials that end the search."""
-
-CONSECUTIVE_SETTLED = 4
-"""Consecutive trials with a remaining improvement below the tolerance that end the search."""
-
-CONFIRMATION_REPEATS_MAX = 10
-"""Maximum repeats of each gains in a confirmation, unless the plan asks for more."""
 
 
 @dataclass(frozen=True, slots=True)

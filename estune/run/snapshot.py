@@ -17,13 +17,15 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from estune.run.journal import Journal, JournalEntry
-from estune.run.session import Plan, Session
+from estune.run.plan import Plan
+from estune.run.session import Session
 
 INTERVAL = 500
 """Trials between snapshots. A run cut off while it writes one replays twice as many."""
 
 _MODULES = (
     *("estune.core.", "estune.loop_model.", "estune.trial.", "estune.tuners."),
+    "estune.run.plan",
     "estune.run.session",
 )
 """Modules on which proposals depend; their values make up a session."""

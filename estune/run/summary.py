@@ -6,7 +6,8 @@ from statistics import fmean, variance
 
 from estune.core.comparison import Change, InterleavedRepeats, compare_costs
 from estune.core.gains import Gains
-from estune.run.session import Plan, Session
+from estune.run.plan import Plan
+from estune.run.session import Session
 
 
 @dataclass(frozen=True, slots=True)

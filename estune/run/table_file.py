@@ -2,13 +2,14 @@
 
 import csv
 import itertools
-import os
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from estune.support.whole_file import whole_file
 
 Column = Any
 """Values of one column: a sequence or an array."""
@@ -23,17 +24,6 @@ _TEXTS = (
 )
 _BATCH_ROWS = 100_000
 """Rows that are written to a Parquet file at once."""
-
-
-@contextmanager
-def whole_file(path: Path) -> Iterator[Path]:
-    """A temporary file beside the path, renamed to it at the end of the block."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        yield temporary
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 @contextmanager

@@ -9,8 +9,8 @@ from pydantic import AfterValidator, Field, model_validator
 from estune.core.cost import StepCost, cost_from
 from estune.core.gains import GAIN_NAMES
 from estune.loop_model.optimum import RobustnessLimits
-from estune.run.plan import with_load
-from estune.run.session import REPEATS, TOLERANCE, TRIALS
+from estune.run.plan import REPEATS, TOLERANCE, TRIALS
+from estune.run.planning import with_load
 from estune.support.toml_file import TomlTable
 from estune.trial import RigDescription
 from estune.trial.profiles import StepProfile

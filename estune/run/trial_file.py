@@ -24,8 +24,8 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 
 from estune.core.gains import Gains
 from estune.errors import InvalidInput
-from estune.run.export import replace_file
 from estune.run.loop import Stopped
+from estune.support.whole_file import replace_file
 from estune.trial import Rig, TrialRecord, TrialRequest, record_frame
 from estune.trial.profiles import Profile
 

@@ -7,7 +7,7 @@ import numpy as np
 from estune.core.cost import StepCost
 from estune.errors import InvalidInput
 from estune.loop_model.identification import FEWEST_BEFORE, LoopFit
-from estune.run.session import Plan
+from estune.run.plan import Plan
 from estune.trial import RigDescription, TrialRecord
 
 NOISE_SHARE_MAX, NOISE_SHARE_HIGH = 0.1, 0.03

@@ -10,7 +10,7 @@ A page is a value: a `Page` has a headline and `Section`s, and each section is a
             Section("How", (Paragraph("Cost (35), `move_weight` = 0.2."), Warnings(("slack",)))),
         ),
     )
-    html = render(page)
+    write(page, Path("transparency.html"))
 
 All texts are plain and are escaped; `code` between backticks and **bold** are the only markup.
 Numbers stay on one line with their units, and a minus before a number is a true one. A page is the
@@ -23,6 +23,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
+from pathlib import Path
 from typing import ClassVar, Literal
 
 import matplotlib as mpl
@@ -32,6 +33,7 @@ from matplotlib.figure import Figure
 
 from estune.support.page_image import DARK_GROUND, light_and_dark, narrow
 from estune.support.version import __version__
+from estune.support.whole_file import write_file
 
 
 @dataclass(frozen=True)
@@ -164,6 +166,15 @@ def render(page: Page) -> str:
     """The page as HTML."""
     template = _environment().get_template("html_page.html.jinja")
     return template.render(page=page, versions=_versions(), dark_ground=DARK_GROUND) + "\n"
+
+
+def write(page: Page, path: Path) -> None:
+    """Writes the page as one file, whole or not at all.
+
+    Raises:
+        InvalidInput: the file cannot be written.
+    """
+    write_file(path, render(page).encode())
 
 
 def prose(plain: str) -> Markup:

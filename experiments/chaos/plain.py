@@ -15,8 +15,9 @@ import zenoh
 from estune.core.gains import Gains
 from estune.errors import ProtocolError
 from estune.remote.zenoh.zenoh_session import open_session
-from estune.run.plan import make_plan
-from estune.run.session import Plan, after_trial, new_session, next_request
+from estune.run.plan import Plan
+from estune.run.planning import make_plan
+from estune.run.session import after_trial, new_session, next_request
 from estune.trial import Outcome, RigDescription, TrialRecord, TrialRequest, record_frame
 from estune.trial.scoring import cost_of
 from experiments.chaos.mischief import Message, Mischief

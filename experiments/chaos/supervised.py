@@ -28,7 +28,7 @@ from estune.remote.zenoh.daemon_service import DaemonClient
 from estune.remote.zenoh.endpoints import with_port
 from estune.run import loop
 from estune.run.journal import Journal
-from estune.run.plan import description_from_json, plan_from_json
+from estune.run.planning import description_from_json, plan_from_json
 from experiments.chaos.faults import Fault, disk_full, frozen, schedule, stalled
 from experiments.chaos.processes import NO_THREADS, end
 from experiments.chaos.rig import reference_rig

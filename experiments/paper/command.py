@@ -8,7 +8,6 @@ from rich.text import Text
 
 from estune.cli import output
 from estune.cli.values import Flag, check_folder_exists
-from estune.run.export import write_file
 from estune.run.loop import Stopped
 from estune.support.html_page import (
     Drawing,
@@ -18,7 +17,7 @@ from estune.support.html_page import (
     Section,
     Status,
     Table,
-    render,
+    write,
 )
 from experiments import paper
 from experiments.paper import PaperFigure
@@ -51,7 +50,7 @@ def reproduce_paper(*, out: Path = Path("paper.html"), quick: Flag = False) -> N
         style = "green" if figure.holds else "yellow"
         line = Text.assemble(f"Fig. {number:<3}", (f"{figure.verdict}  ", style), figure.measured)
         console.print(line, soft_wrap=True)
-    write_file(out, page(figures).encode())
+    write(page(figures), out)
     output.show_next({"page": out})
 
 
@@ -64,8 +63,8 @@ def _no_rig_to_report() -> Iterator[None]:
         raise KeyboardInterrupt from None
 
 
-def page(figures: Sequence[PaperFigure]) -> str:
-    """The page as HTML."""
+def page(figures: Sequence[PaperFigure]) -> Page:
+    """The page of the figures."""
     holding = sum(figure.holds for figure in figures)
     headline = Status(
         f"{holding} of {len(figures)} claims hold here.",
@@ -85,7 +84,7 @@ def page(figures: Sequence[PaperFigure]) -> str:
     ]
     summary = Table(("Figure", "The paper's claim", "Here"), rows)
     sections = tuple(map(_section, figures))
-    return render(Page(TITLE, headline, (Paragraph(PAPER, style="soft"), summary), sections))
+    return Page(TITLE, headline, (Paragraph(PAPER, style="soft"), summary), sections)
 
 
 def _section(figure: PaperFigure) -> Section:

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estune.run.plan import make_tuner
-from estune.run.session import Plan, after_trial, new_session, next_request
+from estune.run.plan import Plan
+from estune.run.planning import make_tuner
+from estune.run.session import after_trial, new_session, next_request
 from estune.run.summary import summarise
 from estune.trial import Outcome
 from experiments.sample_efficiency.optimum import optimum

@@ -12,7 +12,7 @@ from estune.cli import output
 from estune.cli.values import Effects, Flag, check_folder_exists, security_from
 from estune.errors import RigError
 from estune.run.loop import Stopped
-from estune.run.session import REPEATS, TRIALS
+from estune.run.plan import REPEATS, TRIALS
 from estune.run.targets import is_endpoint, open_target
 from plants.commands.explain import can_be_tuned
 
@@ -53,7 +53,7 @@ def improve_model(
         repeats: Trials of each set of gains whose cost is compared.
         effects: Effects of your own that join the search, each as module:Class.
         json: Print JSON.
-        report: Write the last diagnosis as one HTML page.
+        report: Write costs, the last diagnosis and the tuning as one HTML page.
         save: Write the improved model as a model file.
         rig: Name of the rig, if several answer at the endpoint.
         security: Credentials file, if the rig requires authentication.
@@ -95,7 +95,10 @@ def improve_model(
             say=(lambda _: None) if silent else output.console().print,
         )
     if report is not None:
-        improvement.diagnosis.report(report)
+        from estune.support.html_page import write  # noqa: PLC0415  draws: slow to import
+        from plants.diagnosis.improvement.page import page  # noqa: PLC0415  as above
+
+        write(page(improvement), report)
     if save is not None:
         plants.save_model(improvement.model, save)
     if json:

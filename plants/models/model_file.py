@@ -25,7 +25,7 @@ from typing import Any
 
 from estune.errors import EstuneError, InvalidInput
 from estune.run import targets
-from estune.run.export import replace_file
+from estune.support.whole_file import replace_file
 from plants.effects import Effect, find
 from plants.models import model_tables
 from plants.models.model_tables import KINDS, ModelKind, Reader

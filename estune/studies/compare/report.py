@@ -8,7 +8,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from estune.core.gains import GAIN_NAMES, GAIN_UNITS
-from estune.run.result import RunEnding, TuneResult
+from estune.run.ending import RunEnding
+from estune.run.result import TuneResult
 from estune.studies.compare.comparison import Comparison, searched
 from estune.support.html_page import Cell, Drawing, Page, Paragraph, Section, Status, Table
 from estune.support.plot_style import (

@@ -16,7 +16,7 @@ from estune.core.cost import StepCost, default_cost
 from estune.errors import InvalidInput, RigError
 from estune.remote.state_machine.client import PATIENCE_S
 from estune.run.loop import ProgressListener
-from estune.run.plan import suited_step
+from estune.run.planning import suited_step
 from estune.run.targets import is_endpoint
 from estune.studies.match.outcome import Matching
 from estune.studies.match.reel_matcher import ReelMatcher, ReelProgress, Settings

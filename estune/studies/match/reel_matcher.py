@@ -15,10 +15,12 @@ from estune import api
 from estune.core.cost import StepCost
 from estune.core.gains import Gains
 from estune.errors import EstuneError, InvalidInput
+from estune.run.ending import RunEnding
 from estune.run.journal import FILE_NAME
 from estune.run.loop import ProgressListener
-from estune.run.result import RunEnding, TuneResult
-from estune.run.session import TRIALS, UNSAFE_RATIO, Phase
+from estune.run.plan import TRIALS
+from estune.run.result import TuneResult
+from estune.run.session import UNSAFE_RATIO, Phase
 from estune.run.targets import open_target
 from estune.studies.match.outcome import (
     CostEstimate,

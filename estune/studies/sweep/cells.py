@@ -16,7 +16,7 @@ from estune.errors import InvalidInput
 from estune.remote.security import OPEN, read_security
 from estune.remote.state_machine.client import PATIENCE_S
 from estune.run import targets
-from estune.run.plan import known_start, make_plan, suited_step
+from estune.run.planning import known_start, make_plan, suited_step
 from estune.run.start import KnownStart
 from estune.studies.law.start import start_from
 from estune.studies.sweep.design import SweepDesign, SweptRig

@@ -11,7 +11,8 @@ import numpy as np
 
 from estune.core.gains import GAIN_NAMES, Gains
 from estune.core.quantities import FloatArray
-from estune.run.result import RunEnding, TuneResult
+from estune.run.ending import RunEnding
+from estune.run.result import TuneResult
 from estune.run.session import Phase, is_unsafe
 from estune.studies.law.tuned import TunedGains
 from estune.studies.sweep.cells import Cell

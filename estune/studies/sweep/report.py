@@ -1,10 +1,8 @@
 """Report page of a sweep: its laws, the paper's figures of them, and the excluded cells."""
 
 from collections.abc import Iterator
-from pathlib import Path
 
 from estune.core.gains import GAIN_NAMES
-from estune.run.export import write_file
 from estune.studies.law.law import GainLaw
 from estune.studies.sweep import figures
 from estune.studies.sweep.exclusions import exclusion_sentences
@@ -18,7 +16,6 @@ from estune.support.html_page import (
     Status,
     Table,
     Warnings,
-    render,
 )
 
 _POINTS_MAX = 2000
@@ -28,15 +25,6 @@ TITLE = "Gains over cable length"
 
 _ROWS_MAX = 100
 """Excluded tunings that the page lists."""
-
-
-def write_report(result: SweepResult, path: Path) -> None:
-    """Writes the page, whole or not at all.
-
-    Raises:
-        InvalidInput: the file cannot be written.
-    """
-    write_file(path, render(page(result)).encode())
 
 
 def page(result: SweepResult) -> Page:

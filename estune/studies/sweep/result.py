@@ -11,13 +11,13 @@ import numpy as np
 
 from estune.core.gains import GAIN_NAMES, GAIN_UNITS
 from estune.errors import InvalidInput
-from estune.run.export import write_file
 from estune.run.table_file import csv_table
 from estune.studies.law.law import GainLaw, fit_law
 from estune.studies.law.tuned import CELLS
 from estune.studies.sweep.design import SweepDesign
 from estune.studies.sweep.exclusions import exclusion_sentences
 from estune.studies.sweep.outcome import CellOutcome
+from estune.support.whole_file import write_file
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from estune.errors import InvalidInput, RigError
-from estune.run.export import replace_file
 from estune.run.loop import Stopped
 from estune.run.targets import open_target
+from estune.support.whole_file import replace_file
 from estune.trial import RigDescription
 from plants.diagnosis.experiments.designs import Experiment, initial_experiments
 from plants.diagnosis.explain import explain

@@ -49,9 +49,11 @@ class Diagnosis(DiagnosisResult):
         Raises:
             InvalidInput: the page cannot be written there.
         """
-        from plants.diagnosis.report.page import write  # noqa: PLC0415  slow to import
+        from estune.support.html_page import write  # noqa: PLC0415  slow to import
+        from plants.diagnosis.report.page import page  # noqa: PLC0415  as above
 
-        return write(self, Path(path))
+        write(page(self), Path(path))
+        return Path(path)
 
     def plot_gap(self, ax: "Axes | None" = None) -> "Axes":
         """Draws the prediction error above the noise floor after each step."""

@@ -2,12 +2,10 @@
 
 from collections.abc import Callable
 from functools import partial
-from pathlib import Path
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from estune.run.export import write_file
 from estune.support import html_page
 from estune.support.html_page import Block, Bullets, Drawing, Heading, Page, Paragraph, Section
 from estune.support.plot_style import WIDTH_in, new_figure
@@ -17,18 +15,8 @@ from plants.diagnosis.result import DiagnosisResult, Trace
 TITLE = "Where simulation and measurement disagree"
 
 
-def write(d: DiagnosisResult, path: Path) -> Path:
-    """Writes the page, whole or not at all.
-
-    Raises:
-        InvalidInput: it cannot be written there.
-    """
-    write_file(path, page(d).encode())
-    return path
-
-
-def page(d: DiagnosisResult) -> str:
-    """The whole page as HTML."""
+def page(d: DiagnosisResult) -> Page:
+    """The page of a diagnosis."""
     certain = d.verdict in {"named", "none"}
     lead = [Paragraph(text, "lead") for text in summary.sentences(d)]
     explained = Paragraph(
@@ -50,9 +38,7 @@ def page(d: DiagnosisResult) -> str:
         Section("The data", _data(d)),
     )
     headline = html_page.Status(summary.heading(d), good=certain)
-    return html_page.render(
-        Page(TITLE, headline, (*lead, _table(summary.gaps(d)), explained), sections)
-    )
+    return Page(TITLE, headline, (*lead, _table(summary.gaps(d)), explained), sections)
 
 
 def _effects(d: DiagnosisResult) -> list[Block]:

@@ -1,0 +1,222 @@
+"""Result of a run as numbers, tables and figures."""
+
+import itertools
+import math
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.optimize import OptimizeResult
+
+from estune.core.comparison import Change, repeatability
+from estune.core.gains import GAIN_NAMES, Gains
+from estune.errors import JournalError
+from estune.loop_model.claim import Claim
+from estune.run import result_warnings
+from estune.run.ending import RunEnding
+from estune.run.journal import Journal, JournalEntry
+from estune.run.performance import Performance
+from estune.run.plan import Plan
+from estune.run.robustness import IdentifiedLoop, claim_from, identify
+from estune.run.session import Session, is_safe
+from estune.run.summary import RunSummary
+from estune.trial import Outcome, RigDescription, TrialRecord
+from estune.trial.scoring import constraint_margin
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.axes import Axes
+
+
+class RunResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type information
+    """The result of a run, finished or not, as numbers.
+
+    Attributes:
+        x: The gains to use, shape (4,): P, I, D, setpoint_filter_s.
+        fun: Their mean cost.
+        nit: Number of search trials.
+        nfev: Number of all trials, void ones too.
+        success: Whether the improvement is statistically significant.
+        status: 0 tuned, 1 no significant improvement, 2 stopped, 3 unsafe start, 4 not robust.
+        message: How the run ended, in a sentence.
+        ending: How the run ended.
+        gains: The gains to use; the initial ones without a significant improvement.
+        start_gains: Initial gains.
+        verdict: Summary of the run.
+        entries: Every completed trial, void ones too.
+        folder: The run on disk, or None.
+        plan: Plan of the run.
+        rig: Description of the rig at the start of the run.
+        first_record: Record of the first trial with the initial gains, or None.
+        tuned_record: Record of the last confirmation trial with the tuned gains, or None.
+        improvement: Relative change of the cost from the initial gains, with its 95 % confidence
+            interval; None if they were not compared.
+        unsafe: Unsafe trials of the run.
+        session: Session at the end of the run.
+        recent_records: Records of the last trials.
+    """
+
+    x: "np.ndarray[tuple[int], np.dtype[np.float64]]"
+    fun: float
+    nit: int
+    nfev: int
+    success: bool
+    status: int
+    message: str
+    ending: RunEnding
+    gains: Gains
+    start_gains: Gains
+    verdict: RunSummary
+    entries: tuple[JournalEntry, ...]
+    folder: Path | None
+    plan: Plan
+    rig: RigDescription
+    first_record: TrialRecord | None
+    tuned_record: TrialRecord | None
+    improvement: Change | None
+    unsafe: int
+    session: Session
+    recent_records: tuple[TrialRecord, ...]
+
+    @cached_property
+    def claim(self) -> Claim:
+        """Robustness of the gains to use as the records show it, or why nothing is claimed."""
+        return claim_from(self.identified, self.plan, self.rig, self.gains)
+
+    @cached_property
+    def identified(self) -> IdentifiedLoop:
+        """The loop identified from the last records."""
+        return identify(self.recent_records, self.plan, self.rig)
+
+    @cached_property
+    def start(self) -> Performance:
+        """Performance of the start gains."""
+        summary = self.verdict
+        cost = summary.start_cost, summary.start_cost_error
+        return Performance.on(
+            self.rig, self.plan.step, self.start_gains, cost, record=self.first_record
+        )
+
+    @cached_property
+    def tuned(self) -> Performance | None:
+        """Performance of the tuned gains, or None."""
+        if not self.success:
+            return None
+        summary = self.verdict
+        return Performance.on(
+            *(self.rig, self.plan.step, self.gains, (summary.cost, summary.cost_error)),
+            record=self.tuned_record,
+            intervals=summary.intervals,
+        )
+
+    @cached_property
+    def findings(self) -> tuple[result_warnings.ResultWarning, ...]:
+        """Warnings: low margins, a response near a limit, gains at a bound, a flat cost.
+
+        Without an improvement the search need not have covered the initial gains, so that only
+        the flat directions that it did find are reported.
+        """
+        if not self.verdict.complete:
+            return ()
+        at, session, space = self.tuned or self.start, self.session, self.plan.tuner.space
+        eta_max = session.eta_max
+        safe = [e for e in self.entries if e.outcome and is_safe(e.outcome, e.cost, eta_max)]
+        best = space.point_of(at.gains)
+        repeated = [r.costs for r in (session.choice, session.confirmation) if r is not None]
+        flat = result_warnings.flat_directions(
+            *(space, best, at.cost),
+            points=space.points_of(np.array([e.gain_values for e in safe])),
+            costs=np.array([e.cost for e in safe]),
+            noise=at.cost * repeatability((session.baseline, *itertools.chain(*repeated))),
+            units=self.rig.gain_units,
+        )
+        if self.plan.uses_records:  # the search is too short to vary the cost, and needs not to
+            flat = ()
+        elif self.tuned is None:
+            flat = tuple(finding for finding in flat if finding.kind == "flat")
+        share = math.inf if at.record is None else constraint_margin(at.record, self.rig)
+        near = result_warnings.low_margins(
+            at.margins, limited=self._limited
+        ) + result_warnings.near_limits(share)
+        return near + result_warnings.at_bounds(space, best, self.rig.gain_units) + flat
+
+    @property
+    def _limited(self) -> bool:
+        """Whether the search kept a limit of the sensitivity where it could."""
+        limits = self.plan.limits
+        return self.plan.uses_records and limits is not None and bool(limits.max_sensitivity)
+
+    def to_frame(self) -> "pd.DataFrame":
+        """The trials, one row each: number, phase, gains, cost, best cost so far, outcome."""
+        import pandas as pd  # noqa: PLC0415  slow to import
+
+        eta_max = self.session.eta_max
+        rows = [
+            (
+                *(e.number, e.attempt, e.trial_id, e.phase.value, *e.gain_values, e.cost),
+                *(_is_unsafe(e, eta_max), str(e.outcome), e.reason),
+            )
+            for e in self.entries
+        ]
+        before, after = ("number", "attempt", "trial_id", "phase"), ("unsafe", "outcome", "reason")
+        frame = pd.DataFrame(rows, columns=[*before, *GAIN_NAMES, "cost", *after])
+        frame["unsafe"] = frame["unsafe"].astype(bool)
+        safe = frame["cost"].where(~frame["unsafe"]).to_numpy(dtype=float)
+        place = list(frame.columns).index("cost") + 1
+        frame.insert(place, "best_cost", np.fmin.accumulate(safe))
+        return frame
+
+    def record(self, number: int) -> TrialRecord:
+        """The record of one trial.
+
+        Raises:
+            JournalError: there is no such trial, or the run has no journal.
+        """
+        entry = next((e for e in reversed(self.entries) if e.number == number), None)
+        if entry is None:
+            raise JournalError(
+                f"there is no trial {number}; the run has trials 0 to {self.session.number - 1}"
+            )
+        if self.folder is not None:
+            with Journal.open(self.folder) as journal:
+                return journal.record(entry.trial_id)
+        for record in (self.first_record, self.tuned_record):
+            if record and record.trial_id == entry.trial_id:
+                return record
+        raise JournalError(
+            f"the record of trial {number} is not stored; tune with journal=True to store them all"
+        )
+
+    def plot_cost(self, ax: "Axes | None" = None) -> "Axes":
+        """Draws the cost per trial with the best so far, on `ax` or a figure of its own."""
+        from estune.run import figures  # noqa: PLC0415  slow to import
+
+        costs = self.verdict.start_cost, self.session.eta_max
+        return figures.draw_cost(ax, self.to_frame(), *costs)
+
+    def plot_response(self, ax: "Axes | None" = None) -> "Axes":
+        """Draws the step response before and after, on `ax` or a figure of its own."""
+        from estune.run import figures  # noqa: PLC0415  slow to import
+
+        after = self.tuned_record if self.success else None
+        return figures.draw_response(
+            ax, self.plan.step, self.first_record, after, self.rig.measurement
+        )
+
+    def plot_gains(self, ax: "Axes | None" = None) -> "Axes":
+        """Draws the gains over the trials, on `ax` or a figure of its own."""
+        from estune.run import figures  # noqa: PLC0415  slow to import
+
+        intervals = self.tuned.intervals if self.tuned else {}
+        units = self.rig.gain_units
+        gains = self.start_gains, self.gains
+        return figures.draw_gains(ax, self.to_frame(), *gains, intervals=intervals, units=units)
+
+
+def _is_unsafe(entry: JournalEntry, eta_max: float) -> bool:
+    """`is_unsafe` with a known limit, for runs of many trials."""
+    if entry.outcome is None or entry.outcome.is_void:
+        return False
+    declined = entry.outcome is Outcome.DECLINED
+    return not declined and not is_safe(entry.outcome, entry.cost, eta_max)

@@ -1,0 +1,33 @@
+"""Report page of an improved model: predicted and measured costs, last diagnosis, tuning."""
+
+from estune.run import report as tuning_report
+from estune.support.html_page import Page, Paragraph, Section, Table, Warnings
+from plants.diagnosis.improvement.result import COLUMNS, Improvement
+from plants.diagnosis.report import page as diagnosis_page
+
+
+def page(improvement: Improvement) -> Page:
+    """The page of an improvement: its costs, then the pages of its parts as sections."""
+    diagnosis = diagnosis_page.page(improvement.diagnosis)
+    rounds = [
+        (", ".join(one.experiments) or "all records anew", one.diagnosis.heading())
+        for one in improvement.rounds
+    ]
+    costs = [Table(COLUMNS, improvement.rows(), numeric=(1, 2, 3))] if improvement.costs else []
+    sections = [
+        Section("Diagnoses", (Table(("Experiments", "Verdict of all records so far"), rounds),)),
+        *_chapter("The last diagnosis", diagnosis),
+    ]
+    if improvement.tuning is not None:
+        sections += _chapter("Tuning on the rig", tuning_report.page(improvement.tuning))
+    return Page(
+        f"Model of {improvement.rig.name}",
+        diagnosis.headline,
+        (Paragraph(f"{improvement.heading()}.", "lead"), *costs, Warnings(improvement.remarks)),
+        sections,
+    )
+
+
+def _chapter(title: str, page: Page) -> list[Section]:
+    """A page as sections of another."""
+    return [Section(title, (page.headline, *page.summary)), *page.sections]
