@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from estune.core.gains import Gains
-from estune.core.quantities import check_not_negative, check_positive
+from estune.core.quantities import FloatArray, check_not_negative, check_positive
 from estune.errors import InvalidInput
 
 Signal = Any
@@ -127,6 +127,28 @@ def step(
         filtered_measurement_N=state.filtered_measurement_N + c.sample_s * derivative,
     )
     return following, effort, excess
+
+
+def unlimited_efforts(
+    c: Coefficients, state: PidfState, setpoint_N: FloatArray, measurement_N: FloatArray
+) -> FloatArray:
+    """The efforts of `step` over a record in which no limit acts, N, shape (samples,).
+
+    Args:
+        c: The difference equation.
+        state: Before the first sample.
+        setpoint_N: Setpoint before its filter, N, shape (samples,).
+        measurement_N: Measurement, N, shape (samples,).
+    """
+    from scipy.signal import lfilter  # noqa: PLC0415  slow to import
+
+    a, b = c.setpoint_pole, c.sample_s / c.derivative_span_s
+    at_setpoint, at_measurement = [a * state.filtered_setpoint_N], [state.filtered_measurement_N]
+    r, _ = lfilter([1.0 - a], [1.0, -a], setpoint_N, zi=at_setpoint)
+    filtered, _ = lfilter([0.0, b], [1.0, b - 1.0], measurement_N, zi=at_measurement)
+    error, derivative = r - measurement_N, (measurement_N - filtered) / c.derivative_span_s
+    integral = state.integral_N + c.I_per_sample * (np.cumsum(error) - error)
+    return np.asarray(c.P * error + integral - c.D * derivative)
 
 
 def limit_effort(c: Coefficients, wanted_N: Signal) -> tuple[Signal, Signal]:
