@@ -46,7 +46,13 @@ def test_undeclared_effect_is_unknown_until_it_is_declared():
     without = plants.explain(given, records, effects=others)
     assert without.verdict == "unknown"
     assert not without.effects
-    found = plants.explain(given, records, effects=[*others, AirDrag])
+    reports = []
+    found = plants.explain(
+        given, records, effects=[*others, AirDrag], progress=lambda *report: reports.append(report)
+    )
+    assert "fitting drag of the air" in dict(reports)
+    assert [done for _, done in reports] == sorted(done for _, done in reports)
+    assert reports[-1] == ("done", 1.0)
     assert (found.verdict, [effect.name for effect in found.effects]) == ("named", ["air_drag"])
     assert found.gap_after < 0.3 * found.gap_before
     assert AirDrag in [type(effect) for effect in found.augmented.effects]

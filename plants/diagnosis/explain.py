@@ -20,6 +20,7 @@ from plants.diagnosis.data.noise_floor import NoiseFloor, noise_floor
 from plants.diagnosis.data.records import FolderContents, drum_of, read_measurements
 from plants.diagnosis.models.base import BaseNumbers
 from plants.diagnosis.models.diagnosed_model import DiagnosedModel, diagnosed
+from plants.diagnosis.progress import Progress, portion, silent
 from plants.diagnosis.report.diagnosis import Diagnosis
 from plants.diagnosis.residual.localisation import ResidualLocation, localise
 from plants.diagnosis.search.conclusion import Conclusion, conclude
@@ -61,6 +62,7 @@ def explain(
     rig: RigDescription | None = None,
     columns: ColumnMap = AS_NAMED,
     hold_out: Records | None = None,
+    progress: Progress = silent,
 ) -> Diagnosis:
     """Identifies the effect that a model lacks, from records; deterministic.
 
@@ -73,15 +75,18 @@ def explain(
         rig: The rig of the next experiment; None derives it from the records.
         columns: Where the columns come from, in files that name them otherwise.
         hold_out: Records that no model is fitted to; the errors on them are reported.
+        progress: Called with the phase in words and the estimated share of the work that is done,
+            0 to 1, in the caller's thread: as each phase begins and after each candidate effect.
 
     Raises:
         InvalidInput: there is no record that can be used; the message says why for each.
         PlantError: the model cannot be simulated.
     """
+    progress("reading the records", 0.0)
     read = _read(records, model, columns)
     held = None if hold_out is None else _read(hold_out, model, columns)
     with one_blas_thread():
-        return _explained(model, read, held, effects, rig)
+        return _explained(model, read, held, effects, rig, progress=progress)
 
 
 def _read(records: Records, model: Any, columns: ColumnMap) -> FolderContents:
@@ -96,13 +101,17 @@ def _explained(
     held: FolderContents | None,
     effects: Sequence[type[Effect] | str] | None,
     rig: RigDescription | None,
+    *,
+    progress: Progress,
 ) -> Diagnosis:
+    progress("checking the records", 0.02)
     measurements, looked = check(read.measurements, model)
     findings = (*read.findings, *looked)
     if not measurements:
         refused = "; ".join(str(f) for f in findings if f.level == "refused")
         raise InvalidInput(f"no record can be used: {refused or 'there is none'}")
     noise = noise_floor(measurements)
+    progress("fitting the model as given", 0.08)
     variants = _variants(model, measurements, noise)
     recorded = variants[0]
     choice = _choice(recorded.fitter.model, effects)
@@ -112,17 +121,18 @@ def _explained(
         if again is None:
             break
         line, variants = again, _variants(model, again.measurements, noise)
-    done = _searched(variants, choice, noise)
+    done = _searched(variants, choice, noise, portion(progress, 0.2, 0.85))
     if line is not None and done.judged.best.effects and not _remains(recorded, done.judged.best):
         # The line was what the effects do.
-        line, done = None, _searched((recorded,), choice, noise)
+        line, done = None, _searched((recorded,), choice, noise, portion(progress, 0.2, 0.85))
+    progress("refitting with parts left out", 0.85)
     wrong = None
     if done.judged.verdict == "none" and line is None:
         wrong = find_wrong_parameter(done.fitter, done.found, choice.calibrations)
     coarse = None
     if Quantisation in choice.in_noise and "tension_N" in noise.channels:
         coarse = coarse_step_N(noise.channels["tension_N"])
-    return build_diagnosis(
+    diagnosis = build_diagnosis(
         DiagnosisInputs(
             model=model,
             recorded=recorded,
@@ -140,6 +150,8 @@ def _explained(
             held=None if held is None else _held_model(model, held, done.fitter.model),
         )
     )
+    progress("done", 1.0)
+    return diagnosis
 
 
 def _held_model(model: Any, held: FolderContents, fitted: DiagnosedModel) -> DiagnosedModel:
@@ -159,16 +171,17 @@ class Searched(NamedTuple):
 
 
 def _searched(
-    variants: Sequence[FittedModel], choice: EffectChoices, noise: NoiseFloor
+    variants: Sequence[FittedModel], choice: EffectChoices, noise: NoiseFloor, progress: Progress
 ) -> Searched:
     """The search on the variant of the model in which it leaves the least."""
-    done = []
-    for fitter, base in variants:
+    done, each = [], 1.0 / len(variants)
+    for n, (fitter, base) in enumerate(variants):
         model = fitter.model.calibrated(base.values)
         numbers = [BaseNumbers.of(model, m) for m in fitter.measurements]
         where = localise(fitter.measurements, numbers, noise)
         records = record_scale(fitter, where, base.values)
-        found = search(fitter, base, choice.structural, records)
+        part = portion(progress, n * each, (n + 1) * each)
+        found = search(fitter, base, choice.structural, records, part)
         done.append(Searched(fitter, where, found, conclude(fitter, found)))
     return min(done, key=lambda one: one.judged.best.J)
 
@@ -184,12 +197,13 @@ def _variants(
     if len(stages) == 1:
         return (stages[0],)
     left = [stage.fit.J for stage in stages]
-    if min(left) > CONSTANTS.nothing:
+    sound = min(left) <= CONSTANTS.nothing
+    if not sound:
         left = [_meant(stage) for stage in stages]
     ratio = left[1] / left[0]
-    if ratio < OTHER:
+    if ratio < (SAME if sound else OTHER):
         return (stages[1],)
-    return (stages[1], stages[0]) if ratio < SAME else (stages[0],)
+    return (stages[1], stages[0]) if ratio < SAME and not sound else (stages[0],)
 
 
 def _meant(stage: FittedModel) -> float:

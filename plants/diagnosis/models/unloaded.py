@@ -32,7 +32,11 @@ MOST_RATE = 100.0
 """Greatest growth of friction over inertia in a fit that keeps the matrix exponential exact."""
 SHOWS = 30.0
 """Travel within the horizon due to a tenth of the torque's rms, in times the encoder's noise."""
-SHORTEST_samples, LONGEST_share = 24, 0.2
+SHORTEST_samples = 10
+"""Least samples of a window: its initial state takes two. Longer windows weigh slow errors more:
+with 24 Coulomb friction of a measured drive at 100 Hz comes out 7 % off, with 10 or 8 3 %."""
+LONGEST_share = 0.2
+"""Longest window, relative to the shortest record."""
 
 
 class DiagnosedDrum(DiagnosedModel):

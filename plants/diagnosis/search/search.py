@@ -8,6 +8,7 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
+from plants.diagnosis.progress import Progress, portion, silent
 from plants.diagnosis.result import ModelSummary
 from plants.diagnosis.search.constants import CONSTANTS
 from plants.diagnosis.search.decide import best_of
@@ -106,9 +107,11 @@ def search(
     base: CandidateFit,
     effects: Sequence[type[Effect]],
     records: RecordScale,
+    progress: Progress = silent,
 ) -> SearchResult:
     """Looks for the effects that are missing."""
     effects = list(effects)
+    progress("screening effects", 0.0)
     found = SearchResult(base, fitter.given())
     nameless = [e for e in NAMELESS if fitter.model.unavailable(e) is None]
     seen = [ScoreContext.of(fitter, base, records)]
@@ -124,7 +127,7 @@ def search(
     if power(base) <= CONSTANTS.nothing:
         return found
     unnamed = {e.name: screen(e, fitter.predictor((e,)), seen) for e in nameless}
-    _fit_all(fitter, found, base, found.screened, unnamed)
+    _fit_all(fitter, found, base, (found.screened, unnamed), portion(progress, 0.2, 0.6))
     single = next((f for f in found.of(1) if is_named(f)), None)
     if single is None or power(single) > 1.0 + (1.0 - CONSTANTS.named_share) * (power(base) - 1.0):
         _fit_rest(fitter, found)
@@ -135,15 +138,17 @@ def search(
         return found
     if CONSTANTS.nothing >= single.J:
         return found
+    progress("screening second effects", 0.6)
     there = family_of(single.effects[0])
     rest = [e for e in effects if family_of(e) != there]
     found.beside = _screen_beside(fitter, [*rest, *nameless], single, records)
     unnamed = {e.name: found.beside.pop(e.name) for e in nameless}
-    _fit_all(fitter, found, single, found.beside, unnamed)
+    _fit_all(fitter, found, single, (found.beside, unnamed), portion(progress, 0.7, 0.95))
     _, *models = found.summaries(fitter)
     # Whether an effect of it is of a size that matters shows after the moves.
     pair = best_of([m._replace(eligible=True) for m in models])
     if pair is not None and len(pair.names) == 2:
+        progress("comparing pairs", 0.95)
         _moves(fitter, found, found.fits[pair.names])
     return found
 
@@ -152,10 +157,11 @@ def _fit_all(
     fitter: ModelFitter,
     found: SearchResult,
     current: CandidateFit,
-    screened: dict[str, ScreeningResult],
-    nameless: dict[str, ScreeningResult],
+    looked_at: tuple[dict[str, ScreeningResult], dict[str, ScreeningResult]],
+    progress: Progress,
 ) -> None:
     """Fits the most promising effects with their families, and nameless laws that aim as well."""
+    screened, nameless = looked_at
     ranked = sorted(screened.values(), key=lambda s: -s.screening_R2)
     best = max((s.screening_R2 for s in ranked), default=0.0)
     least_R2 = best * (AIMED_BESIDE if current.effects else AIMED)
@@ -170,7 +176,8 @@ def _fit_all(
     chosen += [s for s in nameless.values() if s.screening_R2 >= AIMED * best]
     fits: list[CandidateFit] = []
     least = math.inf
-    for one in chosen:
+    for n, one in enumerate(chosen):
+        progress(f"fitting {one.effect.title}", n / len(chosen))
         # Beside a model that leaves nothing only those count that point the same way.
         if max(least, 1.0) <= CONSTANTS.floor and one.screening_R2 < AIMED * best:
             continue
