@@ -19,12 +19,9 @@ import tomllib
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
 from estune.hardware import HardwareRig, RigConfig
 from estune.hardware.config import config_from
-from estune.hardware.shared_memory import BIN_s, Timing
+from estune.hardware.shared_memory import BIN_s, Timing, quantile_s
 from estune.trial import TrialRequest
 from experiments.results import Target, at_most, command_line, print_results
 from plants.emulator import RIG_FILE, EmulatedDriver
@@ -85,6 +82,7 @@ class Condition(NamedTuple):
 
     name: str
     timing: Timing
+    seconds: float
 
     def figures(self) -> dict[str, float]:
         """Figures by name."""
@@ -93,22 +91,17 @@ class Condition(NamedTuple):
             "samples": self.timing.samples,
             "late": self.timing.late,
             "missed": self.timing.missed,
+            "held_Hz": self.timing.samples / self.seconds,
         }
         for what in ("lateness", "turnaround"):
             counts = getattr(self.timing, what)
             for share in SHARES:
-                made[f"{what}_{100 * share:g}_us"] = quantile_us(counts, share)
-            made[f"{what}_max_us"] = quantile_us(counts, 1.0)
+                made[f"{what}_{100 * share:g}_us"] = 1e6 * quantile_s(counts, share)
+            made[f"{what}_max_us"] = 1e6 * quantile_s(counts, 1.0)
         counts = self.timing.turnaround
         within = counts[: int(period_us / (1e6 * BIN_s))].sum()
         made["commanded_within_period"] = float(within / counts.sum())
         return {f"{self.name}_{key}": value for key, value in made.items()}
-
-
-def quantile_us(counts: NDArray[np.int64], share: float) -> float:
-    """Quantile of the time to its bin's upper edge, us; at most 100 ms."""
-    index = np.searchsorted(np.cumsum(counts), share * counts.sum())
-    return 1e6 * BIN_s * float(index + 1)
 
 
 @contextlib.contextmanager
@@ -133,15 +126,15 @@ def drivers(seconds: float) -> list[Condition]:
             HardwareRig(configuration(address, device)) as rig,
         ):
             hold(rig)
-            found.append(Condition(device, observe(rig, seconds)))
+            found.append(Condition(device, *observe(rig, seconds)))
     return found
 
 
-def observe(rig: HardwareRig, seconds: float) -> Timing:
-    """Timing of the loop over so many seconds."""
-    before = rig.timing()
+def observe(rig: HardwareRig, seconds: float) -> tuple[Timing, float]:
+    """Timing of the loop over so many seconds, and their exact number."""
+    before, began_s = rig.timing(), time.monotonic()
     time.sleep(seconds)
-    return rig.timing().since(before)
+    return rig.timing().since(before), time.monotonic() - began_s
 
 
 def hold(rig: HardwareRig, number: int = 0) -> None:
@@ -202,9 +195,9 @@ def measure(seconds: float, times: int) -> tuple[list[Condition], dict[str, Any]
     ):
         with HardwareRig(configuration(address)) as rig:
             hold(rig)
-            conditions = [Condition("idle", observe(rig, seconds))]
+            conditions = [Condition("idle", *observe(rig, seconds))]
             with others_busy() as busy:
-                conditions.append(Condition("loaded", observe(rig, seconds)))
+                conditions.append(Condition("loaded", *observe(rig, seconds)))
             stops = stopped_by_hand_ms(rig, driver, times)
         repeats = range(max(times // 5, 1))
         killed, frozen = (

@@ -13,7 +13,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from estune.cli.checks import State, gentle_trial, run_checks
+from estune.cli.checks import REPEATS, State, gentle_trial, run_checks
+from estune.cli.checks.driver_checks import check_exchange, check_loop, check_messages
 from estune.cli.checks.host_checks import (
     Host,
     check_ledger,
@@ -22,8 +23,13 @@ from estune.cli.checks.host_checks import (
     find_host,
 )
 from estune.cli.checks.link_checks import Dated, check_clock, check_link
+from estune.cli.checks.trial_checks import check_gauge_rate
 from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
+from estune.errors import RigError
+from estune.hardware.driver import MessageCount
+from estune.hardware.exchange_timing import ExchangeTiming
+from estune.hardware.shared_memory import BINS, Timing
 from estune.remote.messages import Status
 from estune.remote.state_machine.state import Mode
 from estune.trial import LATE, SATURATED, LinearModel, Outcome, RigLimits
@@ -98,7 +104,8 @@ def test_check_trial_is_gentle_and_uses_live_gains():
     found(rig)
     about = description()
     assert {request.gains for request in rig.requests} == {about.gains}
-    assert {request.profile for request in rig.requests} == {gentle_trial(about)}
+    gentle = gentle_trial(about)
+    assert [r.profile for r in rig.requests] == [gentle] * REPEATS + [replace(gentle, loop="open")]
     assert abs(gentle_trial(about).step_N) < abs(about.step.step_N)
 
 
@@ -213,6 +220,122 @@ def test_rig_that_does_not_restore_its_gains_fails():
             return record
 
     assert "restored" in to_fix(Forgetful(dated))
+
+
+def in_open_loop(change):
+    """Responses whose open-loop step is changed by a function of the record."""
+
+    def answer(request):
+        record = dated(request)
+        return change(record) if request.profile.loop == "open" else record
+
+    return answer
+
+
+def turned(record, factor):
+    level_N = record.preload_N
+    return replace(record, tension_N=level_N + factor * (record.tension_N - level_N))
+
+
+def refused(_record):
+    raise RigError("no open loop here")
+
+
+@pytest.mark.parametrize(
+    ("change", "state"),
+    [
+        (lambda record: record, State.FINE),
+        (lambda record: turned(record, -1.0), State.FIX),
+        (lambda record: turned(record, 0.6), State.FIX),
+        (lambda record: turned(record, 0.0), State.FIX),
+        # 60 ms of dead time, where the rig is to settle within 200 ms.
+        (lambda record: replace(record, tension_N=np.roll(record.tension_N, 12)), State.FIX),
+        (lambda record: replace(record, outcome=Outcome.GUARD, reason="travel"), State.FIX),
+        (refused, State.UNKNOWN),
+    ],
+)
+def test_current_loop_is_judged_by_sign_scale_and_delay_of_an_open_step(change, state):
+    def commanded(record):
+        return change(replace(record, current_A=record.setpoint_N / 20.0))
+
+    assert found(Patient(in_open_loop(commanded)))["current loop"] is state
+
+
+def gauge(rate_Hz, resolution_N, noise_N=0.04, samples=2000):
+    """Readings at 632 Hz of a gauge that converts at a rate of its own."""
+    values = np.random.default_rng(5).normal(15.0, noise_N, samples)
+    newest = np.floor(np.arange(samples) / 632.0 * rate_Hz + 1e-9).astype(int)
+    return np.round(values[newest] / resolution_N) * resolution_N
+
+
+@pytest.mark.parametrize(
+    ("rate_Hz", "resolution_N", "state"),
+    [
+        (632.0, 1e-6, State.FINE),
+        (632.0, 0.01, State.FINE),  # a tenth of the readings repeat by chance
+        (320.0, 1e-6, State.FIX),
+        (80.0, 1e-6, State.FIX),
+        (80.0, 0.01, State.FIX),
+        (632.0, 0.1, State.UNKNOWN),
+    ],
+)
+def test_gauge_that_converts_slower_than_the_loop_fails(rate_Hz, resolution_N, state):
+    result = check_gauge_rate([gauge(rate_Hz, resolution_N)], 632.0)
+    assert result.state is state
+    if state is State.FIX:
+        assert result.figures["gauge_rate_Hz"] == pytest.approx(rate_Hz, rel=0.1)
+        assert "ms old, which is dead time" in result.sentence
+
+
+READINGS = (MessageCount("reading", 100, 100, 0.0),)
+
+
+def exchanges(exchange_ms, waited_ms, wire_ms, messages=READINGS):
+    times = np.full(100, 1e-3 * exchange_ms)
+    parts = 1e-3 * waited_ms, 1e-3 * wire_ms
+    return ExchangeTiming(632.0, 0.1, times, *parts, np.arange(100.0), times, 0, messages)
+
+
+@pytest.mark.parametrize(
+    ("timing", "state", "remedy"),
+    [
+        (exchanges(0.7, 0.6, 0.4), State.FINE, ""),
+        (exchanges(0.9, 0.8, 0.7), State.FIX, "raise the rate of the bus, or move the loop"),
+        (exchanges(0.9, 0.8, 0.1), State.FIX, "does not hold messages back, or move the loop"),
+        (exchanges(0.9, 0.2, 0.1), State.FIX, "a core of its own, or move the loop"),
+        (exchanges(0.9, 0.8, 8.0), State.FIX, "does not hold messages back"),  # USB of its own
+        (exchanges(0.9, np.nan, np.nan, ()), State.FIX, "a faster bus, or move the loop"),
+    ],
+)
+def test_loop_must_move_to_the_board_where_an_exchange_takes_half_a_period(timing, state, remedy):
+    result = check_exchange(timing)
+    assert result.state is state
+    assert remedy in result.remedy
+    if timing.messages:
+        assert sum(timing.parts_s.values()) == pytest.approx(timing.exchange_s[0])
+
+
+def test_messages_that_are_due_and_missing_fail():
+    def judged(*messages):
+        return check_messages(exchanges(0.1, 0.1, 0.0, messages))
+
+    came = MessageCount("gauge", 8.0, 8, 0.0)
+    assert judged(came, MessageCount("torque", 60, np.nan, 0.0)).state is State.FINE
+    late = judged(came, MessageCount("encoder", 60, 30, 0.0))
+    assert late.state is State.FIX
+    assert "encoder 300 Hz (600 expected): encoder missing" in late.sentence
+    assert judged(MessageCount("gauge", np.nan, 8, 0.0)).state is State.FINE
+    assert judged().state is State.UNKNOWN
+
+
+def test_loop_that_commands_late_fails():
+    def judged(turnaround_us):
+        counts = np.zeros(BINS, np.int64)
+        counts[turnaround_us // 2] = 1000
+        return check_loop(Timing(1000, 0, 0, counts, counts), 632.0)
+
+    assert judged(400).state is State.FINE
+    assert judged(900).state is State.FIX
 
 
 def test_link_too_slow_for_the_lease_fails():

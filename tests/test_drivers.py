@@ -11,6 +11,8 @@ from contextlib import closing
 import pytest
 
 import plants
+from estune.cli.checks import State, run_file_checks
+from estune.cli.checks.driver_checks import check_exchange
 from estune.conformance.driver import DriverConformance
 from estune.errors import InvalidInput, RigError
 from estune.hardware import HardwareRig
@@ -21,6 +23,7 @@ from estune.hardware.drivers.can_gauge import CanGauge
 from estune.hardware.drivers.odrive import ODrive
 from estune.hardware.drivers.serial_board import SerialBoard
 from estune.hardware.drivers.serial_port import SerialPort
+from estune.hardware.exchange_timing import measure_exchanges
 from estune.trial import Outcome, TrialRequest
 from plants.emulator import EmulatedDriver
 from plants.emulator.board import Board, Electronics
@@ -185,6 +188,49 @@ def test_silent_board_raises_and_commands_that_do_not_arrive_end_motion(board):
             driver.read()
 
 
+def test_messages_that_are_lost_are_counted(board):
+    with SerialBoard(board.address, answer_within_s=0.6) as driver:
+        board.faults.extend(["lost", "none", "cut", "none"])
+        timing = measure_exchanges(driver, 632.0, 0.02)
+        reading, command = timing.messages
+        assert reading.expected - reading.seen >= 2
+        # The last command is confirmed by the next reading.
+        assert command.expected - 1 <= command.seen <= command.expected
+        board.deaf = True
+        with pytest.raises(RigError, match="commands in a row"):
+            measure_exchanges(driver, 632.0, 0.02)
+        assert driver.messages()[1].seen <= command.seen + 1
+
+
+def test_adapter_that_holds_answers_back_is_named_with_the_board(board, monkeypatch):
+    send = board.send
+
+    def held_back(packet):
+        time.sleep(2e-3)
+        send(packet)
+
+    monkeypatch.setattr(board, "send", held_back)
+    with SerialBoard(board.address, answer_within_s=PATIENT_s) as driver:
+        timing = measure_exchanges(driver, 632.0, 0.05)
+    result = check_exchange(timing)
+    assert timing.quantile_s(0.0) > 2e-3
+    assert result.state is State.FIX
+    assert result.figures["adapter_ms"] > 1.0
+    assert "move the loop to the board" in result.remedy
+
+
+@pytest.mark.parametrize("device", DRIVER_TABLES)
+def test_doctor_of_a_rigs_file_measures_driver_and_loop(device):
+    with hardware(device) as address:
+        patient = {f"guard__{limit}": PATIENT_s for limit in ("gap_s", "heartbeat_s", "frozen_s")}
+        config = quick(driver=DRIVER_TABLES[device](address), **patient)
+        results = {r.check: r for r in run_file_checks(config, move=True, repeats=2, seconds=0.2)}
+    budget = results["time budget"].figures
+    assert budget["exchange_median_ms"] <= budget["exchange_p99_ms"]
+    assert min(budget["host_ms"], budget["adapter_ms"]) > 0.0
+    assert {"messages", "gauge rate", "trials", "loop"} <= results.keys()
+
+
 def test_watchdog_of_the_board_ends_motion(board):
     with SerialBoard(board.address, answer_within_s=PATIENT_s) as driver:
         driver.enable()
@@ -295,6 +341,39 @@ def test_gauge_that_sends_by_itself_gives_its_newest_reading_or_raises(bus):
         with pytest.raises(TimeoutError, match="no frame of the gauge"):
             silent.read()
     silent.close()
+
+
+def test_frames_on_the_bus_are_counted_against_those_that_are_due(bus):
+    address, listener = bus
+    gauge = CanGauge(address, 0x20, requested=False, answer_within_s=PATIENT_s, rate_Hz=1e6)
+    port, _ = listener.accept()
+    with port:
+        port.send(Frame(0x20, struct.pack("<i", 7)).pack())
+        gauge.read()
+        (due,) = gauge.messages()
+        assert due.seen == 1
+        assert due.expected > 1
+        assert due.wire_s == pytest.approx(95e-6)
+    gauge.close()
+    odrive = ODrive(
+        *(address, 0),
+        newton_metres_per_count=1.0,
+        counts_per_turn=1,
+        bits_per_s=250_000,
+        answer_within_s=0.01,
+    )
+    port, _ = listener.accept()
+    with port:
+        odrive.request()
+        with pytest.raises(TimeoutError):
+            odrive.position()
+        encoder, torque, heartbeat = odrive.messages()
+        assert (encoder.expected, encoder.seen) == (1, 0)
+        # 55 + 135 bits asked for, 95 a torque: with a gauge of 95, 380 bits a sample.
+        assert encoder.wire_s + torque.wire_s + 95 / 250e3 == pytest.approx(1.52e-3)
+        assert heartbeat.seen == 0 < heartbeat.expected
+        assert odrive.waited_s > 0.009
+    odrive.close()
 
 
 def test_missing_interface_and_part_of_the_wrong_kind_are_refused(bus):

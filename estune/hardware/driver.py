@@ -7,7 +7,7 @@ controller and the guard stand between it and a trial.
 
 import inspect
 from collections.abc import Mapping
-from typing import Any, NamedTuple, Protocol, Self
+from typing import Any, NamedTuple, Protocol, Self, runtime_checkable
 
 from estune.errors import InvalidInput
 from estune.run.targets import load
@@ -38,6 +38,36 @@ class GaugeReading(NamedTuple):
 
     time_s: float
     counts: float
+
+
+class MessageCount(NamedTuple):
+    """Messages of one kind on a bus since it was opened.
+
+    Attributes:
+        name: What they carry.
+        expected: How many were asked for or are due; NaN where no rate is stated.
+        seen: How many have come; NaN where nothing confirms them.
+        wire_s: Longest time of one on the wire, its request included, s.
+    """
+
+    name: str
+    expected: float
+    seen: float
+    wire_s: float
+
+
+@runtime_checkable
+class CountsMessages(Protocol):
+    """A driver, drive or gauge that counts its messages, for `estune doctor`."""
+
+    @property
+    def waited_s(self) -> float:
+        """Time since it was opened that was spent waiting for answers, s."""
+        ...
+
+    def messages(self) -> tuple[MessageCount, ...]:
+        """The messages so far, by kind."""
+        ...
 
 
 class Gauge(Protocol):

@@ -19,7 +19,7 @@ BINS = 50_000
 """Bins of a histogram, 0 to 100 ms; the last one holds all longer times."""
 
 REASON_BYTES = 512
-_COLUMNS = 6
+_COLUMNS = 10
 _BYTES_PER_SAMPLE = 8 * _COLUMNS + 1
 
 
@@ -112,6 +112,12 @@ class Timing(NamedTuple):
         )
 
 
+def quantile_s(histogram: NDArray[np.int64], share: float) -> float:
+    """Quantile of a histogram of `Timing`, to its bin's upper edge, s; at most 100 ms."""
+    index = np.searchsorted(np.cumsum(histogram), share * histogram.sum())
+    return BIN_s * float(index + 1)
+
+
 class Memory:
     """The shared block, seen from either process.
 
@@ -122,7 +128,8 @@ class Memory:
         turnaround: See `Timing`.
         setpoint_N: Setpoint of the trial; written by the rig before it.
         weights: Weight of the squared error in the running cost; written by the rig.
-        time_s: Further columns of the trial, as in a record; written by the loop.
+        time_s: Further columns of the trial, as in a record; written by the loop. Those of
+            compensations that are off stay zero.
     """
 
     def __init__(self, file: int, capacity: int) -> None:
@@ -141,7 +148,8 @@ class Memory:
         self._reason, self._order = self._take("B", REASON_BYTES), self._take("B", REASON_BYTES)
         columns = [self._take("d", capacity) for _ in range(_COLUMNS)]
         self.time_s, self.setpoint_N, self.tension_N = columns[:3]
-        self.current_A, self.angle_rad, self.weights = columns[3:]
+        self.current_A, self.angle_rad, self.weights = columns[3:6]
+        self.drum_velocity_rad_s, self.gravity_N, self.friction_A, self.inertia_A = columns[6:]
         self.flags = self._take("B", capacity)
 
     @property
@@ -162,9 +170,9 @@ class Memory:
     def estop_reason(self, text: str) -> None:
         self._write(self._order, Word.ORDER, text)
 
-    def columns(self, count: int) -> dict[str, Any]:
+    def columns(self, count: int, optional: tuple[str, ...] = ()) -> dict[str, Any]:
         """The first samples of the trial as columns of a record; copied, and read-only."""
-        names = ("time_s", "setpoint_N", "tension_N", "current_A", "angle_rad")
+        names = ("time_s", "setpoint_N", "tension_N", "current_A", "angle_rad", *optional)
         made: dict[str, Any] = {n: np.array(getattr(self, n)[:count], np.float64) for n in names}
         made["flags"] = np.array(self.flags[:count], np.uint8)
         for array in made.values():

@@ -31,7 +31,7 @@ def check_limits(rig: RigDescription) -> CheckResult:
     low, high = rig.limits.tension_min_N, rig.limits.tension_max_N
     return fine(
         "limits",
-        f"{low:g} to {high:g} N, trials up to {rig.limits.duration_max_s:g} s",
+        f"{low:g} to {rig.measured(high)}, trials up to {rig.limits.duration_max_s:g} s",
         tension_min_N=low,
         tension_max_N=high,
         duration_max_s=rig.limits.duration_max_s,
@@ -41,11 +41,11 @@ def check_limits(rig: RigDescription) -> CheckResult:
 def _faults(rig: RigDescription) -> Iterator[str]:
     limits, controller, step = rig.limits, rig.controller, rig.step
     ends = {
-        "lowest tension": limits.tension_min_N,
-        "highest tension": limits.tension_max_N,
+        f"lowest {rig.measurement_name}": limits.tension_min_N,
+        f"highest {rig.measurement_name}": limits.tension_max_N,
         "longest trial": limits.duration_max_s,
-        "lowest control effort": controller.output_min_N,
-        "highest control effort": controller.output_max_N,
+        f"lowest {rig.command_name}": controller.output_min_N,
+        f"highest {rig.command_name}": controller.output_max_N,
     }
     open_ends = [name for name, value in ends.items() if not math.isfinite(value)]
     if open_ends and not rig.simulated:
@@ -54,10 +54,13 @@ def _faults(rig: RigDescription) -> Iterator[str]:
         limits.check(step)
     except InvalidInput as error:
         yield f"the rig refuses the step it suggests itself ({error})"
-    if not controller.output_max_N >= min(limits.tension_max_N, max(step.extremes_N)):
+    highest = max(step.extremes_N)
+    # Commands and setpoints of another unit cannot be compared.
+    holds = not controller.output_max_N < min(limits.tension_max_N, highest)
+    if rig.command_unit == rig.measurement_unit and not holds:
         yield (
-            f"the highest control effort, {controller.output_max_N:g} N, is less than the "
-            f"{max(step.extremes_N):g} N of the step it suggests"
+            f"the highest {rig.command_name}, {rig.commanded(controller.output_max_N)}, is less "
+            f"than the {rig.measured(highest)} of the step it suggests"
         )
     after_s = step.duration_s - step.step_at_s
     if not rig.settling_time_s <= after_s:
@@ -69,25 +72,25 @@ def _faults(rig: RigDescription) -> Iterator[str]:
 
 def check_gains(rig: RigDescription) -> CheckResult:
     """Whether the live gains have sufficient margins on the rig's own model."""
+    gains = rig.gains_text(rig.gains)
     if rig.linear_model is None:
         return unknown(
             "live gains",
-            f"{rig.gains}; their margins are not stated: the rig gives no linear model",
+            f"{gains}; their margins are not stated: the rig gives no linear model",
         )
     measured = margins(rig.linear_model, rig.gains, rig.controller)
     low = result_warnings.low_margins(measured)
     if low:
         return fix(
             "live gains",
-            f"{rig.gains}: {low[0].sentence.partition(';')[0]}",
+            f"{gains}: {low[0].sentence.partition(';')[0]}",
             "give the rig gentler gains before it is tuned",
             gain_margin=measured.gain_margin,
             phase_margin_deg=measured.phase_margin_deg,
         )
     return fine(
         "live gains",
-        f"{rig.gains}; gain margin {measured.gain_margin:.2g}, "
-        f"phase margin {measured.phase_margin_deg:.0f}°",
+        f"{gains}; {', '.join(map(' '.join, margin_cells(measured)))}",
         gain_margin=measured.gain_margin,
         phase_margin_deg=measured.phase_margin_deg,
     )

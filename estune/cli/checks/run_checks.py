@@ -9,6 +9,7 @@ from typing import Protocol
 from estune.cli.checks import description_checks, host_checks, link_checks, trial_checks
 from estune.cli.checks.check_result import CheckResult, State, fine, fix, unknown
 from estune.cli.checks.link_checks import Dated
+from estune.errors import EstuneError
 from estune.remote.messages import Status
 from estune.trial import RigDescription, TrialRecord, TrialRequest
 from estune.trial.profiles import StepProfile
@@ -18,19 +19,26 @@ GENTLER = 0.5
 """Step of the check trials, relative to the step that the rig suggests."""
 
 
-class RigUnderTest(Protocol):
-    """A rig on the link."""
+MOVE = unknown("trials", "not checked, because nothing may move", "use estune doctor --move")
+
+
+class TrialRig(Protocol):
+    """A rig that runs trials."""
 
     def describe(self) -> RigDescription:
         """Its description."""
         ...
 
-    def status(self) -> Status:
-        """Its status."""
-        ...
-
     def run(self, request: TrialRequest) -> TrialRecord:
         """Runs one trial."""
+        ...
+
+
+class RigUnderTest(TrialRig, Protocol):
+    """A rig on the link."""
+
+    def status(self) -> Status:
+        """Its status."""
         ...
 
 
@@ -66,9 +74,7 @@ def run_checks(
     yield host_checks.check_ports(host, endpoint, authenticated=authenticated)
     yield host_checks.check_ledger(host, simulated=about.simulated)
     if not move:
-        yield unknown(
-            "trials", "not checked, because nothing may move", "use estune doctor --move"
-        )
+        yield MOVE
     elif State.FIX in (status.state, limits.state):
         yield unknown(
             "trials",
@@ -76,10 +82,15 @@ def run_checks(
             "fix those, then use estune doctor --move",
         )
     else:
-        yield from _in_motion(rig, about, repeats)
+        yield from check_in_motion(rig, about, repeats)
 
 
-def _in_motion(rig: RigUnderTest, about: RigDescription, repeats: int) -> Iterator[CheckResult]:
+def check_in_motion(rig: TrialRig, about: RigDescription, repeats: int) -> Iterator[CheckResult]:
+    """Checks a rig by a gentle step with its live gains, repeated, and once in an open loop.
+
+    Raises:
+        RigError: it refuses the trials.
+    """
     step = gentle_trial(about)
     run = f"doctor-{secrets.token_hex(4)}"
     records, dated = [], []
@@ -95,8 +106,15 @@ def _in_motion(rig: RigUnderTest, about: RigDescription, repeats: int) -> Iterat
     yield link_checks.check_clock(dated)
     if outcomes.state is State.FINE:
         yield trial_checks.check_sampling(records)
-        yield trial_checks.check_gauge(records, step, simulated=about.simulated)
+        quiet = [r.tension_N[: step.step_index(r.sampling_Hz)] for r in records]
+        yield trial_checks.check_gauge_rate(quiet, records[0].sampling_Hz)
+        yield trial_checks.check_gauge(records, step, about)
         yield trial_checks.check_cost(records, step, about)
+        request = TrialRequest(run, repeats, about.gains, replace(step, loop="open"))
+        try:
+            yield trial_checks.check_current_loop(rig.run(request), step, about)
+        except EstuneError as error:
+            yield unknown("current loop", f"the rig takes no trial in an open loop ({error})")
     after = rig.describe().gains
     if after == about.gains:
         yield fine("restored", "the live gains are restored")

@@ -8,6 +8,7 @@ import numpy as np
 
 from estune.cli.checks.check_result import CheckResult, fine, fix, unknown
 from estune.core.cost import default_cost
+from estune.core.quantities import FloatArray
 from estune.errors import RigError
 from estune.trial import LATE, SATURATED, Outcome, RigDescription, TrialRecord
 from estune.trial.profiles import StepProfile
@@ -30,6 +31,22 @@ DEVIATION_MAX = 0.1
 
 SATURATED_MAX = 0.2
 """Maximum share of samples with the control effort at its limit."""
+
+
+REPEATED_MAX = 0.02
+"""Maximum share of readings that repeat the one before for want of a new one."""
+
+RESOLVED_LEAST = 3.0
+"""Least change of neighbouring readings (rms), in steps of the converter, that shows its rate."""
+
+QUIET_LEAST = 12
+"""Fewest samples before and after a step that show its size."""
+
+DETECTION = 4.0
+"""Change that counts as a response, in standard deviations of the noise beyond its range."""
+
+SCALE_MAX = 0.2
+"""Maximum relative deviation of the tension per current; friction hides a part of each step."""
 
 
 def check_outcomes(records: Sequence[TrialRecord], step: StepProfile) -> CheckResult:
@@ -91,7 +108,7 @@ def check_sampling(records: Sequence[TrialRecord]) -> CheckResult:
 
 
 def check_gauge(
-    records: Sequence[TrialRecord], step: StepProfile, *, simulated: bool
+    records: Sequence[TrialRecord], step: StepProfile, rig: RigDescription
 ) -> CheckResult:
     """Noise, drift and calibration of the gauge."""
     height_N = abs(step.step_N)
@@ -105,10 +122,10 @@ def check_gauge(
     off_N = max(abs(level - step.preload_N) for level in levels)
     figures = {"noise_rms_N": noise_N, "level_spread_N": spread_N, "level_error_N": off_N}
     sentence = (
-        f"noise {noise_N:.2g} N rms, levels {spread_N:.2g} N apart, at most {off_N:.2g} N from "
-        "the setpoint"
+        f"noise {rig.measured(noise_N, 2)} rms, levels {rig.measured(spread_N, 2)} apart, "
+        f"at most {rig.measured(off_N, 2)} from the setpoint"
     )
-    if noise_N == 0.0 and not simulated:
+    if noise_N == 0.0 and not rig.simulated:
         return fix("gauge", "its reading never changes", "check its wiring", **figures)
     if noise_N > NOISE_MAX * height_N:
         remedy = "shield the gauge's cable and filter it, or ask for a larger step"
@@ -122,6 +139,96 @@ def check_gauge(
         remedy = "calibrate the gauge, or leave more time before the step for the reel to settle"
         return fix("gauge", sentence, remedy, **figures)
     return fine("gauge", sentence, **figures)
+
+
+def check_gauge_rate(quiet: Sequence[FloatArray], sampling_Hz: float) -> CheckResult:
+    """Rate of the gauge's converter, from readings that repeat the one before.
+
+    With a resolution q and differences of neighbouring readings of standard deviation s, Gaussian
+    noise repeats a reading with probability q / (s sqrt(2 pi)) by itself.
+
+    Args:
+        quiet: Readings at rest, at the sampling rate, in any unit; an array for each stretch.
+        sampling_Hz: The sampling rate.
+    """
+    changes = np.concatenate([np.abs(np.diff(values)) for values in quiet])
+    changes = changes[np.isfinite(changes)]
+    changed = changes[changes > 0.0]
+    if not changed.size:
+        return unknown("gauge rate", "its reading does not change at rest")
+    resolution, spread = float(changed.min()), math.sqrt(float(np.mean(changed**2)))
+    by_noise = resolution / (spread * math.sqrt(2.0 * math.pi))
+    repeated = 1.0 - changed.size / changes.size
+    if spread < RESOLVED_LEAST * resolution:
+        return unknown(
+            "gauge rate", "its noise is below three steps of its converter, which hide its rate"
+        )
+    rate_Hz = sampling_Hz * min(1.0, (1.0 - repeated) / (1.0 - by_noise))
+    figures = {"gauge_rate_Hz": rate_Hz, "repeated_share": repeated}
+    if rate_Hz < (1.0 - REPEATED_MAX) * sampling_Hz:
+        return fix(
+            "gauge rate",
+            f"{100 * repeated:.0f} % of the readings repeat the one before: the gauge delivers "
+            f"about {rate_Hz:.3g} Hz, the loop runs at {sampling_Hz:.4g} Hz, and each reading is "
+            f"up to {1e3 / rate_Hz:.2g} ms old, which is dead time",
+            f"set the gauge's converter to {2 * sampling_Hz:.0f} Hz or more, or the loop to half "
+            "of the converter's rate",
+            **figures,
+        )
+    return fine("gauge rate", f"a new reading in each of {sampling_Hz:.4g} a second", **figures)
+
+
+def check_current_loop(record: TrialRecord, step: StepProfile, rig: RigDescription) -> CheckResult:
+    """Sign, scale and delay from the commanded current to the tension, by a step in an open loop.
+
+    The delay ends where the tension first leaves its noise. A loop with a dead time has a time
+    constant of at least as much (Skogestad's SIMC rules), and settles in four of them.
+    """
+    if record.outcome is not Outcome.DONE:
+        return fix(
+            "current loop",
+            f"a step of the current in an open loop: {record.outcome.sentence} ({record.reason})",
+            "check the current's calibration C1 and the reel's torque constant",
+        )
+    first = step.step_index(record.sampling_Hz)
+    before, after = record.tension_N[:first], record.tension_N[first:]
+    if min(before.size, after.size) < QUIET_LEAST:
+        return unknown("current loop", "there are too few samples before or after the step")
+    settled = after[3 * after.size // 4 :]
+    change_N = float(np.mean(settled) - np.mean(before))
+    commanded_A = float(np.mean(record.current_A[-settled.size :]) - record.current_A[first - 1])
+    scale = change_N / (commanded_A * rig.newtons_per_ampere) if commanded_A else math.nan
+    noise_N = float(np.std(np.diff(before))) / math.sqrt(2.0)
+    left = np.abs(after - np.mean(before)) > DETECTION * noise_N + np.ptp(before) / 2.0
+    delay_s = float(np.argmax(left)) / record.sampling_Hz if left.any() else math.nan
+    figures = {"current_scale": scale, "current_delay_ms": 1e3 * delay_s}
+    if math.isnan(scale) or math.isnan(delay_s):
+        return fix(
+            "current loop",
+            f"the tension changes by {change_N:.2g} N after a current step of {commanded_A:.2g} A",
+            "check that the amplifier follows the commanded current",
+            **figures,
+        )
+    sentence = (
+        f"{change_N:+.3g} N after {commanded_A:+.3g} A, {100 * scale:.0f} % of what "
+        f"{rig.newtons_per_ampere:.3g} N/A gives, from {1e3 * delay_s:.2g} ms on"
+    )
+    if abs(scale - 1.0) > SCALE_MAX:
+        remedy = (
+            "correct the sign of C1 or of C2"
+            if scale < 0.0
+            else "calibrate the current (C1), check torque constant, radius and friction"
+        )
+        return fix("current loop", sentence, remedy, **figures)
+    if 4.0 * delay_s > rig.settling_time_s:
+        return fix(
+            "current loop",
+            f"{sentence}: no loop with that dead time settles in {rig.settling_time_s:g} s",
+            "shorten the way of the current command, use a faster gauge, move the loop to the "
+            "board, or ask for a longer settling_time_s",
+            **figures,
+        )
+    return fine("current loop", sentence, **figures)
 
 
 def check_cost(

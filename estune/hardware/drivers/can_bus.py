@@ -33,8 +33,16 @@ class Frame(NamedTuple):
         return cls(identifier & 0x1FFFFFFF, data[:length], bool(identifier & REMOTE))
 
 
+def frame_bits(length: int) -> int:
+    """Bits of a standard frame of so many bytes, at most: with stuffing and the gap after it."""
+    return 8 * length + 47 + (34 + 8 * length - 1) // 4
+
+
 class CanSocket:
     """Frames of one device on a bus.
+
+    Attributes:
+        waited_s: Time spent waiting for frames, s.
 
     Args:
         interface: The interface, such as can0; or the path of a local socket that carries the same
@@ -66,6 +74,7 @@ class CanSocket:
                 f"ip link set {interface} up type can bitrate 1000000"
             ) from error
         self._range = range(first, last + 1)
+        self.waited_s = 0.0
         self._socket.settimeout(0.0)
         self._poll = select.poll()
         self._poll.register(self._socket, select.POLLIN)
@@ -98,11 +107,13 @@ class CanSocket:
 
     def until(self, instant_s: float) -> list[Frame]:
         """The frames that arrive next, waiting until an instant of `time.monotonic`."""
+        began_s = time.monotonic()
         while not (found := self.waiting()):
             left_ms = 1e3 * (instant_s - time.monotonic())
             if left_ms <= 0.0:
-                return []
+                break
             self._poll.poll(int(left_ms))  # whole milliseconds; the rest of the last is watched
+        self.waited_s += time.monotonic() - began_s
         return found
 
     def close(self) -> None:

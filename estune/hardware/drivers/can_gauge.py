@@ -4,9 +4,10 @@ import math
 import struct
 import time
 
+from estune.core.quantities import check_positive
 from estune.errors import InvalidInput
-from estune.hardware.driver import GaugeReading
-from estune.hardware.drivers.can_bus import CanSocket, Frame
+from estune.hardware.driver import GaugeReading, MessageCount
+from estune.hardware.drivers.can_bus import CanSocket, Frame, frame_bits
 
 
 class CanGauge:
@@ -20,6 +21,8 @@ class CanGauge:
         answer_within_s: Time within which a requested frame must have come; of a gauge that sends
             by itself, the greatest age of its last frame.
         overload: Counts that stand for an overload, or None.
+        rate_Hz: Rate to which a gauge that sends by itself was set; `estune doctor` compares it.
+        bits_per_s: Rate of the bus, from which `estune doctor` computes the time on the wire.
 
     Raises:
         RigError: there is no such interface.
@@ -35,6 +38,8 @@ class CanGauge:
         requested: bool = True,
         answer_within_s: float = 0.003,
         overload: int | None = None,
+        rate_Hz: float = math.nan,
+        bits_per_s: int = 1_000_000,
     ) -> None:
         try:
             self._layout = struct.Struct(layout)
@@ -44,8 +49,24 @@ class CanGauge:
             raise InvalidInput(f"identifier is {identifier:#x}; it must be from 0 to 0x7ff")
         self._identifier, self._requested = identifier, requested
         self._within_s, self._overload = answer_within_s, overload
+        check_positive("bits_per_s", bits_per_s, "bit/s")
+        self._rate_Hz, self._bits_per_s = rate_Hz, bits_per_s
         self._last: GaugeReading | None = None
+        self._asked = self._seen = 0
         self._bus = CanSocket(interface, identifier, identifier)
+        self._opened_s = time.monotonic()
+
+    @property
+    def waited_s(self) -> float:
+        """Time spent waiting for frames, s."""
+        return self._bus.waited_s
+
+    def messages(self) -> tuple[MessageCount, ...]:
+        """Readings that came, and that were asked for or are due by the gauge's own rate."""
+        due = self._rate_Hz * (time.monotonic() - self._opened_s)
+        bits = frame_bits(self._layout.size) + (frame_bits(0) if self._requested else 0)
+        expected = self._asked if self._requested else due
+        return (MessageCount("gauge", expected, self._seen, bits / self._bits_per_s),)
 
     def request(self) -> None:
         """Asks for a reading, where the gauge has to be asked."""
@@ -53,6 +74,7 @@ class CanGauge:
             self._take(self._bus.waiting())
             self._last = None
             self._bus.send(Frame(self._identifier, remote=True))
+            self._asked += 1
 
     def read(self) -> GaugeReading:
         """The newest reading, stamped at its arrival.
@@ -76,6 +98,7 @@ class CanGauge:
     def _take(self, frames: list[Frame]) -> None:
         for frame in frames:
             if len(frame.data) >= self._layout.size:
+                self._seen += 1
                 counts = self._layout.unpack_from(frame.data)[0]
                 valid = counts != self._overload
                 self._last = GaugeReading(time.monotonic(), float(counts) if valid else math.nan)

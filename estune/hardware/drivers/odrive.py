@@ -4,13 +4,16 @@ Its default bus rate of 250 kbit/s is too slow for 632 Hz with a gauge on the bu
 sample at worst, 96 % of the period): set `odrv.can.config.baud_rate` to 1000000.
 """
 
+import math
 import struct
 import time
+from collections import Counter
 from typing import NamedTuple
 
 from estune.core.quantities import check_positive
 from estune.errors import InvalidInput, RigError
-from estune.hardware.drivers.can_bus import CanSocket, Frame
+from estune.hardware.driver import MessageCount
+from estune.hardware.drivers.can_bus import CanSocket, Frame, frame_bits
 
 HEARTBEAT, ESTOP, SET_STATE, ENCODER = 0x01, 0x02, 0x07, 0x09
 SET_MODE, INPUT_TORQUE, CLEAR_ERRORS = 0x0B, 0x0E, 0x18
@@ -21,6 +24,9 @@ TORQUE_CONTROL, PASSTHROUGH = 1, 1
 
 _MODE, _STATE, _TORQUE = struct.Struct("<II"), struct.Struct("<I"), struct.Struct("<f")
 _ENCODER, _HEARTBEAT = struct.Struct("<ff"), struct.Struct("<IB")
+
+_ASKED = -1
+"""Requests for the encoder among the counted messages, beside the received commands."""
 
 SWITCHED_WITHIN_s = 1.0
 
@@ -43,6 +49,8 @@ class ODrive:
         answer_within_s: Time within which the encoder's frame must have come.
         write_within_s: Longest time between two commands while enabled. The firmware's watchdog is
             fed by any frame, reading included, so that it cannot see a dead controller.
+        heartbeat_s: Period of the axis's heartbeat; `estune doctor` compares it.
+        bits_per_s: Rate of the bus, from which `estune doctor` computes the time on the wire.
 
     Raises:
         RigError: there is no such interface.
@@ -58,8 +66,12 @@ class ODrive:
         counts_per_turn: int,
         answer_within_s: float = 0.003,
         write_within_s: float = 0.02,
+        heartbeat_s: float = 0.1,
+        bits_per_s: int = 1_000_000,
     ) -> None:
         check_positive("newton_metres_per_count", newton_metres_per_count, "N m")
+        check_positive("heartbeat_s", heartbeat_s, "s")
+        check_positive("bits_per_s", bits_per_s, "bit/s")
         if not 0 <= node <= 0x3F:
             raise InvalidInput(f"node is {node}; it must be from 0 to 63")
         self._node = node << 5
@@ -69,7 +81,25 @@ class ODrive:
         self._written_s = 0.0
         self._turns: float | None = None
         self._heartbeat = Heartbeat(0, IDLE)
+        self._heartbeat_s, self._bits_per_s = heartbeat_s, bits_per_s
+        self._frames = Counter[int]()
         self._bus = CanSocket(interface, self._node, self._node | 0x1F)
+        self._opened_s = time.monotonic()
+
+    @property
+    def waited_s(self) -> float:
+        """Time spent waiting for frames, s."""
+        return self._bus.waited_s
+
+    def messages(self) -> tuple[MessageCount, ...]:
+        """Encoder frames, asked for; heartbeats, due by their period; torques, unconfirmed."""
+        n, due = self._frames, (time.monotonic() - self._opened_s) / self._heartbeat_s
+        none_s, four_s, eight_s = (frame_bits(n) / self._bits_per_s for n in (0, 4, 8))
+        return (
+            MessageCount("encoder", n[_ASKED], n[ENCODER], none_s + eight_s),
+            MessageCount("torque", n[INPUT_TORQUE], math.nan, four_s),
+            MessageCount("heartbeat", due, n[HEARTBEAT], eight_s),
+        )
 
     def enable(self) -> None:
         """Clears errors, selects torque control and closes the loop of the current.
@@ -97,6 +127,7 @@ class ODrive:
         """Asks for the encoder."""
         self._turns = None
         self._bus.send(Frame(self._node | ENCODER, remote=True))
+        self._frames[_ASKED] += 1
 
     def position(self) -> int:
         """The encoder's counts, after a request.
@@ -120,6 +151,7 @@ class ODrive:
     def write(self, current_counts: int) -> None:
         """Commands a torque."""
         self._send(INPUT_TORQUE, _TORQUE.pack(current_counts * self._torque_Nm))
+        self._frames[INPUT_TORQUE] += 1
         self._written_s = time.monotonic()
 
     def disable(self) -> None:
@@ -143,6 +175,7 @@ class ODrive:
     def _take(self, frames: list[Frame]) -> None:
         for frame in frames:
             command = frame.identifier & 0x1F
+            self._frames[command] += 1
             if command == ENCODER and len(frame.data) == _ENCODER.size:
                 self._turns = _ENCODER.unpack(frame.data)[0]
             elif command == HEARTBEAT and len(frame.data) >= _HEARTBEAT.size:

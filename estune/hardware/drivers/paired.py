@@ -4,7 +4,14 @@ from collections.abc import Mapping
 from contextlib import ExitStack
 from typing import Any, Self
 
-from estune.hardware.driver import Drive, Gauge, Reading, load_part
+from estune.hardware.driver import (
+    CountsMessages,
+    Drive,
+    Gauge,
+    MessageCount,
+    Reading,
+    load_part,
+)
 
 
 class PairedDriver:
@@ -43,6 +50,19 @@ class PairedDriver:
         self.write = self._drive.write
         self.disable = self._drive.disable
         self.safe_state = self._drive.safe_state
+
+    @property
+    def waited_s(self) -> float:
+        """Time spent waiting for both, s."""
+        return sum(part.waited_s for part in self._counting)
+
+    def messages(self) -> tuple[MessageCount, ...]:
+        """Messages of the parts that count theirs."""
+        return tuple(message for part in self._counting for message in part.messages())
+
+    @property
+    def _counting(self) -> list[CountsMessages]:
+        return [part for part in (self._drive, self._gauge) if isinstance(part, CountsMessages)]
 
     def read(self) -> Reading:
         """Reads both, one request on the way while the other is answered."""

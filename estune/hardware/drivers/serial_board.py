@@ -10,10 +10,11 @@ import binascii
 import math
 import struct
 import time
+from collections import Counter
 from typing import NamedTuple, Self
 
 from estune.errors import RigError
-from estune.hardware.driver import GaugeReading, Reading
+from estune.hardware.driver import GaugeReading, MessageCount, Reading
 from estune.hardware.drivers.board_clock import BoardClock, unwrapped
 from estune.hardware.drivers.serial_port import SerialPort
 
@@ -98,7 +99,8 @@ class SerialBoard:
         self._stream = AnswerStream()
         self._clock = BoardClock()
         self._sequence = self._written = self._encoder = self._lost = 0
-        self._enabled = False
+        self._counts = Counter[str]()
+        self._enabled = self._unread = False
         self._port = SerialPort(port, baud)
         try:
             self._written = self._exchange().accepted
@@ -112,6 +114,21 @@ class SerialBoard:
     def damaged(self) -> int:
         """Bytes received so far that belonged to no valid answer."""
         return self._stream.damaged
+
+    @property
+    def waited_s(self) -> float:
+        """Time spent waiting for answers, s."""
+        return self._port.waited_s
+
+    def messages(self) -> tuple[MessageCount, ...]:
+        """Readings asked for and had; commands sent and accepted."""
+        n, byte_s = self._counts, self._port.byte_s
+        request = REQUEST.size + CHECKSUM.size
+        reading_s = byte_s * (request + ANSWER.size + CHECKSUM.size)
+        return (
+            MessageCount("reading", n["asked"], n["answered"], reading_s),
+            MessageCount("command", n["written"], n["accepted"], byte_s * request),
+        )
 
     def enable(self) -> None:
         """Gives the amplifier power, and waits until the board says so."""
@@ -128,7 +145,10 @@ class SerialBoard:
         if self._enabled and not answer.status & POWERED:
             cause = "watchdog" if answer.status & WATCHDOG else "own protection"
             raise RigError(f"the board's {cause} has cut the amplifier's power; check the board")
-        self._lost = 0 if answer.accepted == self._written else self._lost + 1
+        accepted = answer.accepted == self._written
+        self._lost = 0 if accepted else self._lost + 1
+        self._counts["accepted"] += accepted and self._unread
+        self._unread = False
         if self._lost > LOST_MAX:
             raise RigError(
                 f"{self._lost} commands in a row did not reach the board; check the line"
@@ -141,6 +161,8 @@ class SerialBoard:
         """Commands a motor current, which feeds the board's watchdog."""
         self._say(WRITE, current_counts)
         self._written = self._sequence
+        self._counts["written"] += 1
+        self._unread = True
 
     def disable(self) -> None:
         """Removes the amplifier's power."""
@@ -173,11 +195,13 @@ class SerialBoard:
         """The answer to a request for a reading; any other is old, and discarded."""
         for _ in range(ATTEMPTS):
             self._say(READ)
+            self._counts["asked"] += 1
             deadline_s = time.monotonic() + self._wait_s
             while data := self._port.read(deadline_s):
                 for answer in self._stream.feed(data):
                     if answer.sequence == self._sequence:
                         self._clock = self._clock.stamped(answer.time_us, time.monotonic())
+                        self._counts["answered"] += 1
                         return answer
         raise TimeoutError(
             f"the board has not answered {ATTEMPTS} requests within {ATTEMPTS * self._wait_s:g} s"
@@ -195,6 +219,15 @@ class SerialGauge:
 
     def __init__(self, port: str, baud: int = 921600, answer_within_s: float = 0.003) -> None:
         self._board = SerialBoard(port, baud, answer_within_s)
+
+    @property
+    def waited_s(self) -> float:
+        """Time spent waiting for answers, s."""
+        return self._board.waited_s
+
+    def messages(self) -> tuple[MessageCount, ...]:
+        """Readings asked for and had."""
+        return self._board.messages()[:1]
 
     def request(self) -> None:
         """Nothing: the board answers at once."""

@@ -14,8 +14,16 @@ LATENCY_MAX_ms = 1
 """Longest time for which a USB adapter may hold back what it has received."""
 
 
+BITS_PER_BYTE = 10
+"""With start and stop bit."""
+
+
 class SerialPort:
     """An open port in raw mode, locked against a second program.
+
+    Attributes:
+        byte_s: Time of a byte on the line, s.
+        waited_s: Time spent waiting for bytes, s.
 
     Args:
         path: The device, such as /dev/ttyACM0.
@@ -50,6 +58,7 @@ class SerialPort:
             ) from error
         self._poll = select.poll()
         self._poll.register(self._file, select.POLLIN)
+        self.byte_s, self.waited_s = BITS_PER_BYTE / baud, 0.0
 
     def write(self, data: bytes) -> None:
         """Sends bytes."""
@@ -58,13 +67,15 @@ class SerialPort:
 
     def read(self, until_s: float) -> bytes:
         """What has arrived, waiting until an instant of `time.monotonic`; empty in time."""
-        wait_ms = max(0.0, 1e3 * (until_s - time.monotonic()))
+        began_s = time.monotonic()
+        wait_ms = max(0.0, 1e3 * (until_s - began_s))
         # poll counts whole milliseconds; what is left of the last one is watched.
-        while not self._poll.poll(int(wait_ms)):
+        while not (arrived := self._poll.poll(int(wait_ms))):
             wait_ms = 0.0
             if time.monotonic() >= until_s:
-                return b""
-        return os.read(self._file, 4096)
+                break
+        self.waited_s += time.monotonic() - began_s
+        return os.read(self._file, 4096) if arrived else b""
 
     def close(self) -> None:
         """Closes the port. May be called again."""
