@@ -213,8 +213,8 @@ def test_law_excludes_and_lists_unsafe_and_unconverged_tunings(tmp_path):
 def test_sweep_command_writes_laws_report_and_cells(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("sweep.toml").write_text(
-        'lengths_m = [0.5, 0.8, 1.1, 1.4]\nrigs = ["plants:reference_reel"]\ntrials = 100\n'
-        "tolerance = 0.0\nseeds = 2\n"
+        'lengths_m = [0.5, 0.8, 1.1, 1.4]\nrigs = ["plants:reference_reel"]\n'
+        "trials = 30\nseeds = 2\n"
     )
     assert run(["sweep", "sweep.toml", "--quiet", "--jobs", "1"]) == 0
     text = " ".join(capsys.readouterr().out.split())
