@@ -338,8 +338,8 @@ def _fields(kind: type, others: dict[str, Any] | None = None) -> Iterator[str]:
 
 
 _OWN = {
-    "columns": "The columns that follow, in this order: the five of a record, and `reference_N` "
-    "if there is one. `flags` is always the last and is not named.",
+    "columns": "The columns that follow, in this order: the five of a record, and those "
+    "of the optional ones that there are. `flags` is always the last and is not named.",
     "samples": "Number of samples in each column.",
 }
 

@@ -6,6 +6,7 @@ import tomllib
 
 import plants
 from estune.core import pidf
+from estune.hardware.compensation.runtime import NoCompensation, PlainCompensation
 from estune.hardware.config import RigConfig, config_from
 from estune.hardware.controller import PlainController
 from estune.hardware.driver import Reading
@@ -65,7 +66,12 @@ class VirtualLoop:
         file = make_file(self.plan.capacity)
         self.memory = Memory(file, self.plan.capacity)
         os.close(file)
-        self.machine = ReelStateMachine(self.plan, self.memory, PlainController())
+        compensation = (
+            PlainCompensation(self.plan.compensation)
+            if self.plan.compensation
+            else NoCompensation()
+        )
+        self.machine = ReelStateMachine(self.plan, self.memory, PlainController(), compensation)
         reel = plants.reference_reel(gauge_noise_N=noise_N or 1e-4)
         self.board = Board(reel, Electronics(watchdog_s=10.0), 0, 0.0)
         self.rig = rig

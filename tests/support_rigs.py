@@ -11,6 +11,7 @@ from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
 from estune.errors import RigError
 from estune.trial import (
+    OPTIONAL_COLUMNS,
     LinearModel,
     Outcome,
     RigDescription,
@@ -21,7 +22,8 @@ from estune.trial import (
 from estune.trial.profiles import StepProfile
 
 RATE_HZ = 200.0
-COLUMNS = ("time_s", "setpoint_N", "tension_N", "current_A", "angle_rad", "flags", "reference_N")
+COLUMNS = ("time_s", "setpoint_N", "tension_N", "current_A", "angle_rad", "flags")
+COLUMNS += OPTIONAL_COLUMNS
 
 
 def description(**changes) -> RigDescription:

@@ -13,7 +13,7 @@ from hypothesis.extra.numpy import arrays
 
 from estune.core.gains import Gains
 from estune.errors import ProtocolError
-from estune.trial import Outcome, TrialRecord, TrialRequest, record_frame
+from estune.trial import OPTIONAL_COLUMNS, Outcome, TrialRecord, TrialRequest, record_frame
 from tests.support_rigs import description, response, same
 
 finite = st.floats(allow_nan=False, allow_infinity=False)
@@ -42,7 +42,7 @@ def records(draw) -> TrialRecord:
         current_A=draw(column),
         angle_rad=draw(column),
         flags=draw(arrays(np.uint8, samples)),
-        reference_N=draw(st.none() | column),
+        **{name: draw(st.none() | column) for name in OPTIONAL_COLUMNS},
         loop=draw(st.sampled_from(["closed", "open"])),
         profile=draw(st.sampled_from(["step", "triangle", "multisine", "chirp", "custom"])),
     )
@@ -67,7 +67,7 @@ def test_frame_returns_the_encoded_record(record):
     assert record_frame.encode(decoded) is data
     assert record_frame.encode(replace(decoded)) == data
     assert len(data) <= record_frame.size(
-        record.time_s.size, reference=record.reference_N is not None
+        record.time_s.size, optional=len(record.optional_columns)
     )
 
 

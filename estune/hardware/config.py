@@ -16,6 +16,9 @@ from estune.core import pidf
 from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
 from estune.errors import InvalidInput
+from estune.hardware.compensation.plan import CompensationPlan
+from estune.hardware.compensation.source import compensation_source
+from estune.hardware.compensation.tables import CompensationTable
 from estune.hardware.firmware import controller_source
 from estune.hardware.live_gains import LengthSource
 from estune.hardware.loop_messages import LoopPlan, Motion, RealTime, SafeState
@@ -61,6 +64,7 @@ class RigConfig(TomlTable):
     controller: ControllerTable = ControllerTable()
     gains: GainsTable | None = None
     schedule: ScheduleTable | None = None
+    compensation: CompensationTable | None = None
     step: StepTable
     real_time: RealTimeTable = RealTimeTable()
 
@@ -151,6 +155,18 @@ class RigConfig(TomlTable):
             )
         return LengthSource(schedule, self.settings(), length, self.reel.drum_radius_m)
 
+    def compensations(self) -> CompensationPlan | None:
+        """Compensations beside the controller; None without any.
+
+        Raises:
+            InvalidInput: a table is not complete, or a number is out of its range.
+        """
+        if self.compensation is None:
+            return None
+        reel = self.reel
+        geometry = reel.encoder_counts_per_turn, reel.drum_radius_m, reel.cable_length_m
+        return self.compensation.plan(*geometry, self.settings().output_max_N)
+
     def _gains(self) -> Gains:
         source = self.length_source()
         if source is not None:
@@ -169,6 +185,7 @@ class RigConfig(TomlTable):
         description = self.describe()
         settings = description.controller
         driver, driver_settings = self.driver.driver
+        compensation = self.compensations()
         late_s = self.real_time.late_s or 0.1 / self.sampling_Hz
         return LoopPlan(
             driver=driver,
@@ -186,6 +203,10 @@ class RigConfig(TomlTable):
             controller=controller_source(settings, description.gains),
             live=pidf.coefficients(settings, description.gains),
             length_source=self.length_source(),
+            compensation=compensation,
+            compensation_source=compensation_source(compensation, current, self.newtons_per_ampere)
+            if compensation
+            else "",
             guard=self._guard(),
             motion=Motion(
                 hold_N=self.hold_N,
@@ -213,7 +234,7 @@ class RigConfig(TomlTable):
         wrong = [*_tensions(self), *_currents(self), *_times(self)]
         if self.gains is not None and self.schedule is not None:
             wrong.append("give either [gains] or a [schedule] of them, not both")
-        for make in (self.describe, self.calibrations):
+        for make in (self.describe, self.calibrations, self.compensations):
             try:
                 make()
             except InvalidInput as error:
@@ -294,8 +315,11 @@ def read_config(path: str | Path) -> RigConfig:
     """
     path = Path(path)
     data = read_toml(path)
-    for table in ("gauge", "current", "schedule"):
-        place = data.get(table)
+    named = [data.get(table) for table in ("gauge", "current", "schedule")]
+    compensation = data.get("compensation")
+    if isinstance(compensation, dict):
+        named.append(compensation.get("friction"))
+    for place in named:
         if isinstance(place, dict) and isinstance(place.get("file"), str):
             place["file"] = str(path.parent / place["file"])
     return config_from(data, str(path))

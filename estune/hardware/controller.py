@@ -1,6 +1,10 @@
-"""The PIDF as the loop runs it: compiled from the text for firmware, or plain Python."""
+"""The PIDF as the loop runs it: compiled from the text for firmware, or plain Python.
+
+All efforts are those of the motor: the controller's own and the feed-forward beside it.
+"""
 
 import ctypes
+import math
 
 from estune.core import pidf
 from estune.core.pidf import Coefficients, PidfState
@@ -8,6 +12,9 @@ from estune.errors import PlantError
 from estune.hardware.firmware import COEFFICIENTS, STATES
 from estune.support import c_compiler
 
+_LIMITS = slice(
+    Coefficients._fields.index("output_min_N"), Coefficients._fields.index("output_max_N") + 1
+)
 _EXPORT = '#define ESTUNE_PIDF_EXPORT __attribute__((visibility("default")))\n'
 
 
@@ -20,7 +27,25 @@ class _Struct(ctypes.Structure):
     )
 
 
-class CompiledController:
+class _Limits:
+    """Limits of the effort, and the feed-forward within them."""
+
+    limits_N = (-math.inf, math.inf)
+    forward_N = 0.0
+
+    @property
+    def own_limits_N(self) -> tuple[float, float]:
+        """Limits of the controller's own effort, N; the anti-windup knows them."""
+        low, high = self.limits_N
+        return low - self.forward_N, high - self.forward_N
+
+    def total_N(self, own_N: float) -> float:
+        """The motor's effort for one of the controller; rounding does not pass the limits."""
+        low, high = self.limits_N
+        return min(max(own_N + self.forward_N, low), high)
+
+
+class CompiledController(_Limits):
     """The C text, compiled."""
 
     def __init__(self, source: str) -> None:
@@ -46,14 +71,21 @@ class CompiledController:
     def use(self, coefficients: Coefficients) -> None:
         """Changes the gains and keeps the state."""
         self._struct.coefficients[:] = coefficients
+        self.limits_N = coefficients.output_min_N, coefficients.output_max_N
+        self.feed_forward(self.forward_N)
+
+    def feed_forward(self, effort_N: float) -> None:
+        """Sets the effort beside that of the controller, for the next step."""
+        self.forward_N = effort_N
+        self._struct.coefficients[_LIMITS] = self.own_limits_N
 
     def rest(self, tension_N: float, effort_N: float) -> None:
         """Takes the state of a settled loop."""
-        self._rest(self._at, tension_N, effort_N)
+        self._rest(self._at, tension_N, effort_N - self.forward_N)
 
     def take_over(self, setpoint_N: float, tension_N: float, effort_N: float) -> None:
         """Takes the state from which the next step gives this effort."""
-        self._take_over(self._at, setpoint_N, tension_N, effort_N)
+        self._take_over(self._at, setpoint_N, tension_N, effort_N - self.forward_N)
 
     def exchange(self, coefficients: Coefficients, setpoint_N: float, tension_N: float) -> None:
         """Changes the gains so that the next step gives the effort it would have given."""
@@ -61,16 +93,16 @@ class CompiledController:
         effort = self._step(self._at, setpoint_N, tension_N, self._excess_at) + self._excess.value
         self._struct.state[:] = state
         self.use(coefficients)
-        self.take_over(setpoint_N, tension_N, effort)
+        self._take_over(self._at, setpoint_N, tension_N, effort)
 
     def step(self, setpoint_N: float, tension_N: float) -> float:
         """One sample; the effort within its limits, N."""
         effort: float = self._step(self._at, setpoint_N, tension_N, self._excess_at)
         self.limited = self._excess.value != 0.0
-        return effort
+        return self.total_N(effort)
 
 
-class PlainController:
+class PlainController(_Limits):
     """`estune.core.pidf` on floats."""
 
     _coefficients: Coefficients
@@ -81,16 +113,25 @@ class PlainController:
 
     def use(self, coefficients: Coefficients) -> None:
         """Changes the gains and keeps the state."""
+        self.limits_N = coefficients.output_min_N, coefficients.output_max_N
         self._coefficients = coefficients
+        self.feed_forward(self.forward_N)
+
+    def feed_forward(self, effort_N: float) -> None:
+        """Sets the effort beside that of the controller, for the next step."""
+        self.forward_N = effort_N
+        low, high = self.own_limits_N
+        self._coefficients = self._coefficients._replace(output_min_N=low, output_max_N=high)
 
     def rest(self, tension_N: float, effort_N: float) -> None:
         """Takes the state of a settled loop."""
-        self._state = pidf.state_at_rest(tension_N, effort_N)
+        self._state = pidf.state_at_rest(tension_N, effort_N - self.forward_N)
 
     def take_over(self, setpoint_N: float, tension_N: float, effort_N: float) -> None:
         """Takes the state from which the next step gives this effort."""
         self._state = pidf.bumpless(
-            self._coefficients, self._state, setpoint_N, tension_N, effort_N
+            *(self._coefficients, self._state, setpoint_N, tension_N),
+            effort_N - self.forward_N,
         )
 
     def exchange(self, coefficients: Coefficients, setpoint_N: float, tension_N: float) -> None:
@@ -98,7 +139,7 @@ class PlainController:
         self._state = pidf.bumpless_exchange(
             self._coefficients, coefficients, self._state, setpoint_N, tension_N
         )
-        self._coefficients = coefficients
+        self.use(coefficients)
 
     def step(self, setpoint_N: float, tension_N: float) -> float:
         """One sample; the effort within its limits, N."""
@@ -106,7 +147,7 @@ class PlainController:
             self._coefficients, self._state, setpoint_N, tension_N
         )
         self.limited = bool(excess != 0.0)
-        return float(effort)
+        return self.total_N(float(effort))
 
 
 Controller = CompiledController | PlainController

@@ -22,6 +22,7 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 from estune.errors import EstuneError, RigError
+from estune.hardware.compensation.runtime import make_compensation
 from estune.hardware.controller import make_controller
 from estune.hardware.driver import Driver, load_driver
 from estune.hardware.loop_messages import (
@@ -202,7 +203,9 @@ def main(pipe: int, block: int) -> int:
     try:
         with load_driver(plan.driver, plan.driver_settings) as driver:
             controller, note = make_controller(plan.controller)
-            loop = Loop(plan, driver, ReelStateMachine(plan, memory, controller), memory, rig)
+            compensation = make_compensation(plan.compensation, plan.compensation_source)
+            machine = ReelStateMachine(plan, memory, controller, compensation)
+            loop = Loop(plan, driver, machine, memory, rig)
             signal.signal(signal.SIGTERM, loop.end)
             notes = _request_real_time(plan.timing)
             rig.send(Ready((note, *notes) if note else notes))

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from estune.core.pidf import Coefficients
+from estune.hardware.compensation.plan import CompensationPlan
 from estune.hardware.live_gains import LengthSource
 from estune.hardware.scales import CurrentScale, GaugeScale
 from estune.reel.guard import Limits
@@ -86,6 +87,8 @@ class LoopPlan:
         controller: C text of the controller.
         live: Difference equation of the live gains at the start.
         length_source: Schedule of the live gains; None where they are fixed.
+        compensation: Compensations beside the controller; None without any.
+        compensation_source: C text of the compensations.
         guard: Limits of the reel; each trial sets cost and duration.
     """
 
@@ -104,6 +107,8 @@ class LoopPlan:
     controller: str
     live: Coefficients
     length_source: LengthSource | None
+    compensation: CompensationPlan | None
+    compensation_source: str
     guard: Limits
     motion: Motion
     safe: SafeState

@@ -16,6 +16,8 @@ import math
 from dataclasses import replace
 
 from estune.core.pidf import Coefficients
+from estune.hardware.compensation.plan import NO_COMPENSATION, CompensationTerms
+from estune.hardware.compensation.runtime import Compensation
 from estune.hardware.controller import Controller
 from estune.hardware.driver import Reading
 from estune.hardware.live_gains import LiveGains
@@ -42,12 +44,15 @@ class ReelStateMachine:
         answer: Result of the requested trial; the loop takes and resets it.
     """
 
-    def __init__(self, plan: LoopPlan, memory: Memory, controller: Controller) -> None:
+    def __init__(
+        self, plan: LoopPlan, memory: Memory, controller: Controller, compensation: Compensation
+    ) -> None:
         self.phase = MotionPhase.OFF
         self.answer: Ended | Refused | None = None
         self._plan = plan
         self._memory = memory
         self._controller = controller
+        self._compensation = compensation
         self._live = LiveGains(plan.live, plan.length_source)
         self._angle_rad = 0.0
         self._limits_take_up, self._limits_recovering = _relaxed(plan)
@@ -122,8 +127,10 @@ class ReelStateMachine:
             late: Whether the sample began late.
         """
         plan, memory = self._plan, self._memory
-        tension = plan.gauge.force_N(reading.gauge_counts)
+        gauge = plan.gauge.force_N(reading.gauge_counts)
         angle = reading.encoder_counts * plan.radians_per_count
+        terms = self._compensate(reading.time_s, gauge, angle)
+        tension = gauge - terms.gravity_N
         recorded, k = self.phase is MotionPhase.TRIAL, self._k
         flags = LATE if late else 0
         if memory.words[Word.ESTOP] and not self._latched:
@@ -131,7 +138,7 @@ class ReelStateMachine:
         elif self._trial is not None and memory.words[Word.ABORT] == self._trial.number:
             self._end_early(Outcome.CANCELLED, Outcome.CANCELLED.sentence)
         if self.phase not in _UNGUARDED:
-            stop = self._check_guard(reading, tension, angle, silence_s, late=late)
+            stop = self._check_guard(reading, gauge, angle, silence_s, late=late)
             if stop is not None:
                 flags |= GUARD
                 self._trip(stop, reading.time_s, tension)
@@ -142,10 +149,25 @@ class ReelStateMachine:
             memory.time_s[k] = reading.time_s - self._first_s
             memory.tension_N[k], memory.current_A[k] = tension, current
             memory.angle_rad[k] = angle
+            memory.drum_velocity_rad_s[k], memory.gravity_N[k] = (
+                terms.velocity_rad_s,
+                terms.gravity_N,
+            )
+            memory.friction_A[k] = terms.friction_N / plan.newtons_per_ampere
+            memory.inertia_A[k] = terms.inertia_N / plan.newtons_per_ampere
             memory.flags[k] = flags | (SATURATED if self._limited else 0)
             memory.words[Word.PROGRESS] = k + 1
         self._publish(reading.time_s, tension, current, angle)
         return plan.current.counts(current)
+
+    def _compensate(self, time_s: float, gauge_N: float, angle_rad: float) -> CompensationTerms:
+        """The compensations at this sample; in an open loop they would alter what is asked for."""
+        terms = self._compensation.sample(time_s, gauge_N, angle_rad)
+        trial = self._trial
+        if self.phase is MotionPhase.TRIAL and trial is not None and trial.open_loop:
+            terms = NO_COMPENSATION._replace(velocity_rad_s=terms.velocity_rad_s)
+        self._controller.feed_forward(terms.feed_forward_N)
+        return terms
 
     def _check_guard(
         self, reading: Reading, tension: float, angle: float, silence_s: float, *, late: bool

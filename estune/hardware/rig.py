@@ -57,6 +57,7 @@ class HardwareRig:
         self._config = config
         self._description = config.describe()
         self._length_source = plan.length_source
+        self._optional_columns = plan.compensation.columns if plan.compensation else ()
         self._cost = StepCost(config.settling_time_s)
         self._live_cost: tuple[Profile, float] | None = None
         self._records = ExecutedTrials()
@@ -263,7 +264,7 @@ class HardwareRig:
             software=self._description.software,
             loop=request.profile.loop,
             profile=request.profile.kind,
-            **self._memory.columns(ended.samples),
+            **self._memory.columns(ended.samples, self._optional_columns),
         )
 
     def _check_clock(self) -> None:

@@ -35,6 +35,9 @@ SIMILAR_RARE = 0.85
 """That of the columns that most records do not have."""
 _RARE = ("reference_N", "flags")
 
+DERIVED = ("drum_velocity_rad_s", "gravity_N", "friction_A", "inertia_A")
+"""Columns of a rig's compensations; parts of the others, and not needed beside them."""
+
 
 def suggest_name(name: str, present: frozenset[str], known: tuple[str, ...]) -> str | None:
     """What to do about a name that is not known but seems to be meant for one that is.

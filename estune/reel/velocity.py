@@ -76,6 +76,11 @@ class Windows:
                 "and 1 or above"
             )
 
+    @property
+    def half_band_rad(self) -> float:
+        """Half the band of the angle's error, widened by the rounding of a count, rad."""
+        return 0.5 * self.angle_error_rad * ROUNDING
+
     def acceleration_floor_rad_s2(self, sampling_Hz: float) -> float:
         """Least detectable acceleration with full windows, rad/s2."""
         spans_s2 = self.velocity_intervals * self.acceleration_intervals / sampling_Hz**2
@@ -134,7 +139,7 @@ def step(
     intervals = max(windows.velocity_intervals, windows.acceleration_intervals)
     times = (time_s, *state.times_s[:intervals])
     angles = (angle_rad, *state.angles_rad[:intervals])
-    half_band = (0.5 * windows.angle_error_rad * ROUNDING,) * len(angles)
+    half_band = (windows.half_band_rad,) * len(angles)
     velocity, bound, span = _longest_chord(times, angles, half_band, windows.velocity_intervals)
     middles = (time_s - 0.5 * span, *state.middles_s[:intervals])
     velocities = (velocity, *state.velocities_rad_s[:intervals])

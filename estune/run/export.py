@@ -18,14 +18,13 @@ from estune.errors import InvalidInput, JournalError
 from estune.run.journal import Journal, JournalEntry
 from estune.run.record_files import RecordFormat, check_library, write_columns
 from estune.run.table_file import Append, csv_table, parquet_table
-from estune.trial import TrialRecord
+from estune.trial import OPTIONAL_COLUMNS, TrialRecord
 
 _REQUIRED = ("time_s", "setpoint_N", "tension_N", "current_A", "angle_rad")
 
 OnTrial = Callable[[int, int], None]
 """Called after each trial with the number of trials done, and of all."""
 
-_SAMPLE_COLUMNS = (*_REQUIRED, "reference_N", "flags")
 _TRIAL_COLUMNS = (
     *("number", "attempt", "trial_id", "phase", *GAIN_NAMES, "outcome", "reason", "cost"),
     *("samples", "rig", "sampling_Hz", "cable_length_m", "preload_N", "loop", "profile"),
@@ -34,11 +33,9 @@ _TRIAL_COLUMNS = (
 
 
 def columns(record: TrialRecord) -> dict[str, Any]:
-    """The columns of a record by name, each of shape (samples,); `reference_N` if there is one."""
+    """The columns of a record by name, each of shape (samples,)."""
     shown: dict[str, Any] = {name: getattr(record, name) for name in _REQUIRED}
-    if record.reference_N is not None:
-        shown["reference_N"] = record.reference_N
-    return {**shown, "flags": record.flags}
+    return {**shown, **record.optional_columns, "flags": record.flags}
 
 
 def metadata(record: TrialRecord) -> dict[str, Any]:
@@ -87,13 +84,14 @@ def export_run(
     with Journal.open(run_folder) as journal, _explained(out), ExitStack() as stack:
         out.mkdir(parents=True, exist_ok=True)
         entries = [entry for entry in journal.entries() if entry.outcome is not None]
-        stored = set(journal.stored_trial_ids())
-        samples = stack.enter_context(begin(paths[0], ("number", "attempt", *_SAMPLE_COLUMNS)))
+        stored = journal.stored_trial_ids()
+        names = _sample_columns(*(journal.record(trial_id) for trial_id in stored[:1]))
+        samples = stack.enter_context(begin(paths[0], names))
         trials = stack.enter_context(begin(paths[1], _TRIAL_COLUMNS))
         for done, entry in enumerate(entries, start=1):
             record = journal.record(entry.trial_id) if entry.trial_id in stored else None
             if record is not None:
-                samples(_samples_of(entry, record))
+                samples(_samples_of(entry, record, names))
             trials({name: [value] for name, value in _trial_of(entry, record).items()})
             on_trial(done, len(entries))
     return paths
@@ -143,11 +141,21 @@ def _write(record: TrialRecord, folder: Path, form: RecordFormat) -> Path:
     return write_columns(columns(record), metadata(record), folder / record.trial_id, form)
 
 
-def _samples_of(entry: JournalEntry, record: TrialRecord) -> dict[str, Sequence[Any]]:
+def _sample_columns(*first: TrialRecord) -> tuple[str, ...]:
+    """Columns of the samples of a run, by its first record: `reference_N` is always there."""
+    present = {"reference_N", *(name for record in first for name in record.optional_columns)}
+    optional = (name for name in OPTIONAL_COLUMNS if name in present)
+    return ("number", "attempt", *_REQUIRED, *optional, "flags")
+
+
+def _samples_of(
+    entry: JournalEntry, record: TrialRecord, names: tuple[str, ...]
+) -> dict[str, Sequence[Any]]:
     """The samples of a trial as columns, with the place of the trial in each row."""
     rows = len(record.time_s)
     place = {name: np.full(rows, getattr(entry, name)) for name in ("number", "attempt")}
-    return {**place, **dict.fromkeys(_SAMPLE_COLUMNS, [None] * rows), **columns(record)}
+    present = {**place, **columns(record)}
+    return {name: present.get(name, [None] * rows) for name in names}
 
 
 def _trial_of(entry: JournalEntry, record: TrialRecord | None) -> dict[str, Any]:

@@ -4,6 +4,7 @@ from estune.trial.description import LinearModel, RigDescription, RigLimits
 from estune.trial.records import (
     GUARD,
     LATE,
+    OPTIONAL_COLUMNS,
     SATURATED,
     Outcome,
     Telemetry,
@@ -16,6 +17,7 @@ from estune.trial.rig import Rig, TelemetrySource
 __all__ = [
     "GUARD",
     "LATE",
+    "OPTIONAL_COLUMNS",
     "SATURATED",
     "LinearModel",
     "Outcome",

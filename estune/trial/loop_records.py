@@ -43,8 +43,9 @@ def loop_signals(record: TrialRecord, step: StepProfile, rig: RigDescription) ->
     columns = (record.setpoint_N, record.tension_N, record.current_A)
     if record.outcome is not Outcome.DONE or not all(np.isfinite(c).all() for c in columns):
         return LoopSignals(None, "the trial did not end well")
-    logged = record.current_A * rig.newtons_per_ampere
+    logged = record.controller_A * rig.newtons_per_ampere
     effort = logged
+    # What is fed forward is part of the plant that the gains see.
     # Where the limits act, the effort does not follow from setpoint and measurement alone.
     if not (record.flags & SATURATED).any():
         effort = recomputed_effort(record, rig, float(logged[0]))
@@ -66,14 +67,11 @@ def recomputed_effort(record: TrialRecord, rig: RigDescription, first_N: float) 
         first_N: Effort of the first sample.
     """
     c = pidf.coefficients(rig.controller, record.gains)
-    setpoint, measurement = record.setpoint_N.tolist(), record.tension_N.tolist()
-    rest = pidf.state_at_rest(setpoint[0], first_N)._replace(filtered_measurement_N=measurement[0])
-    state = pidf.bumpless(c, rest, setpoint[0], measurement[0], first_N)
-    efforts = []
-    for r, y in zip(setpoint, measurement, strict=True):
-        state, effort, _ = pidf.step(c, state, r, y)
-        efforts.append(effort)
-    return np.array(efforts)
+    setpoint, measurement = record.setpoint_N, record.tension_N
+    r, y = float(setpoint[0]), float(measurement[0])
+    rest = pidf.state_at_rest(r, first_N)._replace(filtered_measurement_N=y)
+    state = pidf.bumpless(c, rest, r, y, first_N)
+    return pidf.unlimited_efforts(c, state, setpoint, measurement)
 
 
 def _mismatch(recomputed: FloatArray, logged: FloatArray) -> str:

@@ -27,7 +27,7 @@ import numpy as np
 from estune.core.gains import GAIN_NAMES, Gains
 from estune.errors import ProtocolError
 from estune.trial.profiles import Kind, Loop
-from estune.trial.records import Outcome, TrialRecord
+from estune.trial.records import OPTIONAL_COLUMNS, Outcome, TrialRecord
 
 if TYPE_CHECKING:
     from pydantic import TypeAdapter
@@ -41,7 +41,6 @@ HEADER_MAX_BYTES = 64 * 2**10
 FAMILY, _VERSION = b"RTR", b"1"
 _PREFIX = struct.Struct("<4sIII")
 _COLUMNS = ("time_s", "setpoint_N", "tension_N", "current_A", "angle_rad")
-_OPTIONAL_COLUMN = "reference_N"
 _FLOAT = np.dtype("<f8")
 _to_json = json.JSONEncoder(ensure_ascii=False, separators=(",", ":")).encode
 
@@ -73,9 +72,9 @@ _FACTS = tuple(field.name for field in fields(Header) if field.name not in ("col
 _latest: tuple[TrialRecord | None, bytes] = None, b""
 
 
-def size(samples: int, *, reference: bool = False) -> int:
-    """Upper bound of the size of a frame, bytes."""
-    return _PREFIX.size + HEADER_MAX_BYTES + _body_size(samples, reference)
+def size(samples: int, *, optional: int = 0) -> int:
+    """Upper bound of the size of a frame with so many optional columns, bytes."""
+    return _PREFIX.size + HEADER_MAX_BYTES + _body_size(samples, len(_COLUMNS) + optional)
 
 
 def body_at(frame: bytes) -> int:
@@ -93,7 +92,7 @@ def encode(record: TrialRecord) -> bytes:
     latest, data = _latest
     if record is latest:
         return data
-    columns = _COLUMNS if record.reference_N is None else (*_COLUMNS, _OPTIONAL_COLUMN)
+    columns = (*_COLUMNS, *record.optional_columns)
     arrays = [np.ascontiguousarray(getattr(record, name), _FLOAT) for name in columns]
     arrays.append(np.ascontiguousarray(record.flags, np.uint8))
     shapes = {array.shape for array in arrays}
@@ -128,10 +127,10 @@ def decode(data: bytes) -> TrialRecord:
     header_length, body_length = _check_envelope(data)
     body_at = _PREFIX.size + header_length
     header = _parse_header(data[_PREFIX.size : body_at])
-    optional = header.columns[len(_COLUMNS) :]
-    if header.columns[: len(_COLUMNS)] != _COLUMNS or optional not in ((), (_OPTIONAL_COLUMN,)):
+    optional = [name for name in OPTIONAL_COLUMNS if name in header.columns]
+    if header.columns != (*_COLUMNS, *optional):
         raise ProtocolError(f"record frame: unknown columns {', '.join(header.columns)} in header")
-    if header.samples < 0 or _body_size(header.samples, bool(optional)) != body_length:
+    if header.samples < 0 or _body_size(header.samples, len(header.columns)) != body_length:
         raise ProtocolError(
             f"record frame: body of {body_length} bytes does not hold the "
             f"{len(header.columns)} columns of {header.samples} samples the header announces"
@@ -189,8 +188,8 @@ def _checksum(*parts: bytes | memoryview) -> int:
     return checksum
 
 
-def _body_size(samples: int, reference: bool) -> int:  # noqa: FBT001  private, always by name above
-    return samples * (_FLOAT.itemsize * (len(_COLUMNS) + reference) + 1)
+def _body_size(samples: int, columns: int) -> int:
+    return samples * (_FLOAT.itemsize * columns + 1)
 
 
 @cache

@@ -16,6 +16,10 @@ SATURATED, GUARD, LATE = 1, 2, 4
 """Bits of the `flags` column: command saturated, guard tripped, sample late."""
 
 
+OPTIONAL_COLUMNS = ("reference_N", "drum_velocity_rad_s", "gravity_N", "friction_A", "inertia_A")
+"""Columns that only some rigs record."""
+
+
 class Outcome(StrEnum):
     """How a trial ended. Only `done` has a cost; void trials carry no information on the gains."""
 
@@ -97,6 +101,10 @@ class TrialRecord:
         reference_N: Tension measured outside the reel, or None.
         loop: `closed`, or `open` if the setpoint went directly to the current loop.
         profile: The kind of setpoint.
+        drum_velocity_rad_s: Velocity of the drum that the rig estimated, or None.
+        gravity_N: The cable's weight that the rig took off the tension of its gauge, or None.
+        friction_A: Part of the current that feeds friction forward, or None.
+        inertia_A: Part of the current that feeds inertia forward, or None.
     """
 
     trial_id: str
@@ -118,6 +126,22 @@ class TrialRecord:
     reference_N: FloatArray | None = None
     loop: Loop = "closed"
     profile: Kind | Literal["custom"] = "step"
+    drum_velocity_rad_s: FloatArray | None = None
+    gravity_N: FloatArray | None = None
+    friction_A: FloatArray | None = None
+    inertia_A: FloatArray | None = None
+
+    @property
+    def optional_columns(self) -> dict[str, FloatArray]:
+        """The columns of `OPTIONAL_COLUMNS` that the record has, in their order."""
+        present = {name: getattr(self, name) for name in OPTIONAL_COLUMNS}
+        return {name: column for name, column in present.items() if column is not None}
+
+    @property
+    def controller_A(self) -> FloatArray:
+        """The current that the controller commanded, without what was fed forward."""
+        forward = [column for column in (self.friction_A, self.inertia_A) if column is not None]
+        return self.current_A - sum(forward) if forward else self.current_A
 
     @property
     def ended_late(self) -> bool:

@@ -196,7 +196,7 @@ class TrialExecutor:
             samples = request.profile.samples(self.description.controller.sampling_Hz)
         except InvalidInput as error:
             return error
-        if record_frame.size(samples, reference=True) <= record_frame.MAX_BYTES:
+        if record_frame.size(samples, optional=1) <= record_frame.MAX_BYTES:
             return None
         return InvalidInput(
             f"a trial of {samples} samples does not fit into a record of {record_frame.MAX_BYTES} "

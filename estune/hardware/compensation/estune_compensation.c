@@ -1,0 +1,158 @@
+/* Compensations beside the PIDF controller: velocity and acceleration by adaptive windows, friction
+ * (10) and inertia as feed-forward, the cable's weight (9), and the current's calibration C1.
+ *
+ *     static estune_compensation reel;                    all zero at the start
+ *     estune_compensation_sample(&reel, time_s, gauge_N, angle_rad);
+ *     effort = estune_compensated_step(&pidf, &reel, setpoint, gauge_N - reel.gravity, &excess);
+ *     counts = estune_current_counts(effort / ESTUNE_NEWTONS_PER_AMPERE);
+ *
+ * C99, in double precision (times need it), no allocation, no library but math. A compensation that
+ * is not a number is zero; friction and inertia together stay within ESTUNE_FEED_FORWARD_MAX.
+ */
+#include <math.h>
+#include <string.h>
+
+#ifndef ESTUNE_COMPENSATION_EXPORT
+#define ESTUNE_COMPENSATION_EXPORT static inline
+#endif
+
+typedef struct {
+  int filled, direction;
+  /* Newest first. */
+  double times[ESTUNE_HISTORY], angles[ESTUNE_HISTORY], half_bands[ESTUNE_HISTORY];
+  double middles[ESTUNE_HISTORY], velocities[ESTUNE_HISTORY], bounds[ESTUNE_HISTORY];
+  double velocity, velocity_bound, acceleration; /* of the drum, rad/s and rad/s2 */
+  double gravity, friction, inertia;             /* N */
+} estune_compensation;
+
+static void estune_prepend(double *values, double value) {
+  memmove(values + 1, values, (ESTUNE_HISTORY - 1) * sizeof *values);
+  values[0] = value;
+}
+
+/* Slope of the longest chord from the newest sample within the errors of all, its bound, its span. */
+static double estune_longest_chord(const double *times, const double *values, const double *errors,
+                                   int filled, int intervals, double *bound, double *length) {
+  double slope = 0.0, least = -HUGE_VAL, greatest = HUGE_VAL, span, candidate, error;
+  int n;
+  *bound = HUGE_VAL;
+  *length = 0.0;
+  for (n = 1; n <= intervals && n < filled; n++) {
+    span = times[0] - times[n];
+    if (!(span > 0.0)) continue;
+    candidate = (values[0] - values[n]) / span;
+    if (!(least <= candidate && candidate <= greatest)) break;
+    error = errors[0] + errors[n];
+    if (error / span < *bound) {
+      slope = candidate;
+      *bound = error / span;
+      *length = span;
+    }
+    if (candidate - error / span > least) least = candidate - error / span;
+    if (candidate + error / span < greatest) greatest = candidate + error / span;
+  }
+  return slope;
+}
+
+static void estune_motion(estune_compensation *c, double time, double angle) {
+  double span, raw, floor_, size;
+  int direction;
+  if (!isfinite(time) || !isfinite(angle) || (c->filled && !(time > c->times[0]))) {
+    c->filled = c->direction = 0; /* begin anew with the next sample that is in order */
+    c->velocity = c->acceleration = 0.0;
+    c->velocity_bound = HUGE_VAL;
+    return;
+  }
+  if (c->filled < ESTUNE_HISTORY) c->filled++;
+  estune_prepend(c->times, time);
+  estune_prepend(c->angles, angle);
+  estune_prepend(c->half_bands, ESTUNE_HALF_BAND);
+  c->velocity = estune_longest_chord(c->times, c->angles, c->half_bands, c->filled,
+                                     ESTUNE_VELOCITY_INTERVALS, &c->velocity_bound, &span);
+  estune_prepend(c->middles, time - 0.5 * span);
+  estune_prepend(c->velocities, c->velocity);
+  estune_prepend(c->bounds, c->velocity_bound);
+  raw = estune_longest_chord(c->middles, c->velocities, c->bounds, c->filled,
+                             ESTUNE_ACCELERATION_INTERVALS, &floor_, &span);
+  direction = (raw > 0.0) - (raw < 0.0);
+  size = fabs(raw);
+  if (size >= ESTUNE_STRONG * floor_ || (direction == c->direction && size >= ESTUNE_WEAK * floor_)) {
+    c->direction = direction;
+    c->acceleration = raw;
+  } else {
+    c->direction = 0;
+    c->acceleration = 0.0;
+  }
+}
+
+/* (9) with the limit of (8); the length is held within its range. */
+static double estune_gravity(double tension, double angle) {
+  double length = ESTUNE_LENGTH - ESTUNE_DRUM_RADIUS * angle, weight, vertical;
+  if (!isfinite(tension) || !isfinite(angle)) return 0.0;
+  length = fmin(fmax(length, ESTUNE_LENGTH_MIN), ESTUNE_LENGTH_MAX);
+  weight = ESTUNE_WEIGHT * length;
+  if (!(tension > 0.0)) return weight;
+  vertical = ESTUNE_RISE / length * (tension + 0.5 * ESTUNE_WEIGHT * ESTUNE_RISE) - 0.5 * weight;
+  return -(fmin(fmax(vertical, -tension), tension) / tension) * weight;
+}
+
+static double estune_friction(double velocity, double bound) {
+  double ratio = velocity / ESTUNE_STRIBECK, scale = fmax(fabs(velocity), fmax(bound, 5e-324));
+  double size = ESTUNE_COULOMB + (ESTUNE_STATIC - ESTUNE_COULOMB) * exp(-(ratio * ratio));
+  return ESTUNE_FRACTION * size * (velocity / scale) / ESTUNE_DRUM_RADIUS;
+}
+
+static double estune_limited(double value) {
+  if (isnan(value)) return 0.0;
+  return fmin(fmax(value, -ESTUNE_FEED_FORWARD_MAX), ESTUNE_FEED_FORWARD_MAX);
+}
+
+/* The compensations of a sample: time in s, tension at the gauge in N, angle of the drum in rad. */
+ESTUNE_COMPENSATION_EXPORT void estune_compensation_sample(estune_compensation *c, double time,
+                                                           double tension, double angle) {
+  estune_motion(c, time, angle);
+  c->gravity = estune_gravity(tension, angle);
+  c->friction = estune_limited(estune_friction(c->velocity, c->velocity_bound));
+  c->inertia = estune_limited(ESTUNE_INERTIA * c->acceleration / ESTUNE_DRUM_RADIUS);
+  c->inertia = estune_limited(c->friction + c->inertia) - c->friction;
+}
+
+#ifdef ESTUNE_PIDF_SAMPLING_HZ
+#define ESTUNE_EFFORT_LIMITS 7 /* place of the least and the greatest effort among the coefficients */
+
+/* One sample of the controller beside the feed-forward; the limits are those of their sum. */
+ESTUNE_COMPENSATION_EXPORT double estune_compensated_step(estune_pidf *pidf,
+                                                          const estune_compensation *c,
+                                                          double setpoint, double measurement,
+                                                          casadi_real *excess) {
+  casadi_real *limits = pidf->coefficients + ESTUNE_EFFORT_LIMITS, low = limits[0], high = limits[1];
+  double forward = c->friction + c->inertia, effort;
+  limits[0] = (casadi_real)(low - forward);
+  limits[1] = (casadi_real)(high - forward);
+  effort = estune_pidf_step(pidf, (casadi_real)setpoint, (casadi_real)measurement, excess);
+  limits[0] = low;
+  limits[1] = high;
+  return fmin(fmax(effort + forward, low), high);
+}
+#endif
+
+/* Command of the current controller, counts, by Newton's method on its calibrated curve C1. */
+ESTUNE_COMPENSATION_EXPORT double estune_current_counts(double current) {
+  static const double curve[] = {ESTUNE_CURRENT_CURVE};
+  double low = -ESTUNE_CURRENT_REACH, high = ESTUNE_CURRENT_REACH, u = 0.0, value, slope, next;
+  int step, k, settled = 0;
+  for (step = 0; step < 20 && !settled; step++) {
+    value = slope = 0.0;
+    for (k = (int)(sizeof curve / sizeof *curve) - 1; k >= 0; k--) {
+      slope = slope * u + value;
+      value = value * u + curve[k];
+    }
+    if ((value > current) == (curve[1] > 0.0)) high = u;
+    else low = u;
+    next = slope != 0.0 ? u - (value - current) / slope : u;
+    if (!(low <= next && next <= high)) next = 0.5 * (low + high);
+    settled = fabs(next - u) <= 1e-12 * ESTUNE_CURRENT_REACH;
+    u = next;
+  }
+  return rint(ESTUNE_CURRENT_MIDDLE + ESTUNE_CURRENT_HALF * u);
+}

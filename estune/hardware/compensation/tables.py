@@ -1,0 +1,181 @@
+"""The tables of a rig's file that switch compensations on."""
+
+import json
+import math
+from pathlib import Path
+from typing import Annotated, Self
+
+from pydantic import Field, model_validator
+
+from estune.errors import InvalidInput
+from estune.hardware.compensation.plan import CompensationPlan, Gravity
+from estune.reel.friction import FeedForward, StribeckFriction
+from estune.reel.velocity import Windows
+from estune.support.toml_file import TomlTable
+
+Positive = Annotated[float, Field(gt=0.0)]
+NotNegative = Annotated[float, Field(ge=0.0)]
+
+INTERVALS_MAX = 200
+"""Longest window: 0.3 s at 632 Hz, and 10 kB of a board's memory."""
+
+
+class VelocityTable(TomlTable):
+    """Velocity by adaptive windows; see `estune.reel.velocity.Windows`.
+
+    The angle's error is so many counts of the encoder, peak to peak.
+    """
+
+    error_counts: Positive = 1.0
+    velocity_intervals: Annotated[int, Field(ge=1, le=INTERVALS_MAX)] = 20
+    acceleration_intervals: Annotated[int, Field(ge=1, le=INTERVALS_MAX)] = 20
+    weak: float = 1.0
+    strong: float = 2.0
+
+
+class FrictionTable(TomlTable):
+    """Friction of (10) at the drum: numbers, or a JSON file of them; a share is fed forward."""
+
+    file: Path | None = Field(default=None, strict=False)
+    coulomb_Nm: NotNegative | None = None
+    static_Nm: NotNegative | None = None
+    stribeck_rad_s: Positive | None = None
+    fraction: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.8
+
+    @model_validator(mode="after")
+    def _one_way(self) -> Self:
+        given = (self.coulomb_Nm, self.static_Nm, self.stribeck_rad_s)
+        present = [number is not None for number in given]
+        if any(present) != all(present) or all(present) == (self.file is not None):
+            raise ValueError("give either file, or coulomb_Nm, static_Nm, stribeck_rad_s")
+        return self
+
+    @property
+    def friction(self) -> StribeckFriction:
+        """The friction.
+
+        Raises:
+            InvalidInput: the file cannot be read, or a number is out of its range.
+        """
+        if self.file is None:
+            return StribeckFriction(self.coulomb_Nm, self.static_Nm, self.stribeck_rad_s)  # type: ignore[arg-type]
+        try:
+            stored = json.loads(self.file.read_text(encoding="utf-8"))
+            return StribeckFriction(**{name: float(value) for name, value in stored.items()})
+        except (OSError, ValueError, TypeError, AttributeError) as error:
+            raise InvalidInput(f"friction {self.file}: {error}") from error
+
+
+class InertiaTable(TomlTable):
+    """Inertia of all rotating parts at the drum, or the part of it that is to be fed forward."""
+
+    inertia_kgm2: Positive
+
+
+class GravityTable(TomlTable):
+    """Weight of the deployed cable; beyond the range of lengths that of its nearest end."""
+
+    weight_N_m: Positive
+    rise_m: float
+    length_min_m: Positive
+    length_max_m: Positive
+
+
+class CompensationTable(TomlTable):
+    """Compensations that run beside the controller; each is on if its table is there.
+
+    Friction and inertia together never exceed a share of the greatest current.
+    """
+
+    share_max: Annotated[float, Field(gt=0.0, le=0.5)] = 0.2
+    velocity: VelocityTable = VelocityTable()
+    friction: FrictionTable | None = None
+    inertia: InertiaTable | None = None
+    gravity: GravityTable | None = None
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Columns that a record has of the compensations."""
+        columns = {
+            "drum_velocity_rad_s": self.friction or self.inertia,
+            "gravity_N": self.gravity,
+            "friction_A": self.friction,
+            "inertia_A": self.inertia,
+        }
+        return tuple(name for name, table in columns.items() if table is not None)
+
+    def plan(
+        self,
+        encoder_counts: float,
+        drum_radius_m: float,
+        cable_length_m: float | None,
+        effort_max_N: float,
+    ) -> CompensationPlan:
+        """The compensations of a reel.
+
+        Args:
+            encoder_counts: Encoder counts per turn, of any sign.
+            drum_radius_m: Radius of the cable on the drum, m.
+            cable_length_m: Length at an angle of zero, m; None where it is not known.
+            effort_max_N: Greatest effort, N.
+
+        Raises:
+            InvalidInput: a table is not complete, or a number is out of its range.
+        """
+        if not self.columns:
+            raise InvalidInput(
+                "[compensation] switches nothing on; add [compensation.friction], .inertia or "
+                ".gravity, or leave it out"
+            )
+        windows = Windows(
+            self.velocity.error_counts * 2.0 * math.pi / abs(encoder_counts),
+            **self.velocity.model_dump(exclude={"error_counts"}),
+        )
+        none = StribeckFriction(0.0, 0.0, 1.0)
+        forward = FeedForward(
+            self.friction.friction if self.friction else none,
+            self.inertia.inertia_kgm2 if self.inertia else 0.0,
+            self.friction.fraction if self.friction else 0.0,
+        )
+        limit = self.share_max * effort_max_N
+        self._check_friction(forward, drum_radius_m, limit)
+        gravity = self._gravity(cable_length_m, limit)
+        return CompensationPlan(windows, forward, gravity, drum_radius_m, limit, self.columns)
+
+    def _check_friction(self, forward: FeedForward, drum_radius_m: float, limit_N: float) -> None:
+        largest_N = forward.fraction * forward.friction.static_Nm / drum_radius_m
+        if largest_N > limit_N:
+            raise InvalidInput(
+                f"compensation.friction feeds {largest_N:.4g} N forward at rest, above "
+                f"compensation.share_max {self.share_max:g} of the greatest effort, {limit_N:.4g} "
+                "N; check the unit of static_Nm, then raise share_max"
+            )
+
+    def _gravity(self, cable_length_m: float | None, limit_N: float) -> Gravity | None:
+        table = self.gravity
+        if table is None:
+            return None
+        if cable_length_m is None:
+            raise InvalidInput(
+                "compensation.gravity needs reel.cable_length_m, the length at an encoder count "
+                "of 0"
+            )
+        if not table.length_min_m <= cable_length_m <= table.length_max_m:
+            raise InvalidInput(
+                f"reel.cable_length_m {cable_length_m:g} m is outside compensation.gravity "
+                f"{table.length_min_m:g} to {table.length_max_m:g} m"
+            )
+        if not abs(table.rise_m) <= table.length_min_m:
+            raise InvalidInput(
+                f"compensation.gravity.rise_m {table.rise_m:g} m exceeds the least length, "
+                f"{table.length_min_m:g} m: the cable would not reach"
+            )
+        heaviest_N = table.weight_N_m * table.length_max_m
+        if heaviest_N > limit_N:
+            raise InvalidInput(
+                f"compensation.gravity: a cable of {heaviest_N:.4g} N is above "
+                f"compensation.share_max of the greatest effort, {limit_N:.4g} N; check the unit "
+                "of weight_N_m"
+            )
+        numbers = table.weight_N_m, table.rise_m, cable_length_m
+        return Gravity(*numbers, table.length_min_m, table.length_max_m)
