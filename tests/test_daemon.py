@@ -293,7 +293,7 @@ def test_repeated_failures_are_retried_at_growing_intervals(tmp_path, monkeypatc
 def test_settings_that_do_not_suit_the_rig_pause(tmp_path):
     table = rig_table("drum", "{}") + "step = {step_N = 1000.0}\n"
     with rig_served() as (rig, where), daemon(tmp_path, table.replace("{}", where)) as it:
-        assert "setpoint 1010 N is outside" in it.until_mode("paused").paused
+        assert "setpoint 1010 is outside" in it.until_mode("paused").paused
         assert not rig.requests
 
 

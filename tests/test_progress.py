@@ -10,6 +10,7 @@ import pytest
 from rich.console import Console
 
 import estune
+from estune.core.gains import GAIN_UNITS
 from estune.run import progress
 from estune.run.journal import Journal
 from estune.run.loop import Stopped, replay
@@ -92,7 +93,7 @@ def test_notebook_progress_updates_one_output_without_widgets(monkeypatch, capsy
     estune.tune(ArithmeticRig(), trials=40, journal=False)
     assert [set(content) for content in cell.shown] == [{"text/plain"}] * 3
     assert re.search(r"confirm +(\d+) of \1\b", cell.shown[-1]["text/plain"])
-    assert f"live  {START}" in cell.shown[-1]["text/plain"]
+    assert f"live  {START.text(GAIN_UNITS)}" in cell.shown[-1]["text/plain"]
     assert capsys.readouterr() == ("", "")
 
 

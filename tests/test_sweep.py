@@ -85,7 +85,7 @@ def test_design_reports_all_faults_with_their_keys():
         ({"lengths_m": [0.8]}, "0.8 m is one length only, which gives no law"),
         ({"lengths_m": []}, "plants:reference_reel is a model, to be simulated at each"),
         ({"step": {"preload_N": 10.0}}, "in a sweep that is tensions_N"),
-        ({"tensions_N": [35.0], "step": {"step_N": 10.0}}, "setpoint 45 N is outside the rig's"),
+        ({"tensions_N": [35.0], "step": {"step_N": 10.0}}, "setpoint 45 is outside the rig's"),
         ({"tensions_N": [45.0]}, "it must lie from 5 to 40 N"),
         ({"rigs": ["plants:no_reel"]}, "plants has no 'no_reel'"),
         (

@@ -166,7 +166,7 @@ def _stop_message(stop: KeyboardInterrupt) -> str:
     if not isinstance(stop, Stopped):
         return "stopped"
     rig = stop.description
-    gains = rig.gains.text(rig.gain_units)
+    gains = rig.gains_text(rig.gains)
     again = f"; continue with: {stop.again}" if stop.again else ""
     return f"stopped; {rig.name} confirms that its own gains are live: {gains}{again}"
 

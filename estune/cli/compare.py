@@ -91,9 +91,10 @@ def compare(
     if json:
         output.print_json(made.to_json())
         return
-    from estune.studies.compare.report import COLUMNS, table_rows  # noqa: PLC0415  draws
+    from estune.studies.compare.report import columns, table_rows  # noqa: PLC0415  draws
 
-    output.show_table(COLUMNS, table_rows(made.results))
+    tuned = next(iter(made.results.values())).rig
+    output.show_table(columns(tuned), table_rows(made.results))
     output.show_next(files)
 
 

@@ -7,13 +7,14 @@ from estune.cli import output
 from estune.cli.runs import find_run
 from estune.cli.values import Flag, security_from, share_from
 from estune.core.gain_forms import backed_off
-from estune.core.gains import GAIN_NAMES, GAIN_UNITS, Gains
+from estune.core.gains import GAIN_NAMES, Gains
 from estune.errors import InvalidInput, RigError
 from estune.remote import messages, zenoh
 from estune.remote.security import Security
 from estune.run.result import TuneResult
 from estune.run.robustness import claim_from
 from estune.run.targets import open_target
+from estune.support.quantity_text import with_unit
 from estune.trial import RigDescription
 
 STOP_PRIORITY = 20
@@ -78,7 +79,7 @@ def apply(
             )
         the_rig.apply(gains)
         after = the_rig.describe()
-    rows = [(name, _gain(before.gains, name), _gain(after.gains, name)) for name in GAIN_NAMES]
+    rows = [(name, _gain(before, name), _gain(after, name)) for name in GAIN_NAMES]
     output.show_table(("", "old", "new"), rows)
     if after.gains != gains:
         raise RigError(
@@ -149,8 +150,9 @@ def _backed_off_sentence(result: TuneResult, gains: Gains, share: float) -> str:
     )
 
 
-def _gain(gains: Gains, name: str) -> str:
-    return f"{getattr(gains, name):.6g} {GAIN_UNITS[name]}"
+def _gain(rig: RigDescription, name: str) -> str:
+    """A live gain of a rig with its unit."""
+    return with_unit(getattr(rig.gains, name), rig.gain_units[name], 6)
 
 
 def _row(endpoint: str, presence: messages.Presence, security: Security) -> tuple[str, ...]:
@@ -161,8 +163,9 @@ def _row(endpoint: str, presence: messages.Presence, security: Security) -> tupl
     except RigError as error:
         return (presence.rig, "-", "-", "-", str(error), "-")
     length = "-" if about.cable_length_m is None else f"{about.cable_length_m:g} m"
-    step = f"{about.step.preload_N:g} N {about.step.step_N:+g} N, {about.step.duration_s:g} s"
-    return (about.name, _state(status), length, step, str(about.gains), about.software)
+    step = f"{about.step_text(about.step)}, {about.step.duration_s:g} s"
+    gains = about.gains_text(about.gains)
+    return (about.name, _state(status), length, step, gains, about.software)
 
 
 def _state(status: messages.Status) -> str:

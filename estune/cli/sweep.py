@@ -93,8 +93,14 @@ def _show_plan(cells: Sequence[Cell]) -> None:
         trials = sum(cell.most_trials for cell in group)
         rows.append(
             (
-                *(rig, f"{length:g} m", f"{tension:g} N", tuner, f"{len(group)}"),
-                f"{step.preload_N:g} to {step.preload_N + step.step_N:g} N",
+                *(
+                    rig,
+                    f"{length:g} m",
+                    group[0].signals.measured(tension, 6),
+                    tuner,
+                    f"{len(group)}",
+                ),
+                group[0].signals.step_text(step),
                 *(f"{step.duration_s:g} s", f"{cost.settling_time_s:.3g} s", f"{trials}"),
             )
         )

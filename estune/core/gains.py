@@ -59,7 +59,7 @@ class Gains:
         return self.P, self.I, self.D, self.setpoint_filter_s
 
     def text(self, units: Mapping[str, str]) -> str:
-        """The gains with their units."""
+        """The gains with their units, which follow from those of the plant; see `gain_units`."""
         labels = {"setpoint_filter_s": "setpoint filter"}
         return ", ".join(
             f"{labels.get(name, name)} {getattr(self, name):.4g} {units[name]}".rstrip()
@@ -67,7 +67,7 @@ class Gains:
         )
 
     def __str__(self) -> str:
-        return self.text(GAIN_UNITS)
+        return self.text({"P": "", "I": "", "D": "", "setpoint_filter_s": "s"})
 
 
 GAIN_NAMES = ("P", "I", "D", "setpoint_filter_s")

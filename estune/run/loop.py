@@ -88,7 +88,8 @@ class Stopped(KeyboardInterrupt):
     def __init__(
         self, description: RigDescription, folder: Path | None, again: str | None = None
     ) -> None:
-        super().__init__(f"stopped; {description.name} runs its live gains {description.gains}")
+        live = description.gains_text(description.gains)
+        super().__init__(f"stopped; {description.name} runs its live gains {live}")
         self.description = description
         self.folder = folder
         self.again = again or (f"estune resume {folder}" if folder else "")

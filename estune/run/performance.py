@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Self
 
-from estune.core.gains import GAIN_NAMES, Gains
+from estune.core.gains import Gains
 from estune.core.metrics import StepMetrics
 from estune.interop import Margins, margins
 from estune.support.quantity_text import time_text, with_unit
@@ -27,7 +27,7 @@ class Performance:
         record: A trial with these gains, or None.
         intervals: 95 % confidence interval of the optimum of each tuned gain, by name; may be
             empty.
-        units: Units of the gains by name, and that of the measurement as "measurement".
+        rig: The rig.
     """
 
     gains: Gains
@@ -37,7 +37,7 @@ class Performance:
     margins: Margins | None
     record: TrialRecord | None
     intervals: dict[str, tuple[float, float]]
-    units: dict[str, str]
+    rig: RigDescription
 
     @classmethod
     def on(
@@ -59,22 +59,21 @@ class Performance:
             margins=None if model is None else margins(model, gains, rig.controller),
             record=record,
             intervals={name: (low, high) for name, low, high in intervals},
-            units={**rig.gain_units, "measurement": rig.measurement_unit},
+            rig=rig,
         )
 
     def cells(self) -> dict[str, str]:
         """All values as text, by label."""
         cells = {
             _GAIN_LABELS[name]: (
-                f"{with_unit(getattr(self.gains, name), self.units[name], 4)}"
-                f"{self._interval(name)}"
+                f"{with_unit(getattr(self.gains, name), unit, 4)}{self._interval(name)}"
             )
-            for name in GAIN_NAMES
+            for name, unit in self.rig.gain_units.items()
         }
         error = f" ± {self.cost_error:.1g}" if self.cost_error > 0.0 else ""
         cells["cost η"] = f"{self.cost:.3g}{error}" if math.isfinite(self.cost) else "-"
-        metrics = _metric_cells(self.metrics, self.units["measurement"])
-        return {**cells, **dict(metrics), **dict(_margin_cells(self.margins))}
+        metrics = _metric_cells(self.metrics, self.rig)
+        return {**cells, **dict(metrics), **dict(margin_cells(self.margins))}
 
     def _interval(self, name: str) -> str:
         """The interval of a gain, appended to its value."""
@@ -87,7 +86,7 @@ class Performance:
 _GAIN_LABELS = {"P": "P", "I": "I", "D": "D", "setpoint_filter_s": "setpoint filter"}
 
 
-def _metric_cells(metrics: StepMetrics | None, unit: str) -> Iterator[tuple[str, str]]:
+def _metric_cells(metrics: StepMetrics | None, rig: RigDescription) -> Iterator[tuple[str, str]]:
     if metrics is None:
         labels = ("rise time", "settling time (2 %)", "overshoot", "steady-state error")
         yield from dict.fromkeys(labels, "-").items()
@@ -97,10 +96,11 @@ def _metric_cells(metrics: StepMetrics | None, unit: str) -> Iterator[tuple[str,
     settled = math.isfinite(settling_s)
     yield "settling time (2 %)", time_text(settling_s) if settled else "not settled"
     yield "overshoot", f"{100.0 * overshoot:.3g} %" if math.isfinite(overshoot) else "-"
-    yield "steady-state error", with_unit(error, unit, 3) if math.isfinite(error) else "-"
+    yield "steady-state error", rig.measured(error, 3) if math.isfinite(error) else "-"
 
 
-def _margin_cells(measured: Margins | None) -> Iterator[tuple[str, str]]:
+def margin_cells(measured: Margins | None) -> Iterator[tuple[str, str]]:
+    """Gain margin in dB and phase margin in degrees as text, by label."""
     if measured is None:
         yield from (("gain margin", "-"), ("phase margin", "-"))
     elif not measured.stable:

@@ -270,7 +270,8 @@ class ProgressCounter:
         trials = session.number - self._first
         rate_s = (time.monotonic() - self._began_s) / trials if trials else math.nan
         start = fmean(session.baseline) if session.baseline else math.nan
-        tried = tuning.plan.start if last is None else last.entry.gains
+        gains = tuning.plan.start if last is None else last.entry.gains
+        tried = tuning.description.gains_text(gains)
         costs = "  ".join(
             (
                 f"cost {_cost(math.nan if last is None else last.entry.cost)}",
@@ -279,7 +280,8 @@ class ProgressCounter:
                 f"{session.unsafe} unsafe",
             )
         )
-        live = f"{tuning.description.gains}  on {tuning.description.name}, between trials"
+        rig = tuning.description
+        live = f"{rig.gains_text(rig.gains)}  on {rig.name}, between trials"
         return ProgressStatus(
             stage=str((session.phase if last is None else last.entry.phase) or "done"),
             done=session.number,
@@ -287,7 +289,7 @@ class ProgressCounter:
             unit="trials",
             alerts=self._disk_warning,
             summary=f"{costs}  tried {tried}",
-            details=(("now", costs), ("tried", str(tried)), ("live", live)),
+            details=(("now", costs), ("tried", tried), ("live", live)),
             remaining_s=rate_s * session.trials_left,
         )
 

@@ -31,7 +31,7 @@ from estune.support.html_page import (
     Warnings,
 )
 from estune.support.plot_style import new_figure
-from estune.support.quantity_text import time_text, with_unit
+from estune.support.quantity_text import time_text
 from estune.trial import TrialRecord
 
 _CSV_MAX = 400_000
@@ -63,7 +63,7 @@ def page(result: RunResult) -> Page:
 
 
 def _recommendation(result: RunResult) -> str:
-    gains = result.gains.text(result.rig.gain_units)
+    gains = result.rig.gains_text(result.gains)
     if result.success:
         cost = f"{result.verdict.start_cost:.3g} to {result.verdict.cost:.3g}"
         return f"Use {gains}: the cost falls from {cost}, {result.improvement}."
@@ -104,7 +104,7 @@ def _load(result: RunResult) -> str:
     load = getattr(result.plan.step, "load_N", None)
     if load is None:
         return ""
-    shown = with_unit(load, result.rig.command_unit, 4)
+    shown = result.rig.commanded(load)
     return f" From the dotted line on, a load of {shown} is added: the disturbance response."
 
 
@@ -116,7 +116,7 @@ def _limits(result: RunResult, record: TrialRecord) -> str:
     if max(abs(low), abs(high)) > _FAR * max(used, abs(result.plan.step.step_N)):
         return ""
     name = rig.command_name
-    return f" The {name} is limited to {low:.4g} to {with_unit(high, rig.command_unit, 4)}."
+    return f" The {name} is limited to {low:.4g} to {rig.commanded(high)}."
 
 
 def _samples(records: Mapping[str, TrialRecord], per_ampere: float) -> dict[str, Any]:
@@ -201,12 +201,12 @@ def _search(result: RunResult) -> Iterator[Block]:
 def _settings(result: RunResult) -> dict[str, str]:
     """The plan and the rig by label."""
     plan, rig = result.plan, result.rig
-    step, cost, unit = plan.step, plan.cost, rig.measurement_unit
+    step, cost = plan.step, plan.cost
     penalty = f"control-move penalty {cost.move_weight:g}"
     rows = {
         "run": plan.run,
-        "step": f"{step.preload_N:g} to {with_unit(step.preload_N + step.step_N, unit, 6)} at "
-        f"{time_text(step.step_at_s)} of {time_text(step.duration_s)}",
+        "step": f"{rig.step_text(step)} at {time_text(step.step_at_s)} of "
+        f"{time_text(step.duration_s)}",
         "cost": f"(35), settling time {time_text(cost.settling_time_s)}, weight {cost.weight}, "
         f"time in {'s' if cost.time_unit == 'second' else 'settling times'}, {penalty}",
         "unsafe above": f"η = {result.session.eta_max:.3g}",

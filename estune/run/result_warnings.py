@@ -121,13 +121,13 @@ def _dB(factor: float) -> float:
     return 20.0 * math.log10(factor)
 
 
-def near_limits(share: float) -> tuple[ResultWarning, ...]:
-    """Warning of a response near a limit of the rig; `share` is its `constraint_margin`."""
+def near_limits(share: float, signals: str) -> tuple[ResultWarning, ...]:
+    """Warning of a response near a limit of the rig's signals; by its `constraint_margin`."""
     if share >= NEAR_LIMIT:
         return ()
     sentence = (
         f"the constraint margin of these gains is {max(share, 0.0):.0%} of the rig's limits of "
-        "tension or effort: the limits, not the cost, may determine these gains"
+        f"{signals}: the limits, not the cost, may determine these gains"
     )
     return (ResultWarning("limit", (), sentence),)
 

@@ -138,7 +138,9 @@ class RunResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type in
         share = math.inf if at.record is None else constraint_margin(at.record, self.rig)
         near = result_warnings.low_margins(
             at.margins, limited=self._limited
-        ) + result_warnings.near_limits(share)
+        ) + result_warnings.near_limits(
+            share, f"{self.rig.measurement_name} or {self.rig.command_name}"
+        )
         return near + result_warnings.at_bounds(space, best, self.rig.gain_units) + flat
 
     @property

@@ -27,6 +27,11 @@ def with_unit(value: float, unit: str, digits: int) -> str:
     return f"{value:.{digits}g} {unit}".rstrip()
 
 
+def axis_label(name: str, unit: str) -> str:
+    """A name with its unit, if it has one, as of an axis or a column."""
+    return f"{name}, {unit}" if unit else name
+
+
 def time_text(time_s: float) -> str:
     """A time with three digits in µs, ms, s, min or h."""
     unit = next((unit for unit in _TIMES if abs(time_s) < unit.below_s), _HOURS)

@@ -6,11 +6,12 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from estune.core.gains import Gains, gain_units
+from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
 from estune.core.quantities import check_not_negative
 from estune.errors import InvalidInput
 from estune.trial.profiles import AnyProfile, LoadStepProfile, StepProfile
+from estune.trial.signals import EFFORT, TENSION, NamedSignals, Signals
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,8 +70,20 @@ class RigLimits:
         # Infinite limits satisfy both conditions, NaN neither.
         if not (self.tension_min_N <= self.tension_max_N and self.duration_max_s > 0.0):
             raise InvalidInput(
-                f"limits {self.tension_min_N:g} to {self.tension_max_N:g} N and "
+                f"limits {self.tension_min_N:g} to {self.tension_max_N:g} and "
                 f"{self.duration_max_s:g} s: give them in order, and a duration above zero"
+            )
+
+    def check_tension(self, tension_N: float) -> None:
+        """Refuses a setpoint outside the limits.
+
+        Raises:
+            InvalidInput: it is.
+        """
+        if not self.tension_min_N <= tension_N <= self.tension_max_N:
+            raise InvalidInput(
+                f"setpoint {tension_N:g} is outside the rig's range {self.tension_min_N:g} to "
+                f"{self.tension_max_N:g}; choose another preload or a smaller change"
             )
 
     def check(self, profile: AnyProfile) -> None:
@@ -80,17 +93,12 @@ class RigLimits:
             InvalidInput: a tension or the duration is outside the limits.
         """
         for tension in profile.extremes_N:
-            if not self.tension_min_N <= tension <= self.tension_max_N:
-                raise InvalidInput(
-                    f"setpoint {tension:g} N is outside the rig's range "
-                    f"{self.tension_min_N:g} to {self.tension_max_N:g} N; "
-                    "choose another preload or a smaller change"
-                )
+            self.check_tension(tension)
         load_N = abs(profile.load_N) if isinstance(profile, LoadStepProfile) else 0.0
         if load_N > self.load_max_N:
-            can = f"at most {self.load_max_N:g} N" if self.load_max_N else "none at all"
+            can = f"at most {self.load_max_N:g}" if self.load_max_N else "none at all"
             raise InvalidInput(
-                f"the trial has a load step of {load_N:g} N, and the rig can make {can}; choose "
+                f"the trial has a load step of {load_N:g}, and the rig can make {can}; choose "
                 "another load, or a cost without load rejection"
             )
         if profile.duration_s > self.duration_max_s:
@@ -100,12 +108,8 @@ class RigLimits:
             )
 
 
-TENSION, EFFORT = "tension, N", "control effort, N"
-"""What a reel measures, and what its controller commands."""
-
-
 @dataclass(frozen=True, slots=True)
-class RigDescription:
+class RigDescription(NamedSignals):
     """Description of a rig.
 
     Attributes:
@@ -144,38 +148,12 @@ class RigDescription:
     command: Annotated[str, _omitted_if(EFFORT)] = EFFORT
 
     @property
-    def measurement_name(self) -> str:
-        """What is measured, without its unit."""
-        return _split(self.measurement)[0]
-
-    @property
-    def gain_units(self) -> dict[str, str]:
-        """Units of the gains, by name."""
-        return gain_units(self.measurement_unit, self.command_unit)
-
-    @property
-    def measurement_unit(self) -> str:
-        """Unit of what is measured; empty without one."""
-        return _split(self.measurement)[1]
-
-    @property
-    def command_name(self) -> str:
-        """What the controller commands, without its unit."""
-        return _split(self.command)[0]
-
-    @property
-    def command_unit(self) -> str:
-        """Unit of what the controller commands; empty without one."""
-        return _split(self.command)[1]
+    def signals(self) -> Signals:
+        """What it measures and commands."""
+        return Signals(self.measurement, self.command)
 
     def __post_init__(self) -> None:
         for name in ("newtons_per_ampere", "settling_time_s", "cable_length_m"):
             value = getattr(self, name)
             if value is not None and not (math.isfinite(value) and value > 0.0):
                 raise InvalidInput(f"rig {self.name}: {name} is {value}; it must be above zero")
-
-
-def _split(label: str) -> tuple[str, str]:
-    """Name and unit of a signal."""
-    name, _, unit = label.rpartition(", ")
-    return (name, unit) if name else (label, "")

@@ -104,6 +104,8 @@ class MountedModel(PlantModel):
 
     mounting: Mounting  # controller, suggested step, limits and noise
 
+    rig_name = "simulated-plant"
+
     @property
     def scale(self) -> PlantScale:
         """Units that sentences on the plant refer to."""

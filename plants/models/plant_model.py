@@ -27,6 +27,9 @@ class PlantModel(Plant, ABC):
     # The effects added, in the order in which the signal meets them.
     effects: tuple[Effect, ...] = ()
 
+    rig_name: ClassVar[str] = "simulated-reel"
+    """Name of its rig where no other is given."""
+
     diagnosed_by: ClassVar[str] = ""
     """Class that compares the model with records, a `plants.diagnosis.models.diagnosed_model.
     DiagnosedModel`, as module:attribute; empty where there is none."""
@@ -119,7 +122,7 @@ class PlantModel(Plant, ABC):
 
     def rig(
         self,
-        name: str = "simulated-reel",
+        name: str | None = None,
         seed: int = 0,
         gains: Gains | None = None,
         pace: float = 0.0,
@@ -127,7 +130,7 @@ class PlantModel(Plant, ABC):
         """A rig in this process that runs the plant.
 
         Args:
-            name: The rig's name.
+            name: The rig's name; `rig_name` by default.
             seed: Seed of the measurement noise.
             gains: Initial live gains; None is the plant's own safe gains.
             pace: Wall-clock seconds per second of a trial; 0 is without waiting.
@@ -136,7 +139,7 @@ class PlantModel(Plant, ABC):
             InvalidInput: the seed or the pace is out of its range.
             UnsafeStart: no gains were given and no safe ones are known.
         """
-        return SimulatedRig(self, name=name, seed=seed, gains=gains, pace=pace)
+        return SimulatedRig(self, name=name or self.rig_name, seed=seed, gains=gains, pace=pace)
 
 
 def own_fields(kind: type[Any]) -> list[Field[Any]]:

@@ -8,6 +8,7 @@ from estune.errors import InvalidInput
 from estune.interop import margins
 from estune.remote.messages import Status
 from estune.run import result_warnings
+from estune.run.performance import margin_cells
 from estune.trial import RigDescription
 
 

@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from estune.core.gains import GAIN_NAMES, GAIN_UNITS
+from estune.core.gains import GAIN_NAMES
 from estune.run.ending import RunEnding
 from estune.run.result import TuneResult
 from estune.studies.compare.comparison import Comparison, searched
@@ -24,6 +24,8 @@ from estune.support.plot_style import (
     legend,
     new_figure,
 )
+from estune.support.quantity_text import axis_label, time_text
+from estune.trial import RigDescription
 
 WITHIN = 1.05
 
@@ -31,38 +33,46 @@ _COLOURS = (BLUE, GREEN, PURPLE, VERMILION, ORANGE, GREY)
 _MARKERS = "osD^vX"
 _HEADS = {"setpoint_filter_s": "filter"}
 
-COLUMNS = (
-    *("tuner", "search trials", "all trials", "unsafe", "start cost", "cost", "overshoot", "Ms"),
-    *(f"{_HEADS.get(name, name)}, {GAIN_UNITS[name]}" for name in GAIN_NAMES),
-    "ending",
+_FIGURES = (
+    "tuner",
+    "search trials",
+    "all trials",
+    "unsafe",
+    "start cost",
+    "cost",
+    "overshoot",
+    "Ms",
 )
-"""Heads of the table."""
+
+
+def columns(rig: RigDescription) -> tuple[str, ...]:
+    """Heads of the table, with the units of the rig's gains."""
+    gains = (axis_label(_HEADS.get(name, name), unit) for name, unit in rig.gain_units.items())
+    return (*_FIGURES, *gains, "ending")
 
 
 def page(comparison: Comparison) -> Page:
     """The page of a comparison."""
     results = comparison.results
     headline, first = _headline(results), next(iter(results.values()))
-    step, cost = first.plan.step, first.plan.cost
+    rig, step, cost = first.rig, first.plan.step, first.plan.cost
     how = (
-        f"Each tuner began at {first.start_gains} and had at most {first.plan.trials} search "
-        f"trials of a step of {step.step_N:g} from {step.preload_N:g}, with the same cost for a "
-        f"settling time of {cost.settling_time_s:.4g} s. The tuners ran one after the other. The "
-        "cost is from repeats after the search, interleaved with the start. Only model_based "
-        "keeps limits of sensitivity and overshoot, which cost some of the improvement; Ms is "
+        f"Each tuner began at {rig.gains_text(first.start_gains)} and had at most "
+        f"{first.plan.trials} search trials of a step from {rig.step_text(step)}, with the same "
+        f"cost for a settling time of {time_text(cost.settling_time_s)}. The tuners ran one after "
+        "the other. The cost is from repeats after the search, interleaved with the start. Only "
+        "model_based keeps limits of sensitivity and overshoot, which cost some of the improvement; Ms is "
         "given where the records allow it to be claimed."
     )
-    rows, heads = [_cells(row) for row in table_rows(results)], COLUMNS[:8]
+    rows, heads = [_cells(row) for row in table_rows(results)], columns(rig)
     return Page(
-        f"Tuners compared on {first.rig.name}",
+        f"Tuners compared on {rig.name}",
         Status(f"{headline}."),
         (
             Drawing(cost_figure(results), "costs", headline, csv=_csv(results)),
             Drawing(gain_figure(results), "gains", "Recommended gains and unsafe trials"),
-            Table((*heads, COLUMNS[-1]), [(*row[:8], row[-1]) for row in rows], range(1, 8)),
-            Table(
-                (COLUMNS[0], *COLUMNS[8:-1]), [(row[0], *row[8:-1]) for row in rows], range(1, 5)
-            ),
+            Table((*heads[:8], heads[-1]), [(*row[:8], row[-1]) for row in rows], range(1, 8)),
+            Table((heads[0], *heads[8:-1]), [(row[0], *row[8:-1]) for row in rows], range(1, 5)),
         ),
         (Section("Procedure", (Paragraph(how),)),),
     )
@@ -136,11 +146,11 @@ def gain_figure(results: Mapping[str, TuneResult]) -> Figure:
         values = (*result.gains.as_tuple(), float(result.unsafe))
         for ax, value in zip(axes, values, strict=True):
             ax.plot([value], [n], marker, color=colour, markersize=5, clip_on=False)
+    units = next(iter(results.values())).rig.gain_units
     for ax, name in zip(axes, (*GAIN_NAMES, "unsafe"), strict=True):
-        unit = f", {GAIN_UNITS[name]}" if name in GAIN_UNITS else ""
-        finish(ax, "", f"{_HEADS.get(name, name)}{unit}")
+        finish(ax, "", axis_label(_HEADS.get(name, name), units.get(name, "")))
         ax.set_xlim(0.0, 1.15 * ax.dataLim.xmax or 1.0)
-        ax.xaxis.set_major_locator(MaxNLocator(2, integer=not unit))
+        ax.xaxis.set_major_locator(MaxNLocator(2, integer=name == "unsafe"))
     axes[0].set_yticks(range(len(results)), list(results))
     axes[0].set_ylim(len(results) - 0.5, -0.5)
     return figure

@@ -9,7 +9,7 @@ interval is not narrowed by the selection. Bands are those of the selected form,
 """
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -24,6 +24,7 @@ from estune.studies.law.gain_fit import CONFIDENCE, GainFit, fit_gain
 from estune.studies.law.model_selection import parse_form
 from estune.studies.law.robust_regression import interval_factor
 from estune.studies.law.tuned import TunedGains
+from estune.trial.signals import REEL, Signals
 
 _NAMES = {"setpoint_filter_s": "the setpoint filter"}
 _LISTED_MAX = 10
@@ -59,6 +60,7 @@ class GainLaw:
         excluded: Label and reason of each excluded tuning.
         length_m: Range of tuned lengths, m.
         tension_N: Range of tuned tensions, N.
+        signals: What the rigs measure and command.
     """
 
     fits: Mapping[str, GainFit]
@@ -66,12 +68,14 @@ class GainLaw:
     excluded: tuple[tuple[str, str], ...]
     length_m: tuple[float, float]
     tension_N: tuple[float, float]
+    signals: Signals = REEL
 
     @property
     def sentence(self) -> str:
         """The dependence of each gain on length, then on tension, with 95 % intervals."""
         fits = sorted(self.fits.values(), key=lambda fit: fit.form.over_length == "constant")
-        return "; ".join([*map(_over_length, fits), _over_tension(self.fits.values())])
+        parts = [_over_length(fit, _unit(self, fit)) for fit in fits]
+        return "; ".join([*parts, _over_tension(self)])
 
     @property
     def remarks(self) -> tuple[str, ...]:
@@ -158,7 +162,12 @@ class GainLaw:
         }
 
 
-def fit_law(tunings: Sequence[TunedGains], *, forms: Mapping[str, str] | None = None) -> GainLaw:
+def fit_law(
+    tunings: Sequence[TunedGains],
+    *,
+    forms: Mapping[str, str] | None = None,
+    signals: Signals = REEL,
+) -> GainLaw:
     """Fits the law to tunings at different lengths.
 
     Tunings that are unsafe or have not converged are excluded. Several at one length and tension
@@ -168,6 +177,7 @@ def fit_law(tunings: Sequence[TunedGains], *, forms: Mapping[str, str] | None = 
         tunings: In any order.
         forms: Form of single gains by name, such as {"I": "linear"} or "log + tension"; those of
             the others are selected by cross-validation.
+        signals: What the rigs measure and command.
 
     Raises:
         InvalidInput: fewer than two lengths or three tunings remain, there is no such gain or
@@ -186,6 +196,7 @@ def fit_law(tunings: Sequence[TunedGains], *, forms: Mapping[str, str] | None = 
         excluded=excluded,
         length_m=(min(lengths), max(lengths)),
         tension_N=(min(tensions), max(tensions)),
+        signals=signals,
     )
 
 
@@ -215,9 +226,9 @@ def _within(values: FloatArray, limits: tuple[float, float]) -> BoolArray:
     return np.asarray((limits[0] <= values) & (values <= limits[1]))
 
 
-def _over_length(fit: GainFit) -> str:
+def _over_length(fit: GainFit, unit: str) -> str:
     """Dependence of a gain on length."""
-    name, unit, slope = _NAMES.get(fit.name, fit.name), _unit(fit), fit.slope
+    name, slope = _NAMES.get(fit.name, fit.name), fit.slope
     interval = f"±{slope.half_width:.2g}"
     if np.ptp(fit.points.gain) == 0.0:
         return f"{name} is {fit.mean:.4g}{unit} throughout"
@@ -229,21 +240,26 @@ def _over_length(fit: GainFit) -> str:
     return f"{name} {verb} by {abs(slope.value):.3g} {interval}{unit} per metre{best}"
 
 
-def _over_tension(fits: Iterable[GainFit]) -> str:
-    """Dependence of all gains on tension."""
+def _over_tension(law: GainLaw) -> str:
+    """Dependence of all gains on the tension, or what else is measured."""
+    tension = law.signals.measurement_name
+    fits = law.fits.values()
     effects = [(fit, fit.tension_effect) for fit in fits if fit.tension_effect is not None]
     if not effects:
-        return "tension was not varied"
+        return f"{tension} was not varied"
     changes = [
         f"{_NAMES.get(fit.name, fit.name)} by {effect.value:+.2g} ±{effect.half_width:.1g}"
-        f"{_unit(fit)}"
+        f"{_unit(law, fit)}"
         for fit, effect in effects
         if fit.form.with_tension
     ]
     if not changes:
-        return "tension has no detectable effect"
-    return f"each N of tension changes {', '.join(changes)}"
+        return f"{tension} has no detectable effect"
+    return (
+        f"each {law.signals.measurement_unit or 'unit'} of {tension} changes {', '.join(changes)}"
+    )
 
 
-def _unit(fit: GainFit) -> str:
-    return "" if fit.name == "P" else f" {GAIN_UNITS[fit.name]}"
+def _unit(law: GainLaw, fit: GainFit) -> str:
+    unit = law.signals.gain_units[fit.name]
+    return f" {unit}" if unit and unit != GAIN_UNITS["P"] else ""

@@ -22,6 +22,7 @@ from estune.studies.law.start import start_from
 from estune.studies.sweep.design import SweepDesign, SweptRig
 from estune.trial import Rig, RigDescription
 from estune.trial.profiles import StepProfile
+from estune.trial.signals import REEL, Signals
 from estune.tuners import DEFAULT_TUNER
 
 LENGTH_TOLERANCE_m = 1e-3
@@ -43,6 +44,7 @@ class Cell:
         start: Initial gains; None for the rig's own.
         model: Arguments of a model: cable_length_m, and tension_N where the design varies it.
         most_trials: Number of trials if nothing ends the tuning early.
+        signals: What the rig measures and commands.
     """
 
     key: str
@@ -57,13 +59,14 @@ class Cell:
     cost: StepCost
     model: Mapping[str, float]
     most_trials: int
+    signals: Signals = REEL
 
     @property
     def label(self) -> str:
         """Name of the cell in messages."""
         return (
-            f"{self.rig.label} at {self.length_m:g} m, {self.tension_N:g} N, {self.tuner}, "
-            f"seed {self.seed}"
+            f"{self.rig.label} at {self.length_m:g} m, "
+            f"{self.signals.measured(self.tension_N, 6)}, {self.tuner}, seed {self.seed}"
         )
 
     @property
@@ -97,7 +100,7 @@ def open_rig(rig: SweptRig, model: Mapping[str, float], seed: int = 0) -> Iterat
             f"a {type(plant).__name__} is no model that can be made at each length; name a "
             "function such as plants:reference_reel, a model file, or an endpoint"
         )
-    simulated: Rig = plant.rig(name="simulated-reel", seed=seed)
+    simulated: Rig = plant.rig(seed=seed)
     try:
         yield simulated
     finally:
@@ -202,7 +205,9 @@ def _cells_at(
         )
         for seed in range(design.seeds):
             fields = (length, step.preload_N, tuner, seed, search, start, step, cost, model)
-            cells.append(Cell(_key(rig, source, fields), rig, *fields, plan.max_trials))
+            cells.append(
+                Cell(_key(rig, source, fields), rig, *fields, plan.max_trials, description.signals)
+            )
     return cells
 
 

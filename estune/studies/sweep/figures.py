@@ -9,7 +9,6 @@ from matplotlib.axes import Axes
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
-from estune.core.gains import GAIN_UNITS
 from estune.core.quantities import FloatArray
 from estune.studies.law.law import GainLaw
 from estune.studies.sweep.outcome import TRACE, CellOutcome, read_traces
@@ -25,6 +24,7 @@ from estune.support.plot_style import (
     new_figure,
     stacked,
 )
+from estune.support.quantity_text import axis_label
 
 _COST, _UNSAFE = TRACE.index("cost"), TRACE.index("unsafe")
 _SMOOTHED = 8
@@ -57,7 +57,7 @@ def draw_integral(outcomes: Sequence[CellOutcome]) -> Figure:
         median = _median([_running_mean(trace[:, column]) for trace in traces])
         trial = np.arange(_SMOOTHED, _SMOOTHED + median.size)
         ax.plot(trial, median, color=color, label=f"{length:g} m", lw=1.1)
-    finish(ax, f"I, {GAIN_UNITS['I']}", "search trial")
+    finish(ax, axis_label("I", outcomes[0].cell.signals.gain_units["I"]), "search trial")
     _legend(ax)
     return figure
 
@@ -96,7 +96,7 @@ def draw_law(law: GainLaw, name: str, excluded: Sequence[CellOutcome]) -> Figure
     shown = [(o.cell.length_m, getattr(o.gains, name)) for o in excluded if o.gains is not None]
     if shown:
         ax.plot(*zip(*shown, strict=True), "x", color=VERMILION, ms=5, label="left out")
-    finish(ax, f"{_LABELS[name]}, {GAIN_UNITS[name]}")
+    finish(ax, axis_label(_LABELS[name], law.signals.gain_units[name]))
     legend(ax, columns=3)
     below.axhline(0.0, color=GREY, lw=0.8)
     below.plot(fit.points.length_m, fit.fit.studentised, ".", color=BLACK, ms=4, rasterized=many)
@@ -107,7 +107,7 @@ def draw_law(law: GainLaw, name: str, excluded: Sequence[CellOutcome]) -> Figure
 def _curve_label(law: GainLaw, name: str) -> str:
     """The curve, with its tension where the law depends on it."""
     low, high = law.tension_N
-    at = f" at {(low + high) / 2.0:g} N" if low < high else ""
+    at = f" at {law.signals.measured((low + high) / 2.0, 6)}" if low < high else ""
     return f"{law.fits[name].curve}{at}"
 
 

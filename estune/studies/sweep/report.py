@@ -104,7 +104,9 @@ def _design(result: SweepResult) -> Table:
     rows = {
         "rigs": ", ".join(dict.fromkeys(cell.rig.label for cell in cells)),
         "lengths": ", ".join(f"{value:g}" for value in sorted({c.length_m for c in cells})) + " m",
-        "tensions": ", ".join(f"{v:g}" for v in sorted({c.tension_N for c in cells})) + " N",
+        "tensions": ", ".join(
+            cells[0].signals.measured(v, 6) for v in sorted({c.tension_N for c in cells})
+        ),
         "tuners": ", ".join(dict.fromkeys(cell.tuner for cell in cells)),
         "repeats of each": str(result.design.seeds),
         "search trials": f"at most {cells[0].search['trials']}",

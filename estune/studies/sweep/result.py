@@ -48,7 +48,8 @@ class Series(NamedTuple):
         Raises:
             InvalidInput: too few are left; the message counts the excluded ones by reason.
         """
-        return fit_law([tuned for o in self.outcomes if (tuned := o.tuned()) is not None])
+        tunings = [tuned for o in self.outcomes if (tuned := o.tuned()) is not None]
+        return fit_law(tunings, signals=self.outcomes[0].cell.signals)
 
     def law_or_reason(self) -> GainLaw | str:
         """The law, or why there is none and what to change."""
