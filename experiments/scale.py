@@ -24,7 +24,7 @@ from estune.core.gains import Gains
 from estune.errors import EstuneError
 from estune.run.journal import FILE_NAME
 from estune.trial import RigDescription, TrialRecord, TrialRequest
-from experiments.fleet import HOLD_S, measure, targets_of
+from experiments.fleet import HOLD_S, SEARCH_TRIALS, measure, targets_of
 from experiments.fleet import TUNER as FLEET_TUNER
 from experiments.results import (
     Target,
@@ -36,10 +36,11 @@ from experiments.results import (
 )
 
 TRIALS = (1_000, 10_000, 100_000)
-QUICK_TRIALS = (500, 2_000)
+QUICK_TRIALS = (200, 1_000)
 RIGS = (10, 25, 50, 100, 200)
 QUICK_RIGS = (25,)
 QUICK_HOLD_S = 5.0
+QUICK_SEARCH_TRIALS = 4
 TUNER = "killingsworth"
 LIMITS = {"show_s": 1.5, "resume_s": 4.0, "parquet_s": 60.0, "bytes_per_trial": 10_000.0}
 _RECORDED = 64
@@ -161,7 +162,7 @@ def journal_table(sizes: Sequence[int], folder: Path) -> list[dict[str, float]]:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Measures, prints, and returns the exit code."""
-    parser = command_line(__doc__, quick="25 rigs, and journals of 500 and 2 000 trials")
+    parser = command_line(__doc__, quick="25 rigs, and journals of 200 and 1 000 trials")
     parser.add_argument("--folder", type=Path, help="folder for the journals, to keep them")
     parser.add_argument("--rigs", type=int, nargs="*", help="numbers of rigs; none for no fleet")
     parser.add_argument("--trials", type=int, nargs="*", help="lengths of journals; or none")
@@ -172,11 +173,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     trials = QUICK_TRIALS if options.quick else TRIALS
     trials = trials if options.trials is None else options.trials
     hold_s = QUICK_HOLD_S if options.quick else HOLD_S
+    search = QUICK_SEARCH_TRIALS if options.quick else SEARCH_TRIALS
     targets: dict[str, Target] = {}
     fleet, journal = [], []
     with tempfile.TemporaryDirectory() as temporary, print_tables(hidden=options.json):
         for number in rigs:
-            costs = measure(number, options.tuner, hold_s, busy=options.busy)
+            costs = measure(number, options.tuner, hold_s, busy=options.busy, trials=search)
             fleet.append(dict(costs._asdict()))
             print_figures(fleet[-1])
             targets |= targets_of(costs)
