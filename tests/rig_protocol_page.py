@@ -20,7 +20,7 @@ import numpy as np
 from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
 from estune.remote import messages
-from estune.remote.messages import VERBS, Answer, Description, Inquire, Keys, Status
+from estune.remote.messages import VERBS, Answer, Description, Following, Inquire, Keys, Status
 from estune.remote.messages.codec import Message
 from estune.remote.state_machine import client, events, rig, state
 from estune.remote.state_machine.client import ClientInput, ClientStage
@@ -29,10 +29,13 @@ from estune.remote.state_machine.state import Mode
 from estune.remote.state_machine.trials import TABLE, TrialEvent, TrialState
 from estune.remote.zenoh import rig_connection, zenoh_session
 from estune.trial import (
+    SETPOINT_S,
+    Feedback,
     LinearModel,
     Outcome,
     RigDescription,
     RigLimits,
+    Setpoint,
     Telemetry,
     TrialRecord,
     TrialRequest,
@@ -57,6 +60,8 @@ VALUES: dict[str, Any] = {
     "trial_id": REQUEST.trial_id,
     "gains": GAINS,
     "reason": "anna: the cable smokes",
+    "sent_s": 4711.25,
+    "setpoint": Setpoint(18.5),
 }
 """Values of the fields of the example commands, by name."""
 
@@ -67,11 +72,21 @@ COMMANDS: dict[str, Message] = {
 EXAMPLES: tuple[Any, ...] = (
     *COMMANDS.values(),
     Inquire(messages.digest(REQUEST), 1024, 1024),
+    Following(4711.25, Feedback(86.125, 18.25, -3.5, 0.875)),
     Answer(ReplyCode.HELD, sentence="the rig is held by anna@lab, process 4711"),
     Status("9f3c01aa", Mode.RUNNING, REQUEST.trial_id, 7, "anna@lab, process 4711", ""),
     Description(DESCRIBED, "9f3c01aa", "d1a5c0de00000001"),
 )
-PARTS = (TrialRequest, Gains, RigDescription, ControllerSettings, RigLimits, LinearModel)
+PARTS = (
+    TrialRequest,
+    Gains,
+    Setpoint,
+    Feedback,
+    RigDescription,
+    ControllerSettings,
+    RigLimits,
+    LinearModel,
+)
 
 
 def keys() -> Iterator[str]:
@@ -204,6 +219,9 @@ CASES: tuple[tuple[str, state.RigState, events.Event], ...] = (
     ),
     ("gains, while a trial is active", RUNNING, events.SetGainsEvent("right")),
     ("gains, in the safe state and without the lease", SAFE, events.SetGainsEvent("wrong")),
+    ("follow, while a trial is active", RUNNING, events.FollowEvent("right")),
+    ("follow, while another client holds the lease", HELD, events.FollowEvent("wrong")),
+    ("follow, in the safe state and without the lease", SAFE, events.FollowEvent("wrong")),
     ("estop, in the safe state: the first reason stands", SAFE, events.EstopEvent("another")),
     ("clear, by a client without the lease", SAFE, events.ClearEvent()),
 )
@@ -275,6 +293,7 @@ def limits() -> Iterator[str]:
         ("protocol version", messages.VERSION),
         ("lease, s", state.LEASE_S),
         ("renewal interval of the lease, s", state.RENEW_S),
+        ("time a setpoint is in force, s", SETPOINT_S),
         ("largest command, bytes", messages.COMMAND_MAX_BYTES),
         ("largest JSON reply, bytes", messages.ANSWER_MAX_BYTES),
         ("largest frame, bytes", record_frame.MAX_BYTES),

@@ -31,6 +31,8 @@ FIELDS = {
     "cancel": ({"lease"}, {"trial_id"}),
     "void": ({"lease", "trial_id", "digest"}, set()),
     "gains": ({"lease", "gains"}, set()),
+    "follow": ({"lease", "sent_s", "setpoint"}, set()),
+    "setpoint": ({"tension_N"}, {"angle_rad"}),
     "clear": (set(), set()),
     "result": ({"digest"}, {"offset", "length"}),
     "request": ({"run", "number", "gains", "profile"}, {"attempt"}),
@@ -177,6 +179,18 @@ def set_gains(message):
     return answer("accepted")
 
 
+def refuse_setpoint(message):
+    setpoint = check_fields("setpoint", message["setpoint"])
+    finite(message["sent_s"], setpoint["tension_N"], setpoint.get("angle_rad") or 0.0)
+    if ledger["latched"] and now.trial is None:
+        return answer("safe", sentence=ledger["latched"])
+    if not holds(message["lease"]):
+        return lease_refusal()
+    if now.trial:
+        return busy()
+    raise Refused("RigError", "this board runs trials only: it follows no setpoints")
+
+
 def clear(_):
     if now.trial:
         return busy()
@@ -242,6 +256,7 @@ COMMANDS = {
     "cancel": cancel,
     "void": void,
     "gains": set_gains,
+    "follow": refuse_setpoint,
     "clear": clear,
 }
 

@@ -1,6 +1,7 @@
 """Conformance of a rig: lease, emergency stop, invalid and foreign commands."""
 
 import json
+import math
 import time
 from dataclasses import fields, replace
 from typing import Any
@@ -10,11 +11,11 @@ import zenoh
 
 from estune.conformance.wire_client import ANSWERED_WITHIN_S, HOLDER, WireClient
 from estune.remote import messages
-from estune.remote.messages import VERBS, digest
+from estune.remote.messages import VERBS, Answer, Following, digest
 from estune.remote.messages.commands import Clear, Estop, Lease, SetGains, Submit, Void
 from estune.remote.state_machine.reply_codes import ReplyCode
 from estune.remote.state_machine.state import LEASE_S, Mode
-from estune.trial import Outcome, TrialRequest
+from estune.trial import Outcome, Setpoint, TrialRequest
 
 
 def example(wire: WireClient, verb: str, request: TrialRequest) -> Any:
@@ -29,6 +30,8 @@ def example(wire: WireClient, verb: str, request: TrialRequest) -> Any:
         "trial_id": request.trial_id,
         "digest": digest(request),
         "gains": replace(gains, P=0.8 * gains.P),
+        "sent_s": time.monotonic(),
+        "setpoint": Setpoint(wire.describe().rig.step.preload_N),
     }
     kind: Any = VERBS[verb].message
     return kind(**{field.name: values[field.name] for field in fields(kind)})
@@ -126,6 +129,52 @@ class CommandTests:
                 assert (answer.verdict, answer.error) == (ReplyCode.REFUSED, "ProtocolError")
         assert wire.code(request) is ReplyCode.UNKNOWN
         assert wire.status().mode is Mode.LEASED
+
+    def test_setpoint_is_followed_or_refused_with_a_reason(self, wire: WireClient) -> None:
+        about, sent_s = wire.describe().rig, time.monotonic()
+        preload = about.step.preload_N
+        answer = wire.follow(preload, sent_s)
+        if isinstance(answer, Answer):
+            assert (answer.verdict, answer.error) == (ReplyCode.REFUSED, "RigError")
+            assert bool(answer.sentence)
+            return
+        assert answer.sent_s == sent_s
+        later = wire.follow(preload, sent_s + 0.01)
+        assert isinstance(later, Following)
+        assert later.feedback.time_s >= answer.feedback.time_s
+        for setpoint_N, at_s, error in (
+            (preload, sent_s, "RigError"),  # older than the last, or the same again
+            (preload, sent_s - 10.0, "RigError"),
+            (math.nextafter(about.limits.tension_max_N, math.inf), sent_s + 1.0, "InvalidInput"),
+            (about.limits.tension_min_N - 1.0, sent_s + 1.0, "InvalidInput"),
+            (math.nan, sent_s + 1.0, "ProtocolError"),
+            (preload, math.nan, "ProtocolError"),
+        ):
+            refused = wire.follow(setpoint_N, at_s)
+            assert isinstance(refused, Answer)
+            assert (refused.verdict, refused.error) == (ReplyCode.REFUSED, error)
+
+    def test_setpoint_is_refused_during_a_trial_in_the_safe_state_and_without_the_lease(
+        self, wire: WireClient
+    ) -> None:
+        preload, mine = wire.describe().rig.step.preload_N, wire.lease
+
+        def code() -> ReplyCode:
+            answer = wire.follow(preload, time.monotonic())
+            assert isinstance(answer, Answer)
+            return answer.verdict
+
+        wire.lease = "0" * 16
+        assert code() is ReplyCode.HELD
+        wire.lease = mine
+        request = wire.long_trial()
+        wire.submit(request)
+        wire.until(Mode.RUNNING)
+        assert code() is ReplyCode.BUSY
+        wire.send("estop", Estop("a setpoint must not move the rig now"))
+        wire.until(Mode.SAFE)
+        assert code() is ReplyCode.SAFE
+        wire.send("clear", Clear())
 
     def test_command_on_a_foreign_key_is_not_executed(self, wire: WireClient) -> None:
         request = wire.trial()

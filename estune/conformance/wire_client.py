@@ -1,5 +1,6 @@
 """Single messages to a rig under test."""
 
+import json
 import secrets
 import time
 from dataclasses import replace
@@ -8,7 +9,16 @@ from typing import Any
 import zenoh
 
 from estune.remote import messages
-from estune.remote.messages import Answer, Description, Inquire, Keys, Part, Status, digest
+from estune.remote.messages import (
+    Answer,
+    Description,
+    Following,
+    Inquire,
+    Keys,
+    Part,
+    Status,
+    digest,
+)
 from estune.remote.messages.commands import Lease, Submit
 from estune.remote.state_machine.reply_codes import ReplyCode
 from estune.remote.state_machine.state import RENEW_S, Mode
@@ -71,6 +81,15 @@ class WireClient:
     def renew(self) -> None:
         """Renews the lease."""
         self.send("lease", Lease("renew", self.lease))
+
+    def follow(self, tension_N: float, sent_s: float) -> Following | Answer:
+        """Reply to a setpoint; its numbers need not be finite."""
+        setpoint = {"tension_N": tension_N, "angle_rad": None}
+        message = {"lease": self.lease, "sent_s": sent_s, "setpoint": setpoint}
+        data = self.ask(self.keys.command(self.instance, "follow"), json.dumps(message).encode())
+        if data.startswith(b'{"verdict"'):
+            return messages.decode(Answer, data)
+        return messages.decode(Following, data)
 
     def trial(self, number: int = 0, **changes: Any) -> TrialRequest:
         """A trial of the rig's own step; its proportional gain is not the live one."""

@@ -13,17 +13,22 @@ from estune.trial.records import (
     empty_record,
 )
 from estune.trial.rig import Rig, TelemetrySource
+from estune.trial.setpoints import SETPOINT_S, Feedback, Setpoint, SetpointFollower
 
 __all__ = [
     "GUARD",
     "LATE",
     "OPTIONAL_COLUMNS",
     "SATURATED",
+    "SETPOINT_S",
+    "Feedback",
     "LinearModel",
     "Outcome",
     "Rig",
     "RigDescription",
     "RigLimits",
+    "Setpoint",
+    "SetpointFollower",
     "Telemetry",
     "TelemetrySource",
     "TrialRecord",

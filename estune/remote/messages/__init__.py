@@ -25,8 +25,10 @@ from estune.remote.messages.keys import ANY_RIG, VERSION, Keys, Presence, check_
 from estune.remote.messages.replies import (
     Answer,
     Description,
+    Following,
     Status,
     decode_description,
+    decode_following,
     refusal,
 )
 
@@ -40,6 +42,7 @@ __all__ = [
     "VERSION",
     "Answer",
     "Description",
+    "Following",
     "Inquire",
     "Keys",
     "Part",
@@ -49,6 +52,7 @@ __all__ = [
     "choose",
     "decode",
     "decode_description",
+    "decode_following",
     "decode_live",
     "decode_part",
     "decode_trial",

@@ -9,7 +9,7 @@ from typing import Any, Literal, NamedTuple
 
 from estune.core.gains import Gains
 from estune.remote.messages.codec import Message
-from estune.trial import TrialRequest
+from estune.trial import Setpoint, TrialRequest
 
 
 def digest(request: TrialRequest) -> str:
@@ -104,6 +104,21 @@ class SetGains(Message):
 
 
 @dataclass(frozen=True, slots=True)
+class Follow(Message):
+    """Sets the setpoint for a short time, between trials. Sent again and again, by a source above.
+
+    Attributes:
+        lease: The client's lease.
+        sent_s: Time of sending by any clock of the client that runs evenly, s.
+        setpoint: The setpoint.
+    """
+
+    lease: str
+    sent_s: float
+    setpoint: Setpoint
+
+
+@dataclass(frozen=True, slots=True)
 class Estop(Message):
     """Brings the rig to its safe state at once. Needs no lease.
 
@@ -171,6 +186,9 @@ VERBS: Mapping[str, Verb] = MappingProxyType(
         ),
         "void": Verb(Void, "[Answer](#answer): `void`, or the trial's state in the ledger"),
         "gains": Verb(SetGains),
+        "follow": Verb(
+            Follow, "[Following](#following) if it is in force, else [Answer](#answer)", threads=1
+        ),
         "estop": Verb(
             Estop, "[Answer](#answer), once the rig is on its way to its safe state", threads=1
         ),

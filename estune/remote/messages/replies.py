@@ -9,7 +9,7 @@ from estune.remote.messages.codec import ANSWER_MAX_BYTES, Message, decode
 from estune.remote.messages.keys import VERSION
 from estune.remote.state_machine.reply_codes import ReplyCode
 from estune.remote.state_machine.state import Mode
-from estune.trial import RigDescription
+from estune.trial import Feedback, RigDescription
 
 _ERRORS: dict[str, type[EstuneError]] = {
     name: kind
@@ -68,6 +68,19 @@ class Status(Message):
 
 
 @dataclass(frozen=True, slots=True)
+class Following(Message):
+    """Reply to a setpoint that is in force.
+
+    Attributes:
+        sent_s: Time of sending of the setpoint, as in its message.
+        feedback: State of the reel.
+    """
+
+    sent_s: float
+    feedback: Feedback
+
+
+@dataclass(frozen=True, slots=True)
 class Description(Message):
     """Properties of a rig, and how to address it. A rig without limits has infinite ones.
 
@@ -92,6 +105,18 @@ class Description(Message):
 def refusal(error: EstuneError, trial_id: str = "") -> Answer:
     """The reply that makes the client raise this error."""
     return Answer(ReplyCode.REFUSED, trial_id, type(error).__name__, str(error))
+
+
+def decode_following(data: bytes) -> Following:
+    """Reply of a rig to a setpoint.
+
+    Raises:
+        ProtocolError: it is no such reply.
+        EstuneError: the rig refuses the setpoint.
+    """
+    if data.startswith(b'{"verdict"'):
+        decode(Answer, data).check()
+    return decode(Following, data)
 
 
 def decode_description(data: bytes) -> Description:

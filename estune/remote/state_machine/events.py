@@ -74,6 +74,19 @@ class SetGainsEvent:
 
 
 @dataclass(frozen=True, slots=True)
+class FollowEvent:
+    """A client sends a setpoint.
+
+    Attributes:
+        token: The client's lease.
+        objection: Reason why the reel must not follow it; empty if it may.
+    """
+
+    token: str
+    objection: str = ""
+
+
+@dataclass(frozen=True, slots=True)
 class EstopEvent:
     """Emergency stop, by any client at any time."""
 
@@ -114,6 +127,7 @@ Event = (
     | CancelEvent
     | VoidEvent
     | SetGainsEvent
+    | FollowEvent
     | EstopEvent
     | ClearEvent
     | Noted

@@ -166,14 +166,25 @@ def apply(state: RigState, event: events.SetGainsEvent, _now_s: float) -> Transi
     return Transition(state, orders=(RigAction.APPLY,))
 
 
-def apply_while_busy(state: RigState, event: events.SetGainsEvent, _now_s: float) -> Transition:
+def busy_with_trial(
+    state: RigState, event: events.SetGainsEvent | events.FollowEvent, _now_s: float
+) -> Transition:
     """Refuse: a trial is active."""
     return _busy(state) if _owns(state, event.token) else _without_lease(state)
 
 
-def apply_while_safe(state: RigState, _event: events.SetGainsEvent, _now_s: float) -> Transition:
+def held_safe(state: RigState, _event: events.Event, _now_s: float) -> Transition:
     """Refuse until cleared."""
     return _safe(state)
+
+
+def follow(state: RigState, event: events.FollowEvent, _now_s: float) -> Transition:
+    """Follow the setpoint, if the lease is right, it is no old one, and the limits hold."""
+    if not _owns(state, event.token):
+        return _without_lease(state)
+    if event.objection:
+        return Transition(state, ReplyCode.REFUSED, event.objection)
+    return Transition(state, orders=(RigAction.FOLLOW,))
 
 
 def estop(state: RigState, event: events.EstopEvent, _now_s: float) -> Transition:
@@ -342,7 +353,10 @@ TABLE: Mapping[type[events.Event], Mapping[Mode, Handler]] = MappingProxyType(
             void, (void_while_taking, (Mode.TAKING,)), (refuse_closed, _CLOSED)
         ),
         events.SetGainsEvent: _row(
-            apply, (apply_while_busy, _ACTIVE), (apply_while_safe, _SAFE), (refuse_closed, _CLOSED)
+            apply, (busy_with_trial, _ACTIVE), (held_safe, _SAFE), (refuse_closed, _CLOSED)
+        ),
+        events.FollowEvent: _row(
+            follow, (busy_with_trial, _ACTIVE), (held_safe, _SAFE), (refuse_closed, _CLOSED)
         ),
         events.EstopEvent: _row(estop, (estop_trial, _ACTIVE)),
         events.ClearEvent: _row(clear, (clear_while_busy, _ACTIVE), (refuse_closed, _CLOSED)),

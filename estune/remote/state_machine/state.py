@@ -32,7 +32,7 @@ class Mode(StrEnum):
 
 _MODES = {
     Mode.IDLE: "no client holds the lease, nothing moves",
-    Mode.LEASED: "a client holds the lease, nothing moves",
+    Mode.LEASED: "a client holds the lease; nothing moves, unless it sends setpoints",
     Mode.TAKING: "a trial is being written to the ledger; its sender has no reply yet",
     Mode.ACCEPTED: "a trial is in the ledger and has not started",
     Mode.RUNNING: "a trial is running",
@@ -107,6 +107,7 @@ class RigAction(StrEnum):
     ESTOP = "estop"
     CLEAR = "clear"
     APPLY = "apply"
+    FOLLOW = "follow"
     TOMBSTONE = "tombstone"
 
 

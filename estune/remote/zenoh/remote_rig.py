@@ -18,10 +18,10 @@ from typing import Any, Self
 import zenoh
 
 from estune.core.gains import Gains
-from estune.errors import InvalidInput, ProtocolError, RigError
+from estune.errors import EstuneError, InvalidInput, ProtocolError, RigError
 from estune.remote import messages
 from estune.remote.messages import Answer, Inquire, Presence, Status, check_name
-from estune.remote.messages.commands import Cancel, Clear, Estop, SetGains, Void
+from estune.remote.messages.commands import Cancel, Clear, Estop, Follow, SetGains, Void
 from estune.remote.security import OPEN, Security
 from estune.remote.state_machine.client import Action
 from estune.remote.state_machine.reply_codes import ReplyCode
@@ -33,8 +33,10 @@ from estune.remote.zenoh.rig_connection import RigConnection, present_at
 from estune.remote.zenoh.trial_exchange import TrialExchange
 from estune.remote.zenoh.zenoh_session import AGAIN_S, close_session
 from estune.trial import (
+    Feedback,
     Outcome,
     RigDescription,
+    Setpoint,
     Telemetry,
     TrialRecord,
     TrialRequest,
@@ -219,6 +221,33 @@ class RemoteRig:
         """
         unknown = f"; whether it has applied the gains {gains} is unknown"
         self._command_with_lease(SetGains("", gains), unknown).check()
+
+    def send_setpoint(
+        self,
+        setpoint: Setpoint,
+        receive: Callable[[Feedback | EstuneError], None],
+        within_s: float,
+    ) -> None:
+        """Sends a setpoint, without waiting for the reply; `SetpointStream` sends many.
+
+        Args:
+            setpoint: The setpoint.
+            receive: Takes the reply, in a thread of the network that must not wait; it is not
+                called without a reply.
+            within_s: Time after which a reply is ignored, s.
+        """
+        lease = self._lease.hold()
+
+        def decode(reply: zenoh.Reply) -> None:
+            if (data := self._connection.own_reply(reply)) is None:
+                return
+            try:
+                receive(messages.decode_following(data).feedback)
+            except EstuneError as error:
+                receive(error)
+
+        command = Follow(lease, time.monotonic(), setpoint)
+        self._connection.send(command, decode, within_s)
 
     def abort(self) -> RigDescription:
         """Stops the active trial, and returns once the live gains are restored."""

@@ -21,6 +21,7 @@ from estune.remote.messages import (
     VERBS,
     Answer,
     Description,
+    Following,
     Inquire,
     Status,
     check_name,
@@ -30,6 +31,7 @@ from estune.remote.messages import (
 from estune.remote.messages.codec import Message
 from estune.remote.state_machine import events
 from estune.remote.state_machine.reply_codes import OF_TRIAL, ReplyCode
+from estune.remote.state_machine.setpoint_age import SetpointAge
 from estune.remote.state_machine.state import RigAction, Transition
 from estune.remote.state_machine.trials import TrialEvent, TrialState
 from estune.remote.zenoh.trial_execution import (
@@ -40,7 +42,7 @@ from estune.remote.zenoh.trial_execution import (
     reply_from_ledger,
     to_estune_error,
 )
-from estune.trial import Rig, Telemetry, TelemetrySource
+from estune.trial import SETPOINT_S, Rig, Telemetry, TelemetrySource
 
 PROMPT_S = 0.01
 CLOSE_WITHIN_S = 10.0
@@ -79,7 +81,7 @@ class RequestHandler:
 
         Args:
             rig: The rig. It is called by one thread at a time, not always the same; `abort`,
-                `estop`, `clear` and `telemetry` by others.
+                `estop`, `clear`, `follow` and `telemetry` by others.
             ledger: Ledger of its trials.
             changed: Called when the status has changed.
             instance: Identity of this start of the rig.
@@ -90,6 +92,7 @@ class RequestHandler:
         self._instance = instance
         self._part_bytes = part_bytes
         self._prompt = False
+        self._setpoint_age = SetpointAge()
         description = rig.describe()
         if ledger.latched:  # a stop outlives the power supply
             rig.estop(ledger.latched)
@@ -218,6 +221,28 @@ class RequestHandler:
         except EstuneError as error:
             return refusal(error)
         return Answer(ReplyCode.ACCEPTED)
+
+    def follow(self, command: commands.Follow) -> Answer | Following:
+        """Passes a setpoint to the rig, unless a trial is active or the setpoint is an old one."""
+        now_s = time.monotonic()
+        violation = self._executor.setpoint_violation(command.setpoint)
+        with self._shared.lock:
+            age = self._setpoint_age.next(command.lease, command.sent_s, now_s)
+            if age is None:
+                violation = RigError(
+                    "the setpoint was dropped: a newer one arrived before, or it was under way "
+                    f"for more than {SETPOINT_S:g} s; check the network and the machine's load"
+                )
+            event = events.FollowEvent(command.lease, str(violation or ""))
+            move = self._shared.step(event, now_s)
+            follows = RigAction.FOLLOW in move.orders
+            if follows and age is not None:
+                self._setpoint_age = age
+        if follows:
+            return Following(command.sent_s, self._executor.follow(command.setpoint))
+        if move.reply_code is ReplyCode.REFUSED:
+            return refusal(violation or RigError(move.sentence))
+        return _answer(move, self.status().trial_id)
 
     def estop(self, command: commands.Estop) -> Handled:
         """Brings the rig to its safe state, before anything else is done."""

@@ -197,8 +197,8 @@ class RigConnection:
                 return LinkStatus(
                     ClientInput.GONE,
                     f"{self._label} answers queries but not this command, as if this client "
-                    "had no right to command it, or the rig were overloaded",
-                    "ask its administrator for access, or relieve the rig's machine",
+                    "had no right to command it, or the rig did not know it, or were overloaded",
+                    "ask its administrator for access, update the rig, or relieve its machine",
                 )
             # A simulation can hold its interpreter: it is alive without replying.
             limit_s = self._limit_s(max(PATIENCE_S, self.timeout_s))

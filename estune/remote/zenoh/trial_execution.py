@@ -24,9 +24,12 @@ from estune.remote.state_machine.reply_codes import OF_TRIAL, ReplyCode
 from estune.remote.state_machine.state import RigAction, RigState, Transition
 from estune.remote.state_machine.trials import TrialEvent, TrialState
 from estune.trial import (
+    Feedback,
     Outcome,
     Rig,
     RigDescription,
+    Setpoint,
+    SetpointFollower,
     TrialRecord,
     TrialRequest,
     empty_record,
@@ -202,6 +205,25 @@ class TrialExecutor:
             f"a trial of {samples} samples does not fit into a record of {record_frame.MAX_BYTES} "
             "bytes; request a shorter one"
         )
+
+    def setpoint_violation(self, setpoint: Setpoint) -> EstuneError | None:
+        """Reason why the rig must not follow a setpoint."""
+        if not isinstance(self._rig, SetpointFollower):
+            return RigError("this rig runs trials only: it follows no setpoints")
+        try:
+            self.description.limits.check_tension(setpoint.tension_N)
+        except InvalidInput as error:
+            return error
+        return None
+
+    def follow(self, setpoint: Setpoint) -> Feedback:
+        """Has the reel follow a setpoint.
+
+        Raises:
+            EstuneError: the rig refuses it.
+        """
+        assert isinstance(self._rig, SetpointFollower)  # noqa: S101  else it was refused above
+        return self._rig.follow(setpoint)
 
     def note(self, trial: ActiveTrial, *, begun: bool) -> EstuneError | TrialState:
         """Notes an accepted trial in the ledger; returns its state there, or the obstacle."""

@@ -1,0 +1,73 @@
+"""A platform held by four reels and a two-reel bench, and the process that serves their reels."""
+
+import subprocess
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+
+from estune.errors import RigError
+from plants.cable_platform.mechanism import Mechanism, bench_carriage, planar_platform
+from plants.models.reel import reference_reel
+from plants.two_reel_bench import attenuation
+
+_END_WITHIN_S = 10.0
+
+
+def platform() -> tuple[Mechanism, tuple[str, ...]]:
+    """A light platform in a vertical plane, its four eyelets in the corners of a rectangle.
+
+    Its cables cross, so that they exert a moment; the eyelets lose 1 %.
+    """
+    corners = ((-0.8, -0.6), (0.8, -0.6), (0.8, 0.6), (-0.8, 0.6))
+    ends = ((-0.1, 0.05), (0.1, 0.05), (0.1, -0.05), (-0.1, -0.05))
+    made = planar_platform(corners, ends, mass_kg=1.0, inertia_kg_m2=0.015, attenuation=0.99)
+    return made, ("lower-left", "lower-right", "upper-right", "upper-left")
+
+
+def bench() -> tuple[Mechanism, tuple[str, ...]]:
+    """Two reference reels face to face, both eyelets with C_R = 0.1 and a bend of 2.1 rad."""
+    reel, B = reference_reel(), attenuation(0.1, 2.1)
+    return bench_carriage(reel, reel, (B, B)), ("x", "y")
+
+
+EXAMPLES: Mapping[str, Callable[[], tuple[Mechanism, tuple[str, ...]]]] = {
+    "platform": platform,
+    "bench": bench,
+}
+"""What `python -m plants.cable_platform` serves."""
+
+
+@contextmanager
+def served(name: str) -> Iterator[dict[str, str]]:
+    """Serves the reels of an example in a process of its own, for the duration of the block.
+
+    Yields:
+        Their endpoints by name.
+
+    Raises:
+        RigError: the process ends at once.
+    """
+    process = subprocess.Popen(  # noqa: S603  our own interpreter and module
+        [sys.executable, "-P", "-m", "plants.cable_platform", name],
+        stdin=subprocess.PIPE,  # closes however this process ends, and the other ends with it
+        stdout=subprocess.PIPE,
+        text=True,
+        start_new_session=True,  # Ctrl-C must not reach the rigs
+    )
+    try:
+        lines = [process.stdout.readline().split() for _ in EXAMPLES[name]()[1]]  # type: ignore[union-attr]
+        if not all(lines):
+            raise RigError(
+                f"the process that serves the reels ended at once (exit code {process.wait()}); "
+                f"run it by itself: python -m plants.cable_platform {name}"
+            )
+        yield {words[1]: words[-1] for words in lines}
+    finally:
+        for stream in (process.stdin, process.stdout):
+            if stream:
+                stream.close()
+        try:
+            process.wait(_END_WITHIN_S)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
