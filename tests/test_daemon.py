@@ -4,6 +4,7 @@ import signal
 import time
 import tomllib
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -22,7 +23,7 @@ from estune.daemon.tuning_runs import TuningRuns
 from estune.errors import InvalidInput, JournalError, RigError
 from estune.remote import zenoh
 from estune.remote.zenoh.network import Network
-from estune.run import loop
+from estune.run import disk_space, loop
 from estune.run.journal import Journal
 from estune.run.planning import plan_from_json
 from estune.trial import Outcome, TrialRequest
@@ -445,6 +446,17 @@ def test_full_disk_prevents_accept_and_still_stops_safely(tmp_path):
         it.service.stop()
         it.thread.join(WITHIN_S)
         assert rig.describe().gains == ORIGINAL
+
+
+def test_daemon_warns_once_in_a_run_that_its_disk_will_be_full(tmp_path, monkeypatch):
+    monkeypatch.setattr(disk_space.shutil, "disk_usage", lambda _: SimpleNamespace(free=1000.0))
+    trials = 3 * disk_space.INTERVAL
+    with (
+        rig_served() as (_, where),
+        daemon(tmp_path, rig_table("drum", where, trials=trials)) as it,
+    ):
+        it.until(lambda s: s.trials > 2.5 * disk_space.INTERVAL or s.mode == "holding")
+        assert it.kinds().count("disk") == 1
 
 
 @pytest.mark.slow
