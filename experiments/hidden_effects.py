@@ -5,8 +5,6 @@ answer is compared with what was hidden. Counted are cases whose prediction erro
 times the noise floor, unless it says otherwise. Misnaming is any name, in a verdict of whatever
 kind, of a family that is not there. Every row goes to a file as it is finished; `--rows` prints
 the tables of such a file without running anything.
-
-Beside them: a measured set, the Silverbox, where it is at hand (`--data`, or ESTUNE_DATA).
 """
 
 import json
@@ -25,9 +23,7 @@ from typing import Any, NamedTuple
 
 from matplotlib.figure import Figure
 
-from experiments import silverbox
 from experiments.hidden_scores import Row, Task, diagnose
-from experiments.measured_data import folder
 from experiments.results import (
     Target,
     at_least,
@@ -82,8 +78,6 @@ LIMITS: dict[str, tuple[float, Callable[[float, float], Target]]] = {
     "calibration_error": (0.05, at_most),
     "median_cpu_s": (3.0, at_most),
     "throughput_two_workers": (1.8, at_least),
-    "silverbox_nrmse_after": (0.025, at_most),
-    "silverbox_stiffening_first": (1.0, at_least),
 }
 
 
@@ -333,7 +327,6 @@ def main() -> int:
     parser.add_argument("--cases", type=int, default=1000, help="number of cases")
     parser.add_argument("--seed0", type=int, default=FIRST_SEED, help="first seed")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes")
-    parser.add_argument("--data", type=Path, help="folder that holds silverbox/Silverbox.mat")
     parser.add_argument("--rows", type=Path, help="print the tables of this file; run nothing")
     options = parser.parse_args()
     figures: dict[str, Any] = {}
@@ -345,7 +338,6 @@ def main() -> int:
         rows = run_all(todo, options.jobs, OUT / "hidden_effects.jsonl")
         if not options.quick:
             figures |= throughput(THROUGHPUT_CASES, options.seed0)
-        figures |= silverbox.figures(folder(options.data))
     figures = summary(rows) | figures
     save_figure(draw_reliability(reliability(rows)), OUT, "hidden_reliability")
     if not options.json:

@@ -7,6 +7,7 @@ part of this project: `--data` or the environment variable ESTUNE_DATA is the fo
 silverbox/Silverbox.mat.
 """
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ import numpy as np
 import plants
 from estune.core.quantities import FloatArray
 from experiments.measured_data import folder
-from experiments.results import command_line, print_results
+from experiments.results import Target, at_least, at_most, command_line, print_results
 from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.models.diagnosed_model import diagnosed
 from plants.diagnosis.prediction.prediction import Predictor
@@ -25,6 +26,8 @@ SETTLING = 100
 """Samples at the start of the multisine that are not counted: its initial state is unknown."""
 
 EXPECTED = "cable_stiffening"
+LIMIT_NRMSE = 0.024
+"""Error allowed on the multisine, relative to its standard deviation."""
 
 
 def figures(data: Path) -> dict[str, Any]:
@@ -46,6 +49,17 @@ def figures(data: Path) -> dict[str, Any]:
         "silverbox_nrmse_before": _nrmse(answer.base_model, aside),
         "silverbox_nrmse_after": _nrmse(answer.augmented, aside),
         "silverbox_free_run_ratio": answer.rms_after / answer.rms_before,
+    }
+
+
+def targets(figures: Mapping[str, Any]) -> dict[str, Target]:
+    """What has to be reached; nothing without the data."""
+    if "silverbox_nrmse_after" not in figures:
+        return {}
+    first, after = figures["silverbox_stiffening_first"], figures["silverbox_nrmse_after"]
+    return {
+        "silverbox_stiffening_first": at_least(first, 1.0),
+        "silverbox_nrmse_after": at_most(after, LIMIT_NRMSE),
     }
 
 
@@ -116,7 +130,7 @@ def _nrmse(model: Any, record: MeasuredRecord) -> float:
 
 
 def main() -> int:
-    """Prints the figures, or with --json one object."""
+    """Prints the figures, or with --json one object; returns 1 where a target is missed."""
     parser = command_line(__doc__, quick="no shorter form")
     parser.add_argument("--data", type=Path, help="folder that holds silverbox/Silverbox.mat")
     options = parser.parse_args()
@@ -124,7 +138,7 @@ def main() -> int:
     if not options.json:
         for name, value in values.items():
             print(f"{name:30s} {value if isinstance(value, str) else f'{value:.4g}'}")
-    return print_results(values, {}, as_json=options.json)
+    return print_results(values, targets(values), as_json=options.json)
 
 
 if __name__ == "__main__":
