@@ -9,13 +9,14 @@ import pytest
 
 import estune
 import plants
+from estune.core.gains import Gains
 from estune.errors import InvalidInput
 from estune.loop_model.optimum import RobustnessLimits
 from estune.run.loop import Stopped
 from estune.trial import TrialRequest
 from estune.trial.loop_records import loop_signals
 from experiments.loop_claims import true_sensitivity
-from plants.effects import CoulombFriction
+from plants.effects import CoulombFriction, EyeletFriction
 
 
 def tune(target, **settings):
@@ -49,10 +50,30 @@ def test_other_limits_are_kept():
     assert true_sensitivity(plants.reference_reel(1.1), result.gains) <= 1.45
 
 
-def test_friction_leaves_no_claim_and_says_why():
-    result = tune(plants.reference_reel() + CoulombFriction(torque_Nm=0.05), trials=15)
+def test_friction_is_identified_and_the_limits_are_kept_and_claimed():
+    plant = plants.reference_reel() + CoulombFriction(torque_Nm=0.05)
+    result = tune(plant)
+    found = result.identified.fit.model.friction_N
+    assert found == pytest.approx(0.05 / plants.reference_reel().drum_radius_m, rel=0.05)
+    truth = true_sensitivity(plant, result.gains)
+    assert truth <= 1.65
+    assert result.claim.margins.sensitivity.low <= truth <= result.claim.margins.sensitivity.high
+    assert result.tuned.metrics.overshoot <= 0.06
+
+
+def test_friction_in_the_eyelet_leaves_no_claim_and_says_why():
+    result = tune(plants.reference_reel() + EyeletFriction(0.93), trials=8)
     assert result.claim.margins is None
     assert any("estune explain" in remark for remark in result.remarks())
+
+
+def test_start_that_breaks_a_limit_is_not_kept_for_being_as_cheap():
+    # The optimum without limits: an overshoot of 15 %, and a cost 2.6 % lower than within them.
+    free = Gains(1.17, 35.6, 0.0163, 0.002)
+    result = tune(plants.reference_reel(0.8), start=free)
+    assert result.success
+    assert "keep the limits" in result.message
+    assert true_sensitivity(plants.reference_reel(0.8), result.gains) <= 1.65
 
 
 def test_limits_are_refused_with_a_tuner_that_keeps_none():

@@ -67,7 +67,7 @@ class LoopFit(NamedTuple):
 
     Attributes:
         model: The model.
-        covariance: Of its five real parameters, shape (5, 5): white residuals.
+        covariance: Of its n real parameters, shape (n, n): white residuals.
         clustered: The same from the scatter between records (sandwich estimate).
         noise_N: Standard deviation of the measurement noise, from first differences.
         residual_N: Standard deviation of the residual.
@@ -112,13 +112,13 @@ def noise_of(record: LoopRecord) -> float:
     return float(np.median(np.abs(third)) / (NORMAL_MEDIAN * math.sqrt(20.0)))
 
 
-def fit_loop(
+def fit_linear_loop(
     records: Sequence[LoopRecord],
     sampling_Hz: float,
     settling_time_s: float,
     last: LoopModel | None = None,
 ) -> LoopFit:
-    """The loop model that fits records best.
+    """The linear loop model that fits records best.
 
     Args:
         records: At least one; all of one step trial.
@@ -130,7 +130,7 @@ def fit_loop(
     start = (
         _cold_start(_signals(records[:2]), sampling_Hz, settling_time_s)
         if last is None
-        else _Try(math.inf, _pole_coordinates(last), last.dead_samples)
+        else _Try(math.inf, pole_coordinates(last), last.dead_samples)
     )
     _, coordinates, dead = _searched_dead_time(signals, start)
     return _summarise(records, signals, coordinates, dead)
@@ -198,7 +198,7 @@ def _cost(one: _Try) -> float:
     return one.cost
 
 
-def _denominator(coordinates: FloatArray) -> FloatArray:
+def denominator(coordinates: FloatArray) -> FloatArray:
     """A for logarithms of natural frequency (rad/sample) and damping ratio."""
     w, z = np.exp(np.clip(coordinates, -25.0, 6.0))
     if z < 1.0:
@@ -209,8 +209,8 @@ def _denominator(coordinates: FloatArray) -> FloatArray:
     return np.array([1.0, -(slow + fast), slow * fast])
 
 
-def _pole_coordinates(model: LoopModel) -> FloatArray:
-    """Inverse of `_denominator`."""
+def pole_coordinates(model: LoopModel) -> FloatArray:
+    """Inverse of `denominator`."""
     poles = np.log(np.roots(model.denominator).astype(complex))
     product, total = abs((poles[0] * poles[1]).real), -(poles[0] + poles[1]).real
     w = math.sqrt(max(product, 1e-20))
@@ -265,9 +265,9 @@ class _Solution(NamedTuple):
     @classmethod
     def at(cls, signals: _Signals, coordinates: FloatArray, dead: int) -> "_Solution":
         """The solution at these poles and this dead time."""
-        a, n = _denominator(coordinates), signals.effort.shape[1]
+        a, n = denominator(coordinates), signals.effort.shape[1]
         filtered = lfilter([1.0], a, signals.effort)
-        raw = np.stack([_delayed(filtered, dead + 1 + j) for j in range(3)])
+        raw = np.stack([delayed(filtered, dead + 1 + j) for j in range(3)])
         Q, level = _nuisance(float(a[1]), float(a[2]), n)
         X, y = _projected(raw, Q), _projected(signals.measurement, Q)
         basis, triangle = np.linalg.qr(X.reshape(3, -1).T)  # almost collinear: not by X'X
@@ -286,8 +286,8 @@ class _Solution(NamedTuple):
     @property
     def denominator_slopes(self) -> FloatArray:
         """Slopes of the residual along a1 and a2, shape (2, records, samples)."""
-        again = lfilter([1.0], _denominator(self.coordinates), self.output)
-        slopes = np.stack([_delayed(again, 1), _delayed(again, 2)])
+        again = lfilter([1.0], denominator(self.coordinates), self.output)
+        slopes = np.stack([delayed(again, 1), delayed(again, 2)])
         return _projected(slopes, self.nuisance)
 
     def pole_jacobian(self) -> FloatArray:
@@ -296,7 +296,7 @@ class _Solution(NamedTuple):
         The numerator follows the poles, as by Kaufman (BIT 15, 1975).
         """
         x = self.coordinates
-        moved = [_denominator(x + s * step) for step in 1e-6 * np.eye(2) for s in (1, -1)]
+        moved = [denominator(x + s * step) for step in 1e-6 * np.eye(2) for s in (1, -1)]
         per_coordinate = np.array([moved[0] - moved[1], moved[2] - moved[3]])[:, 1:] / 2e-6
         slopes = (per_coordinate @ self.denominator_slopes.reshape(2, -1)).T
         return np.asarray(slopes - self.basis @ (self.basis.T @ slopes))
@@ -310,7 +310,7 @@ def _nuisance(a1: float, a2: float, samples: int) -> tuple[FloatArray, FloatArra
         Arrays of shape (samples, up to 4) and (up to 4, 1).
     """
     free = lfilter([1.0], [1.0, a1, a2], np.eye(1, samples)[0])
-    columns = np.array([free, _delayed(free, 1), np.cumsum(free), np.ones(samples)])
+    columns = np.array([free, delayed(free, 1), np.cumsum(free), np.ones(samples)])
     columns /= np.maximum(np.linalg.norm(columns, axis=1, keepdims=True), 1e-300)
     # Start state and level span the response to an offset of the effort, but for integrators.
     left, sizes, right = np.linalg.svd(columns.T, full_matrices=False)
@@ -319,7 +319,7 @@ def _nuisance(a1: float, a2: float, samples: int) -> tuple[FloatArray, FloatArra
     return left[:, apart], level
 
 
-def _delayed(signals: FloatArray, samples: int) -> FloatArray:
+def delayed(signals: FloatArray, samples: int) -> FloatArray:
     """Signals so many samples later, zero before, shape (..., samples)."""
     later = np.zeros_like(signals)
     later[..., samples:] = signals[..., : signals.shape[-1] - samples]
@@ -336,23 +336,54 @@ def _summarise(
 ) -> LoopFit:
     """The fit with its covariances and its misfit."""
     at = _Solution.at(signals, coordinates, dead)
-    a, b = _denominator(coordinates), at.numerator
-    jacobians = np.concatenate([at.denominator_slopes, -at.regressors]).transpose(1, 2, 0)
-    J, count = jacobians.reshape(-1, 5), at.residual.size
+    a, b = denominator(coordinates), at.numerator
+    slopes = np.concatenate([at.denominator_slopes, -at.regressors]).transpose(1, 2, 0)
+    return summarise(
+        records,
+        LoopModel((float(a[1]), float(a[2])), (float(b[0]), float(b[1]), float(b[2])), dead),
+        slopes,
+        at.residual,
+        response_N=float(np.abs(np.tensordot(b, at.regressors, 1)).max()),
+        nuisance=NUISANCE,
+    )
+
+
+def summarise(
+    records: Sequence[LoopRecord],
+    model: LoopModel,
+    slopes: FloatArray,
+    residual: FloatArray,
+    *,
+    response_N: float,
+    nuisance: int,
+) -> LoopFit:
+    """The fit of a model with its covariances and its misfit.
+
+    Args:
+        records: The records.
+        model: The model.
+        slopes: Of the output, or of the residual, along the model's real parameters and further
+            ones that all records share, shape (records, samples, parameters).
+        residual: Shape (records, samples).
+        response_N: Largest deviation of the fitted measurement.
+        nuisance: Parameters of each record.
+    """
+    J, (count, samples) = slopes.reshape(-1, slopes.shape[2]), residual.shape
     weight = np.linalg.norm(J, axis=0)
+    weight = np.maximum(weight, 1e-12 * weight.max())
     inverse = np.linalg.pinv((J / weight).T @ (J / weight), rcond=1e-12) / np.outer(weight, weight)
-    squares = np.sum(at.residual**2, axis=1)
-    variance = float(squares.sum()) / max(count - 5 - NUISANCE * len(records), 1)
-    scores = np.einsum("rnp,rn->rp", jacobians, at.residual)
+    squares = np.sum(residual**2, axis=1)
+    variance = float(squares.sum()) / max(residual.size - J.shape[1] - nuisance * count, 1)
+    scores = np.einsum("rnp,rn->rp", slopes, residual)
     noise = math.sqrt(float(np.mean([noise_of(record) ** 2 for record in records])))
-    beyond = squares / max(at.residual.shape[1] - NUISANCE, 1) - noise**2
-    steps = np.abs([record.step_N for record in records])
+    beyond = np.maximum(squares / max(samples - nuisance, 1) - noise**2, 0.0)
+    n = model.parameters.size
     return LoopFit(
-        model=LoopModel((float(a[1]), float(a[2])), (float(b[0]), float(b[1]), float(b[2])), dead),
-        covariance=variance * inverse,
-        clustered=inverse @ (scores.T @ scores) @ inverse,
+        model=model,
+        covariance=(variance * inverse)[:n, :n],
+        clustered=(inverse @ (scores.T @ scores) @ inverse)[:n, :n],
         noise_N=noise,
         residual_N=math.sqrt(variance),
-        response_N=float(np.abs(np.tensordot(b, at.regressors, 1)).max()),
-        misfits=tuple((np.sqrt(np.maximum(beyond, 0.0)) / steps).tolist()),
+        response_N=response_N,
+        misfits=tuple((np.sqrt(beyond) / np.abs([r.step_N for r in records])).tolist()),
     )

@@ -32,27 +32,36 @@ POINTS_PER_TURN = 24
 
 
 class LoopModel(NamedTuple):
-    """Two poles, three numerator terms and a dead time.
+    """Two poles, three numerator terms, a dead time and dry friction.
 
     Attributes:
         poles: a1 and a2.
         zeros: b0, b1 and b2, N of measurement per N of effort.
         dead_samples: Whole samples d of dead time beyond the one of sampling.
+        friction_N: Size of the dry friction that the effort works against, N; zero is none. The
+            polynomials and margins are those of the linear part.
     """
 
     poles: tuple[float, float]
     zeros: tuple[float, float, float]
     dead_samples: int
+    friction_N: float = 0.0
 
     @property
     def parameters(self) -> FloatArray:
-        """The five real parameters, shape (5,)."""
-        return np.array([*self.poles, *self.zeros])
+        """The real parameters, shape (5,), or (6,) with the friction as the last."""
+        return np.array([*self.poles, *self.zeros, *([self.friction_N] * bool(self.friction_N))])
 
     def with_parameters(self, values: FloatArray) -> "LoopModel":
-        """The model with other values of the five real parameters and the same dead time."""
-        a1, a2, b0, b1, b2 = (float(value) for value in values)
-        return LoopModel((a1, a2), (b0, b1, b2), self.dead_samples)
+        """The model with other values of the real parameters and the same dead time."""
+        a1, a2, b0, b1, b2, *friction = (float(value) for value in values)
+        return LoopModel((a1, a2), (b0, b1, b2), self.dead_samples, max(sum(friction), 0.0))
+
+    @property
+    def static_gain(self) -> float:
+        """Measurement per effort at rest; infinite for an integrator."""
+        unit = 1.0 + sum(self.poles)
+        return sum(self.zeros) / unit if unit else math.inf
 
     @property
     def numerator(self) -> FloatArray:

@@ -1,7 +1,7 @@
 """The gains of least predicted cost within limits of sensitivity and overshoot."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, fields
 from typing import NamedTuple
 
@@ -12,7 +12,7 @@ from estune.core.gains import Gains
 from estune.core.quantities import FloatArray
 from estune.errors import InvalidInput
 from estune.loop_model.model import LoopModel
-from estune.loop_model.prediction import Prediction, StepTrial, predict
+from estune.loop_model.prediction import Interval, PredictedMargins, Prediction, StepTrial, predict
 
 SENSITIVITY_MAX = 1.6
 """Largest Ms by default; 1.4 is robust, 2 aggressive."""
@@ -71,6 +71,27 @@ class RobustnessLimits:
                 if self.min_phase_margin_deg is None
                 else math.radians(self.min_phase_margin_deg - p.phase_margin_deg),
             ]
+        )
+
+    def broken_by(self, margins: PredictedMargins) -> str:
+        """The limits that a loop breaks, whichever value of its intervals is true; or nothing."""
+
+        def broken(limit: float | None, at: Interval, name: str, form: str) -> Iterator[str]:
+            if limit is not None and at.low > limit:
+                yield f"{name} {at.value:{form}}, above {limit:{form}}"
+
+        least = self.min_phase_margin_deg
+        angle = margins.phase_margin_deg
+        return " and ".join(
+            (
+                *broken(self.max_sensitivity, margins.sensitivity, "a sensitivity Ms of", ".3g"),
+                *broken(self.max_overshoot, margins.overshoot, "an overshoot of", ".1%"),
+                *(
+                    [f"a phase margin of {angle.value:.0f}°, below {least:.0f}°"]
+                    if least is not None and angle.high < least
+                    else []
+                ),
+            )
         )
 
     def loosened_to(self, p: Prediction) -> "RobustnessLimits":
@@ -134,6 +155,7 @@ class RegionSearch:
         low: Least coordinates, shape (n,).
         high: Greatest coordinates.
         noise_N: Standard deviation of the measurement noise.
+        corrected: From coordinates and what the model predicts there to what is expected.
     """
 
     model: LoopModel
@@ -143,6 +165,7 @@ class RegionSearch:
     low: FloatArray
     high: FloatArray
     noise_N: float = 0.0
+    corrected: Callable[[FloatArray, Prediction], Prediction] | None = None
     _known: dict[bytes, Prediction] = field(default_factory=dict, repr=False, compare=False)
 
     def minimise(
@@ -168,11 +191,12 @@ class RegionSearch:
         return min((self._descend(x, iterations) for x in stable[:DESCENTS]), key=self._rank)
 
     def predicted(self, x: FloatArray) -> Prediction:
-        """What the model predicts at some coordinates."""
+        """What is expected at some coordinates."""
         key = x.tobytes()
         if key not in self._known:
             gains = self.gains_of(x)
-            self._known[key] = predict(self.model, self.trial, gains, self.noise_N)
+            found = predict(self.model, self.trial, gains, self.noise_N)
+            self._known[key] = self.corrected(x, found) if self.corrected else found
         return self._known[key]
 
     def _descend(self, start: FloatArray, iterations: int) -> Optimum:

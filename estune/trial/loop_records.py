@@ -2,7 +2,7 @@
 
 The effort is recomputed from setpoint, measurement and gains by the controller's own code: a
 logged effort that is one sample off moves the identified Ms by a fifth, and no residual shows it.
-The logged effort only checks the recomputed one, and gives its unknown integral at the start.
+The logged effort only checks the recomputed one, and gives its unknown integral.
 """
 
 from typing import NamedTuple
@@ -52,6 +52,8 @@ def loop_signals(record: TrialRecord, step: StepProfile, rig: RigDescription) ->
         reason = _mismatch(np.diff(effort), np.diff(logged))
         if reason:
             return LoopSignals(None, reason)
+        # The first sample's level has its noise, which the derivative makes many times as large.
+        effort = effort + float(np.median(logged - effort))
     index = step.step_index(record.sampling_Hz)
     if isinstance(step, LoadStepProfile):
         effort = effort + step.load(record.sampling_Hz)

@@ -9,7 +9,8 @@ import numpy as np
 import plants
 from estune.core.gains import Gains
 from estune.loop_model.claim import TRIALS_MIN, claim
-from estune.loop_model.identification import LoopRecord, fit_loop
+from estune.loop_model.fitting import fit_loop
+from estune.loop_model.identification import LoopRecord
 from estune.loop_model.prediction import StepTrial
 from estune.tuners import Observation, SearchSpace
 from estune.tuners.identified_loop import IdentifiedLoopTuner

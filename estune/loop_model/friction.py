@@ -1,0 +1,281 @@
+"""Output-error identification of a loop with dry friction.
+
+The two poles are a mass on a spring, of position x and unit gain, and friction of constant size F
+takes off what it can of each step (a proximal step: Moreau, Numerical aspects of the sweeping
+process, 1999), so that it opposes every motion and sticks exactly:
+
+    x(k+1) = x(k) + s - clip(s, -a F, a F),     a = 1 + a1 + a2
+    s = -(1 + a1) x(k) - a2 x(k-1) + a u(k)
+    y(k) = (b0 x(k-d) + b1 x(k-d-1) + b2 x(k-d-2))/a
+
+A record begins at rest with friction of an unknown size, the same in all. For given poles,
+friction and start the output is linear in the numerator; these four numbers are searched.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from estune.core.quantities import FloatArray
+from estune.loop_model.identification import (
+    LoopFit,
+    LoopRecord,
+    delayed,
+    denominator,
+    pole_coordinates,
+    summarise,
+)
+from estune.loop_model.model import LoopModel
+
+SHARES = (0.01, 0.03, 0.1, 0.25)
+"""Sizes of friction that a search begins from, over the effort of a step."""
+
+SCREENED = 2
+"""Records by which the starts of a search are compared."""
+
+DIFFERENCE = 1e-4
+"""Half the distance of the points of a numerical slope, in each coordinate."""
+
+
+FRICTION_MIN = 1e-9
+"""Least size of friction, over the effort of a step."""
+
+DIVERGED_N = 1e9
+"""Position in place of one that is not a number, of a mass whose poles are unstable."""
+
+
+class _Signals(NamedTuple):
+    """The records.
+
+    Attributes:
+        effort: Effort, shape (records, samples).
+        measurement: Measurement without its mean, shape (records, samples).
+        rest: Position before the step less its mean, in N of effort, shape (records,).
+        rest_effort: Mean effort before the step.
+        scale: Effort that a step needs, N.
+    """
+
+    effort: FloatArray
+    measurement: FloatArray
+    rest: FloatArray
+    rest_effort: float
+    scale: float
+
+    @classmethod
+    def of(cls, records: Sequence[LoopRecord], gain: float) -> "_Signals":
+        """The signals of records of a plant of about this gain."""
+        rest = np.array([r.measurement_N[: max(r.step_index, 1)].mean() for r in records])
+        measurement = np.array([r.measurement_N for r in records])
+        return cls(
+            np.array([r.effort_N for r in records]),
+            measurement - measurement.mean(axis=1, keepdims=True),
+            (rest - rest.mean()) / gain,
+            float(np.mean([r.rest_effort_N for r in records])),
+            abs(records[0].step_N / gain),
+        )
+
+
+def fit_with_friction(
+    records: Sequence[LoopRecord],
+    linear: LoopFit,
+    sampling_Hz: float,
+    settling_time_s: float,
+    last: LoopModel | None = None,
+) -> LoopFit | None:
+    """The loop model with dry friction that fits records best; None where none was found.
+
+    Args:
+        records: At least one; all of one step trial.
+        linear: The linear model of least squares.
+        sampling_Hz: Sampling rate.
+        settling_time_s: Settling time asked for, which sets the scale of the search.
+        last: Model with friction of an earlier fit to start from.
+    """
+    gain = (last or linear.model).static_gain
+    if not (math.isfinite(gain) and gain != 0.0):
+        return None
+    signals = _Signals.of(records, gain)
+    if last is not None:
+        share = last.friction_N / signals.scale
+        best = _search(signals, np.array([*pole_coordinates(last), share, 0.0]), last.dead_samples)
+    else:
+        screened = _Signals.of(records[:SCREENED], gain)
+        starts = _starts(screened, linear.model, settling_time_s * sampling_Hz)
+        best = min((_search(signals, x, dead) for x, dead in starts), key=_cost)
+    best = _searched_dead_time(signals, best)
+    return _summarise(records, signals, best)
+
+
+class _Try(NamedTuple):
+    """A fit at one dead time: half the squared residuals, coordinates, whole samples."""
+
+    cost: float
+    coordinates: FloatArray
+    dead: int
+
+
+def _cost(one: _Try) -> float:
+    return one.cost
+
+
+def _starts(
+    signals: _Signals, linear: LoopModel, settling_samples: float
+) -> list[tuple[FloatArray, int]]:
+    """The two best of a coarse grid of poles, friction and dead time."""
+    w = 2.0 * math.pi / settling_samples
+    poles = [pole_coordinates(linear)]
+    poles += [np.log([w * f, z]) for f in (0.3, 0.7, 1.5) for z in (0.2, 0.7)]
+    grid = [np.array([*pole, share, 0.0]) for pole in poles for share in SHARES]
+    positions = _positions(signals, grid)
+    delays = sorted({0, 1, 2, 4, linear.dead_samples})
+    tried = [
+        (_Output.of(signals, x, dead).cost, i, dead)
+        for i, x in enumerate(positions)
+        for dead in delays
+    ]
+    return [(grid[i], dead) for _, i, dead in sorted(tried)[:2]]
+
+
+def _searched_dead_time(signals: _Signals, best: _Try) -> _Try:
+    while True:
+        beside = [d for d in (best.dead - 1, best.dead + 1) if d >= 0]
+        better = min((_search(signals, best.coordinates, d) for d in beside), key=_cost)
+        if better.cost >= best.cost:
+            return best
+        best = better
+
+
+def _search(signals: _Signals, start: FloatArray, dead: int) -> _Try:
+    """Least squares from a start, by Levenberg and Marquardt."""
+
+    def residual(x: FloatArray) -> FloatArray:
+        return _Output.of(signals, _positions(signals, [x])[0], dead).residual.ravel()
+
+    def jacobian(x: FloatArray) -> FloatArray:
+        ends = _positions(signals, [x + s * e for e in DIFFERENCE * np.eye(4) for s in (1, -1)])
+        r = [_Output.of(signals, end, dead).residual.ravel() for end in ends]
+        slopes = [
+            (up - down) / (2.0 * DIFFERENCE) for up, down in zip(r[::2], r[1::2], strict=True)
+        ]
+        return np.stack(slopes, axis=1)
+
+    found = least_squares(
+        residual, start, jac=jacobian, method="lm", xtol=1e-5, ftol=1e-6, max_nfev=25
+    )
+    return _Try(float(found.cost), found.x, dead)
+
+
+def _positions(signals: _Signals, coordinates: Sequence[FloatArray]) -> FloatArray:
+    """Position x less its value at rest, shape (coordinates, records, samples).
+
+    Coordinates are the logarithms of natural frequency and damping ratio, the size of friction
+    over the effort of a step, and the share of it that holds at rest, as an area tangent.
+    """
+    a = np.array([denominator(x[:2]) for x in coordinates])
+    friction = signals.scale * np.abs([x[2] for x in coordinates])
+    held = friction * np.tanh([x[3] for x in coordinates])
+    rest = signals.rest_effort + held[:, np.newaxis] + signals.rest
+    return simulate(signals.effort, a, friction, rest) - rest[..., np.newaxis]
+
+
+def simulate(
+    effort: FloatArray, a: FloatArray, friction: FloatArray, rest: FloatArray
+) -> FloatArray:
+    """Positions of masses on springs with dry friction, shape (masses, records, samples).
+
+    Args:
+        effort: Shape (records, samples).
+        a: Denominators of the two poles, shape (masses, 3).
+        friction: Sizes of the friction, N, shape (masses,).
+        rest: Position before the first sample, N, shape (masses, records).
+    """
+    unit = a.sum(axis=1)[:, np.newaxis]
+    first, second = -(1.0 + a[:, 1:2]), -a[:, 2:3]
+    most = unit * friction[:, np.newaxis]
+    columns = np.multiply.outer(effort.T, unit[:, 0]).transpose(0, 2, 1)
+    x = np.empty((effort.shape[1], *rest.shape))
+    now = before = rest
+    with np.errstate(over="ignore", invalid="ignore"):
+        for k, push in enumerate(columns):
+            x[k] = now
+            step = first * now + second * before + push
+            before, now = now, now + step - np.minimum(np.maximum(step, -most), most)
+    x = np.nan_to_num(x, nan=DIVERGED_N, posinf=DIVERGED_N, neginf=-DIVERGED_N)
+    return x.transpose(1, 2, 0)
+
+
+class _Output(NamedTuple):
+    """Best numerator for given positions.
+
+    Attributes:
+        numerator: Over the sum of the denominator, shape (3,).
+        regressors: Positions at the three delays without their means, (3, records, samples).
+        residual: Shape (records, samples).
+    """
+
+    numerator: FloatArray
+    regressors: FloatArray
+    residual: FloatArray
+
+    @classmethod
+    def of(cls, signals: _Signals, x: FloatArray, dead: int) -> "_Output":
+        """The output of positions, shape (records, samples), at this dead time."""
+        regressors = np.stack([delayed(x, dead + j) for j in range(3)])
+        regressors -= regressors.mean(axis=2, keepdims=True)
+        flat, y = regressors.reshape(3, -1).T, signals.measurement
+        b = np.asarray(np.linalg.lstsq(flat, y.ravel(), rcond=1e-10)[0], float)
+        return cls(b, regressors, y - (flat @ b).reshape(y.shape))
+
+    @property
+    def cost(self) -> float:
+        """Half the sum of squared residuals."""
+        return 0.5 * float(np.vdot(self.residual, self.residual))
+
+
+def _summarise(records: Sequence[LoopRecord], signals: _Signals, best: _Try) -> LoopFit:
+    """The fit with its covariances and its misfit."""
+    x = best.coordinates
+    at = _Output.of(signals, _positions(signals, [x])[0], best.dead)
+    a1, a2 = denominator(x[:2])[1:].tolist()
+    b0, b1, b2 = (at.numerator * (1.0 + a1 + a2)).tolist()
+    friction_N = max(signals.scale * abs(float(x[2])), FRICTION_MIN * signals.scale)
+    model = LoopModel((a1, a2), (b0, b1, b2), best.dead, friction_N)
+    return summarise(
+        records,
+        model,
+        _slopes(signals, model, held_N=friction_N * math.tanh(x[3])),
+        at.residual,
+        response_N=float(np.abs(np.tensordot(at.numerator, at.regressors, 1)).max()),
+        nuisance=1,
+    )
+
+
+def _slopes(signals: _Signals, model: LoopModel, held_N: float) -> FloatArray:
+    """Slopes of the output along the model's parameters and what holds at rest.
+
+    Returns:
+        Array of shape (records, samples, 7).
+    """
+    values = np.array([*model.parameters, held_N])
+    # Small against what the poles leave of their sum: it makes the gain.
+    unit = abs(1.0 + sum(model.poles))
+    sizes = 1e-3 * np.array([unit, unit, *np.maximum(np.abs(values[2:]), 1e-6)])
+
+    def output(theta: FloatArray) -> FloatArray:
+        a, friction = np.array([1.0, *theta[:2]]), theta[5:6]
+        rest = signals.rest_effort + theta[6] + signals.rest
+        x = simulate(signals.effort, a[np.newaxis], friction, rest[np.newaxis])[0]
+        taps = [delayed(x - rest[:, np.newaxis], model.dead_samples + j) for j in range(3)]
+        return np.asarray(np.tensordot(theta[2:5] / a.sum(), np.array(taps), 1))
+
+    columns = np.array(
+        [
+            (output(values + size * axis) - output(values - size * axis)) / (2.0 * size)
+            for size, axis in zip(sizes, np.eye(7), strict=True)
+        ]
+    )
+    columns -= columns.mean(axis=2, keepdims=True)
+    return columns.transpose(1, 2, 0)
