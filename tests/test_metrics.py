@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from estune.core.metrics import NO_METRICS, step_metrics
+from estune.core.metrics import NO_METRICS, load_metrics, step_metrics
 
 SAMPLING_Hz = 2000.0
 TIME_s = np.arange(0.0, 2.0, 1.0 / SAMPLING_Hz)
@@ -35,6 +35,18 @@ def test_first_order_response_has_closed_form_metrics(lag_s):
     assert metrics.rise_time_s == pytest.approx(lag_s * math.log(9.0), rel=1e-4)
     assert metrics.settling_time_s == pytest.approx(lag_s * math.log(50.0), rel=1e-4)
     assert metrics.overshoot == 0.0
+
+
+def test_response_to_a_load_has_the_peak_and_recovery_time_of_its_closed_form():
+    lag_s, step, load = 0.05, int(STEP_s * SAMPLING_Hz), int(1.0 * SAMPLING_Hz)
+    after = np.maximum(TIME_s - 1.0, 0.0) / lag_s
+    response = np.where(TIME_s < STEP_s, 5.0, 7.0) + 3.0 * after * np.exp(1.0 - after)
+    metrics = load_metrics(TIME_s, response, step=step, load=load, initial=5.0, final=7.0)
+    assert metrics.peak == pytest.approx(3.0, rel=1e-4)
+    shares = 1.5 * after * np.exp(1.0 - after)
+    assert metrics.recovery_time_s == pytest.approx(
+        TIME_s[np.flatnonzero(shares > 0.02)[-1]] - 1.0, abs=2.0 / SAMPLING_Hz
+    )
 
 
 @pytest.mark.parametrize("damping", [0.1, 0.4, 0.7])

@@ -33,14 +33,19 @@ def drawings(result):
 def test_report_of_an_improvement_recommends_the_gains_with_the_interval(tuned):
     made = page(tuned)
     assert made.headline.good is True
-    assert made.headline.text.startswith(f"Use {tuned.gains}: the cost falls")
+    assert made.headline.text.startswith(
+        f"Use {tuned.rig.gains_text(tuned.gains)}: the cost falls"
+    )
     assert str(tuned.improvement) in made.headline.text
 
 
 def test_report_without_improvement_keeps_the_gains_and_shows_no_second_column(unimproved):
     made = page(unimproved)
     assert made.headline.good is None
-    assert made.headline.text == f"No significant improvement: keep {unimproved.start_gains}."
+    assert (
+        made.headline.text
+        == f"No significant improvement: keep {unimproved.rig.gains_text(unimproved.start_gains)}."
+    )
     assert "Tuned gains" not in render(made)
 
 

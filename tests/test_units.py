@@ -5,13 +5,16 @@ import pytest
 
 import plants
 from estune import tune
-from estune.core.gains import GAIN_UNITS, gain_units
+from estune.core.gains import GAIN_UNITS, Gains, gain_units
 from estune.remote import messages
 from estune.remote.messages import Description
 from estune.remote.messages.replies import decode_description
 from estune.run.report import page
+from estune.studies.law.law import fit_law
+from estune.studies.law.tuned import TunedGains
 from estune.support.html_page import render
 from estune.support.quantity_text import time_text
+from estune.trial.signals import Signals
 from plants.models.model_file import load_model, save_model
 
 LABELS = {"measurement": "temperature, K", "command": "heating power, W"}
@@ -43,16 +46,36 @@ def test_times_are_shown_in_the_unit_that_suits_them():
 
 def test_result_of_an_oven_is_in_its_own_units():
     options = {"tuner": "safe_bayesian", "tolerance": 0.0, "trials": 4, "repeats": 2}
+    options["cost"] = "tracking_and_rejection"
     result = tune(oven(), journal=False, watch=None, **options)
     rows = {row.label: row.start for row in result.rows()}
     assert rows["P"].split("(")[0].endswith("W/K")
     assert rows["steady-state error"].endswith(" K")
     assert rows["rise time"].endswith(" min")
+    assert rows["peak after the load"].endswith(" K")
     text = render(page(result))
     assert "Temperature and heating power" in text
+    assert "Temperature less its setpoint after a load of" in text
+    assert "ITAE" in text
     for shown in (repr(result), text.split("</style>")[1]):
         assert "tension" not in shown.lower()
         assert "N/N" not in shown
+
+
+def test_gains_by_themselves_have_no_unit_but_the_filter():
+    assert str(Gains(2.0, 1.0, 0.5, 0.1)) == "P 2, I 1, D 0.5, setpoint filter 0.1 s"
+    assert oven().rig().describe().name == "simulated-plant"
+
+
+def test_law_of_gains_has_the_units_of_its_rigs():
+    places = [(0.5, 1.0), (0.8, 1.6), (1.1, 2.2), (1.4, 2.8)]
+    tunings = [
+        TunedGains("", at, 20.0, Gains(P, P / 9.0, P, 1.0), None, 0.5, 0.0, True, True)
+        for at, P in places
+    ]
+    law = fit_law(tunings, signals=Signals(**LABELS))
+    assert "W/(K s) per metre" in law.sentence
+    assert law.sentence.endswith("temperature was not varied")
 
 
 def test_labels_of_a_reel_are_not_sent_so_that_older_clients_understand():

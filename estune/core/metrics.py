@@ -1,4 +1,4 @@
-"""Step-response metrics: rise time, settling time, overshoot, steady-state error.
+"""Metrics of a step response and of the response to a load.
 
 The usual definitions, between two given values, so that they hold for any step, up or down, and
 for a noisy record that may end before the steady state. python-control's `step_info` is for ideal
@@ -91,6 +91,47 @@ def step_metrics(
             overshoot=max(0.0, float(z.max()) - 1.0),
             steady_state_error=float(final - tail.sum() / len(tail)),
         )
+
+
+class LoadMetrics(NamedTuple):
+    """Metrics of the response to a load at rest.
+
+    Attributes:
+        peak: Largest deviation from the setpoint, noise included, in the unit of the measurement.
+        recovery_time_s: From the load until the response stays in the band, as of a settling
+            time, s; NaN if it leaves it in the last tenth of the samples.
+    """
+
+    peak: float
+    recovery_time_s: float
+
+
+def load_metrics(
+    time_s: FloatArray,
+    measurement: FloatArray,
+    *,
+    step: int,
+    load: int,
+    initial: float,
+    final: float,
+    band: float = 0.02,
+) -> LoadMetrics:
+    """Metrics of the response to a load that follows a step; data as of `step_metrics`.
+
+    Args:
+        time_s: Time of each sample, s, shape (samples,).
+        measurement: Measured response, shape (samples,), any unit; finite.
+        step: First sample of the step.
+        load: First sample of the load.
+        initial: Setpoint before the step, in the unit of the measurement.
+        final: Setpoint after it.
+        band: Half-width of the band without noise, as a fraction of the step.
+    """
+    shares = (measurement - initial) / (final - initial)
+    noise_band = min(NOISE_SIGMAS * _deviation(shares[:step]), WIDEST_NOISE_BAND)
+    t, z = time_s[load:], shares[load:]
+    recovered_s = _settling_time(t, z, max(band, noise_band)) - float(t[0])
+    return LoadMetrics(float(np.abs(measurement[load:] - final).max()), recovered_s)
 
 
 def _deviation(values: FloatArray) -> float:

@@ -28,7 +28,7 @@ from estune.support.plot_style import (
 )
 from estune.support.quantity_text import axis_unit, with_unit
 from estune.trial import RigDescription, TrialRecord
-from estune.trial.profiles import StepProfile
+from estune.trial.profiles import LoadStepProfile, StepProfile
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -132,6 +132,26 @@ def draw_command(
         if low - room <= limit <= high + room:
             ax.axhline(limit, color=VERMILION, linewidth=1.0, linestyle=":", label="limit")
     finish(ax, rig.command, f"time from the step, {unit}")
+    return ax
+
+
+def draw_disturbance(
+    ax: Axes,
+    step: LoadStepProfile,
+    rig: RigDescription,
+    before: TrialRecord | None,
+    after: TrialRecord | None,
+) -> Axes:
+    """Deviation from the setpoint after the load, before and after tuning, with the 2 % band."""
+    per_s, unit = axis_unit(step.duration_s)
+    band = 0.02 * abs(step.step_N)
+    ax.axhspan(-band, band, color=LIGHT, linewidth=0, label="±2 % of the step")
+    for record, look in _before_and_after(before, after):
+        at = step.load_step(record.sampling_Hz).sample
+        deviation = record.tension_N[at:] - record.setpoint_N[at:]
+        ax.plot((record.time_s[at:] - step.load_at_s) * per_s, deviation, **look)
+    finish(ax, f"deviation, {rig.measurement_unit}".rstrip(", "), f"time from the load, {unit}")
+    ax.legend(loc="best", fontsize=8, frameon=False, handlelength=1.8)
     return ax
 
 

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 from typing import Self
 
 from estune.core.gains import Gains
-from estune.core.metrics import StepMetrics
+from estune.core.metrics import LoadMetrics, StepMetrics
 from estune.interop import Margins, margins
 from estune.support.quantity_text import time_text, with_unit
 from estune.trial import RigDescription, TrialRecord
 from estune.trial.profiles import StepProfile
-from estune.trial.scoring import metrics_of
+from estune.trial.scoring import load_metrics_of, metrics_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,6 +23,7 @@ class Performance:
         cost: Mean cost of their repeats; nan or infinite where there is none.
         cost_error: Standard error of that mean.
         metrics: Step metrics of `record`.
+        load: Metrics of its response to a load; None without one.
         margins: Gain and phase margins on the rig's linear model, or None without a model.
         record: A trial with these gains, or None.
         intervals: 95 % confidence interval of the optimum of each tuned gain, by name; may be
@@ -34,6 +35,7 @@ class Performance:
     cost: float
     cost_error: float
     metrics: StepMetrics | None
+    load: LoadMetrics | None
     margins: Margins | None
     record: TrialRecord | None
     intervals: dict[str, tuple[float, float]]
@@ -56,6 +58,7 @@ class Performance:
             gains,
             *cost,
             metrics=None if record is None else metrics_of(record, step),
+            load=None if record is None else load_metrics_of(record, step),
             margins=None if model is None else margins(model, gains, rig.controller),
             record=record,
             intervals={name: (low, high) for name, low, high in intervals},
@@ -73,7 +76,8 @@ class Performance:
         error = f" ± {self.cost_error:.1g}" if self.cost_error > 0.0 else ""
         cells["cost η"] = f"{self.cost:.3g}{error}" if math.isfinite(self.cost) else "-"
         metrics = _metric_cells(self.metrics, self.rig)
-        return {**cells, **dict(metrics), **dict(margin_cells(self.margins))}
+        load = _load_cells(self.load, self.rig)
+        return {**cells, **dict(metrics), **dict(load), **dict(margin_cells(self.margins))}
 
     def _interval(self, name: str) -> str:
         """The interval of a gain, appended to its value."""
@@ -97,6 +101,17 @@ def _metric_cells(metrics: StepMetrics | None, rig: RigDescription) -> Iterator[
     yield "settling time (2 %)", time_text(settling_s) if settled else "not settled"
     yield "overshoot", f"{100.0 * overshoot:.3g} %" if math.isfinite(overshoot) else "-"
     yield "steady-state error", rig.measured(error, 3) if math.isfinite(error) else "-"
+
+
+def _load_cells(load: LoadMetrics | None, rig: RigDescription) -> Iterator[tuple[str, str]]:
+    if load is None:
+        return
+    recovered = math.isfinite(load.recovery_time_s)
+    yield "peak after the load", rig.measured(load.peak, 3)
+    yield (
+        "recovery time (2 %)",
+        time_text(load.recovery_time_s) if recovered else "not recovered",
+    )
 
 
 def margin_cells(measured: Margins | None) -> Iterator[tuple[str, str]]:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from estune.core.cost import StepCost
 from estune.core.gains import GAIN_NAMES
 from estune.loop_model.optimum import SENSITIVITY_MAX
 from estune.run import figures
@@ -33,6 +34,7 @@ from estune.support.html_page import (
 from estune.support.plot_style import new_figure
 from estune.support.quantity_text import time_text
 from estune.trial import TrialRecord
+from estune.trial.profiles import LoadStepProfile
 
 _CSV_MAX = 400_000
 """Characters of a table that the page carries: three of them are 1.6 MB as base64, and a page is
@@ -55,6 +57,7 @@ def page(result: RunResult) -> Page:
         ),
         (
             Section("Step response", tuple(_responses(result))),
+            Section("Disturbance response", tuple(_disturbance(result))),
             Section("Loop", tuple(_loop(result))),
             Section("Search", tuple(_search(result))),
             Section("Settings", (Table((), tuple(_settings(result).items())),)),
@@ -100,12 +103,29 @@ def _responses(result: RunResult) -> Iterator[Block]:
 
 
 def _load(result: RunResult) -> str:
-    """What the load after the step shows, in a sentence; empty without a load."""
-    load = getattr(result.plan.step, "load_N", None)
-    if load is None:
+    """What the line in the figure means, in a sentence; empty without a load."""
+    if not isinstance(result.plan.step, LoadStepProfile):
         return ""
-    shown = result.rig.commanded(load)
-    return f" From the dotted line on, a load of {shown} is added: the disturbance response."
+    return " The load of the disturbance response begins at the dotted line."
+
+
+def _disturbance(result: RunResult) -> Iterator[Block]:
+    """The response to the load of the trials, where they have one."""
+    rig, step, before = result.rig, result.plan.step, result.first_record
+    if not isinstance(step, LoadStepProfile) or before is None:
+        return
+    after = result.tuned_record if result.success else None
+    figure = new_figure(7.2, 2.8)
+    figures.draw_disturbance(figure.add_subplot(), step, rig, before, after)
+    load = rig.commanded(step.load_N)
+    yield Drawing(
+        figure,
+        "disturbance",
+        f"Deviation of the {rig.measurement_name} from its setpoint after a load",
+        f"{rig.measurement_name.capitalize()} less its setpoint after a load of {load} at the "
+        f"plant's input, in the trials of the step response; the numbers are in that figure's "
+        "data. The grey band is that of the settling and the recovery time.",
+    )
 
 
 def _limits(result: RunResult, record: TrialRecord) -> str:
@@ -201,14 +221,12 @@ def _search(result: RunResult) -> Iterator[Block]:
 def _settings(result: RunResult) -> dict[str, str]:
     """The plan and the rig by label."""
     plan, rig = result.plan, result.rig
-    step, cost = plan.step, plan.cost
-    penalty = f"control-move penalty {cost.move_weight:g}"
+    step = plan.step
     rows = {
         "run": plan.run,
         "step": f"{rig.step_text(step)} at {time_text(step.step_at_s)} of "
         f"{time_text(step.duration_s)}",
-        "cost": f"(35), settling time {time_text(cost.settling_time_s)}, weight {cost.weight}, "
-        f"time in {'s' if cost.time_unit == 'second' else 'settling times'}, {penalty}",
+        "cost": ", ".join(_cost(plan.cost)),
         "unsafe above": f"η = {result.session.eta_max:.3g}",
         "trials": f"{len(result.entries)} of at most {plan.max_trials}; {plan.repeats} repeats",
         "ends below": f"{plan.tolerance:.3g} remaining improvement",
@@ -225,6 +243,23 @@ def _settings(result: RunResult) -> dict[str, str]:
     }
     first = result.first_record
     return rows if first is None else {**rows, "began": first.started_at}
+
+
+def _cost(cost: StepCost) -> Iterator[str]:
+    """The criterion and its settings."""
+    if cost.function:
+        yield cost.function
+        return
+    yield {"paper": "(35)", "itae": "ITAE", "ise": "ISE"}[cost.criterion]
+    yield f"settling time {time_text(cost.settling_time_s)}"
+    if cost.criterion == "paper":
+        unit = "s" if cost.time_unit == "second" else "settling times"
+        yield from (f"weight {cost.weight}", f"time in {unit}")
+    yield f"control-move penalty {cost.move_weight:g}"
+    if cost.effort_weight:
+        yield f"price of the effort {cost.effort_weight:g}"
+    if cost.rejection:
+        yield f"load rejection {cost.rejection:.0%}"
 
 
 def _tuner(tuner: Any) -> str:

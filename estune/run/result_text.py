@@ -44,7 +44,7 @@ def rows(result: RunResult) -> tuple[Row, ...]:
     """The before/after table as text; the last column is empty without an improvement."""
     start = result.start.cells()
     tuned = result.tuned.cells() if result.tuned else dict.fromkeys(start, "")
-    rows = [Row(label, start[label], tuned[label]) for label in start]
+    rows = [Row(label, start[label], tuned.get(label, "-")) for label in start]
     shown = robustness_cells(result.claim.margins)
     rows += [Row(label, *(("-", x) if result.tuned else (x, ""))) for label, x in shown]
     return tuple(rows)

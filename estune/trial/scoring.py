@@ -5,7 +5,13 @@ import math
 import numpy as np
 
 from estune.core.cost import StepCost
-from estune.core.metrics import NO_METRICS, StepMetrics, step_metrics
+from estune.core.metrics import (
+    NO_METRICS,
+    LoadMetrics,
+    StepMetrics,
+    load_metrics,
+    step_metrics,
+)
 from estune.errors import RigError
 from estune.trial.description import RigDescription
 from estune.trial.profiles import StepProfile, load_step
@@ -83,6 +89,25 @@ def metrics_of(record: TrialRecord, step: StepProfile) -> StepMetrics:
         record.time_s[tracked],
         record.tension_N[tracked],
         step_time_s=float(record.time_s[step.step_index(record.sampling_Hz)]),
+        initial=step.preload_N,
+        final=step.preload_N + step.step_N,
+    )
+
+
+def load_metrics_of(record: TrialRecord, step: StepProfile) -> LoadMetrics | None:
+    """Peak and recovery time after the load of a trial; None without a load.
+
+    Raises:
+        RigError: as in `cost_of`.
+    """
+    load = load_step(step, record.sampling_Hz)
+    if load is None or not _is_complete(record, step):
+        return None
+    return load_metrics(
+        record.time_s,
+        record.tension_N,
+        step=step.step_index(record.sampling_Hz),
+        load=load.sample,
         initial=step.preload_N,
         final=step.preload_N + step.step_N,
     )

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from estune.core.cost import StepCost
 from estune.core.gains import GAIN_NAMES, Gains
 from estune.trial.profiles import StepProfile
+from estune.trial.signals import REEL, Signals
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -131,6 +132,7 @@ class Matching:
         by_worst: Whether it is that of the worst tuned reel; otherwise the user chose it.
         tolerance: Largest deviation from the target, relative to it.
         reels: The records, in the user's order.
+        signals: What the first rig measures and commands.
     """
 
     target: float
@@ -140,6 +142,7 @@ class Matching:
     cost: StepCost
     reels: tuple[ReelMatch, ...]
     folder: Path | None
+    signals: Signals = REEL
 
     @property
     def passed(self) -> bool:

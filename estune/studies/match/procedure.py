@@ -98,7 +98,7 @@ def match(
         raise RigError(f"too few reels for eta {eta} could be reached ({_reasons(reels)})")
     common = common_description(descriptions)
     step = step or common.step
-    cost = cost or default_cost(common.settling_time_s)
+    cost = cost or default_cost(common.settling_time_s).scaled(common.effort_scale)
     step = suited_step(step, cost, common)
     reels = [matcher.tuned(reel, step, cost) for reel in reels]
     target = _worst(reels) if eta == "auto" else eta
@@ -106,7 +106,10 @@ def match(
     if apply:
         reels = [matcher.applied(reel) for reel in reels]
     records = tuple(reel.record for reel in reels)
-    return Matching(target, eta == "auto", matcher.settings.tolerance, step, cost, records, where)
+    return Matching(
+        *(target, eta == "auto", matcher.settings.tolerance, step, cost, records, where),
+        signals=common.signals,
+    )
 
 
 def common_description(descriptions: Sequence[RigDescription]) -> RigDescription:

@@ -3,7 +3,8 @@
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from estune.core.gains import GAIN_NAMES, GAIN_UNITS
+from estune.core.gains import GAIN_NAMES
+from estune.support.quantity_text import axis_label, time_text
 from estune.studies.match.outcome import CostEstimate, Matching, ReelMatch
 from estune.support.html_page import Cell, Drawing, Page, Paragraph, Section, Status, Table
 from estune.support.plot_style import (
@@ -20,11 +21,6 @@ from estune.support.plot_style import (
 
 TITLE = "Equal transparency"
 
-_GAIN_HEADS = tuple(
-    f"{'filter' if name == 'setpoint_filter_s' else name}, {GAIN_UNITS[name]}"
-    for name in GAIN_NAMES
-)
-
 
 def page(matching: Matching) -> Page:
     """The page of a matching."""
@@ -33,7 +29,11 @@ def page(matching: Matching) -> Page:
         f"The target was set by {chosen_by}; a reel passes if the 95 % confidence interval of "
         f"its cost lies within {100.0 * matching.tolerance:g} % of it."
     )
-    columns = ("Reel", "Tuned η", "Matched η", *_GAIN_HEADS, "Outcome")
+    heads = (
+        axis_label("filter" if name == "setpoint_filter_s" else name, unit)
+        for name, unit in matching.signals.gain_units.items()
+    )
+    columns = ("Reel", "Tuned η", "Matched η", *heads, "Outcome")
     table = Table(columns, tuple(map(_row, matching.reels)), numeric=range(1, len(columns) - 1))
     heading = matching.heading()
     return Page(
@@ -47,8 +47,8 @@ def page(matching: Matching) -> Page:
 def _procedure(matching: Matching) -> str:
     step, cost = matching.step, matching.cost
     return (
-        f"Every trial was a step of {step.step_N:g} N from {step.preload_N:g} N, with the cost "
-        f"(35) for a settling time of {cost.settling_time_s:.4g} s and a move weight of "
+        f"Every trial was a step from {matching.signals.step_text(step)}, with the same cost for "
+        f"a settling time of {time_text(cost.settling_time_s)} and a move weight of "
         f"{cost.move_weight:g}. They are the same for all reels, so that costs are comparable. "
         "Each reel was tuned for its least cost. Its P, I and D were then reduced by one factor "
         "until the cost equalled the target. The matched cost is from repeats that were not used "
