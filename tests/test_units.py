@@ -70,7 +70,9 @@ def test_gains_by_themselves_have_no_unit_but_the_filter():
 def test_law_of_gains_has_the_units_of_its_rigs():
     places = [(0.5, 1.0), (0.8, 1.6), (1.1, 2.2), (1.4, 2.8)]
     tunings = [
-        TunedGains("", at, 20.0, Gains(P, P / 9.0, P, 1.0), None, 0.5, 0.0, True, True)
+        TunedGains(
+            "", at, 20.0, Gains(P, P / 9.0, P, 1.0), None, 0.5, 0.0, safe=True, converged=True
+        )
         for at, P in places
     ]
     law = fit_law(tunings, signals=Signals(**LABELS))

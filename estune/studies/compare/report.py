@@ -61,8 +61,8 @@ def page(comparison: Comparison) -> Page:
         f"{first.plan.trials} search trials of a step from {rig.step_text(step)}, with the same "
         f"cost for a settling time of {time_text(cost.settling_time_s)}. The tuners ran one after "
         "the other. The cost is from repeats after the search, interleaved with the start. Only "
-        "model_based keeps limits of sensitivity and overshoot, which cost some of the improvement; Ms is "
-        "given where the records allow it to be claimed."
+        "model_based keeps limits of sensitivity and overshoot, which cost some of the "
+        "improvement; Ms is given where the records allow it to be claimed."
     )
     rows, heads = [_cells(row) for row in table_rows(results)], columns(rig)
     return Page(

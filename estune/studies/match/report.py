@@ -4,7 +4,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from estune.core.gains import GAIN_NAMES
-from estune.support.quantity_text import axis_label, time_text
 from estune.studies.match.outcome import CostEstimate, Matching, ReelMatch
 from estune.support.html_page import Cell, Drawing, Page, Paragraph, Section, Status, Table
 from estune.support.plot_style import (
@@ -18,6 +17,7 @@ from estune.support.plot_style import (
     legend,
     new_figure,
 )
+from estune.support.quantity_text import axis_label, time_text
 
 TITLE = "Equal transparency"
 
