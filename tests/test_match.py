@@ -1,11 +1,9 @@
 """Tuning of several reels to one cost: the target-cost tuner, the procedure, its records."""
 
 import csv
-import doctest
 import json
 import math
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -200,13 +198,6 @@ def test_match_command_matches_two_rigs_over_zenoh(tmp_path, monkeypatch, capsys
     assert "2 of 2 reels pass" in page
     assert "http" not in page.split("</style>")[1].split("<figure")[0]
     assert all(Journal.open(p).fact("status") == "finished" for p in (tmp_path / "m").glob("m-*"))
-
-
-def test_matching_documentation_example_runs():
-    page = Path(__file__).parents[1] / "docs" / "how-to" / "matching.md"
-    failed, attempted = doctest.testfile(str(page), module_relative=False)
-    assert attempted
-    assert not failed
 
 
 @pytest.mark.parametrize(

@@ -275,7 +275,7 @@ def test_listener_reports_its_certificate_at_fault(holders):
 def test_commands_of_the_page_make_certificates_that_connect(tmp_path):
     page = (Path(__file__).parents[1] / "docs" / "how-to" / "security.md").read_text("utf-8")
     chapter = page.partition("## Certificates")[2].partition("## What")[0]
-    for block in re.findall(r"```text\n(.*?)```", chapter, re.DOTALL):
+    for block in re.findall(r"```bash\n(.*?)```", chapter, re.DOTALL):
         script = block.replace("192.168.1.5", "127.0.0.1")
         subprocess.run(["sh", "-ec", script], cwd=tmp_path, check=True, capture_output=True)
     (toml,) = re.findall(r"```toml\n(.*?)```", chapter, re.DOTALL)

@@ -14,7 +14,7 @@ TINY_Nm = 1e-30
 
 @dataclass(frozen=True)
 class CoulombFriction(Effect):
-    """Dry friction in the drum's bearings: `tau = -F sign(omega)`, and |tau| <= F at rest.
+    """Dry friction in the drum's bearings: `tau = -F sign(omega)`, and `|tau| <= F` at rest.
 
     The torque is held over a substep and chosen by the velocity the substep ends with (a proximal
     step, Moreau 1988): it is the torque that brings the drum to rest, cut at F. So it opposes the

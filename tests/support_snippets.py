@@ -1,0 +1,202 @@
+"""Snippets of README.md and docs/, run as tests: every fenced block, by its language.
+
+| language | what is done |
+| --- | --- |
+| python | run; with prompts its output is compared |
+| bash | run in the page's folder; background programs end with the page |
+| shell | for other machines or hardware: syntax and options are checked |
+| toml, json | parsed |
+| c | compiled |
+| text | output, diagrams and formulas: nothing, but commands are refused |
+
+A block whose first line is a comment with a file's name is written to that file, for the blocks
+after it. In commands and files a port of 127.0.0.1 stands for a free one, and RUN for the newest
+run.
+"""
+
+import contextlib
+import doctest
+import importlib.util
+import json
+import os
+import re
+import shlex
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+import tomllib
+from itertools import takewhile
+from pathlib import Path
+
+from sybil import Region, Sybil
+from sybil.evaluators.doctest import DocTestEvaluator
+from sybil.evaluators.python import PythonEvaluator
+from sybil.parsers.abstract.doctest import DocTestStringParser
+from sybil.parsers.markdown.lexers import RawFencedCodeBlockLexer
+
+from estune.cli import app
+
+ROOT = Path(__file__).parents[1]
+LONGEST_S = 300.0
+NAMED_FILE = re.compile(r"(?:#|//|/\*) ([\w.-]+\.[a-z]+)\b")
+OPERATORS = {">", "|", "&", "&&"}
+COMMAND = re.compile(r"^\s*(?:estune|python|\./dev|pip) ", re.MULTILINE)
+
+
+class Page:
+    """Folder, ports and background programs of one page."""
+
+    def __init__(self):
+        self._temporary = tempfile.TemporaryDirectory(ignore_cleanup_errors=True)
+        self.folder = Path(self._temporary.name)
+        self._before = Path.cwd()
+        self._ports = {}
+        self._groups = []
+        os.chdir(self.folder)
+        sys.path.insert(0, str(self.folder))  # for modules that the page writes
+
+    def here(self, text):
+        """The text with free ports, and the newest run for RUN."""
+        text = re.sub(r"(?<=127\.0\.0\.1:)[1-9]\d*", lambda m: self._port(m[0]), text)
+        runs = sorted(Path("runs").glob("*"), key=lambda run: run.stat().st_mtime)
+        return re.sub(r"\bRUN\b", runs[-1].name, text) if runs else text
+
+    def run(self, script):
+        log = self.folder / f".log{len(self._groups)}"
+        path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+        with log.open("w") as output:
+            program = subprocess.Popen(
+                ["bash", "-euo", "pipefail", "-c", script],
+                env={**os.environ, "PATH": path, "COLUMNS": "100"},
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,
+            )
+        self._groups.append(program.pid)
+        code = program.wait(LONGEST_S)
+        assert code == 0, f"exit code {code}:\n{log.read_text()}"
+        if script.rstrip().endswith("&"):
+            for port in re.findall(r"127\.0\.0\.1:(\d+)", script):
+                _await(int(port))
+
+    def close(self):
+        for group in self._groups:
+            _end(group)
+        os.chdir(self._before)
+        sys.path.remove(str(self.folder))
+        self._temporary.cleanup()
+
+    def _port(self, written):
+        if written not in self._ports:
+            with socket.socket() as free:
+                free.bind(("127.0.0.1", 0))
+                self._ports[written] = str(free.getsockname()[1])
+        return self._ports[written]
+
+
+def _await(port):
+    """Waits until a program listens at a port, as a reader does before the next command."""
+    for _ in range(round(10 * LONGEST_S)):
+        with contextlib.suppress(ConnectionRefusedError), socket.socket() as link:
+            link.connect(("127.0.0.1", port))
+            return
+        time.sleep(0.1)
+    raise TimeoutError(f"nothing listens at port {port}")
+
+
+def _end(group):
+    """Ends a process group, by force if it does not end by itself."""
+    with contextlib.suppress(ProcessLookupError):
+        os.killpg(group, signal.SIGTERM)
+        for _ in range(100):
+            time.sleep(0.1)
+            os.killpg(group, 0)
+        os.killpg(group, signal.SIGKILL)
+
+
+def check_commands(text):
+    """Checks the shell's syntax, and that the commands and options of estune exist."""
+    subprocess.run(["bash", "-n", "-c", text], check=True)
+    for line in text.replace("\\\n", " ").splitlines():
+        words = [*takewhile(lambda word: word not in OPERATORS, shlex.split(line, comments=True))]
+        if words[:1] == ["estune"]:
+            app.parse_args(words[1:], exit_on_error=False, print_error=False)
+        if words[:2] == ["python", "-m"]:
+            assert importlib.util.find_spec(words[2]), line
+
+
+def refuse_commands(text):
+    assert not COMMAND.search(text), (
+        "a command in a block of text; name its language bash or shell"
+    )
+
+
+def compile_c(text):
+    compiler = ["cc", "-std=c99", "-Wall", "-Werror", "-fsyntax-only", "-x", "c", "-"]
+    subprocess.run(compiler, input=text.encode(), check=True)
+
+
+CHECKS = {
+    "c": compile_c,
+    "json": json.loads,
+    "shell": check_commands,
+    "text": refuse_commands,
+    "toml": tomllib.loads,
+}
+
+
+def evaluate(example):
+    """Does with one block what its language asks for."""
+    text, language = example.parsed, example.region.lexemes["language"]
+    page = example.namespace["page"]
+    if language == "bash":
+        page.run(page.here(text))
+        return
+    named = NAMED_FILE.match(text)
+    if named:
+        Path(named[1]).write_text(page.here(text))
+    elif language == "python":
+        PythonEvaluator()(example)
+    if language != "python":
+        assert language in CHECKS, f"a block needs one of these languages: {', '.join(CHECKS)}"
+        CHECKS[language](text)
+
+
+class FencedBlocks:
+    """Parser of all fenced blocks; those of directives in braces are Sphinx's."""
+
+    lexer = RawFencedCodeBlockLexer(re.compile(r"(?P<language>[^\n]*)$\n", re.MULTILINE))
+    doctests = DocTestStringParser(DocTestEvaluator(doctest.ELLIPSIS))
+
+    def __call__(self, document):
+        for region in self.lexer(document):
+            source = region.lexemes["source"]
+            if region.lexemes["language"].startswith("{"):
+                continue
+            if source.startswith(">>>"):
+                for example in self.doctests(source, document.path):
+                    example.adjust(region, source)
+                    yield example
+            else:
+                yield Region(region.start, region.end, source, evaluate, region.lexemes)
+
+
+def begin(namespace):
+    namespace["page"] = Page()
+
+
+def end(namespace):
+    namespace["page"].close()
+
+
+SNIPPETS = Sybil(
+    parsers=[FencedBlocks()],
+    patterns=["README.md", "docs/*.md", "docs/*/*.md"],
+    path=str(ROOT),
+    setup=begin,
+    teardown=end,
+)
