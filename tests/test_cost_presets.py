@@ -14,7 +14,7 @@ from estune.core.response import LoadStep, StepResponse
 from estune.errors import InvalidInput
 from estune.loop_model.fitting import fit_loop
 from estune.loop_model.prediction import predict
-from estune.run.planning import step_trial, suited_step, with_load
+from estune.run.planning import make_plan, step_trial, suited_step, with_load
 from estune.run.toml_tables import CostTable, StepTable
 from estune.trial import TrialRequest
 from estune.trial.loop_records import loop_signals
@@ -175,3 +175,13 @@ def test_tables_of_files_give_cost_and_load():
     assert step.duration_s == pytest.approx(2.0 * before.duration_s - before.step_at_s)
     early = StepTable(load_N=0.4, load_at_s=0.5).of(about)
     assert (early.load_at_s, early.duration_s) == (0.5, before.duration_s)
+
+
+def test_default_cost_means_the_same_whatever_the_units_of_the_effort():
+    for gain in (1.0, 250.0):
+        system = control.tf([gain * 2500.0], [1.0, 40.0, 2500.0])
+        plant = plants.linear_plant(system, sampling_Hz=500.0)
+        about = plant.describe("plant", Gains(1.0, 1.0, 0.0, 0.0))
+        choices = {"tuner": "safe_bayesian", "start": Gains(0.1, 1.0, 0.001, 0.01)}
+        plan = make_plan(about, "run", bounds=None, step=None, cost=None, **choices)
+        assert plan.cost.move_weight == pytest.approx(0.2 * gain**2)

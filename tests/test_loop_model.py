@@ -11,7 +11,8 @@ from estune.core.cost import StepCost
 from estune.core.gains import Gains
 from estune.core.margins import loop_margins, sample_plant
 from estune.loop_model.claim import claim
-from estune.loop_model.identification import LoopRecord, fit_loop
+from estune.loop_model.fitting import fit_loop
+from estune.loop_model.identification import LoopRecord
 from estune.loop_model.model import LoopModel, close_loop, robustness
 from estune.loop_model.optimum import RegionSearch, RobustnessLimits
 from estune.loop_model.prediction import StepTrial, predict, predict_with_intervals

@@ -212,8 +212,19 @@ class StepCost:
         """Whether `weights` and the move penalty are all of the cost."""
         return not self.function and self.criterion != "itae" and not self.effort_weight
 
+    def scaled(self, gain: float) -> "StepCost":
+        """The cost with the effort in units of the measurement: times the plant's static gain.
+
+        With it a weight means the same in all units.
+        """
+        return replace(
+            self,
+            move_weight=self.move_weight * gain**2,
+            effort_weight=self.effort_weight * gain**2,
+        )
+
     def weights(self, sampling_Hz: float, samples: int) -> FloatArray:
-        """Weights w_k with eta = sum(w_k eps_k^2)/dT^2, or of |eps_k|/dT for ITAE, from the step.
+        """Weights w_k, eta = sum(w_k eps_k^2)/dT^2, or of `|eps_k|/dT` for ITAE, from the step.
 
         Read-only, shape (samples,). None is negative, so the cost of a running trial only grows.
         They do not contain the move penalty.

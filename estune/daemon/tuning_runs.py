@@ -10,7 +10,7 @@ from estune.core.control_chart import ChartState
 from estune.core.gains import Gains
 from estune.daemon.config import RigTable, plan_settings
 from estune.daemon.store import RUNS, DaemonStore, now
-from estune.errors import RigError
+from estune.errors import EstuneError, RigError
 from estune.run import loop
 from estune.run.journal import FILE_NAME, Journal
 from estune.run.loop import TuningRun
@@ -21,7 +21,7 @@ from estune.run.planning import (
     plan_from_json,
     plan_to_json,
 )
-from estune.run.robustness import robustness_fault
+from estune.run.robustness import verdict_on
 from estune.run.summary import summarise
 from estune.trial import RigDescription
 
@@ -55,6 +55,20 @@ class TuningRuns:
     def name(self) -> str:
         """Name of the current or last run; empty if there was none."""
         return str(self._store.fact("run") or "")
+
+    def counts(self) -> tuple[int, int]:
+        """Trials of the current or last run, and the most it may have; zeros where it has none."""
+        if not self.name:
+            return 0, 0
+        try:
+            with Journal.open(self._store.folder / RUNS / self.name) as journal:
+                plan = plan_from_json(journal.fact("plan"))
+                outcomes = [(e.number, e.outcome) for e in journal.entries()]
+        except EstuneError as error:  # told where the run is continued
+            _log.warning("run %s cannot be read: %s", self.name, error)
+            return 0, 0
+        done = [number for number, outcome in outcomes if outcome and not outcome.is_void]
+        return max(done, default=-1) + 1, plan.max_trials
 
     def open(self, rig: RigDescription) -> TuningRun:
         """The current run, continued from its journal with its own plan, or a new one.
@@ -98,9 +112,12 @@ class TuningRuns:
             return Decision(None, summarise(session).message, start_chart, None)
         change = compare_costs(start, best, settings.confidence)
         start_chart = chart(start, best)
-        fault = robustness_fault(run) if change.is_decrease else ""
-        if fault:
-            return Decision(None, f"not robust: {fault}; cost {change}", start_chart, None)
+        verdict = verdict_on(run, change)
+        if verdict.fault:
+            return Decision(None, f"not robust: {verdict.fault}; cost {change}", start_chart, None)
+        if verdict.broken:
+            sentence = f"within the limits; the initial gains have {verdict.broken}: cost {change}"
+            return Decision(repeats.gains[1], sentence, start_chart, chart(best, start))
         if change.high < -settings.improvement_min:
             sentence = f"better than the initial gains: cost {change}"
             return Decision(repeats.gains[1], sentence, start_chart, chart(best, start))

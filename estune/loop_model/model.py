@@ -114,12 +114,11 @@ class ClosedLoop(NamedTuple):
 
     def step_response(self, setpoint_N: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Output and effort for a setpoint, as deviations, without limits, shape (samples,)."""
-        p = self.setpoint_pole
-        filtered = lfilter([1.0 - p], [1.0, -p], setpoint_N)
-        return (
-            lfilter(self.to_output, self.characteristic, filtered),
-            lfilter(self.to_effort, self.characteristic, filtered),
-        )
+        p, n = self.setpoint_pole, setpoint_N.size
+        poles = np.convolve([1.0, -p], self.characteristic)
+        common = lfilter([1.0 - p], poles, setpoint_N)
+        output, effort = (np.convolve(common, b)[:n] for b in (self.to_output, self.to_effort))
+        return output, effort
 
     def load_response(self, load_N: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Output and effort for a load at the plant's input, without limits, shape (samples,)."""

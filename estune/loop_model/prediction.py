@@ -25,6 +25,10 @@ GRID_ERROR = 2e-3
 """Error of Ms between the angles of the grid, against 200 000 angles, relative to it."""
 
 
+MISFIT_ERROR = 20.0
+"""Error of Ms per misfit, relative to it. Reels and loops outside the class whose misfit is below
+0.5 % are off by 7 (five lags) to 35 times it (stiffening)."""
+
 FRICTION_ERROR = 0.015
 """Error of Ms where friction was identified, relative to it: up to 1.2 % on the reference reel
 with 0.005 to 0.05 N m, whose friction acts between the samples."""
@@ -226,6 +230,7 @@ def predict_with_intervals(fit: LoopFit, trial: StepTrial, gains: Gains) -> Pred
             moved.append(ends[0] - ends[1])
         widths.append(quantile * np.sqrt(np.sum(np.square(moved), axis=0)))
     half = INFLATION * np.fmax(*widths)
+    half[2] = math.hypot(half[2], MISFIT_ERROR * fit.misfit)
     half[2] = math.hypot(half[2], FRICTION_ERROR if fit.model.friction_N else GRID_ERROR)
     low, high = centre - half, centre + half
     return PredictedMargins(

@@ -65,7 +65,7 @@ def make_plan(
     """
     step, cost = step or description.step, cost or "paper"
     if not isinstance(cost, StepCost):
-        cost = cost_from(cost, description.settling_time_s)
+        cost = cost_from(cost, description.settling_time_s).scaled(description.effort_scale)
     step = suited_step(step, cost, description)
     trial = step_trial(description, step, cost)
     if start == "model" or callable(start):

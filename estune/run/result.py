@@ -11,9 +11,9 @@ from estune.core.gain_forms import GainForm, gain_forms
 from estune.run import result_text
 from estune.run.ending import RunEnding
 from estune.run.loop import TuningRun
-from estune.run.robustness import robustness_fault
+from estune.run.robustness import verdict_on
 from estune.run.run_result import RunResult
-from estune.run.summary import not_robust_summary, summarise
+from estune.run.summary import not_robust_summary, summarise, within_limits_summary
 
 if TYPE_CHECKING:
     from control import StateSpace
@@ -116,17 +116,19 @@ def from_tuning(tuning: TuningRun) -> TuneResult:
     summary = summarise(session)
     if tuning.intervals is not None:
         summary = replace(summary, intervals=tuning.intervals)
-    fault = robustness_fault(tuning) if summary.improved else ""
-    if fault:
-        summary = not_robust_summary(summary, plan, fault)
+    verdict = verdict_on(tuning, summary.change)
+    if verdict.fault:
+        summary = not_robust_summary(summary, plan, verdict.fault)
+    elif verdict.broken:
+        summary = within_limits_summary(summary, session, verdict.broken)
     if session.failure:
         ending = RunEnding.UNSAFE_START
     elif not summary.complete:
         ending = RunEnding.STOPPED
     else:
-        worse = RunEnding.NOT_ROBUST if fault else RunEnding.NO_IMPROVEMENT
+        worse = RunEnding.NOT_ROBUST if verdict.fault else RunEnding.NO_IMPROVEMENT
         ending = RunEnding.TUNED if summary.improved else worse
-    return TuneResult(
+    result = TuneResult(
         x=np.array(summary.gains.as_tuple()),
         fun=summary.cost,
         nit=session.search_trials,
@@ -149,3 +151,6 @@ def from_tuning(tuning: TuningRun) -> TuneResult:
         session=session,
         recent_records=tuple(tuning.recent_records),
     )
+    if verdict.loop is not None:
+        result.__dict__["identified"] = verdict.loop  # the cached property
+    return result

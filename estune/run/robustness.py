@@ -2,12 +2,13 @@
 
 import math
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from scipy.special import stdtrit
 
+from estune.core.comparison import Change
 from estune.core.gains import Gains
 from estune.core.metrics import STEADY_SHARE, step_metrics
 from estune.core.quantities import FloatArray
@@ -84,6 +85,7 @@ def identify(records: Sequence[TrialRecord], plan: Plan, rig: RigDescription) ->
     )
 
 
+@one_blas_thread()
 def claim_from(loop: IdentifiedLoop, plan: Plan, rig: RigDescription, gains: Gains) -> Claim:
     """The margins of some gains by an identified loop."""
     if loop.fit is None:
@@ -117,17 +119,49 @@ def limit_price(
     )
 
 
-def robustness_fault(run: TuningRun) -> str:
-    """Why the gains that a complete run confirmed are not robust; empty where they are."""
+class Verdict(NamedTuple):
+    """What the records of a complete run say of the gains that it confirmed.
+
+    Attributes:
+        fault: Why they are not robust; empty where they are.
+        broken: Limits that the initial gains break and the confirmed ones keep, in words; empty
+            where there are none.
+        loop: The identified loop; None where nothing was judged.
+    """
+
+    fault: str = ""
+    broken: str = ""
+    loop: IdentifiedLoop | None = None
+
+
+def verdict_on(run: TuningRun, change: Change | None) -> Verdict:
+    """What the records of a complete run say of the gains that it confirmed.
+
+    Args:
+        run: The run.
+        change: Change of the cost by these gains; None where they were not confirmed.
+    """
     gains, plan, rig = run.session.candidate, run.plan, run.description
-    if gains is None or plan.limits is None:
-        return ""
-    records = list(run.recent_records)
-    claimed = claim_from(identify(records, plan, rig), plan, rig, gains)
-    return not_robust(records, plan, claimed, gains)
+    if gains is None or change is None or plan.limits is None:
+        return Verdict()
+    loop = identify(list(run.recent_records), plan, rig)
+    claimed = claim_from(loop, plan, rig, gains)
+    broken = ""
+    if not change.is_decrease and claimed.margins and plan.limits.broken_by(claimed.margins) == "":
+        start = claim_from(loop, plan, rig, plan.start)
+        broken = plan.limits.broken_by(start.margins) if start.margins else ""
+    if not (change.is_decrease or broken):
+        return Verdict(loop=loop)
+    return Verdict(not_robust(run.recent_records, plan, claimed, gains, rig), broken, loop)
 
 
-def not_robust(records: Sequence[TrialRecord], plan: Plan, claimed: Claim, gains: Gains) -> str:
+def not_robust(
+    records: Iterable[TrialRecord],
+    plan: Plan,
+    claimed: Claim,
+    gains: Gains,
+    rig: RigDescription,
+) -> str:
     """Why tuned gains are not robust; empty where they are, or in a plan without limits.
 
     The mean of the records with these gains has to settle, without an error at its end beyond
@@ -157,7 +191,8 @@ def not_robust(records: Sequence[TrialRecord], plan: Plan, claimed: Claim, gains
     error_N, allowed_N = _end_error(responses[:, index:], step.preload_N + step.step_N)
     allowed_N = max(allowed_N, END_ERROR * abs(step.step_N))
     if abs(error_N) > allowed_N:
-        return f"the response ends {error_N:+.2g} N off its setpoint (allowed {allowed_N:.2g} N)"
+        ends = f"{error_N:+.2g} {rig.measurement_unit}".rstrip()
+        return f"the response ends {ends} off its setpoint (allowed {rig.measured(allowed_N, 2)})"
     if math.isnan(metrics.settling_time_s):
         return "the response has not settled at the end of the trial"
     return ""

@@ -13,7 +13,8 @@ from estune.core.quantities import FloatArray
 from estune.core.sensitivity import largest_sensitivity
 from estune.errors import InvalidInput, UnsafeStart
 from estune.interop import model_gains, sampled_model
-from estune.loop_model.identification import LoopFit, LoopRecord, fit_loop
+from estune.loop_model.fitting import fit_loop
+from estune.loop_model.identification import LoopFit, LoopRecord
 from estune.loop_model.model import robustness
 from estune.loop_model.optimum import RegionSearch, RobustnessLimits
 from estune.loop_model.prediction import StepTrial

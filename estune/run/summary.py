@@ -26,7 +26,8 @@ class RunSummary:
             cost model: name, lower and upper end in the parameter's unit. May be empty.
         unsafe: Unsafe trials of the run.
         declined: Declined trials of the run.
-        improved: Whether the interval of the change lies below zero.
+        improved: Whether the interval of the change lies below zero, or the initial gains break a
+            limit that the tuned ones keep.
         message: The conclusion in a sentence.
         complete: Whether the run is complete; otherwise `gains` are the initial ones.
     """
@@ -83,6 +84,22 @@ def not_robust_summary(summary: RunSummary, plan: Plan, fault: str) -> RunSummar
         cost_error=summary.start_cost_error,
         improved=False,
         message=f"the tuned gains are not robust: {fault}; keep the initial gains",
+    )
+
+
+def within_limits_summary(summary: RunSummary, session: Session, broken: str) -> RunSummary:
+    """The summary of a run whose initial gains break a limit that the confirmed ones keep."""
+    repeats = session.confirmation
+    assert repeats is not None  # noqa: S101  confirmed gains were repeated
+    cost, error = _mean(repeats.costs[1])
+    return replace(
+        summary,
+        gains=repeats.gains[1],
+        cost=cost,
+        cost_error=error,
+        improved=True,
+        message=f"the initial gains have {broken}, the tuned ones keep the limits; they change "
+        f"the cost by {summary.change}; {session.search_end}",
     )
 
 

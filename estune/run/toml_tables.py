@@ -116,7 +116,7 @@ class CostTable(TomlTable):
         """The cost for a rig."""
         given = given_values(self)
         chosen = cost_from(given.pop("preset", "paper"), rig.settling_time_s)
-        return replace(chosen, **given)
+        return replace(chosen, **given).scaled(rig.effort_scale)
 
 
 class SearchTable(TomlTable):

@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass
 from typing import Annotated, Any
 
+import numpy as np
 from pydantic import Field
 
 from estune.core.gains import Gains
@@ -12,6 +13,9 @@ from estune.core.quantities import check_not_negative
 from estune.errors import InvalidInput
 from estune.trial.profiles import AnyProfile, LoadStepProfile, StepProfile
 from estune.trial.signals import EFFORT, TENSION, NamedSignals, Signals
+
+GAIN_MAX = 1e12
+"""Static gain from which on a plant counts as an integrator: what rounding leaves of one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +43,16 @@ class LinearModel:
         numbers = (*(a for row in self.A for a in row), *self.B, *self.C, self.E, self.dead_time_s)
         if not all(map(math.isfinite, numbers)):
             raise InvalidInput("the linear model holds a number that is not finite")
+
+    @property
+    def static_gain(self) -> float:
+        """Size of the output per input at rest, to nine digits; infinite for an integrator."""
+        try:
+            rest = np.linalg.solve(np.array(self.A), np.array(self.B)) if self.A else np.zeros(0)
+        except np.linalg.LinAlgError:
+            return math.inf
+        gain = abs(self.E - float(np.array(self.C) @ rest))
+        return float(f"{gain:.9g}") if gain < GAIN_MAX else math.inf
 
 
 def _omitted_if(default: object) -> Any:
@@ -146,6 +160,15 @@ class RigDescription(NamedSignals):
     simulated: bool = False
     measurement: Annotated[str, _omitted_if(TENSION)] = TENSION
     command: Annotated[str, _omitted_if(EFFORT)] = EFFORT
+
+    @property
+    def effort_scale(self) -> float:
+        """N of measurement per N of effort at rest, by which costs weigh the effort.
+
+        One where no model is known, and for plants without a steady state.
+        """
+        gain = self.linear_model.static_gain if self.linear_model else 1.0
+        return gain if 0.0 < gain < math.inf else 1.0
 
     @property
     def signals(self) -> Signals:

@@ -13,11 +13,12 @@ posterior of the model. Measured costs decide what is kept.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
+from scipy.special import stdtrit
 
 from estune.core.quantities import FloatArray
 from estune.loop_model.fitting import fit_loop
@@ -385,21 +386,25 @@ class IdentifiedLoopTuner:
             drawn = own.minimise([optimum.coordinates], iterations=DRAW_ITERATIONS)
             gains.append(max(math.log(here.cost / drawn.prediction.cost), 0.0))
             optima.append(drawn.coordinates)
-        points = np.array(optima) if optima else optimum.coordinates[np.newaxis]
-        low, high = points.min(axis=0), points.max(axis=0)
+        low, high = self._interval(optimum.coordinates, optima)
         beyond = state.surface.deviation(optimum.coordinates) if state.surface else 0.0
         return ConvergenceEstimate(
             noise=self._noise(state),
             remaining_improvement=-math.expm1(-float(np.quantile(gains, 0.95)) - beyond),
             expected_improvement=-math.expm1(-float(np.mean(gains))),
-            intervals=tuple(
-                zip(
-                    self.space.point(tuple(low.tolist())),
-                    self.space.point(tuple(high.tolist())),
-                    strict=True,
-                )
-            ),
+            intervals=tuple(zip(self.space.point(low), self.space.point(high), strict=True)),
         )
+
+    def _interval(
+        self, centre: FloatArray, optima: Sequence[FloatArray]
+    ) -> tuple[Coordinates, Coordinates]:
+        """Ends of the 95 % interval of the optimum, by Student's t of those of a few draws."""
+        half = np.zeros_like(centre)
+        if len(optima) > 1:
+            half = float(stdtrit(len(optima) - 1, 0.975)) * np.std(optima, axis=0, ddof=1)
+        low = np.maximum(centre - half, self.space.coordinates_low)
+        high = np.minimum(centre + half, self.space.coordinates_high)
+        return tuple(low.tolist()), tuple(high.tolist())
 
     def _at_edge(self, state: IdentifiedLoopState, optimum: Optimum) -> bool:
         """Whether the reach, not a bound of the space, holds the optimum back."""

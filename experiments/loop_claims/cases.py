@@ -18,8 +18,11 @@ from plants.effects import (
     Backlash,
     CableStiffening,
     CoulombFriction,
+    DahlHysteresis,
     Effect,
     EyeletFriction,
+    StribeckFriction,
+    StructuralMode,
     TorqueRipple,
 )
 from plants.simulation.plant import Plant
@@ -35,6 +38,9 @@ OUTSIDE: dict[str, Callable[[], Effect]] = {
     "backlash": Backlash,
     "torque ripple": TorqueRipple,
     "stiffening": CableStiffening,
+    "mode at 25 Hz": partial(StructuralMode, frequency_Hz=25.0),
+    "Dahl friction": DahlHysteresis,
+    "Stribeck friction": StribeckFriction,
 }
 """Effects on the reference reel that no linear model has, at their usual size."""
 

@@ -15,7 +15,8 @@ from estune.core import pidf
 from estune.core.gains import Gains
 from estune.core.quantities import FloatArray
 from estune.errors import UnsafeStart
-from estune.loop_model.identification import LoopRecord, fit_loop
+from estune.loop_model.fitting import fit_loop
+from estune.loop_model.identification import LoopRecord
 from estune.loop_model.model import robustness
 from plants.simulation.plant import Drive, Plant, drive_of
 

@@ -235,7 +235,7 @@ def check_cost(
     records: Sequence[TrialRecord], step: StepProfile, rig: RigDescription
 ) -> CheckResult:
     """Repeatability of the cost with the same gains."""
-    cost = default_cost(rig.settling_time_s)
+    cost = default_cost(rig.settling_time_s).scaled(rig.effort_scale)
     try:
         costs = [cost_of(record, step, cost, rig.newtons_per_ampere) for record in records]
     except RigError as error:

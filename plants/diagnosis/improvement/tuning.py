@@ -66,7 +66,7 @@ def tune_with_model(
 ) -> Tuned:
     """Tunes on the improved model, then on the rig from there, and compares the costs."""
     about = lab.about
-    cost = default_cost(about.settling_time_s)
+    cost = default_cost(about.settling_time_s).scaled(about.effort_scale)
     own, own_error = lab.measured(about.gains, cost, options.repeats)
 
     def compared(label: str, gains: Gains, measured: float, error: float) -> Costs:
