@@ -15,7 +15,7 @@ import pytest
 from estune.core.gains import Gains
 from estune.errors import InvalidInput, RigError
 from estune.hardware import HardwareRig
-from estune.trial import Outcome, TrialRequest
+from estune.trial import Outcome, Setpoint, TrialRequest
 from plants.emulator import EmulatedDriver
 from plants.emulator.driver import emulated_hardware
 from tests.support_hardware import quick
@@ -275,6 +275,21 @@ def test_estop_acts_at_once_and_stays_until_cleared(rig, hardware):
             call()
     rig.clear()
     assert rig.run(ask(rig, 2)).outcome is Outcome.DONE
+
+
+def test_setpoints_are_followed_until_they_stop_or_the_rig_is_stopped(rig):
+    def follow():
+        return rig.follow(Setpoint(20.0))
+
+    eventually(lambda: abs(follow().tension_N - 20.0) < 0.5)
+    eventually(lambda: abs(rig.state().tension_N - 15.0) < 0.5)  # no more setpoints
+    with pytest.raises(InvalidInput, match="no position controller"):
+        rig.follow(Setpoint(20.0, 1.0))
+    with pytest.raises(InvalidInput, match="outside the rig's range"):
+        rig.follow(Setpoint(4.0))
+    rig.estop("a hand in the cable")
+    with pytest.raises(RigError, match="a hand in the cable"):
+        follow()
 
 
 def test_close_ends_a_trial_under_way(hardware):

@@ -25,7 +25,7 @@ from estune.hardware.loop_messages import Begin, Ended, LoopPlan, Refused
 from estune.hardware.shared_memory import Memory, MotionPhase, SensorLevels, Word
 from estune.reel import guard
 from estune.reel.guard import GuardState, GuardTrip, Limits, Reason
-from estune.trial import GUARD, LATE, SATURATED, Outcome
+from estune.trial import GUARD, LATE, SATURATED, SETPOINT_S, Outcome
 
 _TRANSIENT = frozenset((Reason.HEARTBEAT, Reason.LATE))
 """Faults that end when the computer keeps its time again."""
@@ -64,6 +64,9 @@ class ReelStateMachine:
         self._setpoint_N = plan.motion.hold_N
         self._is_gain_change_pending = False
         self._settled = self._at_preload = 0
+        self._setpoints = 0  # taken so far
+        self._in_force_until_s = -math.inf
+        self._follows = False
         self._trial: Begin | None = None
         self._k = 0
         self._first_s = math.nan
@@ -137,6 +140,7 @@ class ReelStateMachine:
             self._emergency_stop()
         elif self._trial is not None and memory.words[Word.ABORT] == self._trial.number:
             self._end_early(Outcome.CANCELLED, Outcome.CANCELLED.sentence)
+        self._take_setpoint(reading.time_s)
         if self.phase not in _UNGUARDED:
             stop = self._check_guard(reading, gauge, angle, silence_s, late=late)
             if stop is not None:
@@ -168,6 +172,16 @@ class ReelStateMachine:
             terms = NO_COMPENSATION._replace(velocity_rad_s=terms.velocity_rad_s)
         self._controller.feed_forward(terms.feed_forward_N)
         return terms
+
+    def _take_setpoint(self, time_s: float) -> None:
+        """Notes a setpoint from above; the first one of a stream takes up a reel at rest."""
+        count = self._memory.words[Word.SETPOINTS]
+        if count != self._setpoints:
+            begins = time_s > self._in_force_until_s
+            self._setpoints, self._in_force_until_s = count, time_s + SETPOINT_S
+            if begins and self.at_rest and not self._latched:
+                self.phase, self._guard = MotionPhase.TAKE_UP, None
+        self._follows = time_s <= self._in_force_until_s
 
     def _check_guard(
         self, reading: Reading, tension: float, angle: float, silence_s: float, *, late: bool
@@ -305,11 +319,14 @@ class ReelStateMachine:
         return self._hold(tension_N)
 
     def _hold(self, tension_N: float) -> float:
-        """Moves the setpoint to its target; starts the trial there."""
+        """Moves the setpoint to its target, or follows one from above; starts the trial there."""
         motion, trial = self._plan.motion, self._trial
         target = motion.hold_N if trial is None else self._memory.setpoint_N[0]
         step = motion.rate_N_s / self._plan.sampling_Hz
-        self._setpoint_N += min(max(target - self._setpoint_N, -step), step)
+        if trial is None and self._follows:
+            self._setpoint_N = self._memory.target_N[0]
+        else:
+            self._setpoint_N += min(max(target - self._setpoint_N, -step), step)
         changed = self._live.update(self._angle_rad, self._setpoint_N)
         if self._is_gain_change_pending:
             self._controller.use(self._live.coefficients)

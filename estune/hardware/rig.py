@@ -14,7 +14,7 @@ from estune.core import pidf
 from estune.core.cost import StepCost
 from estune.core.gains import Gains
 from estune.core.quantities import FloatArray
-from estune.errors import RigError
+from estune.errors import InvalidInput, RigError
 from estune.hardware.config import RigConfig
 from estune.hardware.loop_messages import Begin, Done, Ended, ResetEstop, SetLiveGains
 from estune.hardware.process import ANSWER_WITHIN_s, LoopProcess
@@ -25,7 +25,15 @@ from estune.hardware.shared_memory import (
     Timing,
     Word,
 )
-from estune.trial import Outcome, RigDescription, Telemetry, TrialRecord, TrialRequest
+from estune.trial import (
+    Feedback,
+    Outcome,
+    RigDescription,
+    Setpoint,
+    Telemetry,
+    TrialRecord,
+    TrialRequest,
+)
 from estune.trial.executed_trials import ExecutedTrials, stopped_trial
 from estune.trial.profiles import Profile, StepProfile
 
@@ -146,6 +154,34 @@ class HardwareRig:
         self._check_alive()
         self._memory.estop_reason = reason or "no reason given"
         self._memory.words[Word.ESTOP] = 1
+
+    def follow(self, setpoint: Setpoint) -> Feedback:
+        """Follows a setpoint between trials; the loop itself returns to `hold_N` after it.
+
+        Raises:
+            InvalidInput: the setpoint is outside the limits, or for position control.
+            RigError: the rig is closed, its loop has failed, or it has stopped.
+        """
+        self._check_alive()
+        self._description.limits.check_tension(setpoint.tension_N)
+        if setpoint.angle_rad is not None:
+            raise InvalidInput(
+                f"rig {self._description.name} has no position controller; send tensions only"
+            )
+        words, levels = self._memory.words, self._memory.levels
+        if words[Word.LATCHED] or words[Word.ESTOP]:
+            raise RigError(
+                f"rig {self._description.name} follows no setpoint: it has stopped "
+                f"({self._memory.reason or self._memory.estop_reason}); check it, then clear it"
+            )
+        self._memory.target_N[0] = setpoint.tension_N
+        words[Word.SETPOINTS] += 1
+        return Feedback(
+            time_s=levels[SensorLevels.TIME_s],
+            tension_N=levels[SensorLevels.TENSION_N],
+            angle_rad=levels[SensorLevels.ANGLE_rad],
+            current_A=levels[SensorLevels.CURRENT_A],
+        )
 
     def clear(self) -> None:
         """Lets a rig that was stopped, by its guard or by hand, take trials again.

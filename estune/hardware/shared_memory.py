@@ -48,6 +48,7 @@ class Word(IntEnum):
     REASON = 8  # loop: bytes of the reason
     ORDER = 9  # rig: bytes of the reason for the emergency stop
     PROGRESS = 10  # loop: samples measured of the trial under way
+    SETPOINTS = 11  # rig: setpoints from above so far; the last is in `Memory.target_N`
 
 
 class SensorLevels(IntEnum):
@@ -128,6 +129,7 @@ class Memory:
         turnaround: See `Timing`.
         setpoint_N: Setpoint of the trial; written by the rig before it.
         weights: Weight of the squared error in the running cost; written by the rig.
+        target_N: Setpoint from above, a single number; written by the rig.
         time_s: Further columns of the trial, as in a record; written by the loop. Those of
             compensations that are off stay zero.
     """
@@ -144,6 +146,7 @@ class Memory:
         self._next_byte = 0
         self.words = self._take("q", len(Word))
         self.levels = self._take("d", len(SensorLevels))
+        self.target_N = self._take("d", 1)
         self.lateness, self.turnaround = self._take("q", BINS), self._take("q", BINS)
         self._reason, self._order = self._take("B", REASON_BYTES), self._take("B", REASON_BYTES)
         columns = [self._take("d", capacity) for _ in range(_COLUMNS)]
@@ -211,7 +214,7 @@ class Memory:
 
 
 def _size(capacity: int) -> int:
-    head = 8 * (len(Word) + len(SensorLevels) + 2 * BINS) + 2 * REASON_BYTES
+    head = 8 * (len(Word) + len(SensorLevels) + 1 + 2 * BINS) + 2 * REASON_BYTES
     return head + _BYTES_PER_SAMPLE * capacity
 
 

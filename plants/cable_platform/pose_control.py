@@ -39,7 +39,7 @@ class PoseController:
         rules: SwitchingRules,
         tension_max_N: float,
     ) -> None:
-        """Prepares the controller; the first feedback must be given at home.
+        """Prepares the controller. At home without tension all angles are zero.
 
         Args:
             mechanism: The platform, as far as its source knows it.
@@ -54,8 +54,8 @@ class PoseController:
         self._rules = rules
         self._max_N = tension_max_N
         self._radius_m = np.array([reel.drum_radius_m for reel in mechanism.reels])
-        self._offset_m: FloatArray | None = None
         self.pose = np.array(mechanism.home)
+        self._home_m = self._kinematics(self.pose)[0]
         self._velocity = np.zeros(self.pose.size)
         self._time_s = float("nan")
         self.wrench = np.zeros(self.pose.size)
@@ -73,9 +73,10 @@ class PoseController:
             speed: Its derivative v_d.
             push: Its second derivative a_d.
         """
+        self.estimate(feedback)
         tensions = np.array([each.tension_N for each in feedback])
-        wound = self._radius_m * np.array([each.angle_rad for each in feedback])
-        jacobian = self._estimate(tensions, wound, feedback[0].time_s)
+        angles = np.array([each.angle_rad for each in feedback])
+        jacobian = self._kinematics(self.pose)[1]
         masses, load = np.array(self._mechanism.masses), np.array(self._mechanism.load)
         wanted = self._damping * (speed - self._velocity) + self._stiffness * (pose - self.pose)
         self.wrench = masses * (push + wanted) - load
@@ -85,7 +86,7 @@ class PoseController:
         setpoints = self._rules.tension_setpoint_N(distributed, solved)
         in_tension = self._rules.select(self._in_tension, tensions, solved)
         # A reel that changes to position control holds the angle that it has there.
-        self._held_rad = np.where(self._in_tension, wound / self._radius_m, self._held_rad)
+        self._held_rad = np.where(self._in_tension, angles, self._held_rad)
         self._in_tension = in_tension
         limited = np.clip(setpoints, self._rules.tension_min_N, self._max_N)
         return tuple(
@@ -95,22 +96,21 @@ class PoseController:
             )
         )
 
-    def _estimate(self, tensions: FloatArray, wound: FloatArray, time_s: float) -> FloatArray:
-        """Updates pose and velocity; returns the Jacobian of the lengths."""
-        change = tensions * self._mechanism.softness_m_N - wound
-        lengths, jacobian = self._kinematics(self.pose)
-        if self._offset_m is None:
-            self._offset_m, self._time_s = lengths - change, time_s
-        measured, before = self._offset_m + change, self.pose
+    def estimate(self, feedback: Sequence[Feedback]) -> FloatArray:
+        """Updates pose and velocity; the pose."""
+        tensions = np.array([each.tension_N for each in feedback])
+        angles, time_s = np.array([each.angle_rad for each in feedback]), feedback[0].time_s
+        change = tensions * self._mechanism.softness_m_N - self._radius_m * angles
+        measured, before = self._home_m + change, self.pose
         for _ in range(ITERATIONS):
             lengths, jacobian = self._kinematics(self.pose)
             self.pose = self.pose + np.linalg.lstsq(jacobian, measured - lengths)[0]
         passed_s, self._time_s = time_s - self._time_s, time_s
-        if passed_s > 0.0:
+        if passed_s > 0.0:  # not at the first feedback
             # Filtered over the time in which the drum turns by some encoder counts.
             share = passed_s / (VELOCITY_FILTER_S + passed_s)
             self._velocity += share * ((self.pose - before) / passed_s - self._velocity)
-        return jacobian
+        return self.pose
 
     def _kinematics(self, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
         lengths, jacobian = self._mechanism.kinematics(pose)

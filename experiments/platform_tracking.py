@@ -1,0 +1,200 @@
+"""What does tuning the reels change for a platform moved by a tension distribution over the link?
+
+Four simulated reels hold a platform in a vertical plane, in a process of its own, each served over
+Zenoh. This process is their source: it finds the pose from the drums' angles, computes the wrench
+that keeps the platform on a circle, distributes it over the cables, and sends the tensions. The
+circle is run with the gains that the reels had, then all reels are tuned over the link by step
+trials, and it is run again.
+"""
+
+import math
+import sys
+import tempfile
+import time
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from typing import Any, NamedTuple
+
+import numpy as np
+from matplotlib.figure import Figure
+
+import estune
+from estune.core.quantities import FloatArray
+from estune.reel.hybrid import SwitchingRules
+from estune.remote.zenoh import RemoteRig, connect
+from estune.remote.zenoh.setpoint_stream import SetpointStream
+from estune.support.plot_style import BLUE, GREY, VERMILION, finish, legend, new_figure
+from estune.trial import Setpoint
+from experiments.results import Target, at_least, at_most, command_line, print_results, save_figure
+from plants.cable_platform import PoseController
+from plants.cable_platform.examples import platform, served
+
+RADIUS_M, TURN_HZ = 0.1, 0.5
+NATURAL_RAD_S, DAMPING_RATIO = 10.0, 1.0
+"""Of the pose loop. At 18 rad/s the platform oscillates with the reels' gains before tuning."""
+
+RULES = SwitchingRules(tension_min_N=5.0, margin_N=1.0)
+TENSION_MAX_N = 40.0
+FADE_IN_S = 1.0
+REST_S = 3.0
+"""Time in which the platform comes to rest with its reels at their hold tensions."""
+
+
+class Tracking(NamedTuple):
+    """One run along the circle; each column has a row for each period."""
+
+    time_s: FloatArray
+    wanted: FloatArray
+    pose: FloatArray
+    tension_error_N: FloatArray
+    round_trip_s: FloatArray
+
+    def after_start(self) -> "Tracking":
+        """Without the time in which the circle fades in and the platform settles."""
+        rows = self.time_s > 2.0 * FADE_IN_S
+        return Tracking(*(column[rows] for column in self))
+
+
+def circle(time_s: float, start: FloatArray) -> FloatArray:
+    """Pose, its derivative and its second derivative, shape (3, 3).
+
+    A circle through home, faded in from the pose at the start.
+    """
+    w, share = 2.0 * math.pi * TURN_HZ, min(1.0, time_s / FADE_IN_S)
+    turn = np.array([math.cos(w * time_s), math.sin(w * time_s), 0.0])
+    ahead = np.array([-turn[1], turn[0], 0.0])
+    centre = np.array([1.0, 0.0, 0.0])
+    faded = np.array([(1.0 - share) ** 2 * start, np.zeros(3), np.zeros(3)])
+    return faded + RADIUS_M * share**2 * np.array([turn - centre, w * ahead, -(w**2) * turn])
+
+
+def track(rigs: Sequence[RemoteRig], rate_Hz: float, duration_s: float) -> Tracking:
+    """Moves the platform from rest along the circle, in real time."""
+    mechanism, _ = platform()
+    controller = PoseController(
+        mechanism,
+        natural_rad_s=NATURAL_RAD_S,
+        damping_ratio=DAMPING_RATIO,
+        rules=RULES,
+        tension_max_N=TENSION_MAX_N,
+    )
+    stream = SetpointStream(rigs, rate_Hz)
+    setpoints: Sequence[Setpoint] = [Setpoint(reel.tension_N) for reel in mechanism.reels]
+    rows, began_s, time_s, start = [], math.nan, 0.0, np.zeros(3)
+    while time_s < duration_s:
+        sent_s, feedback, trips = stream.exchange(setpoints)
+        began_s = sent_s if math.isnan(began_s) else began_s
+        time_s = sent_s - began_s
+        error = [f.tension_N - s.tension_N for f, s in zip(feedback, setpoints, strict=True)]
+        start = controller.estimate(feedback).copy() if time_s == 0.0 else start
+        wanted = circle(time_s, start)
+        setpoints = controller.update(feedback, *wanted)
+        rows.append((time_s, wanted[0], controller.pose, error, trips))
+    return Tracking(*(np.array(column) for column in zip(*rows, strict=True)))
+
+
+def tracking_row(tracking: Tracking) -> dict[str, float]:
+    """Errors of a run."""
+    settled = tracking.after_start()
+    error = settled.pose - settled.wanted
+    return {
+        "position rms (mm)": 1e3 * float(np.sqrt((error[:, :2] ** 2).sum(axis=1).mean())),
+        "position max (mm)": 1e3 * float(np.sqrt((error[:, :2] ** 2).sum(axis=1)).max()),
+        "turn rms (deg)": math.degrees(float(np.sqrt((error[:, 2] ** 2).mean()))),
+        "tension rms (N)": float(np.sqrt((settled.tension_error_N**2).mean())),
+    }
+
+
+def link_row(tracking: Tracking) -> dict[str, float]:
+    """Rate reached, and time from a setpoint to the reply of its reel."""
+    trips_ms = 1e3 * tracking.round_trip_s[np.isfinite(tracking.round_trip_s)]
+    return {
+        "rate (Hz)": float((len(tracking.time_s) - 1) / tracking.time_s[-1]),
+        "round trip median (ms)": float(np.median(trips_ms)),
+        "99 % (ms)": float(np.percentile(trips_ms, 99.0)),
+        "longest period (ms)": 1e3 * float(np.diff(tracking.time_s).max()),
+        "late replies (%)": 100.0 * float(np.isnan(tracking.round_trip_s).mean()),
+    }
+
+
+def tuned(endpoints: Mapping[str, str], trials: int) -> list[estune.Gains]:
+    """Tunes each reel over the link; its gains."""
+    with tempfile.TemporaryDirectory() as folder:
+        return [
+            estune.tune(endpoint, trials=trials, folder=folder, watch=None).gains
+            for endpoint in endpoints.values()
+        ]
+
+
+def draw(runs: Mapping[str, Tracking]) -> Figure:
+    """Paths of the platform, and its distance from the circle over time."""
+    figure = new_figure(7.2, 3.4)
+    paths, errors = figure.subplots(1, 2, width_ratios=(1.0, 1.4))
+    for (name, run), color in zip(runs.items(), (VERMILION, BLUE), strict=True):
+        settled = run.after_start()
+        paths.plot(*(1e3 * settled.pose[:, :2]).T, color=color, linewidth=1.0, label=name)
+        distance_mm = 1e3 * np.hypot(*(run.pose - run.wanted)[:, :2].T)
+        errors.plot(run.time_s, distance_mm, color=color, linewidth=1.0, label=name)
+    wanted = next(iter(runs.values())).after_start().wanted
+    paths.plot(*(1e3 * wanted[:, :2]).T, color=GREY, linewidth=0.9, label="wanted")
+    paths.set_aspect("equal")
+    finish(paths, "y (mm)", "x (mm)")
+    finish(errors, "distance from the wanted position (mm)", "time (s)")
+    legend(errors)
+    return figure
+
+
+def targets(figures: Mapping[str, Any], rate_Hz: float) -> dict[str, Target]:
+    """The tuned platform follows better, and the link keeps the source's rate."""
+    rows = figures["tracking"]
+    key = "position rms (mm)"
+    return {
+        "position error, tuned over untuned": at_most(
+            rows["tuned"][key] / rows["untuned"][key], 0.5
+        ),
+        "rate over the one requested": at_least(
+            min(row["rate (Hz)"] for row in figures["link"].values()) / rate_Hz, 0.9
+        ),
+    }
+
+
+def main() -> int:
+    """Prints tracking errors and the link's times, and draws the paths."""
+    parser = command_line(__doc__, quick="4 s along the circle, 6 trials a reel", out="the figure")
+    parser.add_argument("--rate", type=float, default=100.0, help="setpoints per second")
+    options = parser.parse_args()
+    duration_s, trials = (4.0, 6) if options.quick else (12.0, 60)
+    runs: dict[str, Tracking] = {}
+    with ExitStack() as stack:
+        endpoints = stack.enter_context(served("platform"))
+        rigs = [stack.enter_context(connect(endpoint)) for endpoint in endpoints.values()]
+        before = [rig.describe().gains for rig in rigs]
+        runs["untuned"] = track(rigs, options.rate, duration_s)
+        for rig in rigs:
+            rig.release()
+        after = tuned(endpoints, trials)
+        for rig, gains in zip(rigs, after, strict=True):
+            rig.apply(gains)
+        time.sleep(REST_S)
+        runs["tuned"] = track(rigs, options.rate, duration_s)
+    gains = {
+        f"{name}, {reel}": dict(zip(("P", "I", "D", "filter_s"), own.as_tuple(), strict=True))
+        for name, all_gains in (("untuned", before), ("tuned", after))
+        for reel, own in zip(endpoints, all_gains, strict=True)
+    }
+    figures = {
+        "gains": gains,
+        "tracking": {name: tracking_row(run) for name, run in runs.items()},
+        "link": {name: link_row(run) for name, run in runs.items()},
+    }
+    path = save_figure(draw(runs), options.out, "platform_tracking")
+    code = print_results(
+        figures, targets(figures, options.rate), as_json=options.json, tables=True
+    )
+    if not options.json:
+        print(f"figure: {path}")
+    return code
+
+
+if __name__ == "__main__":
+    sys.exit(main())
