@@ -17,6 +17,7 @@ TIMED = {
     "emergency_stop",
     "jitter",
     "live_page",
+    "platform_tracking",
     "scale",
     "sweep_speed",
 }
