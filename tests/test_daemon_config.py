@@ -76,12 +76,15 @@ def test_read_config_reports_all_mistakes_with_their_places(tmp_path, capsys):
     ("target", "words"),
     [
         ("tcp/127.0.0.1:99999", "endpoint 'tcp/127.0.0.1:99999' is malformed"),
+        ("tcp/127.0.0.1:0", "no rig listens at port 0"),
+        ("tcp/999.1.1.1:7447", "999.1.1.1 is no IP address"),
         ("nothing.toml", "there is no such model file"),
         ("nothing", "is neither an endpoint"),
         ("no_module:reel", "there is no module 'no_module'"),
         ("plants:no_reel", "plants has no 'no_reel'"),
         ("plants:reference_reel", ""),
         ("tcp/127.0.0.1:7447", ""),
+        ("tcp/[::1]:7447", ""),
     ],
 )
 def test_check_refuses_targets_that_cannot_exist(target, words, tmp_path, capsys):

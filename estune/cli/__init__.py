@@ -46,10 +46,12 @@ COMMANDS = (
     ("run-experiment", "experiment:run_experiment", "Run the trial of a file on a rig.", 140),
     ("discover", "rigs:discover", "List the rigs at an endpoint and their status.", 160),
     ("doctor", "doctor:doctor", "Check a rig, with a remedy for each failed check.", 170),
+    ("bridge", "bridge:bridge", "Show a rig in ROS 2 or PlotJuggler.", 175),
     ("estop", "rigs:estop", "Stop a rig at once and hold it in its safe state.", 180),
     ("clear", "rigs:clear", "Reset the emergency stop of a rig.", 190),
     ("daemon", "daemon:daemon", "Tune and supervise rigs for days, as a service.", 200),
     ("daemon-control", "daemon:daemon_control", "Query or command a daemon.", 210),
+    ("docs", "docs:docs", "Open the documentation in the browser.", 220),
 )
 """Name, function in `estune.cli`, help, and place in the list of commands."""
 
@@ -91,6 +93,9 @@ def _add_commands() -> Iterator[str]:
         app.command(where, name=name, help=text, sort_key=place)
 
 
+app.register_install_completion_command(
+    help="Let the shell complete commands and options: bash, zsh, fish."
+)
 _faults = tuple(_add_commands())
 
 

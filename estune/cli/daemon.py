@@ -4,17 +4,30 @@ import getpass
 import os
 import signal
 import socket
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from types import FrameType
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
+
+from rich.live import Live
+from rich.text import Text
 
 from estune.cli import output
 from estune.cli.values import Flag, security_from
 from estune.core.gains import GAIN_NAMES
-from estune.errors import InvalidInput
+from estune.errors import InvalidInput, RigError
 from estune.remote.messages.daemon import DaemonStatus, DaemonVerb, History
 
-Query = Literal["status", "history", "events"]
+if TYPE_CHECKING:
+    from estune.remote.zenoh.daemon_service import DaemonClient
+
+_TAKES_EFFECT_WITHIN_S = 10.0
+"""Time for which a command is waited for; a rig that is away may take longer."""
+_POLL_S = 0.1
+_WATCH_EVERY_S = 1.0
 
 
 def daemon(
@@ -59,13 +72,14 @@ def daemon(
 
 
 def daemon_control(
-    verb: DaemonVerb | Query,
+    verb: Literal["status", "history", "events", DaemonVerb],
     endpoint: str,
     /,
     *,
     rig: str | None = None,
     why: str = "",
     limit: int = 20,
+    watch: Flag = False,
     security: Path | None = None,
     json: Flag = False,
 ) -> None:
@@ -77,14 +91,21 @@ def daemon_control(
         rig: The rig; may be left out if there is one only.
         why: Reason, for the daemon's history.
         limit: Maximum number of rows of history or events.
+        watch: Show the status at each change, until Ctrl-C.
         security: Credentials file, if the daemon requires authentication.
-        json: Print JSON.
+        json: Print JSON; with --watch, a line for each change.
     """
     from estune.remote.zenoh.daemon_service import DaemonClient  # noqa: PLC0415  slow to import
 
+    if watch and verb != "status":
+        raise InvalidInput(f"--watch shows the status; leave it out with {verb}")
     with DaemonClient(endpoint, security=security_from(security)) as client:
+        if watch:
+            with suppress(KeyboardInterrupt):
+                _watch(client, rig, json=json)
+            return
         answer: Any
-        statuses = client.statuses() if rig is None else [client.status(rig)]
+        statuses = _statuses(client, rig)
         names = [status.rig for status in statuses]
         if verb == "events":
             answer = [event for name in names for event in client.events(name, limit=limit)]
@@ -96,28 +117,87 @@ def daemon_control(
             raise InvalidInput(f"name the rig with --rig: {', '.join(names)}")
         else:
             reply = client.command(names[0], verb, _user(), why)
-            answer = client.status(names[0])
             if not json:
-                print(reply)
+                print(reply, flush=True)
+            answer = _status_after(client, statuses[0], verb)
     if json:
         output.print_json(answer)
     else:
         _show(verb, answer)
 
 
+def _statuses(client: "DaemonClient", rig: str | None) -> list[DaemonStatus]:
+    return client.statuses() if rig is None else [client.status(rig)]
+
+
+def _status_after(client: "DaemonClient", status: DaemonStatus, verb: DaemonVerb) -> DaemonStatus:
+    """The status once a command has taken effect; the latest if that takes long."""
+    until_s = time.monotonic() + _TAKES_EFFECT_WITHIN_S
+    while time.monotonic() < until_s:
+        try:
+            status = client.status(status.rig)
+        except RigError:
+            if verb != "stop":
+                raise
+            return replace(status, live="", sentence="the daemon has ended, as its last rig was")
+        if verb == "stop":
+            has_taken_effect = status.mode == "stopped"
+        else:
+            has_taken_effect = bool(status.live) and status.mode != "readying"
+        if has_taken_effect:
+            break
+        time.sleep(_POLL_S)
+    return status
+
+
+def _watch(client: "DaemonClient", rig: str | None, *, json: bool) -> None:
+    """Shows the status: on a terminal in place, else at each change."""
+    out = output.console()
+    if json or not out.is_terminal:
+        shown: object = None
+        for statuses in _status_at_intervals(client, rig):
+            # Without the time to the next check, which changes by itself.
+            lasting = [replace(s, next_check_s=None) for s in statuses] or None
+            if lasting != shown and json:
+                output.print_json_line(statuses)
+            elif lasting != shown:
+                out.print(_text(statuses))
+            shown = lasting
+        return
+    with Live(console=out, auto_refresh=False) as live:
+        for statuses in _status_at_intervals(client, rig):
+            live.update(_text(statuses), refresh=True)
+
+
+def _status_at_intervals(client: "DaemonClient", rig: str | None) -> Iterator[list[DaemonStatus]]:
+    """The statuses again and again; none while the daemon does not answer."""
+    while True:
+        try:
+            yield _statuses(client, rig)
+        except RigError:
+            yield []
+        time.sleep(_WATCH_EVERY_S)
+
+
+def _text(statuses: list[DaemonStatus]) -> Text:
+    texts = [output.facts_text(_facts(status)) for status in statuses]
+    return Text("\n\n").join(texts) if texts else Text("no daemon answers; asking again")
+
+
 def _show(verb: str, answer: Any) -> None:
     if verb == "events":
-        rows = [(e.at, e.rig, e.kind, e.sentence) for e in answer]
+        rows = [(output.local_time(e.at), e.rig, e.kind, e.sentence) for e in answer]
         output.show_table(("at", "rig", "event", ""), rows)
     elif verb == "history":
         for name, history in answer.items():
             _show_history(name, history)
     else:
         for status in answer if isinstance(answer, list) else [answer]:
-            _show_status(status)
+            output.show_next(_facts(status))
 
 
-def _show_status(status: DaemonStatus) -> None:
+def _facts(status: DaemonStatus) -> Mapping[str, object]:
+    """What an operator is shown of a status, by name."""
     live = f"{status.live} gains" if status.live else "not confirmed by the rig now"
     facts: dict[str, object] = {
         "rig": status.rig,
@@ -140,17 +220,24 @@ def _show_status(status: DaemonStatus) -> None:
         facts["paused"] = status.paused
     if status.trouble:
         facts["trouble"] = status.trouble
-    output.show_next(facts)
+    return facts
 
 
 def _show_history(rig: str, history: History) -> None:
     print(rig)
     sets = [
-        (row["at"], row["name"], *(f"{row[gain]:.6g}" for gain in GAIN_NAMES), row["why"])
+        (
+            output.local_time(row["at"]),
+            row["name"],
+            *(f"{row[gain]:.6g}" for gain in GAIN_NAMES),
+            row["why"],
+        )
         for row in history.gains
     ]
     output.show_table(("at", "gain set", *GAIN_NAMES, "why"), sets)
-    commands = [(row["at"], row["verb"], row["sentence"]) for row in history.commands]
+    commands = [
+        (output.local_time(row["at"]), row["verb"], row["sentence"]) for row in history.commands
+    ]
     output.show_table(("at", "verb", ""), commands)
 
 

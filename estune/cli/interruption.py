@@ -23,3 +23,14 @@ def continued_by_same_command(folder: Path, given: Path | None) -> Iterator[None
         words = ["estune", *sys.argv[1:], *([] if given else ["--folder", str(folder)])]
         stop.again = shlex.join(words)
         raise
+
+
+@contextmanager
+def continued_with_credentials(security: Path | None) -> Iterator[None]:
+    """Adds the credentials file to the command that continues a run that is stopped."""
+    try:
+        yield
+    except Stopped as stop:
+        if stop.again and security is not None:
+            stop.again += f" --security {shlex.quote(str(security))}"
+        raise

@@ -4,23 +4,29 @@ import dataclasses
 import json
 import math
 from collections.abc import Iterable, Mapping
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
+from rich.measure import Measurement
 from rich.table import Table
 from rich.text import Text
 
 from estune.run.result import TuneResult
 
 FIGURE_NAME = "figure.png"
+_WORDS = 24
+"""Characters of a cell above which it may be wrapped between words."""
+_WIDEST = 10_000
+"""Width of a pipe and of a table as it is measured, characters: more than any has."""
 
 
 def console() -> Console:
     """Console for results; in a pipe, lines are not cut to the width of a terminal."""
     out = Console(highlight=False)
     if not out.is_terminal:
-        out.width = 160
+        out.width = _WIDEST
     return out
 
 
@@ -56,26 +62,47 @@ def save_figure(result: TuneResult) -> Path | None:
 
 def show_next(facts: Mapping[str, object]) -> None:
     """Prints a short list of names and values: paths, and the next commands."""
-    out = console()
+    console().print(facts_text(facts), soft_wrap=True)
+
+
+def facts_text(facts: Mapping[str, object]) -> Text:
+    """Names and values, a line each."""
     width = max(map(len, facts))
-    for name, value in facts.items():
-        line = Text.assemble((f"{name:<{width}}", "dim"), "  ", str(value))
-        out.print(line, soft_wrap=True)
+    lines = (Text.assemble((f"{n:<{width}}", "dim"), f"  {value}") for n, value in facts.items())
+    return Text("\n").join(lines)
 
 
 def show_table(columns: Iterable[str], rows: Iterable[Iterable[str]]) -> None:
-    """Prints a plain table."""
+    """Prints a plain table; where a terminal is too narrow for it, each row as a list."""
+    heads, cells = tuple(columns), [tuple(row) for row in rows]
+    out = console()
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
-    for column in columns:
-        table.add_column(column, header_style="dim", no_wrap=True)
-    for row in rows:
+    for number, head in enumerate(heads):
+        is_text = any(" " in row[number] and len(row[number]) > _WORDS for row in cells)
+        table.add_column(head, header_style="dim", no_wrap=not is_text)
+    for row in cells:
         table.add_row(*(Text(cell) for cell in row))
-    console().print(table)
+    if Measurement.get(out, out.options.update(width=_WIDEST), table).minimum <= out.width:
+        out.print(table)
+        return
+    for row in cells:
+        show_next({head: cell for head, cell in zip(heads, row, strict=True) if cell})
+        print()
+
+
+def local_time(at: str) -> str:
+    """A time of day, ISO 8601 with offset, as that of this place."""
+    return f"{datetime.fromisoformat(at).astimezone():%Y-%m-%d %H:%M:%S}"
 
 
 def print_json(value: Any) -> None:
     """Prints a value as JSON; numbers that are not finite become null."""
     print(json.dumps(plain(value), indent=2, allow_nan=False))
+
+
+def print_json_line(value: Any) -> None:
+    """Prints a value as JSON in one line, at once: for a reader that follows."""
+    print(json.dumps(plain(value), allow_nan=False), flush=True)
 
 
 def plain(value: Any) -> Any:

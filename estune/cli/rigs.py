@@ -1,11 +1,12 @@
 """Commands on served rigs: `estune discover`, `apply`, `estop` and `clear`."""
 
 from pathlib import Path
+from typing import Any
 
 from estune import api
 from estune.cli import output
 from estune.cli.runs import find_run
-from estune.cli.values import Flag, security_from, share_from
+from estune.cli.values import Flag, command_line, security_from, share_from
 from estune.core.gain_forms import backed_off
 from estune.core.gains import GAIN_NAMES, Gains
 from estune.errors import InvalidInput, RigError
@@ -21,12 +22,13 @@ STOP_PRIORITY = 20
 """Real-time priority of an emergency stop, where the system grants it."""
 
 
-def discover(endpoint: str, /, *, security: Path | None = None) -> None:
+def discover(endpoint: str, /, *, security: Path | None = None, json: Flag = False) -> None:
     """List the rigs at an endpoint and their status.
 
     Args:
         endpoint: Where to look, such as tcp/127.0.0.1:7447.
         security: Credentials file, if the rigs require authentication.
+        json: Print JSON.
     """
     credentials = security_from(security)
     presences = zenoh.discover_rigs(endpoint, security=credentials)
@@ -34,7 +36,11 @@ def discover(endpoint: str, /, *, security: Path | None = None) -> None:
         raise RigError(
             f"no rig answers at {endpoint}; start one with: estune serve --listen {endpoint}"
         )
-    rows = [_row(endpoint, presence, credentials) for presence in presences]
+    found = {p.rig: _described(endpoint, p.rig, credentials) for p in presences}
+    if json:
+        output.print_json({name: _facts(known) for name, known in found.items()})
+        return
+    rows = [_row(name, known) for name, known in found.items()]
     output.show_table(("rig", "state", "cable length", "step", "live gains", "software"), rows)
 
 
@@ -91,7 +97,8 @@ def apply(
     if not start and not result.success:
         print(f"they are the gains the run began from: {result.message}")
     elif not start:
-        print(f"restore the old ones with: estune apply {result.folder} {target} --start")
+        back = command_line("apply", result.folder, target, rig=rig, security=security)
+        print(f"restore the old ones with: {back} --start")
 
 
 def estop(
@@ -117,7 +124,8 @@ def estop(
         zenoh.connect(endpoint, rig=rig, security=security_from(security)) as the_rig,
     ):
         the_rig.estop(reason)
-        print(f"{the_rig.name} is stopped and held; once it is safe, reset it with: estune clear")
+        reset = command_line("clear", endpoint, rig=rig, security=security)
+        print(f"{the_rig.name} is stopped and held; once it is safe, reset it with: {reset}")
 
 
 def clear(endpoint: str, /, *, rig: str | None = None, security: Path | None = None) -> None:
@@ -155,17 +163,40 @@ def _gain(rig: RigDescription, name: str) -> str:
     return with_unit(getattr(rig.gains, name), rig.gain_units[name], 6)
 
 
-def _row(endpoint: str, presence: messages.Presence, security: Security) -> tuple[str, ...]:
+Described = tuple[RigDescription, messages.Status] | RigError
+"""Description and status of a rig, or why there are none."""
+
+
+def _described(endpoint: str, rig: str, security: Security) -> Described:
     try:
-        with zenoh.connect(endpoint, rig=presence.rig, security=security) as rig:
-            about: RigDescription = rig.describe()
-            status = rig.status()
+        with zenoh.connect(endpoint, rig=rig, security=security) as there:
+            return there.describe(), there.status()
     except RigError as error:
-        return (presence.rig, "-", "-", "-", str(error), "-")
+        return error
+
+
+def _facts(known: Described) -> dict[str, Any]:
+    """What a script is told of a rig."""
+    if isinstance(known, RigError):
+        return {"fault": str(known)}
+    about, status = known
+    return {
+        "status": output.plain(status),
+        "gains": output.plain(about.gains),
+        "cable_length_m": about.cable_length_m,
+        "step": output.plain(about.step),
+        "software": about.software,
+    }
+
+
+def _row(name: str, known: Described) -> tuple[str, ...]:
+    if isinstance(known, RigError):
+        return (name, str(known), "-", "-", "-", "-")
+    about, status = known
     length = "-" if about.cable_length_m is None else f"{about.cable_length_m:g} m"
     step = f"{about.step_text(about.step)}, {about.step.duration_s:g} s"
     gains = about.gains_text(about.gains)
-    return (about.name, _state(status), length, step, gains, about.software)
+    return (name, _state(status), length, step, gains, about.software)
 
 
 def _state(status: messages.Status) -> str:

@@ -9,6 +9,7 @@ from estune.cli import output
 from estune.cli.values import Flag
 from estune.core.gains import GAIN_NAMES
 from estune.errors import EstuneError, InvalidInput, JournalError
+from estune.run.ending import RunEnding
 from estune.run.journal import FILE_NAME, Journal, being_written
 from estune.run.progress import counting
 from estune.run.result import TuneResult
@@ -34,6 +35,8 @@ def list_runs(*, folder: Path = Path(api.RUNS), json: Flag = False) -> None:
     else:
         columns = ("run", "created_at", "rig", "trials", "state", "start_cost", "cost")
         heads = ("run", "begun", "rig", "trials", "state", "start cost", "cost")
+        for row in rows:
+            row["created_at"] = row["created_at"] and output.local_time(row["created_at"])
         output.show_table(heads, ([_cell(row[name]) for name in columns] for row in rows))
 
 
@@ -55,16 +58,17 @@ def show(
         forms: Show the gains as Kp, Ti and Td, in series and parallel form, and per sample too.
         json: Print JSON.
     """
-    result = api.load(find_run(run, folder))
+    path = find_run(run, folder)
+    result = api.load(path)
+    state = _state(path, result)
     if json:
-        output.print_json(_as_json(result, trials=trials))
+        output.print_json(result_facts(result, trials=trials) | {"state": state})
         return
     output.show_result(result)
     if trials:
         frame = result.to_frame()[["number", "phase", *GAIN_NAMES, "cost", "best_cost", "outcome"]]
-        output.show_table(
-            frame.columns, (map(_cell, row) for row in frame.itertuples(index=False))
-        )
+        heads = ("trial", "phase", "P", "I", "D", "filter_s", "cost", "best", "outcome")
+        output.show_table(heads, (map(_cell, row) for row in frame.itertuples(index=False)))
     if forms:
         settings = result.rig.controller
         rows = ((f.name, _values(f.values), f.equation) for f in result.forms)
@@ -73,7 +77,12 @@ def show(
             f"derivative on the measurement, filter {settings.derivative_filter_s:g} s; setpoint "
             f"filter {result.gains.setpoint_filter_s:.6g} s; rate {settings.sampling_Hz:g} Hz"
         )
-    output.show_next({"run": result.folder})
+    facts: dict[str, object] = {"run": path}
+    if state == "running":
+        facts["still running"] = f"follow it with: estune watch {path}"
+    elif result.ending is RunEnding.STOPPED:
+        facts["not running"] = f"continue it with: estune resume {path}"
+    output.show_next(facts)
 
 
 def report(
@@ -172,11 +181,19 @@ def _summary(path: Path) -> dict[str, Any]:
         "start_cost": result.verdict.start_cost,
         "cost": result.fun if result.success else None,
         "status": status,
-        "state": "running" if status == "running" and being_written(path) else str(result.ending),
+        "state": _state(path, result),
     }
 
 
-def _as_json(result: TuneResult, *, trials: bool) -> dict[str, Any]:
+def _state(path: Path, result: TuneResult) -> str:
+    """How a run ended, or that a process is still at it."""
+    with Journal.open(path) as journal:
+        is_open = journal.fact("status") == "running"
+    return "running" if is_open and being_written(path) else str(result.ending)
+
+
+def result_facts(result: TuneResult, *, trials: bool = False) -> dict[str, Any]:
+    """What a script is told of a result."""
     names = ("ending", "success", "message", "folder", "gains", "start_gains", "improvement")
     shown = {name: output.plain(getattr(result, name)) for name in (*names, "unsafe", "findings")}
     shown |= {"declined": result.verdict.declined, "search_end": result.session.search_end}

@@ -10,12 +10,14 @@ from cyclopts import Group, Parameter
 from estune import api
 from estune.cli import output
 from estune.cli.approval_prompt import terminal_approval
-from estune.cli.runs import find_run
+from estune.cli.interruption import continued_with_credentials
+from estune.cli.runs import find_run, result_facts
 from estune.cli.values import (
     Flag,
     TunerName,
     Values,
     check_folder_exists,
+    command_line,
     numbers_from,
     ranges_from,
     security_from,
@@ -133,6 +135,7 @@ def tune(
     records: int | None = None,
     report: Path | None = None,
     quiet: Flag = False,
+    json: Flag = False,
     step: StepOptions = NO_STEP,
     cost: CostOptions = NO_COST,
     limits: LimitOptions = NO_LIMITS,
@@ -168,32 +171,36 @@ def tune(
             by default. Gains and costs are kept for ever.
         report: Write a report of the run as one HTML page that works offline.
         quiet: Show no progress.
+        json: Print the result as JSON.
         step: The step trial.
         cost: The cost of a trial.
         limits: Limits that the tuned gains keep.
     """
     check_folder_exists("--report", report)
     credentials = security_from(security)
-    result = api.tune(
-        target,
-        tuner=tuner,
-        trials=trials,
-        tolerance=share_from("tolerance", tolerance),
-        repeats=repeats,
-        eta_max=eta_max,
-        bounds=ranges_from(bounds) or None,
-        **tuning_choices(target, rig, credentials, start, step, cost, limits),
-        rig=rig,
-        security=credentials,
-        patience_s=patience,
-        run=run,
-        folder=folder,
-        records=records,
-        watch=None if quiet else "auto",
-        ask=terminal_approval() if ask else None,
-        force=force,
-    )
-    return finish(result, target, report=report)
+    with continued_with_credentials(security):
+        result = api.tune(
+            target,
+            tuner=tuner,
+            trials=trials,
+            tolerance=share_from("tolerance", tolerance),
+            repeats=repeats,
+            eta_max=eta_max,
+            bounds=ranges_from(bounds) or None,
+            **tuning_choices(target, rig, credentials, start, step, cost, limits),
+            rig=rig,
+            security=credentials,
+            patience_s=patience,
+            run=run,
+            folder=folder,
+            records=records,
+            watch=None if quiet else "auto",
+            ask=terminal_approval() if ask else None,
+            force=force,
+        )
+    if json:
+        return print_result(result, report)
+    return finish(result, target, report=report, security=security)
 
 
 def resume(
@@ -206,6 +213,7 @@ def resume(
     folder: Path = Path(api.RUNS),
     report: Path | None = None,
     quiet: Flag = False,
+    json: Flag = False,
 ) -> int:
     """Continue a run that was stopped or interrupted.
 
@@ -217,6 +225,7 @@ def resume(
         folder: Folder of runs.
         report: Write a report of the run as one HTML page that works offline.
         quiet: Show no progress.
+        json: Print the result as JSON.
     """
     check_folder_exists("--report", report)
     path = find_run(run, folder)
@@ -225,10 +234,25 @@ def resume(
         ask = terminal_approval() if journal.fact("plan")["ask_first"] else None
     credentials = security_from(security)
     watch: Literal["auto"] | None = None if quiet else "auto"
-    result = api.resume(
-        path, where, security=credentials, patience_s=patience, watch=watch, ask=ask
-    )
-    return finish(result, where, report=report)
+    with continued_with_credentials(security):
+        result = api.resume(
+            path, where, security=credentials, patience_s=patience, watch=watch, ask=ask
+        )
+    if json:
+        return print_result(result, report)
+    return finish(result, where, report=report, security=security)
+
+
+def print_result(result: TuneResult, report: Path | None) -> int:
+    """Prints a result as JSON, with its figure and report saved.
+
+    Returns:
+        The exit code of the run's ending.
+    """
+    figure = output.save_figure(result)
+    files = {"figure": figure, "report": report and result.report(report)}
+    output.print_json(result_facts(result) | files)
+    return result.ending.exit_code
 
 
 def finish(
@@ -236,6 +260,7 @@ def finish(
     target: str | None,
     more: Mapping[str, str] | None = None,
     report: Path | None = None,
+    security: Path | None = None,
 ) -> int:
     """Prints a result, saves its figure and its report, and lists the next commands and `more`.
 
@@ -253,7 +278,7 @@ def finish(
         facts["report"] = f"estune report {result.folder}"
     found = result.ending is RunEnding.TUNED
     if (found or result.plan.start_source) and is_endpoint(target):
-        facts["make live"] = f"estune apply {result.folder} {target}"
+        facts["make live"] = command_line("apply", result.folder, target, security=security)
     facts["trials"] = f"estune export {result.folder} --csv"
     output.show_next({**facts, **(more or {})})
     return result.ending.exit_code

@@ -1,6 +1,7 @@
 """Options that commands share, and values written as text: `P=0.1:10`, `cable_length_m=1.1`."""
 
 import ast
+import shlex
 from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -62,6 +63,13 @@ def security_from(path: Path | None) -> "Security":
     from estune.remote.security import OPEN, read_security  # noqa: PLC0415  slow to import
 
     return OPEN if path is None else read_security(path)
+
+
+def command_line(command: str, *words: object, **options: object) -> str:
+    """A command to be pasted into a shell, with those of the options that are given."""
+    given = {f"--{name}": value for name, value in options.items() if value is not None}
+    rest = [word for option in given.items() for word in option]
+    return shlex.join(map(str, ["estune", command, *words, *rest]))
 
 
 def check_folder_exists(option: str, path: Path | None) -> None:

@@ -89,7 +89,9 @@ def _at_endpoint(endpoint: str, rig: str | None, security: Security) -> "list[Vi
     if not names:
         client.close()
         which = f"rig {rig}" if rig else "rig or daemon"
-        raise RigError(f"no {which} answers at {endpoint}; list what is there: estune discover")
+        raise RigError(
+            f"no {which} answers at {endpoint}; list the rigs: estune discover {endpoint}"
+        )
     return [
         views.daemon_view(
             name,

@@ -2,6 +2,7 @@
 
 import re
 from collections import Counter
+from ipaddress import ip_address
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -10,7 +11,7 @@ from pydantic import Field, model_validator
 from estune.core.control_chart import ControlChart
 from estune.daemon.events import EventKind
 from estune.errors import InvalidInput
-from estune.remote.zenoh.endpoints import check_endpoint, check_loopback
+from estune.remote.zenoh.endpoints import check_endpoint, check_loopback, host_and_port
 from estune.run.planning import suited_step
 from estune.run.targets import check_reference, is_endpoint
 from estune.run.toml_tables import (
@@ -254,12 +255,27 @@ def check_targets(config: DaemonConfig) -> None:
         try:
             if is_endpoint(rig.target):
                 check_endpoint(rig.target)
+                _check_address(rig.target)
             else:
                 check_reference(rig.target)
         except InvalidInput as error:
             faults.append(f"rig {rig.name}: target: {error}")
     if faults:
         raise InvalidInput("\n".join(faults))
+
+
+def _check_address(endpoint: str) -> None:
+    """Refuses a port or an address at which nothing can listen."""
+    if endpoint.startswith("unixsock-stream/"):
+        return
+    host, port = host_and_port(endpoint)
+    if port == 0:
+        raise InvalidInput(f"{endpoint}: no rig listens at port 0; give the port that it printed")
+    if host.replace(".", "").isdigit():
+        try:
+            ip_address(host)
+        except ValueError:
+            raise InvalidInput(f"{endpoint}: {host} is no IP address") from None
 
 
 def plan_settings(rig: RigTable, description: RigDescription) -> dict[str, Any]:

@@ -88,10 +88,7 @@ class RigSupervisor:
                 with suppress(Preempted):
                     self._run_step()
         finally:
-            live = rig.live
             self._disconnect()
-            if self.confirmed:
-                rig.live = live  # as confirmed last, and no longer changed
 
     def _run_step(self) -> None:
         """Does what the mode requires; turns a failure into an event."""
@@ -347,7 +344,9 @@ class RigSupervisor:
         return self._access
 
     def _disconnect(self) -> None:
-        access, self._access, self._rig.live = self._access, None, None
+        access, self._access = self._access, None
+        if not self.confirmed:  # gains that were confirmed at the end are no longer changed
+            self._rig.live = None
         if access is not None:
             with suppress(EstuneError):
                 access.close()

@@ -9,7 +9,7 @@ import math
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from statistics import fmean
 from typing import Any, Literal, NamedTuple, TextIO
 
@@ -319,6 +319,42 @@ def counting(unit: str, *, quiet: bool) -> Iterator[Callable[[int, int], None]]:
             update()
 
         yield on_step
+
+
+@contextmanager
+def showing_phases(*, quiet: bool) -> Iterator[Callable[[str, float], None]]:
+    """A function to be called with the present phase and the share of the work that is done.
+
+    It shows them with the time left, from a first call until the share is 1: more work may follow.
+
+    Args:
+        quiet: Whether to show nothing.
+    """
+    if quiet:
+        yield lambda _phase, _done: None
+        return
+    phase, share, began_s = "", 0.0, 0.0
+    update: Callable[[], None] | None = None
+
+    def status() -> ProgressStatus:
+        left_s = (time.monotonic() - began_s) / share * (1.0 - share) if share else math.nan
+        percent = round(100 * share)
+        return ProgressStatus("", percent, 100, "%", "", phase, (("now", phase),), left_s)
+
+    with ExitStack() as display:
+
+        def on_phase(present: str, done: float) -> None:
+            nonlocal phase, share, began_s, update
+            phase, share = present, done
+            if update is None:
+                began_s = time.monotonic()
+                update = display.enter_context(show_progress(status))
+            update()
+            if done >= 1.0:
+                update = None
+                display.close()
+
+        yield on_phase
 
 
 def _cost(value: float) -> str:

@@ -1,5 +1,6 @@
 """The rig that a target names: an endpoint, a model file, module:attribute, or an object."""
 
+import difflib
 import functools
 import importlib
 import inspect
@@ -128,14 +129,17 @@ def _attribute(reference: str) -> Any:
             "such as reel.toml, nor module:attribute such as plants:reference_reel"
         )
     try:
-        return getattr(importlib.import_module(module_name), attribute)
+        module = importlib.import_module(module_name)
+        return getattr(module, attribute)
     except ModuleNotFoundError as error:
         hint = hiding_hint(module_name)
         raise InvalidInput(
             f"{reference}: there is no module {error.name!r}{hint and f'; {hint}'}"
         ) from error
     except AttributeError as error:
-        hint = hiding_hint(module_name)
+        nearest = difflib.get_close_matches(attribute, dir(module), 1)
+        meant = f"did you mean {module_name}:{nearest[0]}?" if nearest else ""
+        hint = meant or hiding_hint(module_name)
         raise InvalidInput(
             f"{reference}: {module_name} has no {attribute!r}{hint and f'; {hint}'}"
         ) from error

@@ -4,12 +4,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
-from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
 from estune.cli import output
 from estune.cli.values import Effects, Flag, Values, check_folder_exists
+from estune.run.progress import showing_phases
 from plants.commands.columns import Sources, column_map
 
 if TYPE_CHECKING:
@@ -68,13 +68,14 @@ def explain(
     own = tuple(map(find, effects))
     columns = column_map(map_, unit, scale, save_map)
     given = plants.load_model(model)
-    with Console(stderr=True).status(f"{model} against the records of {data}"):
+    with showing_phases(quiet=json) as progress:
         diagnosis = plants.explain(
             given,
             data,
             effects=(*declared(), *own) if own else None,
             columns=columns,
             hold_out=hold_out,
+            progress=progress,
         )
     if report is not None:
         diagnosis.report(report)

@@ -13,6 +13,7 @@ from estune.cli.values import Effects, Flag, check_folder_exists, security_from
 from estune.errors import RigError
 from estune.run.loop import Stopped
 from estune.run.plan import REPEATS, TRIALS
+from estune.run.progress import showing_phases
 from estune.run.targets import is_endpoint, open_target
 from plants.commands.explain import can_be_tuned
 
@@ -79,6 +80,7 @@ def improve_model(
     with (
         _continuable(shlex.join(words)),
         open_target(target, rig, security_from(security)) as the_rig,
+        showing_phases(quiet=silent) as progress,
     ):
         improvement = plants.improve(
             the_rig,
@@ -93,6 +95,7 @@ def improve_model(
                 watch=None if silent else "auto",
             ),
             say=(lambda _: None) if silent else output.console().print,
+            progress=progress,
         )
     if report is not None:
         from estune.support.html_page import write  # noqa: PLC0415  draws: slow to import

@@ -10,9 +10,11 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 
 from estune.cli.values import Flag, Values, security_from, settings_from
-from estune.errors import InvalidInput
+from estune.errors import InvalidInput, RigError
 from estune.remote import zenoh
+from estune.remote.ledger import LEDGER
 from estune.run.targets import load
+from estune.support.sqlite import has_writer
 from estune.trial import Rig
 
 
@@ -47,6 +49,11 @@ def serve(
         stop_on_eof: Stop when standard input is closed, too: when a parent process has ended.
     """
     book = None if ledger == "memory" else Path(ledger or f"rigs/{name}.ledger")
+    if book is not None and has_writer(book, LEDGER):
+        raise RigError(
+            f"the ledger {book} is that of another server; serve a second rig beside it with "
+            f"another name, such as --name {name}-2, or give its own --ledger"
+        )
     rig = _rig(load(plant, settings_from(set_)), plant, name=name, seed=seed, pace=pace)
     with (
         suppress(KeyboardInterrupt),

@@ -28,6 +28,7 @@ from plants.diagnosis.improvement.experiment_runner import (
 )
 from plants.diagnosis.improvement.result import Improvement, ImprovementRound
 from plants.diagnosis.improvement.tuning import Tuned, TuneOptions, tune_with_model
+from plants.diagnosis.progress import Progress, silent
 from plants.effects import Effect
 from plants.models.model_file import to_toml
 from plants.models.mounting import MountedModel
@@ -50,6 +51,7 @@ def improve(
     tuning: TuneOptions | None = None,
     rig: str | None = None,
     say: Say = lambda _: None,
+    progress: Progress = silent,
 ) -> Improvement:
     """Identifies the effects that a rig's model lacks, adds them, and tunes the rig.
 
@@ -71,6 +73,7 @@ def improve(
         tuning: How gains are tuned.
         rig: Name of the rig, where several answer at the endpoint.
         say: Callback for progress in words.
+        progress: Callback for the phases of each diagnosis, as `explain` takes it.
 
     Raises:
         InvalidInput: a value is not usable, or the folder holds something.
@@ -85,7 +88,7 @@ def improve(
         given = at_rig(default_model(about) if model is None else model, about)
         lab = begin(the_rig, where, _as_text(given, effects), say)
         try:
-            done = _diagnose_rounds(lab, given, effects, rounds)
+            done = _diagnose_rounds(lab, given, effects, rounds, progress)
             tuned = Tuned(_selected_model(done[-1]))
             if about.step.loop == "closed":
                 tuned = tune_with_model(lab, given, tuned.model, tuning or TuneOptions())
@@ -180,7 +183,11 @@ def at_rig(model: Any, about: RigDescription) -> Any:
 
 
 def _diagnose_rounds(
-    lab: ExperimentRunner, given: Any, effects: Sequence[type[Effect] | str] | None, rounds: int
+    lab: ExperimentRunner,
+    given: Any,
+    effects: Sequence[type[Effect] | str] | None,
+    rounds: int,
+    progress: Progress,
 ) -> list[ImprovementRound]:
     """Rounds of measuring and explaining, until nothing is left or the answer is final."""
     names = lab.run(initial_experiments(lab.about))
@@ -190,7 +197,7 @@ def _diagnose_rounds(
     named: set[tuple[str, ...]] = set()
     while True:
         lab.say(f"explaining {len(lab.records)} records")
-        found = explain(model, lab.records, effects=effects, rig=lab.about)
+        found = explain(model, lab.records, effects=effects, rig=lab.about, progress=progress)
         done.append(ImprovementRound(names, found))
         lab.say(found.heading())
         if found.verdict == "none" or len(done) == rounds:
