@@ -3,12 +3,14 @@
 import json
 import re
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from estune.cli import daemon as cli_daemon
 from estune.cli import run
 from estune.errors import InvalidInput, ProtocolError, RigError
 from estune.remote.messages.codec import decode, encode
@@ -110,10 +112,34 @@ def test_daemon_control_shows_and_commands(tmp_path, capsys):
         assert re.search(r"^candidate is +better than the initial gains: ", table, re.MULTILINE)
         statuses = json.loads(say("status", endpoint, "--json"))
         assert statuses[0]["gains"]["original"]["P"] == ORIGINAL.P
-        assert "accept by" in say("accept", endpoint, "--why", "looks good")
+        accepted = say("accept", endpoint, "--why", "looks good")
+        assert "accept by" in accepted
+        assert re.search(r"^live +accepted gains", accepted, re.MULTILINE)
         assert "looks good" in say("history", endpoint)
         assert "better than the initial gains" in say("events", endpoint)
         assert run(["daemon-control", "accept", endpoint]) == InvalidInput.exit_code
         assert "no candidate gains" in capsys.readouterr().err
         assert run(["daemon-control", "status", endpoint, "--rig", "other"]) == RigError.exit_code
         assert "there is: drum" in capsys.readouterr().err
+        trials = it.client.status("drum").trials
+        stopped = say("stop", endpoint)
+        assert re.search(r"^mode +stopped", stopped, re.MULTILINE)
+        assert re.search(r"^live +accepted gains", stopped, re.MULTILINE)
+    with rig_served() as (_, where), daemon(tmp_path, rig_table("drum", where)) as it:
+        assert it.client.status("drum").trials == trials > 0
+
+
+def test_watched_status_is_a_line_of_json_for_each_change(tmp_path, capsys, monkeypatch):
+    with rig_served() as (_, where), daemon(tmp_path, rig_table("drum", where)) as it:
+        it.until_mode("holding")
+
+        def accept_then_interrupt(_seconds):
+            if it.client.status("drum").mode != "holding":
+                raise KeyboardInterrupt
+            it.command("accept")
+            it.until_mode("watching")
+
+        monkeypatch.setattr(cli_daemon, "time", SimpleNamespace(sleep=accept_then_interrupt))
+        assert run(["daemon-control", "status", it.service.endpoint, "--watch", "--json"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [json.loads(line)[0]["home"] for line in lines][:2] == ["original", "accepted"]

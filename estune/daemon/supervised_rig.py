@@ -93,6 +93,7 @@ class SupervisedRig:
         self.changed = threading.Event()
         self.live: GainSet | None = None
         self.session: Session | None = None
+        self._earlier_trials = self.tuning_runs.counts()
         self.cost: float | None = None
         self.refused = ""
         self.waits_for = ""
@@ -161,8 +162,8 @@ class SupervisedRig:
                 gains={name.value: values for name, values in gains.items()},
                 found=self.store.why(candidate) if candidate in gains else "",
                 run=self.tuning_runs.name,
-                trials=session.number if session else 0,
-                trials_max=session.plan.max_trials if session else 0,
+                trials=session.number if session else self._earlier_trials[0],
+                trials_max=session.plan.max_trials if session else self._earlier_trials[1],
                 baseline_cost=None if chart is None else math.exp(chart.mean),
                 cost=self.cost,
                 drift=self.checks.drift(state.home),
