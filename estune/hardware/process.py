@@ -9,7 +9,7 @@ import threading
 import time
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar
 
 from estune import errors
 from estune.errors import EstuneError, RigError
@@ -28,6 +28,25 @@ _POLL_s = 0.05
 
 _log = logging.getLogger(__name__)
 _Answer = TypeVar("_Answer")
+
+
+class RunningLoop(Protocol):
+    """A loop as its rig sees it; see `LoopProcess`."""
+
+    memory: Memory
+    notes: tuple[str, ...]
+
+    def check(self) -> None:
+        """Checks that the loop runs."""
+
+    def wait(self) -> None:
+        """Returns when the loop has ended."""
+
+    def request(self, command: object, kind: type[_Answer], within_s: float) -> _Answer:
+        """Sends a command and waits for its answer."""
+
+    def end(self, within_s: float) -> None:
+        """Brings the reel to rest and ends the loop."""
 
 
 class LoopProcess:
@@ -74,6 +93,10 @@ class LoopProcess:
             self._failure = f"its loop has ended, exit code {code}: {why}"
         if self._failure:
             raise self._error()
+
+    def wait(self) -> None:
+        """Returns when the loop has ended, by itself or because it was asked to."""
+        self.process.wait()
 
     def request(self, command: object, kind: type[_Answer], within_s: float) -> _Answer:
         """Sends a command and waits for its answer.

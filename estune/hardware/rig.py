@@ -4,6 +4,7 @@ import logging
 import math
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from datetime import UTC, datetime
 from typing import Self
@@ -16,8 +17,8 @@ from estune.core.gains import Gains
 from estune.core.quantities import FloatArray
 from estune.errors import InvalidInput, RigError
 from estune.hardware.config import RigConfig
-from estune.hardware.loop_messages import Begin, Done, Ended, ResetEstop, SetLiveGains
-from estune.hardware.process import ANSWER_WITHIN_s, LoopProcess
+from estune.hardware.loop_messages import Begin, Done, Ended, LoopPlan, ResetEstop, SetLiveGains
+from estune.hardware.process import ANSWER_WITHIN_s, LoopProcess, RunningLoop
 from estune.hardware.shared_memory import (
     HardwareStatus,
     MotionPhase,
@@ -54,8 +55,14 @@ class HardwareRig:
         notes: Requests of the loop to the system that were not granted, a line each.
     """
 
-    def __init__(self, config: RigConfig) -> None:
+    def __init__(
+        self, config: RigConfig, start: Callable[[str, LoopPlan], RunningLoop] = LoopProcess
+    ) -> None:
         """Starts the loop.
+
+        Args:
+            config: The rig's file.
+            start: Starts the loop of this name and plan.
 
         Raises:
             InvalidInput: a calibration, or a setting of the driver, cannot be used.
@@ -75,7 +82,7 @@ class HardwareRig:
         self._number = 0  # of the requested trial, or zero
         self._trial_id = ""
         self._closed = False
-        self._loop = LoopProcess(config.name, plan)
+        self._loop = start(config.name, plan)
         self._memory, self.notes = self._loop.memory, self._loop.notes
         for note in self.notes:
             _log.warning("rig %s: %s", self._description.name, note)
@@ -217,7 +224,7 @@ class HardwareRig:
 
     def wait(self) -> None:
         """Returns when the loop has ended, by itself or because the rig was closed."""
-        self._loop.process.wait()
+        self._loop.wait()
 
     def close(self) -> None:
         """Brings the reel to rest and ends the loop. May be called again."""

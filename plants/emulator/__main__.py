@@ -1,9 +1,10 @@
 """The emulated hardware as a process: `python -m plants.emulator ADDRESS [SETTINGS]`.
 
 ADDRESS is the path of the socket it makes; SETTINGS is JSON with `reel`, settings of the reference
-reel, `electronics` (see `plants.emulator.board.Electronics`) and `seed`; with `device`, `serial`
-or `can`, it is behind a real device's protocol (see `plants.emulator.devices`). It prints the
-address at which a driver reaches it, and ends when its standard input is closed.
+reel, `effects` of it, each with its name and parameters, `electronics` and `far_end` (see
+`plants.emulator.board`), and `seed`; with `device`, `serial` or `can`, it is behind the protocol
+of a real device (see `plants.emulator.devices`). It prints the address at which a driver reaches
+it, and ends when its standard input is closed.
 """
 
 import contextlib
@@ -15,38 +16,16 @@ import socket
 import sys
 import time
 from pathlib import Path
-from typing import Any
 
-from estune.errors import EstuneError, InvalidInput
+from estune.errors import EstuneError
 from plants.emulator import wire
-from plants.emulator.board import Board, Electronics
+from plants.emulator.board import Board
 from plants.emulator.devices import DEVICES, Device
-from plants.models.reel import reference_reel
+from plants.emulator.settings import make_board
 
 _PRIORITY = 60
 _IDLE_ms = 5
 """Longest time between two updates of the reel's state without a request."""
-
-
-def make_board(settings: dict[str, Any]) -> Board:
-    """The emulated hardware of these settings.
-
-    Raises:
-        InvalidInput: a setting is unknown or out of its range.
-    """
-    unknown = set(settings) - {"reel", "electronics", "seed", "device"}
-    if unknown:
-        raise InvalidInput(f"the emulated hardware has no setting {', '.join(sorted(unknown))}")
-    given: dict[str, Any] = {
-        name: tuple(value) if isinstance(value, list) else value
-        for name, value in settings.get("electronics", {}).items()
-    }
-    try:
-        electronics = Electronics(**given)
-    except TypeError as error:
-        raise InvalidInput(f"electronics: {error}") from error
-    reel = reference_reel(**settings.get("reel", {}))
-    return Board(reel, electronics, settings.get("seed", 0), time.monotonic())
 
 
 def serve(board: Board, listener: socket.socket, device: Device | None = None) -> None:
@@ -111,7 +90,7 @@ def main(address: str, settings: str = "{}") -> int:
     """Makes the hardware and serves it; returns the exit code."""
     try:
         given = json.loads(settings)
-        board = make_board(given)
+        board = make_board(given, time.monotonic())
     except EstuneError as error:
         print(f"emulator: {error}", file=sys.stderr)
         return error.exit_code

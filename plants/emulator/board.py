@@ -4,12 +4,14 @@ It moves in wall-clock time: each request advances it to the present, in steps a
 sampling period long, with the equations of `plants.models.reel_equations`.
 """
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from estune.core.quantities import check_positive
+from estune.core.quantities import check_not_negative, check_positive
 from estune.errors import InvalidInput
+from plants.effects.effect import Port
 from plants.emulator.wire import Truth
 from plants.models.reel import Reel
 from plants.models.reel_signal_path import THETA
@@ -62,15 +64,64 @@ class Electronics:
         return _polynomial(self.amperes_of_command, min(max(command, -end), end - 1))
 
 
+@dataclass(frozen=True, slots=True)
+class FarEnd:
+    """Motion of the cable's far end: `amplitude sin(2 pi frequency t)`, away from the reel.
+
+    Attributes:
+        amplitude_m: Amplitude, m.
+        frequency_Hz: Frequency, Hz.
+
+    Raises:
+        InvalidInput: a value is below zero.
+    """
+
+    amplitude_m: float = 0.0
+    frequency_Hz: float = 0.0
+
+    def __post_init__(self) -> None:
+        check_not_negative("far end's amplitude", self.amplitude_m, "m")
+        check_not_negative("far end's frequency", self.frequency_Hz, "Hz")
+
+    def position_m(self, time_s: float) -> float:
+        """Position at a time, m."""
+        return self.amplitude_m * math.sin(2.0 * math.pi * self.frequency_Hz * time_s)
+
+    def check(self, reel: Reel) -> None:
+        """Checks that the reel's effects allow a far end that moves.
+
+        Raises:
+            InvalidInput: an effect depends on the drum's angle or on the cable, which are those of
+                a fixed end.
+        """
+        for effect in reel.effects if self.amplitude_m else ():
+            if not (effect.resists and effect.ports() == (Port.DRUM,)):
+                raise InvalidInput(
+                    f"the emulated far end cannot move with {effect.name}: only friction at the "
+                    "drum is independent of where the end is"
+                )
+
+
 class Board:
     """A reel and its electronics; begins slack, without power."""
 
-    def __init__(self, reel: Reel, electronics: Electronics, seed: int, now_s: float) -> None:
+    def __init__(
+        self,
+        reel: Reel,
+        electronics: Electronics,
+        seed: int,
+        now_s: float,
+        far_end: FarEnd | None = None,
+    ) -> None:
         """See `plants.emulator.EmulatedDriver`.
 
         Raises:
-            InvalidInput: the reel's dead time is no whole number of steps.
+            InvalidInput: the reel's dead time is no whole number of steps, or its far end cannot
+                move.
         """
+        self._far_end = far_end or FarEnd()
+        self._far_end.check(reel)
+        self._start_s = now_s
         rate = STEPS_PER_SAMPLE * reel.sampling_Hz
         self._reel = reel = replace(reel, sampling_Hz=rate)
         if reel.structure.fractional:
@@ -96,6 +147,7 @@ class Board:
                 self._powered = False
                 self._tripped += 1
             self._motion.step(self._current_A())
+            self._motion.move_end(self._far_end.position_m(self._time_s - self._start_s))
 
     def read(self, now_s: float) -> tuple[int, int]:
         """Counts of the gauge and of the encoder."""
@@ -141,7 +193,8 @@ class _Motion(Buffers):
     """The reel's equations, one step at a time, through CasADi's buffers."""
 
     def __init__(self, reel: Reel) -> None:
-        equations = reel.structure.equations()
+        # The board rounds the angle of the drum; the equations' own is that to a fixed end.
+        equations = replace(reel.structure, rounded=False).equations()
         constants, _, _ = equations.prepare(reel.parameter_values, reel.tension_N)
         states = equations.drive.numel_out(0)
         rooms = {"constants": constants.numel(), "x": states, "driven": states, "observed": states}
@@ -150,6 +203,8 @@ class _Motion(Buffers):
         self.memory["constants"][:] = np.asarray(constants).ravel().data
         self._effort_per_A = reel.newtons_per_ampere
         self._ring = [0.0] * reel.delay_samples
+        self._drum_radius_m = reel.drum_radius_m
+        self._end_rad = 0.0
         move = loop_functions(equations).move
         self._drive = self.bind(equations.drive, "constants x effort", "driven drive")
         self._move = self.bind(move, "constants driven before after", "x")
@@ -158,7 +213,7 @@ class _Motion(Buffers):
     @property
     def angle_rad(self) -> float:
         """The drum's angle."""
-        angle: float = self.memory["x"][THETA]
+        angle: float = self.memory["x"][THETA] - self._end_rad
         return angle
 
     def step(self, current_A: float) -> None:
@@ -171,11 +226,17 @@ class _Motion(Buffers):
         m["after"][0] = self._ring.pop(0)
         self._move()
 
+    def move_end(self, position_m: float) -> None:
+        """Moves the far end: it stretches the cable as a turn of the drum would."""
+        end_rad = position_m / self._drum_radius_m
+        self.memory["x"][THETA] += end_rad - self._end_rad
+        self._end_rad = end_rad
+
     def observe(self, noise_N: float) -> tuple[float, float]:
         """Tension at the gauge in N, and angle in rad."""
         self.memory["noise"][0] = noise_N
         self._observe()
-        return self.memory["y"][0], self.memory["angle"][0]
+        return self.memory["y"][0], self.memory["angle"][0] - self._end_rad
 
 
 def _polynomial(coefficients: tuple[float, ...], x: float) -> float:

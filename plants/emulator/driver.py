@@ -6,7 +6,7 @@ import socket
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Self
 
@@ -26,7 +26,9 @@ class EmulatedDriver:
         address: Socket of running hardware (`python -m plants.emulator ADDRESS`). Without one, the
             driver starts hardware of its own, with the settings below, which ends with it.
         reel: Settings of the reference reel, such as cable_length_m.
+        effects: Effects of the reel, such as {"name": "stribeck_friction", "coulomb_Nm": 0.02}.
         electronics: See `plants.emulator.board.Electronics`.
+        far_end: Motion of the cable's far end; see `plants.emulator.board.FarEnd`.
         seed: Seed of the gauge's noise.
 
     Raises:
@@ -38,12 +40,20 @@ class EmulatedDriver:
         address: str | None = None,
         *,
         reel: Mapping[str, Any] | None = None,
+        effects: Sequence[Mapping[str, Any]] = (),
         electronics: Mapping[str, Any] | None = None,
+        far_end: Mapping[str, Any] | None = None,
         seed: int = 0,
     ) -> None:
         self._own: contextlib.ExitStack = contextlib.ExitStack()
         if address is None:
-            settings = {"reel": reel or {}, "electronics": electronics or {}, "seed": seed}
+            settings = {
+                "reel": reel or {},
+                "effects": list(effects),
+                "electronics": electronics or {},
+                "far_end": far_end or {},
+                "seed": seed,
+            }
             address = self._own.enter_context(emulated_hardware(settings))
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._socket.settimeout(_ANSWER_WITHIN_s)
@@ -105,8 +115,8 @@ def emulated_hardware(settings: Mapping[str, Any]) -> Iterator[str]:
     """Emulated hardware in a process of its own, for the duration of the block; its address.
 
     Args:
-        settings: `reel`, `electronics` and `seed`, as of `EmulatedDriver`, and `device`, as of
-            `plants.emulator.devices`.
+        settings: `reel`, `effects`, `electronics`, `far_end` and `seed`, as of `EmulatedDriver`;
+            and `device`, as of `plants.emulator.devices`.
 
     Raises:
         RigError: it does not start.

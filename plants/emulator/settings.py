@@ -1,0 +1,43 @@
+"""Settings of the emulated hardware: from plain tables to a board."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from estune.errors import InvalidInput
+from plants.effects import Effect, find
+from plants.emulator.board import Board, Electronics, FarEnd
+from plants.models.reel import reference_reel
+
+_KNOWN = {"reel", "effects", "electronics", "far_end", "seed", "device"}
+
+
+def make_board(settings: Mapping[str, Any], now_s: float) -> Board:
+    """The emulated hardware of these settings.
+
+    Args:
+        settings: As of `plants.emulator.EmulatedDriver`.
+        now_s: Time at which it begins.
+
+    Raises:
+        InvalidInput: a setting is unknown or out of its range.
+    """
+    unknown = set(settings) - _KNOWN
+    if unknown:
+        raise InvalidInput(f"the emulated hardware has no setting {', '.join(sorted(unknown))}")
+    given: dict[str, Any] = {
+        name: tuple(value) if isinstance(value, list) else value
+        for name, value in settings.get("electronics", {}).items()
+    }
+    try:
+        electronics, far_end = Electronics(**given), FarEnd(**settings.get("far_end", {}))
+        effects = [_effect(**effect) for effect in settings.get("effects", ())]
+    except TypeError as error:
+        raise InvalidInput(f"emulated hardware: {error}") from error
+    reel = reference_reel(**settings.get("reel", {}))
+    for effect in effects:
+        reel += effect
+    return Board(reel, electronics, settings.get("seed", 0), now_s, far_end)
+
+
+def _effect(name: str, **parameters: float) -> Effect:
+    return find(name)(**parameters)
