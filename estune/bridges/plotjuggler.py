@@ -1,0 +1,63 @@
+"""A rig in PlotJuggler, by UDP datagrams of JSON."""
+
+import json
+import socket
+from contextlib import suppress
+from typing import Any, Self
+
+from estune.bridges.viewer import RigState, Sample
+from estune.errors import InvalidInput
+
+ADDRESS = "127.0.0.1:9870"
+"""Where PlotJuggler's UDP server listens by default."""
+
+
+class PlotJuggler:
+    """Sends each sample, and the status; implements `Viewer`. A context manager.
+
+    In PlotJuggler: UDP server, protocol JSON, "use field as timestamp" with `timestamp`.
+
+    Args:
+        rig: The rig's name, under which its series are listed.
+        to: Address and port, such as 127.0.0.1:9870.
+
+    Raises:
+        InvalidInput: there is no such address.
+    """
+
+    def __init__(self, rig: str, to: str = ADDRESS) -> None:
+        host, _, port = to.rpartition(":")
+        try:
+            found = socket.getaddrinfo(host.strip("[]"), int(port), type=socket.SOCK_DGRAM)[0]
+        except (OSError, ValueError, OverflowError) as error:
+            raise InvalidInput(f"{to!r} is no HOST:PORT ({error}); such as {ADDRESS}") from error
+        self._rig, self._to = rig, found[4]
+        self._socket = socket.socket(found[0], socket.SOCK_DGRAM)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._socket.close()
+
+    def show_samples(self, samples: list[Sample]) -> None:
+        """Sends a datagram for each sample."""
+        for sample in samples:
+            time_ns, *values = sample
+            self._send(time_ns, dict(zip(Sample._fields[1:], values, strict=True)))
+
+    def show_state(self, state: RigState) -> None:
+        """Sends the status and the live gains."""
+        status, about = state.status, state.about
+        values: dict[str, Any] = {"answers": int(status is not None)}
+        if status is not None:
+            values |= {"mode": status.mode.value, "latched": int(bool(status.latched))}
+        if about is not None:
+            names = ("P", "I", "D", "setpoint_filter_s")
+            values["gains"] = {name: getattr(about.gains, name) for name in names}
+        self._send(state.time_ns, values)
+
+    def _send(self, time_ns: int, values: dict[str, Any]) -> None:
+        data = json.dumps({"timestamp": 1e-9 * time_ns, self._rig: values}).encode()
+        with suppress(ConnectionRefusedError):  # nobody listens yet
+            self._socket.sendto(data, self._to)

@@ -1,0 +1,49 @@
+"""Messages put under the keys of other programs; nothing is received."""
+
+import time
+from typing import Self
+
+from estune.remote.security import OPEN
+from estune.remote.zenoh.zenoh_session import COMMANDS_MAX_BYTES, close_session, open_client
+
+_OPENED_WITHIN_S = 3.0
+
+
+class PutSession:
+    """A client of a router, for puts and liveliness tokens alone. A context manager.
+
+    Args:
+        router: Endpoint of the router.
+        remedy: What to start where nothing listens there.
+
+    Raises:
+        RigError: nothing listens there.
+    """
+
+    def __init__(self, router: str, remedy: str) -> None:
+        deadline_s = time.monotonic() + _OPENED_WITHIN_S
+        self._session = open_client(router, COMMANDS_MAX_BYTES, OPEN, deadline_s, remedy)
+        self._tokens: list[object] = []
+
+    @property
+    def session_id(self) -> str:
+        """Zenoh's id of this session, in hexadecimal digits."""
+        return str(self._session.info.zid())
+
+    def declare_token(self, key: str) -> None:
+        """Declares a liveliness token, which lasts as long as the session."""
+        self._tokens.append(self._session.liveliness().declare_token(key))
+
+    def put(self, key: str, payload: bytes, attachment: bytes | None) -> None:
+        """Sends a message to whoever has subscribed to the key."""
+        self._session.put(key, payload, attachment=attachment)
+
+    def close(self) -> None:
+        """Closes the session, and with it the tokens."""
+        close_session(self._session)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
