@@ -20,6 +20,7 @@ from experiments import hidden_machines
 from experiments.hidden_effects import FIRST_SEED, OUT, tasks
 from experiments.hidden_scores import Held, Row, Task, diagnose, measurement, model
 from experiments.results import command_line, print_results, save_figure
+from plants.diagnosis.data.noise_floor import ALLOWANCE
 from plants.diagnosis.search import mains_interference
 from plants.diagnosis.search.constants import CONSTANTS, Constants
 from plants.diagnosis.search.decide import decide, probabilities
@@ -37,9 +38,9 @@ DECIDING = {
 }
 """Numbers whose curve is drawn from stored fits: verdicts and probabilities."""
 WIDENING = {
-    "student": (1.5, 2.0, 2.6, 3.2, 4.0),
-    "form_least": (0.0, 0.001, 0.003, 0.01, 0.03),
-    "form_taken_up": (0.0, 0.1, 0.3, 0.5, 1.0),
+    "student": (1.5, 2.0, 2.3, 2.6, 3.2),
+    "form_least": (0.0, 0.005, 0.01, 0.015, 0.03),
+    "form_taken_up": (0.0, 0.1, 0.15, 0.3, 0.5),
 }
 """The same of intervals."""
 IN_NOISE = {
@@ -103,7 +104,7 @@ def coverage(rows: Iterable[Row], c: Constants) -> tuple[float, float]:
         left = min(max(after - 1.0, 0.0) / max(before, 1e-300), 1.0)
 
         def form(of: Constants, one: Held, left: float = left) -> float:
-            least = of.form_least if "." in one.name else 0.0  # effects have it
+            least = of.form_least if "." in one.name else ALLOWANCE / of.student
             return max(least, of.form_taken_up * math.sqrt(left))
 
         for one in (*row.intervals, *row.calibrations):

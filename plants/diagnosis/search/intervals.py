@@ -14,6 +14,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from estune.core.quantities import FloatArray
+from plants.diagnosis.data.noise_floor import ALLOWANCE
 from plants.diagnosis.models.diagnosed_model import BASE, Free
 from plants.diagnosis.result import Interval
 from plants.diagnosis.search.constants import CONSTANTS
@@ -55,7 +56,8 @@ def intervals(
             continue
         # A limit is neutral far up, a ratio at one: what counts is the nearer of that and zero.
         size = min(abs(value - (f.neutral or 0.0)), abs(value))
-        form = taken_up if f.owner == BASE else max(c.form_least, taken_up)
+        least = ALLOWANCE / c.student if f.owner == BASE else c.form_least
+        form = max(least, taken_up)
         half = c.student * math.hypot(s, form * size)
         if f.scale == "log" and value > 0.0:
             factor = math.exp(min(half / value, 50.0))

@@ -49,7 +49,8 @@ class ScreeningResult:
     Attributes:
         effect: The effect.
         predictor: The model with it.
-        starts: Rows of values to begin fits with, the most promising first, shape (some, free).
+        starts: Rows of values to begin fits with, the most promising first, shape (some, free),
+            for each place it was seen from.
         grids: Values to try of its shapes.
         screening_R2: Share of the residual that the best start's direction explains.
         usual_change: Root mean square change of the residuals at the usual size of the effect,
@@ -58,7 +59,7 @@ class ScreeningResult:
 
     effect: type[Effect]
     predictor: Predictor
-    starts: FloatArray
+    starts: tuple[FloatArray, ...]
     grids: Mapping[str, list[float]]
     screening_R2: float
     usual_change: float
@@ -68,7 +69,7 @@ class ScreeningResult:
         return replace(
             self,
             screening_R2=max(self.screening_R2, other.screening_R2),
-            starts=np.concatenate([self.starts, other.starts]),
+            starts=self.starts + other.starts,
         )
 
 
@@ -117,7 +118,7 @@ class _Probe:
         most = STARTS + len(self.phases)  # a period is soon lost
         starts = np.array([way.start for way in self._apart(ways)[:most]])
         grids = self._grids()
-        return ScreeningResult(self.effect, self.predictor, starts, grids, ways[0].share, reach)
+        return ScreeningResult(self.effect, self.predictor, (starts,), grids, ways[0].share, reach)
 
     def _apart(self, ways: list[_Way]) -> list[_Way]:
         """The ways, of those with frequencies side by side the most promising alone."""

@@ -61,12 +61,12 @@ def fit_added(
     """
     effects = fitter.ordered((*current.effects, one.effect))
     predictor = fitter.predictor(effects)
-    pools = [[predictor.row(values) for values in _suggested(current, one)]]
+    # What leaves less to begin with may lead nowhere: each place has starts of its own.
+    pools = [[predictor.row(v) for v in _suggested(current, one, rows)] for rows in one.starts]
     if simpler is not None:
-        # What is near a simpler law's fit may leave more to begin with than what leads nowhere.
         pools.append([predictor.row(v) for v in _beside(fitter, one, simpler, current)])
     shapes = [f"{one.effect.name}.{n}" for n in one.effect.named(*SHAPES)]
-    most = MOST.get(len(shapes), MANY) // len(pools)
+    most = max(1, MOST.get(len(shapes), MANY) // len(pools))
     starts = []
     for pool in pools:
         rows = fitter.best_starts(predictor, np.array(pool), 2 * most)
@@ -93,10 +93,12 @@ def halved(
     return fitter.fit(effects, rows[0], FREE)
 
 
-def _suggested(current: CandidateFit, one: ScreeningResult) -> list[dict[str, float]]:
-    """Values of the starts that the screening found."""
+def _suggested(
+    current: CandidateFit, one: ScreeningResult, starts: FloatArray
+) -> list[dict[str, float]]:
+    """Values of some starts that the screening found."""
     found = []
-    for row in one.starts:
+    for row in starts:
         values = one.predictor.values(row)
         if current.effects:  # its screening was at the base model
             own = f"{one.effect.name}."
