@@ -136,11 +136,17 @@ def controller_response(
     return np.asarray(gains.P + gains.I * h / difference + gains.D * derivative)
 
 
-def loop_margins(plant: SampledPlant, gains: Gains, settings: ControllerSettings) -> Margins:
-    """The margins of the loop `L = C_y G`, cut at the plant's input.
+def is_stable(plant: SampledPlant, gains: Gains, settings: ControllerSettings) -> bool:
+    """Whether the closed loop is stable."""
+    loop, without_poles = _responses(plant, gains, settings)
+    theta = _resolved(_grid(plant, gains, settings), loop, without_poles)
+    return _is_stable((1.0 + loop(theta)) * without_poles(theta))
 
-    The setpoint filter is outside the loop and changes nothing here.
-    """
+
+def _responses(
+    plant: SampledPlant, gains: Gains, settings: ControllerSettings
+) -> tuple[Response, Response]:
+    """The loop L, and the product of its poles' factors, as functions of the angle."""
 
     def loop(theta: FloatArray) -> ComplexArray:
         return controller_response(gains, settings, theta) * plant.response(theta)
@@ -153,6 +159,15 @@ def loop_margins(plant: SampledPlant, gains: Gains, settings: ControllerSettings
         factors = -np.expm1(plant.modes[:, None] - 1j * theta)
         return np.asarray(integrator * derivative * factors.prod(axis=0))
 
+    return loop, without_poles
+
+
+def loop_margins(plant: SampledPlant, gains: Gains, settings: ControllerSettings) -> Margins:
+    """The margins of the loop `L = C_y G`, cut at the plant's input.
+
+    The setpoint filter is outside the loop and changes nothing here.
+    """
+    loop, without_poles = _responses(plant, gains, settings)
     theta = _resolved(_grid(plant, gains, settings), loop, without_poles)
     response = loop(theta)
     if not _is_stable((1.0 + response) * without_poles(theta)):

@@ -16,7 +16,7 @@ from typing import NamedTuple, Self
 import numpy as np
 
 from estune.core.gains import Gains
-from estune.core.margins import SampledPlant, controller_response, loop_margins
+from estune.core.margins import SampledPlant, controller_response, is_stable
 from estune.core.pidf import ControllerSettings
 from estune.core.quantities import ComplexArray, FloatArray, check_positive
 from estune.errors import InvalidInput
@@ -174,7 +174,7 @@ class _Constraints:
 
 def largest_sensitivity(plant: SampledPlant, gains: Gains, settings: ControllerSettings) -> float:
     """Ms, the largest |1/(1 + L)| over frequency; infinite where the loop is unstable."""
-    if not loop_margins(plant, gains, settings).stable:
+    if not is_stable(plant, gains, settings):
         return math.inf
     theta = _grid(plant)
     loop = controller_response(gains, settings, theta) * plant.response(theta)

@@ -40,6 +40,9 @@ DIFFERENCE = 1e-4
 """Half the distance of the points of a numerical slope, in each coordinate."""
 
 
+KNOWN_MAX = 4
+"""Coordinates whose positions are kept: searches at other dead times begin from them."""
+
 FRICTION_MIN = 1e-9
 """Least size of friction, over the effort of a step."""
 
@@ -56,6 +59,7 @@ class _Signals(NamedTuple):
         rest: Position before the step less its mean, in N of effort, shape (records,).
         rest_effort: Mean effort before the step.
         scale: Effort that a step needs, N.
+        known: Positions at the last coordinates, by their bytes.
     """
 
     effort: FloatArray
@@ -63,6 +67,7 @@ class _Signals(NamedTuple):
     rest: FloatArray
     rest_effort: float
     scale: float
+    known: dict[bytes, FloatArray]
 
     @classmethod
     def of(cls, records: Sequence[LoopRecord], gain: float) -> "_Signals":
@@ -75,6 +80,7 @@ class _Signals(NamedTuple):
             (rest - rest.mean()) / gain,
             float(np.mean([r.rest_effort_N for r in records])),
             abs(records[0].step_N / gain),
+            {},
         )
 
 
@@ -151,21 +157,32 @@ def _searched_dead_time(signals: _Signals, best: _Try) -> _Try:
 def _search(signals: _Signals, start: FloatArray, dead: int) -> _Try:
     """Least squares from a start, by Levenberg and Marquardt."""
 
-    def residual(x: FloatArray) -> FloatArray:
-        return _Output.of(signals, _positions(signals, [x])[0], dead).residual.ravel()
+    def residual_of(x: FloatArray) -> FloatArray:
+        return _Output.of(signals, x, dead).residual.ravel()
 
     def jacobian(x: FloatArray) -> FloatArray:
-        ends = _positions(signals, [x + s * e for e in DIFFERENCE * np.eye(4) for s in (1, -1)])
-        r = [_Output.of(signals, end, dead).residual.ravel() for end in ends]
-        slopes = [
-            (up - down) / (2.0 * DIFFERENCE) for up, down in zip(r[::2], r[1::2], strict=True)
-        ]
-        return np.stack(slopes, axis=1)
+        ends = [residual_of(end) for end in _about(signals, x)[1:]]
+        pairs = zip(ends[::2], ends[1::2], strict=True)
+        return np.stack([(up - down) / (2.0 * DIFFERENCE) for up, down in pairs], axis=1)
+
+    def residual(x: FloatArray) -> FloatArray:
+        return residual_of(_about(signals, x)[0])
 
     found = least_squares(
         residual, start, jac=jacobian, method="lm", xtol=1e-5, ftol=1e-6, max_nfev=25
     )
     return _Try(float(found.cost), found.x, dead)
+
+
+def _about(signals: _Signals, x: FloatArray) -> FloatArray:
+    """Positions at a point and to both sides of it along each coordinate, all in one run."""
+    key = x.tobytes()
+    if key not in signals.known:
+        ends = [x + s * e for e in DIFFERENCE * np.eye(4) for s in (1, -1)]
+        if len(signals.known) >= KNOWN_MAX:
+            del signals.known[next(iter(signals.known))]
+        signals.known[key] = _positions(signals, [x, *ends])
+    return signals.known[key]
 
 
 def _positions(signals: _Signals, coordinates: Sequence[FloatArray]) -> FloatArray:

@@ -44,8 +44,8 @@ OUTSIDE: dict[str, Callable[[], Effect]] = {
 }
 """Effects on the reference reel that no linear model has, at their usual size."""
 
-FIRST_RANDOM = 5000
-"""First seed of the random loops."""
+RANDOM_BEYOND = 4000
+"""First seed of the random loops less that of the searches."""
 
 
 class Case(NamedTuple):
@@ -81,9 +81,9 @@ def outside() -> Iterator[Case]:
         yield Case(name, "outside", plant, PROBLEMS["friction"].cost, WEAK_ON_A_REEL)
 
 
-def random_loops(count: int) -> Iterator[Case]:
+def random_loops(count: int, seed0: int) -> Iterator[Case]:
     """Loops drawn at random whose optimum lies within the bounds."""
-    found, seed = 0, FIRST_RANDOM
+    found, seed = 0, seed0 + RANDOM_BEYOND
     while found < count:
         case = _random_loop(seed)
         seed += 1

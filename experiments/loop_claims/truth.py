@@ -11,7 +11,7 @@ import numpy as np
 import plants
 from estune.core.cost import StepCost
 from estune.core.gains import Gains
-from estune.core.margins import SampledPlant, controller_response, loop_margins
+from estune.core.margins import SampledPlant, controller_response, is_stable
 from estune.core.quantities import ComplexArray, FloatArray
 from estune.interop import sampled_model
 from plants.models.linear_plant import LinearPlant
@@ -23,6 +23,8 @@ NOISE_DRAWS = 4
 SEED = 777_000  # of those draws; no search has this seed
 ANGLES = np.concatenate([np.geomspace(1e-4, 0.1, 300), np.linspace(0.1, math.pi, 1500)])
 EVALUATIONS = 400
+"""Evaluations of the cost from each start."""
+
 RANGE = 6.0
 PENALTY = 20.0
 """Logarithms of cost per unit beyond a limit, while the constrained optimum is sought."""
@@ -71,7 +73,7 @@ def true_sensitivity(plant: Plant, gains: Gains) -> float:
 def _sensitivity(part: LinearPart | None, plant: Plant, gains: Gains) -> float:
     if part is None:
         return math.nan
-    if not loop_margins(part.plant, gains, plant.controller).stable:
+    if not is_stable(part.plant, gains, plant.controller):
         return math.inf
     loop = controller_response(gains, plant.controller, ANGLES) * part.response
     return float(np.max(1.0 / np.abs(1.0 + loop)))
@@ -116,7 +118,11 @@ class TrueLoop:
 
 
 def constrained_optimum(
-    loop: TrueLoop, starts: list[FloatArray], max_sensitivity: float, overshoot: float
+    loop: TrueLoop,
+    starts: list[FloatArray],
+    max_sensitivity: float,
+    overshoot: float,
+    evaluations: int = EVALUATIONS,
 ) -> tuple[Gains, Truth]:
     """The gains of least true cost within limits, by CMA-ES from several starts.
 
@@ -125,6 +131,7 @@ def constrained_optimum(
         starts: Logarithms of gains, shape (4,) each.
         max_sensitivity: Limit of Ms.
         overshoot: Limit of the overshoot.
+        evaluations: Of the cost, from each start.
     """
 
     def rank(x: FloatArray) -> float:
@@ -140,7 +147,7 @@ def constrained_optimum(
         options = {
             "bounds": [list(start - RANGE), list(start + RANGE)],
             "verbose": -9,
-            "maxfevals": EVALUATIONS,
+            "maxfevals": evaluations,
             "seed": number + 1,
         }
         strategy = cma.CMAEvolutionStrategy(start, 0.5, options)
