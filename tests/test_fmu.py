@@ -1,14 +1,9 @@
 """An FMU as a plant, built here from a few lines of C: FMI 2 and 3, crashes, wrong files."""
 
 import pickle
-import re
-import subprocess
-import zipfile
-from pathlib import Path
 
 import numpy as np
 import pytest
-from fmpy import fmi2, fmi3
 
 import estune
 import plants
@@ -19,76 +14,12 @@ from plants.effects import CurrentSaturation
 from plants.models.fmu.plant import fmu_plant
 from plants.models.fmu.step import FmuStep
 from plants.simulation.plant import Drive
-
-# x' = (u - x) / T, exact under a held u; T = 0.1 s. A negative u of -999 is a crash.
-LAW = """
-#include <math.h>
-#include <stdlib.h>
-#include <string.h>
-static double x, u;
-static void begin(void) { x = 2.0; u = 0.0; }
-static void advance(double h) { if (u == -999.0) abort(); x = u + (x - u) * exp(-h / 0.1); }
-#define OK(name) int name() { return 0; }
-"""
-FMI2 = """
-void *fmi2Instantiate() { begin(); return &x; }
-int fmi2Reset(void *c) { begin(); return 0; }
-int fmi2SetReal(void *c, const unsigned *r, size_t n, const double *v) { u = v[0]; return 0; }
-int fmi2GetReal(void *c, const unsigned *r, size_t n, double *v) { v[0] = x; return 0; }
-int fmi2DoStep(void *c, double t, double h, int p) { advance(h); return h > 5.0 ? 3 : 0; }
-"""
-FMI3 = """
-void *fmi3InstantiateCoSimulation() { begin(); return &x; }
-int fmi3Reset(void *c) { begin(); return 0; }
-int fmi3SetFloat64(void *c, const unsigned *r, size_t n, const double *v, size_t m)
-{ u = v[0]; return 0; }
-int fmi3GetFloat64(void *c, const unsigned *r, size_t n, double *v, size_t m)
-{ v[0] = x; return 0; }
-int fmi3DoStep(void *c, double t, double h, int p, char *e, char *d, char *l, double *last)
-{ advance(h); *e = *d = *l = 0; *last = t + h; return 0; }
-"""
-ABOUT2 = """<?xml version="1.0" encoding="UTF-8"?>
-<fmiModelDescription fmiVersion="2.0" modelName="lag" guid="{{1}}" generationTool="{tool}">
-<CoSimulation modelIdentifier="lag" canHandleVariableCommunicationStepSize="true"/>
-<ModelVariables>
-<ScalarVariable name="u" valueReference="0" causality="input"><Real start="0"/></ScalarVariable>
-<ScalarVariable name="F" valueReference="1" causality="output"><Real/></ScalarVariable>
-</ModelVariables>
-<ModelStructure><Outputs><Unknown index="2"/></Outputs></ModelStructure>
-</fmiModelDescription>"""
-ABOUT3 = """<?xml version="1.0" encoding="UTF-8"?>
-<fmiModelDescription fmiVersion="3.0" modelName="lag" instantiationToken="1"
- generationTool="{tool}">
-<CoSimulation modelIdentifier="lag" canHandleVariableCommunicationStepSize="true"/>
-<ModelVariables>
-<Float64 name="time" valueReference="2" causality="independent"/>
-<Float64 name="u" valueReference="0" causality="input" start="0"/>
-<Float64 name="F" valueReference="1" causality="output"/>
-</ModelVariables>
-<ModelStructure><Output valueReference="1"/></ModelStructure>
-</fmiModelDescription>"""
-OF_VERSION = {2: (FMI2, ABOUT2, "linux64"), 3: (FMI3, ABOUT3, "x86_64-linux")}
-
-
-def build(folder, version=2, tool="cc", platform=None):
-    source, about, own = OF_VERSION[version]
-    code, library = folder / "lag.c", folder / "lag.so"
-    module = fmi2 if version == 2 else fmi3
-    # FMPy wants every function of the standard; those that are of no use here return 0.
-    names = set(re.findall(rf"fmi{version}[A-Z]\w+", Path(module.__file__).read_text()))
-    rest = " ".join(f"OK({name})" for name in sorted(names) if name not in source)
-    code.write_text(LAW + source + rest)
-    subprocess.run(["cc", "-shared", "-fPIC", "-o", library, code, "-lm", "-w"], check=True)
-    path = folder / f"lag{version}.fmu"
-    with zipfile.ZipFile(path, "w") as archive:
-        archive.writestr("modelDescription.xml", about.format(tool=tool))
-        archive.write(library, f"binaries/{platform or own}/lag.so")
-    return str(path)
+from tests.support_fmu import build
 
 
 @pytest.fixture(scope="module")
 def fmu(tmp_path_factory):
-    return build(tmp_path_factory.mktemp("fmu"))
+    return str(build(tmp_path_factory.mktemp("fmu")))
 
 
 def closed_loop(plant):
@@ -115,7 +46,7 @@ def reference(dead_time_s=0.0):
 
 @pytest.mark.parametrize("version", [2, 3])
 def test_fmu_responds_as_its_equation_trial_after_trial(tmp_path, version):
-    file = build(tmp_path, version)
+    file = str(build(tmp_path, version))
     settings = {"sampling_Hz": 100.0, "settling_time_s": 0.3, "dead_time_s": 0.014}
     plant = fmu_plant(file, input="u", output="F", **settings)
     one, other = closed_loop(plant), closed_loop(reference(0.014))
@@ -124,7 +55,7 @@ def test_fmu_responds_as_its_equation_trial_after_trial(tmp_path, version):
 
 
 def test_simulinks_extra_step_is_taken_out_of_the_dead_time(tmp_path, caplog):
-    file = build(tmp_path, tool="Simulink (R2025b)")
+    file = str(build(tmp_path, tool="Simulink (R2025b)"))
     settings = {"sampling_Hz": 100.0, "settling_time_s": 0.3, "dead_time_s": 0.015}
     plant = fmu_plant(file, input="u", output="F", **settings)
     assert plant.dead_time_s == pytest.approx(0.005)
@@ -160,7 +91,7 @@ def test_effect_on_an_fmu_is_refused(fmu):
 def test_file_that_cannot_be_used_is_refused_with_reason(tmp_path, fmu):
     with pytest.raises(InvalidInput, match="no variable T; it has u, F"):
         FmuStep(fmu, "u", "T").facts()
-    foreign = build(tmp_path, platform="win64")
+    foreign = str(build(tmp_path, platform="win64"))
     with pytest.raises(InvalidInput, match=r"no library for this machine .* \(it has win64\)"):
         FmuStep(foreign, "u", "F").facts()
     (tmp_path / "no.fmu").write_bytes(b"no FMU")

@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 
 from estune.core.quantities import check_not_negative, check_positive
 from plants.effects.plant_scale import PlantScale
-from plants.models.mounting import UNLIMITED_N
+from plants.models.plant_model import UNLIMITED_N
 from plants.models.unloaded_reel import UnloadedReel
 
 _MAY_BE_ZERO = ("viscous_friction_Nms", "dead_time_s")
@@ -45,8 +45,9 @@ class Servo(UnloadedReel):
         return {key: getattr(self, name) for key, name in self.FIELDS.items()}
 
     def summary(self) -> str:
-        """The values of the model file's keys."""
-        return ", ".join(f"{key}={value:g}" for key, value in self.own_values.items())
+        """The values of the model file's keys but limits that are none and zeros."""
+        values = self.own_values.items()
+        return ", ".join(f"{key}={value:g}" for key, value in values if 0.0 < value < UNLIMITED_N)
 
 
 @dataclass(frozen=True, repr=False)

@@ -17,8 +17,9 @@ from estune.trial import LinearModel, RigDescription, RigLimits
 from estune.trial.profiles import StepProfile
 from plants.models.effect_applicability import unavailable
 from plants.models.linear_with_effects import LinearEffectStructure
-from plants.models.mounting import UNLIMITED_N, MountedModel, Mounting
+from plants.models.mounting import MountedModel, Mounting
 from plants.models.path_structure import squarings_for
+from plants.models.plant_model import UNLIMITED_N
 from plants.models.pole_zero_form import PoleZeroForm, factorise
 from plants.models.sampled_structure import SampledStructure
 from plants.models.start_gains import cautious_gains

@@ -8,12 +8,10 @@ from estune.core.quantities import check_not_negative, check_positive
 from estune.errors import UnsafeStart
 from estune.trial import LinearModel, RigDescription, RigLimits
 from estune.trial.profiles import StepProfile
+from estune.trial.signals import Signals
 from plants.effects.plant_scale import PlantScale
-from plants.models.plant_model import PlantModel
+from plants.models.plant_model import UNLIMITED_N, PlantModel
 from plants.simulation.plant import SOFTWARE
-
-UNLIMITED_N = 1e9
-"""Value for "no limit"; JSON has no infinity."""
 
 SETTLING_TIMES_AFTER_STEP = 5.0
 TRIAL_MAX_samples = 1_000_000
@@ -107,11 +105,17 @@ class MountedModel(PlantModel):
     rig_name = "simulated-plant"
 
     @property
+    def signals(self) -> Signals:
+        """What the plant measures and commands."""
+        return Signals(self.mounting.measurement, self.mounting.command)
+
+    @property
     def scale(self) -> PlantScale:
         """Units that sentences on the plant refer to."""
-        signals = (self.mounting.command, self.mounting.measurement)
-        units = [text.rpartition(", ")[2] if ", " in text else "" for text in signals]
-        return super().scale._replace(input_unit=units[0], output_unit=units[1])
+        signals = self.signals
+        return super().scale._replace(
+            input_unit=signals.command_unit, output_unit=signals.measurement_unit
+        )
 
     @property
     def newtons_per_ampere(self) -> float:

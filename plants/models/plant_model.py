@@ -4,6 +4,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from dataclasses import Field, dataclass, fields, replace
 from functools import cached_property
+from html import escape
 from types import SimpleNamespace
 from typing import Any, ClassVar, Self
 
@@ -12,12 +13,17 @@ import numpy as np
 from estune.core.gains import Gains
 from estune.core.quantities import FloatArray, check_not_negative, check_positive
 from estune.errors import InvalidInput
+from estune.support.quantity_text import time_text
+from estune.trial.signals import REEL, Signals
 from plants.effects import Effect
 from plants.effects.plant_scale import PlantScale
 from plants.models.parameters import amend_parameters
 from plants.simulation.plant import Columns, Drive, Plant, split_dead_time
 from plants.simulation.simulated_rig import SimulatedRig
 from plants.simulation.trial_loop import Batch, trial_loop
+
+UNLIMITED_N = 1e9
+"""Value for "no limit"; JSON has no infinity."""
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -40,6 +46,11 @@ class PlantModel(Plant, ABC):
         return PlantScale(sampling_Hz=self.controller.sampling_Hz)
 
     @property
+    def signals(self) -> Signals:
+        """What the plant measures and commands."""
+        return REEL
+
+    @property
     @abstractmethod
     def own_numbers(self) -> dict[str, float]:
         """The plant's own parameters by name."""
@@ -56,6 +67,29 @@ class PlantModel(Plant, ABC):
     def __repr__(self) -> str:
         added = "".join(f" + {effect!r}" for effect in self.effects)
         return f"{type(self).__name__}({self.summary()}){added}"
+
+    def facts(self) -> dict[str, str]:
+        """What the plant is as a rig, by label."""
+        signals, step, settings = self.signals, self.profile, self.controller
+        low, high = settings.output_min_N, settings.output_max_N
+        limits = f", {low:g} to {signals.commanded(high)}" if -low < UNLIMITED_N > high else ""
+        noise = self.noise_rms_N
+        start = f"{time_text(step.step_at_s)} of {time_text(step.duration_s)}"
+        return {
+            "measured": signals.measurement_name,
+            "commanded": f"{signals.command_name}{limits}",
+            "sampling": f"every {time_text(1.0 / settings.sampling_Hz)}",
+            **({"noise": f"{signals.measured(noise)} rms"} if noise else {}),
+            "suggested step": f"{signals.step_text(step)} at {start}",
+            **{f"with {type(effect).title}": repr(effect) for effect in self.effects},
+        }
+
+    def _repr_html_(self) -> str:
+        rows = [("", f"{type(self).__name__}({self.summary()})")]
+        if self.profile.loop == "closed":
+            rows += self.facts().items()
+        cells = "".join(f"<tr><td>{escape(k)}</td><td>{escape(v)}</td></tr>" for k, v in rows)
+        return f"<table>{cells}</table>"
 
     def __add__(self, effect: Effect) -> Self:
         """The plant with one more physical effect."""

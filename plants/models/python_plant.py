@@ -17,7 +17,8 @@ from estune.errors import PlantError
 from estune.trial import SATURATED, RigDescription, RigLimits
 from estune.trial.profiles import StepProfile
 from plants.effects import Effect
-from plants.models.mounting import UNLIMITED_N, MountedModel, Mounting
+from plants.models.mounting import MountedModel, Mounting
+from plants.models.plant_model import UNLIMITED_N
 from plants.models.start_gains import identified_gains
 from plants.models.state_shape import StateShape
 from plants.models.symbolic_plant import TracedStructure, unavailable

@@ -1,6 +1,7 @@
 """The process of one FMU: `python -m plants.models.fmu.process DESCRIPTOR`, by FMPy."""
 
 import shutil
+import signal
 import sys
 import tempfile
 import zipfile
@@ -115,6 +116,8 @@ def serve(pipe: "Connection[Any, Any]", step: Step) -> None:
 
 def main(descriptor: int) -> int:
     """Loads the unit that the first message names, and executes its steps."""
+    # Ctrl-C in a terminal reaches this process, too; its parent ends it by closing the pipe.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     pipe: Connection[Any, Any] = Connection(descriptor)
     file, input_, output = pipe.recv()
     folder = tempfile.mkdtemp(prefix="estune-fmu-")
