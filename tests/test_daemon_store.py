@@ -36,7 +36,7 @@ def test_store_holds_after_reopening_what_was_written(tmp_path):
     record = response(REQUEST)
     store.begin_check(REQUEST)
     assert store.next_check() == (0, 0)
-    store.finish_check(REQUEST, record, 1.5, ChartSignal.STEADY)
+    store.finish_check(REQUEST, record, 1.5, ChartSignal.STEADY, (1.0, 2.0))
     identity = store.identity
     store.close()
     store = DaemonStore.open(tmp_path, "drum")
@@ -46,6 +46,7 @@ def test_store_holds_after_reopening_what_was_written(tmp_path):
         assert store.events(0, 9) == store.events(-1, 9) == [event]
         assert store.identity == identity
         assert same(stored_record(store, 0), record)
+        assert store.checks(1)[0][-2:] == (1.0, 2.0)
         assert store.next_check() == (1, 0)
     finally:
         store.close()
@@ -56,6 +57,8 @@ def test_store_of_the_first_version_is_migrated(tmp_path):
     state = SupervisorState(Goal.HOLD, GainSet.ACCEPTED, "better")
     with store.transaction():
         store.set_fact("life", asdict(state) | {"wanted": "candidate"})
+        for column in ("alarm_low", "alarm_high"):
+            store._file._connection.execute(f"ALTER TABLE check_trial DROP COLUMN {column}")
         store._file._connection.execute("PRAGMA user_version=1")
     store.close()
     store = DaemonStore.open(tmp_path, "drum")
@@ -107,7 +110,7 @@ def test_store_keeps_a_bounded_number_of_rows(tmp_path, monkeypatch):
     for number in range(300):
         request = replace(REQUEST, number=number)
         store.begin_check(request)
-        store.finish_check(request, record, 1.0, ChartSignal.STEADY)
+        store.finish_check(request, record, 1.0, ChartSignal.STEADY, (0.5, 1.5))
         store.add_event(EventKind.SUSPECT, "far off", {})
         sizes.append(store._file._connection.execute("PRAGMA page_count").fetchone()[0])
     assert len(store.checks(100)) == len(store.events(0, 100)) == 20

@@ -105,6 +105,7 @@ def test_daemon_page_accepts_a_candidate_once_the_rig_has_it(chromium, tmp_path)
             expect(page.locator("#answer")).to_contain_text("the rig confirms: the accepted gains")
             assert watched.client.status("drum").live == "accepted"
             expect(page.locator("#checks canvas")).to_be_visible()
+            expect(page.locator("#checks .u-legend")).to_contain_text("upper alarm limit")
             assert serious(page) == []
 
 

@@ -55,11 +55,8 @@ class CheckTrials:
         state = self.chart(name)
         return None if state is None else state.smoothed / self._chart.limit
 
-    def alarm_costs(self, name: GainSet) -> tuple[float, ...]:
-        """Costs beyond which a check trial is an outlier, low and high; none without a chart."""
-        state = self.chart(name)
-        if state is None:
-            return ()
+    def _alarm_costs(self, state: ChartState) -> tuple[float, float]:
+        """Costs beyond which a check trial is an outlier, low and high."""
         spread = self._chart.repeatability(state) * math.sqrt(1.0 + 1.0 / state.known)
         half = self._chart.outlier_limit * spread
         return math.exp(state.mean - half), math.exp(state.mean + half)
@@ -98,8 +95,9 @@ class CheckTrials:
         request = TrialRequest(f"{self._store.identity}-check", number, gains, step, attempt)
         self._store.begin_check(request)
         record = rig.run(request)
+        alarm = self._alarm_costs(state)
         if record.outcome.is_void:
-            self._store.finish_check(request, record, math.nan, None)
+            self._store.finish_check(request, record, math.nan, None, alarm)
             if record.outcome is Outcome.INTERRUPTED and not description.simulated:
                 raise Interrupted(
                     f"check trial {record.trial_id} was interrupted ({record.reason}); "
@@ -113,7 +111,7 @@ class CheckTrials:
         with self._store.transaction():
             charts = self._store.fact("charts")
             self._store.set_fact("charts", {**charts, name.value: list(updated)})
-            self._store.finish_check(request, record, eta, signal)
+            self._store.finish_check(request, record, eta, signal, alarm)
         self._due_s = time.monotonic() + self._settings.watch.every_s
         return CheckTrialResult(record, eta, signal)
 

@@ -1,7 +1,6 @@
 """The daemon's live page: a view of each rig."""
 
 from collections.abc import Mapping
-from functools import partial
 from typing import TYPE_CHECKING
 
 from estune.daemon.config import DaemonConfig
@@ -30,14 +29,9 @@ def serve_page(
             supervised[rig.name],
             target=rig.target,
             runs=config.state / rig.name / RUNS,
-            alarm_costs=partial(_alarm_costs, supervised[rig.name]),
             security=security,
         )
         for rig in config.rig
     ]
     page = config.page
     return PageServer(lambda: views, port=page.http_port or 0, may_command=page.allow_commands)
-
-
-def _alarm_costs(rig: SupervisedRig) -> tuple[float, ...]:
-    return rig.checks.alarm_costs(rig.state.home)

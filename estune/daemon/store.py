@@ -52,6 +52,10 @@ CREATE TABLE check_record (number INTEGER PRIMARY KEY, record BLOB NOT NULL)
     """
 UPDATE fact SET value = json_remove(value, '$.wanted') WHERE key = 'life'
 """,
+    """
+ALTER TABLE check_trial ADD COLUMN alarm_low REAL;
+ALTER TABLE check_trial ADD COLUMN alarm_high REAL
+""",
 )
 _KIND = FileKind(
     "a daemon's file", _VERSIONS, "the daemon continues by itself", lock_name="daemon.lock"
@@ -75,6 +79,8 @@ class Check(NamedTuple):
         outcome: Outcome; empty before.
         cost: Cost, if any.
         sign: Signal of the control chart.
+        alarm_low: Cost below which it was an outlier; None where that was not stored.
+        alarm_high: Cost above which it was an outlier.
     """
 
     number: int
@@ -83,6 +89,8 @@ class Check(NamedTuple):
     outcome: str
     cost: float | None
     sign: str
+    alarm_low: float | None
+    alarm_high: float | None
 
 
 class DaemonStore:
@@ -260,15 +268,24 @@ class DaemonStore:
         )
 
     def finish_check(
-        self, request: TrialRequest, record: TrialRecord, cost: float, sign: ChartSignal | None
+        self,
+        request: TrialRequest,
+        record: TrialRecord,
+        cost: float,
+        sign: ChartSignal | None,
+        alarm: tuple[float, float],
     ) -> None:
-        """Stores the result of a check trial; without a signal it was void and is repeated."""
+        """Stores the result of a check trial, and between which costs it was no outlier.
+
+        Without a signal it was void and is repeated.
+        """
         number, attempt = request.number, request.attempt
         with self.transaction():
             self._file.write(
-                "UPDATE check_trial SET outcome=?, cost=?, sign=?, told_at=?"
-                " WHERE number=? AND attempt=?",
-                *(record.outcome.value, cost, sign and sign.value, now(), number, attempt),
+                "UPDATE check_trial SET outcome=?, cost=?, sign=?, told_at=?, alarm_low=?,"
+                " alarm_high=? WHERE number=? AND attempt=?",
+                *(record.outcome.value, cost, sign and sign.value, now(), *alarm),
+                *(number, attempt),
             )
             if sign is not None:
                 # In a table of its own, so that deleted records leave no gaps among the rows.
@@ -281,7 +298,8 @@ class DaemonStore:
         """The newest check trials, oldest first."""
         rows = self._file.rows(
             "SELECT number, attempt, coalesce(told_at, ''), coalesce(outcome, ''), cost,"
-            " coalesce(sign, '') FROM check_trial ORDER BY number DESC, attempt DESC LIMIT ?",
+            " coalesce(sign, ''), alarm_low, alarm_high FROM check_trial"
+            " ORDER BY number DESC, attempt DESC LIMIT ?",
             limit,
         )
         return [Check(*row) for row in rows[::-1]]

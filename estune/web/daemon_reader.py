@@ -2,7 +2,7 @@
 
 import dataclasses
 import secrets
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 from estune.core.gains import Gains
@@ -24,7 +24,6 @@ class DaemonReader(Reader):
         board: The board.
         supervised: The supervision, of this process or of another.
         on_run: Called with the name of the present tuning run.
-        alarm_costs: Returns the costs beyond which a check trial raises an alarm, if known.
     """
 
     source = "daemon"
@@ -35,12 +34,10 @@ class DaemonReader(Reader):
         board: Board,
         supervised: Supervised,
         on_run: Callable[[str], None] = lambda _: None,
-        alarm_costs: Callable[[], Sequence[float]] = tuple,
     ) -> None:
         super().__init__(board)
         self._supervised = supervised
         self._on_run = on_run
-        self._alarm_costs = alarm_costs
         self._last_event = -1
         self._checks = -1
 
@@ -58,9 +55,9 @@ class DaemonReader(Reader):
         if status.checks != self._checks:
             self._checks = status.checks
             checks = self._supervised.history(Request(limit=CHECKS_MAX)).checks
-            rows = [(c["number"], c["told_at"], c["cost"], c["sign"]) for c in checks]
-            self.board.extend("checks", rows, restart=True)
-            self.board.put("alarm_costs", list(self._alarm_costs()))
+            names = ("number", "told_at", "cost", "sign", "alarm_low", "alarm_high")
+            shown = [[check.get(name) for name in names] for check in checks]
+            self.board.extend("checks", shown, restart=True)
 
     def command(self, verb: DaemonVerb, who: str) -> str:
         """Gives a command; returns what is being done.

@@ -165,7 +165,6 @@ def daemon_view(
     *,
     target: str = "",
     runs: Path | None = None,
-    alarm_costs: Callable[[], Sequence[float]] = tuple,
     security: Security = OPEN,
 ) -> View:
     """A rig that a daemon supervises.
@@ -175,7 +174,6 @@ def daemon_view(
         supervised: Its supervision.
         target: Endpoint of the rig, for live samples and the emergency stop; empty if unknown.
         runs: Folder of its tuning runs; None if it cannot be reached from here.
-        alarm_costs: Returns the costs beyond which a check trial raises an alarm, if known.
         security: Credentials for the rig.
     """
     board = Board()
@@ -189,7 +187,7 @@ def daemon_view(
         shown[run] = RunReader(board, runs / run, predict=False)
         view.replace(old, shown[run])
 
-    reader = DaemonReader(board, supervised, follow, alarm_costs)
+    reader = DaemonReader(board, supervised, follow)
     readers: list[Reader] = [reader]
     commands: dict[str, Execute] = {verb: partial(reader.command, verb) for verb in DAEMON_VERBS}
     if is_endpoint(target):

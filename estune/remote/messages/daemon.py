@@ -201,7 +201,7 @@ class History(Report):
     Attributes:
         gains: Gain sets: at, name, P, I, D, setpoint_filter_s, why.
         commands: at, verb, who, done, sentence.
-        checks: number, attempt, told_at, outcome, cost, sign.
+        checks: number, attempt, told_at, outcome, cost, sign, alarm_low, alarm_high.
     """
 
     gains: list[dict[str, Any]]

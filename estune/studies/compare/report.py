@@ -5,7 +5,7 @@ from collections.abc import Mapping
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import MaxNLocator, StrMethodFormatter
 
 from estune.core.gains import GAIN_NAMES
 from estune.run.ending import RunEnding
@@ -151,6 +151,7 @@ def gain_figure(results: Mapping[str, TuneResult]) -> Figure:
         finish(ax, "", axis_label(_HEADS.get(name, name), units.get(name, "")))
         ax.set_xlim(0.0, 1.15 * ax.dataLim.xmax or 1.0)
         ax.xaxis.set_major_locator(MaxNLocator(2, integer=name == "unsafe"))
+        ax.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))  # short: they stand side by side
     axes[0].set_yticks(range(len(results)), list(results))
     axes[0].set_ylim(len(results) - 0.5, -0.5)
     return figure

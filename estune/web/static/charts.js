@@ -71,7 +71,7 @@ export class Chart {
     const values = (u, splits) => splits.map((v) => (v == null ? "" : number(v)));
     this.plot = new uPlot({
       ...this.size(),
-      scales: { x: { time: false }, y: log ? { distr: 3 } : { range: (u, low, high) => this.range(low, high) } },
+      scales: { x: { time: false }, y: log ? { distr: 3 } : {} },
       axes: [axis(x, { size: 34, values }), axis(y, { size: 62, values })],
       legend: { show: legend },
       cursor: { drag: { x: true, y: false } },
@@ -87,13 +87,6 @@ export class Chart {
       }))],
     }, this.data, this.figure);
     this.hideEmpty();
-  }
-
-  // Range of the ordinate: of the data, and of the marks that must be seen.
-  range(low, high) {
-    const seen = this.marks.filter((mark) => mark.seen).map((mark) => mark.at);
-    const [least, most] = [Math.min(low ?? 0, ...seen), Math.max(high ?? 1, ...seen)];
-    return uPlot.rangeNum(least, most, 0.1, true);
   }
 
   // New data, and horizontal marks. A series without data is not in the legend either.

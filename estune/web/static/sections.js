@@ -189,12 +189,13 @@ export class Sections {
     $("checks").hidden = false;
     const chart = this.chart("chart", { height: 200, x: "check trial", y: "cost",
       label: "Cost of the check trials over their number, with the baseline",
-      series: [{ label: "steady", colour: "blue", points: "only" }, { label: "changed", colour: "red", points: "only", size: 8, open: true }] });
+      series: [{ label: "steady", colour: "blue", points: "only" }, { label: "changed", colour: "red", points: "only", size: 8, open: true },
+        ...["lower alarm limit", "upper alarm limit"].map((label) => ({ label, colour: "red", dash: [6, 4], width: 1, step: true }))] });
     const steady = (row) => row[3] === "steady";
     const marks = [];
     if (daemon?.baseline_cost) marks.push({ at: daemon.baseline_cost, colour: "orange", label: "baseline" });
-    for (const at of this.values.alarm_costs ?? []) marks.push({ at, colour: "red", label: "alarm", seen: true });
-    chart.show([rows.map((row) => row[0]), rows.map((row) => (steady(row) ? row[2] : null)), rows.map((row) => (steady(row) ? null : row[2]))], marks);
+    const column = (n) => rows.map((row) => row[n]);
+    chart.show([column(0), rows.map((row) => (steady(row) ? row[2] : null)), rows.map((row) => (steady(row) ? null : row[2])), column(4), column(5)], marks);
   }
 
   drawEvents() {
