@@ -24,6 +24,7 @@ myst_heading_anchors = 3
 suppress_warnings = ["ref.python"]  # a name that is documented where it is defined and re-exported
 
 default_role = "code"
+smartquotes = False  # two hyphens are an option
 autodoc_member_order = "bysource"
 autodoc_typehints = "none"  # the signature has them
 napoleon_custom_sections = [("Class attributes", "Attributes")]
@@ -32,6 +33,8 @@ napoleon_use_ivar = True
 html_theme = "furo"
 html_title = f"estune {version}"
 html_copy_source = False
+html_css_files = ["narrow.css"]
+html_static_path = ["_static"]
 html_math_renderer = "mathml"
 
 

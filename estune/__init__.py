@@ -1,12 +1,12 @@
 """Extremum-seeking PIDF auto-tuning of motorised cable reels, by experiment.
 
-The library in three calls:
+The library in three calls::
 
     result = estune.tune("tcp/127.0.0.1:7447")   # or a plant, or a rig
     result = estune.resume("runs/20261121-120000")
     result = estune.load("runs/20261121-120000")
 
-and over many lengths at once:
+and over many lengths at once::
 
     result = estune.sweep("sweep.toml")
 """

@@ -1,7 +1,9 @@
 """Simulated plants: the reference reel, any linear model, any Python function.
 
-reel = plants.reference_reel(cable_length_m=0.8, tension_N=15.0)
-result = estune.tune(reel)
+In two lines::
+
+    reel = plants.reference_reel(cable_length_m=0.8, tension_N=15.0)
+    result = estune.tune(reel)
 """
 
 from typing import TYPE_CHECKING
