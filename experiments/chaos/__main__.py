@@ -7,6 +7,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,11 +15,11 @@ from estune.remote import zenoh
 from experiments import benchmark_link
 from experiments.chaos import __doc__ as about
 from experiments.chaos import deadman, faults, supervised, verdict
-from experiments.chaos.campaign import Campaign
+from experiments.chaos.campaign import Campaign, Diary
 from experiments.chaos.stand import Stand
 from experiments.results import Target, at_least, at_most, command_line, print_results
 
-PARTS = ("estune", "outages", "plain", "daemon", "hardware", "stops")
+PARTS = ("estune", "plain", "daemon", "hardware", "stops")
 SEARCH_TRIALS = 120
 BESIDE_SEARCH = 9
 OUTAGE_SEARCH_TRIALS = 20
@@ -55,26 +56,38 @@ class Extent(NamedTuple):
     losses: int
     stops: int
     outages: int
+    durations: faults.Durations = faults.DURATIONS
 
 
-QUICK = Extent(*(9, 30), pace=0.05, plain_share=3, daemon_faults=4, losses=1, stops=50, outages=1)
+QUICK = Extent(
+    *(9, 20),
+    pace=0.05,
+    plain_share=9,
+    daemon_faults=3,
+    losses=1,
+    stops=50,
+    outages=1,
+    durations=faults.SHORT,
+)
 
 
 def run_campaign(
     extent: Extent, seed: int, folder: Path, *, plain: bool, report: Callable[[str], None]
 ) -> dict[str, Any]:
-    """Figures of one campaign."""
+    """Figures of one campaign; of estune's, tunings with outages of the network follow."""
     share = extent.plain_share if plain else 1
     trials = extent.trials // share
     search = min(SEARCH_TRIALS, max(trials - BESIDE_SEARCH, 10))
-    schedule = faults.schedule(list(faults.Kind), PAUSES_TRIALS, extent.faults // share, seed)
+    count = extent.faults // share
+    schedule = faults.schedule(list(faults.Kind), PAUSES_TRIALS, count, seed, extent.durations)
     with Stand(folder, plain=plain, pace=extent.pace) as stand:
         campaign = Campaign(stand, schedule, search, seed)
         campaign.run(-(-trials // (search + BESIDE_SEARCH)), report)
+        alone = None if plain else _suffer_outages(stand, extent, seed, report)
     diary = campaign.diary
     for text in diary.unnamed:
         report(text)
-    return {
+    figures = {
         "faults": sum(diary.faults.values()),
         "faults_by_kind": dict(sorted(diary.faults.items())),
         "client_exits": {str(code): n for code, n in sorted(diary.exits.items())},
@@ -83,30 +96,33 @@ def run_campaign(
         "unnamed_errors": len(diary.unnamed),
         **verdict.count_violations(stand, diary),
     }
+    if alone is not None:
+        violations = verdict.count_violations(stand, alone)
+        figures["outages"] = {
+            "outages": alone.faults.total(),
+            "finished_share": 1.0 - len(alone.given_up) / len(alone.errands),
+            **{name: violations[name] for name in ("run_twice", "lost_records", "gains_left")},
+        }
+    return figures
 
 
-def suffer_outages(
-    outages: int, pace: float, seed: int, folder: Path, report: Callable[[str], None]
-) -> dict[str, Any]:
-    """Figures of tunings with an outage of the network in each, and no other fault."""
-    schedule = faults.schedule([faults.Kind.OUTAGE], (1, 4, 10), outages, seed)
-    with Stand(folder, plain=False, pace=pace) as stand:
-        campaign = Campaign(stand, schedule, OUTAGE_SEARCH_TRIALS, seed)
-        campaign.run(outages, report)
-    diary = campaign.diary
-    violations = verdict.count_violations(stand, diary)
-    return {
-        "outages": diary.faults.total(),
-        "finished_share": 1.0 - len(diary.given_up) / len(diary.errands),
-        **{name: violations[name] for name in ("run_twice", "lost_records", "gains_left")},
-    }
+def _suffer_outages(
+    stand: Stand, extent: Extent, seed: int, report: Callable[[str], None]
+) -> Diary:
+    """Course of tunings with an outage of the network in each, and no other fault."""
+    count = extent.outages
+    schedule = faults.schedule([faults.Kind.OUTAGE], (1, 4, 10), count, seed, extent.durations)
+    campaign = Campaign(stand, schedule, OUTAGE_SEARCH_TRIALS, seed, name="outage")
+    campaign.run(count, report)
+    return campaign.diary
 
 
 def lose_clients(times: int, folder: Path) -> dict[str, Any]:
     """Figures of the emulated hardware without its client."""
     figures: dict[str, Any] = {"dead_man_not_restored": 0}
-    for name, number in (("killed", signal.SIGKILL), ("frozen", signal.SIGSTOP)):
-        escapes = deadman.escapes(folder, number, times)
+    names = {signal.SIGKILL: "killed", signal.SIGSTOP: "frozen"}
+    for number, escapes in deadman.escapes(folder, list(names), times).items():
+        name = names[signal.Signals(number)]
         restored = [escape.restored_s for escape in escapes]
         figures[f"client_{name}_restored_max_s"] = max(restored)
         figures[f"client_{name}_restored_median_s"] = statistics.median(restored)
@@ -152,7 +168,7 @@ def show(figures: dict[str, Any], seconds: float) -> None:
     _show_kinds(ours)
     alone = figures["outages"]
     print(
-        f"{alone['outages']} tunings with an outage of 1 to 20 s each: "
+        f"{alone['outages']} tunings with an outage of the network each: "
         f"{alone['finished_share']:.0%} finished by themselves"
     )
     codes = ", ".join(f"{n} with {code}" for code, n in ours["client_exits"].items())
@@ -182,7 +198,9 @@ def _show_kinds(figures: dict[str, Any]) -> None:
 
 def main() -> int:
     """Runs everything; returns 1 where a target is missed."""
-    parser = command_line(about, quick="nine faults")
+    parser = command_line(
+        about, quick="nine faults of estune, one of the plain client, three of the daemon"
+    )
     parser.add_argument("--faults", type=int, default=500)
     parser.add_argument("--trials", type=int, default=1000)
     parser.add_argument("--seed", type=int, default=1)
@@ -204,14 +222,15 @@ def main() -> int:
         for part in parts.values():
             part.mkdir(parents=True)
         seed = arguments.seed
-        figures = run_campaign(extent, seed, parts["estune"], plain=False, report=report)
-        figures["outages"] = suffer_outages(
-            *(extent.outages, extent.pace, seed, parts["outages"], report)
-        )
-        figures["plain"] = run_campaign(extent, seed, parts["plain"], plain=True, report=report)
-        figures["daemon"] = supervised.run_campaign(
-            extent.daemon_faults, seed, QUICK.pace, parts["daemon"]
-        )
+        with ThreadPoolExecutor(1) as beside:
+            ours = beside.submit(
+                run_campaign, extent, seed, parts["estune"], plain=False, report=report
+            )
+            plain = run_campaign(extent, seed, parts["plain"], plain=True, report=report)
+            daemon = supervised.run_campaign(
+                *(extent.daemon_faults, seed, QUICK.pace, parts["daemon"]), extent.durations
+            )
+            figures = ours.result() | {"plain": plain, "daemon": daemon}
         figures |= lose_clients(extent.losses, parts["hardware"])
         figures |= stop_under_load(extent.stops, parts["stops"])
     if not arguments.json:

@@ -62,9 +62,11 @@ class Diary:
 class Campaign:
     """Runs tunings on a stand until all faults and enough trials have occurred."""
 
-    def __init__(self, stand: Stand, schedule: list[Fault], search_trials: int, seed: int) -> None:
+    def __init__(
+        self, stand: Stand, schedule: list[Fault], search_trials: int, seed: int, name: str = "run"
+    ) -> None:
         self.diary = Diary()
-        self._stand = stand
+        self._stand, self._name = stand, name
         self._faults = list(reversed(schedule))
         self._search_trials = search_trials
         self._random = Random(seed)  # noqa: S311  for initial gains, not for secrets
@@ -90,7 +92,7 @@ class Campaign:
             endpoint=(self._stand.near, self._stand.hub)[number % 2].endpoint,
             rig=NAME,
             folder=str(self._stand.folder / "runs"),
-            run=f"run{number}",
+            run=f"{self._name}{number}",
             tuner=TUNERS[number // 2 % 2],
             start=(factor * START[0], factor * START[1], START[2], START[3]),
             trials=self._search_trials,

@@ -10,12 +10,13 @@ tension of the reel itself has left the level of the trial.
 """
 
 import contextlib
+import itertools
 import signal
 import subprocess
 import sys
 import time
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -86,20 +87,20 @@ def _process(folder: Path, *arguments: str) -> Iterator[subprocess.Popen[bytes]]
         end(process)
 
 
-def escapes(folder: Path, number: int, times: int) -> list[Escape]:
-    """Loses a number of clients by a signal, each during a trial."""
+def escapes(folder: Path, signals: Sequence[int], times: int) -> dict[int, list[Escape]]:
+    """Loses a number of clients by each signal, each during a trial."""
     endpoint, log = with_port("tcp/127.0.0.1:0"), Log()
-    found = []
+    found: dict[int, list[Escape]] = {number: [] for number in signals}
     with (
         emulated_hardware({"electronics": {"watchdog_s": 1.0}}) as address,
         EmulatedDriver(address) as driver,
-        _process(folder, "rig", endpoint, address, str(folder / f"ledger{number}")) as rig,
+        _process(folder, "rig", endpoint, address, str(folder / "ledger")) as rig,
     ):
         if rig.stdout is None:
             raise AssertionError
         log.follow(rig.stdout)
         _await(log, "boot", "")
-        for n in range(times):
+        for number, n in itertools.product(signals, range(times)):
             name = f"signal{number}run{n}"
             with _process(folder, "client", endpoint, name) as client:
                 begun = _await(log, "begin", name)
@@ -109,7 +110,7 @@ def escapes(folder: Path, number: int, times: int) -> list[Escape]:
                 client.send_signal(number)
                 left_s = time_below(driver, level_N - LEFT_N) - lost_s
                 ended = _await(log, "end", name)
-                found.append(Escape(ended.at_s - lost_s, left_s, ended.live == begun.live))
+                found[number].append(Escape(ended.at_s - lost_s, left_s, ended.live == begun.live))
         end(rig, signal.SIGINT)
     return found
 

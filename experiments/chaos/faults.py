@@ -14,11 +14,19 @@ from experiments.chaos.wire import Way, Wire
 LEASE_S = 1.0
 """Lease of the link; a longer fault costs the client its lease."""
 
-DURATIONS_S = (0.3, 1.3, 2.8)
-"""Shorter than the lease, longer, and longer than Zenoh's own timeout for a silent peer."""
 
-OUTAGE_S = 1.0, 20.0
-"""Shortest and longest outage of the network; a client waits 30 s by default."""
+class Durations(NamedTuple):
+    """Times for which faults last, s: one of some, and of an outage the shortest and longest."""
+
+    usual_s: tuple[float, ...]
+    outage_s: tuple[float, float]
+
+
+DURATIONS = Durations((0.3, 1.3, 2.8), (1.0, 20.0))
+"""Shorter than the lease, longer, and longer than Zenoh's own timeout for a silent peer; a client
+waits 30 s for a network by default."""
+
+SHORT = Durations((0.3, 1.3), (1.0, 2.0))
 
 DISK_FULL_BYTES = 8192
 """File size limit of a process whose disk is full."""
@@ -28,7 +36,7 @@ class Kind(StrEnum):
     """Kind of a fault of the link."""
 
     CUT = "connections cut"
-    OUTAGE = "the network is down for 1 to 20 s"
+    OUTAGE = "the network is down"
     LOSE = "a reply lost with its connection"
     HANG = "the network hangs"
     HANG_THERE = "nothing reaches the rig"
@@ -60,7 +68,11 @@ class Fault(NamedTuple):
 
 
 def schedule(
-    kinds: Sequence[StrEnum], pauses_trials: Sequence[int], count: int, seed: int
+    kinds: Sequence[StrEnum],
+    pauses_trials: Sequence[int],
+    count: int,
+    seed: int,
+    durations: Durations = DURATIONS,
 ) -> list[Fault]:
     """A number of faults, each kind equally often, in random order."""
     random = Random(seed)  # noqa: S311  for faults, not for secrets
@@ -69,7 +81,9 @@ def schedule(
     return [
         Fault(
             kind,
-            random.uniform(*OUTAGE_S) if kind is Kind.OUTAGE else random.choice(DURATIONS_S),
+            random.uniform(*durations.outage_s)
+            if kind is Kind.OUTAGE
+            else random.choice(durations.usual_s),
             random.choice(pauses_trials),
             random.uniform(0.0, 0.1),
         )

@@ -29,7 +29,7 @@ from estune.remote.zenoh.endpoints import with_port
 from estune.run import loop
 from estune.run.journal import Journal
 from estune.run.planning import description_from_json, plan_from_json
-from experiments.chaos.faults import Fault, disk_full, frozen, schedule, stalled
+from experiments.chaos.faults import Durations, Fault, disk_full, frozen, schedule, stalled
 from experiments.chaos.processes import NO_THREADS, end
 from experiments.chaos.rig import reference_rig
 from experiments.chaos.stand import NAME, Stand
@@ -251,13 +251,15 @@ def undisturbed(journal: Journal) -> dict[int, tuple[Gains, float]]:
     return {entry.number: (entry.gains, entry.cost) for entry in run.entries}
 
 
-def run_campaign(count: int, seed: int, pace: float, folder: Path) -> dict[str, Any]:
+def run_campaign(
+    count: int, seed: int, pace: float, folder: Path, durations: Durations
+) -> dict[str, Any]:
     """Figures of one campaign."""
     with Stand(folder, plain=False, pace=pace) as stand:
         daemon = SupervisedStand(stand, seed)
         try:
             daemon.await_trials(1)
-            for fault in schedule(list(Kind), PAUSES_TRIALS, count, seed):
+            for fault in schedule(list(Kind), PAUSES_TRIALS, count, seed, durations):
                 daemon.await_trials(fault.after_trials)
                 time.sleep(fault.delay_s)
                 daemon.cause(fault)
