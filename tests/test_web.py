@@ -213,6 +213,36 @@ def test_long_history_is_thinned_to_the_best_and_worst_of_each_stretch(run, tmp_
     assert page.values["state"]["done"] == 20_000 + len(run.entries)
 
 
+def test_page_open_for_days_is_sent_a_thinned_history_now_and_then(run, tmp_path, monkeypatch):
+    monkeypatch.setattr("estune.web.run_reader.HISTORY_MAX", 10)
+    board, page, lengths = Board(), Follower(), []
+    readers = []
+
+    def look(_progress):
+        if not readers:
+            readers.append(RunReader(board, tmp_path / "days"))
+        readers[0].read()
+        page.take(board)
+        lengths.append(len(page.tables["trials"]))
+
+    tune(ArithmeticRig(), trials=40, run="days", folder=tmp_path, watch=look, tolerance=0.0)
+    readers[0].release()
+    assert len(lengths) > 40
+    assert max(lengths) <= 22
+    assert page.tables["trials"][-1][0] == len(lengths) - 1
+
+
+def test_run_that_a_full_disk_ended_says_so(run, tmp_path, monkeypatch):
+    shutil.copytree(run.folder, tmp_path / "full")
+    with Journal.open(tmp_path / "full", write=True) as journal:
+        journal.note(status="running")
+    usage = shutil.disk_usage(tmp_path)
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=0))
+    status = read_once(tmp_path / "full").get("state")["status"]
+    assert status.startswith("interrupted: its process has ended; the disk is full; make room")
+    assert status.endswith(f"estune resume {tmp_path / 'full'}")
+
+
 def test_damaged_and_missing_journals_are_shown_as_faults_and_left_as_they_are(run, tmp_path):
     folder = tmp_path / "runs" / "torn"
     folder.mkdir(parents=True)

@@ -48,7 +48,7 @@ CREATE TABLE snapshot (
 KIND = FileKind(
     "a run",
     VERSIONS,
-    "continue with: estune resume",
+    "continue with: estune resume {folder}",
     lock_name="writer.lock",
     checksummed=("record",),
 )

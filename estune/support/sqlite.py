@@ -2,7 +2,7 @@
 
 A store holds one `SqliteFile` and describes its kind once:
 
-    KIND = FileKind("a run", VERSIONS, "continue with: estune resume", "writer.lock")
+    KIND = FileKind("a run", VERSIONS, "continue with: estune resume {folder}", "writer.lock")
 
     file = SqliteFile.open_writer(path, KIND, prepare=prepare)  # creates it if missing
     file = SqliteFile.open_reader(path, KIND)  # the file must exist
@@ -27,6 +27,7 @@ second writer. The file's `user_version` is the version of its schema.
 import fcntl
 import getpass
 import os
+import shlex
 import sqlite3
 import threading
 from collections.abc import Callable, Iterable, Iterator
@@ -46,7 +47,7 @@ class FileKind(NamedTuple):
     Attributes:
         noun: What such a file is, with its article, for messages.
         versions: SQL that makes schema n + 1 out of schema n, from n = 0 (an empty file) on.
-        continuation: What to do once an obstacle is removed, for messages.
+        continuation: What to do once an obstacle is removed, for messages; {folder} is its folder.
         lock_name: Name of the writer's lock file; by default that of the file and `.lock`.
         checksummed: Tables whose rows have checksums of their own, checked when they are read.
     """
@@ -303,7 +304,7 @@ def _explained(path: Path, kind: FileKind) -> Iterator[None]:
     Raises:
         JournalError: the block failed at the file.
     """
-    go_on = kind.continuation
+    go_on = kind.continuation.format(folder=shlex.quote(str(path.parent)))
     try:
         yield
     except sqlite3.Error as error:

@@ -1,6 +1,8 @@
 """A run's journal on the board: trials, curves, what comes next, and the result."""
 
 import math
+import shlex
+import shutil
 import time
 from collections import Counter, deque
 from collections.abc import Sequence
@@ -21,6 +23,7 @@ from estune.run import loop, snapshot
 from estune.run.journal import Journal, JournalEntry, being_written
 from estune.run.planning import description_from_json, plan_from_json
 from estune.run.session import UNSAFE_RATIO, Phase, Session, is_safe, predict_next
+from estune.support.quantity_text import axis_label
 from estune.trial import Outcome, RigDescription, TrialRecord
 from estune.tuners import tuner_space
 from estune.web.board import Board
@@ -62,7 +65,7 @@ class RunReader(Reader):
         self._plan: dict[str, Any] = {}
         self._entries: list[JournalEntry] = []
         self._baseline: list[float] = []
-        self._unsafe = self._counted = 0
+        self._unsafe = self._counted = self._rows = 0
         self._best: JournalEntry | None = None
         self._status = ""
         self._changes = self._latest = 0
@@ -112,7 +115,11 @@ class RunReader(Reader):
     def _present_status(self, journal: Journal) -> str:
         status = str(journal.fact("status"))
         if status == "running" and not being_written(self._folder):
-            return "interrupted: its process has ended; continue with estune resume"
+            again = f"continue with: estune resume {shlex.quote(str(self._folder))}"
+            trial_bytes = journal.size_bytes() / max(1, len(self._entries))
+            is_full = shutil.disk_usage(self._folder).free < trial_bytes
+            full = "the disk is full; make room and " if is_full else ""
+            return f"interrupted: its process has ended; {full}{again}"
         return status
 
     def _count(self, added: Sequence[JournalEntry]) -> None:
@@ -150,6 +157,10 @@ class RunReader(Reader):
                 "created_at": journal.fact("created_at"),
                 "phases": [phase.value for phase in _PHASES],
                 "gains": list(GAIN_NAMES),
+                "gain_labels": [
+                    axis_label(name.removesuffix("_s").replace("_", " "), unit)
+                    for name, unit in rig.gain_units.items()
+                ],
             },
         )
 
@@ -164,7 +175,10 @@ class RunReader(Reader):
     ) -> None:
         eta_max = self._eta_max
         safe = [e for e in added if e.outcome and is_safe(e.outcome, e.cost, eta_max)]
+        if self._rows + len(added) > 2 * HISTORY_MAX:  # a page may be open for days
+            added, restart = self._entries, True
         shown = _thinned(added) if restart else added
+        self._rows = len(shown) + (0 if restart else self._rows)
         rows = [
             (e.number, e.cost, _kind(e, eta_max), _PHASES.index(e.phase), *e.gain_values)
             for e in shown
@@ -281,7 +295,7 @@ def _cost(entry: JournalEntry) -> float:
 
 
 def _thinned(entries: Sequence[JournalEntry]) -> Sequence[JournalEntry]:
-    """At most about `HISTORY_MAX` trials: the best and the worst of each stretch."""
+    """At most about `HISTORY_MAX` trials: the best and worst of each stretch, and the last."""
     if len(entries) <= HISTORY_MAX:
         return entries
     size = math.ceil(2 * len(entries) / HISTORY_MAX)
@@ -289,7 +303,7 @@ def _thinned(entries: Sequence[JournalEntry]) -> Sequence[JournalEntry]:
     for begin in range(0, len(entries), size):
         stretch = sorted(entries[begin : begin + size], key=_rank)
         kept += sorted({stretch[0], stretch[-1]})
-    return kept
+    return kept if kept[-1] == entries[-1] else [*kept, entries[-1]]
 
 
 def _rank(entry: JournalEntry) -> float:

@@ -3,6 +3,7 @@
 import { Sections } from "./sections.js";
 
 const STALE_S = 1.5; // the rig is read four times a second
+const AGAIN_S = 10; // a stream that is silent for so long is opened anew: the computer has slept
 const $ = (id) => document.getElementById(id);
 const key = new URLSearchParams(location.hash.slice(1)).get("key") ?? sessionStorage.getItem("key");
 if (key) {
@@ -106,7 +107,7 @@ function showFacts({ rig, description, daemon, state, run }) {
   if (daemon?.run) facts.push(["run", `${daemon.run}, ${daemon.trials} of ${daemon.trials_max}`]);
   if (state) {
     facts.push(["trials", `${state.done} done, about ${state.left} left`]);
-    if (state.trial_s && state.left) facts.push(["time left", `about ${duration(state.trial_s * state.left)}`]);
+    if (state.status === "running" && state.trial_s && state.left) facts.push(["time left", `about ${duration(state.trial_s * state.left)}`]);
     facts.push(["unsafe trials", String(state.unsafe)]);
     if (state.best) facts.push(["best cost", `${state.best.cost.toPrecision(4)} in trial ${state.best.number}`]);
   }
@@ -183,6 +184,7 @@ $("estop").addEventListener("click", () => command("estop"));
 
 async function list() {
   let answer;
+  const silent_s = (performance.now() - beat.at) / 1000;
   try {
     answer = await (await fetch("api/views")).json();
   } catch {
@@ -199,6 +201,7 @@ async function list() {
     link.append(line);
     return link;
   }));
+  if (stream && (stream.readyState === EventSource.CLOSED || silent_s > AGAIN_S)) open(view);
   sections?.offer(names.filter((name) => name !== view));
   const wanted = new URLSearchParams(location.search).get("view");
   if (!view && names.length) {

@@ -3,7 +3,6 @@
 import { Chart, joined } from "./charts.js";
 
 const $ = (id) => document.getElementById(id);
-const GAINS = ["P", "I", "D", "setpoint filter, s"];
 const timeUnit = (s) => (s < 600 ? ["s", 1] : s < 36000 ? ["min", 60] : ["h", 3600]);
 const last = (rows) => rows[rows.length - 1];
 
@@ -138,7 +137,7 @@ export class Sections {
 
   drawGains(numbers) {
     const { run, state, expected } = this.values, trials = this.tables.trials;
-    GAINS.forEach((label, n) => {
+    run.gain_labels.forEach((label, n) => {
       const id = `gain-${n}`, name = run.gains[n];
       if (!this.charts[id]) {
         const figure = document.createElement("figure");
