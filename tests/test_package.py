@@ -50,6 +50,7 @@ def test_wheel_runs_an_experiment_outside_the_checkout(tmp_path):
         archive.extractall(installed)
     assert all((installed / package / "py.typed").exists() for package in PACKAGES)
     assert list(installed.glob("*.dist-info/licenses/LICENSE"))
+    assert list(installed.glob("*.data/data/share/doc/estune/index.md"))
     script = (
         f"import sys; sys.path.insert(0, {str(installed)!r}); sys.argv = ['x', '--help']\n"
         "import experiments.hidden_effects as found, experiments.hidden_machines.machine as m\n"

@@ -91,7 +91,7 @@ def connection_fault(endpoint: str, security: Security) -> tuple[str, bool]:
     where = f"the listener at {endpoint}"
     return (
         f"{where} and this client do not accept each other's certificates: {fault}; check both "
-        "by docs/how-to/security.md, and see --security"
+        "(estune docs security), and see --security"
         if fault
         else f"{where} does not speak Zenoh, does not reply, or {rejection}: see --security"
     ), False

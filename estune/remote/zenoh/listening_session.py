@@ -228,7 +228,7 @@ def _listen(
                 cause = re.search(r"([A-Z][a-z ]+) \(os error \d+\)", str(error))
                 raise RigError(
                     f"cannot listen at {actual} with the certificate of --security: "
-                    f"{certificate[1]}; make it as in docs/how-to/security.md"
+                    f"{certificate[1]}; make it anew (estune docs security)"
                     if certificate and not cause
                     else f"cannot listen at {actual}: {cause[1].lower() if cause else error}; "
                     "choose another port, or port 0 for any free one"
