@@ -205,7 +205,7 @@ def test_compensation_compiles_alone_without_warnings(tmp_path):
         "  estune_pidf_init(&p); estune_pidf_at_rest(&p, 15.0, 15.0);\n"
         '  while (scanf("%lf", &a) == 1) {\n'
         "    static int k; estune_compensation_sample(&c, ++k / 632.0, 15.0, a);\n"
-        "    a = estune_compensated_step(&p, &c, 15.0, 15.0 - c.gravity, 0);\n"
+        "    a = estune_pidf_step_beside(&p, c.friction + c.inertia, 15.0, 15.0 - c.gravity, 0);\n"
         "    double counts = estune_current_counts(a / ESTUNE_NEWTONS_PER_AMPERE);\n"
         '    printf("%.17g %.17g\\n", a, counts); }\n'
         "  return 0; }\n"

@@ -19,10 +19,12 @@ from estune.conformance.rig import RigConformance
 from estune.core import pidf
 from estune.core.gains import Gains
 from estune.errors import RigError
+from estune.hardware.compensation.runtime import PlainCompensation
 from estune.hardware.trial_board.export import board_files
 from estune.hardware.trial_board.rig import BoardRig
 from estune.remote.zenoh import serve
 from estune.trial import Outcome, TrialRecord, TrialRequest
+from estune.trial.loop_records import recomputed_effort
 from plants.emulator import RIG_FILE
 from tests.support_hardware import config
 
@@ -187,6 +189,34 @@ def test_trials_of_a_tuning_on_the_board_are_those_of_the_simulated_loop_bit_for
         simulated = reference.run(TrialRequest("r", 0, record.gains, result.plan.step))
         assert np.array_equal(record.tension_N, simulated.tension_N)
         assert np.array_equal(record.current_A, simulated.current_A)
+
+
+def test_compensations_on_the_board_are_those_of_the_computer(tmp_path):
+    compensation = {
+        "friction": {"coulomb_Nm": 0.002, "static_Nm": 0.003, "stribeck_rad_s": 0.5},
+        "inertia": {"inertia_kgm2": 1e-5},
+        "gravity": {"weight_N_m": 0.5, "rise_m": 0.4, "length_min_m": 0.5, "length_max_m": 1.4},
+    }
+    changes = {"compensation": compensation, "motion": BOARD["motion"] | {"taut_N": 15.0}}
+    with board_rig(compiled(tmp_path, rig_file(**changes)), **changes) as (rig, _):
+        record = rig.run(request(rig, 1))
+        about = rig.describe()
+    assert record.outcome is Outcome.DONE
+    plain = PlainCompensation(rig_file(**changes).compensations())
+    gauge = record.tension_N + record.gravity_N
+    sampled = zip(record.time_s, gauge, record.angle_rad, strict=True)
+    terms = np.array([plain.sample(*map(float, row)) for row in sampled])[60:]
+    recorded = (
+        record.drum_velocity_rad_s,
+        record.gravity_N,
+        16.0 * record.friction_A,
+        16.0 * record.inertia_A,
+    )
+    assert np.abs(terms).max(axis=0).min() > 0.0
+    # The board counts time from its start: another rounding may choose another window.
+    np.testing.assert_allclose(np.transpose(recorded)[60:], terms, rtol=1e-6, atol=1e-4)
+    own = 16.0 * record.controller_A
+    np.testing.assert_allclose(recomputed_effort(record, about, own[0]), own, atol=1e-3)
 
 
 def request(rig, number, gains=None, **changes):

@@ -125,6 +125,20 @@ ESTUNE_PIDF_EXPORT casadi_real estune_pidf_step(estune_pidf *pidf, casadi_real s
   return effort;
 }}
 
+/* One sample beside a feed-forward; returns their sum, and the limits are those of the sum. */
+ESTUNE_PIDF_EXPORT casadi_real estune_pidf_step_beside(estune_pidf *pidf, casadi_real forward,
+                                                       casadi_real setpoint,
+                                                       casadi_real measurement,
+                                                       casadi_real *excess) {{
+  casadi_real *limits = pidf->coefficients + {limits}, low = limits[0], high = limits[1], effort;
+  limits[0] = low - forward;
+  limits[1] = high - forward;
+  effort = estune_pidf_step(pidf, setpoint, measurement, excess) + forward;
+  limits[0] = low;
+  limits[1] = high;
+  return casadi_fmin(casadi_fmax(effort, low), high);
+}}
+
 /* Sets the gains so that the next step at these signals gives what it would have given. */
 ESTUNE_PIDF_EXPORT void estune_pidf_exchange(estune_pidf *pidf, casadi_real P, casadi_real I,
                                              casadi_real D, casadi_real setpoint_filter_s,
@@ -156,6 +170,7 @@ def controller_source(settings: ControllerSettings, gains: Gains) -> str:
         coefficient_names=", ".join(pidf.Coefficients._fields),
         states=STATES,
         state_names=", ".join(pidf.PidfState._fields),
+        limits=pidf.Coefficients._fields.index("output_min_N"),
         gains=", ".join(repr(value) for value in gains.as_tuple()),
     )
 

@@ -250,11 +250,14 @@ def robustness(model: LoopModel, gains: Gains, settings: ControllerSettings) -> 
 
 
 def _refined(values: FloatArray, lowest: int) -> float:
-    """Minimum of a parabola through a smallest value and its neighbours."""
-    if not 0 < lowest < values.size - 1:
+    """Minimum of a parabola through the logarithms of a smallest value and its neighbours.
+
+    Of the values themselves it falls below zero where one neighbour is far above the other.
+    """
+    if not (0 < lowest < values.size - 1 and values[lowest] > 0.0):
         return float(values[lowest])
-    left, middle, right = values[lowest - 1 : lowest + 2].tolist()
+    left, middle, right = np.log(values[lowest - 1 : lowest + 2]).tolist()
     bend = left - 2.0 * middle + right
     if bend <= 0.0:
-        return float(middle)
-    return float(middle - (left - right) ** 2 / (8.0 * bend))
+        return float(values[lowest])
+    return math.exp(middle - (left - right) ** 2 / (8.0 * bend))

@@ -3,7 +3,8 @@
  *
  *     static estune_compensation reel;                    all zero at the start
  *     estune_compensation_sample(&reel, time_s, gauge_N, angle_rad);
- *     effort = estune_compensated_step(&pidf, &reel, setpoint, gauge_N - reel.gravity, &excess);
+ *     effort = estune_pidf_step_beside(&pidf, reel.friction + reel.inertia, setpoint,
+ *                                      gauge_N - reel.gravity, &excess);
  *     counts = estune_current_counts(effort / ESTUNE_NEWTONS_PER_AMPERE);
  *
  * C99, in double precision (times need it), no allocation, no library but math. A compensation that
@@ -116,25 +117,6 @@ ESTUNE_COMPENSATION_EXPORT void estune_compensation_sample(estune_compensation *
   c->inertia = estune_limited(ESTUNE_INERTIA * c->acceleration / ESTUNE_DRUM_RADIUS);
   c->inertia = estune_limited(c->friction + c->inertia) - c->friction;
 }
-
-#ifdef ESTUNE_PIDF_SAMPLING_HZ
-#define ESTUNE_EFFORT_LIMITS 7 /* place of the least and the greatest effort among the coefficients */
-
-/* One sample of the controller beside the feed-forward; the limits are those of their sum. */
-ESTUNE_COMPENSATION_EXPORT double estune_compensated_step(estune_pidf *pidf,
-                                                          const estune_compensation *c,
-                                                          double setpoint, double measurement,
-                                                          casadi_real *excess) {
-  casadi_real *limits = pidf->coefficients + ESTUNE_EFFORT_LIMITS, low = limits[0], high = limits[1];
-  double forward = c->friction + c->inertia, effort;
-  limits[0] = (casadi_real)(low - forward);
-  limits[1] = (casadi_real)(high - forward);
-  effort = estune_pidf_step(pidf, (casadi_real)setpoint, (casadi_real)measurement, excess);
-  limits[0] = low;
-  limits[1] = high;
-  return fmin(fmax(effort + forward, low), high);
-}
-#endif
 
 /* Command of the current controller, counts, by Newton's method on its calibrated curve C1. */
 ESTUNE_COMPENSATION_EXPORT double estune_current_counts(double current) {

@@ -14,6 +14,9 @@
 #define ESTUNE_PIDF_EXPORT static inline
 #include "estune_pidf.c"
 #include "estune_board.h"
+#ifdef ESTUNE_COMPENSATED
+#include "estune_compensation.c"
+#endif
 
 /* Provided by the board. A tension that cannot be measured is NAN. */
 double board_tension_N(void);
@@ -27,8 +30,15 @@ enum state { OFF, TAKE_UP, MOVE, HOLD, TRIAL, RAMP };
 enum outcome { NONE, DONE, GUARD, CANCELLED, INTERRUPTED };
 enum reason { NO_REASON, TENSION, TRAVEL, SILENCE, ABORT, ESTOP, NOT_TAUT, NOT_SETTLED };
 
+#ifdef ESTUNE_COMPENSATED
+#define TERMS 4 /* velocity, gravity, friction, inertia */
+#else
+#define TERMS 0
+#endif
+#define NUMBERS (3 + TERMS) /* tension, effort and angle before them */
+
 typedef struct {
-  double tension, effort, angle;
+  double numbers[NUMBERS];
   unsigned char flags;
 } sample;
 
@@ -36,7 +46,7 @@ static struct {
   enum state state;
   unsigned char latched, pending, open_loop, outcome, reason;
   unsigned trial, samples, done, silent, since, settled;
-  double setpoint, target, effort, ramp, origin;
+  double setpoint, target, effort, ramp, origin, forward;
   estune_pidf pidf;
   double live[ESTUNE_COEFFICIENTS], temporary[ESTUNE_COEFFICIENTS];
 } board;
@@ -45,6 +55,36 @@ static double setpoints[ESTUNE_CAPACITY];
 static sample record[ESTUNE_CAPACITY];
 
 /* --- the loop -------------------------------------------------------------------------------- */
+
+#ifdef ESTUNE_COMPENSATED
+static estune_compensation compensation;
+
+static void uncompensated(void) {
+  compensation.gravity = compensation.friction = compensation.inertia = 0;
+}
+
+/* The tension that is controlled; in an open loop nothing is altered. */
+static double compensate(double gauge, double angle) {
+  static double samples;
+  estune_compensation_sample(&compensation, ++samples / ESTUNE_PIDF_SAMPLING_HZ, gauge, angle);
+  if (board.state == TRIAL && board.open_loop) uncompensated();
+  board.forward = compensation.friction + compensation.inertia;
+  return gauge - compensation.gravity;
+}
+#else
+static double compensate(double gauge, double angle) {
+  (void)angle;
+  return gauge;
+}
+#endif
+
+static double step(double tension, casadi_real *excess) {
+  return estune_pidf_step_beside(&board.pidf, board.forward, board.setpoint, tension, excess);
+}
+
+static void take_over(double tension) {
+  estune_pidf_take_over(&board.pidf, board.setpoint, tension, board.effort - board.forward);
+}
 
 static void use(const double *coefficients) {
   memcpy(board.pidf.coefficients, coefficients, sizeof board.pidf.coefficients);
@@ -74,7 +114,7 @@ static void stop(enum outcome outcome, enum reason reason, int latch) {
 /* Restores the live gains without a jump of the effort, and returns to the tension held. */
 static void end_trial(double tension, enum outcome outcome) {
   use(board.live);
-  estune_pidf_take_over(&board.pidf, board.setpoint, tension, board.effort);
+  take_over(tension);
   board.outcome = outcome;
   board.pending = 0;
   board.target = ESTUNE_HOLD;
@@ -83,7 +123,7 @@ static void end_trial(double tension, enum outcome outcome) {
 
 static void begin_trial(double tension) {
   use(board.temporary);
-  estune_pidf_take_over(&board.pidf, board.setpoint, tension, board.effort);
+  take_over(tension);
   board.done = 0;
   enter(TRIAL);
 }
@@ -98,7 +138,7 @@ static enum reason crossed(double tension, double angle) {
 static void move(double tension) {
   double left = board.target - board.setpoint;
   board.setpoint += fmin(fmax(left, -ESTUNE_RATE), ESTUNE_RATE);
-  board.effort = estune_pidf_step(&board.pidf, board.setpoint, tension, 0);
+  board.effort = step(tension, 0);
   board.settled = fabs(tension - board.target) < ESTUNE_SETTLE_N ? board.settled + 1 : 0;
   if (board.settled > ESTUNE_SETTLE) {
     if (board.pending) begin_trial(tension);
@@ -115,10 +155,17 @@ static void trial(double tension, double angle) {
   if (board.open_loop)
     board.effort = fmin(fmax(board.setpoint, ESTUNE_EFFORT_MIN), ESTUNE_EFFORT_MAX);
   else
-    board.effort = estune_pidf_step(&board.pidf, board.setpoint, tension, &excess);
-  now->tension = tension;
-  now->effort = board.effort;
-  now->angle = angle;
+    board.effort = step(tension, &excess);
+  now->numbers[0] = tension;
+  now->numbers[1] = board.effort;
+  now->numbers[2] = angle;
+#ifdef ESTUNE_COMPENSATED
+  if (board.open_loop) uncompensated();
+  now->numbers[3] = compensation.velocity;
+  now->numbers[4] = compensation.gravity;
+  now->numbers[5] = compensation.friction;
+  now->numbers[6] = compensation.inertia;
+#endif
   now->flags = excess != 0;
   if (++board.done == board.samples) end_trial(tension, DONE);
 }
@@ -131,7 +178,7 @@ static void loop(double tension, double angle) {
       board.effort = ESTUNE_TAKE_UP;
       if (tension >= ESTUNE_TAUT) {
         use(board.live);
-        estune_pidf_at_rest(&board.pidf, tension, board.effort);
+        estune_pidf_at_rest(&board.pidf, tension, board.effort - board.forward);
         board.setpoint = tension;
         enter(MOVE);
         move(tension);
@@ -144,7 +191,7 @@ static void loop(double tension, double angle) {
       if (board.state == TRIAL) trial(tension, angle);
       break;
     case HOLD:
-      board.effort = estune_pidf_step(&board.pidf, board.setpoint, tension, 0);
+      board.effort = step(tension, 0);
       break;
     case TRIAL:
       trial(tension, angle);
@@ -166,6 +213,7 @@ static void loop(double tension, double angle) {
 #define BEGINS 0xC3
 #define HEAD 6 /* begin, kind, sequence number, length */
 #define LONGEST 240
+#define ROW (8 * NUMBERS + 1)
 
 static unsigned checksum(const unsigned char *bytes, int size) {
   unsigned crc = 0xFFFF;
@@ -237,10 +285,10 @@ static void accept(const unsigned char *body, double angle) {
 
 static int rows(unsigned char *body, unsigned first, unsigned count) {
   unsigned char *end = put(body, first, 4);
+  int number;
   for (; count > 0 && first < board.done; count--, first++) {
-    end = put_number(end, record[first].tension);
-    end = put_number(end, record[first].effort);
-    end = put_number(end, record[first].angle);
+    for (number = 0; number < NUMBERS; number++)
+      end = put_number(end, record[first].numbers[number]);
     *end++ = record[first].flags;
   }
   return (int)(end - body);
@@ -251,7 +299,7 @@ static void execute(unsigned kind, unsigned sequence, const unsigned char *body,
   unsigned char out[LONGEST];
   unsigned first;
   board.silent = 0;
-  if (kind == 'r' && size == 5 && body[4] <= (LONGEST - 4) / 25) {
+  if (kind == 'r' && size == 5 && body[4] <= (LONGEST - 4) / ROW) {
     size = rows(out, get(body, 4), body[4]);
     answer(kind, sequence, out, size);
     return;
@@ -266,7 +314,7 @@ static void execute(unsigned kind, unsigned sequence, const unsigned char *body,
     memcpy(board.live, body, sizeof board.live);
     if (board.state == MOVE || board.state == HOLD) {
       use(board.live);
-      estune_pidf_take_over(&board.pidf, board.setpoint, tension, board.effort);
+      take_over(tension);
     }
   } else if (kind == 'a') {
     if (board.state == TRIAL) {
@@ -317,12 +365,12 @@ void estune_board_init(void) {
 }
 
 void estune_board_sample(void) {
-  double tension = board_tension_N(), angle = board_angle_rad();
+  double gauge = board_tension_N(), angle = board_angle_rad(), tension = compensate(gauge, angle);
   enum reason limit;
   receive(tension, angle);
   board.silent++;
   if (board.state != OFF && board.state != RAMP) {
-    limit = crossed(tension, angle);
+    limit = crossed(gauge, angle);
     if (limit) stop(GUARD, limit, board.state != TRIAL);
     else if (board.silent > ESTUNE_SILENCE) stop(INTERRUPTED, SILENCE, 0);
   }

@@ -4,7 +4,7 @@ import math
 from pathlib import Path
 
 from estune.hardware.config import RigConfig
-from estune.hardware.firmware import COEFFICIENTS, controller_source
+from estune.hardware.firmware import COEFFICIENTS
 
 PROGRAM = Path(__file__).with_name("estune_trial_board.c")
 
@@ -14,17 +14,20 @@ _TEXT = """\
 
 
 def board_files(config: RigConfig) -> dict[str, str]:
-    """The three files of the program by name; one translation unit is compiled, the last.
+    """The files of the program by name; only estune_trial_board.c is compiled.
 
     Args:
         config: The rig. Calibrations are the board's own; all else is taken from here.
     """
-    settings = config.settings()
-    return {
-        "estune_pidf.c": controller_source(settings, config.describe().gains),
+    plan = config.plan()
+    files = {
+        "estune_pidf.c": plan.controller,
         "estune_board.h": _header(config),
         "estune_trial_board.c": PROGRAM.read_text(encoding="utf-8"),
     }
+    if plan.compensation:
+        files["estune_compensation.c"] = plan.compensation_source
+    return files
 
 
 def _header(config: RigConfig) -> str:
@@ -49,4 +52,5 @@ def _header(config: RigConfig) -> str:
         "RAMP": max(1, math.ceil(config.safe.ramp_s * rate)),
     }
     lines = (f"#define ESTUNE_{name} {value!r}" for name, value in values.items())
-    return _TEXT.format(name=config.name, rate=rate) + "\n".join(lines) + "\n"
+    text = _TEXT.format(name=config.name, rate=rate) + "\n".join(lines) + "\n"
+    return text + "#define ESTUNE_COMPENSATED\n" * (config.compensation is not None)

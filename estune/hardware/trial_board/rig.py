@@ -9,11 +9,13 @@ from datetime import UTC, datetime
 from typing import Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from estune.core import pidf
 from estune.core.gains import Gains
 from estune.core.quantities import FloatArray
 from estune.errors import RigError
+from estune.hardware.compensation.plan import CompensationTerms
 from estune.hardware.config import RigConfig
 from estune.hardware.trial_board.link import REASONS, BoardLink, BoardStatus
 from estune.trial import SATURATED, Outcome, RigDescription, TrialRecord, TrialRequest
@@ -25,8 +27,8 @@ DRIVER = "trial-board"
 BEAT_s = 0.1
 """Interval of the sign of life; the board stops by itself after guard.heartbeat_s without one."""
 _POLL_s = 0.01
-_PART, _ROWS = 28, 9
-_ROW = np.dtype([("tension", "<f8"), ("effort", "<f8"), ("angle", "<f8"), ("flags", "u1")])
+_PART, _BODY_MAX = 28, 236
+_NUMBERS = ("tension", "effort", "angle")
 _OUTCOMES = {
     1: Outcome.DONE,
     2: Outcome.GUARD,
@@ -201,10 +203,7 @@ class BoardRig:
         setpoint: FloatArray,
         began: datetime,
     ) -> TrialRecord:
-        data = b""
-        for first in range(0, status.done, _ROWS):
-            data += self._link.exchange(b"r", struct.pack("<IB", first, _ROWS))[4:]
-        rows = np.frombuffer(data, _ROW)
+        rows = self._rows(status.done)
         outcome = _OUTCOMES[status.outcome]
         return TrialRecord(
             trial_id=request.trial_id,
@@ -225,7 +224,31 @@ class BoardRig:
             current_A=rows["effort"] / self._config.newtons_per_ampere,
             angle_rad=rows["angle"].copy(),
             flags=rows["flags"] * np.uint8(SATURATED),
+            **self._compensations(rows),
         )
+
+    def _rows(self, count: int) -> NDArray[np.void]:
+        """The samples of the last trial."""
+        terms = CompensationTerms._fields if self._config.compensation else ()
+        row = np.dtype([*((name, "<f8") for name in (*_NUMBERS, *terms)), ("flags", "u1")])
+        at_once = _BODY_MAX // row.itemsize
+        data = b""
+        for first in range(0, count, at_once):
+            data += self._link.exchange(b"r", struct.pack("<IB", first, at_once))[4:]
+        return np.frombuffer(data, row)
+
+    def _compensations(self, rows: NDArray[np.void]) -> dict[str, FloatArray]:
+        """The columns of the compensations that are on."""
+        if self._config.compensation is None:
+            return {}
+        amperes = 1.0 / self._config.newtons_per_ampere
+        columns = {
+            "drum_velocity_rad_s": rows["velocity_rad_s"].copy(),
+            "gravity_N": rows["gravity_N"].copy(),
+            "friction_A": rows["friction_N"] * amperes,
+            "inertia_A": rows["inertia_N"] * amperes,
+        }
+        return {name: columns[name] for name in self._config.compensation.columns}
 
     def _coefficients(self, gains: Gains) -> bytes:
         numbers = pidf.coefficients(self._description.controller, gains)

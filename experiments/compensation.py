@@ -1,0 +1,176 @@
+"""What does each compensation of the hardware loop gain on an emulated reel with friction?
+
+The loop, its controller and the emulated reel run in virtual time. The drum has the dry friction
+(10) of the paper's demonstration; the cable is heavy, so that its weight can be seen. For each
+compensation the reel is tuned with it on. Then the tension is held at 15 N while the far end of
+the cable moves, slowly (10 mm at 1 Hz) and fast (2 mm at 5 Hz).
+
+The error is that of the tension at the far end, by (6): |T_3| = |T_1| + mu g dz. Ms is that of the
+loop identified from the records of the tuning, with the compensation as part of the plant.
+"""
+
+import copy
+import sys
+import tempfile
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import estune
+from estune.core.cost import default_cost
+from estune.core.gains import Gains
+from estune.hardware import HardwareRig
+from estune.hardware.config import config_from
+from estune.loop_model.prediction import predict
+from estune.run.planning import step_trial
+from estune.run.result import TuneResult
+from estune.trial import Outcome, TrialRequest
+from estune.trial.profiles import StepProfile
+from estune.trial.scoring import cost_of
+from experiments.results import at_most, command_line, print_results
+from plants.emulator import RIG_FILE
+from plants.emulator.virtual_loop import virtual_rig
+
+COULOMB_Nm, STATIC_Nm, STRIBECK_rad_s = 0.02, 0.03, 0.5
+INERTIA_kgm2 = 2.0e-3
+WEIGHT_N_m, RISE_m = 0.5, 0.6
+"""A steel cable of 3 mm, and the height of its far end above the reel."""
+
+_DRY = {"coulomb_Nm": COULOMB_Nm, "static_Nm": STATIC_Nm, "stribeck_rad_s": STRIBECK_rad_s}
+_QUARTER = {"inertia_kgm2": 0.25 * INERTIA_kgm2}
+COMPENSATIONS: dict[str, dict[str, Any]] = {
+    "none": {},
+    "friction": {"friction": _DRY},
+    "friction without static part": {"friction": _DRY | {"static_Nm": COULOMB_Nm}},
+    "a quarter of the inertia": {"inertia": _QUARTER},
+    "half of the inertia": {"inertia": {"inertia_kgm2": 0.5 * INERTIA_kgm2}},
+    "friction, quarter of the inertia": {"friction": _DRY, "inertia": _QUARTER},
+    "gravity": {
+        "gravity": {
+            "weight_N_m": WEIGHT_N_m,
+            "rise_m": RISE_m,
+            "length_min_m": 0.6,
+            "length_max_m": 1.4,
+        }
+    },
+}
+MOTIONS = {
+    "slow": {"amplitude_m": 0.010, "frequency_Hz": 1.0},
+    "fast": {"amplitude_m": 0.002, "frequency_Hz": 5.0},
+}
+HOLD = StepProfile(preload_N=15.0, step_N=1.0, step_at_s=3.95, duration_s=4.0)
+"""Holds the preload; the step comes after what is evaluated."""
+BEGIN_s = 0.95
+"""Whole periods of either motion are evaluated."""
+REPEATS = 4
+
+
+def rig(compensation: dict[str, Any], motion: Mapping[str, float] | None = None) -> HardwareRig:
+    """The emulated reel with friction, a compensation, and a motion of its far end."""
+    tables = copy.deepcopy(tomllib.loads(RIG_FILE.read_text()))
+    settings = tables["driver"]["settings"]
+    settings["effects"] = [
+        {
+            "name": "stribeck_friction",
+            "coulomb_Nm": COULOMB_Nm,
+            "excess_Nm": STATIC_Nm - COULOMB_Nm,
+            "stribeck_rad_s": STRIBECK_rad_s,
+        }
+    ]
+    settings["far_end"] = motion or {}
+    tables["motion"]["take_up_A"] = 0.5  # more than the friction at rest
+    tables["motion"]["settle_N"] = 12.0 if motion else 2.0
+    if compensation:
+        tables["compensation"] = compensation
+    return virtual_rig(config_from(tables, str(RIG_FILE)))
+
+
+def held_error_N(
+    compensation: dict[str, Any], motion: Mapping[str, float], gains: Gains
+) -> tuple[float, float]:
+    """Mean and rms error of the tension at the far end while it moves, N; NaN where it stopped."""
+    with rig(compensation, motion) as reel:
+        record = reel.run(TrialRequest("hold", 0, gains, HOLD))
+    if record.outcome is not Outcome.DONE:
+        return np.nan, np.nan
+    gauge = record.tension_N if record.gravity_N is None else record.tension_N + record.gravity_N
+    at = slice(round(BEGIN_s * record.sampling_Hz), HOLD.step_index(record.sampling_Hz))
+    error = (gauge + WEIGHT_N_m * RISE_m - record.setpoint_N)[at]
+    return float(error.mean()), float(np.sqrt(np.mean(error**2)))
+
+
+def mean_cost(compensation: dict[str, Any], gains: Gains) -> float:
+    """Mean cost of repeated step trials."""
+    with rig(compensation) as reel:
+        about = reel.describe()
+        cost = default_cost(about.settling_time_s)
+        records = [reel.run(TrialRequest("c", n, gains, about.step)) for n in range(REPEATS)]
+    costs = [cost_of(record, about.step, cost, about.newtons_per_ampere) for record in records]
+    return float(np.mean(costs))
+
+
+def tuned(compensation: dict[str, Any]) -> TuneResult:
+    """A tuning with the compensation on."""
+    with rig(compensation) as reel, tempfile.TemporaryDirectory() as folder:
+        result = estune.tune(reel, trials=40, folder=Path(folder), watch=None)
+        result.identified  # noqa: B018  read from the journal before its folder is gone
+        return result
+
+
+def identified_sensitivity(result: TuneResult) -> float:
+    """Ms at the gains to use, of the loop identified from the records; NaN without one."""
+    fit, plan = result.identified.fit, result.plan
+    if fit is None:
+        return np.nan
+    trial = step_trial(result.rig, plan.step, plan.cost)
+    return predict(fit.model, trial, result.gains).sensitivity
+
+
+def errors(compensation: dict[str, Any], gains: Gains) -> dict[str, float]:
+    """Errors at the far end for each motion."""
+    found = {name: held_error_N(compensation, motion, gains) for name, motion in MOTIONS.items()}
+    rms = {f"{name}_rms_N": error[1] for name, error in found.items()}
+    return {"mean_N": found["slow"][0], **rms}
+
+
+def row(compensation: dict[str, Any]) -> dict[str, Any]:
+    """The figures of a compensation that is tuned with."""
+    result = tuned(compensation)
+    gains = dict(zip(("P", "I", "D", "filter_s"), result.gains.as_tuple(), strict=True))
+    return {
+        "trials": len(result.entries),
+        **gains,
+        "cost": mean_cost(compensation, result.gains),
+        "Ms": identified_sensitivity(result),
+        **errors(compensation, result.gains),
+    }
+
+
+def main() -> int:
+    """Measures and prints; returns 1 where a target is missed."""
+    arguments = command_line(__doc__, quick="no tunings, and three compensations").parse_args()
+    quick = arguments.quick
+    chosen = ("none", "friction", "gravity") if quick else COMPENSATIONS
+    with rig({}) as reel:
+        live = reel.describe().gains
+    held = {name: errors(COMPENSATIONS[name], live) for name in chosen}
+    for name, values in held.items():
+        values["cost"] = mean_cost(COMPENSATIONS[name], live)
+    figures: dict[str, Any] = {"with the gains of the rig's file": held}
+    if not quick:
+        figures["tuned with the compensation on"] = {
+            name: row(compensation) for name, compensation in COMPENSATIONS.items()
+        }
+    none = held["none"]
+    targets = {
+        "friction_slow_rms_ratio": at_most(held["friction"]["slow_rms_N"] / none["slow_rms_N"], 1),
+        "gravity_mean_error_N": at_most(abs(held["gravity"]["mean_N"]), abs(none["mean_N"])),
+    }
+    return print_results(figures, targets, as_json=arguments.json, tables=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
