@@ -7,6 +7,7 @@ import shlex
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import plants
@@ -190,6 +191,27 @@ def test_improved_model_has_the_hidden_effect_and_predicts_costs(tmp_path):
 
 
 @pytest.mark.slow
+def test_records_that_are_there_already_are_explained_with_the_experiments(
+    plain, tmp_path, monkeypatch, capsys
+):
+    (m, *_), seen = plain.measurements, []
+    columns = {"t": m.time_s, "F": 1e3 * m.tension_N, "i": m.current_A, "q": m.angle_rad}
+    pd.DataFrame(columns).to_csv(tmp_path / "mine.csv", index=False)
+
+    def explain(_model, records, **_):
+        seen.extend(records)
+        raise InvalidInput("enough")
+
+    monkeypatch.setattr(module, "explain", explain)
+    where, mapped = tmp_path / "improvement", "time=t,tension=F,current=i,angle=q"
+    options = ["--data", str(tmp_path / "mine.csv"), "--map", mapped, "--unit", "tension=mN"]
+    command = ["improve-model", "plants:reference_reel", "--folder", str(where), *options]
+    assert run([*command, "--quiet"]) == 2
+    assert "enough" in capsys.readouterr().err
+    np.testing.assert_allclose(seen[0].tension_N, m.tension_N, rtol=1e-12)
+    assert len(seen) == 1 + len(initial_experiments(about("reel")))
+
+
 def test_complete_model_is_unchanged_over_the_link(tmp_path, capsys):
     with served("simulated") as rig:
         wanted = ["improve-model", rig.endpoint, "--folder", str(tmp_path / "x"), "--json"]

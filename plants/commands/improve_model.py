@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING
 from rich.text import Text
 
 from estune.cli import output
-from estune.cli.values import Effects, Flag, check_folder_exists, security_from
+from estune.cli.values import Effects, Flag, Values, check_folder_exists, security_from
 from estune.errors import RigError
 from estune.run.loop import Stopped
 from estune.run.plan import REPEATS, TRIALS
 from estune.run.progress import showing_phases
 from estune.run.targets import is_endpoint, open_target
+from plants.commands.columns import Sources, column_map
 from plants.commands.explain import can_be_tuned
 
 if TYPE_CHECKING:
@@ -27,6 +28,10 @@ def improve_model(
     *,
     model: str | None = None,
     folder: Path | None = None,
+    data: Path | None = None,
+    map_: Sources = (),
+    unit: Values = (),
+    scale: Values = (),
     rounds: int = 6,
     model_trials: int = TRIALS,
     trials: int = 40,
@@ -48,6 +53,11 @@ def improve_model(
             at the rig's cable length, or the linear model in the rig's description.
         folder: Folder for records, trial files and the tuning's run; the time of day by default.
             The folder of an improvement that was interrupted continues it.
+        data: Records of the rig that are there already, as of estune explain; explained together
+            with the experiments.
+        map_: Where their columns come from: time=t,current=vir,angle=qm, or a TOML file of them.
+        unit: Their units, such as angle=mm,tension=lbf.
+        scale: Factors to the unit, such as current=35.15.
         rounds: Maximum number of rounds of experiments and diagnosis.
         model_trials: Maximum number of search trials on the improved model.
         trials: Maximum number of search trials on the rig.
@@ -71,10 +81,13 @@ def improve_model(
 
     where = folder or default_folder()
     options = {"--model": model, "--rig": rig, "--security": security, "--folder": where}
+    options["--data"] = data
     words = ["estune", "improve-model", target]
     words += [str(w) for pair in options.items() if pair[1] is not None for w in pair]
-    words += [w for effect in effects for w in ("--effects", effect)]
+    listed = {"--effects": effects, "--map": map_, "--unit": unit, "--scale": scale}
+    words += [w for name, values in listed.items() for value in values for w in (name, value)]
     own = tuple(map(find, effects))
+    columns = column_map(map_, unit, scale, None)
     silent = quiet or json
     initial = None if model is None else plants.load_model(model)
     with (
@@ -86,6 +99,8 @@ def improve_model(
             the_rig,
             initial,
             folder=where,
+            data=data,
+            columns=columns,
             effects=(*declared(), *own) if own else None,
             rounds=rounds,
             tuning=TuneOptions(

@@ -13,10 +13,12 @@ from typing import Any
 import numpy as np
 
 from estune.errors import InvalidInput, RigError
+from estune.recordings.column_map import AS_NAMED, ColumnMap
 from estune.run.loop import Stopped
 from estune.run.targets import open_target
 from estune.support.whole_file import replace_file
 from estune.trial import RigDescription
+from plants.diagnosis.data.records import drum_of, read_measurements
 from plants.diagnosis.experiments.designs import Experiment, initial_experiments
 from plants.diagnosis.explain import explain
 from plants.diagnosis.improvement.experiment_runner import (
@@ -46,6 +48,8 @@ def improve(
     model: Any = None,
     *,
     folder: str | Path | None = None,
+    data: str | Path | None = None,
+    columns: ColumnMap = AS_NAMED,
     effects: Sequence[type[Effect] | str] | None = None,
     rounds: int = ROUNDS_MAX,
     tuning: TuneOptions | None = None,
@@ -68,6 +72,9 @@ def improve(
             the linear model in the rig's description.
         folder: Where records, trial files and the tuning's run go: new, empty, or that of an
             improvement that was interrupted, which is then continued.
+        data: Records of the rig that are there already, in any format of `explain`; explained
+            together with the experiments.
+        columns: Where their columns come from.
         effects: Effects to choose from; None is all that are declared.
         rounds: Most diagnoses.
         tuning: How gains are tuned.
@@ -87,6 +94,8 @@ def improve(
         about = the_rig.describe()
         given = at_rig(default_model(about) if model is None else model, about)
         lab = begin(the_rig, where, _as_text(given, effects), say)
+        if data is not None:
+            lab.records += read_measurements(data, columns, drum_of(given)).measurements
         try:
             done = _diagnose_rounds(lab, given, effects, rounds, progress)
             tuned = Tuned(_selected_model(done[-1]))
