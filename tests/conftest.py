@@ -13,6 +13,7 @@ INDEPENDENT = ("test_experiments", "test_explain_friction", "test_explain_plants
 
 LONGEST = (
     "test_hidden_block",
+    "test_docs",
     "test_explain",
     *INDEPENDENT,
     "README",

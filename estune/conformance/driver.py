@@ -1,4 +1,4 @@
-"""Conformance suite of a driver; see docs/how-to/hardware.md."""
+"""Conformance suite of a driver; see docs/how-to/own-driver.md."""
 
 import itertools
 import math
