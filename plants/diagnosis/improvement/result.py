@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 from estune.core.gains import GAIN_NAMES, Gains
 from estune.run.result import TuneResult
+from estune.support.notebook_card import card
 from estune.trial import RigDescription
 from plants.diagnosis.report.diagnosis import Diagnosis
 from plants.diagnosis.report.json_form import finite_json
@@ -58,7 +59,7 @@ class Costs:
         return abs(self.improved / self.measured - 1.0)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Improvement:
     """A rig's model before and after, and the tuning done with it.
 
@@ -112,7 +113,15 @@ class Improvement:
             for costs in self.costs
         )
 
-    def __str__(self) -> str:
+    def _repr_html_(self) -> str:
+        return card(
+            self.heading(),
+            good=self.diagnosis.verdict in {"named", "none"},
+            tables=[(COLUMNS, *self.rows())] if self.costs else [],
+            sentences=self.remarks,
+        )
+
+    def __repr__(self) -> str:
         """Heading, rounds, table and remarks as plain text."""
         lines = [self.heading()]
         for n, one in enumerate(self.rounds, 1):

@@ -1,9 +1,9 @@
 """The answer of `explain`: a diagnosis with figures, page, text and JSON."""
 
-from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from estune.support.notebook_card import card
 from plants.diagnosis.report import summary
 from plants.diagnosis.report.json_form import to_json
 from plants.diagnosis.result import DiagnosisResult
@@ -133,24 +133,14 @@ class Diagnosis(DiagnosisResult):
         return "\n".join([self.heading(), *lines, *summary.sentences(self)])
 
     def _repr_html_(self) -> str:
-        from estune.support import plot_style  # noqa: PLC0415  slow to import
-
-        certain = self.verdict in {"named", "none"}
-        colour = plot_style.GREEN if certain else plot_style.VERMILION
-        prose = "".join(f"<p>{escape(text)}</p>" for text in summary.sentences(self))
         tables = [summary.gaps(self), *([summary.parameters(self)] if self.effects else [])]
-        return (
-            f'<div><p style="border-left:4px solid {colour};padding-left:8px">'
-            f"<b>{escape(self.heading())}</b></p>{prose}{''.join(map(_table_html, tables))}"
-            f"{plot_style.to_svg(self.figure())}</div>"
+        return card(
+            self.heading(),
+            good=self.verdict in {"named", "none"},
+            tables=[(table.columns, *table.rows) for table in tables],
+            sentences=summary.sentences(self),
+            figure=self.figure(),
         )
-
-
-def _table_html(table: summary.Table) -> str:
-    rows = [[f"<td>{escape(cell)}</td>" for cell in row] for row in table.rows]
-    head = [f"<th>{escape(cell)}</th>" for cell in table.columns]
-    lines = "".join(f"<tr>{''.join(row)}</tr>" for row in [head, *rows])
-    return f"<table>{lines}</table>"
 
 
 def _axes(ax: "Axes | None") -> "Axes":

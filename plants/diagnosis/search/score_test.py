@@ -207,12 +207,13 @@ class _Probe:
         values = {name: self._scaled(name, DECADES) for name in self.sizes}
         rows = np.concatenate([self._rows(name, tried) for name, tried in values.items()])
         moved = self.seen.products(self._changes(rows)).rms.reshape(-1, DECADES.size)
-        rising = np.log(np.maximum.accumulate(moved, axis=1) + 1e-12)
+        # A greater size than that which changes the most holds the drum.
+        rising = [np.log(np.maximum.accumulate(m[: m.argmax() + 1]) + 1e-12) for m in moved]
         levels = MOVED[:1] if self.effect.named(Role.FREQUENCY) else MOVED
         sizes: list[dict[str, float]] = []
         for share in levels:
             wanted = math.log(max(0.3, share * self.seen.size))
-            powers = [np.interp(wanted, change, DECADES) for change in rising]
+            powers = [np.interp(wanted, change, DECADES[: change.size]) for change in rising]
             tried = {
                 name: float(self._scaled(name, power))
                 for name, power in zip(self.sizes, powers, strict=True)
