@@ -7,6 +7,7 @@
     ├── PlantError         3  a model cannot be simulated
     ├── RigError           4  a rig cannot be reached, is another one, or refuses
     │   ├── ProtocolError     a message on the link is invalid
+    │   ├── StaleSetpoint     a setpoint was dropped, because it is an old one
     │   └── Interrupted       a trial was interrupted on a rig that moves: operator required
     ├── JournalError       5  a run cannot be read or written
     └── UnsafeStart        6  there are no safe initial gains
@@ -47,6 +48,10 @@ class RigError(EstuneError):
 
 class ProtocolError(RigError):
     """A message on the link is invalid: of another version, or corrupt."""
+
+
+class StaleSetpoint(RigError):
+    """A setpoint was dropped: a newer one arrived before, or it was too long under way."""
 
 
 class Interrupted(RigError):

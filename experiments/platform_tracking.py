@@ -29,7 +29,7 @@ from experiments.results import Target, at_least, at_most, command_line, print_r
 from plants.cable_platform import PoseController
 from plants.cable_platform.examples import platform, served
 
-RADIUS_M, TURN_HZ = 0.1, 0.5
+RADIUS_M, TURN_HZ = 0.1, 0.35
 NATURAL_RAD_S, DAMPING_RATIO = 10.0, 1.0
 """Of the pose loop. At 18 rad/s the platform oscillates with the reels' gains before tuning."""
 
@@ -177,13 +177,13 @@ def main() -> int:
             rig.apply(gains)
         time.sleep(REST_S)
         runs["tuned"] = track(rigs, options.rate, duration_s)
-    gains = {
+    all_gains = {
         f"{name}, {reel}": dict(zip(("P", "I", "D", "filter_s"), own.as_tuple(), strict=True))
-        for name, all_gains in (("untuned", before), ("tuned", after))
-        for reel, own in zip(endpoints, all_gains, strict=True)
+        for name, each in (("untuned", before), ("tuned", after))
+        for reel, own in zip(endpoints, each, strict=True)
     }
     figures = {
-        "gains": gains,
+        "gains": all_gains,
         "tracking": {name: tracking_row(run) for name, run in runs.items()},
         "link": {name: link_row(run) for name, run in runs.items()},
     }

@@ -150,5 +150,5 @@ def test_rig_older_than_the_verb_is_named():
         rig.acquire()
         rig._connection.instance = "00000000"  # no rig answers commands to it
         stream = SetpointStream([rig], 100.0)
-        with pytest.raises(RigError, match="answered no setpoint"):
+        with pytest.raises(RigError, match="followed no setpoint"):
             stream.exchange([Setpoint(15.0)])

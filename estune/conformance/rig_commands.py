@@ -143,8 +143,8 @@ class CommandTests:
         assert isinstance(later, Following)
         assert later.feedback.time_s >= answer.feedback.time_s
         for setpoint_N, at_s, error in (
-            (preload, sent_s, "RigError"),  # older than the last, or the same again
-            (preload, sent_s - 10.0, "RigError"),
+            (preload, sent_s, "StaleSetpoint"),  # older than the last, or the same again
+            (preload, sent_s - 10.0, "StaleSetpoint"),
             (math.nextafter(about.limits.tension_max_N, math.inf), sent_s + 1.0, "InvalidInput"),
             (about.limits.tension_min_N - 1.0, sent_s + 1.0, "InvalidInput"),
             (math.nan, sent_s + 1.0, "ProtocolError"),

@@ -229,6 +229,10 @@ def planar_platform(
     )
 
 
+CARRIAGE_DAMPING_Ns_m = 3.0
+"""Stands for the damping of the cables: 4 % for 0.05 kg between 12.5 kN/m on either side."""
+
+
 def bench_carriage(
     x: Reel, y: Reel, attenuation: tuple[float, float] = (1.0, 1.0), mass_kg: float = 0.05
 ) -> Mechanism:
@@ -247,7 +251,7 @@ def bench_carriage(
         lengths_m=lambda q: ca.vertcat(q[0], -q[0]),
         home=(0.0,),
         masses=(mass_kg,),
-        damping=(0.0,),
+        damping=(CARRIAGE_DAMPING_Ns_m,),
         load=(0.0,),
         attenuation=attenuation,
     )

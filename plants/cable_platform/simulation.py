@@ -40,7 +40,7 @@ class Simulation:
         tension_N: Readings of the gauges, N, shape (reels,).
         angle_rad: Readings of the encoders, rad.
         effort_N: Efforts, N.
-        outside_N: Tensions outside the eyelets, N.
+        outside_N: Tensions outside the eyelets, N, by sensors with the noise of the gauges.
         force: Force of a user on each coordinate, N or N m.
     """
 
@@ -110,9 +110,9 @@ class Simulation:
         self._observe(reading, angle, outside)
 
     def _observe(self, reading: FloatArray, angle: FloatArray, outside: FloatArray) -> None:
-        self.tension_N = reading + self._noise_N * self._random.standard_normal(reading.size)
+        noise = self._noise_N * self._random.standard_normal((2, reading.size))
+        self.tension_N, self.outside_N = reading + noise[0], outside + noise[1]
         self.angle_rad = np.floor(angle / self._step_rad + 0.5) * self._step_rad
-        self.outside_N = outside
 
 
 def _coefficients(mechanism: Mechanism, gains: Sequence[Gains]) -> Coefficients:

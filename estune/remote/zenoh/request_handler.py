@@ -13,7 +13,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
-from estune.errors import EstuneError, ProtocolError, RigError
+from estune.errors import EstuneError, ProtocolError, RigError, StaleSetpoint
 from estune.remote import messages
 from estune.remote.ledger import Ledger, LedgerEntry
 from estune.remote.messages import (
@@ -229,7 +229,7 @@ class RequestHandler:
         with self._shared.lock:
             age = self._setpoint_age.next(command.lease, command.sent_s, now_s)
             if age is None:
-                violation = RigError(
+                violation = StaleSetpoint(
                     "the setpoint was dropped: a newer one arrived before, or it was under way "
                     f"for more than {SETPOINT_S:g} s; check the network and the machine's load"
                 )

@@ -8,7 +8,7 @@ from functools import partial
 from typing import NamedTuple
 
 from estune.core.quantities import check_positive
-from estune.errors import EstuneError, InvalidInput, RigError
+from estune.errors import EstuneError, InvalidInput, RigError, StaleSetpoint
 from estune.remote.zenoh.remote_rig import RemoteRig
 from estune.trial import SETPOINT_S, Feedback, Setpoint
 
@@ -21,13 +21,21 @@ class Exchange(NamedTuple):
 
     Attributes:
         time_s: Monotonic time at which the setpoints were sent, s.
-        feedback: Last feedback of each rig.
-        round_trip_s: Time from the setpoint to its reply, s; NaN where none came in the period.
+        feedback: Latest feedback of each rig.
+        round_trip_s: Time from the setpoint to its reply, s; NaN where it came after the period.
     """
 
     time_s: float
     feedback: tuple[Feedback, ...]
     round_trip_s: tuple[float, ...]
+
+
+class _Reply(NamedTuple):
+    """Latest reply of a rig, to the setpoint of a period."""
+
+    period: int
+    feedback: Feedback | EstuneError | None
+    received_s: float
 
 
 class SetpointStream:
@@ -51,37 +59,38 @@ class SetpointStream:
             )
         self._rigs = tuple(rigs)
         self._period_s = 1.0 / rate_Hz
-        self._due_s = -math.inf
+        self._due_s = self._sent_s = -math.inf
         self._arrived = threading.Condition()
-        self._replies: list[tuple[Feedback | EstuneError, float] | None] = [None] * len(self._rigs)
         self._period = 0
-        self._heard_s: list[float] = []
-        self._feedback: list[Feedback | None] = [None] * len(self._rigs)
+        self._replies = [_Reply(0, None, math.inf)] * len(self._rigs)
 
     def exchange(self, setpoints: Sequence[Setpoint]) -> Exchange:
         """Sends the setpoints when they are due, and waits for the replies until the next are.
 
-        The first call waits up to `SILENT_S`, as the rigs have given no feedback yet.
+        The first call, or the first after a pause, waits up to `SILENT_S` for fresh feedback.
 
         Raises:
             EstuneError: a rig refuses its setpoint, does not reply for `SILENT_S`, or is gone.
         """
         self._wait_until_due()
-        sent_s, first = time.monotonic(), not self._heard_s
+        sent_s = time.monotonic()
+        first, self._sent_s = sent_s - self._sent_s > SILENT_S, sent_s
         within_s = SILENT_S if first else self._period_s
         with self._arrived:
             self._period += 1
-            self._replies = [None] * len(self._rigs)
-        if first:
-            self._heard_s = [sent_s] * len(self._rigs)
+            if first:
+                self._replies = [_Reply(0, None, sent_s)] * len(self._rigs)
         for n, (rig, setpoint) in enumerate(zip(self._rigs, setpoints, strict=True)):
-            receive = partial(self._receive, self._period, n)
-            rig.send_setpoint(setpoint, receive, SILENT_S)
+            rig.send_setpoint(setpoint, partial(self._receive, self._period, n), SILENT_S)
         with self._arrived:
             self._arrived.wait_for(self._is_complete, sent_s + within_s - time.monotonic())
             replies = tuple(self._replies)
-        trips = [self._take(n, reply, sent_s) for n, reply in enumerate(replies)]
-        feedback = tuple(f for f in self._feedback if f is not None)
+        feedback = tuple(map(self._checked, self._rigs, replies))
+        in_time = (reply.period == self._period for reply in replies)
+        trips = (
+            reply.received_s - sent_s if here else math.nan
+            for reply, here in zip(replies, in_time, strict=True)
+        )
         return Exchange(sent_s, feedback, tuple(trips))
 
     def _wait_until_due(self) -> None:
@@ -91,30 +100,28 @@ class SetpointStream:
         self._due_s = max(self._due_s, now_s - self._period_s) + self._period_s
 
     def _receive(self, period: int, n: int, reply: Feedback | EstuneError) -> None:
+        """Takes a reply, unless the setpoint was dropped or one to a later setpoint was here."""
+        if isinstance(reply, StaleSetpoint):
+            return
         now_s = time.monotonic()
         with self._arrived:
-            if period == self._period and self._replies[n] is None:
-                self._replies[n] = reply, now_s
+            if period > self._replies[n].period:
+                self._replies[n] = _Reply(period, reply, now_s)
                 if self._is_complete():
                     self._arrived.notify()
 
     def _is_complete(self) -> bool:
-        return None not in self._replies
+        return all(reply.period == self._period for reply in self._replies)
 
-    def _take(
-        self, n: int, reply: tuple[Feedback | EstuneError, float] | None, sent_s: float
-    ) -> float:
-        """Stores the feedback of a rig; returns its round trip, s."""
-        if reply is None:
-            silent_s = time.monotonic() - self._heard_s[n]
-            if silent_s > SILENT_S or self._feedback[n] is None:
-                raise RigError(
-                    f"rig {self._rigs[n].name!r} has answered no setpoint for {silent_s:.1f} s: "
-                    "it is gone, overloaded, or too old to follow any; check it by estune doctor"
-                )
-            return math.nan
-        feedback, self._heard_s[n] = reply
-        if isinstance(feedback, EstuneError):
-            raise feedback
-        self._feedback[n] = feedback
-        return self._heard_s[n] - sent_s
+    @staticmethod
+    def _checked(rig: RemoteRig, reply: _Reply) -> Feedback:
+        """Feedback of a rig; raises its error, or one if it has been silent for long."""
+        if isinstance(reply.feedback, EstuneError):
+            raise reply.feedback
+        silent_s = time.monotonic() - reply.received_s
+        if reply.feedback is None or silent_s > SILENT_S:
+            raise RigError(
+                f"rig {rig.name!r} has followed no setpoint for {silent_s:.1f} s: it is gone, "
+                "overloaded, or too old to follow any; check it by estune doctor"
+            )
+        return reply.feedback

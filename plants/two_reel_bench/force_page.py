@@ -1,0 +1,116 @@
+"""Report page of a bench: the force that a user feels, before and after tuning."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from estune.core.gains import Gains
+from estune.support.html_page import Block, Drawing, Page, Paragraph, Section, Status, Table
+from estune.support.plot_style import BLUE, GREY, VERMILION, WIDTH_in, finish, legend, new_figure
+from plants.two_reel_bench.felt_force import HALF_POWER, FeltForce
+from plants.two_reel_bench.force_test import BenchPhase, ForceRecord
+
+COLUMNS = {
+    "offset_N": "mean error (N)",
+    "error_rms_N": "felt, moving (N rms)",
+    "error_peak_N": "felt, moving (N, 99 %)",
+    "gauge_rms_N": "own gauge, moving (N rms)",
+    "hysteresis_N": "hysteresis (N)",
+    "bandwidth_Hz": "bandwidth (Hz)",
+}
+"""Figures of the table, with their heads."""
+
+_STYLES = {"before": VERMILION, "after": BLUE}
+
+
+class ReelForces(NamedTuple):
+    """Results of one reel: by `before` and `after`, one for each command."""
+
+    label: str
+    gains: Mapping[str, Gains]
+    records: Mapping[str, Sequence[ForceRecord]]
+    figures: Mapping[str, Sequence[FeltForce]]
+
+    def rows(self) -> Iterator[tuple[str, ...]]:
+        """Rows of the table: reel, command, gains, and the figures of `COLUMNS`."""
+        for n, first in enumerate(self.figures["before"]):
+            for name, each in self.figures.items():
+                texts = [_text(each[n], column) for column in COLUMNS]
+                yield self.label, f"{first.command_N:g}", name, *texts
+
+
+def page(reels: Sequence[ReelForces], source: str) -> Page:
+    """The page of a bench.
+
+    Args:
+        reels: Results of the reels.
+        source: Where the outside force comes from.
+    """
+    heads = ("reel", "command (N)", "gains", *COLUMNS.values())
+    table = Table(heads, [row for reel in reels for row in reel.rows()], numeric=range(3, 9))
+    how = (
+        "Each reel held a constant tension while the far end of its cable moved: slowly at a "
+        "constant speed, for the hysteresis, then in many frequencies at once. At last the "
+        f"command oscillated, for the bandwidth. The outside force is {source}. Hysteresis is "
+        "the felt force while the cable is pulled out minus that while it is wound in. The "
+        "controller sees its own gauge only: what the eyelet adds outside, no gains remove."
+    )
+    sections = [Section(f"Reel {reel.label}", tuple(_blocks(reel))) for reel in reels]
+    return Page("Felt force", Status(headline(reels)), (table, Paragraph(how, "soft")), sections)
+
+
+def headline(reels: Sequence[ReelForces]) -> str:
+    """The result in one line."""
+    return "; ".join(f"reel {reel.label}: {_change(reel)}" for reel in reels)
+
+
+def _change(reel: ReelForces) -> str:
+    texts = []
+    for name, column, unit in (
+        ("felt error while moving", "error_rms_N", "N rms"),
+        ("bandwidth", "bandwidth_Hz", "Hz"),
+    ):
+        values = [_text(each[0], column) for each in reel.figures.values()]
+        texts.append(f"{name} {' to '.join(values)} {unit}")
+    return f"{', '.join(texts)} at {reel.figures['before'][0].command_N:g} N"
+
+
+def _text(figures: FeltForce, column: str) -> str:
+    value = getattr(figures, column)
+    return f"> {figures.frequencies_Hz[-1]:.3g}" if value is None else f"{value:.3g}"
+
+
+def _blocks(reel: ReelForces) -> Iterator[Block]:
+    for name, gains in reel.gains.items():
+        yield Paragraph(f"Gains {name}: {gains}.")
+    for n, record in enumerate(reel.records["before"]):
+        yield Drawing(
+            _figure(reel, n),
+            f"reel_{reel.label}_{n}",
+            f"Felt force of reel {reel.label} at {record.command_N:g} N",
+            f"Command {record.command_N:g} N. Above: error of the felt force while the far end "
+            "moves fast. Below: error over the position of the slowly moving far end, and felt "
+            "force over command; the line is half power.",
+        )
+
+
+def _figure(reel: ReelForces, n: int) -> Figure:
+    figure = new_figure(WIDTH_in, 5.2)
+    grid = figure.add_gridspec(2, 2)
+    moving = figure.add_subplot(grid[0, :])
+    slow, ratio = (figure.add_subplot(grid[1, k]) for k in range(2))
+    for name, records in reel.records.items():
+        style: dict[str, Any] = {"color": _STYLES[name], "linewidth": 1.0, "label": name}
+        fast, back = (records[n].of(phase) for phase in (BenchPhase.FAST, BenchPhase.SLOW))
+        moving.plot(fast.time_s - fast.time_s[0], fast.felt_N - fast.command_N, **style)
+        slow.plot(1e3 * back.position_m, back.felt_N - back.command_N, **style)
+        felt = reel.figures[name][n]
+        ratio.loglog(felt.frequencies_Hz, np.abs(felt.ratio), marker=".", **style)
+    ratio.axhline(HALF_POWER, color=GREY, linewidth=0.8)
+    finish(moving, "felt error (N)", "time (s)")
+    finish(slow, "felt error (N)", "position of the far end (mm)")
+    finish(ratio, "felt over command", "frequency (Hz)")
+    legend(moving)
+    return figure
