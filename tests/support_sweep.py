@@ -12,9 +12,9 @@ class Fragile:
     def __init__(self, cable_length_m: float) -> None:
         self._length_m = cable_length_m
 
-    def rig(self, name: str, seed: int) -> ScriptedRig:  # noqa: ARG002  as a plant's is called
+    def rig(self, seed: int) -> ScriptedRig:  # noqa: ARG002  as a plant's is called
         answer = broken if self._length_m in broken_at_m else response
-        return ScriptedRig(answer, name=name, cable_length_m=self._length_m)
+        return ScriptedRig(answer, cable_length_m=self._length_m)
 
 
 def fragile(cable_length_m: float) -> Fragile:

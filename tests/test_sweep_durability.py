@@ -40,11 +40,11 @@ class LoggedReel:
     def __init__(self, cable_length_m):
         self._reel = plants.reference_reel(cable_length_m)
 
-    def rig(self, name, seed):
+    def rig(self, seed):
         if LOG in os.environ:
             with Path(os.environ[LOG]).open("a", encoding="utf-8") as log:
                 log.write(f"{seed}\n")  # it identifies the cell
-        return self._reel.rig(name=name, seed=seed)
+        return self._reel.rig(seed=seed)
 
 
 def finish_times(folder: Path) -> dict[str, str]:

@@ -17,7 +17,7 @@ from estune.errors import EstuneError, InvalidInput, RigError
 from estune.remote.state_machine.client import PATIENCE_S
 from estune.run.targets import is_endpoint, open_target
 from estune.studies.match import procedure
-from estune.studies.match.outcome import Matching
+from estune.studies.match.outcome import COLUMNS, Matching
 from estune.studies.match.reel_matcher import Settings
 from estune.support.whole_file import write_file
 from estune.trial import RigDescription
@@ -150,22 +150,10 @@ def _show(matching: Matching) -> None:
     out.print()
     style = "bold green" if matching.passed else "bold yellow"
     out.print(Text(matching.heading(), style=style), soft_wrap=True)
-    rows = [
-        (
-            *(reel.label, str(reel.tuned_cost or "-"), str(reel.cost or "-")),
-            *(_gains(reel.gains.as_tuple()) if reel.gains else "-",),
-            *(str(reel.outcome), "live" if reel.live else ""),
-        )
-        for reel in matching.reels
-    ]
-    output.show_table(("reel", "tuned cost", "matched cost", "P, I, D, filter", "", ""), rows)
+    output.show_table(COLUMNS, matching.rows())
     for reel in matching.reels:
         if not reel.passed:
             out.print(Text(f"{reel.label}: {reel.reason}"), soft_wrap=True)
-
-
-def _gains(values: tuple[float, ...]) -> str:
-    return ", ".join(f"{value:.4g}" for value in values)
 
 
 def _write(matching: Matching, report: Path | None) -> dict[str, object]:

@@ -1,6 +1,5 @@
 """Result of a run, as it is shown: in a terminal, in a notebook, as a page."""
 
-import html
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,6 +13,7 @@ from estune.run.loop import TuningRun
 from estune.run.robustness import verdict_on
 from estune.run.run_result import RunResult
 from estune.run.summary import not_robust_summary, summarise, within_limits_summary
+from estune.support.notebook_card import card
 
 if TYPE_CHECKING:
     from control import StateSpace
@@ -92,21 +92,15 @@ class TuneResult(RunResult):
         return sorted({*object.__dir__(self), *self})
 
     def _repr_html_(self) -> str:
-        from estune.support import plot_style  # noqa: PLC0415  slow to import
-
-        def cells(tag: str, *texts: str) -> str:
-            shown = texts if self.tuned else texts[:2]
-            return "<tr>" + "".join(f"<{tag}>{html.escape(t)}</{tag}>" for t in shown) + "</tr>"
-
-        colour = plot_style.GREEN if self.success else plot_style.VERMILION
-        head = cells("th", "", "start", "tuned")
-        table = head + "".join(cells("td", *row) for row in self.rows())
-        remarks = "".join(f"<p>{html.escape(remark)}</p>" for remark in self.remarks())
-        where = f"<p><code>{html.escape(str(self.folder))}</code></p>" if self.folder else ""
-        return (
-            f'<div><p style="border-left:4px solid {colour};padding-left:8px">'
-            f"<b>{html.escape(self.heading())}</b></p><table>{table}</table>{remarks}{where}"
-            f"{plot_style.to_svg(self.figure())}</div>"
+        shown = 3 if self.tuned else 2
+        rows = [row[:shown] for row in (("", "start", "tuned"), *self.rows())]
+        where = (f"run: {self.folder}",) if self.folder else ()
+        return card(
+            self.heading(),
+            good=self.success,
+            tables=[rows],
+            sentences=(*self.remarks(), *where),
+            figure=self.figure(),
         )
 
 

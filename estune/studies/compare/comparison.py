@@ -27,7 +27,7 @@ COMPARISONS = "comparisons"
 """Default folder of comparisons, in the working directory."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Comparison:
     """Results by tuner, in the order in which they were run."""
 
@@ -39,6 +39,12 @@ class Comparison:
         import pandas as pd  # noqa: PLC0415  slow to import
 
         return pd.DataFrame([_row(name, r) for name, r in self.results.items()])
+
+    def __repr__(self) -> str:
+        return str(self.to_frame().to_string(index=False))
+
+    def _repr_html_(self) -> str:
+        return str(self.to_frame().to_html(index=False))
 
     def to_json(self) -> dict[str, Any]:
         """The rows by tuner as JSON values, with cost and lowest cost so far of each trial."""

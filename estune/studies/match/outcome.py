@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from estune.core.cost import StepCost
 from estune.core.gains import GAIN_NAMES, Gains
+from estune.support.notebook_card import card
 from estune.trial.profiles import StepProfile
 from estune.trial.signals import REEL, Signals
 
@@ -124,7 +125,10 @@ class ReelMatch:
         return values
 
 
-@dataclass(frozen=True, slots=True)
+COLUMNS = ("reel", "tuned cost", "matched cost", "P, I, D, filter", "", "")
+
+
+@dataclass(frozen=True, slots=True, repr=False)
 class Matching:
     """Several reels tuned to one cost.
 
@@ -176,6 +180,26 @@ class Matching:
         if math.isfinite(before):
             text += f"; spread {before:.3g} before, {after:.2g} after"
         return text
+
+    def rows(self) -> tuple[tuple[str, ...], ...]:
+        """The records as the cells of a table with `COLUMNS`."""
+        return tuple(
+            (
+                *(reel.label, str(reel.tuned_cost or "-"), str(reel.cost or "-")),
+                ", ".join(f"{g:.4g}" for g in reel.gains.as_tuple()) if reel.gains else "-",
+                *(str(reel.outcome), "live" if reel.live else ""),
+            )
+            for reel in self.reels
+        )
+
+    def __repr__(self) -> str:
+        missed = [f"{reel.label}: {reel.reason}" for reel in self.reels if not reel.passed]
+        return "\n".join([self.heading(), *(", ".join(row) for row in self.rows()), *missed])
+
+    def _repr_html_(self) -> str:
+        missed = [f"{reel.label}: {reel.reason}" for reel in self.reels if not reel.passed]
+        tables = [(COLUMNS, *self.rows())]
+        return card(self.heading(), good=self.passed, tables=tables, sentences=missed)
 
     def to_json(self) -> dict[str, Any]:
         """The outcome as JSON values."""

@@ -1,6 +1,5 @@
 """Result of a sweep: a tidy frame, an xarray, and the laws over cable length."""
 
-import html
 from collections.abc import Callable
 from dataclasses import dataclass
 from operator import attrgetter
@@ -17,6 +16,7 @@ from estune.studies.law.tuned import CELLS
 from estune.studies.sweep.design import SweepDesign
 from estune.studies.sweep.exclusions import exclusion_sentences
 from estune.studies.sweep.outcome import CellOutcome
+from estune.support.notebook_card import card
 from estune.support.whole_file import write_file
 
 if TYPE_CHECKING:
@@ -192,7 +192,8 @@ class SweepResult:
         return "\n".join([self.heading(), *lines])
 
     def _repr_html_(self) -> str:
-        return "".join(f"<p>{html.escape(line)}</p>" for line in repr(self).split("\n"))
+        heading, *laws = repr(self).split("\n")
+        return card(heading, good=not self.excluded, sentences=laws)
 
 
 def _gain_columns(index: int, name: str) -> dict[str, Callable[[CellOutcome], Any]]:
