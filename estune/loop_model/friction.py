@@ -33,6 +33,9 @@ from estune.loop_model.model import LoopModel
 SHARES = (0.01, 0.03, 0.1, 0.25)
 """Sizes of friction that a search begins from, over the effort of a step."""
 
+STARTS = 3
+"""Starts, the best ones of the grid, from which a search descends."""
+
 SCREENED = 2
 """Records by which the starts of a search are compared."""
 
@@ -130,7 +133,7 @@ def _cost(one: _Try) -> float:
 def _starts(
     signals: _Signals, linear: LoopModel, settling_samples: float
 ) -> list[tuple[FloatArray, int]]:
-    """The two best of a coarse grid of poles, friction and dead time."""
+    """The best of a coarse grid of poles, each with its best friction and dead time."""
     w = 2.0 * math.pi / settling_samples
     poles = [pole_coordinates(linear)]
     poles += [np.log([w * f, z]) for f in (0.3, 0.7, 1.5) for z in (0.2, 0.7)]
@@ -142,7 +145,8 @@ def _starts(
         for i, x in enumerate(positions)
         for dead in delays
     ]
-    return [(grid[i], dead) for _, i, dead in sorted(tried)[:2]]
+    best = [min(t for t in tried if t[1] // len(SHARES) == n) for n in range(len(poles))]
+    return [(grid[i], dead) for _, i, dead in sorted(best)[:STARTS]]
 
 
 def _searched_dead_time(signals: _Signals, best: _Try) -> _Try:
@@ -157,16 +161,19 @@ def _searched_dead_time(signals: _Signals, best: _Try) -> _Try:
 def _search(signals: _Signals, start: FloatArray, dead: int) -> _Try:
     """Least squares from a start, by Levenberg and Marquardt."""
 
-    def residual_of(x: FloatArray) -> FloatArray:
-        return _Output.of(signals, x, dead).residual.ravel()
+    def residual_of(x: FloatArray, positions: FloatArray) -> FloatArray:
+        # Without a reversal only the change of the friction shows: then it holds nothing at rest.
+        held_N = signals.scale * x[2] * math.tanh(x[3])
+        return np.append(_Output.of(signals, positions, dead).residual.ravel(), held_N)
 
     def jacobian(x: FloatArray) -> FloatArray:
-        ends = [residual_of(end) for end in _about(signals, x)[1:]]
+        moved = zip(_beside(x), _about(signals, x)[1:], strict=True)
+        ends = [residual_of(*pair) for pair in moved]
         pairs = zip(ends[::2], ends[1::2], strict=True)
         return np.stack([(up - down) / (2.0 * DIFFERENCE) for up, down in pairs], axis=1)
 
     def residual(x: FloatArray) -> FloatArray:
-        return residual_of(_about(signals, x)[0])
+        return residual_of(x, _about(signals, x)[0])
 
     found = least_squares(
         residual, start, jac=jacobian, method="lm", xtol=1e-5, ftol=1e-6, max_nfev=25
@@ -178,11 +185,15 @@ def _about(signals: _Signals, x: FloatArray) -> FloatArray:
     """Positions at a point and to both sides of it along each coordinate, all in one run."""
     key = x.tobytes()
     if key not in signals.known:
-        ends = [x + s * e for e in DIFFERENCE * np.eye(4) for s in (1, -1)]
         if len(signals.known) >= KNOWN_MAX:
             del signals.known[next(iter(signals.known))]
-        signals.known[key] = _positions(signals, [x, *ends])
+        signals.known[key] = _positions(signals, [x, *_beside(x)])
     return signals.known[key]
+
+
+def _beside(x: FloatArray) -> list[FloatArray]:
+    """Points to both sides along each coordinate."""
+    return [x + s * e for e in DIFFERENCE * np.eye(4) for s in (1, -1)]
 
 
 def _positions(signals: _Signals, coordinates: Sequence[FloatArray]) -> FloatArray:

@@ -67,11 +67,10 @@ class Case(NamedTuple):
 
 
 def families() -> Iterator[Case]:
-    """The families of `experiments.sample_efficiency` without friction."""
+    """The families of `experiments.sample_efficiency`."""
     for name, problem in PROBLEMS.items():
-        if name != "friction":
-            plant = with_noise(problem.build(), RECORD_NOISE)
-            yield Case(name, "family", plant, problem.cost, problem.start)
+        plant = with_noise(problem.build(), RECORD_NOISE)
+        yield Case(name, "family", plant, problem.cost, problem.start)
 
 
 def outside() -> Iterator[Case]:

@@ -21,13 +21,15 @@ from experiments.results import command_line, print_results
 from experiments.sample_efficiency import figures, searches, tables
 from experiments.sample_efficiency.algorithms import ALGORITHMS, OURS
 from experiments.sample_efficiency.drawing import save_figure
-from experiments.sample_efficiency.figures import DEFAULT, MORE_NOISE, NOISE
+from experiments.sample_efficiency.figures import MORE_NOISE, NOISE, STOPPING
 from experiments.sample_efficiency.optimum import OUT, optimum
 from experiments.sample_efficiency.problems import ALL_PROBLEMS, GAUGE, PROBLEMS
 from experiments.sample_efficiency.searches import COLD, WARM, Job, Row
 from experiments.sample_efficiency.stopping import StoppedRun, stopped_run
 
 HELD_OUT = range(1000, 1020)
+RECORDED = "model_based"
+RECORDED_BUDGET = 40  # it stops by itself after 4 to 15 trials
 SLOW = "skopt GP"
 SLOW_SEEDS, SLOW_BUDGET = 3, 80  # a proposal takes most of a second
 SEEDS_BESIDE = 10  # with gauge noise; and of peers at 10 % noise and from a warm start
@@ -44,6 +46,12 @@ def jobs(only: str | None, seeds: range) -> Iterator[Job]:
             for seed, problem in product(seeds[:SLOW_SEEDS], PROBLEMS):
                 yield Job(problem, name, NOISE, COLD, seed, SLOW_BUDGET)
             continue
+        if name == RECORDED:
+            for problem, seed in product(ALL_PROBLEMS, seeds):
+                noises = (0.0,) if problem == GAUGE.name else (NOISE, MORE_NOISE)
+                for noise in noises:
+                    yield Job(problem, name, noise, COLD, seed, RECORDED_BUDGET)
+            continue
         yield from (Job(p, name, NOISE, COLD, s, 200) for p, s in product(PROBLEMS, seeds))
         beside = seeds if name in OURS else seeds[:SEEDS_BESIDE]
         for problem, seed in product(PROBLEMS, beside):
@@ -56,7 +64,7 @@ def quick_jobs() -> Iterator[Job]:
     """A few searches of every kind."""
     for name, problem, seed in product(ALGORITHMS, ("reel 0.5 m", "8 Hz"), (0, 1)):
         if name != SLOW:
-            yield Job(problem, name, NOISE, COLD, seed, 60)
+            yield Job(problem, name, NOISE, COLD, seed, 20 if name == RECORDED else 60)
 
 
 def run(todo: list[Job], workers: int, file: Path) -> list[Row]:
@@ -79,9 +87,9 @@ def run(todo: list[Job], workers: int, file: Path) -> list[Row]:
 
 
 def stops(seeds: range, problems: list[str], workers: int, file: Path | None) -> list[StoppedRun]:
-    """Whole runs of the default tuner."""
+    """Whole runs of safe_bayesian."""
     made = Parallel(n_jobs=workers)(
-        delayed(stopped_run)(problem, DEFAULT, noise, seed)
+        delayed(stopped_run)(problem, STOPPING, noise, seed)
         for noise, problem, seed in product(STOP_NOISES, problems, seeds)
     )
     if file is not None:
@@ -121,7 +129,7 @@ def main() -> int:
             ROWS.unlink(missing_ok=True)
         if options.only != "stops":
             run(list(jobs(options.only, HELD_OUT)), options.jobs, ROWS)
-        if options.only in (None, DEFAULT, "stops"):
+        if options.only in (None, STOPPING, "stops"):
             stops(HELD_OUT, list(PROBLEMS), options.jobs, STOPS)
         rows, ends = searches.read(ROWS), read_stops(STOPS)
     compared, stopped = figures.of_all(rows), figures.of_stops(ends)

@@ -8,11 +8,14 @@ import math
 import warnings
 from collections.abc import Callable
 from functools import partial
+from typing import Any
 
 import numpy as np
 
 from estune.core.quantities import FloatArray
-from estune.tuners import Observation, create_tuner
+from estune.loop_model.optimum import RobustnessLimits
+from estune.tuners import Observation, RecordUsingTuner, Tuner, create_tuner
+from estune.tuners.identified_loop import IdentifiedLoopTuner
 from experiments.sample_efficiency.trials import Trials
 
 Algorithm = Callable[[Trials], None]
@@ -21,11 +24,37 @@ Algorithm = Callable[[Trials], None]
 
 def by_tuner(name: str, trials: Trials) -> None:
     """A registered tuner."""
-    tuner = create_tuner(name, trials.space)
+    _tune(create_tuner(name, trials.space), trials, trials.setting.budget)
+
+
+def by_records(trials: Trials) -> None:
+    """The default tuner, by the cost alone as all the others."""
+    _tune(_model_based(trials), trials, trials.setting.budget)
+
+
+def after_records(algorithm: Algorithm, trials: Trials) -> None:
+    """An algorithm that starts where the identified loop has its optimum after a few trials.
+
+    So a peer has the same information, where its interface takes a starting point.
+    """
+    _tune(_model_based(trials), trials, RECORDED_TRIALS)
+    trials.begin_at(trials.recommended)
+    algorithm(trials)
+
+
+def _model_based(trials: Trials) -> IdentifiedLoopTuner:
+    free = RobustnessLimits(None, None, None)
+    return IdentifiedLoopTuner(trials.space, trials.setting.problem.trial, free)
+
+
+def _tune(tuner: Tuner[Any], trials: Trials, count: int) -> None:
     state = tuner.start()
-    for _ in range(trials.setting.budget):
+    records = isinstance(tuner, RecordUsingTuner)
+    for _ in range(count):
         cost = trials(trials.space.coordinates(tuner.ask(state)))
-        state = tuner.tell(state, Observation(cost, censored=cost >= trials.limit))
+        censored = cost >= trials.limit
+        record = trials.record() if records and not censored else None
+        state = tuner.tell(state, Observation(cost, censored, record=record))
         trials.settle_on(trials.space.coordinates(tuner.recommend(state)))
 
 
@@ -172,11 +201,15 @@ def simultaneous_perturbation(trials: Trials) -> None:
 SPSA = (8.0, 0.3, 5.0)
 """a, c and A of Spall's gains a_k = a/(k + 1 + A)^0.602 and c_k = c/(k + 1)^0.101."""
 
-OURS = ("safe_bayesian", "phase_compensated", "least_squares_gradient")
+RECORDED_TRIALS = 4
+"""Trials of the default tuner before a peer goes on: those after which it stops by itself."""
+
+OURS = ("model_based", "safe_bayesian", "phase_compensated", "least_squares_gradient")
 PUBLISHED = ("otis", "killingsworth")
 
 ALGORITHMS: dict[str, Algorithm] = {
-    **{name: partial(by_tuner, name) for name in (*OURS, *PUBLISHED)},
+    "model_based": by_records,
+    **{name: partial(by_tuner, name) for name in (*OURS[1:], *PUBLISHED)},
     "Xopt's ES": bounded_extremum_seeking,
     "Optuna TPE": tree_structured_parzen,
     "Py-BOBYQA": quadratic_trust_region,
@@ -184,5 +217,9 @@ ALGORITHMS: dict[str, Algorithm] = {
     "CMA-ES": evolution_strategy,
     "Nelder-Mead": nelder_mead,
     "SPSA": simultaneous_perturbation,
+    "TPE from the model": partial(after_records, tree_structured_parzen),
+    "BOBYQA from the model": partial(after_records, quadratic_trust_region),
+    "CMA-ES from the model": partial(after_records, evolution_strategy),
+    "Nelder-Mead from the model": partial(after_records, nelder_mead),
 }
 """The algorithms by their names in the tables."""

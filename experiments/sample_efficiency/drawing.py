@@ -13,6 +13,7 @@ from experiments.sample_efficiency.problems import PROBLEMS
 from experiments.sample_efficiency.searches import COLD, NEAR, Row, select
 
 COLOURS = {
+    "model_based": "#000000",
     "safe_bayesian": "#c1272d",
     "phase_compensated": "#e08214",
     "least_squares_gradient": "#b8860b",
@@ -25,8 +26,17 @@ COLOURS = {
     "CMA-ES": "#17a2b8",
     "Nelder-Mead": "#5c6b73",
     "SPSA": "#d670ad",
+    "TPE from the model": "#6baed6",
+    "BOBYQA from the model": "#74c476",
+    "CMA-ES from the model": "#80deea",
+    "Nelder-Mead from the model": "#a5b0b8",
 }
-BANDS = ("safe_bayesian", "Optuna TPE", "Py-BOBYQA")  # more quartiles would hide each other
+BANDS = (
+    "model_based",
+    "safe_bayesian",
+    "Optuna TPE",
+    "Py-BOBYQA",
+)  # more quartiles would hide each other
 EXCESS_MIN = 3e-4  # smaller values are drawn here
 
 

@@ -13,6 +13,9 @@ from experiments.sample_efficiency.searches import COLD, WARM, Row, select
 from experiments.sample_efficiency.stopping import StoppedRun
 
 DEFAULT = OURS[0]
+STOPPING = "safe_bayesian"
+"""Tuner of the complete runs; those of the default are in `experiments.loop_claims`."""
+
 NOISE, MORE_NOISE = 0.03, 0.10
 ALL = "all"
 ARRIVAL_TRIALS = 40

@@ -12,6 +12,8 @@ import plants
 from estune.core.cost import StepCost, default_cost
 from estune.core.gains import Gains
 from estune.core.quantities import FloatArray
+from estune.loop_model.identification import LoopRecord
+from estune.loop_model.prediction import StepTrial
 from estune.trial.profiles import StepProfile
 from estune.tuners.search_space import Coordinates, SearchSpace
 from plants.models.linear_plant import LinearPlant
@@ -81,6 +83,27 @@ class Problem:
             for row in gains
         ]
         return np.where(np.isfinite(means), means, np.inf)
+
+    def record(self, coordinates: Coordinates, seed: int, number: int) -> LoopRecord:
+        """The signals of one trial; with noise only where it is the gauge's.
+
+        The noise of the other problems' costs is not of their signals: in a record with noise the
+        expected cost, and so the optimum, would be another than the noise-free one that counts.
+        """
+        profile, rate = self.plant.profile, self.plant.controller.sampling_Hz
+        noise_N = self.plant.noise_rms_N if self.gauge_noise else 0.0
+        noise = NoiseSource(seed).draw(number, profile.samples(rate), noise_N)
+        gains = Gains(*np.exp(coordinates).tolist())
+        r = plants.simulate(self.plant, gains, noise_N=noise)
+        return LoopRecord(r.effort_N, r.tension_N, profile.step_N, profile.step_index(rate))
+
+    @property
+    def trial(self) -> StepTrial:
+        """The step trial."""
+        step, controller = self.plant.profile, self.plant.controller
+        rate = controller.sampling_Hz
+        index, samples = step.step_index(rate), step.samples(rate)
+        return StepTrial(controller, self.cost, step.preload_N, step.step_N, index, samples)
 
     def without_noise(self) -> "Problem":
         """The problem without gauge noise."""

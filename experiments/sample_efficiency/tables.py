@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from experiments.sample_efficiency.algorithms import OURS
-from experiments.sample_efficiency.figures import DEFAULT, is_won, peers_ahead
+from experiments.sample_efficiency.figures import DEFAULT, STOPPING, is_won, peers_ahead
 from experiments.sample_efficiency.optimum import optimum
 from experiments.sample_efficiency.problems import ALL_PROBLEMS, PROBLEMS
 
@@ -46,7 +46,7 @@ def stop_lines(stops: dict[str, dict[str, Any]]) -> Iterator[str]:
     """The table of complete runs."""
     if not stops:
         return
-    yield f"\ncomplete runs of {DEFAULT}: search, stopping rule, confirmation"
+    yield f"\ncomplete runs of {STOPPING}: search, stopping rule, confirmation"
     yield (
         f"{'noise':>6s} {'runs':>5s} {'stopped':>8s} {'search':>7s} {'all':>6s} "
         f"{'excess: median':>14s} {'worst':>7s} {'improved':>9s} "

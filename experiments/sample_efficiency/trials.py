@@ -1,12 +1,14 @@
 """Trials on a problem for one algorithm: noise, budget, recommended gains."""
 
 import math
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from estune.core.gains import Gains
 from estune.core.quantities import FloatArray
+from estune.loop_model.identification import LoopRecord
 from estune.tuners.search_space import Coordinates, SearchSpace
 from experiments.sample_efficiency.problems import Problem
 
@@ -56,6 +58,7 @@ class Trials:
         ).standard_normal(setting.budget)
         self._start_cost = self._quiet(self.start)
         self.limit = ETA_MAX_RATIO * self._start_cost
+        self._last = self.start
         self._settled: list[Coordinates] = []
         self._centre: Coordinates | None = None
         self._best = (math.inf, self.start)
@@ -64,12 +67,13 @@ class Trials:
         """The noisy cost of the next trial, at most `limit`; raises Spent after the last one."""
         number = len(self.costs)
         if number:
-            self._settled.append(self._centre or self._best[1])
+            self._settled.append(self.recommended)
         if number >= self.setting.budget:
             raise Spent
         point = self.space.clipped(tuple(map(float, coordinates)))
         quiet = self._quiet(point)
         self.costs.append(quiet)
+        self._last = point
         if self.setting.problem.gauge_noise:
             noisy = self.setting.problem.noisy_cost(point, self.setting.seed, number)
         else:
@@ -77,6 +81,21 @@ class Trials:
         noisy = min(noisy, self.limit)
         self._best = min(self._best, (noisy, point))
         return noisy
+
+    def record(self) -> LoopRecord:
+        """The signals of the last trial."""
+        return self.setting.problem.record(self._last, self.setting.seed, len(self.costs) - 1)
+
+    def begin_at(self, coordinates: Coordinates | FloatArray) -> None:
+        """Sets the point from which another algorithm goes on, and forgets the recommended one."""
+        self._centre = None
+        self.start = self.space.clipped(tuple(map(float, coordinates)))
+        self.space = replace(self.space, start=self.space.point(self.start))
+
+    @property
+    def recommended(self) -> Coordinates:
+        """The point recommended now."""
+        return self._centre or self._best[1]
 
     def settle_on(self, coordinates: Coordinates | FloatArray) -> None:
         """Sets the point that the algorithm recommends after the last trial."""
@@ -90,7 +109,7 @@ class Trials:
     def settled_costs(self) -> FloatArray:
         """Noise-free cost of the recommended point after each trial, shape (budget,)."""
         while len(self._settled) < len(self.costs):
-            self._settled.append(self._centre or self._best[1])
+            self._settled.append(self.recommended)
         points = np.array(self._settled)
         distinct, inverse = np.unique(points, axis=0, return_inverse=True)
         return self.setting.problem.costs(distinct)[inverse]
