@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from axe_playwright_python.sync_playwright import Axe
 
 from estune.cli import run
 from estune.support.documentation import documentation_folder, documentation_pages, write_html
@@ -75,6 +76,14 @@ def test_formulas_are_drawn_without_a_script(form, request, chromium):
     built = request.getfixturevalue(form)
     with opened(chromium, (built / "explanation/mathematics.html").as_uri(), **WIDE) as page:
         assert page.locator("math[display=block]").first.bounding_box()["height"] > 20
+
+
+@needs_browser
+@pytest.mark.parametrize("name", ["index", "explanation/mathematics", "how-to/own-rig"])
+def test_installed_pages_have_no_serious_fault_of_accessibility(name, installed, chromium):
+    with opened(chromium, (installed / f"{name}.html").as_uri(), **NARROW_DARK) as page:
+        faults = Axe().run(page).response["violations"]
+        assert [f["id"] for f in faults if f["impact"] in ("serious", "critical")] == []
 
 
 def test_links_of_installed_pages_lead_to_pages_and_headings(installed):
