@@ -116,7 +116,10 @@ def export_controller(
         read_schedule,
         schedule_header,
     )
-    from estune.hardware.trial_board.export import board_files  # noqa: PLC0415  as above
+    from estune.hardware.trial_board.export import (  # noqa: PLC0415  as above
+        board_files,
+        compensation_files,
+    )
     from estune.support.whole_file import write_file  # noqa: PLC0415  as above
 
     if not c:
@@ -125,8 +128,8 @@ def export_controller(
     if source.endswith(".toml"):
         config = read_config(source)
         settings, gains = config.settings(), config.describe().gains
-        if board:
-            files = {out.with_name(name): text for name, text in board_files(config).items()}
+        texts = board_files(config) if board else compensation_files(config)
+        files = {out.with_name(name): text for name, text in texts.items()}
     elif board:
         raise InvalidInput("a board's program has the limits of a rig; give the rig's file")
     else:

@@ -20,6 +20,7 @@ from estune.hardware.compensation.plan import CompensationPlan
 from estune.hardware.compensation.source import compensation_source
 from estune.hardware.compensation.tables import CompensationTable
 from estune.hardware.firmware import controller_source
+from estune.hardware.hybrid_control import HybridPlan
 from estune.hardware.live_gains import LengthSource
 from estune.hardware.loop_messages import LoopPlan, Motion, RealTime, SafeState
 from estune.hardware.scales import CurrentScale, GaugeScale
@@ -31,6 +32,7 @@ from estune.hardware.tables import (
     GainsTable,
     GaugeTable,
     GuardTable,
+    HybridTable,
     LimitsTable,
     MotionTable,
     Positive,
@@ -65,6 +67,7 @@ class RigConfig(TomlTable):
     gains: GainsTable | None = None
     schedule: ScheduleTable | None = None
     compensation: CompensationTable | None = None
+    hybrid: HybridTable | None = None
     step: StepTable
     real_time: RealTimeTable = RealTimeTable()
 
@@ -167,6 +170,17 @@ class RigConfig(TomlTable):
         geometry = reel.encoder_counts_per_turn, reel.drum_radius_m, reel.cable_length_m
         return self.compensation.plan(*geometry, self.settings().output_max_N)
 
+    def hybrid_control(self) -> HybridPlan | None:
+        """Position control beside that of the tension; None where there is none."""
+        table = self.hybrid
+        if table is None:
+            return None
+        return HybridPlan(
+            table.rules,
+            pidf.coefficients(self.settings(), table.position.gains),
+            self.reel.drum_radius_m,
+        )
+
     def _gains(self) -> Gains:
         source = self.length_source()
         if source is not None:
@@ -207,6 +221,7 @@ class RigConfig(TomlTable):
             compensation_source=compensation_source(compensation, current, self.newtons_per_ampere)
             if compensation
             else "",
+            hybrid=self.hybrid_control(),
             guard=self._guard(),
             motion=Motion(
                 hold_N=self.hold_N,
@@ -251,6 +266,10 @@ def _tensions(rig: RigConfig) -> Iterator[str]:
         "step.preload_N + step.step_N": rig.step.preload_N + rig.step.step_N,
         "motion.hold_N": rig.hold_N,
     }
+    if rig.hybrid is not None:
+        least, margin = rig.hybrid.tension_min_N, rig.hybrid.margin_N
+        values["hybrid.tension_min_N"] = least
+        values["hybrid.tension_min_N + 2 margin_N"] = least + 2.0 * margin
     for name, tension in values.items():
         if not low <= tension <= high:
             yield f"{name} {tension:g} N is outside limits.tension_N {low:g} to {high:g} N"

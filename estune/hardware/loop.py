@@ -25,6 +25,7 @@ from estune.errors import EstuneError, RigError
 from estune.hardware.compensation.runtime import make_compensation
 from estune.hardware.controller import make_controller
 from estune.hardware.driver import Driver, load_driver
+from estune.hardware.hybrid_control import make_hybrid
 from estune.hardware.loop_messages import (
     Begin,
     Done,
@@ -204,7 +205,8 @@ def main(pipe: int, block: int) -> int:
         with load_driver(plan.driver, plan.driver_settings) as driver:
             controller, note = make_controller(plan.controller)
             compensation = make_compensation(plan.compensation, plan.compensation_source)
-            machine = ReelStateMachine(plan, memory, controller, compensation)
+            hybrid = make_hybrid(plan.hybrid, controller, plan.controller)
+            machine = ReelStateMachine(plan, memory, controller, compensation, hybrid)
             loop = Loop(plan, driver, machine, memory, rig)
             signal.signal(signal.SIGTERM, loop.end)
             notes = _request_real_time(plan.timing)

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 from estune.core.pidf import Coefficients
 from estune.hardware.compensation.plan import CompensationPlan
+from estune.hardware.hybrid_control import HybridPlan
 from estune.hardware.live_gains import LengthSource
 from estune.hardware.scales import CurrentScale, GaugeScale
 from estune.reel.guard import Limits
@@ -89,6 +90,7 @@ class LoopPlan:
         length_source: Schedule of the live gains; None where they are fixed.
         compensation: Compensations beside the controller; None without any.
         compensation_source: C text of the compensations.
+        hybrid: Position control beside that of the tension; None without it.
         guard: Limits of the reel; each trial sets cost and duration.
     """
 
@@ -109,6 +111,7 @@ class LoopPlan:
     length_source: LengthSource | None
     compensation: CompensationPlan | None
     compensation_source: str
+    hybrid: HybridPlan | None
     guard: Limits
     motion: Motion
     safe: SafeState

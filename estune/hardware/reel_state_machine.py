@@ -20,11 +20,13 @@ from estune.hardware.compensation.plan import NO_COMPENSATION, CompensationTerms
 from estune.hardware.compensation.runtime import Compensation
 from estune.hardware.controller import Controller
 from estune.hardware.driver import Reading
+from estune.hardware.hybrid_control import HybridControl
 from estune.hardware.live_gains import LiveGains
 from estune.hardware.loop_messages import Begin, Ended, LoopPlan, Refused
 from estune.hardware.shared_memory import Memory, MotionPhase, SensorLevels, Word
 from estune.reel import guard
 from estune.reel.guard import GuardState, GuardTrip, Limits, Reason
+from estune.reel.hybrid import HybridSignals
 from estune.trial import GUARD, LATE, SATURATED, SETPOINT_S, Outcome
 
 _TRANSIENT = frozenset((Reason.HEARTBEAT, Reason.LATE))
@@ -45,14 +47,20 @@ class ReelStateMachine:
     """
 
     def __init__(
-        self, plan: LoopPlan, memory: Memory, controller: Controller, compensation: Compensation
+        self,
+        plan: LoopPlan,
+        memory: Memory,
+        controller: Controller,
+        compensation: Compensation,
+        hybrid: HybridControl | None = None,
     ) -> None:
         self.phase = MotionPhase.OFF
         self.answer: Ended | Refused | None = None
         self._plan = plan
         self._memory = memory
         self._controller = controller
-        self._compensation = compensation
+        self._compensation, self._hybrid = compensation, hybrid
+        self._forward_N = 0.0
         self._live = LiveGains(plan.live, plan.length_source)
         self._angle_rad = 0.0
         self._limits_take_up, self._limits_recovering = _relaxed(plan)
@@ -73,6 +81,7 @@ class ReelStateMachine:
         self._cost = 0.0
         self._ramp_step_N = 0.0
         self._limited = False
+        self._was_solved = True  # no position was asked for at the last sample
         controller.use(plan.live)
 
     @property
@@ -170,7 +179,8 @@ class ReelStateMachine:
         trial = self._trial
         if self.phase is MotionPhase.TRIAL and trial is not None and trial.open_loop:
             terms = NO_COMPENSATION._replace(velocity_rad_s=terms.velocity_rad_s)
-        self._controller.feed_forward(terms.feed_forward_N)
+        self._forward_N = terms.feed_forward_N
+        self._controller.feed_forward(self._forward_N)
         return terms
 
     def _take_setpoint(self, time_s: float) -> None:
@@ -313,6 +323,8 @@ class ReelStateMachine:
         if not tension_N >= motion.taut_N:
             return motion.take_up_N
         self.phase = MotionPhase.HOLD
+        if self._hybrid is not None:
+            self._hybrid.in_tension = True
         self._controller.use(self._live.coefficients)
         self._controller.rest(tension_N, self._effort_N)
         self._start_setpoint_at(tension_N)
@@ -334,10 +346,33 @@ class ReelStateMachine:
             self._is_gain_change_pending = False
         elif changed:
             self._controller.exchange(self._live.coefficients, self._setpoint_N, tension_N)
-        effort = self._controller.step(self._setpoint_N, tension_N)
-        self._limited = self._controller.limited
+        effort = self._held_effort(tension_N)
         if trial is not None:
             self._settle(trial, tension_N)
+        return effort
+
+    def _held_effort(self, tension_N: float) -> float:
+        """Effort by tension control, or by position control where that is asked for."""
+        hybrid, target_rad = self._hybrid, self._memory.target_rad[0]
+        solved = self._trial is not None or not self._follows or math.isnan(target_rad)
+        if hybrid is None or (solved and hybrid.in_tension):
+            self._was_solved = True
+            effort = self._controller.step(self._setpoint_N, tension_N)
+            self._limited = self._controller.limited
+            return effort
+        position, plan = hybrid.plan.drum_radius_m * self._angle_rad, self._plan
+        if self._was_solved and hybrid.in_tension:
+            hybrid.start(position, self._effort_N)
+        self._was_solved = solved
+        in_tension = bool(hybrid.plan.rules.select(hybrid.in_tension, tension_N, solved))
+        if not in_tension or (solved and not hybrid.in_tension):  # where tension control begins
+            self._setpoint_N = min(max(tension_N, plan.tension_min_N), plan.tension_max_N)
+        elif not solved:
+            self._setpoint_N = hybrid.plan.rules.tension_setpoint_N(0.0, solved=False)
+        target_m = position if math.isnan(target_rad) else hybrid.plan.drum_radius_m * target_rad
+        signals = HybridSignals(target_m, position, self._setpoint_N, tension_N)
+        effort = hybrid.step(signals, self._forward_N, in_tension=in_tension)
+        self._limited = hybrid.limited
         return effort
 
     def _settle(self, trial: Begin, tension_N: float) -> None:
@@ -408,6 +443,7 @@ class ReelStateMachine:
         levels[SensorLevels.LENGTH_m], levels[SensorLevels.SCHEDULED_N] = (
             self._live.operating_point
         )
+        words[Word.IN_POSITION] = self._hybrid is not None and not self._hybrid.in_tension
         words[Word.LATCHED], words[Word.PHASE] = self._latched, self.phase
         words[Word.SAMPLES] += 1
 

@@ -171,9 +171,10 @@ class HardwareRig:
         """
         self._check_alive()
         self._description.limits.check_tension(setpoint.tension_N)
-        if setpoint.angle_rad is not None:
+        if setpoint.angle_rad is not None and self._config.hybrid is None:
             raise InvalidInput(
-                f"rig {self._description.name} has no position controller; send tensions only"
+                f"rig {self._description.name} has no position controller; "
+                "send tensions only, or add [hybrid] to its file"
             )
         words, levels = self._memory.words, self._memory.levels
         if words[Word.LATCHED] or words[Word.ESTOP]:
@@ -182,6 +183,7 @@ class HardwareRig:
                 f"({self._memory.reason or self._memory.estop_reason}); check it, then clear it"
             )
         self._memory.target_N[0] = setpoint.tension_N
+        self._memory.target_rad[0] = math.nan if setpoint.angle_rad is None else setpoint.angle_rad
         words[Word.SETPOINTS] += 1
         return Feedback(
             time_s=levels[SensorLevels.TIME_s],

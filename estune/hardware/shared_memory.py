@@ -48,6 +48,7 @@ class Word(IntEnum):
     REASON = 8  # loop: bytes of the reason
     ORDER = 9  # rig: bytes of the reason for the emergency stop
     PROGRESS = 10  # loop: samples measured of the trial under way
+    IN_POSITION = 12  # loop: one while position control is selected
     SETPOINTS = 11  # rig: setpoints from above so far; the last is in `Memory.target_N`
 
 
@@ -74,6 +75,7 @@ class HardwareStatus(NamedTuple):
         setpoint_N: Setpoint between trials.
         current_A: Latest current command.
         angle_rad: Latest angle.
+        in_position: Whether position control is selected.
     """
 
     phase: str
@@ -83,6 +85,7 @@ class HardwareStatus(NamedTuple):
     setpoint_N: float
     current_A: float
     angle_rad: float
+    in_position: bool
 
 
 class Timing(NamedTuple):
@@ -130,6 +133,7 @@ class Memory:
         setpoint_N: Setpoint of the trial; written by the rig before it.
         weights: Weight of the squared error in the running cost; written by the rig.
         target_N: Setpoint from above, a single number; written by the rig.
+        target_rad: Angle for position control from above, a single number; NaN for tension.
         time_s: Further columns of the trial, as in a record; written by the loop. Those of
             compensations that are off stay zero.
     """
@@ -146,7 +150,7 @@ class Memory:
         self._next_byte = 0
         self.words = self._take("q", len(Word))
         self.levels = self._take("d", len(SensorLevels))
-        self.target_N = self._take("d", 1)
+        self.target_N, self.target_rad = self._take("d", 1), self._take("d", 1)
         self.lateness, self.turnaround = self._take("q", BINS), self._take("q", BINS)
         self._reason, self._order = self._take("B", REASON_BYTES), self._take("B", REASON_BYTES)
         columns = [self._take("d", capacity) for _ in range(_COLUMNS)]
@@ -193,6 +197,7 @@ class Memory:
             setpoint_N=levels[SensorLevels.SETPOINT_N],
             current_A=levels[SensorLevels.CURRENT_A],
             angle_rad=levels[SensorLevels.ANGLE_rad],
+            in_position=bool(words[Word.IN_POSITION]),
         )
 
     def timing(self) -> Timing:
@@ -214,7 +219,7 @@ class Memory:
 
 
 def _size(capacity: int) -> int:
-    head = 8 * (len(Word) + len(SensorLevels) + 1 + 2 * BINS) + 2 * REASON_BYTES
+    head = 8 * (len(Word) + len(SensorLevels) + 2 + 2 * BINS) + 2 * REASON_BYTES
     return head + _BYTES_PER_SAMPLE * capacity
 
 

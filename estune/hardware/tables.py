@@ -5,6 +5,8 @@ from typing import Annotated, Any, Literal, Self, TypeVar
 
 from pydantic import Field, model_validator
 
+from estune.core.gains import Gains
+from estune.reel.hybrid import SwitchingRules
 from estune.support.toml_file import TomlTable
 
 Positive = Annotated[float, Field(gt=0.0)]
@@ -168,6 +170,33 @@ class ScheduleTable(TomlTable):
 
     file: Path = Field(strict=False)
     length: Literal["angle"] = "angle"
+
+
+class PositionGainsTable(TomlTable):
+    """Gains of the position controller, whose input is the cable wound in, m."""
+
+    P_N_m: Positive
+    I_N_ms: NotNegative
+    D_Ns_m: NotNegative
+    setpoint_filter_s: NotNegative
+
+    @property
+    def gains(self) -> Gains:
+        """The gains, of metres instead of newtons."""
+        return Gains(self.P_N_m, self.I_N_ms, self.D_Ns_m, self.setpoint_filter_s)
+
+
+class HybridTable(TomlTable):
+    """Position control where a source of setpoints asks for it; see `estune.reel.hybrid`."""
+
+    tension_min_N: Positive
+    margin_N: Positive
+    position: PositionGainsTable
+
+    @property
+    def rules(self) -> SwitchingRules:
+        """Rules that select tension or position control."""
+        return SwitchingRules(self.tension_min_N, self.margin_N)
 
 
 class StepTable(TomlTable):

@@ -13,6 +13,7 @@ from estune.hardware.compensation.runtime import make_compensation
 from estune.hardware.config import RigConfig
 from estune.hardware.controller import make_controller
 from estune.hardware.driver import Reading
+from estune.hardware.hybrid_control import make_hybrid
 from estune.hardware.loop_messages import (
     Begin,
     Done,
@@ -54,7 +55,8 @@ class VirtualLoop:
             os.close(file)
         controller, _ = make_controller(plan.controller)
         compensation = make_compensation(plan.compensation, plan.compensation_source)
-        self.machine = ReelStateMachine(plan, self.memory, controller, compensation)
+        hybrid = make_hybrid(plan.hybrid, controller, plan.controller)
+        self.machine = ReelStateMachine(plan, self.memory, controller, compensation, hybrid)
         self._start_s = time.monotonic()
         self.board = make_board(plan.driver_settings, self._start_s)
         self._samples = 0

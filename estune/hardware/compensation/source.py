@@ -1,11 +1,12 @@
-"""C text of the compensations, with a rig's numbers; beside that of the controller."""
+"""C text of compensations and hybrid control, with a rig's numbers; beside the controller's."""
 
+from collections.abc import Mapping
 from pathlib import Path
 
+from estune.core.gains import Gains
 from estune.hardware.compensation.plan import CompensationPlan
 from estune.hardware.scales import CurrentScale
-
-_PROGRAM = Path(__file__).with_name("estune_compensation.c")
+from estune.reel.hybrid import SwitchingRules
 
 
 def compensation_source(
@@ -44,5 +45,25 @@ def compensation_source(
         "CURRENT_HALF": current.half,
         "CURRENT_REACH": current.scaled_max,
     }
+    return _with_numbers(numbers, "estune_compensation.c")
+
+
+def hybrid_source(rules: SwitchingRules, position: Gains) -> str:
+    """One C file: the numbers of a rig's file, then the functions.
+
+    Args:
+        rules: Rules that select tension or position control.
+        position: Gains of the position controller.
+    """
+    numbers: dict[str, float | int | str] = {
+        "TENSION_LEAST": rules.tension_min_N,
+        "TENSION_MARGIN": rules.margin_N,
+        "POSITION_GAINS": ", ".join(map(repr, position.as_tuple())),
+    }
+    return _with_numbers(numbers, "estune_hybrid.c")
+
+
+def _with_numbers(numbers: Mapping[str, float | int | str], file: str) -> str:
     lines = (f"#define ESTUNE_{name} {value}" for name, value in numbers.items())
-    return "\n".join(lines) + "\n" + _PROGRAM.read_text(encoding="utf-8")
+    text = Path(__file__).with_name(file).read_text(encoding="utf-8")
+    return "\n".join(lines) + "\n" + text

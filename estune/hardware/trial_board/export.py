@@ -3,6 +3,7 @@
 import math
 from pathlib import Path
 
+from estune.hardware.compensation.source import hybrid_source
 from estune.hardware.config import RigConfig
 from estune.hardware.firmware import COEFFICIENTS
 
@@ -19,14 +20,21 @@ def board_files(config: RigConfig) -> dict[str, str]:
     Args:
         config: The rig. Calibrations are the board's own; all else is taken from here.
     """
-    plan = config.plan()
-    files = {
-        "estune_pidf.c": plan.controller,
+    return {
+        "estune_pidf.c": config.plan().controller,
         "estune_board.h": _header(config),
         "estune_trial_board.c": PROGRAM.read_text(encoding="utf-8"),
+        **compensation_files(config),
     }
+
+
+def compensation_files(config: RigConfig) -> dict[str, str]:
+    """What a rig's file switches on beside the controller: compensations, hybrid control."""
+    plan, files = config.plan(), dict[str, str]()
     if plan.compensation:
         files["estune_compensation.c"] = plan.compensation_source
+    if config.hybrid:
+        files["estune_hybrid.c"] = hybrid_source(config.hybrid.rules, config.hybrid.position.gains)
     return files
 
 

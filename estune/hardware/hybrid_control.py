@@ -1,0 +1,72 @@
+"""Position control beside the tension control of the loop, with the hand-over (36) and (37).
+
+The equations are those of `estune.reel.hybrid`, on the controllers of the loop.
+"""
+
+from dataclasses import dataclass
+
+from estune.core.pidf import Coefficients
+from estune.hardware.controller import Controller, make_controller
+from estune.reel.hybrid import HybridSignals, SwitchingRules
+
+
+@dataclass(frozen=True, slots=True)
+class HybridPlan:
+    """Position control of a loop.
+
+    Attributes:
+        rules: Rules that select tension or position control.
+        position: Difference equation of the position controller; its input is the cable wound in,
+            m, its output the effort, N.
+        drum_radius_m: Cable wound in per radian, m.
+    """
+
+    rules: SwitchingRules
+    position: Coefficients
+    drum_radius_m: float
+
+
+class HybridControl:
+    """Two controllers; the one that is not selected tracks the effort of the other.
+
+    Attributes:
+        plan: Its settings.
+        in_tension: The selection at the last sample.
+        limited: Whether the limits cut the last effort.
+    """
+
+    def __init__(self, plan: HybridPlan, tension: Controller, position: Controller) -> None:
+        self.plan = plan
+        self.in_tension = True
+        self.limited = False
+        self._tension, self._position = tension, position
+        position.use(plan.position)
+
+    def start(self, position_m: float, effort_N: float) -> None:
+        """Lets the position controller begin at rest; tension control is selected."""
+        self.in_tension = True
+        self._position.rest(position_m, effort_N)
+
+    def step(self, signals: HybridSignals, feed_forward_N: float, *, in_tension: bool) -> float:
+        """One sample; the effort of the selected controller, N.
+
+        At a change of the selection the effort is, to rounding, that without the change.
+        """
+        self._position.feed_forward(feed_forward_N)
+        of_position, of_tension = signals[:2], signals[2:]
+        if self.in_tension:
+            active, other, own, others = self._tension, self._position, of_tension, of_position
+        else:
+            active, other, own, others = self._position, self._tension, of_position, of_tension
+        effort = active.step(*own)
+        other.take_over(*others, effort)
+        following = other.step(*others)
+        self.limited = active.limited
+        if in_tension is not self.in_tension:
+            effort, self.in_tension = following, in_tension
+        return effort
+
+
+def make_hybrid(plan: HybridPlan | None, tension: Controller, source: str) -> HybridControl | None:
+    """Hybrid control with a position controller of the same C text; None where it is off."""
+    return HybridControl(plan, tension, make_controller(source)[0]) if plan else None
