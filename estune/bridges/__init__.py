@@ -1,1 +1,1 @@
-"""A rig shown in other programs: ROS 2 and PlotJuggler. Read-only, a process of its own each."""
+"""A rig shown in ROS 2, PlotJuggler and Foxglove: read-only, each in a process of its own."""

@@ -48,14 +48,7 @@ class PlotJuggler:
 
     def show_state(self, state: RigState) -> None:
         """Sends the status and the live gains."""
-        status, about = state.status, state.about
-        values: dict[str, Any] = {"answers": int(status is not None)}
-        if status is not None:
-            values |= {"mode": status.mode.value, "latched": int(bool(status.latched))}
-        if about is not None:
-            names = ("P", "I", "D", "setpoint_filter_s")
-            values["gains"] = {name: getattr(about.gains, name) for name in names}
-        self._send(state.time_ns, values)
+        self._send(state.time_ns, state.values())
 
     def _send(self, time_ns: int, values: dict[str, Any]) -> None:
         data = json.dumps({"timestamp": 1e-9 * time_ns, self._rig: values}).encode()

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 from estune.bridges import cdr
 from estune.bridges.viewer import RigState, Sample
+from estune.core.gains import GAIN_NAMES
 from estune.errors import InvalidInput
 from estune.remote.zenoh.put_session import PutSession
 from estune.trial import RigDescription
@@ -145,8 +146,7 @@ class Ros2Viewer:
                 level, message = ERROR, f"held in its safe state: {status.latched}"
             values = {"trial": status.trial_id, "holder": status.holder}
         if about is not None:
-            names = ("P", "I", "D", "setpoint_filter_s")
-            values |= {name: f"{getattr(about.gains, name):.6g}" for name in names}
+            values |= {name: f"{getattr(about.gains, name):.6g}" for name in GAIN_NAMES}
         found = cdr.Diagnostic(level, f"{self.name}: rig", message, self._hardware_id, values)
         self._diagnostics.publish(cdr.diagnostic_array(state.time_ns, [found]))
 

@@ -5,8 +5,9 @@ import time
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
+from estune.core.gains import GAIN_NAMES
 from estune.errors import RigError
 from estune.remote.messages import Status
 from estune.remote.zenoh import RemoteRig
@@ -40,6 +41,15 @@ class RigState:
     time_ns: int
     status: Status | None
     about: RigDescription | None
+
+    def values(self) -> dict[str, Any]:
+        """The status and the live gains as values of JSON."""
+        values: dict[str, Any] = {"answers": int(self.status is not None)}
+        if self.status is not None:
+            values |= {"mode": self.status.mode.value, "latched": int(bool(self.status.latched))}
+        if self.about is not None:
+            values["gains"] = {name: getattr(self.about.gains, name) for name in GAIN_NAMES}
+        return values
 
 
 class Viewer(Protocol):

@@ -46,7 +46,7 @@ COMMANDS = (
     ("run-experiment", "experiment:run_experiment", "Run the trial of a file on a rig.", 140),
     ("discover", "rigs:discover", "List the rigs at an endpoint and their status.", 160),
     ("doctor", "doctor:doctor", "Check a rig, with a remedy for each failed check.", 170),
-    ("bridge", "bridge:bridge", "Show a rig in ROS 2 or PlotJuggler.", 175),
+    ("bridge", "bridge:bridge", "Show a rig in ROS 2, PlotJuggler or Foxglove.", 175),
     ("estop", "rigs:estop", "Stop a rig at once and hold it in its safe state.", 180),
     ("clear", "rigs:clear", "Reset the emergency stop of a rig.", 190),
     ("daemon", "daemon:daemon", "Tune and supervise rigs for days, as a service.", 200),

@@ -1,4 +1,4 @@
-"""`estune bridge`: a rig shown in ROS 2 or PlotJuggler."""
+"""`estune bridge`: a rig shown in ROS 2, PlotJuggler or Foxglove."""
 
 import threading
 from contextlib import ExitStack
@@ -16,7 +16,7 @@ ROUTER = "tcp/127.0.0.1:7447"
 
 
 def bridge(
-    viewer: Literal["ros2", "plotjuggler"],
+    viewer: Literal["ros2", "plotjuggler", "foxglove"],
     endpoint: str,
     /,
     *,
@@ -27,7 +27,7 @@ def bridge(
     drum_radius_m: float | None = None,
     security: Path | None = None,
 ) -> None:
-    """Show a rig in ROS 2 or PlotJuggler, until Ctrl-C. Read-only: it commands nothing.
+    """Show a rig in ROS 2, PlotJuggler or Foxglove, until Ctrl-C. Read-only: it commands nothing.
 
     Samples are sent while a trial runs, the status once a second.
 
@@ -35,7 +35,8 @@ def bridge(
         viewer: Where the rig is shown.
         endpoint: Address of the rig, such as tcp/127.0.0.1:7448.
         to: Address of the viewer: of the Zenoh router of ROS (tcp/127.0.0.1:7447), or of the UDP
-            server of PlotJuggler (127.0.0.1:9870).
+            server of PlotJuggler (127.0.0.1:9870). For Foxglove, where it is served
+            (127.0.0.1:8765).
         rig: Name of the rig, if several answer at the endpoint.
         domain: Domain id of ROS.
         dds: Send to DDS by zenoh-bridge-ros2dds, whose address --to is then.
@@ -43,7 +44,7 @@ def bridge(
             joint state has no effort.
         security: Credentials file, if the rig requires authentication.
     """
-    if viewer == "plotjuggler" and (domain or dds or drum_radius_m is not None):
+    if viewer != "ros2" and (domain or dds or drum_radius_m is not None):
         raise InvalidInput("--domain, --dds and --drum-radius-m are of ros2; leave them out")
     if drum_radius_m is not None:
         check_positive("drum_radius_m", drum_radius_m, "m")
@@ -51,7 +52,7 @@ def bridge(
         the_rig = opened.enter_context(
             zenoh.connect(endpoint, rig=rig, security=security_from(security))
         )
-        from estune.bridges.plotjuggler import ADDRESS, PlotJuggler  # noqa: PLC0415  only here
+        from estune.bridges import foxglove, plotjuggler  # noqa: PLC0415  needed only here
         from estune.bridges.ros2 import Ros2Viewer  # noqa: PLC0415  as above
         from estune.bridges.viewer import Viewer, follow  # noqa: PLC0415  as above
         from estune.remote.zenoh.put_session import PutSession  # noqa: PLC0415  as above
@@ -63,9 +64,12 @@ def bridge(
             put = opened.enter_context(PutSession(to, remedy))
             about = the_rig.describe()
             shown = Ros2Viewer(put, about, domain=domain, dds=dds, drum_radius_m=drum_radius_m)
+        elif viewer == "foxglove":
+            server = foxglove.FoxgloveViewer(the_rig.name, to or foxglove.ADDRESS)
+            shown, to = opened.enter_context(server), f"ws://{server.address}"
         else:
-            to = to or ADDRESS
-            shown = opened.enter_context(PlotJuggler(the_rig.name, to))
+            to = to or plotjuggler.ADDRESS
+            shown = opened.enter_context(plotjuggler.PlotJuggler(the_rig.name, to))
         batches = opened.enter_context(the_rig.watch())
         print(f"rig {the_rig.name} shown in {viewer} at {to}; stop with Ctrl-C", flush=True)
         follow(the_rig, batches, shown, threading.Event())
